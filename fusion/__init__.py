@@ -1,0 +1,1 @@
+"""Pure functions on sensor arrays: fusion of lidar and depth. Knows nothing of slam."""

@@ -1,0 +1,1 @@
+"""Scanweave: offline SLAM from lidar and RGB-D logs."""

@@ -1,0 +1,29 @@
+"""The errors that a user can meet; each message says what, the value, the limit and the remedy."""
+
+
+class ScanweaveError(Exception):
+    """Base of every expected failure; the command line prints it in one line and exits with 1."""
+
+
+class ConfigError(ScanweaveError):
+    """A configuration file or override that does not fit the model."""
+
+
+class DatasetError(ScanweaveError):
+    """A log that cannot be opened or holds nothing usable."""
+
+
+class BadRecordError(DatasetError):
+    """A single malformed record, raised only under ``--strict``; otherwise counted and skipped."""
+
+
+class GraphError(ScanweaveError):
+    """A measurement that must not enter the graph (not finite, wrong size, not positive definite)."""
+
+
+class MapFileError(ScanweaveError):
+    """A saved map, grid, graph or trajectory file that is damaged or in another format."""
+
+
+class EvaluationError(ScanweaveError):
+    """A reference that does not fit the trajectory it should score."""

@@ -1,0 +1,1 @@
+"""Scan matching kernels: points, surfels, Gauss-Newton and correlative search."""

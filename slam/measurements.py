@@ -1,0 +1,145 @@
+"""What sensors say and what is concluded from it: frozen records, frames after REP-105.
+
+``T_a_b`` maps coordinates in frame b to frame a. Stamps are seconds, lengths metres, angles radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray: TypeAlias = NDArray[np.float64]
+Float32Array: TypeAlias = NDArray[np.float32]
+BoolArray: TypeAlias = NDArray[np.bool_]
+Pose: TypeAlias = gtsam.Pose2 | gtsam.Pose3
+
+
+@dataclass(frozen=True, slots=True)
+class LaserScan:
+    """One sweep of a 2D lidar.
+
+    Attributes
+    ----------
+    stamp_s
+        Time of the sweep.
+    ranges_m
+        (N,) ranges in beam order. No return is stored as ``inf``, an invalid reading as ``nan``.
+    start_angle_rad, step_rad
+        Bearing of beam 0 and the increment between beams, counter-clockwise, in the laser frame.
+    range_max_m
+        Range up to which a beam without a return is known to have met nothing.
+    T_base_laser
+        Mounting of the laser on the robot.
+    sensor
+        Name of the sensor, as the log tells it.
+    """
+
+    stamp_s: float
+    ranges_m: Float32Array
+    start_angle_rad: float
+    step_rad: float
+    range_max_m: float
+    T_base_laser: gtsam.Pose2 = field(default_factory=gtsam.Pose2)
+    sensor: str = "laser"
+
+    def bearings_rad(self) -> FloatArray:
+        """Bearing of every beam in the laser frame, (N,)."""
+        return self.start_angle_rad + self.step_rad * np.arange(self.ranges_m.size)
+
+
+@dataclass(frozen=True, slots=True)
+class WheelOdometry:
+    """The robot's pose by its own wheels, in the drifting odom frame."""
+
+    stamp_s: float
+    T_odom_base: gtsam.Pose2
+    sensor: str = "odometry"
+
+
+Measurement: TypeAlias = LaserScan | WheelOdometry
+
+
+@dataclass(frozen=True, slots=True)
+class MotionEstimate:
+    """A measured motion between two base frames, with its own trust.
+
+    Attributes
+    ----------
+    T_reference_base
+        Pose of the current base frame in the reference frame, Pose2 or Pose3.
+    covariance
+        (d, d) covariance in GTSAM's tangent order of the current frame: Pose2 (x, y, theta).
+        A degenerate direction is already inflated.
+    inlier_share
+        Share of the used readings that agree with the result, 0..1.
+    residual_m
+        Robust standard deviation of the agreeing readings.
+    converged
+        Whether the iteration settled.
+    degenerate
+        Whether a direction of motion is not determined by the readings (a corridor).
+    weak_direction
+        (d,) unit tangent vector of the least determined direction.
+    """
+
+    T_reference_base: Pose
+    covariance: FloatArray
+    inlier_share: float
+    residual_m: float
+    converged: bool
+    degenerate: bool
+    weak_direction: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Poses over time, in the order of the log (which need not be the order of the stamps).
+
+    Attributes
+    ----------
+    stamps_s
+        (N,) seconds.
+    positions_m
+        (N, 3) of the base frame in the map frame.
+    quaternions_xyzw
+        (N, 4), unit length.
+    """
+
+    stamps_s: FloatArray
+    positions_m: FloatArray
+    quaternions_xyzw: FloatArray
+
+    def __len__(self) -> int:
+        return int(self.stamps_s.size)
+
+    @classmethod
+    def from_planar(cls, stamps_s: FloatArray, poses_xyt: FloatArray) -> Trajectory:
+        """Lift (N, 3) rows of x, y, yaw into the plane z = 0."""
+        count = len(stamps_s)
+        positions = np.zeros((count, 3))
+        positions[:, :2] = poses_xyt[:, :2]
+        quaternions = np.zeros((count, 4))
+        quaternions[:, 2] = np.sin(0.5 * poses_xyt[:, 2])
+        quaternions[:, 3] = np.cos(0.5 * poses_xyt[:, 2])
+        return cls(np.asarray(stamps_s, dtype=np.float64), positions, quaternions)
+
+    def to_planar(self) -> FloatArray:
+        """(N, 3) rows of x, y, yaw: the projection onto the ground plane."""
+        x, y, z, w = self.quaternions_xyzw.T
+        yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+        return np.column_stack([self.positions_m[:, :2], yaw])
+
+
+def pose2_from_row(row: Sequence[float] | FloatArray) -> gtsam.Pose2:
+    """A Pose2 from x, y, yaw."""
+    return gtsam.Pose2(float(row[0]), float(row[1]), float(row[2]))
+
+
+def row_from_pose2(pose: gtsam.Pose2) -> FloatArray:
+    """x, y, yaw of a Pose2, (3,)."""
+    return np.array([pose.x(), pose.y(), pose.theta()])

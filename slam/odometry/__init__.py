@@ -1,0 +1,1 @@
+"""Motion from sensor readings, each with a covariance."""
