@@ -1,0 +1,309 @@
+"""The CARMEN log reader (.log, .clf, plain or gzip): one streaming pass, in the order of the file."""
+
+from __future__ import annotations
+
+import logging
+import math
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import gtsam
+import numpy as np
+
+from slam.datasets.carmen_records import (
+    NOT_A_NUMBER,
+    LaserRecord,
+    OdometryRecord,
+    Row,
+    parse_configured_laser,
+    parse_odometry,
+    parse_parameter,
+    parse_plain_laser,
+)
+from slam.datasets.dataset import ReadReport, RecordFault
+from slam.datasets.laser_geometry import BeamLayout, beam_layout, classify_ranges, no_return_limit_m
+from slam.datasets.log_file import numbered_lines, read_head
+from slam.errors import BadRecordError, DatasetError
+from slam.measurements import LaserScan, Measurement, WheelOdometry, pose2_from_row
+
+log = logging.getLogger(__name__)
+
+HEAD_BYTES = 1 << 18  # enough for a full block of parameters and some scans
+_MESSAGE_NAME = re.compile(rb"[A-Za-z][A-Za-z0-9_]{1,31}")
+_HEAD_MESSAGE = re.compile(rb"^[ \t]*([A-Z]+[0-9]?)[ \t]", re.MULTILINE)
+
+# The same sweep may be logged in several forms; the leftmost one present is read, the rest ignored.
+_SAME_LASER = (
+    ("ROBOTLASER1", "FLASER", "RAWLASER1"),
+    ("ROBOTLASER2", "RLASER", "RAWLASER2"),
+    ("ROBOTLASER3", "RAWLASER3"),
+    ("ROBOTLASER4", "RAWLASER4"),
+)
+_REAR = frozenset(_SAME_LASER[1])
+_PARSERS: dict[str, Callable[[list[bytes]], LaserRecord]] = {
+    kind: parse_plain_laser if kind in ("FLASER", "RLASER") else parse_configured_laser
+    for group in _SAME_LASER
+    for kind in group
+}
+_KNOWN = frozenset({*_PARSERS, "ODOM", "PARAM", "SYNC", "TRUEPOS"})
+
+TRUNCATED = "truncated last line"
+NO_MESSAGE = "line does not begin with a message name"
+ZERO_BEAMS = "scan without beams"
+NO_VALID_RANGE = "scan without a valid range"
+
+_SAME_POSE = 1e-6  # the last digit that the logs write
+_MOUNT_REACH_M = 3.0  # a laser is not mounted farther from the robot's centre
+_MOUNT_TOLERANCE = 0.02  # metres and radians: rounding and interpolation in the logged poses
+
+
+def looks_like_carmen(path: Path, head: bytes) -> bool:
+    """Whether a file's first bytes hold CARMEN messages, or else its name says so and nothing else does."""
+    if any(match.decode() in _KNOWN for match in _HEAD_MESSAGE.findall(head)):
+        return True
+    suffixes = {suffix.lower() for suffix in path.suffixes[-2:]}
+    only_comments = all(not line.strip() or line.startswith(b"#") for line in head.splitlines())
+    return bool(suffixes & {".log", ".clf"}) and only_comments
+
+
+class CarmenDataset:
+    """A CARMEN log as a stream of odometry and scans; see `slam.datasets.dataset.Dataset`.
+
+    Every ODOM line gives one `WheelOdometry`; so does the robot pose in a scan line, unless it repeats
+    the reading just before it (same stamp and pose). The scan follows its odometry. The stamp is the
+    ipc stamp. The order is that of the file: stamps may run backward, which is counted, not mended.
+
+    Parameters
+    ----------
+    path
+        The log.
+    strict
+        Stop at the first damaged record instead of counting and skipping it.
+    """
+
+    def __init__(self, path: Path, *, strict: bool = False) -> None:
+        self.path = path
+        self.name = path.name.removesuffix(".gz").removesuffix(".log").removesuffix(".clf")
+        self.report = ReadReport()
+        self._strict = strict
+
+    def __iter__(self) -> Iterator[Measurement]:
+        """Read the log from its beginning, with a new report.
+
+        Raises
+        ------
+        BadRecordError
+            A damaged record, under ``strict``.
+        DatasetError
+            The file cannot be read, or holds neither odometry nor a scan.
+        """
+        report = self.report = ReadReport()
+        decoder = _Decoder(report, _preferred_kinds(read_head(self.path, HEAD_BYTES)))
+        for number, line in numbered_lines(self.path, self._refuse):
+            report.line_count = number
+            try:
+                tokens = _tokens(line)
+                for measurement in decoder.decode(tokens, number) if tokens else ():
+                    report.observe(measurement, number)
+                    yield measurement
+            except RecordFault as fault:
+                cut = not line.endswith(b"\n")
+                self._refuse(RecordFault(TRUNCATED, str(fault)) if cut else fault, number)
+        if report.measurement_count == 0:
+            raise DatasetError(_nothing_usable(self.path, report))
+
+    def _refuse(self, fault: RecordFault, number: int) -> None:
+        """Count a damaged record, or stop at it."""
+        if self._strict:
+            raise BadRecordError(
+                f"{self.path.name}, line {number}: {fault}; read without --strict to count and skip it"
+            )
+        self.report.drop(fault.reason, number)
+        log.debug("%s, line %d: %s", self.path.name, number, fault)
+
+
+class _Decoder:
+    """The memory of one pass: parameters, mounts, the last odometry."""
+
+    def __init__(self, report: ReadReport, preferred: frozenset[str]) -> None:
+        self._report = report
+        self._preferred = preferred
+        self._parameters: dict[str, float] = {}
+        self._mounts: dict[str, gtsam.Pose2] = {}
+        self._largest_return_m: dict[str, float] = {}
+        self._last_odometry: OdometryRecord | None = None
+
+    def decode(self, tokens: list[bytes], number: int) -> Iterator[Measurement]:
+        """The measurements of one line, odometry first.
+
+        Raises
+        ------
+        RecordFault
+            The line is damaged; what was sound in it has been given already.
+        """
+        if not _MESSAGE_NAME.fullmatch(tokens[0]):
+            raise RecordFault(NO_MESSAGE, repr(tokens[0][:24]))
+        kind = tokens[0].decode()
+        if kind == "ODOM":
+            record = parse_odometry(tokens)
+            self._report.accept(kind)
+            yield from self._odometry(record, with_scan=False)
+        elif kind == "PARAM":
+            self._set_parameter(*parse_parameter(tokens), number)
+            self._report.accept(kind)
+        elif kind in self._preferred:
+            laser = _PARSERS[kind](tokens)
+            if laser.robot is not None:
+                yield from self._odometry(OdometryRecord(laser.stamp_s, laser.robot), with_scan=True)
+            scan = self._scan(laser, number)
+            self._report.accept(kind)
+            yield scan
+        else:
+            self._report.ignore(kind)
+
+    def _odometry(self, record: OdometryRecord, *, with_scan: bool) -> Iterator[WheelOdometry]:
+        """The reading; a scan line that only repeats the reading before it adds none."""
+        last, self._last_odometry = self._last_odometry, record
+        if with_scan and last is not None and last.stamp_s == record.stamp_s:
+            moved = max(abs(a - b) for a, b in zip(last.robot, record.robot, strict=True))
+            if moved <= _SAME_POSE:
+                return
+        yield WheelOdometry(record.stamp_s, pose2_from_row(record.robot))
+
+    def _scan(self, record: LaserRecord, number: int) -> LaserScan:
+        """A scan with the angles, the mount and the maximum that hold for it."""
+        if record.ranges_m.size == 0:
+            raise RecordFault(ZERO_BEAMS, record.kind)
+        layout = self._layout(record, number)
+        stated_max_m = record.max_m or self._parameter(record.kind, "max")
+        seen_m = self._largest_return_m.get(record.kind, 0.0)
+        limit_m = no_return_limit_m(stated_max_m, record.ranges_m, seen_m)
+        ranges_m = classify_ranges(record.ranges_m, limit_m)
+        invalid = int(np.count_nonzero(np.isnan(ranges_m)))
+        self._report.invalid_ranges += invalid
+        if invalid == ranges_m.size:
+            raise RecordFault(NO_VALID_RANGE, f"{invalid} beams")
+        returns = np.where(np.isfinite(ranges_m), ranges_m, 0.0)
+        self._largest_return_m[record.kind] = max(seen_m, float(returns.max()))
+        return LaserScan(
+            stamp_s=record.stamp_s,
+            ranges_m=ranges_m,
+            start_angle_rad=layout.start_rad,
+            step_rad=layout.step_rad,
+            range_max_m=limit_m,
+            T_base_laser=self._mount(record, number),
+            sensor=record.kind,
+        )
+
+    def _layout(self, record: LaserRecord, number: int) -> BeamLayout:
+        """The beams' bearings: from the line where it says them, else by the beam count and PARAM."""
+        count = record.ranges_m.size
+        if record.start_rad is None:
+            fov, step = self._parameter(record.kind, "fov"), self._parameter(record.kind, "resolution")
+            layout = beam_layout(count, _radians(fov), _radians(step))
+        else:
+            layout = beam_layout(count, record.fov_rad, record.step_rad)
+            if not layout.contradiction and abs(record.start_rad) <= 2.0 * math.pi:
+                layout = BeamLayout(record.start_rad, layout.step_rad)
+        if layout.contradiction:
+            text = f"{record.kind}: the stated field of view and resolution do not fit {count} beams"
+            self._report.note(f"{text}; the beam count was believed", number)
+        return layout
+
+    def _mount(self, record: LaserRecord, number: int) -> gtsam.Pose2:
+        """Where the laser sits: once per sensor, from PARAM or, where they are its source, the poses."""
+        from_line = _relative(record.robot, record.laser)
+        if record.kind not in self._mounts:
+            mount = self._parameter_mount(record.kind)
+            # FLASER lines may carry a corrected laser pose, so only PARAM is believed for them.
+            if (
+                record.start_rad is not None
+                and from_line is not None
+                and _reach_m(from_line) <= _MOUNT_REACH_M
+            ):
+                mount = from_line
+            self._mounts[record.kind] = mount
+        mount = self._mounts[record.kind]
+        if from_line is not None and not from_line.equals(mount, _MOUNT_TOLERANCE):
+            text = "laser pose of the line does not fit the mount in use (corrected poses?); mount kept"
+            self._report.note(f"{record.kind}: {text}", number, _reach_m(mount.between(from_line)))
+        return mount
+
+    def _parameter_mount(self, kind: str) -> gtsam.Pose2:
+        """The mount by PARAM; a rear laser looks backward, whatever the log leaves unsaid."""
+        yaw_rad = self._parameter(kind, "angularoffset")
+        if yaw_rad is None:
+            yaw_rad = math.pi if kind in _REAR else 0.0
+        return gtsam.Pose2(
+            self._parameter(kind, "offset") or 0.0, self._parameter(kind, "sideoffset") or 0.0, yaw_rad
+        )
+
+    def _parameter(self, kind: str, name: str) -> float | None:
+        """A laser's PARAM, None when not stated; lasers 3 and 4 have none."""
+        if kind[-1] in "34":
+            return None
+        return self._parameters.get(("rearlaser" if kind in _REAR else "frontlaser") + name)
+
+    def _set_parameter(self, name: str, value: str, number: int) -> None:
+        """Keep a laser's PARAM."""
+        if not name.startswith(("frontlaser", "rearlaser")) or name.endswith(("use", "id")):
+            return
+        try:
+            number_value = float(value)
+        except ValueError:
+            number_value = math.nan
+        if not math.isfinite(number_value):
+            raise RecordFault(NOT_A_NUMBER, f"PARAM {name} {value!r}")
+        self._parameters[name] = number_value
+        if name.endswith("offset"):
+            self._mounts.clear()
+
+
+def _tokens(line: bytes) -> list[bytes]:
+    """The words of a line; none for comments.
+
+    A last line without its line end may have lost the end of its last word too: that word is left out.
+    """
+    tokens = line.split()
+    if not line.endswith(b"\n"):
+        tokens = tokens[:-1]
+    return [] if tokens and tokens[0].startswith(b"#") else tokens
+
+
+def _preferred_kinds(head: bytes) -> frozenset[str]:
+    """The scan messages to read: of several forms of the same sweep only one."""
+    present = {match.decode() for match in _HEAD_MESSAGE.findall(head)}
+    preferred: set[str] = set()
+    for group in _SAME_LASER:
+        found = [kind for kind in group if kind in present]
+        preferred.update(found[:1] or group)
+    return frozenset(preferred)
+
+
+def _relative(robot: Row | None, laser: Row | None) -> gtsam.Pose2 | None:
+    """The laser seen from the robot, None when the line has no poses."""
+    if robot is None or laser is None:
+        return None
+    return pose2_from_row(robot).between(pose2_from_row(laser))
+
+
+def _reach_m(pose: gtsam.Pose2) -> float:
+    """Distance of a pose from its frame's origin."""
+    return math.hypot(pose.x(), pose.y())
+
+
+def _radians(angle_deg: float | None) -> float | None:
+    """Degrees of a PARAM in radians."""
+    return None if angle_deg is None else math.radians(angle_deg)
+
+
+def _nothing_usable(path: Path, report: ReadReport) -> str:
+    """The message for a log without measurements."""
+    reasons = ", ".join(f"{tally.count} x {reason}" for reason, tally in report.dropped.items())
+    ignored = ", ".join(list(report.ignored)[:5])
+    found = "; ".join(part for part in (reasons, f"ignored messages: {ignored}" if ignored else "") if part)
+    return (
+        f"{path} holds no odometry and no scan in {report.line_count} lines"
+        f"{f' ({found})' if found else ''}; expected CARMEN messages FLASER, ROBOTLASER1 or ODOM"
+    )

@@ -1,0 +1,207 @@
+"""One CARMEN line to one record: the grammar of the format, without any memory of earlier lines.
+
+Grammar (all tokens are separated by blanks; angles in radians, lengths in metres, stamps in seconds)::
+
+    ODOM x y theta tv rv accel <tail>
+    FLASER | RLASER  n r1..rn laser(x y theta) robot(x y theta) <tail>
+    ROBOTLASERk type start fov resolution max accuracy remission_mode n r1..rn m rem1..remm
+                laser(x y theta) robot(x y theta) tv rv forward_safety side_safety turn_axis <tail>
+    RAWLASERk   type start fov resolution max accuracy remission_mode n r1..rn m rem1..remm <tail>
+    PARAM name value ...
+    <tail> = ipc_stamp [host [logger_stamp]]
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from slam.datasets.dataset import RecordFault
+from slam.measurements import FloatArray
+
+WRONG_COUNT = "wrong number of values"
+NOT_A_NUMBER = "not a number where one belongs"
+BAD_POSE = "pose not finite or beyond any robot's reach"
+BAD_STAMP = "stamp not finite or beyond any clock"
+BAD_GEOMETRY = "beam angles not finite"
+
+Row: TypeAlias = tuple[float, float, float]
+
+_POSITION_LIMIT_M = 1e6
+_YAW_LIMIT_RAD = 1e6  # some counters never wrap
+_STAMP_LIMIT_S = 1e11  # year 5138; milliseconds or ticks by mistake are beyond it
+_TAIL_MIN, _TAIL_MAX = 1, 3
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryRecord:
+    """The robot's pose by its wheels: x, y, yaw."""
+
+    stamp_s: float
+    robot: Row
+
+
+@dataclass(frozen=True, slots=True)
+class LaserRecord:
+    """A scan line as written; None where the form of the line has no such field."""
+
+    kind: str
+    stamp_s: float
+    ranges_m: FloatArray
+    laser: Row | None
+    robot: Row | None
+    start_rad: float | None = None
+    fov_rad: float | None = None
+    step_rad: float | None = None
+    max_m: float | None = None
+
+
+def parse_odometry(tokens: list[bytes]) -> OdometryRecord:
+    """An ODOM line.
+
+    Raises
+    ------
+    RecordFault
+        Wrong count, not a number, not finite.
+    """
+    _check_tail(tokens, 7)
+    values = _numbers(tokens[1:8])
+    return OdometryRecord(_stamp(values[6]), _row(values[0:3]))
+
+
+def parse_plain_laser(tokens: list[bytes]) -> LaserRecord:
+    """A FLASER or RLASER line: ranges and poses, no angles.
+
+    Raises
+    ------
+    RecordFault
+        Wrong count, not a number, pose or stamp not finite.
+    """
+    count = _count(tokens, 1)
+    _check_tail(tokens, 2 + count + 6)
+    values = _numbers(tokens[2 : count + 9])
+    laser, robot = values[count : count + 3], values[count + 3 : count + 6]
+    return LaserRecord(
+        kind=tokens[0].decode(),
+        stamp_s=_stamp(values[count + 6]),
+        ranges_m=np.array(values[:count]),
+        laser=_row(laser),
+        robot=_row(robot),
+    )
+
+
+def parse_configured_laser(tokens: list[bytes]) -> LaserRecord:
+    """A ROBOTLASERk or RAWLASERk line: angles, ranges, remissions, and for the former poses.
+
+    Raises
+    ------
+    RecordFault
+        Wrong count, not a number, pose, stamp or angles not finite.
+    """
+    kind = tokens[0].decode()
+    count = _count(tokens, 8)
+    remission_at = 9 + count
+    after = remission_at + 1 + _count(tokens, remission_at)
+    pose_fields = 11 if kind.startswith("ROBOTLASER") else 0
+    _check_tail(tokens, after + pose_fields)
+    start_rad, fov_rad, step_rad, max_m = _numbers(tokens[2:6])
+    if not all(map(math.isfinite, (start_rad, fov_rad, step_rad))):
+        raise RecordFault(BAD_GEOMETRY, f"start {start_rad}, field of view {fov_rad}, step {step_rad}")
+    tail = _numbers(tokens[after : after + pose_fields + 1])
+    return LaserRecord(
+        kind=kind,
+        stamp_s=_stamp(tail[pose_fields]),
+        ranges_m=np.array(_numbers(tokens[9:remission_at])),
+        laser=_row(tail[0:3]) if pose_fields else None,
+        robot=_row(tail[3:6]) if pose_fields else None,
+        start_rad=start_rad,
+        fov_rad=fov_rad,
+        step_rad=step_rad,
+        max_m=max_m,
+    )
+
+
+def parse_parameter(tokens: list[bytes]) -> tuple[str, str]:
+    """Name and value of a PARAM line, the name in one spelling for all logs.
+
+    Logs write ``robot_front_laser_max`` but ``robot_frontlaser_offset``, and put the field of view
+    under ``laser_``: the module's prefix and the underscores are dropped (``frontlasermax``).
+
+    Raises
+    ------
+    RecordFault
+        Name or value missing.
+    """
+    if len(tokens) < 3:
+        raise RecordFault(WRONG_COUNT, "PARAM without a value")
+    name = tokens[1].decode("ascii", "replace").lower()
+    for module in ("robot_", "laser_"):
+        name = name.removeprefix(module)
+    return name.replace("_", ""), tokens[2].decode("ascii", "replace")
+
+
+def _count(tokens: list[bytes], index: int) -> int:
+    """A count of values that follow, checked against what does follow before anything is allocated."""
+    if index >= len(tokens):
+        raise RecordFault(WRONG_COUNT, f"line ends before value {index}")
+    token = tokens[index]
+    if not token.isdigit() or len(token) > 9:
+        raise RecordFault(WRONG_COUNT, f"count {_shown(token)}")
+    count = int(token)
+    if count >= len(tokens) - index:
+        raise RecordFault(WRONG_COUNT, f"{count} announced, {len(tokens) - index - 1} values follow")
+    return count
+
+
+def _check_tail(tokens: list[bytes], stamp_at: int) -> None:
+    """Refuse a line whose stamp, host and logger stamp do not end it."""
+    tail = len(tokens) - stamp_at
+    if not _TAIL_MIN <= tail <= _TAIL_MAX:
+        raise RecordFault(
+            WRONG_COUNT, f"{len(tokens)} values, {stamp_at + _TAIL_MIN} to {stamp_at + _TAIL_MAX} expected"
+        )
+
+
+def _numbers(tokens: list[bytes]) -> list[float]:
+    """The tokens as floats; Python's digit underscores are no numbers in a log."""
+    try:
+        values = list(map(float, tokens))
+    except ValueError:
+        bad = next(token for token in tokens if not _is_number(token))
+        raise RecordFault(NOT_A_NUMBER, _shown(bad)) from None
+    if b"_" in b"".join(tokens):
+        raise RecordFault(NOT_A_NUMBER, _shown(next(token for token in tokens if b"_" in token)))
+    return values
+
+
+def _is_number(token: bytes) -> bool:
+    """Whether float() takes a token."""
+    try:
+        float(token)
+    except ValueError:
+        return False
+    return True
+
+
+def _row(values: list[float]) -> Row:
+    """A pose, finite and within reach."""
+    x, y, yaw = values
+    # The comparisons are false for NaN, so NaN is refused too.
+    if not (abs(x) < _POSITION_LIMIT_M and abs(y) < _POSITION_LIMIT_M and abs(yaw) < _YAW_LIMIT_RAD):
+        raise RecordFault(BAD_POSE, f"{x} {y} {yaw}")
+    return x, y, yaw
+
+
+def _stamp(stamp_s: float) -> float:
+    """A stamp, finite and of this age."""
+    if not abs(stamp_s) < _STAMP_LIMIT_S:
+        raise RecordFault(BAD_STAMP, f"{stamp_s}")
+    return stamp_s
+
+
+def _shown(token: bytes) -> str:
+    """A token for a message, short and printable."""
+    return repr(token[:24].decode("ascii", "backslashreplace"))

@@ -1,0 +1,188 @@
+"""What every reader hands on: a stream of measurements and an honest account of the reading."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from slam.measurements import Measurement, WheelOdometry
+
+# Above these a pair of odometry readings is a jump of the counter, not a drive of the robot: an indoor
+# robot stays below 3 m/s, and the slack covers pairs whose stamps coincide or run backward.
+JUMP_SPEED_M_S = 3.0
+JUMP_SLACK_M = 0.3
+JUMP_TURN_RAD_S = math.pi
+JUMP_SLACK_RAD = 0.5
+
+_LINES_KEPT = 3  # examples kept of each kind of event
+_KEYS_KEPT = 32  # kinds of event; the rest share one key, so that garbage cannot grow the report
+_OTHER = "(others)"
+
+
+class RecordFault(Exception):
+    """A record that cannot be used; readers turn it into a counted drop, or stop under ``--strict``.
+
+    Parameters
+    ----------
+    reason
+        One of few fixed texts, the key of the count.
+    detail
+        The values at fault, for the message of a strict run.
+    """
+
+    def __init__(self, reason: str, detail: str) -> None:
+        super().__init__(f"{reason}: {detail}")
+        self.reason = reason
+        self.detail = detail
+
+
+@dataclass(slots=True)
+class Tally:
+    """How often something happened, where first, and how large it was at most."""
+
+    count: int = 0
+    lines: list[int] = field(default_factory=list)
+    largest: float = 0.0
+
+    def add(self, line: int, size: float = 0.0) -> None:
+        """Count one more, seen at a 1-based record or line number."""
+        self.count += 1
+        self.largest = max(self.largest, size)
+        if len(self.lines) < _LINES_KEPT:
+            self.lines.append(line)
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain types for JSON."""
+        return {"count": self.count, "first_lines": list(self.lines), "largest": self.largest}
+
+
+@dataclass(slots=True)
+class ReadReport:
+    """What one pass over a log found; it stays small however long or damaged the log is.
+
+    Attributes
+    ----------
+    line_count
+        Lines (or records) looked at.
+    records
+        Accepted records by their type in the file.
+    ignored
+        Records of types that this reader does not use.
+    dropped
+        Refused records by reason.
+    notes
+        Oddities that the reader lived with, by text.
+    backward_steps
+        By sensor: stamps earlier than the one before them; ``largest`` in seconds. Nothing is dropped.
+    odometry_jumps
+        Odometry steps faster than any robot; ``largest`` in metres.
+    invalid_ranges
+        Beams that read zero, negative or NaN.
+    """
+
+    line_count: int = 0
+    records: Counter[str] = field(default_factory=Counter)
+    ignored: Counter[str] = field(default_factory=Counter)
+    dropped: dict[str, Tally] = field(default_factory=dict)
+    notes: dict[str, Tally] = field(default_factory=dict)
+    backward_steps: dict[str, Tally] = field(default_factory=dict)
+    odometry_jumps: Tally = field(default_factory=Tally)
+    invalid_ranges: int = 0
+    measurement_count: int = 0
+    _last_stamp_s: dict[str, float] = field(default_factory=dict, repr=False)
+    _last_odometry: WheelOdometry | None = field(default=None, repr=False)
+
+    @property
+    def dropped_count(self) -> int:
+        """Refused records, all reasons."""
+        return sum(tally.count for tally in self.dropped.values())
+
+    def accept(self, kind: str) -> None:
+        """Count an accepted record."""
+        self.records[kind] += 1
+
+    def ignore(self, kind: str) -> None:
+        """Count a record of a type that is not used."""
+        self.ignored[kind if kind in self.ignored or len(self.ignored) < _KEYS_KEPT else _OTHER] += 1
+
+    def drop(self, reason: str, line: int) -> None:
+        """Count a refused record."""
+        _tally(self.dropped, reason).add(line)
+
+    def note(self, text: str, line: int, size: float = 0.0) -> None:
+        """Count an oddity that did not cost the record."""
+        _tally(self.notes, text).add(line, size)
+
+    def observe(self, measurement: Measurement, line: int) -> None:
+        """Check one measurement, in the order of the log, for clock steps and odometry jumps."""
+        self.measurement_count += 1
+        stamp_s = measurement.stamp_s
+        previous_s = self._last_stamp_s.get(measurement.sensor, stamp_s)
+        if stamp_s < previous_s:
+            _tally(self.backward_steps, measurement.sensor).add(line, previous_s - stamp_s)
+        self._last_stamp_s[measurement.sensor] = stamp_s
+        if isinstance(measurement, WheelOdometry):
+            if self._last_odometry is not None:
+                self._check_jump(self._last_odometry, measurement, line)
+            self._last_odometry = measurement
+
+    def _check_jump(self, before: WheelOdometry, after: WheelOdometry, line: int) -> None:
+        """Count a step that no robot drives in the time between two readings."""
+        a, b = before.T_odom_base, after.T_odom_base
+        elapsed_s = max(after.stamp_s - before.stamp_s, 0.0)
+        distance_m = math.hypot(b.x() - a.x(), b.y() - a.y())
+        turn_rad = abs(math.remainder(b.theta() - a.theta(), 2.0 * math.pi))
+        too_far = distance_m > JUMP_SLACK_M + JUMP_SPEED_M_S * elapsed_s
+        if too_far or turn_rad > JUMP_SLACK_RAD + JUMP_TURN_RAD_S * elapsed_s:
+            self.odometry_jumps.add(line, distance_m)
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain types for JSON."""
+        return {
+            "lines": self.line_count,
+            "measurements": self.measurement_count,
+            "records": dict(self.records),
+            "ignored": dict(self.ignored),
+            "dropped": {reason: tally.to_dict() for reason, tally in self.dropped.items()},
+            "notes": {text: tally.to_dict() for text, tally in self.notes.items()},
+            "backward_steps": {sensor: tally.to_dict() for sensor, tally in self.backward_steps.items()},
+            "odometry_jumps": self.odometry_jumps.to_dict(),
+            "invalid_ranges": self.invalid_ranges,
+        }
+
+
+def _tally(tallies: dict[str, Tally], key: str) -> Tally:
+    """The tally of a key, or the shared one once there are too many keys."""
+    if key not in tallies and len(tallies) >= _KEYS_KEPT:
+        key = _OTHER
+    return tallies.setdefault(key, Tally())
+
+
+class Dataset(Protocol):
+    """A log that can be read from its beginning any number of times.
+
+    Iteration gives the measurements in the order of the file, which need not be the order of the
+    stamps, and raises `slam.errors.DatasetError` at the end of a log without any. Each new
+    iteration starts a new `report`; it is complete when the iteration is.
+
+    Attributes
+    ----------
+    name
+        Short name for people.
+    path
+        Where the log lies.
+    report
+        What the latest pass found.
+    """
+
+    name: str
+    path: Path
+    report: ReadReport
+
+    def __iter__(self) -> Iterator[Measurement]:
+        """Read the log from its beginning."""
+        ...

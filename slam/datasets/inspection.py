@@ -1,0 +1,333 @@
+"""What a log holds, in one pass and constant memory: ``scanweave inspect``."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+
+from slam.datasets.dataset import Dataset, Tally
+from slam.measurements import LaserScan, WheelOdometry
+
+_SAMPLES_KEPT = 4096  # intervals kept for a median; more are thinned evenly
+
+
+@dataclass(frozen=True, slots=True)
+class LaserSummary:
+    """The beams of one laser.
+
+    Attributes
+    ----------
+    beams_min, beams_max
+        Beams a scan.
+    first_angle_rad, last_angle_rad, step_rad
+        Bearings of the latest scan in the laser frame.
+    range_max_m
+        Range that a beam without a return clears.
+    longest_return_m
+        Longest true reading, None if there was none.
+    no_return_share, invalid_share
+        Of all beams, 0..1.
+    mount_x_m, mount_y_m, mount_yaw_rad
+        The laser on the robot.
+    """
+
+    beams_min: int
+    beams_max: int
+    first_angle_rad: float
+    last_angle_rad: float
+    step_rad: float
+    range_max_m: float
+    longest_return_m: float | None
+    no_return_share: float
+    invalid_share: float
+    mount_x_m: float
+    mount_y_m: float
+    mount_yaw_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class OdometrySummary:
+    """The drive by the wheels: length of the path and sum of all turning, either way."""
+
+    path_m: float
+    rotation_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class SensorSummary:
+    """One stream of measurements.
+
+    Attributes
+    ----------
+    rate_hz
+        One over the median interval, None for fewer than two stamps.
+    longest_gap_s, longest_gap_at_s
+        The longest interval and where it begins, seconds after the log's first stamp.
+    clock_steps_backward, largest_clock_step_s
+        Stamps earlier than the one before, and by how much at most.
+    """
+
+    sensor: str
+    count: int
+    rate_hz: float | None
+    longest_gap_s: float
+    longest_gap_at_s: float
+    clock_steps_backward: int
+    largest_clock_step_s: float
+    laser: LaserSummary | None = None
+    odometry: OdometrySummary | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Inspection:
+    """A log at a glance.
+
+    Attributes
+    ----------
+    first_stamp_s, duration_s
+        Earliest stamp, and latest minus earliest.
+    sensors
+        By name.
+    records, ignored
+        Records used and not used, by type in the file.
+    dropped, notes
+        Damaged records by reason, and oddities, with counts and first lines.
+    odometry_jumps
+        Odometry steps faster than any robot; ``largest`` in metres.
+    """
+
+    name: str
+    path: str
+    first_stamp_s: float
+    duration_s: float
+    sensors: tuple[SensorSummary, ...]
+    records: dict[str, int]
+    ignored: dict[str, int]
+    dropped: dict[str, Tally]
+    notes: dict[str, Tally]
+    odometry_jumps: Tally
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain types for JSON; angles in radians, every number finite."""
+        return asdict(self)
+
+
+def inspect_dataset(dataset: Dataset) -> Inspection:
+    """Read a log once, from end to end, and summarise it.
+
+    Raises
+    ------
+    DatasetError
+        The log cannot be read or holds nothing.
+    BadRecordError
+        A damaged record, where the dataset was opened with ``strict``.
+    """
+    streams: dict[str, _Stream] = {}
+    earliest_s, latest_s = math.inf, -math.inf
+    for measurement in dataset:
+        stream = streams.setdefault(measurement.sensor, _Stream())
+        stream.add_stamp(measurement.stamp_s)
+        if isinstance(measurement, LaserScan):
+            stream.add_scan(measurement)
+        else:
+            stream.add_odometry(measurement)
+        earliest_s = min(earliest_s, measurement.stamp_s)
+        latest_s = max(latest_s, measurement.stamp_s)
+    report = dataset.report
+    return Inspection(
+        name=dataset.name,
+        path=str(dataset.path),
+        first_stamp_s=earliest_s,
+        duration_s=latest_s - earliest_s,
+        sensors=tuple(
+            streams[name].summary(name, earliest_s, report.backward_steps.get(name, Tally()))
+            for name in sorted(streams)
+        ),
+        records=dict(report.records),
+        ignored=dict(report.ignored),
+        dropped=dict(report.dropped),
+        notes=dict(report.notes),
+        odometry_jumps=report.odometry_jumps,
+    )
+
+
+@dataclass(slots=True)
+class _Thinned:
+    """An even sample of a stream of numbers, of bounded size and the same on every run."""
+
+    values: list[float] = field(default_factory=list)
+    stride: int = 1
+    seen: int = 0
+
+    def add(self, value: float) -> None:
+        if self.seen % self.stride == 0:
+            self.values.append(value)
+            if len(self.values) >= _SAMPLES_KEPT:
+                del self.values[1::2]
+                self.stride *= 2
+        self.seen += 1
+
+    def median(self) -> float | None:
+        return float(np.median(self.values)) if self.values else None
+
+
+@dataclass(slots=True)
+class _Stream:
+    """Running figures of one sensor."""
+
+    count: int = 0
+    intervals: _Thinned = field(default_factory=_Thinned)
+    last_stamp_s: float | None = None
+    gap_s: float = 0.0
+    gap_from_s: float | None = None
+    beams: Counter[str] = field(default_factory=Counter)
+    beams_min: int = 0
+    beams_max: int = 0
+    longest_return_m: float | None = None
+    last_scan: LaserScan | None = None
+    last_odometry: WheelOdometry | None = None
+    path_m: float = 0.0
+    rotation_rad: float = 0.0
+
+    def add_stamp(self, stamp_s: float) -> None:
+        """Rate and gaps; a backward step is no interval."""
+        self.count += 1
+        if self.last_stamp_s is not None and (interval_s := stamp_s - self.last_stamp_s) > 0.0:
+            self.intervals.add(interval_s)
+            if interval_s > self.gap_s:
+                self.gap_s, self.gap_from_s = interval_s, self.last_stamp_s
+        self.last_stamp_s = stamp_s
+
+    def add_scan(self, scan: LaserScan) -> None:
+        """Beams, returns, and what the rest of them say."""
+        ranges = scan.ranges_m
+        returns = ranges[np.isfinite(ranges)]
+        self.beams.update(
+            all=ranges.size,
+            invalid=int(np.count_nonzero(np.isnan(ranges))),
+            no_return=int(np.count_nonzero(np.isinf(ranges))),
+        )
+        if returns.size:
+            self.longest_return_m = max(self.longest_return_m or 0.0, float(returns.max()))
+        self.beams_min = ranges.size if self.last_scan is None else min(self.beams_min, ranges.size)
+        self.beams_max = max(self.beams_max, ranges.size)
+        self.last_scan = scan
+
+    def add_odometry(self, reading: WheelOdometry) -> None:
+        """Path and turning."""
+        if self.last_odometry is not None:
+            step = self.last_odometry.T_odom_base.between(reading.T_odom_base)
+            self.path_m += math.hypot(step.x(), step.y())
+            self.rotation_rad += abs(step.theta())
+        self.last_odometry = reading
+
+    def summary(self, sensor: str, origin_s: float, backward: Tally) -> SensorSummary:
+        """The figures, frozen."""
+        median_s = self.intervals.median()
+        return SensorSummary(
+            sensor=sensor,
+            count=self.count,
+            rate_hz=None if median_s is None else 1.0 / median_s,
+            longest_gap_s=self.gap_s,
+            longest_gap_at_s=0.0 if self.gap_from_s is None else self.gap_from_s - origin_s,
+            clock_steps_backward=backward.count,
+            largest_clock_step_s=backward.largest,
+            laser=None if self.last_scan is None else self._laser(self.last_scan),
+            odometry=OdometrySummary(self.path_m, self.rotation_rad) if self.last_odometry else None,
+        )
+
+    def _laser(self, scan: LaserScan) -> LaserSummary:
+        """The laser's part of the figures."""
+        return LaserSummary(
+            beams_min=self.beams_min,
+            beams_max=self.beams_max,
+            first_angle_rad=scan.start_angle_rad,
+            last_angle_rad=scan.start_angle_rad + scan.step_rad * (scan.ranges_m.size - 1),
+            step_rad=scan.step_rad,
+            range_max_m=scan.range_max_m,
+            longest_return_m=self.longest_return_m,
+            no_return_share=self.beams["no_return"] / self.beams["all"],
+            invalid_share=self.beams["invalid"] / self.beams["all"],
+            mount_x_m=scan.T_base_laser.x(),
+            mount_y_m=scan.T_base_laser.y(),
+            mount_yaw_rad=scan.T_base_laser.theta(),
+        )
+
+
+def render_inspection(inspection: Inspection) -> str:
+    """The inspection as plain text for people, angles in degrees."""
+    lines = [
+        f"{inspection.name}  ({inspection.path})",
+        f"  duration {inspection.duration_s:.1f} s from stamp {inspection.first_stamp_s:.3f} s",
+    ]
+    for sensor in inspection.sensors:
+        lines += _sensor_lines(sensor)
+    jumps = inspection.odometry_jumps
+    lines.append(f"  odometry jumps: {_jump_text(jumps)}")
+    lines.append(f"  records: {_counts(inspection.records)}")
+    if inspection.ignored:
+        lines.append(f"  not used: {_counts(inspection.ignored)}")
+    lines += _tally_lines("dropped", inspection.dropped) or ["  dropped: none"]
+    lines += _tally_lines("note", inspection.notes)
+    return "\n".join(lines)
+
+
+def _sensor_lines(sensor: SensorSummary) -> list[str]:
+    """The paragraph of one sensor."""
+    rate = "rate unknown" if sensor.rate_hz is None else f"{sensor.rate_hz:.2f} Hz (median)"
+    lines = [f"  {sensor.sensor}: {sensor.count} readings, {rate}"]
+    if laser := sensor.laser:
+        beams = _span(laser.beams_min, laser.beams_max)
+        first, last, step, yaw = (
+            math.degrees(angle)
+            for angle in (laser.first_angle_rad, laser.last_angle_rad, laser.step_rad, laser.mount_yaw_rad)
+        )
+        longest = "none" if laser.longest_return_m is None else f"{laser.longest_return_m:.2f} m"
+        lines += [
+            f"    {beams} beams from {first:.2f} to {last:.2f} degrees, step {step:.3f}",
+            f"    maximum range {laser.range_max_m:.2f} m, longest return {longest}",
+            f"    no return {laser.no_return_share:.2%}, invalid {laser.invalid_share:.2%}",
+            f"    mounted at x {laser.mount_x_m:.3f} m, y {laser.mount_y_m:.3f} m, yaw {yaw:.1f} degrees",
+        ]
+    if odometry := sensor.odometry:
+        turned = math.degrees(odometry.rotation_rad)
+        lines.append(f"    path {odometry.path_m:.1f} m, turned {turned:.0f} degrees in all")
+    lines.append(
+        f"    longest gap {sensor.longest_gap_s:.2f} s, {sensor.longest_gap_at_s:.1f} s into the log"
+    )
+    if sensor.clock_steps_backward:
+        lines.append(
+            f"    clock ran backward {sensor.clock_steps_backward} times, at most by "
+            f"{sensor.largest_clock_step_s:.3f} s; the order of the file is kept"
+        )
+    return lines
+
+
+def _span(low: int, high: int) -> str:
+    """One number, or two that differ."""
+    return f"{low}" if low == high else f"{low} to {high}"
+
+
+def _counts(counts: dict[str, int]) -> str:
+    """Counts by name, largest first."""
+    ordered = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
+    return ", ".join(f"{count} {name}" for name, count in ordered) or "none"
+
+
+def _jump_text(jumps: Tally) -> str:
+    """Jumps of the odometry in words."""
+    if not jumps.count:
+        return "none"
+    return f"{jumps.count}, {jumps.largest:.2f} m at most, first at line {jumps.lines[0]}"
+
+
+def _tally_lines(title: str, tallies: dict[str, Tally]) -> list[str]:
+    """One line a reason."""
+    return [
+        f"  {title}: {tally.count} x {text} (line {', '.join(map(str, tally.lines))}"
+        f"{', ...' if tally.count > len(tally.lines) else ''})"
+        for text, tally in tallies.items()
+    ]

@@ -1,0 +1,135 @@
+"""Where the beams of a laser point and which readings mean "no return", for logs that do not say it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.measurements import Float32Array, FloatArray
+
+# A SICK LMS in its 80 m mode says "nothing met" and its error codes with 8183, 8187, 8190 and 8191 cm.
+SICK_LARGEST_CODE_FREE_M = 81.83
+# Without a stated maximum: beyond any true reading of the common scanners, below the codes.
+DEFAULT_NO_RETURN_M = 80.0
+# The same codes in the 8 m mode, in millimetres. 8.190 is left out: in a log written in whole
+# centimetres that is an ordinary distance.
+_SICK_SHORT_CODES_M = np.array([8.183, 8.187, 8.191])
+_SICK_SHORT_LARGEST_M = 8.192
+_CODE_TOLERANCE_M = 1e-6
+
+_DEFAULT_FOV_DEG = 180.0
+# Beam counts that belong to one field of view: SICK LMS 2xx in its 100 degree mode, 270 degree scanners.
+_FOV_BY_BEAM_COUNT_DEG = {101: 100.0, 201: 100.0, 401: 100.0, 541: 270.0, 811: 270.0, 1081: 270.0}
+
+
+@dataclass(frozen=True, slots=True)
+class BeamLayout:
+    """Bearings of a fan of beams, counter-clockwise, symmetric about the laser's x axis.
+
+    Attributes
+    ----------
+    start_rad, step_rad
+        Bearing of beam 0 and the increment.
+    contradiction
+        Whether the stated field of view or resolution did not fit the beam count and was set aside.
+    """
+
+    start_rad: float
+    step_rad: float
+    contradiction: bool = False
+
+
+def beam_layout(beam_count: int, fov_rad: float | None = None, step_rad: float | None = None) -> BeamLayout:
+    """Bearings for a scan line that gives only ranges.
+
+    The convention of the logs, by the beam count:
+
+    - odd (181, 361): both edges are measured, -fov/2 to +fov/2, step = fov / (count - 1);
+    - even (180, 360): the last edge is left out, beam 0 at -fov/2, step = fov / count.
+
+    The field of view is the stated one; else it follows from the stated step; else from the beam
+    count (100 degrees for 101, 201, 401; 270 for 541, 811, 1081; 180 for all others). When both are
+    stated, the edge is measured if fov / step + 1 is the count and left out if fov / step is the
+    count, whatever its parity. If neither holds, both are set aside: the beam count wins.
+
+    Parameters
+    ----------
+    beam_count
+        1 or more. A single beam looks ahead.
+    fov_rad, step_rad
+        As the log states them; None, zero, negative, more than a turn or not finite: not stated.
+
+    Returns
+    -------
+    BeamLayout
+        ``contradiction`` tells whether a stated value was set aside.
+    """
+    fov = fov_rad if _is_angle(fov_rad) else None
+    step = step_rad if _is_angle(step_rad) else None
+    odd = beam_count % 2
+    if beam_count == 1:
+        return BeamLayout(0.0, fov or math.radians(_DEFAULT_FOV_DEG))
+    if fov is not None and step is not None:
+        intervals = round(fov / step)
+        if abs(fov / step - intervals) < 0.05 and intervals in (beam_count - 1, beam_count):
+            return BeamLayout(-0.5 * fov, fov / intervals)
+        return _spread(beam_count, _default_fov_rad(beam_count), contradiction=True)
+    if step is not None:
+        fov = step * (beam_count - odd)
+        if fov > 2.0 * math.pi + step:
+            return _spread(beam_count, _default_fov_rad(beam_count), contradiction=True)
+    return _spread(beam_count, fov if fov is not None else _default_fov_rad(beam_count))
+
+
+def _spread(beam_count: int, fov_rad: float, *, contradiction: bool = False) -> BeamLayout:
+    """The beams over a field of view, by the parity of their count."""
+    return BeamLayout(-0.5 * fov_rad, fov_rad / (beam_count - beam_count % 2), contradiction)
+
+
+def _default_fov_rad(beam_count: int) -> float:
+    """The field of view that a beam count stands for."""
+    return math.radians(_FOV_BY_BEAM_COUNT_DEG.get(beam_count, _DEFAULT_FOV_DEG))
+
+
+def _is_angle(angle_rad: float | None) -> bool:
+    """Whether a stated angle can be one."""
+    return angle_rad is not None and 0.0 < angle_rad <= 2.0 * math.pi + 1e-6
+
+
+def no_return_limit_m(stated_max_m: float | None, ranges_m: FloatArray, largest_return_m: float) -> float:
+    """Range from which a reading means that nothing was met; it is also what such a beam clears.
+
+    Parameters
+    ----------
+    stated_max_m
+        The sensor's maximum as the log states it; None or not positive: not stated.
+    ranges_m
+        (N,) raw readings of the scan.
+    largest_return_m
+        Largest true reading of this sensor so far.
+
+    Returns
+    -------
+    float
+        ``min(stated, 81.83)``; without a statement 8.183 while a SICK's 8 m codes are seen and never
+        a reading beyond them, else 80.
+    """
+    if stated_max_m is not None and stated_max_m > 0.0:
+        return min(stated_max_m, SICK_LARGEST_CODE_FREE_M)
+    if largest_return_m <= _SICK_SHORT_LARGEST_M:
+        largest = float(np.fmax.reduce(ranges_m, initial=0.0))
+        if np.any(np.abs(_SICK_SHORT_CODES_M - largest) < _CODE_TOLERANCE_M):
+            return float(_SICK_SHORT_CODES_M[0])
+    return DEFAULT_NO_RETURN_M
+
+
+def classify_ranges(ranges_m: FloatArray, limit_m: float) -> Float32Array:
+    """Readings as `slam.measurements.LaserScan` wants them, (N,).
+
+    At or above ``limit_m``: ``inf``, no return. Zero, negative or NaN: ``nan``, invalid.
+    """
+    # A stated 81.83 and a written 81.83 must meet, whatever their last bit.
+    clean = np.where(ranges_m >= limit_m - _CODE_TOLERANCE_M, np.inf, ranges_m)
+    return np.where(clean > 0.0, clean, np.nan).astype(np.float32)

@@ -1,0 +1,94 @@
+"""Lines of a text log, plain or gzip, read as a stream that survives damage."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import cast
+
+from slam.datasets.dataset import RecordFault
+from slam.errors import DatasetError
+
+MAX_LINE_BYTES = 1 << 20  # ten times the longest scan line known; bounds the memory on garbage
+_BUFFER_BYTES = 1 << 18
+_GZIP_MAGIC = b"\x1f\x8b"
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+
+LINE_TOO_LONG = "line too long"
+STREAM_DAMAGED = "compressed data damaged or cut short"
+
+Refuse = Callable[[RecordFault, int], None]
+
+
+def open_log(path: Path) -> io.BufferedReader:
+    """Open a log for reading; the content, not the suffix, decides whether it is gzip.
+
+    Raises
+    ------
+    DatasetError
+        The file cannot be opened.
+    """
+    try:
+        raw = path.open("rb")
+        compressed = raw.read(len(_GZIP_MAGIC)) == _GZIP_MAGIC
+        raw.seek(0)
+        if not compressed:
+            return raw
+        raw.close()
+        stream = cast(io.RawIOBase, gzip.GzipFile(path, "rb"))
+    except OSError as error:
+        raise DatasetError(f"cannot open {path}: {error.strerror}; check the path and its rights") from error
+    return io.BufferedReader(stream, _BUFFER_BYTES)
+
+
+def read_head(path: Path, size: int) -> bytes:
+    """Up to ``size`` decompressed bytes from the beginning; what damage hides is left out."""
+    chunks: list[bytes] = []
+    with open_log(path) as stream:
+        try:
+            while size > 0 and (chunk := stream.read1(min(size, _BUFFER_BYTES))):
+                chunks.append(chunk)
+                size -= len(chunk)
+        except (EOFError, OSError, zlib.error):
+            pass
+    return b"".join(chunks).removeprefix(_BYTE_ORDER_MARK)
+
+
+def numbered_lines(path: Path, refuse: Refuse) -> Iterator[tuple[int, bytes]]:
+    """1-based numbers and lines, each with its line end, in constant memory.
+
+    Parameters
+    ----------
+    refuse
+        Called with the fault and the line number for an over-long line and for damaged compression;
+        the first is skipped, the second ends the stream after what could be read.
+
+    Raises
+    ------
+    DatasetError
+        The file cannot be opened or the device fails.
+    """
+    number = 0
+    with open_log(path) as stream:
+        try:
+            while line := stream.readline(MAX_LINE_BYTES):
+                number += 1
+                if len(line) == MAX_LINE_BYTES and not line.endswith(b"\n"):
+                    _skip_line(stream)
+                    detail = f"more than {MAX_LINE_BYTES} bytes"
+                    refuse(RecordFault(LINE_TOO_LONG, detail), number)
+                    continue
+                yield number, line.removeprefix(_BYTE_ORDER_MARK) if number == 1 else line
+        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+            refuse(RecordFault(STREAM_DAMAGED, str(error)), number + 1)
+        except OSError as error:
+            raise DatasetError(f"cannot read {path} after line {number}: {error.strerror}") from error
+
+
+def _skip_line(stream: io.BufferedReader) -> None:
+    """Leave the stream at the beginning of the next line."""
+    while (rest := stream.readline(MAX_LINE_BYTES)) and not rest.endswith(b"\n"):
+        pass
