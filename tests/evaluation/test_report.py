@@ -1,0 +1,228 @@
+"""The report is one file, tells every loop, escapes every text and draws the map the right way up."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from slam.evaluation import report as report_module
+from slam.evaluation.report import LoopRow, MapPicture, ReportData, write_report
+from slam.evaluation.report_figures import map_png
+from slam.measurements import FloatArray
+
+
+class Page(HTMLParser):
+    """What a browser would be asked to do."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.addresses: list[str] = []
+        self.text = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.addresses += [
+            value or "" for name, value in attrs if name in {"src", "href", "srcset", "action"}
+        ]
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def loop(number: int, *, accepted: bool, reason: str = "", score: float = 0.5) -> LoopRow:
+    return LoopRow(number + 100, number, (1.0, 2.0), (1.3, 2.4), score, 0.62, accepted, reason)
+
+
+@pytest.fixture
+def data() -> ReportData:
+    generator = np.random.default_rng(0)
+    image = np.full((60, 80), 205, dtype=np.uint8)
+    image[10:50, 10:70] = 254
+    image[10, 10:70] = 0
+    count = 50
+    return ReportData(
+        log_name="fr079.log.gz",
+        scans=400,
+        path_length_m=391.26,
+        duration_s=125.0,
+        cpu_s=7.94,
+        wall_s=6.25,
+        peak_memory_mb=213.6,
+        trajectory_xy=generator.uniform(1.0, 2.0, (400, 2)),
+        keyframe_stamps_s=np.linspace(5.0, 130.0, count),
+        inlier_share=generator.uniform(0.8, 1.0, count),
+        residual_m=generator.uniform(0.01, 0.02, count),
+        degenerate=np.arange(count) % 10 == 0,
+        scan_times_s=generator.uniform(0.001, 0.002, 400),
+        map_picture=MapPicture(image, 0.05, (0.0, 0.0)),
+        loops=[loop(3, accepted=True, score=0.871), loop(4, accepted=False, reason="too little overlap")],
+        reader_notes=[("clock steps backward", "785")],
+        stage_times_s={"match": 3.5, "optimise": 0.25},
+        warnings=["the clock ran backward"],
+        effective_config="seed: 0\n",
+        versions={"gtsam": "4.3.0"},
+    )
+
+
+@pytest.fixture
+def written(tmp_path: Path):
+    def write(data: ReportData) -> str:
+        write_report(tmp_path / "report.html", data)
+        return (tmp_path / "report.html").read_text(encoding="utf-8")
+
+    return write
+
+
+def test_the_page_tells_what_it_was_given(data: ReportData, written) -> None:
+    text = Page(written(data)).text
+    expected = ["fr079.log.gz", "391.3 m", "2 min 05 s", "7.9 s", "6.2 s", "20.0 ×", "214 MB", "1 of 2"]
+    expected += [
+        "0.871",
+        "0.50 m",
+        "too little overlap",
+        "785",
+        "3.50 s",
+        "the clock ran backward",
+        "seed: 0",
+        "4.3.0",
+    ]
+    expected += ["5 of 50 matches left a direction undetermined"]
+    assert [part for part in expected if part not in text] == []
+
+
+def test_nothing_is_asked_of_the_network_and_nothing_runs(data: ReportData, written) -> None:
+    html = written(data)
+    page = Page(html)
+    assert {"script", "link", "iframe", "object", "base"}.isdisjoint(page.tags)
+    assert page.tags.count("img") == 2
+    assert all(address.startswith("data:image/png;base64,") for address in page.addresses)
+    assert not re.search(r"https?:|//\w|url\(|@import|\son\w+=", re.sub(r"base64,[^\"]*", "", html))
+
+
+def test_every_text_is_escaped(data: ReportData, written) -> None:
+    evil = "<script>alert('&')</script>\""
+    html = written(
+        replace(
+            data,
+            log_name=evil,
+            loops=[loop(1, accepted=False, reason=evil)],
+            reader_notes=[(evil, evil)],
+            stage_times_s={evil: 1.0},
+            warnings=[evil],
+            effective_config=evil,
+            versions={evil: evil},
+        )
+    )
+    page = Page(html)
+    assert "script" not in page.tags
+    assert page.text.count(evil) == 2 + 2 + 2 + 1 + 1 + 1 + 2  # title and heading, loops twice, notes, ...
+
+
+def test_thousands_of_loops_are_all_there_and_folded(data: ReportData, written) -> None:
+    refused = [loop(i, accepted=False, reason=f"reason {i % 3}", score=float("nan")) for i in range(6000)]
+    accepted = [loop(i, accepted=True) for i in range(300)]
+    html = written(replace(data, loops=[*refused, *accepted]))
+    folds = re.findall(r"<details>(.*?)</details>", html, flags=re.DOTALL)
+    assert [fold.count("<tr><td>") for fold in folds] == [300, 6000, 0]
+    assert "<td>6099<td>5999<td>0.50 m<td>–<td>0.620<td>reason 2" in folds[1]
+    assert [f"<tr><td>reason {i}<td>2,000" in html for i in range(3)] == [True] * 3
+    assert len(html) < 2_000_000
+
+
+def test_a_few_accepted_loops_stand_open(data: ReportData, written) -> None:
+    html = written(replace(data, loops=[loop(i, accepted=True) for i in range(5)]))
+    assert "accepted loops</summary>" not in html
+
+
+@pytest.mark.parametrize("keyframes", [0, 1])
+def test_a_run_without_results_still_has_a_report(keyframes: int, written) -> None:
+    empty = np.full(keyframes, np.nan)
+    html = written(
+        ReportData(
+            "empty.log", 0, 0.0, 0.0, 0.0, 0.0, 0.0,
+            trajectory_xy=np.full((keyframes, 2), np.nan),
+            keyframe_stamps_s=np.zeros(keyframes), inlier_share=empty, residual_m=empty,
+            degenerate=np.zeros(keyframes, dtype=bool), scan_times_s=np.zeros(keyframes),
+        )
+    )  # fmt: skip
+    assert "0 accepted, 0 refused" in html
+    assert "Warnings" not in html
+
+
+def test_the_same_run_gives_the_same_bytes(data: ReportData, written) -> None:
+    assert written(data) == written(data)
+
+
+def test_a_failure_leaves_the_old_report(data: ReportData, tmp_path: Path, monkeypatch) -> None:
+    path = tmp_path / "report.html"
+    path.write_text("old")
+    monkeypatch.setattr(report_module, "_map", lambda data: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        write_report(path, data)
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def pixels(png: bytes) -> FloatArray:
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), dtype=np.float64)
+
+
+def centre_of(picture: FloatArray, colour: tuple[int, int, int]) -> tuple[float, float]:
+    """Mean row and column of the pixels of a colour."""
+    rows, columns = np.nonzero(np.abs(picture - colour).max(axis=2) < 30)
+    return float(rows.mean()), float(columns.mean())
+
+
+RED, GREEN = (194, 53, 43), (31, 138, 76)
+
+
+@pytest.mark.parametrize("origin", [(0.0, 0.0), (-40.0, 13.5)])
+@pytest.mark.parametrize("resolution", [0.05, 0.5])
+@pytest.mark.parametrize("size", [60, 3000])
+def test_the_map_stands_upright_under_its_trajectory(
+    size: int, resolution: float, origin: tuple[float, float]
+) -> None:
+    # One wall along the top, one thin one a quarter from the left; start low left, end high right.
+    image = np.full((size, size), 254, dtype=np.uint8)
+    image[: size // 20] = 0
+    image[:, size // 4] = 0
+    side = size * resolution
+    ends = np.array(origin) + side * np.array([[0.5, 0.1], [0.9, 0.8]])
+    picture = pixels(map_png(ends, np.zeros((0, 4)), image=image, resolution_m=resolution, origin_xy=origin))
+    assert max(picture.shape) < 1100
+    dark = picture.max(axis=2) < 60
+    top_rows = np.flatnonzero(dark.mean(axis=1) > 0.8)
+    wall_columns = np.flatnonzero(dark.mean(axis=0) > 0.8)
+    start, end = centre_of(picture[60:], GREEN), centre_of(picture[60:], RED)
+    left, top = wall_columns.mean() - 250, top_rows.min()
+    assert top < 60
+    assert np.allclose([start[0] + 60 - top, start[1] - left], [900, 500], atol=12)
+    assert np.allclose([end[0] + 60 - top, end[1] - left], [200, 900], atol=12)
+
+
+def test_unknown_margins_are_cut_and_long_corridors_keep_a_readable_height() -> None:
+    image = np.full((2000, 2000), 205, dtype=np.uint8)
+    image[990:1010, 100:1900] = 254
+    png = map_png(
+        np.zeros((2, 2)), np.zeros((1, 4)), image=image, resolution_m=0.05, origin_xy=(-50.0, -50.0)
+    )
+    height, width, _ = pixels(png).shape
+    assert 350 < height < 450 < 1000 < width < 1100
+
+
+def test_both_pictures_of_the_page_open(data: ReportData, written) -> None:
+    sizes = [
+        Image.open(io.BytesIO(base64.b64decode(code))).size
+        for code in re.findall(r'base64,([^"]+)"', written(data))
+    ]
+    assert len(sizes) == 2 and all(500 < width < 1100 for width, _ in sizes)
