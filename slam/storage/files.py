@@ -1,0 +1,111 @@
+"""How every text and image file of the product is read and written: whole, or not at all."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import os
+import secrets
+import zlib
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TextIO
+
+from slam.errors import MapFileError, ScanweaveError
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a temporary name beside ``path``; rename it to ``path`` if the block succeeds.
+
+    A reader of ``path`` sees the old file or the whole new one, never half of it. The temporary name keeps
+    the suffix of ``path``, because some writers choose the format by it.
+
+    Raises
+    ------
+    MapFileError
+        Where the folder is missing, not writable or full; nothing is left behind.
+    """
+    path = Path(path)
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}-{secrets.token_hex(4)}.tmp{path.suffix}")
+    try:
+        yield temporary
+        temporary.replace(path)
+    except OSError as error:
+        raise MapFileError(
+            f"cannot write {path}: {error.strerror or error}; check the folder and its free space"
+        ) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write ``content`` to ``path`` at once; `MapFileError` as in `replacing`."""
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def write_lines(path: Path, lines: Iterable[str]) -> None:
+    """Write lines of text at once, each ended by a newline; a name in ``.gz`` is compressed.
+
+    The compressed form holds neither name nor time, so that the same lines give the same bytes.
+
+    Raises
+    ------
+    MapFileError
+        As in `replacing`.
+    """
+    with replacing(path) as temporary, temporary.open("wb") as raw:
+        if Path(path).suffix == ".gz":
+            with gzip.GzipFile(filename="", mode="wb", fileobj=raw, mtime=0) as packed:
+                packed.writelines(f"{line}\n".encode() for line in lines)
+        else:
+            raw.writelines(f"{line}\n".encode() for line in lines)
+
+
+def numbered_fields(
+    path: Path, error: type[ScanweaveError] = MapFileError
+) -> Iterator[tuple[int, list[str]]]:
+    """Yield (line number from 1, blank-separated fields) of a text file, plain or ``.gz``.
+
+    Empty lines and whole-line comments (``#``) are passed over, but counted.
+
+    Raises
+    ------
+    ScanweaveError
+        Of the type ``error``, where the file cannot be opened, is not text or its compression is damaged.
+    """
+    path = Path(path)
+    number = 0
+    try:
+        with _open_text(path) as stream:
+            for number, line in enumerate(stream, start=1):
+                fields = line.split()
+                if fields and not fields[0].startswith("#"):
+                    yield number, fields
+    except UnicodeDecodeError as cause:
+        raise error(f"{path}: not a text file (after line {number}); is it another format?") from cause
+    except (EOFError, zlib.error, gzip.BadGzipFile) as cause:
+        raise error(f"{path}: damaged gzip data after line {number}; fetch the file again") from cause
+    except OSError as cause:
+        raise error(f"cannot read {path}: {cause.strerror or cause}") from cause
+
+
+def _open_text(path: Path) -> TextIO:
+    """The file as text, decompressed where its name ends in ``.gz``."""
+    if path.suffix == ".gz":
+        return io.TextIOWrapper(gzip.GzipFile(path), encoding="utf-8")
+    return path.open(encoding="utf-8")
+
+
+def parse_floats(fields: list[str], where: str, error: type[ScanweaveError] = MapFileError) -> list[float]:
+    """Finite floats of ``fields``; ``where`` (file and line) opens the message of ``error`` otherwise."""
+    try:
+        values = [float(text) for text in fields]
+    except ValueError as cause:
+        raise error(f"{where}: {cause}") from cause
+    for text, value in zip(fields, values, strict=True):
+        if not abs(value) < float("inf"):
+            raise error(f"{where}: '{text}' is not a finite number")
+    return values

@@ -1,0 +1,100 @@
+"""Trajectories as TUM text: ``stamp tx ty tz qx qy qz qw``, full epoch seconds, without loss."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from slam.errors import MapFileError
+from slam.measurements import FloatArray, Trajectory
+from slam.storage.files import numbered_fields, parse_floats, write_lines
+
+# Public ground truths carry four decimals a component; what is farther from unit length is no rotation.
+_NORM_TOLERANCE = 1e-2
+_STAMP_DECIMALS = 9
+
+
+def write_tum(path: Path, trajectory: Trajectory) -> None:
+    """Write a trajectory in the order it has; reading it back gives the same bits.
+
+    Stamps have at least nine decimals and no exponent; all else is the shortest text (at most 17 digits)
+    that reads back as the same number.
+
+    Raises
+    ------
+    MapFileError
+        Where the trajectory holds a value that is not finite or a quaternion that is not of unit length,
+        its arrays do not fit each other, or the file cannot be written.
+    """
+    _check_trajectory(path, trajectory)
+    stamps = trajectory.stamps_s.tolist()
+    poses = np.hstack([trajectory.positions_m, trajectory.quaternions_xyzw]).tolist()
+    write_lines(
+        path,
+        (
+            f"{_stamp_text(stamp)} {' '.join(repr(value) for value in pose)}"
+            for stamp, pose in zip(stamps, poses, strict=True)
+        ),
+    )
+
+
+def read_tum(path: Path) -> Trajectory:
+    """Read a TUM file (plain or ``.gz``) in file order; quaternions are brought to unit length.
+
+    Raises
+    ------
+    MapFileError
+        Naming the line, where it has not eight finite numbers or its quaternion is not of unit length
+        within 0.01; or where the file holds no pose at all.
+    """
+    rows: list[list[float]] = []
+    for number, fields in numbered_fields(path):
+        where = f"{path}:{number}"
+        if len(fields) != 8:
+            raise MapFileError(f"{where}: {len(fields)} fields, a TUM line has 8 (t x y z qx qy qz qw)")
+        row = parse_floats(fields, where)
+        norm = float(np.linalg.norm(row[4:]))
+        if abs(norm - 1.0) > _NORM_TOLERANCE:
+            raise MapFileError(f"{where}: quaternion of length {norm:.6g}, it must be 1 (order qx qy qz qw)")
+        rows.append(row)
+    if not rows:
+        raise MapFileError(f"{path}: holds no pose")
+    table = np.array(rows)
+    return Trajectory(table[:, 0].copy(), table[:, 1:4].copy(), _to_unit_length(table[:, 4:8]))
+
+
+def _stamp_text(stamp_s: float) -> str:
+    """A stamp without exponent, exact, with nine decimals at the least."""
+    whole, _, decimals = np.format_float_positional(stamp_s, unique=True).partition(".")
+    return f"{whole}.{decimals.ljust(_STAMP_DECIMALS, '0')}"
+
+
+def _to_unit_length(quaternions: FloatArray) -> FloatArray:
+    """Unit quaternions; rows that are so already keep their bits."""
+    norms = np.linalg.norm(quaternions, axis=1, keepdims=True)
+    return np.where(np.abs(norms - 1.0) > 1e-14, quaternions / norms, quaternions)
+
+
+def _check_trajectory(path: Path, trajectory: Trajectory) -> None:
+    """Refuse to write what `read_tum` would refuse to read."""
+    count = len(trajectory)
+    shapes = (trajectory.positions_m.shape, trajectory.quaternions_xyzw.shape)
+    if shapes != ((count, 3), (count, 4)):
+        raise MapFileError(
+            f"cannot write {path}: {count} stamps with positions and quaternions of shapes {shapes}"
+        )
+    if count == 0:
+        raise MapFileError(f"cannot write {path}: the trajectory holds no pose")
+    table = np.column_stack([trajectory.stamps_s, trajectory.positions_m, trajectory.quaternions_xyzw])
+    bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
+    if bad.size:
+        raise MapFileError(
+            f"cannot write {path}: pose {bad[0]} is not finite ({bad.size} of {count} are not)"
+        )
+    norms = np.linalg.norm(trajectory.quaternions_xyzw, axis=1)
+    bad = np.flatnonzero(np.abs(norms - 1.0) > _NORM_TOLERANCE)
+    if bad.size:
+        raise MapFileError(
+            f"cannot write {path}: quaternion {bad[0]} has length {norms[bad[0]]:.6g}, it must be 1"
+        )
