@@ -1,0 +1,37 @@
+"""The figures by which every error list is reported."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from slam.measurements import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorStatistics:
+    """Statistics of non-negative errors, all in the errors' own unit; ``std`` is that of the population."""
+
+    rmse: float
+    mean: float
+    median: float
+    std: float
+    min: float
+    max: float
+
+    @classmethod
+    def of(cls, errors: FloatArray) -> ErrorStatistics:
+        """From (N,) errors, N >= 1."""
+        return cls(
+            rmse=float(np.sqrt(np.mean(np.square(errors)))),
+            mean=float(np.mean(errors)),
+            median=float(np.median(errors)),
+            std=float(np.std(errors)),
+            min=float(np.min(errors)),
+            max=float(np.max(errors)),
+        )
+
+    def to_dict(self) -> dict[str, float]:
+        """For JSON."""
+        return asdict(self)

@@ -1,0 +1,188 @@
+"""Kuemmerle 2009: score a trajectory by relative poses that people have checked by hand.
+
+R. Kuemmerle et al., "On measuring the accuracy of SLAM algorithms", Autonomous Robots 27(4), 2009.
+The score needs no global reference frame, so that one early error does not spoil all that follows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.errors import EvaluationError
+from slam.evaluation.association import nearest_indices
+from slam.evaluation.error_statistics import ErrorStatistics
+from slam.measurements import BoolArray, FloatArray, Trajectory
+from slam.storage.files import numbered_fields, parse_floats
+
+MAX_STAMP_DIFFERENCE_S = 0.1
+SHORT_RELATION_S = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class Relations:
+    """Reference relations: the pose of the base at the second stamp seen from the first.
+
+    Attributes
+    ----------
+    first_stamps_s, second_stamps_s
+        (N,)
+    xyz_rpy
+        (N, 6) metres and radians: x, y, z, roll, pitch, yaw.
+    """
+
+    first_stamps_s: FloatArray
+    second_stamps_s: FloatArray
+    xyz_rpy: FloatArray
+
+    def __len__(self) -> int:
+        return int(self.first_stamps_s.size)
+
+
+@dataclass(frozen=True, slots=True)
+class RelationGroupScore:
+    """Errors of a group of relations: sqrt(dx^2 + dy^2) and |dyaw|."""
+
+    used: int
+    translation_m: ErrorStatistics
+    rotation_rad: ErrorStatistics
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "used": self.used,
+            "translation_m": self.translation_m.to_dict(),
+            "rotation_rad": self.rotation_rad.to_dict(),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class RelationScore:
+    """Errors over all relations that could be used, and over the short and the long ones.
+
+    Attributes
+    ----------
+    skipped
+        Relations with no pose within 0.1 s of one of their stamps.
+    all
+        Every used relation: the published figure.
+    short, long
+        Those that span less than 20 s (local accuracy), and the others (global consistency); None if there
+        are none.
+    """
+
+    skipped: int
+    all: RelationGroupScore
+    short: RelationGroupScore | None
+    long: RelationGroupScore | None
+
+    @property
+    def used(self) -> int:
+        """Number of relations scored."""
+        return self.all.used
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON: the figures over all relations on top, the two groups below."""
+        return {
+            **self.all.to_dict(),
+            "skipped": self.skipped,
+            "short": self.short.to_dict() if self.short else None,
+            "long": self.long.to_dict() if self.long else None,
+        }
+
+
+def read_relations(path: Path) -> Relations:
+    """Read ``t1 t2 x y z roll pitch yaw`` lines, plain or ``.gz``.
+
+    Raises
+    ------
+    EvaluationError
+        Naming the line and the reason, where it has not eight finite numbers; or where the file holds none.
+    """
+    rows: list[list[float]] = []
+    for number, fields in numbered_fields(path, EvaluationError):
+        where = f"{path}:{number}"
+        if len(fields) != 8:
+            raise EvaluationError(
+                f"{where}: {len(fields)} fields, a relation has 8 (t1 t2 x y z roll pitch yaw)"
+            )
+        rows.append(parse_floats(fields, where, EvaluationError))
+    if not rows:
+        raise EvaluationError(f"{path}: holds no relation")
+    table = np.array(rows)
+    return Relations(table[:, 0].copy(), table[:, 1].copy(), table[:, 2:].copy())
+
+
+def score_relations(trajectory: Trajectory, relations: Relations) -> RelationScore:
+    """Compare a trajectory with relations, component by component, in the ground plane.
+
+    The pose nearest in time to each stamp is taken, within 0.1 s and not interpolated; the trajectory may be
+    in any order. The error is the difference of x, y and yaw between inverse(p1) * p2 and the relation, taken
+    by component as the published figures are (not as a composition of the two motions).
+
+    Raises
+    ------
+    EvaluationError
+        Where not one relation has poses at both its stamps.
+    """
+    if not len(trajectory) or not len(relations):
+        raise EvaluationError(f"nothing to score: {len(trajectory)} poses and {len(relations)} relations")
+    first, first_found = _look_up(trajectory, relations.first_stamps_s)
+    second, second_found = _look_up(trajectory, relations.second_stamps_s)
+    used = first_found & second_found
+    if not used.any():
+        raise EvaluationError(
+            f"none of {len(relations)} relations has poses within {MAX_STAMP_DIFFERENCE_S} s of its stamps: "
+            f"{_span('trajectory', trajectory.stamps_s)}, {_span('relations', relations.first_stamps_s)};"
+            " is it the same log and the same clock?"
+        )
+    poses = trajectory.to_planar()
+    moved = _relative_planar(poses[first[used]], poses[second[used]])
+    reference = relations.xyz_rpy[used]
+    translation_m = np.hypot(moved[:, 0] - reference[:, 0], moved[:, 1] - reference[:, 1])
+    rotation_rad = np.abs(_wrap(moved[:, 2] - reference[:, 5]))
+    is_short = np.abs(relations.second_stamps_s - relations.first_stamps_s)[used] < SHORT_RELATION_S
+    return RelationScore(
+        skipped=int(np.count_nonzero(~used)),
+        all=_group(translation_m, rotation_rad),
+        short=_group(translation_m[is_short], rotation_rad[is_short]) if is_short.any() else None,
+        long=_group(translation_m[~is_short], rotation_rad[~is_short]) if not is_short.all() else None,
+    )
+
+
+def _look_up(trajectory: Trajectory, stamps_s: FloatArray) -> tuple[NDArray[np.intp], BoolArray]:
+    """Index of the nearest pose to every stamp, and whether it is near enough."""
+    nearest = nearest_indices(trajectory.stamps_s, stamps_s)
+    return nearest, np.abs(trajectory.stamps_s[nearest] - stamps_s) <= MAX_STAMP_DIFFERENCE_S
+
+
+def _relative_planar(first: FloatArray, second: FloatArray) -> FloatArray:
+    """inverse(first) * second of (N, 3) planar poses."""
+    dx, dy = (second[:, :2] - first[:, :2]).T
+    cosine, sine = np.cos(first[:, 2]), np.sin(first[:, 2])
+    return np.column_stack(
+        [cosine * dx + sine * dy, cosine * dy - sine * dx, _wrap(second[:, 2] - first[:, 2])]
+    )
+
+
+def _wrap(angles_rad: FloatArray) -> FloatArray:
+    """Angles brought to [-pi, pi)."""
+    return np.mod(angles_rad + np.pi, 2.0 * np.pi) - np.pi
+
+
+def _group(translation_m: FloatArray, rotation_rad: FloatArray) -> RelationGroupScore:
+    """Statistics of at least one relation."""
+    return RelationGroupScore(
+        used=int(translation_m.size),
+        translation_m=ErrorStatistics.of(translation_m),
+        rotation_rad=ErrorStatistics.of(rotation_rad),
+    )
+
+
+def _span(name: str, stamps_s: FloatArray) -> str:
+    """First and last time of a set of stamps, for a message."""
+    return f"{name} {stamps_s.min():.3f} to {stamps_s.max():.3f} s"

@@ -1,0 +1,282 @@
+"""Absolute and relative error of a trajectory against a reference: ATE and RPE, equal to evo's figures.
+
+J. Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from slam.errors import EvaluationError
+from slam.evaluation.association import nearest_indices
+from slam.evaluation.error_statistics import ErrorStatistics
+from slam.measurements import FloatArray, Trajectory
+
+Alignment: TypeAlias = Literal["se3", "none"]
+DeltaUnit: TypeAlias = Literal["frames", "metres"]
+
+# evo's own limits; the figures are to agree with it.
+DEFAULT_MAX_DIFFERENCE_S = 0.01
+_ALL_PAIRS_TOLERANCE = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class AbsoluteError:
+    """ATE: how far each pose is from its reference after the alignment.
+
+    Attributes
+    ----------
+    count
+        Pairs of poses compared.
+    alignment
+        ``se3`` (rigid, without scale) or ``none``.
+    T_reference_map
+        (4, 4) what the alignment applied to the trajectory.
+    translation_m, rotation_rad
+        Distance, and angle of the rotation between the two poses.
+    """
+
+    count: int
+    alignment: Alignment
+    T_reference_map: FloatArray
+    translation_m: ErrorStatistics
+    rotation_rad: ErrorStatistics
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "count": self.count,
+            "alignment": self.alignment,
+            "T_reference_map": self.T_reference_map.tolist(),
+            "translation_m": self.translation_m.to_dict(),
+            "rotation_rad": self.rotation_rad.to_dict(),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class RelativeError:
+    """RPE: how far the motions over a fixed distance or number of poses are from the reference's.
+
+    Attributes
+    ----------
+    count
+        Motions compared.
+    delta, unit
+        Their length.
+    translation_m, rotation_rad
+        Errors of a whole motion (not divided by its length).
+    """
+
+    count: int
+    delta: float
+    unit: DeltaUnit
+    translation_m: ErrorStatistics
+    rotation_rad: ErrorStatistics
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "count": self.count,
+            "delta": self.delta,
+            "unit": self.unit,
+            "translation_m": self.translation_m.to_dict(),
+            "rotation_rad": self.rotation_rad.to_dict(),
+        }
+
+
+def associate(
+    trajectory: Trajectory, reference: Trajectory, max_difference_s: float = DEFAULT_MAX_DIFFERENCE_S
+) -> tuple[Trajectory, Trajectory]:
+    """Pairs of poses near in time: for each pose of the shorter trajectory the nearest of the longer.
+
+    Raises
+    ------
+    EvaluationError
+        Where not one pair is within ``max_difference_s``.
+    """
+    if not len(trajectory) or not len(reference):
+        raise EvaluationError(
+            f"nothing to compare: {len(trajectory)} poses, {len(reference)} of the reference"
+        )
+    reference_is_shorter = len(trajectory) > len(reference)
+    short, long = (reference, trajectory) if reference_is_shorter else (trajectory, reference)
+    nearest = nearest_indices(long.stamps_s, short.stamps_s)
+    found = np.flatnonzero(np.abs(long.stamps_s[nearest] - short.stamps_s) <= max_difference_s)
+    if not found.size:
+        raise EvaluationError(
+            f"no pose is within {max_difference_s} s of the reference's: trajectory"
+            f" {trajectory.stamps_s.min():.3f} to {trajectory.stamps_s.max():.3f} s, reference"
+            f" {reference.stamps_s.min():.3f} to {reference.stamps_s.max():.3f} s; is it the same clock?"
+        )
+    short, long = _take(short, found), _take(long, nearest[found])
+    return (long, short) if reference_is_shorter else (short, long)
+
+
+def absolute_error(
+    trajectory: Trajectory,
+    reference: Trajectory,
+    *,
+    alignment: Alignment = "se3",
+    max_difference_s: float = DEFAULT_MAX_DIFFERENCE_S,
+) -> AbsoluteError:
+    """Absolute trajectory error of associated poses, after a rigid alignment without scale by default.
+
+    Raises
+    ------
+    EvaluationError
+        Where no poses can be associated, or they lie on a line, which leaves the alignment's roll open.
+    """
+    estimate, truth = associate(trajectory, reference, max_difference_s)
+    T_reference_map = np.eye(4)
+    if alignment == "se3":
+        T_reference_map = umeyama(estimate.positions_m, truth.positions_m)
+    rotation = T_reference_map[:3, :3]
+    positions = estimate.positions_m @ rotation.T + T_reference_map[:3, 3]
+    rotations = rotation @ _rotation_matrices(estimate.quaternions_xyzw)
+    difference = rotations.transpose(0, 2, 1) @ _rotation_matrices(truth.quaternions_xyzw)
+    return AbsoluteError(
+        count=len(estimate),
+        alignment=alignment,
+        T_reference_map=T_reference_map,
+        translation_m=ErrorStatistics.of(np.linalg.norm(positions - truth.positions_m, axis=1)),
+        rotation_rad=ErrorStatistics.of(_rotation_angles(difference)),
+    )
+
+
+def relative_error(
+    trajectory: Trajectory,
+    reference: Trajectory,
+    *,
+    delta: float = 1.0,
+    unit: DeltaUnit = "frames",
+    all_pairs: bool = False,
+    max_difference_s: float = DEFAULT_MAX_DIFFERENCE_S,
+) -> RelativeError:
+    """Relative pose error over motions of ``delta`` frames or metres of the trajectory's own path.
+
+    Consecutive motions by default; ``all_pairs`` starts one at every pose (in metres: where the path meets
+    ``delta`` within a tenth of it).
+
+    Raises
+    ------
+    EvaluationError
+        Where no poses can be associated, ``delta`` is not positive (or not whole, in frames), or the
+        trajectory holds no motion that long.
+    """
+    if not delta > 0.0 or (unit == "frames" and delta != int(delta)):
+        raise EvaluationError(f"delta must be positive, and whole in frames; it is {delta:g} {unit}")
+    estimate, truth = associate(trajectory, reference, max_difference_s)
+    if unit == "frames":
+        starts, ends = _pairs_by_frames(len(estimate), int(delta), all_pairs)
+    else:
+        starts, ends = _pairs_by_path(estimate.positions_m, delta, all_pairs)
+    if not len(starts):
+        raise EvaluationError(
+            f"no motion of {delta:g} {unit} among {len(estimate)} poses; choose a smaller delta"
+        )
+    moved, turned = _motions(estimate, starts, ends)
+    moved_truth, turned_truth = _motions(truth, starts, ends)
+    # E = inverse(reference motion) * estimated motion: its translation is the difference of both, turned.
+    return RelativeError(
+        count=len(starts),
+        delta=float(delta),
+        unit=unit,
+        translation_m=ErrorStatistics.of(np.linalg.norm(moved - moved_truth, axis=1)),
+        rotation_rad=ErrorStatistics.of(_rotation_angles(turned_truth.transpose(0, 2, 1) @ turned)),
+    )
+
+
+def umeyama(points: FloatArray, targets: FloatArray) -> FloatArray:
+    """Rigid motion (4, 4) that brings (N, 3) points nearest to their targets in least squares.
+
+    Umeyama 1991, Eq. (34)-(41), with the scale held at one.
+
+    Raises
+    ------
+    EvaluationError
+        Where the points or the targets lie on a line or in one place.
+    """
+    mean_points, mean_targets = points.mean(axis=0), targets.mean(axis=0)
+    covariance = (targets - mean_targets).T @ (points - mean_points) / len(points)
+    left, singular, right = np.linalg.svd(covariance)
+    if np.count_nonzero(singular > np.finfo(np.float64).eps) < 2:
+        raise EvaluationError(
+            f"{len(points)} associated poses in one place or on one line leave the alignment open; use none"
+        )
+    # Umeyama 1991 Eq. (43): keep a rotation from becoming a reflection.
+    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
+    T = np.eye(4)
+    T[:3, :3] = left @ flip @ right
+    T[:3, 3] = mean_targets - T[:3, :3] @ mean_points
+    return T
+
+
+def _take(trajectory: Trajectory, indices: Any) -> Trajectory:
+    """The poses at ``indices``."""
+    return Trajectory(
+        trajectory.stamps_s[indices], trajectory.positions_m[indices], trajectory.quaternions_xyzw[indices]
+    )
+
+
+def _pairs_by_frames(count: int, delta: int, all_pairs: bool) -> tuple[Any, Any]:
+    """Start and end indices ``delta`` poses apart."""
+    starts = np.arange(0, count - delta, 1 if all_pairs else delta)
+    return starts, starts + delta
+
+
+def _pairs_by_path(positions_m: FloatArray, delta_m: float, all_pairs: bool) -> tuple[Any, Any]:
+    """Start and end indices ``delta_m`` of path apart."""
+    steps = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
+    if not all_pairs:
+        marks, travelled = [0], 0.0
+        for index, step in enumerate(steps.tolist(), start=1):
+            travelled += step
+            if travelled >= delta_m:
+                marks.append(index)
+                travelled = 0.0
+        return np.array(marks[:-1], dtype=np.intp), np.array(marks[1:], dtype=np.intp)
+    path = np.concatenate([[0.0], np.cumsum(steps)])
+    starts, ends = [], []
+    for start in range(path.size - 1):
+        misses = np.abs(path[start + 1 :] - path[start] - delta_m)
+        end = int(np.argmin(misses))
+        if misses[end] <= _ALL_PAIRS_TOLERANCE * delta_m:
+            starts.append(start)
+            ends.append(start + 1 + end)
+    return np.array(starts, dtype=np.intp), np.array(ends, dtype=np.intp)
+
+
+def _motions(trajectory: Trajectory, starts: Any, ends: Any) -> tuple[FloatArray, FloatArray]:
+    """inverse(start) * end: translations (N, 3) and rotations (N, 3, 3)."""
+    rotations = _rotation_matrices(trajectory.quaternions_xyzw)
+    back = rotations[starts].transpose(0, 2, 1)
+    moved = trajectory.positions_m[ends] - trajectory.positions_m[starts]
+    return np.einsum("nij,nj->ni", back, moved), back @ rotations[ends]
+
+
+def _rotation_matrices(quaternions_xyzw: FloatArray) -> FloatArray:
+    """(N, 3, 3) from (N, 4), brought to unit length."""
+    x, y, z, w = (quaternions_xyzw / np.linalg.norm(quaternions_xyzw, axis=1, keepdims=True)).T
+    rows = [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+        [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+    return np.array(rows).transpose(2, 0, 1)
+
+
+def _rotation_angles(rotations: FloatArray) -> FloatArray:
+    """Angles in [0, pi] of (N, 3, 3) rotations, exact near zero and near a half turn."""
+    skew = np.stack(
+        [
+            rotations[:, 2, 1] - rotations[:, 1, 2],
+            rotations[:, 0, 2] - rotations[:, 2, 0],
+            rotations[:, 1, 0] - rotations[:, 0, 1],
+        ],
+        axis=1,
+    )
+    angles: FloatArray = np.arctan2(np.linalg.norm(skew, axis=1), np.trace(rotations, axis1=1, axis2=2) - 1.0)
+    return angles
