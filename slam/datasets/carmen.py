@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -33,7 +34,7 @@ HEAD_BYTES = 1 << 18  # enough for a full block of parameters and some scans
 _MESSAGE_NAME = re.compile(rb"[A-Za-z][A-Za-z0-9_]{1,31}")
 _HEAD_MESSAGE = re.compile(rb"^[ \t]*([A-Z]+[0-9]?)[ \t]", re.MULTILINE)
 
-# The same sweep may be logged in several forms; the leftmost one present is read, the rest ignored.
+# The same sweep may be logged in several forms; the leftmost common one is read, the rest ignored.
 _SAME_LASER = (
     ("ROBOTLASER1", "FLASER", "RAWLASER1"),
     ("ROBOTLASER2", "RLASER", "RAWLASER2"),
@@ -103,8 +104,7 @@ class CarmenDataset:
         for number, line in numbered_lines(self.path, self._refuse):
             report.line_count = number
             try:
-                tokens = _tokens(line)
-                for measurement in decoder.decode(tokens, number) if tokens else ():
+                for measurement in decoder.decode(line.split(), number):
                     report.observe(measurement, number)
                     yield measurement
             except RecordFault as fault:
@@ -135,13 +135,15 @@ class _Decoder:
         self._last_odometry: OdometryRecord | None = None
 
     def decode(self, tokens: list[bytes], number: int) -> Iterator[Measurement]:
-        """The measurements of one line, odometry first.
+        """The measurements of one line, odometry first; none for a comment or an empty line.
 
         Raises
         ------
         RecordFault
             The line is damaged; what was sound in it has been given already.
         """
+        if not tokens or tokens[0].startswith(b"#"):
+            return
         if not _MESSAGE_NAME.fullmatch(tokens[0]):
             raise RecordFault(NO_MESSAGE, repr(tokens[0][:24]))
         kind = tokens[0].decode()
@@ -260,23 +262,16 @@ class _Decoder:
             self._mounts.clear()
 
 
-def _tokens(line: bytes) -> list[bytes]:
-    """The words of a line; none for comments.
-
-    A last line without its line end may have lost the end of its last word too: that word is left out.
-    """
-    tokens = line.split()
-    if not line.endswith(b"\n"):
-        tokens = tokens[:-1]
-    return [] if tokens and tokens[0].startswith(b"#") else tokens
-
-
 def _preferred_kinds(head: bytes) -> frozenset[str]:
-    """The scan messages to read: of several forms of the same sweep only one."""
-    present = {match.decode() for match in _HEAD_MESSAGE.findall(head)}
+    """The scan messages to read: of several forms of the same sweep only one.
+
+    A form must come half as often as the commonest one, so that a stray line decides nothing.
+    """
+    present = Counter(match.decode() for match in _HEAD_MESSAGE.findall(head))
     preferred: set[str] = set()
     for group in _SAME_LASER:
-        found = [kind for kind in group if kind in present]
+        most = max(present[kind] for kind in group)
+        found = [kind for kind in group if present[kind] and 2 * present[kind] >= most]
         preferred.update(found[:1] or group)
     return frozenset(preferred)
 

@@ -8,7 +8,7 @@ Grammar (all tokens are separated by blanks; angles in radians, lengths in metre
                 laser(x y theta) robot(x y theta) tv rv forward_safety side_safety turn_axis <tail>
     RAWLASERk   type start fov resolution max accuracy remission_mode n r1..rn m rem1..remm <tail>
     PARAM name value ...
-    <tail> = ipc_stamp [host [logger_stamp]]
+    <tail> = ipc_stamp host logger_stamp
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ Row: TypeAlias = tuple[float, float, float]
 _POSITION_LIMIT_M = 1e6
 _YAW_LIMIT_RAD = 1e6  # some counters never wrap
 _STAMP_LIMIT_S = 1e11  # year 5138; milliseconds or ticks by mistake are beyond it
-_TAIL_MIN, _TAIL_MAX = 1, 3
+# All three, always: were some optional, a wrong count could shift poses and stamp and still fit.
+_TAIL = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,11 +159,8 @@ def _count(tokens: list[bytes], index: int) -> int:
 
 def _check_tail(tokens: list[bytes], stamp_at: int) -> None:
     """Refuse a line whose stamp, host and logger stamp do not end it."""
-    tail = len(tokens) - stamp_at
-    if not _TAIL_MIN <= tail <= _TAIL_MAX:
-        raise RecordFault(
-            WRONG_COUNT, f"{len(tokens)} values, {stamp_at + _TAIL_MIN} to {stamp_at + _TAIL_MAX} expected"
-        )
+    if len(tokens) != stamp_at + _TAIL:
+        raise RecordFault(WRONG_COUNT, f"{len(tokens)} values, {stamp_at + _TAIL} expected")
 
 
 def _numbers(tokens: list[bytes]) -> list[float]:

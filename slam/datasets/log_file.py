@@ -7,10 +7,13 @@ import io
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING
 
 from slam.datasets.dataset import RecordFault
 from slam.errors import DatasetError
+
+if TYPE_CHECKING:
+    from typing_extensions import Buffer
 
 MAX_LINE_BYTES = 1 << 20  # ten times the longest scan line known; bounds the memory on garbage
 _BUFFER_BYTES = 1 << 18
@@ -38,10 +41,32 @@ def open_log(path: Path) -> io.BufferedReader:
         if not compressed:
             return raw
         raw.close()
-        stream = cast(io.RawIOBase, gzip.GzipFile(path, "rb"))
+        return io.BufferedReader(_Gunzipped(path), _BUFFER_BYTES)
     except OSError as error:
         raise DatasetError(f"cannot open {path}: {error.strerror}; check the path and its rights") from error
-    return io.BufferedReader(stream, _BUFFER_BYTES)
+
+
+class _Gunzipped(io.RawIOBase):
+    """Decompressed bytes as soon as they are there.
+
+    A GzipFile read for a whole buffer gives nothing at all when the damage lies within that buffer.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._file = gzip.GzipFile(path, "rb")
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Buffer) -> int:
+        view = memoryview(buffer)
+        data = self._file.read1(len(view))
+        view[: len(data)] = data
+        return len(data)
+
+    def close(self) -> None:
+        self._file.close()
+        super().close()
 
 
 def read_head(path: Path, size: int) -> bytes:
