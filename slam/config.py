@@ -10,13 +10,24 @@ import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
+from slam.config_stages import (
+    GraphConfig,
+    GridConfig,
+    KeyframeConfig,
+    LidarOdometryConfig,
+    LoopConfig,
+    MatchConfig,
+    ScanConfig,
+    StrictModel,
+    WheelConfig,
+)
 from slam.errors import ConfigError
 
 DEFAULT_PRESET = "lidar2d"
@@ -25,44 +36,17 @@ DEFAULT_PRESET = "lidar2d"
 _PRESET_FOLDER = Path(__file__).parent / "presets"
 
 
-class StrictModel(BaseModel):
-    """Base of every stage model: unknown keys and silent type changes are errors, values are final."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-class LidarOdometryConfig(StrictModel):
-    """Scan to local map matching."""
-
-    method: Literal["correlative", "kiss_icp"] = Field(
-        default="correlative", description="matcher behind the odometry protocol"
-    )
-    use_wheel_odometry: bool = Field(
-        default=True, description="take the first guess from the wheels; otherwise from constant velocity"
-    )
-
-
-class KeyframesConfig(StrictModel):
-    """When a scan becomes a node of the graph."""
-
-    distance_m: float = Field(default=0.5, gt=0, description="travel after which a scan becomes a keyframe")
-    angle_rad: float = Field(
-        default=0.5, gt=0, le=3.15, description="turn after which a scan becomes a keyframe"
-    )
-
-
-class GridConfig(StrictModel):
-    """The occupancy grid that is saved."""
-
-    resolution_m: float = Field(default=0.05, gt=0, le=1, description="side of a cell")
-
-
 class Config(StrictModel):
     """Everything that decides a run, besides the log itself."""
 
     seed: int = Field(default=0, ge=0, description="seed of every random generator of the run")
+    scan: ScanConfig = ScanConfig()
+    match: MatchConfig = MatchConfig()
     lidar_odometry: LidarOdometryConfig = LidarOdometryConfig()
-    keyframes: KeyframesConfig = KeyframesConfig()
+    wheels: WheelConfig = WheelConfig()
+    keyframes: KeyframeConfig = KeyframeConfig()
+    loops: LoopConfig = LoopConfig()
+    graph: GraphConfig = GraphConfig()
     grid: GridConfig = GridConfig()
 
 

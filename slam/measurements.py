@@ -49,7 +49,7 @@ class LaserScan:
 
     def bearings_rad(self) -> FloatArray:
         """Bearing of every beam in the laser frame, (N,)."""
-        return self.start_angle_rad + self.step_rad * np.arange(self.ranges_m.size)
+        return self.start_angle_rad + self.step_rad * np.arange(self.ranges_m.size, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ class MotionEstimate:
     degenerate
         Whether a direction of motion is not determined by the readings (a corridor).
     weak_direction
-        (d,) unit tangent vector of the least determined direction.
+        (d,) unit tangent vector of the undetermined direction; zero where all are determined.
     """
 
     T_reference_base: Pose

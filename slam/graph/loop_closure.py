@@ -1,0 +1,175 @@
+"""Loop closure: where the uncertainty allows a known place, search it, and say why a loop is refused."""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from slam.config_stages import LoopConfig, MatchConfig
+from slam.graph.relative_uncertainty import UncertaintyGraph
+from slam.graph.submaps import SubmapStore
+from slam.matching.correlative import search_window
+from slam.matching.local_map import OrientedPoints, match_noise
+from slam.matching.match_covariance import motion_from_alignment
+from slam.matching.planar import between
+from slam.measurements import FloatArray, MotionEstimate, row_from_pose2
+
+log = logging.getLogger(__name__)
+
+_LEAST_POINTS = 10
+
+
+@dataclass(frozen=True, slots=True)
+class LoopCandidate:
+    """One attempt to recognise a place, accepted or not.
+
+    Attributes
+    ----------
+    place, keyframe
+        Node of the known place and node that may have come back to it.
+    half_width_m, half_yaw_rad
+        Half size of the searched window.
+    score
+        Mean likelihood of the search (1 where the window was too small to need one).
+    motion
+        Pose of ``keyframe`` in the frame of ``place``; None where no match was found.
+    accepted
+        Whether the loop is in the final graph.
+    reason
+        Why not; empty where accepted.
+    """
+
+    place: int
+    keyframe: int
+    half_width_m: float
+    half_yaw_rad: float
+    score: float
+    motion: MotionEstimate | None
+    accepted: bool
+    reason: str
+
+    def refused(self, reason: str) -> LoopCandidate:
+        """The same candidate, refused."""
+        return replace(self, accepted=False, reason=reason)
+
+
+class LoopCloser:
+    """Proposes and verifies loops for the newest keyframe."""
+
+    def __init__(self, config: LoopConfig, match: MatchConfig) -> None:
+        self._config = config
+        self._noise = match_noise(match)
+        self._submaps = SubmapStore(config, match)
+        self._last_attempt_m = -math.inf
+
+    def add_keyframe(self, scan: OrientedPoints, pose: FloatArray, travelled_m: float) -> None:
+        """Remember a keyframe: its scan, its pose (3,) in the odometry frame, the way so far."""
+        self._submaps.add(scan, pose, travelled_m)
+
+    def close(self, key: int, poses: FloatArray, uncertainty: UncertaintyGraph) -> list[LoopCandidate]:
+        """Try the places that the newest keyframe may have come back to.
+
+        Parameters
+        ----------
+        key
+            The newest keyframe.
+        poses
+            (key + 1, 3) current estimates of all keyframes, map frame.
+        uncertainty
+            Gives the relative covariance between the keyframe and the places.
+
+        Returns
+        -------
+        Every candidate that was tried, accepted or refused.
+        """
+        travelled = self._submaps.travelled_m(key)
+        if not self._config.enabled or travelled - self._last_attempt_m < self._config.every_m:
+            return []
+        self._last_attempt_m = travelled
+        if len(self._submaps.scan(key)) < _LEAST_POINTS:
+            return []
+        tried = []
+        for place, covariance in self._propose(key, poses, uncertainty):
+            candidate = self._verify(place, key, between(poses[place], poses[key]), covariance)
+            _report(candidate)
+            tried.append(candidate)
+        return tried
+
+    def _propose(
+        self, key: int, poses: FloatArray, uncertainty: UncertaintyGraph
+    ) -> list[tuple[int, FloatArray]]:
+        """Places that may see the same as the keyframe, nearest first, with the relative covariance."""
+        config = self._config
+        travelled = self._submaps.travelled_m(key)
+        places = np.arange(0, key, config.submap_half_keyframes)
+        places = places[[travelled - self._submaps.travelled_m(p) > config.least_path_m for p in places]]
+        distance = np.hypot(*(poses[places, :2] - poses[key, :2]).T)
+        places = places[distance <= config.reach_m + config.greatest_half_width_m]
+        if places.size == 0:
+            return []
+        distance = np.hypot(*(poses[places, :2] - poses[key, :2]).T)
+        covariances = uncertainty.relative_covariances(key, places, poses)
+        sigma = np.sqrt(np.linalg.eigvalsh(covariances[:, :2, :2])[:, -1])
+        slack = np.minimum(config.sigmas * sigma, config.greatest_half_width_m)
+        chosen: list[tuple[int, FloatArray]] = []
+        for n in np.argsort(distance):
+            if len(chosen) == config.candidates:
+                break
+            if distance[n] > config.reach_m + slack[n]:
+                continue
+            way = self._submaps.travelled_m(places[n])
+            # Two places on one pass by the same spot tell the same: take the nearest of each pass.
+            if all(abs(way - self._submaps.travelled_m(p)) > 2.0 * config.submap_half_m for p, _ in chosen):
+                chosen.append((int(places[n]), covariances[n]))
+        return chosen
+
+    def _verify(self, place: int, key: int, guess: FloatArray, covariance: FloatArray) -> LoopCandidate:
+        """Search the window that the uncertainty asks for, refine, and judge."""
+        config = self._config
+        sigma_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+        width = min(config.sigmas * sigma_m, config.greatest_half_width_m)
+        yaw = min(config.sigmas * math.sqrt(float(covariance[2, 2])), config.greatest_half_yaw_rad)
+        candidate = LoopCandidate(place, key, width, yaw, 1.0, None, False, "")
+        submap = self._submaps.submap(place)
+        scan = self._submaps.scan(key)
+        if len(submap.local_map.points) < _LEAST_POINTS:
+            return candidate.refused("the place has too few points")
+        if width > config.least_half_width_m or yaw > config.least_half_yaw_rad:
+            found = search_window(
+                submap.field, scan.thinned(config.points), guess, width, yaw, config.least_score
+            )
+            candidate = replace(candidate, score=found.score)
+            if not found.found:
+                return candidate.refused("no pose in the window scores enough")
+            guess = found.pose
+        motion = motion_from_alignment(submap.local_map.align(scan, guess), self._noise)
+        return self._judge(replace(candidate, motion=motion), motion, guess)
+
+    def _judge(self, candidate: LoopCandidate, motion: MotionEstimate, guess: FloatArray) -> LoopCandidate:
+        """Accept or refuse a refined match."""
+        config = self._config
+        moved = between(guess, row_from_pose2(motion.T_reference_base))
+        moved_m = math.hypot(moved[0], moved[1])
+        limit_m = max(candidate.half_width_m, config.least_half_width_m) + config.least_half_width_m
+        if motion.inlier_share < config.least_inlier_share:
+            return candidate.refused("too few points fit")
+        if motion.residual_m > config.greatest_residual_m:
+            return candidate.refused("residual too large")
+        if moved_m > limit_m:
+            return candidate.refused("refinement left the window")
+        return replace(candidate, accepted=True)
+
+
+def _report(candidate: LoopCandidate) -> None:
+    """One INFO line a candidate."""
+    log.info(
+        "loop %d -> %d: %s (score %.2f, window %.2f m)",
+        candidate.keyframe,
+        candidate.place,
+        "accepted" if candidate.accepted else f"refused, {candidate.reason}",
+        candidate.score,
+        candidate.half_width_m,
+    )

@@ -1,0 +1,228 @@
+"""The factor graph: the only file that builds GTSAM factors.
+
+While mapping, iSAM2 (Kaess 2012) keeps the estimate; at the end graduated non-convexity with truncated
+least squares (Yang 2020) decides which loops and wheel steps are true. SE(2) and SE(3) alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import gtsam
+import numpy as np
+
+from slam.errors import GraphError
+from slam.measurements import BoolArray, FloatArray, Pose
+
+# Scale of the Cauchy kernel on uncertain edges while mapping, in standard deviations.
+_CAUCHY_SIGMAS = 1.0
+_WEIGHT_KEPT = 0.5
+
+
+class EdgeKind(StrEnum):
+    """Where an edge comes from."""
+
+    LIDAR = "lidar match"
+    WHEEL = "wheel odometry"
+    LOOP = "loop"
+    ASSUMED = "assumed motion"
+
+
+@dataclass(frozen=True, slots=True)
+class Edge:
+    """A measured relative pose between two nodes.
+
+    Attributes
+    ----------
+    source, target
+        Node numbers.
+    T_source_target
+        Pose of the target in the source's frame.
+    covariance
+        (d, d), GTSAM's tangent order, in the target's frame.
+    kind
+        Where it comes from.
+    trusted
+        Part of the chain that holds the graph together; others may be refused as outliers.
+    """
+
+    source: int
+    target: int
+    T_source_target: Pose
+    covariance: FloatArray
+    kind: EdgeKind
+    trusted: bool
+
+
+@dataclass(frozen=True, slots=True)
+class BatchResult:
+    """The outcome of the final optimisation.
+
+    Attributes
+    ----------
+    error
+        Half the sum of squared whitened residuals of the edges that were kept.
+    kept
+        (E,) in the order of ``PoseGraph.edges``: False where an edge was refused as an outlier.
+    """
+
+    error: float
+    kept: BoolArray
+
+
+class PoseGraph:
+    """Poses 0..n-1 and the edges among them; the first pose is held by a prior.
+
+    Parameters
+    ----------
+    origin
+        Pose of node 0, Pose2 or Pose3; it decides the dimension of the graph.
+    """
+
+    def __init__(self, origin: Pose) -> None:
+        self.edges: list[Edge] = []
+        self._dimension = 3 if isinstance(origin, gtsam.Pose2) else 6
+        self._origin = origin
+        self._pending = gtsam.NonlinearFactorGraph()
+        self._pending_values = gtsam.Values()
+        self._estimate = gtsam.Values()
+        self._isam: gtsam.ISAM2 | None = None
+        self._count = 0
+        self.add_node(origin)
+        self._pending.add(self._prior())
+
+    def __len__(self) -> int:
+        return self._count
+
+    def add_node(self, guess: Pose) -> int:
+        """Add a pose with its initial guess and return its number."""
+        _check_finite(guess)
+        key = self._count
+        self._pending_values.insert(key, guess)
+        self._estimate.insert(key, guess)
+        self._count += 1
+        return key
+
+    def add_edge(self, edge: Edge) -> None:
+        """Add a relative pose.
+
+        Raises
+        ------
+        GraphError
+            Where the edge names a node that is not there, is not finite, or its covariance is not
+            positive definite.
+        """
+        self._check(edge)
+        self.edges.append(edge)
+        noise = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
+        if not edge.trusted:
+            kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(_CAUCHY_SIGMAS)
+            noise = gtsam.noiseModel.Robust.Create(kernel, noise)
+        self._pending.add(_between(edge, noise))
+
+    def update(self) -> None:
+        """Bring the estimate up to date with iSAM2."""
+        if self._isam is None:
+            self._isam = gtsam.ISAM2()
+        self._isam.update(self._pending, self._pending_values)
+        self._estimate = self._isam.calculateEstimate()
+        self._pending = gtsam.NonlinearFactorGraph()
+        self._pending_values = gtsam.Values()
+
+    def optimize(self, inlier_probability: float = 0.99) -> BatchResult:
+        """Solve the whole graph anew: GNC-TLS over the untrusted edges, then plain least squares.
+
+        Parameters
+        ----------
+        inlier_probability
+            Chi-square probability at which a true edge passes the gate.
+        """
+        weights = np.ones(len(self.edges))
+        if any(not edge.trusted for edge in self.edges):
+            weights = self._gnc_weights(inlier_probability)
+        kept = weights > _WEIGHT_KEPT
+        graph = self._graph(edge for edge, keep in zip(self.edges, kept, strict=True) if keep)
+        self._estimate = gtsam.LevenbergMarquardtOptimizer(graph, self._estimate).optimize()
+        return BatchResult(float(graph.error(self._estimate)), kept)
+
+    def set_estimate(self, poses: Iterable[Pose]) -> None:
+        """Replace the estimate of all nodes, in order."""
+        values = gtsam.Values()
+        for key, pose in enumerate(poses):
+            values.insert(key, pose)
+        self._estimate = values
+
+    def initialize(self) -> None:
+        """Start from the edges alone: LAGO (Carlone 2014) in the plane, chordal initialisation in space."""
+        graph = self._graph(self.edges)
+        if self._dimension == 3:
+            self._estimate = gtsam.lago.initialize(graph)
+        else:
+            self._estimate = gtsam.InitializePose3.initialize(graph)
+
+    def pose(self, key: int) -> Pose:
+        """Estimated pose of a node."""
+        if self._dimension == 3:
+            return self._estimate.atPose2(key)
+        return self._estimate.atPose3(key)
+
+    def planar_poses(self) -> FloatArray:
+        """(n, 3) x, y, yaw of all nodes of an SE(2) graph."""
+        rows: FloatArray = gtsam.utilities.extractPose2(self._estimate)
+        return rows.reshape(-1, 3)
+
+    def _gnc_weights(self, inlier_probability: float) -> FloatArray:
+        """Weight of every edge, 0..1, after GNC-TLS with the trusted edges as known inliers."""
+        parameters = gtsam.GncLMParams(gtsam.LevenbergMarquardtParams())
+        parameters.setLossType(gtsam.GncLossType.TLS)
+        # Factor 0 is the prior.
+        parameters.setKnownInliers([0, *(k + 1 for k, edge in enumerate(self.edges) if edge.trusted)])
+        optimizer = gtsam.GncLMOptimizer(self._graph(self.edges), self._estimate, parameters)
+        optimizer.setInlierCostThresholdsAtProbability(inlier_probability)
+        self._estimate = optimizer.optimize()
+        weights: FloatArray = np.asarray(optimizer.getWeights())[1:]
+        return weights
+
+    def _graph(self, edges: Iterable[Edge]) -> gtsam.NonlinearFactorGraph:
+        """Prior and edges with Gaussian noise."""
+        graph = gtsam.NonlinearFactorGraph()
+        graph.add(self._prior())
+        for edge in edges:
+            graph.add(_between(edge, gtsam.noiseModel.Gaussian.Covariance(edge.covariance)))
+        return graph
+
+    def _prior(self) -> gtsam.NonlinearFactor:
+        """Hold node 0: the gauge, not a measurement."""
+        noise = gtsam.noiseModel.Isotropic.Sigma(self._dimension, 1e-4)
+        if self._dimension == 3:
+            return gtsam.PriorFactorPose2(0, self._origin, noise)
+        return gtsam.PriorFactorPose3(0, self._origin, noise)
+
+    def _check(self, edge: Edge) -> None:
+        """Refuse what GTSAM would take silently."""
+        name = f"{edge.kind} edge {edge.source} -> {edge.target}"
+        if not (0 <= edge.source < self._count and 0 <= edge.target < self._count):
+            raise GraphError(f"{name}: the graph has nodes 0..{self._count - 1}; add the node first")
+        if edge.source == edge.target:
+            raise GraphError(f"{name}: an edge must join two different nodes")
+        _check_finite(edge.T_source_target)
+        shape = (self._dimension, self._dimension)
+        if edge.covariance.shape != shape or not np.isfinite(edge.covariance).all():
+            raise GraphError(f"{name}: the covariance must be a finite {shape} matrix")
+        if np.linalg.eigvalsh(edge.covariance)[0] <= 0.0:
+            raise GraphError(f"{name}: the covariance is not positive definite")
+
+
+def _between(edge: Edge, noise: gtsam.noiseModel.Base) -> gtsam.NonlinearFactor:
+    """The factor of an edge."""
+    if isinstance(edge.T_source_target, gtsam.Pose2):
+        return gtsam.BetweenFactorPose2(edge.source, edge.target, edge.T_source_target, noise)
+    return gtsam.BetweenFactorPose3(edge.source, edge.target, edge.T_source_target, noise)
+
+
+def _check_finite(pose: Pose) -> None:
+    """Refuse a pose with NaN or infinity in it."""
+    if not np.isfinite(pose.matrix()).all():
+        raise GraphError("a pose that is not finite cannot enter the graph; check the measurement")

@@ -1,0 +1,74 @@
+"""Local maps around keyframes, made from the odometry's own short-range accuracy, kept in a small cache."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from functools import cached_property
+
+from slam.config_stages import LoopConfig, MatchConfig
+from slam.matching.correlative import LikelihoodField, build_field
+from slam.matching.local_map import LocalMap, OrientedPoints
+from slam.matching.planar import between
+from slam.measurements import FloatArray
+
+
+class Submap:
+    """The surroundings of one keyframe, in its frame; the search field is drawn when first asked for."""
+
+    def __init__(self, local_map: LocalMap, config: LoopConfig) -> None:
+        self.local_map = local_map
+        self._config = config
+
+    @cached_property
+    def field(self) -> LikelihoodField:
+        """Likelihood field of the local map."""
+        return build_field(
+            self.local_map.points.points, self._config.field_cell_m, self._config.field_sigma_m
+        )
+
+
+class SubmapStore:
+    """Keyframe scans with their odometry poses, and the submaps around them.
+
+    A submap rests on odometry-frame poses only, so no later optimisation makes it stale.
+    """
+
+    def __init__(self, loop: LoopConfig, match: MatchConfig) -> None:
+        self._loop = loop
+        self._match = match
+        self._scans: list[OrientedPoints] = []
+        self._poses: list[FloatArray] = []
+        self._travelled_m: list[float] = []
+        self._cache: OrderedDict[int, Submap] = OrderedDict()
+
+    def add(self, scan: OrientedPoints, pose: FloatArray, travelled_m: float) -> None:
+        """Take the next keyframe: its scan, its pose (3,) in the odometry frame, the way so far."""
+        self._scans.append(scan)
+        self._poses.append(pose)
+        self._travelled_m.append(travelled_m)
+
+    def scan(self, key: int) -> OrientedPoints:
+        """Oriented points of a keyframe, base frame."""
+        return self._scans[key]
+
+    def travelled_m(self, key: int) -> float:
+        """Way from the start to a keyframe."""
+        return self._travelled_m[key]
+
+    def submap(self, key: int) -> Submap:
+        """The surroundings of a keyframe."""
+        if key in self._cache:
+            self._cache.move_to_end(key)
+            return self._cache[key]
+        half = self._loop.submap_half_keyframes
+        members = [
+            k
+            for k in range(max(0, key - half), min(len(self._scans), key + half + 1))
+            if abs(self._travelled_m[k] - self._travelled_m[key]) <= self._loop.submap_half_m
+        ]
+        parts = [self._scans[k].moved(between(self._poses[key], self._poses[k])) for k in members]
+        submap = Submap(LocalMap.build(parts, self._match), self._loop)
+        self._cache[key] = submap
+        if len(self._cache) > self._loop.submaps_cached:
+            self._cache.popitem(last=False)
+        return submap

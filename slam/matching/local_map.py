@@ -1,0 +1,123 @@
+"""A local map to match against: the oriented points of a few keyframes, as coarse and fine surfels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.config_stages import MatchConfig
+from slam.matching.match_covariance import MatchNoise, weak_direction
+from slam.matching.planar import transform_into
+from slam.matching.point_to_line import Alignment, align
+from slam.matching.scan_points import ScanPoints
+from slam.matching.surfel_map import SurfelMap, build_surfel_map
+from slam.measurements import Float32Array, FloatArray
+
+# Weight of the guess, in points: far below any wall, enough to hold what no point determines.
+_LOOSE = np.eye(3)
+# Enough to hold a direction that the points determine badly against their noise.
+_HELD_POINTS = 300.0
+
+
+@dataclass(frozen=True, slots=True)
+class OrientedPoints:
+    """Points that all have a normal: (M, 2) each, float32, in one frame."""
+
+    points: Float32Array
+    normals: Float32Array
+
+    def __len__(self) -> int:
+        return int(self.points.shape[0])
+
+    @classmethod
+    def from_scan(cls, scan: ScanPoints) -> OrientedPoints:
+        """The oriented part of a scan, base frame."""
+        return cls(*scan.oriented())
+
+    def moved(self, pose: FloatArray) -> OrientedPoints:
+        """The same points seen from the frame in which ``pose`` (3,) is the pose of theirs."""
+        points = np.empty_like(self.points)
+        normals = np.empty_like(self.normals)
+        transform_into(self.points, pose, points, False)
+        transform_into(self.normals, pose, normals, True)
+        return OrientedPoints(points, normals)
+
+    def thinned(self, count: int) -> Float32Array:
+        """About ``count`` of the points, evenly taken in beam order, (K, 2)."""
+        return np.ascontiguousarray(self.points[:: max(1, -(-len(self) // count))])
+
+
+@dataclass(frozen=True, slots=True)
+class LocalMap:
+    """Points of some keyframes in one frame, and their surfels."""
+
+    points: OrientedPoints
+    coarse: SurfelMap
+    fine: SurfelMap
+    config: MatchConfig
+
+    @classmethod
+    def build(cls, parts: list[OrientedPoints], config: MatchConfig) -> LocalMap:
+        """Join scans that are already in the map's frame."""
+        points = OrientedPoints(
+            np.concatenate([part.points for part in parts]), np.concatenate([part.normals for part in parts])
+        )
+        return cls(
+            points,
+            build_surfel_map(points.points, points.normals, config.coarse_cell_m),
+            build_surfel_map(points.points, points.normals, config.fine_cell_m),
+            config,
+        )
+
+    def align(self, scan: OrientedPoints, guess: FloatArray) -> Alignment:
+        """Align a scan (base frame) from a guess (3,), coarse first, then fine.
+
+        Where the scan leaves a direction open (a corridor), the guess keeps it: the noise of the normals
+        would otherwise decide (solution remapping, Zhang 2016).
+        """
+        result = self._align(scan, guess, _LOOSE)
+        weak = weak_direction(result, self.config.degenerate_share)
+        if weak is None:
+            return result
+        return self._align(scan, guess, _LOOSE + _HELD_POINTS * np.outer(weak, weak))
+
+    def align_held(self, scan: OrientedPoints, guess: FloatArray) -> Alignment:
+        """Align a scan that must stay near its guess in every direction."""
+        return self._align(scan, guess, _HELD_POINTS * np.diag([1.0, 1.0, 0.0]))
+
+    def _align(self, scan: OrientedPoints, guess: FloatArray, prior: FloatArray) -> Alignment:
+        """Coarse, then fine, both tied to the same guess."""
+        config = self.config
+        coarse = align(
+            scan.points,
+            scan.normals,
+            guess,
+            guess,
+            self.coarse,
+            config.coarse_kernel_m,
+            config.iterations,
+            prior,
+        )
+        return align(
+            scan.points,
+            scan.normals,
+            coarse.pose,
+            guess,
+            self.fine,
+            config.fine_kernel_m,
+            config.iterations,
+            prior,
+        )
+
+
+def match_noise(config: MatchConfig) -> MatchNoise:
+    """The part of the configuration that the covariance needs."""
+    return MatchNoise(
+        correlated_points=config.correlated_points,
+        floor_m=config.floor_m,
+        floor_rad=config.floor_rad,
+        degenerate_share=config.degenerate_share,
+        degenerate_sigma_m=config.degenerate_sigma_m,
+        minimal_residual_m=config.minimal_residual_m,
+    )

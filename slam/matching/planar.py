@@ -1,0 +1,63 @@
+"""SE(2) arithmetic on rows of x, y, yaw, for kernels where GTSAM objects would be too slow."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from slam.measurements import FloatArray
+
+
+@numba.njit(cache=True)
+def compose(a: FloatArray, b: FloatArray) -> FloatArray:
+    """T_a * T_b for two rows (3,)."""
+    cos = math.cos(a[2])
+    sin = math.sin(a[2])
+    return np.array([a[0] + cos * b[0] - sin * b[1], a[1] + sin * b[0] + cos * b[1], wrap(a[2] + b[2])])
+
+
+@numba.njit(cache=True)
+def between(a: FloatArray, b: FloatArray) -> FloatArray:
+    """inverse(T_a) * T_b for two rows (3,)."""
+    cos = math.cos(a[2])
+    sin = math.sin(a[2])
+    dx = b[0] - a[0]
+    dy = b[1] - a[1]
+    return np.array([cos * dx + sin * dy, -sin * dx + cos * dy, wrap(b[2] - a[2])])
+
+
+@numba.njit(cache=True)
+def wrap(angle_rad: float) -> float:
+    """The same angle in [-pi, pi)."""
+    return angle_rad - 2.0 * math.pi * math.floor((angle_rad + math.pi) / (2.0 * math.pi))
+
+
+@numba.njit(cache=True)
+def transform_into(rows, pose, out, rotate_only):  # type: ignore[no-untyped-def]
+    """Write the (M, 2) rows, moved by a pose (3,), into ``out``; directions are only rotated."""
+    cos = math.cos(pose[2])
+    sin = math.sin(pose[2])
+    tx = 0.0 if rotate_only else pose[0]
+    ty = 0.0 if rotate_only else pose[1]
+    for i in range(rows.shape[0]):
+        x = rows[i, 0]
+        y = rows[i, 1]
+        out[i, 0] = cos * x - sin * y + tx
+        out[i, 1] = sin * x + cos * y + ty
+
+
+def transform_points(points: FloatArray, pose: FloatArray) -> FloatArray:
+    """(M, 2) points moved by a pose row (3,), float64."""
+    out = np.empty((points.shape[0], 2))
+    transform_into(points, np.asarray(pose, dtype=np.float64), out, False)
+    return out
+
+
+@numba.njit(cache=True)
+def adjoint(pose: FloatArray) -> FloatArray:
+    """Adjoint of SE(2) in GTSAM's order (x, y, theta), (3, 3): covariance_a = Ad covariance_b Ad^T."""
+    cos = math.cos(pose[2])
+    sin = math.sin(pose[2])
+    return np.array([[cos, -sin, pose[1]], [sin, cos, -pose[0]], [0.0, 0.0, 1.0]])

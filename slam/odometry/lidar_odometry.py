@@ -1,0 +1,45 @@
+"""What every lidar odometry offers, and the choice among them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from slam.matching.scan_points import ScanPoints
+from slam.measurements import FloatArray, MotionEstimate
+
+
+@dataclass(frozen=True, slots=True)
+class Guess:
+    """Where a scan may have been taken.
+
+    Attributes
+    ----------
+    pose
+        (3,) x, y, yaw in the odometry frame.
+    covariance
+        (3, 3) in the guess's own frame where it is a measurement (wheels); None where it is an assumption.
+    """
+
+    pose: FloatArray
+    covariance: FloatArray | None = None
+
+
+class LidarOdometry(Protocol):
+    """Scan to local map matching in an odometry frame that drifts slowly and never jumps back."""
+
+    def match(self, points: ScanPoints, guesses: list[Guess]) -> MotionEstimate | None:
+        """Pose of the scan's base in the odometry frame, or None where nothing fits.
+
+        Parameters
+        ----------
+        points
+            The scan, base frame.
+        guesses
+            The most trusted first; at least one.
+        """
+        ...
+
+    def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:
+        """Take a scan at a pose (3,) of the odometry frame into the local map."""
+        ...

@@ -1,0 +1,97 @@
+"""Lidar odometry by point-to-line alignment to the surfels of the newest keyframes."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from slam.config_stages import LidarOdometryConfig, MatchConfig
+from slam.matching.correlative import build_field, search_window
+from slam.matching.local_map import LocalMap, OrientedPoints, match_noise
+from slam.matching.match_covariance import motion_from_alignment
+from slam.matching.planar import between
+from slam.matching.point_to_line import Alignment
+from slam.matching.scan_points import ScanPoints
+from slam.measurements import FloatArray, MotionEstimate
+from slam.odometry.lidar_odometry import Guess
+
+_SEARCH_CELL_M = 0.05
+_SEARCH_SIGMA_M = 0.1
+_SEARCH_POINTS = 120
+# Fewer oriented points than this determine no pose.
+_LEAST_POINTS = 10
+# Wheels and match contradict each other beyond this distance.
+_SURPRISE_SIGMAS = 3.0
+
+
+class SurfelOdometry:
+    """Coarse and fine point-to-line alignment; a correlative search where the guesses fail."""
+
+    def __init__(self, config: LidarOdometryConfig, match: MatchConfig) -> None:
+        self._config = config
+        self._match = match
+        self._noise = match_noise(match)
+        self._keyframes: deque[OrientedPoints] = deque(maxlen=config.local_map_keyframes)
+        self._local_map: LocalMap | None = None
+
+    def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:
+        """Take a scan at a pose (3,) of the odometry frame into the local map."""
+        self._keyframes.append(OrientedPoints.from_scan(points).moved(pose))
+        self._local_map = LocalMap.build(list(self._keyframes), self._match)
+
+    def match(self, points: ScanPoints, guesses: list[Guess]) -> MotionEstimate | None:
+        """Align from the first guess; from the others and by search where that is not sure."""
+        local_map = self._local_map
+        scan = OrientedPoints.from_scan(points)
+        if local_map is None or len(scan) < _LEAST_POINTS:
+            return None
+        best = local_map.align(scan, guesses[0].pose)
+        for guess in guesses[1:]:
+            if best.inlier_share >= self._config.sure_inlier_share:
+                break
+            best = _surer(best, local_map.align(scan, guess.pose))
+        if best.inlier_share < self._config.sure_inlier_share:
+            for guess in guesses:
+                best = _surer(best, self._search(local_map, scan, guess.pose))
+        best = self._reconciled(local_map, scan, best, guesses[0])
+        if best.inlier_share < self._config.least_inlier_share:
+            return None
+        return motion_from_alignment(best, self._noise)
+
+    def _reconciled(
+        self, local_map: LocalMap, scan: OrientedPoints, best: Alignment, guess: Guess
+    ) -> Alignment:
+        """Where match and wheels contradict each other, let the scan say whether the wheels can be right.
+
+        A scan into unknown space may slide along what little it shares with the map. Held near the wheels'
+        pose it then fits nearly as well; where the wheels slipped, it does not.
+        """
+        if guess.covariance is None:
+            return best
+        offset = between(guess.pose, best.pose)
+        surprise = float(offset @ np.linalg.solve(guess.covariance, offset))
+        if surprise <= _SURPRISE_SIGMAS**2:
+            return best
+        held = local_map.align_held(scan, guess.pose)
+        return held if held.weight >= self._config.contradiction_share * best.weight else best
+
+    def _search(self, local_map: LocalMap, scan: OrientedPoints, guess: FloatArray) -> Alignment | None:
+        """Branch and bound around a guess, then the same alignment as ever."""
+        if len(local_map.points) == 0:
+            return None
+        field = build_field(local_map.points.points, _SEARCH_CELL_M, _SEARCH_SIGMA_M)
+        found = search_window(
+            field,
+            scan.thinned(_SEARCH_POINTS),
+            guess,
+            self._config.search_half_width_m,
+            self._config.search_half_yaw_rad,
+            self._config.search_least_score,
+        )
+        return local_map.align(scan, found.pose) if found.found else None
+
+
+def _surer(a: Alignment, b: Alignment | None) -> Alignment:
+    """The alignment that more points agree with."""
+    return a if b is None or b.inlier_share <= a.inlier_share else b

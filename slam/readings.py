@@ -1,0 +1,92 @@
+"""The log's readings, in log order, and the pose of each once the keyframes are known."""
+
+from __future__ import annotations
+
+from array import array
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.full_trajectory import spread_correction
+from slam.measurements import FloatArray, Trajectory
+
+
+class Readings:
+    """Stamps and motion of every reading; numbers only, so that it stays small on a long log."""
+
+    def __init__(self) -> None:
+        self._stamps_s = array("d")
+        self._wheel_poses = array("d")
+        self._scan_readings = array("q")
+        self._scan_poses = array("d")
+        self._keyframe_scans = array("q")
+
+    @property
+    def scan_count(self) -> int:
+        """Scans so far."""
+        return len(self._scan_readings)
+
+    def add_wheel(self, stamp_s: float, pose: FloatArray | None) -> None:
+        """A reading with the wheels' pose (3,), odom frame; None where there is none."""
+        self._stamps_s.append(stamp_s)
+        self._wheel_poses.extend((np.nan,) * 3 if pose is None else pose)
+
+    def add_scan(self, stamp_s: float, pose: FloatArray, wheel_pose: FloatArray | None) -> None:
+        """A scan with its pose (3,) in the odometry frame."""
+        self._scan_readings.append(len(self._stamps_s))
+        self._scan_poses.extend(pose)
+        self.add_wheel(stamp_s, wheel_pose)
+
+    def mark_keyframe(self) -> None:
+        """The newest scan is a keyframe."""
+        self._keyframe_scans.append(self.scan_count - 1)
+
+    def scan_stamps(self) -> FloatArray:
+        """(S,) stamps of the scans."""
+        return np.array(self._stamps_s)[np.array(self._scan_readings)]
+
+    def keyframe_scans(self) -> NDArray[np.int64]:
+        """(K,) scan number of each keyframe."""
+        return np.array(self._keyframe_scans)
+
+    def trajectory(self, keyframe_poses: FloatArray) -> Trajectory:
+        """A pose for every reading.
+
+        Parameters
+        ----------
+        keyframe_poses
+            (K, 3) optimised poses, map frame, K > 0.
+        """
+        stamps = np.array(self._stamps_s)
+        scan_poses = spread_correction(
+            np.array(self._scan_poses).reshape(-1, 3), self.keyframe_scans(), keyframe_poses
+        )
+        scans = np.array(self._scan_readings)
+        wheel_poses = np.array(self._wheel_poses).reshape(-1, 3)
+        known = np.flatnonzero(~np.isnan(wheel_poses[:, 0]))
+        if known.size:
+            # Only what came before the first odometry reading is unknown: the wheels had not turned yet.
+            wheel_poses[: known[0]] = wheel_poses[known[0]]
+        else:
+            wheel_poses = self._motion_without_wheels(stamps, scans, scan_poses)
+        return Trajectory.from_planar(stamps, spread_correction(wheel_poses, scans, scan_poses))
+
+    @staticmethod
+    def _motion_without_wheels(
+        stamps: FloatArray, scans: NDArray[np.int64], scan_poses: FloatArray
+    ) -> FloatArray:
+        """Motion that only tells how far between two scans, in time, each reading lies."""
+        motion = np.zeros((stamps.size, 3))
+        motion[scans] = scan_poses
+        before = np.clip(np.searchsorted(scans, np.arange(stamps.size), side="right") - 1, 0, scans.size - 1)
+        after = np.clip(before + 1, 0, scans.size - 1)
+        span = stamps[scans[after]] - stamps[scans[before]]
+        share = np.zeros(stamps.size)
+        known = span > 0.0
+        share[known] = ((stamps - stamps[scans[before]])[known] / span[known]).clip(0.0, 1.0)
+        turn = (scan_poses[after, 2] - scan_poses[before, 2] + np.pi) % (2.0 * np.pi) - np.pi
+        motion[:, :2] = scan_poses[before, :2] + share[:, None] * (
+            scan_poses[after, :2] - scan_poses[before, :2]
+        )
+        motion[:, 2] = scan_poses[before, 2] + share * turn
+        return motion
