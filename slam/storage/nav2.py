@@ -1,0 +1,269 @@
+"""Maps as nav2's map server writes and reads them: ``map.yaml`` beside ``map.pgm``."""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.errors import MapFileError
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, StateArray
+from slam.storage.files import write_lines
+from slam.storage.pgm import GreyImage, read_pgm, write_pgm
+
+logger = logging.getLogger(__name__)
+
+Mode: TypeAlias = Literal["trinary", "scale", "raw"]
+
+OCCUPIED_THRESH = 0.65
+FREE_THRESH = 0.196
+_PIXELS = {OCCUPIED: 0, FREE: 254, UNKNOWN: 205}
+_UNKNOWN_PIXEL = _PIXELS[UNKNOWN]
+
+
+@dataclass(frozen=True, slots=True)
+class Nav2Map:
+    """A map as nav2 understands it.
+
+    Attributes
+    ----------
+    values
+        (rows, cols), row 0 at the lowest y: 100 occupied, 0 free, -1 unknown; in the modes ``scale`` and
+        ``raw`` also what is between 0 and 100.
+    resolution_m
+        Side of a cell.
+    T_map_grid
+        The lower-left corner of cell (0, 0).
+    mode
+        How pixels were understood.
+    """
+
+    values: StateArray
+    resolution_m: float
+    T_map_grid: gtsam.Pose2
+    mode: Mode = "trinary"
+
+
+def write_nav2_map(stem: Path, grid: OccupancyGrid) -> tuple[Path, Path]:
+    """Write the states of a grid as ``stem.yaml`` and ``stem.pgm``; see `write_nav2_states`."""
+    return write_nav2_states(stem, grid.states(), grid.resolution_m, grid.T_map_grid)
+
+
+def write_nav2_states(
+    stem: Path, states: StateArray, resolution_m: float, T_map_grid: gtsam.Pose2
+) -> tuple[Path, Path]:
+    """Write a trinary map as ``stem.yaml`` and ``stem.pgm`` (254 free, 0 occupied, 205 unknown).
+
+    Parameters
+    ----------
+    stem
+        Path without ending, ``out/map`` for instance.
+    states
+        (rows, cols) of 100, 0 and -1; row 0 at the lowest y.
+    T_map_grid
+        The lower-left corner of cell (0, 0).
+
+    Returns
+    -------
+    The two paths, yaml first.
+
+    Raises
+    ------
+    MapFileError
+        Where there are other states, no cells, or the files cannot be written.
+    """
+    stem = Path(stem)
+    image_path, yaml_path = stem.with_name(f"{stem.name}.pgm"), stem.with_name(f"{stem.name}.yaml")
+    image = np.zeros(states.shape, dtype=np.uint8)
+    known = np.zeros(states.shape, dtype=np.bool_)
+    for state, pixel in _PIXELS.items():
+        image[states == state] = pixel
+        known |= states == state
+    if states.ndim != 2 or not states.size or not known.all():
+        raise MapFileError(
+            f"cannot write {yaml_path}: needs a grid of 100, 0 and -1, got shape {states.shape}"
+        )
+    # The image first: whoever sees the new yaml finds its image.
+    write_pgm(image_path, image[::-1])
+    origin = ", ".join(_decimal(value) for value in (T_map_grid.x(), T_map_grid.y(), T_map_grid.theta()))
+    write_lines(
+        yaml_path,
+        [
+            f"image: {_quoted(image_path.name)}",
+            "mode: trinary",
+            f"resolution: {_decimal(resolution_m)}",
+            f"origin: [{origin}]",
+            "negate: 0",
+            f"occupied_thresh: {OCCUPIED_THRESH}",
+            f"free_thresh: {FREE_THRESH}",
+        ],
+    )
+    return yaml_path, image_path
+
+
+def read_nav2_map(path: Path) -> Nav2Map:
+    """Read a map as nav2's map server does (its ``map_io.cpp``): trinary, scale or raw, negated or not.
+
+    A pixel's occupancy is p = (255 - pixel) / 255, or pixel / 255 where negated. ``trinary``: p >=
+    ``occupied_thresh`` is 100, p <= ``free_thresh`` is 0, else -1. ``scale``: what is between the two runs
+    from 0 to 100. ``raw``: the pixel itself, -1 above 100. Pixels that are not opaque are unknown, but in
+    ``raw``. Saved unknowns (205) that the thresholds turn into free cells are warned of.
+
+    Raises
+    ------
+    MapFileError
+        In one line, where the yaml or its image cannot be read, or a value is missing or senseless.
+    """
+    path = Path(path)
+    fields = _load_yaml(path)
+    occupied_thresh = _number(fields, "occupied_thresh", path)
+    free_thresh = _number(fields, "free_thresh", path)
+    if not 0.0 <= free_thresh < occupied_thresh <= 1.0:
+        raise MapFileError(
+            f"{path}: free_thresh {free_thresh:g} and occupied_thresh {occupied_thresh:g}"
+            " must be in this order, from 0 to 1"
+        )
+    mode = _mode(fields, path)
+    negate = fields.get("negate", 0)
+    if negate not in (0, 1):
+        raise MapFileError(f"{path}: negate is {negate!r}, it must be 0 or 1")
+    image, opaque = _read_image(_image_path(fields, path))
+    if mode == "raw":
+        values = np.where(image <= OCCUPIED, image, UNKNOWN).astype(np.int8)
+    else:
+        _warn_of_freed_unknowns(path, image, bool(negate), free_thresh)
+        values = _occupancy(image, bool(negate), occupied_thresh, free_thresh, mode)
+        values[~opaque] = UNKNOWN
+    resolution_m = _number(fields, "resolution", path)
+    if not resolution_m > 0.0:
+        raise MapFileError(f"{path}: resolution is {resolution_m:g} m, it must be positive")
+    return Nav2Map(np.ascontiguousarray(values[::-1]), resolution_m, _origin(fields, path), mode)
+
+
+def _occupancy(
+    image: GreyImage, negate: bool, occupied_thresh: float, free_thresh: float, mode: Mode
+) -> StateArray:
+    """Values of an image in trinary or scale mode, row 0 still on top."""
+    # Only 256 greys exist: decide for each once.
+    grey = np.arange(256) / 255.0
+    p = grey if negate else (255 - np.arange(256)) / 255.0
+    table = np.full(256, UNKNOWN, dtype=np.int8)
+    if mode == "scale":
+        share = (p - free_thresh) / (occupied_thresh - free_thresh)
+        table = np.rint(100.0 * np.clip(share, 0.0, 1.0)).astype(np.int8)
+    table[p >= occupied_thresh] = OCCUPIED
+    table[p <= free_thresh] = FREE
+    values: StateArray = table[image]
+    return values
+
+
+def _warn_of_freed_unknowns(path: Path, image: GreyImage, negate: bool, free_thresh: float) -> None:
+    """One warning where 205, which savers write for unknown, is read as free."""
+    count = int(np.count_nonzero(image == _UNKNOWN_PIXEL))
+    if count and not negate and free_thresh >= (255 - _UNKNOWN_PIXEL) / 255.0:
+        logger.warning(
+            "%s: free_thresh %g turns %d unknown cells (pixel 205) into free ones; set it below 0.1961",
+            path,
+            free_thresh,
+            count,
+        )
+
+
+def _read_image(path: Path) -> tuple[GreyImage, NDArray[np.bool_]]:
+    """Grey pixels and whether each is opaque, row 0 on top."""
+    if path.suffix.lower() == ".pgm":
+        image = read_pgm(path)
+        return image, np.ones(image.shape, dtype=np.bool_)
+    # Only maps that others have saved as png or bmp pay for the image library.
+    import cv2
+
+    try:
+        content = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+    except OSError as cause:
+        raise MapFileError(f"cannot read {path}: {cause.strerror or cause}") from cause
+    loaded: Any = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
+    if loaded is None:
+        raise MapFileError(f"{path}: not an image that can be read (pgm, png or bmp)")
+    if loaded.dtype != np.uint8:
+        loaded = (loaded // 257).astype(np.uint8)
+    if loaded.ndim == 2:
+        return loaded, np.ones(loaded.shape, dtype=np.bool_)
+    grey = cv2.cvtColor(np.ascontiguousarray(loaded[:, :, :3]), cv2.COLOR_BGR2GRAY)
+    opaque = loaded[:, :, 3] == 255 if loaded.shape[2] == 4 else np.ones(grey.shape, dtype=np.bool_)
+    return np.asarray(grey, dtype=np.uint8), opaque
+
+
+def _load_yaml(path: Path) -> dict[str, Any]:
+    """The yaml's fields."""
+    import yaml
+
+    try:
+        fields = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as cause:
+        raise MapFileError(f"cannot read {path}: {cause.strerror or cause}") from cause
+    except (yaml.YAMLError, UnicodeDecodeError) as cause:
+        raise MapFileError(f"{path}: not a yaml file: {' '.join(str(cause).split())}") from cause
+    if not isinstance(fields, dict):
+        raise MapFileError(
+            f"{path}: not a map description; it needs image, resolution, origin and thresholds"
+        )
+    return fields
+
+
+def _image_path(fields: dict[str, Any], path: Path) -> Path:
+    """The image, beside the yaml unless its path is absolute."""
+    image = fields.get("image")
+    if not isinstance(image, str) or not image:
+        raise MapFileError(f"{path}: image is {image!r}, it must be a file name")
+    return path.parent / image
+
+
+def _mode(fields: dict[str, Any], path: Path) -> Mode:
+    """The mode; trinary where none is told."""
+    mode = fields.get("mode", "trinary")
+    if mode == "trinary" or mode == "scale" or mode == "raw":
+        return mode  # type: ignore[no-any-return]
+    raise MapFileError(f"{path}: mode is {mode!r}, it must be trinary, scale or raw")
+
+
+def _number(fields: dict[str, Any], key: str, path: Path) -> float:
+    """A finite number of the yaml."""
+    if key not in fields:
+        raise MapFileError(f"{path}: {key} is missing")
+    return _to_number(fields[key], key, path)
+
+
+def _to_number(value: Any, key: str, path: Path) -> float:
+    """Also from text, as yaml takes 1e-2 for text."""
+    try:
+        number = float("nan") if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError):
+        number = float("nan")
+    if not math.isfinite(number):
+        raise MapFileError(f"{path}: {key} is {value!r}, it must be a finite number")
+    return number
+
+
+def _origin(fields: dict[str, Any], path: Path) -> gtsam.Pose2:
+    """The lower-left corner."""
+    origin = fields.get("origin")
+    if not isinstance(origin, list) or len(origin) != 3:
+        raise MapFileError(f"{path}: origin is {origin!r}, it must be [x, y, yaw]")
+    return gtsam.Pose2(*(_to_number(value, "origin", path) for value in origin))
+
+
+def _decimal(value: float) -> str:
+    """A number without exponent (yaml takes 1e-05 for text) that reads back as the same."""
+    return np.format_float_positional(value, unique=True, trim="0")
+
+
+def _quoted(name: str) -> str:
+    """A yaml scalar; quoted where it is not a plain name."""
+    plain = all(character.isalnum() or character in "._-" for character in name) and name[0].isalpha()
+    return name if plain else "'" + name.replace("'", "''") + "'"
