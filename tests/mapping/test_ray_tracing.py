@@ -58,6 +58,9 @@ def test_an_invalid_beam_says_nothing(nothing):
 def test_an_end_is_not_cleared_by_the_beam_that_passes_it():
     for ranges in ([1.0, 3.0], [3.0, 1.0], [1.0, np.inf], [np.inf, 1.0]):
         assert draw(ranges, step=0.0)[0][0][:3] == "o#o"
+    # Nor by a beam without return whose limit lies in it.
+    assert draw([2.0, np.inf], step=0.0, clear_limit=2.0)[0] == ["oo#"]
+    assert draw([np.inf, 2.0], step=0.0, clear_limit=2.0)[0] == ["oo#"]
 
 
 def test_an_end_in_the_lasers_own_cell_marks_it():
