@@ -63,7 +63,10 @@ class LidarOdometryConfig(StrictModel):
     search_half_width_m: float = Field(default=0.6, gt=0, description="window of the search for a lost scan")
     search_half_yaw_rad: float = Field(default=0.6, gt=0, description="window of the search for a lost scan")
     search_least_score: float = Field(default=0.4, gt=0, lt=1, description="least score of that search")
-    kiss_voxel_m: float = Field(default=0.1, gt=0, description="voxel of KISS-ICP's local map")
+    kiss_voxel_m: float = Field(default=0.2, gt=0, description="voxel of KISS-ICP's local map")
+    kiss_map_radius_m: float = Field(default=60.0, gt=0, description="KISS-ICP forgets what is farther")
+    kiss_correspondence_m: float = Field(default=0.3, gt=0, description="KISS-ICP's greatest pair distance")
+    kiss_kernel_m: float = Field(default=0.1, gt=0, description="KISS-ICP's robust kernel")
     kiss_points_a_voxel: int = Field(default=10, ge=1, description="points KISS-ICP keeps a voxel")
 
 
@@ -129,4 +132,12 @@ class GridConfig(StrictModel):
     resolution_m: float = Field(default=0.05, gt=0, le=1, description="side of a cell")
     hit_probability: float = Field(default=0.7, gt=0.5, lt=1, description="p of a cell that a beam ends in")
     miss_probability: float = Field(default=0.4, gt=0, lt=0.5, description="p of a cell a beam passes")
-    clear_range_m: float = Field(default=20.0, gt=0, description="a beam clears no farther than this")
+    hit_range_m: float = Field(default=40.0, gt=0, description="a return from farther marks nothing")
+    clear_range_m: float = Field(
+        default=8.0,
+        ge=0,
+        description="a beam without return clears so far: black things return nothing too",
+    )
+    greatest_cells: int = Field(
+        default=64_000_000, ge=1, description="limit of the map's size, 5 bytes a cell"
+    )

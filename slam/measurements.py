@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import gtsam
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 FloatArray: TypeAlias = NDArray[np.float64]
 Float32Array: TypeAlias = NDArray[np.float32]
+AnyFloatArray: TypeAlias = NDArray[np.floating[Any]]
 BoolArray: TypeAlias = NDArray[np.bool_]
 Pose: TypeAlias = gtsam.Pose2 | gtsam.Pose3
 
@@ -140,6 +141,7 @@ def pose2_from_row(row: Sequence[float] | FloatArray) -> gtsam.Pose2:
     return gtsam.Pose2(float(row[0]), float(row[1]), float(row[2]))
 
 
-def row_from_pose2(pose: gtsam.Pose2) -> FloatArray:
+def row_from_pose2(pose: Pose) -> FloatArray:
     """x, y, yaw of a Pose2, (3,)."""
+    assert isinstance(pose, gtsam.Pose2)
     return np.array([pose.x(), pose.y(), pose.theta()])

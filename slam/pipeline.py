@@ -9,17 +9,20 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from slam.config import Config
 from slam.datasets.dataset import Dataset
-from slam.errors import DatasetError
+from slam.errors import DatasetError, ScanweaveError
 from slam.graph.loop_closure import LoopCandidate, LoopCloser
 from slam.graph.pose_graph import Edge, EdgeKind, PoseGraph
 from slam.graph.relative_uncertainty import UncertaintyGraph
+from slam.mapping.occupancy_grid import InverseSensorModel, OccupancyGrid, PosedScan, build_grid
 from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints, extract_points
 from slam.measurements import (
+    BoolArray,
     FloatArray,
     LaserScan,
     Trajectory,
@@ -72,17 +75,29 @@ class MapResult:
         Every loop candidate with its verdict.
     scans
         Scores and timings of every scan.
+    keyframe_numbers
+        (K,) scan number of each keyframe.
+    edges_kept
+        (E,) False where the final optimisation refused an edge of the graph.
+    grid
+        The occupancy grid; None where it could not be built, ``warnings`` then says why.
     stage_seconds
         Wall time by stage.
+    warnings
+        One line each, for people.
     """
 
     trajectory: Trajectory
     keyframe_poses: FloatArray
+    keyframe_numbers: NDArray[np.int64]
     keyframe_scans: list[LaserScan]
     graph: PoseGraph
+    edges_kept: BoolArray
     loops: list[LoopCandidate]
     scans: ScanRecord
+    grid: OccupancyGrid | None
     stage_seconds: dict[str, float]
+    warnings: list[str]
 
 
 def build_map(dataset: Dataset, config: Config, on_scan: Callable[[int], None] | None = None) -> MapResult:
@@ -170,20 +185,45 @@ class Mapper:
         optimised = time.perf_counter()
         keyframe_poses = self._graph.planar_poses()
         trajectory = self._readings.trajectory(keyframe_poses)
+        spread = time.perf_counter()
+        grid, warnings = self._build_grid(keyframe_poses)
         scans = self._record.finish()
         return MapResult(
-            trajectory,
-            keyframe_poses,
-            self._keyframe_scans,
-            self._graph,
-            self._loops,
-            scans,
-            {
+            trajectory=trajectory,
+            keyframe_poses=keyframe_poses,
+            keyframe_numbers=self._readings.keyframe_scans(),
+            keyframe_scans=self._keyframe_scans,
+            graph=self._graph,
+            edges_kept=outcome.kept,
+            loops=self._loops,
+            scans=scans,
+            grid=grid,
+            stage_seconds={
                 "scans": float(scans.seconds.sum()),
                 "final optimisation": optimised - started,
-                "full trajectory": time.perf_counter() - optimised,
+                "full trajectory": spread - optimised,
+                "occupancy grid": time.perf_counter() - spread,
             },
+            warnings=warnings,
         )
+
+    def _build_grid(self, keyframe_poses: FloatArray) -> tuple[OccupancyGrid | None, list[str]]:
+        """The grid from the optimised keyframes; a map that would not fit in memory is a warning."""
+        settings = self._config.grid
+        model = InverseSensorModel(
+            p_hit=settings.hit_probability,
+            p_miss=settings.miss_probability,
+            max_hit_range_m=settings.hit_range_m,
+            max_clear_range_m=settings.clear_range_m,
+        )
+        scans = (
+            PosedScan.of(scan, pose2_from_row(pose))
+            for scan, pose in zip(self._keyframe_scans, keyframe_poses, strict=True)
+        )
+        try:
+            return build_grid(scans, settings.resolution_m, model, max_cells=settings.greatest_cells), []
+        except ScanweaveError as error:
+            return None, [f"No grid was built: {error}"]
 
     def _moved_on(self, tracked: TrackedScan) -> bool:
         """Whether a scan is far enough from the last keyframe to be the next."""

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from functools import cached_property
+from typing import Any
+
+import numpy as np
 
 from slam.config_stages import LoopConfig, MatchConfig
 from slam.matching.correlative import LikelihoodField, build_field
@@ -51,7 +54,7 @@ class SubmapStore:
         """Oriented points of a keyframe, base frame."""
         return self._scans[key]
 
-    def travelled_m(self, key: int) -> float:
+    def travelled_m(self, key: int | np.integer[Any]) -> float:
         """Way from the start to a keyframe."""
         return self._travelled_m[key]
 

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.measurements import FloatArray
+from slam.measurements import AnyFloatArray, FloatArray
 
 _LEVELS = 5
 
@@ -57,7 +57,7 @@ class SearchResult(NamedTuple):
     found: bool
 
 
-def build_field(points: FloatArray, cell_m: float, sigma_m: float) -> LikelihoodField:
+def build_field(points: AnyFloatArray, cell_m: float, sigma_m: float) -> LikelihoodField:
     """Blur (M, 2) map points, M > 0, into a likelihood field of standard deviation ``sigma_m``."""
     margin = 3.0 * sigma_m + cell_m
     origin_x = float(points[:, 0].min()) - margin
@@ -74,7 +74,7 @@ def build_field(points: FloatArray, cell_m: float, sigma_m: float) -> Likelihood
 
 def search_window(
     field: LikelihoodField,
-    points: FloatArray,
+    points: AnyFloatArray,
     guess: FloatArray,
     half_width_m: float,
     half_yaw_rad: float,

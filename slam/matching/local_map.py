@@ -18,6 +18,7 @@ from slam.measurements import Float32Array, FloatArray
 _LOOSE = np.eye(3)
 # Enough to hold a direction that the points determine badly against their noise.
 _HELD_POINTS = 300.0
+_PINNED = np.eye(3) * 1e12
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +86,13 @@ class LocalMap:
     def align_held(self, scan: OrientedPoints, guess: FloatArray) -> Alignment:
         """Align a scan that must stay near its guess in every direction."""
         return self._align(scan, guess, _HELD_POINTS * np.diag([1.0, 1.0, 0.0]))
+
+    def judge(self, scan: OrientedPoints, pose: FloatArray) -> Alignment:
+        """Hessian, residual and inlier share of a scan (base frame) at a pose (3,), without moving it."""
+        judged = align(
+            scan.points, scan.normals, pose, pose, self.fine, self.config.fine_kernel_m, 1, _PINNED
+        )
+        return judged._replace(pose=pose, converged=True)
 
     def _align(self, scan: OrientedPoints, guess: FloatArray, prior: FloatArray) -> Alignment:
         """Coarse, then fine, both tied to the same guess."""

@@ -7,7 +7,7 @@ import math
 import numba
 import numpy as np
 
-from slam.measurements import FloatArray
+from slam.measurements import AnyFloatArray, FloatArray
 
 
 @numba.njit(cache=True)
@@ -48,7 +48,7 @@ def transform_into(rows, pose, out, rotate_only):  # type: ignore[no-untyped-def
         out[i, 1] = sin * x + cos * y + ty
 
 
-def transform_points(points: FloatArray, pose: FloatArray) -> FloatArray:
+def transform_points(points: AnyFloatArray, pose: FloatArray) -> FloatArray:
     """(M, 2) points moved by a pose row (3,), float64."""
     out = np.empty((points.shape[0], 2))
     transform_into(points, np.asarray(pose, dtype=np.float64), out, False)

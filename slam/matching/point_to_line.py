@@ -13,7 +13,7 @@ import numba
 import numpy as np
 
 from slam.matching.surfel_map import SurfelMap, nearest_surfel
-from slam.measurements import Float32Array, FloatArray
+from slam.measurements import AnyFloatArray, FloatArray
 
 _SETTLED_M = 1e-4
 _SETTLED_RAD = 1e-4
@@ -48,8 +48,8 @@ class Alignment(NamedTuple):
 
 
 def align(
-    points: Float32Array,
-    normals: Float32Array,
+    points: AnyFloatArray,
+    normals: AnyFloatArray,
     start: FloatArray,
     guess: FloatArray,
     surfel_map: SurfelMap,

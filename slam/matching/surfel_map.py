@@ -13,7 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.measurements import Float32Array, FloatArray
+from slam.measurements import AnyFloatArray, FloatArray
 
 _SIDES = 4
 
@@ -40,7 +40,7 @@ class SurfelMap(NamedTuple):
     cell_m: float
 
 
-def build_surfel_map(points: FloatArray, normals: FloatArray, cell_m: float) -> SurfelMap:
+def build_surfel_map(points: AnyFloatArray, normals: AnyFloatArray, cell_m: float) -> SurfelMap:
     """Average oriented points per cell and side.
 
     Parameters
@@ -66,7 +66,7 @@ def _side(nx: float, ny: float) -> int:
 
 @numba.njit(cache=True)
 def _build(
-    points: Float32Array, normals: Float32Array, cell_m: float
+    points: AnyFloatArray, normals: AnyFloatArray, cell_m: float
 ) -> tuple[NDArray[np.int32], FloatArray, float, float]:
     min_x = max_x = points[0, 0]
     min_y = max_y = points[0, 1]

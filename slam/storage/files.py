@@ -40,6 +40,20 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def make_folder(path: Path) -> None:
+    """Make a folder and its parents where they are missing.
+
+    Raises
+    ------
+    MapFileError
+        Where that cannot be done, or a file of that name is in the way.
+    """
+    try:
+        Path(path).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise MapFileError(f"cannot make the folder {path}: {error.strerror or error}") from error
+
+
 def write_bytes(path: Path, content: bytes) -> None:
     """Write ``content`` to ``path`` at once; `MapFileError` as in `replacing`."""
     with replacing(path) as temporary:

@@ -1,0 +1,195 @@
+"""The commands. Nothing else prints."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slam.errors import ScanweaveError
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Offline SLAM from lidar and RGB-D logs: one trajectory, one map, no ROS.",
+)
+
+LogArgument = Annotated[Path, typer.Argument(help="the log: CARMEN .log or .clf, plain or .gz")]
+ConfigOption = Annotated[
+    str | None, typer.Option("--config", "-c", help="preset name or a YAML file of your own")
+]
+SetOption = Annotated[
+    list[str] | None, typer.Option("--set", "-s", help="one value, as in grid.resolution_m=0.1; repeatable")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="JSON instead of text")]
+StrictOption = Annotated[bool, typer.Option("--strict", help="stop at the first bad record")]
+
+# Conventional exit code of a program that the user interrupted.
+_INTERRUPTED = 130
+
+
+def main() -> None:
+    """Run a command: exit code 1 for a known error in one line, 2 for wrong usage."""
+    try:
+        app()
+    except ScanweaveError as error:
+        print(f"scanweave: {error}", file=sys.stderr)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        print("scanweave: interrupted; nothing half-written was left behind", file=sys.stderr)
+        sys.exit(_INTERRUPTED)
+
+
+@app.callback()
+def _logging(
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="one line an event, on stderr")] = False,
+) -> None:
+    """Set up logging before any command."""
+    logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, format="%(message)s")
+
+
+@app.command("map")
+def map_command(
+    log: LogArgument,
+    out: Annotated[Path, typer.Option("--out", "-o", help="folder for the results; made where missing")],
+    config: ConfigOption = None,
+    set_: SetOption = None,
+    no_odometry: Annotated[bool, typer.Option("--no-odometry", help="ignore the wheels")] = False,
+    no_loops: Annotated[bool, typer.Option("--no-loops", help="close no loops")] = False,
+    strict: StrictOption = False,
+) -> None:
+    """Map a log: trajectory, graph, grid and report."""
+    overrides = list(set_ or [])
+    if no_odometry:
+        overrides.append("lidar_odometry.use_wheel_odometry=false")
+    if no_loops:
+        overrides.append("loops.enabled=false")
+    _map(log, out, config, overrides, strict)
+
+
+@app.command()
+def inspect(log: LogArgument, as_json: JsonOption = False, strict: StrictOption = False) -> None:
+    """Tell what is in a log: sensors, rates, gaps, clock steps, dropped records."""
+    from slam.datasets import open_dataset
+    from slam.datasets.inspection import inspect_dataset, render_inspection
+
+    inspection = inspect_dataset(open_dataset(log, strict=strict))
+    print(json.dumps(inspection.to_dict(), indent=2) if as_json else render_inspection(inspection))
+
+
+@app.command()
+def evaluate(
+    trajectory: Annotated[Path, typer.Argument(help="trajectory in TUM format")],
+    relations: Annotated[
+        Path | None, typer.Option(help="relations file (Kuemmerle 2009): t1 t2 x y z roll pitch yaw")
+    ] = None,
+    groundtruth: Annotated[Path | None, typer.Option(help="true trajectory in TUM format")] = None,
+    tolerance: Annotated[
+        float | None, typer.Option(min=0.0, help="greatest time between a pose and its true pose, seconds")
+    ] = None,
+    delta: Annotated[float, typer.Option(min=0.0, help="RPE over this many metres")] = 1.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Score a trajectory by relations, or by ATE and RPE against the truth."""
+    from slam.evaluation.score_text import score, score_text
+
+    if (relations is None) == (groundtruth is None):
+        raise typer.BadParameter("give --relations or --groundtruth, one of them")
+    scores = score(trajectory, relations, groundtruth, tolerance_s=tolerance, delta_m=delta)
+    print(json.dumps(scores, indent=2) if as_json else score_text(scores))
+
+
+@app.command("config")
+def config_command(config: ConfigOption = None, set_: SetOption = None) -> None:
+    """Print the effective configuration, every field explained."""
+    from slam.config import dump_config, load_config
+
+    print(dump_config(load_config(config, set_ or [])), end="")
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option("--out", "-o", help="folder for the log and the results")] = Path(
+        "demo-out"
+    ),
+    seed: Annotated[int, typer.Option(min=0, help="another seed, another drive")] = 0,
+) -> None:
+    """Simulate a small log, map it, and score the map against the truth."""
+    from slam.evaluation.score_text import score, score_text
+    from slam.simulation.synthetic_log import write_synthetic_log
+
+    log = write_synthetic_log(out / "log", seed=seed)
+    _map(log.log_path, out, None, [], strict=False)
+    print(score_text(score(out / "trajectory.tum", None, log.truth_path, tolerance_s=None, delta_m=1.0)))
+    print(f"open {out / 'report.html'} to look at it")
+
+
+def _map(log: Path, out: Path, config: str | None, overrides: list[str], strict: bool) -> None:
+    """Run the pipeline on a log and write its results."""
+    started = time.perf_counter()
+    from slam.config import load_config
+    from slam.datasets import open_dataset
+    from slam.evaluation.map_report import RunCost, report_data
+    from slam.evaluation.report import write_report
+    from slam.pipeline import build_map
+    from slam.run_outputs import save_run
+    from slam.storage.files import make_folder
+
+    settings = load_config(config, overrides)
+    dataset = open_dataset(log, strict=strict)
+    make_folder(out)
+    with _progress("mapping") as advance:
+        result = build_map(dataset, settings, advance)
+    written = save_run(out, result)
+    cost = RunCost(time.perf_counter() - started, time.process_time())
+    data = report_data(log.name, dataset.report, result, settings, cost)
+    write_report(out / "report.html", data)
+    for warning in data.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    accepted = sum(loop.accepted for loop in result.loops)
+    print(
+        f"{data.scans} scans, {len(result.keyframe_poses)} keyframes, {data.path_length_m:.1f} m, "
+        f"{accepted} of {len(result.loops)} loops accepted, "
+        f"{dataset.report.dropped_count} records dropped, {time.perf_counter() - started:.1f} s"
+    )
+    print("wrote " + ", ".join(str(path) for path in [*written, out / "report.html"]))
+
+
+@contextmanager
+def _progress(what: str) -> Iterator[Progress]:
+    """A counter on stderr while scans go by; silent where stderr is not a terminal."""
+    progress = Progress(what)
+    try:
+        yield progress
+    finally:
+        progress.close()
+
+
+class Progress:
+    """Rewrites one line a few times a second."""
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+        self._shown_at = time.perf_counter()
+        self._terminal = sys.stderr.isatty()
+        self._shown = False
+
+    def __call__(self, count: int) -> None:
+        """Show that ``count`` scans are done."""
+        now = time.perf_counter()
+        if self._terminal and now - self._shown_at > 0.2:
+            print(f"\r{self._what}: {count} scans", end="", file=sys.stderr, flush=True)
+            self._shown_at, self._shown = now, True
+
+    def close(self) -> None:
+        """Clear the line."""
+        if self._shown:
+            print("\r" + " " * 40 + "\r", end="", file=sys.stderr, flush=True)
