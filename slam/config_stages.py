@@ -106,7 +106,7 @@ class LoopConfig(StrictModel):
     candidates: int = Field(default=3, ge=1, description="places tried an attempt")
     submap_half_keyframes: int = Field(default=8, ge=1, description="keyframes a side in a place's local map")
     submap_half_m: float = Field(default=4.0, gt=0, description="travel a side in a place's local map")
-    submaps_cached: int = Field(default=48, ge=1, description="local maps kept in memory")
+    submaps_cached: int = Field(default=16, ge=1, description="local maps kept in memory")
     field_cell_m: float = Field(default=0.05, gt=0, description="cell of the search's likelihood field")
     field_sigma_m: float = Field(default=0.1, gt=0, description="blur of the search's likelihood field")
     points: int = Field(default=120, ge=10, description="scan points in the search")
@@ -121,7 +121,7 @@ class LoopConfig(StrictModel):
 class GraphConfig(StrictModel):
     """The factor graph and its solvers."""
 
-    incremental_every: int = Field(default=10, ge=1, description="keyframes between two iSAM2 updates")
+    incremental_every: int = Field(default=20, ge=1, description="keyframes between two iSAM2 updates")
     lost_sigma_m: float = Field(default=1.0, gt=0, description="sigma of a step that nothing measured")
     lost_sigma_rad: float = Field(default=0.5, gt=0, description="sigma of a step that nothing measured")
 

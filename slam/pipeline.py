@@ -147,6 +147,7 @@ class Mapper:
         self._travelled_m = 0.0
         self._loops: list[LoopCandidate] = []
         self._loop_edges: dict[int, int] = {}
+        self._updated_edges = 0
         self._record = _ScanRecorder()
 
     @property
@@ -303,9 +304,12 @@ class Mapper:
                     )
                 )
             self._loops.append(candidate)
-        if key % self._config.graph.incremental_every == 0:
+        # Without a new loop the chain alone, which _poses already follows, is the estimate.
+        pending = any(edge >= self._updated_edges for edge in self._loop_edges)
+        if pending and key % self._config.graph.incremental_every == 0:
             self._graph.update()
             self._poses = self._graph.planar_poses()
+            self._updated_edges = len(self._graph.edges)
 
 
 class _ScanRecorder:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from slam.graph.pose_graph import PoseGraph
+from slam.measurements import BoolArray
 from slam.pipeline import MapResult
 from slam.storage.g2o import G2oEdge, G2oGraph, write_g2o
 from slam.storage.nav2 import write_nav2_map
@@ -38,12 +39,17 @@ def save_run(folder: Path, result: MapResult) -> list[Path]:
     return [trajectory, graph, *write_nav2_map(folder / "map", result.grid)]
 
 
-def g2o_graph(graph: PoseGraph, kept: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> G2oGraph:
+def g2o_graph(graph: PoseGraph, kept: BoolArray) -> G2oGraph:
     """The optimised nodes and the edges that hold (``kept``: (E,)), node 0 fixed."""
     return G2oGraph(
         {key: graph.pose(key) for key in range(len(graph))},
         [
-            G2oEdge(edge.source, edge.target, edge.T_source_target, np.linalg.inv(edge.covariance))
+            G2oEdge(
+                edge.source,
+                edge.target,
+                edge.T_source_target,
+                np.asarray(np.linalg.inv(edge.covariance), dtype=np.float64),
+            )
             for edge, keep in zip(graph.edges, kept, strict=True)
             if keep
         ],

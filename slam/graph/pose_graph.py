@@ -116,7 +116,7 @@ class PoseGraph:
         """
         self._check(edge)
         self.edges.append(edge)
-        noise = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
+        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
         if not edge.trusted:
             kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(_CAUCHY_SIGMAS)
             noise = gtsam.noiseModel.Robust.Create(kernel, noise)
@@ -196,7 +196,7 @@ class PoseGraph:
     def _prior(self) -> gtsam.NonlinearFactor:
         """Hold node 0: the gauge, not a measurement."""
         noise = gtsam.noiseModel.Isotropic.Sigma(self._dimension, 1e-4)
-        if self._dimension == 3:
+        if isinstance(self._origin, gtsam.Pose2):
             return gtsam.PriorFactorPose2(0, self._origin, noise)
         return gtsam.PriorFactorPose3(0, self._origin, noise)
 

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.matching.planar import adjoint, between
+from slam.matching.planar import adjoint, between, rotate_covariance
 from slam.measurements import FloatArray
 
 # A yaw error is worth its lever arm: how far from a node its surroundings are matched.
@@ -41,9 +41,8 @@ class UncertaintyGraph:
     def add_edge(self, source: int, target: int, relative: FloatArray, covariance: FloatArray) -> None:
         """Join two nodes; ``relative`` (3,) and ``covariance`` (3, 3) as in ``pose_graph.Edge``."""
         cost = float(covariance[0, 0] + covariance[1, 1] + _LEVER_M**2 * covariance[2, 2])
-        turned = adjoint(relative)
         self._append(source, target, cost, covariance)
-        self._append(target, source, cost, turned @ covariance @ turned.T)
+        self._append(target, source, cost, rotate_covariance(adjoint(relative), covariance))
 
     def relative_covariances(self, start: int, targets: NDArray[np.int64], poses: FloatArray) -> FloatArray:
         """Covariance of ``inverse(pose_target) * pose_start`` in the start's frame, one a target.
@@ -131,8 +130,8 @@ def _carry(start, targets, poses, arrived_by, sources, covariances):  # type: ig
             end = path[n]
             k = arrived_by[end]
             back = adjoint(between(poses[end], poses[sources[k]]))
-            carried[end] = back @ carried[sources[k]] @ back.T + covariances[k]
+            carried[end] = rotate_covariance(back, carried[sources[k]]) + covariances[k]
         if not np.isinf(carried[targets[t], 0, 0]):
             turn = adjoint(between(poses[start], poses[targets[t]]))
-            seen[t] = turn @ carried[targets[t]] @ turn.T
+            seen[t] = rotate_covariance(turn, carried[targets[t]])
     return seen

@@ -181,46 +181,61 @@ def _score(level, width, columns, rows, dx, dy):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _branch_and_bound(levels, columns, rows, width_steps, least):  # type: ignore[no-untyped-def]
-    """Best score sum, its x and y offset in pixels and its turn (-1 when none is above ``least``)."""
-    top = len(levels) - 1
-    while top > 0 and (1 << top) > 2 * width_steps + 1:
-        top -= 1
-    block = 1 << top
-    side = (2 * width_steps + block) // block
+def _block_bounds(level, block, columns, rows, width_steps, side):  # type: ignore[no-untyped-def]
+    """Bound of every block of the window: (turns * side * side,), x fastest."""
     turns = columns.shape[0]
     bounds = np.empty(turns * side * side, np.int64)
     for t in range(turns):
         for a in range(side):
             for b in range(side):
                 bounds[(t * side + a) * side + b] = _score(
-                    levels[top], block, columns[t], rows[t], a * block - width_steps, b * block - width_steps
+                    level, block, columns[t], rows[t], b * block - width_steps, a * block - width_steps
                 )
+    return bounds
+
+
+def _branch_and_bound(
+    levels: tuple[NDArray[np.uint8], ...],
+    columns: NDArray[np.int32],
+    rows: NDArray[np.int32],
+    width_steps: int,
+    least: int,
+) -> tuple[int, int, int, int]:
+    """Best score sum, its x and y offset in pixels and its turn (-1 when none is above ``least``)."""
+    top = len(levels) - 1
+    while top > 0 and (1 << top) > 2 * width_steps + 1:
+        top -= 1
+    block = 1 << top
+    side = (2 * width_steps + block) // block
+    bounds = _block_bounds(levels[top], block, columns, rows, width_steps, side)
+    order = np.argsort(-bounds, kind="stable")
+    return _descend(levels, columns, rows, width_steps, least, top, side, bounds, order)
+
+
+@numba.njit(cache=True)
+def _descend(levels, columns, rows, width_steps, least, top, side, bounds, order):  # type: ignore[no-untyped-def]
+    """Depth first through the blocks in the order of their bounds."""
+    block = 1 << top
     best = least
     best_dx = best_dy = 0
     best_turn = -1
     stack = np.empty((4 * (top + 1), 4), np.int64)
-    for node in np.argsort(-bounds):
+    for node in order:
         if bounds[node] <= best:
             break
         t = node // (side * side)
         stack[0, 0] = top
-        stack[0, 1] = (node // side) % side * block - width_steps
-        stack[0, 2] = node % side * block - width_steps
+        stack[0, 1] = node % side * block - width_steps
+        stack[0, 2] = (node // side) % side * block - width_steps
         stack[0, 3] = bounds[node]
         depth = 1
         while depth > 0:
             depth -= 1
-            level = stack[depth, 0]
-            dx = stack[depth, 1]
-            dy = stack[depth, 2]
-            if stack[depth, 3] <= best:
+            level, dx, dy, bound = stack[depth]
+            if bound <= best:
                 continue
             if level == 0:
-                best = stack[depth, 3]
-                best_dx = dx
-                best_dy = dy
-                best_turn = t
+                best, best_dx, best_dy, best_turn = bound, dx, dy, t
                 continue
             half = 1 << (level - 1)
             first = depth

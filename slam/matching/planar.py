@@ -61,3 +61,15 @@ def adjoint(pose: FloatArray) -> FloatArray:
     cos = math.cos(pose[2])
     sin = math.sin(pose[2])
     return np.array([[cos, -sin, pose[1]], [sin, cos, -pose[0]], [0.0, 0.0, 1.0]])
+
+
+@numba.njit(cache=True)
+def rotate_covariance(adjoint_a_b: FloatArray, covariance_b: FloatArray) -> FloatArray:
+    """Ad covariance Ad^T, (3, 3): a covariance in the tangent space of b, seen in that of a."""
+    result = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                for m in range(3):
+                    result[i, j] += adjoint_a_b[i, k] * covariance_b[k, m] * adjoint_a_b[j, m]
+    return result

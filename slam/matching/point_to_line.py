@@ -100,12 +100,11 @@ def _align(  # type: ignore[no-untyped-def]
         sin = math.sin(pose[2])
         dx = pose[0] - guess[0]
         dy = pose[1] - guess[1]
-        offset = np.array([cos * dx + sin * dy, -sin * dx + cos * dy, pose[2] - guess[2]])
-        gradient += prior @ offset
-        damped = hessian + prior
-        for axis in range(3):
-            damped[axis, axis] += _REGULARISATION
-        step = np.linalg.solve(damped, -gradient)
+        offset = (cos * dx + sin * dy, -sin * dx + cos * dy, pose[2] - guess[2])
+        for row in range(3):
+            for column in range(3):
+                gradient[row] += prior[row, column] * offset[column]
+        step = _solve(hessian + prior, -gradient)
         pose[0] += cos * step[0] - sin * step[1]
         pose[1] += sin * step[0] + cos * step[1]
         pose[2] += step[2]
@@ -113,6 +112,28 @@ def _align(  # type: ignore[no-untyped-def]
             converged = True
             break
     return pose, hessian, weight, squares, inliers, converged
+
+
+@numba.njit(cache=True)
+def _solve(matrix, right):  # type: ignore[no-untyped-def]
+    """Solution of a symmetric positive 3 x 3 system by Cholesky; LAPACK takes ten times as long to compile."""
+    lower = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(i + 1):
+            rest = matrix[i, j] + (_REGULARISATION if i == j else 0.0)
+            for k in range(j):
+                rest -= lower[i, k] * lower[j, k]
+            lower[i, j] = math.sqrt(max(rest, _REGULARISATION)) if i == j else rest / lower[j, j]
+    solution = right.copy()
+    for i in range(3):
+        for k in range(i):
+            solution[i] -= lower[i, k] * solution[k]
+        solution[i] /= lower[i, i]
+    for i in range(2, -1, -1):
+        for k in range(i + 1, 3):
+            solution[i] -= lower[k, i] * solution[k]
+        solution[i] /= lower[i, i]
+    return solution
 
 
 @numba.njit(cache=True)

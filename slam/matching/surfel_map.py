@@ -23,7 +23,7 @@ class SurfelMap(NamedTuple):
 
     Attributes
     ----------
-    index
+    cells
         (rows, columns, 4) number of the surfel of each cell and facing side, -1 for none.
     surfels
         (K, 4) x, y, normal x, normal y in the map's frame.
@@ -33,7 +33,7 @@ class SurfelMap(NamedTuple):
         Edge of a cell.
     """
 
-    index: NDArray[np.int32]
+    cells: NDArray[np.int32]
     surfels: FloatArray
     origin_x: float
     origin_y: float
@@ -109,7 +109,7 @@ def _build(
 @numba.njit(cache=True)
 def nearest_surfel(surfel_map: SurfelMap, x: float, y: float, nx: float, ny: float) -> int:
     """Number of the nearest surfel in the 3 x 3 cells around a point that faces the same way, or -1."""
-    index = surfel_map.index
+    index = surfel_map.cells
     surfels = surfel_map.surfels
     cell_m = surfel_map.cell_m
     column = math.floor((x - surfel_map.origin_x) / cell_m)

@@ -16,7 +16,7 @@ from slam.config_stages import LidarOdometryConfig, MatchConfig
 from slam.matching.local_map import LocalMap, OrientedPoints, match_noise
 from slam.matching.match_covariance import motion_from_alignment
 from slam.matching.scan_points import ScanPoints
-from slam.measurements import FloatArray, MotionEstimate
+from slam.measurements import AnyFloatArray, FloatArray, MotionEstimate
 from slam.odometry.lidar_odometry import Guess
 
 _LEAST_POINTS = 10
@@ -81,7 +81,7 @@ class KissOdometry:
         return np.array([matrix[0, 3], matrix[1, 3], math.atan2(matrix[1, 0], matrix[0, 0])])
 
 
-def _lifted(points: FloatArray) -> FloatArray:
+def _lifted(points: AnyFloatArray) -> FloatArray:
     """(M, 2) points in the plane z = 0, (M, 3) float64."""
     return np.column_stack([points, np.zeros(len(points))]).astype(np.float64)
 
