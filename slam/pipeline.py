@@ -175,6 +175,23 @@ class Mapper:
             self._close_loops()
         self._record.add(scan.stamp_s, tracked, time.perf_counter() - started)
 
+    def add_loop(self, candidate: LoopCandidate) -> None:
+        """Take a loop candidate: into the graph if it was accepted, into the report in any case."""
+        if candidate.accepted and candidate.motion is not None:
+            self._loop_edges[len(self._graph.edges)] = len(self._loops)
+            motion = candidate.motion
+            self._add_edge(
+                Edge(
+                    candidate.place,
+                    candidate.keyframe,
+                    motion.T_reference_base,
+                    motion.covariance,
+                    EdgeKind.LOOP,
+                    trusted=False,
+                )
+            )
+        self._loops.append(candidate)
+
     def finish(self) -> MapResult:
         """Optimise everything and hand over the result."""
         started = time.perf_counter()
@@ -290,20 +307,7 @@ class Mapper:
         """Try loops from the newest keyframe; bring the estimate up to date now and then."""
         key = len(self._keyframes) - 1
         for candidate in self._closer.close(key, self._poses, self._uncertainty):
-            if candidate.accepted and candidate.motion is not None:
-                self._loop_edges[len(self._graph.edges)] = len(self._loops)
-                motion = candidate.motion
-                self._add_edge(
-                    Edge(
-                        candidate.place,
-                        candidate.keyframe,
-                        motion.T_reference_base,
-                        motion.covariance,
-                        EdgeKind.LOOP,
-                        trusted=False,
-                    )
-                )
-            self._loops.append(candidate)
+            self.add_loop(candidate)
         # Without a new loop the chain alone, which _poses already follows, is the estimate.
         pending = any(edge >= self._updated_edges for edge in self._loop_edges)
         if pending and key % self._config.graph.incremental_every == 0:
