@@ -17,6 +17,7 @@ FloatArray: TypeAlias = NDArray[np.float64]
 Float32Array: TypeAlias = NDArray[np.float32]
 AnyFloatArray: TypeAlias = NDArray[np.floating[Any]]
 BoolArray: TypeAlias = NDArray[np.bool_]
+ColorImage: TypeAlias = NDArray[np.uint8]
 Pose: TypeAlias = gtsam.Pose2 | gtsam.Pose3
 
 
@@ -60,6 +61,46 @@ class WheelOdometry:
     stamp_s: float
     T_odom_base: gtsam.Pose2
     sensor: str = "odometry"
+
+
+@dataclass(frozen=True, slots=True)
+class CameraIntrinsics:
+    """A pin-hole camera without lens distortion, in pixels; pixel (0, 0) has its centre at (0, 0)."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+
+
+@dataclass(frozen=True, slots=True)
+class RgbdFrame:
+    """One colour image with the depth image registered to it.
+
+    Attributes
+    ----------
+    stamp_s
+        Time of the frame.
+    color
+        (H, W, 3) RGB.
+    depth_m
+        (H, W) distance along the optical axis, 0 where the reading is invalid.
+    intrinsics
+        Of both images.
+    T_base_camera
+        Mounting of the optical frame on the robot: z forward, x right, y down in the image.
+    sensor
+        Name of the camera, as the log tells it.
+    """
+
+    stamp_s: float
+    color: ColorImage
+    depth_m: Float32Array
+    intrinsics: CameraIntrinsics
+    T_base_camera: gtsam.Pose3
+    sensor: str = "camera"
 
 
 Measurement: TypeAlias = LaserScan | WheelOdometry
