@@ -1,0 +1,221 @@
+"""Inject false loops among the true ones of a log, and measure what they do to the map.
+
+    python tools/false_loops.py [--data ../shared/data] [--log fr079] [--count 30] [--seeds 2] [--set k=v]
+
+The false loops carry the covariances of true ones and come through the door of the true ones,
+`slam.pipeline.Mapper.add_loop`. Three kinds, each harder than the one before:
+
+- ``random``: two keyframes far apart, a relative pose anywhere in the building;
+- ``alike``: two keyframes far apart, said to be nearly the same place, as where two rooms look alike;
+- ``runs``: five keyframes in a row said to be one other place, and agreeing with each other.
+
+They come at the end, just before the final optimisation, or while mapping, as soon as their keyframe is
+there, where they also bend the estimate that later loops are proposed from.
+Exit code 1 where the error grows by the limit of ``--limit`` or more.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.config import Config, load_config
+from slam.datasets import open_dataset
+from slam.evaluation.relations import Relations, read_relations, score_relations
+from slam.graph.loop_closure import LoopCandidate
+from slam.matching.planar import between, compose
+from slam.measurements import FloatArray, LaserScan, MotionEstimate, WheelOdometry, pose2_from_row
+from slam.pipeline import Mapper, MapResult
+
+KINDS = ("random", "alike", "runs")
+MOMENTS = ("end", "mapping")
+RUN_LENGTH = 5
+RUN_STRIDE = 4  # keyframes from one false loop of a run to the next: as far apart as true ones
+FAR_M = 5.0  # a claim at least so wrong is false
+ALIKE_SIGMAS = np.array([0.3, 0.3, 0.1])
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one set of false loops did; errors are means over the relations."""
+
+    kind: str
+    moment: str
+    seed: int
+    injected: int
+    refused: int
+    reported: int
+    true_accepted: int
+    true_accepted_before: int
+    translation_m: float
+    rotation_deg: float
+    translation_growth: float
+    rotation_growth: float
+
+
+def main() -> None:
+    """Map once as it is, then once for every kind, moment and seed."""
+    options = parse_options()
+    log = options.data / "lidar2d" / options.log / f"{options.log}.log.gz"
+    relations = read_relations(log.with_name(f"{options.log}.relations"))
+    config = load_config(None, options.set)
+    before = map_log(log, config, [], None)
+    score = errors(before, relations)
+    accepted = sum(loop.accepted for loop in before.loops)
+    print(f"{options.log}: {accepted} of {len(before.loops)} loops accepted", end=", ")
+    print(f"{score[0]:.4f} m, {score[1]:.3f} deg\n")
+    print("| false loops | come | seed | refused | in the report | true loops | m | growth | deg | growth |")
+    print("|---|---|---|---|---|---|---|---|---|---|")
+    outcomes = []
+    for kind in options.kind or KINDS:
+        for moment in options.moment or MOMENTS:
+            for seed in range(options.seeds):
+                rng = np.random.default_rng(seed)
+                false = false_loops(kind, options.count, before, rng)
+                # Loops do not touch the tracking: the keyframes are the same scans in every run.
+                come_at = before.keyframe_numbers if moment == "mapping" else None
+                after = map_log(log, config, false, come_at)
+                outcomes.append(judge(kind, moment, seed, false, before, after, relations))
+                print(row(outcomes[-1]), flush=True)
+    if options.json:
+        options.json.write_text(json.dumps([asdict(outcome) for outcome in outcomes], indent=2) + "\n")
+    worst = max(outcome.translation_growth for outcome in outcomes)
+    print(f"\ngreatest growth of the translation error {worst:+.1%}, limit {options.limit:.0%}")
+    unreported = sum(outcome.injected - outcome.reported for outcome in outcomes)
+    if worst >= options.limit or unreported:
+        sys.exit(1)
+
+
+def parse_options() -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    default_data = Path(__file__).parents[1] / ".." / "shared" / "data"
+    parser.add_argument("--data", type=Path, default=default_data, help="folder that holds lidar2d/")
+    parser.add_argument("--log", default="fr079")
+    parser.add_argument("--count", type=int, default=30, help="false loops a run")
+    parser.add_argument("--seeds", type=int, default=2, help="this many seeds, from 0")
+    parser.add_argument("--kind", action="append", choices=KINDS, help="only this kind; repeatable")
+    parser.add_argument("--moment", action="append", choices=MOMENTS, help="only then; repeatable")
+    parser.add_argument("--limit", type=float, default=0.1, help="greatest growth of the error allowed")
+    parser.add_argument("--set", action="append", default=[], help="as in scanweave map --set")
+    parser.add_argument("--json", type=Path, help="also write the figures here")
+    return parser.parse_args()
+
+
+def map_log(
+    log: Path, config: Config, false: list[LoopCandidate], come_at: NDArray[np.int64] | None
+) -> MapResult:
+    """Map a log with false loops, each added after the scan ``come_at[keyframe]``, or all at the end."""
+    mapper = Mapper(config)
+    waiting = sorted(false, key=lambda loop: loop.keyframe, reverse=True)
+    for measurement in open_dataset(log):
+        if isinstance(measurement, WheelOdometry):
+            mapper.add_odometry(measurement)
+        elif isinstance(measurement, LaserScan):
+            mapper.add_scan(measurement)
+            while come_at is not None and waiting and come_at[waiting[-1].keyframe] < mapper.scan_count:
+                mapper.add_loop(waiting.pop())
+    while waiting:
+        mapper.add_loop(waiting.pop())
+    return mapper.finish()
+
+
+def false_loops(kind: str, count: int, true: MapResult, rng: np.random.Generator) -> list[LoopCandidate]:
+    """``count`` false loops with the covariances of true ones."""
+    poses = true.keyframe_poses
+    models = [loop.motion for loop in true.loops if loop.accepted and loop.motion is not None]
+    loops: list[LoopCandidate] = []
+    while len(loops) < count:
+        place, keyframe = sorted(rng.integers(0, len(poses) - RUN_LENGTH * RUN_STRIDE, 2).tolist())
+        claim = claimed_pose(kind, poses, place, rng)
+        wrong = between(claim, poses[keyframe])
+        if keyframe - place < RUN_LENGTH * RUN_STRIDE or np.hypot(wrong[0], wrong[1]) < FAR_M:
+            continue
+        length = min(RUN_LENGTH, count - len(loops)) if kind == "runs" else 1
+        for step in range(length):
+            member = keyframe + step * RUN_STRIDE
+            # The members of a run agree: each moves from the claim as the robot truly moved.
+            pose = compose(claim, between(poses[keyframe], poses[member]))
+            model = models[rng.integers(len(models))]
+            loops.append(candidate(place, member, between(poses[place], pose), model))
+    return loops
+
+
+def claimed_pose(kind: str, poses: FloatArray, place: int, rng: np.random.Generator) -> FloatArray:
+    """Where a false loop says that its keyframe is, (3,) in the map frame."""
+    if kind == "random":
+        low, high = poses[:, :2].min(axis=0), poses[:, :2].max(axis=0)
+        return np.array([*rng.uniform(low, high), rng.uniform(-np.pi, np.pi)])
+    return compose(poses[place], ALIKE_SIGMAS * rng.standard_normal(3))
+
+
+def candidate(place: int, keyframe: int, pose: FloatArray, model: MotionEstimate) -> LoopCandidate:
+    """A false loop that looks as sure as the true one whose trust it borrows."""
+    motion = MotionEstimate(
+        T_reference_base=pose2_from_row(pose),
+        covariance=model.covariance,
+        inlier_share=model.inlier_share,
+        residual_m=model.residual_m,
+        converged=True,
+        degenerate=model.degenerate,
+        weak_direction=model.weak_direction,
+    )
+    return LoopCandidate(place, keyframe, 1.0, 0.3, 1.0, motion, True, "")
+
+
+def errors(result: MapResult, relations: Relations) -> tuple[float, float]:
+    """Mean errors over the relations: metres, degrees."""
+    score = score_relations(result.trajectory, relations).all
+    return score.translation_m.mean, float(np.degrees(score.rotation_rad.mean))
+
+
+def judge(
+    kind: str,
+    moment: str,
+    seed: int,
+    false: list[LoopCandidate],
+    before: MapResult,
+    after: MapResult,
+    relations: Relations,
+) -> Outcome:
+    """Count and score a run with false loops against the run without."""
+    # A candidate is replaced when it is refused; its motion goes along.
+    injected = {id(loop.motion) for loop in false}
+    found = [loop for loop in after.loops if id(loop.motion) in injected]
+    (old_m, old_deg), (new_m, new_deg) = errors(before, relations), errors(after, relations)
+    return Outcome(
+        kind=kind,
+        moment=moment,
+        seed=seed,
+        injected=len(false),
+        refused=sum(not loop.accepted and bool(loop.reason) for loop in found),
+        reported=len(found),
+        true_accepted=sum(loop.accepted for loop in after.loops) - sum(loop.accepted for loop in found),
+        true_accepted_before=sum(loop.accepted for loop in before.loops),
+        translation_m=new_m,
+        rotation_deg=new_deg,
+        translation_growth=new_m / old_m - 1.0,
+        rotation_growth=new_deg / old_deg - 1.0,
+    )
+
+
+def row(outcome: Outcome) -> str:
+    """One line of the table."""
+    return (
+        f"| {outcome.kind} | {outcome.moment} | {outcome.seed} | {outcome.refused} of {outcome.injected} "
+        f"| {outcome.reported} | {outcome.true_accepted} (before {outcome.true_accepted_before}) "
+        f"| {outcome.translation_m:.4f} | {outcome.translation_growth:+.1%} "
+        f"| {outcome.rotation_deg:.3f} | {outcome.rotation_growth:+.1%} |"
+    )
+
+
+if __name__ == "__main__":
+    main()
