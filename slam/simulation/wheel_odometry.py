@@ -54,11 +54,14 @@ class WheelReadings:
     ----------
     poses_xyt
         (N, 3) rows of x, y, yaw (wrapped) in the odom frame, from zero.
+    twists
+        (N, 2) speed and turn rate since the reading before, as the wheels tell them.
     slipping
         (N, 2) whether the left and the right wheel slipped since the reading before.
     """
 
     poses_xyt: FloatArray
+    twists: FloatArray
     slipping: BoolArray
 
 
@@ -82,7 +85,10 @@ def wheel_readings(model: WheelModel, poses_xyt: FloatArray, rng: np.random.Gene
     reported = travel * scales * (1.0 + excess) + noise * np.sqrt(np.abs(travel))
     slipping = np.zeros((count + 1, 2), dtype=np.bool_)
     slipping[1:] = (excess > 0.0) & moving
-    return WheelReadings(dead_reckoning(reported, base_m), slipping)
+    twists = np.zeros((count + 1, 2))
+    twists[1:, 0] = reported.mean(axis=1) * model.rate_hz
+    twists[1:, 1] = (reported[:, 1] - reported[:, 0]) / base_m * model.rate_hz
+    return WheelReadings(dead_reckoning(reported, base_m), twists, slipping)
 
 
 def wheel_travel(poses_xyt: FloatArray, wheel_base_m: float) -> FloatArray:
@@ -113,7 +119,9 @@ def _slips(model: WheelModel, count: int, rng: np.random.Generator) -> FloatArra
     # Slips begin at rate * probability each, drawn for every reading so that the times stay put.
     begins = rng.random(count) < model.slips_per_s / model.rate_hz
     wheel = rng.integers(0, 2, count)
-    lengths = np.maximum(1, np.ceil(rng.exponential(model.slip_duration_s, count) * model.rate_hz)).astype(int)
+    lengths = np.maximum(1, np.ceil(rng.exponential(model.slip_duration_s, count) * model.rate_hz)).astype(
+        int
+    )
     shares = model.slip_share * rng.uniform(0.5, 1.5, count)
     excess = np.zeros((count, 2))
     for index in np.flatnonzero(begins):

@@ -1,0 +1,100 @@
+"""What may go wrong on a simulated drive, beyond what each sensor's own physics does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from slam.errors import ConfigError
+from slam.simulation.wheel_odometry import WheelModel
+
+LIDAR = "lidar"  # the name of a rig's lidar among its sensors; cameras have their own
+
+
+@dataclass(frozen=True, slots=True)
+class DriveFaults:
+    """Faults of clocks, transport and the world; the defaults are a drive without any but wheel slip.
+
+    Attributes
+    ----------
+    lidar_clock_offset_s, camera_clock_offset_s
+        What the sensor's clock says beyond the true time; the wheels' clock is right.
+    camera_clock_spread_s
+        Standard deviation of a further offset of each camera's own, drawn once.
+    period_jitter_s
+        Standard deviation of when a sensor fires, about its even rhythm. Its stamp tells that instant.
+    stamp_jitter_s
+        Standard deviation by which a stamp misses the instant that it should tell.
+    dropped_scan_share, dropped_frame_share
+        Share of readings that are lost, 0 to 1.
+    person
+        A person walks through the rooms, and keeps out of the robot's way.
+    dying_sensor
+        Name of a sensor that dies: "lidar" or a camera's name; empty for none.
+    dies_at_share, returns_at_share
+        When it dies and when it comes back, as shares of the drive; None: never.
+    wheels
+        The encoders and their slip.
+    """
+
+    lidar_clock_offset_s: float = 0.0
+    camera_clock_offset_s: float = 0.0
+    camera_clock_spread_s: float = 0.0
+    period_jitter_s: float = 0.0
+    stamp_jitter_s: float = 0.0
+    dropped_scan_share: float = 0.0
+    dropped_frame_share: float = 0.0
+    person: bool = False
+    dying_sensor: str = ""
+    dies_at_share: float = 0.5
+    returns_at_share: float | None = None
+    wheels: WheelModel = field(default_factory=WheelModel)
+
+    def __post_init__(self) -> None:
+        """Refuse values that no drive can have."""
+        shares = {
+            "dropped_scan_share": self.dropped_scan_share,
+            "dropped_frame_share": self.dropped_frame_share,
+            "dies_at_share": self.dies_at_share,
+            "returns_at_share": 1.0 if self.returns_at_share is None else self.returns_at_share,
+        }
+        for name, share in shares.items():
+            if not 0.0 <= share <= 1.0:
+                raise ConfigError(f"{name} is {share}; give a share from 0 to 1")
+        for name in ("camera_clock_spread_s", "period_jitter_s", "stamp_jitter_s"):
+            if not 0.0 <= getattr(self, name) < 1.0:
+                raise ConfigError(f"{name} is {getattr(self, name)}; give seconds from 0 to below 1")
+        for name in ("lidar_clock_offset_s", "camera_clock_offset_s"):
+            if not abs(getattr(self, name)) <= 100.0:
+                raise ConfigError(f"{name} is {getattr(self, name)}; give at most 100 s either way")
+        if self.returns_at_share is not None and self.returns_at_share < self.dies_at_share:
+            raise ConfigError(
+                f"returns_at_share is {self.returns_at_share}, before dies_at_share {self.dies_at_share}"
+            )
+
+
+# By name, for the command line. "usual" is what cheap sensors on separate clocks do every day.
+FAULT_PRESETS: dict[str, DriveFaults] = {
+    "none": DriveFaults(),
+    "usual": DriveFaults(
+        camera_clock_offset_s=0.03,
+        camera_clock_spread_s=0.01,
+        period_jitter_s=0.003,
+        stamp_jitter_s=0.001,
+        dropped_frame_share=0.01,
+        person=True,
+    ),
+    "harsh": DriveFaults(
+        lidar_clock_offset_s=-0.02,
+        camera_clock_offset_s=0.08,
+        camera_clock_spread_s=0.02,
+        period_jitter_s=0.008,
+        stamp_jitter_s=0.004,
+        dropped_scan_share=0.03,
+        dropped_frame_share=0.08,
+        person=True,
+        dying_sensor=LIDAR,
+        dies_at_share=0.5,
+        returns_at_share=0.65,
+        wheels=WheelModel(scale_sigma=0.015, slips_per_s=0.1, slip_share=0.5),
+    ),
+}

@@ -1,0 +1,84 @@
+"""When a sensor fires, what its clock says then, and which of its readings are lost."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.measurements import BoolArray, FloatArray
+
+# Clipped there, so that neither a sensor's readings nor its stamps can change places.
+_PERIOD_JITTER_LIMIT, _STAMP_JITTER_LIMIT = 0.2, 0.25  # of a period
+_MICROSECOND = 6  # digits: what file names and logs keep, so that all forms of a stamp agree
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """All readings of one sensor on one drive.
+
+    Attributes
+    ----------
+    sensor
+        Its name.
+    true_s
+        (N,) seconds since the drive began when the sensor fires, increasing.
+    stamps_s
+        (N,) what its clock says then, increasing; whole microseconds.
+    kept
+        (N,) whether the reading arrives.
+    clock_offset_s
+        By how much the clock is ahead of the truth.
+    """
+
+    sensor: str
+    true_s: FloatArray
+    stamps_s: FloatArray
+    kept: BoolArray
+    clock_offset_s: float
+
+
+def generator(seed: int, sensor: str, *stream: int) -> np.random.Generator:
+    """Random numbers of a sensor's own, so that switching one off changes no other's."""
+    return np.random.default_rng([seed, zlib.crc32(sensor.encode()), *stream])
+
+
+def schedule(
+    sensor: str,
+    rate_hz: float,
+    duration_s: float,
+    first_stamp_s: float,
+    seed: int,
+    *,
+    clock_offset_s: float = 0.0,
+    period_jitter_s: float = 0.0,
+    stamp_jitter_s: float = 0.0,
+    dropped_share: float = 0.0,
+    dead_s: tuple[float, float] | None = None,
+) -> Schedule:
+    """The readings of a sensor that runs freely: it begins anywhere within its first period.
+
+    Parameters
+    ----------
+    first_stamp_s
+        True time when the drive begins.
+    dead_s
+        When the sensor dies and when it comes back, seconds since the beginning.
+    """
+    period_s = 1.0 / rate_hz
+    rng = generator(seed, sensor, 0)
+    phase_s = period_s * float(rng.uniform(_PERIOD_JITTER_LIMIT, 1.0 - _PERIOD_JITTER_LIMIT))
+    count = max(0, int(np.ceil((duration_s - phase_s) * rate_hz)))
+    even_s = phase_s + period_s * np.arange(count, dtype=np.float64)
+    noise = rng.standard_normal((count, 2))
+    fires = np.clip(period_jitter_s * noise[:, 0], -_PERIOD_JITTER_LIMIT * period_s, None)
+    true_s: FloatArray = even_s + np.minimum(fires, _PERIOD_JITTER_LIMIT * period_s)
+    limit = _STAMP_JITTER_LIMIT * period_s
+    missed = np.clip(stamp_jitter_s * noise[:, 1], -limit, limit)
+    kept = rng.random(count) >= dropped_share
+    if dead_s is not None:
+        kept &= (true_s < dead_s[0]) | (true_s >= dead_s[1])
+    stamps_s: FloatArray = np.round(first_stamp_s + true_s + clock_offset_s + missed, _MICROSECOND)
+    inside = true_s <= duration_s
+    return Schedule(sensor, true_s[inside], stamps_s[inside], kept[inside], clock_offset_s)
