@@ -1,0 +1,91 @@
+"""What a simulated drive yields, reading by reading, each with its truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.measurements import BoolArray, Float32Array, LaserScan, RgbdFrame, WheelOdometry
+
+
+@dataclass(frozen=True, slots=True)
+class ScanEvent:
+    """A sweep of the lidar.
+
+    Attributes
+    ----------
+    true_stamp_s
+        When it was taken; the scan's own stamp is what the sensor's clock said.
+    T_map_base
+        Where the robot was then.
+    scan
+        What the sensor says.
+    true_ranges_m
+        (N,) distance to what each beam meets first, ``inf`` where nothing.
+    fault
+        (N,) what is wrong with each beam, 0 for nothing; the sensor models name the others.
+    """
+
+    true_stamp_s: float
+    T_map_base: gtsam.Pose2
+    scan: LaserScan
+    true_ranges_m: Float32Array
+    fault: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class ImageEvent:
+    """A colour and a depth image of one camera.
+
+    Attributes
+    ----------
+    true_stamp_s, T_map_base
+        As in `ScanEvent`.
+    frame
+        What the camera says.
+    true_depth_m
+        (height, width) depth of what each pixel meets first.
+    fault
+        (height, width) what is wrong with each depth pixel, 0 for nothing.
+    """
+
+    true_stamp_s: float
+    T_map_base: gtsam.Pose2
+    frame: RgbdFrame
+    true_depth_m: Float32Array
+    fault: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryEvent:
+    """A reading of the wheels.
+
+    Attributes
+    ----------
+    true_stamp_s, reading
+        As in `ScanEvent`.
+    twist
+        Speed in m/s and turn rate in rad/s since the reading before, as the wheels tell them.
+    slipping
+        (2,) whether the left and the right wheel slipped since then.
+    """
+
+    true_stamp_s: float
+    reading: WheelOdometry
+    twist: tuple[float, float]
+    slipping: BoolArray
+
+
+@dataclass(frozen=True, slots=True)
+class TruthEvent:
+    """Where the robot was, at an even rate."""
+
+    true_stamp_s: float
+    T_map_base: gtsam.Pose2
+
+
+DriveEvent: TypeAlias = ScanEvent | ImageEvent | OdometryEvent | TruthEvent
