@@ -43,7 +43,10 @@ def main() -> None:
     except ScanweaveError as error:
         print(f"scanweave: {error}", file=sys.stderr)
         sys.exit(1)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemExit) as end:
+        # Typer turns an interrupt into its exit code and says nothing.
+        if isinstance(end, SystemExit) and end.code != _INTERRUPTED:
+            raise
         print("scanweave: interrupted; nothing half-written was left behind", file=sys.stderr)
         sys.exit(_INTERRUPTED)
 
