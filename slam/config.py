@@ -24,6 +24,7 @@ from slam.config_stages import (
     LidarOdometryConfig,
     LoopConfig,
     MatchConfig,
+    PredictionConfig,
     ScanConfig,
     StrictModel,
     WheelConfig,
@@ -43,6 +44,7 @@ class Config(StrictModel):
     scan: ScanConfig = ScanConfig()
     match: MatchConfig = MatchConfig()
     lidar_odometry: LidarOdometryConfig = LidarOdometryConfig()
+    prediction: PredictionConfig = PredictionConfig()
     wheels: WheelConfig = WheelConfig()
     keyframes: KeyframeConfig = KeyframeConfig()
     loops: LoopConfig = LoopConfig()

@@ -57,9 +57,6 @@ class LidarOdometryConfig(StrictModel):
     least_inlier_share: float = Field(
         default=0.4, gt=0, le=1, description="below this share the match is refused and odometry carries on"
     )
-    contradiction_share: float = Field(
-        default=0.98, ge=0, description="share of a match's weight at which the contradicting wheels win"
-    )
     search_half_width_m: float = Field(default=0.6, gt=0, description="window of the search for a lost scan")
     search_half_yaw_rad: float = Field(default=0.6, gt=0, description="window of the search for a lost scan")
     search_least_score: float = Field(default=0.4, gt=0, lt=1, description="least score of that search")
@@ -68,6 +65,30 @@ class LidarOdometryConfig(StrictModel):
     kiss_correspondence_m: float = Field(default=0.3, gt=0, description="KISS-ICP's greatest pair distance")
     kiss_kernel_m: float = Field(default=0.1, gt=0, description="KISS-ICP's robust kernel")
     kiss_points_a_voxel: int = Field(default=10, ge=1, description="points KISS-ICP keeps a voxel")
+
+
+class PredictionConfig(StrictModel):
+    """What is expected of the next motion before the lidar is asked, and who wins a contradiction."""
+
+    velocity_floor_m: float = Field(default=0.05, gt=0, description="constant velocity: sigma of no motion")
+    velocity_floor_rad: float = Field(default=0.05, gt=0, description="constant velocity: sigma of no turn")
+    velocity_share: float = Field(default=0.5, ge=0, description="constant velocity: sigma a metre or radian")
+    memory_scans: float = Field(default=30.0, ge=1, description="scans over which a predictor is judged")
+    surprise_sigmas: float = Field(
+        default=3.0, gt=0, description="beyond this the match contradicts the best prediction"
+    )
+    prediction_wins_at: float = Field(
+        default=0.98, ge=0, description="a contradicted prediction that fits so well, relatively, overrules"
+    )
+    lenience_a_sigma: float = Field(
+        default=0.04, ge=0, description="the wilder the contradiction, the worse a prediction may fit"
+    )
+    disputed_above: float = Field(
+        default=0.55, ge=0, description="a prediction that fits so well, relatively, makes the match doubtful"
+    )
+    prediction_loses_below: float = Field(
+        default=0.7, ge=0, description="a prediction that fits worse than this, relatively, never overrules"
+    )
 
 
 class WheelConfig(StrictModel):

@@ -119,6 +119,8 @@ class MotionEstimate:
         A degenerate direction is already inflated.
     inlier_share
         Share of the used readings that agree with the result, 0..1.
+    fit
+        Mean robust weight of the used readings, 0..1: falls with every millimetre.
     residual_m
         Robust standard deviation of the agreeing readings.
     converged
@@ -132,6 +134,7 @@ class MotionEstimate:
     T_reference_base: Pose
     covariance: FloatArray
     inlier_share: float
+    fit: float
     residual_m: float
     converged: bool
     degenerate: bool

@@ -136,7 +136,9 @@ class Mapper:
     def __init__(self, config: Config) -> None:
         self._config = config
         self._wheels = WheelTracker(config.wheels) if config.lidar_odometry.use_wheel_odometry else None
-        self._tracker = MotionTracker(make_lidar_odometry(config.lidar_odometry, config.match), self._wheels)
+        self._tracker = MotionTracker(
+            make_lidar_odometry(config.lidar_odometry, config.match), self._wheels, config.prediction
+        )
         self._graph = PoseGraph(gtsam.Pose2())
         self._uncertainty = UncertaintyGraph()
         self._closer = LoopCloser(config.loops, config.match)
@@ -275,12 +277,13 @@ class Mapper:
         """Edges from the last keyframe: the lidar's where it matched, the wheels' beside it or instead."""
         edges = []
         if tracked.motion is not None:
-            edges.append(self._edge(key, step, tracked.motion.covariance, EdgeKind.LIDAR, trusted=True))
+            covariance = tracked.motion.covariance + tracked.dispute
+            edges.append(self._edge(key, step, covariance, EdgeKind.LIDAR, trusted=True))
         last = self._keyframes[-1]
         if self._wheels is not None and last.wheel_pose is not None and tracked.wheel_pose is not None:
             wheel_step = between(last.wheel_pose, tracked.wheel_pose)
             if self._wheels.plausible(wheel_step, elapsed_s):
-                covariance = self._wheels.covariance(wheel_step)
+                covariance = self._wheels.covariance(wheel_step) * self._tracker.wheel_doubt + tracked.dispute
                 edges.append(
                     self._edge(key, wheel_step, covariance, EdgeKind.WHEEL, trusted=tracked.motion is None)
                 )

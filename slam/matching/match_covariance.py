@@ -45,7 +45,9 @@ def motion_from_alignment(alignment: Alignment, noise: MatchNoise) -> MotionEsti
     """
     weak = weak_direction(alignment, noise.degenerate_share)
     scale = max(alignment.residual_m, noise.minimal_residual_m) if np.isfinite(alignment.residual_m) else 1.0
-    covariance = scale**2 * noise.correlated_points * _inverse_clamped(alignment.hessian)
+    # Points that fit nothing are a doubt about all the others.
+    doubt = 1.0 / max(alignment.inlier_share, 0.1) ** 2
+    covariance = doubt * scale**2 * noise.correlated_points * _inverse_clamped(alignment.hessian)
     covariance += np.diag([noise.floor_m**2, noise.floor_m**2, noise.floor_rad**2])
     if weak is not None:
         covariance += noise.degenerate_sigma_m**2 * np.outer(weak, weak)
@@ -53,6 +55,7 @@ def motion_from_alignment(alignment: Alignment, noise: MatchNoise) -> MotionEsti
         T_reference_base=pose2_from_row(alignment.pose),
         covariance=covariance,
         inlier_share=alignment.inlier_share,
+        fit=alignment.fit,
         residual_m=alignment.residual_m,
         converged=alignment.converged,
         degenerate=weak is not None,

@@ -33,6 +33,8 @@ class Alignment(NamedTuple):
         Sum of the robust weights: how many points carry the result.
     residual_m
         Robustly weighted root mean square of the point-to-line distances.
+    fit
+        Mean robust weight over all points with a normal, 0..1.
     inlier_share
         Points within twice the kernel width over all points with a normal, 0..1.
     converged
@@ -43,6 +45,7 @@ class Alignment(NamedTuple):
     hessian: FloatArray
     weight: float
     residual_m: float
+    fit: float
     inlier_share: float
     converged: bool
 
@@ -81,7 +84,8 @@ def align(
         points, normals, start, guess, surfel_map, kernel_m, iterations, prior
     )
     residual_m = math.sqrt(squares / weight) if weight > 0.0 else math.inf
-    return Alignment(pose, hessian, weight, residual_m, inliers / max(len(points), 1), converged)
+    count = max(len(points), 1)
+    return Alignment(pose, hessian, weight, residual_m, weight / count, inliers / count, converged)
 
 
 @numba.njit(cache=True)
@@ -116,7 +120,7 @@ def _align(  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _solve(matrix, right):  # type: ignore[no-untyped-def]
-    """Solution of a symmetric positive 3 x 3 system by Cholesky; LAPACK takes ten times as long to compile."""
+    """Solution of a symmetric positive 3 x 3 system by Cholesky; LAPACK compiles ten times longer."""
     lower = np.zeros((3, 3))
     for i in range(3):
         for j in range(i + 1):

@@ -69,6 +69,13 @@ class KissOdometry:
             return None
         return motion_from_alignment(best, self._noise)
 
+    def match_near(self, points: ScanPoints, pose: FloatArray) -> MotionEstimate | None:
+        """How well the scan fits at ``pose`` (3,); KISS-ICP cannot be held there while it aligns."""
+        scan = OrientedPoints.from_scan(points)
+        if self._local_map is None or len(scan) < _LEAST_POINTS:
+            return None
+        return motion_from_alignment(self._local_map.judge(scan, pose), self._noise)
+
     def _register(self, points: ScanPoints, guess: FloatArray) -> FloatArray:
         """KISS-ICP from a guess (3,): pose (3,) of the scan in the odometry frame."""
         matrix = self._registration.align_points_to_map(

@@ -18,11 +18,11 @@ class Guess:
     pose
         (3,) x, y, yaw in the odometry frame.
     covariance
-        (3, 3) in the guess's own frame where it is a measurement (wheels); None where it is an assumption.
+        (3, 3) in the guess's own frame.
     """
 
     pose: FloatArray
-    covariance: FloatArray | None = None
+    covariance: FloatArray
 
 
 class LidarOdometry(Protocol):
@@ -38,6 +38,10 @@ class LidarOdometry(Protocol):
         guesses
             The most trusted first; at least one.
         """
+        ...
+
+    def match_near(self, points: ScanPoints, pose: FloatArray) -> MotionEstimate | None:
+        """The best pose of the scan that stays close to ``pose`` (3,), however badly it fits."""
         ...
 
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:

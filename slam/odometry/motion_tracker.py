@@ -1,11 +1,18 @@
-"""Scan by scan motion: the lidar match where it is sure, the wheels where it is not."""
+"""Scan by scan motion: predictors that must prove themselves, and the lidar match that judges them.
+
+Neither the wheels nor a match is sure alone. Each predictor (wheels, constant velocity) is scored by the
+matches; the better one starts the next match, and a match that contradicts it wildly must fit much better
+than the scan does at the predicted pose.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from slam.config_stages import PredictionConfig
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate, row_from_pose2
@@ -14,6 +21,12 @@ from slam.odometry.wheel_tracker import WheelTracker
 
 # A velocity is carried over at most this many times the step that it was measured over.
 _GREATEST_STRETCH = 3.0
+# One wild step says no more about a predictor than this many times its variance.
+_GREATEST_SURPRISE = 10.0
+# Wheels whose doubt is this much greater than constant velocity's are no longer asked first.
+_WHEELS_LOSE_AT = 3.0
+# Only a match that this share of the points agrees with may judge a predictor.
+_JUDGE_INLIER_SHARE = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,35 +41,70 @@ class TrackedScan:
         The lidar match; None where nothing fitted and the pose is dead reckoning.
     wheel_pose
         (3,) pose by the wheels alone at the scan's stamp, odom frame; None without wheels.
+    dispute
+        (3, 3) covariance that match and wheels both get on top where they contradict each other and the
+        scan does not say clearly who is right; zero otherwise.
     """
 
     pose: FloatArray
     motion: MotionEstimate | None
     wheel_pose: FloatArray | None
+    dispute: FloatArray
+
+
+class _Predictor:
+    """How far a kind of prediction can be trusted, learned from the matches."""
+
+    def __init__(self, memory_scans: float) -> None:
+        self._rate = 1.0 / memory_scans
+        self.doubt = 1.0
+        self.guess: Guess | None = None
+
+    def predict(self, pose: FloatArray, covariance: FloatArray) -> None:
+        """Expect a pose (3,) with a covariance (3, 3) as claimed; the doubt so far inflates it."""
+        self.guess = Guess(pose, covariance * self.doubt)
+
+    def judge(self, pose: FloatArray) -> None:
+        """Learn from where the scan was really taken: the mean of the normalised squared error."""
+        if self.guess is None:
+            return
+        squares = self.doubt * _squared_sigmas(self.guess, pose) / 3.0
+        average = self.doubt + self._rate * (min(squares, _GREATEST_SURPRISE * self.doubt) - self.doubt)
+        self.doubt = max(1.0, average)
 
 
 class MotionTracker:
     """Predicts each scan's pose, matches it, and keeps the velocity."""
 
-    def __init__(self, odometry: LidarOdometry, wheels: WheelTracker | None) -> None:
+    def __init__(
+        self, odometry: LidarOdometry, wheels: WheelTracker | None, config: PredictionConfig
+    ) -> None:
         self._odometry = odometry
         self._wheels = wheels
+        self._config = config
+        self._by_wheels = _Predictor(config.memory_scans)
+        self._by_velocity = _Predictor(config.memory_scans)
         self._last: TrackedScan | None = None
         self._stamp_s = 0.0
         self._velocity_step = np.zeros(3)
         self._velocity_step_s = 0.0
 
+    @property
+    def wheel_doubt(self) -> float:
+        """Factor on the wheels' variance, 1 or more, that the matches of late ask for."""
+        return self._by_wheels.doubt
+
     def track(self, points: ScanPoints, stamp_s: float) -> TrackedScan:
         """Pose of the next scan; the first one is the origin of the odometry frame."""
         wheel_pose = self._wheels.pose_at(stamp_s) if self._wheels else None
         if self._last is None:
-            tracked = TrackedScan(np.zeros(3), None, wheel_pose)
+            tracked = TrackedScan(np.zeros(3), None, wheel_pose, np.zeros((3, 3)))
         else:
             step_s = stamp_s - self._stamp_s
-            guesses = self._guesses(self._last, wheel_pose, step_s)
-            motion = self._odometry.match(points, guesses)
+            guesses = self._predict(self._last, wheel_pose, step_s)
+            motion, dispute = self._match(points, guesses)
             pose = guesses[0].pose if motion is None else row_from_pose2(motion.T_reference_base)
-            tracked = TrackedScan(pose, motion, wheel_pose)
+            tracked = TrackedScan(pose, motion, wheel_pose, dispute)
             self._velocity_step = between(self._last.pose, pose)
             self._velocity_step_s = step_s
         self._last = tracked
@@ -67,16 +115,65 @@ class MotionTracker:
         """Let the local map grow by a tracked scan."""
         self._odometry.add_keyframe(points, tracked.pose)
 
-    def _guesses(self, last: TrackedScan, wheel_pose: FloatArray | None, step_s: float) -> list[Guess]:
-        """Poses to try: by the wheels if a robot can move so, by constant velocity, and standing still."""
-        guesses = []
+    def _predict(self, last: TrackedScan, wheel_pose: FloatArray | None, step_s: float) -> list[Guess]:
+        """By the wheels if a robot can move so, and by constant velocity; the wheels first while they prove it."""
+        self._by_wheels.guess = None
         if self._wheels is not None and wheel_pose is not None and last.wheel_pose is not None:
             step = between(last.wheel_pose, wheel_pose)
             if self._wheels.plausible(step, step_s):
-                guesses.append(Guess(compose(last.pose, step), self._wheels.covariance(step)))
+                self._by_wheels.predict(compose(last.pose, step), self._wheels.covariance(step))
         stretch = 1.0
         if step_s > 0.0 and self._velocity_step_s > 0.0:
             stretch = min(step_s / self._velocity_step_s, _GREATEST_STRETCH)
-        guesses.append(Guess(compose(last.pose, self._velocity_step * stretch)))
-        guesses.append(Guess(last.pose))
-        return guesses
+        step = self._velocity_step * stretch
+        self._by_velocity.predict(compose(last.pose, step), self._velocity_covariance(step))
+        predictors = [self._by_wheels, self._by_velocity]
+        if self._by_wheels.doubt > _WHEELS_LOSE_AT * self._by_velocity.doubt:
+            predictors.reverse()
+        return [predictor.guess for predictor in predictors if predictor.guess is not None]
+
+    def _velocity_covariance(self, step: FloatArray) -> FloatArray:
+        """Covariance (3, 3) of a step (3,) that repeats the last one."""
+        config = self._config
+        sigma_m = config.velocity_floor_m + config.velocity_share * math.hypot(step[0], step[1])
+        sigma_rad = config.velocity_floor_rad + config.velocity_share * abs(float(step[2]))
+        return np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])
+
+    def _match(self, points: ScanPoints, guesses: list[Guess]) -> tuple[MotionEstimate | None, FloatArray]:
+        """Match, let the match judge the predictors, and settle a contradiction; the match and the dispute."""
+        config = self._config
+        motion = self._odometry.match(points, guesses)
+        if motion is None or self._sigmas(guesses[0], motion) <= config.surprise_sigmas:
+            self._judge(motion)
+            return motion, np.zeros((3, 3))
+        for guess in guesses[1:]:
+            other = self._odometry.match(points, [guess])
+            if other is not None and other.fit > motion.fit:
+                motion = other
+        self._judge(motion)
+        excess = self._sigmas(guesses[0], motion) - config.surprise_sigmas
+        held = self._odometry.match_near(points, guesses[0].pose)
+        if excess <= 0.0 or held is None or held.fit < config.disputed_above * motion.fit:
+            return motion, np.zeros((3, 3))
+        offset = between(row_from_pose2(motion.T_reference_base), row_from_pose2(held.T_reference_base))
+        needed = config.prediction_wins_at - config.lenience_a_sigma * excess
+        wins = held.fit >= max(needed, config.prediction_loses_below) * motion.fit
+        return held if wins else motion, np.outer(offset, offset)
+
+    def _judge(self, motion: MotionEstimate | None) -> None:
+        """Let a match that is sure score the predictors."""
+        if motion is not None and motion.inlier_share >= _JUDGE_INLIER_SHARE and not motion.degenerate:
+            pose = row_from_pose2(motion.T_reference_base)
+            self._by_wheels.judge(pose)
+            self._by_velocity.judge(pose)
+
+    @staticmethod
+    def _sigmas(guess: Guess, motion: MotionEstimate) -> float:
+        """Distance of a match from a prediction in its standard deviations."""
+        return math.sqrt(_squared_sigmas(guess, row_from_pose2(motion.T_reference_base)))
+
+
+def _squared_sigmas(guess: Guess, pose: FloatArray) -> float:
+    """Squared Mahalanobis distance of a pose (3,) from a guess."""
+    offset = between(guess.pose, pose)
+    return float(offset @ np.linalg.solve(guess.covariance, offset))

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections import deque
 
-import numpy as np
-
 from slam.config_stages import LidarOdometryConfig, MatchConfig
 from slam.matching.correlative import build_field, search_window
 from slam.matching.local_map import LocalMap, OrientedPoints, match_noise
 from slam.matching.match_covariance import motion_from_alignment
-from slam.matching.planar import between
 from slam.matching.point_to_line import Alignment
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate
@@ -21,8 +18,6 @@ _SEARCH_SIGMA_M = 0.1
 _SEARCH_POINTS = 120
 # Fewer oriented points than this determine no pose.
 _LEAST_POINTS = 10
-# Wheels and match contradict each other beyond this distance.
-_SURPRISE_SIGMAS = 3.0
 
 
 class SurfelOdometry:
@@ -54,27 +49,16 @@ class SurfelOdometry:
         if best.inlier_share < self._config.sure_inlier_share:
             for guess in guesses:
                 best = _surer(best, self._search(local_map, scan, guess.pose))
-        best = self._reconciled(local_map, scan, best, guesses[0])
         if best.inlier_share < self._config.least_inlier_share:
             return None
         return motion_from_alignment(best, self._noise)
 
-    def _reconciled(
-        self, local_map: LocalMap, scan: OrientedPoints, best: Alignment, guess: Guess
-    ) -> Alignment:
-        """Where match and wheels contradict each other, let the scan say whether the wheels can be right.
-
-        A scan into unknown space may slide along what little it shares with the map. Held near the wheels'
-        pose it then fits nearly as well; where the wheels slipped, it does not.
-        """
-        if guess.covariance is None:
-            return best
-        offset = between(guess.pose, best.pose)
-        surprise = float(offset @ np.linalg.solve(guess.covariance, offset))
-        if surprise <= _SURPRISE_SIGMAS**2:
-            return best
-        held = local_map.align_held(scan, guess.pose)
-        return held if held.weight >= self._config.contradiction_share * best.weight else best
+    def match_near(self, points: ScanPoints, pose: FloatArray) -> MotionEstimate | None:
+        """Align while held at ``pose`` (3,): the yaw is free, the position gives way by little."""
+        scan = OrientedPoints.from_scan(points)
+        if self._local_map is None or len(scan) < _LEAST_POINTS:
+            return None
+        return motion_from_alignment(self._local_map.align_held(scan, pose), self._noise)
 
     def _search(self, local_map: LocalMap, scan: OrientedPoints, guess: FloatArray) -> Alignment | None:
         """Branch and bound around a guess, then the same alignment as ever."""
