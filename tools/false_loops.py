@@ -19,7 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -159,15 +159,7 @@ def claimed_pose(kind: str, poses: FloatArray, place: int, rng: np.random.Genera
 
 def candidate(place: int, keyframe: int, pose: FloatArray, model: MotionEstimate) -> LoopCandidate:
     """A false loop that looks as sure as the true one whose trust it borrows."""
-    motion = MotionEstimate(
-        T_reference_base=pose2_from_row(pose),
-        covariance=model.covariance,
-        inlier_share=model.inlier_share,
-        residual_m=model.residual_m,
-        converged=True,
-        degenerate=model.degenerate,
-        weak_direction=model.weak_direction,
-    )
+    motion = replace(model, T_reference_base=pose2_from_row(pose))
     return LoopCandidate(place, keyframe, 1.0, 0.3, 1.0, motion, True, "")
 
 
