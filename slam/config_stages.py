@@ -77,17 +77,8 @@ class PredictionConfig(StrictModel):
     surprise_sigmas: float = Field(
         default=3.0, gt=0, description="beyond this the match contradicts the best prediction"
     )
-    prediction_wins_at: float = Field(
-        default=0.98, ge=0, description="a contradicted prediction that fits so well, relatively, overrules"
-    )
-    lenience_a_sigma: float = Field(
-        default=0.04, ge=0, description="the wilder the contradiction, the worse a prediction may fit"
-    )
-    disputed_above: float = Field(
-        default=0.55, ge=0, description="a prediction that fits so well, relatively, makes the match doubtful"
-    )
-    prediction_loses_below: float = Field(
-        default=0.7, ge=0, description="a prediction that fits worse than this, relatively, never overrules"
+    disputed_within: float = Field(
+        default=4.0, ge=0, description="log-likelihood ratio within which a contradiction is not decided"
     )
 
 
@@ -144,6 +135,7 @@ class GraphConfig(StrictModel):
 
     incremental_every: int = Field(default=20, ge=1, description="keyframes between two iSAM2 updates")
     lost_sigma_m: float = Field(default=1.0, gt=0, description="sigma of a step that nothing measured")
+    loose_share: float = Field(default=0.3, gt=0, le=1, description="share of them where a match is refused")
     lost_sigma_rad: float = Field(default=0.5, gt=0, description="sigma of a step that nothing measured")
 
 

@@ -137,7 +137,10 @@ class Mapper:
         self._config = config
         self._wheels = WheelTracker(config.wheels) if config.lidar_odometry.use_wheel_odometry else None
         self._tracker = MotionTracker(
-            make_lidar_odometry(config.lidar_odometry, config.match), self._wheels, config.prediction
+            make_lidar_odometry(config.lidar_odometry, config.match),
+            self._wheels,
+            config.prediction,
+            config.match,
         )
         self._graph = PoseGraph(gtsam.Pose2())
         self._uncertainty = UncertaintyGraph()
@@ -278,7 +281,10 @@ class Mapper:
         edges = []
         if tracked.motion is not None:
             covariance = tracked.motion.covariance + tracked.dispute
-            edges.append(self._edge(key, step, covariance, EdgeKind.LIDAR, trusted=True))
+            # A match may be wrong as a loop may be: a loose twin holds the chain where it is refused.
+            edges.append(self._edge(key, step, covariance, EdgeKind.LIDAR, trusted=False))
+            loose = covariance + self._chain_covariance(self._config.graph.loose_share)
+            edges.append(self._edge(key, step, loose, EdgeKind.ASSUMED, trusted=True))
         last = self._keyframes[-1]
         if self._wheels is not None and last.wheel_pose is not None and tracked.wheel_pose is not None:
             wheel_step = between(last.wheel_pose, tracked.wheel_pose)
@@ -288,10 +294,14 @@ class Mapper:
                     self._edge(key, wheel_step, covariance, EdgeKind.WHEEL, trusted=tracked.motion is None)
                 )
         if not any(edge.trusted for edge in edges):
-            lost = self._config.graph
-            covariance = np.diag([lost.lost_sigma_m**2, lost.lost_sigma_m**2, lost.lost_sigma_rad**2])
-            edges.append(self._edge(key, step, covariance, EdgeKind.ASSUMED, trusted=True))
+            edges.append(self._edge(key, step, self._chain_covariance(1.0), EdgeKind.ASSUMED, trusted=True))
         return edges
+
+    def _chain_covariance(self, share: float) -> FloatArray:
+        """Covariance (3, 3) of a step that nothing measured, its sigmas scaled by a share."""
+        lost = self._config.graph
+        sigmas = share * np.array([lost.lost_sigma_m, lost.lost_sigma_m, lost.lost_sigma_rad])
+        return np.diag(sigmas**2)
 
     def _edge(
         self, key: int, step: FloatArray, covariance: FloatArray, kind: EdgeKind, *, trusted: bool

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.config_stages import PredictionConfig
+from slam.config_stages import MatchConfig, PredictionConfig
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate, row_from_pose2
@@ -77,11 +77,16 @@ class MotionTracker:
     """Predicts each scan's pose, matches it, and keeps the velocity."""
 
     def __init__(
-        self, odometry: LidarOdometry, wheels: WheelTracker | None, config: PredictionConfig
+        self,
+        odometry: LidarOdometry,
+        wheels: WheelTracker | None,
+        config: PredictionConfig,
+        match: MatchConfig,
     ) -> None:
         self._odometry = odometry
         self._wheels = wheels
         self._config = config
+        self._noise = match
         self._by_wheels = _Predictor(config.memory_scans)
         self._by_velocity = _Predictor(config.memory_scans)
         self._last: TrackedScan | None = None
@@ -121,12 +126,13 @@ class MotionTracker:
         if self._wheels is not None and wheel_pose is not None and last.wheel_pose is not None:
             step = between(last.wheel_pose, wheel_pose)
             if self._wheels.plausible(step, step_s):
-                self._by_wheels.predict(compose(last.pose, step), self._wheels.covariance(step))
+                covariance = self._wheels.covariance(step) + last.dispute
+                self._by_wheels.predict(compose(last.pose, step), covariance)
         stretch = 1.0
         if step_s > 0.0 and self._velocity_step_s > 0.0:
             stretch = min(step_s / self._velocity_step_s, _GREATEST_STRETCH)
         step = self._velocity_step * stretch
-        self._by_velocity.predict(compose(last.pose, step), self._velocity_covariance(step))
+        self._by_velocity.predict(compose(last.pose, step), self._velocity_covariance(step) + last.dispute)
         predictors = [self._by_wheels, self._by_velocity]
         if self._by_wheels.doubt > _WHEELS_LOSE_AT * self._by_velocity.doubt:
             predictors.reverse()
@@ -151,14 +157,24 @@ class MotionTracker:
             if other is not None and other.fit > motion.fit:
                 motion = other
         self._judge(motion)
-        excess = self._sigmas(guesses[0], motion) - config.surprise_sigmas
         held = self._odometry.match_near(points, guesses[0].pose)
-        if excess <= 0.0 or held is None or held.fit < config.disputed_above * motion.fit:
+        sigmas = self._sigmas(guesses[0], motion)
+        if sigmas <= config.surprise_sigmas or held is None:
+            return motion, np.zeros((3, 3))
+        # Log-likelihood ratio: what the scan says for the match, what a heavy tail (Student's t with three
+        # degrees of freedom) says for the prediction.
+        for_match = self._evidence(len(points), motion, held)
+        for_prediction = 2.0 * math.log1p(sigmas**2 / 3.0)
+        if for_match - for_prediction > config.disputed_within:
             return motion, np.zeros((3, 3))
         offset = between(row_from_pose2(motion.T_reference_base), row_from_pose2(held.T_reference_base))
-        needed = config.prediction_wins_at - config.lenience_a_sigma * excess
-        wins = held.fit >= max(needed, config.prediction_loses_below) * motion.fit
-        return held if wins else motion, np.outer(offset, offset)
+        return held if for_prediction > for_match else motion, np.outer(offset, offset)
+
+    def _evidence(self, count: int, motion: MotionEstimate, held: MotionEstimate) -> float:
+        """Log-likelihood of a match over a held one: the difference of their Geman-McClure costs."""
+        residual_m = max(motion.residual_m, self._noise.minimal_residual_m)
+        scale = 0.5 * (self._noise.fine_kernel_m / residual_m) ** 2
+        return count / self._noise.correlated_points * scale * (motion.fit - held.fit)
 
     def _judge(self, motion: MotionEstimate | None) -> None:
         """Let a match that is sure score the predictors."""
