@@ -115,6 +115,11 @@ class LoopConfig(StrictModel):
     greatest_half_yaw_rad: float = Field(default=1.6, gt=0, le=3.15, description="limit of the window")
     least_half_width_m: float = Field(default=0.3, gt=0, description="below this no search is needed")
     least_half_yaw_rad: float = Field(default=0.15, gt=0, description="below this no search is needed")
+    misses_until_wide: int = Field(
+        default=4, ge=1, description="attempts without a loop in known surroundings until the window widens"
+    )
+    wide_half_width_m: float = Field(default=1.5, gt=0, description="the widened window")
+    wide_half_yaw_rad: float = Field(default=0.35, gt=0, le=3.15, description="the widened window")
     candidates: int = Field(default=3, ge=1, description="places tried an attempt")
     submap_half_keyframes: int = Field(default=8, ge=1, description="keyframes a side in a place's local map")
     submap_half_m: float = Field(default=4.0, gt=0, description="travel a side in a place's local map")

@@ -64,6 +64,7 @@ class LoopCloser:
         self._noise = match_noise(match)
         self._submaps = SubmapStore(config, match)
         self._last_attempt_m = -math.inf
+        self._misses = 0
 
     def add_keyframe(self, scan: OrientedPoints, pose: FloatArray, travelled_m: float) -> None:
         """Remember a keyframe: its scan, its pose (3,) in the odometry frame, the way so far."""
@@ -96,6 +97,8 @@ class LoopCloser:
             candidate = self._verify(place, key, between(poses[place], poses[key]), covariance)
             _report(candidate)
             tried.append(candidate)
+        if tried:
+            self._misses = 0 if any(candidate.accepted for candidate in tried) else self._misses + 1
         return tried
 
     def _propose(
@@ -132,6 +135,9 @@ class LoopCloser:
         sigma_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
         width = min(config.sigmas * sigma_m, config.greatest_half_width_m)
         yaw = min(config.sigmas * math.sqrt(float(covariance[2, 2])), config.greatest_half_yaw_rad)
+        if self._misses >= config.misses_until_wide:
+            # Known places all around and none fits: the estimate may be further off than it believes.
+            width, yaw = max(width, config.wide_half_width_m), max(yaw, config.wide_half_yaw_rad)
         candidate = LoopCandidate(place, key, width, yaw, 1.0, None, False, "")
         submap = self._submaps.submap(place)
         scan = self._submaps.scan(key)
