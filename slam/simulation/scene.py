@@ -1,0 +1,168 @@
+"""Casts rays into a home: Open3D's ray caster for the mesh, closed form for a person who walks through it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.measurements import BoolArray, Float32Array
+from slam.simulation.home_model import Home, Int32Array, Material
+
+NOTHING = -1  # triangle and obstacle of a ray that meets nothing
+PERSON = -2  # triangle and obstacle of the person
+PERSON_RADIUS_M, PERSON_HEIGHT_M = 0.25, 1.7
+
+
+@dataclass(frozen=True, slots=True)
+class Hits:
+    """What each ray meets first; glass counts like any other surface.
+
+    Attributes
+    ----------
+    range_m
+        (N,) distance in lengths of the ray's direction: metres for unit directions, depth for directions
+        whose component along the optical axis is 1. ``inf`` where there is nothing.
+    triangle
+        (N,) index into `Home.triangles`, `NOTHING` or `PERSON`.
+    obstacle
+        (N,) id of the obstacle, `NOTHING` or `PERSON`.
+    material
+        (N,) `Material`; matte where nothing is.
+    normal
+        (N, 3) unit, outward, map frame; zero where nothing is.
+    """
+
+    range_m: Float32Array
+    triangle: Int32Array
+    obstacle: Int32Array
+    material: NDArray[np.uint8]
+    normal: Float32Array
+
+
+class Scene:
+    """A home in a ray caster, built once."""
+
+    def __init__(self, home: Home) -> None:
+        self.home = home
+        clear = np.isin(home.material_of_triangle, (Material.GLASS, Material.WINDOW))
+        # Glass apart, so that a second cast can tell what is behind it.
+        self._opaque_index = np.flatnonzero(~clear).astype(np.int32)
+        self._all_index = np.arange(len(home.triangles), dtype=np.int32)
+        self._everything = _ray_caster(home, self._all_index)
+        self._opaque = _ray_caster(home, self._opaque_index)
+
+    def cast(self, origins_dirs: Float32Array, person_xy: tuple[float, float] | None = None) -> Hits:
+        """First surface along each ray.
+
+        Parameters
+        ----------
+        origins_dirs
+            (N, 6) origin and direction, map frame; the direction's length is the unit of the result.
+        person_xy
+            Where the person stands, an upright cylinder of radius 0.25 m and height 1.7 m.
+        """
+        return self._cast(self._everything, self._all_index, origins_dirs, person_xy)
+
+    def cast_through_glass(
+        self, origins_dirs: Float32Array, person_xy: tuple[float, float] | None = None
+    ) -> Hits:
+        """First surface along each ray that is not of glass; arguments as `cast`."""
+        return self._cast(self._opaque, self._opaque_index, origins_dirs, person_xy)
+
+    def _cast(
+        self,
+        caster: Any,
+        index: Int32Array,
+        origins_dirs: Float32Array,
+        person_xy: tuple[float, float] | None,
+    ) -> Hits:
+        """Cast, then name what was hit."""
+        from open3d import core
+
+        if origins_dirs.shape[0] == 0:  # the ray caster refuses to cast nothing
+            return _no_hits()
+        rays = np.ascontiguousarray(origins_dirs, dtype=np.float32)
+        found = caster.cast_rays(core.Tensor.from_numpy(rays))
+        # Copies: the tensors own the memory that numpy() shows.
+        range_m, normal = found["t_hit"].numpy().copy(), found["primitive_normals"].numpy().copy()
+        primitive = found["primitive_ids"].numpy()
+        triangle, obstacle, material = _name_hits(
+            primitive, index, self.home.obstacle_of_triangle, self.home.material_of_triangle
+        )
+        if person_xy is not None:
+            mine = _meet_cylinder(rays, np.array(person_xy, dtype=np.float64), range_m, normal)
+            triangle[mine], obstacle[mine], material[mine] = PERSON, PERSON, Material.MATTE
+        return Hits(range_m, triangle, obstacle, material, normal)
+
+
+def _ray_caster(home: Home, index: Int32Array) -> Any:
+    """Open3D's scene of some of the triangles."""
+    from open3d import core, t
+
+    scene = t.geometry.RaycastingScene()
+    triangles = np.ascontiguousarray(home.triangles[index], dtype=np.uint32)
+    scene.add_triangles(core.Tensor.from_numpy(home.vertices), core.Tensor.from_numpy(triangles))
+    return scene
+
+
+def _no_hits() -> Hits:
+    """The hits of no rays."""
+    none = np.empty(0, dtype=np.int32)
+    return Hits(
+        np.empty(0, np.float32), none, none.copy(), np.empty(0, np.uint8), np.empty((0, 3), np.float32)
+    )
+
+
+@numba.njit(cache=True)
+def _name_hits(
+    primitive: NDArray[np.uint32],
+    index: Int32Array,
+    obstacle_of_triangle: Int32Array,
+    material_of_triangle: NDArray[np.uint8],
+) -> tuple[Int32Array, Int32Array, NDArray[np.uint8]]:
+    """Triangle, obstacle and material of the ray caster's primitives."""
+    count = primitive.size
+    triangle = np.full(count, -1, np.int32)
+    obstacle = np.full(count, -1, np.int32)
+    material = np.zeros(count, np.uint8)
+    for ray in range(count):
+        if primitive[ray] < index.size:  # the caster's mark for nothing is the largest number
+            triangle[ray] = index[primitive[ray]]
+            obstacle[ray] = obstacle_of_triangle[triangle[ray]]
+            material[ray] = material_of_triangle[triangle[ray]]
+    return triangle, obstacle, material
+
+
+@numba.njit(cache=True)
+def _meet_cylinder(
+    rays: Float32Array, center: NDArray[np.float64], range_m: Float32Array, normal: Float32Array
+) -> BoolArray:
+    """Rays that meet the person before anything else; their range and normal are replaced in place."""
+    meets = np.zeros(range_m.size, np.bool_)
+    for ray in range(range_m.size):
+        x, y, z = rays[ray, 0] - center[0], rays[ray, 1] - center[1], np.float64(rays[ray, 2])
+        dx, dy, dz = np.float64(rays[ray, 3]), np.float64(rays[ray, 4]), np.float64(rays[ray, 5])
+        a, b = dx * dx + dy * dy, x * dx + y * dy
+        c = x * x + y * y - PERSON_RADIUS_M**2
+        if c <= 0.0 or b >= 0.0 or b * b - a * c <= 0.0:
+            continue  # inside, walking away, or beside
+        root = math.sqrt(b * b - a * c)
+        t = (-b - root) / a
+        top = z + t * dz > PERSON_HEIGHT_M
+        if top:  # over the edge: the ray may still come down on the top
+            t = (PERSON_HEIGHT_M - z) / dz if dz < 0.0 else math.inf
+            if t > (-b + root) / a:
+                continue
+        if not (0.0 < t < range_m[ray]) or z + t * dz < 0.0:
+            continue
+        meets[ray] = True
+        range_m[ray] = t
+        normal[ray, 0] = 0.0 if top else (x + t * dx) / PERSON_RADIUS_M
+        normal[ray, 1] = 0.0 if top else (y + t * dy) / PERSON_RADIUS_M
+        normal[ray, 2] = 1.0 if top else 0.0
+    return meets
