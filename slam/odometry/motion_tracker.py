@@ -132,7 +132,8 @@ class MotionTracker:
         if step_s > 0.0 and self._velocity_step_s > 0.0:
             stretch = min(step_s / self._velocity_step_s, _GREATEST_STRETCH)
         step = self._velocity_step * stretch
-        self._by_velocity.predict(compose(last.pose, step), self._velocity_covariance(step) + last.dispute)
+covariance = self._velocity_covariance(step) + last.dispute
+        self._by_velocity.predict(compose(last.pose, step), covariance)
         predictors = [self._by_wheels, self._by_velocity]
         if self._by_wheels.doubt > _WHEELS_LOSE_AT * self._by_velocity.doubt:
             predictors.reverse()
@@ -146,7 +147,7 @@ class MotionTracker:
         return np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])
 
     def _match(self, points: ScanPoints, guesses: list[Guess]) -> tuple[MotionEstimate | None, FloatArray]:
-        """Match, let the match judge the predictors, and settle a contradiction; the match and the dispute."""
+        """Match, judge the predictors by it, settle a contradiction: the match and the dispute."""
         config = self._config
         motion = self._odometry.match(points, guesses)
         if motion is None or self._sigmas(guesses[0], motion) <= config.surprise_sigmas:

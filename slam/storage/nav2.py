@@ -228,7 +228,7 @@ def _mode(fields: dict[str, Any], path: Path) -> Mode:
     """The mode; trinary where none is told."""
     mode = fields.get("mode", "trinary")
     if mode == "trinary" or mode == "scale" or mode == "raw":
-        return mode  # type: ignore[no-any-return]
+        return mode
     raise MapFileError(f"{path}: mode is {mode!r}, it must be trinary, scale or raw")
 
 

@@ -1,0 +1,127 @@
+"""The graph of keyframes: what holds neighbours together, which loops join, and where they all lie."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import gtsam
+import numpy as np
+
+from slam.config_stages import GraphConfig
+from slam.graph.loop_closure import LoopCandidate
+from slam.graph.pose_graph import BatchResult, Edge, EdgeKind, PoseGraph
+from slam.graph.relative_uncertainty import UncertaintyGraph
+from slam.matching.planar import compose
+from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
+
+
+class Step(NamedTuple):
+    """A measured motion (3,) from one keyframe to the next, with its covariance (3, 3)."""
+
+    motion: FloatArray
+    covariance: FloatArray
+
+
+class KeyframeGraph:
+    """Keyframes 0..n-1 of a planar robot, the first at the origin."""
+
+    def __init__(self, config: GraphConfig) -> None:
+        self.graph = PoseGraph(gtsam.Pose2())
+        self.uncertainty = UncertaintyGraph()
+        self.loops: list[LoopCandidate] = []
+        self._config = config
+        self._poses = np.zeros((64, 3))
+        self._loop_of_edge: dict[int, int] = {}
+        self._loop_waits = False
+        self.uncertainty.add_node()
+
+    def __len__(self) -> int:
+        return len(self.graph)
+
+    def poses(self) -> FloatArray:
+        """(n, 3) current estimates, x, y, yaw in the map."""
+        return self._poses[: len(self.graph)]
+
+    def add_keyframe(self, step: FloatArray, match: Step | None, wheels: Step | None) -> int:
+        """Add the next keyframe and return its number.
+
+        Parameters
+        ----------
+        step
+            (3,) best knowledge of the motion from the last keyframe: the first guess.
+        match
+            What the lidar measured; None where it matched nothing.
+        wheels
+            What the wheels measured; None where there are none or they jumped.
+        """
+        pose = compose(self.poses()[-1], step)
+        key = self.graph.add_node(pose2_from_row(pose))
+        self.uncertainty.add_node()
+        if key == self._poses.shape[0]:
+            self._poses = np.concatenate([self._poses, np.zeros_like(self._poses)])
+        self._poses[key] = pose
+        if match is not None:
+            self._add_step(key, match, EdgeKind.LIDAR, trusted=False)
+            # A match may be wrong as a loop may be: a loose twin holds the chain where it is refused.
+            loose = Step(step, match.covariance + self._unmeasured(self._config.loose_share))
+            self._add_step(key, loose, EdgeKind.ASSUMED, trusted=True)
+        if wheels is not None:
+            self._add_step(key, wheels, EdgeKind.WHEEL, trusted=match is None)
+        if match is None and wheels is None:
+            self._add_step(key, Step(step, self._unmeasured(1.0)), EdgeKind.ASSUMED, trusted=True)
+        return key
+
+    def add_loop(self, candidate: LoopCandidate) -> None:
+        """Take a loop candidate: into the graph if it was accepted, into the report in any case."""
+        if candidate.accepted and candidate.motion is not None:
+            self._loop_of_edge[len(self.graph.edges)] = len(self.loops)
+            self._loop_waits = True
+            motion = candidate.motion
+            self._add_edge(
+                Edge(
+                    candidate.place,
+                    candidate.keyframe,
+                    motion.T_reference_base,
+                    motion.covariance,
+                    EdgeKind.LOOP,
+                    trusted=False,
+                )
+            )
+        self.loops.append(candidate)
+
+    def update(self) -> None:
+        """Now and then, and only when a loop waits, let iSAM2 spread the corrections.
+
+        Without a new loop the chain alone, which the estimates already follow, is the answer.
+        """
+        if self._loop_waits and (len(self) - 1) % self._config.incremental_every == 0:
+            self.graph.update()
+            self._poses[: len(self)] = self.graph.planar_poses()
+            self._loop_waits = False
+
+    def optimize(self, inlier_probability: float) -> BatchResult:
+        """Solve everything anew; a loop that disagrees with the others is marked as refused."""
+        self.graph.update()
+        outcome = self.graph.optimize(inlier_probability)
+        for edge, loop in self._loop_of_edge.items():
+            if not outcome.kept[edge]:
+                self.loops[loop] = self.loops[loop].refused("disagrees with the other loops (GNC)")
+        self._poses[: len(self)] = self.graph.planar_poses()
+        return outcome
+
+    def _unmeasured(self, share: float) -> FloatArray:
+        """Covariance (3, 3) of a step that nothing measured, its sigmas scaled by a share."""
+        config = self._config
+        sigmas = share * np.array([config.lost_sigma_m, config.lost_sigma_m, config.lost_sigma_rad])
+        return np.diag(sigmas**2)
+
+    def _add_step(self, key: int, step: Step, kind: EdgeKind, *, trusted: bool) -> None:
+        """An edge from the keyframe before ``key`` to it."""
+        self._add_edge(Edge(key - 1, key, pose2_from_row(step.motion), step.covariance, kind, trusted))
+
+    def _add_edge(self, edge: Edge) -> None:
+        """Into the graph, and into the map of relative uncertainties."""
+        self.graph.add_edge(edge)
+        self.uncertainty.add_edge(
+            edge.source, edge.target, row_from_pose2(edge.T_source_target), edge.covariance
+        )
