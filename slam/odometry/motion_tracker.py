@@ -121,7 +121,7 @@ class MotionTracker:
         self._odometry.add_keyframe(points, tracked.pose)
 
     def _predict(self, last: TrackedScan, wheel_pose: FloatArray | None, step_s: float) -> list[Guess]:
-        """By the wheels if a robot can move so, and by constant velocity; the wheels first while they prove it."""
+        """By wheels, if a robot can move so, and by constant velocity; wheels first while they prove it."""
         self._by_wheels.guess = None
         if self._wheels is not None and wheel_pose is not None and last.wheel_pose is not None:
             step = between(last.wheel_pose, wheel_pose)
@@ -132,7 +132,7 @@ class MotionTracker:
         if step_s > 0.0 and self._velocity_step_s > 0.0:
             stretch = min(step_s / self._velocity_step_s, _GREATEST_STRETCH)
         step = self._velocity_step * stretch
-covariance = self._velocity_covariance(step) + last.dispute
+        covariance = self._velocity_covariance(step) + last.dispute
         self._by_velocity.predict(compose(last.pose, step), covariance)
         predictors = [self._by_wheels, self._by_velocity]
         if self._by_wheels.doubt > _WHEELS_LOSE_AT * self._by_velocity.doubt:
