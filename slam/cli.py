@@ -43,12 +43,18 @@ def main() -> None:
     except ScanweaveError as error:
         print(f"scanweave: {error}", file=sys.stderr)
         sys.exit(1)
-    except (KeyboardInterrupt, SystemExit) as end:
-        # Typer turns an interrupt into its exit code and says nothing.
-        if isinstance(end, SystemExit) and end.code != _INTERRUPTED:
+    except (KeyboardInterrupt, SystemError, SystemExit) as end:
+        if not _is_interrupt(end):
             raise
         print("scanweave: interrupted; nothing half-written was left behind", file=sys.stderr)
         sys.exit(_INTERRUPTED)
+
+
+def _is_interrupt(end: BaseException) -> bool:
+    """Typer turns Ctrl-C into a silent exit code, and a compiled function into a SystemError caused by it."""
+    if isinstance(end, SystemExit):
+        return end.code == _INTERRUPTED
+    return isinstance(end, KeyboardInterrupt) or isinstance(end.__cause__, KeyboardInterrupt)
 
 
 @app.callback()

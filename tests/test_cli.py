@@ -436,12 +436,27 @@ def test_interrupted(log: SyntheticLog, tmp_path: Path) -> None:
     finally:
         process.kill()
         process.wait()
-    assert process.returncode == 130
+    assert process.returncode == 130, complaint
     assert "Traceback" not in complaint
     assert complaint.splitlines()[-1].startswith("scanweave: interrupted")
     assert "scans" not in rest
     assert [path.name for path in out.iterdir()] == ["trajectory.tum"]
     assert (out / "trajectory.tum").read_text() == "old"
+
+
+def test_an_interrupt_that_compiled_code_meets(
+    scanweave: Scanweave, log: SyntheticLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*arguments: object) -> None:
+        raise SystemError("returned a result with an exception set") from cause
+
+    monkeypatch.setattr("slam.pipeline.build_map", fail)
+    cause: BaseException | None = KeyboardInterrupt()
+    outcome = scanweave("map", log.log_path, "-o", tmp_path)
+    assert (outcome.code, outcome.err.count("\n")) == (130, 1)
+    cause = None
+    with pytest.raises(SystemError):  # any other is a bug, and says so
+        scanweave("map", log.log_path, "-o", tmp_path)
 
 
 # The command, but it says when the mapping begins: an interrupt while Python still loads proves nothing.
