@@ -1,0 +1,358 @@
+"""The sensors at work: a scan, a turn of a 3D lidar, a colour and a depth image, each with its truth.
+
+A reading is the true distance, then what the faults make of it, then noise, then the device's own steps.
+All of a reading is taken at one instant: the robot does not move while a lidar turns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import gtsam
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.measurements import CameraIntrinsics, ColorImage, Float32Array
+from slam.simulation.faults import Fault, FaultMask, FaultyReadings, Surfaces, corrupt
+from slam.simulation.home_model import Material
+from slam.simulation.scene import PERSON, Hits, Scene
+from slam.simulation.sensor_models import (
+    HOKUYO_URG_04LX,
+    KINECT_V1,
+    REALSENSE_D435I,
+    RPLIDAR_A2,
+    SICK_LMS_180,
+    VLP_16,
+    XTION_PRO_LIVE,
+    CameraModel,
+    LidarModel,
+    RingLidarModel,
+)
+from slam.simulation.texture import paint
+
+__all__ = [
+    "HOKUYO_URG_04LX",
+    "KINECT_V1",
+    "REALSENSE_D435I",
+    "RPLIDAR_A2",
+    "SICK_LMS_180",
+    "VLP_16",
+    "XTION_PRO_LIVE",
+    "CameraModel",
+    "LidarModel",
+    "RingLidarModel",
+    "SimulatedCloud",
+    "SimulatedImage",
+    "SimulatedScan",
+    "render_rgbd",
+    "scan_lidar",
+    "scan_lidar_3d",
+]
+
+_GLASS_SEEN = 0.2  # share of its own colour in what one sees through a pane
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedScan:
+    """A sweep of a 2D lidar.
+
+    Attributes
+    ----------
+    ranges_m
+        (N,) as in `LaserScan`: ``inf`` no return, ``nan`` invalid (nearer than the lidar measures).
+    true_ranges_m
+        (N,) to the first surface, glass and person included; ``inf`` where there is none.
+    fault
+        (N,) `Fault` of each beam.
+    """
+
+    ranges_m: Float32Array
+    true_ranges_m: Float32Array
+    fault: FaultMask
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedCloud:
+    """The returns of one turn of a 3D lidar, firing by firing.
+
+    Attributes
+    ----------
+    points_laser
+        (N, 3) laser frame.
+    ring
+        (N,) index of the ring, 0 the lowest.
+    time_s
+        (N,) when in the turn a firing lies, for the order only: all see the world at one instant.
+    true_ranges_m, fault
+        (N,) of the same beams.
+    """
+
+    points_laser: Float32Array
+    ring: NDArray[np.uint8]
+    time_s: Float32Array
+    true_ranges_m: Float32Array
+    fault: FaultMask
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedImage:
+    """A colour image and the depth image registered to it.
+
+    Attributes
+    ----------
+    color
+        (H, W, 3) RGB.
+    depth_m
+        (H, W) along the optical axis, in the device's steps; 0 invalid.
+    true_depth_m
+        (H, W) to the first surface, glass and person included; ``inf`` where there is none.
+    fault
+        (H, W) `Fault` of each pixel.
+    """
+
+    color: ColorImage
+    depth_m: Float32Array
+    true_depth_m: Float32Array
+    fault: FaultMask
+
+
+def scan_lidar(
+    scene: Scene,
+    T_world_laser: gtsam.Pose3,
+    sensor: LidarModel,
+    rng: np.random.Generator,
+    person_xy: tuple[float, float] | None = None,
+) -> SimulatedScan:
+    """One sweep of a 2D lidar.
+
+    Parameters
+    ----------
+    T_world_laser
+        The laser, beams in its x-y plane.
+    rng
+        All noise and faults come from it.
+    person_xy
+        Where the person stands, map frame.
+    """
+    bearings = sensor.start_angle_rad + sensor.step_rad * np.arange(sensor.beams)
+    directions = np.column_stack([np.cos(bearings), np.sin(bearings), np.zeros(sensor.beams)])
+    rays = _rays(directions.astype(np.float32), T_world_laser.matrix())
+    surfaces, _, _ = _look(scene, rays, (1, sensor.beams), person_xy)
+    faulty = corrupt(surfaces, sensor.faults, sensor.range_min_m, sensor.range_max_m, rng)
+
+    def sigma_m(distance_m: Float32Array) -> Float32Array:
+        growth = max(0.0, sensor.sigma_share_far - sensor.sigma_share) / sensor.range_max_m**2
+        share = sensor.sigma_share + growth * distance_m**2
+        return np.asarray(sensor.sigma_m + share * distance_m, dtype=np.float32)
+
+    ranges, fault = _measure(faulty, sensor, sigma_m, rng)
+    near = np.isnan(ranges) & (surfaces.distance_m < sensor.range_min_m) & (fault == Fault.HOLE_RANGE)
+    ranges[np.isnan(ranges) & ~near] = np.inf
+    return SimulatedScan(ranges[0], surfaces.distance_m[0], fault[0])
+
+
+def scan_lidar_3d(
+    scene: Scene,
+    T_world_laser: gtsam.Pose3,
+    sensor: RingLidarModel,
+    rng: np.random.Generator,
+    person_xy: tuple[float, float] | None = None,
+) -> SimulatedCloud:
+    """One turn of a 3D lidar; arguments as `scan_lidar`."""
+    directions = _ring_directions(sensor.elevations_rad, sensor.azimuths)
+    shape = (len(sensor.elevations_rad), sensor.azimuths)
+    surfaces, _, _ = _look(scene, _rays(directions, T_world_laser.matrix()), shape, person_xy)
+    faulty = corrupt(surfaces, sensor.faults, sensor.range_min_m, sensor.range_max_m, rng)
+    ranges, fault = _measure(faulty, sensor, lambda d: np.full_like(d, sensor.sigma_m), rng)
+    # Firing by firing, as the device sends them: all rings of an azimuth, then the next.
+    column, ring = np.nonzero(~np.isnan(ranges.T))
+    beams = directions.reshape(*shape, 3)[ring, column]
+    return SimulatedCloud(
+        points_laser=beams * ranges[ring, column, None],
+        ring=ring.astype(np.uint8),
+        time_s=(column / (sensor.azimuths * sensor.rate_hz)).astype(np.float32),
+        true_ranges_m=surfaces.distance_m[ring, column],
+        fault=fault[ring, column],
+    )
+
+
+def render_rgbd(
+    scene: Scene,
+    T_world_camera: gtsam.Pose3,
+    camera: CameraModel,
+    rng: np.random.Generator,
+    person_xy: tuple[float, float] | None = None,
+) -> SimulatedImage:
+    """One colour image and its depth.
+
+    Parameters
+    ----------
+    T_world_camera
+        The optical frame: z forward, x right and y down in the image.
+    rng
+        All noise and faults come from it.
+    person_xy
+        Where the person stands, map frame.
+    """
+    shape = (camera.intrinsics.height, camera.intrinsics.width)
+    # Directions have z = 1: the ray caster's distance is the depth.
+    rays = _rays(_pixel_directions(camera.intrinsics), T_world_camera.matrix())
+    surfaces, hits, behind = _look(scene, rays, shape, person_xy)
+    pixel_rad = 1.0 / camera.intrinsics.fx
+    image = paint(scene.home, rays, hits, pixel_rad, person_xy)
+    if behind is not None:
+        panes = hits.material == Material.GLASS
+        through = paint(scene.home, rays[panes], behind, pixel_rad, person_xy)
+        image[panes] = _GLASS_SEEN * image[panes] + (1.0 - _GLASS_SEEN) * through
+    faulty = corrupt(surfaces, camera.faults, camera.range_min_m, camera.range_max_m, rng)
+    depth, fault = _triangulate(faulty, camera, rng)
+    color = _expose(image, camera.color_sigma, int(rng.integers(1 << 31)))
+    return SimulatedImage(color.reshape(*shape, 3), depth, surfaces.distance_m, fault)
+
+
+def _look(
+    scene: Scene, rays: Float32Array, shape: tuple[int, int], person_xy: tuple[float, float] | None
+) -> tuple[Surfaces, Hits, Hits | None]:
+    """What all rays meet, in the sensor's shape; the bare hits; and what is behind the panes, if any."""
+    hits = scene.cast(rays, person_xy)
+    behind_m = hits.range_m.copy()
+    panes = hits.material == Material.GLASS
+    behind = None
+    if panes.any():
+        behind = scene.cast_through_glass(rays[panes], person_xy)
+        behind_m[panes] = behind.range_m
+    # Behind a window there is nothing: the home stands alone.
+    behind_m[hits.material == Material.WINDOW] = np.inf
+    surfaces = Surfaces(
+        distance_m=hits.range_m.reshape(shape),
+        behind_m=behind_m.reshape(shape),
+        material=hits.material.reshape(shape),
+        cos_incidence=_cos_incidence(rays, hits.normal).reshape(shape),
+        face=(hits.triangle >> 1).reshape(shape),
+        person=(hits.triangle == PERSON).reshape(shape),
+    )
+    return surfaces, hits, behind
+
+
+def _measure(
+    faulty: FaultyReadings,
+    sensor: LidarModel | RingLidarModel,
+    sigma_m: Callable[[Float32Array], Float32Array],
+    rng: np.random.Generator,
+) -> tuple[Float32Array, FaultMask]:
+    """Add noise and the lidar's steps; ``nan`` is a hole, also where noise leads out of range."""
+    noise = rng.standard_normal(faulty.distance_m.shape, dtype=np.float32)
+    noisy = faulty.distance_m + sigma_m(faulty.distance_m) * noise
+    ranges = (np.round(noisy / sensor.resolution_m) * sensor.resolution_m).astype(np.float32)
+    outside = (ranges < sensor.range_min_m) | (ranges > sensor.range_max_m)
+    ranges[outside] = np.nan
+    return ranges, np.where(outside, np.uint8(Fault.HOLE_RANGE), faulty.fault)
+
+
+def _triangulate(
+    faulty: FaultyReadings, camera: CameraModel, rng: np.random.Generator
+) -> tuple[Float32Array, FaultMask]:
+    """Depth as the device computes it from a noisy disparity in steps; 0 is a hole."""
+    noise = rng.standard_normal(faulty.distance_m.shape, dtype=np.float32)
+    depth, fault = faulty.distance_m.copy(), faulty.fault.copy()
+    _disparity_steps(
+        depth.ravel(),
+        fault.ravel(),
+        noise.ravel(),
+        camera.focal_baseline_px_m,
+        (camera.disparity_step_px, camera.disparity_sigma_px, camera.depth_unit_m),
+        (camera.range_min_m, camera.range_max_m),
+        np.uint8(Fault.HOLE_RANGE),
+    )
+    return depth, fault
+
+
+@lru_cache(maxsize=16)
+def _pixel_directions(intrinsics: CameraIntrinsics) -> Float32Array:
+    """(H * W, 3) directions of the pixels, optical frame, z = 1."""
+    x = (np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fx
+    y = (np.arange(intrinsics.height) - intrinsics.cy) / intrinsics.fy
+    across, down = np.meshgrid(x, y)
+    return np.stack([across, down, np.ones_like(across)], axis=-1).reshape(-1, 3).astype(np.float32)
+
+
+@lru_cache(maxsize=4)
+def _ring_directions(elevations_rad: tuple[float, ...], azimuths: int) -> Float32Array:
+    """(rings * azimuths, 3) unit directions, ring by ring."""
+    turn = 2.0 * np.pi * np.arange(azimuths) / azimuths
+    rise = np.array(elevations_rad)[:, None]
+    level = np.cos(rise)
+    beams = np.stack([level * np.cos(turn), level * np.sin(turn), np.sin(rise) + 0.0 * turn], axis=-1)
+    return beams.reshape(-1, 3).astype(np.float32)
+
+
+@numba.njit(cache=True)
+def _rays(directions: Float32Array, T_world_sensor: NDArray[np.float64]) -> Float32Array:
+    """(N, 6) origins and directions in the world from directions in the sensor's frame."""
+    rays = np.empty((directions.shape[0], 6), np.float32)
+    for ray in range(directions.shape[0]):
+        for axis in range(3):
+            rays[ray, axis] = T_world_sensor[axis, 3]
+            rays[ray, 3 + axis] = (
+                T_world_sensor[axis, 0] * directions[ray, 0]
+                + T_world_sensor[axis, 1] * directions[ray, 1]
+                + T_world_sensor[axis, 2] * directions[ray, 2]
+            )
+    return rays
+
+
+@numba.njit(cache=True)
+def _cos_incidence(rays: Float32Array, normal: Float32Array) -> Float32Array:
+    """(N,) cosine between each ray and the normal that it meets."""
+    cosine = np.empty(rays.shape[0], np.float32)
+    for ray in range(rays.shape[0]):
+        dx, dy, dz = rays[ray, 3], rays[ray, 4], rays[ray, 5]
+        along = abs(dx * normal[ray, 0] + dy * normal[ray, 1] + dz * normal[ray, 2])
+        cosine[ray] = along / np.sqrt(dx * dx + dy * dy + dz * dz)
+    return cosine
+
+
+@numba.njit(cache=True)
+def _disparity_steps(
+    depth: Float32Array,
+    fault: FaultMask,
+    noise: Float32Array,
+    focal_baseline_px_m: float,
+    step_sigma_unit: tuple[float, float, float],
+    limits_m: tuple[float, float],
+    out_of_range: np.uint8,
+) -> None:
+    """Li2020 Eq. (2)-(4) forth and back with noise and steps between; in place."""
+    step, sigma, unit = step_sigma_unit
+    for pixel in range(depth.size):
+        if np.isnan(depth[pixel]):
+            depth[pixel] = 0.0
+            continue
+        disparity = focal_baseline_px_m / depth[pixel] + sigma * noise[pixel]
+        disparity = max(step, np.floor(disparity / step + 0.5) * step)
+        measured = np.floor(focal_baseline_px_m / disparity / unit + 0.5) * unit
+        if limits_m[0] <= measured <= limits_m[1]:
+            depth[pixel] = measured
+        else:
+            depth[pixel] = 0.0
+            fault[pixel] = out_of_range
+
+
+@numba.njit(cache=True)
+def _expose(image: Float32Array, sigma: float, seed: int) -> ColorImage:
+    """Add noise and round to bytes; hashed, since three normal numbers a pixel cost more than the image."""
+    color = np.empty(image.shape, np.uint8)
+    for pixel in range(image.shape[0]):
+        for channel in range(3):
+            h = np.uint32(seed) ^ (np.uint32(3 * pixel + channel) * np.uint32(0x9E3779B1))
+            h = np.uint32((h ^ (h >> np.uint32(16))) * np.uint32(0x7FEB352D))
+            h = np.uint32((h ^ (h >> np.uint32(15))) * np.uint32(0x846CA68B))
+            h = np.uint32(h ^ (h >> np.uint32(16)))
+            # The sum of two uniform numbers: a triangle of standard deviation 1 / sqrt(6).
+            both = float(h & np.uint32(0xFFFF)) + float(h >> np.uint32(16))
+            noise = (both / 65536.0 - 1.0) * 2.449489742783178 * sigma
+            color[pixel, channel] = np.uint8(min(255.0, max(0.0, image[pixel, channel] + noise + 0.5)))
+    return color
