@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import logging
+import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import Annotated
 
 import typer
@@ -43,18 +45,12 @@ def main() -> None:
     except ScanweaveError as error:
         print(f"scanweave: {error}", file=sys.stderr)
         sys.exit(1)
-    except (KeyboardInterrupt, SystemError, SystemExit) as end:
-        if not _is_interrupt(end):
+    except (KeyboardInterrupt, SystemExit) as end:
+        # Typer turns an interrupt into its exit code and says nothing.
+        if isinstance(end, SystemExit) and end.code != _INTERRUPTED:
             raise
         print("scanweave: interrupted; nothing half-written was left behind", file=sys.stderr)
         sys.exit(_INTERRUPTED)
-
-
-def _is_interrupt(end: BaseException) -> bool:
-    """Typer turns Ctrl-C into a silent exit code, and a compiled function into a SystemError caused by it."""
-    if isinstance(end, SystemExit):
-        return end.code == _INTERRUPTED
-    return isinstance(end, KeyboardInterrupt) or isinstance(end.__cause__, KeyboardInterrupt)
 
 
 @app.callback()
@@ -155,8 +151,8 @@ def _map(log: Path, out: Path, config: str | None, overrides: list[str], strict:
     settings = load_config(config, overrides)
     dataset = open_dataset(log, strict=strict)
     make_folder(out)
-    with _progress("mapping") as advance:
-        result = build_map(dataset, settings, advance)
+    with _progress("mapping") as advance, _interrupted_between_scans(advance) as on_scan:
+        result = build_map(dataset, settings, on_scan)
     written = save_run(out, result)
     cost = RunCost(time.perf_counter() - started, time.process_time())
     data = report_data(log.name, dataset.report, result, settings, cost)
@@ -170,6 +166,36 @@ def _map(log: Path, out: Path, config: str | None, overrides: list[str], strict:
         f"{dataset.report.dropped_count} records dropped, {time.perf_counter() - started:.1f} s"
     )
     print("wrote " + ", ".join(str(path) for path in [*written, out / "report.html"]))
+
+
+@contextmanager
+def _interrupted_between_scans(advance: Callable[[int], None]) -> Iterator[Callable[[int], None]]:
+    """Let Ctrl-C wait for the end of a scan: in compiled code it surfaces as some other error.
+
+    A second one does not wait.
+    """
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield advance  # whoever ignores or handles the signal has a reason
+        return
+    asked = False
+
+    def note(number: int, frame: FrameType | None) -> None:
+        nonlocal asked
+        asked = True
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    def on_scan(count: int) -> None:
+        if asked:
+            raise KeyboardInterrupt
+        advance(count)
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield on_scan
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    if asked:
+        raise KeyboardInterrupt
 
 
 @contextmanager
