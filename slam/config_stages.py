@@ -140,6 +140,9 @@ class GraphConfig(StrictModel):
 
     incremental_every: int = Field(default=20, ge=1, description="keyframes between two iSAM2 updates")
     lost_sigma_m: float = Field(default=1.0, gt=0, description="sigma of a step that nothing measured")
+    sure_inlier_share: float = Field(
+        default=0.8, ge=0, le=1, description="a match with fewer agreeing points may be overruled by loops"
+    )
     loose_share: float = Field(default=0.3, gt=0, le=1, description="share of them where a match is refused")
     lost_sigma_rad: float = Field(default=0.5, gt=0, description="sigma of a step that nothing measured")
 

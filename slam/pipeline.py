@@ -207,13 +207,18 @@ class Mapper:
                 match = Step(step, tracked.motion.covariance + tracked.dispute)
             elapsed_s = scan.stamp_s - self._keyframe_scans[-1].stamp_s
             wheels = self._wheel_step(self._last_keyframe, tracked, elapsed_s)
-            key = self._graph.add_keyframe(step, match, wheels)
+            key = self._graph.add_keyframe(step, match, wheels, match_doubtful=self._doubtful(tracked))
         self._tracker.add_keyframe(points, tracked)
         self._closer.add_keyframe(OrientedPoints.from_scan(points), tracked.pose, self._travelled_m)
         self._readings.mark_keyframe()
         self._keyframe_scans.append(scan)
         self._last_keyframe = tracked
         return key
+
+    def _doubtful(self, tracked: TrackedScan) -> bool:
+        """Whether a match was contradicted, or too few points agree with it."""
+        least = self._config.graph.sure_inlier_share
+        return bool(tracked.motion is None or tracked.dispute.any() or tracked.motion.inlier_share < least)
 
     def _wheel_step(self, last: TrackedScan, tracked: TrackedScan, elapsed_s: float) -> Step | None:
         """Motion between two keyframes by the wheels; None without wheels or where they jumped."""

@@ -63,6 +63,6 @@ def _lines(values: dict[str, Any], indent: str) -> list[str]:
         elif isinstance(value, dict):
             lines.append(f"{indent}{name}:")
             lines += _lines(value, indent + "  ")
-        elif value is not None:
+        elif value is not None and not isinstance(value, list):
             lines.append(f"{indent}{name}: {value}")
     return lines

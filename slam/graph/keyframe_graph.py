@@ -42,7 +42,9 @@ class KeyframeGraph:
         """(n, 3) current estimates, x, y, yaw in the map."""
         return self._poses[: len(self.graph)]
 
-    def add_keyframe(self, step: FloatArray, match: Step | None, wheels: Step | None) -> int:
+    def add_keyframe(
+        self, step: FloatArray, match: Step | None, wheels: Step | None, *, match_doubtful: bool = False
+    ) -> int:
         """Add the next keyframe and return its number.
 
         Parameters
@@ -53,6 +55,8 @@ class KeyframeGraph:
             What the lidar measured; None where it matched nothing.
         wheels
             What the wheels measured; None where there are none or they jumped.
+        match_doubtful
+            Whether the loops may overrule the match.
         """
         pose = compose(self.poses()[-1], step)
         key = self.graph.add_node(pose2_from_row(pose))
@@ -61,8 +65,10 @@ class KeyframeGraph:
             self._poses = np.concatenate([self._poses, np.zeros_like(self._poses)])
         self._poses[key] = pose
         if match is not None:
-            self._add_step(key, match, EdgeKind.LIDAR, trusted=False)
-            # A match may be wrong as a loop may be: a loose twin holds the chain where it is refused.
+            self._add_step(key, match, EdgeKind.LIDAR, trusted=not match_doubtful)
+        if match is not None and match_doubtful:
+            # It may be wrong as a loop may be: a loose twin holds the chain where it is refused. Not so for
+            # a sure match, or a handful of false loops that agree with each other could break the chain.
             loose = Step(step, match.covariance + self._unmeasured(self._config.loose_share))
             self._add_step(key, loose, EdgeKind.ASSUMED, trusted=True)
         if wheels is not None:
