@@ -242,13 +242,17 @@ def _descend(levels, columns, rows, width_steps, least, top, side, bounds, order
             for child in range(4):
                 x = dx + (child & 1) * half
                 y = dy + (child >> 1) * half
+                # The last block of a row reaches beyond the window.
+                if x > width_steps or y > width_steps:
+                    continue
                 bound = _score(levels[level - 1], half, columns[t], rows[t], x, y)
                 if bound <= best:
                     continue
                 # Insert so that the child with the highest bound lies on top.
                 place = depth
                 while place > first and stack[place - 1, 3] > bound:
-                    stack[place] = stack[place - 1]
+                    for k in range(4):
+                        stack[place, k] = stack[place - 1, k]
                     place -= 1
                 stack[place, 0] = level - 1
                 stack[place, 1] = x
