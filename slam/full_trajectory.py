@@ -36,18 +36,19 @@ def spread_correction(motion: FloatArray, anchors: NDArray[np.int64], anchor_pos
     motion is attached rigidly.
     """
     poses = np.empty_like(motion)
+    carried = np.empty(3)
     first = anchors[0]
     for n in range(first):
-        poses[n] = compose(anchor_poses[0], between(motion[first], motion[n]))
+        _carry_over(anchor_poses[0], motion[first], motion[n], poses[n])
     for m in range(anchors.size):
         start = anchors[m]
-        poses[start] = anchor_poses[m]
+        _carry_over(anchor_poses[m], motion[start], motion[start], poses[start])
         stop = anchors[m + 1] if m + 1 < anchors.size else motion.shape[0]
         for n in range(start + 1, stop):
-            poses[n] = compose(anchor_poses[m], between(motion[start], motion[n]))
+            _carry_over(anchor_poses[m], motion[start], motion[n], poses[n])
         if m + 1 == anchors.size:
             break
-        carried = compose(anchor_poses[m], between(motion[start], motion[stop]))
+        _carry_over(anchor_poses[m], motion[start], motion[stop], carried)
         miss_x = anchor_poses[m + 1, 0] - carried[0]
         miss_y = anchor_poses[m + 1, 1] - carried[1]
         miss_yaw = wrap(anchor_poses[m + 1, 2] - carried[2])
@@ -62,6 +63,14 @@ def spread_correction(motion: FloatArray, anchors: NDArray[np.int64], anchor_pos
             poses[n, 1] += share * miss_y
             poses[n, 2] += share * miss_yaw
     return poses
+
+
+@numba.njit(cache=True)
+def _carry_over(anchor: FloatArray, start: FloatArray, end: FloatArray, out: FloatArray) -> None:
+    """Write the pose that the motion from ``start`` to ``end`` leads to from an anchor, (3,) each."""
+    moved = compose(anchor, between(start, end))
+    for k in range(3):
+        out[k] = moved[k]
 
 
 @numba.njit(cache=True)

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.matching.planar import adjoint, between, rotate_covariance
+from slam.matching.planar import add_rotated, adjoint, between, rotate_covariance
 from slam.measurements import FloatArray
 
 # A yaw error is worth its lever arm: how far from a node its surroundings are matched.
@@ -115,14 +115,15 @@ def _cheapest_paths(start, targets, heads, following, ends, costs):  # type: ign
 def _carry(start, targets, poses, arrived_by, sources, covariances):  # type: ignore[no-untyped-def]
     """Add up the covariances along the paths; a stretch that two paths share is added up once."""
     # Covariance of inverse(pose_start) * pose_k in frame k.
-    carried = np.full((poses.shape[0], 3, 3), np.inf)
-    carried[start] = 0.0
+    carried = np.zeros((poses.shape[0], 3, 3))
+    known = np.zeros(poses.shape[0], np.bool_)
+    known[start] = True
     seen = np.full((targets.size, 3, 3), np.inf)
     path = np.empty(poses.shape[0], np.int64)
     for t in range(targets.size):
         node = targets[t]
         length = 0
-        while np.isinf(carried[node, 0, 0]) and arrived_by[node] >= 0:
+        while not known[node] and arrived_by[node] >= 0:
             path[length] = node
             length += 1
             node = sources[arrived_by[node]]
@@ -130,8 +131,13 @@ def _carry(start, targets, poses, arrived_by, sources, covariances):  # type: ig
             end = path[n]
             k = arrived_by[end]
             back = adjoint(between(poses[end], poses[sources[k]]))
-            carried[end] = rotate_covariance(back, carried[sources[k]]) + covariances[k]
-        if not np.isinf(carried[targets[t], 0, 0]):
+            add_rotated(back, carried[sources[k]], carried[end])
+            known[end] = True
+            for i in range(3):
+                for j in range(3):
+                    carried[end, i, j] += covariances[k, i, j]
+        if known[targets[t]]:
             turn = adjoint(between(poses[start], poses[targets[t]]))
-            seen[t] = rotate_covariance(turn, carried[targets[t]])
+            seen[t, :, :] = 0.0
+            add_rotated(turn, carried[targets[t]], seen[t])
     return seen

@@ -64,12 +64,18 @@ def adjoint(pose: FloatArray) -> FloatArray:
 
 
 @numba.njit(cache=True)
-def rotate_covariance(adjoint_a_b: FloatArray, covariance_b: FloatArray) -> FloatArray:
-    """Ad covariance Ad^T, (3, 3): a covariance in the tangent space of b, seen in that of a."""
-    result = np.zeros((3, 3))
+def add_rotated(adjoint_a_b: FloatArray, covariance_b: FloatArray, total: FloatArray) -> None:
+    """Add Ad covariance Ad^T, (3, 3), to ``total``: a covariance in the tangent space of b, seen in a's.
+
+    Plain loops: numba takes seconds to compile the same in array expressions.
+    """
     for i in range(3):
         for j in range(3):
             for k in range(3):
                 for m in range(3):
-                    result[i, j] += adjoint_a_b[i, k] * covariance_b[k, m] * adjoint_a_b[j, m]
-    return result
+                    total[i, j] += adjoint_a_b[i, k] * covariance_b[k, m] * adjoint_a_b[j, m]
+
+
+def rotate_covariance(adjoint_a_b: FloatArray, covariance_b: FloatArray) -> FloatArray:
+    """Ad covariance Ad^T, (3, 3): a covariance in the tangent space of b, seen in that of a."""
+    return adjoint_a_b @ covariance_b @ adjoint_a_b.T

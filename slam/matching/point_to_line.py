@@ -94,6 +94,7 @@ def _align(  # type: ignore[no-untyped-def]
 ):
     pose = start.copy()
     hessian = np.zeros((3, 3))
+    damped = np.zeros((3, 3))
     weight = 0.0
     squares = 0.0
     inliers = 0
@@ -108,10 +109,11 @@ def _align(  # type: ignore[no-untyped-def]
         for row in range(3):
             for column in range(3):
                 gradient[row] += prior[row, column] * offset[column]
-        step = _solve(hessian + prior, -gradient)
-        pose[0] += cos * step[0] - sin * step[1]
-        pose[1] += sin * step[0] + cos * step[1]
-        pose[2] += step[2]
+                damped[row, column] = hessian[row, column] + prior[row, column]
+        step = _solve(damped, gradient)
+        pose[0] -= cos * step[0] - sin * step[1]
+        pose[1] -= sin * step[0] + cos * step[1]
+        pose[2] -= step[2]
         if math.hypot(step[0], step[1]) < _SETTLED_M and abs(step[2]) < _SETTLED_RAD:
             converged = True
             break
