@@ -1,0 +1,277 @@
+"""The tracker between wheels and matches: who starts, who wins, and what both pay where nobody knows."""
+
+import math
+from collections.abc import Callable
+
+import gtsam
+import numpy as np
+import pytest
+from flat_worlds import corridor, moved, points_at, room
+
+from slam.config_stages import LidarOdometryConfig, MatchConfig, PredictionConfig, WheelConfig
+from slam.matching.planar import between, compose
+from slam.matching.scan_points import ScanPoints
+from slam.measurements import FloatArray, MotionEstimate, WheelOdometry, pose2_from_row, row_from_pose2
+from slam.odometry.lidar_odometry import Guess
+from slam.odometry.motion_tracker import MotionTracker, TrackedScan
+from slam.odometry.surfel_odometry import SurfelOdometry
+from slam.odometry.wheel_tracker import WheelTracker
+
+NOTHING = ScanPoints(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32))
+SOME = ScanPoints(np.zeros((250, 2), np.float32), np.zeros((250, 2), np.float32))
+STEP = np.array([0.1, 0.0, 0.02])
+
+
+def motion_at(
+    pose: FloatArray, fit: float = 0.95, inlier_share: float = 0.95, degenerate: bool = False
+) -> MotionEstimate:
+    return MotionEstimate(
+        pose2_from_row(pose), np.eye(3) * 1e-4, inlier_share, fit, 0.01, True, degenerate, np.zeros(3)
+    )
+
+
+class ScriptedOdometry:
+    """Answers as told: the truth's match, or none; near a pose, a fit that the test chooses."""
+
+    def __init__(self) -> None:
+        self.answer: Callable[[list[Guess]], MotionEstimate | None] = lambda guesses: None
+        self.near_fit: float | None = 0.0
+        self.asked: list[list[Guess]] = []
+
+    def match(self, points: ScanPoints, guesses: list[Guess]) -> MotionEstimate | None:
+        self.asked.append(guesses)
+        return self.answer(guesses)
+
+    def match_near(self, points: ScanPoints, pose: FloatArray) -> MotionEstimate | None:
+        return None if self.near_fit is None else motion_at(pose, fit=self.near_fit)
+
+    def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None: ...
+
+
+class Run:
+    """A tracker on scripted answers, 0.1 s a scan, wheels that say what the test says."""
+
+    def __init__(self, wheels: bool = True) -> None:
+        self.odometry = ScriptedOdometry()
+        self.wheels = WheelTracker(WheelConfig()) if wheels else None
+        self.tracker = MotionTracker(self.odometry, self.wheels, PredictionConfig(), MatchConfig())
+        self.stamp_s = 0.0
+        self.wheel_pose = np.array([7.0, -3.0, 1.0])  # the odom frame begins anywhere
+        self.true_pose = np.zeros(3)
+
+    def scan(self, wheel_step: FloatArray = STEP, true_step: FloatArray = STEP) -> TrackedScan:
+        if self.stamp_s > 0.0:  # the first scan is the origin
+            self.true_pose = compose(self.true_pose, true_step)
+        self.stamp_s += 0.1
+        self.wheel_pose = compose(self.wheel_pose, wheel_step)
+        if self.wheels is not None:
+            self.wheels.add(WheelOdometry(self.stamp_s, pose2_from_row(self.wheel_pose)))
+        return self.tracker.track(SOME, self.stamp_s)
+
+    def see_the_truth(self) -> None:
+        """From now on every match tells where the robot is."""
+        self.odometry.answer = lambda guesses: motion_at(self.true_pose)
+
+
+def test_the_first_scan_is_the_origin() -> None:
+    run = Run()
+    first = run.scan()
+    np.testing.assert_array_equal(first.pose, np.zeros(3))
+    assert first.motion is None
+    np.testing.assert_allclose(first.wheel_pose, run.wheel_pose)
+    assert run.odometry.asked == []
+
+
+def test_the_wheels_guess_first_and_constant_velocity_second() -> None:
+    run = Run()
+    run.see_the_truth()
+    run.scan()
+    run.scan()
+    third = run.scan(wheel_step=np.array([0.12, 0.0, 0.0]))
+    wheels, velocity = run.odometry.asked[1]
+    np.testing.assert_allclose(wheels.pose, compose(STEP, np.array([0.12, 0.0, 0.0])), atol=1e-9)
+    np.testing.assert_allclose(velocity.pose, compose(STEP, STEP), atol=1e-9)
+    np.testing.assert_allclose(third.pose, compose(STEP, STEP), atol=1e-9)
+    np.testing.assert_array_equal(third.dispute, np.zeros((3, 3)))
+
+
+def test_without_wheels_velocity_is_the_only_guess() -> None:
+    run = Run(wheels=False)
+    run.see_the_truth()
+    for _ in range(3):
+        tracked = run.scan()
+    assert [len(guesses) for guesses in run.odometry.asked] == [1, 1]
+    np.testing.assert_allclose(run.odometry.asked[1][0].pose, compose(STEP, STEP), atol=1e-9)
+    assert tracked.wheel_pose is None
+
+
+@pytest.mark.parametrize(
+    ("gap_s", "steps"), [(0.1, 1.0), (0.2, 2.0), (0.3, 3.0), (5.0, 3.0), (0.0, 1.0), (-9.0, 1.0)]
+)
+def test_velocity_is_stretched_over_a_gap_but_not_for_ever(gap_s: float, steps: float) -> None:
+    """A stamp that stands or runs backward tells no time: then the last step is repeated."""
+    run = Run(wheels=False)
+    run.see_the_truth()
+    run.scan()
+    run.scan()
+    run.tracker.track(SOME, run.stamp_s + gap_s)
+    np.testing.assert_allclose(run.odometry.asked[1][0].pose, compose(STEP, steps * STEP), atol=1e-9)
+
+
+def test_a_failed_match_leaves_dead_reckoning() -> None:
+    run = Run()
+    run.scan()
+    lost = run.scan()
+    assert lost.motion is None
+    np.testing.assert_allclose(lost.pose, STEP, atol=1e-9)
+    np.testing.assert_allclose(run.scan().pose, compose(STEP, STEP), atol=1e-9)
+
+
+@pytest.mark.parametrize("jump", [(3.0, 0.0, 0.0), (0.0, -4.0, 0.0), (0.0, 0.0, 2.5), (900.0, 0.0, 0.0)])
+def test_a_jump_of_the_wheels_is_ignored(jump: tuple[float, ...]) -> None:
+    run = Run()
+    run.see_the_truth()
+    for _ in range(3):
+        run.scan()
+    doubt = run.tracker.wheel_doubt
+    tracked = run.scan(wheel_step=np.array(jump))
+    assert len(run.odometry.asked[-1]) == 1, "only constant velocity may guess"
+    np.testing.assert_allclose(tracked.pose, run.true_pose, atol=1e-9)
+    assert run.tracker.wheel_doubt == doubt, "what was not asked is not judged"
+    # One step later the wheels count again.
+    run.scan()
+    assert len(run.odometry.asked[-1]) == 2
+
+
+def test_wheels_that_prove_wrong_lose_the_first_word_and_get_it_back() -> None:
+    """Wheels that have lost their sign: every step says backward what went forward."""
+    run = Run()
+    run.see_the_truth()
+    run.odometry.near_fit = 0.0
+    fast = np.array([0.3, 0.0, 0.0])
+    for _ in range(40):
+        run.scan(wheel_step=-fast, true_step=fast)
+    assert run.tracker.wheel_doubt > 3.0
+    np.testing.assert_allclose(run.odometry.asked[-1][0].pose, run.true_pose, atol=1e-6)
+    for _ in range(200):
+        run.scan(wheel_step=fast, true_step=fast)
+    assert run.tracker.wheel_doubt == pytest.approx(1.0, abs=0.05)
+
+
+def test_good_wheels_are_not_doubted() -> None:
+    run = Run()
+    run.see_the_truth()
+    for _ in range(50):
+        run.scan()
+    assert run.tracker.wheel_doubt == 1.0
+
+
+@pytest.mark.parametrize(("inlier_share", "degenerate"), [(0.6, False), (0.95, True)])
+def test_a_match_that_is_not_sure_judges_nobody(inlier_share: float, degenerate: bool) -> None:
+    run = Run()
+    run.odometry.answer = lambda guesses: motion_at(run.true_pose, 0.5, inlier_share, degenerate)
+    for _ in range(30):
+        run.scan(wheel_step=np.zeros(3), true_step=np.array([0.4, 0.0, 0.0]))
+    assert run.tracker.wheel_doubt == 1.0
+
+
+class TestContradiction:
+    """Wheels and velocity say straight on; the match says half a metre to the side."""
+
+    ASIDE = np.array([0.1, 0.5, 0.0])
+
+    def contradict(
+        self, match_fit: float, near_fit: float | None
+    ) -> tuple[TrackedScan, FloatArray, FloatArray]:
+        """The disputed scan, where the match wanted it and where the wheels did."""
+        run = Run()
+        run.see_the_truth()
+        for _ in range(4):
+            run.scan()
+        by_wheels, by_match = compose(run.true_pose, STEP), compose(run.true_pose, self.ASIDE)
+        run.odometry.answer = lambda guesses: motion_at(by_match, fit=match_fit)
+        run.odometry.near_fit = near_fit
+        return run.scan(), by_match, by_wheels
+
+    def test_a_clear_match_overrules_the_wheels(self) -> None:
+        tracked, by_match, _ = self.contradict(match_fit=0.95, near_fit=0.1)
+        np.testing.assert_allclose(tracked.pose, by_match, atol=1e-9)
+        np.testing.assert_array_equal(tracked.dispute, np.zeros((3, 3)))
+
+    def test_the_prediction_wins_where_it_fits_as_well(self) -> None:
+        tracked, by_match, by_wheels = self.contradict(match_fit=0.95, near_fit=0.95)
+        np.testing.assert_allclose(tracked.pose, by_wheels, atol=1e-9)
+        assert tracked.motion is not None
+        # Both pay: the dispute spans the way from one to the other.
+        offset = between(by_match, by_wheels)
+        np.testing.assert_allclose(tracked.dispute, np.outer(offset, offset), atol=1e-9)
+
+    def test_the_better_the_prediction_fits_the_less_the_match_counts(self) -> None:
+        """As the fit at the prediction rises: the match alone, a dispute the match wins, one it loses."""
+        verdicts = []
+        for near_fit in np.linspace(0.05, 0.95, 60):
+            tracked, by_match, _ = self.contradict(match_fit=0.95, near_fit=float(near_fit))
+            verdicts.append((bool(np.allclose(tracked.pose, by_match)), bool(tracked.dispute.any())))
+        order = [(True, False), (True, True), (False, True)]
+        assert [verdict for verdict in order if verdict in verdicts] == order
+        ranks = [order.index(verdict) for verdict in verdicts]
+        assert ranks == sorted(ranks)
+
+    def test_no_second_opinion_leaves_the_match(self) -> None:
+        tracked, by_match, _ = self.contradict(match_fit=0.95, near_fit=None)
+        np.testing.assert_allclose(tracked.pose, by_match, atol=1e-9)
+
+    def test_a_dispute_widens_the_next_guess(self) -> None:
+        run = Run()
+        run.see_the_truth()
+        for _ in range(4):
+            run.scan()
+        plain = run.odometry.asked[-1][0].covariance
+        by_match = compose(run.true_pose, self.ASIDE)
+        run.odometry.answer = lambda guesses: motion_at(by_match, fit=0.95)
+        run.odometry.near_fit = 0.95
+        run.scan()
+        run.scan()
+        assert np.trace(run.odometry.asked[-1][0].covariance) > 5.0 * np.trace(plain)
+
+
+@pytest.mark.parametrize("frame", [(0.0, 0.0, 0.0), (30.0, 20.0, -2.0)])
+def test_real_scans_overrule_slipping_wheels_in_a_room(frame: tuple[float, ...]) -> None:
+    """The robot stands, the wheels spin: 8 cm a scan for ten scans, all of it denied by the walls."""
+    start = compose(np.array(frame), np.array([0.3, -0.2, 0.1]))
+    points = points_at(moved(room(), frame), start)
+    tracked = track_with_surfels([points] * 11, [0.08 * n for n in range(11)])
+    assert np.abs(tracked[-1].pose).max() < 0.01
+
+
+def test_the_wheels_decide_along_a_corridor() -> None:
+    """Scans that all look the same: the way along comes from the wheels, and the match says it is open."""
+    tracked = track_with_surfels(
+        [points_at(corridor(), (0.1 * n, 0.2, 0.0)) for n in range(11)], [0.1 * n for n in range(11)]
+    )
+    np.testing.assert_allclose(tracked[-1].pose, [1.0, 0.0, 0.0], atol=0.02)
+    assert all(scan.motion is not None and scan.motion.degenerate for scan in tracked[1:])
+
+
+def track_with_surfels(scans: list[ScanPoints], wheel_x_m: list[float]) -> list[TrackedScan]:
+    """Each scan a keyframe, 0.1 s apart, the wheels driving along x."""
+    match = MatchConfig()
+    wheels = WheelTracker(WheelConfig())
+    odometry = SurfelOdometry(LidarOdometryConfig(), match)
+    tracker = MotionTracker(odometry, wheels, PredictionConfig(), match)
+    tracked = []
+    for n, (points, x) in enumerate(zip(scans, wheel_x_m, strict=True)):
+        wheels.add(WheelOdometry(0.1 * n, gtsam.Pose2(x, 0.0, 0.0)))
+        tracked.append(tracker.track(points, 0.1 * n))
+        tracker.add_keyframe(points, tracked[-1])
+    return tracked
+
+
+def test_an_empty_scan_is_dead_reckoned_and_the_next_one_matched() -> None:
+    points = points_at(room(), (0.3, -0.2, 0.1))
+    tracked = track_with_surfels([points, points, NOTHING, points], [0.0] * 4)
+    assert [scan.motion is None for scan in tracked] == [True, False, True, False]
+    assert max(np.abs(scan.pose).max() for scan in tracked) < 1e-3
+    assert math.isfinite(tracked[-1].pose.sum())
+    assert tracked[-1].motion is not None
+    np.testing.assert_allclose(row_from_pose2(tracked[-1].motion.T_reference_base), np.zeros(3), atol=1e-3)

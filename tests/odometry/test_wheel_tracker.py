@@ -1,0 +1,102 @@
+"""Wheel odometry: carried on for a moment, doubted in proportion, and not believed when it jumps."""
+
+import math
+
+import gtsam
+import numpy as np
+import pytest
+
+from slam.config_stages import WheelConfig
+from slam.measurements import FloatArray, WheelOdometry
+from slam.odometry.wheel_tracker import WheelTracker
+
+CONFIG = WheelConfig()
+
+
+def tracker(*readings: tuple[float, float, float, float]) -> WheelTracker:
+    """From readings (stamp, x, y, yaw)."""
+    wheels = WheelTracker(CONFIG)
+    for stamp_s, x, y, yaw in readings:
+        wheels.add(WheelOdometry(stamp_s, gtsam.Pose2(x, y, yaw)))
+    return wheels
+
+
+def pose_at(wheels: WheelTracker, stamp_s: float) -> FloatArray:
+    pose = wheels.pose_at(stamp_s)
+    assert pose is not None
+    return pose
+
+
+def test_nothing_is_known_before_the_first_reading() -> None:
+    assert tracker().pose_at(0.0) is None
+
+
+def test_one_reading_has_no_speed() -> None:
+    np.testing.assert_array_equal(pose_at(tracker((1.0, 2.0, 3.0, 0.5)), 1.3), [2.0, 3.0, 0.5])
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.1, -2.8])
+def test_a_straight_drive_goes_on(yaw: float) -> None:
+    heading = np.array([math.cos(yaw), math.sin(yaw)])
+    wheels = tracker((10.0, 5.0, -1.0, yaw), (10.1, 5.0 + 0.1 * heading[0], -1.0 + 0.1 * heading[1], yaw))
+    expected = [5.0 + 0.3 * heading[0], -1.0 + 0.3 * heading[1], yaw]
+    np.testing.assert_allclose(pose_at(wheels, 10.3), expected, atol=1e-9)
+
+
+def test_a_turn_on_the_spot_goes_on_through_pi() -> None:
+    wheels = tracker((0.0, 1.0, 1.0, 3.0), (0.1, 1.0, 1.0, 3.1))
+    np.testing.assert_allclose(pose_at(wheels, 0.2), [1.0, 1.0, 3.2 - 2.0 * math.pi], atol=1e-9)
+
+
+@pytest.mark.parametrize("stamp_s", [0.1, 0.05, -3.0, 0.61, 100.0])
+def test_no_extrapolation_backward_or_far(stamp_s: float) -> None:
+    wheels = tracker((0.0, 0.0, 0.0, 0.0), (0.1, 0.1, 0.0, 0.0))
+    np.testing.assert_array_equal(pose_at(wheels, stamp_s), [0.1, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("second_s", [0.0, -5.0])
+def test_stamps_that_stand_or_run_backward_give_no_speed(second_s: float) -> None:
+    wheels = tracker((0.0, 0.0, 0.0, 0.0), (second_s, 1.0, 0.0, 0.0))
+    np.testing.assert_array_equal(pose_at(wheels, second_s + 0.2), [1.0, 0.0, 0.0])
+    # The next reading makes it good again.
+    wheels.add(WheelOdometry(second_s + 0.1, gtsam.Pose2(1.1, 0.0, 0.0)))
+    np.testing.assert_allclose(pose_at(wheels, second_s + 0.2), [1.2, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("step", "step_s", "plausible"),
+    [
+        ((0.0, 0.0, 0.0), 0.1, True),
+        ((0.4, 0.0, 0.1), 0.1, True),
+        ((0.0, -0.5, 0.0), 0.1, True),
+        ((0.6, 0.0, 0.0), 0.1, False),
+        ((-3.0, 4.0, 0.0), 0.9, False),
+        ((-3.0, 4.0, 0.0), 1.1, True),
+        ((0.0, 0.0, 0.7), 0.1, False),
+        ((0.0, 0.0, -0.7), 0.1, False),
+        ((0.0, 0.0, -0.5), 0.1, True),
+        # A time that nobody knows counts as a second.
+        ((2.0, 0.0, 0.0), 0.0, True),
+        ((2.0, 0.0, 0.0), -600.0, True),
+        ((6.0, 0.0, 0.0), 0.0, False),
+        ((6.0, 0.0, 0.0), -600.0, False),
+        ((math.nan, 0.0, 0.0), 1.0, False),
+    ],
+)
+def test_what_a_robot_can_do(step: tuple[float, ...], step_s: float, plausible: bool) -> None:
+    assert tracker().plausible(np.array(step), step_s) is plausible
+
+
+def test_the_doubt_grows_with_way_and_turn() -> None:
+    wheels = tracker()
+
+    def sigmas(x: float, y: float, yaw: float) -> FloatArray:
+        covariance = wheels.covariance(np.array([x, y, yaw]))
+        np.testing.assert_array_equal(covariance, np.diag(np.diag(covariance)))
+        return np.sqrt(np.diag(covariance))
+
+    floor_m, floor_rad = CONFIG.floor_m, CONFIG.floor_rad
+    np.testing.assert_allclose(sigmas(0, 0, 0), [floor_m, floor_m, floor_rad])
+    way = floor_m + 5.0 * CONFIG.distance_share
+    np.testing.assert_allclose(sigmas(3, -4, 0), [way, way, floor_rad + 5.0 * CONFIG.turn_per_m_rad])
+    np.testing.assert_allclose(sigmas(0, 0, -2.0), [floor_m, floor_m, floor_rad + 2.0 * CONFIG.turn_share])
