@@ -115,8 +115,7 @@ class LoopCloser:
             return []
         distance = np.hypot(*(poses[places, :2] - poses[key, :2]).T)
         covariances = uncertainty.relative_covariances(key, places, poses)
-        sigma = np.sqrt(np.linalg.eigvalsh(covariances[:, :2, :2])[:, -1])
-        slack = np.minimum(config.sigmas * sigma, config.greatest_half_width_m)
+        slack = np.minimum(config.sigmas * _position_sigmas(covariances), config.greatest_half_width_m)
         chosen: list[tuple[int, FloatArray]] = []
         for n in np.argsort(distance):
             if len(chosen) == config.candidates:
@@ -132,7 +131,7 @@ class LoopCloser:
     def _verify(self, place: int, key: int, guess: FloatArray, covariance: FloatArray) -> LoopCandidate:
         """Search the window that the uncertainty asks for, refine, and judge."""
         config = self._config
-        sigma_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+        sigma_m = float(_position_sigmas(covariance[None])[0])
         width = min(config.sigmas * sigma_m, config.greatest_half_width_m)
         yaw = min(config.sigmas * math.sqrt(float(covariance[2, 2])), config.greatest_half_yaw_rad)
         if self._misses >= config.misses_until_wide:
@@ -167,6 +166,14 @@ class LoopCloser:
         if moved_m > limit_m:
             return candidate.refused("refinement left the window")
         return replace(candidate, accepted=True)
+
+
+def _position_sigmas(covariances: FloatArray) -> FloatArray:
+    """Greatest standard deviation of the position, (m,) for (m, 3, 3); infinite where no path leads."""
+    sigmas = np.full(len(covariances), np.inf)
+    known = np.isfinite(covariances).all(axis=(1, 2))
+    sigmas[known] = np.sqrt(np.linalg.eigvalsh(covariances[known, :2, :2])[:, -1])
+    return sigmas
 
 
 def _report(candidate: LoopCandidate) -> None:

@@ -158,11 +158,15 @@ class PoseGraph:
 
     def initialize(self) -> None:
         """Start from the edges alone: LAGO (Carlone 2014) in the plane, chordal initialisation in space."""
-        graph = self._graph(self.edges)
-        if self._dimension == 3:
-            self._estimate = gtsam.lago.initialize(graph)
-        else:
-            self._estimate = gtsam.InitializePose3.initialize(graph)
+        if self._dimension == 6:
+            self._estimate = gtsam.InitializePose3.initialize(self._graph(self.edges))
+            return
+        graph = gtsam.NonlinearFactorGraph()
+        graph.add(self._prior())
+        for edge in self.edges:
+            # LAGO takes no correlated noise; for a start the variances are enough.
+            graph.add(_between(edge, gtsam.noiseModel.Diagonal.Variances(np.diag(edge.covariance))))
+        self._estimate = gtsam.lago.initialize(graph)
 
     def pose(self, key: int) -> Pose:
         """Estimated pose of a node."""

@@ -1,0 +1,198 @@
+"""Loops: the start is recognised after a drifting round, other places are not, and every verdict is told."""
+
+import itertools
+import logging
+
+import numpy as np
+import pytest
+from flat_worlds import corridor, points_at
+
+from slam.config_stages import LoopConfig, MatchConfig
+from slam.graph.loop_closure import LoopCandidate, LoopCloser
+from slam.graph.relative_uncertainty import UncertaintyGraph
+from slam.matching.local_map import OrientedPoints
+from slam.matching.planar import between, compose
+from slam.measurements import FloatArray, row_from_pose2
+from slam.simulation.floor_plan import TOUR_M, walls
+
+NOTHING = OrientedPoints(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32))
+STEP_SIGMAS = np.array([0.03, 0.03, 0.01])
+# The first round of the tour: along the corridor, through two rooms, and back to the first point.
+ROUND = TOUR_M[:6]
+
+
+def round_trip(spacing_m: float = 0.25) -> FloatArray:
+    """True poses on the first round of the building's tour, and a little into the second, (N, 3)."""
+    poses = []
+    corners = np.vstack([ROUND, ROUND[1]])
+    for n, (a, b) in enumerate(itertools.pairwise(corners)):
+        way = np.linalg.norm(b - a)
+        yaw = np.arctan2(*(b - a)[::-1])
+        last = n == len(corners) - 2
+        for s in np.arange(0.0, 1.5 if last else way, spacing_m):
+            poses.append([*(a + (b - a) * s / way), yaw])
+    return np.array(poses)
+
+
+class Drive:
+    """Keyframes fed to a loop closer one by one, with a drift that the chain's covariances admit."""
+
+    def __init__(self, drift: tuple[float, ...] = (0.0, 0.0, 0.0), **settings: object) -> None:
+        self.closer = LoopCloser(LoopConfig(**settings), MatchConfig())
+        self.uncertainty = UncertaintyGraph()
+        self.drift = np.array(drift)
+        self.poses = np.zeros((0, 3))
+        self.truth = np.zeros((0, 3))
+        self.travelled_m = 0.0
+
+    def add(self, truth: FloatArray, scan: OrientedPoints) -> list[LoopCandidate]:
+        """The next keyframe and what it closes."""
+        key = len(self.poses)
+        self.uncertainty.add_node()
+        if key == 0:
+            pose = np.array([5.0, 5.0, 1.0])
+        else:
+            step = between(self.truth[-1], truth) + self.drift
+            pose = compose(self.poses[-1], step)
+            self.travelled_m += float(np.hypot(step[0], step[1]))
+            self.uncertainty.add_edge(key - 1, key, step, np.diag(STEP_SIGMAS**2))
+        self.poses = np.vstack([self.poses, pose])
+        self.truth = np.vstack([self.truth, truth])
+        self.closer.add_keyframe(scan, pose, self.travelled_m)
+        return self.closer.close(key, self.poses, self.uncertainty)
+
+    def round(self) -> list[LoopCandidate]:
+        """The whole round through the building."""
+        found = []
+        rng = np.random.default_rng(0)
+        for truth in round_trip():
+            points = points_at(walls(), truth, sigma_m=0.01, seed=rng, beams=271)
+            found += self.add(truth, OrientedPoints.from_scan(points))
+        return found
+
+
+@pytest.fixture(scope="module")
+def drifted() -> tuple[Drive, list[LoopCandidate]]:
+    """A round that misses its start by more than a metre."""
+    drive = Drive(drift=(0.008, -0.005, 0.003))
+    return drive, drive.round()
+
+
+def error_of(loop: LoopCandidate, truth: FloatArray) -> FloatArray:
+    """x, y, yaw by which a loop's claim is wrong."""
+    assert loop.motion is not None
+    claim = row_from_pose2(loop.motion.T_reference_base)
+    return between(between(truth[loop.place], truth[loop.keyframe]), claim)
+
+
+def test_a_round_closes_at_its_start(drifted: tuple[Drive, list[LoopCandidate]]) -> None:
+    drive, loops = drifted
+    missed = between(between(drive.truth[0], drive.truth[-1]), between(drive.poses[0], drive.poses[-1]))
+    assert np.hypot(*missed[:2]) > 0.8, "the drift is worth the name"
+    home = [loop for loop in loops if loop.accepted and loop.place < 20]
+    assert len(home) >= 2
+    for loop in home:
+        error = error_of(loop, drive.truth)
+        # The submap itself drifts over the half dozen keyframes around its place.
+        assert np.hypot(error[0], error[1]) < 0.05
+        assert abs(error[2]) < 0.025
+
+
+def test_every_accepted_loop_is_true(drifted: tuple[Drive, list[LoopCandidate]]) -> None:
+    drive, loops = drifted
+    for loop in loops:
+        if loop.accepted:
+            assert np.abs(error_of(loop, drive.truth)).max() < 0.1
+
+
+def test_the_verdicts_are_told(drifted: tuple[Drive, list[LoopCandidate]]) -> None:
+    drive, loops = drifted
+    for loop in loops:
+        assert loop.accepted == (loop.reason == "")
+        assert 0.0 <= loop.score <= 1.0
+        assert 0 <= loop.place < loop.keyframe < len(drive.poses)
+        assert loop.half_width_m <= LoopConfig().greatest_half_width_m
+        assert loop.motion is not None or not loop.accepted
+    tried = {loop.keyframe for loop in loops}
+    assert max(sum(loop.keyframe == key for loop in loops) for key in tried) <= LoopConfig().candidates
+
+
+def test_no_loop_is_shorter_than_the_least_path(drifted: tuple[Drive, list[LoopCandidate]]) -> None:
+    drive, loops = drifted
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(drive.poses[:, :2], axis=0).T))])
+    assert loops
+    assert min(way[loop.keyframe] - way[loop.place] for loop in loops) > LoopConfig().least_path_m - 1e-6
+
+
+def test_attempts_are_spaced(drifted: tuple[Drive, list[LoopCandidate]]) -> None:
+    drive, loops = drifted
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(drive.poses[:, :2], axis=0).T))])
+    tried = sorted({loop.keyframe for loop in loops})
+    assert np.diff(way[tried]).min() > LoopConfig().every_m - 1e-6
+
+
+def test_disabled_means_none() -> None:
+    assert Drive(enabled=False).round() == []
+
+
+def line_drive(drive: Drive, first: OrientedPoints, last: OrientedPoints) -> list[LoopCandidate]:
+    """Out 8 m and back along one line: the start is drawn by ``first``, the return sees ``last``."""
+    found = []
+    for n, x in enumerate([*np.arange(0.0, 8.0, 0.5), *np.arange(8.0, -0.1, -0.5)]):
+        scan = first if n < 3 else last if n > 30 else NOTHING
+        found += drive.add(np.array([x, 0.0, 0.0]), scan)
+    return found
+
+
+def test_a_different_place_is_refused(caplog: pytest.LogCaptureFixture) -> None:
+    """The odometry says that the robot is back; the walls say that it is elsewhere."""
+    here = OrientedPoints.from_scan(points_at(walls(), (1.0, 4.0, 0.0)))
+    elsewhere = OrientedPoints.from_scan(points_at(walls(), (9.5, 7.0, 0.5)))
+    with caplog.at_level(logging.INFO, logger="slam.graph.loop_closure"):
+        loops = line_drive(Drive(), here, elsewhere)
+    assert loops
+    assert not any(loop.accepted for loop in loops)
+    assert all(loop.reason for loop in loops)
+    lines = [record.message for record in caplog.records]
+    assert len(lines) == len(loops)
+    assert all("refused, " in line for line in lines)
+    # The same drive with the right walls closes.
+    assert any(loop.accepted for loop in line_drive(Drive(), here, here))
+
+
+def test_a_place_without_points_is_refused() -> None:
+    scan = OrientedPoints.from_scan(points_at(walls(), (1.0, 4.0, 0.0)))
+    loops = line_drive(Drive(), NOTHING, scan)
+    assert loops
+    assert {loop.reason for loop in loops} == {"the place has too few points"}
+
+
+def test_a_scan_without_points_asks_nothing() -> None:
+    scan = OrientedPoints.from_scan(points_at(walls(), (1.0, 4.0, 0.0)))
+    assert line_drive(Drive(), scan, NOTHING) == []
+
+
+def test_a_corridor_closes_with_its_direction_open() -> None:
+    """Two walls tell how far to the side, not how far along: if it closes, the covariance must say so."""
+    scan = OrientedPoints.from_scan(points_at(corridor(), (0.0, 0.1, 0.0)))
+    loops = [loop for loop in line_drive(Drive(), scan, scan) if loop.motion is not None]
+    assert loops
+    for loop in loops:
+        assert loop.motion is not None
+        assert loop.motion.degenerate
+        assert loop.motion.covariance[0, 0] > 0.4**2
+        assert loop.motion.covariance[1, 1] < 0.05**2
+
+
+def test_a_lost_node_searches_no_farther_than_the_limit() -> None:
+    """No path of edges: the covariance is infinite, the window is not."""
+    scan = OrientedPoints.from_scan(points_at(walls(), (1.0, 4.0, 0.0)))
+    closer = LoopCloser(LoopConfig(greatest_half_width_m=1.0, greatest_half_yaw_rad=0.3), MatchConfig())
+    uncertainty = UncertaintyGraph()
+    for n in range(2):
+        uncertainty.add_node()
+        closer.add_keyframe(scan, np.zeros(3), 20.0 * n)
+    loops = closer.close(1, np.zeros((2, 3)), uncertainty)
+    assert [loop.half_width_m for loop in loops] == [1.0]
+    assert loops[0].half_yaw_rad == 0.3
+    assert loops[0].accepted

@@ -1,0 +1,80 @@
+"""Submaps: the neighbours by way and by number, in the place's own frame, and a cache that stays small."""
+
+import numpy as np
+import pytest
+from flat_worlds import points_at, room
+
+from slam.config_stages import LoopConfig, MatchConfig
+from slam.graph.submaps import SubmapStore
+from slam.matching.local_map import OrientedPoints
+from slam.matching.planar import compose, transform_points
+
+
+def one_point(x: float, y: float) -> OrientedPoints:
+    return OrientedPoints(np.array([[x, y]], dtype=np.float32), np.array([[1.0, 0.0]], dtype=np.float32))
+
+
+def store_of(count: int, spacing_m: float = 1.0, **settings: object) -> SubmapStore:
+    """Keyframes in a row along x, each of which sees one point, 5 m to its left."""
+    store = SubmapStore(LoopConfig(**settings), MatchConfig())
+    for n in range(count):
+        store.add(one_point(0.0, 5.0), np.array([spacing_m * n, 0.0, 0.0]), spacing_m * n)
+    return store
+
+
+def seen_x(store: SubmapStore, key: int) -> list[float]:
+    return store.submap(key).local_map.points.points[:, 0].tolist()
+
+
+def test_the_neighbours_by_number() -> None:
+    store = store_of(30, 0.1, submap_half_keyframes=2, submap_half_m=100.0)
+    np.testing.assert_allclose(seen_x(store, 10), [-0.2, -0.1, 0.0, 0.1, 0.2], atol=1e-6)
+    np.testing.assert_allclose(seen_x(store, 0), [0.0, 0.1, 0.2], atol=1e-6)
+    np.testing.assert_allclose(seen_x(store, 29), [-0.2, -0.1, 0.0], atol=1e-6)
+
+
+def test_the_neighbours_by_way() -> None:
+    store = store_of(30, 1.0, submap_half_keyframes=8, submap_half_m=2.5)
+    np.testing.assert_allclose(seen_x(store, 10), [-2.0, -1.0, 0.0, 1.0, 2.0], atol=1e-6)
+
+
+def test_a_submap_is_in_the_places_frame() -> None:
+    """Three sweeps of a room from three poses, seen from the middle one: they draw the same walls."""
+    store = SubmapStore(LoopConfig(), MatchConfig())
+    start = np.array([80.0, -9.0, 2.0])  # odometry frame and room have nothing to do with each other
+    poses = [np.array([0.0, 0.0, 0.0]), np.array([0.3, 0.1, 0.4]), np.array([0.5, -0.2, -0.3])]
+    for n, pose in enumerate(poses):
+        store.add(OrientedPoints.from_scan(points_at(room(), pose)), compose(start, pose), 0.3 * n)
+    world = transform_points(store.submap(1).local_map.points.points, poses[1])
+    assert len(world) > 900
+    off_wall = np.abs(np.abs(world).max(axis=1) - 3.0)
+    assert (off_wall < 1e-3).mean() > 0.6
+    assert np.abs(world).max() < 3.001
+    assert store.submap(1).field.levels[0].any()
+
+
+def test_the_cache_is_bounded_and_keeps_what_was_used_last() -> None:
+    store = store_of(60, submaps_cached=3)
+    first = [store.submap(key) for key in (0, 1, 2)]
+    assert store.submap(0) is first[0]
+    store.submap(3)  # 1 is now the one that was not used for longest
+    assert len(store._cache) == 3
+    assert store.submap(0) is first[0]
+    assert store.submap(2) is first[2]
+    assert store.submap(1) is not first[1]
+    for key in range(60):
+        store.submap(key)
+        assert len(store._cache) <= 3
+
+
+def test_the_field_is_drawn_once() -> None:
+    submap = store_of(3).submap(1)
+    assert submap.field is submap.field
+
+
+def test_what_was_added_comes_back() -> None:
+    store = store_of(3, 2.0)
+    assert store.travelled_m(2) == 4.0
+    assert len(store.scan(2)) == 1
+    with pytest.raises(IndexError):
+        store.scan(3)
