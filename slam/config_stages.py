@@ -78,7 +78,7 @@ class PredictionConfig(StrictModel):
         default=3.0, gt=0, description="beyond this the match contradicts the best prediction"
     )
     disputed_within: float = Field(
-        default=4.0, ge=0, description="log-likelihood ratio within which a contradiction is not decided"
+        default=8.0, ge=0, description="log-likelihood ratio within which a contradiction is not decided"
     )
 
 
@@ -128,7 +128,7 @@ class LoopConfig(StrictModel):
     field_sigma_m: float = Field(default=0.1, gt=0, description="blur of the search's likelihood field")
     points: int = Field(default=120, ge=10, description="scan points in the search")
     least_score: float = Field(default=0.55, gt=0, lt=1, description="least mean likelihood")
-    least_inlier_share: float = Field(default=0.6, gt=0, le=1, description="least share of matched points")
+    least_inlier_share: float = Field(default=0.5, gt=0, le=1, description="least share of matched points")
     greatest_residual_m: float = Field(default=0.04, gt=0, description="greatest residual of a true loop")
     inlier_probability: float = Field(
         default=0.99, gt=0, lt=1, description="GNC: a true loop passes the chi-square gate with this"

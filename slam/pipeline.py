@@ -147,7 +147,7 @@ class Mapper:
         settings = self._config.scan
         points = extract_points(scan, settings.range_min_m, settings.range_max_m, settings.neighbours)
         tracked = self._tracker.track(points, scan.stamp_s)
-        self._readings.add_scan(scan.stamp_s, tracked.pose, tracked.wheel_pose)
+        self._readings.add_scan(scan.stamp_s, tracked.pose, tracked.wheel_pose, sure=tracked.sure)
         if self._moved_on(tracked):
             key = self._add_keyframe(scan, points, tracked)
             for candidate in self._closer.close(key, self._graph.poses(), self._graph.uncertainty):

@@ -19,6 +19,7 @@ class Readings:
         self._wheel_poses = array("d")
         self._scan_readings = array("q")
         self._scan_poses = array("d")
+        self._scan_sure = array("b")
         self._keyframe_scans = array("q")
 
     @property
@@ -31,9 +32,12 @@ class Readings:
         self._stamps_s.append(stamp_s)
         self._wheel_poses.extend((np.nan,) * 3 if pose is None else pose)
 
-    def add_scan(self, stamp_s: float, pose: FloatArray, wheel_pose: FloatArray | None) -> None:
-        """A scan with its pose (3,) in the odometry frame."""
+    def add_scan(
+        self, stamp_s: float, pose: FloatArray, wheel_pose: FloatArray | None, *, sure: bool = True
+    ) -> None:
+        """A scan with its pose (3,) in the odometry frame; one that is not sure is no anchor for others."""
         self._scan_readings.append(len(self._stamps_s))
+        self._scan_sure.append(sure)
         self._scan_poses.extend(pose)
         self.add_wheel(stamp_s, wheel_pose)
 
@@ -61,7 +65,9 @@ class Readings:
         scan_poses = spread_correction(
             np.array(self._scan_poses).reshape(-1, 3), self.keyframe_scans(), keyframe_poses
         )
-        scans = np.array(self._scan_readings)
+        sure = np.array(self._scan_sure, dtype=np.bool_)
+        sure[0] |= not sure.any()
+        scans, scan_poses = np.array(self._scan_readings)[sure], scan_poses[sure]
         wheel_poses = np.array(self._wheel_poses).reshape(-1, 3)
         known = np.flatnonzero(~np.isnan(wheel_poses[:, 0]))
         if known.size:

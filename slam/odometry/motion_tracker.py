@@ -51,6 +51,11 @@ class TrackedScan:
     wheel_pose: FloatArray | None
     dispute: FloatArray
 
+    @property
+    def sure(self) -> bool:
+        """Whether the lidar matched and nothing contradicts it; the first scan is the origin, and sure."""
+        return not self.dispute.any() and (self.motion is not None or not self.pose.any())
+
 
 class _Predictor:
     """How far a kind of prediction can be trusted, learned from the matches."""
@@ -165,7 +170,10 @@ class MotionTracker:
         # Log-likelihood ratio: what the scan says for the match, what a heavy tail (Student's t with three
         # degrees of freedom) says for the prediction.
         for_match = self._evidence(len(points), motion, held)
-        for_prediction = 2.0 * math.log1p(sigmas**2 / 3.0)
+        for_prediction = sum(
+            2.0 * math.log1p(_squared_sigmas(guess, row_from_pose2(motion.T_reference_base)) / 3.0)
+            for guess in guesses
+        )
         if for_match - for_prediction > config.disputed_within:
             return motion, np.zeros((3, 3))
         offset = between(row_from_pose2(motion.T_reference_base), row_from_pose2(held.T_reference_base))
