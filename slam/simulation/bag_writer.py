@@ -1,0 +1,166 @@
+"""A drive as a rosbag2 in MCAP, written as a stream and byte for byte the same for the same drive."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import gtsam
+
+from slam.simulation import ros_messages as ros
+from slam.simulation.drive import Drive
+from slam.simulation.events import DriveEvent, ImageEvent, OdometryEvent, ScanEvent
+from slam.simulation.tum_writer import depth_steps
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection, Qos
+
+BAG_FILES = ("log.mcap", "metadata.yaml")
+ODOM_FRAME, BASE_FRAME, LASER_FRAME = "odom", "base_link", "laser"
+
+_BAG_VERSION: Final = 8  # the newest that ROS 2 Humble reads
+
+
+def camera_frame(camera: str) -> str:
+    """Name of a camera's optical frame."""
+    return f"{camera_topic(camera)[1:]}_optical_frame"
+
+
+def camera_topic(camera: str) -> str:
+    """What the topics of a camera begin with: ``/camera`` for "camera", ``/camera_1`` for "RGBD_1"."""
+    plain = camera.lower().removeprefix("rgbd_")
+    return f"/{plain}" if plain.startswith("camera") else f"/camera_{plain}"
+
+
+class BagWriter:
+    """A rosbag2; use it as a context manager.
+
+    Topics: ``/scan``, ``/odom``, ``/tf`` (odom to base_link), ``/tf_static`` and for each camera
+    ``color/image_raw``, ``color/camera_info``, ``depth/image_raw``, ``depth/camera_info``. A message's header
+    bears the sensor's stamp, the bag's own time is the true time: when it would have arrived. The truth
+    (map to odom) is not in the bag.
+
+    Parameters
+    ----------
+    folder
+        Made anew; gets ``log.mcap`` and ``metadata.yaml`` and must be called ``log``.
+    compress
+        Pack the chunks with zstd.
+    """
+
+    def __init__(self, folder: Path, drive: Drive, first_stamp_s: float, *, compress: bool = False) -> None:
+        from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+        self._drive = drive
+        self._writer = Writer(folder, version=_BAG_VERSION, storage_plugin=StoragePlugin.MCAP)
+        if compress:
+            self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+        self._connections: dict[str, Connection] = {}
+        self._first_stamp_s = first_stamp_s
+
+    def __enter__(self) -> Self:
+        self._writer.open()
+        self._connect()
+        self._send(
+            "/tf_static",
+            self._first_stamp_s,
+            ros.transforms(self._first_stamp_s, BASE_FRAME, mounts(self._drive)),
+        )
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the bag; after an error without its index, so that it does not look whole."""
+        self._writer.__exit__(kind, error, trace)
+
+    def write(self, event: DriveEvent) -> None:
+        """Write a reading; the truth is left out."""
+        if isinstance(event, ScanEvent):
+            self._scan(event)
+        elif isinstance(event, ImageEvent):
+            self._image(event)
+        elif isinstance(event, OdometryEvent):
+            self._odometry(event)
+
+    def _connect(self) -> None:
+        """Announce all topics in a fixed order, also those that may stay empty."""
+        topics = {"/tf_static": ros.TRANSFORMS, "/tf": ros.TRANSFORMS, "/odom": ros.ODOMETRY}
+        if self._drive.rig.lidar is not None:
+            topics["/scan"] = ros.LASER_SCAN
+        for camera in self._drive.rig.cameras:
+            for kind in ("color", "depth"):
+                topics[f"{camera_topic(camera.name)}/{kind}/image_raw"] = ros.IMAGE
+                topics[f"{camera_topic(camera.name)}/{kind}/camera_info"] = ros.CAMERA_INFO
+        for topic, kind in topics.items():
+            self._connections[topic] = self._writer.add_connection(
+                topic,
+                kind,
+                typestore=ros.typestore(),
+                offered_qos_profiles=[_latched()] if topic == "/tf_static" else (),
+            )
+
+    def _send(self, topic: str, true_stamp_s: float, message: Any) -> None:
+        """Write one message."""
+        connection = self._connections[topic]
+        content = ros.typestore().serialize_cdr(message, connection.msgtype)
+        self._writer.write(connection, ros.nanoseconds(true_stamp_s), content)
+
+    def _scan(self, event: ScanEvent) -> None:
+        """The lidar."""
+        lidar = self._drive.rig.lidar
+        if lidar is not None:
+            model = lidar.model
+            message = ros.laser_scan(event.scan, LASER_FRAME, model.range_min_m, 1.0 / model.rate_hz)
+            self._send("/scan", event.true_stamp_s, message)
+
+    def _image(self, event: ImageEvent) -> None:
+        """One camera: two images and what they were taken with; depth is registered to colour."""
+        frame, at_s = event.frame, event.true_stamp_s
+        topic, frame_id = camera_topic(frame.sensor), camera_frame(frame.sensor)
+        depth = depth_steps(frame.depth_m, ros.DEPTH_STEPS_PER_M)
+        images = {
+            "color": ros.color_image(frame, frame_id),
+            "depth": ros.depth_image(depth, frame.stamp_s, frame_id),
+        }
+        info = ros.camera_info(frame.intrinsics, frame.stamp_s, frame_id)
+        for kind, image in images.items():
+            self._send(f"{topic}/{kind}/image_raw", at_s, image)
+            self._send(f"{topic}/{kind}/camera_info", at_s, info)
+
+    def _odometry(self, event: OdometryEvent) -> None:
+        """The wheels, as a message and as a transform."""
+        stamp_s, pose = event.reading.stamp_s, gtsam.Pose3(event.reading.T_odom_base)
+        message = ros.odometry(stamp_s, pose, event.twist, ODOM_FRAME, BASE_FRAME)
+        self._send("/odom", event.true_stamp_s, message)
+        self._send("/tf", event.true_stamp_s, ros.transforms(stamp_s, ODOM_FRAME, {BASE_FRAME: pose}))
+
+
+def mounts(drive: Drive) -> dict[str, gtsam.Pose3]:
+    """Where each sensor frame sits on the robot, by the frame's name."""
+    found = {camera_frame(camera.name): camera.T_base_camera for camera in drive.rig.cameras}
+    if drive.rig.lidar is not None:
+        found[LASER_FRAME] = drive.rig.lidar.T_base_laser
+    return found
+
+
+def _latched() -> Qos:
+    """What late listeners of /tf_static need: the publisher keeps its message for them."""
+    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+
+    forever = QosTime(2147483647, 4294967295)
+    return Qos(
+        QosHistory.KEEP_LAST,
+        1,
+        QosReliability.RELIABLE,
+        QosDurability.TRANSIENT_LOCAL,
+        forever,
+        forever,
+        QosLiveliness.AUTOMATIC,
+        forever,
+        False,
+    )

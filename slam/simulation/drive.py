@@ -1,0 +1,253 @@
+"""A simulated drive: the robot tours a home and its sensors fire, each in its own rhythm, by its own clock.
+
+Readings come in the order of true time, one after another, so memory stays flat. Every reading draws from
+random numbers of its own: the same seed gives the same bits, and a sensor that is switched off, or loses
+frames, changes nothing in the others.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from slam.errors import ConfigError
+from slam.measurements import FloatArray, LaserScan, RgbdFrame, WheelOdometry, pose2_from_row
+from slam.simulation.drive_faults import LIDAR, DriveFaults
+from slam.simulation.events import DriveEvent, ImageEvent, OdometryEvent, ScanEvent, TruthEvent
+from slam.simulation.home_model import Home
+from slam.simulation.person import Walk, plan_walk
+from slam.simulation.rigs import MountedCamera, MountedLidar, Rig
+from slam.simulation.scene import Scene
+from slam.simulation.sensor_clock import Schedule, generator, schedule
+from slam.simulation.sensors import render_rgbd, scan_lidar
+from slam.simulation.tour import Tour, plan_tour
+from slam.simulation.wheel_odometry import WheelReadings, wheel_readings
+
+FIRST_STAMP_S = 1000.0  # true time when a drive begins
+TRUTH_RATE_HZ = 50.0
+
+_TRUTH, _ODOMETRY, _READINGS = range(3)  # order of what happens at the same time
+_NOISE = 1  # stream of a sensor's generator; 0 is its schedule
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A drive that is planned, and can be driven any number of times.
+
+    Attributes
+    ----------
+    home, rig, seed, faults
+        What it was planned from.
+    tour
+        The truth.
+    schedules
+        Of the lidar and the cameras, by the sensor's name.
+    odometry_s
+        (N,) seconds since the beginning of each wheel reading.
+    wheels
+        What the wheels say.
+    walk
+        The person, if there is one.
+    """
+
+    home: Home
+    rig: Rig
+    seed: int
+    faults: DriveFaults
+    tour: Tour
+    schedules: dict[str, Schedule]
+    odometry_s: FloatArray
+    wheels: WheelReadings
+    walk: Walk | None
+
+    def base_at(self, time_s: float) -> gtsam.Pose2:
+        """``T_map_base``, seconds since the beginning."""
+        return gtsam.Pose2(*self.tour.pose_at(time_s))
+
+    def odometry_at(self, stamp_s: float) -> gtsam.Pose2:
+        """``T_odom_base`` by the wheels at a stamp of their clock, between two readings by interpolation."""
+        at = (stamp_s - FIRST_STAMP_S) * self.faults.wheels.rate_hz
+        last = len(self.odometry_s) - 1
+        index = min(max(int(at), 0), max(last - 1, 0))
+        rows = self.wheels.poses_xyt
+        before, after = pose2_from_row(rows[index]), pose2_from_row(rows[min(index + 1, last)])
+        share = min(max(at - index, 0.0), 1.0)
+        return before.compose(gtsam.Pose2.Expmap(share * gtsam.Pose2.Logmap(before.between(after))))
+
+    def events(self) -> Iterator[DriveEvent]:
+        """All readings in the order of true time."""
+        scene = Scene(self.home)
+        streams: list[Iterator[tuple[float, int, int]]] = [
+            _ticks(np.arange(int(self.tour.duration_s * TRUTH_RATE_HZ) + 1) / TRUTH_RATE_HZ, _TRUTH),
+            _ticks(self.odometry_s, _ODOMETRY),
+        ]
+        sensors = list(self.schedules.values())
+        for place, readings in enumerate(sensors):
+            streams.append(_ticks(readings.true_s, _READINGS + place))
+        cameras = {camera.name: camera for camera in self.rig.cameras}
+        for time_s, place, index in heapq.merge(*streams):
+            if place == _TRUTH:
+                yield TruthEvent(FIRST_STAMP_S + time_s, self.base_at(time_s))
+            elif place == _ODOMETRY:
+                yield self._odometry(index)
+            elif sensors[place - _READINGS].kept[index]:
+                readings = sensors[place - _READINGS]
+                if readings.sensor in cameras:
+                    yield self._image(scene, cameras[readings.sensor], readings, index)
+                else:
+                    yield self._scan(scene, readings, index)
+
+    def _odometry(self, index: int) -> OdometryEvent:
+        """A reading of the wheels; their clock tells the truth."""
+        stamp_s = FIRST_STAMP_S + float(self.odometry_s[index])
+        reading = WheelOdometry(round(stamp_s, 6), pose2_from_row(self.wheels.poses_xyt[index]))
+        speed, turn = map(float, self.wheels.twists[index])
+        return OdometryEvent(stamp_s, reading, (speed, turn), self.wheels.slipping[index])
+
+    def _scan(self, scene: Scene, readings: Schedule, index: int) -> ScanEvent:
+        """One sweep, taken at an instant."""
+        lidar = self.rig.lidar
+        if lidar is None:
+            raise ConfigError(f"rig {self.rig.name} has no lidar")
+        time_s, model = float(readings.true_s[index]), lidar.model
+        base = self.base_at(time_s)
+        seen = scan_lidar(
+            scene,
+            gtsam.Pose3(base).compose(lidar.T_base_laser),
+            model,
+            generator(self.seed, readings.sensor, _NOISE, index),
+            None if self.walk is None else self.walk.at(time_s),
+        )
+        scan = LaserScan(
+            stamp_s=float(readings.stamps_s[index]),
+            ranges_m=seen.ranges_m,
+            start_angle_rad=model.start_angle_rad,
+            step_rad=model.step_rad,
+            range_max_m=model.range_max_m,
+            T_base_laser=planar_mount(lidar),
+            sensor=readings.sensor,
+        )
+        return ScanEvent(FIRST_STAMP_S + time_s, base, scan, seen.true_ranges_m, seen.fault)
+
+    def _image(self, scene: Scene, camera: MountedCamera, readings: Schedule, index: int) -> ImageEvent:
+        """One pair of images, taken at an instant."""
+        time_s = float(readings.true_s[index])
+        base = self.base_at(time_s)
+        seen = render_rgbd(
+            scene,
+            gtsam.Pose3(base).compose(camera.T_base_camera),
+            camera.model,
+            generator(self.seed, readings.sensor, _NOISE, index),
+            None if self.walk is None else self.walk.at(time_s),
+        )
+        frame = RgbdFrame(
+            stamp_s=float(readings.stamps_s[index]),
+            color=seen.color,
+            depth_m=seen.depth_m,
+            intrinsics=camera.model.intrinsics,
+            T_base_camera=camera.T_base_camera,
+            sensor=readings.sensor,
+        )
+        return ImageEvent(FIRST_STAMP_S + time_s, base, frame, seen.true_depth_m, seen.fault)
+
+
+def prepare_drive(
+    home: Home, rig: Rig, seed: int, faults: DriveFaults | None = None, duration_s: float | None = None
+) -> Drive:
+    """Plan the tour, the wheels, the clocks and the person of a drive.
+
+    Parameters
+    ----------
+    seed
+        Of the tour's order, all noise and all faults.
+    faults
+        None: only the wheels' usual slip.
+    duration_s
+        None: one tour through all rooms.
+
+    Raises
+    ------
+    ConfigError
+        The robot does not fit through the home, or the sensor that should die is not on the rig.
+    """
+    faults = faults or DriveFaults()
+    names = ([LIDAR] if rig.lidar else []) + [camera.name for camera in rig.cameras]
+    if faults.dying_sensor and faults.dying_sensor not in names:
+        raise ConfigError(f"dying_sensor is {faults.dying_sensor!r}; rig {rig.name} has {', '.join(names)}")
+    tour = plan_tour(home, rig.robot_radius_m, rig.robot_height_m, seed, duration_s)
+    odometry_s = np.arange(int(tour.duration_s * faults.wheels.rate_hz + 1e-9) + 1) / faults.wheels.rate_hz
+    return Drive(
+        home=home,
+        rig=rig,
+        seed=seed,
+        faults=faults,
+        tour=tour,
+        schedules=_schedules(rig, faults, tour.duration_s, seed),
+        odometry_s=odometry_s,
+        wheels=wheel_readings(faults.wheels, tour.poses_at(odometry_s), generator(seed, "wheels")),
+        walk=plan_walk(home, tour, seed + 1) if faults.person else None,
+    )
+
+
+def simulate_drive(
+    home: Home, rig: Rig, seed: int, faults: DriveFaults | None = None, duration_s: float | None = None
+) -> Iterator[DriveEvent]:
+    """All readings of a drive in the order of true time; see `prepare_drive` for the arguments.
+
+    Raises
+    ------
+    ConfigError
+        As `prepare_drive`.
+    """
+    return prepare_drive(home, rig, seed, faults, duration_s).events()
+
+
+def planar_mount(lidar: MountedLidar) -> gtsam.Pose2:
+    """``T_base_laser`` in the plane."""
+    mount = lidar.T_base_laser
+    return gtsam.Pose2(mount.x(), mount.y(), mount.rotation().yaw())
+
+
+def _schedules(rig: Rig, faults: DriveFaults, duration_s: float, seed: int) -> dict[str, Schedule]:
+    """When each sensor fires."""
+    dead_s = (faults.dies_at_share * duration_s, np.inf)
+    if faults.returns_at_share is not None:
+        dead_s = (dead_s[0], faults.returns_at_share * duration_s)
+    found: dict[str, Schedule] = {}
+    if rig.lidar:
+        found[LIDAR] = schedule(
+            LIDAR,
+            rig.lidar.model.rate_hz,
+            duration_s,
+            FIRST_STAMP_S,
+            seed,
+            clock_offset_s=faults.lidar_clock_offset_s,
+            period_jitter_s=faults.period_jitter_s,
+            stamp_jitter_s=faults.stamp_jitter_s,
+            dropped_share=faults.dropped_scan_share,
+            dead_s=dead_s if faults.dying_sensor == LIDAR else None,
+        )
+    for camera in rig.cameras:
+        own_s = faults.camera_clock_spread_s * float(generator(seed, camera.name, 2).standard_normal())
+        found[camera.name] = schedule(
+            camera.name,
+            camera.model.rate_hz,
+            duration_s,
+            FIRST_STAMP_S,
+            seed,
+            clock_offset_s=faults.camera_clock_offset_s + own_s,
+            period_jitter_s=faults.period_jitter_s,
+            stamp_jitter_s=faults.stamp_jitter_s,
+            dropped_share=faults.dropped_frame_share,
+            dead_s=dead_s if faults.dying_sensor == camera.name else None,
+        )
+    return found
+
+
+def _ticks(times_s: FloatArray, place: int) -> Iterator[tuple[float, int, int]]:
+    """Time, place in the order, index."""
+    return ((float(time_s), place, index) for index, time_s in enumerate(times_s))

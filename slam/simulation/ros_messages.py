@@ -1,0 +1,178 @@
+"""Readings as ROS 2 messages, by the message types of Humble, without ROS."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.measurements import CameraIntrinsics, LaserScan, RgbdFrame
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+IMAGE = "sensor_msgs/msg/Image"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+LASER_SCAN = "sensor_msgs/msg/LaserScan"
+ODOMETRY = "nav_msgs/msg/Odometry"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+
+DEPTH_STEPS_PER_M = 1000.0  # 16UC1 depth is in millimetres, by REP-118
+
+
+@cache
+def typestore() -> Typestore:
+    """The message types of ROS 2 Humble; loaded once, when first needed."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_HUMBLE)
+
+
+def nanoseconds(stamp_s: float) -> int:
+    """A stamp in nanoseconds, to the microsecond that stamps are rounded to."""
+    return round(stamp_s * 1e6) * 1000
+
+
+def laser_scan(scan: LaserScan, frame_id: str, range_min_m: float, period_s: float) -> Any:
+    """A LaserScan message; no return is ``inf``, invalid ``nan``, by REP-117.
+
+    The sweep is taken at an instant, so the time between beams is zero.
+    """
+    return _new(
+        LASER_SCAN,
+        header=_header(scan.stamp_s, frame_id),
+        angle_min=scan.start_angle_rad,
+        angle_max=scan.start_angle_rad + scan.step_rad * (scan.ranges_m.size - 1),
+        angle_increment=scan.step_rad,
+        time_increment=0.0,
+        scan_time=period_s,
+        range_min=range_min_m,
+        range_max=scan.range_max_m,
+        ranges=np.ascontiguousarray(scan.ranges_m, dtype=np.float32),
+        intensities=np.zeros(0, dtype=np.float32),
+    )
+
+
+def color_image(frame: RgbdFrame, frame_id: str) -> Any:
+    """An Image message, rgb8."""
+    return _image(frame.color, "rgb8", frame.stamp_s, frame_id)
+
+
+def depth_image(steps: NDArray[np.uint16], stamp_s: float, frame_id: str) -> Any:
+    """An Image message, 16UC1, from depth in steps of `DEPTH_STEPS_PER_M`."""
+    return _image(steps, "16UC1", stamp_s, frame_id)
+
+
+def camera_info(intrinsics: CameraIntrinsics, stamp_s: float, frame_id: str) -> Any:
+    """A CameraInfo message of a pinhole camera without distortion."""
+    k = [[intrinsics.fx, 0.0, intrinsics.cx], [0.0, intrinsics.fy, intrinsics.cy], [0.0, 0.0, 1.0]]
+    region = _new(
+        "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+    )
+    return _new(
+        CAMERA_INFO,
+        header=_header(stamp_s, frame_id),
+        height=intrinsics.height,
+        width=intrinsics.width,
+        distortion_model="plumb_bob",
+        d=np.zeros(5),
+        k=np.array(k).ravel(),
+        r=np.eye(3).ravel(),
+        p=np.hstack([np.array(k), np.zeros((3, 1))]).ravel(),
+        binning_x=0,
+        binning_y=0,
+        roi=region,
+    )
+
+
+def odometry(
+    stamp_s: float, pose: gtsam.Pose3, twist: tuple[float, float], frame_id: str, child_frame_id: str
+) -> Any:
+    """An Odometry message; covariances of zero say that they are not known."""
+    twist_message = _new(
+        "geometry_msgs/msg/Twist",
+        linear=_vector(np.array([twist[0], 0.0, 0.0])),
+        angular=_vector(np.array([0.0, 0.0, twist[1]])),
+    )
+    x, y, z = map(float, pose.translation())
+    pose_message = _new(
+        "geometry_msgs/msg/Pose",
+        position=_new("geometry_msgs/msg/Point", x=x, y=y, z=z),
+        orientation=_quaternion(pose.rotation()),
+    )
+    return _new(
+        ODOMETRY,
+        header=_header(stamp_s, frame_id),
+        child_frame_id=child_frame_id,
+        pose=_new("geometry_msgs/msg/PoseWithCovariance", pose=pose_message, covariance=np.zeros(36)),
+        twist=_new("geometry_msgs/msg/TwistWithCovariance", twist=twist_message, covariance=np.zeros(36)),
+    )
+
+
+def transforms(stamp_s: float, parent: str, children: dict[str, gtsam.Pose3]) -> Any:
+    """A TFMessage: where each child frame sits in the parent frame."""
+    return _new(
+        TRANSFORMS,
+        transforms=[
+            _new(
+                "geometry_msgs/msg/TransformStamped",
+                header=_header(stamp_s, parent),
+                child_frame_id=child,
+                transform=_new(
+                    "geometry_msgs/msg/Transform",
+                    translation=_vector(pose.translation()),
+                    rotation=_quaternion(pose.rotation()),
+                ),
+            )
+            for child, pose in children.items()
+        ],
+    )
+
+
+def _new(kind: str, **fields: Any) -> Any:
+    """A message of a type."""
+    return typestore().types[kind](**fields)
+
+
+def _header(stamp_s: float, frame_id: str) -> Any:
+    """A Header."""
+    seconds, rest = divmod(nanoseconds(stamp_s), 1_000_000_000)
+    return _new(
+        "std_msgs/msg/Header",
+        stamp=_new("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest),
+        frame_id=frame_id,
+    )
+
+
+def _vector(values: NDArray[np.float64]) -> Any:
+    """A Vector3."""
+    x, y, z = map(float, values)
+    return _new("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+
+def _quaternion(rotation: gtsam.Rot3) -> Any:
+    """A Quaternion."""
+    q: Any = rotation.toQuaternion()
+    return _new("geometry_msgs/msg/Quaternion", x=q.x(), y=q.y(), z=q.z(), w=q.w())
+
+
+def _image(
+    pixels: NDArray[np.uint8] | NDArray[np.uint16], encoding: str, stamp_s: float, frame_id: str
+) -> Any:
+    """An Image message of little-endian rows without padding."""
+    height, width = pixels.shape[:2]
+    little = np.ascontiguousarray(pixels, dtype=pixels.dtype.newbyteorder("<"))
+    data = little.view(np.uint8).reshape(-1)
+    return _new(
+        IMAGE,
+        header=_header(stamp_s, frame_id),
+        height=height,
+        width=width,
+        encoding=encoding,
+        is_bigendian=0,
+        step=data.size // height,
+        data=data,
+    )

@@ -1,0 +1,183 @@
+"""The truth behind a drive: trajectory, faults of every reading, grids, obstacles, extrinsics, clocks."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.measurements import FloatArray, row_from_pose2
+from slam.simulation.drive import Drive
+from slam.simulation.drive_faults import LIDAR
+from slam.simulation.events import DriveEvent, ImageEvent, ScanEvent, TruthEvent
+from slam.simulation.home_model import Home
+from slam.simulation.ordered_pool import OrderedPool
+from slam.simulation.true_grid import true_grid
+from slam.simulation.tum_writer import transform_fields, write_yaml
+
+GRID_RESOLUTION_M = 0.05
+
+_CHUNK_BYTES = 4 << 20  # unpacked; a minute of scans, a few seconds of images
+_PACKING = 1  # zlib level: masks are nearly empty, and more buys little
+
+
+class TruthWriter:
+    """The truth of one drive; use it as a context manager.
+
+    Parameters
+    ----------
+    folder
+        Gets ``groundtruth.txt`` (TUM, the base in the map frame) and ``truth/``.
+    bands_m
+        Names and (low, high) of the bands of height for which a grid of truth is written.
+    pool
+        Packs the masks.
+    """
+
+    def __init__(
+        self, folder: Path, drive: Drive, bands_m: dict[str, tuple[float, float]], pool: OrderedPool
+    ) -> None:
+        self._folder = folder / "truth"
+        self._folder.mkdir()
+        self._groundtruth = (folder / "groundtruth.txt").open("w", encoding="ascii", newline="\n")
+        self._groundtruth.write("# timestamp tx ty tz qx qy qz qw, base in map\n")
+        self._drive, self._bands_m = drive, bands_m
+        self._sensors = {name: _Chunks(self._folder / name, pool) for name in drive.schedules}
+
+    def __enter__(self) -> TruthWriter:
+        _write_obstacles(self._folder, self._drive.home, self._bands_m)
+        _write_faults(self._folder, self._drive)
+        write_yaml(self._folder / "extrinsics.yaml", _extrinsics(self._drive))
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._groundtruth.close()
+        if kind is None:
+            for chunks in self._sensors.values():
+                chunks.flush()
+
+    def write(self, event: DriveEvent) -> None:
+        """The truth of one event: where the robot was, what was wrong with each beam or depth pixel."""
+        if isinstance(event, TruthEvent):
+            self._groundtruth.write(f"{event.true_stamp_s:.9f} {_tum_pose(event.T_map_base)}\n")
+        elif isinstance(event, ScanEvent):
+            arrays: dict[str, NDArray[Any]] = {"fault": event.fault, "true_ranges_m": event.true_ranges_m}
+            self._sensors[event.scan.sensor].append(event.scan.stamp_s, event, arrays)
+        elif isinstance(event, ImageEvent):
+            # The true depth would be as large as the images themselves; the mask tells what is wrong.
+            self._sensors[event.frame.sensor].append(event.frame.stamp_s, event, {"fault": event.fault})
+
+
+class _Chunks:
+    """One sensor's readings, gathered until there is enough for a file."""
+
+    def __init__(self, folder: Path, pool: OrderedPool) -> None:
+        folder.mkdir()
+        self._folder, self._pool = folder, pool
+        self._rows: list[dict[str, Any]] = []
+        self._bytes = 0
+        self._count = 0
+
+    def append(self, stamp_s: float, event: ScanEvent | ImageEvent, arrays: dict[str, NDArray[Any]]) -> None:
+        """A reading."""
+        pose = row_from_pose2(event.T_map_base)
+        head = {"stamp_s": stamp_s, "true_stamp_s": event.true_stamp_s, "T_map_base_xyt": pose}
+        self._rows.append(head | arrays)
+        self._bytes += sum(array.nbytes for array in arrays.values())
+        if self._bytes >= _CHUNK_BYTES:
+            self.flush()
+
+    def flush(self) -> None:
+        """Hand what was gathered to the pool; files are named after their first reading."""
+        if self._rows:
+            self._pool.submit(_write_rows, self._folder / f"{self._count:06d}.npz", self._rows)
+            self._count += len(self._rows)
+            self._rows, self._bytes = [], 0
+
+
+def _write_rows(path: Path, rows: list[dict[str, Any]]) -> None:
+    """Readings of one sensor, each field stacked."""
+    write_npz(path, **{name: np.array([row[name] for row in rows]) for name in rows[0]})
+
+
+def write_npz(path: Path, **arrays: NDArray[Any]) -> None:
+    """Arrays as a compressed npz, packed fast and without any time in it: `numpy.load` opens it."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=_PACKING) as archive:
+        for name, array in arrays.items():
+            # A name given as text gets the date 1980-01-01, whatever the clock says.
+            with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as entry:
+                np.lib.format.write_array(entry, np.ascontiguousarray(array), allow_pickle=False)
+
+
+def _write_obstacles(folder: Path, home: Home, bands_m: dict[str, tuple[float, float]]) -> None:
+    """The grids of truth, and what each obstacle id in them means."""
+    for name, (low_m, high_m) in bands_m.items():
+        grid = true_grid(home, low_m, high_m, GRID_RESOLUTION_M)
+        write_npz(
+            folder / f"grid_{name}.npz",
+            occupied=grid.occupied,
+            obstacle_id=grid.obstacle_id,
+            resolution_m=np.array(grid.resolution_m),
+            origin_xy=np.array(grid.origin_xy, dtype=np.float64),
+            band_m=np.array([low_m, high_m]),
+        )
+    obstacles = [
+        {"id": int(thing.id), "kind": thing.kind, "box_m": np.asarray(thing.box, dtype=float).tolist()}
+        for thing in home.obstacles
+    ]
+    rooms = [
+        {"name": room.name, "rectangle_m": [float(edge) for edge in room.rectangle]} for room in home.rooms
+    ]
+    _write_json(folder / "obstacles.json", {"obstacles": obstacles, "rooms": rooms})
+
+
+def _write_faults(folder: Path, drive: Drive) -> None:
+    """Faults as configured, every reading that was due, and the slip of the wheels."""
+    offsets = {name: readings.clock_offset_s for name, readings in drive.schedules.items()}
+    lost = {name: int(np.count_nonzero(~readings.kept)) for name, readings in drive.schedules.items()}
+    _write_json(
+        folder / "faults.json",
+        {
+            "seed": drive.seed,
+            "rig": drive.rig.name,
+            "faults": dataclasses.asdict(drive.faults),
+            "clock_offset_s": offsets,
+            "lost_readings": lost,
+        },
+    )
+    for name, readings in drive.schedules.items():
+        write_npz(
+            folder / f"readings_{name}.npz",
+            true_s=readings.true_s,
+            stamps_s=readings.stamps_s,
+            kept=readings.kept,
+        )
+    write_npz(folder / "odometry.npz", true_s=drive.odometry_s, slipping=drive.wheels.slipping)
+
+
+def _extrinsics(drive: Drive) -> dict[str, Any]:
+    """Where every sensor truly sits on the robot."""
+    found: dict[str, Any] = {}
+    if drive.rig.lidar is not None:
+        found[LIDAR] = {"T_base_laser": transform_fields(drive.rig.lidar.T_base_laser)}
+    for camera in drive.rig.cameras:
+        found[camera.name] = {"T_base_camera": transform_fields(camera.T_base_camera)}
+    return found
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write a JSON file in the order given."""
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8", newline="\n")
+
+
+def _tum_pose(pose: gtsam.Pose2) -> str:
+    """Position and quaternion of a planar pose."""
+    half: float = 0.5 * pose.theta()
+    values: FloatArray = np.array([pose.x(), pose.y(), 0.0, 0.0, 0.0, np.sin(half), np.cos(half)])
+    return " ".join(f"{value:.17g}" for value in values)
