@@ -152,12 +152,22 @@ def test_a_different_place_is_refused(caplog: pytest.LogCaptureFixture) -> None:
         loops = line_drive(Drive(), here, elsewhere)
     assert loops
     assert not any(loop.accepted for loop in loops)
-    assert all(loop.reason for loop in loops)
+    assert {loop.reason for loop in loops} == {"no pose in the window scores enough"}
     lines = [record.message for record in caplog.records]
     assert len(lines) == len(loops)
     assert all("refused, " in line for line in lines)
     # The same drive with the right walls closes.
     assert any(loop.accepted for loop in line_drive(Drive(), here, here))
+
+
+def test_the_refinement_refuses_what_the_search_lets_pass() -> None:
+    here = OrientedPoints.from_scan(points_at(walls(), (1.0, 4.0, 0.0)))
+    elsewhere = OrientedPoints.from_scan(points_at(walls(), (9.5, 7.0, 0.5)))
+    loops = line_drive(Drive(least_score=0.01), here, elsewhere)
+    assert not any(loop.accepted for loop in loops)
+    assert "too few points fit" in {loop.reason for loop in loops}
+    loops = line_drive(Drive(greatest_residual_m=1e-6), here, here)
+    assert {loop.reason for loop in loops} == {"residual too large"}
 
 
 def test_a_place_without_points_is_refused() -> None:
@@ -170,6 +180,38 @@ def test_a_place_without_points_is_refused() -> None:
 def test_a_scan_without_points_asks_nothing() -> None:
     scan = OrientedPoints.from_scan(points_at(walls(), (1.0, 4.0, 0.0)))
     assert line_drive(Drive(), scan, NOTHING) == []
+
+
+def two_keyframes(
+    place: FloatArray, key: FloatArray, believed: FloatArray, **settings: float
+) -> LoopCandidate:
+    """The loop between two sweeps that a sure edge joins, the second believed somewhere."""
+    closer = LoopCloser(LoopConfig(**settings), MatchConfig())
+    uncertainty = UncertaintyGraph()
+    for n, truth in enumerate((place, key)):
+        uncertainty.add_node()
+        scan = OrientedPoints.from_scan(points_at(walls(), truth))
+        closer.add_keyframe(scan, (place, believed)[n], 20.0 * n)
+    uncertainty.add_edge(0, 1, between(place, believed), np.eye(3) * 1e-8)
+    (loop,) = closer.close(1, np.array([place, believed]), uncertainty)
+    return loop
+
+
+def test_a_sure_guess_needs_no_search() -> None:
+    place, key = np.array([1.0, 4.0, 0.0]), np.array([2.2, 4.1, 0.4])
+    loop = two_keyframes(place, key, key)
+    assert loop.accepted
+    assert loop.score == 1.0
+    assert loop.motion is not None
+    claim = row_from_pose2(loop.motion.T_reference_base)
+    np.testing.assert_allclose(claim, between(place, key), atol=0.01)
+
+
+def test_a_refinement_that_leaves_the_window_is_refused() -> None:
+    place, key = np.array([1.0, 4.0, 0.0]), np.array([2.2, 4.1, 0.4])
+    believed = compose(key, np.array([0.1, 0.05, 0.0]))
+    assert two_keyframes(place, key, believed).accepted
+    assert two_keyframes(place, key, believed, least_half_width_m=0.02).reason == "refinement left the window"
 
 
 def test_a_corridor_closes_with_its_direction_open() -> None:

@@ -288,6 +288,15 @@ def test_false_loops_are_refused_and_true_ones_kept(seed: int, updates: bool) ->
     assert error_m(graph, truth) < 1.1 * clean_m + 0.02
 
 
+def test_a_trusted_edge_is_kept_even_where_all_others_disagree() -> None:
+    graph = PoseGraph(gtsam.Pose2())
+    graph.add_node(gtsam.Pose2(1.0, 0.0, 0.0))
+    for _ in range(5):
+        graph.add_edge(edge(0, 1, gtsam.Pose2(5.0, 0.0, 0.0), kind=EdgeKind.WHEEL, trusted=False))
+    graph.add_edge(edge(0, 1, gtsam.Pose2(1.0, 0.0, 0.0)))
+    assert graph.optimize().kept[-1]
+
+
 def test_the_gate_refuses_the_share_that_it_promises() -> None:
     """At a probability of 0.8 about a fifth of the true loops fails the gate; at 0.999 next to none."""
     shares = []

@@ -23,8 +23,10 @@ def scan_at(segments: FloatArray, pose: FloatArray, **options: object) -> Orient
     return OrientedPoints.from_scan(points_at(segments, pose, **options))
 
 
-def map_of(segments: FloatArray, *poses: FloatArray, **options: object) -> LocalMap:
-    parts = [scan_at(segments, pose, seed=n, **options).moved(pose) for n, pose in enumerate(poses)]
+def map_of(segments: FloatArray, *poses: FloatArray, first_seed: int = 0, **options: object) -> LocalMap:
+    parts = [
+        scan_at(segments, pose, seed=first_seed + n, **options).moved(pose) for n, pose in enumerate(poses)
+    ]
     return LocalMap.build(parts, CONFIG)
 
 
@@ -59,7 +61,9 @@ def test_thinned_is_at_most_the_count_and_in_beam_order(count: int) -> None:
 
 
 @pytest.mark.parametrize("frame", FRAMES)
-@pytest.mark.parametrize("displacement", [(0.0, 0.0, 0.0), (0.2, -0.15, 0.08), (-0.3, 0.1, -0.1)])
+@pytest.mark.parametrize(
+    "displacement", [(0.0, 0.0, 0.0), (0.2, -0.15, 0.08), (0.4, -0.3, 0.15), (-0.5, 0.0, 0.2)]
+)
 def test_coarse_to_fine_reaches_farther_than_a_fine_cell(
     frame: tuple[float, ...], displacement: tuple[float, ...]
 ) -> None:
@@ -68,7 +72,7 @@ def test_coarse_to_fine_reaches_farther_than_a_fine_cell(
     truth = compose(home, np.array(displacement))
     result = map_of(segments, home, beams=1441).align(scan_at(segments, truth), home)
     error = between(truth, result.pose)
-    assert math.hypot(error[0], error[1]) < 2e-3
+    assert math.hypot(error[0], error[1]) < 4e-3
     assert abs(error[2]) < 1e-3
     assert result.converged
     assert result.inlier_share > 0.9
@@ -88,6 +92,19 @@ def test_a_corridor_keeps_the_guess_along_it(frame: tuple[float, ...], sigma_m: 
     assert found[0] == pytest.approx(wanted[0], abs=0.05)
     assert found[1] == pytest.approx(0.1, abs=0.01)
     assert found[2] == pytest.approx(0.05, abs=0.01)
+
+
+def test_noise_does_not_decide_along_a_corridor() -> None:
+    """Without a hold the noise of the normals moves the scan by up to a centimetre; with it, by none."""
+    truth = np.array([0.4, 0.1, 0.05])
+    guess = compose(truth, np.array([0.25, 0.05, 0.02]))
+    found = [
+        map_of(corridor(), np.zeros(3), truth, sigma_m=0.03, first_seed=3 * seed)
+        .align(scan_at(corridor(), truth, sigma_m=0.03, seed=500 + seed), guess)
+        .pose[0]
+        for seed in range(8)
+    ]
+    assert np.std(found) < 1e-3
 
 
 def test_a_held_scan_turns_but_hardly_moves() -> None:

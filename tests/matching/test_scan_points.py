@@ -105,6 +105,13 @@ def test_a_beam_without_return_splits_the_fit() -> None:
     assert len(points_of(scan_of(ranges)).oriented()[0]) == 5
 
 
+def test_a_beam_without_return_is_no_point_at_the_sensor() -> None:
+    """So near that the sensor itself would pass for a neighbour on the wall."""
+    wide = scan_of([0.15, 0.15, math.nan, 0.15, 0.15], step_rad=0.2)
+    assert len(points_of(wide)) == 4
+    assert len(points_of(wide).oriented()[0]) == 0
+
+
 def test_scattered_points_have_no_normal() -> None:
     rng = np.random.default_rng(0)
     points = points_of(scan_of(rng.uniform(1.0, 20.0, 180).tolist()))
