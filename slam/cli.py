@@ -36,6 +36,7 @@ StrictOption = Annotated[bool, typer.Option("--strict", help="stop at the first 
 
 # Conventional exit code of a program that the user interrupted.
 _INTERRUPTED = 130
+_DEMO_ROOMS = 3
 
 
 def main() -> None:
@@ -127,14 +128,84 @@ def demo(
     ),
     seed: Annotated[int, typer.Option(min=0, help="another seed, another drive")] = 0,
 ) -> None:
-    """Simulate a small log, map it, and score the map against the truth."""
+    """Simulate a small home, map its lidar log, and score the map against the truth."""
     from slam.evaluation.score_text import score, score_text
-    from slam.simulation.synthetic_log import write_synthetic_log
 
-    log = write_synthetic_log(out / "log", seed=seed)
-    _map(log.log_path, out, None, [], strict=False)
-    print(score_text(score(out / "trajectory.tum", None, log.truth_path, tolerance_s=None, delta_m=1.0)))
+    log, truth = _demo_log(out / f"simulated-{seed}", seed)
+    _map(log, out, None, [], strict=False)
+    print(score_text(score(out / "trajectory.tum", None, truth, tolerance_s=None, delta_m=1.0)))
     print(f"open {out / 'report.html'} to look at it")
+
+
+def _demo_log(folder: Path, seed: int) -> tuple[Path, Path]:
+    """A simulated lidar log and its truth; a flat world where ray casting is not to be had."""
+    try:
+        import open3d  # noqa: F401
+    except (ImportError, OSError) as error:
+        from slam.simulation.synthetic_log import write_synthetic_log
+
+        print(f"no ray casting here ({error}); a flat world instead of a home", file=sys.stderr)
+        flat = write_synthetic_log(folder, seed=seed)
+        return flat.log_path, flat.truth_path
+    from slam.simulation.home import generate_home
+    from slam.simulation.record import record_drive
+    from slam.simulation.rigs import RIGS
+
+    # The same seed gives the same log: what an earlier demo left is used again.
+    if not (folder / "scans.log").is_file():
+        with _progress("simulating", "s") as progress:
+            record_drive(
+                generate_home(seed, rooms=_DEMO_ROOMS),
+                RIGS["sick2d"],
+                seed,
+                folder,
+                progress=lambda done_s, _: progress(int(done_s)),
+                formats=("folder",),
+            )
+    return folder / "scans.log", folder / "groundtruth.txt"
+
+
+@app.command()
+def simulate(
+    out: Annotated[Path, typer.Option("--out", "-o", help="folder for the log; must be empty or new")],
+    rig: Annotated[
+        str,
+        typer.Option(help="which robot; a wrong name lists them"),
+    ] = "xu2024",
+    home: Annotated[int, typer.Option(min=0, help="which home: the seed of its plan and furniture")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="which drive: the seed of tour, noise and faults")] = 0,
+    office: Annotated[bool, typer.Option("--office", help="an office instead of a home")] = False,
+    duration: Annotated[
+        float | None, typer.Option(min=1.0, help="seconds; one tour through all rooms if not given")
+    ] = None,
+    person: Annotated[bool, typer.Option("--person", help="somebody walks about")] = False,
+    formats: Annotated[
+        list[str] | None, typer.Option("--format", help="folder (CARMEN + TUM) or mcap; both if not given")
+    ] = None,
+) -> None:
+    """Drive a simulated robot through a furnished home and record its sensors with the truth."""
+    from slam.errors import ConfigError
+    from slam.simulation.drive_faults import DriveFaults
+    from slam.simulation.home import generate_home
+    from slam.simulation.record import FORMATS, record_drive
+    from slam.simulation.rigs import RIGS
+
+    if rig not in RIGS:
+        raise ConfigError(f"no rig '{rig}'; there are {', '.join(sorted(RIGS))}")
+    with _progress("simulating", "s") as progress:
+        summary = record_drive(
+            generate_home(home, "office" if office else "home"),
+            RIGS[rig],
+            seed,
+            out,
+            DriveFaults(person=person),
+            duration,
+            lambda done_s, _: progress(int(done_s)),
+            formats=tuple(formats) if formats else FORMATS,
+        )
+    counts = ", ".join(f"{count} {name}" for name, count in summary.counts.items())
+    print(f"{summary.duration_s:.0f} s, {summary.path_m:.1f} m through {len(summary.rooms)} rooms: {counts}")
+    print(f"wrote {summary.folder}")
 
 
 def _map(log: Path, out: Path, config: str | None, overrides: list[str], strict: bool) -> None:
@@ -199,9 +270,9 @@ def _interrupted_between_scans(advance: Callable[[int], None]) -> Iterator[Calla
 
 
 @contextmanager
-def _progress(what: str) -> Iterator[Progress]:
-    """A counter on stderr while scans go by; silent where stderr is not a terminal."""
-    progress = Progress(what)
+def _progress(what: str, unit: str = "scans") -> Iterator[Progress]:
+    """A counter on stderr while work goes on; silent where stderr is not a terminal."""
+    progress = Progress(what, unit)
     try:
         yield progress
     finally:
@@ -211,17 +282,18 @@ def _progress(what: str) -> Iterator[Progress]:
 class Progress:
     """Rewrites one line a few times a second."""
 
-    def __init__(self, what: str) -> None:
+    def __init__(self, what: str, unit: str) -> None:
         self._what = what
+        self._unit = unit
         self._shown_at = time.perf_counter()
         self._terminal = sys.stderr.isatty()
         self._shown = False
 
     def __call__(self, count: int) -> None:
-        """Show that ``count`` scans are done."""
+        """Show that ``count`` units are done."""
         now = time.perf_counter()
         if self._terminal and now - self._shown_at > 0.2:
-            print(f"\r{self._what}: {count} scans", end="", file=sys.stderr, flush=True)
+            print(f"\r{self._what}: {count} {self._unit}", end="", file=sys.stderr, flush=True)
             self._shown_at, self._shown = now, True
 
     def close(self) -> None:
