@@ -131,3 +131,28 @@ def test_a_single_scan() -> None:
     readings.mark_keyframe()
     trajectory = readings.trajectory(np.array([row(1.0, 2.0, 0.5)]))
     np.testing.assert_allclose(trajectory.to_planar(), [[1.0, 2.0, 0.5]])
+
+
+@pytest.mark.parametrize("wheels", [False, True])
+def test_a_scan_that_is_not_sure_is_no_anchor(wheels: bool) -> None:
+    """A match that is 3 m off, and known to be in doubt: its scan lies where its neighbours say."""
+    readings = Readings()
+    for n in range(5):
+        pose = row(n, 3.0 if n == 2 else 0.0)
+        readings.add_scan(float(n), pose, row(n) if wheels else None, sure=n != 2)
+        if n in (0, 4):
+            readings.mark_keyframe()
+    poses = readings.trajectory(np.array([row(0), row(4)])).to_planar()
+    np.testing.assert_allclose(poses[:, 1], 0.0, atol=1e-6)
+    np.testing.assert_allclose(poses[2, 0], 2.0, atol=0.5)
+    assert len(poses) == 5
+
+
+def test_where_no_scan_is_sure_the_first_anchors_all() -> None:
+    readings = Readings()
+    for n in range(3):
+        readings.add_scan(float(n), row(0.1 * n), row(n), sure=False)
+        if n == 0:
+            readings.mark_keyframe()
+    poses = readings.trajectory(np.array([row(5.0)])).to_planar()
+    np.testing.assert_allclose(poses[:, 0], [5.0, 6.0, 7.0], atol=1e-9)
