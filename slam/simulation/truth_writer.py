@@ -110,9 +110,9 @@ def write_npz(path: Path, **arrays: NDArray[Any]) -> None:
     """Arrays as a compressed npz, packed fast and without any time in it: `numpy.load` opens it."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=_PACKING) as archive:
         for name, array in arrays.items():
-            # A name given as text gets the date 1980-01-01, whatever the clock says.
-            with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as entry:
-                np.lib.format.write_array(entry, np.ascontiguousarray(array), allow_pickle=False)
+            # A name given as text takes the archive's packing, and the date 1980-01-01 at any time.
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                np.lib.format.write_array(entry, np.asarray(array, order="C"), allow_pickle=False)
 
 
 def _write_obstacles(folder: Path, home: Home, bands_m: dict[str, tuple[float, float]]) -> None:

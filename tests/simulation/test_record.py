@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -234,6 +235,18 @@ def test_the_truth_lies_beside(recorded: DriveSummary, drive: Drive) -> None:
         assert grid["occupied"].any()
     mounts = yaml.safe_load((truth / "extrinsics.yaml").read_text())
     assert set(mounts) == set(drive.schedules)
+
+
+def test_masks_are_packed_and_bear_no_time(tmp_path: Path) -> None:
+    from slam.simulation.truth_writer import write_npz
+
+    write_npz(tmp_path / "a.npz", fault=np.zeros((10, 240, 320), dtype=np.uint8), one=np.array(1.5))
+    assert (tmp_path / "a.npz").stat().st_size < 10_000
+    read = np.load(tmp_path / "a.npz")
+    assert read["fault"].shape == (10, 240, 320)
+    assert float(read["one"]) == 1.5
+    with zipfile.ZipFile(tmp_path / "a.npz") as archive:
+        assert {entry.date_time[0] for entry in archive.infolist()} == {1980}
 
 
 def test_masks_are_cut_into_files_that_fit_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
