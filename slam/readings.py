@@ -83,7 +83,6 @@ class Readings:
     ) -> FloatArray:
         """Motion that only tells how far between two scans, in time, each reading lies."""
         motion = np.zeros((stamps.size, 3))
-        motion[scans] = scan_poses
         before = np.clip(np.searchsorted(scans, np.arange(stamps.size), side="right") - 1, 0, scans.size - 1)
         after = np.clip(before + 1, 0, scans.size - 1)
         span = stamps[scans[after]] - stamps[scans[before]]

@@ -406,10 +406,40 @@ class TestConfig:
                 assert above.strip().startswith("# "), line
 
 
+def test_simulate_then_map_recovers_the_drive(scanweave: Scanweave, tmp_path: Path) -> None:
+    drive = tmp_path / "drive"
+    call = ("simulate", "-o", drive, "--rig", "sick2d", "--home", 2, "--duration", 8, "--format", "folder")
+    assert scanweave(*call).code == 0
+    assert (drive / "truth" / "extrinsics.yaml").is_file()
+    assert scanweave("map", drive / "scans.log", "-o", tmp_path / "out").code == 0
+    truth = ("--groundtruth", drive / "groundtruth.txt", "--json")
+    scores = json.loads(scanweave("evaluate", tmp_path / "out" / "trajectory.tum", *truth).out)
+    assert scores["ate"]["translation_m"]["rmse"] < 0.01
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [(("--rig", "nope"), "no rig 'nope'"), (("--format", "avi"), "formats are avi")],
+)
+def test_simulate_tells_what_there_is(
+    scanweave: Scanweave, tmp_path: Path, options: tuple[str, str], told: str
+) -> None:
+    outcome = scanweave("simulate", "-o", tmp_path / "drive", *options)
+    assert outcome.code == 1
+    assert told in outcome.err
+    assert not (tmp_path / "drive").exists()
+
+
+def test_simulate_overwrites_nothing(scanweave: Scanweave, tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("kept")
+    assert scanweave("simulate", "-o", tmp_path).code == 1
+    assert (tmp_path / "mine.txt").read_text() == "kept"
+
+
 def test_demo(scanweave: Scanweave, tmp_path: Path) -> None:
     outcome = scanweave("demo", "-o", tmp_path / "demo", "--seed", 3)
     assert (outcome.code, outcome.err) == (0, "")
-    assert {path.name for path in (tmp_path / "demo").iterdir()} == RESULTS | {"log"}
+    assert {path.name for path in (tmp_path / "demo").iterdir()} == RESULTS | {"simulated-3"}
     found = re.search(r"translation \[m\]: mean ([\d.]+)", outcome.out)
     assert found is not None and float(found[1]) < 0.02
 

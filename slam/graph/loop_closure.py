@@ -33,7 +33,8 @@ class LoopCandidate:
     half_width_m, half_yaw_rad
         Half size of the searched window.
     score
-        Mean likelihood of the search (1 where the window was too small to need one).
+        Mean likelihood of the search: 1 where the window was too small to need one, the least score where
+        no pose reached it.
     motion
         Pose of ``keyframe`` in the frame of ``place``; None where no match was found.
     accepted

@@ -149,13 +149,6 @@ class PoseGraph:
         self._estimate = gtsam.LevenbergMarquardtOptimizer(graph, self._estimate).optimize()
         return BatchResult(float(graph.error(self._estimate)), kept)
 
-    def set_estimate(self, poses: Iterable[Pose]) -> None:
-        """Replace the estimate of all nodes, in order."""
-        values = gtsam.Values()
-        for key, pose in enumerate(poses):
-            values.insert(key, pose)
-        self._estimate = values
-
     def initialize(self) -> None:
         """Start from the edges alone: LAGO (Carlone 2014) in the plane, chordal initialisation in space."""
         if self._dimension == 6:

@@ -47,7 +47,7 @@ class SearchResult(NamedTuple):
     pose
         (3,) x, y, yaw in the field's frame.
     score
-        Mean likelihood of the points, 0..1.
+        Mean likelihood of the points, 0..1; where nothing was found, the least score that none reached.
     found
         False when no pose reached the least score; ``pose`` is then the guess.
     """

@@ -72,7 +72,8 @@ def weak_direction(alignment: Alignment, degenerate_share: float) -> FloatArray 
     information = alignment.hessian + np.eye(3) * 1e-9
     translation = information[:2, :2] - np.outer(information[:2, 2], information[:2, 2]) / information[2, 2]
     eigenvalues, eigenvectors = np.linalg.eigh(translation)
-    if eigenvalues[0] >= degenerate_share * max(alignment.weight, 1e-9):
+    # Less than one point's worth determines nothing.
+    if eigenvalues[0] >= degenerate_share * max(alignment.weight, 1.0):
         return None
     return np.array([eigenvectors[0, 0], eigenvectors[1, 0], 0.0])
 

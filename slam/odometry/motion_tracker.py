@@ -180,7 +180,7 @@ class MotionTracker:
         return held if for_prediction > for_match else motion, np.outer(offset, offset)
 
     def _evidence(self, count: int, motion: MotionEstimate, held: MotionEstimate) -> float:
-        """Log-likelihood of a match over a held one: the difference of their Geman-McClure costs."""
+        """Log-likelihood of a match over a held one: about the difference of their Geman-McClure costs."""
         residual_m = max(motion.residual_m, self._noise.minimal_residual_m)
         scale = 0.5 * (self._noise.fine_kernel_m / residual_m) ** 2
         return count / self._noise.correlated_points * scale * (motion.fit - held.fit)

@@ -167,16 +167,6 @@ def test_initialize_forgets_a_bad_start(is_3d: bool, correlated: bool) -> None:
         assert_same(graph.pose(n), pose, 1e-5)
 
 
-def test_set_estimate_is_where_the_next_optimisation_starts() -> None:
-    graph = graph_of(gtsam.Pose2(), [gtsam.Pose2(1.0, 0.0, 0.0)] * 2)
-    poses = [gtsam.Pose2(0.0, 0.0, 0.0), gtsam.Pose2(1.1, 0.2, 0.1), gtsam.Pose2(2.2, -0.1, 0.0)]
-    graph.set_estimate(poses)
-    for n, pose in enumerate(poses):
-        assert_same(graph.pose(n), pose)
-    graph.optimize()
-    assert_same(graph.pose(2), gtsam.Pose2(2.0, 0.0, 0.0))
-
-
 def bad_edges() -> dict[str, Edge]:
     step, good = gtsam.Pose2(1.0, 0.0, 0.0), np.eye(3)
     lidar = EdgeKind.LIDAR
