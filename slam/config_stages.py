@@ -123,7 +123,7 @@ class LoopConfig(StrictModel):
     candidates: int = Field(default=3, ge=1, description="places tried an attempt")
     submap_half_keyframes: int = Field(default=8, ge=1, description="keyframes a side in a place's local map")
     submap_half_m: float = Field(default=4.0, gt=0, description="travel a side in a place's local map")
-    submaps_cached: int = Field(default=16, ge=1, description="local maps kept in memory")
+    submaps_cached: int = Field(default=32, ge=1, description="local maps kept in memory")
     field_cell_m: float = Field(default=0.05, gt=0, description="cell of the search's likelihood field")
     field_sigma_m: float = Field(default=0.1, gt=0, description="blur of the search's likelihood field")
     points: int = Field(default=120, ge=10, description="scan points in the search")
