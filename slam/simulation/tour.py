@@ -203,10 +203,13 @@ def _laps(home: Home, floor: FloorMap, rng: np.random.Generator) -> list[FloatAr
 
 
 def _order(groups: list[list[int]], stops_a_room: int, costs: FloatArray) -> list[int]:
-    """Stops in the order of the visit, from stop 0: in each room the nearer one first."""
+    """Stops in the order of the visit, from stop 0: of two in a room the nearer one first."""
     order = [0]
     for group in groups:
-        order += sorted(group, key=costs[order[-1]].__getitem__)[:stops_a_room]
+        if stops_a_room == 1:
+            order += group[-1:]
+        else:
+            order += sorted(group[:2], key=costs[order[-1]].__getitem__)
     return order
 
 
@@ -232,7 +235,10 @@ def _depth_first(home: Home, rng: np.random.Generator) -> list[Room]:
 def _stops(
     room: Room, floor: FloorMap, centres_m: FloatArray, reached: BoolArray, rng: np.random.Generator
 ) -> list[int]:
-    """One or two roomy places in a room, far apart, among the cells that can be reached; none if none can."""
+    """Roomy places in a room among the cells that can be reached: two far apart and one between, or just one.
+
+    None if the room cannot be entered.
+    """
     x0, y0, x1, y1 = room.rectangle
     inside = (centres_m > (x0, y0)).all(axis=1) & (centres_m < (x1, y1)).all(axis=1)
     nodes = np.flatnonzero(inside & reached)
@@ -244,7 +250,11 @@ def _stops(
     # Farthest from a random place, and farthest from that one: nearly the two that are farthest apart.
     far = int(roomy[np.argmax(np.linalg.norm(centres_m[roomy] - centres_m[first], axis=1))])
     away = np.linalg.norm(centres_m[roomy] - centres_m[far], axis=1)
-    return [far, int(roomy[np.argmax(away)])] if away.max() >= _SECOND_STOP_M else [first]
+    if away.max() < _SECOND_STOP_M:
+        return [first]
+    other = int(roomy[np.argmax(away)])
+    middle = 0.5 * (centres_m[far] + centres_m[other])
+    return [far, other, int(roomy[np.argmin(np.linalg.norm(centres_m[roomy] - middle, axis=1))])]
 
 
 def _inside(room: Room, x: float, y: float) -> bool:
