@@ -10,14 +10,14 @@ import gtsam
 
 from slam.simulation import ros_messages as ros
 from slam.simulation.drive import Drive
-from slam.simulation.events import DriveEvent, ImageEvent, OdometryEvent, ScanEvent
+from slam.simulation.events import CloudEvent, DriveEvent, ImageEvent, OdometryEvent, ScanEvent
 from slam.simulation.tum_writer import depth_steps
 
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection, Qos
 
 BAG_FILES = ("log.mcap", "metadata.yaml")
-ODOM_FRAME, BASE_FRAME, LASER_FRAME = "odom", "base_link", "laser"
+ODOM_FRAME, BASE_FRAME, LASER_FRAME, LASER_3D_FRAME = "odom", "base_link", "laser", "laser_3d"
 
 _BAG_VERSION: Final = 8  # the newest that ROS 2 Humble reads
 
@@ -36,10 +36,10 @@ def camera_topic(camera: str) -> str:
 class BagWriter:
     """A rosbag2; use it as a context manager.
 
-    Topics: ``/scan``, ``/odom``, ``/tf`` (odom to base_link), ``/tf_static`` and for each camera
-    ``color/image_raw``, ``color/camera_info``, ``depth/image_raw``, ``depth/camera_info``. A message's header
-    bears the sensor's stamp, the bag's own time is the true time: when it would have arrived. The truth
-    (map to odom) is not in the bag.
+    Topics: ``/scan``, ``/points`` (3D lidar), ``/odom``, ``/tf`` (odom to base_link), ``/tf_static`` and for
+    each camera ``color/image_raw``, ``color/camera_info``, ``depth/image_raw``, ``depth/camera_info``. A
+    message's header bears the sensor's stamp, the bag's own time is the true time: when it would have
+    arrived. The truth (map to odom) is not in the bag.
 
     Parameters
     ----------
@@ -82,6 +82,9 @@ class BagWriter:
         """Write a reading; the truth is left out."""
         if isinstance(event, ScanEvent):
             self._scan(event)
+        elif isinstance(event, CloudEvent):
+            message = ros.point_cloud(event.points_laser, event.ring, event.stamp_s, LASER_3D_FRAME)
+            self._send("/points", event.true_stamp_s, message)
         elif isinstance(event, ImageEvent):
             self._image(event)
         elif isinstance(event, OdometryEvent):
@@ -92,6 +95,8 @@ class BagWriter:
         topics = {"/tf_static": ros.TRANSFORMS, "/tf": ros.TRANSFORMS, "/odom": ros.ODOMETRY}
         if self._drive.rig.lidar is not None:
             topics["/scan"] = ros.LASER_SCAN
+        if self._drive.rig.lidar_3d is not None:
+            topics["/points"] = ros.POINT_CLOUD
         for camera in self._drive.rig.cameras:
             for kind in ("color", "depth"):
                 topics[f"{camera_topic(camera.name)}/{kind}/image_raw"] = ros.IMAGE
@@ -145,6 +150,8 @@ def mounts(drive: Drive) -> dict[str, gtsam.Pose3]:
     found = {camera_frame(camera.name): camera.T_base_camera for camera in drive.rig.cameras}
     if drive.rig.lidar is not None:
         found[LASER_FRAME] = drive.rig.lidar.T_base_laser
+    if drive.rig.lidar_3d is not None:
+        found[LASER_3D_FRAME] = drive.rig.lidar_3d.T_base_laser
     return found
 
 

@@ -16,14 +16,14 @@ import numpy as np
 
 from slam.errors import ConfigError
 from slam.measurements import FloatArray, LaserScan, RgbdFrame, WheelOdometry, pose2_from_row
-from slam.simulation.drive_faults import LIDAR, DriveFaults
-from slam.simulation.events import DriveEvent, ImageEvent, OdometryEvent, ScanEvent, TruthEvent
+from slam.simulation.drive_faults import LIDAR, LIDAR_3D, DriveFaults
+from slam.simulation.events import CloudEvent, DriveEvent, ImageEvent, OdometryEvent, ScanEvent, TruthEvent
 from slam.simulation.home_model import Home
 from slam.simulation.person import Walk, plan_walk
 from slam.simulation.rigs import MountedCamera, MountedLidar, Rig
 from slam.simulation.scene import Scene
 from slam.simulation.sensor_clock import Schedule, generator, schedule
-from slam.simulation.sensors import render_rgbd, scan_lidar
+from slam.simulation.sensors import render_rgbd, scan_lidar, scan_lidar_3d
 from slam.simulation.tour import Tour, plan_tour
 from slam.simulation.wheel_odometry import WheelReadings, wheel_readings
 
@@ -45,7 +45,7 @@ class Drive:
     tour
         The truth.
     schedules
-        Of the lidar and the cameras, by the sensor's name.
+        Of the lidars and the cameras, by the sensor's name.
     odometry_s
         (N,) seconds since the beginning of each wheel reading.
     wheels
@@ -98,6 +98,8 @@ class Drive:
                 readings = sensors[place - _READINGS]
                 if readings.sensor in cameras:
                     yield self._image(scene, cameras[readings.sensor], readings, index)
+                elif readings.sensor == LIDAR_3D:
+                    yield self._cloud(scene, readings, index)
                 else:
                     yield self._scan(scene, readings, index)
 
@@ -132,6 +134,31 @@ class Drive:
             sensor=readings.sensor,
         )
         return ScanEvent(FIRST_STAMP_S + time_s, base, scan, seen.true_ranges_m, seen.fault)
+
+    def _cloud(self, scene: Scene, readings: Schedule, index: int) -> CloudEvent:
+        """One turn of the 3D lidar, taken at an instant."""
+        lidar = self.rig.lidar_3d
+        if lidar is None:
+            raise ConfigError(f"rig {self.rig.name} has no 3D lidar")
+        time_s = float(readings.true_s[index])
+        base = self.base_at(time_s)
+        seen = scan_lidar_3d(
+            scene,
+            gtsam.Pose3(base).compose(lidar.T_base_laser),
+            lidar.model,
+            generator(self.seed, readings.sensor, _NOISE, index),
+            None if self.walk is None else self.walk.at(time_s),
+        )
+        return CloudEvent(
+            true_stamp_s=FIRST_STAMP_S + time_s,
+            T_map_base=base,
+            stamp_s=float(readings.stamps_s[index]),
+            sensor=readings.sensor,
+            points_laser=seen.points_laser,
+            ring=seen.ring,
+            true_ranges_m=seen.true_ranges_m,
+            fault=seen.fault,
+        )
 
     def _image(self, scene: Scene, camera: MountedCamera, readings: Schedule, index: int) -> ImageEvent:
         """One pair of images, taken at an instant."""
@@ -175,18 +202,19 @@ def prepare_drive(
         The robot does not fit through the home, or the sensor that should die is not on the rig.
     """
     faults = faults or DriveFaults()
-    names = ([LIDAR] if rig.lidar else []) + [camera.name for camera in rig.cameras]
-    if faults.dying_sensor and faults.dying_sensor not in names:
-        raise ConfigError(f"dying_sensor is {faults.dying_sensor!r}; rig {rig.name} has {', '.join(names)}")
     tour = plan_tour(home, rig.robot_radius_m, rig.robot_height_m, seed, duration_s)
     odometry_s = np.arange(int(tour.duration_s * faults.wheels.rate_hz + 1e-9) + 1) / faults.wheels.rate_hz
+    schedules = _schedules(rig, faults, tour.duration_s, seed)
+    if faults.dying_sensor and faults.dying_sensor not in schedules:
+        names = ", ".join(schedules)
+        raise ConfigError(f"dying_sensor is {faults.dying_sensor!r}; rig {rig.name} has {names}")
     return Drive(
         home=home,
         rig=rig,
         seed=seed,
         faults=faults,
         tour=tour,
-        schedules=_schedules(rig, faults, tour.duration_s, seed),
+        schedules=schedules,
         odometry_s=odometry_s,
         wheels=wheel_readings(faults.wheels, tour.poses_at(odometry_s), generator(seed, "wheels")),
         walk=plan_walk(home, tour, seed + 1) if faults.person else None,
@@ -217,34 +245,30 @@ def _schedules(rig: Rig, faults: DriveFaults, duration_s: float, seed: int) -> d
     dead_s = (faults.dies_at_share * duration_s, np.inf)
     if faults.returns_at_share is not None:
         dead_s = (dead_s[0], faults.returns_at_share * duration_s)
-    found: dict[str, Schedule] = {}
-    if rig.lidar:
-        found[LIDAR] = schedule(
-            LIDAR,
-            rig.lidar.model.rate_hz,
+
+    def runs(name: str, rate_hz: float, offset_s: float, dropped_share: float) -> Schedule:
+        return schedule(
+            name,
+            rate_hz,
             duration_s,
             FIRST_STAMP_S,
             seed,
-            clock_offset_s=faults.lidar_clock_offset_s,
+            clock_offset_s=offset_s,
             period_jitter_s=faults.period_jitter_s,
             stamp_jitter_s=faults.stamp_jitter_s,
-            dropped_share=faults.dropped_scan_share,
-            dead_s=dead_s if faults.dying_sensor == LIDAR else None,
+            dropped_share=dropped_share,
+            dead_s=dead_s if faults.dying_sensor == name else None,
         )
+
+    found: dict[str, Schedule] = {}
+    for name, lidar in ((LIDAR, rig.lidar), (LIDAR_3D, rig.lidar_3d)):
+        if lidar is not None:
+            rate_hz, offset_s = lidar.model.rate_hz, faults.lidar_clock_offset_s
+            found[name] = runs(name, rate_hz, offset_s, faults.dropped_scan_share)
     for camera in rig.cameras:
         own_s = faults.camera_clock_spread_s * float(generator(seed, camera.name, 2).standard_normal())
-        found[camera.name] = schedule(
-            camera.name,
-            camera.model.rate_hz,
-            duration_s,
-            FIRST_STAMP_S,
-            seed,
-            clock_offset_s=faults.camera_clock_offset_s + own_s,
-            period_jitter_s=faults.period_jitter_s,
-            stamp_jitter_s=faults.stamp_jitter_s,
-            dropped_share=faults.dropped_frame_share,
-            dead_s=dead_s if faults.dying_sensor == camera.name else None,
-        )
+        offset_s = faults.camera_clock_offset_s + own_s
+        found[camera.name] = runs(camera.name, camera.model.rate_hz, offset_s, faults.dropped_frame_share)
     return found
 
 

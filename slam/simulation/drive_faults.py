@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from slam.errors import ConfigError
 from slam.simulation.wheel_odometry import WheelModel
 
-LIDAR = "lidar"  # the name of a rig's lidar among its sensors; cameras have their own
+# The names of a rig's lidars among its sensors; cameras have their own.
+LIDAR, LIDAR_3D = "lidar", "lidar_3d"
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +30,7 @@ class DriveFaults:
     person
         A person walks through the rooms, and keeps out of the robot's way.
     dying_sensor
-        Name of a sensor that dies: "lidar" or a camera's name; empty for none.
+        Name of a sensor that dies: "lidar", "lidar_3d" or a camera's name; empty for none.
     dies_at_share, returns_at_share
         When it dies and when it comes back, as shares of the drive; None: never.
     wheels

@@ -38,6 +38,34 @@ class ScanEvent:
 
 
 @dataclass(frozen=True, slots=True)
+class CloudEvent:
+    """A turn of the 3D lidar: its returns only.
+
+    Attributes
+    ----------
+    true_stamp_s, T_map_base
+        As in `ScanEvent`.
+    stamp_s, sensor
+        What the sensor's clock said, and its name.
+    points_laser
+        (N, 3) in the frame of the lidar.
+    ring
+        (N,) index of the ring, 0 the lowest.
+    true_ranges_m, fault
+        (N,) as in `ScanEvent`.
+    """
+
+    true_stamp_s: float
+    T_map_base: gtsam.Pose2
+    stamp_s: float
+    sensor: str
+    points_laser: Float32Array
+    ring: NDArray[np.uint8]
+    true_ranges_m: Float32Array
+    fault: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
 class ImageEvent:
     """A colour and a depth image of one camera.
 
@@ -88,4 +116,4 @@ class TruthEvent:
     T_map_base: gtsam.Pose2
 
 
-DriveEvent: TypeAlias = ScanEvent | ImageEvent | OdometryEvent | TruthEvent
+DriveEvent: TypeAlias = ScanEvent | CloudEvent | ImageEvent | OdometryEvent | TruthEvent

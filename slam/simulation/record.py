@@ -15,9 +15,10 @@ import numpy as np
 from slam.errors import ConfigError, DatasetError
 from slam.simulation.bag_writer import BAG_FILES, BagWriter
 from slam.simulation.carmen_writer import CarmenWriter
+from slam.simulation.cloud_writer import CloudWriter
 from slam.simulation.drive import FIRST_STAMP_S, Drive, prepare_drive
 from slam.simulation.drive_faults import DriveFaults
-from slam.simulation.events import DriveEvent, ImageEvent, OdometryEvent, ScanEvent
+from slam.simulation.events import CloudEvent, DriveEvent, ImageEvent, OdometryEvent, ScanEvent
 from slam.simulation.home_model import Home
 from slam.simulation.ordered_pool import OrderedPool
 from slam.simulation.rigs import Rig
@@ -85,8 +86,8 @@ def record_drive(
     out_dir
         Made at the very end, whole; must not exist yet, or be empty. With ``folder`` it holds ``scans.log``
         (CARMEN) and the images as in the TUM benchmark (in ``rgbd_<name>/`` each when there are several
-        cameras); with ``mcap`` it is a rosbag2 (``log.mcap``, ``metadata.yaml``). Always
-        ``groundtruth.txt`` and ``truth/``.
+        cameras) and ``points/`` of a 3D lidar; with ``mcap`` it is a rosbag2 (``log.mcap``,
+        ``metadata.yaml``). Always ``groundtruth.txt`` and ``truth/``.
     faults, duration_s
         As for `slam.simulation.drive.prepare_drive`.
     progress
@@ -144,7 +145,7 @@ def _open_sinks(
 
 
 class _FolderSink:
-    """Plain files: a CARMEN log of scans and odometry, a TUM folder for each camera."""
+    """Plain files: a CARMEN log of scans and odometry, a TUM folder for each camera, KITTI's clouds."""
 
     def __init__(self, stack: ExitStack, folder: Path, drive: Drive, images: OrderedPool) -> None:
         self._drive = drive
@@ -161,6 +162,9 @@ class _FolderSink:
             )
             for camera in cameras
         }
+        self._clouds = None
+        if drive.rig.lidar_3d is not None:
+            self._clouds = stack.enter_context(CloudWriter(folder, images))
 
     def __call__(self, event: DriveEvent) -> None:
         """Write one event; the trajectory is the truth's business."""
@@ -172,6 +176,8 @@ class _FolderSink:
             self._log.scan(event.scan, pose, event.true_stamp_s)
         elif isinstance(event, ImageEvent):
             self._cameras[event.frame.sensor].write(event.frame)
+        elif isinstance(event, CloudEvent) and self._clouds is not None:
+            self._clouds.write(event)
 
 
 def camera_folder(camera: str) -> str:
@@ -210,6 +216,8 @@ def _name(event: DriveEvent) -> str | None:
     """The sensor that an event counts for."""
     if isinstance(event, ScanEvent):
         return event.scan.sensor
+    if isinstance(event, CloudEvent):
+        return event.sensor
     if isinstance(event, ImageEvent):
         return event.frame.sensor
     return "odometry" if isinstance(event, OdometryEvent) else None

@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.measurements import CameraIntrinsics, LaserScan, RgbdFrame
+from slam.measurements import CameraIntrinsics, Float32Array, LaserScan, RgbdFrame
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -18,8 +18,10 @@ IMAGE = "sensor_msgs/msg/Image"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 ODOMETRY = "nav_msgs/msg/Odometry"
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
+_FLOAT32, _UINT16 = 7, 4  # datatypes of a PointField
 DEPTH_STEPS_PER_M = 1000.0  # 16UC1 depth is in millimetres, by REP-118
 
 
@@ -53,6 +55,35 @@ def laser_scan(scan: LaserScan, frame_id: str, range_min_m: float, period_s: flo
         range_max=scan.range_max_m,
         ranges=np.ascontiguousarray(scan.ranges_m, dtype=np.float32),
         intensities=np.zeros(0, dtype=np.float32),
+    )
+
+
+def point_cloud(points_laser: Float32Array, ring: NDArray[np.uint8], stamp_s: float, frame_id: str) -> Any:
+    """A PointCloud2 message of x, y, z and ring, one unordered row."""
+    record = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2")])
+    packed = np.empty(len(points_laser), record)
+    packed["x"], packed["y"], packed["z"] = points_laser.T
+    packed["ring"] = ring
+    fields = [
+        _new("sensor_msgs/msg/PointField", name=name, offset=offset, datatype=datatype, count=1)
+        for name, offset, datatype in (
+            ("x", 0, _FLOAT32),
+            ("y", 4, _FLOAT32),
+            ("z", 8, _FLOAT32),
+            ("ring", 12, _UINT16),
+        )
+    ]
+    return _new(
+        POINT_CLOUD,
+        header=_header(stamp_s, frame_id),
+        height=1,
+        width=len(packed),
+        fields=fields,
+        is_bigendian=False,
+        point_step=record.itemsize,
+        row_step=record.itemsize * len(packed),
+        data=packed.view(np.uint8).reshape(-1),
+        is_dense=True,
     )
 
 

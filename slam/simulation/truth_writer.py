@@ -6,7 +6,7 @@ import dataclasses
 import json
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import gtsam
 import numpy as np
@@ -14,12 +14,15 @@ from numpy.typing import NDArray
 
 from slam.measurements import FloatArray, row_from_pose2
 from slam.simulation.drive import Drive
-from slam.simulation.drive_faults import LIDAR
-from slam.simulation.events import DriveEvent, ImageEvent, ScanEvent, TruthEvent
+from slam.simulation.drive_faults import LIDAR, LIDAR_3D
+from slam.simulation.events import CloudEvent, DriveEvent, ImageEvent, ScanEvent, TruthEvent
 from slam.simulation.home_model import Home
 from slam.simulation.ordered_pool import OrderedPool
 from slam.simulation.true_grid import true_grid
 from slam.simulation.tum_writer import transform_fields, write_yaml
+
+_SensorEvent: TypeAlias = ScanEvent | CloudEvent | ImageEvent
+_Row: TypeAlias = tuple[float, float, FloatArray, dict[str, NDArray[Any]]]  # stamp, true stamp, pose, masks
 
 GRID_RESOLUTION_M = 0.05
 
@@ -48,7 +51,9 @@ class TruthWriter:
         self._groundtruth = (folder / "groundtruth.txt").open("w", encoding="ascii", newline="\n")
         self._groundtruth.write("# timestamp tx ty tz qx qy qz qw, base in map\n")
         self._drive, self._bands_m = drive, bands_m
-        self._sensors = {name: _Chunks(self._folder / name, pool) for name in drive.schedules}
+        self._sensors = {
+            name: _Chunks(self._folder / name, pool, ragged=name == LIDAR_3D) for name in drive.schedules
+        }
 
     def __enter__(self) -> TruthWriter:
         _write_obstacles(self._folder, self._drive.home, self._bands_m)
@@ -69,6 +74,9 @@ class TruthWriter:
         elif isinstance(event, ScanEvent):
             arrays: dict[str, NDArray[Any]] = {"fault": event.fault, "true_ranges_m": event.true_ranges_m}
             self._sensors[event.scan.sensor].append(event.scan.stamp_s, event, arrays)
+        elif isinstance(event, CloudEvent):
+            arrays = {"fault": event.fault, "true_ranges_m": event.true_ranges_m}
+            self._sensors[event.sensor].append(event.stamp_s, event, arrays)
         elif isinstance(event, ImageEvent):
             # The true depth would be as large as the images themselves; the mask tells what is wrong.
             self._sensors[event.frame.sensor].append(event.frame.stamp_s, event, {"fault": event.fault})
@@ -77,18 +85,16 @@ class TruthWriter:
 class _Chunks:
     """One sensor's readings, gathered until there is enough for a file."""
 
-    def __init__(self, folder: Path, pool: OrderedPool) -> None:
+    def __init__(self, folder: Path, pool: OrderedPool, *, ragged: bool) -> None:
         folder.mkdir()
-        self._folder, self._pool = folder, pool
-        self._rows: list[dict[str, Any]] = []
+        self._folder, self._pool, self._ragged = folder, pool, ragged
+        self._rows: list[_Row] = []
         self._bytes = 0
         self._count = 0
 
-    def append(self, stamp_s: float, event: ScanEvent | ImageEvent, arrays: dict[str, NDArray[Any]]) -> None:
-        """A reading."""
-        pose = row_from_pose2(event.T_map_base)
-        head = {"stamp_s": stamp_s, "true_stamp_s": event.true_stamp_s, "T_map_base_xyt": pose}
-        self._rows.append(head | arrays)
+    def append(self, stamp_s: float, event: _SensorEvent, arrays: dict[str, NDArray[Any]]) -> None:
+        """A reading; ``arrays`` have a value for each beam, return or pixel."""
+        self._rows.append((stamp_s, event.true_stamp_s, row_from_pose2(event.T_map_base), arrays))
         self._bytes += sum(array.nbytes for array in arrays.values())
         if self._bytes >= _CHUNK_BYTES:
             self.flush()
@@ -96,14 +102,25 @@ class _Chunks:
     def flush(self) -> None:
         """Hand what was gathered to the pool; files are named after their first reading."""
         if self._rows:
-            self._pool.submit(_write_rows, self._folder / f"{self._count:06d}.npz", self._rows)
+            self._pool.submit(_write_rows, self._folder / f"{self._count:06d}.npz", self._rows, self._ragged)
             self._count += len(self._rows)
             self._rows, self._bytes = [], 0
 
 
-def _write_rows(path: Path, rows: list[dict[str, Any]]) -> None:
-    """Readings of one sensor, each field stacked."""
-    write_npz(path, **{name: np.array([row[name] for row in rows]) for name in rows[0]})
+def _write_rows(path: Path, rows: list[_Row], ragged: bool) -> None:
+    """Readings of one sensor, each field stacked; clouds, which differ in length, end to end."""
+    stamps_s, true_stamps_s, poses, arrays = zip(*rows, strict=True)
+    fields = {
+        "stamp_s": np.array(stamps_s),
+        "true_stamp_s": np.array(true_stamps_s),
+        "T_map_base_xyt": np.array(poses),
+    }
+    if ragged:
+        fields["lengths"] = np.array([len(next(iter(reading.values()))) for reading in arrays])
+    for name in arrays[0]:
+        join = np.concatenate if ragged else np.stack
+        fields[name] = join([reading[name] for reading in arrays])
+    write_npz(path, **fields)
 
 
 def write_npz(path: Path, **arrays: NDArray[Any]) -> None:
@@ -166,6 +183,8 @@ def _extrinsics(drive: Drive) -> dict[str, Any]:
     found: dict[str, Any] = {}
     if drive.rig.lidar is not None:
         found[LIDAR] = {"T_base_laser": transform_fields(drive.rig.lidar.T_base_laser)}
+    if drive.rig.lidar_3d is not None:
+        found[LIDAR_3D] = {"T_base_laser": transform_fields(drive.rig.lidar_3d.T_base_laser)}
     for camera in drive.rig.cameras:
         found[camera.name] = {"T_base_camera": transform_fields(camera.T_base_camera)}
     return found

@@ -6,6 +6,7 @@ import hashlib
 import itertools
 import json
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +22,11 @@ from slam.measurements import LaserScan, WheelOdometry
 from slam.simulation import record
 from slam.simulation.drive import FIRST_STAMP_S, Drive, prepare_drive
 from slam.simulation.drive_faults import FAULT_PRESETS
-from slam.simulation.events import ImageEvent, OdometryEvent, ScanEvent, TruthEvent
+from slam.simulation.events import CloudEvent, ImageEvent, OdometryEvent, ScanEvent, TruthEvent
 from slam.simulation.home import generate_home
 from slam.simulation.record import DriveSummary, record_drive
+from slam.simulation.rigs import RIGS
+from slam.simulation.sensors import SimulatedCloud
 
 HOME = generate_home(0)
 FAULTS = FAULT_PRESETS["usual"]
@@ -258,6 +261,39 @@ def test_masks_are_cut_into_files_that_fit_in_memory(tmp_path: Path, monkeypatch
     assert len(files) > 3
     lengths = [len(np.load(path)["fault"]) for path in files]
     assert [int(path.stem) for path in files] == [0, *itertools.accumulate(lengths[:-1])]
+
+
+def test_clouds_of_a_ring_lidar_are_kittis_files_and_a_topic(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def turn(scene: None, pose: Any, model: Any, rng: np.random.Generator, person: Any) -> SimulatedCloud:
+        count = int(rng.integers(5, 9))  # returns differ in number from turn to turn
+        points = rng.normal(size=(count, 3)).astype(np.float32)
+        ring = rng.integers(0, 16, count).astype(np.uint8)
+        far, fault = np.linalg.norm(points, axis=1).astype(np.float32), ring // 8
+        return SimulatedCloud(points, ring, np.zeros(count, np.float32), far, fault)
+
+    monkeypatch.setattr("slam.simulation.drive.scan_lidar_3d", turn)
+    rig = replace(RIGS["lidar3d"], cameras=())
+    done = record_drive(HOME, rig, 7, tmp_path / "out", FAULTS, 2.0)
+    sent = [e for e in prepare_drive(HOME, rig, 7, FAULTS, 2.0).events() if isinstance(e, CloudEvent)]
+    assert done.counts["lidar_3d"] == len(sent) > 15
+    lines = [line.split() for line in (done.folder / "points.txt").read_text().splitlines()[3:]]
+    for event, (stamp, path) in zip(sent, lines, strict=True):
+        assert float(stamp) == event.stamp_s
+        rows = np.fromfile(done.folder / path, "<f4").reshape(-1, 4)
+        assert (rows[:, :3] == event.points_laser).all()
+        assert (rows[:, 3] == event.ring).all()
+    messages = bag_messages(done.folder / "log.mcap")["/points"]
+    assert len(messages) == len(sent)
+    for (_, (kind, data)), event in zip(messages, sent, strict=True):
+        assert kind == "sensor_msgs/msg/PointCloud2"
+        rows = np.frombuffer(data[-1 - 14 * len(event.ring) : -1], "<f4,<f4,<f4,<u2")  # is_dense comes last
+        assert (rows["f1"] == event.points_laser[:, 1]).all()
+        assert (rows["f3"] == event.ring).all()
+    (chunk,) = (np.load(path) for path in (done.folder / "truth" / "lidar_3d").iterdir())
+    assert chunk["lengths"].tolist() == [len(event.ring) for event in sent]
+    assert (chunk["fault"] == np.concatenate([event.fault for event in sent])).all()
 
 
 class Stop(Exception):

@@ -1,0 +1,44 @@
+"""Clouds of a 3D lidar as KITTI's files: four little-endian floats a point, one file a turn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from slam.measurements import Float32Array
+from slam.simulation.events import CloudEvent
+from slam.simulation.ordered_pool import OrderedPool
+
+
+class CloudWriter:
+    """``points/`` and its index ``points.txt``; use it as a context manager.
+
+    A point is x, y, z in the frame of the lidar, and its ring where KITTI has the intensity.
+    """
+
+    def __init__(self, folder: Path, pool: OrderedPool) -> None:
+        self._folder, self._pool = folder, pool
+        (folder / "points").mkdir()
+        self._index = (folder / "points.txt").open("w", encoding="ascii", newline="\n")
+        self._index.write(
+            "# point clouds: x y z ring, float32\n# simulated by scanweave\n# timestamp filename\n"
+        )
+
+    def __enter__(self) -> CloudWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._index.close()
+
+    def write(self, event: CloudEvent) -> None:
+        """Queue one turn."""
+        name = f"points/{event.stamp_s:.6f}.bin"
+        self._index.write(f"{event.stamp_s:.6f} {name}\n")
+        rows = np.column_stack([event.points_laser, event.ring.astype(np.float32)])
+        self._pool.submit(_write_floats, self._folder / name, rows)
+
+
+def _write_floats(path: Path, rows: Float32Array) -> None:
+    """The floats as they are."""
+    path.write_bytes(rows.astype("<f4").tobytes())
