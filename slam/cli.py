@@ -178,27 +178,29 @@ def simulate(
     duration: Annotated[
         float | None, typer.Option(min=1.0, help="seconds; one tour through all rooms if not given")
     ] = None,
-    person: Annotated[bool, typer.Option("--person", help="somebody walks about")] = False,
+    faults: Annotated[str, typer.Option(help="clocks, losses, people: none, usual or harsh")] = "usual",
     formats: Annotated[
         list[str] | None, typer.Option("--format", help="folder (CARMEN + TUM) or mcap; both if not given")
     ] = None,
 ) -> None:
     """Drive a simulated robot through a furnished home and record its sensors with the truth."""
     from slam.errors import ConfigError
-    from slam.simulation.drive_faults import DriveFaults
+    from slam.simulation.drive_faults import FAULT_PRESETS
     from slam.simulation.home import generate_home
     from slam.simulation.record import FORMATS, record_drive
     from slam.simulation.rigs import RIGS
 
     if rig not in RIGS:
         raise ConfigError(f"no rig '{rig}'; there are {', '.join(sorted(RIGS))}")
+    if faults not in FAULT_PRESETS:
+        raise ConfigError(f"no fault preset '{faults}'; there are {', '.join(FAULT_PRESETS)}")
     with _progress("simulating", "s") as progress:
         summary = record_drive(
             generate_home(home, "office" if office else "home"),
             RIGS[rig],
             seed,
             out,
-            DriveFaults(person=person),
+            FAULT_PRESETS[faults],
             duration,
             lambda done_s, _: progress(int(done_s)),
             formats=tuple(formats) if formats else FORMATS,

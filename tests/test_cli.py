@@ -419,7 +419,11 @@ def test_simulate_then_map_recovers_the_drive(scanweave: Scanweave, tmp_path: Pa
 
 @pytest.mark.parametrize(
     ("options", "told"),
-    [(("--rig", "nope"), "no rig 'nope'"), (("--format", "avi"), "formats are avi")],
+    [
+        (("--rig", "nope"), "no rig 'nope'"),
+        (("--format", "avi"), "formats are avi"),
+        (("--faults", "x"), "no fault preset 'x'"),
+    ],
 )
 def test_simulate_tells_what_there_is(
     scanweave: Scanweave, tmp_path: Path, options: tuple[str, str], told: str
