@@ -23,7 +23,7 @@ from slam.config import load_config
 from slam.simulation.synthetic_log import SyntheticLog, write_synthetic_log
 from slam.storage.tum import read_tum
 
-COMMANDS = ("map", "inspect", "evaluate", "config", "demo")
+COMMANDS = ("map", "inspect", "evaluate", "config", "simulate", "demo")
 RESULTS = {"trajectory.tum", "graph.g2o", "map.yaml", "map.pgm", "report.html"}
 
 
