@@ -1,0 +1,35 @@
+"""Keyframes with their optimised poses, checked before they enter a map."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+import gtsam
+import numpy as np
+
+from slam.errors import ScanweaveError
+from slam.measurements import RgbdFrame
+
+
+def posed_frames(
+    frames: Iterable[RgbdFrame], poses: Sequence[gtsam.Pose3]
+) -> Iterator[tuple[RgbdFrame, gtsam.Pose3]]:
+    """Yield (frame, T_map_camera) pairs; ``poses`` are T_map_camera in the order of the frames.
+
+    Raises
+    ------
+    ScanweaveError
+        Before the first pair where a pose is not finite; where one list turns out longer than the other.
+    """
+    for index, T_map_camera in enumerate(poses):
+        if not np.isfinite(T_map_camera.matrix()).all():
+            raise ScanweaveError(
+                f"pose {index} of {len(poses)} keyframes is not finite; look at the graph's report"
+            )
+    count = 0
+    for count, frame in enumerate(frames, start=1):
+        if count > len(poses):
+            raise ScanweaveError(f"more keyframes than their {len(poses)} poses; give one pose a keyframe")
+        yield frame, poses[count - 1]
+    if count < len(poses):
+        raise ScanweaveError(f"{count} keyframes for {len(poses)} poses; give one pose a keyframe")
