@@ -1,0 +1,83 @@
+"""OctoMap's binary tree (``.bt``): which space is occupied, free or unknown, for 3D planners.
+
+Hornung et al., "OctoMap: an efficient probabilistic 3D mapping framework based on octrees", Autonomous Robots
+2013; its own library does the work, with its own sensor model.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import gtsam
+import numpy as np
+
+from slam.errors import ConfigError, ScanweaveError
+from slam.mapping.posed_frames import posed_frames
+from slam.measurements import FloatArray, RgbdFrame
+from slam.storage.files import write_bytes
+
+RAYS_A_VOXEL = 3  # side by side, on a surface at the maximal range
+HALF_TREE = 32768  # voxels from the origin to the end of the tree, which has 16 levels
+
+
+def write_octomap(
+    path: Path,
+    frames: Iterable[RgbdFrame],
+    poses: Sequence[gtsam.Pose3],
+    resolution_m: float = 0.05,
+    range_max_m: float = 4.0,
+) -> None:
+    """Write what the frames saw as a pruned ``.bt`` file; ``poses`` are T_map_camera in their order.
+
+    Each reading frees the voxels between camera and surface and fills its own; one beyond ``range_max_m``
+    frees the voxels up to there.
+
+    Raises
+    ------
+    ConfigError
+        Where the resolution or the range is not above 0.
+    ScanweaveError
+        Where the extra is not installed, a pose is not finite or outside the tree, there are more or fewer
+        poses than frames, or nothing was seen.
+    MapFileError
+        Where the file cannot be written.
+    """
+    if not (resolution_m > 0.0 and range_max_m > 0.0):
+        raise ConfigError(
+            f"OctoMap with a resolution of {resolution_m:g} m and a range of {range_max_m:g} m; "
+            "both must be above 0"
+        )
+    try:
+        import octomap
+    except ImportError as error:
+        raise ScanweaveError("OctoMap files need an extra: pip install 'scanweave[octomap]'") from error
+    tree = octomap.OcTree(resolution_m)
+    reach_m = HALF_TREE * resolution_m - range_max_m
+    for frame, T_map_camera in posed_frames(frames, poses):
+        origin_map = T_map_camera.translation()
+        if np.abs(origin_map).max() > reach_m:
+            raise ScanweaveError(
+                f"camera at {np.round(origin_map, 1).tolist()} m; an OctoMap of {resolution_m:g} m voxels "
+                f"ends {reach_m:.0f} m from the origin: use a larger resolution"
+            )
+        points_camera = _points_camera(frame, resolution_m, range_max_m)
+        points_map = points_camera @ T_map_camera.rotation().matrix().T + origin_map
+        tree.insertPointCloud(points_map, origin_map, maxrange=range_max_m, lazy_eval=True, discretize=True)
+    if tree.size() == 0:
+        raise ScanweaveError(f"nothing for {path}: no keyframe has depth; is the depth scale right?")
+    tree.updateInnerOccupancy()
+    write_bytes(path, tree.writeBinary())  # which prunes first
+
+
+def _points_camera(frame: RgbdFrame, resolution_m: float, range_max_m: float) -> FloatArray:
+    """(N, 3) readings in the camera frame, thinned to `RAYS_A_VOXEL` at the maximal range."""
+    camera = frame.intrinsics
+    stride = max(1, math.floor(resolution_m * min(camera.fx, camera.fy) / (range_max_m * RAYS_A_VOXEL)))
+    depth_m = frame.depth_m[::stride, ::stride].astype(np.float64)
+    rows, cols = np.nonzero(depth_m > 0.0)
+    z = depth_m[rows, cols]
+    x = (stride * cols - camera.cx) / camera.fx
+    y = (stride * rows - camera.cy) / camera.fy
+    return np.column_stack([x * z, y * z, z])
