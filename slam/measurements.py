@@ -90,7 +90,8 @@ class RgbdFrame:
     intrinsics
         Of both images.
     T_base_camera
-        Mounting of the optical frame on the robot: z forward, x right, y down in the image.
+        Mounting of the optical frame on the robot: z forward, x right, y down in the image. None where the
+        log does not tell it.
     sensor
         Name of the camera, as the log tells it.
     """
@@ -99,11 +100,11 @@ class RgbdFrame:
     color: ColorImage
     depth_m: Float32Array
     intrinsics: CameraIntrinsics
-    T_base_camera: gtsam.Pose3
+    T_base_camera: gtsam.Pose3 | None = None
     sensor: str = "camera"
 
 
-Measurement: TypeAlias = LaserScan | WheelOdometry
+Measurement: TypeAlias = LaserScan | WheelOdometry | RgbdFrame
 
 
 @dataclass(frozen=True, slots=True)

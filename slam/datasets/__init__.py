@@ -9,6 +9,9 @@ from pathlib import Path
 from slam.datasets.carmen import HEAD_BYTES, CarmenDataset, looks_like_carmen
 from slam.datasets.dataset import Dataset, ReadReport
 from slam.datasets.log_file import read_head
+from slam.datasets.recorded_folder import looks_like_recorded_folder, open_recorded_folder
+from slam.datasets.seven_scenes import looks_like_seven_scenes, open_seven_scenes
+from slam.datasets.tum import looks_like_tum, open_tum
 from slam.errors import DatasetError
 
 __all__ = ["FORMATS", "Dataset", "DatasetFormat", "ReadReport", "open_dataset"]
@@ -40,6 +43,9 @@ def _open_carmen(path: Path, strict: bool) -> Dataset:
 # The one place where a new reader is registered; the first that recognises a path reads it.
 FORMATS: tuple[DatasetFormat, ...] = (
     DatasetFormat("CARMEN log (.log, .clf, plain or .gz)", looks_like_carmen, _open_carmen),
+    DatasetFormat("7-Scenes folder", looks_like_seven_scenes, open_seven_scenes),
+    DatasetFormat("folder of a CARMEN log and TUM images", looks_like_recorded_folder, open_recorded_folder),
+    DatasetFormat("TUM RGB-D folder", looks_like_tum, open_tum),
 )
 
 
@@ -49,7 +55,7 @@ def open_dataset(path: Path | str, *, strict: bool = False) -> Dataset:
     Parameters
     ----------
     path
-        A log file; formats that are directories may come.
+        A log file, or a folder of one recording.
     strict
         Stop at the first damaged record instead of counting and skipping it.
 

@@ -26,7 +26,7 @@ from slam.datasets.dataset import ReadReport, RecordFault
 from slam.datasets.laser_geometry import BeamLayout, beam_layout, classify_ranges, no_return_limit_m
 from slam.datasets.log_file import numbered_lines, read_head
 from slam.errors import BadRecordError, DatasetError
-from slam.measurements import LaserScan, Measurement, WheelOdometry, pose2_from_row
+from slam.measurements import LaserScan, Measurement, Trajectory, WheelOdometry, pose2_from_row
 
 log = logging.getLogger(__name__)
 
@@ -99,19 +99,31 @@ class CarmenDataset:
         DatasetError
             The file cannot be read, or holds neither odometry nor a scan.
         """
-        report = self.report = ReadReport()
+        report = ReadReport()
+        for number, measurement in self.numbered(report):
+            report.observe(measurement, number)
+            yield measurement
+        if report.measurement_count == 0:
+            raise DatasetError(_nothing_usable(self.path, report))
+
+    def groundtruth(self) -> Trajectory | None:
+        """None: poses in a log are the robot's own belief."""
+        return None
+
+    def numbered(self, report: ReadReport) -> Iterator[tuple[int, Measurement]]:
+        """Line numbers and measurements; records go to ``report``, which does not observe them yet."""
+        self.report = report
         decoder = _Decoder(report, _preferred_kinds(read_head(self.path, HEAD_BYTES)))
+        last = 0
         for number, line in numbered_lines(self.path, self._refuse):
-            report.line_count = number
+            report.line_count += number - last
+            last = number
             try:
                 for measurement in decoder.decode(line.split(), number):
-                    report.observe(measurement, number)
-                    yield measurement
+                    yield number, measurement
             except RecordFault as fault:
                 cut = not line.endswith(b"\n")
                 self._refuse(RecordFault(TRUNCATED, str(fault)) if cut else fault, number)
-        if report.measurement_count == 0:
-            raise DatasetError(_nothing_usable(self.path, report))
 
     def _refuse(self, fault: RecordFault, number: int) -> None:
         """Count a damaged record, or stop at it."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from slam.measurements import Measurement, WheelOdometry
+from slam.measurements import Measurement, Trajectory, WheelOdometry
 
 # Above these a pair of odometry readings is a jump of the counter, not a drive of the robot: an indoor
 # robot stays below 3 m/s, and the slack covers pairs whose stamps coincide or run backward.
@@ -185,4 +185,8 @@ class Dataset(Protocol):
 
     def __iter__(self) -> Iterator[Measurement]:
         """Read the log from its beginning."""
+        ...
+
+    def groundtruth(self) -> Trajectory | None:
+        """The true trajectory that comes with the log, None where none does."""
         ...

@@ -132,7 +132,7 @@ def inspect_dataset(dataset: Dataset) -> Inspection:
         stream.add_stamp(measurement.stamp_s)
         if isinstance(measurement, LaserScan):
             stream.add_scan(measurement)
-        else:
+        elif isinstance(measurement, WheelOdometry):
             stream.add_odometry(measurement)
         earliest_s = min(earliest_s, measurement.stamp_s)
         latest_s = max(latest_s, measurement.stamp_s)

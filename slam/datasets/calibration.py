@@ -1,0 +1,176 @@
+"""What is known of a camera before its first image: lens, depth scale, mounting."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
+import yaml
+
+from slam.datasets.dataset import RecordFault
+from slam.errors import DatasetError
+from slam.measurements import CameraIntrinsics, FloatArray
+
+FILE_NAME = "calibration.yaml"
+OTHER_ASPECT = "image size does not fit the calibration"
+
+_SAME_ASPECT = 0.005  # rounding of sizes; 1280 x 720 and 848 x 480 already show other parts of the scene
+_NORM_TOLERANCE = 1e-2
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """A camera.
+
+    Attributes
+    ----------
+    intrinsics
+        For images of its width and height; 0 x 0 where the source does not say for which.
+    depth_steps_per_m
+        What the depth files write for one metre.
+    invalid_codes
+        Depth values that mean "no reading", besides 0.
+    T_base_camera
+        Of the optical frame of the upright image; None where the log does not tell.
+    assumed
+        Why the intrinsics are a guess, for the report; empty where the log or its publisher gives them.
+    """
+
+    intrinsics: CameraIntrinsics
+    depth_steps_per_m: float
+    invalid_codes: tuple[int, ...] = ()
+    T_base_camera: gtsam.Pose3 | None = None
+    assumed: str = ""
+
+    def intrinsics_for(self, width: int, height: int) -> CameraIntrinsics:
+        """The intrinsics of images of a size, pixel (0, 0) having its centre at (0, 0).
+
+        Raises
+        ------
+        RecordFault
+            A size of another aspect than that of the known intrinsics: which part is cut off is unknown.
+        """
+        known = self.intrinsics
+        if (known.width, known.height) in ((width, height), (0, 0)):
+            return replace(known, width=width, height=height)
+        if not self.assumed and not same_aspect((width, height), (known.width, known.height)):
+            sizes = f"{width} x {height}, calibrated {known.width} x {known.height}"
+            raise RecordFault(OTHER_ASPECT, sizes)
+        scale = width / known.width
+        cut = 0.5 * (height - known.height * scale)  # an assumed lens looks through the middle
+        return CameraIntrinsics(
+            known.fx * scale,
+            known.fy * scale,
+            (known.cx + 0.5) * scale - 0.5,
+            (known.cy + 0.5) * scale - 0.5 + cut,
+            width,
+            height,
+        )
+
+
+def same_aspect(first: tuple[int, int], second: tuple[int, int]) -> bool:
+    """Whether two sizes (width, height) show the same field of view."""
+    return abs(first[0] * second[1] / (first[1] * second[0]) - 1.0) < _SAME_ASPECT
+
+
+def read_calibration(folder: Path, default: Calibration) -> Calibration:
+    """The folder's ``calibration.yaml`` over a default; the default where there is no such file.
+
+    The file may give ``intrinsics`` (fx, fy, cx, cy and, together, width and height),
+    ``depth_steps_per_m`` and ``T_base_camera`` (``translation_m``, ``quaternion_xyzw``).
+
+    Raises
+    ------
+    DatasetError
+        The file cannot be read, or a value in it is none: a wrong calibration would bend the whole map.
+    """
+    path = folder / FILE_NAME
+    if not path.is_file():
+        return default
+    content = read_yaml(path)
+    result = default
+    try:
+        if "intrinsics" in content:
+            result = replace(result, intrinsics=_intrinsics(content["intrinsics"]), assumed="")
+        if "depth_steps_per_m" in content:
+            result = replace(result, depth_steps_per_m=_positive(content["depth_steps_per_m"]))
+        if content.get("T_base_camera") is not None:
+            fields = content["T_base_camera"]
+            pose = pose_from(fields["translation_m"], fields["quaternion_xyzw"])
+            result = replace(result, T_base_camera=pose)
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        missing = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        raise DatasetError(f"{path}: {missing}; correct the calibration, or remove the file") from error
+    return result
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """A small YAML file of named values.
+
+    Raises
+    ------
+    DatasetError
+        It cannot be read, or is something else.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        # OpenCV writes a first line and a tag that are no YAML.
+        content = yaml.safe_load(text.replace("%YAML:1.0", "", 1).replace("!!opencv-matrix", ""))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        reason = str(error).splitlines()[0]
+        raise DatasetError(f"{path} cannot be read: {reason}; correct or remove it") from error
+    if not isinstance(content, dict):
+        raise DatasetError(f"{path} holds no named values; correct or remove it")
+    return content
+
+
+def pose_from(translation_m: Any, quaternion_xyzw: Any) -> gtsam.Pose3:
+    """A pose from two lists of numbers.
+
+    Raises
+    ------
+    ValueError
+        Not three and four finite numbers, or no unit quaternion.
+    """
+    translation = np.asarray(translation_m, dtype=np.float64).ravel()
+    x, y, z, w = unit_quaternion(np.asarray(quaternion_xyzw, dtype=np.float64).ravel())
+    if translation.size != 3 or not np.isfinite(translation).all():
+        raise ValueError(f"translation {translation_m} is not three finite numbers")
+    return gtsam.Pose3(gtsam.Rot3.Quaternion(w, x, y, z), translation)
+
+
+def unit_quaternion(quaternion: FloatArray) -> FloatArray:
+    """A quaternion at unit length, (4,).
+
+    Raises
+    ------
+    ValueError
+        Not four finite numbers, or of a length that no rounding explains.
+    """
+    norm = float(np.linalg.norm(quaternion)) if quaternion.size == 4 else math.nan
+    if not abs(norm - 1.0) <= _NORM_TOLERANCE:
+        raise ValueError(f"quaternion {quaternion.tolist()} is not four numbers of length 1")
+    unit: FloatArray = quaternion / norm
+    return unit
+
+
+def _intrinsics(fields: Any) -> CameraIntrinsics:
+    """Positive focal lengths, a finite centre, and a size or none."""
+    fx, fy = _positive(fields["fx"]), _positive(fields["fy"])
+    cx, cy = float(fields["cx"]), float(fields["cy"])
+    width, height = int(fields.get("width") or 0), int(fields.get("height") or 0)
+    if not (math.isfinite(cx) and math.isfinite(cy)) or min(width, height) < 0 or (width > 0) != (height > 0):
+        raise ValueError(f"intrinsics {fields} are not a camera's")
+    return CameraIntrinsics(fx, fy, cx, cy, width, height)
+
+
+def _positive(value: Any) -> float:
+    """A positive finite number."""
+    number = float(value)
+    if not 0.0 < number < math.inf:
+        raise ValueError(f"{value} is not a positive number")
+    return number

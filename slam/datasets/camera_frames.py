@@ -1,0 +1,130 @@
+"""Pairs of image files as frames: decoded ahead, checked against the first, never guessed."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.datasets.account import Account
+from slam.datasets.calibration import Calibration, same_aspect
+from slam.datasets.dataset import RecordFault
+from slam.datasets.frame_pairs import FramePair
+from slam.datasets.image_files import read_color, read_depth
+from slam.datasets.prefetch import map_ahead
+from slam.measurements import CameraIntrinsics, ColorImage, Float32Array, RgbdFrame
+
+SIZES_DIFFER = "colour and depth of different aspect"
+SIZE_CHANGED = "image size differs from the first frame's"
+SIZE_NOTE = "colour resized to the depth image"
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """One camera of a recording.
+
+    Attributes
+    ----------
+    sensor
+        Its name.
+    pairs
+        Its images, in the order of the log.
+    calibration
+        Of the upright images.
+    quarter_turns
+        Turns of 90 degrees, counter-clockwise, that set the stored images upright.
+    """
+
+    sensor: str
+    pairs: list[FramePair]
+    calibration: Calibration
+    quarter_turns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Images:
+    """A decoded pair, or why there is none."""
+
+    camera: Camera
+    pair: FramePair
+    color: ColorImage | None = None
+    depth_m: Float32Array | None = None
+    resized_from: tuple[int, int] | None = None
+    fault: RecordFault | None = None
+
+
+def read_frames(
+    requests: Iterable[tuple[Camera, FramePair]], account: Account
+) -> Generator[tuple[int, RgbdFrame], None, None]:
+    """Frames in the order of the requests, each with the line of its colour image; faults are counted."""
+    sizes: dict[str, CameraIntrinsics] = {}
+    for images in map_ahead(_decode, requests):
+        camera, number = images.camera, images.pair.color.number
+        account.report.line_count += 1
+        try:
+            frame = _frame(images, sizes)
+        except RecordFault as fault:
+            account.refuse(fault, camera.sensor, number)
+            continue
+        if camera.calibration.assumed:
+            account.report.note(f"{camera.sensor}: {camera.calibration.assumed}", number)
+        if images.resized_from:
+            width, height = images.resized_from
+            account.report.note(f"{camera.sensor}: {SIZE_NOTE}, from {width} x {height}", number)
+        account.report.accept(f"{camera.sensor} frame")
+        yield number, frame
+
+
+def _frame(images: _Images, sizes: dict[str, CameraIntrinsics]) -> RgbdFrame:
+    """The frame, if its size is that of the camera's first, which ``sizes`` remembers."""
+    camera = images.camera
+    if images.fault is not None or images.color is None or images.depth_m is None:
+        raise images.fault or RecordFault(SIZES_DIFFER, "no images")
+    height, width = images.depth_m.shape
+    known = sizes.get(camera.sensor)
+    if known is None:
+        known = sizes[camera.sensor] = camera.calibration.intrinsics_for(width, height)
+    if (known.width, known.height) != (width, height):
+        raise RecordFault(SIZE_CHANGED, f"{width} x {height} after {known.width} x {known.height}")
+    return RgbdFrame(
+        stamp_s=images.pair.stamp_s,
+        color=images.color,
+        depth_m=images.depth_m,
+        intrinsics=known,
+        T_base_camera=camera.calibration.T_base_camera,
+        sensor=camera.sensor,
+    )
+
+
+def _decode(request: tuple[Camera, FramePair]) -> _Images:
+    """Both images, upright and of one size; runs on the thread that reads ahead."""
+    camera, pair = request
+    calibration = camera.calibration
+    try:
+        depth_m = read_depth(pair.depth.path, calibration.depth_steps_per_m, calibration.invalid_codes)
+        color = read_color(pair.color.path)
+        stored = (color.shape[1], color.shape[0])
+        color = _fitted(color, depth_m)
+    except RecordFault as fault:
+        return _Images(camera, pair, fault=fault)
+    if turns := camera.quarter_turns % 4:
+        color = np.ascontiguousarray(np.rot90(color, turns))
+        depth_m = np.ascontiguousarray(np.rot90(depth_m, turns))
+    resized = color.size != 3 * stored[0] * stored[1]
+    return _Images(camera, pair, color, depth_m, stored if resized else None)
+
+
+def _fitted(color: ColorImage, depth_m: Float32Array) -> ColorImage:
+    """The colour image at the size of the depth image, where both see the same."""
+    if color.shape[:2] == depth_m.shape:
+        return color
+    size, wanted = (color.shape[1], color.shape[0]), (depth_m.shape[1], depth_m.shape[0])
+    if not same_aspect(size, wanted):
+        raise RecordFault(SIZES_DIFFER, f"{size[0]} x {size[1]} and {wanted[0]} x {wanted[1]}")
+    import cv2
+
+    shrinks = wanted[0] < size[0]
+    return np.asarray(
+        cv2.resize(color, wanted, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+    )

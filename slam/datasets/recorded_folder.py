@@ -1,0 +1,71 @@
+"""A robot's folder: a CARMEN log, and beside it cameras in the TUM layout. The simulator writes such."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from slam.datasets.account import Account
+from slam.datasets.carmen import HEAD_BYTES, CarmenDataset, looks_like_carmen
+from slam.datasets.log_file import read_head
+from slam.datasets.recording import Contents, Recording
+from slam.datasets.tum import has_tum_layout, read_groundtruth, tum_camera
+from slam.errors import DatasetError
+
+_CAMERA_FOLDERS = "rgbd_*"
+_NO_LOGS = frozenset({".png", ".jpg", ".jpeg", ".yaml", ".yml", ".json", ".mcap", ".npz", ".db", ".bag"})
+
+
+def looks_like_recorded_folder(path: Path, head: bytes) -> bool:
+    """Whether a path is a folder with a CARMEN log, or with several cameras' folders."""
+    return path.is_dir() and bool(_carmen_logs(path) or _camera_folders(path))
+
+
+def open_recorded_folder(path: Path, strict: bool) -> Recording:
+    """A folder of wheels, lidar and cameras.
+
+    Raises
+    ------
+    DatasetError
+        There are several logs: which one belongs to the images is not to be guessed.
+    """
+    logs = _carmen_logs(path)
+    if len(logs) > 1:
+        names = ", ".join(log.name for log in logs[:4])
+        raise DatasetError(
+            f"{path} holds {len(logs)} CARMEN logs ({names}); give one of them, or leave only one"
+        )
+
+    def load(account: Account) -> Contents:
+        cameras = [tum_camera(folder, name, account) for name, folder in _cameras(path).items()]
+        log = CarmenDataset(logs[0], strict=strict).numbered(account.report) if logs else ()
+        return Contents(cameras, log)
+
+    return Recording(path, load, lambda account: read_groundtruth(path, account), strict=strict)
+
+
+def _cameras(path: Path) -> dict[str, Path]:
+    """Cameras' folders by the name of the camera: RGBD_1 for ``rgbd_1``, left for ``rgbd_left``."""
+    if has_tum_layout(path):
+        return {"camera": path}
+    folders = {}
+    for folder in _camera_folders(path):
+        name = folder.name.removeprefix("rgbd_")
+        folders[f"RGBD_{name}" if name.isdecimal() else name] = folder
+    return folders
+
+
+def _camera_folders(path: Path) -> list[Path]:
+    """Folders of one camera each."""
+    return sorted(folder for folder in path.glob(_CAMERA_FOLDERS) if has_tum_layout(folder))
+
+
+def _carmen_logs(path: Path) -> list[Path]:
+    """Files directly in a folder that hold CARMEN messages."""
+    return sorted(
+        file
+        for file in path.iterdir()
+        if file.suffix.lower() not in _NO_LOGS
+        and file.is_file()
+        and (head := read_head(file, HEAD_BYTES))
+        and looks_like_carmen(file, head)
+    )

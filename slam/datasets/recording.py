@@ -1,0 +1,134 @@
+"""A recording of several files as one stream: a log of readings, and cameras merged into it by time."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeAlias
+
+from slam.datasets.account import Account
+from slam.datasets.camera_frames import Camera, read_frames
+from slam.datasets.dataset import ReadReport
+from slam.datasets.frame_pairs import FramePair
+from slam.errors import DatasetError
+from slam.measurements import Measurement, RgbdFrame, Trajectory
+
+Numbered: TypeAlias = tuple[int, Measurement]
+
+
+@dataclass(frozen=True, slots=True)
+class Contents:
+    """What a recording holds.
+
+    Attributes
+    ----------
+    cameras
+        With their lists of images; their names differ.
+    log
+        Scans and odometry with their line numbers, in the order of their file.
+    """
+
+    cameras: list[Camera] = field(default_factory=list)
+    log: Iterable[Numbered] = ()
+
+
+class Recording:
+    """A folder as a dataset; see `slam.datasets.dataset.Dataset`.
+
+    The log keeps its order. A frame follows the first reading of the log at or after its own stamp, so
+    that the readings around a frame are known when it comes; frames of several cameras are in the order
+    of time, those of one camera in the order of its list.
+
+    Parameters
+    ----------
+    path
+        The folder.
+    load
+        Lists the contents, anew for each pass; what it must refuse goes to the account.
+    truth
+        Reads the true trajectory, None where there is none.
+    strict
+        Stop at the first damaged record instead of counting and skipping it.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        load: Callable[[Account], Contents],
+        truth: Callable[[Account], Trajectory | None],
+        *,
+        strict: bool = False,
+    ) -> None:
+        self.path = path
+        self.name = path.resolve().name
+        self.report = ReadReport()
+        self._load, self._truth, self._strict = load, truth, strict
+
+    def __iter__(self) -> Iterator[Measurement]:
+        """Read the recording from its beginning, with a new report.
+
+        Raises
+        ------
+        BadRecordError
+            A damaged record, under ``strict``.
+        DatasetError
+            A file that all depends on cannot be read, or nothing usable is found.
+        """
+        report = self.report = ReadReport()
+        account = Account(self.name, report, self._strict)
+        contents = self._load(account)
+        with closing(read_frames(_by_time(contents.cameras), account)) as frames:
+            for number, measurement in _frames_after_log(contents.log, frames):
+                report.observe(measurement, number)
+                yield measurement
+        if report.measurement_count == 0:
+            raise DatasetError(nothing_usable(self.path, report))
+
+    def groundtruth(self) -> Trajectory | None:
+        """The true trajectory that lies beside the readings; its damaged lines are left out."""
+        return self._truth(Account(self.name, ReadReport(), self._strict))
+
+
+def _by_time(cameras: list[Camera]) -> Iterator[tuple[Camera, FramePair]]:
+    """All cameras' pairs; a stamp that runs backward comes with the one before it."""
+
+    def keyed(place: int, camera: Camera) -> Iterator[tuple[float, int, FramePair]]:
+        newest_s = -math.inf
+        for pair in camera.pairs:
+            newest_s = max(newest_s, pair.stamp_s)
+            yield newest_s, place, pair
+
+    streams = [keyed(place, camera) for place, camera in enumerate(cameras)]
+    for _, place, pair in heapq.merge(*streams, key=lambda item: item[:2]):
+        yield cameras[place], pair
+
+
+def _frames_after_log(log: Iterable[Numbered], frames: Iterator[tuple[int, RgbdFrame]]) -> Iterator[Numbered]:
+    """The log in its order, each frame once the log's newest stamp has reached it."""
+    newest_s = -math.inf
+    waiting = next(frames, None)
+    for number, reading in log:
+        yield number, reading
+        newest_s = max(newest_s, reading.stamp_s)
+        while waiting is not None and waiting[1].stamp_s <= newest_s:
+            yield waiting
+            waiting = next(frames, None)
+    if waiting is not None:
+        yield waiting
+        yield from frames
+
+
+def nothing_usable(path: Path, report: ReadReport) -> str:
+    """The message for a recording without a single measurement."""
+    reasons = "; ".join(
+        f"{tally.count} x {reason}, first at record {tally.lines[0]}"
+        for reason, tally in report.dropped.items()
+    )
+    return (
+        f"{path} holds no usable frame, scan or odometry"
+        f"{f' ({reasons})' if reasons else ''}; give a folder with its images in place"
+    )

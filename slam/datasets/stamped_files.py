@@ -1,0 +1,145 @@
+"""Text files whose lines begin with a stamp: image lists, poses, associations of images."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from slam.datasets.account import Account
+from slam.datasets.dataset import RecordFault
+from slam.datasets.log_file import numbered_lines
+from slam.measurements import FloatArray, Trajectory
+
+WRONG_FIELDS = "index line with too few fields"
+BAD_STAMP = "index line without a stamp of this age"
+BAD_NAME = "index line without a usable file name"
+BAD_POSE = "pose line without finite numbers or a unit quaternion"
+
+_STAMP_LIMIT_S = 1e11  # year 5138; milliseconds or ticks by mistake are beyond it
+_QUATERNION_TOLERANCE = 1e-2  # public ground truths carry four decimals
+
+
+@dataclass(frozen=True, slots=True)
+class StampedFile:
+    """An image as an index lists it; ``number`` is the line."""
+
+    stamp_s: float
+    path: Path
+    number: int
+
+
+def fields_of(path: Path, account: Account, least: int, most: int) -> Iterator[tuple[int, list[bytes]]]:
+    """Line numbers and fields of a text file, comments and empty lines left out, short lines counted.
+
+    The last field keeps its blanks where there would be more than ``most``.
+    """
+    for number, line in numbered_lines(path, lambda fault, at: account.refuse(fault, path.name, at)):
+        text = line.strip()
+        if not text or text.startswith(b"#"):
+            continue
+        fields = text.split(maxsplit=most - 1)
+        if len(fields) < least:
+            account.refuse(RecordFault(WRONG_FIELDS, f"{len(fields)} of {least}"), path.name, number)
+            continue
+        yield number, fields
+
+
+def read_image_list(path: Path, account: Account) -> list[StampedFile]:
+    """Lines ``stamp name``, in the order of the file; names are relative to the list's folder.
+
+    Parameters
+    ----------
+    account
+        Counts damaged lines, or stops at the first.
+    """
+    found = []
+    for number, (stamp, name) in fields_of(path, account, 2, 2):
+        try:
+            found.append(StampedFile(stamp_of(stamp), image_path(path.parent, name), number))
+        except RecordFault as fault:
+            account.refuse(fault, path.name, number)
+    return found
+
+
+def read_associations(path: Path, account: Account) -> tuple[list[StampedFile], list[StampedFile]]:
+    """Lines ``stamp name stamp name``, colour first or depth first, as colour and depth lists.
+
+    Of each line the name that contains "depth" is the depth image; where none does, it is the second.
+    """
+    colors, depths = [], []
+    for number, fields in fields_of(path, account, 4, 4):
+        try:
+            first, second = (
+                StampedFile(stamp_of(fields[k]), image_path(path.parent, fields[k + 1]), number)
+                for k in (0, 2)
+            )
+        except RecordFault as fault:
+            account.refuse(fault, path.name, number)
+            continue
+        swapped = b"depth" in fields[1].lower() and b"depth" not in fields[3].lower()
+        colors.append(second if swapped else first)
+        depths.append(first if swapped else second)
+    return colors, depths
+
+
+def read_poses(path: Path, account: Account) -> Trajectory | None:
+    """Lines ``stamp x y z qx qy qz qw`` in the order of the file, None when there is no good one.
+
+    Fields beyond the eighth are ignored. Quaternions are brought to unit length.
+    """
+    rows = [row for _, row in numbered_poses(path, account)]
+    if not rows:
+        return None
+    table = np.array(rows)
+    return Trajectory(table[:, 0].copy(), table[:, 1:4].copy(), table[:, 4:8].copy())
+
+
+def numbered_poses(path: Path, account: Account) -> Iterator[tuple[int, FloatArray]]:
+    """Line numbers and (8,) stamp, position and unit quaternion, one line at a time."""
+    for number, fields in fields_of(path, account, 8, 64):
+        try:
+            row = np.array([float(field) for field in fields[:8]])
+        except ValueError:
+            row = np.full(8, np.nan)
+        sound = bool(np.isfinite(row).all()) and abs(row[0]) < _STAMP_LIMIT_S
+        norm = float(np.linalg.norm(row[4:])) if sound else math.inf
+        if not abs(norm - 1.0) <= _QUATERNION_TOLERANCE:
+            account.refuse(RecordFault(BAD_POSE, f"quaternion of length {norm:.4g}"), path.name, number)
+            continue
+        row[4:] /= norm
+        yield number, row
+
+
+def stamp_of(field: bytes) -> float:
+    """A stamp in seconds.
+
+    Raises
+    ------
+    RecordFault
+        It is no number, not finite, or beyond any clock.
+    """
+    try:
+        stamp_s = float(field)
+    except ValueError:
+        stamp_s = math.nan
+    if not abs(stamp_s) < _STAMP_LIMIT_S:
+        raise RecordFault(BAD_STAMP, repr(field[:24]))
+    return stamp_s
+
+
+def image_path(folder: Path, name: bytes) -> Path:
+    """The file that a name in an index means.
+
+    Raises
+    ------
+    RecordFault
+        No file can have that name.
+    """
+    if b"\0" in name:
+        raise RecordFault(BAD_NAME, repr(name[:24]))
+    return folder / os.fsdecode(name)

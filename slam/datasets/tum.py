@@ -1,0 +1,82 @@
+"""The layout of the TUM RGB-D benchmark: lists of colour and depth images, and a trajectory, in a folder.
+
+Sturm et al. 2012, "A Benchmark for the Evaluation of RGB-D SLAM Systems".
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from slam.datasets.account import Account
+from slam.datasets.calibration import Calibration, read_calibration
+from slam.datasets.camera_frames import Camera
+from slam.datasets.frame_pairs import pair_images
+from slam.datasets.recording import Contents, Recording
+from slam.datasets.stamped_files import StampedFile, read_associations, read_image_list, read_poses
+from slam.measurements import CameraIntrinsics, Trajectory
+
+_LISTS = ("rgb.txt", "depth.txt")
+_ASSOCIATIONS = ("associations.txt", "associate.txt", "association.txt")
+_GROUNDTRUTH = "groundtruth.txt"
+_DEPTH_STEPS_PER_M = 5000.0
+
+# The benchmark's own calibration of its three Kinects (of the colour image, distortion left aside).
+_PUBLISHED = {
+    "freiburg1": CameraIntrinsics(517.3, 516.5, 318.6, 255.3, 640, 480),
+    "freiburg2": CameraIntrinsics(520.9, 521.0, 325.1, 249.7, 640, 480),
+    "freiburg3": CameraIntrinsics(535.4, 539.2, 320.1, 247.6, 640, 480),
+}
+# What the benchmark calls the ROS default, for any Kinect.
+_DEFAULT = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)
+ASSUMED = "intrinsics assumed (525 525 319.5 239.5 at 640 x 480); give a calibration.yaml"
+
+
+def has_tum_layout(folder: Path) -> bool:
+    """Whether a folder holds both lists of images, or one that associates them."""
+    if all((folder / name).is_file() for name in _LISTS):
+        return True
+    return any((folder / name).is_file() for name in _ASSOCIATIONS)
+
+
+def looks_like_tum(path: Path, head: bytes) -> bool:
+    """Whether a path is a folder in this layout."""
+    return path.is_dir() and has_tum_layout(path)
+
+
+def open_tum(path: Path, strict: bool) -> Recording:
+    """A folder of one camera."""
+    return Recording(
+        path,
+        lambda account: Contents([tum_camera(path, "camera", account)]),
+        lambda account: read_groundtruth(path, account),
+        strict=strict,
+    )
+
+
+def tum_camera(folder: Path, sensor: str, account: Account) -> Camera:
+    """The camera whose lists lie in a folder.
+
+    Without ``calibration.yaml`` the intrinsics are the published ones where the folder is named after one
+    of the benchmark's three cameras (freiburg1, freiburg2, freiburg3), else assumed.
+    """
+    colors, depths = _image_lists(folder, account)
+    known = [lens for name, lens in _PUBLISHED.items() if name in folder.resolve().name.lower()]
+    default = Calibration(
+        known[0] if known else _DEFAULT, _DEPTH_STEPS_PER_M, assumed="" if known else ASSUMED
+    )
+    return Camera(sensor, pair_images(colors, depths, account, sensor), read_calibration(folder, default))
+
+
+def read_groundtruth(folder: Path, account: Account) -> Trajectory | None:
+    """The trajectory beside the lists, None where there is none."""
+    path = folder / _GROUNDTRUTH
+    return read_poses(path, account) if path.is_file() else None
+
+
+def _image_lists(folder: Path, account: Account) -> tuple[list[StampedFile], list[StampedFile]]:
+    """Colour and depth images by the two lists, or by the one that associates them."""
+    paths = [folder / name for name in _LISTS]
+    if all(path.is_file() for path in paths):
+        return read_image_list(paths[0], account), read_image_list(paths[1], account)
+    associated = next(folder / name for name in _ASSOCIATIONS if (folder / name).is_file())
+    return read_associations(associated, account)
