@@ -1,0 +1,167 @@
+"""The rigid motion of the plane between a lidar curve and an image's curve, over any number of pairs.
+
+Index against index, as Xu2024 Eq. (5) pairs them, a camera before or behind the lidar meets another point of
+the same wall. Here each camera point is moved into the lidar's frame and compared with the lidar curve at
+its own bearing, along the wall's normal (point to line), until nothing changes.
+"""
+
+# mypy: allow-untyped-decorators
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.curves import Curve, FloatArray
+
+_ROUNDS = 12
+_WIDE_M, _NARROW_M = 0.3, 0.06  # a residual beyond counts little; from the first round to the last
+_NORMAL_REACH = 3  # samples to each side that make a line
+_FEWEST = 20
+_STILL = 1e-5
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """A rigid motion of the plane.
+
+    Attributes
+    ----------
+    T_laser_level
+        (3, 3) from the camera's level plane to the lidar's.
+    covariance
+        (3, 3) of x, y, yaw.
+    mean_residual_m
+        Of the matched samples, along the normal: all of them, and near ones only.
+    samples
+        How many were matched.
+    """
+
+    T_laser_level: FloatArray
+    covariance: FloatArray
+    mean_residual_m: float
+    samples: int
+
+
+def align(
+    curves: Sequence[Curve],
+    slices: Sequence[Curve],
+    yaw_rad: float,
+    offset_xy: tuple[float, float] = (0.0, 0.0),
+) -> Alignment | None:
+    """Align the image curves of some pairs to their lidar curves by one motion.
+
+    Parameters
+    ----------
+    curves, slices
+        Of lidar and camera, pair by pair; all lidar curves have the same angles.
+    yaw_rad, offset_xy
+        Where to begin: a few degrees and 0.3 m near.
+
+    Returns
+    -------
+    None where too few samples match, or they leave the motion open (a single wall).
+    """
+    if len(curves) != len(slices) or not curves:
+        raise ValueError(f"{len(curves)} lidar curves and {len(slices)} slices; give pairs")
+    lidar = np.stack([curve.ranges_m for curve in curves])
+    start, step = curves[0].start_angle_rad, curves[0].step_rad
+    points = np.concatenate([piece.points() for piece in slices])
+    pair = np.repeat(np.arange(len(slices)), [piece.ranges_m.size for piece in slices])
+    normals = np.concatenate([_normals(piece.points()) for piece in slices])
+    usable = np.isfinite(normals).all(axis=1)
+    points, normals, pair = points[usable], normals[usable], pair[usable]
+    motion = np.array([*offset_xy, yaw_rad])
+    result = np.zeros((5, 3))
+    for turn in range(_ROUNDS):
+        width = max(_NARROW_M, _WIDE_M * 0.6**turn)
+        result = _normal_equations(lidar, start, step, points, normals, pair, motion, width)
+        information = result[:3]
+        if result[4, 0] < _FEWEST or np.linalg.cond(information) > 1e8:
+            return None
+        change = -np.linalg.solve(information, result[3])
+        motion = motion + change
+        if width == _NARROW_M and np.abs(change).max() < _STILL:
+            break
+    variance = result[4, 2] / max(result[4, 0] - 3.0, 1.0)
+    covariance = variance * np.linalg.inv(result[:3])
+    return Alignment(planar(*motion), covariance, float(result[4, 1] / result[4, 0]), int(result[4, 0]))
+
+
+def planar(x_m: float, y_m: float, yaw_rad: float) -> FloatArray:
+    """(3, 3) matrix of a motion of the plane, for columns."""
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    return np.array([[c, -s, x_m], [s, c, y_m], [0.0, 0.0, 1.0]])
+
+
+@numba.njit(cache=True)
+def _normals(points: FloatArray) -> FloatArray:
+    """(N, 2) unit normals of the lines through each point's neighbours; ``nan`` where they make no line."""
+    count = points.shape[0]
+    normals = np.full((count, 2), np.nan)
+    for i in range(count):
+        n, sx, sy, sxx, sxy, syy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for j in range(max(0, i - _NORMAL_REACH), min(count, i + _NORMAL_REACH + 1)):
+            x, y = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+            if x * x + y * y < 0.09:  # also false for nan
+                n += 1
+                sx, sy = sx + x, sy + y
+                sxx, sxy, syy = sxx + x * x, sxy + x * y, syy + y * y
+        if n < 5:
+            continue
+        sxx, sxy, syy = sxx - sx * sx / n, sxy - sx * sy / n, syy - sy * sy / n
+        spread = math.sqrt((sxx - syy) ** 2 + 4.0 * sxy * sxy)
+        thin, long = 0.5 * (sxx + syy - spread), 0.5 * (sxx + syy + spread)
+        if thin > 0.02 * long:
+            continue
+        angle = 0.5 * math.atan2(2.0 * sxy, sxx - syy)
+        normals[i, 0], normals[i, 1] = -math.sin(angle), math.cos(angle)
+    return normals
+
+
+@numba.njit(cache=True)
+def _normal_equations(
+    lidar: NDArray[np.float32],
+    start: float,
+    step: float,
+    points: FloatArray,
+    normals: FloatArray,
+    pair: NDArray[np.int64],
+    motion: FloatArray,
+    width: float,
+) -> FloatArray:
+    """Rows 0-2: information; 3: gradient; 4: weight, weighted sum of |residual|, weighted sum of squares."""
+    result = np.zeros((5, 3))
+    c, s = math.cos(motion[2]), math.sin(motion[2])
+    jacobian = np.empty(3)
+    for k in range(points.shape[0]):
+        turned_x = c * points[k, 0] - s * points[k, 1]
+        turned_y = s * points[k, 0] + c * points[k, 1]
+        x, y = turned_x + motion[0], turned_y + motion[1]
+        bearing = math.atan2(y, x)
+        at = (bearing - start) / step
+        low = math.floor(at)
+        if low < 0 or low + 1 >= lidar.shape[1]:
+            continue
+        near, far = lidar[pair[k], low], lidar[pair[k], low + 1]
+        if not abs(near - far) < 0.15:  # an edge, or a hole
+            continue
+        reach = near + (at - low) * (far - near)
+        nx, ny = c * normals[k, 0] - s * normals[k, 1], s * normals[k, 0] + c * normals[k, 1]
+        residual = nx * (x - reach * math.cos(bearing)) + ny * (y - reach * math.sin(bearing))
+        weight = 1.0 / (1.0 + (residual / width) ** 2) ** 2  # Geman and McClure
+        if abs(residual) > 4.0 * width:
+            continue
+        jacobian[0], jacobian[1], jacobian[2] = nx, ny, ny * turned_x - nx * turned_y
+        for i in range(3):
+            result[3, i] += weight * jacobian[i] * residual
+            for j in range(3):
+                result[i, j] += weight * jacobian[i] * jacobian[j]
+        result[4, 0] += weight
+        result[4, 1] += weight * abs(residual)
+        result[4, 2] += weight * residual * residual
+    return result

@@ -1,0 +1,203 @@
+"""Curves of ranges over equal angles: what a lidar measures, and the form into which images are brought.
+
+Bearings grow counter-clockwise, seen from above, in a level frame: x forward, y left, z up. A range here is
+the distance in the plane. An invalid range is ``nan`` inside this package; at its doors everything that is
+not finite, not above zero, or beyond a sensor's reach is invalid (Xu2024 is silent on this).
+"""
+
+# mypy: allow-untyped-decorators
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, TypeAlias
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Float32Array: TypeAlias = NDArray[np.float32]
+FloatArray: TypeAlias = NDArray[np.float64]
+BoolArray: TypeAlias = NDArray[np.bool_]
+IntArray: TypeAlias = NDArray[np.int32]
+
+SAMPLE_STEP_RAD = math.radians(1.0)  # Xu2024, 3.2.1: 180 samples of 180 degrees, 240 of 240
+CAMERA_REACH_M = 6.0  # a structured-light camera's readings beyond are mostly noise
+
+
+@dataclass(frozen=True)
+class LidarCurve:
+    """One sweep of a planar lidar.
+
+    Attributes
+    ----------
+    ranges_m
+        (N,) in beam order; ``inf``, ``nan``, zero and less, and what is beyond ``range_max_m`` are invalid.
+    start_angle_rad, step_rad
+        Bearing of beam 0, and from beam to beam; a negative step is a clockwise sweep.
+    range_max_m
+        What the lidar can measure.
+    """
+
+    ranges_m: Float32Array
+    start_angle_rad: float
+    step_rad: float
+    range_max_m: float = math.inf
+
+    def __post_init__(self) -> None:
+        if np.ndim(self.ranges_m) != 1 or not np.isfinite([self.start_angle_rad, self.step_rad]).all():
+            raise ValueError("ranges_m must have one dimension, and the angles must be finite")
+        if self.step_rad == 0.0:
+            raise ValueError("step_rad is 0; give the angle between two beams")
+
+    def bearings_rad(self) -> FloatArray:
+        """(N,) bearing of each beam."""
+        return self.start_angle_rad + self.step_rad * np.arange(len(self.ranges_m), dtype=np.float64)
+
+    def valid_ranges_m(self) -> Float32Array:
+        """(N,) with ``nan`` for every invalid reading."""
+        return masked(self.ranges_m, self.range_max_m)
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pin-hole camera in pixels; pixel (0, 0) has its centre at (0, 0)."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+# Columns are the optical x (right), y (down) and z (forward) in a level frame.
+FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class DepthImage:
+    """One depth image of one camera.
+
+    Attributes
+    ----------
+    depth_m
+        (H, W) along the optical axis; zero, not finite, or beyond ``range_max_m`` is invalid.
+    intrinsics
+        None where unknown: then only rows can be compared, and the columns share ``field_of_view_rad``
+        evenly, as in Xu2024, and pixels count as ranges.
+    R_level_camera
+        (3, 3) rotation from the optical frame to a level one, for a camera that does not look straight
+        ahead: a tilt, a quarter turn about the axis, or the yaw between several cameras. Its yaw need not
+        be the true one: the yaw to the lidar is what registration finds.
+    field_of_view_rad
+        Across the image; used only without intrinsics.
+    range_max_m
+        Depths beyond are invalid.
+    """
+
+    depth_m: Float32Array
+    intrinsics: Intrinsics | None = None
+    R_level_camera: FloatArray = field(default_factory=FORWARD.copy)
+    field_of_view_rad: float = math.radians(57.0)
+    range_max_m: float = CAMERA_REACH_M
+
+    def __post_init__(self) -> None:
+        if np.ndim(self.depth_m) != 2 or min(np.shape(self.depth_m)) < 2:
+            raise ValueError(f"depth_m has shape {np.shape(self.depth_m)}; give (H, W) with both above 1")
+        R = np.asarray(self.R_level_camera)
+        if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6):
+            raise ValueError("R_level_camera is not a (3, 3) rotation")
+        if not 0.0 < self.field_of_view_rad < math.pi and self.intrinsics is not None:
+            raise ValueError(f"field_of_view_rad is {self.field_of_view_rad}; give an angle below pi")
+
+    @cached_property
+    def key(self) -> tuple[float, ...]:
+        """What the geometry of the pixels depends on, rounded so that it can be looked up."""
+        camera = self.intrinsics
+        pinhole = (0.0,) * 4 if camera is None else (camera.fx, camera.fy, camera.cx, camera.cy)
+        return (*self.depth_m.shape, *pinhole, *np.round(self.R_level_camera, 4).ravel().tolist())
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Ranges at equal angles.
+
+    Attributes
+    ----------
+    ranges_m
+        (N,) ``nan`` where there is none.
+    start_angle_rad, step_rad
+        Bearing of the first sample, and from one to the next, counter-clockwise.
+    """
+
+    ranges_m: Float32Array
+    start_angle_rad: float
+    step_rad: float
+
+    def bearings_rad(self) -> FloatArray:
+        """(N,) bearing of each sample."""
+        return self.start_angle_rad + self.step_rad * np.arange(self.ranges_m.size, dtype=np.float64)
+
+    def points(self) -> FloatArray:
+        """(N, 2) x forward, y left; ``nan`` where there is no range."""
+        bearings = self.bearings_rad()
+        return self.ranges_m[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])
+
+
+def masked(ranges_m: NDArray[np.floating[Any]], range_max_m: float) -> Float32Array:
+    """A copy with ``nan`` for all that is not finite, not above zero, or beyond the reach."""
+    ranges = np.array(ranges_m, dtype=np.float32)
+    with np.errstate(invalid="ignore"):
+        ranges[~((ranges > 0.0) & (ranges <= range_max_m) & np.isfinite(ranges))] = np.nan
+    return ranges
+
+
+def resample(scan: LidarCurve, step_rad: float = SAMPLE_STEP_RAD) -> Curve:
+    """A lidar's sweep at another angular step: the median of the beams about each sample.
+
+    Parameters
+    ----------
+    step_rad
+        Of the result, above zero. Where it is finer than the lidar's, samples repeat the nearest beam.
+
+    Returns
+    -------
+    Counter-clockwise, from the sweep's lowest bearing up.
+
+    Raises
+    ------
+    ValueError
+        A step that is not above zero, or a sweep of more than one turn.
+    """
+    if not step_rad > 0.0:
+        raise ValueError(f"step_rad is {step_rad}; give an angle above 0")
+    ranges = scan.valid_ranges_m()
+    start, own = scan.start_angle_rad, scan.step_rad
+    if own < 0.0:
+        ranges, start, own = ranges[::-1].copy(), start + own * (len(ranges) - 1), -own
+    aperture = own * (len(ranges) - 1)
+    if aperture > 2.0 * math.pi + own:
+        raise ValueError(f"the sweep has {math.degrees(aperture):.0f} degrees; more than one turn")
+    count = math.floor(aperture / step_rad + 1e-6) + 1
+    return Curve(_medians(ranges, own / step_rad, count), start, step_rad)
+
+
+@numba.njit(cache=True)
+def _medians(ranges: Float32Array, samples_a_beam: float, count: int) -> Float32Array:
+    """(count,) median of the valid beams within half a sample; without any, of the nearest beam alone."""
+    result = np.full(count, np.nan, np.float32)
+    held = np.empty(math.ceil(1.0 / samples_a_beam) + 3, np.float32)
+    for sample in range(count):
+        low = max(0, math.ceil((sample - 0.5) / samples_a_beam))
+        high = min(ranges.size - 1, math.ceil((sample + 0.5) / samples_a_beam) - 1)
+        if high < low:
+            low = high = min(ranges.size - 1, int(sample / samples_a_beam + 0.5))
+        found = 0
+        for beam in range(low, high + 1):
+            if not np.isnan(ranges[beam]):
+                held[found] = ranges[beam]
+                found += 1
+        if 2 * found >= high - low + 1 and found > 0:
+            # The lower of two middle ones: a mean of two surfaces would be neither.
+            result[sample] = np.sort(held[:found])[(found - 1) // 2]
+    return result

@@ -1,0 +1,135 @@
+"""How well two metric curves explain each other: a robust likelihood ratio, ours.
+
+PCC lets any two curves that rise and fall together match, at any scale; Eq. (4) lets a few samples that see
+different things decide. Where both curves are metric one can ask more: what speaks for "the same surface"
+against "any two surfaces of a home", sample by sample, with a floor so that no sample decides? The sum over
+samples also weighs how many there are. The sensors need not be in one place: the camera may stand before or
+behind the lidar by any of a few offsets.
+"""
+
+# mypy: allow-untyped-decorators
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.curves import Curve, Float32Array, FloatArray
+
+OFFSETS_M = (-0.2, -0.1, 0.0, 0.1, 0.2)  # ranges of the camera less those of the lidar: sensors of one robot
+SIGMA_M, SIGMA_SHARE = 0.04, 0.02  # noise of both sensors, and half a step of the offsets
+_SAME_SHARE = 0.6  # of the samples that see the same surface, where curves belong together
+_ELSEWHERE_PER_M = 0.4  # density of the difference of two unrelated ranges, about zero
+
+
+def sample_weights(curve_m: Float32Array) -> tuple[Float32Array, Float32Array, np.float32]:
+    """What the kernels need to know of each lidar sample.
+
+    Returns
+    -------
+    (Psi,) the log ratio of an exact match, (Psi,) one over the standard deviation times sqrt(2), both 0 where
+    the lidar has nothing; and the log ratio of a mismatch.
+    """
+    valid = np.isfinite(curve_m)
+    sigma = SIGMA_M + SIGMA_SHARE * np.where(valid, curve_m, 1.0)
+    peak = np.log(_SAME_SHARE / (sigma * math.sqrt(2.0 * math.pi)) / _ELSEWHERE_PER_M)
+    weight = np.where(valid, peak, 0.0).astype(np.float32)
+    sharpness = np.where(valid, 1.0 / (math.sqrt(2.0) * sigma), 0.0).astype(np.float32)
+    return weight, sharpness, np.float32(math.log(1.0 - _SAME_SHARE))
+
+
+def log_ratio_map(candidates_m: Float32Array, curve_m: Float32Array) -> Float32Array:
+    """Log likelihood ratio of every candidate at every offset along the lidar curve, in nats.
+
+    Parameters
+    ----------
+    candidates_m
+        (V, W) ranges, ``nan`` invalid.
+    curve_m
+        (Psi,) of the lidar, Psi >= W.
+
+    Returns
+    -------
+    (V, Psi - W + 1), for the best of `OFFSETS_M`.
+
+    Raises
+    ------
+    ValueError
+        The lidar curve is shorter than the candidates.
+    """
+    if curve_m.size < candidates_m.shape[1]:
+        raise ValueError(
+            f"the lidar curve has {curve_m.size} samples, the image's {candidates_m.shape[1]};"
+            " the lidar must be the wider one"
+        )
+    weight, sharpness, floor = sample_weights(curve_m)
+    ranges = np.where(np.isfinite(curve_m), curve_m, 0.0).astype(np.float32)
+    offsets = np.array(OFFSETS_M, dtype=np.float32)
+    # The kernel's arithmetic knows no nan: a hole is a range that nothing can have.
+    candidates = np.where(np.isfinite(candidates_m), candidates_m, -1.0).astype(np.float32)
+    return _log_ratios(candidates, ranges, weight, sharpness, floor, offsets)
+
+
+@numba.njit(cache=True, fastmath={"reassoc", "contract", "nsz", "arcp", "nnan"})
+def _log_ratios(
+    candidates: Float32Array,
+    curve: Float32Array,
+    weight: Float32Array,
+    sharpness: Float32Array,
+    floor: np.float32,
+    offsets: Float32Array,
+) -> NDArray[np.float32]:
+    """The map; candidate samples outside, windows inside, so that the inner loop is one of neighbours."""
+    rows, width = candidates.shape
+    windows = curve.size - width + 1
+    best = np.empty((rows, windows), np.float32)
+    total = np.empty(windows, np.float32)
+    for v in range(rows):
+        best[v] = -np.float32(1e9)
+        for offset in offsets:
+            total[:] = np.float32(0.0)
+            for w in range(width):
+                expected = candidates[v, w] - offset
+                if not expected > 0.0:
+                    continue
+                near, gain, sharp = curve[w:], weight[w:], sharpness[w:]
+                for u in range(windows):
+                    apart = (expected - near[u]) * sharp[u]
+                    total[u] += max(gain[u] - apart * apart, floor)
+            for u in range(windows):
+                best[v, u] = max(best[v, u], total[u])
+    return best
+
+
+def log_ratios_at(
+    candidates_m: Float32Array, bearings_rad: FloatArray, curve: Curve, yaw_rad: float, offsets_m: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Log ratios at one yaw, for cameras that stand before (or behind) the lidar by some offsets.
+
+    Parameters
+    ----------
+    candidates_m, bearings_rad
+        (V, W) ranges and (W,) bearings in the camera's level frame.
+    yaw_rad
+        By how much bearings in the lidar's frame are larger.
+    offsets_m
+        (O,) along the level frame's x axis.
+
+    Returns
+    -------
+    (O, V) sums over the samples, and (V,) how many samples both have.
+    """
+    weight, sharpness, floor = sample_weights(curve.ranges_m)
+    at = np.round((bearings_rad + yaw_rad - curve.start_angle_rad) / curve.step_rad).astype(int)
+    inside = (at >= 0) & (at < curve.ranges_m.size)
+    at = at.clip(0, curve.ranges_m.size - 1)
+    expected = np.where(inside, curve.ranges_m[at], np.nan)
+    both = np.isfinite(candidates_m) & np.isfinite(expected)
+    apart = np.where(both, candidates_m - np.where(inside, np.nan_to_num(expected), 0.0), 0.0)
+    # A camera an offset ahead measures less, the more so straight ahead.
+    shifts = offsets_m[:, None, None] * np.cos(bearings_rad)
+    scaled = (apart + shifts) * sharpness[at]
+    gained = np.where(both, np.maximum(weight[at] - scaled * scaled, floor), 0.0)
+    return gained.sum(axis=2), both.sum(axis=1).astype(np.float64)

@@ -1,0 +1,260 @@
+"""Depth images as panoramas: ranges over equal bearings and slopes, and the curves cut from them.
+
+A pin-hole camera's columns are not equally spaced in angle, its pixels are depths and not ranges, and a
+tilted or turned one has no level rows. A panorama has all three put right: column k looks along one bearing,
+row v along one slope (the tangent of the elevation), so a point of range r in row v is ``slope * r`` above
+the camera.
+"""
+
+# mypy: allow-untyped-decorators
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TypeAlias
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.curves import (
+    SAMPLE_STEP_RAD,
+    Curve,
+    DepthImage,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    masked,
+)
+
+_STEEPEST = 2.0  # slope: beyond, a camera looks at the floor before the robot's feet
+
+
+@dataclass(frozen=True)
+class Lookup:
+    """Where in an image each sample of its panorama lies.
+
+    Attributes
+    ----------
+    pixel
+        (rows, columns) flat index into the image, -1 outside.
+    range_of_depth
+        (rows, columns) by what a depth is multiplied to be a range.
+    slopes
+        (rows,) falling: row 0 looks highest, as in an image.
+    bearings_rad
+        (columns,) rising, relative to where the camera looks.
+    """
+
+    pixel: IntArray
+    range_of_depth: Float32Array
+    slopes: Float32Array
+    bearings_rad: FloatArray
+
+
+@dataclass(frozen=True)
+class CurveStack:
+    """Candidates for the curve that the lidar sees: one a row or a height.
+
+    Attributes
+    ----------
+    ranges_m
+        (V, W) ``nan`` where there is none.
+    start_angle_rad, step_rad
+        Bearing of the first column in the common level frame, and the step.
+    heights_m
+        (V,) of each candidate above the camera, or None where they are rows.
+    """
+
+    ranges_m: Float32Array
+    start_angle_rad: float
+    step_rad: float
+    heights_m: FloatArray | None
+
+    def bearings_rad(self) -> FloatArray:
+        """(W,) of the columns."""
+        return self.start_angle_rad + self.step_rad * np.arange(self.ranges_m.shape[1], dtype=np.float64)
+
+    def curve(self, v: int) -> Curve:
+        """Candidate v."""
+        return Curve(self.ranges_m[v], self.start_angle_rad, self.step_rad)
+
+
+Depths: TypeAlias = DepthImage | Sequence[DepthImage]
+
+
+def as_images(depth: Depths) -> tuple[DepthImage, ...]:
+    """One image or several as a tuple.
+
+    Raises
+    ------
+    ValueError
+        None at all, or several of which one has no intrinsics.
+    """
+    images = (depth,) if isinstance(depth, DepthImage) else tuple(depth)
+    if not images:
+        raise ValueError("no depth image was given")
+    if len(images) > 1 and any(image.intrinsics is None for image in images):
+        raise ValueError("a panorama of several cameras needs the intrinsics of each")
+    return images
+
+
+def yaw_of(image: DepthImage) -> float:
+    """Bearing of the optical axis in the level frame."""
+    axis = image.R_level_camera[:, 2]
+    return math.atan2(axis[1], axis[0])
+
+
+def lookup_of(image: DepthImage, step_rad: float) -> Lookup:
+    """The panorama of an image's camera, relative to where it looks.
+
+    Raises
+    ------
+    ValueError
+        A camera without intrinsics.
+    """
+    if image.intrinsics is None:
+        raise ValueError("the camera has no intrinsics; only its rows can be used")
+    yaw = yaw_of(image)
+    c, s = math.cos(yaw), math.sin(yaw)
+    R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ image.R_level_camera
+    # Rounded: the yaw comes and goes with the robot's motion, and the rest must be found again.
+    tilt = tuple(np.round(R, 5).ravel().tolist())
+    camera = image.intrinsics
+    height, width = image.depth_m.shape
+    return _lookup((height, width), (camera.fx, camera.fy, camera.cx, camera.cy), tilt, step_rad)
+
+
+@lru_cache(maxsize=32)
+def _lookup(
+    shape: tuple[int, int], pinhole: tuple[float, ...], tilt: tuple[float, ...], step_rad: float
+) -> Lookup:
+    """Rows are as many to a radian as the image has, columns ``step_rad`` apart."""
+    fx, fy, cx, cy = pinhole
+    R = np.array(tilt).reshape(3, 3)
+    edge = _border(shape)
+    rays = np.column_stack([(edge[:, 1] - cx) / fx, (edge[:, 0] - cy) / fy, np.ones(len(edge))]) @ R.T
+    bearings = np.arctan2(rays[:, 1], rays[:, 0])
+    slopes = rays[:, 2] / np.hypot(rays[:, 0], rays[:, 1])
+    first, last = math.ceil(bearings.min() / step_rad), math.floor(bearings.max() / step_rad)
+    fall = 1.0 / max(fx, fy)
+    top = math.floor(min(slopes.max(), _STEEPEST) / fall)
+    bottom = math.ceil(max(slopes.min(), -_STEEPEST) / fall)
+    columns = np.arange(first, last + 1) * step_rad
+    rows = np.arange(top, bottom - 1, -1) * fall
+    across, up = np.meshgrid(columns, rows)
+    optical = np.stack([np.cos(across), np.sin(across), up], axis=-1) @ R
+    ahead = np.where(optical[..., 2] > 1e-3, optical[..., 2], np.nan)
+    col, row = np.round(fx * optical[..., 0] / ahead + cx), np.round(fy * optical[..., 1] / ahead + cy)
+    inside = (col >= 0) & (col < shape[1]) & (row >= 0) & (row < shape[0])
+    pixel = np.where(inside, row * shape[1] + col, -1).astype(np.int32)
+    scale = np.where(inside, 1.0 / ahead, np.nan).astype(np.float32)
+    return Lookup(pixel, scale, rows.astype(np.float32), columns)
+
+
+def _border(shape: tuple[int, int]) -> FloatArray:
+    """(N, 2) row and column of the pixels on an image's border."""
+    rows, cols = np.indices(shape)
+    edge = (rows == 0) | (rows == shape[0] - 1) | (cols == 0) | (cols == shape[1] - 1)
+    return np.column_stack([rows[edge], cols[edge]]).astype(np.float64)
+
+
+def height_slices(image: DepthImage, heights_m: FloatArray, step_rad: float = SAMPLE_STEP_RAD) -> CurveStack:
+    """For every height the nearest surface seen there, over all bearings of one camera.
+
+    Parameters
+    ----------
+    heights_m
+        (V,) above the camera, evenly spaced and rising; a pixel counts for the nearest of them.
+    """
+    lookup = lookup_of(image, step_rad)
+    spacing = float(heights_m[1] - heights_m[0]) if heights_m.size > 1 else 0.02
+    stack = np.full((heights_m.size, lookup.bearings_rad.size), np.inf, dtype=np.float32)
+    _drop_into_heights(
+        np.ascontiguousarray(image.depth_m, dtype=np.float32).ravel(),
+        lookup.pixel,
+        lookup.range_of_depth,
+        lookup.slopes,
+        image.range_max_m,
+        (float(heights_m[0]), spacing),
+        stack,
+    )
+    stack[np.isinf(stack)] = np.nan
+    start = yaw_of(image) + float(lookup.bearings_rad[0])
+    return CurveStack(stack, start, step_rad, np.asarray(heights_m, dtype=np.float64))
+
+
+def join(stacks: Sequence[CurveStack]) -> CurveStack:
+    """The panorama of several cameras, taken to look out of one point; the nearest surface counts.
+
+    Every stack is moved by at most half a sample, so that all samples lie at multiples of the step.
+    """
+    step = stacks[0].step_rad
+    firsts = [round(stack.start_angle_rad / step) for stack in stacks]
+    first = min(firsts)
+    end = max(at + stack.ranges_m.shape[1] for at, stack in zip(firsts, stacks, strict=True))
+    joined = np.full((len(stacks[0].ranges_m), end - first), np.nan, dtype=np.float32)
+    for at, stack in zip(firsts, stacks, strict=True):
+        window = joined[:, at - first : at - first + stack.ranges_m.shape[1]]
+        np.fmin(window, stack.ranges_m, out=window)
+    return CurveStack(joined, first * step, step, stacks[0].heights_m)
+
+
+def row_curves(image: DepthImage, rows: int = 160, step_rad: float = SAMPLE_STEP_RAD) -> CurveStack:
+    """The rows of one image as curves: Xu2024, 3.2.1.
+
+    With intrinsics a row looks along one slope; without, it is the image's own, its pixels are spread evenly
+    over the field of view and taken for ranges.
+
+    Parameters
+    ----------
+    rows
+        How many, evenly spread over the image.
+    """
+    if image.intrinsics is None:
+        return _plain_rows(image, rows, step_rad)
+    lookup = lookup_of(image, step_rad)
+    chosen = np.linspace(0, lookup.slopes.size - 1, rows).round().astype(int)
+    depth = masked(image.depth_m.ravel()[lookup.pixel[chosen]], image.range_max_m)
+    start = yaw_of(image) + float(lookup.bearings_rad[0])
+    return CurveStack(depth * lookup.range_of_depth[chosen], start, step_rad, None)
+
+
+def _plain_rows(image: DepthImage, rows: int, step_rad: float) -> CurveStack:
+    """Rows of a camera of which only the field of view is known, as published."""
+    height, width = image.depth_m.shape
+    count = max(2, int(image.field_of_view_rad / step_rad))
+    chosen = np.linspace(0, height - 1, min(rows, height)).round().astype(int)
+    # Columns run from left to right, bearings from right to left.
+    columns = ((np.arange(count)[::-1] + 0.5) * width / count).astype(int)
+    ranges = masked(image.depth_m[np.ix_(chosen, columns)], image.range_max_m)
+    return CurveStack(ranges, -0.5 * (count - 1) * step_rad, step_rad, None)
+
+
+@numba.njit(cache=True)
+def _drop_into_heights(
+    depth: Float32Array,
+    pixel: IntArray,
+    range_of_depth: Float32Array,
+    slopes: Float32Array,
+    range_max_m: float,
+    grid: tuple[float, float],
+    stack: NDArray[np.float32],
+) -> None:
+    """Put every pixel's range into its column at its height, where it is the nearest; in place."""
+    lowest, spacing = grid
+    for row in range(pixel.shape[0]):
+        slope = slopes[row]
+        for col in range(pixel.shape[1]):
+            at = pixel[row, col]
+            if at < 0:
+                continue
+            measured = depth[at]
+            if not 0.0 < measured <= range_max_m:
+                continue
+            reach = measured * range_of_depth[row, col]
+            v = math.floor((slope * reach - lowest) / spacing + 0.5)
+            if 0 <= v < stack.shape[0] and reach < stack[v, col]:
+                stack[v, col] = reach

@@ -1,0 +1,160 @@
+"""What stays the same from pair to pair of one robot: the yaw between its sensors, the height, the offset.
+
+One weak pair must not decide: the score maps of all pairs are summed, and the motion between the sensors is
+estimated over the last pairs together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion.alignment import Alignment, align
+from fusion.curves import Float32Array
+from fusion.likelihood import log_ratios_at
+from fusion.registration import Registration
+from fusion.rig_height import HeightContest
+
+_OFFSETS_M = np.arange(-0.4, 0.401, 0.05)  # of the camera before the lidar
+_LEAST_COVER = 0.1  # of the best covered height: what the camera hardly sees cannot win
+
+
+@dataclass(frozen=True)
+class RigEstimate:
+    """The constants of a rig.
+
+    Attributes
+    ----------
+    u
+        As in `Registration`, for a level frame without the robot's motion between scan and image.
+    yaw_rad
+        By how much bearings in the lidar's frame are larger.
+    height_m
+        Of the lidar's plane above the camera; None for rows.
+    v
+        Candidate: row, or index of the height.
+    pairs
+        How many were summed.
+    alignments
+        For each camera the motion of the plane, None where its samples leave it open.
+    drift
+        Samples between u of all pairs and u of the last ones alone: a sign of a sensor that moved.
+    """
+
+    u: int
+    yaw_rad: float
+    height_m: float | None
+    v: int
+    pairs: int
+    alignments: tuple[Alignment | None, ...]
+    drift: int
+
+
+class Rig:
+    """The pairs of one robot so far: the sum of all score maps, and the curves of the last ones.
+
+    Parameters
+    ----------
+    kept
+        How many pairs the height and the motion are estimated from; bounds the memory (60 kB a pair).
+    """
+
+    def __init__(self, kept: int = 64) -> None:
+        self._last: deque[Registration] = deque(maxlen=kept)
+        self._sum: Float32Array | None = None
+        self._first = 0
+        self._pairs = 0
+
+    def add(self, pair: Registration) -> None:
+        """Count one more pair.
+
+        Raises
+        ------
+        ValueError
+            The pair has other candidates than those before.
+        """
+        if self._sum is not None and len(pair.score_map) != len(self._sum):
+            raise ValueError(
+                f"the pair has {len(pair.score_map)} candidates, those before {len(self._sum)};"
+                " a rig is registered one way throughout"
+            )
+        self._sum, self._first = _add(self._sum, self._first, pair.score_map, pair.first_yaw_step)
+        self._pairs += 1
+        self._last.append(pair)
+
+    def estimate(self) -> RigEstimate | None:
+        """The constants by all pairs so far; None before the first."""
+        if self._sum is None:
+            return None
+        curve = self._last[-1].curve
+        column = int(np.argmax(self._sum.mean(axis=0)))
+        steps = column + self._first
+        recent, first = None, 0
+        for pair in self._last:
+            recent, first = _add(recent, first, pair.score_map, pair.first_yaw_step)
+        assert recent is not None
+        yaw = curve.start_angle_rad + steps * curve.step_rad
+        v, offset = self._first_height(yaw, column)
+        heights = self._last[-1].stacks[0].heights_m
+        alignments: tuple[Alignment | None, ...] = ()
+        if heights is not None:
+            alignments = self._alignments(yaw, v, offset)
+            if any(alignments):
+                v = self._height(alignments)
+                alignments = self._alignments(yaw, v, offset)
+        return RigEstimate(
+            u=steps - self._last[-1].first_yaw_step,
+            yaw_rad=yaw,
+            height_m=None if heights is None else float(heights[v]),
+            v=v,
+            pairs=self._pairs,
+            alignments=alignments,
+            drift=int(np.argmax(recent.mean(axis=0))) + first - steps,
+        )
+
+    def _first_height(self, yaw_rad: float, column: int) -> tuple[int, float]:
+        """Candidate whose samples fit best on average, and the offset of the camera at which they do."""
+        assert self._sum is not None
+        if self._last[-1].stacks[0].heights_m is None:
+            return int(np.argmax(self._sum[:, column])), 0.0
+        ratio = np.zeros((_OFFSETS_M.size, len(self._sum)))
+        count = np.zeros(len(self._sum))
+        for pair in self._last:
+            for stack in pair.stacks:
+                gained, seen = log_ratios_at(
+                    stack.ranges_m, stack.bearings_rad(), pair.curve, yaw_rad, _OFFSETS_M
+                )
+                ratio += gained
+                count += seen
+        mean = ratio / np.maximum(count, max(_LEAST_COVER * count.max(), 1.0))
+        offset, v = np.unravel_index(np.argmax(mean), mean.shape)
+        return int(v), float(_OFFSETS_M[offset])
+
+    def _height(self, alignments: tuple[Alignment | None, ...]) -> int:
+        """The height that wins against the others, once the motion between the sensors is known."""
+        contest = HeightContest(len(self._last[-1].score_map))
+        for pair in self._last:
+            for stack, alignment in zip(pair.stacks, alignments, strict=True):
+                if alignment is not None:
+                    contest.add(stack, pair.curve, alignment.T_laser_level)
+        return contest.winner()
+
+    def _alignments(self, yaw_rad: float, v: int, offset_m: float) -> tuple[Alignment | None, ...]:
+        """One motion for each camera, over the pairs that are kept."""
+        curves = [pair.curve for pair in self._last]
+        begin = (offset_m * math.cos(yaw_rad), offset_m * math.sin(yaw_rad))
+        return tuple(
+            align(curves, [pair.stacks[camera].curve(v) for pair in self._last], yaw_rad, begin)
+            for camera in range(len(self._last[-1].stacks))
+        )
+
+
+def _add(total: Float32Array | None, first: int, scores: Float32Array, at: int) -> tuple[Float32Array, int]:
+    """Sum of two score maps on the common lattice of yaws; both must have a say about a yaw."""
+    if total is None:
+        return scores.astype(np.float32), at
+    low, high = max(first, at), min(first + total.shape[1], at + scores.shape[1])
+    return total[:, low - first : high - first] + scores[:, low - at : high - at], low

@@ -1,0 +1,89 @@
+"""At which height above the camera the lidar's plane lies, over many pairs.
+
+The mean likelihood of a height will not do: the heights are seen in different places (what is low, from afar
+only), and some places are easier. So heights are compared two by two over the samples that both have, and one
+value a height is fitted to all these differences.
+"""
+
+# mypy: allow-untyped-decorators
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.curves import Curve, Float32Array, FloatArray
+from fusion.panorama import CurveStack
+
+_LEAST_COVER = 0.1  # of the samples of the best covered height
+_SIGMA_M, _SIGMA_SHARE = 0.01, 0.015
+_SAME_SHARE, _ELSEWHERE_PER_M = 0.6, 0.4
+_EDGE_M = 0.15
+
+
+class HeightContest:
+    """Sums of the differences between heights, pair by pair."""
+
+    def __init__(self, heights: int) -> None:
+        self._gain = np.zeros((heights, heights))
+        self._shared = np.zeros((heights, heights))
+
+    def add(self, stack: CurveStack, curve: Curve, T_laser_level: FloatArray) -> None:
+        """Let the heights of one camera's slices compete in one pair."""
+        ratios = log_ratios(
+            stack.ranges_m,
+            stack.bearings_rad(),
+            T_laser_level,
+            curve.ranges_m,
+            curve.start_angle_rad,
+            curve.step_rad,
+        )
+        has = np.isfinite(ratios).astype(np.float32)
+        value = np.where(has > 0.0, ratios, np.float32(0.0))
+        gain = value @ has.T
+        self._gain += gain - gain.T
+        self._shared += has @ has.T
+
+    def winner(self) -> int:
+        """Index of the height with the largest fitted value."""
+        seen = np.diag(self._shared)
+        laplacian = np.diag(self._shared.sum(axis=1)) - self._shared
+        values = np.linalg.lstsq(laplacian + 1e-6 * np.eye(seen.size), self._gain.sum(axis=1), rcond=None)[0]
+        return int(np.argmax(np.where(seen > _LEAST_COVER * seen.max(), values, -np.inf)))
+
+
+@numba.njit(cache=True)
+def log_ratios(
+    candidates: Float32Array,
+    bearings: FloatArray,
+    T_laser_level: FloatArray,
+    lidar: Float32Array,
+    start: float,
+    step: float,
+) -> NDArray[np.float32]:
+    """(V, W) log likelihood ratio of each slice sample where the lidar looks at it; ``nan`` without both."""
+    result = np.full(candidates.shape, np.nan, np.float32)
+    rotation_x, rotation_y = np.cos(bearings), np.sin(bearings)
+    ahead_x = T_laser_level[0, 0] * rotation_x + T_laser_level[0, 1] * rotation_y
+    ahead_y = T_laser_level[1, 0] * rotation_x + T_laser_level[1, 1] * rotation_y
+    for v in range(candidates.shape[0]):
+        for w in range(candidates.shape[1]):
+            if np.isnan(candidates[v, w]):
+                continue
+            x = candidates[v, w] * ahead_x[w] + T_laser_level[0, 2]
+            y = candidates[v, w] * ahead_y[w] + T_laser_level[1, 2]
+            at = (np.arctan2(y, x) - start) / step
+            low = int(np.floor(at))
+            if low < 0 or low + 1 >= lidar.size:
+                continue
+            near, far, share = lidar[low], lidar[low + 1], at - low
+            expected = near if share < 0.5 else far
+            if abs(near - far) < _EDGE_M:
+                expected = near + share * (far - near)
+            if np.isnan(expected):
+                continue
+            sigma = _SIGMA_M + _SIGMA_SHARE * expected
+            apart = (np.hypot(x, y) - expected) / sigma
+            same = _SAME_SHARE * np.exp(-0.5 * apart * apart) / (2.5 * sigma * _ELSEWHERE_PER_M)
+            result[v, w] = np.log(same + 1.0 - _SAME_SHARE)
+    return result

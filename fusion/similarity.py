@@ -1,0 +1,158 @@
+"""How alike two curves are: Xu2024 Eq. (2)-(4), masked, for all rows and offsets at once.
+
+Every sum over the samples that both curves have is one product of matrices: candidates (V, W) times windows
+of the lidar curve (W, U).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from fusion.curves import Float32Array
+
+Similarity: TypeAlias = Literal["pcc", "inv_cos", "inv_euler"]
+SIMILARITIES: tuple[Similarity, ...] = ("pcc", "inv_cos", "inv_euler")
+
+LOW_MAX, MIDDLE_MAX = 0.3, 0.6  # Xu2024, Table 1
+FEWEST_SAMPLES = 12
+LEAST_OVERLAP = 0.3
+_TINY = np.float32(1e-6)
+
+
+class Grade(IntEnum):
+    """How far a pair can be trusted, by its PCC (Xu2024, Table 1)."""
+
+    LOW = 0
+    MIDDLE = 1
+    HIGH = 2
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Sums over the samples that a candidate D_v and a window L_u share, each (V, U).
+
+    Attributes
+    ----------
+    n
+        How many samples.
+    d, l, dd, ll, dl
+        Of D, L, their squares and their product, after ``shift_m`` was taken off both.
+    shift_m
+        A middle range: without it squares of metres hide differences of centimetres in single precision.
+    width
+        Samples of a candidate, valid or not.
+    """
+
+    n: Float32Array
+    d: Float32Array
+    l: Float32Array  # noqa: E741  the paper's letter
+    dd: Float32Array
+    ll: Float32Array
+    dl: Float32Array
+    shift_m: np.float32
+    width: int
+
+
+def grade_of(pcc: float) -> Grade:
+    """The paper's class of a PCC."""
+    if pcc > MIDDLE_MAX:
+        return Grade.HIGH
+    return Grade.MIDDLE if pcc > LOW_MAX else Grade.LOW
+
+
+def masked_sums(candidates_m: Float32Array, curve_m: Float32Array) -> Sums:
+    """All sums at once.
+
+    Parameters
+    ----------
+    candidates_m
+        (V, W) ranges, ``nan`` invalid.
+    curve_m
+        (Psi,) the lidar's, at the same step; Psi >= W gives U = Psi - W + 1 windows.
+
+    Raises
+    ------
+    ValueError
+        The lidar curve is shorter than the candidates.
+    """
+    width = candidates_m.shape[1]
+    if curve_m.size < width:
+        raise ValueError(
+            f"the lidar curve has {curve_m.size} samples, the image's {width}; Xu2024 needs the lidar wider"
+        )
+    has_d, has_l = np.isfinite(candidates_m), np.isfinite(curve_m)
+    shift = np.float32(np.median(curve_m[has_l])) if has_l.any() else np.float32(0.0)
+    d = np.where(has_d, candidates_m - shift, np.float32(0.0)).astype(np.float32)
+    l_shifted = np.where(has_l, curve_m - shift, np.float32(0.0)).astype(np.float32)
+    left = np.concatenate([has_d.astype(np.float32), d, d * d])
+    rows = len(candidates_m)
+
+    def windows(values: Float32Array) -> Float32Array:
+        return np.ascontiguousarray(np.lib.stride_tricks.sliding_window_view(values, width).T)
+
+    by_mask = left @ windows(has_l.astype(np.float32))
+    by_range = left[: 2 * rows] @ windows(l_shifted)
+    by_square = left[:rows] @ windows(l_shifted * l_shifted)
+    return Sums(
+        n=by_mask[:rows],
+        d=by_mask[rows : 2 * rows],
+        l=by_range[:rows],
+        dd=by_mask[2 * rows :],
+        ll=by_square,
+        dl=by_range[rows:],
+        shift_m=shift,
+        width=width,
+    )
+
+
+def enough(sums: Sums) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """(V, U) where a candidate and a window share enough samples to be compared."""
+    return sums.n >= max(FEWEST_SAMPLES, LEAST_OVERLAP * sums.width)
+
+
+def pearson(sums: Sums) -> Float32Array:
+    """Xu2024 Eq. (2), (V, U) in -1..1; 0 where a curve is flat or too little is shared."""
+    n = np.maximum(sums.n, np.float32(1.0))
+    var_d = np.maximum(sums.dd / n - (sums.d / n) ** 2, np.float32(0.0))
+    var_l = np.maximum(sums.ll / n - (sums.l / n) ** 2, np.float32(0.0))
+    covariance = sums.dl / n - (sums.d / n) * (sums.l / n)
+    spread = np.sqrt(var_d * var_l)
+    fine = enough(sums) & (spread > _TINY)
+    return np.where(fine, np.clip(covariance / np.maximum(spread, _TINY), -1.0, 1.0), 0.0).astype(np.float32)
+
+
+def inverse_cosine(sums: Sums) -> Float32Array:
+    """Xu2024 Eq. (3), (V, U): a distance, 0 for curves that are alike; 1 where too little is shared."""
+    norm_d, norm_l, dot = _norms(sums)
+    cosine = dot / np.maximum(norm_d * norm_l, _TINY)
+    return np.where(enough(sums), np.clip(1.0 - cosine, 0.0, 1.0), 1.0).astype(np.float32)
+
+
+def inverse_euler(sums: Sums) -> Float32Array:
+    """Xu2024 Eq. (4), (V, U): 1 for equal curves; 0 where too little is shared."""
+    norm_d, norm_l, _ = _norms(sums)
+    apart = np.sqrt(np.maximum(sums.dd - 2.0 * sums.dl + sums.ll, np.float32(0.0)))
+    value = 1.0 - apart / np.maximum(np.maximum(norm_d, norm_l), _TINY)
+    return np.where(enough(sums), np.clip(value, 0.0, 1.0), 0.0).astype(np.float32)
+
+
+def similarity_map(sums: Sums, similarity: Similarity) -> Float32Array:
+    """(V, U) of one of the three, turned so that larger is more alike."""
+    if similarity == "pcc":
+        return pearson(sums)
+    if similarity == "inv_euler":
+        return inverse_euler(sums)
+    return np.asarray(1.0 - inverse_cosine(sums), dtype=np.float32)
+
+
+def _norms(sums: Sums) -> tuple[Float32Array, Float32Array, Float32Array]:
+    """|D|, |L| and D.L of the unshifted ranges."""
+    c = sums.shift_m
+    dd = sums.dd + 2.0 * c * sums.d + sums.n * c * c
+    ll = sums.ll + 2.0 * c * sums.l + sums.n * c * c
+    dot = sums.dl + c * (sums.d + sums.l) + sums.n * c * c
+    return np.sqrt(np.maximum(dd, 0.0)), np.sqrt(np.maximum(ll, 0.0)), dot
