@@ -24,7 +24,13 @@ app = typer.Typer(
     help="Offline SLAM from lidar and RGB-D logs: one trajectory, one map, no ROS.",
 )
 
-LogArgument = Annotated[Path, typer.Argument(help="the log: CARMEN .log or .clf, plain or .gz")]
+LogArgument = Annotated[
+    Path,
+    typer.Argument(
+        help="the log: a CARMEN file (.log, .clf, plain or .gz), or a folder (simulated, TUM RGB-D, 7-Scenes, "
+        "OpenLORIS-Scene, Robot@Home)"
+    ),
+]
 ConfigOption = Annotated[
     str | None, typer.Option("--config", "-c", help="preset name or a YAML file of your own")
 ]
@@ -97,7 +103,9 @@ def evaluate(
     relations: Annotated[
         Path | None, typer.Option(help="relations file (Kuemmerle 2009): t1 t2 x y z roll pitch yaw")
     ] = None,
-    groundtruth: Annotated[Path | None, typer.Option(help="true trajectory in TUM format")] = None,
+    groundtruth: Annotated[
+        Path | None, typer.Option(help="true trajectory in TUM format, or a dataset folder that has one")
+    ] = None,
     tolerance: Annotated[
         float | None, typer.Option(min=0.0, help="greatest time between a pose and its true pose, seconds")
     ] = None,

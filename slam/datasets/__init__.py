@@ -4,17 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 from slam.datasets.carmen import HEAD_BYTES, CarmenDataset, looks_like_carmen
 from slam.datasets.dataset import Dataset, ReadReport
 from slam.datasets.log_file import read_head
+from slam.datasets.open_loris import looks_like_open_loris, open_open_loris
 from slam.datasets.recorded_folder import looks_like_recorded_folder, open_recorded_folder
+from slam.datasets.robot_at_home import looks_like_robot_at_home, open_robot_at_home
+from slam.datasets.robot_at_home2 import looks_like_robot_at_home2, open_robot_at_home2
 from slam.datasets.seven_scenes import looks_like_seven_scenes, open_seven_scenes
 from slam.datasets.tum import looks_like_tum, open_tum
 from slam.errors import DatasetError
 
 __all__ = ["FORMATS", "Dataset", "DatasetFormat", "ReadReport", "open_dataset"]
+
+
+_LOOKED_AT = 64  # names in a folder that is no dataset, to say what it lacks
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +53,9 @@ FORMATS: tuple[DatasetFormat, ...] = (
     DatasetFormat("7-Scenes folder", looks_like_seven_scenes, open_seven_scenes),
     DatasetFormat("folder of a CARMEN log and TUM images", looks_like_recorded_folder, open_recorded_folder),
     DatasetFormat("TUM RGB-D folder", looks_like_tum, open_tum),
+    DatasetFormat("OpenLORIS-Scene folder", looks_like_open_loris, open_open_loris),
+    DatasetFormat("Robot@Home session folder", looks_like_robot_at_home, open_robot_at_home),
+    DatasetFormat("Robot@Home2 database (rh.db)", looks_like_robot_at_home2, open_robot_at_home2),
 )
 
 
@@ -72,6 +82,9 @@ def open_dataset(path: Path | str, *, strict: bool = False) -> Dataset:
     path = Path(path)
     supported = ", ".join(known.description for known in FORMATS)
     if not path.exists():
+        # A session in a database has a path, too: DATABASE/SESSION.
+        if looks_like_robot_at_home2(path, b""):
+            return open_robot_at_home2(path, strict)
         raise DatasetError(f"{path} does not exist; give the path of a log: {supported}")
     if not (path.is_file() or path.is_dir()):
         raise DatasetError(f"{path} is neither a file nor a directory; supported: {supported}")
@@ -83,5 +96,24 @@ def open_dataset(path: Path | str, *, strict: bool = False) -> Dataset:
     for known in FORMATS:
         if known.recognises(path, head):
             return known.open(path, strict)
-    kind = "directory" if path.is_dir() else "file"
-    raise DatasetError(f"{path} is a {kind} of no known format; supported: {supported}")
+    if path.is_dir():
+        raise DatasetError(f"{path} {_what_is_wrong(path)}; supported: {supported}")
+    raise DatasetError(f"{path} is a file of no known format; supported: {supported}")
+
+
+def _what_is_wrong(folder: Path) -> str:
+    """Why a folder is no dataset, as far as one can tell."""
+    names = {entry.name for entry in islice(folder.iterdir(), _LOOKED_AT)}
+    if not names:
+        return "is an empty folder"
+    for color, depths in (("rgb.txt", ("depth.txt",)), ("color.txt", ("aligned_depth.txt", "depth.txt"))):
+        if color in names or names.intersection(depths):
+            return f"needs both {color} and {depths[0]}"
+    inside = [
+        name
+        for name in sorted(names)
+        if (folder / name).is_dir() and any(known.recognises(folder / name, b"") for known in FORMATS)
+    ]
+    if inside:
+        return f"is no log itself but holds some; give one of {', '.join(inside[:8])}"
+    return "is a directory of no known format"

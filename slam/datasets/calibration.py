@@ -20,6 +20,7 @@ OTHER_ASPECT = "image size does not fit the calibration"
 
 _SAME_ASPECT = 0.005  # rounding of sizes; 1280 x 720 and 848 x 480 already show other parts of the scene
 _NORM_TOLERANCE = 1e-2
+_STRETCH_TOLERANCE = 0.05  # published rotations have determinants of 0.9995; a scaled one is refused
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +142,23 @@ def pose_from(translation_m: Any, quaternion_xyzw: Any) -> gtsam.Pose3:
     if translation.size != 3 or not np.isfinite(translation).all():
         raise ValueError(f"translation {translation_m} is not three finite numbers")
     return gtsam.Pose3(gtsam.Rot3.Quaternion(w, x, y, z), translation)
+
+
+def pose_from_matrix(matrix: FloatArray) -> gtsam.Pose3:
+    """A pose from a (4, 4) transform, its rotation replaced by the nearest true one.
+
+    Raises
+    ------
+    ValueError
+        Not finite, or stretched by more than 5 % or mirrored: no rotation.
+    """
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise ValueError("not 4 x 4 finite numbers")
+    left, stretch, right = np.linalg.svd(matrix[:3, :3])
+    rotation = left @ right
+    if np.abs(stretch - 1.0).max() > _STRETCH_TOLERANCE or np.linalg.det(rotation) < 0.0:
+        raise ValueError(f"stretched by {stretch.round(4).tolist()}, or mirrored")
+    return gtsam.Pose3(gtsam.Rot3(rotation), matrix[:3, 3])
 
 
 def unit_quaternion(quaternion: FloatArray) -> FloatArray:

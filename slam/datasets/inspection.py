@@ -9,7 +9,8 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 
 from slam.datasets.dataset import Dataset, Tally
-from slam.measurements import LaserScan, WheelOdometry
+from slam.datasets.inspection_camera import CameraFigures, CameraSummary, camera_lines
+from slam.measurements import LaserScan, RgbdFrame, WheelOdometry
 
 _SAMPLES_KEPT = 4096  # intervals kept for a median; more are thinned evenly
 
@@ -79,6 +80,7 @@ class SensorSummary:
     largest_clock_step_s: float
     laser: LaserSummary | None = None
     odometry: OdometrySummary | None = None
+    camera: CameraSummary | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +134,9 @@ def inspect_dataset(dataset: Dataset) -> Inspection:
         stream.add_stamp(measurement.stamp_s)
         if isinstance(measurement, LaserScan):
             stream.add_scan(measurement)
-        elif isinstance(measurement, WheelOdometry):
+        elif isinstance(measurement, RgbdFrame):
+            stream.camera.add(measurement)
+        else:
             stream.add_odometry(measurement)
         earliest_s = min(earliest_s, measurement.stamp_s)
         latest_s = max(latest_s, measurement.stamp_s)
@@ -191,6 +195,7 @@ class _Stream:
     last_odometry: WheelOdometry | None = None
     path_m: float = 0.0
     rotation_rad: float = 0.0
+    camera: CameraFigures = field(default_factory=CameraFigures)
 
     def add_stamp(self, stamp_s: float) -> None:
         """Rate and gaps; a backward step is no interval."""
@@ -237,6 +242,7 @@ class _Stream:
             largest_clock_step_s=backward.largest,
             laser=None if self.last_scan is None else self._laser(self.last_scan),
             odometry=OdometrySummary(self.path_m, self.rotation_rad) if self.last_odometry else None,
+            camera=self.camera.summary(),
         )
 
     def _laser(self, scan: LaserScan) -> LaserSummary:
@@ -295,6 +301,8 @@ def _sensor_lines(sensor: SensorSummary) -> list[str]:
     if odometry := sensor.odometry:
         turned = math.degrees(odometry.rotation_rad)
         lines.append(f"    path {odometry.path_m:.1f} m, turned {turned:.0f} degrees in all")
+    if sensor.camera:
+        lines += camera_lines(sensor.camera)
     lines.append(
         f"    longest gap {sensor.longest_gap_s:.2f} s, {sensor.longest_gap_at_s:.1f} s into the log"
     )

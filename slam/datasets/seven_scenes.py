@@ -13,7 +13,7 @@ import gtsam
 import numpy as np
 
 from slam.datasets.account import Account
-from slam.datasets.calibration import Calibration, read_calibration
+from slam.datasets.calibration import Calibration, pose_from_matrix, read_calibration
 from slam.datasets.camera_frames import Camera
 from slam.datasets.dataset import RecordFault
 from slam.datasets.frame_pairs import NO_COLOR, NO_DEPTH, FramePair
@@ -31,7 +31,6 @@ _INTRINSICS_FILE = "camera-intrinsics.txt"
 _DEFAULT = CameraIntrinsics(585.0, 585.0, 320.0, 240.0, 640, 480)
 _DEPTH_STEPS_PER_M = 1000.0
 _NO_READING = 65535
-_RIGID_TOLERANCE = 0.05  # the published rotations have determinants of 0.9995; a scaled one is refused
 
 
 def looks_like_seven_scenes(path: Path, head: bytes) -> bool:
@@ -113,16 +112,15 @@ def _pose(path: Path) -> gtsam.Pose3:
     Raises
     ------
     RecordFault
-        No 4 x 4 finite numbers, or no rotation within 5 %.
+        No 4 x 4 finite numbers, or no rotation.
     """
     matrix = _matrix(path, 4)
     if matrix is None:
         raise RecordFault(BAD_POSE, path.name)
-    left, stretch, right = np.linalg.svd(matrix[:3, :3])
-    rotation = left @ right
-    if np.abs(stretch - 1.0).max() > _RIGID_TOLERANCE or np.linalg.det(rotation) < 0.0:
-        raise RecordFault(BAD_POSE, f"{path.name}: stretched by {stretch.round(4).tolist()}")
-    return gtsam.Pose3(gtsam.Rot3(rotation), matrix[:3, 3])
+    try:
+        return pose_from_matrix(matrix)
+    except ValueError as error:
+        raise RecordFault(BAD_POSE, f"{path.name}: {error}") from error
 
 
 def _matrix(path: Path, size: int) -> FloatArray | None:

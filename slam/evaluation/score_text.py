@@ -6,8 +6,11 @@ import math
 from pathlib import Path
 from typing import Any
 
+from slam.datasets import open_dataset
+from slam.errors import EvaluationError
 from slam.evaluation.relations import read_relations, score_relations
 from slam.evaluation.trajectory_error import absolute_error, relative_error
+from slam.measurements import Trajectory
 from slam.storage.tum import read_tum
 
 _TOLERANCE_S = 0.05
@@ -23,9 +26,14 @@ def score(
 ) -> dict[str, Any]:
     """Score a TUM trajectory by relations, or by ATE and RPE where a true trajectory is given.
 
+    Parameters
+    ----------
+    groundtruth
+        A TUM file, or the folder of a dataset that comes with its truth.
+
     Raises
     ------
-    EvaluationError, MapFileError
+    DatasetError, EvaluationError, MapFileError
         For files that cannot be read, or that share no time.
     """
     poses = read_tum(trajectory)
@@ -33,12 +41,22 @@ def score(
         return {"relations": score_relations(poses, read_relations(relations)).to_dict()}
     if groundtruth is None:
         raise ValueError("relations or groundtruth must be given")
-    truth = read_tum(groundtruth)
+    truth = _truth(groundtruth)
     limit_s = _TOLERANCE_S if tolerance_s is None else tolerance_s
     return {
         "ate": absolute_error(poses, truth, max_difference_s=limit_s).to_dict(),
         "rpe": relative_error(poses, truth, delta=delta_m, unit="metres", max_difference_s=limit_s).to_dict(),
     }
+
+
+def _truth(path: Path) -> Trajectory:
+    """A TUM file, or what a dataset folder knows of its truth."""
+    if not path.is_dir():
+        return read_tum(path)
+    truth = open_dataset(path).groundtruth()
+    if truth is None:
+        raise EvaluationError(f"{path} has no true trajectory; give a file in TUM format")
+    return truth
 
 
 def score_text(scores: dict[str, Any]) -> str:

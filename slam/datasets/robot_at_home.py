@@ -1,0 +1,190 @@
+"""Robot@Home, first edition: plain text indexes, a folder of scans or images beside each."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from slam.datasets.account import Account
+from slam.datasets.dataset import RecordFault
+from slam.datasets.frame_pairs import FramePair
+from slam.datasets.log_file import read_head
+from slam.datasets.recording import Contents, Numbered, Recording
+from slam.datasets.robot_at_home_rig import BAD_SCAN, BAD_TIME, LASER, camera, laser_scan, unix_stamp_s
+from slam.datasets.stamped_files import StampedFile, fields_of
+from slam.errors import DatasetError
+from slam.measurements import FloatArray
+
+NO_SCAN_FILE = "scan file missing or unreadable"
+
+_HEAD_BYTES = 1 << 14
+# id label x y z yaw pitch roll time
+_INDEX_LINE = re.compile(rb"^\s*\d+\s+(?:HOKUYO|RGBD_)\d+(?:\s+\S+){6}\s+\d{15,20}\s*$", re.MULTILINE)
+_FIELDS = 9
+_SESSION = re.compile(r"[a-z0-9]+-s\d+")  # alma-s1
+_DEPTH_OF_TREE, _FOLDERS_SEEN = 4, 500  # a whole download is four folders deep
+_TREES = ("laser_scans", "rgbd_data")  # a session's scans and images lie in two trees of the same shape
+
+
+@dataclass(frozen=True, slots=True)
+class _Observation:
+    """A line of an index; ``folder`` holds its files, named after ``key``."""
+
+    stamp_s: float
+    number: int
+    key: str
+    folder: Path
+
+
+def looks_like_robot_at_home(path: Path, head: bytes) -> bool:
+    """Whether a path is a folder with an index of observations somewhere below."""
+    return path.is_dir() and next(_indexes(path), None) is not None
+
+
+def open_robot_at_home(path: Path, strict: bool) -> Recording:
+    """A session, or a room of one: its scans and images, also when the path leads to only one of them.
+
+    Raises
+    ------
+    DatasetError
+        There are several sessions below the path.
+    """
+    indexes = sorted({index for tree in _both_trees(path) for index in _indexes(tree)})
+    sessions = sorted({_session(index) for index in indexes})
+    if len(sessions) > 1:
+        raise DatasetError(
+            f"{path} holds {len(sessions)} sessions ({', '.join(sessions[:8])}); give the folder of one"
+        )
+    return Recording(path, lambda account: _load(indexes, account), lambda _: None, strict=strict)
+
+
+def _load(indexes: list[Path], account: Account) -> Contents:
+    """The observations of all indexes by sensor, the earliest index first."""
+    found: dict[str, list[list[_Observation]]] = defaultdict(list)
+    for index in indexes:
+        observations: dict[str, list[_Observation]] = defaultdict(list)
+        for label, observation in _observations(index, account):
+            observations[label].append(observation)
+        for label, listed in observations.items():
+            found[label].append(listed)
+    in_order = {
+        label: [one for part in sorted(parts, key=lambda part: part[0].stamp_s) for one in part]
+        for label, parts in found.items()
+    }
+    scans = in_order.pop(LASER, [])
+    cameras = [camera(label, [_pair(one) for one in in_order[label]]) for label in sorted(in_order)]
+    return Contents(cameras, _scans(scans, account))
+
+
+def _observations(index: Path, account: Account) -> Iterator[tuple[str, _Observation]]:
+    """Labels and observations of an index, in its order."""
+    for number, fields in fields_of(index, account, _FIELDS, _FIELDS):
+        try:
+            stamp_s = unix_stamp_s(_whole(fields[8]))
+            key, label = str(_whole(fields[0])), fields[1].decode("ascii", "replace")
+        except RecordFault as fault:
+            account.refuse(fault, index.name, number)
+            continue
+        yield label, _Observation(stamp_s, number, key, index.with_suffix(""))
+
+
+def _whole(field: bytes) -> int:
+    """A whole number."""
+    try:
+        return int(field)
+    except ValueError as error:
+        raise RecordFault(BAD_TIME, repr(field[:24])) from error
+
+
+def _pair(one: _Observation) -> FramePair:
+    """The two images of an observation."""
+    color, depth = (
+        StampedFile(one.stamp_s, one.folder / f"{one.key}_{kind}.png", one.number)
+        for kind in ("intensity", "depth")
+    )
+    return FramePair(one.stamp_s, color, depth)
+
+
+def _scans(observations: list[_Observation], account: Account) -> Iterator[Numbered]:
+    """Scans, one file at a time."""
+    for one in observations:
+        account.report.line_count += 1
+        try:
+            aperture, maximum, count, ranges, valid = _scan_lines(one.folder / f"{one.key}_scan.txt")
+            if not aperture.size == maximum.size == count.size == 1 or count[0] != ranges.size:
+                raise RecordFault(BAD_SCAN, f"{one.key}: {ranges.size} ranges")
+            scan = laser_scan(one.stamp_s, ranges, valid, float(aperture[0]), float(maximum[0]), account)
+        except RecordFault as fault:
+            account.refuse(fault, one.folder.name, one.number)
+            continue
+        account.report.accept(LASER)
+        yield one.number, scan
+
+
+def _scan_lines(path: Path) -> list[FloatArray]:
+    """The five lines of numbers of a scan file."""
+    try:
+        text = path.read_bytes().splitlines()
+    except OSError as error:
+        raise RecordFault(NO_SCAN_FILE, f"{path.name}: {error.strerror}") from error
+    lines = [line for line in text if line.strip() and not line.lstrip().startswith(b"#")]
+    try:
+        numbers = [np.array([float(field) for field in line.split()]) for line in lines]
+    except ValueError as error:
+        raise RecordFault(BAD_SCAN, f"{path.name}: {error}") from error
+    if len(numbers) != 5:
+        raise RecordFault(BAD_SCAN, f"{path.name}: {len(numbers)} lines of numbers instead of 5")
+    return numbers
+
+
+def _both_trees(path: Path) -> list[Path]:
+    """The path, and its counterpart in the tree of the other sensors where there is one."""
+    other = str(path.resolve())
+    scans, images = _TREES
+    other = other.replace(scans, images) if scans in other else other.replace(images, scans)
+    room = Path(other)
+    # A room is a folder in the tree of scans, and a file in the tree of images.
+    beside = room.parent / f"{room.name}_rgbd.txt"
+    return [path, *(found for found in (room, beside) if found != path.resolve() and found.exists())]
+
+
+def _indexes(path: Path) -> Iterator[Path]:
+    """Index files at or below a path; folders of scans and images are not entered."""
+    if path.is_file():
+        yield path.resolve()
+        return
+    level = [path.resolve()]
+    for _ in range(_DEPTH_OF_TREE + 1):
+        below: list[Path] = []
+        for folder in level:
+            names = _entries(folder)
+            for name in sorted(names):
+                if names[name] and f"{name}.txt" not in names:
+                    below.append(folder / name)
+                elif name.endswith(".txt") and names.get(name.removesuffix(".txt")):
+                    index = folder / name
+                    if _INDEX_LINE.search(read_head(index, _HEAD_BYTES)):
+                        yield index
+        level = below[:_FOLDERS_SEEN]
+
+
+def _entries(folder: Path) -> dict[str, bool]:
+    """Names in a folder, and whether each is a folder itself; none where it may not be read."""
+    try:
+        with os.scandir(folder) as entries:
+            return {entry.name: entry.is_dir() for entry in islice(entries, _FOLDERS_SEEN)}
+    except OSError:
+        return {}
+
+
+def _session(index: Path) -> str:
+    """The session that an index belongs to, by the folders above it."""
+    named = (part for part in reversed(index.parts[:-1]) if _SESSION.fullmatch(part))
+    return next(named, "")

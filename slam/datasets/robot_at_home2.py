@@ -1,0 +1,202 @@
+"""Robot@Home2: the same recordings as a SQLite database, with the image files beside it.
+
+Ambrosio-Cestero et al. 2023, "Robot@Home2, a robotic dataset of home environments"; tables and columns after
+its toolbox.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slam.datasets.account import Account
+from slam.datasets.dataset import RecordFault
+from slam.datasets.frame_pairs import FramePair
+from slam.datasets.log_file import read_head
+from slam.datasets.recording import Contents, Numbered, Recording
+from slam.datasets.robot_at_home_rig import BAD_TIME, LASER, camera, laser_scan, unix_stamp_s
+from slam.datasets.stamped_files import StampedFile
+from slam.errors import DatasetError
+
+NO_FILES = "observation without image files in the database"
+
+_MAGIC = b"SQLite format 3\0"
+_IMAGES = Path("files") / "rgbd"
+# The view leaves out what is twice in the tables; a database without it has only the raw ones.
+_OBSERVATIONS = ("rh2_sensor_observations", "rh_raw")
+_SCANS = ("rh_lsrscan_scans", "rh_raw_scans")
+
+
+@dataclass(frozen=True, slots=True)
+class _Selection:
+    """The part of a database that is one recording; empty names select everything."""
+
+    database: Path
+    session: str = ""
+    room: str = ""
+
+
+def looks_like_robot_at_home2(path: Path, head: bytes) -> bool:
+    """Whether a path is such a database, or a folder with one."""
+    return _selection(path) is not None
+
+
+def open_robot_at_home2(path: Path, strict: bool) -> Recording:
+    """One session of a database, or one room of it: ``DATABASE/SESSION/ROOM``, as if these were folders.
+
+    Raises
+    ------
+    DatasetError
+        The database holds several sessions and the path names none, or one that is not in it.
+    """
+    chosen = _selection(path)
+    if chosen is None:
+        raise DatasetError(f"{path} is no Robot@Home2 database; give rh.db or its folder")
+    with _connected(chosen.database) as database:
+        sessions = [
+            str(name) for (name,) in database.execute("select name from rh_home_sessions order by name")
+        ]
+        if chosen.session not in sessions and (chosen.session or len(sessions) > 1):
+            wrong = f"has no session '{chosen.session}'" if chosen.session else "holds several sessions"
+            example = chosen.database.parent / (sessions[0] if sessions else "SESSION")
+            raise DatasetError(
+                f"{chosen.database} {wrong}; there are {', '.join(sessions) or 'none'}: give {example}"
+            )
+    return Recording(path, lambda account: _load(chosen, account), lambda _: None, strict=strict)
+
+
+def _selection(path: Path) -> _Selection | None:
+    """The database that a path leads to or into, with the names that follow; None where there is none."""
+    names: list[str] = []
+    while not path.exists() and len(names) < 2 and path.name:
+        names.insert(0, path.name)
+        path = path.parent
+    candidates = sorted(path.glob("*.db")) if path.is_dir() else [path]
+    for database in candidates:
+        if database.is_file() and read_head(database, len(_MAGIC)) == _MAGIC and _is_robot_at_home(database):
+            return _Selection(database, *names)
+    return None
+
+
+def _is_robot_at_home(path: Path) -> bool:
+    """Whether a database has the dataset's tables."""
+    with _connected(path) as database:
+        return {"rh_raw", "rh_home_sessions"} <= _tables(database)
+
+
+@contextmanager
+def _connected(path: Path) -> Iterator[sqlite3.Connection]:
+    """A database opened for reading."""
+    try:
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
+            yield database
+    except sqlite3.Error as error:
+        raise DatasetError(f"{path} cannot be read: {error}; download the database again") from error
+
+
+def _tables(database: sqlite3.Connection) -> set[str]:
+    """Names of tables and views."""
+    return {str(name) for (name,) in database.execute("select name from sqlite_master")}
+
+
+def _load(chosen: _Selection, account: Account) -> Contents:
+    """Lists of images by camera; scans are read one at a time later."""
+    pairs: dict[str, list[FramePair]] = defaultdict(list)
+    with _connected(chosen.database) as database:
+        for row in _observations(database, chosen):
+            if row["sensor"] != LASER:
+                try:
+                    pairs[str(row["sensor"])].append(_pair(chosen.database.parent, row))
+                except RecordFault as fault:
+                    account.refuse(fault, str(row["sensor"]), int(row["id"]))
+    return Contents([camera(name, pairs[name]) for name in sorted(pairs)], _scans(chosen, account))
+
+
+def _observations(database: sqlite3.Connection, chosen: _Selection) -> Iterator[dict[str, Any]]:
+    """Observations of the selection in the order of time, with the names of their files."""
+    tables = _tables(database)
+    source = next(name for name in _OBSERVATIONS if name in tables)
+    renamed = "rh2_old2new_rgbd_files" in tables
+    files = (
+        "f.new_path, f.new_file_1, f.new_file_2, f.new_file_3"
+        if renamed
+        else "o.files_path, o.sensor_file_1, o.sensor_file_2, o.sensor_file_3"
+    )
+    query = (
+        f"select o.id, coalesce(s.name, o.name), o.time_stamp, o.laser_aperture, o.laser_max_range, {files} "
+        f"from {source} o left join rh_sensors s on s.id = o.sensor_id "
+        f"{'left join rh2_old2new_rgbd_files f on f.id = o.id ' if renamed else ''}"
+        "left join rh_home_sessions h on h.id = o.home_session_id left join rh_rooms r on r.id = o.room_id "
+        "where (:session = '' or h.name = :session) "
+        "and (:room = '' or r.name = :room or r.name like '%\\_' || :room escape '\\') "
+        "order by o.time_stamp, o.id"
+    )
+    names = ("id", "sensor", "ticks", "aperture_rad", "max_m", "folder", "file_1", "file_2", "file_3")
+    for row in database.execute(query, {"session": chosen.session, "room": chosen.room}):
+        yield dict(zip(names, row, strict=True))
+
+
+def _pair(folder: Path, row: dict[str, Any]) -> FramePair:
+    """The two images of an observation."""
+    images = folder / _IMAGES if (folder / _IMAGES).is_dir() else folder
+    names = [str(row[key]) for key in ("file_1", "file_2", "file_3") if row[key]]
+    found = {kind: [name for name in names if kind in name] for kind in ("intensity", "depth")}
+    if not all(found.values()):
+        raise RecordFault(NO_FILES, f"files {names}")
+    stamp_s = _stamp_s(row)
+    color, depth = (
+        StampedFile(stamp_s, images / str(row["folder"] or ".") / found[kind][0], int(row["id"]))
+        for kind in ("intensity", "depth")
+    )
+    return FramePair(stamp_s, color, depth)
+
+
+def _scans(chosen: _Selection, account: Account) -> Iterator[Numbered]:
+    """Scans of the selection in the order of time."""
+    with _connected(chosen.database) as database:
+        tables = [name for name in _SCANS if name in _tables(database)]
+        for row in _observations(database, chosen):
+            if row["sensor"] != LASER:
+                continue
+            number = int(row["id"])
+            account.report.line_count += 1
+            try:
+                shots = _shots(database, tables, number)
+                maxima = (_number(row["aperture_rad"]), _number(row["max_m"]))
+                scan = laser_scan(_stamp_s(row), shots[:, 0], shots[:, 1], *maxima, account)
+            except RecordFault as fault:
+                account.refuse(fault, LASER, number)
+                continue
+            account.report.accept(LASER)
+            yield number, scan
+
+
+def _shots(
+    database: sqlite3.Connection, tables: list[str], number: int
+) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """(N, 2) range and validity of the beams of an observation, from the table that has it."""
+    for table in tables:
+        query = f"select scan, valid_scan from {table} where sensor_observation_id = ? order by shot_id"
+        if rows := database.execute(query, (number,)).fetchall():
+            return np.array([[_number(value) for value in row] for row in rows])
+    return np.empty((0, 2))
+
+
+def _stamp_s(row: dict[str, Any]) -> float:
+    """Seconds since 1970."""
+    try:
+        return unix_stamp_s(int(row["ticks"]))
+    except (TypeError, ValueError) as error:
+        raise RecordFault(BAD_TIME, repr(row["ticks"])) from error
+
+
+def _number(value: Any) -> float:
+    """A number of a column that may hold anything, NaN where it holds none."""
+    return float(value) if isinstance(value, int | float) else float("nan")

@@ -1,0 +1,101 @@
+"""The robot of Robot@Home: what both layouts of the dataset share.
+
+Ruiz-Sarmiento et al. 2017, "Robot@Home, a robotic dataset for semantic mapping of home environments".
+"""
+
+from __future__ import annotations
+
+import math
+
+import gtsam
+import numpy as np
+
+from slam.datasets.account import Account
+from slam.datasets.calibration import Calibration
+from slam.datasets.camera_frames import Camera
+from slam.datasets.dataset import RecordFault
+from slam.datasets.frame_pairs import FramePair
+from slam.datasets.laser_geometry import classify_ranges
+from slam.measurements import CameraIntrinsics, FloatArray, LaserScan
+
+LASER = "HOKUYO1"
+BAD_TIME = "observation without a time of this age"
+BAD_SCAN = "scan whose numbers do not fit each other"
+NO_VALID_RANGE = "scan without a valid range"
+
+T_BASE_LASER = gtsam.Pose2(0.205, 0.0, 0.0)
+# x, y, z of the optical centres and the yaw of their axes; the cameras lie on their sides.
+_CAMERAS = {
+    "RGBD_1": ((0.271, -0.031, 1.045), -45.0),
+    "RGBD_2": ((0.240, -0.045, 1.045), -90.0),
+    "RGBD_3": ((0.271, 0.031, 1.045), 45.0),
+    "RGBD_4": ((0.285, 0.000, 1.045), 0.0),
+}
+# Of the stored 320 x 240: fx 286.441, fy 271.370, cx 157.325, cy 120.080. Turned counter-clockwise, the
+# pixel (u, v) goes to (v, 319 - u).
+_UPRIGHT = CameraIntrinsics(271.370, 286.441, 120.080, 319.0 - 157.325, 240, 320)
+_QUARTER_TURNS = 1
+_DEPTH_STEPS_PER_M = 6553.5
+_TICKS_PER_S = 10_000_000
+_EPOCH_S = 11644473600  # from 1601 to 1970
+_STAMP_LIMIT_S = 1e11
+
+
+def camera(sensor: str, pairs: list[FramePair]) -> Camera:
+    """A camera with its images turned upright; one of another name has no known mounting."""
+    mount = None
+    if sensor in _CAMERAS:
+        position_m, yaw_deg = _CAMERAS[sensor]
+        # Columns: the optical x, y, z of a level camera that looks along the robot's x axis.
+        level = gtsam.Rot3(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
+        turned = gtsam.Rot3.Yaw(math.radians(yaw_deg)).compose(level)
+        mount = gtsam.Pose3(turned, np.array(position_m))
+    return Camera(sensor, pairs, Calibration(_UPRIGHT, _DEPTH_STEPS_PER_M, (), mount), _QUARTER_TURNS)
+
+
+def unix_stamp_s(ticks: int) -> float:
+    """Seconds since 1970 of 100 ns ticks since 1601.
+
+    Raises
+    ------
+    RecordFault
+        Before 1970 or far ahead: no tick count.
+    """
+    whole, rest = divmod(ticks, _TICKS_PER_S)
+    if not 0 <= whole - _EPOCH_S < _STAMP_LIMIT_S:
+        raise RecordFault(BAD_TIME, f"{ticks} ticks")
+    return (whole - _EPOCH_S) + rest / _TICKS_PER_S
+
+
+def laser_scan(
+    stamp_s: float,
+    ranges_m: FloatArray,
+    valid: FloatArray,
+    aperture_rad: float,
+    max_m: float,
+    account: Account,
+) -> LaserScan:
+    """A scan whose beams spread over the aperture, both edges measured, from the right.
+
+    Parameters
+    ----------
+    ranges_m, valid
+        (N,) readings and flags, 0 where there is no reading.
+
+    Raises
+    ------
+    RecordFault
+        Counts that differ, a wrong aperture or maximum, or no valid reading at all.
+    """
+    if ranges_m.size < 2 or ranges_m.size != valid.size:
+        raise RecordFault(BAD_SCAN, f"{ranges_m.size} ranges, {valid.size} flags")
+    if not (0.0 < aperture_rad <= 2.0 * math.pi + 1e-6 and 0.0 < max_m < math.inf):
+        raise RecordFault(BAD_SCAN, f"aperture {aperture_rad} rad, maximum {max_m} m")
+    clean = classify_ranges(ranges_m, max_m)
+    clean[(valid == 0.0) & np.isfinite(clean)] = np.nan
+    invalid = int(np.count_nonzero(np.isnan(clean)))
+    account.report.invalid_ranges += invalid
+    if invalid == clean.size:
+        raise RecordFault(NO_VALID_RANGE, f"{invalid} beams")
+    step_rad = aperture_rad / (ranges_m.size - 1)
+    return LaserScan(stamp_s, clean, -0.5 * aperture_rad, step_rad, max_m, T_BASE_LASER, LASER)
