@@ -27,7 +27,7 @@ app = typer.Typer(
 LogArgument = Annotated[
     Path,
     typer.Argument(
-        help="the log: a CARMEN file (.log, .clf, plain or .gz), or a folder (simulated, TUM RGB-D, 7-Scenes, "
+        help="the log: a CARMEN file (.log, .clf, plain or .gz), or a folder (simulated, TUM, 7-Scenes, "
         "OpenLORIS-Scene, Robot@Home)"
     ),
 ]
