@@ -1,0 +1,263 @@
+"""A colour camera beside the depth camera: where a colour pixel lies in the depth image, and the reverse.
+
+Both optical frames are right-handed (z forward, x right, y down) and parallel; a small turn of the colour
+camera shows as a shift of its principal point. `color_registration_fit.py` estimates the registration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numba
+import numpy as np
+
+from slam.errors import DatasetError
+from slam.measurements import AnyFloatArray, BoolArray, CameraIntrinsics, ColorImage, Float32Array, FloatArray
+
+# No depth camera of the kind measures nearer; it bounds the walk along a ray.
+_NEAREST_M = 0.3
+# Readings of one surface differ by less; wider apart, the nearer one is the surface that hides the other.
+_RIM_SHARE = 0.05
+# A pixel hides another in the colour image where it is nearer by more than this share.
+_HIDING_SHARE = 0.03
+# Disparity between the ray and the surface that it meets: the walk goes in steps of one pixel.
+_MEETING_PX = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class ColorRegistration:
+    """How the colour camera sits relative to the depth camera.
+
+    Attributes
+    ----------
+    intrinsics_color, intrinsics_depth
+        Of the two cameras.
+    T_depth_color
+        Pose of the colour camera in the depth camera's frame: a shift across the optical axis.
+    accepted
+        Whether the evidence for a registration other than identity is clear. If not, the colour camera is
+        the depth camera: `intrinsics_color` is `intrinsics_depth`, the transform is identity.
+    reason
+        In one line, with the figures that decided.
+    inlier_share_before, inlier_share_after
+        Share of the held-out matches that a rigid motion explains within 2 pixels: with colour taken as
+        registered, and with the registration fitted on the other pairs. Both 0 where nothing was measured.
+    """
+
+    intrinsics_color: CameraIntrinsics
+    intrinsics_depth: CameraIntrinsics
+    T_depth_color: gtsam.Pose3
+    accepted: bool
+    reason: str
+    inlier_share_before: float = 0.0
+    inlier_share_after: float = 0.0
+
+    def cameras(self) -> FloatArray:
+        """(10,) as `points_of_pixels` takes them."""
+        shift = self.T_depth_color.translation()
+        return camera_row(self.intrinsics_color, self.intrinsics_depth, float(shift[0]), float(shift[1]))
+
+
+def identity_registration(intrinsics: CameraIntrinsics, reason: str) -> ColorRegistration:
+    """Colour and depth from one camera."""
+    return ColorRegistration(intrinsics, intrinsics, gtsam.Pose3(), accepted=False, reason=reason)
+
+
+def camera_row(
+    color: CameraIntrinsics, depth: CameraIntrinsics, shift_x_m: float, shift_y_m: float
+) -> FloatArray:
+    """(10,) fx, fy, cx, cy of colour, the same of depth, x and y of the colour camera in the depth frame."""
+    colors = [color.fx, color.fy, color.cx, color.cy]
+    return np.array([*colors, depth.fx, depth.fy, depth.cx, depth.cy, shift_x_m, shift_y_m])
+
+
+def register_features(
+    pixels_color: AnyFloatArray, depth_m: Float32Array, registration: ColorRegistration
+) -> tuple[Float32Array, Float32Array]:
+    """Where colour keypoints lie in the depth image, and their depth.
+
+    Along the ray of each keypoint the surfaces of the depth image are met from near to far: the first wins.
+
+    Parameters
+    ----------
+    pixels_color
+        (N, 2) column and row in the colour image.
+    depth_m
+        (H, W) of the depth camera, 0 invalid.
+
+    Returns
+    -------
+    pixels_depth
+        (N, 2) column and row in the depth image; NaN where no surface is met.
+    depth_at_m
+        (N,) along the optical axis of the depth camera (the colour camera's is the same); 0 where no surface
+        is met. The 3D point in the depth frame is that pixel's, by the depth camera's intrinsics.
+
+    Raises
+    ------
+    DatasetError
+        The depth image has another size than the intrinsics say.
+    """
+    _check_size(depth_m, registration.intrinsics_depth)
+    cameras = registration.cameras()
+    points_color = points_of_pixels(np.ascontiguousarray(pixels_color, dtype=np.float64), depth_m, cameras)
+    z = points_color[:, 2]
+    met = z > 0.0
+    safe = np.where(met, z, 1.0)
+    focal, centre, shift = cameras[4:6], cameras[6:8], cameras[8:10]
+    pixels = (points_color[:, :2] + shift) / safe[:, None] * focal + centre
+    pixels[~met] = np.nan
+    return pixels.astype(np.float32), z.astype(np.float32)
+
+
+def register_color(
+    color: ColorImage, depth_m: Float32Array, registration: ColorRegistration
+) -> tuple[ColorImage, BoolArray]:
+    """The colour image as the depth camera would have seen it.
+
+    Parameters
+    ----------
+    color
+        (Hc, Wc, 3) of the colour camera.
+    depth_m
+        (H, W) of the depth camera, 0 invalid.
+
+    Returns
+    -------
+    color_depth
+        (H, W, 3), 0 where the colour is not known.
+    known
+        (H, W) false without depth, out of the colour image, or where a nearer surface hides the point from
+        the colour camera.
+
+    Raises
+    ------
+    DatasetError
+        The depth image has another size than the intrinsics say.
+    """
+    import cv2
+
+    _check_size(depth_m, registration.intrinsics_depth)
+    height, width = color.shape[:2]
+    columns, rows = _color_pixels(depth_m, registration.cameras())
+    known = _visible(columns, rows, depth_m, height, width)
+    warped = cv2.remap(color, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    warped[~known] = 0
+    return np.asarray(warped, dtype=np.uint8), known
+
+
+def _check_size(depth_m: Float32Array, intrinsics: CameraIntrinsics) -> None:
+    """The depth image must be the one that the intrinsics describe."""
+    if depth_m.shape != (intrinsics.height, intrinsics.width):
+        raise DatasetError(
+            f"depth image of {depth_m.shape[1]} x {depth_m.shape[0]}, the depth camera has "
+            f"{intrinsics.width} x {intrinsics.height}: give the intrinsics of this image"
+        )
+
+
+@numba.njit(cache=True)
+def points_of_pixels(pixels_color: FloatArray, depth_m: Float32Array, cameras: FloatArray) -> FloatArray:
+    """(N, 3) points in the colour frame of (N, 2) colour pixels; z is 0 where the ray meets no surface.
+
+    Parameters
+    ----------
+    cameras
+        (10,) by `camera_row`.
+    """
+    fx, fy, cx, cy, fx_depth, fy_depth, cx_depth, cy_depth, shift_x, shift_y = cameras
+    # A point at depth z lies (along, down) / z pixels away from where its ray would at infinity.
+    along, down = fx_depth * shift_x, fy_depth * shift_y
+    points = np.zeros((pixels_color.shape[0], 3))
+    for i in range(pixels_color.shape[0]):
+        x, y = (pixels_color[i, 0] - cx) / fx, (pixels_color[i, 1] - cy) / fy
+        z = _first_meeting(depth_m, fx_depth * x + cx_depth, fy_depth * y + cy_depth, along, down)
+        points[i, 0], points[i, 1], points[i, 2] = x * z, y * z, z
+    return points
+
+
+@numba.njit(cache=True)
+def _first_meeting(depth_m: Float32Array, column: float, row: float, along: float, down: float) -> float:
+    """Depth at which the ray that starts (at infinity) in a depth pixel first meets the depth image; or 0."""
+    reach = np.hypot(along, down)
+    for step in range(int(np.ceil(reach / _NEAREST_M)), -1, -1):
+        inverse = step / reach if reach > 0.0 else 0.0
+        z = _nearest_reading(depth_m, column + along * inverse, row + down * inverse)
+        if z <= 0.0 or abs(reach / z - step) > _MEETING_PX:
+            continue
+        # The step was a whole pixel: once more at the depth that was met, unless that leads off the surface.
+        finer = _surface_reading(depth_m, column + along / z, row + down / z)
+        if finer > 0.0 and abs(reach / finer - reach / z) <= _MEETING_PX:
+            return finer
+        return z
+    return 0.0
+
+
+@numba.njit(cache=True)
+def _nearest_reading(depth_m: Float32Array, column: float, row: float) -> float:
+    """The reading of the nearest pixel; 0 outside."""
+    c, r = int(np.floor(column + 0.5)), int(np.floor(row + 0.5))
+    if c < 0 or r < 0 or c >= depth_m.shape[1] or r >= depth_m.shape[0]:
+        return 0.0
+    return float(depth_m[r, c])
+
+
+@numba.njit(cache=True)
+def _surface_reading(depth_m: Float32Array, column: float, row: float) -> float:
+    """Mean of the up to four readings around, by nearness; on a rim, the nearest of them."""
+    c, r = int(np.floor(column)), int(np.floor(row))
+    total, weights, nearest, farthest = 0.0, 0.0, np.inf, 0.0
+    for dr in range(2):
+        for dc in range(2):
+            if c + dc < 0 or r + dr < 0 or c + dc >= depth_m.shape[1] or r + dr >= depth_m.shape[0]:
+                continue
+            z = depth_m[r + dr, c + dc]
+            weight = (1.0 - abs(column - c - dc)) * (1.0 - abs(row - r - dr))
+            if z <= 0.0 or weight <= 0.0:
+                continue
+            nearest, farthest = min(nearest, z), max(farthest, z)
+            total += weight * z
+            weights += weight
+    if weights == 0.0:
+        return 0.0
+    if farthest - nearest > _RIM_SHARE * nearest:
+        return nearest
+    return total / weights
+
+
+@numba.njit(cache=True)
+def _color_pixels(depth_m: Float32Array, cameras: FloatArray) -> tuple[Float32Array, Float32Array]:
+    """(H, W) column and row in the colour image of each depth pixel; -1 without a reading."""
+    fx, fy, cx, cy, fx_depth, fy_depth, cx_depth, cy_depth, shift_x, shift_y = cameras
+    columns = np.full(depth_m.shape, -1.0, np.float32)
+    rows = np.full(depth_m.shape, -1.0, np.float32)
+    for r in range(depth_m.shape[0]):
+        for c in range(depth_m.shape[1]):
+            z = depth_m[r, c]
+            if z > 0.0:
+                columns[r, c] = ((c - cx_depth) / fx_depth - shift_x / z) * fx + cx
+                rows[r, c] = ((r - cy_depth) / fy_depth - shift_y / z) * fy + cy
+    return columns, rows
+
+
+@numba.njit(cache=True)
+def _visible(
+    columns: Float32Array, rows: Float32Array, depth_m: Float32Array, height: int, width: int
+) -> BoolArray:
+    """(H, W) whether the colour camera sees the point: a depth buffer with a pixel's width around each."""
+    buffer = np.full((height, width), np.inf, np.float32)
+    for r in range(depth_m.shape[0]):
+        for c in range(depth_m.shape[1]):
+            left, top = int(np.floor(columns[r, c])), int(np.floor(rows[r, c]))
+            if depth_m[r, c] <= 0.0 or left < 0 or top < 0 or left >= width - 1 or top >= height - 1:
+                continue
+            for dr in range(2):
+                for dc in range(2):
+                    buffer[top + dr, left + dc] = min(buffer[top + dr, left + dc], depth_m[r, c])
+    visible = np.zeros(depth_m.shape, np.bool_)
+    for r in range(depth_m.shape[0]):
+        for c in range(depth_m.shape[1]):
+            column, row = int(np.floor(columns[r, c] + 0.5)), int(np.floor(rows[r, c] + 0.5))
+            if depth_m[r, c] > 0.0 and 0 <= column < width and 0 <= row < height:
+                visible[r, c] = depth_m[r, c] <= (1.0 + _HIDING_SHARE) * buffer[row, column]
+    return visible
