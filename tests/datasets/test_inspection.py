@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import tracemalloc
@@ -11,10 +12,15 @@ from pathlib import Path
 import gtsam
 import numpy as np
 import pytest
+from rgbd_files import write_tum
+from typer.testing import CliRunner
 
+from slam.cli import app
 from slam.datasets import ReadReport, open_dataset
 from slam.datasets.inspection import inspect_dataset, render_inspection
-from slam.measurements import LaserScan, Measurement, WheelOdometry
+from slam.errors import EvaluationError
+from slam.evaluation.score_text import score
+from slam.measurements import CameraIntrinsics, LaserScan, Measurement, RgbdFrame, WheelOdometry
 
 LIDAR2D = Path(__file__).parents[3] / "shared" / "data" / "lidar2d"
 
@@ -30,6 +36,9 @@ class Listed:
         for number, measurement in enumerate(self._measurements, 1):
             self.report.observe(measurement, number)
             yield measurement
+
+    def groundtruth(self) -> None:
+        return None
 
 
 def scan(stamp_s: float, ranges: list[float]) -> LaserScan:
@@ -132,3 +141,58 @@ def test_real_logs(log: str, path_m: float, duration_s: float) -> None:
     assert found.duration_s == pytest.approx(duration_s, abs=0.1)
     assert not found.dropped
     assert ("backward 785 times" in render_inspection(found)) == (log == "intel")
+
+
+def frame(stamp_s: float, depth_m: float, mount: gtsam.Pose3 | None) -> RgbdFrame:
+    depth = np.zeros((48, 64), np.float32)
+    depth[:24] = depth_m
+    depth[0, 0] = 2.5
+    color = np.zeros((48, 64, 3), np.uint8)
+    return RgbdFrame(stamp_s, color, depth, CameraIntrinsics(50, 51, 31, 23, 64, 48), mount, "RGBD_1")
+
+
+def test_a_camera_is_told_with_its_depth_and_mounting() -> None:
+    # Looks to the left, tilted down by 0.1 rad.
+    body = gtsam.Rot3.Ypr(math.pi / 2, 0.1, 0.0)
+    optical = gtsam.Rot3(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]))
+    mount = gtsam.Pose3(body.compose(optical), np.array([0.1, 0.2, 0.9]))
+    found = inspect_dataset(Listed([frame(1.0, 1.5, mount), frame(1.1, 3.5, mount)]))
+    (stream,) = found.sensors
+    assert stream.rate_hz == pytest.approx(10.0)
+    camera = stream.camera
+    assert camera is not None
+    assert (camera.width, camera.height, camera.fx, camera.cy) == (64, 48, 50, 23)
+    assert camera.valid_depth_share == 0.5
+    assert (camera.depth_min_m, camera.depth_max_m) == (1.5, 3.5)
+    assert camera.mount_m == pytest.approx((0.1, 0.2, 0.9))
+    assert camera.mount_rpy_rad == pytest.approx((0.0, 0.1, math.pi / 2))
+    text = render_inspection(found)
+    assert "depth 1.50 to 3.50 m, 50.0% of the pixels valid" in text
+    assert "yaw 90.0, pitch 5.7, roll 0.0 degrees" in text
+    json.dumps(found.to_dict(), allow_nan=False)
+
+
+def test_a_camera_without_mounting_and_without_depth_is_told_so() -> None:
+    empty = dataclasses.replace(frame(1.0, 0.0, None), depth_m=np.zeros((48, 64), np.float32))
+    found = inspect_dataset(Listed([empty]))
+    assert "mounting not told" in render_inspection(found)
+    assert "no valid depth, 0.0%" in render_inspection(found)
+    json.dumps(found.to_dict(), allow_nan=False)
+
+
+def test_inspect_and_evaluate_take_a_folder(tmp_path: Path) -> None:
+    folder = write_tum(tmp_path / "log")
+    shown = CliRunner().invoke(app, ["inspect", str(folder), "--json"])
+    assert shown.exit_code == 0
+    assert json.loads(shown.stdout)["sensors"][0]["camera"]["width"] == 64
+    truth = str(folder / "groundtruth.txt")
+    poses = [f"{100 + 0.1 * k} {k} {k * k} 0 0 0 0 1" for k in range(4)]
+    Path(truth).write_text("\n".join(poses))
+    for reference in (str(folder), truth):
+        scored = CliRunner().invoke(
+            app, ["evaluate", truth, "--groundtruth", reference, "--delta", "0.5", "--json"]
+        )
+        assert json.loads(scored.stdout)["ate"]["translation_m"]["rmse"] == pytest.approx(0.0, abs=1e-9)
+    Path(truth).rename(tmp_path / "mine.txt")
+    with pytest.raises(EvaluationError, match="has no true trajectory; give a file"):
+        score(tmp_path / "mine.txt", None, folder, tolerance_s=None, delta_m=1.0)
