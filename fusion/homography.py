@@ -84,10 +84,7 @@ def fit(
         raise ValueError("a point is not finite; leave out pairs with a hole")
     if is_degenerate(source, model) or is_degenerate(target, model):
         return None
-    if model == "magsac":
-        matrix = _magsac(source, target)
-    else:
-        matrix = _ransac(source, target, rng, model, eps_over_e)
+    matrix = _magsac(source, target) if model == "magsac" else _ransac(source, target, rng, model, eps_over_e)
     if matrix is None:
         return None
     residual = residuals(matrix, source, target)

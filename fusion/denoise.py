@@ -1,0 +1,268 @@
+"""Each sensor repairs the other: Xu2024 Eq. (6)-(8), 2.3.2, at the sensors' own resolution.
+
+Pairs are matched by where they lie and not by their index: each curve is carried into the other's frame.
+Holes are filled from the other sensor, or between neighbours where both have one. Where both have a reading
+and they differ by more than eps, the paper does not say who is wrong. Here it is the one whose reading its
+own neighbours do not support; where both are consistent, the difference is real (a low cupboard before a
+wall) and both readings are kept. The lidar's nearer readings give way only where they fly at an edge.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion.carry import carry, smooth, without_bumps
+from fusion.curves import Curve, DepthImage, Float32Array, FloatArray, LidarCurve
+from fusion.homography import Model, fit
+from fusion.native_slice import native_slice, native_step_rad
+from fusion.panorama import Depths, as_images, lookup_of, yaw_of
+from fusion.registration import Registration
+from fusion.repair import Provenance, ProvenanceArray, repair_band, repair_lidar
+from fusion.rig import RigEstimate
+from fusion.similarity import Grade
+
+EPS_OVER_E = 2.0**0.25  # the middle of Xu2024's best range, E to sqrt(2) E
+LEAST_EPS_SHARE = 0.025  # of the range: below, the lidar's own noise would be called burrs
+_MOST_RESIDUAL = 0.05  # of the range, as it counts for E
+_BAND_M = 0.03  # walls are upright, and the height is known to about this
+_MOST_ROWS = 41
+_BURR_RAD = math.radians(1.4)  # longest run of readings that can be a burr
+_LONE_RAD = math.radians(0.3)  # single readings of a camera
+_ASIDE_RAD = math.radians(0.4)  # a lidar reading this far aside can be of the pixel's surface
+_GAP_RAD = math.radians(2.0)  # longest hole in both that is interpolated
+_LIDAR_SLACK, _CAMERA_SLACK = 0.04, 0.01  # noise of the difference of two neighbours, as a share of the range
+_SMOOTH_BEAMS = 4
+
+
+@dataclass(frozen=True)
+class Denoised:
+    """A scan and its images after the repair.
+
+    Attributes
+    ----------
+    ranges_m, lidar_source
+        (N,) as the scan was given, invalid readings unchanged, and the `Provenance` of each beam.
+    depth_m, depth_source
+        For each camera (H, W) and the `Provenance` of each pixel.
+    mean_residual_m, eps_m
+        E and eps of the paper, at the mean range of the pairs; ``nan`` without any.
+    applied
+        False where the pair's grade did not allow any repair: then nothing was changed.
+    """
+
+    ranges_m: Float32Array
+    lidar_source: ProvenanceArray
+    depth_m: tuple[Float32Array, ...]
+    depth_source: tuple[ProvenanceArray, ...]
+    mean_residual_m: float
+    eps_m: float
+    applied: bool
+
+
+def denoise(
+    scan: LidarCurve,
+    depth: Depths,
+    registration: Registration | RigEstimate,
+    *,
+    model: Model = "rigid",
+    eps_over_e: float = EPS_OVER_E,
+    least_grade: Grade = Grade.HIGH,
+    rng: np.random.Generator | None = None,
+) -> Denoised:
+    """Repair a scan and its depth images with each other.
+
+    Parameters
+    ----------
+    scan, depth
+        As they were registered.
+    registration
+        Of this pair, or better of the rig: what all pairs of a drive say together.
+    model
+        Of the map between the two curves of one pair; a rig has its own.
+    eps_over_e
+        A pair of readings is noise beyond this times the mean residual.
+    least_grade
+        A single pair below it is left alone.
+    rng
+        Draws the samples of the fit; None: always the same.
+
+    Raises
+    ------
+    ValueError
+        Other cameras than were registered.
+    """
+    images = as_images(depth)
+    ranges = scan.valid_ranges_m()
+    if isinstance(registration, RigEstimate):
+        height = registration.height_m
+        matrices = [None if found is None else found.T_laser_level for found in registration.alignments]
+    else:
+        height, matrices = registration.height_m, []
+        if registration.grade >= least_grade:
+            matrices = maps_of(registration, model, rng or np.random.default_rng(0))
+    if height is None or not any(matrix is not None for matrix in matrices):
+        return _unchanged(scan, images)
+    if len(matrices) != len(images):
+        raise ValueError(f"{len(images)} images for {len(matrices)} registered cameras")
+    return _repair(scan, ranges, images, height, matrices, eps_over_e)
+
+
+def maps_of(registration: Registration, model: Model, rng: np.random.Generator) -> list[FloatArray | None]:
+    """For each camera the map from its level plane to the lidar's, Xu2024 Eq. (5), by one pair alone."""
+    found: list[FloatArray | None] = []
+    for stack in registration.stacks:
+        camera, lidar = matched_points(registration.curve, stack.curve(registration.v), registration.yaw_rad)
+        fitted = fit(camera, lidar, rng, model=model)
+        found.append(None if fitted is None else fitted.matrix)
+    return found
+
+
+def matched_points(lidar: Curve, camera: Curve, yaw_rad: float) -> tuple[FloatArray, FloatArray]:
+    """Points of the camera and of the lidar at the same samples, (N, 2) each, where both have one."""
+    at = np.round((camera.bearings_rad() + yaw_rad - lidar.start_angle_rad) / lidar.step_rad).astype(int)
+    inside = (at >= 0) & (at < lidar.ranges_m.size)
+    ours, theirs = camera.points()[inside], lidar.points()[at[inside]]
+    both = np.isfinite(ours).all(axis=1) & np.isfinite(theirs).all(axis=1)
+    return ours[both], theirs[both]
+
+
+def _repair(
+    scan: LidarCurve,
+    ranges: Float32Array,
+    images: tuple[DepthImage, ...],
+    height_m: float,
+    matrices: list[FloatArray | None],
+    eps_over_e: float,
+) -> Denoised:
+    """Carry, compare, decide; the beams counter-clockwise."""
+    flip = scan.step_rad < 0.0
+    step = abs(scan.step_rad)
+    own = ranges[::-1].copy() if flip else ranges
+    start = scan.start_angle_rad + (scan.step_rad * (own.size - 1) if flip else 0.0)
+    other = np.full(own.size, np.nan, dtype=np.float32)
+    for image, matrix in zip(images, matrices, strict=True):
+        if matrix is not None:
+            np.fmin(other, _seen_by_lidar(image, height_m, matrix, (start, step, own.size)), out=other)
+    mean, eps, typical = eps_of(own, other, eps_over_e)
+    share = max(eps, LEAST_EPS_SHARE)
+    burr, gap = max(1, round(_BURR_RAD / step)), max(1, round(_GAP_RAD / step))
+    repaired, source = repair_lidar(own, other, share, burr, gap)
+    clean = without_bumps(own, step, 1, burr, _LIDAR_SLACK)
+    steady = smooth(clean, step, _SMOOTH_BEAMS, _LIDAR_SLACK)
+    depths, sources = [], []
+    for image, matrix in zip(images, matrices, strict=True):
+        depth, kinds = _repair_image(image, height_m, matrix, steady, own, (start, step), share)
+        depths.append(depth)
+        sources.append(kinds)
+    result = np.array(scan.ranges_m, dtype=np.float32)
+    if flip:
+        repaired, source = repaired[::-1], source[::-1]
+    changed = (source == Provenance.FILLED) | (source == Provenance.INTERPOLATED)
+    result[changed] = repaired[changed]
+    return Denoised(
+        ranges_m=result,
+        lidar_source=np.ascontiguousarray(source),
+        depth_m=tuple(depths),
+        depth_source=tuple(sources),
+        mean_residual_m=mean * typical,
+        eps_m=share * typical,
+        applied=True,
+    )
+
+
+def eps_of(own: Float32Array, other: Float32Array, eps_over_e: float) -> tuple[float, float, float]:
+    """E and eps as shares of the range, and the mean range of the pairs.
+
+    By shares, since the noise of both sensors grows with the range; the paper has one eps for all. And no
+    residual counts for more than a twentieth of the range: a real difference (a low cupboard) is metres, and
+    a few of them would hide all burrs.
+    """
+    both = np.isfinite(own) & np.isfinite(other)
+    if not both.any():
+        return math.nan, 0.0, math.nan
+    apart = np.abs(own[both] - other[both]) / own[both]
+    mean = float(np.minimum(apart, _MOST_RESIDUAL).mean())
+    return mean, eps_over_e * mean, float(own[both].mean())
+
+
+def _seen_by_lidar(
+    image: DepthImage, height_m: float, matrix: FloatArray, beams: tuple[float, float, int]
+) -> Float32Array:
+    """A camera's slice, without what it contradicts itself, at the lidar's beams."""
+    piece = native_slice(image, height_m)
+    lone, bump = round(_LONE_RAD / piece.step_rad), round(_BURR_RAD / piece.step_rad)
+    clean = without_bumps(piece.ranges_m, piece.step_rad, max(1, lone), max(2, bump), _CAMERA_SLACK)
+    carried: Float32Array = carry(clean, piece.start_angle_rad, piece.step_rad, matrix, beams, _CAMERA_SLACK)
+    return carried
+
+
+def _repair_image(
+    image: DepthImage,
+    height_m: float,
+    matrix: FloatArray | None,
+    lidar: Float32Array,
+    readings: Float32Array,
+    beams: tuple[float, float],
+    eps_share: float,
+) -> tuple[Float32Array, ProvenanceArray]:
+    """Fill the pixels that look at the lidar's points: Xu2024 Eq. (8)."""
+    depth = np.array(image.depth_m, dtype=np.float32)
+    invalid = ~((depth > 0.0) & (depth <= image.range_max_m))
+    source = np.where(invalid, np.uint8(Provenance.HOLE), np.uint8(Provenance.MEASURED))
+    if matrix is None:
+        return depth, source
+    step = native_step_rad(image)
+    lookup = lookup_of(image, step)
+    start = yaw_of(image) + float(lookup.bearings_rad[0])
+    columns = (start, step, lookup.bearings_rad.size)
+    inverse = np.linalg.inv(matrix)
+    predicted = carry(lidar, beams[0], beams[1], inverse, columns, _LIDAR_SLACK)
+    if not np.isfinite(predicted).any():
+        return depth, source
+    fall = float(lookup.slopes[0] - lookup.slopes[1])
+    rows = min(_MOST_ROWS, 1 + 2 * math.ceil(_BAND_M / (float(np.nanmin(predicted)) * fall)))
+    raw = carry(readings, beams[0], beams[1], inverse, columns, 0.0)
+    samples = (round(_BURR_RAD / step), max(1, round(_LONE_RAD / step)), round(_ASIDE_RAD / step))
+    aside = max(1, round(0.5 * beams[1] / step))
+    for above in np.linspace(-_BAND_M, _BAND_M, rows):
+        # At an edge the pixel may look past the surface that the beam next to it met: a reading that flies is
+        # looked for on either side's surface, a hole filled from the nearest beam alone.
+        for shift in (0, -aside, aside):
+            repair_band(
+                depth.ravel(),
+                source.ravel(),
+                (lookup.pixel, lookup.range_of_depth, lookup.slopes),
+                predicted if shift == 0 else _shifted(predicted, shift),
+                raw,
+                height_m + above,
+                image.range_max_m,
+                eps_share,
+                samples if shift == 0 else (0, *samples[1:]),
+                shift == 0,
+            )
+    return depth, source
+
+
+def _shifted(ranges: Float32Array, columns: int) -> Float32Array:
+    """A curve moved along its columns, ``nan`` where nothing comes from."""
+    moved = np.full_like(ranges, np.nan)
+    if columns > 0:
+        moved[columns:] = ranges[:-columns]
+    else:
+        moved[:columns] = ranges[-columns:]
+    return moved
+
+
+def _unchanged(scan: LidarCurve, images: tuple[DepthImage, ...]) -> Denoised:
+    """What was given, holes marked."""
+    lidar = np.isnan(scan.valid_ranges_m()) * np.uint8(Provenance.HOLE)
+    depths = tuple(np.array(image.depth_m, dtype=np.float32) for image in images)
+    sources = tuple(
+        (~((depth > 0.0) & (depth <= image.range_max_m))) * np.uint8(Provenance.HOLE)
+        for depth, image in zip(depths, images, strict=True)
+    )
+    ranges = np.array(scan.ranges_m, dtype=np.float32)
+    return Denoised(ranges, lidar, depths, sources, math.nan, math.nan, False)

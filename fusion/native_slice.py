@@ -1,0 +1,82 @@
+# mypy: allow-untyped-decorators
+"""The slice of a depth image at one known height, at the image's own resolution."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.curves import Curve, DepthImage, Float32Array, IntArray
+from fusion.panorama import lookup_of, yaw_of
+
+_SLACK_M = 0.01  # beyond half a pixel: noise, and a height that is known in steps of 2 cm
+_NEAREST_M = 0.25
+_SAME_SURFACE_M = 0.1
+
+
+def native_step_rad(image: DepthImage) -> float:
+    """Angle between two columns in the middle of an image with intrinsics."""
+    assert image.intrinsics is not None
+    return 1.0 / max(image.intrinsics.fx, image.intrinsics.fy)
+
+
+def native_slice(image: DepthImage, height_m: float) -> Curve:
+    """In each column the nearest surface at a height above the camera.
+
+    Raises
+    ------
+    ValueError
+        A camera without intrinsics.
+    """
+    if image.intrinsics is None:
+        raise ValueError("the camera has no intrinsics; a height in it has no meaning")
+    step = native_step_rad(image)
+    lookup = lookup_of(image, step)
+    ranges = _slice(
+        np.ascontiguousarray(image.depth_m, dtype=np.float32).ravel(),
+        lookup.pixel,
+        lookup.range_of_depth,
+        lookup.slopes,
+        height_m,
+        image.range_max_m,
+    )
+    return Curve(ranges, yaw_of(image) + float(lookup.bearings_rad[0]), step)
+
+
+@numba.njit(cache=True)
+def _slice(
+    depth: Float32Array,
+    pixel: IntArray,
+    range_of_depth: Float32Array,
+    slopes: Float32Array,
+    height_m: float,
+    range_max_m: float,
+) -> NDArray[np.float32]:
+    """(W,) ranges; row by row, as the image lies in memory."""
+    columns = pixel.shape[1]
+    best = np.full(columns, np.nan, np.float32)
+    error = np.full(columns, np.inf)
+    fall = slopes[0] - slopes[1]
+    bounds = (height_m / _NEAREST_M, height_m / (1.5 * range_max_m))
+    first = max(0, math.floor((slopes[0] - max(bounds)) / fall) - 3)
+    last = min(slopes.size - 1, math.ceil((slopes[0] - min(bounds)) / fall) + 3)
+    for row in range(first, last + 1):
+        slope = slopes[row]
+        for col in range(columns):
+            at = pixel[row, col]
+            if at < 0:
+                continue
+            value = depth[at]
+            if not 0.0 < value <= range_max_m:
+                continue
+            reach = value * range_of_depth[row, col]
+            off = abs(slope * reach - height_m)
+            if off > 0.5 * fall * reach + _SLACK_M:
+                continue
+            nearer = reach < best[col] - _SAME_SURFACE_M
+            if np.isnan(best[col]) or nearer or (off < error[col] and reach < best[col] + _SAME_SURFACE_M):
+                best[col], error[col] = reach, off
+    return best
