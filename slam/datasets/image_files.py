@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.datasets.dataset import RecordFault
+from slam.datasets.quiet_decoder import decode_quietly
 from slam.measurements import ColorImage, Float32Array
 
 MISSING = "image file missing"
@@ -22,12 +21,6 @@ MANY_CHANNELS = "depth image has several channels"
 NOT_PNG = "depth image not PNG"
 
 _PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
-_JPEG_MAGIC = b"\xff\xd8\xff"
-_JPEG_SCAN = 0xDA
-# Within the packed scans of a JPEG, 0xff is followed by a zero, a restart or another 0xff; tables and
-# comments may stand between scans. The first other marker must be the end.
-_JPEG_LEAVES_SCAN = re.compile(rb"\xff[\x01-\xc3\xc5-\xcb\xcd-\xcf\xd8\xd9]")
-_JPEG_END = b"\xff\xd9"
 
 
 def read_color(path: Path) -> ColorImage:
@@ -89,49 +82,8 @@ def _content(path: Path) -> bytes:
 
 
 def _decode(path: Path, content: bytes) -> NDArray[Any]:
-    """Pixels as stored; damage is found before the decoder sees it, which would print and go on."""
-    import cv2
-
-    if not _is_whole(content):
-        raise RecordFault(DAMAGED, path.name)
-    image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+    """Pixels as stored, all of them."""
+    image = decode_quietly(content) if content else None
     if image is None:
         raise RecordFault(DAMAGED, path.name)
-    return np.asarray(image)
-
-
-def _is_whole(content: bytes) -> bool:
-    """Whether a PNG's checksums and a JPEG's markers hold; any other kind is left to the decoder."""
-    if content.startswith(_PNG_MAGIC):
-        return _is_whole_png(memoryview(content))
-    if content.startswith(_JPEG_MAGIC):
-        return _is_whole_jpeg(content)
-    return bool(content)
-
-
-def _is_whole_png(content: memoryview) -> bool:
-    """Walk the chunks (length, name, data, checksum of name and data) up to the end chunk."""
-    start = len(_PNG_MAGIC)
-    while start + 12 <= len(content):
-        length = int.from_bytes(content[start : start + 4], "big")
-        end = start + 8 + length
-        if end + 4 > len(content):
-            return False
-        if zlib.crc32(content[start + 4 : end]) != int.from_bytes(content[end : end + 4], "big"):
-            return False
-        if bytes(content[start + 4 : start + 8]) == b"IEND":
-            return True
-        start = end + 4
-    return False
-
-
-def _is_whole_jpeg(content: bytes) -> bool:
-    """Whether the packed pixels reach the end marker without a marker that cannot stand among them."""
-    start = 2
-    while start + 4 <= len(content) and content[start] == 0xFF:
-        if content[start + 1] == _JPEG_SCAN:
-            leaves = _JPEG_LEAVES_SCAN.search(content, start + 2)
-            return leaves is not None and leaves.group() == _JPEG_END
-        # Marker, then a length that counts itself.
-        start += 2 + int.from_bytes(content[start + 2 : start + 4], "big")
-    return False
+    return image

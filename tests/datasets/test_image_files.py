@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import threading
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -101,6 +104,55 @@ def test_one_wrong_bit_of_a_depth_image_is_found(tmp_path: Path, where: int, bit
     content[where % len(content)] ^= 1 << bit
     path.write_bytes(content)
     assert reason(lambda: read_depth(path, 5000.0)) in (DAMAGED, NOT_PNG)
+
+
+def test_scrambled_jpeg_pixels_are_refused_without_a_word(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    image = cv2.resize(color_image(), (320, 240), interpolation=cv2.INTER_CUBIC)
+    path = write_color(tmp_path / "c.jpg", image)
+    content = path.read_bytes()
+    middle = len(content) // 2
+    path.write_bytes(content[:middle] + content[middle + 600 :])
+    assert reason(lambda: read_color(path)) == DAMAGED
+    # Padding before the end marker, as some cameras write it, costs no pixel.
+    path.write_bytes(content[:-2] + bytes(3) + content[-2:])
+    assert read_color(path).shape == image.shape
+    assert capfd.readouterr().err == ""
+
+
+def test_a_header_of_an_impossible_size_is_refused(tmp_path: Path) -> None:
+    def chunk(name: bytes, data: bytes) -> bytes:
+        return len(data).to_bytes(4, "big") + name + data + zlib.crc32(name + data).to_bytes(4, "big")
+
+    size = (200_000).to_bytes(4, "big") * 2
+    chunks = (
+        chunk(b"IHDR", size + bytes((16, 0, 0, 0, 0)))
+        + chunk(b"IDAT", zlib.compress(b""))
+        + chunk(b"IEND", b"")
+    )
+    (tmp_path / "d.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunks)
+    assert reason(lambda: read_depth(tmp_path / "d.png", 5000.0)) == DAMAGED
+
+
+def test_what_others_write_to_stderr_meanwhile_is_not_lost(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = write_color(tmp_path / "c.jpg", color_image(0, 640, 480))
+    reading = threading.Event()
+
+    def chatter() -> None:
+        for number in range(500):
+            os.write(2, f"line {number}\n".encode())
+            reading.wait(1e-4)
+
+    writer = threading.Thread(target=chatter)
+    writer.start()
+    while writer.is_alive():
+        read_color(path)
+    writer.join()
+    lines = capfd.readouterr().err.splitlines()
+    assert sorted(lines) == sorted(f"line {number}" for number in range(500))
 
 
 def test_a_thumbnail_or_trailing_bytes_are_no_damage(tmp_path: Path) -> None:

@@ -1,0 +1,56 @@
+"""OpenCV's decoders made to tell damage to us and not to the user.
+
+Their JPEG library fills what it cannot decode with grey, and says so only on the standard error stream.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import tempfile
+import threading
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_STDERR = 2
+# libjpeg's own words, libpng's, and OpenCV's log.
+_CHATTER = re.compile(
+    rb"^(?:Corrupt JPEG|Premature end of JPEG|Invalid JPEG|Inconsistent|Unsupported|libpng |\[ ?\w+:).*\n?",
+    re.MULTILINE,
+)
+# A few bytes too many before a marker are padding of some cameras; all other words mean lost pixels.
+_HARMLESS = re.compile(rb" \d{1,2} extraneous bytes before marker|libpng warning|\[ ?(?:INFO|WARN)")
+
+# There is one standard error stream: two threads that redirect it would each restore the other's.
+_one_at_a_time = threading.Lock()
+
+
+def decode_quietly(content: bytes) -> NDArray[Any] | None:
+    """Pixels of an image file as they are stored, None where any of them could not be decoded.
+
+    Bytes changed so that they are again a valid JPEG are not noticed: the format has no checksum.
+
+    What others write to the standard error stream meanwhile is passed on.
+    """
+    import cv2
+
+    with _one_at_a_time, tempfile.TemporaryFile() as sink:
+        stderr = os.dup(_STDERR)
+        try:
+            os.dup2(sink.fileno(), _STDERR)
+            try:
+                image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+            except cv2.error:  # a header that asks for more pixels than OpenCV grants
+                image = None
+            finally:
+                os.dup2(stderr, _STDERR)
+            sink.seek(0)
+            said = sink.read()
+            if others := _CHATTER.sub(b"", said):
+                os.write(stderr, others)
+        finally:
+            os.close(stderr)
+    damaged = any(not _HARMLESS.search(line) for line in _CHATTER.findall(said))
+    return None if image is None or damaged else np.asarray(image)
