@@ -86,7 +86,7 @@ class Recording:
                 report.observe(measurement, number)
                 yield measurement
         if report.measurement_count == 0:
-            raise DatasetError(nothing_usable(self.path, report))
+            raise DatasetError(_nothing_usable(self.path, report))
 
     def groundtruth(self) -> Trajectory | None:
         """The true trajectory that lies beside the readings; its damaged lines are left out."""
@@ -122,7 +122,7 @@ def _frames_after_log(log: Iterable[Numbered], frames: Iterator[tuple[int, RgbdF
         yield from frames
 
 
-def nothing_usable(path: Path, report: ReadReport) -> str:
+def _nothing_usable(path: Path, report: ReadReport) -> str:
     """The message for a recording without a single measurement."""
     reasons = "; ".join(
         f"{tally.count} x {reason}, first at record {tally.lines[0]}"
