@@ -20,7 +20,7 @@ from fusion.homography import Model, fit
 from fusion.native_slice import native_slice, native_step_rad
 from fusion.panorama import Depths, as_images, lookup_of, yaw_of
 from fusion.registration import Registration
-from fusion.repair import Provenance, ProvenanceArray, repair_band, repair_lidar
+from fusion.repair import Provenance, ProvenanceArray, calm, repair_band, repair_lidar
 from fusion.rig import RigEstimate
 from fusion.similarity import Grade
 
@@ -143,15 +143,21 @@ def _repair(
     own = ranges[::-1].copy() if flip else ranges
     start = scan.start_angle_rad + (scan.step_rad * (own.size - 1) if flip else 0.0)
     other = np.full(own.size, np.nan, dtype=np.float32)
+    noise = []
     for image, matrix in zip(images, matrices, strict=True):
         if matrix is not None:
-            np.fmin(other, _seen_by_lidar(image, height_m, matrix, (start, step, own.size)), out=other)
+            seen, rough = _seen_by_lidar(image, height_m, matrix, (start, step, own.size))
+            np.fmin(other, seen, out=other)
+            noise.append(rough)
     mean, eps, typical = eps_of(own, other, eps_over_e)
     share = max(eps, LEAST_EPS_SHARE)
     burr, gap = max(1, round(_BURR_RAD / step)), max(1, round(_GAP_RAD / step))
-    repaired, source = repair_lidar(own, other, share, burr, gap)
     clean = without_bumps(own, step, 1, burr, _LIDAR_SLACK)
     steady = smooth(clean, step, _SMOOTH_BEAMS, _LIDAR_SLACK)
+    mine, theirs = roughness(clean, steady), max([rough for rough in noise if rough >= 0.0], default=math.nan)
+    trust = mine**2 / max(mine**2 + theirs**2, 1e-12) if np.isfinite(mine + theirs) else 0.0
+    repaired, source = repair_lidar(own, other, share, burr, gap, trust)
+    calm(repaired, steady, source, mine)
     depths, sources = [], []
     for image, matrix in zip(images, matrices, strict=True):
         depth, kinds = _repair_image(image, height_m, matrix, steady, own, (start, step), share)
@@ -160,7 +166,7 @@ def _repair(
     result = np.array(scan.ranges_m, dtype=np.float32)
     if flip:
         repaired, source = repaired[::-1], source[::-1]
-    changed = (source == Provenance.FILLED) | (source == Provenance.INTERPOLATED)
+    changed = (source != Provenance.MEASURED) & (source != Provenance.HOLE)
     result[changed] = repaired[changed]
     return Denoised(
         ranges_m=result,
@@ -190,13 +196,19 @@ def eps_of(own: Float32Array, other: Float32Array, eps_over_e: float) -> tuple[f
 
 def _seen_by_lidar(
     image: DepthImage, height_m: float, matrix: FloatArray, beams: tuple[float, float, int]
-) -> Float32Array:
-    """A camera's slice, without what it contradicts itself, at the lidar's beams."""
+) -> tuple[Float32Array, float]:
+    """A camera's slice, without what it contradicts itself, at the lidar's beams; and its noise."""
     piece = native_slice(image, height_m)
     lone, bump = round(_LONE_RAD / piece.step_rad), round(_BURR_RAD / piece.step_rad)
     clean = without_bumps(piece.ranges_m, piece.step_rad, max(1, lone), max(2, bump), _CAMERA_SLACK)
     carried: Float32Array = carry(clean, piece.start_angle_rad, piece.step_rad, matrix, beams, _CAMERA_SLACK)
-    return carried
+    return carried, roughness(clean, smooth(clean, piece.step_rad, _SMOOTH_BEAMS, _CAMERA_SLACK))
+
+
+def roughness(ranges: Float32Array, steady: Float32Array) -> float:
+    """Noise of a curve as a share of the range, by what smoothing takes away; ``nan`` without readings."""
+    apart = np.abs(ranges - steady) / ranges
+    return float(np.nanmedian(apart)) if np.isfinite(apart).any() else math.nan
 
 
 def _repair_image(

@@ -20,12 +20,14 @@ class Provenance(IntEnum):
     FILLED = 1  # from the other sensor
     INTERPOLATED = 2  # between good neighbours of the same curve
     HOLE = 3
+    AVERAGED = 4  # both sensors agree: the mean of both, weighted by their noise
 
 
-MEASURED, FILLED, INTERPOLATED, HOLE = (np.uint8(kind) for kind in Provenance)
+MEASURED, FILLED, INTERPOLATED, HOLE, AVERAGED = (np.uint8(kind) for kind in Provenance)
 
 ProvenanceArray = NDArray[np.uint8]
 
+_JUTS, _LEAST_JUT_M = 3.0, 0.05
 _NEAR_SAMPLES = 2  # readings of the other sensor this far aside may still be of the same surface
 
 
@@ -36,6 +38,7 @@ def repair_lidar(
     eps_share: float,
     burr_samples: int,
     gap_samples: int,
+    trust_other: float,
 ) -> tuple[Float32Array, ProvenanceArray]:
     """Repair a lidar curve by what the camera sees of it: Xu2024 Eq. (6) and (7).
 
@@ -52,6 +55,8 @@ def repair_lidar(
         and the difference is real.
     gap_samples
         Longest gap in both that is interpolated.
+    trust_other
+        Weight of the camera in the mean of two readings that agree, 0..1.
 
     Returns
     -------
@@ -65,9 +70,28 @@ def repair_lidar(
             source[i] = HOLE
             if not np.isnan(other[i]):
                 result[i], source[i] = other[i], FILLED
+        elif abs(own[i] - other[i]) <= eps_share * own[i]:
+            result[i] = own[i] + trust_other * (other[i] - own[i])
+            source[i] = AVERAGED
     _drop_burrs(own, other, eps_share, burr_samples, result, source)
-    _bridge(result, source, gap_samples, eps_share)
+    _bridge(result, other, source, gap_samples, eps_share)
     return result, source
+
+
+@numba.njit(cache=True)
+def calm(ranges: Float32Array, steady: Float32Array, source: ProvenanceArray, noise_share: float) -> None:
+    """Put readings behind their own surface back on to it, where the other sensor has no say.
+
+    Readings before it are kept: they may be a thin thing.
+
+    ``steady`` is the curve on the lines of its neighbours; only what is off by more than `_JUTS` times the
+    noise is replaced, so that a mean is never put in the place of a good reading. In place.
+    """
+    for i in range(ranges.size):
+        if source[i] != MEASURED or np.isnan(steady[i]):
+            continue
+        if ranges[i] - steady[i] > max(_LEAST_JUT_M, _JUTS * noise_share * ranges[i]):
+            ranges[i], source[i] = steady[i], INTERPOLATED
 
 
 @numba.njit(cache=True)
@@ -89,8 +113,12 @@ def _drop_burrs(
         while last + 1 < own.size and _odd(own, other, last + 1, eps_share):
             last += 1
         if last - first < burr_samples:
+            held = first > 0 and last + 1 < own.size and not np.isnan(own[first - 1] + own[last + 1])
+            sure = held and (
+                _agrees(own, other, first - 1, eps_share) or _agrees(own, other, last + 1, eps_share)
+            )
             for i in range(first, last + 1):
-                if own[i] > other[i] or _flies(own, i, first, last, eps_share):
+                if (sure and own[i] > other[i]) or _flies(own, i, first, last, eps_share):
                     result[i], source[i] = other[i], FILLED
         first = last + 1
 
@@ -104,6 +132,12 @@ def _odd(own: Float32Array, other: Float32Array, i: int, eps_share: float) -> bo
         if abs(own[i] - other[j]) <= eps_share * own[i]:
             return False
     return True
+
+
+@numba.njit(cache=True)
+def _agrees(own: Float32Array, other: Float32Array, i: int, eps_share: float) -> bool:
+    """Whether both have the same reading there."""
+    return 0 <= i < own.size and abs(own[i] - other[i]) <= 1.5 * eps_share * own[i]
 
 
 @numba.njit(cache=True)
@@ -122,13 +156,20 @@ def _flies(own: Float32Array, i: int, first: int, last: int, eps_share: float) -
 
 
 @numba.njit(cache=True)
-def _bridge(result: Float32Array, source: ProvenanceArray, gap_samples: int, eps_share: float) -> None:
-    """Interpolate short gaps between readings of one surface: holes in both; in place."""
+def _bridge(
+    result: Float32Array,
+    other: Float32Array,
+    source: ProvenanceArray,
+    gap_samples: int,
+    eps_share: float,
+) -> None:
+    """Interpolate short gaps, which both have, between readings that both have, of one surface; in place."""
     before = -1
     for i in range(result.size):
         if source[i] == HOLE:
             continue
-        if 0 <= before < i - 1 and i - before - 1 <= gap_samples:
+        confirmed = _agrees(result, other, i, eps_share) and _agrees(result, other, before, eps_share)
+        if 0 <= before < i - 1 and i - before - 1 <= gap_samples and confirmed:
             slack = 0.03 + eps_share * min(result[i], result[before])
             if abs(result[i] - result[before]) <= slack:
                 for k in range(before + 1, i):

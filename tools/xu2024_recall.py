@@ -1,0 +1,75 @@
+"""Recall of good pairs and of noise pairs against eps: Xu2024 Fig. 6."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from xu2024_pairs import TruePair
+from xu2024_score import Tally, is_burr, is_hole, pixels_of_beams
+
+import fusion
+from fusion.carry import carry
+from fusion.denoise import eps_of
+from fusion.native_slice import native_slice
+from slam.simulation.faults import Fault
+
+EPS_OVER_E = np.round(
+    np.concatenate([np.linspace(0.4, 1.0, 7), np.linspace(1.1, 1.4, 4), [2**0.5, 1.6, 2.0]]), 4
+)
+
+
+def score_recall(pair: TruePair, rig: fusion.RigEstimate, tally: Tally) -> None:
+    """Count, for every eps, the pairs of readings told apart rightly.
+
+    A pair of readings is a beam whose true point a camera has in view, and that camera's slice at the
+    beam's bearing. It is good where both masks are clean, noise where either has a hole or a burr.
+    """
+    own = pair.scan.valid_ranges_m()
+    for image, alignment in zip(pair.images, rig.alignments, strict=True):
+        if alignment is None or rig.height_m is None:
+            continue
+        piece = native_slice(image.depth, rig.height_m)
+        beams = (pair.scan.start_angle_rad, pair.scan.step_rad, own.size)
+        other = carry(
+            piece.ranges_m, piece.start_angle_rad, piece.step_rad, alignment.T_laser_level, beams, 0.01
+        )
+        inside, row, col = pixels_of_beams(pair, image)
+        fault = image.fault[row, col]
+        good = inside & (pair.fault == Fault.NONE) & (fault == Fault.NONE)
+        burr = inside & (is_burr(pair.fault) | is_burr(fault))
+        noise = burr | (inside & (is_hole(pair.fault) | is_hole(fault)))
+        _count(own, other, good, noise, burr, tally)
+
+
+def _count(
+    own: NDArray[np.float32],
+    other: NDArray[np.float32],
+    good: NDArray[np.bool_],
+    noise: NDArray[np.bool_],
+    burr: NDArray[np.bool_],
+    tally: Tally,
+) -> None:
+    """By shares of the range and a bounded E, as the product does; and by metres and the plain mean."""
+    both = np.isfinite(own) & np.isfinite(other)
+    if not both.any():
+        return
+    mean, _, _ = eps_of(own, other, 1.0)
+    with np.errstate(invalid="ignore"):
+        apart = np.abs(own - other)
+        plain = float(apart[both].mean())
+        for ratio in EPS_OVER_E:
+            for name, agree in (("ours", apart <= ratio * mean * own), ("plain", apart <= ratio * plain)):
+                tally.add(f"{name}_good_{ratio}", (both & agree)[good])
+                tally.add(f"{name}_noise_{ratio}", ~(both & agree)[noise])
+                tally.add(f"{name}_burr_{ratio}", ~(both & agree)[burr])
+
+
+def curves(tally: Tally, name: str) -> dict[str, list[float]]:
+    """The three recalls over eps."""
+    return {
+        "eps_over_E": EPS_OVER_E.tolist(),
+        **{
+            kind: [tally.share(f"{name}_{kind}_{r}") for r in EPS_OVER_E]
+            for kind in ("good", "noise", "burr")
+        },
+    }
