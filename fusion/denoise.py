@@ -30,6 +30,7 @@ _MOST_RESIDUAL = 0.05  # of the range, as it counts for E
 _BAND_M = 0.03  # walls are upright, and the height is known to about this
 _MOST_ROWS = 41
 _BURR_RAD = math.radians(1.4)  # longest run of readings that can be a burr
+_CAMERA_BURR_RAD = math.radians(2.2)  # light by a detour comes in patches, which touch
 _LONE_RAD = math.radians(0.3)  # single readings of a camera
 _ASIDE_RAD = math.radians(0.4)  # a lidar reading this far aside can be of the pixel's surface
 _GAP_RAD = math.radians(2.0)  # longest hole in both that is interpolated
@@ -237,7 +238,7 @@ def _repair_image(
     fall = float(lookup.slopes[0] - lookup.slopes[1])
     rows = min(_MOST_ROWS, 1 + 2 * math.ceil(_BAND_M / (float(np.nanmin(predicted)) * fall)))
     raw = carry(readings, beams[0], beams[1], inverse, columns, 0.0)
-    samples = (round(_BURR_RAD / step), max(1, round(_LONE_RAD / step)), round(_ASIDE_RAD / step))
+    samples = (round(_CAMERA_BURR_RAD / step), max(1, round(_LONE_RAD / step)), round(_ASIDE_RAD / step))
     aside = max(1, round(0.5 * beams[1] / step))
     for above in np.linspace(-_BAND_M, _BAND_M, rows):
         # At an edge the pixel may look past the surface that the beam next to it met: a reading that flies is

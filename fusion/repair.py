@@ -87,10 +87,15 @@ def calm(ranges: Float32Array, steady: Float32Array, source: ProvenanceArray, no
     ``steady`` is the curve on the lines of its neighbours; only what is off by more than `_JUTS` times the
     noise is replaced, so that a mean is never put in the place of a good reading. In place.
     """
-    for i in range(ranges.size):
-        if source[i] != MEASURED or np.isnan(steady[i]):
+    own = ranges.copy()
+    for i in range(1, own.size - 1):
+        jut = own[i] - steady[i]
+        if source[i] != MEASURED or not jut > max(_LEAST_JUT_M, _JUTS * noise_share * own[i]):
             continue
-        if ranges[i] - steady[i] > max(_LEAST_JUT_M, _JUTS * noise_share * ranges[i]):
+        # Two in a row may be what is seen past an edge, and so may the last one before a jump.
+        if max(own[i - 1] - steady[i - 1], own[i + 1] - steady[i + 1]) < 0.5 * jut and (
+            max(own[i - 1], own[i + 1]) < own[i] and own[i] - min(own[i - 1], own[i + 1]) < 2.0 * jut
+        ):
             ranges[i], source[i] = steady[i], INTERPOLATED
 
 
