@@ -234,7 +234,7 @@ def _map(log: Path, out: Path, config: str | None, overrides: list[str], strict:
     make_folder(out)
     with _progress("mapping") as advance, _interrupted_between_scans(advance) as on_scan:
         result = build_map(dataset, settings, on_scan)
-    written = save_run(out, result)
+    written = save_run(out, result, settings.dense_map)
     cost = RunCost(time.perf_counter() - started, time.process_time())
     data = report_data(log.name, dataset.report, result, settings, cost)
     write_report(out / "report.html", data)

@@ -18,6 +18,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from slam.config_stages import (
+    DenseMapConfig,
     GraphConfig,
     GridConfig,
     KeyframeConfig,
@@ -25,8 +26,12 @@ from slam.config_stages import (
     LoopConfig,
     MatchConfig,
     PredictionConfig,
+    RgbdConfig,
+    RgbdOdometryConfig,
     ScanConfig,
+    SensorsConfig,
     StrictModel,
+    VisualLoopConfig,
     WheelConfig,
 )
 from slam.errors import ConfigError
@@ -41,15 +46,20 @@ class Config(StrictModel):
     """Everything that decides a run, besides the log itself."""
 
     seed: int = Field(default=0, ge=0, description="seed of every random generator of the run")
+    sensors: SensorsConfig = SensorsConfig()
     scan: ScanConfig = ScanConfig()
     match: MatchConfig = MatchConfig()
     lidar_odometry: LidarOdometryConfig = LidarOdometryConfig()
     prediction: PredictionConfig = PredictionConfig()
     wheels: WheelConfig = WheelConfig()
+    rgbd: RgbdConfig = RgbdConfig()
+    rgbd_odometry: RgbdOdometryConfig = RgbdOdometryConfig()
+    visual_loops: VisualLoopConfig = VisualLoopConfig()
     keyframes: KeyframeConfig = KeyframeConfig()
     loops: LoopConfig = LoopConfig()
     graph: GraphConfig = GraphConfig()
     grid: GridConfig = GridConfig()
+    dense_map: DenseMapConfig = DenseMapConfig()
 
 
 def preset_names() -> list[str]:

@@ -13,6 +13,31 @@ class StrictModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
+class SensorsConfig(StrictModel):
+    """Which sensors of a log are used, and how the robot moves."""
+
+    lidar: bool = Field(default=True, description="use the lidar where there is one")
+    rgbd: bool = Field(default=True, description="use the RGB-D cameras where there are any")
+    mounting: Literal["given", "estimate"] = Field(
+        default="given",
+        description="given: cameras sit where the log says; estimate: find out, starting there; a log that "
+        "does not say is always estimated",
+    )
+    greatest_excess: float = Field(
+        default=16.0,
+        gt=1,
+        description="mean square, in sigmas, of a camera's motion off the floor",
+    )
+    lidar_silent_s: float = Field(
+        default=0.5, gt=0, description="time without a scan after which cameras carry on alone"
+    )
+    motion: Literal["auto", "planar", "spatial"] = Field(
+        default="auto",
+        description="planar: a robot on a floor, SE(2); spatial: a hand-held camera, SE(3); auto: planar "
+        "where the log holds a lidar or wheels",
+    )
+
+
 class ScanConfig(StrictModel):
     """From a lidar sweep to points with normals."""
 
@@ -162,3 +187,100 @@ class GridConfig(StrictModel):
     greatest_cells: int = Field(
         default=64_000_000, ge=1, description="limit of the map's size, 5 bytes a cell"
     )
+
+
+class RgbdConfig(StrictModel):
+    """From an RGB-D frame to features and surface points."""
+
+    working_width: int = Field(default=320, ge=40, description="columns of the depth image that is matched")
+    plane_radius: int = Field(default=3, ge=1, le=10, description="half window of the plane fits, pixels")
+    farthest_m: float = Field(default=6.0, gt=0, description="depth readings from farther are not matched")
+    points: int = Field(default=6000, ge=100, description="surface points a frame is matched by")
+    features: int = Field(default=1000, ge=50, description="ORB keypoints a frame")
+    registration: Literal["auto", "given"] = Field(
+        default="auto",
+        description="given: colour is registered to depth; auto: find out where the colour camera sits",
+    )
+
+
+class RgbdOdometryConfig(StrictModel):
+    """Frame to keyframe matching of RGB-D images."""
+
+    method: Literal["joint", "features", "dense"] = Field(
+        default="joint",
+        description="joint: surfaces and features in one least squares; features: ORB + PnP "
+        "(Yang2021 Eq. (1)-(6)); dense: Open3D's multi-scale odometry",
+    )
+    local_keyframes: int = Field(default=30, ge=1, description="newest keyframes that make the local map")
+    views: int = Field(default=5, ge=1, description="keyframes a frame is matched against at once")
+    feature_views: int = Field(default=2, ge=1, description="of them, those whose features are matched too")
+    match_ratio: float = Field(default=0.8, gt=0, le=1, description="Lowe's ratio of descriptor distances")
+    match_bits: int = Field(default=64, ge=1, le=256, description="greatest Hamming distance of a match")
+    ransac_px: float = Field(default=3.0, gt=0, description="reprojection error within which PnP agrees")
+    least_inliers: int = Field(
+        default=15, ge=6, description="features that must agree for PnP to be believed"
+    )
+    iterations: int = Field(default=12, ge=2, description="Gauss-Newton steps an alignment")
+    coarse_iterations: int = Field(default=4, ge=0, description="the first of them, with wide gates")
+    kernel_sigmas: float = Field(default=3.0, gt=0, description="scale of the robust kernel")
+    gate_m: float = Field(default=0.05, gt=0, description="distance up to which surfaces are partners")
+    depth_floor_m: float = Field(default=0.001, gt=0, description="sigma of a near depth reading")
+    depth_share: float = Field(default=0.0012, ge=0, description="sigma of depth a square metre of distance")
+    correlated_points: float = Field(
+        default=60.0, ge=1, description="surface points that count as one reading"
+    )
+    correlated_features: float = Field(default=3.0, ge=1, description="features that count as one reading")
+    least_inlier_share: float = Field(
+        default=0.4, gt=0, le=1, description="below this share of agreeing readings a match is refused"
+    )
+    sure_inlier_share: float = Field(
+        default=0.55, gt=0, le=1, description="below this share PnP without a guess is tried too"
+    )
+    least_overlap: float = Field(default=0.2, gt=0, le=1, description="share of the image that must be known")
+    floor_m: float = Field(default=0.001, gt=0, description="no match is surer than this")
+    floor_rad: float = Field(default=0.0007, gt=0, description="no match is surer than this")
+    degenerate_sigma_m: float = Field(
+        default=0.1, gt=0, description="a direction less sure than this is called degenerate"
+    )
+    keyframe_parallax: float = Field(
+        default=0.12, gt=0, description="travel over median depth that makes a keyframe"
+    )
+    keyframe_angle_rad: float = Field(default=0.2, gt=0, le=3.15, description="turn that makes a keyframe")
+    keyframe_overlap: float = Field(
+        default=0.6, gt=0, le=1, description="share of the image known, below which a keyframe is made"
+    )
+    lost_after: int = Field(default=10, ge=1, description="unmatched frames until tracking starts anew")
+
+
+class VisualLoopConfig(StrictModel):
+    """Loop closure by the camera: known places, near and by their looks."""
+
+    enabled: bool = Field(default=True, description="close loops by the camera at all")
+    least_gap: int = Field(default=2, ge=1, description="keyframes between the two ends")
+    near: int = Field(default=4, ge=0, description="places tried because they should see the same")
+    near_unlikeness: float = Field(
+        default=0.8, gt=0, description="travel in median depths plus turn in radians up to which they should"
+    )
+    by_looks: int = Field(default=2, ge=0, description="places tried because they look the same")
+    least_place_score: float = Field(
+        default=0.5, gt=0, le=1, description="least likeness, relative to that of two neighbouring keyframes"
+    )
+    least_inlier_share: float = Field(default=0.6, gt=0, le=1, description="least share of agreeing readings")
+    least_overlap: float = Field(
+        default=0.3, gt=0, le=1, description="least share of the image that is shared"
+    )
+    least_features: int = Field(
+        default=25, ge=6, description="features that must agree where looks alone propose the place"
+    )
+    keyframes_cached: int = Field(default=40, ge=2, description="keyframes whose surfaces are kept in memory")
+
+
+class DenseMapConfig(StrictModel):
+    """The coloured map of the camera keyframes."""
+
+    enabled: bool = Field(default=True, description="write a mesh and a point cloud")
+    voxel_m: float = Field(default=0.015, gt=0, description="side of a voxel of the signed distance field")
+    nearest_m: float = Field(default=0.3, ge=0, description="nearer depth readings are left out")
+    farthest_m: float = Field(default=4.0, gt=0, description="farther depth readings are left out")
+    octomap: bool = Field(default=False, description="write an OctoMap too; wants scanweave[octomap]")
+    octomap_cell_m: float = Field(default=0.05, gt=0, description="side of its smallest cell")

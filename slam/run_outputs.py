@@ -6,21 +6,29 @@ from pathlib import Path
 
 import numpy as np
 
+from slam.config_stages import DenseMapConfig
 from slam.graph.pose_graph import PoseGraph
+from slam.map_result import DenseKeyframes, MapResult
+from slam.mapping.dense_map import DenseMapSettings, fuse_keyframes
 from slam.measurements import BoolArray
-from slam.pipeline import MapResult
 from slam.storage.g2o import G2oEdge, G2oGraph, write_g2o
 from slam.storage.nav2 import write_nav2_map
+from slam.storage.octomap import write_octomap
+from slam.storage.ply import write_cloud_ply, write_mesh_ply
 from slam.storage.tum import write_tum
 
 
-def save_run(folder: Path, result: MapResult) -> list[Path]:
-    """Write ``trajectory.tum``, ``graph.g2o`` and, where there is a grid, ``map.yaml`` and ``map.pgm``.
+def save_run(folder: Path, result: MapResult, dense: DenseMapConfig | None = None) -> list[Path]:
+    """Write ``trajectory.tum``, ``graph.g2o``, and what else there is.
+
+    With a grid ``map.yaml`` and ``map.pgm``, with camera keyframes ``mesh.ply`` and ``cloud.ply``.
 
     Parameters
     ----------
     folder
         Must exist; files of an earlier run are replaced one by one.
+    dense
+        How the coloured map is made.
 
     Returns
     -------
@@ -34,9 +42,38 @@ def save_run(folder: Path, result: MapResult) -> list[Path]:
     trajectory, graph = folder / "trajectory.tum", folder / "graph.g2o"
     write_tum(trajectory, result.trajectory)
     write_g2o(graph, g2o_graph(result.graph, result.edges_kept))
-    if result.grid is None:
-        return [trajectory, graph]
-    return [trajectory, graph, *write_nav2_map(folder / "map", result.grid)]
+    written = [trajectory, graph]
+    if result.grid is not None:
+        written += write_nav2_map(folder / "map", result.grid)
+    dense = dense or DenseMapConfig()
+    if result.dense is not None and dense.enabled:
+        written += _save_dense(folder, result.dense, dense)
+    return written
+
+
+def _save_dense(folder: Path, keyframes: DenseKeyframes, config: DenseMapConfig) -> list[Path]:
+    """The coloured mesh and cloud of the camera keyframes, and the octree where asked for."""
+    settings = DenseMapSettings(
+        voxel_size_m=config.voxel_m, depth_min_m=config.nearest_m, depth_max_m=config.farthest_m
+    )
+    dense = fuse_keyframes(keyframes.frames, keyframes.poses, settings)
+    written = []
+    if len(dense.mesh.faces):
+        write_mesh_ply(folder / "mesh.ply", dense.mesh)
+        written.append(folder / "mesh.ply")
+    if len(dense.cloud.points_map):
+        write_cloud_ply(folder / "cloud.ply", dense.cloud)
+        written.append(folder / "cloud.ply")
+    if config.octomap:
+        write_octomap(
+            folder / "map.bt",
+            keyframes.frames,
+            keyframes.poses,
+            resolution_m=config.octomap_cell_m,
+            range_max_m=config.farthest_m,
+        )
+        written.append(folder / "map.bt")
+    return written
 
 
 def g2o_graph(graph: PoseGraph, kept: BoolArray) -> G2oGraph:

@@ -16,12 +16,16 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"slam.cli"}),
     frozenset({"slam.evaluation", "slam.run_outputs"}),
     frozenset({"slam.pipeline", "slam.localization"}),
+    frozenset({"slam.planar_mapper", "slam.spatial_mapper"}),  # what the main loop feeds
+    frozenset({"slam.mapper"}),
+    frozenset({"slam.map_result", "slam.keyframe_store", "slam.robot_cameras"}),
     frozenset({"slam.storage", "slam.readings", "slam.scan_record"}),
     frozenset(
         {"slam.odometry", "slam.graph", "slam.mapping", "slam.datasets", "slam.simulation", "slam.viewer"}
-        | {"slam.full_trajectory"}
+        | {"slam.full_trajectory", "slam.spatial_trajectory", "slam.sensor_choice"}
     ),
-    frozenset({"slam.matching"}),  # scan-matching kernels shared by odometry, graph and localization
+    # kernels shared by odometry, graph and localization
+    frozenset({"slam.matching", "slam.vision"}),
     frozenset({"slam.config", "slam.measurements"}),
     frozenset({"slam.config_stages"}),  # the models alone; config reads and writes them
     frozenset({"slam.errors", "fusion"}),

@@ -21,7 +21,9 @@ from slam.mapping.occupancy_grid import FREE, OCCUPIED
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, LaserScan, MotionEstimate, WheelOdometry, pose2_from_row
 from slam.measurements import row_from_pose2 as row_of
-from slam.pipeline import Mapper, MapResult, build_map
+from slam.map_result import MapResult
+from slam.pipeline import build_map
+from slam.planar_mapper import PlanarMapper as Mapper
 from slam.run_outputs import g2o_graph, save_run
 from slam.simulation.floor_plan import TOUR_M, clearance_m, walls
 from slam.simulation.synthetic_log import SyntheticLog, write_synthetic_log
@@ -284,7 +286,7 @@ class TestMishaps:
         log = edited(
             short_log, tmp_path / "wheels.log", lambda number, fields: [fields] * (fields[0] == "ODOM")
         )
-        with pytest.raises(DatasetError, match="wheels holds no lidar scan"):
+        with pytest.raises(DatasetError, match="wheels holds no scan or frame"):
             run(log)
 
     def test_in_the_open_the_wheels_carry_on(self, short_log: SyntheticLog, tmp_path: Path) -> None:

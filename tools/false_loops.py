@@ -31,7 +31,8 @@ from slam.evaluation.relations import Relations, read_relations, score_relations
 from slam.graph.loop_closure import LoopCandidate
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, LaserScan, MotionEstimate, WheelOdometry, pose2_from_row
-from slam.pipeline import Mapper, MapResult
+from slam.map_result import MapResult
+from slam.planar_mapper import PlanarMapper as Mapper
 
 KINDS = ("random", "alike", "runs")
 MOMENTS = ("end", "mapping")

@@ -14,9 +14,9 @@ from slam.config import Config, dump_config
 from slam.datasets.dataset import ReadReport
 from slam.evaluation.report import LoopRow, MapPicture, ReportData
 from slam.graph.loop_closure import LoopCandidate
+from slam.map_result import MapResult
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
 from slam.measurements import FloatArray
-from slam.pipeline import MapResult
 
 _LIBRARIES = ("scanweave", "gtsam", "numpy", "numba", "kiss-icp", "open3d-cpu", "opencv-python-headless")
 # More unmatched scans than this share deserve a line at the top of the page.

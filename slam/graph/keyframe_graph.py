@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import gtsam
@@ -43,7 +44,13 @@ class KeyframeGraph:
         return self._poses[: len(self.graph)]
 
     def add_keyframe(
-        self, step: FloatArray, match: Step | None, wheels: Step | None, *, match_doubtful: bool = False
+        self,
+        step: FloatArray,
+        match: Step | None,
+        wheels: Step | None,
+        cameras: Sequence[Step] = (),
+        *,
+        match_doubtful: bool = False,
     ) -> int:
         """Add the next keyframe and return its number.
 
@@ -55,6 +62,8 @@ class KeyframeGraph:
             What the lidar measured; None where it matched nothing.
         wheels
             What the wheels measured; None where there are none or they jumped.
+        cameras
+            What each camera measured.
         match_doubtful
             Whether the loops may overrule the match.
         """
@@ -73,9 +82,19 @@ class KeyframeGraph:
             self._add_step(key, loose, EdgeKind.ASSUMED, trusted=True)
         if wheels is not None:
             self._add_step(key, wheels, EdgeKind.WHEEL, trusted=match is None)
+        for camera in cameras:
+            self._add_step(key, camera, EdgeKind.RGBD, trusted=False)
         if match is None and wheels is None:
-            self._add_step(key, Step(step, self._unmeasured(1.0)), EdgeKind.ASSUMED, trusted=True)
+            # Someone who walks before the camera takes it along: it may be overruled, and then this holds.
+            share = self._config.loose_share if cameras else 1.0
+            self._add_step(key, Step(step, self._unmeasured(share)), EdgeKind.ASSUMED, trusted=True)
         return key
+
+    def add_camera_step(self, source: int, target: int, step: Step) -> None:
+        """A camera's motion between two keyframes that are there, learned of later."""
+        self._add_edge(
+            Edge(source, target, pose2_from_row(step.motion), step.covariance, EdgeKind.RGBD, trusted=False)
+        )
 
     def add_loop(self, candidate: LoopCandidate) -> None:
         """Take a loop candidate: into the graph if it was accepted, into the report in any case."""

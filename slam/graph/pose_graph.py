@@ -27,6 +27,7 @@ class EdgeKind(StrEnum):
     """Where an edge comes from."""
 
     LIDAR = "lidar match"
+    RGBD = "RGB-D match"
     WHEEL = "wheel odometry"
     LOOP = "loop"
     ASSUMED = "assumed motion"
@@ -165,6 +166,10 @@ class PoseGraph:
         """Estimated pose of a node."""
         if self._dimension == 3:
             return self._estimate.atPose2(key)
+        return self._estimate.atPose3(key)
+
+    def spatial_pose(self, key: int) -> gtsam.Pose3:
+        """Estimated pose of a node of an SE(3) graph."""
         return self._estimate.atPose3(key)
 
     def planar_poses(self) -> FloatArray:

@@ -36,6 +36,11 @@ class OrientedPoints:
         """The oriented part of a scan, base frame."""
         return cls(*scan.oriented())
 
+    @classmethod
+    def none(cls) -> OrientedPoints:
+        """No points."""
+        return cls(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32))
+
     def moved(self, pose: FloatArray) -> OrientedPoints:
         """The same points seen from the frame in which ``pose`` (3,) is the pose of theirs."""
         points = np.empty_like(self.points)

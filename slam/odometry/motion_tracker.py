@@ -18,6 +18,7 @@ from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate, row_from_pose2
 from slam.odometry.lidar_odometry import Guess, LidarOdometry
 from slam.odometry.wheel_tracker import WheelTracker
+from slam.vision.planar_motion import PlanarMotion
 
 # A velocity is carried over at most this many times the step that it was measured over.
 _GREATEST_STRETCH = 3.0
@@ -25,6 +26,8 @@ _GREATEST_STRETCH = 3.0
 _GREATEST_SURPRISE = 10.0
 # Wheels whose doubt is this much greater than constant velocity's are no longer asked first.
 _WHEELS_LOSE_AT = 3.0
+# What scan and camera differ by though both are right: x, y, yaw.
+_CAMERA_FLOOR = np.array([0.02, 0.02, 0.01])
 # Only a match that this share of the points agrees with may judge a predictor.
 _JUDGE_INLIER_SHARE = 0.8
 
@@ -94,6 +97,7 @@ class MotionTracker:
         self._noise = match
         self._by_wheels = _Predictor(config.memory_scans)
         self._by_velocity = _Predictor(config.memory_scans)
+        self._by_camera = _Predictor(config.memory_scans)
         self._last: TrackedScan | None = None
         self._stamp_s = 0.0
         self._velocity_step = np.zeros(3)
@@ -104,15 +108,32 @@ class MotionTracker:
         """Factor on the wheels' variance, 1 or more, that the matches of late ask for."""
         return self._by_wheels.doubt
 
-    def track(self, points: ScanPoints, stamp_s: float) -> TrackedScan:
-        """Pose of the next scan; the first one is the origin of the odometry frame."""
+    @property
+    def camera_doubt(self) -> float:
+        """Factor on the cameras' variance, 1 or more, that the matches of late ask for."""
+        return self._by_camera.doubt
+
+    def track(
+        self, points: ScanPoints | None, stamp_s: float, camera: PlanarMotion | None = None
+    ) -> TrackedScan:
+        """Pose of the next scan; the first one is the origin of the odometry frame.
+
+        Parameters
+        ----------
+        points
+            None where there is no scan: the best prediction is the pose then.
+        camera
+            Motion since the last scan as a camera measured it.
+        """
         wheel_pose = self._wheels.pose_at(stamp_s) if self._wheels else None
         if self._last is None:
             tracked = TrackedScan(np.zeros(3), None, wheel_pose, np.zeros((3, 3)))
         else:
             step_s = stamp_s - self._stamp_s
-            guesses = self._predict(self._last, wheel_pose, step_s)
-            motion, dispute = self._match(points, guesses)
+            guesses = self._predict(self._last, wheel_pose, camera, step_s)
+            motion, dispute = None, np.zeros((3, 3))
+            if points is not None:
+                motion, dispute = self._match(points, guesses)
             pose = guesses[0].pose if motion is None else row_from_pose2(motion.T_reference_base)
             tracked = TrackedScan(pose, motion, wheel_pose, dispute)
             self._velocity_step = between(self._last.pose, pose)
@@ -125,9 +146,14 @@ class MotionTracker:
         """Let the local map grow by a tracked scan."""
         self._odometry.add_keyframe(points, tracked.pose)
 
-    def _predict(self, last: TrackedScan, wheel_pose: FloatArray | None, step_s: float) -> list[Guess]:
-        """By wheels, if a robot can move so, and by constant velocity; wheels first while they prove it."""
-        self._by_wheels.guess = None
+    def _predict(
+        self, last: TrackedScan, wheel_pose: FloatArray | None, camera: PlanarMotion | None, step_s: float
+    ) -> list[Guess]:
+        """By camera, by wheels, if a robot can move so, and by constant velocity, while they prove it."""
+        self._by_camera.guess = self._by_wheels.guess = None
+        if camera is not None:
+            covariance = camera.covariance + np.diag(_CAMERA_FLOOR**2) + last.dispute
+            self._by_camera.predict(compose(last.pose, camera.motion), covariance)
         if self._wheels is not None and wheel_pose is not None and last.wheel_pose is not None:
             step = between(last.wheel_pose, wheel_pose)
             if self._wheels.plausible(step, step_s):
@@ -142,6 +168,9 @@ class MotionTracker:
         predictors = [self._by_wheels, self._by_velocity]
         if self._by_wheels.doubt > _WHEELS_LOSE_AT * self._by_velocity.doubt:
             predictors.reverse()
+        # A camera outdoes the others until it contradicts the matches for long.
+        first = self._by_camera.doubt <= _WHEELS_LOSE_AT * predictors[0].doubt
+        predictors.insert(0 if first else len(predictors), self._by_camera)
         return [predictor.guess for predictor in predictors if predictor.guess is not None]
 
     def _velocity_covariance(self, step: FloatArray) -> FloatArray:
@@ -189,6 +218,7 @@ class MotionTracker:
         """Let a match that is sure score the predictors."""
         if motion is not None and motion.inlier_share >= _JUDGE_INLIER_SHARE and not motion.degenerate:
             pose = row_from_pose2(motion.T_reference_base)
+            self._by_camera.judge(pose)
             self._by_wheels.judge(pose)
             self._by_velocity.judge(pose)
 

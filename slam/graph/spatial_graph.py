@@ -1,0 +1,87 @@
+"""The graph of camera keyframes in space: a chain, loops, and where they all lie."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+
+from slam.config_stages import GraphConfig
+from slam.graph.loop_closure import LoopCandidate
+from slam.graph.pose_graph import BatchResult, Edge, EdgeKind, PoseGraph
+from slam.measurements import FloatArray
+
+
+class SpatialGraph:
+    """Keyframes 0..n-1 of a camera that moves freely."""
+
+    def __init__(self, origin: gtsam.Pose3, config: GraphConfig) -> None:
+        self.graph = PoseGraph(origin)
+        self.loops: list[LoopCandidate] = []
+        self._config = config
+        self._poses = [origin]
+        self._loop_of_edge: dict[int, int] = {}
+        self._loop_waits = False
+
+    def __len__(self) -> int:
+        return len(self.graph)
+
+    def poses(self) -> list[gtsam.Pose3]:
+        """Current estimates, ``T_map_keyframe``."""
+        return self._poses
+
+    def add_keyframe(self, step: gtsam.Pose3, covariance: FloatArray | None) -> int:
+        """Add the next keyframe and return its number.
+
+        Parameters
+        ----------
+        step
+            Motion from the last keyframe.
+        covariance
+            (6, 6), GTSAM's order; None where nothing measured the step.
+        """
+        key = self.graph.add_node(self._poses[-1].compose(step))
+        self._poses.append(self._poses[-1].compose(step))
+        kind = EdgeKind.ASSUMED if covariance is None else EdgeKind.RGBD
+        config = self._config
+        if covariance is None:
+            covariance = np.diag([config.lost_sigma_rad**2] * 3 + [config.lost_sigma_m**2] * 3)
+        self.graph.add_edge(Edge(key - 1, key, step, covariance, kind, trusted=True))
+        return key
+
+    def add_loop(self, candidate: LoopCandidate) -> None:
+        """Take a loop candidate: into the graph if it was accepted, into the report in any case."""
+        if candidate.accepted and candidate.motion is not None:
+            self._loop_of_edge[len(self.graph.edges)] = len(self.loops)
+            self._loop_waits = True
+            motion = candidate.motion
+            self.graph.add_edge(
+                Edge(
+                    candidate.place,
+                    candidate.keyframe,
+                    motion.T_reference_base,
+                    motion.covariance,
+                    EdgeKind.LOOP,
+                    trusted=False,
+                )
+            )
+        self.loops.append(candidate)
+
+    def update(self) -> None:
+        """Let iSAM2 spread what loops have corrected, if one waits."""
+        if self._loop_waits:
+            self.graph.update()
+            self._read_poses()
+            self._loop_waits = False
+
+    def optimize(self, inlier_probability: float) -> BatchResult:
+        """Solve everything anew; a loop that disagrees with the others is marked as refused."""
+        self.graph.update()
+        outcome = self.graph.optimize(inlier_probability)
+        for edge, loop in self._loop_of_edge.items():
+            if not outcome.kept[edge]:
+                self.loops[loop] = self.loops[loop].refused("disagrees with the other loops (GNC)")
+        self._read_poses()
+        return outcome
+
+    def _read_poses(self) -> None:
+        self._poses = [self.graph.spatial_pose(key) for key in range(len(self.graph))]

@@ -1,0 +1,124 @@
+"""Loop closure by the camera: places that should be in sight, and places that look the same."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import Protocol
+
+import gtsam
+import numpy as np
+
+from slam.config_stages import VisualLoopConfig
+from slam.graph.loop_closure import LoopCandidate
+from slam.vision.frame_matcher import FrameMatcher
+from slam.vision.place_recognition import PlaceIndex
+from slam.vision.prepared_frame import PreparedFrame
+from slam.vision.visual_match import VisualKeyframe, VisualMatch, unlikeness
+
+log = logging.getLogger(__name__)
+
+
+class Keyframes(Protocol):
+    """Where keyframes are kept."""
+
+    def keyframe(self, key: int) -> PreparedFrame:
+        """A keyframe by its number."""
+        ...
+
+
+class VisualLoopCloser:
+    """Proposes and verifies loops for the newest keyframe of one camera."""
+
+    def __init__(
+        self, config: VisualLoopConfig, matcher: FrameMatcher, keyframes: Keyframes, seed: int
+    ) -> None:
+        self._config = config
+        self._matcher = matcher
+        self._keyframes = keyframes
+        self._places = PlaceIndex(seed=seed)
+        self._depths_m: list[float] = []
+
+    def add_keyframe(self, frame: PreparedFrame) -> None:
+        """Remember the looks of the next keyframe."""
+        self._places.add(frame.features.descriptors)
+        self._depths_m.append(frame.median_depth_m)
+
+    def close(self, key: int, poses: Sequence[gtsam.Pose3]) -> list[LoopCandidate]:
+        """Try the places that a keyframe may have come back to.
+
+        Parameters
+        ----------
+        key
+            The newest keyframe.
+        poses
+            Current estimates of the cameras of all keyframes, map frame.
+
+        Returns
+        -------
+        Every candidate that was tried, accepted or refused.
+        """
+        config = self._config
+        if not config.enabled or key < config.least_gap:
+            return []
+        near = self._near(key, poses)
+        looks = self._by_looks(key)
+        tried = [self._verify(place, key, poses[place].between(poses[key]), 1.0) for place in near]
+        tried += [self._verify(place, key, None, score) for place, score in looks if place not in near]
+        for candidate in tried:
+            _report(candidate)
+        return tried
+
+    def _near(self, key: int, poses: Sequence[gtsam.Pose3]) -> list[int]:
+        """Places whose cameras should see much the same, each from another stretch of the way."""
+        config = self._config
+        places = range(key - config.least_gap + 1)
+        scores = np.array([unlikeness(poses[p], poses[key], self._depths_m[p]) for p in places])
+        chosen: list[int] = []
+        for place in np.argsort(scores, kind="stable"):
+            if len(chosen) == config.near or scores[place] > config.near_unlikeness:
+                break
+            if all(abs(int(place) - other) >= config.least_gap for other in chosen):
+                chosen.append(int(place))
+        return chosen
+
+    def _by_looks(self, key: int) -> list[tuple[int, float]]:
+        """Places that look the same, with their relative score."""
+        config = self._config
+        descriptors = self._keyframes.keyframe(key).features.descriptors
+        matches = self._places.query(descriptors, key - config.least_gap + 1, config.by_looks)
+        return [(m.key, m.relative_score) for m in matches if m.relative_score >= config.least_place_score]
+
+    def _verify(self, place: int, key: int, guess: gtsam.Pose3 | None, score: float) -> LoopCandidate:
+        """Match the keyframe to the place, and judge."""
+        config = self._config
+        candidate = LoopCandidate(place, key, 0.0, 0.0, score, None, False, "")
+        frame = self._keyframes.keyframe(key)
+        local = [VisualKeyframe(self._keyframes.keyframe(place), gtsam.Pose3())]
+        match: VisualMatch | None
+        if guess is None:
+            match = self._matcher.match_anywhere(frame, local)
+            if match is None or match.feature_count < config.least_features:
+                return candidate.refused("too few features agree")
+        else:
+            match = self._matcher.match(frame, local, guess)
+            if match is None:
+                return candidate.refused("too little fits")
+        if match.motion.inlier_share < config.least_inlier_share:
+            return candidate.refused("too few readings fit")
+        if match.overlap < config.least_overlap and match.feature_count < config.least_features:
+            return candidate.refused("too little is seen by both")
+        if match.motion.degenerate:
+            return candidate.refused("a direction is not determined")
+        return LoopCandidate(place, key, 0.0, 0.0, score, match.motion, True, "")
+
+
+def _report(candidate: LoopCandidate) -> None:
+    """One INFO line a candidate."""
+    log.info(
+        "visual loop %d -> %d: %s (place score %.2f)",
+        candidate.keyframe,
+        candidate.place,
+        "accepted" if candidate.accepted else f"refused, {candidate.reason}",
+        candidate.score,
+    )

@@ -1,0 +1,70 @@
+"""What a run hands on when it is done."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.graph.loop_closure import LoopCandidate
+from slam.graph.pose_graph import PoseGraph
+from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.measurements import BoolArray, FloatArray, LaserScan, RgbdFrame, Trajectory
+from slam.scan_record import ScanRecord
+
+
+@dataclass(frozen=True, slots=True)
+class DenseKeyframes:
+    """Camera keyframes, which can be iterated again and again, and their optimised ``T_map_camera``."""
+
+    frames: Iterable[RgbdFrame]
+    poses: Sequence[gtsam.Pose3]
+
+
+@dataclass(frozen=True, slots=True)
+class MapResult:
+    """A finished map.
+
+    Attributes
+    ----------
+    trajectory
+        A pose for every reading of the log.
+    keyframe_poses
+        (K, 3) optimised x, y, yaw, map frame.
+    keyframe_scans
+        The sweep of each keyframe; None where a camera carried the robot on.
+    graph
+        All edges with their provenance.
+    loops
+        Every loop candidate with its verdict.
+    scans
+        Scores and timings of every scan, or of every frame where a camera alone made the map.
+    keyframe_numbers
+        (K,) scan number of each keyframe.
+    edges_kept
+        (E,) False where the final optimisation refused an edge of the graph.
+    grid
+        The occupancy grid; None where it could not be built, ``warnings`` then says why.
+    stage_seconds
+        Wall time by stage.
+    warnings
+        One line each, for people.
+    dense
+        Camera keyframes for a coloured map; None where there is no camera.
+    """
+
+    trajectory: Trajectory
+    keyframe_poses: FloatArray
+    keyframe_numbers: NDArray[np.int64]
+    keyframe_scans: list[LaserScan | None]
+    graph: PoseGraph
+    edges_kept: BoolArray
+    loops: list[LoopCandidate]
+    scans: ScanRecord
+    grid: OccupancyGrid | None
+    stage_seconds: dict[str, float]
+    warnings: list[str]
+    dense: DenseKeyframes | None = None

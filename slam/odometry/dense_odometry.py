@@ -1,0 +1,118 @@
+"""Dense RGB-D odometry by Open3D's multi-scale method (Park 2017), started from a guess or from ORB + PnP."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import gtsam
+import numpy as np
+
+from slam.config_stages import RgbdOdometryConfig
+from slam.measurements import FloatArray, MotionEstimate
+from slam.vision.frame_matcher import FrameMatcher
+from slam.vision.prepared_frame import PreparedFrame
+from slam.vision.visual_match import VisualKeyframe, VisualMatch, covariance_of
+
+if TYPE_CHECKING:
+    import open3d as o3d
+
+_ITERATIONS = (6, 4, 3)  # a level, coarse to fine
+_INTENSITY_SCALE = 0.1  # of the Huber kernel on brightness, 0..1
+# Open3D has rotation first as GTSAM has, but it counts every pixel as an independent reading of 1 m^-2.
+_LEAST_FITNESS = 0.3
+
+
+class DenseOdometry:
+    """The nearest keyframe against the frame, surfaces and brightness."""
+
+    def __init__(self, config: RgbdOdometryConfig) -> None:
+        self._config = config
+        self._by_features = FrameMatcher(config, use_surfaces=False)
+
+    def match(
+        self, frame: PreparedFrame, local: list[VisualKeyframe], guess: gtsam.Pose3
+    ) -> VisualMatch | None:
+        """See `slam.odometry.rgbd_odometry.RgbdOdometry`."""
+        seed = self._by_features.match(frame, local, guess)
+        start = seed.pose if seed is not None else guess
+        keyframe = local[0]
+        import open3d as o3d
+
+        odometry = o3d.t.pipelines.odometry
+        source, target = _image(frame), _image(keyframe.frame)
+        k = frame.depth_intrinsics
+        camera = o3d.core.Tensor.from_numpy(np.array([[k.fx, 0.0, k.cx], [0.0, k.fy, k.cy], [0.0, 0.0, 1.0]]))
+        farthest_m = float(frame.depth_m.max())
+        if farthest_m <= 0.0:
+            return None
+        loss = odometry.OdometryLossParams(self._config.gate_m, 0.5 * self._config.gate_m, _INTENSITY_SCALE)
+        try:
+            result = odometry.rgbd_odometry_multi_scale(
+                source,
+                target,
+                camera,
+                o3d.core.Tensor.from_numpy(keyframe.pose.between(start).matrix()),
+                1.0,
+                farthest_m,
+                [odometry.OdometryConvergenceCriteria(count) for count in _ITERATIONS],
+                odometry.Method.Hybrid,
+                loss,
+            )
+        except RuntimeError:
+            return None  # Open3D's word for a singular system
+        step: FloatArray = result.transformation.numpy()
+        if not np.isfinite(step).all() or result.fitness < _LEAST_FITNESS:
+            return None
+        information = odometry.compute_odometry_information_matrix(
+            source.depth, target.depth, camera, result.transformation, self._config.gate_m, 1.0, farthest_m
+        ).numpy()
+        return self._judge(
+            keyframe, step, information, float(result.inlier_rmse), float(result.fitness), seed
+        )
+
+    def _judge(
+        self,
+        keyframe: VisualKeyframe,
+        step: FloatArray,
+        information: FloatArray,
+        residual_m: float,
+        fitness: float,
+        seed: VisualMatch | None,
+    ) -> VisualMatch:
+        """Rescale Open3D's information from a metre to the measured residual, and from pixels to readings."""
+        config = self._config
+        variance = max(residual_m, config.depth_floor_m) ** 2
+        T_keyframe_camera = gtsam.Pose3(step)
+        # Open3D's matrix is of a motion of the target's frame; the covariance is wanted in the camera's.
+        adjoint = T_keyframe_camera.AdjointMap()
+        scaled = adjoint.T @ information @ adjoint / (config.correlated_points * variance)
+        covariance, weak = covariance_of(scaled, fitness, config)
+        motion = MotionEstimate(
+            T_reference_base=keyframe.pose.compose(T_keyframe_camera),
+            covariance=covariance,
+            inlier_share=fitness,
+            fit=fitness,
+            residual_m=residual_m,
+            converged=True,
+            degenerate=bool(weak.any()),
+            weak_direction=weak,
+        )
+        return VisualMatch(
+            motion,
+            fitness,
+            seed.feature_count if seed else 0,
+            seed.residual_px if seed else 0.0,
+        )
+
+
+def _image(frame: PreparedFrame) -> o3d.t.geometry.RGBDImage | Any:
+    """The frame in Open3D's form, reduced as its depth image is."""
+    import cv2
+    import open3d as o3d
+
+    height, width = frame.depth_m.shape
+    color = cv2.resize(frame.frame.color, (width, height), interpolation=cv2.INTER_AREA)
+    return o3d.t.geometry.RGBDImage(
+        o3d.t.geometry.Image(np.ascontiguousarray(color)),
+        o3d.t.geometry.Image(np.ascontiguousarray(frame.depth_m)),
+    )

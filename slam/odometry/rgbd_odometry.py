@@ -1,0 +1,38 @@
+"""What every RGB-D odometry offers, and the choice among them."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import gtsam
+
+from slam.config_stages import RgbdOdometryConfig
+from slam.odometry.dense_odometry import DenseOdometry
+from slam.vision.frame_matcher import FrameMatcher
+from slam.vision.prepared_frame import PreparedFrame
+from slam.vision.visual_match import VisualKeyframe, VisualMatch
+
+
+class RgbdOdometry(Protocol):
+    """Matching of a frame to keyframes whose poses are known."""
+
+    def match(
+        self, frame: PreparedFrame, local: list[VisualKeyframe], guess: gtsam.Pose3
+    ) -> VisualMatch | None:
+        """Pose of the frame's camera, or None where nothing fits.
+
+        Parameters
+        ----------
+        local
+            Keyframes that may see the same, the most alike first; at least one.
+        guess
+            Expected ``T_odom_camera``.
+        """
+        ...
+
+
+def make_rgbd_odometry(config: RgbdOdometryConfig) -> RgbdOdometry:
+    """The odometry that the configuration names."""
+    if config.method == "dense":
+        return DenseOdometry(config)
+    return FrameMatcher(config, use_surfaces=config.method == "joint")

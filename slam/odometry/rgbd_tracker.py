@@ -1,0 +1,123 @@
+"""Frame by frame motion of an RGB-D camera against a local map of keyframes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from slam.config_stages import RgbdOdometryConfig
+from slam.odometry.rgbd_odometry import RgbdOdometry
+from slam.vision.prepared_frame import PreparedFrame
+from slam.vision.visual_match import VisualKeyframe, VisualMatch, unlikeness
+
+# A velocity is carried over at most this many times the step that it was measured over.
+_GREATEST_STRETCH = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class TrackedFrame:
+    """Where a frame was taken.
+
+    Attributes
+    ----------
+    pose
+        ``T_odom_camera``.
+    match
+        None where nothing fitted and the pose is a guess, and for the first frame.
+    new_keyframe
+        Whether it should become a keyframe.
+    restarted
+        Whether tracking was lost and starts anew here: the motion since the last keyframe is a guess.
+    """
+
+    pose: gtsam.Pose3
+    match: VisualMatch | None
+    new_keyframe: bool
+    restarted: bool
+
+
+class RgbdTracker:
+    """Predicts each frame's pose, matches it, and says when a keyframe is due."""
+
+    def __init__(self, odometry: RgbdOdometry, config: RgbdOdometryConfig) -> None:
+        self._odometry = odometry
+        self._config = config
+        self._local: list[VisualKeyframe] = []
+        self._last: TrackedFrame | None = None
+        self._stamp_s = 0.0
+        self._step = gtsam.Pose3()
+        self._step_s = 0.0
+        self._lost = 0
+
+    def track(self, frame: PreparedFrame, step_guess: gtsam.Pose3 | None = None) -> TrackedFrame:
+        """Pose of the next frame; the first one is the origin of the odometry frame.
+
+        Parameters
+        ----------
+        step_guess
+            Motion of the camera since the last frame as other sensors tell it; constant velocity if None.
+        """
+        if self._last is None:
+            tracked = TrackedFrame(gtsam.Pose3(), None, new_keyframe=True, restarted=False)
+        else:
+            step_s = frame.stamp_s - self._stamp_s
+            guess = self._last.pose.compose(step_guess or self._velocity_step(step_s))
+            tracked = self._match(frame, guess)
+            self._step = self._last.pose.between(tracked.pose) if tracked.match else gtsam.Pose3()
+            self._step_s = step_s
+        self._last = tracked
+        self._stamp_s = frame.stamp_s
+        return tracked
+
+    def add_keyframe(self, frame: PreparedFrame, tracked: TrackedFrame) -> None:
+        """Let the local map grow by a tracked frame; after a restart it holds nothing else."""
+        if tracked.restarted:
+            self._local.clear()
+        self._local.append(VisualKeyframe(frame, tracked.pose))
+        del self._local[: -self._config.local_keyframes]
+
+    def _velocity_step(self, step_s: float) -> gtsam.Pose3:
+        """The last step again, for the time that has passed."""
+        if step_s <= 0.0 or self._step_s <= 0.0:
+            return gtsam.Pose3()
+        stretch = min(step_s / self._step_s, _GREATEST_STRETCH)
+        return gtsam.Pose3.Expmap(stretch * gtsam.Pose3.Logmap(self._step))
+
+    def _match(self, frame: PreparedFrame, guess: gtsam.Pose3) -> TrackedFrame:
+        """Match to the most alike keyframes, or say that the frame is lost."""
+        local = self._most_alike(guess)
+        match = self._odometry.match(frame, local, guess)
+        if match is None and self._last is not None:
+            # A camera that was held still or shaken has not moved on with constant velocity.
+            match = self._odometry.match(frame, self._most_alike(self._last.pose), self._last.pose)
+        if match is None:
+            self._lost += 1
+            restart = self._lost >= self._config.lost_after
+            pose = self._last.pose if self._last is not None else guess
+            if restart:
+                self._lost = 0
+            return TrackedFrame(pose, None, new_keyframe=restart, restarted=restart)
+        self._lost = 0
+        pose = match.pose
+        return TrackedFrame(pose, match, self._moved_on(frame, pose, match), restarted=False)
+
+    def _most_alike(self, pose: gtsam.Pose3) -> list[VisualKeyframe]:
+        """Keyframes of the local map whose cameras saw most nearly the same, best first."""
+        scores = [unlikeness(keyframe.pose, pose, keyframe.frame.median_depth_m) for keyframe in self._local]
+        order = np.argsort(scores, kind="stable")[: self._config.views]
+        return [self._local[n] for n in order if n == order[0] or scores[n] < 1.0]
+
+    def _moved_on(self, frame: PreparedFrame, pose: gtsam.Pose3, match: VisualMatch) -> bool:
+        """Whether parallax, turn, or lost overlap ask for a keyframe."""
+        config = self._config
+        if match.overlap < config.keyframe_overlap:
+            return True
+        for keyframe in self._local:
+            step = keyframe.pose.between(pose)
+            parallax = float(np.linalg.norm(step.translation())) / keyframe.frame.median_depth_m
+            turn = float(np.linalg.norm(gtsam.Rot3.Logmap(step.rotation())))
+            if parallax < config.keyframe_parallax and turn < config.keyframe_angle_rad:
+                return False
+        return True

@@ -1,0 +1,217 @@
+"""Mapping with a robot on a floor: lidar, wheels and cameras -> keyframes -> graph -> loops, in SE(2)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+
+import numpy as np
+
+from slam.config import Config
+from slam.errors import ScanweaveError
+from slam.graph.keyframe_graph import KeyframeGraph, Step
+from slam.graph.loop_closure import LoopCandidate, LoopCloser
+from slam.keyframe_store import registration_notes
+from slam.map_result import MapResult
+from slam.mapping.occupancy_grid import InverseSensorModel, OccupancyGrid, PosedScan, build_grid
+from slam.matching.local_map import OrientedPoints
+from slam.matching.planar import between
+from slam.matching.scan_points import ScanPoints, extract_points
+from slam.measurements import FloatArray, LaserScan, WheelOdometry, pose2_from_row, row_from_pose2
+from slam.odometry import make_lidar_odometry
+from slam.odometry.motion_tracker import MotionTracker, TrackedScan
+from slam.odometry.wheel_tracker import WheelTracker
+from slam.readings import Readings
+from slam.robot_cameras import CameraMarks, RobotCameras
+from slam.scan_record import ScanRecorder
+from slam.vision.color_registration import ColorRegistration
+from slam.vision.prepared_frame import PreparedFrame
+
+
+class PlanarMapper:
+    """State of a run: feed measurements in log order, then finish; see `slam.mapper.Mapper`."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._wheels = WheelTracker(config.wheels) if config.lidar_odometry.use_wheel_odometry else None
+        self._tracker = MotionTracker(
+            make_lidar_odometry(config.lidar_odometry, config.match),
+            self._wheels,
+            config.prediction,
+            config.match,
+        )
+        self._graph = KeyframeGraph(config.graph)
+        self._closer = LoopCloser(config.loops, config.match)
+        self._readings = Readings()
+        self._record = ScanRecorder()
+        self._last_keyframe: TrackedScan | None = None
+        self._cameras = RobotCameras(config.rgbd_odometry, config.sensors)
+        self._marks: CameraMarks = {}
+        self._keyframe_marks: CameraMarks = {}
+        self._scan_stamp_s = -np.inf
+        self._keyframe_stamp_s = 0.0
+        self._keyframe_scans: list[LaserScan | None] = []
+        self._registrations: Mapping[str, ColorRegistration] = {}
+        self._travelled_m = 0.0
+
+    @property
+    def scan_count(self) -> int:
+        """Scans so far."""
+        return self._readings.scan_count
+
+    def add_odometry(self, reading: WheelOdometry) -> None:
+        """Take a wheel odometry reading: a guess for the next scan, and a reading that wants a pose."""
+        if self._wheels is None:
+            self._readings.add_wheel(reading.stamp_s, None)
+            return
+        self._wheels.add(reading)
+        self._readings.add_wheel(reading.stamp_s, row_from_pose2(reading.T_odom_base))
+
+    def note_registrations(self, registrations: Mapping[str, ColorRegistration]) -> None:
+        """Take down where colour cameras sit that are not registered to depth."""
+        self._registrations = registrations
+
+    def add_scan(self, scan: LaserScan) -> None:
+        """Match a scan; where the robot has moved on, make it a keyframe and close loops."""
+        started = time.perf_counter()
+        settings = self._config.scan
+        points = extract_points(scan, settings.range_min_m, settings.range_max_m, settings.neighbours)
+        self._scan_stamp_s = scan.stamp_s
+        self._add_moment(scan.stamp_s, scan, points, started)
+
+    def add_frame(self, frame: PreparedFrame) -> None:
+        """Track a frame; where no scan has come for a while, the leading camera carries the robot on."""
+        started = time.perf_counter()
+        self._cameras.add(frame)
+        silent = frame.stamp_s - self._scan_stamp_s > self._config.sensors.lidar_silent_s
+        if silent and self._cameras.leads(frame.frame.sensor, frame.stamp_s):
+            self._add_moment(frame.stamp_s, None, None, started)
+
+    def _add_moment(
+        self, stamp_s: float, scan: LaserScan | None, points: ScanPoints | None, started: float
+    ) -> None:
+        """Pose of a moment; where the robot has moved on, a keyframe."""
+        marks = self._cameras.marks(stamp_s)
+        steps = [step.planar for step in self._cameras.steps(self._marks, marks) if step.planar is not None]
+        surest = min(steps, key=lambda step: float(np.trace(step.covariance)), default=None)
+        tracked = self._tracker.track(points, stamp_s, surest)
+        self._marks = marks
+        sure = tracked.sure if scan is not None else surest is not None
+        self._readings.add_scan(stamp_s, tracked.pose, tracked.wheel_pose, sure=sure)
+        if self._moved_on(tracked):
+            key = self._add_keyframe(stamp_s, scan, points, tracked)
+            for candidate in self._closer.close(key, self._graph.poses(), self._graph.uncertainty):
+                self.add_loop(candidate)
+            self._graph.update()
+        self._record.add(stamp_s, tracked.motion, time.perf_counter() - started)
+
+    def add_loop(self, candidate: LoopCandidate) -> None:
+        """Take a loop candidate: into the graph if it was accepted, into the report in any case."""
+        self._graph.add_loop(candidate)
+
+    def finish(self) -> MapResult:
+        """Optimise everything, give every reading its pose, and draw the grid."""
+        clock = [time.perf_counter()]
+        outcome = self._graph.optimize(self._config.loops.inlier_probability)
+        clock.append(time.perf_counter())
+        keyframe_poses = self._graph.poses()
+        trajectory = self._readings.trajectory(keyframe_poses)
+        clock.append(time.perf_counter())
+        grid, warnings = self._build_grid(keyframe_poses)
+        clock.append(time.perf_counter())
+        scans = self._record.finish()
+        stages = ("final optimisation", "full trajectory", "occupancy grid")
+        return MapResult(
+            trajectory=trajectory,
+            keyframe_poses=keyframe_poses,
+            keyframe_numbers=self._readings.keyframe_scans(),
+            keyframe_scans=self._keyframe_scans,
+            graph=self._graph.graph,
+            edges_kept=outcome.kept,
+            loops=self._graph.loops,
+            scans=scans,
+            grid=grid,
+            stage_seconds={
+                "scans": float(scans.seconds.sum()),
+                **dict(zip(stages, np.diff(clock).tolist(), strict=True)),
+            },
+            warnings=[*warnings, *registration_notes(self._registrations), *self._cameras.notes()],
+        )
+
+    def _moved_on(self, tracked: TrackedScan) -> bool:
+        """Whether a scan is far enough from the last keyframe to be the next."""
+        if self._last_keyframe is None:
+            return True
+        step = between(self._last_keyframe.pose, tracked.pose)
+        limits = self._config.keyframes
+        return bool(np.hypot(step[0], step[1]) > limits.distance_m or abs(step[2]) > limits.angle_rad)
+
+    def _add_keyframe(
+        self, stamp_s: float, scan: LaserScan | None, points: ScanPoints | None, tracked: TrackedScan
+    ) -> int:
+        """Grow the local map, the graph and the loop closer by a moment; the keyframe's number."""
+        key = 0
+        if self._last_keyframe is not None:
+            step = between(self._last_keyframe.pose, tracked.pose)
+            self._travelled_m += float(np.hypot(step[0], step[1]))
+            match = None
+            if tracked.motion is not None:
+                match = Step(step, tracked.motion.covariance + tracked.dispute)
+            wheels = self._wheel_step(self._last_keyframe, tracked, stamp_s - self._keyframe_stamp_s)
+            cameras = self._camera_steps(tracked)
+            doubtful = self._doubtful(tracked)
+            key = self._graph.add_keyframe(step, match, wheels, cameras, match_doubtful=doubtful)
+        if points is not None:
+            self._tracker.add_keyframe(points, tracked)
+        seen = OrientedPoints.none() if points is None else OrientedPoints.from_scan(points)
+        self._closer.add_keyframe(seen, tracked.pose, self._travelled_m)
+        self._readings.mark_keyframe()
+        self._keyframe_scans.append(scan)
+        self._keyframe_stamp_s = stamp_s
+        self._keyframe_marks = self._marks
+        self._last_keyframe = tracked
+        return key
+
+    def _camera_steps(self, tracked: TrackedScan) -> list[Step]:
+        """Motion since the last keyframe by every camera."""
+        doubt = self._tracker.camera_doubt
+        return [
+            Step(step.planar.motion, step.planar.covariance * doubt + tracked.dispute)
+            for step in self._cameras.steps(self._keyframe_marks, self._marks)
+            if step.planar is not None
+        ]
+
+    def _doubtful(self, tracked: TrackedScan) -> bool:
+        """Whether a match was contradicted, or too few points agree with it."""
+        least = self._config.graph.sure_inlier_share
+        return bool(tracked.motion is None or tracked.dispute.any() or tracked.motion.inlier_share < least)
+
+    def _wheel_step(self, last: TrackedScan, tracked: TrackedScan, elapsed_s: float) -> Step | None:
+        """Motion between two keyframes by the wheels; None without wheels or where they jumped."""
+        if self._wheels is None or last.wheel_pose is None or tracked.wheel_pose is None:
+            return None
+        motion = between(last.wheel_pose, tracked.wheel_pose)
+        if not self._wheels.plausible(motion, elapsed_s):
+            return None
+        return Step(motion, self._wheels.covariance(motion) * self._tracker.wheel_doubt + tracked.dispute)
+
+    def _build_grid(self, keyframe_poses: FloatArray) -> tuple[OccupancyGrid | None, list[str]]:
+        """The grid from the optimised keyframes; a map that would not fit in memory is a warning."""
+        settings = self._config.grid
+        model = InverseSensorModel(
+            p_hit=settings.hit_probability,
+            p_miss=settings.miss_probability,
+            max_hit_range_m=settings.hit_range_m,
+            max_clear_range_m=settings.clear_range_m,
+        )
+        scans = (
+            PosedScan.of(scan, pose2_from_row(pose))
+            for scan, pose in zip(self._keyframe_scans, keyframe_poses, strict=True)
+            if scan is not None
+        )
+        if all(scan is None for scan in self._keyframe_scans):
+            return None, []
+        try:
+            return build_grid(scans, settings.resolution_m, model, max_cells=settings.greatest_cells), []
+        except ScanweaveError as error:
+            return None, [f"No grid was built: {error}"]

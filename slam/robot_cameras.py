@@ -1,0 +1,97 @@
+"""The RGB-D cameras of a robot on a floor: where each was at a moment, and how the robot moved by it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import gtsam
+
+from slam.config_stages import RgbdOdometryConfig, SensorsConfig
+from slam.measurements import FloatArray
+from slam.odometry.camera_odometry import CameraOdometry, CameraPose, camera_step
+from slam.vision.planar_motion import PlanarMotion, planar_motion
+from slam.vision.prepared_frame import PreparedFrame
+
+# Where every camera was at one moment; None for one that did not know.
+CameraMarks = Mapping[str, CameraPose | None]
+
+
+@dataclass(slots=True)
+class RobotCamera:
+    """One camera: its odometry, its mounting, and what it was refused for."""
+
+    odometry: CameraOdometry
+    T_base_camera: gtsam.Pose3 | None
+    steps: int = 0
+    refused_steps: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class CameraStep:
+    """Motion of a camera between two moments: as measured, and of the robot where the mounting is known."""
+
+    camera: str
+    motion: gtsam.Pose3
+    covariance: FloatArray
+    planar: PlanarMotion | None
+
+
+@dataclass(slots=True)
+class RobotCameras:
+    """All cameras by name."""
+
+    config: RgbdOdometryConfig
+    sensors: SensorsConfig
+    cameras: dict[str, RobotCamera] = field(default_factory=dict)
+
+    def add(self, frame: PreparedFrame) -> None:
+        """Track a frame of any camera."""
+        name = frame.frame.sensor
+        if name not in self.cameras:
+            given = self.sensors.mounting == "given"
+            mounting = frame.frame.T_base_camera if given else None
+            self.cameras[name] = RobotCamera(CameraOdometry(self.config), mounting)
+        self.cameras[name].odometry.add(frame)
+
+    def marks(self, stamp_s: float) -> CameraMarks:
+        """Where every camera was at a stamp."""
+        return {name: camera.odometry.at(stamp_s) for name, camera in self.cameras.items()}
+
+    def leads(self, name: str, stamp_s: float) -> bool:
+        """Whether a camera is the first that knows where it is; the first of all where none does."""
+        knowing = [
+            other
+            for other, camera in self.cameras.items()
+            if camera.T_base_camera is not None and camera.odometry.at(stamp_s) is not None
+        ]
+        return name == (knowing or list(self.cameras))[0]
+
+    def steps(self, before: CameraMarks, after: CameraMarks) -> list[CameraStep]:
+        """Motion between two moments by every camera that knows it and stays in the plane."""
+        found = []
+        for name, camera in self.cameras.items():
+            step = camera_step(before.get(name), after.get(name))
+            if step is None:
+                continue
+            planar = None
+            if camera.T_base_camera is not None:
+                planar = planar_motion(*step, camera.T_base_camera)
+                camera.steps += 1
+                if planar.excess > self.sensors.greatest_excess:
+                    camera.refused_steps += 1
+                    continue
+            found.append(CameraStep(name, *step, planar))
+        return found
+
+    def notes(self) -> list[str]:
+        """What a person should know, one line a camera that failed often."""
+        lines = []
+        for name, camera in self.cameras.items():
+            lost, frames = camera.odometry.lost_frames, camera.odometry.frames
+            if lost > 0.01 * frames:
+                lines.append(f"{name}: {lost:,} of {frames:,} frames matched nothing")
+            if camera.refused_steps > 0.01 * camera.steps:
+                refused = f"{camera.refused_steps:,} of {camera.steps:,}"
+                lines.append(f"{name}: {refused} motions left the floor and were refused")
+        return lines

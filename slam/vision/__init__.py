@@ -1,0 +1,1 @@
+"""What the camera sees: surfaces, features, their alignment, known places."""

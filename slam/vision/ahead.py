@@ -1,0 +1,33 @@
+"""Frames prepared in another thread while the one before is matched."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TypeVar
+
+Item = TypeVar("Item")
+Prepared = TypeVar("Prepared")
+
+
+def prepared_ahead(
+    items: Iterable[Item], prepare: Callable[[Item], Prepared], ahead: int = 2
+) -> Iterator[Prepared]:
+    """Results of ``prepare`` in the order of the items, up to ``ahead`` of them computed in advance.
+
+    The order, and with it every result, is that of a plain loop. An error of ``prepare`` surfaces where its
+    item's turn comes.
+    """
+    waiting: deque[Future[Prepared]] = deque()
+    with ThreadPoolExecutor(1, thread_name_prefix="prepare") as pool:
+        try:
+            for item in items:
+                waiting.append(pool.submit(prepare, item))
+                if len(waiting) > ahead:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()

@@ -1,0 +1,80 @@
+"""Pose from matched features without a guess: PnP-RANSAC, then least squares (Yang2021 Eq. (3)-(6))."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from slam.measurements import BoolArray, CameraIntrinsics, FloatArray
+
+_CONFIDENCE = 0.999
+_ROUNDS = 200
+
+
+@dataclass(frozen=True, slots=True)
+class FeaturePose:
+    """A pose that many features agree on.
+
+    Attributes
+    ----------
+    T_reference_camera
+        Of the new image, in the frame of the 3D points.
+    inliers
+        (N,) which pairs agree.
+    """
+
+    T_reference_camera: gtsam.Pose3
+    inliers: BoolArray
+
+
+def pose_from_features(
+    points_reference: FloatArray,
+    pixels: FloatArray,
+    intrinsics: CameraIntrinsics,
+    tolerance_px: float,
+    least_inliers: int,
+    seed: int,
+) -> FeaturePose | None:
+    """Pose of a camera from known points and where it sees them; None where too few agree.
+
+    Parameters
+    ----------
+    points_reference
+        (N, 3).
+    pixels
+        (N, 2) in the new image.
+    tolerance_px
+        Reprojection error up to which a pair agrees.
+    """
+    if len(points_reference) < max(least_inliers, 4):
+        return None
+    import cv2
+
+    k = intrinsics
+    camera = np.array([[k.fx, 0.0, k.cx], [0.0, k.fy, k.cy], [0.0, 0.0, 1.0]])
+    points = np.ascontiguousarray(points_reference, np.float64)
+    observed = np.ascontiguousarray(pixels, np.float64)
+    cv2.setRNGSeed(seed)
+    found, rotation, translation, inliers = cv2.solvePnPRansac(
+        points,
+        observed,
+        camera,
+        None,
+        iterationsCount=_ROUNDS,
+        reprojectionError=tolerance_px,
+        confidence=_CONFIDENCE,
+    )
+    if not found or inliers is None or len(inliers) < least_inliers:
+        return None
+    chosen = inliers[:, 0]
+    rotation, translation = cv2.solvePnPRefineLM(
+        points[chosen], observed[chosen], camera, np.zeros(0), rotation, translation
+    )
+    if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
+        return None
+    T_camera_reference = gtsam.Pose3(gtsam.Rot3.Expmap(rotation.ravel()), translation.ravel())
+    mask = np.zeros(len(points), bool)
+    mask[chosen] = True
+    return FeaturePose(T_camera_reference.inverse(), mask)

@@ -1,0 +1,128 @@
+"""Frame against keyframes by surfaces and features; PnP-RANSAC where the guess does not lead there."""
+
+from __future__ import annotations
+
+import math
+
+import gtsam
+import numpy as np
+
+from slam.config_stages import RgbdOdometryConfig
+from slam.measurements import MotionEstimate
+from slam.vision.feature_pose import pose_from_features
+from slam.vision.features import match_features
+from slam.vision.joint_alignment import AlignmentSettings, JointAlignment, Landmarks, View, align
+from slam.vision.prepared_frame import PreparedFrame
+from slam.vision.visual_match import VisualKeyframe, VisualMatch, covariance_of
+
+# A feature is a rarer and more telling reading than a point of a surface.
+_POINTS_A_FEATURE = 10.0
+
+
+class FrameMatcher:
+    """Stateless but for its settings; without surfaces it is Yang2021's ORB odometry, Eq. (1)-(6)."""
+
+    def __init__(self, config: RgbdOdometryConfig, *, use_surfaces: bool = True) -> None:
+        self._config = config
+        self._use_surfaces = use_surfaces
+        self._settings = AlignmentSettings(
+            iterations=config.iterations,
+            coarse_iterations=config.coarse_iterations,
+            kernel_sigmas=config.kernel_sigmas,
+            gate_m=config.gate_m,
+            depth_floor_m=config.depth_floor_m,
+            depth_share=config.depth_share,
+            correlated_points=config.correlated_points if use_surfaces else math.inf,
+            correlated_features=config.correlated_features,
+        )
+
+    def match(
+        self, frame: PreparedFrame, local: list[VisualKeyframe], guess: gtsam.Pose3
+    ) -> VisualMatch | None:
+        """See `slam.odometry.rgbd_odometry.RgbdOdometry`."""
+        config = self._config
+        landmarks = self._landmarks(frame, local[: config.feature_views])
+        best = self._align(frame, local, landmarks, guess)
+        if self._share(best) < config.sure_inlier_share or not best.converged:
+            found = self._by_features(frame, landmarks)
+            if found is not None:
+                best = max(best, self._align(frame, local, landmarks, found), key=self._share)
+        return self._judge(best)
+
+    def match_anywhere(self, frame: PreparedFrame, local: list[VisualKeyframe]) -> VisualMatch | None:
+        """Pose of the frame's camera without a guess, or None where too few features agree."""
+        landmarks = self._landmarks(frame, local)
+        found = self._by_features(frame, landmarks)
+        return None if found is None else self._judge(self._align(frame, local, landmarks, found))
+
+    def _by_features(self, frame: PreparedFrame, landmarks: Landmarks) -> gtsam.Pose3 | None:
+        """PnP-RANSAC: ``T_odom_camera``."""
+        found = pose_from_features(
+            landmarks.points,
+            landmarks.pixels,
+            frame.frame.intrinsics,
+            self._config.ransac_px,
+            self._config.least_inliers,
+            seed=0,
+        )
+        return None if found is None else found.T_reference_camera
+
+    def _landmarks(self, frame: PreparedFrame, keyframes: list[VisualKeyframe]) -> Landmarks:
+        """Features of the keyframes that are found again in the frame."""
+        config = self._config
+        points, pixels, sigmas = [], [], []
+        for keyframe in keyframes:
+            known = keyframe.frame.features
+            pairs = match_features(
+                known.descriptors, frame.features.descriptors, config.match_ratio, config.match_bits
+            )
+            pairs = pairs.where(known.depth_m[pairs.first] > 0.0)
+            camera = known.points_camera(keyframe.frame.frame.intrinsics)[pairs.first]
+            points.append(camera @ keyframe.pose.rotation().matrix().T + keyframe.pose.translation())
+            pixels.append(frame.features.pixels[pairs.second].astype(np.float64))
+            both = np.hypot(known.sigma_px[pairs.first], frame.features.sigma_px[pairs.second])
+            sigmas.append(both / np.sqrt(2.0))
+        return Landmarks(np.concatenate(points), np.concatenate(pixels), np.concatenate(sigmas))
+
+    def _align(
+        self, frame: PreparedFrame, local: list[VisualKeyframe], landmarks: Landmarks, guess: gtsam.Pose3
+    ) -> JointAlignment:
+        """Least squares from one guess."""
+        views = [View(keyframe.frame.surface, keyframe.pose) for keyframe in local]
+        return align(
+            frame.points,
+            views,
+            landmarks,
+            frame.frame.intrinsics,
+            guess,
+            self._settings,
+        )
+
+    def _share(self, alignment: JointAlignment) -> float:
+        """Agreeing readings over all that met a partner."""
+        agree = _POINTS_A_FEATURE * alignment.feature_count
+        met = agree / max(alignment.feature_inliers, 1e-6)
+        if self._use_surfaces:
+            agree += alignment.point_count
+            met += alignment.point_count / max(alignment.surface_inliers, 1e-6)
+        return agree / met if met > 0.0 else 0.0
+
+    def _judge(self, alignment: JointAlignment) -> VisualMatch | None:
+        """A measured motion, or None where too little agrees."""
+        config = self._config
+        share = self._share(alignment)
+        enough = alignment.feature_count >= config.least_inliers or alignment.overlap >= config.least_overlap
+        if share < config.least_inlier_share or not enough:
+            return None
+        covariance, weak = covariance_of(alignment.information, share, config)
+        motion = MotionEstimate(
+            T_reference_base=alignment.pose,
+            covariance=covariance,
+            inlier_share=share,
+            fit=share,
+            residual_m=alignment.residual_m,
+            converged=alignment.converged,
+            degenerate=bool(weak.any()),
+            weak_direction=weak,
+        )
+        return VisualMatch(motion, alignment.overlap, alignment.feature_count, alignment.residual_px)

@@ -1,0 +1,101 @@
+"""Frame pairs from the beginning of a log, by which the colour camera's place is estimated."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from slam.config import Config
+from slam.config_stages import RgbdOdometryConfig
+from slam.measurements import Measurement, RgbdFrame
+from slam.vision.color_registration import ColorRegistration
+from slam.vision.color_registration_fit import FramePair, estimate_registration
+from slam.vision.features import Features, extract_features, gray_of, match_features
+
+log = logging.getLogger(__name__)
+
+_EVERY_S = 0.2
+_LONGEST_S = 40.0
+_PAIRS = 24
+_LEAST_MATCHES = 60
+# Median motion of the matched features, in shares of the image's width: enough to tell, and still matched.
+_LEAST_MOTION, _GREATEST_MOTION = 0.03, 0.25
+
+
+def registrations_of(
+    measurements: Iterable[Measurement], cameras: Sequence[str], config: Config
+) -> dict[str, ColorRegistration]:
+    """Where the colour camera sits beside the depth camera, for every camera where it is not registered.
+
+    Parameters
+    ----------
+    measurements
+        Of the log from its beginning; it is read until every camera has shown enough, at most 40 seconds.
+    cameras
+        Names of the cameras.
+    """
+    if config.rgbd.registration == "given":
+        return {}
+    collectors = {name: _Collector(config) for name in cameras}
+    first_s: float | None = None
+    for measurement in measurements:
+        first_s = measurement.stamp_s if first_s is None else first_s
+        if measurement.stamp_s - first_s > _LONGEST_S or all(c.done for c in collectors.values()):
+            break
+        if isinstance(measurement, RgbdFrame) and measurement.sensor in collectors:
+            collectors[measurement.sensor].add(measurement)
+    found = {name: collector.registration(config.seed) for name, collector in collectors.items()}
+    return {name: registration for name, registration in found.items() if registration is not None}
+
+
+class _Collector:
+    """Frame pairs of one camera."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._pairs: list[FramePair] = []
+        self._anchor: tuple[RgbdFrame, Features] | None = None
+        self._looked_s = -np.inf
+
+    @property
+    def done(self) -> bool:
+        """Whether there are enough."""
+        return len(self._pairs) >= _PAIRS
+
+    def add(self, frame: RgbdFrame) -> None:
+        """Pair a frame with the anchor before it, if the motion between suits."""
+        if self.done or frame.stamp_s - self._looked_s < _EVERY_S:
+            return
+        self._looked_s = frame.stamp_s
+        features = extract_features(gray_of(frame), frame.depth_m, self._config.rgbd.features)
+        pair, motion = None, np.inf
+        if self._anchor is not None:
+            pair, motion = _pair(*self._anchor, frame, features, self._config.rgbd_odometry)
+        if pair is not None:
+            self._pairs.append(pair)
+        if pair is not None or motion > _GREATEST_MOTION:
+            self._anchor = frame, features
+
+    def registration(self, seed: int) -> ColorRegistration | None:
+        """The estimate; None where colour is registered, or nothing else can be shown."""
+        if self._anchor is None:
+            return None
+        registration = estimate_registration(self._pairs, self._anchor[0].intrinsics, seed)
+        log.info("%s: %s", self._anchor[0].sensor, registration.reason)
+        return registration if registration.accepted else None
+
+
+def _pair(
+    before: RgbdFrame, known: Features, frame: RgbdFrame, features: Features, config: RgbdOdometryConfig
+) -> tuple[FramePair | None, float]:
+    """The matched pair, None where the motion between is too small or too large; and the motion."""
+    matches = match_features(known.descriptors, features.descriptors, config.match_ratio, config.match_bits)
+    if len(matches) < _LEAST_MATCHES:
+        return None, np.inf
+    a, b = known.pixels[matches.first], features.pixels[matches.second]
+    motion = float(np.median(np.linalg.norm(a - b, axis=1))) / frame.intrinsics.width
+    if not _LEAST_MOTION <= motion <= _GREATEST_MOTION:
+        return None, motion
+    return FramePair(a, b, before.depth_m, frame.depth_m), motion

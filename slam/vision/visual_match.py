@@ -1,0 +1,79 @@
+"""A frame matched to keyframes, and how sure that is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import cast
+
+import gtsam
+import numpy as np
+
+from slam.config_stages import RgbdOdometryConfig
+from slam.measurements import FloatArray, MotionEstimate
+from slam.vision.prepared_frame import PreparedFrame
+
+
+@dataclass(slots=True)
+class VisualKeyframe:
+    """A frame of the local map and where its camera stood, ``T_odom_camera``."""
+
+    frame: PreparedFrame
+    pose: gtsam.Pose3
+
+
+@dataclass(frozen=True, slots=True)
+class VisualMatch:
+    """A frame matched to keyframes.
+
+    Attributes
+    ----------
+    motion
+        ``T_odom_camera`` with its covariance, camera frame, GTSAM's order.
+    overlap
+        Share of the image that the keyframes know, 0..1.
+    feature_count
+        Features that agree.
+    residual_px
+        Robust sigma of their reprojection.
+    """
+
+    motion: MotionEstimate
+    overlap: float
+    feature_count: int
+    residual_px: float
+
+    @property
+    def pose(self) -> gtsam.Pose3:
+        """``T_odom_camera``."""
+        return cast(gtsam.Pose3, self.motion.T_reference_base)
+
+
+def covariance_of(
+    information: FloatArray, inlier_share: float, config: RgbdOdometryConfig
+) -> tuple[FloatArray, FloatArray]:
+    """Covariance (6, 6) of an alignment and its weak direction (6,), zero where all are determined.
+
+    A translation whose sigma exceeds the configured limit is degenerate: that direction gets the square of
+    ten times the limit on top.
+    """
+    eigenvalues, eigenvectors = np.linalg.eigh(information)
+    least = 1.0 / (10.0 * config.degenerate_sigma_m) ** 2
+    covariance = (eigenvectors / np.maximum(eigenvalues, least)) @ eigenvectors.T
+    # Readings that fit nothing are a doubt about all the others.
+    covariance /= max(inlier_share, 0.1) ** 2
+    floor = [config.floor_rad**2] * 3 + [config.floor_m**2] * 3
+    covariance = 0.5 * (covariance + covariance.T) + np.diag(floor)
+    variances, axes = np.linalg.eigh(covariance[3:, 3:])
+    weak = np.zeros(6)
+    if variances[-1] > config.degenerate_sigma_m**2:
+        weak[3:] = axes[:, -1]
+        covariance += (10.0 * config.degenerate_sigma_m) ** 2 * np.outer(weak, weak)
+    return covariance, weak
+
+
+def unlikeness(pose: gtsam.Pose3, other: gtsam.Pose3, depth_m: float) -> float:
+    """How differently two cameras see: travel in depths of the scene and turn in radians, together."""
+    step = pose.between(other)
+    travel = float(np.linalg.norm(step.translation())) / depth_m
+    return math.hypot(travel, float(np.linalg.norm(gtsam.Rot3.Logmap(step.rotation()))))
