@@ -1,0 +1,333 @@
+"""Where the camera sits on the robot, from the motions of both (hand-eye calibration, Tsai 1989).
+
+``hand_eye`` finds the mount and the bad pairs; then the mount is a variable of a GTSAM graph, joined to two
+base poses by each camera step. Beside ``pose_graph`` this file builds GTSAM factors too. What the motions do
+not tell is named, not invented: a planar robot never tells the camera's height.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from slam.errors import GraphError
+from slam.graph.hand_eye import FORWARD_MOUNT, Fit, Motions, refine, search
+from slam.measurements import BoolArray, FloatArray, Pose
+
+# GTSAM's order, seen from the base.
+_NAMES = ("roll", "pitch", "yaw", "x", "y", "height")
+# Sigma of what nothing tells, and of what is held while the rest is solved, in units of the vague sigmas.
+_UNKNOWN, _HELD = 100.0, 1e-3
+# An axis is called unobservable when this share of it lies in the space that nothing tells.
+_UNTOLD_SHARE = 0.05
+_SETTLED = 0.01
+_GAUGE_SIGMA = 1e-4
+# x, y, theta of a planar twist in GTSAM's spatial one.
+_PLANAR = [3, 4, 2]
+_LIFT = np.eye(6)[:, _PLANAR]
+
+
+@dataclass(frozen=True, slots=True)
+class MotionPair:
+    """Motions of base and camera over the same time.
+
+    Attributes
+    ----------
+    base_step
+        Pose of the base at the end in the base frame at the start; Pose2 of a planar robot, or Pose3.
+    base_covariance
+        (d, d) in GTSAM's order, in the frame at the end.
+    camera_step
+        Pose of the camera's optical frame at the end in the one at the start.
+    camera_covariance
+        (6, 6) in the frame at the end.
+    """
+
+    base_step: Pose
+    base_covariance: FloatArray
+    camera_step: gtsam.Pose3
+    camera_covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class ExtrinsicsSettings:
+    """Assumptions and limits.
+
+    Attributes
+    ----------
+    inlier_probability
+        Chi-square probability at which a true pair passes the gate.
+    tilt_sigma_rad, heave_sigma_m
+        How far a planar robot leaves its plane in one step.
+    vague_sigma_rad, vague_sigma_m
+        A direction of the mount known worse than this, seen from the base, is called unobservable.
+    """
+
+    inlier_probability: float = 0.99
+    tilt_sigma_rad: float = 0.002
+    heave_sigma_m: float = 0.002
+    vague_sigma_rad: float = 0.09
+    vague_sigma_m: float = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class ExtrinsicsResult:
+    """The mount and its trust.
+
+    Attributes
+    ----------
+    T_base_camera
+        Unobservable directions are as the start had them; without a start, as a camera at the base's origin
+        that looks forward would.
+    covariance
+        (6, 6) in GTSAM's order, in the camera's frame; unobservable directions have a hundred times the sigma
+        that counts as vague.
+    unobservable
+        Among roll, pitch, yaw, x, y, height, seen from the base; ``("all",)`` where nothing is told.
+    inliers
+        (N,) pairs that agree.
+    inlier_share
+        Their share, 0 without a pair.
+    residual_rad, residual_m
+        Root mean square of a coordinate of the agreeing camera steps, measured less predicted.
+    converged
+        Whether the iteration settled on something that was told.
+    """
+
+    T_base_camera: gtsam.Pose3
+    covariance: FloatArray
+    unobservable: tuple[str, ...]
+    inliers: BoolArray
+    inlier_share: float
+    residual_rad: float
+    residual_m: float
+    converged: bool
+
+
+def estimate_extrinsics(
+    pairs: Sequence[MotionPair],
+    start: gtsam.Pose3 | None = None,
+    settings: ExtrinsicsSettings | None = None,
+) -> ExtrinsicsResult:
+    """``T_base_camera`` from paired motions.
+
+    Parameters
+    ----------
+    pairs
+        All planar or all spatial; a third of them may be false. Steps should turn by more than their noise.
+    start
+        ``T_base_camera`` as believed; it may be wrong, and it may be missing.
+
+    Raises
+    ------
+    GraphError
+        Where a pair is not finite, its covariance is not positive definite, or planar and spatial are mixed.
+    """
+    settings = settings or ExtrinsicsSettings()
+    _check(pairs, start)
+    nominal = start or gtsam.Pose3(gtsam.Rot3(FORWARD_MOUNT), np.zeros(3))
+    vague = np.repeat([settings.vague_sigma_rad, settings.vague_sigma_m], 3)
+    if not pairs:
+        axes = _base_axes(nominal)
+        covariance = axes.T @ np.diag((_UNKNOWN * vague) ** 2) @ axes
+        unmeasured = float("nan")
+        nothing = np.zeros(0, np.bool_)
+        return ExtrinsicsResult(
+            nominal, covariance, ("all",), nothing, 0.0, unmeasured, unmeasured, converged=False
+        )
+    motions = _motions(pairs, settings)
+    rough = search(motions, nominal.rotation().matrix(), nominal.translation())
+    fit = refine(motions, *rough, settings.inlier_probability)
+    untold = _untold_space(fit, vague)
+    mount = _restored(fit, nominal, untold, vague)
+    agreeing = [pair for pair, keep in zip(pairs, fit.inliers, strict=True) if keep]
+    # What is held keeps its place; covariances of axes scaled by the vague sigmas, seen from the base.
+    holding = _HELD**2 * untold + _UNKNOWN**2 * (np.eye(6) - untold)
+    mount, covariance = _solve_graph(agreeing, mount, _from_base(mount, holding, vague), fit.scale, settings)
+    covariance = covariance + _from_base(mount, _UNKNOWN**2 * untold, vague)
+    return _result(fit, mount, covariance, untold, vague)
+
+
+def camera_step_factor(
+    keys: tuple[int, int, int],
+    camera_step: gtsam.Pose3,
+    noise: gtsam.noiseModel.Base,
+    planar: bool,
+) -> gtsam.CustomFactor:
+    """A camera step as a factor of two base poses and of the mount.
+
+    Error: Log(inverse(camera_step) inverse(X) inverse(pose_i) pose_j X), in the frame at the step's end.
+
+    Parameters
+    ----------
+    keys
+        Of pose_i, pose_j (Pose2 where planar, else Pose3) and X = ``T_base_camera`` (Pose3).
+    noise
+        Of the camera step, six dimensions; in the plane it should hold the base's tilt and heave too.
+    """
+    return gtsam.CustomFactor(noise, list(keys), _step_error(camera_step.inverse(), planar))
+
+
+def _step_error(
+    to_camera: gtsam.Pose3, planar: bool
+) -> Callable[[gtsam.CustomFactor, gtsam.Values, list[FloatArray] | None], FloatArray]:
+    """Error and Jacobians of a camera step, perturbations on the right."""
+
+    def error(
+        factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[FloatArray] | None
+    ) -> FloatArray:
+        key_i, key_j, key_mount = factor.keys()
+        mount = values.atPose3(key_mount)
+        pose_at: Any = values.atPose2 if planar else values.atPose3
+        step: Any = pose_at(key_i).between(pose_at(key_j))
+        spatial = gtsam.Pose3(step)
+        to_mount = mount.inverse()
+        predicted = to_mount.compose(spatial).compose(mount)
+        twist: FloatArray = gtsam.Pose3.Logmap(to_camera.compose(predicted))
+        if jacobians is not None:
+            by_step = gtsam.Pose3.LogmapDerivative(twist)
+            by_end = by_step @ to_mount.AdjointMap() @ (_LIFT if planar else np.eye(6))
+            jacobians[0] = -by_end @ step.inverse().AdjointMap()
+            jacobians[1] = by_end
+            jacobians[2] = by_step @ (np.eye(6) - predicted.inverse().AdjointMap())
+        return twist
+
+    return error
+
+
+def _solve_graph(
+    pairs: Sequence[MotionPair],
+    mount: gtsam.Pose3,
+    holding: FloatArray,
+    scale: float,
+    settings: ExtrinsicsSettings,
+) -> tuple[gtsam.Pose3, FloatArray]:
+    """Base poses in a chain of the base steps, the mount joined by the camera steps; mount and covariance.
+
+    Only the steps matter, so that pairs that follow each other in the chain need not do so in time.
+    """
+    planar = isinstance(pairs[0].base_step, gtsam.Pose2)
+    # Pose2 and Pose3 alike.
+    pose: Any = gtsam.Pose2() if planar else gtsam.Pose3()
+    between: Any = gtsam.BetweenFactorPose2 if planar else gtsam.BetweenFactorPose3
+    prior = gtsam.PriorFactorPose2 if planar else gtsam.PriorFactorPose3
+    mount_key = len(pairs) + 1
+    back = mount.inverse().AdjointMap()
+    swing = back @ _out_of_plane(settings) @ back.T if planar else np.zeros((6, 6))
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.add(prior(0, pose, gtsam.noiseModel.Isotropic.Sigma(3 if planar else 6, _GAUGE_SIGMA)))
+    graph.add(gtsam.PriorFactorPose3(mount_key, mount, gtsam.noiseModel.Gaussian.Covariance(holding)))
+    values.insert(mount_key, mount)
+    values.insert(0, pose)
+    for k, pair in enumerate(pairs):
+        pose = pose.compose(pair.base_step)
+        values.insert(k + 1, pose)
+        noise = gtsam.noiseModel.Gaussian.Covariance(scale**2 * pair.base_covariance)
+        graph.add(between(k, k + 1, pair.base_step, noise))
+        noise = gtsam.noiseModel.Gaussian.Covariance(scale**2 * (pair.camera_covariance + swing))
+        graph.add(camera_step_factor((k, k + 1, mount_key), pair.camera_step, noise, planar))
+    solved = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    return solved.atPose3(mount_key), gtsam.Marginals(graph, solved).marginalCovariance(mount_key)
+
+
+def _untold_space(fit: Fit, vague: FloatArray) -> FloatArray:
+    """(6, 6) projector on the directions left vague; seen from the base, axes scaled by the vague sigmas."""
+    axes = _base_axes(gtsam.Pose3(gtsam.Rot3(fit.R), fit.t))
+    information = np.outer(vague, vague) * (axes @ fit.information @ axes.T) / fit.scale**2
+    strengths, directions = np.linalg.eigh(information)
+    weak = directions[:, strengths < 1.0]
+    return np.asarray(weak @ weak.T, dtype=np.float64)
+
+
+def _restored(fit: Fit, nominal: gtsam.Pose3, untold: FloatArray, vague: FloatArray) -> gtsam.Pose3:
+    """The fitted mount, moved to the nominal one where nothing tells."""
+    rotation = gtsam.Rot3(fit.R)
+    apart = gtsam.Rot3.Logmap(nominal.rotation().compose(rotation.inverse()))
+    offset = np.concatenate([apart, nominal.translation() - fit.t])
+    offset = vague * (untold @ (offset / vague))
+    return gtsam.Pose3(gtsam.Rot3.Expmap(offset[:3]).compose(rotation), fit.t + offset[3:])
+
+
+def _from_base(mount: gtsam.Pose3, covariance: FloatArray, vague: FloatArray) -> FloatArray:
+    """(6, 6) in the camera's frame of a covariance over scaled axes of the base."""
+    axes = _base_axes(mount)
+    turned: FloatArray = axes.T @ (np.outer(vague, vague) * covariance) @ axes
+    return turned
+
+
+def _result(
+    fit: Fit, mount: gtsam.Pose3, covariance: FloatArray, untold: FloatArray, vague: FloatArray
+) -> ExtrinsicsResult:
+    """Names, residuals and trust."""
+    unobservable = np.diag(untold) > _UNTOLD_SHARE
+    last_step = _base_axes(mount) @ fit.last_step / vague
+    settled = np.abs(last_step - untold @ last_step).max() < _SETTLED
+    agreeing = fit.errors[fit.inliers]
+    return ExtrinsicsResult(
+        T_base_camera=mount,
+        covariance=0.5 * (covariance + covariance.T),
+        unobservable=("all",) if unobservable.all() else tuple(np.array(_NAMES)[unobservable].tolist()),
+        inliers=fit.inliers,
+        inlier_share=float(fit.inliers.mean()),
+        residual_rad=float(np.sqrt(np.mean(agreeing[:, :3] ** 2))),
+        residual_m=float(np.sqrt(np.mean(agreeing[:, 3:] ** 2))),
+        converged=bool(settled and not unobservable.all()),
+    )
+
+
+def _base_axes(mount: gtsam.Pose3) -> FloatArray:
+    """(6, 6) turns a twist of the mount, camera frame, to the axes of the base."""
+    return np.asarray(np.kron(np.eye(2), mount.rotation().matrix()), dtype=np.float64)
+
+
+def _out_of_plane(settings: ExtrinsicsSettings) -> FloatArray:
+    """(6, 6) what the plane hides of a step's noise."""
+    tilt, heave = settings.tilt_sigma_rad**2, settings.heave_sigma_m**2
+    return np.diag([tilt, tilt, 0.0, 0.0, 0.0, heave])
+
+
+def _motions(pairs: Sequence[MotionPair], settings: ExtrinsicsSettings) -> Motions:
+    """The pairs as arrays, planar steps lifted into space."""
+    base, base_covariances = [], []
+    for pair in pairs:
+        if isinstance(pair.base_step, gtsam.Pose2):
+            base.append(gtsam.Pose3(pair.base_step).matrix())
+            base_covariances.append(_LIFT @ pair.base_covariance @ _LIFT.T + _out_of_plane(settings))
+        else:
+            base.append(pair.base_step.matrix())
+            base_covariances.append(pair.base_covariance)
+    bases = np.stack(base)
+    cameras = np.stack([pair.camera_step.matrix() for pair in pairs])
+    return Motions(
+        bases[:, :3, :3],
+        bases[:, :3, 3],
+        np.stack(base_covariances),
+        cameras[:, :3, :3],
+        cameras[:, :3, 3],
+        np.stack([pair.camera_covariance for pair in pairs]),
+    )
+
+
+def _check(pairs: Sequence[MotionPair], start: gtsam.Pose3 | None) -> None:
+    """Refuse what GTSAM would take silently."""
+    if start is not None and not np.isfinite(start.matrix()).all():
+        raise GraphError("the start of T_base_camera is not finite; leave it out instead")
+    if len({isinstance(pair.base_step, gtsam.Pose2) for pair in pairs}) > 1:
+        raise GraphError("motion pairs mix planar and spatial base steps; give one kind")
+    for k, pair in enumerate(pairs):
+        steps = (
+            ("base", pair.base_step, pair.base_covariance),
+            ("camera", pair.camera_step, pair.camera_covariance),
+        )
+        for name, step, covariance in steps:
+            size = 3 if isinstance(step, gtsam.Pose2) else 6
+            if not np.isfinite(step.matrix()).all():
+                raise GraphError(f"motion pair {k}: the {name} step is not finite")
+            if covariance.shape != (size, size) or not np.isfinite(covariance).all():
+                raise GraphError(f"motion pair {k}: the {name} covariance must be finite ({size}, {size})")
+            if np.linalg.eigvalsh(covariance)[0] <= 0.0:
+                raise GraphError(f"motion pair {k}: the {name} covariance is not positive definite")
