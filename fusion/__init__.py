@@ -1,4 +1,22 @@
-"""Pure functions on sensor arrays: fusion of lidar and depth. Knows nothing of slam."""
+"""Pure functions on sensor arrays: fusion of lidar and depth. Knows nothing of slam.
+
+A lidar and a depth camera repair each other, with no calibration between them (Xu2024)::
+
+    import fusion
+
+    scan = fusion.LidarCurve(ranges_m, start_angle_rad, step_rad, range_max_m)
+    depth = fusion.DepthImage(depth_m, fusion.Intrinsics(fx, fy, cx, cy))
+    pair = fusion.register(scan, depth)  # (u, v), height, grade, score map
+    repaired = fusion.denoise(scan, depth, pair)  # ranges_m, depth_m, provenance of each sample
+
+One pair can mislead; a drive does not. `Rig` adds up the pairs of one robot, and its estimate takes the
+place of a single registration::
+
+    rig = fusion.Rig()
+    for scan, depth in drive:
+        rig.add(fusion.register(scan, depth))
+    repaired = fusion.denoise(scan, depth, rig.estimate())
+"""
 
 from fusion.curves import DepthImage, Intrinsics, LidarCurve
 from fusion.denoise import Denoised, denoise
@@ -6,8 +24,10 @@ from fusion.registration import Registration, register
 from fusion.repair import Provenance
 from fusion.rig import Rig, RigEstimate
 from fusion.similarity import Grade
+from fusion.time_alignment import ClockOffset, clock_offset, pair_stamps
 
 __all__ = [
+    "ClockOffset",
     "Denoised",
     "DepthImage",
     "Grade",
@@ -17,6 +37,8 @@ __all__ = [
     "Registration",
     "Rig",
     "RigEstimate",
+    "clock_offset",
     "denoise",
+    "pair_stamps",
     "register",
 ]

@@ -59,10 +59,10 @@ class Rig:
     Parameters
     ----------
     kept
-        How many pairs the height and the motion are estimated from; bounds the memory (60 kB a pair).
+        How many pairs the height and the motion are estimated from; bounds the memory (60 kB a pair and camera of 180 samples).
     """
 
-    def __init__(self, kept: int = 64) -> None:
+    def __init__(self, kept: int = 96) -> None:
         self._last: deque[Registration] = deque(maxlen=kept)
         self._sum: Float32Array | None = None
         self._first = 0

@@ -8,14 +8,17 @@ from xu2024_pairs import TruePair
 from xu2024_score import Tally, is_burr, is_hole, pixels_of_beams
 
 import fusion
-from fusion.carry import carry
-from fusion.denoise import eps_of
+from fusion.carry import carry, smooth
 from fusion.native_slice import native_slice
 from slam.simulation.faults import Fault
 
 EPS_OVER_E = np.round(
     np.concatenate([np.linspace(0.4, 1.0, 7), np.linspace(1.1, 1.4, 4), [2**0.5, 1.6, 2.0]]), 4
 )
+
+
+VARIANTS = ("smooth", "raw", "zeros")
+_SMOOTH_BEAMS, _LIDAR_SLACK = 4, 0.04
 
 
 def score_recall(pair: TruePair, rig: fusion.RigEstimate, tally: Tally) -> None:
@@ -25,6 +28,7 @@ def score_recall(pair: TruePair, rig: fusion.RigEstimate, tally: Tally) -> None:
     beam's bearing. It is good where both masks are clean, noise where either has a hole or a burr.
     """
     own = pair.scan.valid_ranges_m()
+    steady = smooth(own, pair.scan.step_rad, _SMOOTH_BEAMS, _LIDAR_SLACK)
     for image, alignment in zip(pair.images, rig.alignments, strict=True):
         if alignment is None or rig.height_m is None:
             continue
@@ -35,33 +39,38 @@ def score_recall(pair: TruePair, rig: fusion.RigEstimate, tally: Tally) -> None:
         )
         inside, row, col = pixels_of_beams(pair, image)
         fault = image.fault[row, col]
-        good = inside & (pair.fault == Fault.NONE) & (fault == Fault.NONE)
         burr = inside & (is_burr(pair.fault) | is_burr(fault))
-        noise = burr | (inside & (is_hole(pair.fault) | is_hole(fault)))
-        _count(own, other, good, noise, burr, tally)
+        truth = {
+            "good": inside & (pair.fault == Fault.NONE) & (fault == Fault.NONE),
+            "burr": burr,
+            "noise": burr | (inside & (is_hole(pair.fault) | is_hole(fault))),
+        }
+        _count(steady, other, inside, truth, tally, "smooth")
+        _count(own, other, inside, truth, tally, "raw")
+        _count(own, other, inside, truth, tally, "zeros")
 
 
 def _count(
     own: NDArray[np.float32],
     other: NDArray[np.float32],
-    good: NDArray[np.bool_],
-    noise: NDArray[np.bool_],
-    burr: NDArray[np.bool_],
+    inside: NDArray[np.bool_],
+    truth: dict[str, NDArray[np.bool_]],
     tally: Tally,
+    variant: str,
 ) -> None:
-    """By shares of the range and a bounded E, as the product does; and by metres and the plain mean."""
+    """One variant: the lidar's curve smoothed along its surfaces, as it is, or with holes as zeros in E."""
     both = np.isfinite(own) & np.isfinite(other)
     if not both.any():
         return
-    mean, _, _ = eps_of(own, other, 1.0)
-    with np.errstate(invalid="ignore"):
-        apart = np.abs(own - other)
-        plain = float(apart[both].mean())
-        for ratio in EPS_OVER_E:
-            for name, agree in (("ours", apart <= ratio * mean * own), ("plain", apart <= ratio * plain)):
-                tally.add(f"{name}_good_{ratio}", (both & agree)[good])
-                tally.add(f"{name}_noise_{ratio}", ~(both & agree)[noise])
-                tally.add(f"{name}_burr_{ratio}", ~(both & agree)[burr])
+    if variant == "zeros":
+        mean = float(np.abs(np.nan_to_num(own) - np.nan_to_num(other))[inside | both].mean())
+    else:
+        mean = float(np.abs(own[both] - other[both]).mean())
+    apart = np.where(both, np.abs(np.where(both, own, 0.0) - np.where(both, other, 0.0)), np.inf)
+    for ratio in EPS_OVER_E:
+        agree = apart <= ratio * mean
+        for kind, chosen in truth.items():
+            tally.add(f"{variant}_{kind}_{ratio}", (agree if kind == "good" else ~agree)[chosen])
 
 
 def curves(tally: Tally, name: str) -> dict[str, list[float]]:

@@ -46,6 +46,13 @@ class Tally:
         values = np.concatenate([self.all(name) for name in names])
         return float(np.median(values)) if values.size else float("nan")
 
+    def named(self, prefix: str) -> Tally:
+        """The same under longer names."""
+        result = Tally()
+        for name, values in self._held.items():
+            result._held[prefix + name] = values
+        return result
+
     def merge(self, other: Tally) -> None:
         """Take in another tally."""
         for name, values in other._held.items():
