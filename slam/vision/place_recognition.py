@@ -1,0 +1,158 @@
+"""Which earlier keyframes show the same place: an inverted file of ORB descriptors, verified bit by bit.
+
+A vocabulary from the log itself only tells which descriptors to compare; what counts is how near they are, as
+in Hamming embedding (Jegou et al. 2008). Bare words (tf-idf) need a vocabulary that has seen the place: with
+one from the first 20 of 100 keyframes they rank views much worse.
+Normalisation by the neighbouring keyframe and grouping: Galvez-Lopez and Tardos (2012), Eq. (2), section V-B.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.measurements import FloatArray
+from slam.vision.place_recognition_lists import WordLists
+from slam.vision.place_recognition_vocabulary import (
+    BinaryVocabulary,
+    BitRows,
+    Descriptors,
+    Words,
+    bit_rows,
+    train_vocabulary,
+)
+
+# 32 branches with 32 words each: a descriptor is compared with about a thousandth of the others.
+_BRANCHING = 32
+_TRAINING_DESCRIPTORS = 40000
+# The vocabulary is trained again when the keyframes have grown by so much: other places make other words, and
+# few words for many descriptors make long lists.
+_RETRAINING = 8
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceMatch:
+    """A keyframe that may show the same place.
+
+    Attributes
+    ----------
+    key
+        As `PlaceIndex.add` gave it.
+    score
+        0..1, mean nearness of the query's descriptors to their likes in the keyframe: 1 for the same image,
+        0.01 to 0.1 for the same place from elsewhere, up to 0.04 for another place: only geometry tells.
+    relative_score
+        The score over that of the keyframes just before the query, which surely show the same place. NaN
+        where no keyframe was excluded, or the neighbours have nothing in common with the query.
+    """
+
+    key: int
+    score: float
+    relative_score: float
+
+
+class PlaceIndex:
+    """Keyframes by their descriptors; some 36 kB for a thousand of them.
+
+    Parameters
+    ----------
+    seed
+        Of the training.
+    training_keyframes
+        The vocabulary is trained when there are so many, and again at each eightfold; until the first time
+        all descriptors are compared.
+    queried, kept
+        How many descriptors of a query, and of a keyframe, are used: evenly spread over what is given.
+    group
+        Candidates at most so many keys apart are one place, of which the best is told.
+    """
+
+    def __init__(
+        self,
+        seed: int,
+        training_keyframes: int = 20,
+        queried: int = 400,
+        kept: int = 1000,
+        group: int = 3,
+    ) -> None:
+        self._rng = np.random.default_rng(seed)
+        self._next_training = training_keyframes
+        self._queried, self._kept, self._group = queried, kept, group
+        self._vocabulary: BinaryVocabulary | None = None
+        self._lists = WordLists(1)
+
+    def __len__(self) -> int:
+        return self._lists.keys
+
+    def add(self, descriptors: Descriptors) -> int:
+        """Take in a keyframe's (N, 32) descriptors, N may be 0; returns its key: 0, 1, 2, ..."""
+        key = self._lists.keys
+        own = _spread(descriptors, self._kept)
+        self._lists.append(self._words(own), own)
+        if len(self) >= self._next_training:
+            self._train()
+        return key
+
+    def query(self, descriptors: Descriptors, exclude_from: int, best: int) -> list[PlaceMatch]:
+        """Keyframes with key below `exclude_from` that look like these descriptors, best first.
+
+        Parameters
+        ----------
+        descriptors
+            (N, 32) of a keyframe that is not yet added, so that the last key is its neighbour.
+        exclude_from
+            Keys from here on are too recent to be a loop.
+        best
+            How many places at most.
+        """
+        own = _spread(descriptors, self._queried)
+        eligible = min(max(exclude_from, 0), len(self))
+        if eligible == 0 or len(own) == 0:
+            return []
+        scores = self._lists.scores(self._words(own), own)
+        neighbours = scores[max(eligible, len(scores) - self._group) :]
+        expected = float(neighbours.max()) if neighbours.size else 0.0
+        return [
+            PlaceMatch(
+                key=int(key),
+                score=float(scores[key]),
+                relative_score=float(scores[key]) / expected if expected > 0.0 else float("nan"),
+            )
+            for key in _places(scores[:eligible], self._group)[:best]
+        ]
+
+    def _words(self, rows: BitRows) -> Words:
+        """Before there is a vocabulary, all are one word."""
+        if self._vocabulary is None:
+            return np.zeros(len(rows), dtype=np.int32)
+        return self._vocabulary.words(rows)
+
+    def _train(self) -> None:
+        """Make words of a sample of the descriptors so far, and put all in their lists."""
+        self._next_training *= _RETRAINING
+        keys, rows = self._lists.everything()
+        if len(rows) < _BRANCHING:
+            return
+        sample = np.sort(self._rng.permutation(len(rows))[:_TRAINING_DESCRIPTORS])
+        self._vocabulary = train_vocabulary(rows[sample], _BRANCHING, self._rng)
+        ends = np.cumsum(np.bincount(keys, minlength=len(self)))
+        self._lists = WordLists(self._vocabulary.size)
+        for own in np.split(rows, ends[:-1]):
+            self._lists.append(self._vocabulary.words(own), own)
+
+
+def _spread(descriptors: Descriptors, count: int) -> BitRows:
+    """(n, 4) at most `count` of (N, 32), evenly from all: ORB gives them level by level."""
+    rows = bit_rows(np.asarray(descriptors, dtype=np.uint8).reshape(-1, 32))
+    if len(rows) <= count:
+        return rows
+    return rows[np.linspace(0, len(rows) - 1, count).astype(np.int64)]
+
+
+def _places(scores: FloatArray, group: int) -> Words:
+    """Keys that are the best within `group` keys on either side, best first."""
+    padded = np.pad(scores, group)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * group + 1)
+    peaks = np.flatnonzero((scores >= windows.max(axis=1)) & (scores > 0.0))
+    return np.asarray(peaks[np.argsort(-scores[peaks], kind="stable")], dtype=np.int32)

@@ -1,0 +1,126 @@
+"""The inverted file: for each word the descriptors that have it, keyframe after keyframe.
+
+A list is a chain of blocks, the newest first; all blocks lie in arrays that grow by half.
+"""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.measurements import FloatArray
+from slam.vision.place_recognition_vocabulary import BitRows, Words, ones
+
+_Entry = TypeVar("_Entry", bound=np.generic)
+
+_BLOCK = 64
+_GROWTH = 1.5
+# Two descriptors of one point of the world differ in fewer bits than this; nearer ones count more.
+_SAME_BITS = 50
+
+
+class WordLists:
+    """Descriptors of keyframes by word."""
+
+    def __init__(self, words: int) -> None:
+        self.keys = 0
+        self._heads = np.full(words, -1, dtype=np.int32)
+        self._fills = np.full(words, _BLOCK, dtype=np.int32)
+        self._blocks = 0
+        self._nexts = np.empty(64, dtype=np.int32)
+        self._owners = np.empty((64, _BLOCK), dtype=np.int32)
+        self._rows = np.empty((64, _BLOCK, 4), dtype=np.uint64)
+
+    def append(self, words: Words, rows: BitRows) -> None:
+        """Take in the next keyframe: (N,) words of (N, 4) descriptors."""
+        needed = self._blocks + len(words)
+        if needed > len(self._nexts):
+            size = max(needed, int(_GROWTH * len(self._nexts)))
+            self._nexts = _longer(self._nexts, size)
+            self._owners = _longer(self._owners, size)
+            self._rows = _longer(self._rows, size)
+        file = (self._heads, self._fills, self._nexts, self._owners, self._rows)
+        self._blocks = _append(words, rows, self.keys, self._blocks, *file)
+        self.keys += 1
+
+    def everything(self) -> tuple[Words, BitRows]:
+        """(N,) keys, ascending, and (N, 4) descriptors."""
+        used = np.ones((self._blocks, _BLOCK), dtype=np.bool_)
+        opened = self._heads >= 0
+        used[self._heads[opened]] = np.arange(_BLOCK) < self._fills[opened, None]
+        keys, rows = self._owners[: self._blocks][used], self._rows[: self._blocks][used]
+        order = np.argsort(keys, kind="stable")
+        return keys[order], rows[order]
+
+    def scores(self, words: Words, rows: BitRows) -> FloatArray:
+        """(K,) of all keyframes: mean nearness of (N, 4) descriptors to the nearest of their word."""
+        file = (self._heads, self._fills, self._nexts, self._owners, self._rows)
+        return _scores(words, rows, self.keys, *file)
+
+
+def _longer(array: NDArray[_Entry], length: int) -> NDArray[_Entry]:
+    """The same with room for `length` rows."""
+    grown = np.empty((length, *array.shape[1:]), dtype=array.dtype)
+    grown[: len(array)] = array
+    return grown
+
+
+@numba.njit(cache=True)
+def _append(
+    words: Words,
+    rows: BitRows,
+    key: int,
+    blocks: int,
+    heads: Words,
+    fills: Words,
+    nexts: Words,
+    owners: Words,
+    entries: BitRows,
+) -> int:
+    """Write behind the newest entry of each word, in a new block where that one is full; blocks used."""
+    for i in range(words.size):
+        word = words[i]
+        if fills[word] == _BLOCK:
+            nexts[blocks] = heads[word]
+            heads[word], fills[word] = blocks, 0
+            blocks += 1
+        place = fills[word]
+        owners[heads[word], place] = key
+        for part in range(4):
+            entries[heads[word], place, part] = rows[i, part]
+        fills[word] += 1
+    return blocks
+
+
+@numba.njit(cache=True)
+def _scores(
+    words: Words,
+    rows: BitRows,
+    keys: int,
+    heads: Words,
+    fills: Words,
+    nexts: Words,
+    owners: Words,
+    entries: BitRows,
+) -> FloatArray:
+    """Walk the list of each descriptor's word; only the nearest entry of a keyframe counts."""
+    scores = np.zeros(keys)
+    given, giver = np.zeros(keys), np.full(keys, -1)  # what a keyframe's score last got, and for which i
+    for i in range(words.size):
+        a, b, c, d = rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
+        block, fill = heads[words[i]], fills[words[i]]
+        while block >= 0:
+            for place in range(fill):
+                bits = ones(a ^ entries[block, place, 0]) + ones(b ^ entries[block, place, 1])
+                bits += ones(c ^ entries[block, place, 2]) + ones(d ^ entries[block, place, 3])
+                if bits < _SAME_BITS:
+                    owner, nearness = owners[block, place], 1.0 - bits / _SAME_BITS
+                    known = given[owner] if giver[owner] == i else 0.0
+                    if nearness > known:
+                        scores[owner] += nearness - known
+                        given[owner], giver[owner] = nearness, i
+            block, fill = nexts[block], _BLOCK
+    return scores / max(words.size, 1)

@@ -1,0 +1,165 @@
+"""A vocabulary of binary descriptors, trained from the log itself: k-majority in two levels.
+
+Grana et al., A fast approach for integrating ORB descriptors in the bag of words model (2013): a cluster's
+centre has each bit as most of its members have it. Two levels, as the tree of Galvez-Lopez and Tardos (2012).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Descriptors: TypeAlias = NDArray[np.uint8]
+Words: TypeAlias = NDArray[np.int32]
+BitRows: TypeAlias = NDArray[np.uint64]
+
+_ROUNDS = 8
+# A descriptor near the border of two branches finds its word in either.
+_PROBES = 2
+_BITS = 256
+
+
+@dataclass(frozen=True, slots=True)
+class BinaryVocabulary:
+    """Words in branches.
+
+    Attributes
+    ----------
+    branches
+        (B, 4) centres of the branches, 256 bits each.
+    leaves
+        (W, 4) the words, branch by branch.
+    starts
+        (B + 1,) the words of branch b are starts[b] to starts[b + 1].
+    """
+
+    branches: BitRows
+    leaves: BitRows
+    starts: Words
+
+    @property
+    def size(self) -> int:
+        """How many words there are."""
+        return len(self.leaves)
+
+    def words(self, rows: BitRows) -> Words:
+        """(N,) word of each of (N, 4) descriptors: the nearest in the two nearest branches."""
+        return _words(rows, self.branches, self.leaves, self.starts)
+
+
+def bit_rows(descriptors: Descriptors) -> BitRows:
+    """(N, 4) view of (N, 32) descriptors, copied only where they do not lie row by row."""
+    return np.ascontiguousarray(descriptors).view(np.uint64)
+
+
+def train_vocabulary(rows: BitRows, branching: int, rng: np.random.Generator) -> BinaryVocabulary:
+    """Up to branching squared words from (N, 4) descriptors, N > 0; `rng` picks the first centres."""
+    rows = np.unique(rows, axis=0)
+    branches, branch = _k_majority(rows, min(branching, len(rows)), rng)
+    leaves = []
+    for number in range(len(branches)):
+        members = rows[branch == number]
+        leaves.append(_k_majority(members, min(branching, len(members)), rng)[0])
+    starts = np.cumsum([0, *(len(own) for own in leaves)]).astype(np.int32)
+    return BinaryVocabulary(branches, np.concatenate(leaves), starts)
+
+
+def _k_majority(rows: BitRows, count: int, rng: np.random.Generator) -> tuple[BitRows, Words]:
+    """Centres and the nearest centre of each row."""
+    centres = rows[rng.permutation(len(rows))[:count]]
+    nearest = nearest_rows(rows, centres)[0]
+    for _ in range(_ROUNDS):
+        _majority(rows, nearest, centres)
+        before, (nearest, _) = nearest, nearest_rows(rows, centres)
+        if np.array_equal(before, nearest):
+            break
+    return centres, nearest
+
+
+@numba.njit(cache=True)
+def nearest_rows(rows: BitRows, centres: BitRows) -> tuple[Words, Words]:
+    """(N,) index and Hamming distance of the nearest centre of each row."""
+    index, distance = np.zeros(len(rows), np.int32), np.zeros(len(rows), np.int32)
+    for i in range(len(rows)):
+        index[i], distance[i] = _nearest(rows[i], centres, 0, len(centres))
+    return index, distance
+
+
+@numba.njit(cache=True)
+def _words(rows: BitRows, branches: BitRows, leaves: BitRows, starts: Words) -> Words:
+    """Down the tree with as many probes as `_PROBES`."""
+    words = np.zeros(len(rows), np.int32)
+    for i in range(len(rows)):
+        best, skipped = _BITS + 1, -1
+        for _ in range(_PROBES):
+            branch = _nearest_but(rows[i], branches, skipped)
+            word, distance = _nearest(rows[i], leaves, starts[branch], starts[branch + 1])
+            if distance < best:
+                words[i], best = word, distance
+            skipped = branch
+    return words
+
+
+@numba.njit(cache=True)
+def _nearest(row: BitRows, centres: BitRows, start: int, stop: int) -> tuple[int, int]:
+    """Index and distance of the nearest centre from start to stop; the first of equals."""
+    best, index = _BITS + 1, start
+    for j in range(start, stop):
+        distance = _hamming(row, centres[j])
+        if distance < best:
+            best, index = distance, j
+    return index, best
+
+
+@numba.njit(cache=True)
+def _nearest_but(row: BitRows, centres: BitRows, skipped: int) -> int:
+    """Index of the nearest centre that is not the skipped one; the skipped one where it is alone."""
+    best, index = _BITS + 1, 0
+    for j in range(len(centres)):
+        distance = _hamming(row, centres[j])
+        if distance < best and j != skipped:
+            best, index = distance, j
+    return index
+
+
+@numba.njit(cache=True)
+def _hamming(a: BitRows, b: BitRows) -> int:
+    """Bits that differ between two rows of four words of 64 bits."""
+    return ones(a[0] ^ b[0]) + ones(a[1] ^ b[1]) + ones(a[2] ^ b[2]) + ones(a[3] ^ b[3])
+
+
+@numba.njit(cache=True)
+def ones(x: np.uint64) -> int:
+    """Bits set; the compiler makes one instruction of it."""
+    x = x - ((x >> np.uint64(1)) & np.uint64(0x5555555555555555))
+    x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
+    x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
+    count: int = np.int64((x * np.uint64(0x0101010101010101)) >> np.uint64(56))  # type: ignore[assignment]
+    return count
+
+
+@numba.njit(cache=True)
+def _majority(rows: BitRows, nearest: Words, centres: BitRows) -> None:
+    """Each bit of a centre as most of its members have it; a centre without members stays. In place."""
+    set_bits = np.zeros((len(centres), _BITS), np.int32)
+    members = np.zeros(len(centres), np.int32)
+    for i in range(len(rows)):
+        members[nearest[i]] += 1
+        for part in range(4):
+            for bit in range(64):
+                set_bits[nearest[i], 64 * part + bit] += np.int32(
+                    (rows[i, part] >> np.uint64(bit)) & np.uint64(1)
+                )
+    for j in range(len(centres)):
+        if members[j] == 0:
+            continue
+        for part in range(4):
+            value = np.uint64(0)
+            for bit in range(64):
+                if 2 * set_bits[j, 64 * part + bit] > members[j]:
+                    value |= np.uint64(1) << np.uint64(bit)
+            centres[j, part] = value
