@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import gtsam
 import numpy as np
 import pytest
 
 from slam.errors import DatasetError
-from slam.measurements import CameraIntrinsics, Float32Array, FloatArray
+from slam.measurements import CameraIntrinsics, ColorImage, Float32Array, FloatArray
+from slam.simulation.home import generate_home
+from slam.simulation.rigs import camera_pose
+from slam.simulation.scene import Scene
+from slam.simulation.sensors import KINECT_V1, render_rgbd
 from slam.vision.color_registration import (
     ColorRegistration,
     identity_registration,
@@ -18,6 +23,12 @@ from slam.vision.color_registration import (
 )
 from slam.vision.color_registration_fit import FramePair, estimate_registration
 
+HOME = generate_home(1)
+_FULL = KINECT_V1.intrinsics
+KINECT = replace(
+    KINECT_V1,
+    intrinsics=CameraIntrinsics(0.5 * _FULL.fx, 0.5 * _FULL.fy, 159.5, 119.5, 320, 240),
+)
 DEPTH = CameraIntrinsics(100.0, 100.0, 40.0, 30.0, 80, 60)
 COLOR = CameraIntrinsics(80.0, 80.0, 42.0, 29.0, 80, 60)
 SHIFT_M = 0.1
@@ -89,8 +100,8 @@ def test_what_a_post_hides_from_the_colour_camera_gets_no_colour() -> None:
     image = np.full((60, 80, 3), 200, dtype=np.uint8)
     depth = flat(4.0)
     depth[:, 40:50] = 1.0
-    # A wall point of depth column c lies at colour column ((c - 40) / 100 - 0.025) * 80 + 42, the post from 34
-    # to 41.2: it hides the wall of columns 32.5 to 41.5 from the colour camera.
+    # A wall point of depth column c lies at colour column ((c - 40) / 100 - 0.025) * 80 + 42, the post from
+    # 34 to 41.2: it hides the wall of columns 32.5 to 41.5 from the colour camera.
     _, known = register_color(image, depth, BESIDE)
     assert known[30, 40:50].all()
     assert not known[30, 34:40].any()
@@ -194,3 +205,56 @@ def test_the_same_seed_gives_the_same_registration() -> None:
     pairs = matched_pairs(BESIDE_VGA, count=10)
     one, two = (estimate_registration(pairs, DEPTH_VGA, seed=3) for _ in range(2))
     assert one.intrinsics_color == two.intrinsics_color and one.reason == two.reason
+
+
+def rendered_pairs(beside: CameraIntrinsics, count: int) -> tuple[list[FramePair], list[FramePair]]:
+    """ORB matches in a simulated home seen by a Kinect: colour registered, and from a camera beside."""
+    scene, rng = Scene(HOME), np.random.default_rng(1)
+    registered: list[FramePair] = []
+    apart: list[FramePair] = []
+    while len(registered) < count:
+        x0, y0, x1, y1 = HOME.rooms[len(registered) % len(HOME.rooms)].rectangle
+        at = (rng.uniform(x0 + 0.6, x1 - 0.6), rng.uniform(y0 + 0.6, y1 - 0.6), rng.uniform(0.5, 1.4))
+        pose = camera_pose(at, rng.uniform(-np.pi, np.pi), rng.uniform(-0.1, 0.4))
+        motion = gtsam.Pose3.Expmap(rng.normal(0.0, 0.12, 6))
+        a, b = (look(scene, view, beside, rng) for view in (pose, pose.compose(motion)))
+        found = [orb_matches(a[kind], b[kind]) for kind in (0, 1)]
+        if min(len(pixels) for pixels, _ in found) > 60 and np.mean(a[2] > 0.0) > 0.5:
+            registered.append(FramePair(*found[0], a[2], b[2]))
+            apart.append(FramePair(*found[1], a[2], b[2]))
+    return registered, apart
+
+
+def look(
+    scene: Scene, T_world_depth: gtsam.Pose3, beside: CameraIntrinsics, rng: np.random.Generator
+) -> tuple[ColorImage, ColorImage, Float32Array]:
+    """Colour from the depth camera and from 2.5 cm beside, and depth."""
+    image = render_rgbd(scene, T_world_depth, KINECT, rng)
+    T_world_color = T_world_depth.compose(gtsam.Pose3(gtsam.Rot3(), np.array([0.025, 0.0, 0.0])))
+    color = render_rgbd(scene, T_world_color, replace(KINECT, intrinsics=beside), rng).color
+    return image.color, color, image.depth_m
+
+
+def orb_matches(a: ColorImage, b: ColorImage) -> tuple[FloatArray, FloatArray]:
+    """(N, 2) pixels in both images."""
+    orb, seen = cv2.ORB_create(1000), []
+    for image in (a, b):
+        points, rows = orb.detectAndCompute(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), None)
+        if rows is None:
+            return np.empty((0, 2)), np.empty((0, 2))
+        seen.append((np.array([point.pt for point in points]), rows))
+    matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(seen[0][1], seen[1][1])
+    near = np.array([(m.queryIdx, m.trainIdx) for m in matches if m.distance < 50]).reshape(-1, 2)
+    return seen[0][0][near[:, 0]], seen[1][0][near[:, 1]]
+
+
+def test_a_kinect_in_a_simulated_home_with_colour_registered_and_from_beside() -> None:
+    depth = KINECT.intrinsics
+    color = replace(depth, fx=0.85 * depth.fx, fy=0.85 * depth.fy)
+    registered, apart = rendered_pairs(color, 14)
+    refused = estimate_registration(registered, depth, seed=0)
+    assert not refused.accepted, refused.reason
+    found = estimate_registration(apart, depth, seed=0)
+    assert found.accepted, found.reason
+    assert found.intrinsics_color.fx == pytest.approx(color.fx, rel=0.02)
+    assert found.T_depth_color.translation()[0] == pytest.approx(0.025, abs=0.02)
