@@ -59,7 +59,8 @@ class Rig:
     Parameters
     ----------
     kept
-        How many pairs the height and the motion are estimated from; bounds the memory (60 kB a pair and camera of 180 samples).
+        How many pairs the height and the motion are estimated from; bounds the memory (60 kB
+        for each of 180 degrees).
     """
 
     def __init__(self, kept: int = 96) -> None:

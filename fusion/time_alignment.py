@@ -19,6 +19,7 @@ from fusion.curves import FloatArray
 IntPairs = NDArray[np.int64]
 
 _STEP_S = 0.01
+_PEAK_STEPS = 12
 _FEWEST = 20
 _LEAST_TURN_RAD_S = 0.02  # standard deviation of a yaw rate: below, the robot hardly turns
 _SIGNIFICANT = 0.5  # correlation at the best offset
@@ -130,13 +131,13 @@ def clock_offset(
     best = int(np.argmax(correlation))
     if not 0 < best < shifts.size - 1 or correlation[best] < _SIGNIFICANT:
         return None
-    before, here, after = correlation[best - 1 : best + 2]
-    bend = before - 2.0 * here + after
-    part = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
-    offset = float(shifts[best] + part * _STEP_S)
-    return ClockOffset(
-        offset, _sigma_s(times, rate, moved[best], min(first_s.size, second_s.size)), float(here)
-    )
+    # A parabola through the whole peak: single samples of it are rough with interpolated noise.
+    low_k, high_k = max(0, best - _PEAK_STEPS), min(shifts.size, best + _PEAK_STEPS + 1)
+    bend, tilt, _ = np.polyfit(shifts[low_k:high_k] - shifts[best], correlation[low_k:high_k], 2)
+    part = -0.5 * tilt / bend if bend < 0.0 else 0.0
+    offset = float(shifts[best] + np.clip(part, -_PEAK_STEPS * _STEP_S, _PEAK_STEPS * _STEP_S))
+    readings = min(first_s.size, second_s.size)
+    return ClockOffset(offset, _sigma_s(times, rate, moved[best], readings), float(correlation[best]))
 
 
 def _correlations(rate: FloatArray, moved: FloatArray) -> FloatArray:
@@ -148,9 +149,10 @@ def _correlations(rate: FloatArray, moved: FloatArray) -> FloatArray:
 
 def _sigma_s(times: FloatArray, rate: FloatArray, other: FloatArray, readings: int) -> float:
     """Standard deviation of a shift: noise of the difference over the slope, by the number of readings."""
-    slope = np.gradient(rate, times)
+    # Noise makes slopes of its own, but not the same ones in both.
+    slope_squared = float((np.gradient(rate, times) * np.gradient(other, times)).sum())
     noise = (other - other.mean()) - (rate - rate.mean())
     # Interpolated samples are no news: what counts is the number of readings.
     share = min(1.0, readings / times.size)
-    information = float((slope**2).sum()) * share / max(float(noise.var()), 1e-12)
+    information = slope_squared * share / max(float(noise.var()), 1e-12)
     return math.sqrt(1.0 / information) if information > 0.0 else math.inf

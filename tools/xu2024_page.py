@@ -61,8 +61,8 @@ def _source_note(source: str) -> str:
     if source == "simulator":
         text = (
             "Source: <b>the simulator</b>, not Robot@Home and not the paper's robot. Homes, sensors and"
-            " faults are made up after data sheets; in exchange every fault is known. Scans and images come at the"
-            " sensors' own times; wheels tell the turn in between."
+            " faults are made up after data sheets; in exchange every fault is known. Scans and images come"
+            " at the sensors' own times; wheels tell the turn in between."
         )
     else:
         text = "Source: <b>Robot@Home</b>, recorded. There is no truth: figures that need one are empty."
