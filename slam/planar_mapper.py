@@ -25,7 +25,11 @@ from slam.readings import Readings
 from slam.robot_cameras import CameraMarks, RobotCameras
 from slam.scan_record import ScanRecorder
 from slam.vision.color_registration import ColorRegistration
+from slam.vision.planar_motion import agreed_motion
 from slam.vision.prepared_frame import PreparedFrame
+
+# Squared sigmas of three degrees of freedom, 99.9 %.
+_CONTRADICTION = 16.0
 
 
 class PlanarMapper:
@@ -93,10 +97,10 @@ class PlanarMapper:
         """Pose of a moment; where the robot has moved on, a keyframe."""
         marks = self._cameras.marks(stamp_s)
         steps = [step.planar for step in self._cameras.steps(self._marks, marks) if step.planar is not None]
-        surest = min(steps, key=lambda step: float(np.trace(step.covariance)), default=None)
-        tracked = self._tracker.track(points, stamp_s, surest)
+        agreed = agreed_motion(steps)
+        tracked = self._tracker.track(points, stamp_s, agreed)
         self._marks = marks
-        sure = tracked.sure if scan is not None else surest is not None
+        sure = tracked.sure if scan is not None else agreed is not None
         self._readings.add_scan(stamp_s, tracked.pose, tracked.wheel_pose, sure=sure)
         if self._moved_on(tracked):
             key = self._add_keyframe(stamp_s, scan, points, tracked)
@@ -156,10 +160,12 @@ class PlanarMapper:
             self._travelled_m += float(np.hypot(step[0], step[1]))
             match = None
             if tracked.motion is not None:
-                match = Step(step, tracked.motion.covariance + tracked.dispute)
+                matched = row_from_pose2(tracked.motion.T_reference_base)
+                covariance = tracked.motion.covariance + tracked.dispute
+                match = Step(between(self._last_keyframe.pose, matched), covariance)
             wheels = self._wheel_step(self._last_keyframe, tracked, stamp_s - self._keyframe_stamp_s)
             cameras = self._camera_steps(tracked)
-            doubtful = self._doubtful(tracked)
+            doubtful = self._doubtful(tracked) or any(_contradict(match, camera) for camera in cameras)
             key = self._graph.add_keyframe(step, match, wheels, cameras, match_doubtful=doubtful)
         if points is not None:
             self._tracker.add_keyframe(points, tracked)
@@ -215,3 +221,12 @@ class PlanarMapper:
             return build_grid(scans, settings.resolution_m, model, max_cells=settings.greatest_cells), []
         except ScanweaveError as error:
             return None, [f"No grid was built: {error}"]
+
+
+def _contradict(match: Step | None, camera: Step) -> bool:
+    """Whether lidar and camera tell motions that cannot both be true."""
+    if match is None:
+        return False
+    offset = between(match.motion, camera.motion)
+    squares = offset @ np.linalg.solve(match.covariance + camera.covariance, offset)
+    return bool(squares > _CONTRADICTION)

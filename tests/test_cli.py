@@ -198,7 +198,7 @@ class TestBadInput:
         lines = [line for line in log.log_path.read_text().splitlines() if not line.startswith("FLASER")]
         (tmp_path / "wheels.log").write_text("\n".join(lines) + "\n")
         outcome = scanweave("map", tmp_path / "wheels.log", "-o", tmp_path / "out")
-        assert_one_line_error(outcome, "no lidar scan", "scanweave inspect")
+        assert_one_line_error(outcome, "no scan or frame", "scanweave inspect")
 
     def test_damaged_records_are_counted_and_skipped(
         self, scanweave: Scanweave, log: SyntheticLog, tmp_path: Path

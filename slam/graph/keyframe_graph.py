@@ -78,7 +78,8 @@ class KeyframeGraph:
         if match is not None and match_doubtful:
             # It may be wrong as a loop may be: a loose twin holds the chain where it is refused. Not so for
             # a sure match, or a handful of false loops that agree with each other could break the chain.
-            loose = Step(step, match.covariance + self._unmeasured(self._config.loose_share))
+            best = cameras[0].motion if cameras else step
+            loose = Step(best, match.covariance + self._unmeasured(self._config.loose_share))
             self._add_step(key, loose, EdgeKind.ASSUMED, trusted=True)
         if wheels is not None:
             self._add_step(key, wheels, EdgeKind.WHEEL, trusted=match is None)

@@ -18,7 +18,7 @@ from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate, row_from_pose2
 from slam.odometry.lidar_odometry import Guess, LidarOdometry
 from slam.odometry.wheel_tracker import WheelTracker
-from slam.vision.planar_motion import PlanarMotion
+from slam.vision.planar_motion import WitnessedMotion
 
 # A velocity is carried over at most this many times the step that it was measured over.
 _GREATEST_STRETCH = 3.0
@@ -27,7 +27,11 @@ _GREATEST_SURPRISE = 10.0
 # Wheels whose doubt is this much greater than constant velocity's are no longer asked first.
 _WHEELS_LOSE_AT = 3.0
 # What scan and camera differ by though both are right: x, y, yaw.
-_CAMERA_FLOOR = np.array([0.02, 0.02, 0.01])
+_CAMERA_FLOOR = np.array([0.01, 0.01, 0.008])
+# Squared sigmas up to which a match and a camera tell the same (three degrees of freedom, 99.9 %).
+_AGREE = 16.0
+# So many that agree with each other are believed against a match.
+_WITNESSES = 2
 # Only a match that this share of the points agrees with may judge a predictor.
 _JUDGE_INLIER_SHARE = 0.8
 
@@ -98,6 +102,7 @@ class MotionTracker:
         self._by_wheels = _Predictor(config.memory_scans)
         self._by_velocity = _Predictor(config.memory_scans)
         self._by_camera = _Predictor(config.memory_scans)
+        self._witnesses = 0
         self._last: TrackedScan | None = None
         self._stamp_s = 0.0
         self._velocity_step = np.zeros(3)
@@ -114,7 +119,7 @@ class MotionTracker:
         return self._by_camera.doubt
 
     def track(
-        self, points: ScanPoints | None, stamp_s: float, camera: PlanarMotion | None = None
+        self, points: ScanPoints | None, stamp_s: float, camera: WitnessedMotion | None = None
     ) -> TrackedScan:
         """Pose of the next scan; the first one is the origin of the odometry frame.
 
@@ -134,7 +139,7 @@ class MotionTracker:
             motion, dispute = None, np.zeros((3, 3))
             if points is not None:
                 motion, dispute = self._match(points, guesses)
-            pose = guesses[0].pose if motion is None else row_from_pose2(motion.T_reference_base)
+            pose = guesses[0].pose if motion is None else self._fused(motion)
             tracked = TrackedScan(pose, motion, wheel_pose, dispute)
             self._velocity_step = between(self._last.pose, pose)
             self._velocity_step_s = step_s
@@ -147,13 +152,14 @@ class MotionTracker:
         self._odometry.add_keyframe(points, tracked.pose)
 
     def _predict(
-        self, last: TrackedScan, wheel_pose: FloatArray | None, camera: PlanarMotion | None, step_s: float
+        self, last: TrackedScan, wheel_pose: FloatArray | None, camera: WitnessedMotion | None, step_s: float
     ) -> list[Guess]:
         """By camera, by wheels, if a robot can move so, and by constant velocity, while they prove it."""
         self._by_camera.guess = self._by_wheels.guess = None
         if camera is not None:
             covariance = camera.covariance + np.diag(_CAMERA_FLOOR**2) + last.dispute
             self._by_camera.predict(compose(last.pose, camera.motion), covariance)
+            self._witnesses = camera.witnesses
         if self._wheels is not None and wheel_pose is not None and last.wheel_pose is not None:
             step = between(last.wheel_pose, wheel_pose)
             if self._wheels.plausible(step, step_s):
@@ -184,6 +190,8 @@ class MotionTracker:
         """Match, judge the predictors by it, settle a contradiction: the match and the dispute."""
         config = self._config
         motion = self._odometry.match(points, guesses)
+        if motion is not None and self._outvoted(motion):
+            return None, np.zeros((3, 3))
         if motion is None or self._sigmas(guesses[0], motion) <= config.surprise_sigmas:
             self._judge(motion)
             return motion, np.zeros((3, 3))
@@ -208,11 +216,35 @@ class MotionTracker:
         offset = between(row_from_pose2(motion.T_reference_base), row_from_pose2(held.T_reference_base))
         return held if for_prediction > for_match else motion, np.outer(offset, offset)
 
+    def _outvoted(self, motion: MotionEstimate) -> bool:
+        """Whether two witnesses (two cameras, or a camera and the wheels) agree and contradict the match.
+
+        A lidar that sees little but the person who walks before it matches that person very well.
+        """
+        camera, wheels = self._by_camera.guess, self._by_wheels.guess
+        surprise = self._config.surprise_sigmas
+        if camera is None or self._sigmas(camera, motion) <= surprise:
+            return False
+        agree = wheels is not None and _apart(camera, wheels) <= surprise
+        return self._witnesses + agree >= _WITNESSES
+
     def _evidence(self, count: int, motion: MotionEstimate, held: MotionEstimate) -> float:
         """Log-likelihood of a match over a held one: about the difference of their Geman-McClure costs."""
         residual_m = max(motion.residual_m, self._noise.minimal_residual_m)
         scale = 0.5 * (self._noise.fine_kernel_m / residual_m) ** 2
         return count / self._noise.correlated_points * scale * (motion.fit - held.fit)
+
+    def _fused(self, motion: MotionEstimate) -> FloatArray:
+        """The match and the camera's prediction, each by its covariance: a corridor is as long as it looks."""
+        matched = row_from_pose2(motion.T_reference_base)
+        guess = self._by_camera.guess
+        if guess is None:
+            return matched
+        offset = between(matched, guess.pose)
+        gain = motion.covariance @ np.linalg.inv(motion.covariance + guess.covariance)
+        if offset @ np.linalg.solve(motion.covariance + guess.covariance, offset) > _AGREE:
+            return matched
+        return compose(matched, gain @ offset)
 
     def _judge(self, motion: MotionEstimate | None) -> None:
         """Let a match that is sure score the predictors."""
@@ -226,6 +258,12 @@ class MotionTracker:
     def _sigmas(guess: Guess, motion: MotionEstimate) -> float:
         """Distance of a match from a prediction in its standard deviations."""
         return math.sqrt(_squared_sigmas(guess, row_from_pose2(motion.T_reference_base)))
+
+
+def _apart(one: Guess, other: Guess) -> float:
+    """Distance of two guesses in their common standard deviations."""
+    offset = between(one.pose, other.pose)
+    return math.sqrt(float(offset @ np.linalg.solve(one.covariance + other.covariance, offset)))
 
 
 def _squared_sigmas(guess: Guess, pose: FloatArray) -> float:
