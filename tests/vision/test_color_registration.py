@@ -22,6 +22,7 @@ from slam.vision.color_registration import (
     register_features,
 )
 from slam.vision.color_registration_fit import FramePair, estimate_registration
+from slam.vision.color_registration_kernels import settle_motions, squared_errors
 
 HOME = generate_home(1)
 _FULL = KINECT_V1.intrinsics
@@ -205,6 +206,26 @@ def test_the_same_seed_gives_the_same_registration() -> None:
     pairs = matched_pairs(BESIDE_VGA, count=10)
     one, two = (estimate_registration(pairs, DEPTH_VGA, seed=3) for _ in range(2))
     assert one.intrinsics_color == two.intrinsics_color and one.reason == two.reason
+
+
+@pytest.mark.parametrize("side", ["forth", "back"])
+def test_a_motion_settles_from_either_side_alone(side: str) -> None:
+    rng = np.random.default_rng(3)
+    T_b_a = gtsam.Pose3.Expmap(np.array([0.1, -0.2, 0.15, 0.1, -0.2, 0.3]))
+    in_a = rng.uniform([-1.0, -1.0, 2.0], [1.0, 1.0, 4.0], (40, 3))
+    in_b = np.asarray(T_b_a.transformFrom(in_a.T).T)
+    camera = np.array([525.0, 500.0, 320.0, 240.0])
+    pixels_a, pixels_b = (p[:, :2] / p[:, 2:] * camera[:2] + camera[2:] for p in (in_a, in_b))
+    nothing = np.zeros((40, 3))
+    points = (in_a, nothing) if side == "forth" else (nothing, in_b)
+    start = T_b_a.compose(gtsam.Pose3.Expmap(np.full(6, 0.002))).matrix()[None, :3]
+    data = (*points, pixels_a, pixels_b, np.array([0, 40]))
+    # Few steps: only the true derivative gets there so fast.
+    settled = settle_motions(*data, start, camera, 2.0, 6)
+    np.testing.assert_allclose(settled[0], T_b_a.matrix()[:3], atol=1e-6)
+    errors = squared_errors(*data, settled, camera)
+    assert np.nanmax(errors) < 1e-6
+    assert np.isnan(errors).all(axis=0).tolist() == [side == "back", side == "forth"]
 
 
 def rendered_pairs(beside: CameraIntrinsics, count: int) -> tuple[list[FramePair], list[FramePair]]:
