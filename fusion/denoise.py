@@ -20,15 +20,16 @@ from fusion.homography import Model, fit
 from fusion.native_slice import native_slice, native_step_rad
 from fusion.panorama import Depths, as_images, lookup_of, yaw_of
 from fusion.registration import Registration
-from fusion.repair import Provenance, ProvenanceArray, calm, repair_band, repair_lidar
+from fusion.repair import Provenance, ProvenanceArray, calm, repair_lidar
+from fusion.repair_pixels import repair_image
 from fusion.rig import RigEstimate
 from fusion.similarity import Grade
 
 EPS_OVER_E = 2.0**0.25  # the middle of Xu2024's best range, E to sqrt(2) E
 LEAST_EPS_SHARE = 0.025  # of the range: below, the lidar's own noise would be called burrs
 _MOST_RESIDUAL = 0.05  # of the range, as it counts for E
-_BAND_M = 0.03  # walls are upright, and the height is known to about this
-_MOST_ROWS = 41
+_BAND_M = 0.02  # beyond the heights that are as good: walls are upright
+_MOST_ROWS = 121
 _BURR_RAD = math.radians(1.4)  # longest run of readings that can be a burr
 _CAMERA_BURR_RAD = math.radians(2.2)  # light by a detour comes in patches, which touch
 _LONE_RAD = math.radians(0.3)  # single readings of a camera
@@ -98,17 +99,17 @@ def denoise(
     images = as_images(depth)
     ranges = scan.valid_ranges_m()
     if isinstance(registration, RigEstimate):
-        height = registration.height_m
+        height, extent = registration.height_m, registration.height_range_m
         matrices = [None if found is None else found.T_laser_level for found in registration.alignments]
     else:
-        height, matrices = registration.height_m, []
+        height, extent, matrices = registration.height_m, None, []
         if registration.grade >= least_grade:
             matrices = maps_of(registration, model, rng or np.random.default_rng(0))
     if height is None or not any(matrix is not None for matrix in matrices):
         return _unchanged(scan, images)
     if len(matrices) != len(images):
         raise ValueError(f"{len(images)} images for {len(matrices)} registered cameras")
-    return _repair(scan, ranges, images, height, matrices, eps_over_e)
+    return _repair(scan, ranges, images, (height, *(extent or (height, height))), matrices, eps_over_e)
 
 
 def maps_of(registration: Registration, model: Model, rng: np.random.Generator) -> list[FloatArray | None]:
@@ -134,11 +135,11 @@ def _repair(
     scan: LidarCurve,
     ranges: Float32Array,
     images: tuple[DepthImage, ...],
-    height_m: float,
+    heights_m: tuple[float, float, float],
     matrices: list[FloatArray | None],
     eps_over_e: float,
 ) -> Denoised:
-    """Carry, compare, decide; the beams counter-clockwise."""
+    """Carry, compare, decide; the beams counter-clockwise. Heights: the best, the lowest and the highest."""
     flip = scan.step_rad < 0.0
     step = abs(scan.step_rad)
     own = ranges[::-1].copy() if flip else ranges
@@ -147,7 +148,7 @@ def _repair(
     noise = []
     for image, matrix in zip(images, matrices, strict=True):
         if matrix is not None:
-            seen, rough = _seen_by_lidar(image, height_m, matrix, (start, step, own.size))
+            seen, rough = _seen_by_lidar(image, heights_m[0], matrix, (start, step, own.size))
             np.fmin(other, seen, out=other)
             noise.append(rough)
     mean, eps, typical = eps_of(own, other, eps_over_e)
@@ -161,7 +162,7 @@ def _repair(
     calm(repaired, steady, source, mine)
     depths, sources = [], []
     for image, matrix in zip(images, matrices, strict=True):
-        depth, kinds = _repair_image(image, height_m, matrix, steady, own, (start, step), share)
+        depth, kinds = _repair_image(image, heights_m, matrix, steady, own, (start, step), share)
         depths.append(depth)
         sources.append(kinds)
     result = np.array(scan.ranges_m, dtype=np.float32)
@@ -214,7 +215,7 @@ def roughness(ranges: Float32Array, steady: Float32Array) -> float:
 
 def _repair_image(
     image: DepthImage,
-    height_m: float,
+    heights_m: tuple[float, float, float],
     matrix: FloatArray | None,
     lidar: Float32Array,
     readings: Float32Array,
@@ -235,27 +236,23 @@ def _repair_image(
     predicted = carry(lidar, beams[0], beams[1], inverse, columns, _LIDAR_SLACK)
     if not np.isfinite(predicted).any():
         return depth, source
-    fall = float(lookup.slopes[0] - lookup.slopes[1])
-    rows = min(_MOST_ROWS, 1 + 2 * math.ceil(_BAND_M / (float(np.nanmin(predicted)) * fall)))
     raw = carry(readings, beams[0], beams[1], inverse, columns, 0.0)
-    samples = (round(_CAMERA_BURR_RAD / step), max(1, round(_LONE_RAD / step)), round(_ASIDE_RAD / step))
     aside = max(1, round(0.5 * beams[1] / step))
-    for above in np.linspace(-_BAND_M, _BAND_M, rows):
-        # At an edge the pixel may look past the surface that the beam next to it met: a reading that flies is
-        # looked for on either side's surface, a hole filled from the nearest beam alone.
-        for shift in (0, -aside, aside):
-            repair_band(
-                depth.ravel(),
-                source.ravel(),
-                (lookup.pixel, lookup.range_of_depth, lookup.slopes),
-                predicted if shift == 0 else _shifted(predicted, shift),
-                raw,
-                height_m + above,
-                image.range_max_m,
-                eps_share,
-                samples if shift == 0 else (0, *samples[1:]),
-                shift == 0,
-            )
+    nearest, fall = float(np.nanmin(predicted)), float(lookup.slopes[0] - lookup.slopes[1])
+    low, high = min(heights_m) - _BAND_M, max(heights_m) + _BAND_M
+    heights = np.linspace(low, high, min(_MOST_ROWS, 2 + math.ceil((high - low) / (nearest * fall))))
+    repair_image(
+        depth.ravel(),
+        source.ravel(),
+        (lookup.pixel, lookup.range_of_depth, lookup.slopes),
+        np.stack([predicted, _shifted(predicted, -aside), _shifted(predicted, aside)]),
+        raw,
+        heights,
+        np.abs(heights - heights_m[0]) <= 2.0 * _BAND_M,
+        image.range_max_m,
+        eps_share,
+        (round(_CAMERA_BURR_RAD / step), max(1, round(_LONE_RAD / step)), round(_ASIDE_RAD / step)),
+    )
     return depth, source
 
 

@@ -34,6 +34,8 @@ class RigEstimate:
         By how much bearings in the lidar's frame are larger.
     height_m
         Of the lidar's plane above the camera; None for rows.
+    height_range_m
+        Lowest and highest that explain the pairs about as well: the surfaces seen are the same there.
     v
         Candidate: row, or index of the height.
     pairs
@@ -47,6 +49,7 @@ class RigEstimate:
     u: int
     yaw_rad: float
     height_m: float | None
+    height_range_m: tuple[float, float] | None
     v: int
     pairs: int
     alignments: tuple[Alignment | None, ...]
@@ -101,15 +104,18 @@ class Rig:
         v, offset = self._first_height(yaw, column)
         heights = self._last[-1].stacks[0].heights_m
         alignments: tuple[Alignment | None, ...] = ()
+        extent = None if heights is None else (float(heights[v]), float(heights[v]))
         if heights is not None:
             alignments = self._alignments(yaw, v, offset)
             if any(alignments):
-                v = self._height(alignments)
+                v, low, high = self._height(alignments)
+                extent = float(heights[low]), float(heights[high])
                 alignments = self._alignments(yaw, v, offset)
         return RigEstimate(
             u=steps - self._last[-1].first_yaw_step,
             yaw_rad=yaw,
             height_m=None if heights is None else float(heights[v]),
+            height_range_m=extent,
             v=v,
             pairs=self._pairs,
             alignments=alignments,
@@ -134,8 +140,8 @@ class Rig:
         offset, v = np.unravel_index(np.argmax(mean), mean.shape)
         return int(v), float(_OFFSETS_M[offset])
 
-    def _height(self, alignments: tuple[Alignment | None, ...]) -> int:
-        """The height that wins against the others, once the motion between the sensors is known."""
+    def _height(self, alignments: tuple[Alignment | None, ...]) -> tuple[int, int, int]:
+        """The height that wins once the motion between the sensors is known, and its equals around it."""
         contest = HeightContest(len(self._last[-1].score_map))
         for pair in self._last:
             for stack, alignment in zip(pair.stacks, alignments, strict=True):

@@ -19,6 +19,8 @@ _LEAST_COVER = 0.1  # of the samples of the best covered height
 _SIGMA_M, _SIGMA_SHARE = 0.01, 0.015
 _SAME_SHARE, _ELSEWHERE_PER_M = 0.6, 0.4
 _EDGE_M = 0.15
+_AS_GOOD = 0.12  # nats a sample: less is no difference between two heights
+_MOST_STEPS = 4
 
 
 class HeightContest:
@@ -44,12 +46,23 @@ class HeightContest:
         self._gain += gain - gain.T
         self._shared += has @ has.T
 
-    def winner(self) -> int:
-        """Index of the height with the largest fitted value."""
+    def winner(self) -> tuple[int, int, int]:
+        """Index of the height with the largest fitted value, and the first and last that do about as well.
+
+        Upright walls are the same at many heights; only what begins or ends in between tells them apart.
+        """
         seen = np.diag(self._shared)
         laplacian = np.diag(self._shared.sum(axis=1)) - self._shared
         values = np.linalg.lstsq(laplacian + 1e-6 * np.eye(seen.size), self._gain.sum(axis=1), rcond=None)[0]
-        return int(np.argmax(np.where(seen > _LEAST_COVER * seen.max(), values, -np.inf)))
+        values = np.where(seen > _LEAST_COVER * seen.max(), values, -np.inf)
+        best = int(np.argmax(values))
+        near = values >= values[best] - _AS_GOOD
+        first = last = best
+        while first > 0 and near[first - 1] and best - first < _MOST_STEPS:
+            first -= 1
+        while last + 1 < seen.size and near[last + 1] and last - best < _MOST_STEPS:
+            last += 1
+        return best, first, last
 
 
 @numba.njit(cache=True)

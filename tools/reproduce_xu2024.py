@@ -130,7 +130,7 @@ def detail(drives: list[DriveResult], kinect: dict[str, float] | None) -> dict[s
 
 _SHARES = (
     *("u_within_2", "u_within_2_pcc", "u_within_2_rows", "high", "high_pcc"),
-    *("lidar_hole", "depth_hole", "lidar_burr", "depth_burr", "lidar_burr_large", "depth_burr_large"),
+    *("lidar_hole", "depth_hole", "lidar_burr", "depth_burr"),
     *("lidar_burr_edge", "lidar_burr_multipath", "depth_burr_edge", "depth_burr_multipath"),
     *("lidar_worse", "depth_worse", "obstacle_lost"),
     *(f"{model}_{side}_{kind}" for model in ("homography", "magsac", "rigid", "rig")
@@ -139,7 +139,7 @@ _SHARES = (
 _MEDIANS = (
     *("lidar_hole_error", "depth_hole_error", "lidar_burr_error", "depth_burr_error"),
     *("residual_rows", "residual_heights", "separation_pcc", "separation_inv_cos", "separation_inv_euler"),
-    *("register_ms", "register_pcc_ms", "denoise_ms", "keyframe_ms"),
+    *("register_ms", "register_pcc_ms", "denoise_ms"),
     *(f"{model}_{side}_{kind}_error" for model in ("homography", "magsac", "rigid", "rig")
       for side in ("lidar", "depth") for kind in ("hole", "burr")),
 )  # fmt: skip

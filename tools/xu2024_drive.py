@@ -23,6 +23,7 @@ from fusion.similarity import SIMILARITIES, masked_sums, similarity_map
 from slam.simulation.drive import Drive
 from slam.simulation.true_grid import true_grid
 
+MARGIN_M = 0.02  # beyond the heights that are as good: what a repair may touch
 MODELS = ("homography", "magsac", "rigid")
 EVERY_MODEL = 5  # pairs of which one is repaired with every model, and scored for recall
 
@@ -84,18 +85,21 @@ def run_drive(drive: Drive, home: int, most: int, *, pictures: bool) -> DriveRes
     assert estimate.height_m is not None
     result.height_error_m = estimate.height_m - truth_m
     result.height_within_10cm = float(abs(result.height_error_m) <= 0.10)
+    assert estimate.height_range_m is not None
+    low_m, high_m = (height - truth_m for height in estimate.height_range_m)
+    band_m = (low_m - MARGIN_M, high_m + MARGIN_M)
     maps = DriveMaps()
     kept: list[fusion.Denoised] = []
     for index, (pair, registration) in enumerate(zip(pairs, found, strict=True)):
         began = time.perf_counter()
         repaired = fusion.denoise(pair.scan, [image.depth for image in pair.images], estimate)
         result.tally.add("denoise_ms", [1e3 * (time.perf_counter() - began)])
-        score_pair(pair, repaired, result.tally)
+        score_pair(pair, repaired, band_m, result.tally)
         maps.add(pair, repaired.ranges_m)
         kept.append(repaired)
         if index % EVERY_MODEL == 0:
             score_recall(pair, estimate, result.tally)
-            score_models(pair, registration, estimate, result.tally)
+            score_models(pair, registration, estimate, band_m, result.tally)
     low, high = (float(drive.rig.lidar.T_base_laser.z()) + off for off in (-0.02, 0.02))
     before, after = maps.scores(true_grid(drive.home, low, high, 0.05))
     result.maps = {
@@ -151,7 +155,11 @@ def _separations(rows: fusion.Registration, tally: Tally) -> None:
 
 
 def score_models(
-    pair: TruePair, registration: fusion.Registration, rig: fusion.RigEstimate, tally: Tally
+    pair: TruePair,
+    registration: fusion.Registration,
+    rig: fusion.RigEstimate,
+    band_m: tuple[float, float],
+    tally: Tally,
 ) -> None:
     """Repair one high-grade pair by itself with every model, and by the rig, and score them alike."""
     if registration.grade != fusion.Grade.HIGH:
@@ -163,7 +171,7 @@ def score_models(
         else:
             repaired = fusion.denoise(pair.scan, images, registration, model=model)
         own = Tally()
-        score_pair(pair, repaired, own)
+        score_pair(pair, repaired, band_m, own)
         tally.merge(own.named(f"{model}_"))
 
 

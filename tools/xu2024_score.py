@@ -13,11 +13,10 @@ from slam.simulation.faults import Fault
 
 HOLES = (Fault.HOLE_GLASS, Fault.HOLE_GRAZING)  # first and last of the numbers that are holes
 BURRS = (Fault.BURR_EDGE, Fault.BURR_MULTIPATH)
-VISIBLE_M = 0.02  # a burr nearer to the truth than this is inside the noise and counts as no burr
+VISIBLE_M = 0.05  # a burr nearer to the truth than this makes nothing worse and counts as no burr
 SAME_M = 0.05  # two sensors see the same point where they agree on it so far
 WORSE_M = 0.05
 KEPT_M = 0.10  # an obstacle is still there where a reading is this near to it
-BAND_M = 0.03  # about the lidar's plane: what of an image can be touched at all
 
 Bools = NDArray[np.bool_]
 
@@ -59,11 +58,11 @@ class Tally:
             self._held[name] += values
 
 
-def score_pair(pair: TruePair, repaired: fusion.Denoised, tally: Tally) -> None:
-    """Count one pair's repairs."""
+def score_pair(pair: TruePair, repaired: fusion.Denoised, band_m: tuple[float, float], tally: Tally) -> None:
+    """Count one pair's repairs; the band about the lidar's plane is what of an image could be touched."""
     _score_lidar(pair, repaired, tally)
     for image, depth, source in zip(pair.images, repaired.depth_m, repaired.depth_source, strict=True):
-        _score_image(pair, image, depth, source, tally)
+        _score_image(pair, image, depth, source, band_m, tally)
 
 
 def _score_lidar(pair: TruePair, repaired: fusion.Denoised, tally: Tally) -> None:
@@ -81,7 +80,6 @@ def _score_lidar(pair: TruePair, repaired: fusion.Denoised, tally: Tally) -> Non
         burr = (fault == kind) & (before > VISIBLE_M) & seen
         tally.add(f"lidar_{kind.name.lower()}", replaced[burr])
         tally.add("lidar_burr", replaced[burr])
-        tally.add("lidar_burr_large", replaced[burr & (before > SAME_M)])
         tally.add("lidar_burr_error", error[burr & replaced])
     good = (fault == Fault.NONE) & np.isfinite(own)
     tally.add("lidar_worse", (changed & (error > before + WORSE_M))[good])
@@ -102,6 +100,7 @@ def _score_image(
     image: TrueImage,
     depth: NDArray[np.float32],
     source: NDArray[np.uint8],
+    band_m: tuple[float, float],
     tally: Tally,
 ) -> None:
     """Pixels that look at the lidar's plane: holes, burrs, and good ones in the band about it."""
@@ -120,10 +119,9 @@ def _score_image(
         burr = (fault[on] == kind) & (before[on] > VISIBLE_M) & (given[on] > 0.0)
         tally.add(f"depth_{kind.name.lower()}", changed[on][burr])
         tally.add("depth_burr", changed[on][burr])
-        tally.add("depth_burr_large", changed[on][burr & (before[on] > SAME_M)])
         tally.add("depth_burr_error", error[on][burr & changed[on]])
     # All that was touched is counted, but only what could be touched is in the denominator.
-    good = (fault == Fault.NONE) & (given > 0.0) & ((np.abs(above) <= BAND_M) | changed)
+    good = (fault == Fault.NONE) & (given > 0.0) & (((above >= band_m[0]) & (above <= band_m[1])) | changed)
     tally.add("depth_worse", (changed & (error > before + WORSE_M))[good])
 
 

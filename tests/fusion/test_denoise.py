@@ -20,6 +20,7 @@ RIG = fusion.RigEstimate(
     u=0,
     yaw_rad=0.0,
     height_m=-0.6,
+    height_range_m=(-0.6, -0.6),
     v=0,
     pairs=99,
     alignments=(Alignment(planar(*OFFSET, 0.0), np.eye(3), 0.01, 999),),

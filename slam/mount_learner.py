@@ -1,0 +1,100 @@
+"""Where a camera sits on its robot, learned while mapping from the motions of both."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+
+from slam.graph.extrinsics import ExtrinsicsResult, MotionPair, estimate_extrinsics
+from slam.graph.keyframe_graph import Step
+from slam.measurements import FloatArray, pose2_from_row
+from slam.vision.camera_frame import T_BODY_CAMERA
+
+_EVERY = 20  # pairs between two estimates
+_LEAST_PAIRS = 20
+_LEAST_INLIER_SHARE = 0.5
+_SURE_RAD = math.radians(1.0)
+_SURE_M = 0.03
+_PLANAR = ("roll", "pitch", "yaw", "x", "y")
+
+
+@dataclass(frozen=True, slots=True)
+class KeyframeStep:
+    """A camera's motion between two keyframes."""
+
+    source: int
+    target: int
+    motion: gtsam.Pose3
+    covariance: FloatArray
+
+
+@dataclass(slots=True)
+class MountLearner:
+    """Pairs of one camera, and the mounting as soon as it is sure.
+
+    Attributes
+    ----------
+    start
+        ``T_base_camera`` as the log tells it, right or wrong; None where it does not.
+    steps
+        Every motion of the camera between keyframes, to become edges when the mounting is known.
+    result
+        The newest estimate.
+    """
+
+    start: gtsam.Pose3 | None
+    steps: list[KeyframeStep] = field(default_factory=list)
+    result: ExtrinsicsResult | None = None
+    _pairs: list[MotionPair] = field(default_factory=list)
+
+    @property
+    def T_base_camera(self) -> gtsam.Pose3 | None:
+        """The mounting, once it is sure; None before."""
+        return self.result.T_base_camera if self.result is not None and _sure(self.result) else None
+
+    def add(self, step: KeyframeStep, base: Step | None) -> None:
+        """Take a motion between keyframes, with that of the base where lidar or wheels measured it."""
+        self.steps.append(step)
+        if base is None:
+            return
+        self._pairs.append(
+            MotionPair(pose2_from_row(base.motion), base.covariance, step.motion, step.covariance)
+        )
+        if len(self._pairs) % _EVERY == 0:
+            self.estimate()
+
+    def estimate(self) -> None:
+        """Estimate anew from all pairs so far."""
+        if len(self._pairs) >= _LEAST_PAIRS:
+            self.result = estimate_extrinsics(self._pairs, self.start)
+
+    def note(self, camera: str) -> str:
+        """What was found, in one line for people."""
+        if self.result is None:
+            return f"{camera}: mounting unknown, {len(self._pairs)} motions are too few to learn it"
+        body = self.result.T_base_camera.compose(T_BODY_CAMERA.inverse())
+        turn = np.degrees(body.rotation().rpy())
+        text = (
+            f"{camera}: mounting learned from {len(self._pairs)} motions: "
+            f"x {body.x():.3f} m, y {body.y():.3f} m, "
+            f"yaw {turn[2]:.2f}, pitch {turn[1]:.2f}, roll {turn[0]:.2f} degrees"
+        )
+        if self.result.unobservable:
+            text += f"; not observable: {', '.join(self.result.unobservable)}"
+        return text if _sure(self.result) else f"{text}; too unsure, its motions were not used"
+
+
+def _sure(result: ExtrinsicsResult) -> bool:
+    """Whether planar motion may rest on an estimate."""
+    if not result.converged or result.inlier_share < _LEAST_INLIER_SHARE:
+        return False
+    if any(direction in _PLANAR for direction in result.unobservable):
+        return False
+    rotation = result.T_base_camera.rotation().matrix()
+    # The covariance is in the camera's frame; limits are for the base's.
+    turn = rotation @ result.covariance[:3, :3] @ rotation.T
+    shift = rotation @ result.covariance[3:, 3:] @ rotation.T
+    return bool(turn[2, 2] < _SURE_RAD**2 and max(shift[0, 0], shift[1, 1]) < _SURE_M**2)
