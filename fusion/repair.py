@@ -27,6 +27,7 @@ MEASURED, FILLED, INTERPOLATED, HOLE, AVERAGED = (np.uint8(kind) for kind in Pro
 ProvenanceArray = NDArray[np.uint8]
 
 _JUTS, _LEAST_JUT_M = 3.0, 0.05
+_BESIDE, _BESIDE_SLOPE = 3, 0.01  # beams that must lie nearer to the surface, and what a slant adds
 _NEAR_SAMPLES = 2  # readings of the other sensor this far aside may still be of the same surface
 
 
@@ -92,9 +93,10 @@ def calm(ranges: Float32Array, steady: Float32Array, source: ProvenanceArray, no
         if source[i] != MEASURED or not jut > max(_LEAST_JUT_M, _JUTS * noise_share * own[i]):
             continue
         # Two in a row may be what is seen past an edge, and so may the last one before a jump.
-        if max(own[i - 1] - steady[i - 1], own[i + 1] - steady[i + 1]) < 0.5 * jut and (
-            max(own[i - 1], own[i + 1]) < own[i] and own[i] - min(own[i - 1], own[i + 1]) < 2.0 * jut
-        ):
+        alone = True
+        for j in range(max(0, i - _BESIDE), min(own.size, i + _BESIDE + 1)):
+            alone = alone and (j == i or abs(own[j] - steady[i]) < 0.7 * jut + _BESIDE_SLOPE * own[i])
+        if alone:
             ranges[i], source[i] = steady[i], INTERPOLATED
 
 
@@ -122,7 +124,8 @@ def _drop_burrs(
                 _agrees(own, other, first - 1, eps_share) or _agrees(own, other, last + 1, eps_share)
             )
             for i in range(first, last + 1):
-                if (sure and own[i] > other[i]) or _flies(own, i, first, last, eps_share):
+                behind = sure and own[i] > other[i] and _explained(own, i, first, last, eps_share)
+                if behind or _flies(own, i, first, last, eps_share):
                     result[i], source[i] = other[i], FILLED
         first = last + 1
 
@@ -136,6 +139,17 @@ def _odd(own: Float32Array, other: Float32Array, i: int, eps_share: float) -> bo
         if abs(own[i] - other[j]) <= eps_share * own[i]:
             return False
     return True
+
+
+@numba.njit(cache=True)
+def _explained(own: Float32Array, i: int, first: int, last: int, eps_share: float) -> bool:
+    """Whether a reading behind the other sensor's can be a burr: light by a detour, or a flight at an edge.
+
+    What lies behind both of its neighbours, and these are two surfaces, is seen through the gap between.
+    """
+    left, right = own[first - 1], own[last + 1]
+    one = abs(left - right) <= 0.1 + 2.0 * eps_share * min(left, right)
+    return one or own[i] <= max(left, right)
 
 
 @numba.njit(cache=True)
