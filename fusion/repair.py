@@ -92,8 +92,9 @@ def calm(ranges: Float32Array, steady: Float32Array, source: ProvenanceArray, no
         jut = own[i] - steady[i]
         if source[i] != MEASURED or not jut > max(_LEAST_JUT_M, _JUTS * noise_share * own[i]):
             continue
-        # Two in a row may be what is seen past an edge, and so may the last one before a jump.
-        alone = True
+        # Two in a row may be what is seen past an edge, and so may the last one before a jump; where its
+        # neighbours jut too there is a corner.
+        alone = max(own[i - 1] - steady[i - 1], own[i + 1] - steady[i + 1]) < 0.5 * jut
         for j in range(max(0, i - _BESIDE), min(own.size, i + _BESIDE + 1)):
             alone = alone and (j == i or abs(own[j] - steady[i]) < 0.7 * jut + _BESIDE_SLOPE * own[i])
         if alone:
