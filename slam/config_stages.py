@@ -263,7 +263,7 @@ class VisualLoopConfig(StrictModel):
     )
     by_looks: int = Field(default=2, ge=0, description="places tried because they look the same")
     least_place_score: float = Field(
-        default=0.5, gt=0, le=1, description="least likeness, relative to that of two neighbouring keyframes"
+        default=0.02, gt=0, le=1, description="least likeness, relative to that of two neighbouring keyframes"
     )
     least_inlier_share: float = Field(default=0.6, gt=0, le=1, description="least share of agreeing readings")
     least_overlap: float = Field(

@@ -21,8 +21,9 @@ from slam.measurements import FloatArray, LaserScan, WheelOdometry, pose2_from_r
 from slam.odometry import make_lidar_odometry
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
 from slam.odometry.wheel_tracker import WheelTracker
+from slam.planar_places import PlanarPlaces
 from slam.readings import Readings
-from slam.robot_cameras import CameraMarks, RobotCameras
+from slam.robot_cameras import CameraMarks, CameraStep, RobotCameras
 from slam.scan_record import ScanRecorder
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.planar_motion import agreed_motion
@@ -50,6 +51,7 @@ class PlanarMapper:
         self._record = ScanRecorder()
         self._last_keyframe: TrackedScan | None = None
         self._cameras = RobotCameras(config.rgbd_odometry, config.sensors)
+        self._places = PlanarPlaces(config)
         self._marks: CameraMarks = {}
         self._keyframe_marks: CameraMarks = {}
         self._scan_stamp_s = -np.inf
@@ -106,6 +108,8 @@ class PlanarMapper:
             key = self._add_keyframe(stamp_s, scan, points, tracked)
             for candidate in self._closer.close(key, self._graph.poses(), self._graph.uncertainty):
                 self.add_loop(candidate)
+            for candidate in self._look_around(key, alone=scan is None):
+                self.add_loop(candidate)
             self._graph.update()
         self._record.add(stamp_s, tracked.motion, time.perf_counter() - started)
 
@@ -116,6 +120,8 @@ class PlanarMapper:
     def finish(self) -> MapResult:
         """Optimise everything, give every reading its pose, and draw the grid."""
         clock = [time.perf_counter()]
+        for source, target, motion in self._cameras.learned_steps():
+            self._graph.add_camera_step(source, target, Step(motion.motion, motion.covariance))
         outcome = self._graph.optimize(self._config.loops.inlier_probability)
         clock.append(time.perf_counter())
         keyframe_poses = self._graph.poses()
@@ -140,6 +146,7 @@ class PlanarMapper:
                 **dict(zip(stages, np.diff(clock).tolist(), strict=True)),
             },
             warnings=[*warnings, *registration_notes(self._registrations), *self._cameras.notes()],
+            dense=self._places.dense(keyframe_poses),
         )
 
     def _moved_on(self, tracked: TrackedScan) -> bool:
@@ -164,9 +171,11 @@ class PlanarMapper:
                 covariance = tracked.motion.covariance + tracked.dispute
                 match = Step(between(self._last_keyframe.pose, matched), covariance)
             wheels = self._wheel_step(self._last_keyframe, tracked, stamp_s - self._keyframe_stamp_s)
-            cameras = self._camera_steps(tracked)
+            moved = self._cameras.steps(self._keyframe_marks, self._marks)
+            cameras = self._camera_steps(moved, tracked)
             doubtful = self._doubtful(tracked) or any(_contradict(match, camera) for camera in cameras)
             key = self._graph.add_keyframe(step, match, wheels, cameras, match_doubtful=doubtful)
+            self._cameras.learn(key - 1, key, moved, wheels if doubtful else match)
         if points is not None:
             self._tracker.add_keyframe(points, tracked)
         seen = OrientedPoints.none() if points is None else OrientedPoints.from_scan(points)
@@ -178,13 +187,22 @@ class PlanarMapper:
         self._last_keyframe = tracked
         return key
 
-    def _camera_steps(self, tracked: TrackedScan) -> list[Step]:
-        """Motion since the last keyframe by every camera."""
+    def _look_around(self, key: int, *, alone: bool) -> list[LoopCandidate]:
+        """Take the leading camera's frame for a keyframe; where cameras are alone, look for its loops."""
+        seen = self._cameras.picture(self._marks)
+        if seen is None:
+            return []
+        registration = self._registrations.get(seen.frame.frame.sensor)
+        poses = self._graph.poses() if alone else None
+        return self._places.add(key, seen.frame, seen.T_base_camera, registration, poses)
+
+    def _camera_steps(self, moved: list[CameraStep], tracked: TrackedScan) -> list[Step]:
+        """The edges of cameras whose mounting is given; learned ones wait for its last estimate."""
         doubt = self._tracker.camera_doubt
         return [
             Step(step.planar.motion, step.planar.covariance * doubt + tracked.dispute)
-            for step in self._cameras.steps(self._keyframe_marks, self._marks)
-            if step.planar is not None
+            for step in moved
+            if step.planar is not None and not self._cameras.is_learned(step.camera)
         ]
 
     def _doubtful(self, tracked: TrackedScan) -> bool:

@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 import gtsam
 
 from slam.config_stages import RgbdOdometryConfig, SensorsConfig
+from slam.graph.keyframe_graph import Step
 from slam.measurements import FloatArray
+from slam.mount_learner import KeyframeStep, MountLearner
 from slam.odometry.camera_odometry import CameraOdometry, CameraPose, camera_step
 from slam.vision.planar_motion import PlanarMotion, planar_motion
 from slam.vision.prepared_frame import PreparedFrame
@@ -23,6 +25,9 @@ class RobotCamera:
 
     odometry: CameraOdometry
     T_base_camera: gtsam.Pose3 | None
+    newest: PreparedFrame | None = None
+    newest_pose: gtsam.Pose3 | None = None
+    learner: MountLearner | None = None
     steps: int = 0
     refused_steps: int = 0
 
@@ -37,6 +42,14 @@ class CameraStep:
     planar: PlanarMotion | None
 
 
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A camera's newest frame, and where it was taken, seen from the base at some moment."""
+
+    frame: PreparedFrame
+    T_base_camera: gtsam.Pose3
+
+
 @dataclass(slots=True)
 class RobotCameras:
     """All cameras by name."""
@@ -49,10 +62,16 @@ class RobotCameras:
         """Track a frame of any camera."""
         name = frame.frame.sensor
         if name not in self.cameras:
-            given = self.sensors.mounting == "given"
-            mounting = frame.frame.T_base_camera if given else None
-            self.cameras[name] = RobotCamera(CameraOdometry(self.config), mounting)
-        self.cameras[name].odometry.add(frame)
+            mounting = frame.frame.T_base_camera
+            learn = mounting is None or self.sensors.mounting == "estimate"
+            self.cameras[name] = RobotCamera(
+                CameraOdometry(self.config),
+                None if learn else mounting,
+                learner=MountLearner(mounting) if learn else None,
+            )
+        camera = self.cameras[name]
+        tracked = camera.odometry.add(frame)
+        camera.newest, camera.newest_pose = frame, tracked.pose
 
     def marks(self, stamp_s: float) -> CameraMarks:
         """Where every camera was at a stamp."""
@@ -66,6 +85,18 @@ class RobotCameras:
             if camera.T_base_camera is not None and camera.odometry.at(stamp_s) is not None
         ]
         return name == (knowing or list(self.cameras))[0]
+
+    def picture(self, marks: CameraMarks) -> Picture | None:
+        """The newest frame of the first camera with a known mounting; None where it is lost."""
+        for name, camera in self.cameras.items():
+            if camera.T_base_camera is None:
+                continue
+            mark = marks.get(name)
+            if mark is None or camera.newest is None or camera.newest_pose is None:
+                return None
+            since = mark.pose.between(camera.newest_pose)
+            return Picture(camera.newest, camera.T_base_camera.compose(since))
+        return None
 
     def steps(self, before: CameraMarks, after: CameraMarks) -> list[CameraStep]:
         """Motion between two moments by every camera that knows it and stays in the plane."""
@@ -84,6 +115,34 @@ class RobotCameras:
             found.append(CameraStep(name, *step, planar))
         return found
 
+    def is_learned(self, name: str) -> bool:
+        """Whether a camera's mounting is not given but learned."""
+        return self.cameras[name].learner is not None
+
+    def learn(self, source: int, target: int, steps: list[CameraStep], base: Step | None) -> None:
+        """Take motions between two keyframes of cameras whose mounting is not given."""
+        for step in steps:
+            camera = self.cameras[step.camera]
+            if camera.learner is not None:
+                camera.learner.add(KeyframeStep(source, target, step.motion, step.covariance), base)
+                camera.T_base_camera = camera.learner.T_base_camera
+
+    def learned_steps(self) -> list[tuple[int, int, PlanarMotion]]:
+        """All motions between keyframes of cameras whose mounting was learned, by its last estimate."""
+        found = []
+        for camera in self.cameras.values():
+            if camera.learner is None:
+                continue
+            camera.learner.estimate()
+            camera.T_base_camera = camera.learner.T_base_camera
+            if camera.T_base_camera is None:
+                continue
+            for step in camera.learner.steps:
+                planar = planar_motion(step.motion, step.covariance, camera.T_base_camera)
+                if planar.excess <= self.sensors.greatest_excess:
+                    found.append((step.source, step.target, planar))
+        return found
+
     def notes(self) -> list[str]:
         """What a person should know, one line a camera that failed often."""
         lines = []
@@ -94,4 +153,6 @@ class RobotCameras:
             if camera.refused_steps > 0.01 * camera.steps:
                 refused = f"{camera.refused_steps:,} of {camera.steps:,}"
                 lines.append(f"{name}: {refused} motions left the floor and were refused")
+            if camera.learner is not None:
+                lines.append(camera.learner.note(name))
         return lines

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Mapping
 
@@ -19,12 +18,10 @@ from slam.odometry.rgbd_odometry import make_rgbd_odometry
 from slam.odometry.rgbd_tracker import RgbdTracker, TrackedFrame
 from slam.scan_record import ScanRecorder
 from slam.spatial_trajectory import FramePoses
+from slam.vision.camera_frame import T_BODY_CAMERA
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.prepared_frame import PreparedFrame
-
-# A camera that looks along x of its body: z forward, x right, y down.
-_T_BODY_CAMERA = gtsam.Pose3(gtsam.Rot3.Ypr(-0.5 * math.pi, 0.0, -0.5 * math.pi), np.zeros(3))
 
 
 class SpatialMapper:
@@ -75,6 +72,7 @@ class SpatialMapper:
             graph, key = self._add_keyframe(frame, tracked)
             for candidate in self._closer.close(key, graph.poses()):
                 graph.add_loop(candidate)
+            self._closer.add_keyframe(frame)
             graph.update()
         motion = None if tracked.match is None else tracked.match.motion
         self._record.add(frame.stamp_s, motion, time.perf_counter() - started)
@@ -113,14 +111,13 @@ class SpatialMapper:
         """Grow the local map, the graph and the loop closer by a frame; the graph and the number."""
         if self._graph is None or self._last_keyframe is None:
             self._T_base_camera = frame.frame.T_base_camera
-            origin = _T_BODY_CAMERA if self._T_base_camera is None else self._T_base_camera
+            origin = T_BODY_CAMERA if self._T_base_camera is None else self._T_base_camera
             self._graph = SpatialGraph(origin, self._config.graph)
         else:
             covariance = None if tracked.match is None else tracked.match.motion.covariance
             self._graph.add_keyframe(self._last_keyframe.between(tracked.pose), covariance)
         self._tracker.add_keyframe(frame, tracked)
         self._frames.mark_keyframe()
-        self._closer.add_keyframe(frame)
         self._last_keyframe = tracked.pose
         return self._graph, self._store.add(frame, self._registrations.get(frame.frame.sensor))
 

@@ -40,7 +40,7 @@ class VisualLoopCloser:
         self._depths_m: list[float] = []
 
     def add_keyframe(self, frame: PreparedFrame) -> None:
-        """Remember the looks of the next keyframe."""
+        """Remember the looks of a keyframe, after its own loops were looked for."""
         self._places.add(frame.features.descriptors)
         self._depths_m.append(frame.median_depth_m)
 

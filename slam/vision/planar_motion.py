@@ -41,7 +41,10 @@ class PlanarMotion:
 
 
 def planar_motion(
-    T_camera_camera: gtsam.Pose3, covariance: FloatArray, T_base_camera: gtsam.Pose3
+    T_camera_camera: gtsam.Pose3,
+    covariance: FloatArray,
+    T_base_camera: gtsam.Pose3,
+    T_base_camera_before: gtsam.Pose3 | None = None,
 ) -> PlanarMotion:
     """Project a camera's motion to its robot's plane.
 
@@ -53,8 +56,11 @@ def planar_motion(
         (6, 6) of it, GTSAM's order, in the frame after the motion.
     T_base_camera
         Mounting.
+    T_base_camera_before
+        Where the camera was seen from the base before the motion, if elsewhere.
     """
-    motion = T_base_camera.compose(T_camera_camera).compose(T_base_camera.inverse())
+    before = T_base_camera if T_base_camera_before is None else T_base_camera_before
+    motion = before.compose(T_camera_camera).compose(T_base_camera.inverse())
     adjoint = T_base_camera.AdjointMap()
     of_base = adjoint @ covariance @ adjoint.T
     roll, pitch, yaw = motion.rotation().roll(), motion.rotation().pitch(), motion.rotation().yaw()
