@@ -45,7 +45,7 @@ class KeyframeStore:
             Where the colour camera sits; the colours are then moved to where the depth camera sees them.
         """
         image = frame.frame
-        if registration is not None:
+        if registration is not None and registration.accepted:
             color, known = register_color(image.color, image.depth_m, registration)
             # Depth without colour would paint the map black.
             image = replace(image, color=color, depth_m=np.where(known, image.depth_m, np.float32(0.0)))
@@ -71,4 +71,4 @@ class KeyframeStore:
 
 def registration_notes(registrations: Mapping[str, ColorRegistration]) -> list[str]:
     """One line for people about every colour camera that is not registered to its depth camera."""
-    return [f"{name}: {registration.reason}" for name, registration in registrations.items()]
+    return [f"{name}: {found.reason}" for name, found in registrations.items() if found.accepted]

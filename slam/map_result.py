@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
@@ -13,7 +13,7 @@ from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import PoseGraph
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import BoolArray, FloatArray, LaserScan, RgbdFrame, Trajectory
-from slam.scan_record import ScanRecord
+from slam.scan_record import CameraRecord, ScanRecord
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +54,8 @@ class MapResult:
         One line each, for people.
     dense
         Camera keyframes for a coloured map; None where there is no camera.
+    cameras
+        What became of every camera's frames, by its name.
     """
 
     trajectory: Trajectory
@@ -68,3 +70,4 @@ class MapResult:
     stage_seconds: dict[str, float]
     warnings: list[str]
     dense: DenseKeyframes | None = None
+    cameras: Mapping[str, CameraRecord] = field(default_factory=dict)

@@ -16,7 +16,7 @@ from slam.map_result import DenseKeyframes, MapResult
 from slam.measurements import LaserScan, WheelOdometry
 from slam.odometry.rgbd_odometry import make_rgbd_odometry
 from slam.odometry.rgbd_tracker import RgbdTracker, TrackedFrame
-from slam.scan_record import ScanRecorder
+from slam.scan_record import CameraRecord, ScanRecorder
 from slam.spatial_trajectory import FramePoses
 from slam.vision.camera_frame import T_BODY_CAMERA
 from slam.vision.color_registration import ColorRegistration
@@ -75,11 +75,11 @@ class SpatialMapper:
             self._closer.add_keyframe(frame)
             graph.update()
         motion = None if tracked.match is None else tracked.match.motion
-        self._record.add(frame.stamp_s, motion, time.perf_counter() - started)
+        self._record.add(frame.stamp_s, motion, time.perf_counter() - started, tracked.match)
 
     def finish(self) -> MapResult:
         """Optimise everything and give every frame its pose."""
-        assert self._graph is not None
+        assert self._graph is not None and self._camera is not None
         clock = [time.perf_counter()]
         outcome = self._graph.optimize(self._config.loops.inlier_probability)
         clock.append(time.perf_counter())
@@ -105,6 +105,9 @@ class SpatialMapper:
             },
             warnings=registration_notes(self._registrations),
             dense=DenseKeyframes(self._store.images, cameras),
+            cameras={
+                self._camera: CameraRecord(scans, registration=self._registrations.get(self._camera)),
+            },
         )
 
     def _add_keyframe(self, frame: PreparedFrame, tracked: TrackedFrame) -> tuple[SpatialGraph, int]:

@@ -63,12 +63,12 @@ class FramePreparer:
     config
         How many of them, and at which resolution.
     registrations
-        Where the colour camera sits, by the camera's name, where colour is not registered to depth.
+        Where the colour camera sits, by the camera's name; one that was not accepted changes nothing.
     """
 
     def __init__(self, config: RgbdConfig, registrations: Mapping[str, ColorRegistration]) -> None:
         self._config = config
-        self._registrations = registrations
+        self._registrations = {name: found for name, found in registrations.items() if found.accepted}
 
     def __call__(self, measurement: Measurement) -> Measurement | PreparedFrame:
         """A frame with its features, all of them in the depth camera's image; anything else as it is."""

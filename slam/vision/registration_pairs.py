@@ -27,7 +27,7 @@ _LEAST_MOTION, _GREATEST_MOTION = 0.03, 0.25
 def registrations_of(
     measurements: Iterable[Measurement], cameras: Sequence[str], config: Config
 ) -> dict[str, ColorRegistration]:
-    """Where the colour camera sits beside the depth camera, for every camera where it is not registered.
+    """Where the colour camera sits beside the depth camera, and why, for every camera that was seen.
 
     Parameters
     ----------
@@ -79,12 +79,12 @@ class _Collector:
             self._anchor = frame, features
 
     def registration(self, seed: int) -> ColorRegistration | None:
-        """The estimate; None where colour is registered, or nothing else can be shown."""
+        """The estimate, which may be that colour is registered; None without a frame."""
         if self._anchor is None:
             return None
         registration = estimate_registration(self._pairs, self._anchor[0].intrinsics, seed)
         log.info("%s: %s", self._anchor[0].sensor, registration.reason)
-        return registration if registration.accepted else None
+        return registration
 
 
 def _pair(
