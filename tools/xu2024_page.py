@@ -113,7 +113,8 @@ def _fig_4(pictures: dict[str, Any]) -> str:
         image = axis.imshow(scores, aspect="auto", cmap="viridis")
         v, u = np.unravel_index(np.argmax(scores), scores.shape)
         axis.plot(u, v, "r+")
-        axis.set(title=f"{name}, peak ({u}, {v})", xlabel="u", ylabel="v (row)")
+        shown = "1 - inv_cos" if name == "inv_cos" else name
+        axis.set(title=f"{shown}, peak ({u}, {v})", xlabel="u", ylabel="v (row)")
         figure.colorbar(image, ax=axis)
     for axis, (title, key) in zip(axes[1], (("row", "rows"), ("height slice", "heights")), strict=False):
         found: fusion.Registration = pictures[key]
@@ -176,7 +177,7 @@ def _fig_9(states: tuple[Any, Any]) -> str:
     """Two maps side by side."""
     figure, axes = _figure(1, 2, (13.0, 6.0))
     for axis, grid, title in zip(axes[0], states, ("lidar as it is", "repaired"), strict=True):
-        axis.imshow(grid, origin="lower", cmap="gray_r", vmin=-100, vmax=100)
+        axis.imshow(np.where(grid < 0, 35, grid), origin="lower", cmap="gray_r", vmin=0, vmax=100)
         axis.set(title=title, xticks=[], yticks=[])
     return _inline(figure)
 
