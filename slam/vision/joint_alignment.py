@@ -18,7 +18,9 @@ from slam.vision.surface import Surface, SurfacePoints
 
 _LEAST_NORMAL_COSINE = 0.8  # two surfaces turned further apart are not the same
 _NEAREST_M = 0.2
-_MEDIAN_TO_SIGMA = 1.4826
+# Sigma over the median of residuals: of a distance along one axis, and of the root mean square of two.
+_MEDIAN_TO_SIGMA_1D, _MEDIAN_TO_SIGMA_2D = 1.4826, 1.2011
+_LEAST_CURVATURE = 1e-9  # of the normal equations, in shares of their trace
 _SETTLED = 2e-5  # radians and metres: a step below moves nothing any more
 _LEAST_READINGS = 12.0
 
@@ -135,9 +137,11 @@ def align(
     for iteration in range(settings.iterations):
         slack = 4.0 if iteration < settings.coarse_iterations else 1.0
         hessian, gradient = work.linearize(views, intrinsics, pose, settings, slack)
-        if not _solvable(hessian):
+        ridge = _LEAST_CURVATURE * float(np.trace(hessian))
+        if ridge <= 0.0:
             break
-        step = np.linalg.solve(hessian, gradient)
+        # Where nothing tells a direction, as along a bare wall, the pose stays there and moves elsewhere.
+        step = np.linalg.solve(hessian + ridge * np.eye(6), gradient)
         length = float(np.linalg.norm(step))
         if length > 1.0:
             break
@@ -151,14 +155,14 @@ def align(
 
 @dataclass(slots=True)
 class _Work:
-    """Residuals of one linearisation, kept to be judged after the last."""
+    """Residuals and information of either part at one linearisation, kept to be judged after the last."""
 
     points: SurfacePoints
     landmarks: Landmarks
     point_residuals: FloatArray
     seen: NDArray[np.uint8]
     feature_residuals: FloatArray
-    parts: tuple[FloatArray, FloatArray]
+    information: tuple[FloatArray, FloatArray]
 
     @classmethod
     def of(cls, points: SurfacePoints, landmarks: Landmarks) -> _Work:
@@ -184,7 +188,7 @@ class _Work:
         """Normal equations (6, 6), (6,) of both parts, weighted by their correlations."""
         self.seen[:] = 0
         self.point_residuals[:] = np.inf
-        depth_h, depth_g = np.zeros((6, 6)), np.zeros(6)
+        depth_h, depth_g, depth_i = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6))
         for surface, view_pose in views:
             c = surface.intrinsics
             _surface_part(
@@ -200,6 +204,7 @@ class _Work:
                 settings.depth_share,
                 depth_h,
                 depth_g,
+                depth_i,
                 self.seen,
                 self.point_residuals,
             )
@@ -215,7 +220,7 @@ class _Work:
             feature_g,
             self.feature_residuals,
         )
-        self.parts = (depth_h, feature_h)
+        self.information = (0.5 * (depth_i + depth_i.T), feature_h)
         hessian = depth_h / settings.correlated_points + feature_h / settings.correlated_features
         gradient = depth_g / settings.correlated_points + feature_g / settings.correlated_features
         return hessian, gradient
@@ -233,10 +238,10 @@ class _Work:
         seen = self.seen > 0
         agreeing = self.point_residuals[self.point_residuals < settings.kernel_sigmas]
         matched = self.feature_residuals[self.feature_residuals < settings.kernel_sigmas]
-        point_scale = _robust_scale(agreeing)
-        feature_scale = _robust_scale(matched)
-        information = self.parts[0] / (settings.correlated_points * point_scale**2)
-        information += self.parts[1] / (settings.correlated_features * feature_scale**2)
+        point_scale = _robust_scale(agreeing, _MEDIAN_TO_SIGMA_1D)
+        feature_scale = _robust_scale(matched, _MEDIAN_TO_SIGMA_2D)
+        information = self.information[0] / (settings.correlated_points * point_scale**2)
+        information += self.information[1] / (settings.correlated_features * feature_scale**2)
         depth = np.median(self.points.points[:, 2]) if len(self.points) else 1.0
         sigma_m = settings.depth_floor_m + settings.depth_share * depth**2
         return JointAlignment(
@@ -253,16 +258,11 @@ class _Work:
         )
 
 
-def _robust_scale(residuals: FloatArray) -> float:
+def _robust_scale(residuals: FloatArray, median_to_sigma: float) -> float:
     """Sigma of normalised residuals; 1 where there are too few to tell."""
     if residuals.size < _LEAST_READINGS:
         return 1.0
-    return max(float(_MEDIAN_TO_SIGMA * np.median(residuals)), 0.1)
-
-
-def _solvable(hessian: FloatArray) -> bool:
-    """Whether every direction of motion is told by something."""
-    return bool(np.linalg.eigvalsh(hessian)[0] > 1e-9 * max(float(np.trace(hessian)), 1e-12))
+    return max(float(median_to_sigma * np.median(residuals)), 0.1)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -279,13 +279,19 @@ def _surface_part(
     depth_share: float,
     hessian: NDArray[Any],
     gradient: NDArray[Any],
+    information: NDArray[Any],
     seen: NDArray[Any],
     residuals: NDArray[Any],
 ) -> None:
-    """Add the point-to-plane terms of one view; ``T`` maps the frame into the view."""
+    """Add the point-to-plane terms of one view; ``T`` maps the frame into the view.
+
+    ``hessian`` squares the view's noisy normals, and so a flat wall seems to tell motion along itself. The
+    product of both surfaces' normals, whose noise is independent, does not: that is the ``information``.
+    """
     fx, fy, cx, cy = camera
     height, width = inverse_depth.shape
     jacobian = np.empty(6)
+    twin = np.empty(6)
     for i in range(points.shape[0]):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
@@ -320,10 +326,17 @@ def _surface_part(
         jacobian[3] = mx
         jacobian[4] = my
         jacobian[5] = mz
+        twin[0] = py * normals[i, 2] - pz * normals[i, 1]
+        twin[1] = pz * normals[i, 0] - px * normals[i, 2]
+        twin[2] = px * normals[i, 1] - py * normals[i, 0]
+        twin[3] = normals[i, 0]
+        twin[4] = normals[i, 1]
+        twin[5] = normals[i, 2]
         for a in range(6):
             gradient[a] -= weight * jacobian[a] * r
             for b in range(6):
                 hessian[a, b] += weight * jacobian[a] * jacobian[b]
+                information[a, b] += weight * jacobian[a] * twin[b]
 
 
 @numba.njit(cache=True, nogil=True)
