@@ -141,16 +141,16 @@ def match_features(first: Descriptors, second: Descriptors, ratio: float, greate
         return Matches(np.zeros(0, np.int64), np.zeros(0, np.int64))
     import cv2
 
-    pairs = cv2.BFMatcher(cv2.NORM_HAMMING).knnMatch(first, second, k=2)
+    matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
+    pairs = matcher.knnMatch(first, second, k=2)
     nearest = np.array([(pair[0].trainIdx, pair[0].distance, pair[1].distance) for pair in pairs])
     target = nearest[:, 0].astype(np.int64)
     distance = nearest[:, 1]
     good = (distance <= greatest_distance) & (distance < ratio * nearest[:, 2])
-    # Cross check: of all that chose a target only the nearest may keep it.
-    order = np.argsort(distance, kind="stable")
-    order = order[good[order]]
-    _, chosen = np.unique(target[order], return_index=True)
-    source = np.sort(order[chosen])
+    source = np.flatnonzero(good)
+    # Cross check, for these alone: it may choose another where several are as near.
+    back = matcher.match(np.ascontiguousarray(second[target[source]]), first)
+    source = source[np.array([pair.trainIdx for pair in back], np.int64) == source]
     return Matches(source, target[source])
 
 
