@@ -17,8 +17,8 @@ import numpy as np
 from fusion.carry import carry, smooth, without_bumps
 from fusion.curves import Curve, DepthImage, Float32Array, FloatArray, LidarCurve
 from fusion.homography import Model, fit
-from fusion.native_slice import native_slice, native_step_rad
-from fusion.panorama import Depths, as_images, lookup_of, yaw_of
+from fusion.image_view import ImageView, view_at_height, view_of_row
+from fusion.panorama import Depths, as_images
 from fusion.registration import Registration
 from fusion.repair import Provenance, ProvenanceArray, calm, repair_lidar
 from fusion.repair_pixels import repair_image
@@ -28,8 +28,6 @@ from fusion.similarity import Grade
 EPS_OVER_E = 2.0**0.25  # the middle of Xu2024's best range, E to sqrt(2) E
 LEAST_EPS_SHARE = 0.025  # of the range: below, the lidar's own noise would be called burrs
 _MOST_RESIDUAL = 0.05  # of the range, as it counts for E
-_BAND_M = 0.02  # beyond the heights that are as good: walls are upright
-_MOST_ROWS = 121
 _BURR_RAD = math.radians(1.4)  # longest run of readings that can be a burr
 _CAMERA_BURR_RAD = math.radians(2.2)  # light by a detour comes in patches, which touch
 _LONE_RAD = math.radians(0.3)  # single readings of a camera
@@ -97,19 +95,33 @@ def denoise(
         Other cameras than were registered.
     """
     images = as_images(depth)
-    ranges = scan.valid_ranges_m()
     if isinstance(registration, RigEstimate):
-        height, extent = registration.height_m, registration.height_range_m
         matrices = [None if found is None else found.T_laser_level for found in registration.alignments]
+    elif registration.grade >= least_grade:
+        matrices = maps_of(registration, model, rng or np.random.default_rng(0))
     else:
-        height, extent, matrices = registration.height_m, None, []
-        if registration.grade >= least_grade:
-            matrices = maps_of(registration, model, rng or np.random.default_rng(0))
-    if height is None or not any(matrix is not None for matrix in matrices):
+        matrices = []
+    if not any(matrix is not None for matrix in matrices):
         return _unchanged(scan, images)
     if len(matrices) != len(images):
         raise ValueError(f"{len(images)} images for {len(matrices)} registered cameras")
-    return _repair(scan, ranges, images, (height, *(extent or (height, height))), matrices, eps_over_e)
+    seen = [
+        (image, _view(image, registration), matrix)
+        for image, matrix in zip(images, matrices, strict=True)
+        if matrix is not None
+    ]
+    return _repair(scan, images, seen, eps_over_e)
+
+
+def _view(image: DepthImage, registration: Registration | RigEstimate) -> ImageView:
+    """The curve of an image that the registration chose."""
+    height = registration.height_m
+    if isinstance(registration, RigEstimate):
+        assert height is not None  # only heights are aligned over a drive
+        return view_at_height(image, height, *(registration.height_range_m or (height, height)))
+    if height is None:
+        return view_of_row(image, registration.v, len(registration.score_map))
+    return view_at_height(image, height, height, height)
 
 
 def maps_of(registration: Registration, model: Model, rng: np.random.Generator) -> list[FloatArray | None]:
@@ -133,24 +145,21 @@ def matched_points(lidar: Curve, camera: Curve, yaw_rad: float) -> tuple[FloatAr
 
 def _repair(
     scan: LidarCurve,
-    ranges: Float32Array,
     images: tuple[DepthImage, ...],
-    heights_m: tuple[float, float, float],
-    matrices: list[FloatArray | None],
+    seen: list[tuple[DepthImage, ImageView, FloatArray]],
     eps_over_e: float,
 ) -> Denoised:
-    """Carry, compare, decide; the beams counter-clockwise. Heights: the best, the lowest and the highest."""
-    flip = scan.step_rad < 0.0
-    step = abs(scan.step_rad)
+    """Carry, compare, decide; the beams counter-clockwise."""
+    ranges = scan.valid_ranges_m()
+    flip, step = scan.step_rad < 0.0, abs(scan.step_rad)
     own = ranges[::-1].copy() if flip else ranges
     start = scan.start_angle_rad + (scan.step_rad * (own.size - 1) if flip else 0.0)
     other = np.full(own.size, np.nan, dtype=np.float32)
     noise = []
-    for image, matrix in zip(images, matrices, strict=True):
-        if matrix is not None:
-            seen, rough = _seen_by_lidar(image, heights_m[0], matrix, (start, step, own.size))
-            np.fmin(other, seen, out=other)
-            noise.append(rough)
+    for _, view, matrix in seen:
+        carried, rough = _seen_by_lidar(view.curve, matrix, (start, step, own.size))
+        np.fmin(other, carried, out=other)
+        noise.append(rough)
     mean, eps, typical = eps_of(own, other, eps_over_e)
     share = max(eps, LEAST_EPS_SHARE)
     burr, gap = max(1, round(_BURR_RAD / step)), max(1, round(_GAP_RAD / step))
@@ -160,11 +169,14 @@ def _repair(
     trust = mine**2 / max(mine**2 + theirs**2, 1e-12) if np.isfinite(mine + theirs) else 0.0
     repaired, source = repair_lidar(own, other, share, burr, gap, trust)
     calm(repaired, steady, source, mine)
-    depths, sources = [], []
-    for image, matrix in zip(images, matrices, strict=True):
-        depth, kinds = _repair_image(image, heights_m, matrix, steady, own, (start, step), share)
-        depths.append(depth)
-        sources.append(kinds)
+    untouched = _unchanged(scan, images)
+    repaired_images = dict(
+        zip(map(id, images), zip(untouched.depth_m, untouched.depth_source, strict=True), strict=True)
+    )
+    for image, view, matrix in seen:
+        _repair_image(
+            *repaired_images[id(image)], image.range_max_m, view, matrix, steady, own, (start, step), share
+        )
     result = np.array(scan.ranges_m, dtype=np.float32)
     if flip:
         repaired, source = repaired[::-1], source[::-1]
@@ -173,8 +185,8 @@ def _repair(
     return Denoised(
         ranges_m=result,
         lidar_source=np.ascontiguousarray(source),
-        depth_m=tuple(depths),
-        depth_source=tuple(sources),
+        depth_m=untouched.depth_m,
+        depth_source=untouched.depth_source,
         mean_residual_m=mean * typical,
         eps_m=share * typical,
         applied=True,
@@ -197,10 +209,9 @@ def eps_of(own: Float32Array, other: Float32Array, eps_over_e: float) -> tuple[f
 
 
 def _seen_by_lidar(
-    image: DepthImage, height_m: float, matrix: FloatArray, beams: tuple[float, float, int]
+    piece: Curve, matrix: FloatArray, beams: tuple[float, float, int]
 ) -> tuple[Float32Array, float]:
-    """A camera's slice, without what it contradicts itself, at the lidar's beams; and its noise."""
-    piece = native_slice(image, height_m)
+    """A camera's curve, without what it contradicts itself, at the lidar's beams; and its noise."""
     lone, bump = round(_LONE_RAD / piece.step_rad), round(_BURR_RAD / piece.step_rad)
     clean = without_bumps(piece.ranges_m, piece.step_rad, max(1, lone), max(2, bump), _CAMERA_SLACK)
     carried: Float32Array = carry(clean, piece.start_angle_rad, piece.step_rad, matrix, beams, _CAMERA_SLACK)
@@ -214,46 +225,37 @@ def roughness(ranges: Float32Array, steady: Float32Array) -> float:
 
 
 def _repair_image(
-    image: DepthImage,
-    heights_m: tuple[float, float, float],
-    matrix: FloatArray | None,
+    depth: Float32Array,
+    source: ProvenanceArray,
+    range_max_m: float,
+    view: ImageView,
+    matrix: FloatArray,
     lidar: Float32Array,
     readings: Float32Array,
     beams: tuple[float, float],
     eps_share: float,
-) -> tuple[Float32Array, ProvenanceArray]:
-    """Fill the pixels that look at the lidar's points: Xu2024 Eq. (8)."""
-    depth = np.array(image.depth_m, dtype=np.float32)
-    invalid = ~((depth > 0.0) & (depth <= image.range_max_m))
-    source = np.where(invalid, np.uint8(Provenance.HOLE), np.uint8(Provenance.MEASURED))
-    if matrix is None:
-        return depth, source
-    step = native_step_rad(image)
-    lookup = lookup_of(image, step)
-    start = yaw_of(image) + float(lookup.bearings_rad[0])
-    columns = (start, step, lookup.bearings_rad.size)
+) -> None:
+    """Fill the pixels that look at the lidar's points, in place: Xu2024 Eq. (8)."""
+    step = view.curve.step_rad
+    columns = (view.curve.start_angle_rad, step, view.curve.ranges_m.size)
     inverse = np.linalg.inv(matrix)
     predicted = carry(lidar, beams[0], beams[1], inverse, columns, _LIDAR_SLACK)
     if not np.isfinite(predicted).any():
-        return depth, source
-    raw = carry(readings, beams[0], beams[1], inverse, columns, 0.0)
+        return
     aside = max(1, round(0.5 * beams[1] / step))
-    nearest, fall = float(np.nanmin(predicted)), float(lookup.slopes[0] - lookup.slopes[1])
-    low, high = min(heights_m) - _BAND_M, max(heights_m) + _BAND_M
-    heights = np.linspace(low, high, min(_MOST_ROWS, 2 + math.ceil((high - low) / (nearest * fall))))
+    heights, sharp = view.heights(float(np.nanmin(predicted)))
     repair_image(
         depth.ravel(),
         source.ravel(),
-        (lookup.pixel, lookup.range_of_depth, lookup.slopes),
+        (view.pixel, view.range_of_depth, view.slopes),
         np.stack([predicted, _shifted(predicted, -aside), _shifted(predicted, aside)]),
-        raw,
+        carry(readings, beams[0], beams[1], inverse, columns, 0.0),
         heights,
-        np.abs(heights - heights_m[0]) <= 2.0 * _BAND_M,
-        image.range_max_m,
+        sharp,
+        range_max_m,
         eps_share,
         (round(_CAMERA_BURR_RAD / step), max(1, round(_LONE_RAD / step)), round(_ASIDE_RAD / step)),
     )
-    return depth, source
 
 
 def _shifted(ranges: Float32Array, columns: int) -> Float32Array:
@@ -269,7 +271,7 @@ def _shifted(ranges: Float32Array, columns: int) -> Float32Array:
 def _unchanged(scan: LidarCurve, images: tuple[DepthImage, ...]) -> Denoised:
     """What was given, holes marked."""
     lidar = np.isnan(scan.valid_ranges_m()) * np.uint8(Provenance.HOLE)
-    depths = tuple(np.array(image.depth_m, dtype=np.float32) for image in images)
+    depths = tuple(np.array(image.depth_m, dtype=np.float32, order="C") for image in images)
     sources = tuple(
         (~((depth > 0.0) & (depth <= image.range_max_m))) * np.uint8(Provenance.HOLE)
         for depth, image in zip(depths, images, strict=True)

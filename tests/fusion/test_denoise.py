@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -174,13 +175,47 @@ def test_a_patch_of_the_camera_behind_the_wall_is_put_right():
     assert np.abs(result.depth_m[0] - image.depth_m)[at][repaired].max() < 0.05
 
 
-def test_a_low_grade_and_an_unknown_height_leave_the_pair_alone():
+def test_a_pair_below_the_grade_is_left_alone():
     scan, image = pair()
-    lonely = fusion.register(scan, fusion.DepthImage(image.depth_m))
-    result = fusion.denoise(scan, fusion.DepthImage(image.depth_m), lonely)
+    found = fusion.register(scan, image)
+    low = dataclasses.replace(found, grade=fusion.Grade.LOW)
+    result = fusion.denoise(scan, image, low)
     assert not result.applied
     assert np.array_equal(result.ranges_m, scan.ranges_m)
     assert np.array_equal(result.depth_m[0], image.depth_m)
+    assert fusion.denoise(scan, image, low, least_grade=fusion.Grade.LOW).applied
+
+
+def test_rows_without_intrinsics_repair_each_other_as_published():
+    scan = world.lidar((0.0, 0.0, 0.4))
+    field = math.radians(90.0)
+    columns = 0.5 * field - field / 180 * (np.arange(180) + 0.5)  # from left to right
+    row = np.interp(columns, scan.bearings_rad(), scan.ranges_m).astype(np.float32)
+    depth = np.tile(row, (40, 1))
+    depth[:, 100:106] = 0.0
+    ranges = scan.ranges_m.copy()
+    hole = slice(205, 211)
+    ranges[hole] = np.inf
+    image = fusion.DepthImage(depth, field_of_view_rad=field)
+    found = fusion.register(with_ranges(scan, ranges), image)
+    assert found.height_m is None and found.grade == fusion.Grade.HIGH
+    result = fusion.denoise(with_ranges(scan, ranges), image, found)
+    assert (result.lidar_source[hole] == FILLED).all()
+    assert result.ranges_m[hole] == pytest.approx(scan.ranges_m[hole], abs=0.05)
+    at = round(found.v * 39 / (len(found.score_map) - 1))
+    assert (result.depth_source[0][at, 100:106] == FILLED).all()
+    assert result.depth_m[0][at, 100:106] == pytest.approx(row[100:106], abs=0.05)
+    assert (np.delete(result.depth_source[0], at, axis=0)[:, 100:106] == HOLE).all()
+
+
+def test_an_image_turned_in_memory_is_repaired_too():
+    scan, image = pair()
+    row, on = lidar_rows(scan, image)
+    depth = image.depth_m.copy()
+    depth[:, 95:100] = 0.0
+    turned = np.asfortranarray(depth)
+    result = fusion.denoise(scan, fusion.DepthImage(turned, image.intrinsics), RIG)
+    assert (result.depth_source[0][row[95:100], np.arange(95, 100)] == FILLED)[on[95:100]].all()
 
 
 def test_a_pair_alone_is_enough_where_its_grade_is_high():
