@@ -223,7 +223,7 @@ def _map(log: Path, out: Path, config: str | None, overrides: list[str], strict:
     started = time.perf_counter()
     from slam.config import load_config
     from slam.datasets import open_dataset
-    from slam.evaluation.map_report import RunCost, report_data
+    from slam.evaluation.map_report import RunCost, beside_of, report_data
     from slam.evaluation.report import write_report
     from slam.pipeline import build_map
     from slam.run_outputs import save_run
@@ -232,20 +232,22 @@ def _map(log: Path, out: Path, config: str | None, overrides: list[str], strict:
     settings = load_config(config, overrides)
     dataset = open_dataset(log, strict=strict)
     make_folder(out)
-    with _progress("mapping") as advance, _interrupted_between_scans(advance) as on_scan:
+    with _progress("mapping", "scans and frames") as advance, _interrupted_between_scans(advance) as on_scan:
         result = build_map(dataset, settings, on_scan)
     written = save_run(out, result, settings.dense_map)
     cost = RunCost(time.perf_counter() - started, time.process_time())
-    data = report_data(log.name, dataset.report, result, settings, cost)
+    data = report_data(log.name, dataset.report, result, settings, cost, beside_of(dataset, result, written))
     write_report(out / "report.html", data)
     for warning in data.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     accepted = sum(loop.accepted for loop in result.loops)
     print(
-        f"{data.scans} scans, {len(result.keyframe_poses)} keyframes, {data.path_length_m:.1f} m, "
+        f"{data.scans} {data.unit}s, {len(result.keyframe_poses)} keyframes, {data.path_length_m:.1f} m, "
         f"{accepted} of {len(result.loops)} loops accepted, "
         f"{dataset.report.dropped_count} records dropped, {time.perf_counter() - started:.1f} s"
     )
+    if data.truth is not None:
+        print(f"{data.truth.error.translation_m.rmse:.4f} m RMSE against the ground truth, rigidly aligned")
     print("wrote " + ", ".join(str(path) for path in [*written, out / "report.html"]))
 
 

@@ -5,19 +5,32 @@ from __future__ import annotations
 import resource
 import sys
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Literal
 
+import gtsam
 import numpy as np
 
 from slam.config import Config, dump_config
-from slam.datasets.dataset import ReadReport
+from slam.datasets.dataset import Dataset, ReadReport
+from slam.errors import ScanweaveError
+from slam.evaluation.cloud_picture import cloud_from_above
 from slam.evaluation.report import LoopRow, MapPicture, ReportData
+from slam.evaluation.report_cameras import CameraRow
+from slam.evaluation.truth_comparison import TruthComparison, compare_with_truth
 from slam.graph.loop_closure import LoopCandidate
+from slam.graph.pose_graph import EdgeKind
 from slam.map_result import MapResult
+from slam.mapping.dense_map import ColoredCloud
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
-from slam.measurements import FloatArray
+from slam.measurements import BoolArray, FloatArray
+from slam.scan_record import CameraRecord
+from slam.storage.ply import read_cloud_ply
 
+CLOUD_FILE = "cloud.ply"
 _LIBRARIES = ("scanweave", "gtsam", "numpy", "numba", "kiss-icp", "open3d-cpu", "opencv-python-headless")
 # More unmatched scans than this share deserve a line at the top of the page.
 _UNMATCHED_SHARE = 0.01
@@ -37,35 +50,89 @@ class RunCost:
         return peak / (1024.0**2 if sys.platform == "darwin" else 1024.0)
 
 
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """What a report can show beside the map itself: the true trajectory, the coloured cloud."""
+
+    truth: TruthComparison | None = None
+    cloud: ColoredCloud | None = None
+    warnings: tuple[str, ...] = ()
+
+
+def beside_of(dataset: Dataset, result: MapResult, written: Iterable[Path]) -> Beside:
+    """Gather what lies beside a map.
+
+    What cannot be had is a warning: the map itself is made.
+
+    Parameters
+    ----------
+    written
+        The files of the run; the coloured cloud is read from there, not fused again.
+    """
+    truth, cloud, warnings = None, None, []
+    try:
+        true_trajectory = dataset.groundtruth()
+        if true_trajectory is not None:
+            truth = compare_with_truth(result.trajectory, true_trajectory)
+    except ScanweaveError as error:
+        warnings.append(f"Not compared with the ground truth: {error}")
+    try:
+        for path in written:
+            if path.name == CLOUD_FILE:
+                cloud = read_cloud_ply(path)
+    except ScanweaveError as error:
+        warnings.append(f"No picture of the coloured map: {error}")
+    return Beside(truth, cloud, tuple(warnings))
+
+
 def report_data(
-    log_name: str, reading: ReadReport, result: MapResult, config: Config, cost: RunCost
+    log_name: str,
+    reading: ReadReport,
+    result: MapResult,
+    config: Config,
+    cost: RunCost,
+    beside: Beside | None = None,
 ) -> ReportData:
     """Gather the report of a run."""
+    beside = beside or Beside()
     keyframes = result.keyframe_numbers
     scans = result.scans
     trajectory = result.trajectory
-    steps = np.diff(trajectory.positions_m[:, :2], axis=0)
+    spatial = isinstance(result.graph.pose(0), gtsam.Pose3)
+    least_share = (config.visual_loops if spatial else config.loops).least_inlier_share
+    cloud = None
+    if beside.cloud is not None:
+        pixel_m = config.dense_map.voxel_m
+        cloud = cloud_from_above(beside.cloud, trajectory.positions_m, pixel_m=pixel_m, level=spatial)
     return ReportData(
         log_name=log_name,
         scans=scans.stamps_s.size,
-        path_length_m=float(np.hypot(steps[:, 0], steps[:, 1]).sum()),
+        path_length_m=float(np.linalg.norm(np.diff(trajectory.positions_m, axis=0), axis=1).sum()),
         duration_s=float(np.ptp(trajectory.stamps_s)),
         cpu_s=cost.cpu_s,
         wall_s=cost.wall_s,
         peak_memory_mb=cost.peak_memory_mb(),
-        trajectory_xy=trajectory.positions_m[:, :2],
+        trajectory_m=trajectory.positions_m,
         keyframe_stamps_s=scans.stamps_s[keyframes],
         inlier_share=scans.inlier_shares[keyframes],
         residual_m=scans.residuals_m[keyframes],
         degenerate=scans.degenerate[keyframes] > 0.0,
         scan_times_s=scans.seconds,
         map_picture=None if result.grid is None else _picture(result.grid),
-        loops=[_loop_row(loop, result.keyframe_poses, config) for loop in result.loops],
+        loops=[_loop_row(loop, result.keyframe_poses, least_share) for loop in result.loops],
         reader_notes=_reader_notes(reading) + _edge_notes(result),
         stage_times_s=result.stage_seconds,
-        warnings=[*result.warnings, *_warnings(result)],
+        warnings=[*result.warnings, *_warnings(result), *beside.warnings],
         effective_config=dump_config(config),
         versions={name: found for name in _LIBRARIES if (found := _version(name))},
+        unit=_unit(result),
+        spatial=spatial,
+        cameras=[
+            CameraRow(name, record, _registration_text(record, config))
+            for name, record in result.cameras.items()
+        ],
+        truth=beside.truth,
+        cloud=cloud,
     )
 
 
@@ -80,7 +147,7 @@ def _picture(grid: OccupancyGrid) -> MapPicture:
     )
 
 
-def _loop_row(loop: LoopCandidate, poses: FloatArray, config: Config) -> LoopRow:
+def _loop_row(loop: LoopCandidate, poses: FloatArray, least_share: float) -> LoopRow:
     """One candidate for the table; its score is the share of points that fit, where it got so far."""
     source, place = poses[loop.keyframe], poses[loop.place]
     return LoopRow(
@@ -89,7 +156,7 @@ def _loop_row(loop: LoopCandidate, poses: FloatArray, config: Config) -> LoopRow
         xy_from=(float(source[0]), float(source[1])),
         xy_to=(float(place[0]), float(place[1])),
         score=float("nan") if loop.motion is None else loop.motion.inlier_share,
-        threshold=config.loops.least_inlier_share,
+        threshold=least_share,
         accepted=loop.accepted,
         reason=loop.reason,
     )
@@ -120,19 +187,56 @@ def _edge_notes(result: MapResult) -> list[tuple[str, str]]:
     ]
 
 
+def _unit(result: MapResult) -> Literal["scan", "frame"]:
+    """What the map was made of."""
+    return "scan" if any(scan is not None for scan in result.keyframe_scans) else "frame"
+
+
+def _registration_text(record: CameraRecord, config: Config) -> str:
+    """Whether a camera's colour is registered to its depth, and by what evidence."""
+    if record.registration is None:
+        asked = config.rgbd.registration == "auto"
+        return "taken as registered" if asked else "taken as registered (rgbd.registration=given)"
+    reason = record.registration.reason
+    return f"registered by the log itself: {reason}" if record.registration.accepted else reason
+
+
 def _warnings(result: MapResult) -> list[str]:
     """What a person should know before trusting the map."""
     lines = []
-    unmatched = int(np.isnan(result.scans.inlier_shares[1:]).sum())
-    count = result.scans.stamps_s.size
-    if unmatched > _UNMATCHED_SHARE * count:
-        lines.append(f"{unmatched:,} of {count:,} scans matched nothing; their motion is dead reckoning.")
-    degenerate = float(result.scans.degenerate.mean())
-    if degenerate > _UNMATCHED_SHARE:
+    scans = result.scans
+    unit, count = _unit(result), scans.stamps_s.size
+    carried = _carried_by_cameras(result)
+    lost = int(np.count_nonzero(scans.unmatched & ~carried))
+    if lost > _UNMATCHED_SHARE * count:
+        lines.append(f"{lost:,} of {count:,} {unit}s matched nothing; their motion is dead reckoning.")
+    helped = int(np.count_nonzero(scans.unmatched & carried))
+    if unit == "scan" and helped > _UNMATCHED_SHARE * count:
         lines.append(
-            f"{degenerate:.1%} of the scans leave a direction open (corridors); its variance was inflated."
+            f"Of {count:,} moments the lidar matched nothing at {helped:,}; cameras told the motion."
+        )
+    degenerate = float(scans.degenerate.mean())
+    if degenerate > _UNMATCHED_SHARE:
+        what = "corridors" if unit == "scan" else "flat or empty views"
+        lines.append(
+            f"{degenerate:.1%} of the {unit}s leave a direction open ({what}); its variance was inflated."
         )
     return lines
+
+
+def _carried_by_cameras(result: MapResult) -> BoolArray:
+    """(S,) whether a robot's cameras told the step between the keyframes around each moment.
+
+    Where the frames themselves made the map, a lost one is lost.
+    """
+    count, keyframes = result.scans.stamps_s.size, result.keyframe_numbers
+    told = np.zeros(len(keyframes), dtype=np.bool_)
+    if isinstance(result.graph.pose(0), gtsam.Pose2):
+        for edge, keep in zip(result.graph.edges, result.edges_kept, strict=True):
+            if keep and edge.kind is EdgeKind.RGBD and edge.target == edge.source + 1:
+                told[edge.target] = True
+    # After the last keyframe the robot has hardly moved: what held before it holds on.
+    return told[np.minimum(np.searchsorted(keyframes, np.arange(count)), len(keyframes) - 1)]
 
 
 def _version(package: str) -> str:

@@ -5,18 +5,22 @@ Everything is passed in as plain arrays and texts, so the report draws any run a
 
 from __future__ import annotations
 
-import base64
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slam.evaluation import report_figures
+from slam.evaluation.cloud_picture import CloudPicture
+from slam.evaluation.page_parts import folded, image, section, table
+from slam.evaluation.report_cameras import CameraRow, camera_sections, cloud_section, side_view, truth_section
 from slam.evaluation.report_style import STYLE
+from slam.evaluation.truth_comparison import TruthComparison
 from slam.measurements import BoolArray, FloatArray
 from slam.storage.files import replacing
 
@@ -80,17 +84,17 @@ class ReportData:
     Attributes
     ----------
     log_name, scans, path_length_m, duration_s
-        The log: its name, how many scans were used, travel and time from first to last stamp.
+        The log: its name, how many scans or frames were used, travel and time from first to last stamp.
     cpu_s, wall_s, peak_memory_mb
         What the run cost up to the report.
     map_picture
         The grid, or None where no map was made.
-    trajectory_xy
-        (N, 2) final positions in the map frame, in the order of the log.
+    trajectory_m
+        (N, 3) final positions in the map frame, in the order of the log.
     keyframe_stamps_s, inlier_share, residual_m, degenerate
         (K,) each, in the order of the log: the match behind every keyframe.
     scan_times_s
-        (S,) time spent on each scan, in the order of the log.
+        (S,) time spent on each scan or frame, in the order of the log.
     loops
         Every candidate, in the order in which they were met.
     reader_notes
@@ -103,6 +107,16 @@ class ReportData:
         YAML text.
     versions
         Version by library name.
+    unit
+        What the map was made of: ``scan``, or ``frame`` where there were only cameras.
+    spatial
+        Whether the trajectory leaves the floor.
+    cameras
+        What became of every camera's frames.
+    truth
+        The trajectory against its truth; None where the log has none.
+    cloud
+        The coloured cloud from above; None where there is none.
     """
 
     log_name: str
@@ -112,7 +126,7 @@ class ReportData:
     cpu_s: float
     wall_s: float
     peak_memory_mb: float
-    trajectory_xy: FloatArray
+    trajectory_m: FloatArray
     keyframe_stamps_s: FloatArray
     inlier_share: FloatArray
     residual_m: FloatArray
@@ -125,6 +139,11 @@ class ReportData:
     warnings: Sequence[str] = ()
     effective_config: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
+    unit: Literal["scan", "frame"] = "scan"
+    spatial: bool = False
+    cameras: Sequence[CameraRow] = ()
+    truth: TruthComparison | None = None
+    cloud: CloudPicture | None = None
 
 
 def write_report(path: Path, data: ReportData) -> None:
@@ -150,38 +169,41 @@ def _page(data: ReportData) -> Iterator[str]:
     yield _headline(data)
     yield _warnings(data.warnings)
     yield _map(data)
+    yield cloud_section(data.cloud) if data.cloud is not None else ""
+    yield truth_section(data.truth, spatial=data.spatial) if data.truth is not None else ""
+    yield from camera_sections(data.cameras)
     yield _scores(data)
     yield from _loops(data.loops)
     yield '<div class="columns">\n'
-    yield _section(
-        "Reader's report", _table(("what", "count"), data.reader_notes) or "<p>Nothing to report.</p>"
+    yield section(
+        "Reader's report", table(("what", "count"), data.reader_notes) or "<p>Nothing to report.</p>"
     )
-    yield _section("Time by stage", _stages(data.stage_times_s) or "<p>No stage was timed.</p>")
+    yield section("Time by stage", _stages(data.stage_times_s) or "<p>No stage was timed.</p>")
     yield "</div>\n"
-    yield _section("Effective configuration", _folded("show", f"<pre>{escape(data.effective_config)}</pre>"))
-    yield _section(
-        "Versions", _table(("library", "version"), data.versions.items()) or "<p>Not recorded.</p>"
-    )
+    yield section("Effective configuration", folded("show", f"<pre>{escape(data.effective_config)}</pre>"))
+    yield section("Versions", table(("library", "version"), data.versions.items()) or "<p>Not recorded.</p>")
     yield "</main></body></html>\n"
 
 
 def _headline(data: ReportData) -> str:
-    """The run in ten numbers."""
+    """The run in a few numbers."""
     accepted = sum(loop.accepted for loop in data.loops)
     scan_ms = f"{1000.0 * float(np.median(data.scan_times_s)):.2f} ms" if data.scan_times_s.size else "–"
     real_time = f"{data.duration_s / data.wall_s:,.1f} ×" if data.wall_s > 0 else "–"
     facts = [
-        ("scans", f"{data.scans:,}"),
+        (f"{data.unit}s", f"{data.scans:,}"),
         ("keyframes", f"{data.keyframe_stamps_s.size:,}"),
         ("loops accepted", f"{accepted:,} of {len(data.loops):,}"),
         ("path", f"{data.path_length_m:,.1f} m"),
         ("log lasts", _duration(data.duration_s)),
         ("wall time", f"{data.wall_s:,.1f} s"),
         ("CPU time", f"{data.cpu_s:,.1f} s"),
-        ("median time a scan", scan_ms),
+        (f"median time a {data.unit}", scan_ms),
         ("real-time factor", real_time),
         ("peak memory", f"{data.peak_memory_mb:,.0f} MB"),
     ]
+    if data.truth is not None:
+        facts.append(("RMSE against the truth", f"{data.truth.error.translation_m.rmse:.3f} m"))
     cells = "".join(f"<div><dt>{what}</dt><dd>{value}</dd></div>" for what, value in facts)
     return f'<dl class="facts">{cells}</dl>\n'
 
@@ -206,25 +228,34 @@ def _map(data: ReportData) -> str:
     loops_xyxy = np.asarray(accepted, dtype=np.float64).reshape(-1, 4)
     picture = data.map_picture
     png = report_figures.map_png(
-        data.trajectory_xy,
+        data.trajectory_m[:, :2],
         loops_xyxy,
         image=None if picture is None else picture.image,
         resolution_m=1.0 if picture is None else picture.resolution_m,
         origin_xy=(0.0, 0.0) if picture is None else picture.origin_xy,
     )
-    return _section("Map", _image(png, "map with trajectory and accepted loops"))
+    above = image(png, "map with trajectory and accepted loops")
+    if data.spatial and len(data.trajectory_m):
+        return section("Trajectory from above and from the side", above + side_view(data.trajectory_m))
+    return section("Map" if picture is not None else "Trajectory", above)
 
 
 def _scores(data: ReportData) -> str:
-    """How well the scans fitted, and what each of them cost."""
+    """How well the scans fitted, and what each of them cost; how frames fitted is told by camera."""
+    times = image(
+        report_figures.times_png(data.scan_times_s, data.unit), f"time a {data.unit}", css_class="plot"
+    )
+    if data.unit == "frame":
+        return section("Time a frame", times)
     png = report_figures.scores_png(
-        data.keyframe_stamps_s, data.inlier_share, data.residual_m, data.degenerate, data.scan_times_s
+        data.keyframe_stamps_s, data.inlier_share, data.residual_m, data.degenerate
     )
     degenerate = int(np.count_nonzero(data.degenerate))
     count = data.degenerate.size
     share = f"{degenerate:,} of {count:,} matches left a direction undetermined; " if count else ""
     text = f"<p>{share}such a direction is inflated in the graph, not trusted.</p>" if degenerate else ""
-    return _section("Scan matching", text + _image(png, "match scores over the log", css_class="plot"))
+    plots = image(png, "match scores over the log", css_class="plot")
+    return section("Scan matching", text + plots + times)
 
 
 def _loops(loops: Sequence[LoopRow]) -> Iterator[str]:
@@ -234,15 +265,15 @@ def _loops(loops: Sequence[LoopRow]) -> Iterator[str]:
     yield f"<section><h2>Loops</h2><p>{len(accepted):,} accepted, {len(refused):,} refused.</p>\n"
     if accepted:
         rows = (_score_cells(loop) for loop in accepted)
-        table = _table(("from", "to", "apart", "score", "threshold"), rows, css_class="numbers")
-        folded = len(accepted) > _MAX_OPEN_ROWS
-        yield _folded(f"show the {len(accepted):,} accepted loops", table) if folded else table
+        all_rows = table(("from", "to", "apart", "score", "threshold"), rows, css_class="numbers")
+        many = len(accepted) > _MAX_OPEN_ROWS
+        yield folded(f"show the {len(accepted):,} accepted loops", all_rows) if many else all_rows
     if refused:
         reasons = Counter(loop.reason for loop in refused).most_common()
-        yield _table(("refused because", "loops"), ((reason, f"{count:,}") for reason, count in reasons))
+        yield table(("refused because", "loops"), ((reason, f"{count:,}") for reason, count in reasons))
         rows = ((*_score_cells(loop), loop.reason) for loop in refused)
-        table = _table(("from", "to", "apart", "score", "threshold", "reason"), rows, css_class="numbers")
-        yield _folded(f"show the {len(refused):,} refused loops", table)
+        all_rows = table(("from", "to", "apart", "score", "threshold", "reason"), rows, css_class="numbers")
+        yield folded(f"show the {len(refused):,} refused loops", all_rows)
     yield "</section>\n"
 
 
@@ -262,29 +293,3 @@ def _stages(times_s: Mapping[str, float]) -> str:
         for stage, seconds in times_s.items()
     )
     return f'<table class="bars"><tbody>{rows}</tbody></table>' if rows else ""
-
-
-def _section(title: str, content: str) -> str:
-    """A titled part of the page."""
-    return f"<section><h2>{escape(title)}</h2>\n{content}</section>\n"
-
-
-def _folded(label: str, content: str) -> str:
-    """Content that opens on a click, without a script."""
-    return f"<details><summary>{escape(label)}</summary>\n{content}</details>\n"
-
-
-def _image(png: bytes, description: str, css_class: str = "map") -> str:
-    """A picture inside the page itself."""
-    data = base64.b64encode(png).decode("ascii")
-    return f'<img class="{css_class}" alt="{escape(description)}" src="data:image/png;base64,{data}">\n'
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]], css_class: str = "") -> str:
-    """A table of texts, or nothing without rows."""
-    # The end tags of rows and cells may be left out in HTML; with thousands of rows that is a third.
-    body = "\n".join("<tr><td>" + "<td>".join(map(escape, row)) for row in rows)
-    if not body:
-        return ""
-    titles = "".join(f"<th>{escape(title)}</th>" for title in head)
-    return f'<table class="{css_class}"><thead><tr>{titles}</tr></thead>\n<tbody>\n{body}\n</tbody></table>\n'

@@ -34,6 +34,8 @@ th, td { padding: 3px 18px 3px 0; border-bottom: 1px solid var(--line); vertical
 table.numbers { font-size: 13px; }
 table.numbers th:nth-child(-n+5), table.numbers td:nth-child(-n+5), td + td:not(.bar):last-child {
   white-space: nowrap; }
+table.notes th:first-child, table.notes td:first-child { white-space: nowrap; }
+table.notes td + td:not(.bar):last-child { white-space: normal; }
 table.bars { width: 100%; }
 td.bar { width: 50%; padding-right: 0; vertical-align: middle; }
 td.bar i { display: block; height: 8px; min-width: 1px; border-radius: 4px; background: var(--accent); }

@@ -58,7 +58,7 @@ def data() -> ReportData:
         cpu_s=7.94,
         wall_s=6.25,
         peak_memory_mb=213.6,
-        trajectory_xy=generator.uniform(1.0, 2.0, (400, 2)),
+        trajectory_m=generator.uniform(1.0, 2.0, (400, 3)),
         keyframe_stamps_s=np.linspace(5.0, 130.0, count),
         inlier_share=generator.uniform(0.8, 1.0, count),
         residual_m=generator.uniform(0.01, 0.02, count),
@@ -104,7 +104,7 @@ def test_nothing_is_asked_of_the_network_and_nothing_runs(data: ReportData, writ
     html = written(data)
     page = Page(html)
     assert {"script", "link", "iframe", "object", "base"}.isdisjoint(page.tags)
-    assert page.tags.count("img") == 2
+    assert page.tags.count("img") == 3
     assert all(address.startswith("data:image/png;base64,") for address in page.addresses)
     assert not re.search(r"https?:|//\w|url\(|@import|\son\w+=", re.sub(r"base64,[^\"]*", "", html))
 
@@ -150,7 +150,7 @@ def test_a_run_without_results_still_has_a_report(keyframes: int, written) -> No
     html = written(
         ReportData(
             "empty.log", 0, 0.0, 0.0, 0.0, 0.0, 0.0,
-            trajectory_xy=np.full((keyframes, 2), np.nan),
+            trajectory_m=np.full((keyframes, 3), np.nan),
             keyframe_stamps_s=np.zeros(keyframes), inlier_share=empty, residual_m=empty,
             degenerate=np.zeros(keyframes, dtype=bool), scan_times_s=np.zeros(keyframes),
         )
@@ -220,9 +220,9 @@ def test_unknown_margins_are_cut_and_long_corridors_keep_a_readable_height() -> 
     assert 350 < height < 450 < 1000 < width < 1100
 
 
-def test_both_pictures_of_the_page_open(data: ReportData, written) -> None:
+def test_all_pictures_of_the_page_open(data: ReportData, written) -> None:
     sizes = [
         Image.open(io.BytesIO(base64.b64decode(code))).size
         for code in re.findall(r'base64,([^"]+)"', written(data))
     ]
-    assert len(sizes) == 2 and all(500 < width < 1100 for width, _ in sizes)
+    assert len(sizes) == 3 and all(500 < width < 1100 for width, _ in sizes)
