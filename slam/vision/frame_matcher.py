@@ -101,10 +101,10 @@ class FrameMatcher:
     def _share(self, alignment: JointAlignment) -> float:
         """Agreeing readings over all that met a partner."""
         agree = _POINTS_A_FEATURE * alignment.feature_count
-        met = agree / max(alignment.feature_inliers, 1e-6)
+        met = _POINTS_A_FEATURE * alignment.feature_pairs
         if self._use_surfaces:
             agree += alignment.point_count
-            met += alignment.point_count / max(alignment.surface_inliers, 1e-6)
+            met += alignment.point_pairs
         return agree / met if met > 0.0 else 0.0
 
     def _judge(self, alignment: JointAlignment) -> VisualMatch | None:

@@ -89,8 +89,10 @@ class JointAlignment:
         Share of the points that meet a keyframe's surface.
     surface_inliers, feature_inliers
         Shares, 0..1, of the points that met a surface, and of the matched features, that agree.
+    point_pairs, feature_pairs
+        Points that met a surface, and matched features.
     point_count, feature_count
-        Points and matched features that agree.
+        Those of them that agree.
     residual_m
         Robust sigma of point to plane at the points that agree.
     residual_px
@@ -104,6 +106,8 @@ class JointAlignment:
     overlap: float
     surface_inliers: float
     feature_inliers: float
+    point_pairs: int
+    feature_pairs: int
     point_count: int
     feature_count: int
     residual_m: float
@@ -250,6 +254,8 @@ class _Work:
             overlap=float(seen.mean()) if seen.size else 0.0,
             surface_inliers=agreeing.size / max(int(seen.sum()), 1),
             feature_inliers=matched.size / max(self.feature_residuals.size, 1),
+            point_pairs=int(seen.sum()),
+            feature_pairs=int(self.feature_residuals.size),
             point_count=int(agreeing.size),
             feature_count=int(matched.size),
             residual_m=float(point_scale * sigma_m),

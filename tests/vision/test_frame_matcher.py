@@ -1,0 +1,190 @@
+"""A frame against keyframes: by shape, by texture, by both, without a guess, and when to say no."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from room_world import (
+    MIDDLE,
+    T_BODY_CAMERA,
+    Room,
+    blind,
+    dark,
+    error_of,
+    furnished,
+    hall,
+    looking,
+    prepared,
+    render,
+)
+
+from slam.config_stages import RgbdOdometryConfig
+from slam.odometry.dense_odometry import DenseOdometry
+from slam.odometry.rgbd_odometry import RgbdOdometry, make_rgbd_odometry
+from slam.vision.frame_matcher import FrameMatcher
+from slam.vision.prepared_frame import PreparedFrame
+from slam.vision.visual_match import VisualKeyframe, unlikeness
+
+PLACE = looking(-0.3, 0.2, 1.5, -0.7, 0.35)
+STEP = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.02, -0.03, 0.02), np.array([0.05, 0.03, 0.04]))
+CONFIG = RgbdOdometryConfig()
+NOISE = (CONFIG.depth_floor_m, CONFIG.depth_share)
+
+
+def seen(pose: gtsam.Pose3, room: Room | None = None, seed: int = 0) -> PreparedFrame:
+    return prepared(render(room or furnished(), pose, MIDDLE, noise=NOISE, seed=seed))
+
+
+@pytest.fixture(scope="module")
+def before() -> PreparedFrame:
+    return seen(PLACE, seed=1)
+
+
+@pytest.fixture(scope="module")
+def after() -> PreparedFrame:
+    return seen(PLACE * STEP, seed=2)
+
+
+def methods() -> list[RgbdOdometry]:
+    return [make_rgbd_odometry(replace_method(CONFIG, method)) for method in ("joint", "features", "dense")]
+
+
+def replace_method(config: RgbdOdometryConfig, method: str) -> RgbdOdometryConfig:
+    return config.model_copy(update={"method": method})
+
+
+def test_the_configuration_names_the_method() -> None:
+    kinds = [type(odometry) for odometry in methods()]
+    assert kinds == [FrameMatcher, FrameMatcher, DenseOdometry]
+
+
+@pytest.mark.parametrize("method", range(3), ids=["joint", "features", "dense"])
+@pytest.mark.parametrize(
+    "T_odom_world", [gtsam.Pose3(), gtsam.Pose3(gtsam.Rot3.RzRyRx(1, -1, 2), [9.0, 8.0, 7.0])]
+)
+def test_every_method_finds_the_motion(
+    method: int, T_odom_world: gtsam.Pose3, before: PreparedFrame, after: PreparedFrame
+) -> None:
+    """In any odometry frame; the covariance holds the error."""
+    odometry = methods()[method]
+    place = T_odom_world * PLACE
+    match = odometry.match(after, [VisualKeyframe(before, place)], place)
+    assert match is not None
+    error = error_of(match.pose, place * STEP)
+    assert np.abs(error[:3]).max() < 0.004
+    assert np.abs(error[3:]).max() < 0.01
+    assert error @ np.linalg.solve(match.motion.covariance, error) / 6.0 < 3.0
+    assert np.linalg.eigvalsh(match.motion.covariance)[0] > 0.0
+    assert match.motion.converged
+    assert not match.motion.degenerate
+    assert match.motion.inlier_share > 0.8
+    assert match.feature_count > 100
+
+
+def test_features_alone_look_at_no_surface(before: PreparedFrame, after: PreparedFrame) -> None:
+    """Depth that lies about the shape changes nothing, as long as the features keep theirs."""
+    lying = replace(after, points=prepared(dark(render(hall(), PLACE, MIDDLE))).points)
+    odometry = methods()[1]
+    local = [VisualKeyframe(before, PLACE)]
+    honest, lied = odometry.match(after, local, PLACE), odometry.match(lying, local, PLACE)
+    assert honest is not None
+    assert lied is not None
+    np.testing.assert_array_equal(honest.pose.matrix(), lied.pose.matrix())
+
+
+def test_in_the_dark_the_shape_is_enough(before: PreparedFrame) -> None:
+    after = prepared(dark(render(furnished(), PLACE * STEP, MIDDLE, noise=NOISE, seed=2)))
+    match = FrameMatcher(CONFIG).match(after, [VisualKeyframe(before, PLACE)], PLACE)
+    assert match is not None
+    assert match.feature_count == 0
+    assert np.abs(error_of(match.pose, PLACE * STEP)).max() < 0.01
+    assert not match.motion.degenerate
+
+
+def test_before_a_flat_wall_the_texture_is_enough() -> None:
+    place = looking(0.0, 0.0, 0.0, 0.1, 0.05)
+    local = [VisualKeyframe(seen(place, hall(), seed=1), place)]
+    match = FrameMatcher(CONFIG).match(seen(place * STEP, hall(), seed=2), local, place)
+    assert match is not None
+    assert not match.motion.degenerate
+    assert np.abs(error_of(match.pose, place * STEP)).max() < 0.006
+
+
+def test_a_flat_wall_in_the_dark_is_open_and_says_so() -> None:
+    place = looking(0.0, 0.0, 0.0, 0.1, 0.05)
+    frames = [
+        prepared(dark(render(hall(), pose, MIDDLE, noise=NOISE, seed=n)))
+        for n, pose in enumerate((place, place * STEP))
+    ]
+    match = FrameMatcher(CONFIG).match(frames[1], [VisualKeyframe(frames[0], place)], place)
+    assert match is not None
+    assert match.motion.degenerate
+    # The wall is x = const: what is weak lies in it.
+    weak = match.pose.rotation().matrix() @ match.motion.weak_direction[3:]
+    assert abs(weak[0]) < 0.1
+    error = error_of(match.pose, place * STEP)
+    assert error @ np.linalg.solve(match.motion.covariance, error) / 6.0 < 3.0
+
+
+def test_a_far_guess_is_mended_by_the_features(before: PreparedFrame, after: PreparedFrame) -> None:
+    """A person who shook the camera: half a radian and half a metre off."""
+    wild = PLACE * gtsam.Pose3(gtsam.Rot3.Ry(0.5), np.array([0.3, 0.2, -0.4]))
+    match = FrameMatcher(CONFIG).match(after, [VisualKeyframe(before, PLACE)], wild)
+    assert match is not None
+    assert np.abs(error_of(match.pose, PLACE * STEP)).max() < 0.01
+
+
+def test_without_a_guess_among_several_keyframes(before: PreparedFrame, after: PreparedFrame) -> None:
+    other = looking(0.3, 0.0, 1.4, 2.4)
+    local = [VisualKeyframe(seen(other), other), VisualKeyframe(before, PLACE)]
+    match = FrameMatcher(CONFIG).match_anywhere(after, local)
+    assert match is not None
+    assert np.abs(error_of(match.pose, PLACE * STEP)).max() < 0.01
+
+
+def test_another_room_is_refused(before: PreparedFrame) -> None:
+    """Other walls with another pattern."""
+    small = Room(np.array([[-1.2, -3.0, 0.0], [1.4, 2.7, 3.5]]), (), seed=5)
+    stranger = seen(looking(0.0, 0.0, 1.2, 0.9, 0.1), small)
+    local = [VisualKeyframe(before, PLACE)]
+    assert FrameMatcher(CONFIG).match_anywhere(stranger, local) is None
+    for method in methods()[:2]:
+        assert method.match(stranger, local, PLACE) is None
+
+
+@pytest.mark.parametrize("method", range(3), ids=["joint", "features", "dense"])
+def test_a_dead_frame_matches_nothing(method: int, before: PreparedFrame) -> None:
+    dead = prepared(blind(before.frame))
+    odometry = methods()[method]
+    assert odometry.match(dead, [VisualKeyframe(before, PLACE)], PLACE) is None
+    assert odometry.match(before, [VisualKeyframe(dead, PLACE)], PLACE) is None
+
+
+def test_more_keyframes_make_surer(before: PreparedFrame, after: PreparedFrame) -> None:
+    matcher = FrameMatcher(CONFIG)
+    third = PLACE * gtsam.Pose3(gtsam.Rot3.Ry(0.1), np.array([-0.05, 0.0, 0.05]))
+    local = [VisualKeyframe(before, PLACE), VisualKeyframe(seen(third, seed=3), third)]
+    one, two = matcher.match(after, local[:1], PLACE), matcher.match(after, local, PLACE)
+    assert one is not None
+    assert two is not None
+    assert np.trace(two.motion.covariance) < np.trace(one.motion.covariance)
+
+
+def test_features_that_all_disagree_count_against_the_match(
+    before: PreparedFrame, after: PreparedFrame
+) -> None:
+    """A hundred features and none fits: worse than if two of them did."""
+    matcher = FrameMatcher(CONFIG)
+    pixels = after.features.pixels[:, ::-1] * np.float32(0.7)
+    torn = replace(after, features=replace(after.features, pixels=np.ascontiguousarray(pixels)))
+    match = matcher.match(torn, [VisualKeyframe(before, PLACE)], PLACE * STEP)
+    assert match is None or match.motion.inlier_share < 0.7
+
+
+@pytest.mark.parametrize(("turn", "way"), [(0.0, 0.0), (0.3, 0.0), (0.0, 1.0), (0.3, 1.0)])
+def test_unlikeness_counts_turn_and_travel(turn: float, way: float) -> None:
+    other = T_BODY_CAMERA * gtsam.Pose3(gtsam.Rot3.Ry(turn), np.array([way, 0.0, 0.0]))
+    assert unlikeness(T_BODY_CAMERA, other, 2.0) == pytest.approx(np.hypot(turn, way / 2.0))
