@@ -17,6 +17,8 @@ from slam.vision.prepared_frame import PreparedFrame
 _LONGEST_EXTRAPOLATION_S = 0.25
 # A pose carried on is unsure by this share of what it was carried.
 _EXTRAPOLATION_SHARE = 0.2
+# Sigma of the speed of a camera that was matched but once: radians and metres a second.
+_UNKNOWN_SPEED = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +48,7 @@ class CameraOdometry:
         self._segment = 0
         self._stamp_s = -np.inf
         self._newest: CameraPose | None = None
-        self._twist = np.zeros(6)
+        self._twist: FloatArray | None = None
         self.lost_frames = 0
         self.frames = 0
 
@@ -63,7 +65,7 @@ class CameraOdometry:
         if tracked.restarted:
             self._segment += 1
         before, step_s = self._newest, frame.stamp_s - self._stamp_s
-        self._newest, self._twist = None, np.zeros(6)
+        self._newest, self._twist = None, None
         if tracked.match is not None:
             self._newest = CameraPose(tracked.pose, tracked.match.motion.covariance, self._segment)
             if before is not None and 0.0 < step_s < _LONGEST_EXTRAPOLATION_S:
@@ -83,8 +85,11 @@ class CameraOdometry:
         ahead_s = stamp_s - self._stamp_s
         if self._newest is None or not 0.0 <= ahead_s < _LONGEST_EXTRAPOLATION_S:
             return None
-        carried = self._twist * ahead_s
-        doubt = np.diag((_EXTRAPOLATION_SHARE * np.abs(carried)) ** 2)
+        carried = np.zeros(6) if self._twist is None else self._twist * ahead_s
+        sigmas = _EXTRAPOLATION_SHARE * np.abs(carried)
+        if self._twist is None:
+            sigmas = np.full(6, _UNKNOWN_SPEED * ahead_s)
+        doubt = np.diag(sigmas**2)
         pose = self._newest.pose.compose(gtsam.Pose3.Expmap(carried))
         return CameraPose(pose, self._newest.covariance + doubt, self._segment)
 

@@ -47,6 +47,7 @@ class RgbdTracker:
         self._local: list[VisualKeyframe] = []
         self._last: TrackedFrame | None = None
         self._stamp_s = 0.0
+        self._matched_s = 0.0
         self._step = gtsam.Pose3()
         self._step_s = 0.0
         self._lost = 0
@@ -66,7 +67,10 @@ class RgbdTracker:
             guess = self._last.pose.compose(step_guess or self._velocity_step(step_s))
             tracked = self._match(frame, guess)
             self._step = self._last.pose.between(tracked.pose) if tracked.match else gtsam.Pose3()
-            self._step_s = step_s
+            # The pose before is that of the last frame that matched, however many were lost since.
+            self._step_s = frame.stamp_s - self._matched_s
+        if tracked.match is not None or tracked.new_keyframe:
+            self._matched_s = frame.stamp_s
         self._last = tracked
         self._stamp_s = frame.stamp_s
         return tracked
