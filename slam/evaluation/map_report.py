@@ -99,7 +99,6 @@ def report_data(
     scans = result.scans
     trajectory = result.trajectory
     spatial = isinstance(result.graph.pose(0), gtsam.Pose3)
-    least_share = (config.visual_loops if spatial else config.loops).least_inlier_share
     cloud = None
     if beside.cloud is not None:
         pixel_m = config.dense_map.voxel_m
@@ -119,7 +118,7 @@ def report_data(
         degenerate=scans.degenerate[keyframes] > 0.0,
         scan_times_s=scans.seconds,
         map_picture=None if result.grid is None else _picture(result.grid),
-        loops=[_loop_row(loop, result.keyframe_poses, least_share) for loop in result.loops],
+        loops=[_loop_row(loop, result.keyframe_poses, config) for loop in result.loops],
         reader_notes=_reader_notes(reading) + _edge_notes(result),
         stage_times_s=result.stage_seconds,
         warnings=[*result.warnings, *_warnings(result), *beside.warnings],
@@ -147,16 +146,18 @@ def _picture(grid: OccupancyGrid) -> MapPicture:
     )
 
 
-def _loop_row(loop: LoopCandidate, poses: FloatArray, least_share: float) -> LoopRow:
+def _loop_row(loop: LoopCandidate, poses: FloatArray, config: Config) -> LoopRow:
     """One candidate for the table; its score is the share of points that fit, where it got so far."""
     source, place = poses[loop.keyframe], poses[loop.place]
+    # A camera finds a place by its looks: only a lidar searches a window.
+    limits = config.loops if loop.half_width_m > 0.0 else config.visual_loops
     return LoopRow(
         from_keyframe=loop.keyframe,
         to_keyframe=loop.place,
         xy_from=(float(source[0]), float(source[1])),
         xy_to=(float(place[0]), float(place[1])),
         score=float("nan") if loop.motion is None else loop.motion.inlier_share,
-        threshold=least_share,
+        threshold=limits.least_inlier_share,
         accepted=loop.accepted,
         reason=loop.reason,
     )

@@ -1,0 +1,304 @@
+"""What the report tells of cameras: frames not scans, losses, the truth, and the cloud the right way up."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from PIL import Image
+
+from slam.config import Config
+from slam.datasets.dataset import ReadReport
+from slam.errors import DatasetError
+from slam.evaluation.camera_figures import tracking_png
+from slam.evaluation.cloud_picture import cloud_from_above
+from slam.evaluation.map_report import Beside, RunCost, beside_of, report_data
+from slam.evaluation.report import write_report
+from slam.evaluation.truth_comparison import compare_with_truth
+from slam.graph.loop_closure import LoopCandidate
+from slam.graph.pose_graph import Edge, EdgeKind, PoseGraph
+from slam.map_result import MapResult
+from slam.mapping.dense_map import ColoredCloud
+from slam.measurements import CameraIntrinsics, FloatArray, LaserScan, Trajectory
+from slam.scan_record import CameraRecord, ScanRecord
+from slam.storage.ply import write_cloud_ply
+from slam.vision.color_registration import identity_registration
+
+COUNT = 100
+LENS = CameraIntrinsics(300.0, 300.0, 160.0, 120.0, 320, 240)
+
+
+def frames(lost: slice = slice(0, 1)) -> ScanRecord:
+    """A hundred frames, 10 a second; the first and the lost ones matched nothing."""
+
+    def column(value: float) -> FloatArray:
+        values = np.full(COUNT, value)
+        values[[0]] = values[lost] = np.nan
+        return values
+
+    return ScanRecord(
+        stamps_s=0.1 * np.arange(COUNT),
+        seconds=np.full(COUNT, 0.02),
+        inlier_shares=column(0.9),
+        residuals_m=column(0.0042),
+        degenerate=np.zeros(COUNT),
+        overlaps=column(0.85),
+        feature_counts=column(321.0),
+        residuals_px=column(1.25),
+    )
+
+
+def trajectory() -> Trajectory:
+    angle = np.linspace(0.0, 3.0, COUNT)
+    positions = np.column_stack([np.cos(angle), np.sin(angle), 0.3 * np.sin(2.0 * angle)])
+    return Trajectory(0.1 * np.arange(COUNT), positions, np.tile([0.0, 0.0, 0.0, 1.0], (COUNT, 1)))
+
+
+def result(
+    origin: gtsam.Pose2 | gtsam.Pose3 = gtsam.Pose3(),  # noqa: B008
+    kind: EdgeKind = EdgeKind.RGBD,
+    lost: slice = slice(0, 1),
+    keep: bool = True,
+) -> MapResult:
+    """Keyframes at 0, 40 and 80; on a floor a lidar that sees nothing is there too."""
+    graph = PoseGraph(origin)
+    size = 3 if isinstance(origin, gtsam.Pose2) else 6
+    for key in (1, 2):
+        graph.add_node(origin)
+        graph.add_edge(Edge(key - 1, key, origin, np.eye(size), kind, trusted=True))
+    scan = LaserScan(0.0, np.ones(3, np.float32), -1.0, 1.0, 10.0)
+    return MapResult(
+        trajectory=trajectory(),
+        keyframe_poses=np.zeros((3, 3)),
+        keyframe_numbers=np.array([0, 40, 80]),
+        keyframe_scans=[scan, scan, scan] if size == 3 else [],
+        graph=graph,
+        edges_kept=np.full(2, keep),
+        loops=[],
+        scans=frames(lost),
+        grid=None,
+        stage_seconds={},
+        warnings=[],
+        cameras={"RGBD_1": CameraRecord(frames(lost))},
+    )
+
+
+def report(run: MapResult, beside: Beside | None = None):
+    return report_data("log", ReadReport(), run, Config(), RunCost(1.0, 1.0), beside)
+
+
+def page(run: MapResult, folder: Path, beside: Beside | None = None) -> str:
+    write_report(folder / "report.html", report(run, beside))
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_map_by_cameras_is_told_in_frames(tmp_path: Path) -> None:
+    html = page(result(lost=slice(20, 27)), tmp_path)
+    assert "<dt>frames</dt><dd>100</dd>" in html and "median time a frame" in html
+    assert "Scan matching" not in html and "<dt>scans" not in html
+    assert "<tr><td>RGBD_1<td>100<td>7<td>0<td>–<td>–<td>0.85<td>321<td>1.25<td>4.2" in html
+    assert "7 of 100 frames matched nothing; their motion is dead reckoning." in html
+    assert "Trajectory from above and from the side" in html and html.count("<img") == 4
+
+
+def test_a_map_by_lidar_is_told_in_scans(tmp_path: Path) -> None:
+    html = page(replace(result(gtsam.Pose2(), EdgeKind.LIDAR), cameras={}), tmp_path)
+    assert "<dt>scans</dt><dd>100</dd>" in html and "Scan matching" in html
+    assert "<h2>Cameras" not in html and "from the side" not in html and html.count("<img") == 3
+
+
+@pytest.mark.parametrize(
+    ("kind", "keep", "expected"),
+    [
+        (EdgeKind.RGBD, True, "Of 100 moments the lidar matched nothing at 30; cameras told the motion."),
+        (EdgeKind.RGBD, False, "30 of 100 scans matched nothing; their motion is dead reckoning."),
+        (EdgeKind.WHEEL, True, "30 of 100 scans matched nothing; their motion is dead reckoning."),
+    ],
+)
+def test_dead_reckoning_is_what_no_camera_told(kind: EdgeKind, keep: bool, expected: str) -> None:
+    run = result(gtsam.Pose2(), kind, lost=slice(60, 90), keep=keep)
+    assert report(run).warnings == [expected]
+
+
+def test_only_the_steps_that_cameras_told_are_theirs() -> None:
+    run = result(gtsam.Pose2(), lost=slice(30, 60))
+    run.graph.edges[0] = replace(run.graph.edges[0], kind=EdgeKind.WHEEL)
+    assert report(run).warnings == [
+        "11 of 100 scans matched nothing; their motion is dead reckoning.",  # 30 to 40
+        "Of 100 moments the lidar matched nothing at 19; cameras told the motion.",  # 41 to 59
+    ]
+
+
+def test_a_registration_is_told_with_its_reason(tmp_path: Path) -> None:
+    refused = identity_registration(LENS, "taken as registered: <no clear gain>")
+    record = CameraRecord(frames(), motions=1234, refused_motions=56, registration=refused)
+    html = page(replace(result(), cameras={"left": record}), tmp_path)
+    assert "<td>1,234<td>56<td>" in html and "taken as registered: &lt;no clear gain&gt;" in html
+    found = replace(record, registration=replace(refused, accepted=True, reason="1.7 cm beside"))
+    assert "registered by the log itself: 1.7 cm beside" in page(
+        replace(result(), cameras={"left": found}), tmp_path
+    )
+
+
+def test_a_loop_is_held_against_the_limit_of_its_sensor() -> None:
+    by_camera = LoopCandidate(0, 2, 0.0, 0.0, 1.0, None, False, "too little fits")
+    by_lidar = replace(by_camera, half_width_m=0.5)
+    config = Config()
+    rows = report(replace(result(), loops=[by_camera, by_lidar])).loops
+    limits = [config.visual_loops.least_inlier_share, config.loops.least_inlier_share]
+    assert [row.threshold for row in rows] == limits and limits[0] != limits[1]
+
+
+def test_the_path_of_a_camera_is_measured_in_space() -> None:
+    climb = replace(trajectory(), positions_m=np.outer(np.arange(COUNT), [0.0, 0.0, 0.02]))
+    assert report(replace(result(), trajectory=climb)).path_length_m == pytest.approx(0.02 * (COUNT - 1))
+
+
+def redness(png: bytes) -> int:
+    """Pixels of the colour of a loss."""
+    rgb = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), dtype=int)
+    return int(np.count_nonzero((rgb[..., 0] - rgb[..., 1] > 40) & (rgb[..., 0] - rgb[..., 2] > 40)))
+
+
+def test_lost_frames_are_marked_even_a_single_one() -> None:
+    none, one, many = (
+        redness(tracking_png(frames(lost))) for lost in (slice(0), slice(50, 51), slice(50, 80))
+    )
+    assert none == 0
+    assert one > 500
+    assert many > 20 * one
+
+
+@pytest.fixture
+def moved() -> tuple[Trajectory, Trajectory]:
+    """A trajectory, and the same seen from another frame with one pose 10 cm off."""
+    path = trajectory()
+    turn = gtsam.Rot3.Ypr(0.4, -0.3, 1.0).matrix()
+    truth = replace(path, positions_m=path.positions_m @ turn.T + [3.0, -2.0, 5.0])
+    return path, truth
+
+
+def test_the_truth_is_laid_over_the_map(moved: tuple[Trajectory, Trajectory]) -> None:
+    path, truth = moved
+    comparison = compare_with_truth(path, truth)
+    np.testing.assert_allclose(comparison.true_positions_m, path.positions_m, atol=1e-9)
+    assert comparison.errors_m.max() < 1e-9
+
+
+def test_an_error_shows_where_it_is(moved: tuple[Trajectory, Trajectory], tmp_path: Path) -> None:
+    path, truth = moved
+    wrong = path.positions_m.copy()
+    wrong[70] += [0.0, 0.0, 0.5]
+    comparison = compare_with_truth(replace(path, positions_m=wrong), truth)
+    assert int(comparison.errors_m.argmax()) == 70
+    assert np.sqrt(np.mean(comparison.errors_m**2)) == pytest.approx(comparison.error.translation_m.rmse)
+    html = page(result(), tmp_path, Beside(truth=comparison))
+    assert "RMSE against the truth" in html and "over 100 poses: RMSE 0.0" in html
+
+
+class Log:
+    """A dataset as far as the report asks it."""
+
+    def __init__(self, truth: Trajectory | Exception | None) -> None:
+        self._truth = truth
+
+    def groundtruth(self) -> Trajectory | None:
+        if isinstance(self._truth, Exception):
+            raise self._truth
+        return self._truth
+
+
+def test_what_cannot_be_compared_is_a_warning_and_the_report_is_made(tmp_path: Path) -> None:
+    line = replace(trajectory(), positions_m=np.zeros((COUNT, 3)))
+    for log in (Log(line), Log(DatasetError("groundtruth.txt is a mess"))):
+        beside = beside_of(log, result(), [])  # type: ignore[arg-type]
+        assert beside.truth is None and "Not compared with the ground truth" in beside.warnings[0]
+        assert "Not compared with the ground truth" in page(result(), tmp_path, beside)
+    assert beside_of(Log(None), result(), []) == Beside()  # type: ignore[arg-type]
+
+
+def square(
+    side_m: float, height_m: float, color: tuple[int, int, int], up: float, at: FloatArray
+) -> ColoredCloud:
+    """A level square of points a centimetre apart."""
+    steps = np.arange(0.0, side_m, 0.01)
+    x, y = np.meshgrid(steps, steps)
+    points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, height_m)]) + np.append(at, 0.0)
+    return ColoredCloud(
+        points.astype(np.float32),
+        np.tile(np.array(color, np.uint8), (x.size, 1)),
+        np.tile(np.array([0.0, 0.0, up], np.float32), (x.size, 1)),
+    )
+
+
+RED, GREEN, BLUE = (200, 0, 0), (0, 200, 0), (0, 0, 200)
+
+
+def room() -> ColoredCloud:
+    """A red floor, a green table in its corner of large x and y, a blue ceiling over all."""
+    parts = [
+        square(0.7, 0.8, GREEN, 1.0, np.array([1.3, 1.3])),
+        square(2.0, 0.0, RED, 1.0, np.zeros(2)),
+        square(2.0, 2.5, BLUE, -1.0, np.zeros(2)),
+    ]
+    columns = zip(*((p.points_map, p.colors, p.normals_map) for p in parts), strict=True)
+    return ColoredCloud(*map(np.concatenate, columns))
+
+
+PATH = np.array([[0.2, 0.2, 1.0], [1.0, 1.0, 1.0]])
+
+
+def test_the_highest_surface_is_seen_and_the_ceiling_looked_through() -> None:
+    picture = cloud_from_above(room(), PATH, pixel_m=0.02, level=False)
+    assert picture is not None and picture.image.shape[:2] == (100, 100)
+    assert (picture.image[5:30, 70:95] == GREEN).all()  # row 0 is the largest y
+    assert (picture.image[40:95, 5:95] == RED).all()
+    np.testing.assert_array_equal(picture.path_xy, PATH[:, :2])
+
+
+def test_a_tilted_cloud_is_levelled_with_its_path() -> None:
+    turn = gtsam.Rot3.Ypr(0.0, 0.35, -0.3).matrix()
+    level = room()
+    tilted = ColoredCloud(
+        (level.points_map @ turn.T).astype(np.float32),
+        level.colors,
+        (level.normals_map @ turn.T).astype(np.float32),
+    )
+    picture = cloud_from_above(tilted, PATH @ turn.T, pixel_m=0.02, level=True)
+    assert picture is not None
+    counts = [int((picture.image == color).all(axis=2).sum()) for color in (GREEN, RED, BLUE)]
+    assert counts[0] == pytest.approx(35**2, rel=0.05) and counts[2] == 0
+    assert counts[1] == pytest.approx(100**2 - 35**2, rel=0.05)
+    step = picture.path_xy[1] - picture.path_xy[0]
+    assert np.linalg.norm(step) == pytest.approx(0.8 * np.sqrt(2.0), abs=1e-3)
+
+
+def test_a_picture_of_the_cloud_has_a_bounded_size_and_ignores_strays() -> None:
+    far = room()
+    far.points_map[0] = [0.0, 5000.0, 0.0]
+    picture = cloud_from_above(far, PATH, pixel_m=0.0001, level=False)
+    assert picture is not None and max(picture.image.shape) <= 1001
+    assert picture.resolution_m < 0.003
+
+
+def test_nothing_to_see_is_no_picture() -> None:
+    nothing = ColoredCloud(
+        np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8), np.empty((0, 3), np.float32)
+    )
+    ceiling = square(1.0, 2.0, BLUE, -1.0, np.zeros(2))
+    assert cloud_from_above(nothing, PATH, pixel_m=0.02, level=False) is None
+    assert cloud_from_above(ceiling, PATH, pixel_m=0.02, level=False) is None
+
+
+def test_the_cloud_is_read_from_the_written_file(tmp_path: Path) -> None:
+    write_cloud_ply(tmp_path / "cloud.ply", room())
+    beside = beside_of(Log(None), result(), [tmp_path / "map.pgm", tmp_path / "cloud.ply"])  # type: ignore[arg-type]
+    assert beside.cloud is not None and len(beside.cloud.points_map) == len(room().points_map)
+    assert "Coloured map from above" in page(result(), tmp_path, beside)
+    (tmp_path / "cloud.ply").write_bytes(b"ply\n")
+    beside = beside_of(Log(None), result(), [tmp_path / "cloud.ply"])  # type: ignore[arg-type]
+    assert beside.cloud is None and "No picture of the coloured map" in beside.warnings[0]
