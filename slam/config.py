@@ -18,6 +18,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from slam.config_stages import (
+    BundleConfig,
     DenseMapConfig,
     GraphConfig,
     GridConfig,
@@ -54,6 +55,7 @@ class Config(StrictModel):
     wheels: WheelConfig = WheelConfig()
     rgbd: RgbdConfig = RgbdConfig()
     rgbd_odometry: RgbdOdometryConfig = RgbdOdometryConfig()
+    bundle: BundleConfig = BundleConfig()
     visual_loops: VisualLoopConfig = VisualLoopConfig()
     keyframes: KeyframeConfig = KeyframeConfig()
     loops: LoopConfig = LoopConfig()

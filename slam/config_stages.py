@@ -229,7 +229,7 @@ class RgbdOdometryConfig(StrictModel):
     correlated_points: float = Field(
         default=60.0, ge=1, description="surface points that count as one reading"
     )
-    correlated_features: float = Field(default=3.0, ge=1, description="features that count as one reading")
+    correlated_features: float = Field(default=2.0, ge=1, description="features that count as one reading")
     least_inlier_share: float = Field(
         default=0.4, gt=0, le=1, description="below this share of agreeing readings a match is refused"
     )
@@ -237,6 +237,9 @@ class RgbdOdometryConfig(StrictModel):
         default=0.55, gt=0, le=1, description="below this share PnP without a guess is tried too"
     )
     least_overlap: float = Field(default=0.2, gt=0, le=1, description="share of the image that must be known")
+    least_points: int = Field(
+        default=300, ge=1, description="surface points that must agree where too few features do"
+    )
     floor_m: float = Field(default=0.001, gt=0, description="no match is surer than this")
     floor_rad: float = Field(default=0.0007, gt=0, description="no match is surer than this")
     degenerate_sigma_m: float = Field(
@@ -284,3 +287,16 @@ class DenseMapConfig(StrictModel):
     farthest_m: float = Field(default=4.0, gt=0, description="farther depth readings are left out")
     octomap: bool = Field(default=False, description="write an OctoMap too; wants scanweave[octomap]")
     octomap_cell_m: float = Field(default=0.05, gt=0, description="side of its smallest cell")
+
+
+class BundleConfig(StrictModel):
+    """Bundle adjustment of the latest camera keyframes."""
+
+    enabled: bool = Field(
+        default=False,
+        description="adjust at every keyframe; matching to several keyframes at once measured better",
+    )
+    keyframes: int = Field(default=7, ge=2, description="keyframes of the window")
+    linked: int = Field(default=3, ge=1, description="keyframes whose features a new one is matched to")
+    landmarks: int = Field(default=300, ge=20, description="landmarks at most")
+    gate_px: float = Field(default=4.0, gt=0, description="reprojection error of a match that is believed")

@@ -53,8 +53,8 @@ class PlanarPlaces:
         key = self._store.add(frame, registration)
         self._nodes.append(node)
         self._T_node_camera.append(T_node_camera)
-        tried = [] if poses is None else self._closer.close(key, self._camera_poses(poses))
         self._closer.add_keyframe(frame)
+        tried = [] if poses is None else self._closer.close(key, self._camera_poses(poses))
         return [self._of_nodes(candidate) for candidate in tried]
 
     def dense(self, poses: FloatArray) -> DenseKeyframes | None:

@@ -17,7 +17,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"slam.evaluation", "slam.run_outputs"}),
     frozenset({"slam.pipeline", "slam.localization"}),
     frozenset({"slam.planar_mapper", "slam.spatial_mapper"}),  # what the main loop feeds
-    frozenset({"slam.mapper", "slam.planar_places"}),
+    frozenset({"slam.mapper", "slam.planar_places", "slam.sliding_window"}),
     frozenset({"slam.map_result", "slam.keyframe_store", "slam.robot_cameras"}),
     frozenset({"slam.mount_learner"}),
     frozenset({"slam.storage", "slam.readings", "slam.scan_record"}),

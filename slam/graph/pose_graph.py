@@ -1,4 +1,4 @@
-"""The factor graph: the only file that builds GTSAM factors.
+"""The pose graph, and the only file that builds its GTSAM factors (windows and mountings build their own).
 
 While mapping, iSAM2 (Kaess 2012) keeps the estimate; at the end graduated non-convexity with truncated
 least squares (Yang 2020) decides which loops and wheel steps are true. SE(2) and SE(3) alike.
@@ -119,20 +119,30 @@ class PoseGraph:
         """
         self._check(edge)
         self.edges.append(edge)
-        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
-        if not edge.trusted:
-            kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(_CAUCHY_SIGMAS)
-            noise = gtsam.noiseModel.Robust.Create(kernel, noise)
-        self._pending.add(_between(edge, noise))
+        self._pending.add(_between(edge, _noise(edge)))
 
     def update(self) -> None:
-        """Bring the estimate up to date with iSAM2."""
+        """Bring the estimate up to date with iSAM2; where its Gauss-Newton step fails, by a damped solver."""
         if self._isam is None:
             self._isam = gtsam.ISAM2()
-        self._isam.update(self._pending, self._pending_values)
-        self._estimate = self._isam.calculateEstimate()
+        try:
+            self._isam.update(self._pending, self._pending_values)
+            self._estimate = self._isam.calculateEstimate()
+        except RuntimeError:  # an indeterminate system: edges that nothing measured, in space
+            self._start_anew()
+            return
         self._pending = gtsam.NonlinearFactorGraph()
         self._pending_values = gtsam.Values()
+
+    def _start_anew(self) -> None:
+        """Solve everything with damping, and let the next update begin a new iSAM2 from there."""
+        self._isam = None
+        self._pending = gtsam.NonlinearFactorGraph()
+        self._pending.add(self._prior())
+        for edge in self.edges:
+            self._pending.add(_between(edge, _noise(edge)))
+        self._estimate = gtsam.LevenbergMarquardtOptimizer(self._pending, self._estimate).optimize()
+        self._pending_values = gtsam.Values(self._estimate)
 
     def optimize(self, inlier_probability: float = 0.99) -> BatchResult:
         """Solve the whole graph anew: GNC-TLS over the untrusted edges, then plain least squares.
@@ -218,6 +228,15 @@ class PoseGraph:
             raise GraphError(f"{name}: the covariance must be a finite {shape} matrix")
         if np.linalg.eigvalsh(edge.covariance)[0] <= 0.0:
             raise GraphError(f"{name}: the covariance is not positive definite")
+
+
+def _noise(edge: Edge) -> gtsam.noiseModel.Base:
+    """Noise of an edge while mapping: robust where it may be refused."""
+    noise = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
+    if edge.trusted:
+        return noise
+    kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(_CAUCHY_SIGMAS)
+    return gtsam.noiseModel.Robust.Create(kernel, noise)
 
 
 def _between(edge: Edge, noise: gtsam.noiseModel.Base) -> gtsam.NonlinearFactor:

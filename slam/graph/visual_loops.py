@@ -11,12 +11,17 @@ import numpy as np
 
 from slam.config_stages import VisualLoopConfig
 from slam.graph.loop_closure import LoopCandidate
+from slam.vision.features import Descriptors
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.place_recognition import PlaceIndex
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch, unlikeness
 
 log = logging.getLogger(__name__)
+
+# Any corner of three walls fits any other: without features a match may only confirm what was expected, to
+# within so much unlikeness.
+_CONFIRMED = 0.1
 
 
 class Keyframes(Protocol):
@@ -38,11 +43,24 @@ class VisualLoopCloser:
         self._keyframes = keyframes
         self._places = PlaceIndex(seed=seed)
         self._depths_m: list[float] = []
+        self._segments: list[int] = []
+        self._newest: Descriptors | None = None
 
-    def add_keyframe(self, frame: PreparedFrame) -> None:
-        """Remember the looks of a keyframe, after its own loops were looked for."""
-        self._places.add(frame.features.descriptors)
+    def add_keyframe(self, frame: PreparedFrame, *, adrift: bool = False) -> None:
+        """Remember the looks of the next keyframe.
+
+        Parameters
+        ----------
+        adrift
+            Nothing measured the way to it: where it lies is known only when a loop by looks has told.
+        """
+        if self._newest is not None:
+            # A place is asked for before it is added, so that its neighbour sets the scale.
+            self._places.add(self._newest)
+        self._newest = frame.features.descriptors
         self._depths_m.append(frame.median_depth_m)
+        last = self._segments[-1] if self._segments else 0
+        self._segments.append(last + 1 if adrift else last)
 
     def close(self, key: int, poses: Sequence[gtsam.Pose3]) -> list[LoopCandidate]:
         """Try the places that a keyframe may have come back to.
@@ -66,27 +84,37 @@ class VisualLoopCloser:
         tried = [self._verify(place, key, poses[place].between(poses[key]), 1.0) for place in near]
         tried += [self._verify(place, key, None, score) for place, score in looks if place not in near]
         for candidate in tried:
+            self._join(candidate)
             _report(candidate)
         return tried
 
     def _near(self, key: int, poses: Sequence[gtsam.Pose3]) -> list[int]:
         """Places whose cameras should see much the same, each from another stretch of the way."""
         config = self._config
-        places = range(key - config.least_gap + 1)
+        segment = self._segments[key]
+        places = [p for p in range(key - config.least_gap + 1) if self._segments[p] == segment]
         scores = np.array([unlikeness(poses[p], poses[key], self._depths_m[p]) for p in places])
         chosen: list[int] = []
-        for place in np.argsort(scores, kind="stable"):
-            if len(chosen) == config.near or scores[place] > config.near_unlikeness:
+        for n in np.argsort(scores, kind="stable"):
+            if len(chosen) == config.near or scores[n] > config.near_unlikeness:
                 break
-            if all(abs(int(place) - other) >= config.least_gap for other in chosen):
-                chosen.append(int(place))
+            if all(abs(places[n] - other) >= config.least_gap for other in chosen):
+                chosen.append(places[n])
         return chosen
+
+    def _join(self, candidate: LoopCandidate) -> None:
+        """A loop tells where a segment lies that was adrift."""
+        ends = {self._segments[candidate.place], self._segments[candidate.keyframe]}
+        if candidate.accepted and len(ends) == 2:
+            low, high = min(ends), max(ends)
+            self._segments = [low if segment == high else segment for segment in self._segments]
 
     def _by_looks(self, key: int) -> list[tuple[int, float]]:
         """Places that look the same, with their relative score."""
         config = self._config
-        descriptors = self._keyframes.keyframe(key).features.descriptors
-        matches = self._places.query(descriptors, key - config.least_gap + 1, config.by_looks)
+        if self._newest is None:
+            return []
+        matches = self._places.query(self._newest, key - config.least_gap + 1, config.by_looks)
         return [(m.key, m.relative_score) for m in matches if m.relative_score >= config.least_place_score]
 
     def _verify(self, place: int, key: int, guess: gtsam.Pose3 | None, score: float) -> LoopCandidate:
@@ -108,6 +136,9 @@ class VisualLoopCloser:
             return candidate.refused("too few readings fit")
         if match.overlap < config.least_overlap and match.feature_count < config.least_features:
             return candidate.refused("too little is seen by both")
+        moved = 0.0 if guess is None else unlikeness(guess, match.pose, frame.median_depth_m)
+        if moved > _CONFIRMED and match.feature_count < config.least_features:
+            return candidate.refused("shape alone leads elsewhere")
         if match.motion.degenerate:
             return candidate.refused("a direction is not determined")
         return LoopCandidate(place, key, 0.0, 0.0, score, match.motion, True, "")

@@ -235,7 +235,7 @@ class MotionTracker:
         return count / self._noise.correlated_points * scale * (motion.fit - held.fit)
 
     def _fused(self, motion: MotionEstimate) -> FloatArray:
-        """The match and the camera's prediction, each by its covariance: a corridor is as long as it looks."""
+        """Match and camera, each by its covariance: a corridor is as long as it looks."""
         matched = row_from_pose2(motion.T_reference_base)
         guess = self._by_camera.guess
         if guess is None:

@@ -22,9 +22,12 @@ _POINTS_A_FEATURE = 10.0
 class FrameMatcher:
     """Stateless but for its settings; without surfaces it is Yang2021's ORB odometry, Eq. (1)-(6)."""
 
-    def __init__(self, config: RgbdOdometryConfig, *, use_surfaces: bool = True) -> None:
+    def __init__(
+        self, config: RgbdOdometryConfig, *, use_surfaces: bool = True, use_features: bool = True
+    ) -> None:
         self._config = config
         self._use_surfaces = use_surfaces
+        self._use_features = use_features
         self._settings = AlignmentSettings(
             iterations=config.iterations,
             coarse_iterations=config.coarse_iterations,
@@ -41,7 +44,8 @@ class FrameMatcher:
     ) -> VisualMatch | None:
         """See `slam.odometry.rgbd_odometry.RgbdOdometry`."""
         config = self._config
-        landmarks = self._landmarks(frame, local[: config.feature_views])
+        known = local[: config.feature_views] if self._use_features else []
+        landmarks = self._landmarks(frame, known)
         best = self._align(frame, local, landmarks, guess)
         if self._share(best) < config.sure_inlier_share or not best.converged:
             found = self._by_features(frame, landmarks)
@@ -70,6 +74,8 @@ class FrameMatcher:
     def _landmarks(self, frame: PreparedFrame, keyframes: list[VisualKeyframe]) -> Landmarks:
         """Features of the keyframes that are found again in the frame."""
         config = self._config
+        if not keyframes:
+            return Landmarks.none()
         points, pixels, sigmas = [], [], []
         for keyframe in keyframes:
             known = keyframe.frame.features
@@ -111,7 +117,8 @@ class FrameMatcher:
         """A measured motion, or None where too little agrees."""
         config = self._config
         share = self._share(alignment)
-        enough = alignment.feature_count >= config.least_inliers or alignment.overlap >= config.least_overlap
+        shape = alignment.overlap >= config.least_overlap and alignment.point_count >= config.least_points
+        enough = shape or alignment.feature_count >= config.least_inliers
         if share < config.least_inlier_share or not enough:
             return None
         covariance, weak = covariance_of(alignment.information, share, config)
