@@ -213,9 +213,7 @@ def _warnings(result: MapResult) -> list[str]:
         lines.append(f"{lost:,} of {count:,} {unit}s matched nothing; their motion is dead reckoning.")
     helped = int(np.count_nonzero(scans.unmatched & carried))
     if unit == "scan" and helped > _UNMATCHED_SHARE * count:
-        lines.append(
-            f"Of {count:,} moments the lidar matched nothing at {helped:,}; cameras told the motion."
-        )
+        lines.append(f"At {helped:,} of {count:,} moments the lidar told nothing; cameras told the motion.")
     degenerate = float(scans.degenerate.mean())
     if degenerate > _UNMATCHED_SHARE:
         what = "corridors" if unit == "scan" else "flat or empty views"
