@@ -2,6 +2,7 @@
 
     python tools/benchmark.py [--data ../shared/data] [--log fr079 --log intel] [--set k=v] [--repeat N]
                               [--cold] [--json FILE]
+    python tools/benchmark.py rgbd ...            the RGB-D sequence instead: see benchmark_rgbd.py
 
 For every log and variant the real command runs in a process of its own: once to warm numba's cache, then
 ``--repeat`` times for wall and CPU seconds (medians) and peak memory (greatest), from the kernel's account of
@@ -52,6 +53,9 @@ class Cost:
 
 def main() -> None:
     """Measure, print the table, write the JSON."""
+    if sys.argv[1:2] == ["rgbd"]:
+        other = Path(__file__).with_name("benchmark_rgbd.py")
+        sys.exit(subprocess.call([sys.executable, str(other), *sys.argv[2:]]))
     options = parse_options()
     if options.child:
         child(options.child, options.arguments)
