@@ -1,0 +1,125 @@
+"""Bayes fusion of two occupancy grids: Li2020 Eq. (7)-(10) and Table 3.
+
+Evidence is kept as log-odds, log(p / (1 - p)): there Eq. (8) and Eq. (10) are sums, so that their order
+means nothing. 0 is unknown.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+States: TypeAlias = NDArray[np.int8]
+Probabilities: TypeAlias = NDArray[np.floating[Any]]
+Rule: TypeAlias = Literal["corrected", "printed"]
+
+# The values of nav2's occupancy grid.
+OCCUPIED, FREE, UNKNOWN = 100, 0, -1
+
+# A step of evidence: sums of whole steps are exact, and the same in any order.
+STEPS_A_UNIT = 1024
+
+# Rows are the lidar's states, columns the camera's, both in the order occupied, empty, uncertain.
+_TABLE_3: dict[Rule, States] = {
+    # The last row is printed the other way round, which contradicts Li2020's own Fig. 13.
+    "corrected": np.array(
+        [[OCCUPIED, OCCUPIED, OCCUPIED], [OCCUPIED, FREE, FREE], [OCCUPIED, FREE, UNKNOWN]], dtype=np.int8
+    ),
+    "printed": np.array(
+        [[OCCUPIED, OCCUPIED, OCCUPIED], [OCCUPIED, FREE, FREE], [FREE, OCCUPIED, UNKNOWN]], dtype=np.int8
+    ),
+}
+
+
+def log_odds(probability: float) -> float:
+    """log(p / (1 - p)).
+
+    Raises
+    ------
+    ValueError
+        Where the probability is not above 0 and below 1.
+    """
+    if not 0.0 < probability < 1.0:
+        raise ValueError(f"probability is {probability}; it must be above 0 and below 1")
+    return math.log(probability / (1.0 - probability))
+
+
+def evidence_steps(probability: float) -> int:
+    """Log-odds in steps of 1 / `STEPS_A_UNIT`, never zero unless the probability is exactly one half."""
+    steps = round(log_odds(probability) * STEPS_A_UNIT)
+    if steps == 0 and probability != 0.5:
+        return int(math.copysign(1, probability - 0.5))
+    return steps
+
+
+def update(sensor: Probabilities, before: Probabilities) -> Probabilities:
+    """Probability of being occupied after a measurement, cell by cell: Li2020 Eq. (8), and Eq. (10).
+
+    Parameters
+    ----------
+    sensor
+        Ps, what the inverse sensor model says, 0..1; in Eq. (10) the first sensor's grid.
+    before
+        Pm, what was believed, 0..1; at first 0.5 everywhere, Eq. (7). In Eq. (10) the second sensor's grid.
+
+    Returns
+    -------
+    Of the broadcast shape. Where one is sure that a cell is occupied and the other that it is not, nan.
+    """
+    occupied = np.asarray(sensor * before)
+    empty = np.asarray((1.0 - sensor) * (1.0 - before))
+    with np.errstate(invalid="ignore"):
+        return np.asarray(occupied / (occupied + empty))
+
+
+def exceeds(probabilities: Probabilities, threshold: float = 0.5) -> NDArray[np.bool_]:
+    """Li2020 Eq. (9): whether a cell counts as occupied."""
+    return np.asarray(probabilities > threshold)
+
+
+def states_of(probabilities: Probabilities, occupied_above: float, free_below: float) -> States:
+    """Li2020 Eq. (9) with a threshold on either side of 0.5: what is between the two is uncertain.
+
+    Raises
+    ------
+    ValueError
+        Where the thresholds are not 0 < free_below <= occupied_above < 1.
+    """
+    if not 0.0 < free_below <= occupied_above < 1.0:
+        raise ValueError(f"thresholds {free_below} and {occupied_above}; give 0 < free <= occupied < 1")
+    states = np.full(probabilities.shape, UNKNOWN, dtype=np.int8)
+    states[probabilities > occupied_above] = OCCUPIED
+    states[probabilities < free_below] = FREE
+    return states
+
+
+def decide(lidar: States, camera: States, rule: Rule = "corrected") -> States:
+    """Li2020 Table 3: what the robot must not hit, from each sensor's own decision.
+
+    Table 3 and Eq. (10) disagree where one sensor sees what the other looks over: 0.9 and 0.1 fuse to 0.5,
+    but a low box stays a box.
+
+    Parameters
+    ----------
+    lidar, camera
+        `OCCUPIED`, `FREE` or `UNKNOWN`, of one shape. A sensor that is missing is unknown everywhere.
+    rule
+        ``corrected``, or ``printed`` as the paper has it, with the last row the other way round.
+
+    Raises
+    ------
+    ValueError
+        Where the rule has another name.
+    """
+    if rule not in _TABLE_3:
+        raise ValueError(f"rule is {rule!r}; it must be {' or '.join(_TABLE_3)}")
+    decided: States = _TABLE_3[rule][_index(lidar), _index(camera)]
+    return decided
+
+
+def _index(states: States) -> NDArray[np.intp]:
+    """Row or column of Table 3: 0 occupied, 1 empty, 2 uncertain."""
+    return np.where(states == OCCUPIED, 0, np.where(states == FREE, 1, 2)).astype(np.intp)

@@ -1,0 +1,110 @@
+"""What a range tells about the cell in which it ends: Li2020 Eq. (2)-(6), and noise that grows with range."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.bayes import evidence_steps
+
+Array = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True)
+class RangeNoise:
+    """Standard deviation of a range r: floor_m + share * r + per_m * r ** 2.
+
+    Attributes
+    ----------
+    floor_m
+        At no range.
+    share
+        Of the range, as data sheets of lidars have it.
+    per_m
+        Growth with the square, 1/m: what an error of the disparity makes of a depth (Li2020 Eq. (4)).
+    """
+
+    floor_m: float
+    share: float = 0.0
+    per_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (self.floor_m > 0.0 and self.share >= 0.0 and self.per_m >= 0.0):
+            raise ValueError(f"{self}: floor_m must be positive, share and per_m not negative")
+
+    def sigma_m(self, range_m: Array) -> Array:
+        """Standard deviation at each range, metres."""
+        return np.asarray(self.floor_m + self.share * range_m + self.per_m * np.square(range_m))
+
+
+def depth_from_disparity(
+    disparity_px: Array, reference_m: float, focal_px: float, baseline_m: float
+) -> Array:
+    """Depth Zk of a structured-light camera, Li2020 Eq. (4), which follows from Eq. (2) and (3).
+
+    The print leaves the second Z0 and its place open; the triangles give Z0 / (1 + Z0 d / (f b)).
+
+    Parameters
+    ----------
+    disparity_px
+        d, shift of the dots against the reference plane, positive for what is nearer.
+    reference_m
+        Z0, where the reference plane stood.
+    focal_px, baseline_m
+        f and b of the infrared camera and its projector.
+
+    Returns
+    -------
+    Metres, of the disparity's shape; nan where the disparity belongs to no point before the camera.
+    """
+    share = 1.0 + reference_m * np.asarray(disparity_px, dtype=np.float64) / (focal_px * baseline_m)
+    return np.where(share > 0.0, reference_m / np.where(share > 0.0, share, 1.0), np.nan)
+
+
+def disparity_noise(
+    sigma_px: float, focal_px: float, baseline_m: float, floor_m: float = 0.001
+) -> RangeNoise:
+    """Noise of a depth from that of its disparity: dZ = Z ** 2 / (f b) dd, by Li2020 Eq. (4)."""
+    return RangeNoise(floor_m, per_m=sigma_px / (focal_px * baseline_m))
+
+
+def share_in_cell(range_m: Array, noise: RangeNoise, cell_m: float) -> Array:
+    """Probability that a range's true end lies in the cell of its measured end, if this is its middle."""
+    reach = 0.5 * cell_m / (math.sqrt(2.0) * noise.sigma_m(range_m))
+    return np.array([math.erf(value) for value in np.ravel(reach)]).reshape(np.shape(range_m))
+
+
+def hit_evidence(
+    noise: RangeNoise, p_hit: float, cell_m: float, range_max_m: float, bins_a_m: int = 20
+) -> NDArray[np.int16]:
+    """Evidence of a hit by range, Ps of Li2020 Eq. (8) as log-odds.
+
+    ``p_hit`` is for a range without noise; with noise only a share of it is meant for this cell.
+
+    Parameters
+    ----------
+    p_hit
+        Above 0.5.
+    cell_m
+        Side of a cell.
+    range_max_m, bins_a_m
+        Length and fineness of the table.
+
+    Returns
+    -------
+    (N,) steps of log-odds (`fusion.bayes.STEPS_A_UNIT`) for ranges from i / bins_a_m on.
+
+    Raises
+    ------
+    ValueError
+        Where ``p_hit`` is not between 0.5 and 1.
+    """
+    if not 0.5 < p_hit < 1.0:
+        raise ValueError(f"p_hit is {p_hit}; it must be above 0.5 and below 1")
+    middle_m = (np.arange(math.ceil(range_max_m * bins_a_m) + 1) + 0.5) / bins_a_m
+    probability = 0.5 + (p_hit - 0.5) * share_in_cell(middle_m, noise, cell_m)
+    return np.array([evidence_steps(float(p)) for p in probability], dtype=np.int16)

@@ -1,0 +1,191 @@
+"""What one depth image says about the cells of a map: obstacles in the height band, and what is clear.
+
+Yang2021 Eq. (13)-(20) make the obstacles, Li2020's inverse sensor model weighs them by range.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.bayes import evidence_steps
+from fusion.curves import Intrinsics
+from fusion.depth_model import RangeNoise, hit_evidence
+from fusion.height_band import (
+    HeightBand,
+    LensDistortion,
+    back_project,
+    count_in_cells,
+    obstacle_points,
+    pixel_rays,
+    to_frame,
+)
+from slam.errors import ConfigError
+from slam.mapping.evidence_tiles import Board, Steps
+from slam.mapping.view_coverage import MAX_BINS, heights_seen, view_box
+from slam.measurements import CameraIntrinsics, Float32Array, FloatArray, RgbdFrame
+
+Rays: TypeAlias = FloatArray
+
+_BIN_M = 0.04  # heights of the band that are told apart
+_FREE_STRIDES = (2, 4)
+
+
+@dataclass(frozen=True, slots=True)
+class DepthModel:
+    """The inverse sensor model of a depth camera.
+
+    Attributes
+    ----------
+    band
+        Heights in which a thing is an obstacle.
+    noise
+        Of a depth reading.
+    depth_min_m, depth_max_m
+        Nearer and farther readings mark nothing; farther ones free up to the limit.
+    p_hit, p_miss
+        Probability that a cell is occupied in which a keyframe saw points, or saw through at all heights.
+    margin_sigmas
+        By so many standard deviations a point must be above the band's lower end, and a ray frees nothing
+        so near to its end.
+    radius_m, least_neighbours, voxel_m
+        Of Yang2021's radius filter, after thinning to voxels.
+    least_points
+        N of Yang2021 Eq. (20): so many voxels make a cell occupied.
+    pixel_stride
+        Every how many rows and columns a pixel is looked at for obstacles; voxels need no more.
+    """
+
+    band: HeightBand = field(default_factory=lambda: HeightBand(0.0, 0.7, 0.03))
+    noise: RangeNoise = field(default_factory=lambda: RangeNoise(0.002, per_m=0.003))
+    depth_min_m: float = 0.3
+    depth_max_m: float = 4.0
+    p_hit: float = 0.7
+    p_miss: float = 0.4
+    margin_sigmas: float = 2.0
+    radius_m: float = 0.04
+    least_neighbours: int = 6
+    voxel_m: float = 0.015
+    least_points: int = 3
+    pixel_stride: int = 2
+
+    def __post_init__(self) -> None:
+        """Refuse a model that would mark what it clears.
+
+        Raises
+        ------
+        ConfigError
+            Where the probabilities are not 0 < p_miss < 0.5 < p_hit < 1, or a length makes no sense.
+        """
+        if not 0.0 < self.p_miss < 0.5 < self.p_hit < 1.0:
+            raise ConfigError(
+                f"p_miss={self.p_miss:g} p_hit={self.p_hit:g}: needs 0 < p_miss < 0.5 < p_hit < 1"
+            )
+        if not 0.0 <= self.depth_min_m < self.depth_max_m < math.inf:
+            raise ConfigError(
+                f"depth from {self.depth_min_m:g} to {self.depth_max_m:g} m; needs 0 <= min < max"
+            )
+        if not (self.radius_m > 0.0 and self.voxel_m >= 0.0 and self.least_points >= 1):
+            raise ConfigError(
+                f"radius_m={self.radius_m:g} voxel_m={self.voxel_m:g} least_points={self.least_points}: "
+                "needs a radius above 0, a voxel of 0 or more and at least 1 point"
+            )
+
+
+def depth_board(
+    frame: RgbdFrame,
+    T_grid_camera: FloatArray,
+    model: DepthModel,
+    cell_m: float,
+    distortion: LensDistortion | None = None,
+) -> Board | None:
+    """The evidence of one depth image; None where it has no reading within reach.
+
+    Parameters
+    ----------
+    T_grid_camera
+        (4, 4) of the optical frame in the lattice's axes, z up from the floor.
+    cell_m
+        Side of a cell; more than the model's radius (Yang2021: R > r).
+    distortion
+        Of the depth image, where the log does not come undistorted.
+
+    Raises
+    ------
+    ConfigError
+        Where the cell is not larger than the radius.
+    """
+    if not cell_m > model.radius_m:
+        raise ConfigError(
+            f"cells of {cell_m:g} m with radius_m {model.radius_m:g}; a cell must be larger (Yang2021: R > r)"
+        )
+    rays, rays32 = _rays_of(frame.depth_m.shape, frame.intrinsics, distortion)
+    depth_m = np.where(np.isfinite(frame.depth_m), frame.depth_m, np.float32(0.0))
+    if not (depth_m > 0.0).any():
+        return None
+    matrix = np.ascontiguousarray(T_grid_camera, dtype=np.float64)
+    box = view_box(depth_m, rays32, matrix, model.depth_max_m, cell_m)
+    bins = min(MAX_BINS, max(1, math.ceil((model.band.high_m - model.band.low_m) / _BIN_M)))
+    noise = (model.noise.floor_m, model.noise.share, model.noise.per_m)
+    band_m = (model.band.low_m, model.band.high_m)
+    mask = heights_seen(
+        *(depth_m, rays32, matrix, box, cell_m, model.depth_max_m, band_m, bins, noise),
+        *(model.margin_sigmas, _FREE_STRIDES),
+    )
+    every_height = np.uint32((1 << (bins + 1)) - 1)
+    steps = np.where(mask == every_height, np.int16(evidence_steps(model.p_miss)), np.int16(0))
+    every = (slice(None, None, model.pixel_stride),) * 2
+    cells = _hit_cells(depth_m[every], rays[every], matrix, model, cell_m)
+    rows, cols = cells[:, 1] - box[0], cells[:, 0] - box[1]
+    centres_m = (cells + 0.5) * cell_m - matrix[:2, 3]
+    steps[rows, cols] = _hits_by_range(model, cell_m)[_place(np.hypot(*centres_m.T))]
+    return Board(steps, box[0], box[1])
+
+
+def _hit_cells(
+    depth_m: Float32Array, rays: Rays, T_grid_camera: FloatArray, model: DepthModel, cell_m: float
+) -> NDArray[np.int64]:
+    """(M, 2) column and row of the cells with enough points of an obstacle."""
+    usable = np.where((depth_m >= model.depth_min_m) & (depth_m <= model.depth_max_m), depth_m, 0.0)
+    points = back_project(usable, rays)
+    # How far noise along the ray lifts a point.
+    lift = np.abs(T_grid_camera[2, :3] @ (points / points[:, 2:]).T) if len(points) else np.zeros(0)
+    margin_m = model.margin_sigmas * lift * model.noise.sigma_m(points[:, 2])
+    left = obstacle_points(
+        to_frame(points, T_grid_camera),
+        model.band,
+        margin_m=margin_m,
+        radius_m=model.radius_m,
+        least_neighbours=model.least_neighbours,
+        voxel_m=model.voxel_m,
+    )
+    cells, counts = count_in_cells(left, cell_m)
+    return cells[counts >= model.least_points]
+
+
+_BINS_A_M = 20
+
+
+def _place(range_m: FloatArray) -> NDArray[np.intp]:
+    """Where a range is found in the table of `_hits_by_range`."""
+    return np.asarray(range_m * _BINS_A_M).astype(np.intp)
+
+
+@lru_cache(maxsize=8)
+def _hits_by_range(model: DepthModel, cell_m: float) -> Steps:
+    """Evidence of a hit, long enough for the corners of the view."""
+    return hit_evidence(model.noise, model.p_hit, cell_m, 3.0 * model.depth_max_m + cell_m, _BINS_A_M)
+
+
+@lru_cache(maxsize=8)
+def _rays_of(
+    shape: tuple[int, int], camera: CameraIntrinsics, distortion: LensDistortion | None
+) -> tuple[Rays, Float32Array]:
+    """Where the pixels look, in both precisions."""
+    rays = pixel_rays(shape, Intrinsics(camera.fx, camera.fy, camera.cx, camera.cy), distortion)
+    return rays, rays.astype(np.float32)

@@ -1,0 +1,137 @@
+"""Sums of evidence in square tiles: memory for what was seen only, and the least used tiles go to disk.
+
+Evidence is in whole steps of log-odds (`fusion.bayes.STEPS_A_UNIT`): sums are exact, so the order in which
+boards come, or in which partial maps are merged, changes nothing.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import weakref
+from collections import OrderedDict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.errors import ScanweaveError
+from slam.mapping.ray_tracing import Box
+
+Steps: TypeAlias = NDArray[np.int16]
+Tile: TypeAlias = NDArray[np.int32]
+
+SIDE = 256
+TILE_BYTES = SIDE * SIDE * 4
+
+
+class Board(NamedTuple):
+    """What one reading says about a rectangle of cells: steps of evidence, its first row and column."""
+
+    steps: Steps
+    row: int
+    col: int
+
+    def box(self) -> Box:
+        """First row, first col, rows, cols."""
+        return self.row, self.col, *self.steps.shape
+
+
+class EvidenceTiles:
+    """The sum of all boards, on an endless lattice.
+
+    Parameters
+    ----------
+    memory_mb
+        Tiles beyond this (10^6 bytes) wait in a temporary folder, which goes with this object.
+    """
+
+    def __init__(self, memory_mb: float = 128.0) -> None:
+        self._held: OrderedDict[tuple[int, int], Tile] = OrderedDict()
+        self._most = max(4, int(memory_mb * 1e6 / TILE_BYTES))
+        self._spilled: set[tuple[int, int]] = set()
+        self._folder: Path | None = None
+        self.used: Box | None = None
+
+    def add(self, board: Board) -> None:
+        """Li2020 Eq. (8) for every cell of a board."""
+        box = board.box()
+        for key, tile_part, board_part in _parts(box):
+            # Boards are mostly empty at their rims: no tile for nothing.
+            if key in self._held or key in self._spilled or board.steps[board_part].any():
+                self._tile(key)[tile_part] += board.steps[board_part]
+        self.used = box if self.used is None else union(self.used, box)
+
+    def merge(self, other: EvidenceTiles) -> None:
+        """Add all that another holds; which of the two is added to which changes nothing."""
+        if other.used is None:
+            return
+        for key in [*other._held, *other._spilled]:
+            own = self._tile(key)
+            own += other._tile(key)
+        self.used = other.used if self.used is None else union(self.used, other.used)
+
+    def clipped(self, box: Box, low: int, high: int) -> Steps:
+        """(rows, cols) of the sums in a box, between two bounds."""
+        steps = np.zeros(box[2:], dtype=np.int16)
+        for key, tile_part, part in _parts(box):
+            if key in self._held or key in self._spilled:
+                steps[part] = np.clip(self._tile(key)[tile_part], low, high)
+        return steps
+
+    def _tile(self, key: tuple[int, int]) -> Tile:
+        """A tile, from memory, from disk, or new; now the last one used."""
+        tile = self._held.get(key)
+        if tile is None:
+            tile = self._load(key) if key in self._spilled else np.zeros((SIDE, SIDE), dtype=np.int32)
+            self._held[key] = tile
+            if len(self._held) > self._most:
+                self._spill(*self._held.popitem(last=False))
+        else:
+            self._held.move_to_end(key)
+        return tile
+
+    def _spill(self, key: tuple[int, int], tile: Tile) -> None:
+        """Put a tile on disk."""
+        try:
+            if self._folder is None:
+                self._folder = Path(tempfile.mkdtemp(prefix="scanweave-tiles-"))
+                weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
+            tile.tofile(self._path(key))
+        except OSError as error:
+            raise ScanweaveError(
+                f"cannot keep tiles of the map in {self._folder or tempfile.gettempdir()}: "
+                f"{error.strerror or error}; set TMPDIR to a folder with free space"
+            ) from error
+        self._spilled.add(key)
+
+    def _load(self, key: tuple[int, int]) -> Tile:
+        """Take a tile back from disk."""
+        self._spilled.discard(key)
+        try:
+            return np.fromfile(self._path(key), dtype=np.int32).reshape(SIDE, SIDE)
+        except (OSError, ValueError) as error:
+            raise ScanweaveError(f"a tile of the map is gone from {self._folder}; run again") from error
+
+    def _path(self, key: tuple[int, int]) -> Path:
+        assert self._folder is not None
+        return self._folder / f"{key[0]}_{key[1]}.tile"
+
+
+def union(a: Box, b: Box) -> Box:
+    """The smallest (first row, first col, rows, cols) that holds both."""
+    row, col = min(a[0], b[0]), min(a[1], b[1])
+    return row, col, max(a[0] + a[2], b[0] + b[2]) - row, max(a[1] + a[3], b[1] + b[3]) - col
+
+
+def _parts(box: Box) -> Iterator[tuple[tuple[int, int], tuple[slice, slice], tuple[slice, slice]]]:
+    """The tiles that a box meets: key, the part of the tile, and the part of the box."""
+    row, col, rows, cols = box
+    for i in range(row // SIDE, (row + rows - 1) // SIDE + 1):
+        for j in range(col // SIDE, (col + cols - 1) // SIDE + 1):
+            top, left = max(row, i * SIDE), max(col, j * SIDE)
+            bottom, right = min(row + rows, (i + 1) * SIDE), min(col + cols, (j + 1) * SIDE)
+            tile = (slice(top - i * SIDE, bottom - i * SIDE), slice(left - j * SIDE, right - j * SIDE))
+            yield (i, j), tile, (slice(top - row, bottom - row), slice(left - col, right - col))
