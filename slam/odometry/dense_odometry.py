@@ -23,7 +23,7 @@ _LEAST_FITNESS = 0.3
 
 
 class DenseOdometry:
-    """The nearest keyframe against the frame, surfaces and brightness."""
+    """The nearest keyframe against the frame, surfaces and brightness; features alone where that fails."""
 
     def __init__(self, config: RgbdOdometryConfig) -> None:
         self._config = config
@@ -44,7 +44,7 @@ class DenseOdometry:
         camera = o3d.core.Tensor.from_numpy(np.array([[k.fx, 0.0, k.cx], [0.0, k.fy, k.cy], [0.0, 0.0, 1.0]]))
         farthest_m = float(frame.depth_m.max())
         if farthest_m <= 0.0:
-            return None
+            return seed
         loss = odometry.OdometryLossParams(self._config.gate_m, 0.5 * self._config.gate_m, _INTENSITY_SCALE)
         try:
             result = odometry.rgbd_odometry_multi_scale(
@@ -59,10 +59,10 @@ class DenseOdometry:
                 loss,
             )
         except RuntimeError:
-            return None  # Open3D's word for a singular system
+            return seed  # Open3D's word for a singular system
         step: FloatArray = result.transformation.numpy()
         if not np.isfinite(step).all() or result.fitness < _LEAST_FITNESS:
-            return None
+            return seed
         information = odometry.compute_odometry_information_matrix(
             source.depth, target.depth, camera, result.transformation, self._config.gate_m, 1.0, farthest_m
         ).numpy()

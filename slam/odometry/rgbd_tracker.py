@@ -96,7 +96,7 @@ class RgbdTracker:
         if match is None and self._last is not None:
             # A camera that was held still or shaken has not moved on with constant velocity.
             match = self._odometry.match(frame, self._most_alike(self._last.pose), self._last.pose)
-        if match is None:
+        if match is None or (self._lost and not self._found_again(match)):
             self._lost += 1
             restart = self._lost >= self._config.lost_after
             pose = self._last.pose if self._last is not None else guess
@@ -106,6 +106,12 @@ class RgbdTracker:
         self._lost = 0
         pose = match.pose
         return TrackedFrame(pose, match, self._moved_on(frame, pose, match), restarted=False)
+
+    def _found_again(self, match: VisualMatch) -> bool:
+        """Whether a match ends a loss: a wall may be another one, unless its texture or a corner tells."""
+        if match.feature_count >= self._config.least_inliers:
+            return True
+        return match.motion.converged and not match.motion.degenerate
 
     def _most_alike(self, pose: gtsam.Pose3) -> list[VisualKeyframe]:
         """Keyframes of the local map whose cameras saw most nearly the same, best first."""

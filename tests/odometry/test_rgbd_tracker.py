@@ -21,9 +21,15 @@ STEP = gtsam.Pose3(gtsam.Rot3.Ry(0.02), np.array([0.03, 0.0, 0.0]))
 FAR = gtsam.Pose3(gtsam.Rot3.Ry(0.5), np.zeros(3))
 
 
-def match_at(pose: gtsam.Pose3, overlap: float = 0.9) -> VisualMatch:
-    motion = MotionEstimate(pose, np.eye(6) * 1e-6, 0.9, 0.9, 0.001, True, False, np.zeros(6))
-    return VisualMatch(motion, overlap, 50, 0.5)
+def match_at(
+    pose: gtsam.Pose3,
+    overlap: float = 0.9,
+    features: int = 50,
+    converged: bool = True,
+    degenerate: bool = False,
+) -> VisualMatch:
+    motion = MotionEstimate(pose, np.eye(6) * 1e-6, 0.9, 0.9, 0.001, converged, degenerate, np.zeros(6))
+    return VisualMatch(motion, overlap, features, 0.5)
 
 
 @pytest.fixture(scope="module")
@@ -137,6 +143,25 @@ def test_long_lost_starts_anew_where_it_was_last_seen(picture: PreparedFrame) ->
     # The count begins again.
     run.answer = lambda guess: None
     assert [run.at(0.6 + 0.1 * n).restarted for n in range(4)] == [False, False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("features", "converged", "degenerate", "believed"),
+    [(50, False, True, True), (2, True, False, True), (2, False, False, False), (2, True, True, False)],
+    ids=["texture", "a corner", "still sliding", "a wall"],
+)
+def test_a_wall_alone_does_not_end_a_loss(
+    features: int, converged: bool, degenerate: bool, believed: bool, picture: PreparedFrame
+) -> None:
+    """Any wall fits any other. While tracking goes on, that is enough; after a loss it is not."""
+    run = Run(picture)
+    run.at(0.0)
+    run.answer = lambda guess: match_at(STEP, 0.9, features, converged, degenerate)
+    assert run.at(0.1).match is not None
+    run.answer = lambda guess: None
+    run.at(0.2)
+    run.answer = lambda guess: match_at(STEP, 0.9, features, converged, degenerate)
+    assert (run.at(0.3).match is not None) == believed
 
 
 def test_a_match_in_between_ends_the_count(picture: PreparedFrame) -> None:
