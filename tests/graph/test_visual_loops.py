@@ -39,13 +39,12 @@ class Walk:
     def keyframe(self, key: int) -> PreparedFrame:
         return self.frames[key]
 
-    def add(self, frame: PreparedFrame, pose: gtsam.Pose3) -> list[LoopCandidate]:
-        """As the mapper does: loops first, then the looks are remembered."""
+    def add(self, frame: PreparedFrame, pose: gtsam.Pose3, *, adrift: bool = False) -> list[LoopCandidate]:
+        """As the mapper does."""
         self.frames.append(frame)
         self.poses.append(pose)
-        self._closer.add_keyframe(frame)
-        found = self._closer.close(len(self.frames) - 1, self.poses)
-        return found
+        self._closer.add_keyframe(frame, adrift=adrift)
+        return self._closer.close(len(self.frames) - 1, self.poses)
 
     def through(self, frames: list[PreparedFrame], poses: list[gtsam.Pose3]) -> list[LoopCandidate]:
         return [loop for frame, pose in zip(frames, poses, strict=True) for loop in self.add(frame, pose)]
@@ -117,3 +116,17 @@ def test_no_more_places_are_tried_than_asked(views: list[PreparedFrame]) -> None
 
 def test_disabled_means_none(views: list[PreparedFrame]) -> None:
     assert Walk(enabled=False).through(views, TRUE) == []
+
+
+def test_what_is_adrift_is_joined_by_its_looks_alone(views: list[PreparedFrame]) -> None:
+    """After a loss nobody knows where the camera is: poses propose nothing until looks have told."""
+    walk = Walk(by_looks=0)
+    walk.through(views[:-1], TRUE[:-1])
+    assert walk.add(views[5], RETURN, adrift=True) == []
+    walk = Walk()
+    walk.through(views[:-1], TRUE[:-1])
+    loops = walk.add(views[5], RETURN, adrift=True)
+    assert [loop.place for loop in loops if loop.accepted] == [0]
+    # From here on it is known again, and near places are tried.
+    later = walk.add(views[0], HOME)
+    assert 0 in {loop.place for loop in later}

@@ -1,0 +1,211 @@
+"""Camera keyframes in space, and camera edges on the floor: chains, loops, and what GNC refuses."""
+
+from __future__ import annotations
+
+import math
+
+import gtsam
+import numpy as np
+import pytest
+
+from slam.config_stages import GraphConfig
+from slam.graph.keyframe_graph import KeyframeGraph, Step
+from slam.graph.loop_closure import LoopCandidate
+from slam.graph.pose_graph import EdgeKind
+from slam.graph.spatial_graph import SpatialGraph
+from slam.measurements import FloatArray, MotionEstimate
+
+SIDES = 12
+# A regular walk that turns once around and climbs nothing.
+STEP = gtsam.Pose3(gtsam.Rot3.Ry(2.0 * math.pi / SIDES), np.array([0.3, 0.0, 0.05]))
+DRIFT = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.004, -0.003, 0.006), np.array([0.01, -0.008, 0.012]))
+COVARIANCE = np.diag([0.01**2] * 3 + [0.02**2] * 3)
+ORIGINS = [gtsam.Pose3(), gtsam.Pose3(gtsam.Rot3.RzRyRx(0.3, -0.4, 2.0), np.array([5.0, -6.0, 7.0]))]
+
+
+def loop(place: int, keyframe: int, motion: gtsam.Pose3, *, accepted: bool = True) -> LoopCandidate:
+    estimate = MotionEstimate(motion, np.eye(6) * 1e-4, 0.9, 0.9, 0.01, True, False, np.zeros(6))
+    reason = "" if accepted else "too little fits"
+    return LoopCandidate(place, keyframe, 0.0, 0.0, 1.0, estimate, accepted, reason)
+
+
+def truth(origin: gtsam.Pose3, count: int) -> list[gtsam.Pose3]:
+    poses = [origin]
+    for _ in range(count):
+        poses.append(poses[-1] * STEP)
+    return poses
+
+
+def walked(origin: gtsam.Pose3, drift: gtsam.Pose3 = DRIFT) -> SpatialGraph:
+    graph = SpatialGraph(origin, GraphConfig())
+    for n in range(SIDES):
+        assert graph.add_keyframe(STEP * drift, COVARIANCE) == n + 1
+    return graph
+
+
+def worst_m(graph: SpatialGraph, origin: gtsam.Pose3) -> float:
+    """Greatest distance of a keyframe from its truth."""
+    pairs = zip(graph.poses(), truth(origin, SIDES), strict=True)
+    return max(float(np.linalg.norm(pose.translation() - true.translation())) for pose, true in pairs)
+
+
+@pytest.mark.parametrize("origin", ORIGINS)
+def test_without_loops_the_chain_is_the_answer(origin: gtsam.Pose3) -> None:
+    graph = walked(origin, gtsam.Pose3())
+    assert len(graph) == SIDES + 1
+    before = worst_m(graph, origin)
+    outcome = graph.optimize(0.99)
+    assert outcome.kept.all()
+    assert before < 1e-9
+    assert worst_m(graph, origin) < 1e-6
+
+
+@pytest.mark.parametrize("origin", ORIGINS)
+@pytest.mark.parametrize("batch", [False, True])
+def test_a_loop_closes_the_round(origin: gtsam.Pose3, batch: bool) -> None:
+    graph = walked(origin)
+    missed, last = worst_m(graph, origin), graph.poses()[-1]
+    true = truth(origin, SIDES)
+    graph.add_loop(loop(0, SIDES, true[0].between(true[-1])))
+    if batch:
+        assert graph.optimize(0.99).kept.all()
+    else:
+        graph.update()
+    apart = [
+        float(np.linalg.norm(end.translation() - origin.translation())) for end in (last, graph.poses()[-1])
+    ]
+    assert apart[1] < 0.5 * apart[0]
+    assert worst_m(graph, origin) < missed
+    assert graph.loops[0].accepted
+
+
+def test_update_without_a_loop_changes_nothing() -> None:
+    graph = walked(ORIGINS[0])
+    before = [pose.matrix() for pose in graph.poses()]
+    graph.update()
+    np.testing.assert_array_equal(before, [pose.matrix() for pose in graph.poses()])
+
+
+def test_the_chain_goes_on_from_the_corrected_poses() -> None:
+    graph = walked(ORIGINS[0])
+    true = truth(ORIGINS[0], SIDES)
+    graph.add_loop(loop(0, SIDES, true[0].between(true[-1])))
+    graph.update()
+    last = graph.poses()[-1]
+    graph.add_keyframe(STEP, COVARIANCE)
+    assert graph.poses()[-1].equals(last * STEP, 1e-9)
+
+
+def test_a_false_loop_is_refused_and_said_so() -> None:
+    """A metre and half a turn off, against a chain and two true loops."""
+    graph = walked(ORIGINS[0])
+    true = truth(ORIGINS[0], SIDES)
+    graph.add_loop(loop(0, SIDES, true[0].between(true[-1])))
+    graph.add_loop(loop(1, SIDES - 1, true[1].between(true[SIDES - 1])))
+    wrong = true[2].between(true[8]) * gtsam.Pose3(gtsam.Rot3.Ry(1.5), np.array([1.0, 0.0, 0.0]))
+    graph.add_loop(loop(2, 8, wrong))
+    outcome = graph.optimize(0.99)
+    assert outcome.kept.tolist() == [True] * (SIDES + 2) + [False]
+    assert [candidate.accepted for candidate in graph.loops] == [True, True, False]
+    assert "GNC" in graph.loops[2].reason
+    assert worst_m(graph, ORIGINS[0]) < 0.08
+
+
+def test_a_refused_candidate_is_told_but_no_edge() -> None:
+    graph = walked(ORIGINS[0])
+    graph.add_loop(loop(0, SIDES, gtsam.Pose3(), accepted=False))
+    assert len(graph.graph.edges) == SIDES
+    assert [candidate.reason for candidate in graph.loops] == ["too little fits"]
+
+
+def test_a_step_that_nothing_measured_yields_to_a_loop() -> None:
+    """A camera that was covered for a while: the guess is half a metre off, the loop says where it is."""
+    graph = SpatialGraph(ORIGINS[0], GraphConfig())
+    for n in range(4):
+        graph.add_keyframe(STEP, COVARIANCE if n != 2 else None)
+    assert graph.graph.edges[2].kind is EdgeKind.ASSUMED
+    assert {edge.kind for edge in graph.graph.edges} == {EdgeKind.RGBD, EdgeKind.ASSUMED}
+    moved = STEP * STEP * STEP * gtsam.Pose3(gtsam.Rot3(), np.array([0.5, 0.0, 0.0])) * STEP
+    graph.add_loop(loop(0, 4, moved))
+    graph.optimize(0.99)
+    assert graph.loops[0].accepted
+    assert np.linalg.norm(graph.poses()[4].translation() - moved.translation()) < 0.03
+    assert np.linalg.norm(graph.poses()[2].translation() - (STEP * STEP).translation()) < 0.03
+
+
+SURE = np.eye(3) * 0.01**2
+AHEAD = np.array([0.2, 0.0, 0.05])
+
+
+def told(motion: FloatArray = AHEAD, covariance: FloatArray = SURE) -> Step:
+    return Step(motion, covariance)
+
+
+class TestCamerasOnTheFloor:
+    """What a planar keyframe is held by, as sensors come and go."""
+
+    @pytest.mark.parametrize(
+        ("match", "wheels", "cameras", "doubtful", "kinds"),
+        [
+            (True, True, 0, False, ["LIDAR+", "WHEEL-"]),
+            (True, True, 2, False, ["LIDAR+", "WHEEL-", "RGBD-", "RGBD-"]),
+            (True, False, 1, True, ["LIDAR-", "ASSUMED+", "RGBD-"]),
+            (False, True, 1, True, ["WHEEL+", "RGBD-"]),
+            (False, False, 1, True, ["RGBD-", "ASSUMED+"]),
+            (False, False, 0, True, ["ASSUMED+"]),
+        ],
+    )
+    def test_something_trusted_always_holds_the_chain(
+        self, match: bool, wheels: bool, cameras: int, doubtful: bool, kinds: list[str]
+    ) -> None:
+        graph = KeyframeGraph(GraphConfig())
+        graph.add_keyframe(
+            AHEAD,
+            told() if match else None,
+            told() if wheels else None,
+            [told()] * cameras,
+            match_doubtful=doubtful,
+        )
+        edges = graph.graph.edges
+        assert [f"{edge.kind.name}{'+' if edge.trusted else '-'}" for edge in edges] == kinds
+        outcome = graph.optimize(0.99)
+        assert outcome.kept.all()
+        np.testing.assert_allclose(graph.poses(), [np.zeros(3), AHEAD], atol=1e-6)
+
+    def test_a_wrong_camera_is_refused(self) -> None:
+        graph = KeyframeGraph(GraphConfig())
+        for _ in range(5):
+            wrong = told(AHEAD + np.array([0.5, 0.0, 0.0]))
+            graph.add_keyframe(AHEAD, told(), told(AHEAD, SURE * 9.0), [wrong])
+        outcome = graph.optimize(0.99)
+        kinds = [edge.kind for edge in graph.graph.edges]
+        assert [kind for kind, kept in zip(kinds, outcome.kept, strict=True) if not kept] == [
+            EdgeKind.RGBD
+        ] * 5
+
+    def test_a_lidar_that_follows_a_person_is_refused(self) -> None:
+        """Two cameras and the wheels against a match that was contradicted."""
+        graph = KeyframeGraph(GraphConfig())
+        for n in range(6):
+            lidar = AHEAD if n != 3 else AHEAD + np.array([-0.6, 0.4, 0.3])
+            graph.add_keyframe(
+                lidar, told(lidar), told(AHEAD, SURE * 4.0), [told(), told()], match_doubtful=n == 3
+            )
+        graph.optimize(0.99)
+        expected = gtsam.Pose2()
+        for _ in range(6):
+            expected = expected.compose(gtsam.Pose2(*AHEAD))
+        np.testing.assert_allclose(
+            graph.poses()[-1], [expected.x(), expected.y(), expected.theta()], atol=0.03
+        )
+
+    def test_a_step_learned_later_joins_its_ends(self) -> None:
+        graph = KeyframeGraph(GraphConfig())
+        for _ in range(3):
+            graph.add_keyframe(AHEAD, told(covariance=SURE * 100.0), None)
+        graph.add_camera_step(1, 2, told(AHEAD + np.array([0.04, 0.0, 0.0]), SURE * 0.01))
+        edge = graph.graph.edges[-1]
+        assert (edge.source, edge.target, edge.kind, edge.trusted) == (1, 2, EdgeKind.RGBD, False)
+        graph.optimize(0.99)
+        step = gtsam.Pose2(*graph.poses()[1]).between(gtsam.Pose2(*graph.poses()[2]))
+        assert step.x() == pytest.approx(0.24, abs=1e-3)
