@@ -20,6 +20,7 @@ from slam.measurements import CameraIntrinsics, FloatArray, RgbdFrame
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame
 
 SMALL = CameraIntrinsics(132.0, 131.0, 79.2, 60.3, 160, 120)
+LESS = CameraIntrinsics(198.0, 197.0, 119.1, 90.6, 240, 180)
 MIDDLE = CameraIntrinsics(264.0, 262.0, 158.9, 121.1, 320, 240)
 DEPTH_STEPS_PER_M = 5000
 
@@ -94,10 +95,11 @@ def render(
     *,
     noise: tuple[float, float] = (0.0, 0.0),
     seed: int = 0,
+    smooth: bool = True,
     sensor: str = "camera",
     T_base_camera: gtsam.Pose3 | None = None,
 ) -> RgbdFrame:
-    """Depth along the ray of every pixel's centre, colour as the mean of four rays a pixel.
+    """Depth along the ray of every pixel's centre, colour as the mean of four rays a pixel if smooth.
 
     Parameters
     ----------
@@ -105,9 +107,10 @@ def render(
         Sigma of depth: floor, and share of the squared distance.
     """
     pose = room.frame.inverse() * T_world_camera
-    depth_m, _ = _cast(room, pose, *_pixel_centres(camera, 1))
-    _, gray = _cast(room, pose, *_pixel_centres(camera, 2))
-    gray = gray.reshape(camera.height, 2, camera.width, 2).mean(axis=(1, 3))
+    depth_m, gray = _cast(room, pose, *_pixel_centres(camera, 1))
+    if smooth:
+        _, gray = _cast(room, pose, *_pixel_centres(camera, 2))
+        gray = gray.reshape(camera.height, 2, camera.width, 2).mean(axis=(1, 3))
     if any(noise):
         sigma = noise[0] + noise[1] * depth_m**2
         depth_m = depth_m + sigma * np.random.default_rng(seed).standard_normal(depth_m.shape)
