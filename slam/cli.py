@@ -76,6 +76,9 @@ def map_command(
     set_: SetOption = None,
     no_odometry: Annotated[bool, typer.Option("--no-odometry", help="ignore the wheels")] = False,
     no_loops: Annotated[bool, typer.Option("--no-loops", help="close no loops")] = False,
+    no_fusion: Annotated[
+        bool, typer.Option("--no-fusion", help="do not let lidar and cameras repair each other")
+    ] = False,
     strict: StrictOption = False,
 ) -> None:
     """Map a log: trajectory, graph, grid and report."""
@@ -83,7 +86,9 @@ def map_command(
     if no_odometry:
         overrides.append("lidar_odometry.use_wheel_odometry=false")
     if no_loops:
-        overrides.append("loops.enabled=false")
+        overrides += ["loops.enabled=false", "visual_loops.enabled=false"]
+    if no_fusion:
+        overrides.append("fusion.enabled=false")
     _map(log, out, config, overrides, strict)
 
 
@@ -240,6 +245,8 @@ def _map(log: Path, out: Path, config: str | None, overrides: list[str], strict:
     write_report(out / "report.html", data)
     for warning in data.warnings:
         print(f"warning: {warning}", file=sys.stderr)
+    for note in result.notes:
+        print(note)
     accepted = sum(loop.accepted for loop in result.loops)
     print(
         f"{data.scans} {data.unit}s, {len(result.keyframe_poses)} keyframes, {data.path_length_m:.1f} m, "

@@ -20,6 +20,7 @@ from pydantic_core import ErrorDetails
 from slam.config_stages import (
     BundleConfig,
     DenseMapConfig,
+    FusionConfig,
     GraphConfig,
     GridConfig,
     KeyframeConfig,
@@ -60,6 +61,7 @@ class Config(StrictModel):
     keyframes: KeyframeConfig = KeyframeConfig()
     loops: LoopConfig = LoopConfig()
     graph: GraphConfig = GraphConfig()
+    fusion: FusionConfig = FusionConfig()
     grid: GridConfig = GridConfig()
     dense_map: DenseMapConfig = DenseMapConfig()
 

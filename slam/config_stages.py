@@ -300,3 +300,14 @@ class BundleConfig(StrictModel):
     linked: int = Field(default=3, ge=1, description="keyframes whose features a new one is matched to")
     landmarks: int = Field(default=300, ge=20, description="landmarks at most")
     gate_px: float = Field(default=4.0, gt=0, description="reprojection error of a match that is believed")
+
+
+class FusionConfig(StrictModel):
+    """Repair of scans and depth images by each other (Xu2024)."""
+
+    enabled: bool = Field(default=True, description="repair keyframes before they are drawn into the grid")
+    tolerance_s: float = Field(default=0.15, gt=0, description="time between a scan and its image at most")
+    least_pairs: int = Field(
+        default=50, ge=1, description="pairs that must be summed before the rig is believed"
+    )
+    examples: int = Field(default=6, ge=1, description="keyframes that the report shows before and after")

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import PoseGraph
+from slam.keyframe_fusion import FusionSummary
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import BoolArray, FloatArray, LaserScan, RgbdFrame, Trajectory
 from slam.scan_record import CameraRecord, ScanRecord
@@ -52,6 +53,10 @@ class MapResult:
         Wall time by stage.
     warnings
         One line each, for people.
+    notes
+        What was found out on the way, one line each: mountings, registrations, the fusion.
+    fused
+        What scans and depth images repaired of each other; None where there were not both.
     dense
         Camera keyframes for a coloured map; None where there is no camera.
     cameras
@@ -69,5 +74,7 @@ class MapResult:
     grid: OccupancyGrid | None
     stage_seconds: dict[str, float]
     warnings: list[str]
+    notes: list[str] = field(default_factory=list)
     dense: DenseKeyframes | None = None
+    fused: FusionSummary | None = None
     cameras: Mapping[str, CameraRecord] = field(default_factory=dict)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from slam.config import Config
 from slam.errors import ScanweaveError
 from slam.graph.keyframe_graph import KeyframeGraph, Step
 from slam.graph.loop_closure import LoopCandidate, LoopCloser
+from slam.keyframe_fusion import KeyframeFusion
 from slam.keyframe_store import registration_notes
 from slam.map_result import MapResult
 from slam.mapping.occupancy_grid import InverseSensorModel, OccupancyGrid, PosedScan, build_grid
@@ -52,6 +53,7 @@ class PlanarMapper:
         self._last_keyframe: TrackedScan | None = None
         self._cameras = RobotCameras(config.rgbd_odometry, config.sensors)
         self._places = PlanarPlaces(config)
+        self._fusion = KeyframeFusion(config.fusion) if config.fusion.enabled else None
         self._marks: CameraMarks = {}
         self._keyframe_marks: CameraMarks = {}
         self._scan_stamp_s = -np.inf
@@ -127,10 +129,14 @@ class PlanarMapper:
         keyframe_poses = self._graph.poses()
         trajectory = self._readings.trajectory(keyframe_poses)
         clock.append(time.perf_counter())
-        grid, warnings = self._build_grid(keyframe_poses)
+        scans_fused, fused = self._keyframe_scans, None
+        if self._fusion is not None:
+            scans_fused, fused = self._fusion.repair(self._keyframe_scans)
+        clock.append(time.perf_counter())
+        grid, warnings = self._build_grid(scans_fused, keyframe_poses)
         clock.append(time.perf_counter())
         scans = self._record.finish()
-        stages = ("final optimisation", "full trajectory", "occupancy grid")
+        stages = ("final optimisation", "full trajectory", "fusion", "occupancy grid")
         return MapResult(
             trajectory=trajectory,
             keyframe_poses=keyframe_poses,
@@ -145,8 +151,14 @@ class PlanarMapper:
                 "scans": float(scans.seconds.sum()),
                 **dict(zip(stages, np.diff(clock).tolist(), strict=True)),
             },
-            warnings=[*warnings, *registration_notes(self._registrations), *self._cameras.notes()],
+            warnings=[*warnings, *self._cameras.warnings()],
+            notes=[
+                *registration_notes(self._registrations),
+                *self._cameras.notes(),
+                *([] if fused is None else [fused.note]),
+            ],
             dense=self._places.dense(keyframe_poses),
+            fused=fused,
         )
 
     def _moved_on(self, tracked: TrackedScan) -> bool:
@@ -182,6 +194,8 @@ class PlanarMapper:
         self._closer.add_keyframe(seen, tracked.pose, self._travelled_m)
         self._readings.mark_keyframe()
         self._keyframe_scans.append(scan)
+        if self._fusion is not None and scan is not None:
+            self._fusion.add(key, scan, self._cameras.pictures(self._marks))
         self._keyframe_stamp_s = stamp_s
         self._keyframe_marks = self._marks
         self._last_keyframe = tracked
@@ -219,7 +233,9 @@ class PlanarMapper:
             return None
         return Step(motion, self._wheels.covariance(motion) * self._tracker.wheel_doubt + tracked.dispute)
 
-    def _build_grid(self, keyframe_poses: FloatArray) -> tuple[OccupancyGrid | None, list[str]]:
+    def _build_grid(
+        self, scans_fused: Sequence[LaserScan | None], keyframe_poses: FloatArray
+    ) -> tuple[OccupancyGrid | None, list[str]]:
         """The grid from the optimised keyframes; a map that would not fit in memory is a warning."""
         settings = self._config.grid
         model = InverseSensorModel(
@@ -230,10 +246,10 @@ class PlanarMapper:
         )
         scans = (
             PosedScan.of(scan, pose2_from_row(pose))
-            for scan, pose in zip(self._keyframe_scans, keyframe_poses, strict=True)
+            for scan, pose in zip(scans_fused, keyframe_poses, strict=True)
             if scan is not None
         )
-        if all(scan is None for scan in self._keyframe_scans):
+        if all(scan is None for scan in scans_fused):
             return None, []
         try:
             return build_grid(scans, settings.resolution_m, model, max_cells=settings.greatest_cells), []

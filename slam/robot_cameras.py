@@ -12,6 +12,7 @@ from slam.graph.keyframe_graph import Step
 from slam.measurements import FloatArray
 from slam.mount_learner import KeyframeStep, MountLearner
 from slam.odometry.camera_odometry import CameraOdometry, CameraPose, camera_step
+from slam.vision.camera_frame import T_BODY_CAMERA
 from slam.vision.planar_motion import PlanarMotion, planar_motion
 from slam.vision.prepared_frame import PreparedFrame
 
@@ -98,6 +99,20 @@ class RobotCameras:
             return Picture(camera.newest, camera.T_base_camera.compose(since))
         return None
 
+    def pictures(self, marks: CameraMarks) -> list[Picture]:
+        """The newest frame of every camera; one that is lost or not yet placed is taken as it stands."""
+        found = []
+        for name in sorted(self.cameras):
+            camera = self.cameras[name]
+            if camera.newest is None:
+                continue
+            mounting = T_BODY_CAMERA if camera.T_base_camera is None else camera.T_base_camera
+            mark = marks.get(name)
+            if mark is not None and camera.newest_pose is not None:
+                mounting = mounting.compose(mark.pose.between(camera.newest_pose))
+            found.append(Picture(camera.newest, mounting))
+        return found
+
     def steps(self, before: CameraMarks, after: CameraMarks) -> list[CameraStep]:
         """Motion between two moments by every camera that knows it and stays in the plane."""
         found = []
@@ -144,6 +159,11 @@ class RobotCameras:
         return found
 
     def notes(self) -> list[str]:
+        """The mountings that were learned."""
+        cameras = self.cameras.items()
+        return [camera.learner.note(name) for name, camera in cameras if camera.learner is not None]
+
+    def warnings(self) -> list[str]:
         """What a person should know, one line a camera that failed often."""
         lines = []
         for name, camera in self.cameras.items():
@@ -153,6 +173,4 @@ class RobotCameras:
             if camera.refused_steps > 0.01 * camera.steps:
                 refused = f"{camera.refused_steps:,} of {camera.steps:,}"
                 lines.append(f"{name}: {refused} motions left the floor and were refused")
-            if camera.learner is not None:
-                lines.append(camera.learner.note(name))
         return lines

@@ -104,7 +104,8 @@ class SpatialMapper:
                 "final optimisation": clock[1] - clock[0],
                 "full trajectory": clock[2] - clock[1],
             },
-            warnings=registration_notes(self._registrations),
+            warnings=[],
+            notes=registration_notes(self._registrations),
             dense=DenseKeyframes(self._store.images, cameras),
             cameras={
                 self._camera: CameraRecord(scans, registration=self._registrations.get(self._camera)),

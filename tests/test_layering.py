@@ -18,7 +18,9 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"slam.pipeline", "slam.localization"}),
     frozenset({"slam.planar_mapper", "slam.spatial_mapper"}),  # what the main loop feeds
     frozenset({"slam.mapper", "slam.planar_places", "slam.sliding_window"}),
-    frozenset({"slam.map_result", "slam.keyframe_store", "slam.robot_cameras"}),
+    frozenset({"slam.map_result", "slam.keyframe_store"}),
+    frozenset({"slam.keyframe_fusion"}),
+    frozenset({"slam.robot_cameras"}),
     frozenset({"slam.mount_learner"}),
     frozenset({"slam.storage", "slam.readings", "slam.scan_record"}),
     frozenset(

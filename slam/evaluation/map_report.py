@@ -119,7 +119,7 @@ def report_data(
         scan_times_s=scans.seconds,
         map_picture=None if result.grid is None else _picture(result.grid),
         loops=[_loop_row(loop, result.keyframe_poses, config) for loop in result.loops],
-        reader_notes=_reader_notes(reading) + _edge_notes(result),
+        reader_notes=_reader_notes(reading) + _edge_notes(result) + [("note", note) for note in result.notes],
         stage_times_s=result.stage_seconds,
         warnings=[*result.warnings, *_warnings(result), *beside.warnings],
         effective_config=dump_config(config),
