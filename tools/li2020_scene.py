@@ -43,8 +43,8 @@ def draw_scene(seed: int) -> Li2020Scene:
     first = len(things)
     things += [
         _box("tall_box", (2.2, 0.75), (0.18, 0.18), rng.uniform(0.45, 0.6), rng),
-        _box("low_box", (2.0, -0.15), (0.16, 0.14), rng.uniform(0.08, 0.2), rng),
-        _placed(chair(rng), (2.6, -0.75), rng),
+        _box("low_box", (2.0, -0.12), (0.16, 0.14), rng.uniform(0.08, 0.2), rng),
+        _placed(chair(rng), (2.7, -0.95), rng),
         _box("mat", (1.6, 0.35), (0.2, 0.15), rng.uniform(0.004, 0.008), rng),
         _box("beside", (0.2, 1.45), (0.17, 0.17), rng.uniform(0.45, 0.6), rng),
     ]

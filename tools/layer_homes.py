@@ -1,0 +1,125 @@
+"""Fused maps of furnished homes against the true grid: occupied-cell F1 of each layer, and low obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from slam.mapping.layered_map import LayeredMap
+from slam.mapping.occupancy_grid import OCCUPIED
+from slam.measurements import LaserScan, RgbdFrame
+from slam.simulation.drive import planar_mount
+from slam.simulation.home_model import Home
+from slam.simulation.rigs import Rig
+from slam.simulation.scene import Scene
+from slam.simulation.sensors import render_rgbd, scan_lidar
+from slam.simulation.tour import plan_tour
+from slam.simulation.true_grid import TrueGrid, drivable_cells
+
+EVERY_M, EVERY_RAD = 0.25, 0.26
+_AROUND = np.ones((3, 3), dtype=bool)
+_STREAM = 21
+
+Cells = NDArray[np.bool_]
+PosedReading = tuple[LaserScan | RgbdFrame, gtsam.Pose2]
+
+
+@dataclass(frozen=True)
+class CellScore:
+    """Precision against all true cells, recall of those that a robot can see or touch, within one cell."""
+
+    precision: float
+    recall: float
+
+    @property
+    def f1(self) -> float:
+        """Their harmonic mean."""
+        return 2.0 * self.precision * self.recall / max(self.precision + self.recall, 1e-9)
+
+
+def keyframes(home: Home, rig: Rig, seed: int) -> Iterator[PosedReading]:
+    """Scan and images every so many metres or radians of a tour through all rooms, at true poses."""
+    tour = plan_tour(home, rig.robot_radius_m, rig.robot_height_m, seed)
+    caster = Scene(home)
+    last = np.full(3, np.inf)
+    for index, row in enumerate(tour.poses_xyt):
+        moved = np.abs(row - last)
+        if np.hypot(moved[0], moved[1]) < EVERY_M and moved[2] < EVERY_RAD:
+            continue
+        last = row
+        yield from _readings(caster, rig, gtsam.Pose2(*row), float(index), seed)
+
+
+def _readings(
+    caster: Scene, rig: Rig, base: gtsam.Pose2, stamp_s: float, seed: int
+) -> Iterator[PosedReading]:
+    """All sensors of the rig at one pose."""
+    rng = np.random.default_rng([seed, _STREAM, int(stamp_s)])
+    body = gtsam.Pose3(base)
+    if rig.lidar is not None:
+        model = rig.lidar.model
+        seen = scan_lidar(caster, body.compose(rig.lidar.T_base_laser), model, rng)
+        angles = (model.start_angle_rad, model.step_rad, model.range_max_m)
+        yield LaserScan(stamp_s, seen.ranges_m, *angles, planar_mount(rig.lidar)), base
+    for camera in rig.cameras:
+        image = render_rgbd(caster, body.compose(camera.T_base_camera), camera.model, rng)
+        images = (image.color, image.depth_m, camera.model.intrinsics)
+        yield RgbdFrame(stamp_s, *images, camera.T_base_camera, camera.name), base
+
+
+def on_truth(states: NDArray[np.int8], built: LayeredMap, truth: TrueGrid) -> Cells:
+    """The occupied cells of a layer on the truth's grid; both lie on one lattice through the map's origin."""
+    corner = np.array([built.T_map_grid.x(), built.T_map_grid.y()])
+    shift = np.round((corner - truth.origin_xy) / truth.resolution_m).astype(int)
+    rows, cols = np.nonzero(states == OCCUPIED)
+    # What lies outside the truth is kept at its rim: it still counts as wrong.
+    laid = np.zeros(truth.occupied.shape, dtype=bool)
+    laid[np.clip(rows + shift[1], 0, laid.shape[0] - 1), np.clip(cols + shift[0], 0, laid.shape[1] - 1)] = (
+        True
+    )
+    return laid
+
+
+def to_be_seen(truth: TrueGrid, home: Home, reach_cells: int = 1) -> Cells:
+    """True cells that border on the floor which hangs together with the robot's start.
+
+    No sensor sees the inside of a wardrobe; a map can be asked for its faces.
+    """
+    labels, _ = ndimage.label(~truth.occupied)
+    col, row = np.floor((np.array(home.start_xy_yaw[:2]) - truth.origin_xy) / truth.resolution_m).astype(int)
+    floor = labels == labels[row, col]
+    return truth.occupied & ndimage.binary_dilation(floor, _AROUND, iterations=reach_cells)
+
+
+def score_cells(found: Cells, truth: Cells, wanted: Cells) -> CellScore:
+    """Within one cell: what was found is right near any true cell, what is wanted is met near one found."""
+    right = found & ndimage.binary_dilation(truth, _AROUND)
+    met = wanted & ndimage.binary_dilation(found, _AROUND)
+    return CellScore(
+        float(right.sum() / max(found.sum(), 1)),
+        float(met.sum() / max(wanted.sum(), 1)),
+    )
+
+
+def obstacles_found(
+    found: Cells, ids: NDArray[np.int32], names: Sequence[int], least_cells: int = 2
+) -> list[int]:
+    """Ids of obstacles that have at least so many occupied cells in or beside them."""
+    result = []
+    for name in names:
+        own = ndimage.binary_dilation(ids == name, _AROUND)
+        # A cell beside it may be its neighbour's.
+        own &= (ids == name) | (ids < 0)
+        if np.count_nonzero(own & found) >= least_cells:
+            result.append(int(name))
+    return result
+
+
+def reachable(truth: TrueGrid, radius_m: float) -> Cells:
+    """Where the robot's centre may be."""
+    return drivable_cells(truth.occupied, truth.resolution_m, radius_m)

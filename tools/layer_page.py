@@ -1,0 +1,66 @@
+"""What the pages of the two map papers share: pictures of grids, tables, and one file with all in it."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.evaluation.figure_parts import figure_of, png_of
+from slam.evaluation.page_parts import image
+
+_STYLE = (
+    "body{font:15px/1.5 sans-serif;max-width:1080px;margin:2em auto;padding:0 1em}"
+    "table{border-collapse:collapse;margin:1em 0}"
+    "td,th{border:1px solid #ccc;padding:3px 9px;text-align:right}"
+    "td:first-child,th:first-child{text-align:left}"
+    "img{max-width:100%}.note{background:#fff6d8;padding:.6em 1em}"
+)
+_GREY = {100: 0, 0: 254, -1: 178}
+
+
+def write_page(path: Path, title: str, parts: Sequence[str]) -> None:
+    """Write the page under a temporary name and rename it."""
+    page = f"<!doctype html><meta charset=utf-8><title>{title}</title><style>{_STYLE}</style><h1>{title}</h1>"
+    temporary = path.with_name(f".{path.name}.part")
+    temporary.write_text(page + "\n".join(parts), encoding="utf-8")
+    temporary.replace(path)
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write figures; what is not a number is null."""
+    path.write_text(json.dumps(_plain(content), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def grids(pictures: Sequence[tuple[str, NDArray[np.int8]]], description: str) -> str:
+    """Grids of 100, 0 and -1 side by side: black, white, grey."""
+    figure = figure_of(270 * len(pictures), 300)
+    for place, (title, states) in enumerate(pictures, start=1):
+        axes = figure.add_subplot(1, len(pictures), place)
+        grey = np.full(states.shape, 178, dtype=np.uint8)
+        for state, value in _GREY.items():
+            grey[states == state] = value
+        axes.imshow(grey, cmap="gray", vmin=0, vmax=255, origin="lower", interpolation="nearest")
+        axes.set_title(title, fontsize=10)
+        axes.set_xticks([])
+        axes.set_yticks([])
+    figure.tight_layout()
+    return image(png_of(figure), description)
+
+
+def _plain(value: Any) -> Any:
+    """For JSON: plain numbers, six digits."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return round(float(value), 6) if math.isfinite(value) else None
+    return value
