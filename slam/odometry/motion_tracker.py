@@ -225,7 +225,12 @@ class MotionTracker:
         surprise = self._config.surprise_sigmas
         if camera is None or self._sigmas(camera, motion) <= surprise:
             return False
-        agree = wheels is not None and _apart(camera, wheels) <= surprise
+        # Wheels too unsure to contradict the match are no witness against it.
+        agree = (
+            wheels is not None
+            and _apart(camera, wheels) <= surprise
+            and self._sigmas(wheels, motion) > surprise
+        )
         return self._witnesses + agree >= _WITNESSES
 
     def _evidence(self, count: int, motion: MotionEstimate, held: MotionEstimate) -> float:

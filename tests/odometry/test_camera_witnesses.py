@@ -107,6 +107,14 @@ def test_wheels_that_tell_otherwise_are_no_second_witness() -> None:
     assert tracked.motion is not None
 
 
+def test_wheels_that_cannot_tell_are_no_second_witness() -> None:
+    """Six centimetres too far: for a camera that is sure a contradiction, for wheels a matter of course."""
+    run = after_start(wheels=True)
+    tracked = run.scan(STEP + np.array([0.06, 0.0, 0.0]), 1)
+    assert tracked.motion is not None
+    np.testing.assert_allclose(tracked.pose, run.true_pose, atol=0.02)
+
+
 def test_witnesses_do_not_mind_a_match_that_agrees() -> None:
     run = after_start(wheels=True)
     run.lidar_offset = np.array([0.01, -0.01, 0.003])
