@@ -91,6 +91,9 @@ class PlanarMapper:
         """Track a frame; where no scan has come for a while, the leading camera carries the robot on."""
         started = time.perf_counter()
         self._cameras.add(frame)
+        if self._config.sensors.lidar and np.isneginf(self._scan_stamp_s):
+            # The lidar is about to begin: without a scan the first keyframe would leave it nothing to match.
+            self._scan_stamp_s = frame.stamp_s
         silent = frame.stamp_s - self._scan_stamp_s > self._config.sensors.lidar_silent_s
         if silent and self._cameras.leads(frame.frame.sensor, frame.stamp_s):
             self._add_moment(frame.stamp_s, None, None, started)

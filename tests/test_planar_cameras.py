@@ -1,0 +1,161 @@
+"""A robot with wheels, a lidar and a camera in one room: each may fail, and the others carry on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+import pytest
+from flat_worlds import box, sweep
+from room_world import LESS, T_BODY_CAMERA, blind, furnished, render
+
+from slam.config import load_config
+from slam.datasets.dataset import ReadReport
+from slam.graph.pose_graph import EdgeKind
+from slam.map_result import MapResult
+from slam.matching.planar import between, compose
+from slam.measurements import (
+    FloatArray,
+    LaserScan,
+    Measurement,
+    RgbdFrame,
+    Trajectory,
+    WheelOdometry,
+    pose2_from_row,
+)
+from slam.pipeline import build_map
+
+# The room at the height of the lidar.
+WALLS = np.concatenate([box(-2.5, -2.0, 2.5, 2.0), box(1.6, 0.4, 2.5, 1.5), box(-2.5, -2.0, -1.7, -1.1)])
+MOUNT = gtsam.Pose3(gtsam.Rot3.Ry(0.1), np.array([0.1, 0.0, 1.1])) * T_BODY_CAMERA
+COUNT = 50
+STEP = np.array([0.03, 0.0, 0.05])
+SLIP = np.array([0.045, 0.0, 0.02])
+GAP = range(15, 35)
+
+Edit = Callable[[int, Measurement], Measurement | None]
+
+
+def truth() -> FloatArray:
+    poses = [np.array([0.3, -0.7, 0.2])]
+    for _ in range(COUNT - 1):
+        poses.append(compose(poses[-1], STEP))
+    return np.array(poses)
+
+
+@dataclass
+class Log:
+    """Measurements in memory."""
+
+    measurements: list[Measurement]
+    name: str = "in memory"
+    report: ReadReport = field(default_factory=ReadReport)
+
+    def __iter__(self) -> Iterator[Measurement]:
+        return iter(self.measurements)
+
+    def groundtruth(self) -> Trajectory | None:
+        return None
+
+
+@pytest.fixture(scope="module")
+def drive() -> list[tuple[int, Measurement]]:
+    """Wheels that slip in the middle; a scan and 10 ms before it a frame, ten times a second."""
+    rng = np.random.default_rng(0)
+    found: list[tuple[int, Measurement]] = []
+    wheels = np.array([5.0, 1.0, -2.0])
+    for n, pose in enumerate(truth()):
+        stamp_s = 100.0 + 0.1 * n
+        on_floor = gtsam.Pose3(gtsam.Rot3.Rz(pose[2]), np.array([pose[0], pose[1], 0.0]))
+        frame = render(
+            furnished(), on_floor * MOUNT, LESS, stamp_s - 0.01, noise=(0.001, 0.0012), seed=n, smooth=False,
+            T_base_camera=MOUNT,
+        )  # fmt: skip
+        wheels = compose(wheels, SLIP if n in GAP else STEP)
+        found += [
+            (n, frame),
+            (n, WheelOdometry(stamp_s, pose2_from_row(wheels))),
+            (n, sweep(WALLS, pose, beams=181, fov_rad=math.pi, sigma_m=0.01, seed=rng, stamp_s=stamp_s)),
+        ]
+    return found
+
+
+def run(drive: list[tuple[int, Measurement]], edit: Edit, *overrides: str) -> MapResult:
+    measurements = [edit(n, measurement) for n, measurement in drive]
+    kept = Log([measurement for measurement in measurements if measurement is not None])
+    return build_map(kept, load_config(None, ["dense_map.enabled=false", *overrides]))  # type: ignore[arg-type]
+
+
+def worst(result: MapResult) -> float:
+    """Greatest distance of a reading's pose from its truth, both seen from the first."""
+    poses, true = result.trajectory.to_planar(), truth()
+    at = np.rint((result.trajectory.stamps_s - 100.0) / 0.1).astype(int)
+    return max(
+        math.hypot(*(between(poses[0], pose) - between(true[at[0]], true[n]))[:2])
+        for n, pose in zip(at, poses, strict=True)
+    )
+
+
+def kinds(result: MapResult) -> set[EdgeKind]:
+    return {edge.kind for edge in result.graph.edges} - {EdgeKind.LOOP}
+
+
+def no_lidar(n: int, measurement: Measurement) -> Measurement | None:
+    """The lidar is silent in the gap."""
+    return None if n in GAP and isinstance(measurement, LaserScan) else measurement
+
+
+def dead_camera(n: int, measurement: Measurement) -> Measurement | None:
+    """The camera is black in the gap."""
+    return blind(measurement) if n in GAP and isinstance(measurement, RgbdFrame) else measurement
+
+
+def whole(n: int, measurement: Measurement) -> Measurement | None:
+    return measurement
+
+
+def test_all_sensors_hold_one_graph(drive: list[tuple[int, Measurement]]) -> None:
+    result = run(drive, whole)
+    assert worst(result) < 0.02
+    assert kinds(result) >= {EdgeKind.LIDAR, EdgeKind.RGBD, EdgeKind.WHEEL}
+    assert result.grid is not None
+
+
+def test_the_camera_bridges_a_silent_lidar(drive: list[tuple[int, Measurement]]) -> None:
+    """Two seconds, while the wheels slip half as far again: without the camera that is seen."""
+    bridged = run(drive, no_lidar)
+    assert worst(bridged) < 0.05
+    assert worst(run(drive, no_lidar, "sensors.rgbd=false")) > 2.0 * worst(bridged)
+    assert any(scan is None for scan in bridged.keyframe_scans)
+    assert any(scan is not None for scan in bridged.keyframe_scans)
+
+
+def test_the_lidar_bridges_a_dead_camera(drive: list[tuple[int, Measurement]]) -> None:
+    result = run(drive, dead_camera)
+    assert worst(result) < 0.03
+    assert any("matched nothing" in note for note in result.warnings)
+
+
+def test_the_camera_alone_on_wheels(drive: list[tuple[int, Measurement]]) -> None:
+    result = run(drive, whole, "sensors.lidar=false")
+    assert worst(result) < 0.06
+    assert EdgeKind.LIDAR not in kinds(result)
+    assert result.trajectory.positions_m[:, 2].max() == 0.0
+
+
+def test_a_vehicle_may_be_taken_for_a_camera(drive: list[tuple[int, Measurement]]) -> None:
+    """In space only the frames get poses, of the base, and these stay on its floor."""
+    result = run(drive, whole, "sensors.motion=spatial")
+    assert len(result.trajectory) == COUNT
+    assert worst(result) < 0.05
+    assert np.abs(result.trajectory.positions_m[:, 2]).max() < 0.05
+
+
+def test_the_lidar_is_matched_from_the_first_keyframe(drive: list[tuple[int, Measurement]]) -> None:
+    """A frame that comes just before the first scan does not begin the map without it."""
+    result = run(drive, whole)
+    assert result.keyframe_scans[0] is not None
+    assert (0, EdgeKind.LIDAR) in {(edge.source, edge.kind) for edge in result.graph.edges}
