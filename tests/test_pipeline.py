@@ -17,11 +17,11 @@ from slam.evaluation.relations import RelationGroupScore, read_relations, score_
 from slam.evaluation.trajectory_error import absolute_error
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import EdgeKind
+from slam.map_result import MapResult
 from slam.mapping.occupancy_grid import FREE, OCCUPIED
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, LaserScan, MotionEstimate, WheelOdometry, pose2_from_row
 from slam.measurements import row_from_pose2 as row_of
-from slam.map_result import MapResult
 from slam.pipeline import build_map
 from slam.planar_mapper import PlanarMapper as Mapper
 from slam.run_outputs import g2o_graph, save_run
