@@ -216,6 +216,9 @@ class RgbdOdometryConfig(StrictModel):
     feature_views: int = Field(default=2, ge=1, description="of them, those whose features are matched too")
     match_ratio: float = Field(default=0.8, gt=0, le=1, description="Lowe's ratio of descriptor distances")
     match_bits: int = Field(default=64, ge=1, le=256, description="greatest Hamming distance of a match")
+    guided_radius: float = Field(
+        default=0.05, gt=0, le=1, description="distance to where a feature is expected, in image widths"
+    )
     ransac_px: float = Field(default=3.0, gt=0, description="reprojection error within which PnP agrees")
     least_inliers: int = Field(
         default=15, ge=6, description="features that must agree for PnP to be believed"

@@ -8,9 +8,10 @@ import gtsam
 import numpy as np
 
 from slam.config_stages import RgbdOdometryConfig
-from slam.measurements import MotionEstimate
+from slam.measurements import CameraIntrinsics, FloatArray, MotionEstimate
 from slam.vision.feature_pose import pose_from_features
-from slam.vision.features import match_features
+from slam.vision.features import Features, Matches, match_features
+from slam.vision.guided_matching import match_near
 from slam.vision.joint_alignment import AlignmentSettings, JointAlignment, Landmarks, View, align
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch, covariance_of
@@ -45,9 +46,13 @@ class FrameMatcher:
         """See `slam.odometry.rgbd_odometry.RgbdOdometry`."""
         config = self._config
         known = local[: config.feature_views] if self._use_features else []
-        landmarks = self._landmarks(frame, known)
+        landmarks = self._landmarks(frame, known, guess)
+        if len(landmarks.points) < config.least_inliers:
+            # Features that are elsewhere speak against the guess; where they are expected they are not seen.
+            landmarks = self._landmarks(frame, known)
         best = self._align(frame, local, landmarks, guess)
         if self._share(best) < config.sure_inlier_share or not best.converged:
+            landmarks = self._landmarks(frame, known)
             found = self._by_features(frame, landmarks)
             if found is not None:
                 best = max(best, self._align(frame, local, landmarks, found), key=self._share)
@@ -71,24 +76,38 @@ class FrameMatcher:
         )
         return None if found is None else found.T_reference_camera
 
-    def _landmarks(self, frame: PreparedFrame, keyframes: list[VisualKeyframe]) -> Landmarks:
-        """Features of the keyframes that are found again in the frame."""
-        config = self._config
+    def _landmarks(
+        self, frame: PreparedFrame, keyframes: list[VisualKeyframe], guess: gtsam.Pose3 | None = None
+    ) -> Landmarks:
+        """Features of the keyframes that are found again in the frame; near where a guess expects them."""
         if not keyframes:
             return Landmarks.none()
         points, pixels, sigmas = [], [], []
         for keyframe in keyframes:
             known = keyframe.frame.features
-            pairs = match_features(
-                known.descriptors, frame.features.descriptors, config.match_ratio, config.match_bits
-            )
+            camera = known.points_camera(keyframe.frame.frame.intrinsics)
+            odom = camera @ keyframe.pose.rotation().matrix().T + keyframe.pose.translation()
+            pairs = self._pairs(known, odom, frame, guess)
             pairs = pairs.where(known.depth_m[pairs.first] > 0.0)
-            camera = known.points_camera(keyframe.frame.frame.intrinsics)[pairs.first]
-            points.append(camera @ keyframe.pose.rotation().matrix().T + keyframe.pose.translation())
+            points.append(odom[pairs.first])
             pixels.append(frame.features.pixels[pairs.second].astype(np.float64))
             both = np.hypot(known.sigma_px[pairs.first], frame.features.sigma_px[pairs.second])
             sigmas.append(both / np.sqrt(2.0))
         return Landmarks(np.concatenate(points), np.concatenate(pixels), np.concatenate(sigmas))
+
+    def _pairs(
+        self, known: Features, points_odom: FloatArray, frame: PreparedFrame, guess: gtsam.Pose3 | None
+    ) -> Matches:
+        """Matched features of a keyframe and the frame."""
+        config = self._config
+        seen = frame.features
+        if guess is None:
+            return match_features(known.descriptors, seen.descriptors, config.match_ratio, config.match_bits)
+        k = frame.frame.intrinsics
+        expected = project(points_odom, guess.inverse(), k)
+        expected[known.depth_m <= 0.0] = np.nan
+        radius_px = config.guided_radius * k.width
+        return match_near(known, expected, seen, radius_px, config.match_ratio, config.match_bits)
 
     def _align(
         self, frame: PreparedFrame, local: list[VisualKeyframe], landmarks: Landmarks, guess: gtsam.Pose3
@@ -133,3 +152,10 @@ class FrameMatcher:
             weak_direction=weak,
         )
         return VisualMatch(motion, alignment.overlap, alignment.feature_count, alignment.residual_px)
+
+
+def project(points: FloatArray, T_camera_points: gtsam.Pose3, k: CameraIntrinsics) -> FloatArray:
+    """Pixels (N, 2) of points (N, 3), Yang2021 Eq. (13); NaN behind the camera."""
+    camera = points @ T_camera_points.rotation().matrix().T + T_camera_points.translation()
+    z = np.where(camera[:, 2] > 0.0, camera[:, 2], np.nan)
+    return np.stack([k.fx * camera[:, 0] / z + k.cx, k.fy * camera[:, 1] / z + k.cy], axis=1)

@@ -21,7 +21,10 @@ _NEAREST_M = 0.2
 # Sigma over the median of residuals: of a distance along one axis, and of the root mean square of two.
 _MEDIAN_TO_SIGMA_1D, _MEDIAN_TO_SIGMA_2D = 1.4826, 1.2011
 _LEAST_CURVATURE = 1e-9  # of the normal equations, in shares of their trace
-_SETTLED = 2e-5  # radians and metres: a step below moves nothing any more
+# Lengths of a step, radians and metres together: near enough to go on with all points, not worth another,
+# and short enough that the pose is where it will stay.
+_NEAR, _SETTLED, _SHORT = 2e-3, 1e-4, 1e-3
+_THINNED = 4
 _LEAST_READINGS = 12.0
 
 
@@ -136,25 +139,42 @@ def align(
     intrinsics
         Of the pixels in ``landmarks``.
     """
-    pose, converged = guess, False
-    work = _Work.of(points, landmarks)
-    for iteration in range(settings.iterations):
-        slack = 4.0 if iteration < settings.coarse_iterations else 1.0
+    # A few points lead near; all of them are asked for the last millimetres.
+    few = SurfacePoints(points.points[::_THINNED], points.normals[::_THINNED])
+    coarse = _Work.of(few, landmarks)
+    near, _ = _descend(coarse, views, intrinsics, guess, settings, settings.coarse_iterations, _NEAR, 4.0)
+    fine = _Work.of(points, landmarks)
+    rounds = settings.iterations - settings.coarse_iterations
+    pose, converged = _descend(fine, views, intrinsics, near, settings, rounds, _SETTLED, 1.0)
+    return fine.conclude(views, intrinsics, pose, settings, converged)
+
+
+def _descend(
+    work: _Work,
+    views: list[View],
+    intrinsics: CameraIntrinsics,
+    pose: gtsam.Pose3,
+    settings: AlignmentSettings,
+    rounds: int,
+    settled: float,
+    slack: float,
+) -> tuple[gtsam.Pose3, bool]:
+    """Gauss-Newton until a step is shorter than ``settled``: the pose, and whether it came to rest."""
+    length = np.inf
+    for _ in range(rounds):
         hessian, gradient = work.linearize(views, intrinsics, pose, settings, slack)
         ridge = _LEAST_CURVATURE * float(np.trace(hessian))
         if ridge <= 0.0:
-            break
+            return pose, False
         # Where nothing tells a direction, as along a bare wall, the pose stays there and moves elsewhere.
         step = np.linalg.solve(hessian + ridge * np.eye(6), gradient)
         length = float(np.linalg.norm(step))
         if length > 1.0:
-            break
+            return pose, False
         pose = pose.compose(gtsam.Pose3.Expmap(step))
-        if slack == 1.0 and length < _SETTLED * 10.0:
-            converged = True
-            if length < _SETTLED:
-                break
-    return work.conclude(views, intrinsics, pose, settings, converged)
+        if length < settled:
+            break
+    return pose, length < _SHORT
 
 
 @dataclass(slots=True)

@@ -1,0 +1,106 @@
+"""Matching of features whose place in the image is expected."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.measurements import FloatArray
+from slam.vision.features import Features, Matches
+
+_M1, _M2, _M4 = np.uint64(0x5555555555555555), np.uint64(0x3333333333333333), np.uint64(0x0F0F0F0F0F0F0F0F)
+_SPREAD = np.uint64(0x0101010101010101)
+
+
+def match_near(
+    known: Features,
+    expected_px: FloatArray,
+    seen: Features,
+    radius_px: float,
+    ratio: float,
+    greatest_distance: int,
+) -> Matches:
+    """Pairs that are each other's nearest among those that lie where they are expected.
+
+    Parameters
+    ----------
+    known, expected_px
+        Features and where they should be in the image, (N, 2); NaN for one that is not in sight.
+    seen
+        Features of the image.
+    radius_px
+        How far from the expected place a feature may be.
+    ratio
+        Greatest share of the second nearest's distance; the second nearest lies within the radius too.
+    greatest_distance
+        Hamming distance, of 256 bits, above which two descriptors differ.
+    """
+    empty = np.zeros(0, np.int64)
+    if len(known) == 0 or len(seen) == 0:
+        return Matches(empty, empty)
+    words = [np.ascontiguousarray(side.descriptors).view(np.uint64) for side in (known, seen)]
+    target = np.full(len(known), -1, np.int64)
+    _nearest(
+        expected_px.astype(np.float32),
+        words[0],
+        seen.pixels,
+        words[1],
+        radius_px * radius_px,
+        ratio,
+        greatest_distance,
+        target,
+    )
+    first = np.flatnonzero(target >= 0)
+    return Matches(first, target[first])
+
+
+@numba.njit(cache=True, nogil=True)
+def _nearest(
+    expected: NDArray[Any],
+    known: NDArray[Any],
+    pixels: NDArray[Any],
+    seen: NDArray[Any],
+    radius_squared: float,
+    ratio: float,
+    greatest: int,
+    target: NDArray[Any],
+) -> None:
+    """Number of the nearest feature seen, or -1; of several that claim one, only the nearest keeps it."""
+    owner = np.full(pixels.shape[0], -1, np.int64)
+    owner_distance = np.full(pixels.shape[0], 257, np.int64)
+    for i in range(expected.shape[0]):
+        u, v = expected[i, 0], expected[i, 1]
+        if not (np.isfinite(u) and np.isfinite(v)):
+            continue
+        best, second, chosen = 257, 257, -1
+        for j in range(pixels.shape[0]):
+            du = pixels[j, 0] - u
+            dv = pixels[j, 1] - v
+            if du * du + dv * dv > radius_squared:
+                continue
+            distance = 0
+            for w in range(4):
+                distance += _bits(known[i, w] ^ seen[j, w])
+            if distance < best:
+                second, best, chosen = best, distance, j
+            elif distance < second:
+                second = distance
+        if chosen < 0 or best > greatest or best >= ratio * second or best >= owner_distance[chosen]:
+            continue
+        if owner[chosen] >= 0:
+            target[owner[chosen]] = -1
+        owner[chosen] = i
+        owner_distance[chosen] = best
+        target[i] = chosen
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _bits(word: Any) -> int:
+    """Number of ones in 64 bits."""
+    word = word - ((word >> np.uint64(1)) & _M1)
+    word = (word & _M2) + ((word >> np.uint64(2)) & _M2)
+    word = (word + (word >> np.uint64(4))) & _M4
+    return int((word * _SPREAD) >> np.uint64(56))
