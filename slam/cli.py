@@ -223,6 +223,41 @@ def simulate(
     print(f"wrote {summary.folder}")
 
 
+@app.command()
+def plan(
+    map_: Annotated[Path, typer.Argument(metavar="MAP", help="a nav2 map (.yaml), or a folder with layers")],
+    start: Annotated[str, typer.Option("--from", help="x,y in metres, map frame")],
+    goal: Annotated[str, typer.Option("--to", help="x,y in metres, map frame")],
+    radius: Annotated[float, typer.Option(min=0.0, help="of the robot, metres")] = 0.2,
+    out: Annotated[Path, typer.Option("--out", "-o", help="the picture")] = Path("plan.png"),
+) -> None:
+    """Plan the shortest path over a map, and draw it."""
+    from slam.evaluation.plan_picture import plan_picture
+    from slam.mapping.navigation import clearance_m, free_space, shortest_path
+    from slam.storage.files import write_bytes
+    from slam.storage.nav2 import read_nav2_map
+
+    ends = _point(start, "--from"), _point(goal, "--to")
+    grid = read_nav2_map(map_ / "decision.yaml" if map_.is_dir() else map_)
+    space = free_space(grid.values, grid.resolution_m, grid.T_map_grid, radius)
+    path = shortest_path(space, *ends, clearance_m(grid.values, grid.resolution_m))
+    if path is None:
+        raise ScanweaveError(
+            f"no way from {start} to {goal} for a robot of radius {radius:g} m; try a smaller --radius"
+        )
+    write_bytes(out, plan_picture(grid.values, space, path))
+    print(f"{path.length_m:.2f} m, at least {path.clearance_m:.2f} m from obstacles; wrote {out}")
+
+
+def _point(text: str, option: str) -> tuple[float, float]:
+    """A point from x,y."""
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise typer.BadParameter(f"{option} is '{text}'; give x,y in metres, as in 1.5,-0.2") from error
+    return x, y
+
+
 def _map(log: Path, out: Path, config: str | None, overrides: list[str], strict: bool) -> None:
     """Run the pipeline on a log and write its results."""
     started = time.perf_counter()
