@@ -1,0 +1,207 @@
+import math
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+
+from fusion.bayes import FREE, OCCUPIED, STEPS_A_UNIT, UNKNOWN
+from fusion.height_band import HeightBand
+from slam.errors import ConfigError, ScanweaveError
+from slam.mapping.depth_grid import DepthModel
+from slam.mapping.evidence_tiles import SIDE, Board, EvidenceTiles
+from slam.mapping.layered_map import LayerBuilder, LayeredMap, LayerSettings, build_layers
+from slam.mapping.lidar_layer import LidarModel
+from slam.measurements import CameraIntrinsics, LaserScan, RgbdFrame
+
+CAMERA = CameraIntrinsics(240.0, 240.0, 159.5, 119.5, 320, 240)
+OPTICAL = gtsam.Rot3(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
+MOUNT = gtsam.Pose3(gtsam.Rot3.Ypr(0.0, math.radians(12.0), 0.0).compose(OPTICAL), np.array([0.0, 0.0, 0.5]))
+DEPTH = DepthModel(
+    band=HeightBand(0.0, 0.5, 0.02), least_neighbours=2, voxel_m=0.0, radius_m=0.04, pixel_stride=1
+)
+SETTINGS = LayerSettings(depth=DEPTH)
+
+
+def scan(stamp=0.0, range_m=2.0, beams=90):
+    ranges = np.full(beams, range_m, dtype=np.float32)
+    return LaserScan(stamp, ranges, -math.pi, 2 * math.pi / beams, 12.0)
+
+
+def frame(stamp=0.0, boxes=(), wall_m=3.0, mount=MOUNT):
+    """A floor, a wall across at x = wall_m, and boxes (x0, x1, y0, y1, z0, z1), seen by exact ray casting."""
+    u, v = np.meshgrid((np.arange(320) - 159.5) / 240.0, (np.arange(240) - 119.5) / 240.0)
+    rays = np.stack([u, v, np.ones_like(u)], axis=-1).reshape(-1, 3) @ mount.rotation().matrix().T
+    start = mount.translation()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        floor = np.where(rays[:, 2] < 0, -start[2] / rays[:, 2], np.inf)
+        depth = np.minimum(floor, np.where(rays[:, 0] > 0, (wall_m - start[0]) / rays[:, 0], np.inf))
+        for box in boxes:
+            low, high = np.array(box[::2]), np.array(box[1::2])
+            one, other = (low - start) / rays, (high - start) / rays
+            enter, leave = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
+            depth = np.where((enter <= leave) & (enter > 0), np.minimum(depth, enter), depth)
+    depth = np.where(depth < 8.0, depth, 0.0).reshape(240, 320).astype(np.float32)
+    return RgbdFrame(stamp, np.zeros((240, 320, 3), np.uint8), depth, CAMERA, mount)
+
+
+def state(built, name, x, y):
+    row, col = built.grid("fused").cells_of(np.array([[x, y]]))[0]
+    return built.states(name)[row, col]
+
+
+def same_base(count):
+    return [gtsam.Pose2()] * count
+
+
+def test_low_and_overhanging_things_are_kept_and_thin_ones_dropped():
+    boxes = (
+        (1.5, 1.7, -0.6, -0.4, 0.0, 0.10),  # low
+        (1.5, 1.7, 0.4, 0.6, 0.30, 0.40),  # hangs inside the band
+        (1.2, 1.4, -0.1, 0.1, 0.0, 0.008),  # a mat
+        (2.0, 2.4, -0.1, 0.3, 0.6, 0.7),  # above the band
+    )
+    built = build_layers([frame(float(i), boxes) for i in range(4)], same_base(4), SETTINGS)
+    assert state(built, "depth", 1.52, -0.5) == OCCUPIED
+    assert state(built, "depth", 1.52, 0.5) == OCCUPIED
+    assert state(built, "depth", 1.3, 0.0) == FREE
+    assert state(built, "depth", 2.0, 0.1) == FREE
+    # Behind the low box the rays pass over: nothing is known.
+    assert state(built, "depth", 1.8, -0.55) == UNKNOWN
+    # Beside the view, and under the camera, neither.
+    assert state(built, "depth", 1.0, 1.5) == UNKNOWN
+    assert state(built, "depth", 0.1, 0.0) == UNKNOWN
+
+
+def test_a_low_box_is_not_cleared_by_what_passes_over_it():
+    box = (1.5, 1.7, -0.3, 0.3, 0.0, 0.10)
+    seen = [frame(0.0, (box,))]
+    # The camera turned up so that only rays over the box are left.
+    up = gtsam.Pose3(gtsam.Rot3.Ypr(0.0, math.radians(-20.0), 0.0).compose(OPTICAL), MOUNT.translation())
+    over = [frame(1.0 + i, (box,), mount=up) for i in range(20)]
+    built = build_layers(seen + over, same_base(21), SETTINGS)
+    assert state(built, "depth", 1.52, 0.0) == OCCUPIED
+
+
+def test_what_has_gone_fades_and_the_lidar_keeps_what_it_sees():
+    person = (1.5, 1.7, -0.2, 0.2, 0.0, 1.5)
+    gone = [frame(0.0, (person,)), *(frame(1.0 + i) for i in range(8))]
+    built = build_layers(gone, same_base(9), SETTINGS)
+    assert state(built, "depth", 1.52, 0.0) == FREE
+    built = build_layers([*gone, scan(50.0, 1.52), scan(51.0, 1.52)], same_base(11), SETTINGS)
+    assert state(built, "decision", 1.52, 0.0) == OCCUPIED
+
+
+def test_one_missing_sensor_is_unknown_and_the_map_stands():
+    only_lidar = build_layers([scan()], same_base(1), SETTINGS)
+    assert only_lidar.depth is None
+    np.testing.assert_array_equal(only_lidar.states("decision"), only_lidar.states("lidar"))
+    assert (only_lidar.states("depth") == UNKNOWN).all()
+    only_depth = build_layers([frame()], same_base(1), SETTINGS)
+    assert only_depth.lidar is None
+    np.testing.assert_array_equal(only_depth.states("decision"), only_depth.states("depth"))
+    with pytest.raises(ScanweaveError, match="no reading"):
+        LayerBuilder().finish()
+
+
+def test_order_partial_maps_and_repeats_change_nothing():
+    rng = np.random.default_rng(1)
+    boxes = ((1.5, 1.7, -0.6, -0.4, 0.0, 0.10),)
+    readings = [scan(float(i), rng.uniform(1, 5)) for i in range(6)]
+    readings += [frame(float(i), boxes, rng.uniform(2, 4)) for i in range(6)]
+    poses = [gtsam.Pose2(*rng.uniform([-9, -9, -3], [9, 9, 3])) for _ in readings]
+    whole = build_layers(readings, poses, SETTINGS)
+    for order in (rng.permutation(12), np.arange(12)[::-1]):
+        other = build_layers([readings[i] for i in order], [poses[i] for i in order], SETTINGS)
+        np.testing.assert_array_equal(other.lidar, whole.lidar)
+        np.testing.assert_array_equal(other.depth, whole.depth)
+        assert other.T_map_grid.equals(whole.T_map_grid, 1e-12)
+    twice = build_layers(readings + readings, poses + poses, SETTINGS)
+    np.testing.assert_array_equal(twice.depth, whole.depth)
+    assert (twice.scans, twice.frames, twice.repeated) == (6, 6, 12)
+
+
+def test_tiles_on_disk_and_merged_ones_hold_the_same_sums():
+    rng = np.random.default_rng(2)
+    boards = [
+        Board(rng.integers(-900, 900, (90, 70)).astype(np.int16), *map(int, rng.integers(-1500, 1500, 2)))
+        for _ in range(60)
+    ]
+    small, large, first, second = (EvidenceTiles(mb) for mb in (0.1, 500.0, 500.0, 0.1))
+    for index, board in enumerate(boards):
+        small.add(board)
+        large.add(board)
+        (first if index % 3 else second).add(board)
+    box = (-1500 - SIDE, -1500, 3500, 3400)
+    expected = large.clipped(box, -4000, 4000)
+    assert np.abs(expected).max() > 800
+    np.testing.assert_array_equal(small.clipped(box, -4000, 4000), expected)
+    first.merge(second)
+    np.testing.assert_array_equal(first.clipped(box, -4000, 4000), expected)
+    assert first.used == large.used
+
+
+# Hand-drawn grids: a letter a cell, the highest row first.
+LETTER = {"#": 2 * STEPS_A_UNIT, "o": -2 * STEPS_A_UNIT, ".": 0}
+SIGN = {OCCUPIED: "#", FREE: "o", UNKNOWN: "."}
+
+
+def drawn(*rows):
+    return np.array([[LETTER[cell] for cell in row] for row in rows[::-1]], dtype=np.int16)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7])
+def test_the_table_on_hand_drawn_grids(yaw):
+    lidar, depth = drawn("###", "ooo", "..."), drawn("#o.", "#o.", "#o.")
+    built = LayeredMap(lidar, depth, 0.05, gtsam.Pose2(1.0, -2.0, yaw), SETTINGS, 1, 1, 0)
+
+    def picture(name, made=built):
+        return ["".join(SIGN[int(cell)] for cell in row) for row in made.states(name)[::-1]]
+
+    assert picture("decision") == ["###", "#oo", "#o."]
+    printed = replace(built, settings=replace(SETTINGS, rule="printed"))
+    assert picture("decision", printed) == ["###", "#oo", "o#."]
+    # Eq. (10): what contradicts itself is uncertain.
+    assert picture("fused") == ["#.#", ".oo", "#o."]
+    at = built.T_map_grid.transformFrom(np.array([0.075, 0.125]))
+    assert built.grid("fused").cells_of(at[None])[0].tolist() == [2, 1]
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.5, -2.0])
+def test_a_turned_grid_holds_the_same_world(yaw):
+    wall = [scan(float(i), 2.0, 720) for i in range(3)]
+    built = build_layers(wall, same_base(3), replace(SETTINGS, axes_yaw_rad=yaw))
+    bearings = np.linspace(-3, 3, 50)
+    ring = np.column_stack([np.cos(bearings), np.sin(bearings)])
+    for radius, expected in ((2.0, OCCUPIED), (1.8, FREE), (0.5, FREE)):
+        rows, cols = built.grid("lidar").cells_of(radius * ring).T
+        assert (built.states("lidar")[rows, cols] == expected).mean() > 0.9
+
+
+def test_a_far_hit_weighs_less_and_bad_input_is_refused():
+    near, far = (build_layers([scan(0.0, r)], same_base(1), SETTINGS).lidar.max() for r in (1.0, 11.0))
+    assert 0 < far < near
+    builder = LayerBuilder(SETTINGS)
+    with pytest.raises(ScanweaveError, match="its pose is lost"):
+        builder.add(scan(), gtsam.Pose2(math.nan, 0, 0))
+    with pytest.raises(ScanweaveError, match="where it sits"):
+        builder.add(replace(frame(), T_base_camera=None), gtsam.Pose2())
+    with pytest.raises(ScanweaveError, match="the limit"):
+        LayerBuilder(replace(SETTINGS, max_cells=1000)).add(scan(), gtsam.Pose2())
+    with pytest.raises(ScanweaveError, match="1 keyframes for 2 poses"):
+        build_layers([scan()], same_base(2), SETTINGS)
+    with pytest.raises(ScanweaveError, match="more keyframes"):
+        build_layers([scan(), scan(1.0)], same_base(1), SETTINGS)
+    with pytest.raises(ConfigError, match="a cell must be larger"):
+        build_layers([frame()], same_base(1), replace(SETTINGS, resolution_m=0.03))
+    for make in (LidarModel, DepthModel):
+        with pytest.raises(ConfigError, match="p_miss"):
+            make(p_miss=0.6)
+    assert builder.add(scan(), gtsam.Pose2())
+    assert not builder.add(scan(), gtsam.Pose2(1, 1, 1))
+
+
+def test_an_image_without_readings_says_nothing():
+    empty = replace(frame(), depth_m=np.zeros((240, 320), np.float32))
+    built = build_layers([empty, scan()], same_base(2), SETTINGS)
+    assert (built.frames, built.scans) == (0, 1)
