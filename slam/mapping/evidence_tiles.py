@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -60,8 +61,8 @@ class EvidenceTiles:
         box = board.box()
         for key, tile_part, board_part in _parts(box):
             # Boards are mostly empty at their rims: no tile for nothing.
-            if key in self._held or key in self._spilled or board.steps[board_part].any():
-                self._tile(key)[tile_part] += board.steps[board_part]
+            if self._holds(key) or board.steps[board_part].any():
+                _add(self._tile(key)[tile_part], board.steps[board_part])
         self.used = box if self.used is None else union(self.used, box)
 
     def merge(self, other: EvidenceTiles) -> None:
@@ -77,9 +78,13 @@ class EvidenceTiles:
         """(rows, cols) of the sums in a box, between two bounds."""
         steps = np.zeros(box[2:], dtype=np.int16)
         for key, tile_part, part in _parts(box):
-            if key in self._held or key in self._spilled:
+            if self._holds(key):
                 steps[part] = np.clip(self._tile(key)[tile_part], low, high)
         return steps
+
+    def _holds(self, key: tuple[int, int]) -> bool:
+        """Whether the tile is there, in memory or on disk."""
+        return key in self._held or key in self._spilled
 
     def _tile(self, key: tuple[int, int]) -> Tile:
         """A tile, from memory, from disk, or new; now the last one used."""
@@ -124,6 +129,14 @@ def union(a: Box, b: Box) -> Box:
     """The smallest (first row, first col, rows, cols) that holds both."""
     row, col = min(a[0], b[0]), min(a[1], b[1])
     return row, col, max(a[0] + a[2], b[0] + b[2]) - row, max(a[1] + a[3], b[1] + b[3]) - col
+
+
+@numba.njit(cache=True)
+def _add(sums: Tile, steps: Steps) -> None:
+    """Add steps to sums in place; numpy would go by way of a copy."""
+    for row in range(sums.shape[0]):
+        for col in range(sums.shape[1]):
+            sums[row, col] += steps[row, col]
 
 
 def _parts(box: Box) -> Iterator[tuple[tuple[int, int], tuple[slice, slice], tuple[slice, slice]]]:

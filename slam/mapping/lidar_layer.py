@@ -126,13 +126,18 @@ def weigh_beams(
             share = max(0.0, 1.0 - margin_sigmas * sigma / max(reach, 1e-6))
         short[beam, 0], short[beam, 1] = x_cells + share * dx, y_cells + share * dy
     board = draw_scan(short, free, box, x_cells, y_cells)
-    steps = board.astype(np.int16) * np.int16(miss_step)
+    steps = np.empty(board.shape, np.int16)
+    miss = np.int16(miss_step)
+    for row in range(board.shape[0]):
+        for col in range(board.shape[1]):
+            # FREE is 1 and NOTHING 0.
+            steps[row, col] = np.int16(board[row, col]) * miss
     for beam in range(kinds.size):
         if kinds[beam] == HIT:
-            row = min(math.floor(ends[beam, 1]) - box[0], box[2] - 1)
-            col = min(math.floor(ends[beam, 0]) - box[1], box[3] - 1)
+            end_row = min(math.floor(ends[beam, 1]) - box[0], box[2] - 1)
+            end_col = min(math.floor(ends[beam, 0]) - box[1], box[3] - 1)
             weight = hit_steps[min(int(range_m[beam] * _BINS_A_M), hit_steps.size - 1)]
-            steps[row, col] = max(steps[row, col], weight)
+            steps[end_row, end_col] = max(steps[end_row, end_col], weight)
     return steps
 
 
