@@ -71,9 +71,13 @@ class KeyframeFusion:
     def add(self, key: int, scan: LaserScan, pictures: Sequence[Picture]) -> None:
         """Take the scan of a keyframe with the newest image of every camera."""
         near = [p for p in pictures if abs(p.frame.stamp_s - scan.stamp_s) <= self._config.tolerance_s]
-        self._cameras = max(self._cameras, len(near))
         if not near or len(near) < self._cameras:
             return  # a pair is compared by all cameras or not at all
+        if len(near) > self._cameras:
+            # Another camera has begun to see: pairs of fewer tell of another rig.
+            self._cameras, self._rig = len(near), fusion.Rig()
+            self._pairs.clear()
+            self._views.clear()
         frames = [picture.frame.frame for picture in near]
         turns = tuple(picture.T_base_camera.rotation().matrix() for picture in near)
         try:

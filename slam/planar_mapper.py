@@ -11,6 +11,7 @@ from slam.config import Config
 from slam.errors import ScanweaveError
 from slam.graph.keyframe_graph import KeyframeGraph, Step
 from slam.graph.loop_closure import LoopCandidate, LoopCloser
+from slam.graph.step_vote import vote
 from slam.keyframe_fusion import KeyframeFusion
 from slam.keyframe_store import registration_notes
 from slam.map_result import MapResult
@@ -29,9 +30,6 @@ from slam.scan_record import ScanRecorder
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.planar_motion import agreed_motion
 from slam.vision.prepared_frame import PreparedFrame
-
-# Squared sigmas of three degrees of freedom, 99.9 %.
-_CONTRADICTION = 16.0
 
 
 class PlanarMapper:
@@ -188,7 +186,8 @@ class PlanarMapper:
             wheels = self._wheel_step(self._last_keyframe, tracked, stamp_s - self._keyframe_stamp_s)
             moved = self._cameras.steps(self._keyframe_marks, self._marks)
             cameras = self._camera_steps(moved, tracked)
-            doubtful = self._doubtful(tracked) or any(_contradict(match, camera) for camera in cameras)
+            outvoted, cameras = vote(match, wheels, cameras)
+            doubtful = outvoted or self._doubtful(tracked)
             key = self._graph.add_keyframe(step, match, wheels, cameras, match_doubtful=doubtful)
             self._cameras.learn(key - 1, key, moved, wheels if doubtful else match)
         if points is not None:
@@ -258,12 +257,3 @@ class PlanarMapper:
             return build_grid(scans, settings.resolution_m, model, max_cells=settings.greatest_cells), []
         except ScanweaveError as error:
             return None, [f"No grid was built: {error}"]
-
-
-def _contradict(match: Step | None, camera: Step) -> bool:
-    """Whether lidar and camera tell motions that cannot both be true."""
-    if match is None:
-        return False
-    offset = between(match.motion, camera.motion)
-    squares = offset @ np.linalg.solve(match.covariance + camera.covariance, offset)
-    return bool(squares > _CONTRADICTION)

@@ -17,6 +17,8 @@ from slam.vision.prepared_frame import PreparedFrame
 _LONGEST_EXTRAPOLATION_S = 0.25
 # A pose carried on is unsure by this share of what it was carried.
 _EXTRAPOLATION_SHARE = 0.2
+# Sigma of the time between two sensors' stamps: no two clocks agree, and exposures take their time.
+_CLOCK_S = 0.01
 # Sigma of the speed of a camera that was matched but once: radians and metres a second.
 _UNKNOWN_SPEED = 0.5
 
@@ -86,7 +88,8 @@ class CameraOdometry:
         if self._newest is None or not 0.0 <= ahead_s < _LONGEST_EXTRAPOLATION_S:
             return None
         carried = np.zeros(6) if self._twist is None else self._twist * ahead_s
-        sigmas = _EXTRAPOLATION_SHARE * np.abs(carried)
+        twist = np.zeros(6) if self._twist is None else self._twist
+        sigmas = np.abs(twist) * np.hypot(_EXTRAPOLATION_SHARE * ahead_s, _CLOCK_S)
         if self._twist is None:
             sigmas = np.full(6, _UNKNOWN_SPEED * ahead_s)
         doubt = np.diag(sigmas**2)

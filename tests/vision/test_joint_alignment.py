@@ -11,13 +11,12 @@ from room_world import SMALL, T_BODY_CAMERA, Room, dark, error_of, furnished, ha
 
 from slam.config_stages import RgbdOdometryConfig
 from slam.measurements import FloatArray
+from slam.vision.alignment_kernels import feature_part, surface_part
 from slam.vision.joint_alignment import (
     AlignmentSettings,
     JointAlignment,
     Landmarks,
     View,
-    _feature_part,
-    _surface_part,
     align,
 )
 from slam.vision.surface import SurfacePoints
@@ -124,7 +123,7 @@ def test_the_derivative_of_point_to_plane(seed: int) -> None:
     normals = np.broadcast_to(normal, rays.shape).copy()
     hessian, gradient, information = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6))
     residuals = np.full(1, np.inf)
-    _surface_part(
+    surface_part(
         point[None],
         (pose.rotation().matrix().T @ normal)[None],
         pose.matrix(),
@@ -160,7 +159,7 @@ def test_the_derivative_of_reprojection(seed: int) -> None:
     pose = CORNER * gtsam.Pose3.Expmap(rng.uniform(-0.1, 0.1, 6))
     landmarks = seen_points(CORNER, count=7, sigma_px=2.0, seed=seed)
     hessian, gradient = np.zeros((6, 6)), np.zeros(6)
-    _feature_part(*landmarks, pose.inverse().matrix(), CAMERA, 1e9, hessian, gradient, np.zeros(7))
+    feature_part(*landmarks, pose.inverse().matrix(), CAMERA, 1e9, hessian, gradient, np.zeros(7))
 
     def errors(tangent: FloatArray) -> FloatArray:
         at = pose.compose(gtsam.Pose3.Expmap(tangent)).inverse()

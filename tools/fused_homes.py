@@ -1,0 +1,112 @@
+"""Simulated drives mapped by lidar, by cameras, by both, with either dead, and with mountings told wrongly.
+
+Usage: python tools/fused_homes.py DRIVE... [--variants fused,lidar,rgbd,dead,mounting] [--out table.md]
+A DRIVE is a folder of `scanweave simulate`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import gtsam
+import numpy as np
+
+from slam.config import load_config
+from slam.datasets import Dataset, open_dataset
+from slam.evaluation.trajectory_error import absolute_error
+from slam.measurements import LaserScan, Measurement, RgbdFrame
+from slam.pipeline import build_map
+
+_DEAD_S = 20.0
+_WRONG_TURN_RAD, _WRONG_SHIFT_M = np.radians(30.0), 0.3
+_OVERRIDES = {
+    "fused": (),
+    "lidar": ("sensors.rgbd=false",),
+    "rgbd": ("sensors.lidar=false",),
+    "dead": (),
+    "mounting": ("sensors.mounting=estimate",),
+}
+
+
+class Altered:
+    """A drive with something wrong: dead sensors, or a mounting that is told wrongly."""
+
+    def __init__(self, dataset: Dataset, variant: str) -> None:
+        self._dataset = dataset
+        self._variant = variant
+        self.name, self.path = dataset.name, dataset.path
+        self.mountings: dict[str, gtsam.Pose3] = {}
+
+    @property
+    def report(self) -> object:
+        """Of the drive itself."""
+        return self._dataset.report
+
+    def groundtruth(self) -> object:
+        """Of the drive itself."""
+        return self._dataset.groundtruth()
+
+    def __iter__(self) -> Iterator[Measurement]:
+        first_s: float | None = None
+        for measurement in self._dataset:
+            first_s = measurement.stamp_s if first_s is None else first_s
+            since_s = measurement.stamp_s - first_s
+            if self._variant == "dead" and self._is_dead(measurement, since_s):
+                continue
+            if self._variant == "mounting" and isinstance(measurement, RgbdFrame):
+                measurement = self._misplaced(measurement)
+            yield measurement
+
+    @staticmethod
+    def _is_dead(measurement: Measurement, since_s: float) -> bool:
+        """The lidar early, the cameras later; a short drive has less of both."""
+        if isinstance(measurement, LaserScan):
+            return 8.0 < since_s < 8.0 + _DEAD_S
+        return isinstance(measurement, RgbdFrame) and 32.0 < since_s < 32.0 + _DEAD_S
+
+    def _misplaced(self, frame: RgbdFrame) -> RgbdFrame:
+        """The frame with a mounting turned and shifted."""
+        if frame.T_base_camera is None:
+            return frame
+        self.mountings[frame.sensor] = frame.T_base_camera
+        wrong = gtsam.Pose3(gtsam.Rot3.Yaw(_WRONG_TURN_RAD), np.array([_WRONG_SHIFT_M, 0.0, 0.0]))
+        return dataclasses.replace(frame, T_base_camera=wrong.compose(frame.T_base_camera))
+
+
+def main() -> None:
+    """Run every variant on every drive and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("drives", nargs="+", type=Path)
+    parser.add_argument("--variants", default=",".join(_OVERRIDES))
+    parser.add_argument("--out", type=Path)
+    arguments = parser.parse_args()
+    variants = arguments.variants.split(",")
+    lines = [f"| drive | {' | '.join(variants)} |", "|---" * (len(variants) + 1) + "|"]
+    errors = []
+    for drive in arguments.drives:
+        row = [_error_m(drive, variant) for variant in variants]
+        errors.append(row)
+        lines.append(f"| {drive.name} | {' | '.join(f'{error:.4f}' for error in row)} |")
+        print(lines[-1], flush=True)
+    lines.append(f"| median | {' | '.join(f'{error:.4f}' for error in np.median(errors, axis=0))} |")
+    print("\n".join(lines))
+    if arguments.out:
+        arguments.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _error_m(drive: Path, variant: str) -> float:
+    """ATE RMSE after rigid alignment, metres; learned mountings go to stderr."""
+    dataset = Altered(open_dataset(drive), variant)
+    result = build_map(dataset, load_config(None, ["dense_map.enabled=false", *_OVERRIDES[variant]]))
+    for note in result.notes if variant == "mounting" else ():
+        print(f"{drive.name}: {note}", file=sys.stderr)
+    truth = dataset.groundtruth()
+    return float(absolute_error(result.trajectory, truth).translation_m.rmse)
+
+
+if __name__ == "__main__":
+    main()
