@@ -29,9 +29,9 @@ from slam.config import Config, load_config
 from slam.datasets import open_dataset
 from slam.evaluation.relations import Relations, read_relations, score_relations
 from slam.graph.loop_closure import LoopCandidate
+from slam.map_result import MapResult
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, LaserScan, MotionEstimate, WheelOdometry, pose2_from_row
-from slam.map_result import MapResult
 from slam.planar_mapper import PlanarMapper as Mapper
 
 KINDS = ("random", "alike", "runs")
