@@ -20,6 +20,8 @@ _ITERATIONS = (6, 4, 3)  # a level, coarse to fine
 _INTENSITY_SCALE = 0.1  # of the Huber kernel on brightness, 0..1
 # Open3D has rotation first as GTSAM has, but it counts every pixel as an independent reading of 1 m^-2.
 _LEAST_FITNESS = 0.3
+# From farther away the method finds other minima: a result that left its start so far is not believed.
+_REACH_RAD, _REACH_M = 0.07, 0.13
 
 
 class DenseOdometry:
@@ -63,6 +65,9 @@ class DenseOdometry:
         step: FloatArray = result.transformation.numpy()
         if not np.isfinite(step).all() or result.fitness < _LEAST_FITNESS:
             return seed
+        left = gtsam.Pose3.Logmap(keyframe.pose.between(start).between(_exact(step)))
+        if np.linalg.norm(left[:3]) > _REACH_RAD or np.linalg.norm(left[3:]) > _REACH_M:
+            return seed
         information = odometry.compute_odometry_information_matrix(
             source.depth, target.depth, camera, result.transformation, self._config.gate_m, 1.0, farthest_m
         ).numpy()
@@ -82,7 +87,7 @@ class DenseOdometry:
         """Rescale Open3D's information from a metre to the measured residual, and from pixels to readings."""
         config = self._config
         variance = max(residual_m, config.depth_floor_m) ** 2
-        T_keyframe_camera = gtsam.Pose3(step)
+        T_keyframe_camera = _exact(step)
         # Open3D's matrix is of a motion of the target's frame; the covariance is wanted in the camera's.
         adjoint = T_keyframe_camera.AdjointMap()
         scaled = adjoint.T @ information @ adjoint / (config.correlated_points * variance)
@@ -103,6 +108,11 @@ class DenseOdometry:
             seed.feature_count if seed else 0,
             seed.residual_px if seed else 0.0,
         )
+
+
+def _exact(step: FloatArray) -> gtsam.Pose3:
+    """A transform (4, 4) of single precision as a pose: its rotation made orthonormal."""
+    return gtsam.Pose3(gtsam.Rot3.ClosestTo(step[:3, :3]), step[:3, 3])
 
 
 def _image(frame: PreparedFrame) -> o3d.t.geometry.RGBDImage | Any:
