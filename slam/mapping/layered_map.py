@@ -90,7 +90,7 @@ class LayerSettings:
     p_max: float = 0.98
     axes_yaw_rad: float = 0.0
     distortion: LensDistortion | None = None
-    memory_mb: float = 96.0
+    memory_mb: float = 24.0
     max_cells: int = 64_000_000
 
     def __post_init__(self) -> None:
@@ -162,6 +162,15 @@ class LayeredMap:
             else:
                 states[part] = self._thresholds(name).states(self._steps(name, part))
         return states
+
+    def percent(self) -> StateArray:
+        """(rows, cols) fused probability in percent, -1 where it is one half, which is unknown."""
+        percent = np.empty(self.shape, dtype=np.int8)
+        for part in _blocks(self.shape[0]):
+            steps = self._steps("fused", part)
+            odds = np.exp(steps / np.float32(-bayes.STEPS_A_UNIT))
+            percent[part] = np.where(steps == 0, bayes.UNKNOWN, np.rint(100.0 / (1.0 + odds)))
+        return percent
 
     def _thresholds(self, name: LayerName) -> Thresholds:
         """A layer's own."""

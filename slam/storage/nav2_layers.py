@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from slam.mapping.layered_map import LAYERS, LayeredMap
+from slam.mapping.occupancy_grid import StateArray
 from slam.storage.files import make_folder, write_lines
 from slam.storage.nav2 import write_nav2_states
 from slam.storage.pgm import write_pgm
-
-_RAW_UNKNOWN = 255
 
 
 def write_layers(folder: Path, built: LayeredMap) -> list[Path]:
@@ -36,15 +35,13 @@ def write_layers(folder: Path, built: LayeredMap) -> list[Path]:
         for name in LAYERS
         if not missing.get(name, False)
     ]
-    grid = built.grid("fused")
-    percent = np.rint(100.0 * grid.probabilities()).astype(np.uint8)
-    return [*written, _write_raw(folder / "fused_probability", percent, written[-1])]
+    return [*written, _write_raw(folder / "fused_probability", built.percent(), written[-1])]
 
 
-def _write_raw(stem: Path, percent: np.typing.NDArray[np.uint8], trinary_yaml: Path) -> Path:
-    """A raw map with the resolution and origin of a trinary one."""
+def _write_raw(stem: Path, percent: StateArray, trinary_yaml: Path) -> Path:
+    """A raw map with the resolution and origin of a trinary one; -1 becomes 255."""
     image_path, yaml_path = stem.with_name(f"{stem.name}.pgm"), stem.with_name(f"{stem.name}.yaml")
-    write_pgm(image_path, percent[::-1])
+    write_pgm(image_path, percent[::-1].view(np.uint8))
     lines = trinary_yaml.read_text(encoding="utf-8").splitlines()
     told = {"image": image_path.name, "mode": "raw"}
     write_lines(yaml_path, [_replaced(line, told) for line in lines])

@@ -1,0 +1,48 @@
+import gtsam
+import numpy as np
+import pytest
+
+from fusion.bayes import STEPS_A_UNIT
+from slam.mapping.layered_map import LAYERS, LayeredMap, LayerSettings
+from slam.storage.nav2 import read_nav2_map
+from slam.storage.nav2_layers import write_layers
+
+
+def built(lidar=True):
+    steps = (np.array([[-3, 0, 3], [1, -1, 2]]) * STEPS_A_UNIT).astype(np.int16)
+    other = (np.array([[1, 0, -3], [-1, 1, 1]]) * STEPS_A_UNIT).astype(np.int16)
+    return LayeredMap(
+        steps if lidar else None, other, 0.05, gtsam.Pose2(1.5, -2.25, 0.5), LayerSettings(), 1, 1, 0
+    )
+
+
+def test_every_layer_reads_back_trinary_and_raw(tmp_path):
+    made = built()
+    paths = write_layers(tmp_path / "map", made)
+    assert [path.stem for path in paths] == [*LAYERS, "fused_probability"]
+    for name in LAYERS:
+        read = read_nav2_map(tmp_path / "map" / f"{name}.yaml")
+        assert read.mode == "trinary"
+        np.testing.assert_array_equal(read.values, made.states(name))
+        assert read.T_map_grid.equals(made.T_map_grid, 1e-12)
+    raw = read_nav2_map(paths[-1])
+    expected = np.rint(100.0 * made.grid("fused").probabilities())
+    expected[made.grid("fused").log_odds == 0.0] = -1
+    np.testing.assert_array_equal(raw.values, expected)
+    assert (raw.mode, raw.resolution_m) == ("raw", 0.05)
+    assert raw.values.tolist() == [[12, -1, -1], [-1, -1, 95]]
+
+
+@pytest.mark.parametrize("name", ["lidar", "decision"])
+def test_scale_mode_understands_the_same_pixels(tmp_path, name):
+    path = next(p for p in write_layers(tmp_path, built()) if p.stem == name)
+    path.write_text(path.read_text().replace("mode: trinary", "mode: scale"))
+    scaled, states = read_nav2_map(path).values, built().states(name)
+    # Sure cells stay; unknown, pixel 205, is p = 50 / 255, just above free_thresh.
+    np.testing.assert_array_equal(scaled[states >= 0], states[states >= 0])
+    assert set(scaled[states < 0].tolist()) <= {0}
+
+
+def test_a_missing_sensor_has_no_file(tmp_path):
+    stems = [path.stem for path in write_layers(tmp_path, built(lidar=False))]
+    assert stems == ["depth", "fused", "decision", "fused_probability"]
