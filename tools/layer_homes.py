@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from slam.mapping.layered_map import LayeredMap
+from slam.mapping.layered_map import LAYERS, LayeredMap, LayerSettings, build_layers
 from slam.mapping.occupancy_grid import OCCUPIED
 from slam.measurements import LaserScan, RgbdFrame
 from slam.simulation.drive import planar_mount
+from slam.simulation.home import generate_home
 from slam.simulation.home_model import Home
 from slam.simulation.rigs import Rig
 from slam.simulation.scene import Scene
 from slam.simulation.sensors import render_rgbd, scan_lidar
 from slam.simulation.tour import plan_tour
-from slam.simulation.true_grid import TrueGrid, drivable_cells
+from slam.simulation.true_grid import TrueGrid, true_grid
 
 EVERY_M, EVERY_RAD = 0.25, 0.26
+POSE_SIGMA_M, POSE_SIGMA_RAD = 0.015, 0.007
 _AROUND = np.ones((3, 3), dtype=bool)
 _STREAM = 21
 
@@ -120,6 +123,46 @@ def obstacles_found(
     return result
 
 
-def reachable(truth: TrueGrid, radius_m: float) -> Cells:
-    """Where the robot's centre may be."""
-    return drivable_cells(truth.occupied, truth.resolution_m, radius_m)
+def score_home(seed: int, rig: Rig, settings: LayerSettings) -> dict[str, Any]:
+    """F1 of every layer of one home, of the plain unions, and the low obstacles that each sensor saw.
+
+    Poses carry smooth errors as an optimised graph leaves them. ``union_points`` is every cell in which
+    either sensor ever ended, without Bayes; ``union_half`` every cell that either layer has above 0.5.
+    """
+    home = generate_home(seed)
+    posed = list(keyframes(home, rig, seed))
+    poses = with_errors([pose for _, pose in posed], np.random.default_rng([seed, _STREAM]))
+    built = build_layers((reading for reading, _ in posed), poses, settings)
+    hits_only = replace(
+        settings,
+        lidar=replace(settings.lidar, p_miss=0.49999),
+        depth=replace(settings.depth, p_miss=0.49999),
+    )
+    ended = build_layers((reading for reading, _ in posed), poses, hits_only)
+    truth = true_grid(home, settings.depth.band.low_m, settings.depth.band.high_m, settings.resolution_m)
+    wanted = to_be_seen(truth, home)
+    laid = {name: on_truth(built.states(name), built, truth) for name in LAYERS}
+    for name, made in (("union_half", built), ("union_points", ended)):
+        assert made.lidar is not None
+        assert made.depth is not None
+        either = np.where((made.lidar > 0) | (made.depth > 0), OCCUPIED, 0).astype(np.int8)
+        laid[name] = on_truth(either, made, truth)
+    lidar_z = 0.0 if rig.lidar is None else rig.lidar.T_base_laser.z()
+    low = [o.id for o in home.obstacles if settings.depth.band.low_m < o.box[1, 2] < lidar_z]
+    seen = {name: set(obstacles_found(laid[name], truth.obstacle_id, low)) for name in LAYERS}
+    return {
+        "home": seed,
+        "f1": {name: score_cells(cells, truth.occupied, wanted).f1 for name, cells in laid.items()},
+        "low_seen": len(seen["lidar"] | seen["depth"]),
+        "low_missed": sorted((seen["lidar"] | seen["depth"]) - seen["decision"]),
+    }
+
+
+def with_errors(poses: Sequence[gtsam.Pose2], rng: np.random.Generator) -> list[gtsam.Pose2]:
+    """Poses with smooth errors of `POSE_SIGMA_M` and `POSE_SIGMA_RAD`."""
+    errors = ndimage.gaussian_filter1d(rng.standard_normal((len(poses), 3)), 40, axis=0, mode="wrap")
+    errors *= np.array([POSE_SIGMA_M, POSE_SIGMA_M, POSE_SIGMA_RAD]) / errors.std(axis=0)
+    return [
+        gtsam.Pose2(pose.x() + x, pose.y() + y, pose.theta() + yaw)
+        for pose, (x, y, yaw) in zip(poses, errors, strict=True)
+    ]

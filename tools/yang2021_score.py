@@ -93,36 +93,49 @@ def completeness(run: Run, built: LayeredMap) -> float:
     return float(found.sum() / wanted.sum())
 
 
-def ransac_occupied(run: Run, band: HeightBand, cell_m: float, seed: int) -> Points:
-    """Occupied middles where each keyframe's ground is fitted by Open3D's RANSAC instead, map frame.
+def ransac_occupied(run: Run, band: HeightBand, cell_m: float, seed: int, *, whole: bool) -> Points:
+    """Occupied middles where the ground is fitted by Open3D's RANSAC instead, map frame.
 
-    What lies on the plane is cut off as ground, what lies above it is projected along its normal.
+    What lies on the plane is cut off as ground, what lies above it is projected.
+
+    Parameters
+    ----------
+    whole
+        One plane for the cloud of the whole drive; otherwise one for each keyframe.
     """
     import open3d
 
     open3d.utility.random.seed(seed)
-    kept = []
+    clouds, eyes = [], []
     for frame, pose in zip(run.frames, run.poses, strict=True):
         camera = frame.intrinsics
         intrinsics = Intrinsics(camera.fx, camera.fy, camera.cx, camera.cy)
         depth = np.where(frame.depth_m <= 4.0, frame.depth_m, 0.0)[::2, ::2]
         cloud = back_project(depth, pixel_rays(frame.depth_m.shape, intrinsics)[::2, ::2])
-        points = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud))
-        plane, inliers = points.segment_plane(RANSAC_DISTANCE_M, RANSAC_POINTS, RANSAC_DRAWS)
-        normal = np.array(plane[:3]) / np.linalg.norm(plane[:3])
-        height = cloud @ normal + plane[3] / np.linalg.norm(plane[:3])
-        # Up is the side of the plane on which the camera is.
-        height *= math.copysign(1.0, plane[3])
-        off = np.ones(len(cloud), dtype=bool)
-        off[inliers] = False
-        chosen = cloud[off & (height > 0.0) & (height < band.high_m)]
         assert frame.T_base_camera is not None
         T_map_camera = gtsam.Pose3(pose).compose(frame.T_base_camera).matrix()
-        kept.append(thin_to_voxels(to_frame(chosen, T_map_camera), 0.015))
-    cloud = thin_to_voxels(np.concatenate(kept), 0.015)
-    cloud = cloud[dense_enough(cloud, 0.04, 6)]
-    cells, counts = count_in_cells(cloud, cell_m)
-    return (cells[counts >= 3] + 0.5) * cell_m
+        clouds.append(thin_to_voxels(to_frame(cloud, T_map_camera), 0.015))
+        eyes.append(T_map_camera[:3, 3])
+    if whole:
+        clouds, eyes = [thin_to_voxels(np.concatenate(clouds), 0.015)], [np.mean(eyes, axis=0)]
+    kept = np.concatenate([_over_plane(cloud, eye, band) for cloud, eye in zip(clouds, eyes, strict=True)])
+    left = thin_to_voxels(kept, 0.015)
+    left = left[dense_enough(left, 0.04, 6)]
+    cells, counts = count_in_cells(left, cell_m)
+    return np.asarray((cells[counts >= 3] + 0.5) * cell_m)
+
+
+def _over_plane(cloud: Points, eye: Points, band: HeightBand) -> Points:
+    """The points above the plane of most of a cloud, up to the band's top; up is towards the eye."""
+    import open3d
+
+    points = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud))
+    plane, inliers = points.segment_plane(RANSAC_DISTANCE_M, RANSAC_POINTS, RANSAC_DRAWS)
+    normal, length = np.array(plane[:3]), float(np.linalg.norm(plane[:3]))
+    height = (cloud @ normal + plane[3]) / length * math.copysign(1.0, eye @ normal + plane[3])
+    off = np.ones(len(cloud), dtype=bool)
+    off[inliers] = False
+    return cloud[off & (height > 0.0) & (height < band.high_m)]
 
 
 def _face(run: Run, occupied: Points, axis: int, place: float, across: tuple[float, float]) -> Line:
