@@ -265,7 +265,7 @@ class LayerBuilder:
         if frame.T_base_camera is None:
             raise ScanweaveError(
                 f"camera {frame.sensor} does not tell where it sits on the robot; "
-                "estimate it with slam.mapping.camera_mount or give it in the config"
+                "give its mount in the config, or estimate it with fusion.camera_tilt"
             )
         T_map_body = gtsam.Pose3(T_map_base) if isinstance(T_map_base, gtsam.Pose2) else T_map_base
         T_map_camera = T_map_body.compose(frame.T_base_camera)
