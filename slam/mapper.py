@@ -7,6 +7,7 @@ from typing import Protocol
 
 from slam.map_result import MapResult
 from slam.measurements import LaserScan, WheelOdometry
+from slam.mount_learner import LearnedMounting
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prepared_frame import PreparedFrame
 
@@ -21,6 +22,10 @@ class Mapper(Protocol):
 
     def note_registrations(self, registrations: Mapping[str, ColorRegistration]) -> None:
         """Take down where colour cameras sit that are not registered to depth."""
+        ...
+
+    def learned_mountings(self) -> dict[str, LearnedMounting]:
+        """Where cameras sit that the log does not tell, as far as this run has shown."""
         ...
 
     def add_odometry(self, reading: WheelOdometry) -> None:

@@ -31,6 +31,14 @@ class KeyframeStep:
     covariance: FloatArray
 
 
+@dataclass(frozen=True, slots=True)
+class LearnedMounting:
+    """``T_base_camera`` that a whole run has told, and the line that says so."""
+
+    T_base_camera: gtsam.Pose3
+    note: str
+
+
 @dataclass(slots=True)
 class MountLearner:
     """Pairs of one camera, and the mounting as soon as it is sure.

@@ -36,12 +36,29 @@ def build_map(dataset: Dataset, config: Config, on_scan: Callable[[int], None] |
         Where the log holds nothing that can be mapped.
     """
     choice = SensorChoice.of(dataset, config.sensors)
+    registrations = registrations_of(used_measurements(dataset, config.sensors), choice.cameras, config)
+    prepare = FramePreparer(config.rgbd, registrations) if choice.cameras else None
     mapper: Mapper = SpatialMapper(config) if choice.spatial else PlanarMapper(config)
-    measurements: Iterable[Measurement | PreparedFrame] = used_measurements(dataset, config.sensors)
-    if choice.cameras:
-        registrations = registrations_of(used_measurements(dataset, config.sensors), choice.cameras, config)
+    mapper.note_registrations(registrations)
+    _feed(mapper, dataset, config, prepare, on_scan)
+    if mountings := mapper.learned_mountings():
+        # The way up to there was mapped without these cameras; now they are known from its beginning.
+        mapper = PlanarMapper(config, mountings)
         mapper.note_registrations(registrations)
-        prepare = FramePreparer(config.rgbd, registrations)
+        _feed(mapper, dataset, config, prepare, on_scan)
+    return mapper.finish()
+
+
+def _feed(
+    mapper: Mapper,
+    dataset: Dataset,
+    config: Config,
+    prepare: FramePreparer | None,
+    on_scan: Callable[[int], None] | None,
+) -> None:
+    """Hand the whole log to a mapper, frames prepared ahead."""
+    measurements: Iterable[Measurement | PreparedFrame] = used_measurements(dataset, config.sensors)
+    if prepare is not None:
         measurements = prepared_ahead(used_measurements(dataset, config.sensors), prepare)
     for measurement in measurements:
         if isinstance(measurement, PreparedFrame):
@@ -57,4 +74,3 @@ def build_map(dataset: Dataset, config: Config, on_scan: Callable[[int], None] |
             f"{dataset.name} holds no scan or frame that can be mapped; "
             "see 'scanweave inspect' for what it holds"
         )
-    return mapper.finish()

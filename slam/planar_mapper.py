@@ -20,6 +20,7 @@ from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import between
 from slam.matching.scan_points import ScanPoints, extract_points
 from slam.measurements import FloatArray, LaserScan, WheelOdometry, pose2_from_row, row_from_pose2
+from slam.mount_learner import LearnedMounting
 from slam.odometry import make_lidar_odometry
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
 from slam.odometry.wheel_tracker import WheelTracker
@@ -35,7 +36,7 @@ from slam.vision.prepared_frame import PreparedFrame
 class PlanarMapper:
     """State of a run: feed measurements in log order, then finish; see `slam.mapper.Mapper`."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, mountings: Mapping[str, LearnedMounting] | None = None) -> None:
         self._config = config
         self._wheels = WheelTracker(config.wheels) if config.lidar_odometry.use_wheel_odometry else None
         self._tracker = MotionTracker(
@@ -49,7 +50,7 @@ class PlanarMapper:
         self._readings = Readings()
         self._record = ScanRecorder()
         self._last_keyframe: TrackedScan | None = None
-        self._cameras = RobotCameras(config.rgbd_odometry, config.sensors)
+        self._cameras = RobotCameras(config.rgbd_odometry, config.sensors, mountings or {})
         self._places = PlanarPlaces(config)
         self._fusion = KeyframeFusion(config.fusion) if config.fusion.enabled else None
         self._marks: CameraMarks = {}
@@ -64,6 +65,10 @@ class PlanarMapper:
     def scan_count(self) -> int:
         """Scans so far."""
         return self._readings.scan_count
+
+    def learned_mountings(self) -> dict[str, LearnedMounting]:
+        """Where cameras sit that the log does not tell, as far as this run has shown."""
+        return self._cameras.learned_mountings()
 
     def add_odometry(self, reading: WheelOdometry) -> None:
         """Take a wheel odometry reading: a guess for the next scan, and a reading that wants a pose."""
@@ -160,6 +165,7 @@ class PlanarMapper:
             ],
             dense=self._places.dense(keyframe_poses),
             fused=fused,
+            cameras=self._cameras.records(self._registrations),
         )
 
     def _moved_on(self, tracked: TrackedScan) -> bool:

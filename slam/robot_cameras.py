@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -10,9 +11,11 @@ import gtsam
 from slam.config_stages import RgbdOdometryConfig, SensorsConfig
 from slam.graph.keyframe_graph import Step
 from slam.measurements import FloatArray
-from slam.mount_learner import KeyframeStep, MountLearner
+from slam.mount_learner import KeyframeStep, LearnedMounting, MountLearner
 from slam.odometry.camera_odometry import CameraOdometry, CameraPose, camera_step
+from slam.scan_record import CameraRecord, ScanRecorder
 from slam.vision.camera_frame import T_BODY_CAMERA
+from slam.vision.color_registration import ColorRegistration
 from slam.vision.planar_motion import PlanarMotion, planar_motion
 from slam.vision.prepared_frame import PreparedFrame
 
@@ -22,13 +25,14 @@ CameraMarks = Mapping[str, CameraPose | None]
 
 @dataclass(slots=True)
 class RobotCamera:
-    """One camera: its odometry, its mounting, and what it was refused for."""
+    """One camera: its odometry, its mounting, what became of its frames, and what it was refused for."""
 
     odometry: CameraOdometry
     T_base_camera: gtsam.Pose3 | None
     newest: PreparedFrame | None = None
     newest_pose: gtsam.Pose3 | None = None
     learner: MountLearner | None = None
+    record: ScanRecorder = field(default_factory=ScanRecorder)
     steps: int = 0
     refused_steps: int = 0
 
@@ -57,14 +61,18 @@ class RobotCameras:
 
     config: RgbdOdometryConfig
     sensors: SensorsConfig
+    mountings: Mapping[str, LearnedMounting] = field(default_factory=dict)
     cameras: dict[str, RobotCamera] = field(default_factory=dict)
 
     def add(self, frame: PreparedFrame) -> None:
         """Track a frame of any camera."""
+        started = time.perf_counter()
         name = frame.frame.sensor
         if name not in self.cameras:
             mounting = frame.frame.T_base_camera
             learn = mounting is None or self.sensors.mounting == "estimate"
+            if name in self.mountings:
+                mounting, learn = self.mountings[name].T_base_camera, False
             self.cameras[name] = RobotCamera(
                 CameraOdometry(self.config),
                 None if learn else mounting,
@@ -73,6 +81,8 @@ class RobotCameras:
         camera = self.cameras[name]
         tracked = camera.odometry.add(frame)
         camera.newest, camera.newest_pose = frame, tracked.pose
+        motion = None if tracked.match is None else tracked.match.motion
+        camera.record.add(frame.stamp_s, motion, time.perf_counter() - started, tracked.match)
 
     def marks(self, stamp_s: float) -> CameraMarks:
         """Where every camera was at a stamp."""
@@ -142,6 +152,17 @@ class RobotCameras:
                 camera.learner.add(KeyframeStep(source, target, step.motion, step.covariance), base)
                 camera.T_base_camera = camera.learner.T_base_camera
 
+    def learned_mountings(self) -> dict[str, LearnedMounting]:
+        """The mountings that all motions together have told."""
+        found = {}
+        for name, camera in self.cameras.items():
+            if camera.learner is None:
+                continue
+            camera.learner.estimate()
+            if camera.learner.T_base_camera is not None:
+                found[name] = LearnedMounting(camera.learner.T_base_camera, camera.learner.note(name))
+        return found
+
     def learned_steps(self) -> list[tuple[int, int, PlanarMotion]]:
         """All motions between keyframes of cameras whose mounting was learned, by its last estimate."""
         found = []
@@ -158,10 +179,20 @@ class RobotCameras:
                     found.append((step.source, step.target, planar))
         return found
 
+    def records(self, registrations: Mapping[str, ColorRegistration]) -> dict[str, CameraRecord]:
+        """What became of every camera's frames, for the report."""
+        return {
+            name: CameraRecord(
+                camera.record.finish(), camera.steps, camera.refused_steps, registrations.get(name)
+            )
+            for name, camera in self.cameras.items()
+        }
+
     def notes(self) -> list[str]:
         """The mountings that were learned."""
         cameras = self.cameras.items()
-        return [camera.learner.note(name) for name, camera in cameras if camera.learner is not None]
+        learning = [camera.learner.note(name) for name, camera in cameras if camera.learner is not None]
+        return [mounting.note for mounting in self.mountings.values()] + learning
 
     def warnings(self) -> list[str]:
         """What a person should know, one line a camera that failed often."""

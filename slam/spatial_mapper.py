@@ -14,6 +14,7 @@ from slam.graph.visual_loops import VisualLoopCloser
 from slam.keyframe_store import KeyframeStore, registration_notes
 from slam.map_result import DenseKeyframes, MapResult
 from slam.measurements import FloatArray, LaserScan, WheelOdometry
+from slam.mount_learner import LearnedMounting
 from slam.odometry.rgbd_odometry import make_rgbd_odometry
 from slam.odometry.rgbd_tracker import RgbdTracker, TrackedFrame
 from slam.scan_record import CameraRecord, ScanRecorder
@@ -55,6 +56,10 @@ class SpatialMapper:
     def note_registrations(self, registrations: Mapping[str, ColorRegistration]) -> None:
         """Take down where colour cameras sit that are not registered to depth."""
         self._registrations = registrations
+
+    def learned_mountings(self) -> dict[str, LearnedMounting]:
+        """None: a camera alone is its own base."""
+        return {}
 
     def add_odometry(self, reading: WheelOdometry) -> None:
         """Wheels do not tell how a camera moves in space."""

@@ -36,7 +36,7 @@ def registrations_of(
     cameras
         Names of the cameras.
     """
-    if config.rgbd.registration == "given":
+    if not cameras or config.rgbd.registration == "given":
         return {}
     collectors = {name: _Collector(config) for name in cameras}
     first_s: float | None = None
