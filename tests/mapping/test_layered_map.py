@@ -78,8 +78,8 @@ def test_a_low_box_is_not_cleared_by_what_passes_over_it():
     seen = [frame(0.0, (box,))]
     # The camera turned up so that only rays over the box are left.
     up = gtsam.Pose3(gtsam.Rot3.Ypr(0.0, math.radians(-20.0), 0.0).compose(OPTICAL), MOUNT.translation())
-    over = [frame(1.0 + i, (box,), mount=up) for i in range(20)]
-    built = build_layers(seen + over, same_base(21), SETTINGS)
+    over = [frame(1.0 + i, (box,), mount=up) for i in range(8)]
+    built = build_layers(seen + over, same_base(9), SETTINGS)
     assert state(built, "depth", 1.52, 0.0) == OCCUPIED
 
 
@@ -205,3 +205,12 @@ def test_an_image_without_readings_says_nothing():
     empty = replace(frame(), depth_m=np.zeros((240, 320), np.float32))
     built = build_layers([empty, scan()], same_base(2), SETTINGS)
     assert (built.frames, built.scans) == (0, 1)
+
+
+def test_a_sensor_that_dies_half_way_leaves_the_other_to_map_on():
+    scans, frames = [scan(float(i), 2.0) for i in range(3)], [frame(10.0 + i) for i in range(3)]
+    far = gtsam.Pose2(20.0, 0.0, 0.0)
+    built = build_layers([*scans, *frames], same_base(3) + [far] * 3, SETTINGS)
+    assert state(built, "decision", 1.0, 0.0) == FREE
+    assert state(built, "decision", 22.98, 0.0) == OCCUPIED
+    assert state(built, "lidar", 22.98, 0.0) == UNKNOWN
