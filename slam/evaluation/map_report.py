@@ -132,6 +132,7 @@ def report_data(
         ],
         truth=beside.truth,
         cloud=cloud,
+        fused=result.fused,
     )
 
 

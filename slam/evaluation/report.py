@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 
 from slam.evaluation import report_figures
 from slam.evaluation.cloud_picture import CloudPicture
+from slam.evaluation.fusion_figures import fusion_section
 from slam.evaluation.page_parts import folded, image, section, table
 from slam.evaluation.report_cameras import CameraRow, camera_sections, cloud_section, side_view, truth_section
 from slam.evaluation.report_style import STYLE
 from slam.evaluation.truth_comparison import TruthComparison
+from slam.keyframe_fusion import FusionSummary
 from slam.measurements import BoolArray, FloatArray
 from slam.storage.files import replacing
 
@@ -117,6 +119,8 @@ class ReportData:
         The trajectory against its truth; None where the log has none.
     cloud
         The coloured cloud from above; None where there is none.
+    fused
+        What scans and depth images repaired of each other; None where there were not both.
     """
 
     log_name: str
@@ -144,6 +148,7 @@ class ReportData:
     cameras: Sequence[CameraRow] = ()
     truth: TruthComparison | None = None
     cloud: CloudPicture | None = None
+    fused: FusionSummary | None = None
 
 
 def write_report(path: Path, data: ReportData) -> None:
@@ -172,6 +177,7 @@ def _page(data: ReportData) -> Iterator[str]:
     yield cloud_section(data.cloud) if data.cloud is not None else ""
     yield truth_section(data.truth, spatial=data.spatial) if data.truth is not None else ""
     yield from camera_sections(data.cameras)
+    yield fusion_section(data.fused) if data.fused is not None else ""
     yield _scores(data)
     yield from _loops(data.loops)
     yield '<div class="columns">\n'

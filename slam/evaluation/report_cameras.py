@@ -52,8 +52,9 @@ def camera_sections(cameras: Sequence[CameraRow]) -> Iterator[str]:
     registrations = ((camera.name, camera.registration) for camera in cameras)
     colors = table(("camera", "its colour camera"), registrations, css_class="notes")
     told = paragraph(
-        "Motions are what a robot's camera told the graph; refused ones left the floor. Overlap, agreeing "
-        "features, reprojection and distance to the surface are medians over the frames."
+        "Motions are what a robot's camera told from moment to moment and from keyframe to keyframe; refused "
+        "ones left the floor. Overlap, agreeing features, reprojection and distance to the surface are "
+        "medians over the frames."
     )
     yield section("Cameras", counts + told + colors)
     for camera in cameras:

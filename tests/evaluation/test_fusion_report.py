@@ -1,0 +1,208 @@
+"""What the report tells of scans and depth images that repaired each other, and of a robot's cameras."""
+
+from __future__ import annotations
+
+import io
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from flat_worlds import box, sweep
+from PIL import Image
+from room_world import LESS, T_BODY_CAMERA, blind, furnished, prepared, render
+
+from fusion import Grade, Provenance, RigEstimate
+from slam.config import Config
+from slam.datasets.dataset import ReadReport
+from slam.evaluation.fusion_figures import examples_png, fusion_section, offsets_png, repairs_png
+from slam.evaluation.map_report import RunCost, report_data
+from slam.evaluation.report import write_report
+from slam.graph.pose_graph import PoseGraph
+from slam.keyframe_fusion import FusionPair, FusionSummary
+from slam.map_result import MapResult
+from slam.measurements import FloatArray, LaserScan, Trajectory
+from slam.planar_mapper import PlanarMapper
+from slam.scan_record import ScanRecord
+from slam.vision.color_registration import identity_registration
+
+RIG = RigEstimate(
+    u=90, yaw_rad=0.0, height_m=-0.4, height_range_m=None, v=0, pairs=8, alignments=(None,), drift=0
+)
+RED, ORANGE, GREEN, BLUE = (194, 53, 43), (217, 115, 13), (31, 138, 76), (37, 99, 184)
+
+
+def pairs(repaired: bool = True) -> list[FusionPair]:
+    """Four of high grade near the rig's u, three of middle grade beside it, one of low grade far off."""
+    grades = [Grade.HIGH] * 4 + [Grade.MIDDLE] * 3 + [Grade.LOW]
+    offsets = [90, 91, 90, 91, 88, 88, 87, 140]
+    counts = np.zeros(len(Provenance), np.int64)
+    counts[[Provenance.MEASURED, Provenance.FILLED, Provenance.INTERPOLATED]] = 150, 20, 10
+    return [
+        FusionPair(1000.0 + number, u, grade, counts if repaired and grade != Grade.LOW else None)
+        for number, (u, grade) in enumerate(zip(offsets, grades, strict=True))
+    ]
+
+
+def example(stamp_s: float = 1000.0) -> tuple[LaserScan, LaserScan]:
+    """A round room; ten beams without return get one, ten others get another, ten stay lost."""
+    ranges_m = np.full(180, 3.0, np.float32)
+    ranges_m[40:50], ranges_m[120:130] = np.inf, np.nan
+    before = LaserScan(stamp_s, ranges_m, -math.pi / 2, math.pi / 180, 10.0)
+    after = ranges_m.copy()
+    after[40:50], after[80:90] = 3.0, 2.5
+    return before, replace(before, ranges_m=after)
+
+
+def summary(repaired: bool = True, estimate: RigEstimate | None = RIG, examples: int = 2) -> FusionSummary:
+    shown = [example(1000.0 + number) for number in range(examples)]
+    return FusionSummary(pairs(repaired), estimate, shown, "fusion of <8> keyframes")
+
+
+def frames(count: int = 8) -> ScanRecord:
+    return ScanRecord(
+        1000.0 + np.arange(count), *(np.full(count, value) for value in [0.1] * 3 + [0.0] + [0.1] * 3)
+    )
+
+
+def page(fused: FusionSummary | None, folder: Path) -> str:
+    """The report of a run that stood still."""
+    scan = example()[0]
+    result = MapResult(
+        trajectory=Trajectory(frames().stamps_s, np.zeros((8, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (8, 1))),
+        keyframe_poses=np.zeros((1, 3)),
+        keyframe_numbers=np.array([0]),
+        keyframe_scans=[scan],
+        graph=PoseGraph(gtsam.Pose2()),
+        edges_kept=np.empty(0, np.bool_),
+        loops=[],
+        scans=frames(),
+        grid=None,
+        stage_seconds={},
+        warnings=[],
+        fused=fused,
+    )
+    write_report(
+        folder / "report.html", report_data("log", ReadReport(), result, Config(), RunCost(1.0, 1.0))
+    )
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def pixels(png: bytes) -> FloatArray:
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), dtype=float)
+
+
+def painted(picture: FloatArray, color: tuple[int, int, int]) -> int:
+    """Pixels of about a colour."""
+    return int(np.count_nonzero(np.abs(picture - color).max(axis=-1) < 30))
+
+
+def test_a_run_with_fusion_tells_of_it(tmp_path: Path) -> None:
+    html = page(summary(), tmp_path)
+    told = html[html.index("<h2>Fusion of lidar and depth (Xu2024)") :].split("</section>")[0]
+    assert "fusion of &lt;8&gt; keyframes" in told and "7 of 8 pairs were repaired." in told
+    assert told.count("<img") == 3
+
+
+def test_a_run_without_fusion_does_not(tmp_path: Path) -> None:
+    assert "Fusion of lidar" not in page(None, tmp_path)
+
+
+def test_pairs_are_counted_by_grade_and_held_against_the_rig() -> None:
+    html = fusion_section(summary())
+    assert "<tr><td>high<td>4<td>50%<td>0.5\n" in html
+    assert "<tr><td>middle<td>3<td>38%<td>2.0\n" in html
+    assert "<tr><td>low<td>1<td>12%<td>50.0\n" in html
+
+
+def test_where_the_rig_was_not_told_only_the_pairs_are_shown() -> None:
+    html = fusion_section(summary(repaired=False, estimate=None, examples=0))
+    assert "<tr><td>high<td>4<td>50%<td>–\n" in html and "<tr><td>low<td>1<td>12%<td>–\n" in html
+    assert html.count("<img") == 1 and "were repaired" not in html
+
+
+def test_without_a_pair_the_note_stands_alone() -> None:
+    html = fusion_section(FusionSummary([], None, [], "no pair at all"))
+    assert "no pair at all" in html and "<img" not in html and "<table" not in html
+
+
+def test_pairs_have_the_colour_of_their_grade_at_the_height_of_their_u() -> None:
+    shown = summary()
+    picture = pixels(offsets_png(shown))[30:-40]  # without legend and labels
+    lone = np.argwhere(np.abs(picture - RED).max(axis=-1) < 30)
+    sure = np.argwhere(np.abs(picture - GREEN).max(axis=-1) < 30)
+    assert lone[:, 0].max() < sure[:, 0].min()  # u = 140 is above u = 91
+    assert lone[:, 1].min() > sure[:, 1].max()  # and came last
+    without = pixels(offsets_png(replace(shown, pairs=shown.pairs[:-1])))[30:-40]
+    assert painted(without, RED) == 0
+
+
+def test_the_line_of_the_rig_is_there_only_where_it_was_told() -> None:
+    def widest_grey(fused: FusionSummary) -> int:
+        picture = pixels(offsets_png(fused))[30:-60, 80:-30]
+        return int((np.abs(picture - (102, 114, 129)).max(axis=-1) < 60).sum(axis=1).max())
+
+    assert widest_grey(summary()) > 700
+    assert widest_grey(summary(estimate=None)) < 100
+
+
+def test_repairs_are_shares_of_all_beams() -> None:
+    repaired = [pair for pair in pairs() if pair.repaired is not None]
+    drawn = pixels(repairs_png(repaired))[30:-40]
+
+    def height(color: tuple[int, int, int]) -> float:
+        return float(np.argwhere(np.abs(drawn - color).max(axis=-1) < 30)[:, 0].mean())
+
+    base = height(GREEN)  # nothing was averaged
+    assert base - height(ORANGE) == pytest.approx(2.0 * (base - height(BLUE)), rel=0.05)
+    many = [replace(pair, repaired=10 * pair.repaired) for pair in repaired]  # type: ignore[operator]
+    assert repairs_png(many) == repairs_png(repaired)
+
+
+def test_new_readings_have_their_own_colours() -> None:
+    picture = pixels(examples_png([example()]))
+    above, below = np.vsplit(picture, 2)
+    assert painted(above, RED) > 5 and painted(above, ORANGE) == painted(above, BLUE) == 0
+    assert painted(below, RED) == 0 and painted(below, ORANGE) > 5 and painted(below, BLUE) > 5
+    before, after = example()
+    untouched = pixels(examples_png([(before, before)]))
+    assert painted(untouched, RED) == painted(untouched, ORANGE) == painted(untouched, BLUE) == 0
+    gone = replace(after, ranges_m=np.where(np.arange(180) < 60, after.ranges_m, before.ranges_m))
+    only_new = pixels(examples_png([(before, gone)]))
+    assert painted(only_new, ORANGE) > 5 and painted(only_new, BLUE) == painted(only_new, RED) == 0
+
+
+def test_of_many_examples_six_are_shown() -> None:
+    """The first and the last among them, the others evenly between."""
+    many = summary(examples=16)
+    six = replace(many, examples=many.examples[::3])
+    assert len(six.examples) == 6 and fusion_section(many) == fusion_section(six)
+    assert fusion_section(many) != fusion_section(replace(many, examples=many.examples[:6]))
+
+
+def test_what_became_of_every_camera_of_a_robot_is_told() -> None:
+    """Eight frames of one camera, of which the last two see nothing; two of another."""
+    mount = gtsam.Pose3(T_BODY_CAMERA.rotation(), np.array([0.1, 0.0, 1.1]))
+    mapper = PlanarMapper(Config())
+    refused = identity_registration(LESS, "no clear gain")
+    mapper.note_registrations({"left": refused})
+    for number in range(8):
+        pose, stamp_s = np.array([-0.5 + 0.03 * number, -0.7, 0.2]), 100.0 + 0.1 * number
+        on_floor = gtsam.Pose3(gtsam.Rot3.Rz(pose[2]), np.array([pose[0], pose[1], 0.0]))
+        seen = render(furnished(), on_floor * mount, LESS, stamp_s - 0.01, T_base_camera=mount, smooth=False)
+        mapper.add_frame(prepared(replace(blind(seen) if number > 5 else seen, sensor="left")))
+        if number < 2:
+            mapper.add_frame(prepared(replace(seen, sensor="right")))
+        mapper.add_scan(sweep(box(-2.5, -2.0, 2.5, 2.0), pose, beams=181, fov_rad=math.pi, stamp_s=stamp_s))
+    cameras = mapper.finish().cameras
+    assert list(cameras) == ["left", "right"]
+    left, right = cameras["left"], cameras["right"]
+    np.testing.assert_allclose(left.frames.stamps_s, 99.99 + 0.1 * np.arange(8))
+    assert left.frames.unmatched.tolist() == [False] * 6 + [True] * 2
+    assert right.frames.stamps_s.size == 2 and not right.frames.unmatched.any()
+    assert (left.frames.seconds > 0.0).all() and np.nanmin(left.frames.feature_counts) > 10
+    assert np.nanmin(left.frames.overlaps[1:6]) > 0.5
+    assert left.motions > right.motions > 0 and left.refused_motions == 0
+    assert left.registration is refused and right.registration is None
