@@ -265,6 +265,7 @@ def _map(log: Path, out: Path, config: str | None, overrides: list[str], strict:
     from slam.datasets import open_dataset
     from slam.evaluation.map_report import RunCost, beside_of, report_data
     from slam.evaluation.report import write_report
+    from slam.layer_outputs import save_layers
     from slam.pipeline import build_map
     from slam.run_outputs import save_run
     from slam.storage.files import make_folder
@@ -274,7 +275,7 @@ def _map(log: Path, out: Path, config: str | None, overrides: list[str], strict:
     make_folder(out)
     with _progress("mapping", "scans and frames") as advance, _interrupted_between_scans(advance) as on_scan:
         result = build_map(dataset, settings, on_scan)
-    written = save_run(out, result, settings.dense_map)
+    written = [*save_run(out, result, settings.dense_map), *save_layers(out, result, settings)]
     cost = RunCost(time.perf_counter() - started, time.process_time())
     data = report_data(log.name, dataset.report, result, settings, cost, beside_of(dataset, result, written))
     write_report(out / "report.html", data)

@@ -24,6 +24,7 @@ from slam.config_stages import (
     GraphConfig,
     GridConfig,
     KeyframeConfig,
+    LayersConfig,
     LidarOdometryConfig,
     LoopConfig,
     MatchConfig,
@@ -63,6 +64,7 @@ class Config(StrictModel):
     graph: GraphConfig = GraphConfig()
     fusion: FusionConfig = FusionConfig()
     grid: GridConfig = GridConfig()
+    layers: LayersConfig = LayersConfig()
     dense_map: DenseMapConfig = DenseMapConfig()
 
 

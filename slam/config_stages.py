@@ -314,3 +314,15 @@ class FusionConfig(StrictModel):
         default=50, ge=1, description="pairs that must be summed before the rig is believed"
     )
     examples: int = Field(default=6, ge=1, description="keyframes that the report shows before and after")
+
+
+class LayersConfig(StrictModel):
+    """The map to drive by: lidar and depth layers, and what both decide (Li2020, Yang2021)."""
+
+    enabled: bool = Field(default=True, description="write the layers of a robot that has a camera")
+    robot_height_m: float = Field(default=0.7, gt=0, description="what hangs higher stops no robot")
+    climb_m: float = Field(default=0.03, ge=0, description="highest step that the robot drives over")
+    depth_max_m: float = Field(default=3.5, gt=0, description="farther depth readings mark nothing")
+    rule: Literal["corrected", "printed"] = Field(
+        default="corrected", description="Li2020 Table 3: with its two swapped cells put right, or as printed"
+    )

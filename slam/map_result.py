@@ -36,7 +36,7 @@ class MapResult:
     keyframe_poses
         (K, 3) optimised x, y, yaw, map frame.
     keyframe_scans
-        The sweep of each keyframe; None where a camera carried the robot on.
+        The sweep of each keyframe, repaired where the fusion could; None where a camera carried the robot on.
     graph
         All edges with their provenance.
     loops

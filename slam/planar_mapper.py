@@ -147,7 +147,7 @@ class PlanarMapper:
             trajectory=trajectory,
             keyframe_poses=keyframe_poses,
             keyframe_numbers=self._readings.keyframe_scans(),
-            keyframe_scans=self._keyframe_scans,
+            keyframe_scans=list(scans_fused),
             graph=self._graph.graph,
             edges_kept=outcome.kept,
             loops=self._graph.loops,

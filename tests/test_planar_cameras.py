@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import gtsam
 import numpy as np
@@ -15,6 +16,7 @@ from room_world import LESS, T_BODY_CAMERA, blind, furnished, render
 from slam.config import load_config
 from slam.datasets.dataset import ReadReport
 from slam.graph.pose_graph import EdgeKind
+from slam.layer_outputs import save_layers
 from slam.map_result import MapResult
 from slam.matching.planar import between, compose
 from slam.measurements import (
@@ -159,3 +161,15 @@ def test_the_lidar_is_matched_from_the_first_keyframe(drive: list[tuple[int, Mea
     result = run(drive, whole)
     assert result.keyframe_scans[0] is not None
     assert (0, EdgeKind.LIDAR) in {(edge.source, edge.kind) for edge in result.graph.edges}
+
+
+def test_the_layers_show_what_each_sensor_saw(drive: list[tuple[int, Measurement]], tmp_path: Path) -> None:
+    config = load_config(None, ["dense_map.enabled=false"])
+    both = {path.stem for path in save_layers(tmp_path, run(drive, whole), config)}
+    assert both == {"lidar", "depth", "fused", "decision", "fused_probability"}
+    alone = save_layers(tmp_path / "alone", run(drive, whole, "sensors.lidar=false"), config)
+    assert "lidar" not in {path.stem for path in alone}
+    assert "depth" in {path.stem for path in alone}
+    assert save_layers(tmp_path, run(drive, whole, "sensors.rgbd=false"), config) == []
+    off = load_config(None, ["layers.enabled=false"])
+    assert save_layers(tmp_path / "off", run(drive, whole), off) == []

@@ -1,0 +1,59 @@
+"""The layered map of a finished run: what each sensor says of every cell, and what to drive by."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import gtsam
+
+from fusion.height_band import HeightBand
+from slam.config import Config
+from slam.map_result import MapResult
+from slam.mapping.depth_grid import DepthModel
+from slam.mapping.layered_map import LayerBuilder, LayerSettings
+from slam.measurements import LaserScan, Pose, RgbdFrame, pose2_from_row
+from slam.storage.files import make_folder
+from slam.storage.nav2_layers import write_layers
+
+
+def save_layers(folder: Path, result: MapResult, config: Config) -> list[Path]:
+    """Write ``layers/`` of a robot on a floor that has a camera; nothing for any other run.
+
+    Returns
+    -------
+    The yaml files.
+
+    Raises
+    ------
+    ScanweaveError
+        Where the map would not fit, or a file cannot be written.
+    """
+    planar = isinstance(result.graph.pose(0), gtsam.Pose2)
+    if not (config.layers.enabled and planar and result.dense is not None):
+        return []
+    band = HeightBand(0.0, config.layers.robot_height_m, config.layers.climb_m)
+    settings = LayerSettings(
+        resolution_m=config.grid.resolution_m,
+        depth=DepthModel(band=band, depth_max_m=config.layers.depth_max_m),
+        rule=config.layers.rule,
+        max_cells=config.grid.greatest_cells,
+    )
+    builder = LayerBuilder(settings)
+    for reading, T_map_base in _readings(result):
+        builder.add(reading, T_map_base)
+    make_folder(folder / "layers")
+    return write_layers(folder / "layers", builder.finish())
+
+
+def _readings(result: MapResult) -> Iterator[tuple[LaserScan | RgbdFrame, Pose]]:
+    """Keyframe scans and images with the pose of the base at each."""
+    for scan, pose in zip(result.keyframe_scans, result.keyframe_poses, strict=True):
+        if scan is not None:
+            yield scan, pose2_from_row(pose)
+    if result.dense is None:
+        return
+    for frame, T_map_camera in zip(result.dense.frames, result.dense.poses, strict=True):
+        if frame.T_base_camera is not None:
+            # Only the product of both transforms is used, so a mounting told wrongly does no harm here.
+            yield frame, T_map_camera.compose(frame.T_base_camera.inverse())
