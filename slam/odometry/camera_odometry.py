@@ -54,15 +54,9 @@ class CameraOdometry:
         self.lost_frames = 0
         self.frames = 0
 
-    def add(self, frame: PreparedFrame, step_guess: gtsam.Pose3 | None = None) -> TrackedFrame:
-        """Track the next frame.
-
-        Parameters
-        ----------
-        step_guess
-            Motion of the camera since its last frame as other sensors tell it.
-        """
-        tracked = self._tracker.track(frame, step_guess)
+    def add(self, frame: PreparedFrame) -> TrackedFrame:
+        """Track the next frame."""
+        tracked = self._tracker.track(frame)
         self.frames += 1
         if tracked.restarted:
             self._segment += 1

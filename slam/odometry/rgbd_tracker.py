@@ -52,19 +52,13 @@ class RgbdTracker:
         self._step_s = 0.0
         self._lost = 0
 
-    def track(self, frame: PreparedFrame, step_guess: gtsam.Pose3 | None = None) -> TrackedFrame:
-        """Pose of the next frame; the first one is the origin of the odometry frame.
-
-        Parameters
-        ----------
-        step_guess
-            Motion of the camera since the last frame as other sensors tell it; constant velocity if None.
-        """
+    def track(self, frame: PreparedFrame) -> TrackedFrame:
+        """Pose of the next frame; the first one is the origin of the odometry frame."""
         if self._last is None:
             tracked = TrackedFrame(gtsam.Pose3(), None, new_keyframe=True, restarted=False)
         else:
             step_s = frame.stamp_s - self._stamp_s
-            guess = self._last.pose.compose(step_guess or self._velocity_step(step_s))
+            guess = self._last.pose.compose(self._velocity_step(step_s))
             tracked = self._match(frame, guess)
             self._step = self._last.pose.between(tracked.pose) if tracked.match else gtsam.Pose3()
             # The pose before is that of the last frame that matched, however many were lost since.
