@@ -275,7 +275,11 @@ def _map(log: Path, out: Path, config: str | None, overrides: list[str], strict:
     make_folder(out)
     with _progress("mapping", "scans and frames") as advance, _interrupted_between_scans(advance) as on_scan:
         result = build_map(dataset, settings, on_scan)
-    written = [*save_run(out, result, settings.dense_map), *save_layers(out, result, settings)]
+    written = save_run(out, result, settings.dense_map)
+    try:
+        written += save_layers(out, result, settings)
+    except ScanweaveError as error:  # the rest of the run is still worth its report
+        result.warnings.append(f"No layers were written: {error}")
     cost = RunCost(time.perf_counter() - started, time.process_time())
     data = report_data(log.name, dataset.report, result, settings, cost, beside_of(dataset, result, written))
     write_report(out / "report.html", data)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -13,6 +14,8 @@ from slam.config_stages import FusionConfig
 from slam.mapping.keyframe_images import KeyframeImages
 from slam.measurements import CameraIntrinsics, FloatArray, LaserScan, RgbdFrame
 from slam.robot_cameras import Picture
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +113,12 @@ class KeyframeFusion:
             if scan is None:
                 continue
             frames = [self._images.frame(image) for image in numbers]
-            result = fusion.denoise(_curve(scan), _depths(frames, turns), estimate)
+            try:
+                result = fusion.denoise(_curve(scan), _depths(frames, turns), estimate)
+            except ValueError as error:  # an image that is not like the others: the scan stays as it is
+                log.warning("keyframe %d was not repaired: %s", key, error)
+                pairs.append(self._pairs[number])
+                continue
             counts = np.bincount(result.lidar_source, minlength=len(fusion.Provenance))
             pairs.append(replace(self._pairs[number], repaired=counts if result.applied else None))
             if result.applied:

@@ -9,6 +9,7 @@ import gtsam
 
 from fusion.height_band import HeightBand
 from slam.config import Config
+from slam.errors import ConfigError
 from slam.map_result import MapResult
 from slam.mapping.depth_grid import DepthModel
 from slam.mapping.layered_map import LayerBuilder, LayerSettings
@@ -27,11 +28,16 @@ def save_layers(folder: Path, result: MapResult, config: Config) -> list[Path]:
     Raises
     ------
     ScanweaveError
-        Where the map would not fit, or a file cannot be written.
+        Where the map would not fit, a file cannot be written, or the robot climbs over all that it is high.
     """
     planar = isinstance(result.graph.pose(0), gtsam.Pose2)
     if not (config.layers.enabled and planar and result.dense is not None):
         return []
+    if config.layers.climb_m >= config.layers.robot_height_m:
+        raise ConfigError(
+            f"layers.climb_m = {config.layers.climb_m:g} leaves no obstacle to a robot of "
+            f"layers.robot_height_m = {config.layers.robot_height_m:g}; make the step lower"
+        )
     band = HeightBand(0.0, config.layers.robot_height_m, config.layers.climb_m)
     settings = LayerSettings(
         resolution_m=config.grid.resolution_m,
@@ -55,5 +61,4 @@ def _readings(result: MapResult) -> Iterator[tuple[LaserScan | RgbdFrame, Pose]]
         return
     for frame, T_map_camera in zip(result.dense.frames, result.dense.poses, strict=True):
         if frame.T_base_camera is not None:
-            # Only the product of both transforms is used, so a mounting told wrongly does no harm here.
             yield frame, T_map_camera.compose(frame.T_base_camera.inverse())

@@ -50,6 +50,8 @@ class PlanarPlaces:
         -------
         Every candidate that was tried, its ends being nodes.
         """
+        # Seen from the base at the node, so that whoever reads the image needs no other pose than the node's.
+        frame = replace(frame, frame=replace(frame.frame, T_base_camera=T_node_camera))
         key = self._store.add(frame, registration)
         self._nodes.append(node)
         self._T_node_camera.append(T_node_camera)

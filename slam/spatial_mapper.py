@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Mapping
 
 import gtsam
@@ -46,6 +47,7 @@ class SpatialMapper:
         self._last_keyframe: gtsam.Pose3 | None = None
         self._T_base_camera: gtsam.Pose3 | None = None
         self._camera: str | None = None
+        self._unused: Counter[str] = Counter()
         self._registrations: Mapping[str, ColorRegistration] = {}
 
     @property
@@ -70,6 +72,7 @@ class SpatialMapper:
     def add_frame(self, frame: PreparedFrame) -> None:
         """Match a frame; where the camera has moved on, make it a keyframe and close loops."""
         if frame.frame.sensor != (self._camera or frame.frame.sensor):
+            self._unused[frame.frame.sensor] += 1
             return
         self._camera = frame.frame.sensor
         started = time.perf_counter()
@@ -109,7 +112,10 @@ class SpatialMapper:
                 "final optimisation": clock[1] - clock[0],
                 "full trajectory": clock[2] - clock[1],
             },
-            warnings=[],
+            warnings=[
+                f"{name}: {count:,} frames were not used; in space only the first camera, {self._camera}, is"
+                for name, count in self._unused.items()
+            ],
             notes=registration_notes(self._registrations),
             dense=DenseKeyframes(self._store.images, cameras),
             cameras={

@@ -15,6 +15,7 @@ from room_world import LESS, T_BODY_CAMERA, blind, furnished, render
 
 from slam.config import load_config
 from slam.datasets.dataset import ReadReport
+from slam.errors import ConfigError
 from slam.graph.pose_graph import EdgeKind
 from slam.layer_outputs import save_layers
 from slam.map_result import MapResult
@@ -171,5 +172,7 @@ def test_the_layers_show_what_each_sensor_saw(drive: list[tuple[int, Measurement
     assert "lidar" not in {path.stem for path in alone}
     assert "depth" in {path.stem for path in alone}
     assert save_layers(tmp_path, run(drive, whole, "sensors.rgbd=false"), config) == []
+    with pytest.raises(ConfigError, match="make the step lower"):
+        save_layers(tmp_path, run(drive, whole), load_config(None, ["layers.climb_m=0.8"]))
     off = load_config(None, ["layers.enabled=false"])
     assert save_layers(tmp_path / "off", run(drive, whole), off) == []

@@ -47,12 +47,13 @@ class FrameMatcher:
         config = self._config
         known = local[: config.feature_views] if self._use_features else []
         landmarks = self._landmarks(frame, known, guess)
-        if len(landmarks.points) < config.least_inliers:
+        anywhere = len(landmarks.points) < config.least_inliers
+        if anywhere:
             # Features that are elsewhere speak against the guess; where they are expected they are not seen.
             landmarks = self._landmarks(frame, known)
         best = self._align(frame, local, landmarks, guess)
         if self._share(best) < config.sure_inlier_share or not best.converged:
-            landmarks = self._landmarks(frame, known)
+            landmarks = landmarks if anywhere else self._landmarks(frame, known)
             found = self._by_features(frame, landmarks)
             if found is not None:
                 best = max(best, self._align(frame, local, landmarks, found), key=self._share)
