@@ -129,7 +129,7 @@ def file_faults(module: str, source: str, tree: ast.Module) -> Iterator[str]:
     calls = [
         node for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
     ]
-    if module != "slam.cli" and any(call.func.id == "print" for call in calls):
+    if room_of(module) != "slam.cli" and any(call.func.id == "print" for call in calls):
         yield "prints; only slam.cli may"
 
 
@@ -182,7 +182,7 @@ def test_the_reader_of_imports_sees_the_house() -> None:
 
 
 SOUND = {
-    "slam/cli.py": "from slam.pipeline import run\nprint(run())\n",
+    "slam/cli/__init__.py": "from slam.pipeline import run\nprint(run())\n",
     "slam/pipeline.py": "from slam import graph, errors\nfrom slam.graph.poses import chain\nrun = chain\n",
     "slam/graph/__init__.py": "",
     "slam/graph/poses.py": (

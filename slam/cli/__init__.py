@@ -1,0 +1,29 @@
+"""The commands. Nothing else prints."""
+
+from __future__ import annotations
+
+import sys
+
+from slam.cli import look, map_log, simulate
+from slam.cli.app import app
+from slam.errors import ScanweaveError
+
+__all__ = ["app", "look", "main", "map_log", "simulate"]
+
+# Conventional exit code of a program that the user interrupted.
+_INTERRUPTED = 130
+
+
+def main() -> None:
+    """Run a command: exit code 1 for a known error in one line, 2 for wrong usage."""
+    try:
+        app()
+    except ScanweaveError as error:
+        print(f"scanweave: {error}", file=sys.stderr)
+        sys.exit(1)
+    except (KeyboardInterrupt, SystemExit) as end:
+        # Typer turns an interrupt into its exit code and says nothing.
+        if isinstance(end, SystemExit) and end.code != _INTERRUPTED:
+            raise
+        print("scanweave: interrupted; nothing half-written was left behind", file=sys.stderr)
+        sys.exit(_INTERRUPTED)

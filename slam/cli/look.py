@@ -1,0 +1,89 @@
+"""Commands that look: scanweave inspect, evaluate, config, plan."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slam.cli.app import ConfigOption, JsonOption, LogArgument, SetOption, StrictOption, app
+from slam.errors import ScanweaveError
+
+
+@app.command()
+def inspect(log: LogArgument, as_json: JsonOption = False, strict: StrictOption = False) -> None:
+    """Tell what is in a log: sensors, rates, gaps, clock steps, dropped records."""
+    from slam.datasets import open_dataset
+    from slam.datasets.inspection import inspect_dataset, render_inspection
+
+    inspection = inspect_dataset(open_dataset(log, strict=strict))
+    print(json.dumps(inspection.to_dict(), indent=2) if as_json else render_inspection(inspection))
+
+
+@app.command()
+def evaluate(
+    trajectory: Annotated[Path, typer.Argument(help="trajectory in TUM format")],
+    relations: Annotated[
+        Path | None, typer.Option(help="relations file (Kuemmerle 2009): t1 t2 x y z roll pitch yaw")
+    ] = None,
+    groundtruth: Annotated[
+        Path | None, typer.Option(help="true trajectory in TUM format, or a dataset folder that has one")
+    ] = None,
+    tolerance: Annotated[
+        float | None, typer.Option(min=0.0, help="greatest time between a pose and its true pose, seconds")
+    ] = None,
+    delta: Annotated[float, typer.Option(min=0.0, help="RPE over this many metres")] = 1.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Score a trajectory by relations, or by ATE and RPE against the truth."""
+    from slam.evaluation.score_text import score, score_text
+
+    if (relations is None) == (groundtruth is None):
+        raise typer.BadParameter("give --relations or --groundtruth, one of them")
+    scores = score(trajectory, relations, groundtruth, tolerance_s=tolerance, delta_m=delta)
+    print(json.dumps(scores, indent=2) if as_json else score_text(scores))
+
+
+@app.command("config")
+def config_command(config: ConfigOption = None, set_: SetOption = None) -> None:
+    """Print the effective configuration, every field explained."""
+    from slam.config import dump_config, load_config
+
+    print(dump_config(load_config(config, set_ or [])), end="")
+
+
+@app.command()
+def plan(
+    map_: Annotated[Path, typer.Argument(metavar="MAP", help="a nav2 map (.yaml), or a folder with layers")],
+    start: Annotated[str, typer.Option("--from", help="x,y in metres, map frame")],
+    goal: Annotated[str, typer.Option("--to", help="x,y in metres, map frame")],
+    radius: Annotated[float, typer.Option(min=0.0, help="of the robot, metres")] = 0.2,
+    out: Annotated[Path, typer.Option("--out", "-o", help="the picture")] = Path("plan.png"),
+) -> None:
+    """Plan the shortest path over a map, and draw it."""
+    from slam.evaluation.plan_picture import plan_picture
+    from slam.mapping.navigation import clearance_m, free_space, shortest_path
+    from slam.storage.files import write_bytes
+    from slam.storage.nav2 import read_nav2_map
+
+    ends = _point(start, "--from"), _point(goal, "--to")
+    grid = read_nav2_map(map_ / "decision.yaml" if map_.is_dir() else map_)
+    space = free_space(grid.values, grid.resolution_m, grid.T_map_grid, radius)
+    path = shortest_path(space, *ends, clearance_m(grid.values, grid.resolution_m))
+    if path is None:
+        raise ScanweaveError(
+            f"no way from {start} to {goal} for a robot of radius {radius:g} m; try a smaller --radius"
+        )
+    write_bytes(out, plan_picture(grid.values, space, path))
+    print(f"{path.length_m:.2f} m, at least {path.clearance_m:.2f} m from obstacles; wrote {out}")
+
+
+def _point(text: str, option: str) -> tuple[float, float]:
+    """A point from x,y."""
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise typer.BadParameter(f"{option} is '{text}'; give x,y in metres, as in 1.5,-0.2") from error
+    return x, y

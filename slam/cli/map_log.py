@@ -1,0 +1,124 @@
+"""scanweave map, scanweave demo."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slam.cli.app import ConfigOption, LogArgument, SetOption, StrictOption, app
+from slam.cli.progress import interrupted_between_scans, progress_of
+from slam.errors import ScanweaveError
+
+_DEMO_ROOMS = 3
+
+
+@app.command("map")
+def map_command(
+    log: LogArgument,
+    out: Annotated[Path, typer.Option("--out", "-o", help="folder for the results; made where missing")],
+    config: ConfigOption = None,
+    set_: SetOption = None,
+    no_odometry: Annotated[bool, typer.Option("--no-odometry", help="ignore the wheels")] = False,
+    no_loops: Annotated[bool, typer.Option("--no-loops", help="close no loops")] = False,
+    no_fusion: Annotated[
+        bool, typer.Option("--no-fusion", help="do not let lidar and cameras repair each other")
+    ] = False,
+    strict: StrictOption = False,
+) -> None:
+    """Map a log: trajectory, graph, grid and report."""
+    overrides = list(set_ or [])
+    if no_odometry:
+        overrides.append("lidar_odometry.use_wheel_odometry=false")
+    if no_loops:
+        overrides += ["loops.enabled=false", "visual_loops.enabled=false"]
+    if no_fusion:
+        overrides.append("fusion.enabled=false")
+    _map(log, out, config, overrides, strict)
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option("--out", "-o", help="folder for the log and the results")] = Path(
+        "demo-out"
+    ),
+    seed: Annotated[int, typer.Option(min=0, help="another seed, another drive")] = 0,
+) -> None:
+    """Simulate a small home, map its lidar log, and score the map against the truth."""
+    from slam.evaluation.score_text import score, score_text
+
+    log, truth = _demo_log(out / f"simulated-{seed}", seed)
+    _map(log, out, None, [], strict=False)
+    print(score_text(score(out / "trajectory.tum", None, truth, tolerance_s=None, delta_m=1.0)))
+    print(f"open {out / 'report.html'} to look at it")
+
+
+def _demo_log(folder: Path, seed: int) -> tuple[Path, Path]:
+    """A simulated lidar log and its truth; a flat world where ray casting is not to be had."""
+    try:
+        import open3d  # noqa: F401
+    except (ImportError, OSError) as error:
+        from slam.simulation.synthetic_log import write_synthetic_log
+
+        print(f"no ray casting here ({error}); a flat world instead of a home", file=sys.stderr)
+        flat = write_synthetic_log(folder, seed=seed)
+        return flat.log_path, flat.truth_path
+    from slam.simulation.home import generate_home
+    from slam.simulation.record import record_drive
+    from slam.simulation.rigs import RIGS
+
+    # The same seed gives the same log: what an earlier demo left is used again.
+    if not (folder / "scans.log").is_file():
+        with progress_of("simulating", "s") as progress:
+            record_drive(
+                generate_home(seed, rooms=_DEMO_ROOMS),
+                RIGS["sick2d"],
+                seed,
+                folder,
+                progress=lambda done_s, _: progress(int(done_s)),
+                formats=("folder",),
+            )
+    return folder / "scans.log", folder / "groundtruth.txt"
+
+
+def _map(log: Path, out: Path, config: str | None, overrides: list[str], strict: bool) -> None:
+    """Run the pipeline on a log and write its results."""
+    started = time.perf_counter()
+    from slam.config import load_config
+    from slam.datasets import open_dataset
+    from slam.evaluation.map_report import RunCost, beside_of, report_data
+    from slam.evaluation.report import write_report
+    from slam.layer_outputs import save_layers
+    from slam.pipeline import build_map
+    from slam.run_outputs import save_run
+    from slam.storage.files import make_folder
+
+    settings = load_config(config, overrides)
+    dataset = open_dataset(log, strict=strict)
+    make_folder(out)
+    with progress_of("mapping", "scans and frames") as advance, interrupted_between_scans(advance) as on_scan:
+        result = build_map(dataset, settings, on_scan)
+    written = save_run(out, result, settings.dense_map)
+    try:
+        written += save_layers(out, result, settings)
+    except ScanweaveError as error:  # the rest of the run is still worth its report
+        result.warnings.append(f"No layers were written: {error}")
+    cost = RunCost(time.perf_counter() - started, time.process_time())
+    data = report_data(log.name, dataset.report, result, settings, cost, beside_of(dataset, result, written))
+    write_report(out / "report.html", data)
+    for warning in data.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    for note in result.notes:
+        print(note)
+    accepted = sum(loop.accepted for loop in result.loops)
+    print(
+        f"{data.scans} {data.unit}s, {len(result.keyframe_poses)} keyframes, {data.path_length_m:.1f} m, "
+        f"{accepted} of {len(result.loops)} loops accepted, "
+        f"{dataset.report.dropped_count} records dropped, {time.perf_counter() - started:.1f} s"
+    )
+    if data.truth is not None:
+        print(f"{data.truth.error.translation_m.rmse:.4f} m RMSE against the ground truth, rigidly aligned")
+    print("wrote " + ", ".join(str(path) for path in [*written, out / "report.html"]))
