@@ -1,18 +1,67 @@
-"""Camera keyframes of a whole run: images on disk, features in memory, surfaces of the latest used."""
+"""Camera keyframes of a whole run: images on disk, surfaces of the latest used in memory."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
 from slam.config_stages import RgbdConfig
 from slam.mapping.keyframe_images import KeyframeImages
+from slam.measurements import RgbdFrame
 from slam.vision.color_registration import ColorRegistration, register_color
 from slam.vision.features import Features
 from slam.vision.prepared_frame import PreparedFrame, prepared_with
+
+
+class KeyframeSpool(Protocol):
+    """Where images and features lie while a log is mapped: in the map, or in a temporary folder."""
+
+    def __len__(self) -> int: ...
+
+    def __iter__(self) -> Iterator[RgbdFrame]: ...
+
+    def add(self, frame: RgbdFrame, node: int, features: Features) -> int:
+        """Keep the next frame, taken at a node of the graph; its index."""
+        ...
+
+    def frame(self, index: int) -> RgbdFrame:
+        """A frame, nearly as it was added."""
+        ...
+
+    def features(self, index: int) -> Features:
+        """The features of a frame, exactly."""
+        ...
+
+
+class TemporarySpool:
+    """Images in a temporary folder, features in memory; both go with it."""
+
+    def __init__(self) -> None:
+        self._images = KeyframeImages()
+        self._features: list[Features] = []
+
+    def __len__(self) -> int:
+        return len(self._features)
+
+    def __iter__(self) -> Iterator[RgbdFrame]:
+        return iter(self._images)
+
+    def add(self, frame: RgbdFrame, node: int, features: Features) -> int:
+        """Keep the next frame; its index."""
+        self._features.append(features)
+        return self._images.add(frame)
+
+    def frame(self, index: int) -> RgbdFrame:
+        """A frame, nearly as it was added."""
+        return self._images.frame(index)
+
+    def features(self, index: int) -> Features:
+        """The features of a frame, exactly."""
+        return self._features[index]
 
 
 class KeyframeStore:
@@ -24,47 +73,57 @@ class KeyframeStore:
         How surfaces are made anew of the images.
     cached
         Keyframes that are kept whole.
+    spool
+        Where the images go; a temporary folder by default.
     """
 
-    def __init__(self, config: RgbdConfig, cached: int) -> None:
-        self.images = KeyframeImages()
+    def __init__(self, config: RgbdConfig, cached: int, spool: KeyframeSpool | None = None) -> None:
+        self.images = TemporarySpool() if spool is None else spool
         self._config = config
         self._cached = cached
-        self._features: list[Features] = []
-        self._cache: OrderedDict[int, PreparedFrame] = OrderedDict()
+        # None: what `touch` has asked for, and nobody has looked at yet.
+        self._cache: OrderedDict[int, PreparedFrame | None] = OrderedDict()
 
     def __len__(self) -> int:
-        return len(self._features)
+        return len(self.images)
 
-    def add(self, frame: PreparedFrame, registration: ColorRegistration | None = None) -> int:
+    def add(
+        self, frame: PreparedFrame, registration: ColorRegistration | None = None, node: int | None = None
+    ) -> int:
         """Take the next keyframe; its number.
 
         Parameters
         ----------
         registration
             Where the colour camera sits; the colours are then moved to where the depth camera sees them.
+        node
+            Of the graph, where that is not the keyframe's own number.
         """
         image = frame.frame
         if registration is not None and registration.accepted:
             color, known = register_color(image.color, image.depth_m, registration)
             # Depth without colour would paint the map black.
             image = replace(image, color=color, depth_m=np.where(known, image.depth_m, np.float32(0.0)))
-        key = self.images.add(image)
-        self._features.append(frame.features)
+        key = self.images.add(image, len(self) if node is None else node, frame.features)
         self._keep(key, frame)
         return key
 
     def keyframe(self, key: int) -> PreparedFrame:
         """A keyframe, from memory or made anew from its images."""
-        if key in self._cache:
-            self._cache.move_to_end(key)
-            return self._cache[key]
-        frame = prepared_with(self.images.frame(key), self._features[key], self._config)
+        frame = self._cache.get(key)
+        if frame is None:
+            frame = prepared_with(self.images.frame(key), self.images.features(key), self._config)
         self._keep(key, frame)
         return frame
 
-    def _keep(self, key: int, frame: PreparedFrame) -> None:
+    def touch(self, key: int) -> None:
+        """Do to the memory what `keyframe` would do, without the work."""
+        self._keep(key, self._cache.get(key))
+
+    def _keep(self, key: int, frame: PreparedFrame | None) -> None:
+        """Remember a keyframe as the latest used."""
         self._cache[key] = frame
+        self._cache.move_to_end(key)
         if len(self._cache) > self._cached:
             self._cache.popitem(last=False)
 

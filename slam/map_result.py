@@ -37,6 +37,8 @@ class MapResult:
         (K, 3) optimised x, y, yaw, map frame.
     keyframe_scans
         The sweep of each keyframe, repaired where the fusion could; None where a camera carried the robot on.
+    measured_scans
+        The same as they were measured; empty where a camera alone made the map.
     graph
         All edges with their provenance.
     loops
@@ -78,3 +80,4 @@ class MapResult:
     dense: DenseKeyframes | None = None
     fused: FusionSummary | None = None
     cameras: Mapping[str, CameraRecord] = field(default_factory=dict)
+    measured_scans: list[LaserScan | None] = field(default_factory=list)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from slam.config import Config
 from slam.datasets.dataset import Dataset
 from slam.errors import DatasetError
+from slam.journal import Journal
 from slam.map_result import MapResult
 from slam.mapper import Mapper
 from slam.measurements import LaserScan, Measurement, WheelOdometry
@@ -18,7 +19,12 @@ from slam.vision.prepared_frame import FramePreparer, PreparedFrame
 from slam.vision.registration_pairs import registrations_of
 
 
-def build_map(dataset: Dataset, config: Config, on_scan: Callable[[int], None] | None = None) -> MapResult:
+def build_map(
+    dataset: Dataset,
+    config: Config,
+    on_scan: Callable[[int], None] | None = None,
+    journal: Journal | None = None,
+) -> MapResult:
     """Run the whole log through the mapper.
 
     Parameters
@@ -29,6 +35,8 @@ def build_map(dataset: Dataset, config: Config, on_scan: Callable[[int], None] |
         The effective configuration.
     on_scan
         Called with the number of scans and frames so far, for a progress bar.
+    journal
+        Keeps what a run finds out, so that it can go on where it was interrupted; None keeps nothing.
 
     Raises
     ------
@@ -36,14 +44,21 @@ def build_map(dataset: Dataset, config: Config, on_scan: Callable[[int], None] |
         Where the log holds nothing that can be mapped.
     """
     choice = SensorChoice.of(dataset, config.sensors)
-    registrations = registrations_of(used_measurements(dataset, config.sensors), choice.cameras, config)
+    journal = journal or Journal()
+    registrations = journal.registrations(
+        lambda: registrations_of(used_measurements(dataset, config.sensors), choice.cameras, config)
+    )
+    mountings = journal.mountings()
     prepare = FramePreparer(config.rgbd, registrations) if choice.cameras else None
-    mapper: Mapper = SpatialMapper(config) if choice.spatial else PlanarMapper(config)
+    mapper: Mapper = (
+        SpatialMapper(config, journal) if choice.spatial else PlanarMapper(config, mountings, journal)
+    )
     mapper.note_registrations(registrations)
     _feed(mapper, dataset, config, prepare, on_scan)
-    if mountings := mapper.learned_mountings():
+    if not mountings and (mountings := mapper.learned_mountings()):
         # The way up to there was mapped without these cameras; now they are known from its beginning.
-        mapper = PlanarMapper(config, mountings)
+        journal.begin_again(registrations, mountings)
+        mapper = PlanarMapper(config, mountings, journal)
         mapper.note_registrations(registrations)
         _feed(mapper, dataset, config, prepare, on_scan)
     return mapper.finish()

@@ -12,6 +12,7 @@ from slam.errors import ScanweaveError
 from slam.graph.keyframe_graph import KeyframeGraph, Step
 from slam.graph.loop_closure import LoopCandidate, LoopCloser
 from slam.graph.step_vote import vote
+from slam.journal import Journal
 from slam.keyframe_fusion import KeyframeFusion
 from slam.keyframe_store import registration_notes
 from slam.map_result import MapResult
@@ -23,6 +24,7 @@ from slam.measurements import FloatArray, LaserScan, WheelOdometry, pose2_from_r
 from slam.mount_learner import LearnedMounting
 from slam.odometry import make_lidar_odometry
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
+from slam.odometry.remembered_odometry import RememberedOdometry
 from slam.odometry.wheel_tracker import WheelTracker
 from slam.planar_places import PlanarPlaces
 from slam.readings import Readings
@@ -36,22 +38,28 @@ from slam.vision.prepared_frame import PreparedFrame
 class PlanarMapper:
     """State of a run: feed measurements in log order, then finish; see `slam.mapper.Mapper`."""
 
-    def __init__(self, config: Config, mountings: Mapping[str, LearnedMounting] | None = None) -> None:
+    def __init__(
+        self,
+        config: Config,
+        mountings: Mapping[str, LearnedMounting] | None = None,
+        journal: Journal | None = None,
+    ) -> None:
+        journal = journal or Journal()
         self._config = config
         self._wheels = WheelTracker(config.wheels) if config.lidar_odometry.use_wheel_odometry else None
         self._tracker = MotionTracker(
-            make_lidar_odometry(config.lidar_odometry, config.match),
+            RememberedOdometry(make_lidar_odometry(config.lidar_odometry, config.match), journal),
             self._wheels,
             config.prediction,
             config.match,
         )
         self._graph = KeyframeGraph(config.graph)
-        self._closer = LoopCloser(config.loops, config.match)
+        self._closer = LoopCloser(config.loops, config.match, journal)
         self._readings = Readings()
         self._record = ScanRecorder()
         self._last_keyframe: TrackedScan | None = None
-        self._cameras = RobotCameras(config.rgbd_odometry, config.sensors, mountings or {})
-        self._places = PlanarPlaces(config)
+        self._cameras = RobotCameras(config.rgbd_odometry, config.sensors, mountings or {}, answers=journal)
+        self._places = PlanarPlaces(config, journal)
         self._fusion = KeyframeFusion(config.fusion) if config.fusion.enabled else None
         self._marks: CameraMarks = {}
         self._keyframe_marks: CameraMarks = {}
@@ -147,6 +155,7 @@ class PlanarMapper:
             trajectory=trajectory,
             keyframe_poses=keyframe_poses,
             keyframe_numbers=self._readings.keyframe_scans(),
+            measured_scans=list(self._keyframe_scans),
             keyframe_scans=list(scans_fused),
             graph=self._graph.graph,
             edges_kept=outcome.kept,

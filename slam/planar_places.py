@@ -9,6 +9,7 @@ import gtsam
 from slam.config import Config
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.visual_loops import VisualLoopCloser
+from slam.journal import Journal
 from slam.keyframe_store import KeyframeStore
 from slam.map_result import DenseKeyframes
 from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
@@ -21,10 +22,11 @@ from slam.vision.prepared_frame import PreparedFrame
 class PlanarPlaces:
     """Frames of one camera, each belonging to a node of the graph."""
 
-    def __init__(self, config: Config) -> None:
-        self._store = KeyframeStore(config.rgbd, config.visual_loops.keyframes_cached)
+    def __init__(self, config: Config, journal: Journal) -> None:
+        cached = config.visual_loops.keyframes_cached
+        self._store = KeyframeStore(config.rgbd, cached, journal.spool())
         matcher = FrameMatcher(config.rgbd_odometry)
-        self._closer = VisualLoopCloser(config.visual_loops, matcher, self._store, config.seed)
+        self._closer = VisualLoopCloser(config.visual_loops, matcher, self._store, config.seed, journal)
         self._greatest_excess = config.sensors.greatest_excess
         self._nodes: list[int] = []
         self._T_node_camera: list[gtsam.Pose3] = []
@@ -52,7 +54,7 @@ class PlanarPlaces:
         """
         # Seen from the base at the node, so that whoever reads the image needs no other pose than the node's.
         frame = replace(frame, frame=replace(frame.frame, T_base_camera=T_node_camera))
-        key = self._store.add(frame, registration)
+        key = self._store.add(frame, registration, node)
         self._nodes.append(node)
         self._T_node_camera.append(T_node_camera)
         self._closer.add_keyframe(frame)

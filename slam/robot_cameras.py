@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import gtsam
 
+from slam.answers import COMPUTED, Answers
 from slam.config_stages import RgbdOdometryConfig, SensorsConfig
 from slam.graph.keyframe_graph import Step
 from slam.measurements import FloatArray
@@ -63,6 +64,7 @@ class RobotCameras:
     sensors: SensorsConfig
     mountings: Mapping[str, LearnedMounting] = field(default_factory=dict)
     cameras: dict[str, RobotCamera] = field(default_factory=dict)
+    answers: Answers = COMPUTED
 
     def add(self, frame: PreparedFrame) -> None:
         """Track a frame of any camera."""
@@ -74,7 +76,7 @@ class RobotCameras:
             if name in self.mountings:
                 mounting, learn = self.mountings[name].T_base_camera, False
             self.cameras[name] = RobotCamera(
-                CameraOdometry(self.config),
+                CameraOdometry(self.config, self.answers),
                 None if learn else mounting,
                 learner=MountLearner(mounting) if learn else None,
             )

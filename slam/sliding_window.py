@@ -9,6 +9,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.answers import COMPUTED, Answers
 from slam.config_stages import BundleConfig, RgbdOdometryConfig
 from slam.graph.bundle_adjustment import WindowResult, WindowSettings, adjust_window
 from slam.graph.landmarks import LandmarkObservations
@@ -51,8 +52,11 @@ class AdjustedStep:
 class SlidingWindow:
     """The latest keyframes of one camera (Yang2021 Eq. (7)-(12))."""
 
-    def __init__(self, config: BundleConfig, matching: RgbdOdometryConfig) -> None:
+    def __init__(
+        self, config: BundleConfig, matching: RgbdOdometryConfig, answers: Answers = COMPUTED
+    ) -> None:
         self._config = config
+        self._answers = answers
         self._matching = matching
         self._surfaces = FrameMatcher(matching, use_features=False)
         self._members: deque[_Member] = deque(maxlen=config.keyframes)
@@ -91,7 +95,10 @@ class SlidingWindow:
             if step is not None
         ]
         settings = WindowSettings(most_landmarks=self._config.landmarks)
-        result = adjust_window(poses, self._sightings(), frame.frame.intrinsics, steps, settings)
+        sightings, intrinsics = self._sightings(), frame.frame.intrinsics
+        result = self._answers.ask(
+            "window", pose.x(), lambda: adjust_window(poses, sightings, intrinsics, steps, settings)
+        )
         if not isinstance(result, WindowResult) or not result.converged:
             return None
         sigma_m = float(np.sqrt(np.linalg.eigvalsh(result.covariance_previous[3:, 3:])[-1]))
@@ -141,7 +148,10 @@ class SlidingWindow:
     def _surface_step(self, member: _Member, newest: _Member) -> PoseStep | None:
         """What the surfaces alone tell of the motion to the newest keyframe."""
         local = [VisualKeyframe(member.frame, gtsam.Pose3())]
-        match = self._surfaces.match(newest.frame, local, member.pose.between(newest.pose))
+        guess = member.pose.between(newest.pose)
+        match = self._answers.ask(
+            "surfaces", guess.x(), lambda: self._surfaces.match(newest.frame, local, guess)
+        )
         return None if match is None else PoseStep(0, 1, match.pose, match.motion.covariance)
 
     def _sightings(self) -> LandmarkObservations:

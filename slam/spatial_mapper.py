@@ -12,6 +12,7 @@ import numpy as np
 from slam.config import Config
 from slam.graph.spatial_graph import SpatialGraph
 from slam.graph.visual_loops import VisualLoopCloser
+from slam.journal import Journal
 from slam.keyframe_store import KeyframeStore, registration_notes
 from slam.map_result import DenseKeyframes, MapResult
 from slam.measurements import FloatArray, LaserScan, WheelOdometry
@@ -34,13 +35,15 @@ class SpatialMapper:
     the map frame its body: x along the first view, z up in the first image.
     """
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, journal: Journal | None = None) -> None:
+        journal = journal or Journal()
         self._config = config
         matcher = FrameMatcher(config.rgbd_odometry)
-        self._tracker = RgbdTracker(make_rgbd_odometry(config.rgbd_odometry), config.rgbd_odometry)
-        self._store = KeyframeStore(config.rgbd, config.visual_loops.keyframes_cached)
-        self._closer = VisualLoopCloser(config.visual_loops, matcher, self._store, config.seed)
-        self._window = SlidingWindow(config.bundle, config.rgbd_odometry)
+        self._tracker = RgbdTracker(make_rgbd_odometry(config.rgbd_odometry), config.rgbd_odometry, journal)
+        cached = config.visual_loops.keyframes_cached
+        self._store = KeyframeStore(config.rgbd, cached, journal.spool())
+        self._closer = VisualLoopCloser(config.visual_loops, matcher, self._store, config.seed, journal)
+        self._window = SlidingWindow(config.bundle, config.rgbd_odometry, journal)
         self._graph: SpatialGraph | None = None
         self._frames = FramePoses()
         self._record = ScanRecorder()

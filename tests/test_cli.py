@@ -24,7 +24,7 @@ from slam.simulation.synthetic_log import SyntheticLog, write_synthetic_log
 from slam.storage.tum import read_tum
 
 COMMANDS = ("map", "inspect", "evaluate", "config", "simulate", "demo")
-RESULTS = {"trajectory.tum", "graph.g2o", "map.yaml", "map.pgm", "report.html"}
+RESULTS = {"trajectory.tum", "graph.g2o", "map.yaml", "map.pgm", "map.db", "report.html"}
 
 
 @dataclass(frozen=True)
@@ -269,7 +269,8 @@ class TestBadInput:
         monkeypatch.setattr(Path, "replace", refuse)
         outcome = scanweave("map", log.log_path, "-o", tmp_path)
         assert_one_line_error(outcome, "No space left on device", "trajectory.tum")
-        assert list(tmp_path.iterdir()) == []
+        # Once there is room, --resume needs no mapping.
+        assert [path.name for path in tmp_path.iterdir()] == ["map.db"]
 
 
 class TestUsage:
@@ -474,7 +475,8 @@ def test_interrupted(log: SyntheticLog, tmp_path: Path) -> None:
     assert "Traceback" not in complaint
     assert complaint.splitlines()[-1].startswith("scanweave: interrupted")
     assert "scans" not in rest
-    assert [path.name for path in out.iterdir()] == ["trajectory.tum"]
+    assert {path.name for path in out.iterdir()} == {"trajectory.tum", "map.db"}
+    assert "map.db is not finished; the same command with --resume" in complaint
     assert (out / "trajectory.tum").read_text() == "old"
 
 
@@ -484,7 +486,7 @@ def test_an_interrupt_waits_for_the_scan_to_end(
 ) -> None:
     seen: list[int] = []
 
-    def build(dataset: object, settings: object, on_scan: Callable[[int], None]) -> None:
+    def build(dataset: object, settings: object, on_scan: Callable[[int], None], journal: object) -> None:
         on_scan(1)
         signal.raise_signal(signal.SIGINT)
         seen.append(1)  # compiled code may run here, and gets to its end
@@ -498,7 +500,7 @@ def test_an_interrupt_waits_for_the_scan_to_end(
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
         signal.signal(signal.SIGINT, handler)
-    assert (outcome.code, outcome.err.count("\n"), seen) == (130, 1, [1])
+    assert (outcome.code, outcome.err.count("\n"), seen) == (130, 2, [1])
 
 
 # The command, but it says when the mapping begins: an interrupt while Python still loads proves nothing.

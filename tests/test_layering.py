@@ -20,7 +20,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"slam.mapper", "slam.planar_places", "slam.sliding_window"}),
     frozenset({"slam.map_result", "slam.keyframe_store"}),
     frozenset({"slam.keyframe_fusion"}),
-    frozenset({"slam.robot_cameras"}),
+    frozenset({"slam.robot_cameras", "slam.journal"}),
     frozenset({"slam.mount_learner"}),
     frozenset({"slam.storage", "slam.readings", "slam.scan_record"}),
     frozenset(
@@ -31,7 +31,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"slam.matching", "slam.vision"}),
     frozenset({"slam.config", "slam.measurements"}),
     frozenset({"slam.config_stages"}),  # the models alone; config reads and writes them
-    frozenset({"slam.errors", "fusion"}),
+    frozenset({"slam.errors", "slam.answers", "fusion"}),
     frozenset({"slam"}),  # the package's own __init__: the version and nothing else
 )
 MAX_LINES = 400

@@ -28,8 +28,12 @@ def map_command(
         bool, typer.Option("--no-fusion", help="do not let lidar and cameras repair each other")
     ] = False,
     strict: StrictOption = False,
+    resume: Annotated[
+        bool,
+        typer.Option("--resume", help="go on with the map that an interrupted run has left in the folder"),
+    ] = False,
 ) -> None:
-    """Map a log: trajectory, graph, grid and report."""
+    """Map a log: trajectory, graph, grid, report, and all of it in map.db."""
     overrides = list(set_ or [])
     if no_odometry:
         overrides.append("lidar_odometry.use_wheel_odometry=false")
@@ -37,7 +41,7 @@ def map_command(
         overrides += ["loops.enabled=false", "visual_loops.enabled=false"]
     if no_fusion:
         overrides.append("fusion.enabled=false")
-    _map(log, out, config, overrides, strict)
+    _map(log, out, config, overrides, strict, resume)
 
 
 @app.command()
@@ -84,31 +88,49 @@ def _demo_log(folder: Path, seed: int) -> tuple[Path, Path]:
     return folder / "scans.log", folder / "groundtruth.txt"
 
 
-def _map(log: Path, out: Path, config: str | None, overrides: list[str], strict: bool) -> None:
+def _map(
+    log: Path, out: Path, config: str | None, overrides: list[str], strict: bool, resume: bool = False
+) -> None:
     """Run the pipeline on a log and write its results."""
     started = time.perf_counter()
+    from slam.cli.map_opening import finished_map, opened_map
     from slam.config import load_config
     from slam.datasets import open_dataset
     from slam.evaluation.map_report import RunCost, beside_of, report_data
     from slam.evaluation.report import write_report
+    from slam.journal import Journal
     from slam.layer_outputs import save_layers
     from slam.pipeline import build_map
-    from slam.run_outputs import save_run
+    from slam.run_outputs import contents_of, save_run
     from slam.storage.files import make_folder
+    from slam.storage.map_contents import write_contents
+    from slam.storage.map_file import MAP_NAME
+    from slam.storage.map_identity import identity_of
 
     settings = load_config(config, overrides)
     dataset = open_dataset(log, strict=strict)
     make_folder(out)
-    with progress_of("mapping", "scans and frames") as advance, interrupted_between_scans(advance) as on_scan:
-        result = build_map(dataset, settings, on_scan)
-    written = save_run(out, result, settings.dense_map)
-    try:
-        written += save_layers(out, result, settings)
-    except ScanweaveError as error:  # the rest of the run is still worth its report
-        result.warnings.append(f"No layers were written: {error}")
-    cost = RunCost(time.perf_counter() - started, time.process_time())
-    data = report_data(log.name, dataset.report, result, settings, cost, beside_of(dataset, result, written))
-    write_report(out / "report.html", data)
+    identity = identity_of(dataset.path, settings)
+    if resume and finished_map(out, identity):
+        print(f"{out / MAP_NAME} is finished already; there is nothing to resume")
+        return
+    with opened_map(out, identity, resume=resume) as file:
+        with (
+            progress_of("mapping", "scans and frames") as advance,
+            interrupted_between_scans(advance) as on_scan,
+        ):
+            result = build_map(dataset, settings, on_scan, Journal(file))
+        written = save_run(out, result, settings.dense_map)
+        try:
+            written += save_layers(out, result, settings)
+        except ScanweaveError as error:  # the rest of the run is still worth its report
+            result.warnings.append(f"No layers were written: {error}")
+        cost = RunCost(time.perf_counter() - started, time.process_time())
+        beside = beside_of(dataset, result, written)
+        data = report_data(log.name, dataset.report, result, settings, cost, beside)
+        write_report(out / "report.html", data)
+        write_contents(file, contents_of(result))
+        file.seal()
     for warning in data.warnings:
         print(f"warning: {warning}", file=sys.stderr)
     for note in result.notes:
@@ -121,4 +143,4 @@ def _map(log: Path, out: Path, config: str | None, overrides: list[str], strict:
     )
     if data.truth is not None:
         print(f"{data.truth.error.translation_m.rmse:.4f} m RMSE against the ground truth, rigidly aligned")
-    print("wrote " + ", ".join(str(path) for path in [*written, out / "report.html"]))
+    print("wrote " + ", ".join(str(path) for path in [*written, out / MAP_NAME, out / "report.html"]))

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from slam.answers import COMPUTED, Answers
 from slam.config_stages import LoopConfig, MatchConfig
 from slam.graph.relative_uncertainty import UncertaintyGraph
-from slam.graph.submaps import SubmapStore
+from slam.graph.submaps import Submap, SubmapStore
 from slam.matching.correlative import search_window
 from slam.matching.local_map import OrientedPoints, match_noise
 from slam.matching.match_covariance import motion_from_alignment
@@ -60,8 +61,9 @@ class LoopCandidate:
 class LoopCloser:
     """Proposes and verifies loops for the newest keyframe."""
 
-    def __init__(self, config: LoopConfig, match: MatchConfig) -> None:
+    def __init__(self, config: LoopConfig, match: MatchConfig, answers: Answers = COMPUTED) -> None:
         self._config = config
+        self._answers = answers
         self._noise = match_noise(match)
         self._submaps = SubmapStore(config, match)
         self._last_attempt_m = -math.inf
@@ -130,7 +132,7 @@ class LoopCloser:
         return chosen
 
     def _verify(self, place: int, key: int, guess: FloatArray, covariance: FloatArray) -> LoopCandidate:
-        """Search the window that the uncertainty asks for, refine, and judge."""
+        """Match in the window that the uncertainty asks for."""
         config = self._config
         sigma_m = float(_position_sigmas(covariance[None])[0])
         width = min(config.sigmas * sigma_m, config.greatest_half_width_m)
@@ -139,8 +141,15 @@ class LoopCloser:
             # Known places all around and none fits: the estimate may be further off than it believes.
             width, yaw = max(width, config.wide_half_width_m), max(yaw, config.wide_half_yaw_rad)
         candidate = LoopCandidate(place, key, width, yaw, 1.0, None, False, "")
+        # Asked for in any case: what the cache holds must not depend on where the answer comes from.
         submap = self._submaps.submap(place)
-        scan = self._submaps.scan(key)
+        return self._answers.ask("loop", float(guess[0]), lambda: self._match(candidate, submap, guess))
+
+    def _match(self, candidate: LoopCandidate, submap: Submap, guess: FloatArray) -> LoopCandidate:
+        """Search the candidate's window, refine, and judge."""
+        config = self._config
+        width, yaw = candidate.half_width_m, candidate.half_yaw_rad
+        scan = self._submaps.scan(candidate.keyframe)
         if len(submap.local_map.points) < _LEAST_POINTS:
             return candidate.refused("the place has too few points")
         if width > config.least_half_width_m or yaw > config.least_half_yaw_rad:

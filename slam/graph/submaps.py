@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
@@ -16,11 +17,16 @@ from slam.measurements import FloatArray
 
 
 class Submap:
-    """The surroundings of one keyframe, in its frame; the search field is drawn when first asked for."""
+    """The surroundings of one keyframe, in its frame; made when first looked at."""
 
-    def __init__(self, local_map: LocalMap, config: LoopConfig) -> None:
-        self.local_map = local_map
+    def __init__(self, build: Callable[[], LocalMap], config: LoopConfig) -> None:
+        self._build = build
         self._config = config
+
+    @cached_property
+    def local_map(self) -> LocalMap:
+        """The points and surfels."""
+        return self._build()
 
     @cached_property
     def field(self) -> LikelihoodField:
@@ -69,9 +75,13 @@ class SubmapStore:
             for k in range(max(0, key - half), min(len(self._scans), key + half + 1))
             if abs(self._travelled_m[k] - self._travelled_m[key]) <= self._loop.submap_half_m
         ]
-        parts = [self._scans[k].moved(between(self._poses[key], self._poses[k])) for k in members]
-        submap = Submap(LocalMap.build(parts, self._match), self._loop)
+        submap = Submap(lambda: self._local_map(key, members), self._loop)
         self._cache[key] = submap
         if len(self._cache) > self._loop.submaps_cached:
             self._cache.popitem(last=False)
         return submap
+
+    def _local_map(self, key: int, members: list[int]) -> LocalMap:
+        """The scans of some keyframes in the frame of one."""
+        parts = [self._scans[k].moved(between(self._poses[key], self._poses[k])) for k in members]
+        return LocalMap.build(parts, self._match)

@@ -9,6 +9,7 @@ from typing import Protocol
 import gtsam
 import numpy as np
 
+from slam.answers import COMPUTED, Answers
 from slam.config_stages import VisualLoopConfig
 from slam.graph.loop_closure import LoopCandidate
 from slam.vision.features import Descriptors
@@ -31,16 +32,26 @@ class Keyframes(Protocol):
         """A keyframe by its number."""
         ...
 
+    def touch(self, key: int) -> None:
+        """Note that a keyframe was asked for."""
+        ...
+
 
 class VisualLoopCloser:
     """Proposes and verifies loops for the newest keyframe of one camera."""
 
     def __init__(
-        self, config: VisualLoopConfig, matcher: FrameMatcher, keyframes: Keyframes, seed: int
+        self,
+        config: VisualLoopConfig,
+        matcher: FrameMatcher,
+        keyframes: Keyframes,
+        seed: int,
+        answers: Answers = COMPUTED,
     ) -> None:
         self._config = config
         self._matcher = matcher
         self._keyframes = keyframes
+        self._answers = answers
         self._places = PlaceIndex(seed=seed)
         self._depths_m: list[float] = []
         self._segments: list[int] = []
@@ -80,7 +91,7 @@ class VisualLoopCloser:
         if not config.enabled or key < config.least_gap:
             return []
         near = self._near(key, poses)
-        looks = self._by_looks(key)
+        looks = self._answers.ask("looks", float(key), lambda: self._by_looks(key))
         tried = [self._verify(place, key, poses[place].between(poses[key]), 1.0) for place in near]
         tried += [self._verify(place, key, None, score) for place, score in looks if place not in near]
         for candidate in tried:
@@ -119,6 +130,17 @@ class VisualLoopCloser:
 
     def _verify(self, place: int, key: int, guess: gtsam.Pose3 | None, score: float) -> LoopCandidate:
         """Match the keyframe to the place, and judge."""
+        # What is kept in memory must not depend on where the answer comes from.
+        self._keyframes.touch(key)
+        self._keyframes.touch(place)
+        return self._answers.ask(
+            "visual loop",
+            score if guess is None else guess.x(),
+            lambda: self._match(place, key, guess, score),
+        )
+
+    def _match(self, place: int, key: int, guess: gtsam.Pose3 | None, score: float) -> LoopCandidate:
+        """Match and judge."""
         config = self._config
         candidate = LoopCandidate(place, key, 0.0, 0.0, score, None, False, "")
         frame = self._keyframes.keyframe(key)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shutil
 import tempfile
 import weakref
@@ -11,14 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import gtsam
-import numpy as np
 
 from slam.errors import ScanweaveError
-from slam.measurements import CameraIntrinsics, ColorImage, Float32Array, RgbdFrame
-
-JPEG_QUALITY = 95
-STEPS_PER_M = 5000.0  # 0.2 mm, as in TUM's logs; coarser only for a frame that reaches beyond 13.1 m
-MAX_STEPS = 65535
+from slam.mapping.image_packing import depth_steps_per_m, packed_color, packed_depth, unpacked_images
+from slam.measurements import CameraIntrinsics, RgbdFrame
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +30,7 @@ class _Entry:
 class KeyframeImages:
     """A spool of RGB-D keyframes in a temporary folder of its own.
 
-    Colour is kept as JPEG, which alters it by a few grey levels, depth as a 16-bit PNG in steps of 0.2 mm.
+    See `slam.mapping.image_packing` for what is lost.
     The folder goes when the spool is closed, leaves its ``with`` block or is forgotten.
 
     Parameters
@@ -86,16 +81,11 @@ class KeyframeImages:
         ScanweaveError
             Where a depth is not finite, or the images cannot be written.
         """
-        reach_m = float(frame.depth_m.max(initial=0.0))
-        if not math.isfinite(reach_m):
-            raise ScanweaveError(
-                f"depth image at {frame.stamp_s:.6f} s holds {reach_m}; an invalid reading must be 0"
-            )
-        steps_per_m = min(STEPS_PER_M, MAX_STEPS / reach_m) if reach_m > 0.0 else STEPS_PER_M
+        steps_per_m = depth_steps_per_m(frame)
         index = len(self)
         try:
-            self._path(index, "jpg").write_bytes(_jpeg(frame.color))
-            self._path(index, "png").write_bytes(_png(frame.depth_m, steps_per_m))
+            self._path(index, "jpg").write_bytes(packed_color(frame.color))
+            self._path(index, "png").write_bytes(packed_depth(frame.depth_m, steps_per_m))
         except OSError as error:
             raise ScanweaveError(
                 f"cannot keep keyframe {index} in {self._folder}: {error.strerror or error}; "
@@ -116,44 +106,25 @@ class KeyframeImages:
         ScanweaveError
             Where its images are gone or damaged.
         """
-        import cv2
-
         if not 0 <= index < len(self):
             raise IndexError(f"keyframe {index} of {len(self)}")
         entry = self._entries[index]
         try:
-            color = cv2.imdecode(np.fromfile(self._path(index, "jpg"), np.uint8), cv2.IMREAD_COLOR_RGB)
-            steps = cv2.imdecode(np.fromfile(self._path(index, "png"), np.uint8), cv2.IMREAD_UNCHANGED)
+            color, depth_m = unpacked_images(
+                self._path(index, "jpg").read_bytes(),
+                self._path(index, "png").read_bytes(),
+                entry.steps_per_m,
+                entry.intrinsics,
+            )
         except OSError as error:
             raise ScanweaveError(
                 f"keyframe {index} is gone from {self._folder}: {error.strerror or error}; run again"
             ) from error
-        if color is None or steps is None:
+        except ValueError as error:
             raise ScanweaveError(
-                f"keyframe {index} in {self._folder} is damaged; check the disk and run again"
-            )
-        depth_m = steps.astype(np.float32) / np.float32(entry.steps_per_m)
+                f"keyframe {index} in {self._folder} is damaged ({error}); check the disk and run again"
+            ) from error
         return RgbdFrame(entry.stamp_s, color, depth_m, entry.intrinsics, entry.T_base_camera, entry.sensor)
 
     def _path(self, index: int, suffix: str) -> Path:
         return self._folder / f"{index:06d}.{suffix}"
-
-
-def _jpeg(color: ColorImage) -> bytes:
-    """An (H, W, 3) RGB image, packed."""
-    import cv2
-
-    bgr = cv2.cvtColor(np.ascontiguousarray(color), cv2.COLOR_RGB2BGR)
-    return cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
-
-
-def _png(depth_m: Float32Array, steps_per_m: float) -> bytes:
-    """An (H, W) depth image, rounded to steps and packed."""
-    import cv2
-
-    steps = cv2.multiply(np.ascontiguousarray(depth_m), steps_per_m, dtype=cv2.CV_16U)
-    # Differences to the row above, packed by run length: on a Kinect's frame 4 ms instead of the 11 of plain
-    # level 1, on a noisy one 8 instead of 13, and the files are smaller.
-    options = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP]
-    options += [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
-    return cv2.imencode(".png", steps, options)[1].tobytes()

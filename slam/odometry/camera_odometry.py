@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
+from slam.answers import COMPUTED, Answers
 from slam.config_stages import RgbdOdometryConfig
 from slam.measurements import FloatArray
 from slam.odometry.rgbd_odometry import make_rgbd_odometry
@@ -45,8 +46,8 @@ class CameraPose:
 class CameraOdometry:
     """Tracks a camera's frames and remembers the newest."""
 
-    def __init__(self, config: RgbdOdometryConfig) -> None:
-        self._tracker = RgbdTracker(make_rgbd_odometry(config), config)
+    def __init__(self, config: RgbdOdometryConfig, answers: Answers = COMPUTED) -> None:
+        self._tracker = RgbdTracker(make_rgbd_odometry(config), config, answers)
         self._segment = 0
         self._stamp_s = -np.inf
         self._newest: CameraPose | None = None

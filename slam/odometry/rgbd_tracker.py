@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
+from slam.answers import COMPUTED, Answers
 from slam.config_stages import RgbdOdometryConfig
 from slam.odometry.rgbd_odometry import RgbdOdometry
 from slam.vision.prepared_frame import PreparedFrame
@@ -41,8 +42,11 @@ class TrackedFrame:
 class RgbdTracker:
     """Predicts each frame's pose, matches it, and says when a keyframe is due."""
 
-    def __init__(self, odometry: RgbdOdometry, config: RgbdOdometryConfig) -> None:
+    def __init__(
+        self, odometry: RgbdOdometry, config: RgbdOdometryConfig, answers: Answers = COMPUTED
+    ) -> None:
         self._odometry = odometry
+        self._answers = answers
         self._config = config
         self._local: list[VisualKeyframe] = []
         self._last: TrackedFrame | None = None
@@ -85,11 +89,10 @@ class RgbdTracker:
 
     def _match(self, frame: PreparedFrame, guess: gtsam.Pose3) -> TrackedFrame:
         """Match to the most alike keyframes, or say that the frame is lost."""
-        local = self._most_alike(guess)
-        match = self._odometry.match(frame, local, guess)
+        match = self._ask(frame, guess)
         if match is None and self._last is not None:
             # A camera that was held still or shaken has not moved on with constant velocity.
-            match = self._odometry.match(frame, self._most_alike(self._last.pose), self._last.pose)
+            match = self._ask(frame, self._last.pose)
         if match is None or (self._lost and not self._found_again(match)):
             self._lost += 1
             restart = self._lost >= self._config.lost_after
@@ -100,6 +103,12 @@ class RgbdTracker:
         self._lost = 0
         pose = match.pose
         return TrackedFrame(pose, match, self._moved_on(frame, pose, match), restarted=False)
+
+    def _ask(self, frame: PreparedFrame, guess: gtsam.Pose3) -> VisualMatch | None:
+        """Match from a guess."""
+        return self._answers.ask(
+            "frame", guess.x(), lambda: self._odometry.match(frame, self._most_alike(guess), guess)
+        )
 
     def _found_again(self, match: VisualMatch) -> bool:
         """Whether a match ends a loss: a wall may be another one, unless its texture or a corner tells."""

@@ -33,11 +33,11 @@ class SurfelOdometry:
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:
         """Take a scan at a pose (3,) of the odometry frame into the local map."""
         self._keyframes.append(OrientedPoints.from_scan(points).moved(pose))
-        self._local_map = LocalMap.build(list(self._keyframes), self._match)
+        self._local_map = None
 
     def match(self, points: ScanPoints, guesses: list[Guess]) -> MotionEstimate | None:
         """Align from the first guess; from the others and by search where that is not sure."""
-        local_map = self._local_map
+        local_map = self._known()
         scan = OrientedPoints.from_scan(points)
         if local_map is None or len(scan) < _LEAST_POINTS:
             return None
@@ -55,10 +55,17 @@ class SurfelOdometry:
 
     def match_near(self, points: ScanPoints, pose: FloatArray) -> MotionEstimate | None:
         """Align while held at ``pose`` (3,): the yaw is free, the position gives way by little."""
+        local_map = self._known()
         scan = OrientedPoints.from_scan(points)
-        if self._local_map is None or len(scan) < _LEAST_POINTS:
+        if local_map is None or len(scan) < _LEAST_POINTS:
             return None
-        return motion_from_alignment(self._local_map.align_held(scan, pose), self._noise)
+        return motion_from_alignment(local_map.align_held(scan, pose), self._noise)
+
+    def _known(self) -> LocalMap | None:
+        """The local map, built when first asked for; None before the first keyframe."""
+        if self._local_map is None and self._keyframes:
+            self._local_map = LocalMap.build(list(self._keyframes), self._match)
+        return self._local_map
 
     def _search(self, local_map: LocalMap, scan: OrientedPoints, guess: FloatArray) -> Alignment | None:
         """Branch and bound around a guess, then the same alignment as ever."""

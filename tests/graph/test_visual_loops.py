@@ -39,6 +39,9 @@ class Walk:
     def keyframe(self, key: int) -> PreparedFrame:
         return self.frames[key]
 
+    def touch(self, key: int) -> None:
+        """All are kept."""
+
     def add(self, frame: PreparedFrame, pose: gtsam.Pose3, *, adrift: bool = False) -> list[LoopCandidate]:
         """As the mapper does."""
         self.frames.append(frame)

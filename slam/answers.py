@@ -1,0 +1,37 @@
+"""Where an answer that takes time comes from: it is computed, or an interrupted run has left it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, Protocol, TypeVar
+
+T = TypeVar("T")
+
+
+class Answers(Protocol):
+    """Asked for everything that takes time while a log is mapped, in an order that the log alone decides."""
+
+    def ask(self, question: str, key: float, compute: Callable[[], T]) -> T:
+        """The answer to a question.
+
+        Parameters
+        ----------
+        question
+            Its kind.
+        key
+            A number of what is asked about; one bit of difference shows that events took another course.
+        compute
+            Gives the answer; it must not change anything that a later answer depends on.
+        """
+        ...
+
+
+class _Computed:
+    """Nothing is remembered."""
+
+    def ask(self, question: str, key: float, compute: Callable[[], T]) -> T:
+        """Compute it."""
+        return compute()
+
+
+COMPUTED: Final[Answers] = _Computed()

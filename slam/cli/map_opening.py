@@ -1,0 +1,85 @@
+"""How ``scanweave map`` begins, goes on with and leaves a map that is being made."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from slam.errors import DatasetError, MapFileError
+from slam.storage.map_file import MAP_NAME, MapFile
+from slam.storage.map_identity import MapIdentity
+
+
+def finished_map(folder: Path, identity: MapIdentity) -> bool:
+    """Whether the map that should be resumed is finished already.
+
+    Raises
+    ------
+    MapFileError
+        Where it is of another log, configuration or version, or damaged.
+    """
+    file = MapFile.resume(folder / MAP_NAME)
+    if file is None:
+        return False
+    try:
+        difference = MapIdentity.from_meta(file.meta(), file.path).difference(identity)
+        if difference is not None:
+            raise MapFileError(
+                f"{file.path} cannot be resumed: {difference}; map anew, without --resume or elsewhere"
+            )
+        if file.finished:
+            file.compact()  # where the interruption came between the last word and the tidying up
+            return True
+        return False
+    finally:
+        file.close()
+
+
+@contextmanager
+def opened_map(folder: Path, identity: MapIdentity, *, resume: bool) -> Iterator[MapFile]:
+    """Yield the map to write; whatever but a faulty log ends the block, what was found out is kept.
+
+    Raises
+    ------
+    MapFileError
+        Where it cannot be made, or another run writes it.
+    """
+    path = folder / MAP_NAME
+    file = MapFile.resume(path) if resume else None
+    resumed = file is not None
+    if file is not None:
+        print(f"going on with {path}", file=sys.stderr)
+    else:
+        if resume:
+            print(f"nothing to resume in {folder}; mapping from the beginning", file=sys.stderr)
+        elif left_unfinished(path):
+            print(f"replacing {path}, which an interrupted run has left", file=sys.stderr)
+        file = MapFile.create(path)
+        for key, value in identity.to_meta().items():
+            file.add_meta(key, value)
+        file.commit()
+    try:
+        yield file
+    except DatasetError:
+        if not resumed:  # the log is at fault: there is nothing to go on with
+            file.discard()
+        raise
+    except KeyboardInterrupt:
+        file.commit()
+        print(f"{path} is not finished; the same command with --resume goes on with it", file=sys.stderr)
+        raise
+    finally:
+        file.close()
+
+
+def left_unfinished(path: Path) -> bool:
+    """Whether a map is there that was never finished."""
+    if not path.is_file():
+        return False
+    try:
+        MapFile.read(path).close()
+    except MapFileError as error:
+        return "is not finished" in str(error)
+    return False

@@ -1,0 +1,70 @@
+"""Commands on a finished map: scanweave info, check, export."""
+
+from __future__ import annotations
+
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slam.cli.app import JsonOption, app
+from slam.errors import ScanweaveError
+
+MapArgument = Annotated[
+    Path, typer.Argument(metavar="MAP", help="a folder that 'scanweave map' has made, or its map.db")
+]
+
+
+class Format(StrEnum):
+    """What a map can be exported as."""
+
+    NAV2 = "nav2"
+    TUM = "tum"
+    G2O = "g2o"
+    PLY = "ply"
+    BT = "bt"
+
+
+@app.command()
+def info(map_: MapArgument, as_json: JsonOption = False) -> None:
+    """Tell what is in a map: sensors, keyframes, loops, grid, settings, versions."""
+    from slam.evaluation.map_info import map_info, render_info
+
+    found = map_info(map_)
+    print(json.dumps(found, indent=2) if as_json else render_info(found))
+
+
+@app.command()
+def check(map_: MapArgument) -> None:
+    """Read everything in a map and compare it with its checksums."""
+    from slam.storage.saved_map import open_saved_map
+
+    saved = open_saved_map(map_)
+    saved.check()
+    print(
+        f"{saved.path} is whole: {len(saved.keyframe_poses)} keyframes, {len(saved.frames)} images, "
+        f"{len(saved.factors)} factors, {len(saved.trajectory)} poses, digest {saved.digest}"
+    )
+
+
+@app.command()
+def export(
+    map_: MapArgument,
+    format_: Annotated[
+        Format, typer.Option("--format", "-f", help="nav2 grid, TUM trajectory, g2o graph, PLY, OctoMap")
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="the file, or a folder for files of the usual names")
+    ],
+) -> None:
+    """Write a map in the format of another program: the same bytes as 'scanweave map' has written."""
+    from slam.run_outputs import export_map
+    from slam.storage.saved_map import open_saved_map
+
+    saved = open_saved_map(map_)
+    written = export_map(saved, format_.value, out)
+    if not written:
+        raise ScanweaveError(f"nothing was exported of {saved.path}: its images show no surface")
+    print("wrote " + ", ".join(str(path) for path in written))

@@ -1,0 +1,99 @@
+"""What is in a saved map, for ``scanweave info``."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slam.config import Config
+from slam.mapping.occupancy_grid import FREE, OCCUPIED
+from slam.storage.saved_map import SavedMap, open_saved_map
+
+
+def map_info(path: Path) -> dict[str, Any]:
+    """The facts about a finished map, as plain values.
+
+    Raises
+    ------
+    MapFileError
+        Where there is none, it is not finished, or damaged.
+    """
+    saved = open_saved_map(path)
+    trajectory, identity = saved.trajectory, saved.identity
+    kinds = Counter(factor.edge.kind.value for factor in saved.factors if factor.kept)
+    refused = Counter(factor.edge.kind.value for factor in saved.factors if not factor.kept)
+    steps_m = np.linalg.norm(np.diff(trajectory.positions_m, axis=0), axis=1)
+    return {
+        "map": str(saved.path),
+        "size_mb": round(saved.path.stat().st_size / 1e6, 3),
+        "finished": True,
+        "log": identity.log_name,
+        "motion": "planar" if saved.planar else "spatial",
+        "sensors": _sensors(saved),
+        "keyframes": len(saved.keyframe_poses),
+        "poses": len(trajectory),
+        "path_length_m": round(float(steps_m.sum()), 3),
+        "duration_s": round(float(np.ptp(trajectory.stamps_s)), 3),
+        "factors": dict(sorted(kinds.items())),
+        "factors_refused": dict(sorted(refused.items())),
+        "loops": len(saved.loops),
+        "loops_accepted": sum(loop.accepted for loop in saved.loops),
+        "grids": {name: _grid(saved, name) for name in saved.contents.grids},
+        "seed": identity.config.seed,
+        "settings": dict(
+            _differences(identity.config.model_dump(mode="json"), Config().model_dump(mode="json"))
+        ),
+        "versions": dict(identity.versions),
+        "digest": saved.digest,
+    }
+
+
+def render_info(found: Mapping[str, Any]) -> str:
+    """The same for people: a line a fact."""
+    lines = []
+    for name, value in found.items():
+        if isinstance(value, Mapping):
+            value = ", ".join(f"{key} {_text(part)}" for key, part in value.items()) or "none"
+        lines.append(f"{name.replace('_', ' ') + ':':17} {_text(value)}")
+    return "\n".join(lines)
+
+
+def _text(value: Any) -> str:
+    """A plain value in words."""
+    if isinstance(value, Mapping):
+        return " ".join(f"{key}={part}" for key, part in value.items())
+    return str(value)
+
+
+def _sensors(saved: SavedMap) -> dict[str, int]:
+    """How many keyframes each sensor gave."""
+    scans = Counter(scan.sensor for scan in saved.keyframe_scans if scan is not None)
+    images = Counter(saved.frames.head(index).sensor for index in range(len(saved.frames)))
+    return dict(sorted((scans + images).items()))
+
+
+def _grid(saved: SavedMap, name: str) -> dict[str, Any]:
+    """Size and content of a grid."""
+    grid = saved.contents.grids[name]
+    states = grid.states()
+    rows, cols = states.shape
+    cell_m2 = grid.resolution_m**2
+    return {
+        "size_m": [round(cols * grid.resolution_m, 2), round(rows * grid.resolution_m, 2)],
+        "resolution_m": grid.resolution_m,
+        "free_m2": round(float((states == FREE).sum()) * cell_m2, 1),
+        "occupied_m2": round(float((states == OCCUPIED).sum()) * cell_m2, 1),
+    }
+
+
+def _differences(tree: Any, default: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted name and value of every setting that is not the default."""
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from _differences(value, default[name], f"{prefix}{name}.")
+        elif value != default[name]:
+            yield prefix + name, value

@@ -1,0 +1,30 @@
+"""A lidar odometry whose answers an interrupted run may have left."""
+
+from __future__ import annotations
+
+from slam.answers import Answers
+from slam.matching.scan_points import ScanPoints
+from slam.measurements import FloatArray, MotionEstimate
+from slam.odometry.lidar_odometry import Guess, LidarOdometry
+
+
+class RememberedOdometry:
+    """See `slam.odometry.lidar_odometry.LidarOdometry`; the keyframes reach the odometry in any case."""
+
+    def __init__(self, odometry: LidarOdometry, answers: Answers) -> None:
+        self._odometry = odometry
+        self._answers = answers
+
+    def match(self, points: ScanPoints, guesses: list[Guess]) -> MotionEstimate | None:
+        """Pose of the scan's base in the odometry frame, or None where nothing fits."""
+        return self._answers.ask(
+            "scan", float(guesses[0].pose[0]), lambda: self._odometry.match(points, guesses)
+        )
+
+    def match_near(self, points: ScanPoints, pose: FloatArray) -> MotionEstimate | None:
+        """The best pose of the scan that stays close to ``pose`` (3,), however badly it fits."""
+        return self._answers.ask("held scan", float(pose[0]), lambda: self._odometry.match_near(points, pose))
+
+    def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:
+        """Take a scan at a pose (3,) of the odometry frame into the local map."""
+        self._odometry.add_keyframe(points, pose)

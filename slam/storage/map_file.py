@@ -1,0 +1,357 @@
+"""``map.db`` itself: one SQLite file of numbered, checksummed rows, written while mapping, then sealed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sqlite3
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from slam.errors import MapFileError
+from slam.storage.map_tables import APPLICATION_ID, JOURNAL, META, SCHEMA_VERSION, TABLES, Table, Value
+
+MAP_NAME = "map.db"
+# A crash loses at most this and what one scan takes.
+COMMIT_EVERY_S = 1.5
+_SEAL = "seal"
+_HEADER = b"SQLite format 3\0"
+_COMMIT_COUNTS = (24, 92)
+# What SQLite writes beside a map that is being written, or was when its process died.
+_BESIDE = ("-wal", "-journal")
+
+
+def map_path(path: Path) -> Path:
+    """The map's file where a folder or the file itself is named."""
+    return path / MAP_NAME if path.is_dir() else path
+
+
+class MapFile:
+    """An open map; every fault of the file is a `MapFileError` of one line that names table and row.
+
+    Made by `create`, `resume` or `read`.
+    """
+
+    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
+        self.path = path
+        self._connection = connection
+        self._counts: dict[str, int] = {}
+        self._committed_at = time.monotonic()
+        self._before_commit: list[Callable[[], None]] = []
+
+    @classmethod
+    def create(cls, path: Path) -> MapFile:
+        """A new, empty map in the place of whatever is there."""
+        with _told(path, "made"):
+            for stale in (path, *_beside(path)):
+                stale.unlink(missing_ok=True)
+            file = cls(path, _writer(path))
+            run = file._connection.execute
+            run(f"PRAGMA application_id = {APPLICATION_ID}")
+            run(f"PRAGMA user_version = {SCHEMA_VERSION}")
+            run("PRAGMA journal_mode = WAL")
+            run("BEGIN")
+            for table in TABLES:
+                run(table.sql)
+                file._counts[table.name] = 0
+        return file
+
+    @classmethod
+    def resume(cls, path: Path) -> MapFile | None:
+        """A map that was begun, to go on with it; None where nothing is there yet.
+
+        Raises
+        ------
+        MapFileError
+            Where it is no map, is damaged, or another process writes it.
+        """
+        if not path.exists() or not path.stat().st_size:
+            return None
+        with _told(path, "opened"):
+            file = cls(path, _writer(path))
+            try:
+                if not file._connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0]:
+                    file._connection.close()
+                    return None  # it died before its first commit
+                file._check_kind()
+                file._connection.execute("PRAGMA journal_mode = WAL")
+                file._connection.execute("BEGIN")
+                file._count_rows()
+            except BaseException:
+                file._connection.close()
+                raise
+        return file
+
+    @classmethod
+    def read(cls, path: Path) -> MapFile:
+        """A finished map, to read it; nothing is written, not even beside it.
+
+        Raises
+        ------
+        MapFileError
+            Where it is no map, is not finished, or rows are missing.
+        """
+        path = map_path(path)
+        if not path.is_file():
+            raise MapFileError(
+                f"no map at {path}; give a folder that 'scanweave map' has made, or its map.db"
+            )
+        with _told(path, "read"):
+            if any(beside.exists() for beside in _beside(path)):
+                raise MapFileError(_unfinished(path))
+            with path.open("rb") as stream:
+                if stream.read(len(_HEADER)) != _HEADER:
+                    raise MapFileError(f"{path} is no map: not an SQLite file")
+            connection = sqlite3.connect(
+                f"{path.absolute().as_uri()}?mode=ro&immutable=1",
+                uri=True,
+                isolation_level=None,
+                check_same_thread=False,
+            )
+            file = cls(path, connection)
+            try:
+                file._harden(path.stat().st_size)
+                file._check_kind()
+                file._check_seal()
+            except BaseException:
+                connection.close()
+                raise
+        return file
+
+    @property
+    def finished(self) -> bool:
+        """Whether the map was sealed."""
+        return _SEAL in self.meta()
+
+    def meta(self) -> dict[str, str]:
+        """What was mapped, and with what."""
+        return {str(key): str(value) for key, value in self.rows(META)}
+
+    def add_meta(self, key: str, value: str) -> None:
+        """Take down one fact of the map."""
+        self.append(META, key, value)
+
+    def count(self, table: Table) -> int:
+        """Rows of a table."""
+        return self._counts[table.name]
+
+    def append(self, table: Table, *values: Value) -> int:
+        """Write the next row; its number."""
+        number = self._counts[table.name]
+        with _told(self.path, "written"):
+            row = (number, table.checksum(number, values), *values)
+            self._connection.execute(table.insert_sql, row)
+        self._counts[table.name] = number + 1
+        return number
+
+    def row(self, table: Table, number: int) -> tuple[Value, ...]:
+        """The values of a row.
+
+        Raises
+        ------
+        MapFileError
+            Where it is missing or damaged.
+        """
+        with self.blaming(table, number):
+            found = self._connection.execute(f"SELECT * FROM {table.name} WHERE number = ?", (number,))
+            return self._checked(table, number, found.fetchone())
+
+    def rows(self, table: Table) -> Iterator[tuple[Value, ...]]:
+        """The values of all rows in their order, one in memory at a time; `MapFileError` as in `row`."""
+        number = -1
+        with self.blaming(table, 0):
+            found = iter(self._connection.execute(f"SELECT * FROM {table.name} ORDER BY number"))
+        for number in range(self._counts[table.name]):
+            with self.blaming(table, number):
+                values = self._checked(table, number, next(found, None))
+            yield values
+        with self.blaming(table, number + 1):
+            if next(found, None) is not None:
+                raise MapFileError(f"row {number + 1} should not be there")
+
+    def clear(self, table: Table) -> None:
+        """Remove all rows of a table."""
+        with _told(self.path, "written"):
+            self._connection.execute(f"DELETE FROM {table.name}")
+        self._counts[table.name] = 0
+
+    def before_commit(self, flush: Callable[[], None]) -> None:
+        """Have something called before each commit, to write what it has gathered."""
+        self._before_commit.append(flush)
+
+    def commit_if_due(self) -> None:
+        """Make everything so far safe from a crash of the process, if that was a while ago."""
+        if time.monotonic() - self._committed_at > COMMIT_EVERY_S:
+            self.commit()
+
+    def commit(self) -> None:
+        """Make everything so far safe from a crash of the process."""
+        for flush in self._before_commit:
+            flush()
+        with _told(self.path, "written"):
+            self._connection.execute("COMMIT")
+            self._connection.execute("BEGIN")
+        self._committed_at = time.monotonic()
+
+    def seal(self) -> None:
+        """Say that the map is finished, with count and digest of every table, and leave one closed file."""
+        self._before_commit.clear()
+        self.clear(JOURNAL)
+        self.add_meta(_SEAL, json.dumps(self._digests()))
+        self.commit()
+        self.compact()
+
+    def compact(self) -> None:
+        """Give back the room of what was removed, and leave nothing beside the file; it is closed then."""
+        with _told(self.path, "finished"):
+            run = self._connection.execute
+            run("COMMIT")
+            run("PRAGMA journal_mode = DELETE")
+            run("VACUUM")
+            self.close()
+            # SQLite counts its commits in the header, in two places; how many there were, the clock decided.
+            with self.path.open("r+b") as stream:
+                for place in _COMMIT_COUNTS:
+                    stream.seek(place)
+                    stream.write(b"\0\0\0\1")
+
+    def close(self) -> None:
+        """Close the file; what is not committed is lost."""
+        self._connection.close()
+
+    def discard(self) -> None:
+        """Close the file and remove it."""
+        self.close()
+        for left in (self.path, *_beside(self.path)):
+            left.unlink(missing_ok=True)
+
+    def content_digest(self) -> str:
+        """One digest of everything in a finished map."""
+        return hashlib.blake2b(json.dumps(self._digests()).encode(), digest_size=16).hexdigest()
+
+    def check_pages(self) -> None:
+        """Have SQLite check its own structure.
+
+        Raises
+        ------
+        MapFileError
+            With the first fault.
+        """
+        with _told(self.path, "checked"):
+            (verdict,) = self._connection.execute("PRAGMA integrity_check(1)").fetchone()
+        if verdict != "ok":
+            raise MapFileError(f"{self.path} is damaged: {' '.join(str(verdict).split())}")
+
+    def _check_kind(self) -> None:
+        """Refuse what is no map, a newer one, or one with other tables."""
+        run = self._connection.execute
+        if run("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
+            raise MapFileError(f"{self.path} is an SQLite file, but no map of Scanweave")
+        version = run("PRAGMA user_version").fetchone()[0]
+        if version > SCHEMA_VERSION:
+            raise MapFileError(
+                f"{self.path} has schema {version}, this Scanweave reads up to {SCHEMA_VERSION}; "
+                "install a newer one"
+            )
+        tables = run("SELECT type, sql FROM sqlite_schema ORDER BY rowid").fetchall()
+        if version < 1 or tables != [("table", table.sql) for table in TABLES]:
+            raise MapFileError(f"{self.path} is damaged: its tables are not those of schema {version}")
+
+    def _harden(self, size: int) -> None:
+        """Trust nothing in the file: no code of its schema, no length beyond its own."""
+        run = self._connection.execute
+        run("PRAGMA trusted_schema = OFF")
+        run("PRAGMA cell_size_check = ON")
+        run("PRAGMA query_only = ON")
+        self._connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(size, 10_000))
+
+    def _count_rows(self) -> None:
+        """Rows of every table as they are found."""
+        for table in TABLES:
+            with self.blaming(table, 0):
+                found = self._connection.execute(f"SELECT count(*), max(number) FROM {table.name}").fetchone()
+                if found[0] != (-1 if found[1] is None else found[1]) + 1:
+                    raise MapFileError(f"its {found[0]} rows are not numbered without a gap")
+            self._counts[table.name] = found[0]
+
+    def _check_seal(self) -> None:
+        """Refuse a map that is not finished, or has lost rows since."""
+        self._count_rows()
+        seal = self.meta().get(_SEAL)
+        if seal is None:
+            raise MapFileError(_unfinished(self.path))
+        for table, found, sealed in zip(TABLES, self._digests(), json.loads(seal), strict=True):
+            if found != sealed:
+                raise MapFileError(
+                    f"{self.path} is damaged: table {table.name} has {found[0]} rows of digest {found[1]}, "
+                    f"sealed were {sealed[0]} of {sealed[1]}; make the map anew"
+                )
+
+    def _digests(self) -> list[list[int | str]]:
+        """Count and digest of every table, the seal itself left out."""
+        digests: list[list[int | str]] = []
+        for table in TABLES:
+            digest, count = hashlib.blake2b(digest_size=16), 0
+            seal = " WHERE key != 'seal'" if table is META else ""
+            with self.blaming(table, 0):
+                for number, checksum in self._connection.execute(
+                    f"SELECT number, checksum FROM {table.name}{seal} ORDER BY number"
+                ):
+                    digest.update(f"{number}:{checksum!r};".encode())
+                    count += 1
+            digests.append([count, digest.hexdigest()])
+        return digests
+
+    def _checked(self, table: Table, number: int, found: tuple[Value, ...] | None) -> tuple[Value, ...]:
+        """The values of a row as it was read, if they are those that were written."""
+        if found is None or found[0] != number:
+            raise MapFileError("it is missing")
+        if found[1] != table.checksum(number, found[2:]):
+            raise MapFileError("its checksum is wrong")
+        return found[2:]
+
+    @contextmanager
+    def blaming(self, table: Table, number: int) -> Iterator[None]:
+        """Blame a row for what fails in the block, with a `MapFileError`."""
+        try:
+            yield
+        except (sqlite3.Error, ValueError, OverflowError, TypeError, MapFileError) as error:
+            raise MapFileError(
+                f"{self.path} is damaged: table {table.name}, row {number}: {error}; make the map anew"
+            ) from error
+
+
+def _writer(path: Path) -> sqlite3.Connection:
+    """A connection that no other process can write beside."""
+    connection = sqlite3.connect(path, timeout=0.0, isolation_level=None)
+    connection.execute("PRAGMA locking_mode = EXCLUSIVE")
+    # In WAL mode a crash of the process loses nothing that was committed; one of the machine, the latest.
+    connection.execute("PRAGMA synchronous = NORMAL")
+    return connection
+
+
+def _beside(path: Path) -> list[Path]:
+    """Files that SQLite keeps beside one that is being written."""
+    return [path.with_name(path.name + ending) for ending in _BESIDE]
+
+
+def _unfinished(path: Path) -> str:
+    """What to tell of a map that is not finished."""
+    return (
+        f"{path} is not finished: its run was interrupted or still goes on; "
+        f"'scanweave map LOG -o {path.parent} --resume' goes on with it"
+    )
+
+
+@contextmanager
+def _told(path: Path, done: str) -> Iterator[None]:
+    """Turn what SQLite and the disk say into one line."""
+    try:
+        yield
+    except (sqlite3.Error, OSError) as error:
+        reason = "another run is writing it" if "locked" in str(error) else str(error)
+        raise MapFileError(
+            f"{path} cannot be {done}: {reason}; check the folder and its free space"
+        ) from error

@@ -1,0 +1,145 @@
+"""Camera keyframes in ``map.db``: images and features are read when they are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import cast
+
+import gtsam
+
+from slam.errors import MapFileError
+from slam.mapping.image_packing import depth_steps_per_m, packed_color, packed_depth, unpacked_images
+from slam.measurements import CameraIntrinsics, RgbdFrame
+from slam.storage.map_file import MapFile
+from slam.storage.map_tables import FRAMES, Value
+from slam.storage.packing import pack, unpack
+from slam.vision.features import Features
+
+
+@dataclass(frozen=True, slots=True)
+class FrameHead:
+    """What is known of a camera keyframe without its images.
+
+    Attributes
+    ----------
+    node
+        The node of the graph that it belongs to.
+    T_base_camera
+        Where the camera was when it took the frame, seen from the base at the node; in space the mounting,
+        and None where the camera is its own base.
+    """
+
+    node: int
+    stamp_s: float
+    sensor: str
+    steps_per_m: float
+    intrinsics: CameraIntrinsics
+    T_base_camera: gtsam.Pose3 | None
+
+
+class MapFrames:
+    """The camera keyframes of a map.
+
+    Parameters
+    ----------
+    begun
+        Whether the map is being written: frames that an interrupted run has left are there only once they are
+        added again, and cost nothing then.
+    """
+
+    def __init__(self, file: MapFile, *, begun: bool = False) -> None:
+        self._file = file
+        self._count = 0 if begun else file.count(FRAMES)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __iter__(self) -> Iterator[RgbdFrame]:
+        """The frames in the order they came, one in memory at a time."""
+        return (self.frame(index) for index in range(len(self)))
+
+    def add(self, frame: RgbdFrame, node: int, features: Features) -> int:
+        """Write the next frame; its index.
+
+        Raises
+        ------
+        ScanweaveError
+            Where a depth is not finite, or the map cannot be written.
+        """
+        index = self._count
+        self._count += 1
+        if index < self._file.count(FRAMES):
+            self._check_same(self.head(index), frame, node)
+            return index
+        steps_per_m = depth_steps_per_m(frame)
+        return self._file.append(
+            FRAMES,
+            node,
+            frame.stamp_s,
+            frame.sensor,
+            steps_per_m,
+            pack((frame.intrinsics, frame.T_base_camera)),
+            pack(features),
+            packed_color(frame.color),
+            packed_depth(frame.depth_m, steps_per_m),
+        )
+
+    def head(self, index: int) -> FrameHead:
+        """What is known of a frame without its images; errors as in `frame`."""
+        return self._head(self._row(index), index)
+
+    def features(self, index: int) -> Features:
+        """The ORB features of a frame, in the depth camera's image; errors as in `frame`."""
+        with self._file.blaming(FRAMES, index):
+            features = unpack(cast(bytes, self._row(index)[5]))
+            if not isinstance(features, Features):
+                raise MapFileError("its features are none")
+        return features
+
+    def frame(self, index: int) -> RgbdFrame:
+        """A frame with its images.
+
+        Raises
+        ------
+        IndexError
+            Where there is no such frame.
+        MapFileError
+            Where its row is damaged.
+        """
+        row = self._row(index)
+        head = self._head(row, index)
+        with self._file.blaming(FRAMES, index):
+            color, depth_m = unpacked_images(
+                cast(bytes, row[6]), cast(bytes, row[7]), head.steps_per_m, head.intrinsics
+            )
+        return RgbdFrame(head.stamp_s, color, depth_m, head.intrinsics, head.T_base_camera, head.sensor)
+
+    def _check_same(self, head: FrameHead, frame: RgbdFrame, node: int) -> None:
+        """Refuse to go on where an interrupted run took another frame."""
+        if (head.stamp_s, head.sensor, head.node) != (frame.stamp_s, frame.sensor, node):
+            raise MapFileError(
+                f"{self._file.path} cannot be resumed: it has a frame of {head.sensor} at "
+                f"{head.stamp_s:.6f} s where one of {frame.sensor} at {frame.stamp_s:.6f} s comes; "
+                "map anew, without --resume"
+            )
+
+    def _row(self, index: int) -> tuple[Value, ...]:
+        """The values of a row."""
+        if not 0 <= index < len(self):
+            raise IndexError(f"keyframe {index} of {len(self)}")
+        return self._file.row(FRAMES, index)
+
+    def _head(self, row: tuple[Value, ...], index: int) -> FrameHead:
+        """The small part of a row."""
+        node, stamp_s, sensor, steps_per_m, camera = row[:5]
+        with self._file.blaming(FRAMES, index):
+            intrinsics, T_base_camera = unpack(cast(bytes, camera))
+        return FrameHead(
+            int(cast(int, node)),
+            float(cast(float, stamp_s)),
+            str(sensor),
+            float(cast(float, steps_per_m)),
+            intrinsics,
+            T_base_camera,
+        )

@@ -1,0 +1,167 @@
+"""What decides a map: log, configuration, versions. A run is resumed by its like alone."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+import fusion
+from slam.config import Config
+from slam.errors import DatasetError, MapFileError
+from slam.storage.map_file import MAP_NAME
+
+_LIBRARIES = ("scanweave", "gtsam", "numpy", "numba", "scipy", "kiss-icp", "opencv-python-headless")
+# Images are known by name and size; anything else by its content.
+_IMAGES = frozenset({".png", ".jpg", ".jpeg", ".pgm", ".ppm"})
+_BLOCK = 1 << 20
+# What a run leaves in the folder of its log where it is told to write there.
+_OUTPUTS = frozenset(
+    {f"{MAP_NAME}{ending}" for ending in ("", "-wal", "-shm", "-journal")}
+    | {"trajectory.tum", "graph.g2o", "map.yaml", "map.pgm", "map.bt", "mesh.ply", "cloud.ply"}
+    | {"report.html", "layers"}
+)
+
+
+@dataclass(frozen=True, slots=True)
+class MapIdentity:
+    """What decided a map.
+
+    Attributes
+    ----------
+    config
+        The effective configuration, with the seed.
+    log_name, log_fingerprint
+        Of the log, see `fingerprint_of`.
+    versions
+        Of the libraries, and under ``code`` the digest of Scanweave's own source.
+    """
+
+    config: Config
+    log_name: str
+    log_fingerprint: str
+    versions: Mapping[str, str]
+
+    def to_meta(self) -> dict[str, str]:
+        """As rows of the file."""
+        return {
+            "config": self.config.model_dump_json(),
+            "seed": str(self.config.seed),
+            "log_name": self.log_name,
+            "log_fingerprint": self.log_fingerprint,
+            "versions": json.dumps(dict(self.versions)),
+        }
+
+    @classmethod
+    def from_meta(cls, meta: Mapping[str, str], path: Path) -> MapIdentity:
+        """From rows of the file.
+
+        Raises
+        ------
+        MapFileError
+            Where a row is missing, or the configuration is that of another version.
+        """
+        try:
+            config = Config.model_validate_json(meta["config"])
+            versions = json.loads(meta["versions"])
+            return cls(config, meta["log_name"], meta["log_fingerprint"], versions)
+        except KeyError as error:
+            raise MapFileError(f"{path} does not tell its {error.args[0]}; make the map anew") from error
+        except ValidationError as error:
+            raise MapFileError(
+                f"{path} was made with settings that this version does not know "
+                f"({error.errors()[0]['loc'][0]}); make the map anew"
+            ) from error
+
+    def difference(self, now: MapIdentity) -> str | None:
+        """What of a run that goes on now is not as it was, in a few words; None where all is the same."""
+        if now.log_fingerprint != self.log_fingerprint:
+            return f"it was begun with another log, {self.log_name}"
+        before, after = (dict(_leaves(one.config.model_dump(mode="json"))) for one in (self, now))
+        for name, value in after.items():
+            if before[name] != value:
+                return f"it was begun with {name}={before[name]}, not {value}"
+        for name in {**self.versions, **now.versions}:
+            if self.versions.get(name) != now.versions.get(name):
+                return f"it was begun with {name} {self.versions.get(name)}, not {now.versions.get(name)}"
+        return None
+
+
+def identity_of(log: Path, config: Config) -> MapIdentity:
+    """What decides the map of a log."""
+    return MapIdentity(config, log.name, fingerprint_of(log), {**_versions(), "code": _code_digest()})
+
+
+def fingerprint_of(log: Path) -> str:
+    """Digest of a log: the names, sizes and contents of its files, of images name and size alone.
+
+    What an earlier run has written into the folder of its log is passed over.
+
+    Raises
+    ------
+    DatasetError
+        Where it cannot be read.
+    """
+    digest = hashlib.blake2b(digest_size=16)
+    try:
+        root = log
+        while not root.exists():  # a session in a database: DATABASE/SESSION
+            digest.update(root.name.encode())
+            root = root.parent
+        for file in _files(root) if root.is_dir() else [root]:
+            name = file.relative_to(root).as_posix() if root.is_dir() else ""
+            digest.update(f"{name}\0{file.stat().st_size}\0".encode())
+            if file.suffix.lower() not in _IMAGES:
+                with file.open("rb") as stream:
+                    while block := stream.read(_BLOCK):
+                        digest.update(block)
+    except OSError as error:
+        raise DatasetError(f"cannot read {log}: {error.strerror or error}") from error
+    return digest.hexdigest()
+
+
+def _files(root: Path) -> list[Path]:
+    """The files of a log's folder, without those of maps that were made of it."""
+    maps = {found.parent for found in root.rglob(MAP_NAME)} - {root}
+    return [
+        file
+        for file in sorted(root.rglob("*"))
+        if file.is_file()
+        and maps.isdisjoint(file.parents)
+        and file.relative_to(root).parts[0] not in _OUTPUTS
+    ]
+
+
+def _versions() -> dict[str, str]:
+    """Versions of the libraries that decide a result."""
+    found = {}
+    for name in _LIBRARIES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "unknown"
+    return found
+
+
+def _code_digest() -> str:
+    """Digest of Scanweave's own source."""
+    digest = hashlib.blake2b(digest_size=8)
+    for root in (Path(__file__).parents[1], Path(fusion.__file__).parent):
+        for file in sorted(root.rglob("*.py")):
+            digest.update(file.relative_to(root).as_posix().encode() + file.read_bytes())
+    return digest.hexdigest()
+
+
+def _leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted name and value of every setting."""
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name, value

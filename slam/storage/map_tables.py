@@ -1,0 +1,126 @@
+"""The tables of ``map.db``: which there are, and the checksum of a row."""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from dataclasses import dataclass
+from typing import Final, Literal, TypeAlias
+
+ColumnType: TypeAlias = Literal["INTEGER", "REAL", "TEXT", "BLOB"]
+Value: TypeAlias = int | float | str | bytes | None
+
+# Raised when a table changes; a reader refuses what is newer than itself.
+SCHEMA_VERSION: Final = 1
+APPLICATION_ID: Final = 0x5CA9EA7E
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table whose rows are numbered 0, 1, 2, ... without a gap.
+
+    Attributes
+    ----------
+    columns
+        Name and type, after the number and the checksum; what is long comes last, so that the rest of a row
+        is read without it.
+    """
+
+    name: str
+    columns: tuple[tuple[str, ColumnType], ...]
+
+    @property
+    def sql(self) -> str:
+        """The statement that makes it; SQLite keeps it as it is written here."""
+        columns = "".join(f", {name} {kind}" for name, kind in self.columns)
+        return f"CREATE TABLE {self.name} (number INTEGER PRIMARY KEY, checksum BLOB NOT NULL{columns})"
+
+    @property
+    def insert_sql(self) -> str:
+        """The statement that writes a row."""
+        return f"INSERT INTO {self.name} VALUES (?, ?{', ?' * len(self.columns)})"
+
+    def checksum(self, number: int, values: tuple[Value, ...]) -> bytes:
+        """Eight bytes over a row's table, number and values with their types."""
+        digest = hashlib.blake2b(self.name.encode(), digest_size=8)
+        for value in (number, *values):
+            digest.update(_tagged(value))
+        return digest.digest()
+
+
+# One row a key: what was mapped, with what, and when it is finished the seal.
+META: Final = Table("meta", (("key", "TEXT"), ("value", "TEXT")))
+# Keyframes are the nodes of the graph. ``reading`` is the number of their scan or frame in the log.
+KEYFRAMES: Final = Table(
+    "keyframes",
+    (("stamp_s", "REAL"), ("reading", "INTEGER"), ("pose", "BLOB"), ("scan", "BLOB"), ("repaired", "BLOB")),
+)
+# Camera keyframes, each taken at a node of the graph.
+FRAMES: Final = Table(
+    "frames",
+    (
+        ("node", "INTEGER"),
+        ("stamp_s", "REAL"),
+        ("sensor", "TEXT"),
+        ("steps_per_m", "REAL"),
+        ("camera", "BLOB"),
+        ("features", "BLOB"),
+        ("color", "BLOB"),
+        ("depth", "BLOB"),
+    ),
+)
+FACTORS: Final = Table(
+    "factors",
+    (
+        ("kind", "TEXT"),
+        ("source", "INTEGER"),
+        ("target", "INTEGER"),
+        ("trusted", "INTEGER"),
+        ("kept", "INTEGER"),
+        ("loop", "INTEGER"),
+        ("motion", "BLOB"),
+        ("covariance", "BLOB"),
+    ),
+)
+LOOPS: Final = Table(
+    "loops",
+    (
+        ("place", "INTEGER"),
+        ("keyframe", "INTEGER"),
+        ("accepted", "INTEGER"),
+        ("score", "REAL"),
+        ("reason", "TEXT"),
+        ("candidate", "BLOB"),
+    ),
+)
+# A stretch of the trajectory a row.
+TRAJECTORY: Final = Table("trajectory", (("poses", "INTEGER"), ("stretch", "BLOB")))
+GRIDS: Final = Table(
+    "grids",
+    (
+        ("name", "TEXT"),
+        ("rows", "INTEGER"),
+        ("cols", "INTEGER"),
+        ("resolution_m", "REAL"),
+        ("corner", "BLOB"),
+        ("cells", "BLOB"),
+    ),
+)
+# Answers of matchers and verifiers while a log is mapped; gone when the map is finished.
+JOURNAL: Final = Table("journal", (("first", "INTEGER"), ("answers", "BLOB")))
+
+TABLES: Final = (META, KEYFRAMES, FRAMES, FACTORS, LOOPS, TRAJECTORY, GRIDS, JOURNAL)
+
+
+def _tagged(value: Value) -> bytes:
+    """A value with its type and length, so that no two rows look alike."""
+    if value is None:
+        return b"N"
+    if isinstance(value, bytes):
+        return b"b" + struct.pack("<q", len(value)) + value
+    if isinstance(value, str):
+        content = value.encode()
+        return b"s" + struct.pack("<q", len(content)) + content
+    if isinstance(value, float):
+        return b"d" + struct.pack("<d", value)
+    return b"i" + struct.pack("<q", value)

@@ -1,0 +1,210 @@
+"""Plain values and the project's own records as bytes, exactly; nothing that is read back can run code.
+
+A closed list of types, each with a tag of one byte; no field names, so another field in a record is another
+schema (`slam.storage.map_tables.SCHEMA_VERSION`). Every length is checked against what is left of the bytes
+before anything is allocated.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from dataclasses import fields
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from slam.errors import MapFileError
+from slam.graph.bundle_adjustment import WindowFailure, WindowResult
+from slam.graph.loop_closure import LoopCandidate
+from slam.measurements import CameraIntrinsics, LaserScan, MotionEstimate, Trajectory
+from slam.vision.color_registration import ColorRegistration
+from slam.vision.features import Features
+from slam.vision.visual_match import VisualMatch
+
+# The place in this list is the number in the file: append only.
+_RECORDS: tuple[type, ...] = (
+    MotionEstimate,
+    LaserScan,
+    CameraIntrinsics,
+    Features,
+    LoopCandidate,
+    VisualMatch,
+    ColorRegistration,
+    WindowResult,
+    WindowFailure,
+    Trajectory,
+)
+_NUMBER_OF = {record: number for number, record in enumerate(_RECORDS)}
+_FIELDS = tuple(tuple(field.name for field in fields(record)) for record in _RECORDS)
+_DTYPES = tuple(np.dtype(name) for name in ("f8", "f4", "i8", "i4", "i2", "i1", "u1", "?"))
+_DTYPE_NUMBER = {dtype: number for number, dtype in enumerate(_DTYPES)}
+_DEEPEST = 8
+_MOST_AXES = 4
+# zlib packs a run of equal bytes to a thousandth; more is a lie about the length.
+_GREATEST_RATIO = 1040
+
+_U4, _I8, _F8 = struct.Struct("<I"), struct.Struct("<q"), struct.Struct("<d")
+_POSE2, _POSE3 = struct.Struct("<4d"), struct.Struct("<12d")
+
+
+def pack(value: Any) -> bytes:
+    """The bytes of a value.
+
+    Raises
+    ------
+    TypeError
+        For a type that is not in the list.
+    """
+    out = bytearray()
+    _pack(value, out)
+    return bytes(out)
+
+
+def unpack(content: bytes) -> Any:
+    """The value of all these bytes.
+
+    Raises
+    ------
+    MapFileError
+        Where they are not what `pack` gives.
+    """
+    try:
+        value, end = _unpack(content, 0, 0)
+    except (struct.error, IndexError, UnicodeDecodeError, ValueError, TypeError) as error:
+        raise MapFileError(f"not packed values: {error}") from error
+    if end != len(content):
+        raise MapFileError(f"{len(content) - end} bytes too many")
+    return value
+
+
+def pack_small(value: Any) -> bytes:
+    """The bytes of a value, compressed."""
+    content = pack(value)
+    return _I8.pack(len(content)) + zlib.compress(content, 1)
+
+
+def unpack_small(content: bytes) -> Any:
+    """The value of compressed bytes; `MapFileError` as in `unpack`."""
+    if len(content) < _I8.size:
+        raise MapFileError("compressed values end too soon")
+    (size,) = _I8.unpack_from(content)
+    if not 0 <= size <= _GREATEST_RATIO * len(content):
+        raise MapFileError(f"{len(content)} bytes cannot hold {size}")
+    unpacker = zlib.decompressobj()
+    try:
+        plain = unpacker.decompress(content[_I8.size :], size + 1)
+    except zlib.error as error:
+        raise MapFileError(f"compressed values are damaged: {error}") from error
+    if len(plain) != size or not unpacker.eof:
+        raise MapFileError(f"compressed values are not the {size} bytes that they should be")
+    return unpack(plain)
+
+
+def _pack(value: Any, out: bytearray) -> None:
+    """Append the bytes of one value."""
+    number = _NUMBER_OF.get(type(value))
+    if number is not None:
+        out += b"o" + bytes([number])
+        for name in _FIELDS[number]:
+            _pack(getattr(value, name), out)
+    elif isinstance(value, np.ndarray):
+        _pack_array(value, out)
+    elif value is None:
+        out += b"N"
+    elif isinstance(value, bool | np.bool_):
+        out += b"T" if value else b"F"
+    elif isinstance(value, float):
+        out += b"d" + _F8.pack(value)
+    elif isinstance(value, int | np.integer):
+        out += b"i" + _I8.pack(value)
+    elif isinstance(value, str | bytes):
+        content = value.encode() if isinstance(value, str) else value
+        out += (b"s" if isinstance(value, str) else b"b") + _U4.pack(len(content)) + content
+    elif isinstance(value, list | tuple):
+        out += (b"l" if isinstance(value, list) else b"t") + _U4.pack(len(value))
+        for item in value:
+            _pack(item, out)
+    elif isinstance(value, gtsam.Pose2):
+        # Cosine and sine, not the angle: that would come back with another last bit.
+        rotation = value.rotation()
+        out += b"2" + _POSE2.pack(value.x(), value.y(), rotation.c(), rotation.s())
+    elif isinstance(value, gtsam.Pose3):
+        out += b"3" + _POSE3.pack(*value.matrix()[:3].ravel())
+    else:
+        raise TypeError(f"cannot pack a {type(value).__name__}")
+
+
+def _pack_array(array: np.ndarray[Any, Any], out: bytearray) -> None:
+    """Append an array; the order of its memory is kept, by it the last bits of a product may differ."""
+    fortran = array.flags.f_contiguous and not array.flags.c_contiguous
+    head = bytes([_DTYPE_NUMBER[array.dtype], fortran, array.ndim])
+    out += b"a" + head + struct.pack(f"<{array.ndim}I", *array.shape)
+    out += array.tobytes("F" if fortran else "C")
+
+
+def _unpack(content: bytes, at: int, depth: int) -> tuple[Any, int]:
+    """The value that begins at a byte, and where it ends."""
+    if depth > _DEEPEST:
+        raise ValueError("nested too deep")
+    tag = content[at : at + 1]
+    at += 1
+    if tag == b"o":
+        number = content[at]
+        values, at = _unpack_many(content, at + 1, len(_FIELDS[number]), depth)
+        return _RECORDS[number](*values), at
+    if tag == b"d":
+        return _F8.unpack_from(content, at)[0], at + 8
+    if tag == b"a":
+        return _unpack_array(content, at)
+    if tag == b"i":
+        return _I8.unpack_from(content, at)[0], at + 8
+    if tag in (b"l", b"t", b"s", b"b"):
+        (count,) = _U4.unpack_from(content, at)
+        at += 4
+        if count > len(content) - at:  # an item takes a byte at least
+            raise ValueError(f"{count} items in {len(content) - at} bytes")
+        if tag in (b"s", b"b"):
+            part = content[at : at + count]
+            return part.decode() if tag == b"s" else part, at + count
+        values, at = _unpack_many(content, at, count, depth)
+        return values if tag == b"l" else tuple(values), at
+    if tag == b"2":
+        x, y, cosine, sine = _POSE2.unpack_from(content, at)
+        if not abs(cosine * cosine + sine * sine - 1.0) < 1e-9:
+            raise ValueError("not a rotation")
+        return gtsam.Pose2(gtsam.Rot2.fromCosSin(cosine, sine), np.array([x, y])), at + 32
+    if tag == b"3":
+        rows = np.array(_POSE3.unpack_from(content, at)).reshape(3, 4)
+        return gtsam.Pose3(gtsam.Rot3(rows[:, :3]), rows[:, 3]), at + 96
+    return {b"N": None, b"T": True, b"F": False}[tag] if tag in (b"N", b"T", b"F") else _unknown(tag), at
+
+
+def _unpack_many(content: bytes, at: int, count: int, depth: int) -> tuple[list[Any], int]:
+    """So many values, and where they end."""
+    values = []
+    for _ in range(count):
+        value, at = _unpack(content, at, depth + 1)
+        values.append(value)
+    return values, at
+
+
+def _unpack_array(content: bytes, at: int) -> tuple[np.ndarray[Any, Any], int]:
+    """An array of its own memory, and where it ends."""
+    dtype, fortran, axes = _DTYPES[content[at]], content[at + 1], content[at + 2]
+    if axes > _MOST_AXES or fortran > 1:
+        raise ValueError(f"an array with {axes} axes")
+    shape = struct.unpack_from(f"<{axes}I", content, at + 3)
+    at += 3 + 4 * axes
+    size = dtype.itemsize * math.prod(shape)
+    if size > len(content) - at:
+        raise ValueError(f"an array of {size} bytes in {len(content) - at}")
+    flat = np.frombuffer(content, dtype, math.prod(shape), at)
+    return flat.reshape(shape, order="F" if fortran else "C").copy(order="A"), at + size
+
+
+def _unknown(tag: bytes) -> Any:
+    """Refuse a tag."""
+    raise ValueError(f"unknown tag {tag!r}")

@@ -1,0 +1,141 @@
+"""A finished map, read back: poses, scans, camera keyframes, factors, loops, trajectory, grids."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import gtsam
+import numpy as np
+
+from slam.config import Config
+from slam.graph.loop_closure import LoopCandidate
+from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.measurements import FloatArray, LaserScan, Pose, Trajectory
+from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor, read_contents
+from slam.storage.map_file import MapFile
+from slam.storage.map_frames import MapFrames
+from slam.storage.map_identity import MapIdentity
+
+
+@dataclass(frozen=True, slots=True)
+class SavedMap:
+    """A finished map; images are read when they are asked for.
+
+    Attributes
+    ----------
+    path
+        Of the file.
+    identity
+        What decided it.
+    contents
+        Everything but the camera keyframes.
+    frames
+        The camera keyframes.
+    digest
+        Of everything; equal for equal maps.
+    """
+
+    path: Path
+    identity: MapIdentity
+    contents: MapContents
+    frames: MapFrames
+    digest: str
+    _file: MapFile = field(repr=False)
+
+    @property
+    def planar(self) -> bool:
+        """Whether the robot stays on a floor, and the nodes are bases; else they are cameras."""
+        return isinstance(self.contents.node_poses[0], gtsam.Pose2)
+
+    @property
+    def config(self) -> Config:
+        """The effective configuration."""
+        return self.identity.config
+
+    @property
+    def keyframe_poses(self) -> FloatArray:
+        """(K, 3) x, y, yaw of the nodes, map frame."""
+        return np.array([[pose.x(), pose.y(), _yaw(pose)] for pose in self.contents.node_poses])
+
+    @property
+    def keyframe_scans(self) -> Sequence[LaserScan | None]:
+        """K sweeps, repaired where they were."""
+        return self.contents.scans
+
+    @property
+    def grid(self) -> OccupancyGrid | None:
+        """The occupancy grid; None of a camera alone."""
+        return self.contents.grids.get(OCCUPANCY)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """A pose for every reading of the log."""
+        return self.contents.trajectory
+
+    @property
+    def factors(self) -> Sequence[SavedFactor]:
+        """The edges of the graph."""
+        return self.contents.factors
+
+    @property
+    def loops(self) -> Sequence[LoopCandidate]:
+        """Every loop candidate with its verdict."""
+        return self.contents.loops
+
+    def frame_nodes(self) -> list[int]:
+        """The node of every camera keyframe."""
+        return [self.frames.head(index).node for index in range(len(self.frames))]
+
+    def frame_poses(self) -> list[gtsam.Pose3]:
+        """``T_map_camera`` of every camera keyframe."""
+        poses = []
+        for index in range(len(self.frames)):
+            head = self.frames.head(index)
+            node = self.contents.node_poses[head.node]
+            if isinstance(node, gtsam.Pose2):
+                assert head.T_base_camera is not None
+                node = gtsam.Pose3(gtsam.Pose2(node.x(), node.y(), node.theta())).compose(head.T_base_camera)
+            poses.append(node)
+        return poses
+
+    def check(self) -> None:
+        """Read everything, images too.
+
+        Raises
+        ------
+        MapFileError
+            With the first fault, in one line that names table and row.
+        """
+        self._file.check_pages()
+        for index in range(len(self.frames)):
+            self.frames.features(index)
+            self.frames.frame(index)
+
+    def close(self) -> None:
+        """Close the file; no image can be read afterwards."""
+        self._file.close()
+
+
+def open_saved_map(path: Path) -> SavedMap:
+    """Open a finished map: a folder that ``scanweave map`` has made, or its ``map.db``.
+
+    Raises
+    ------
+    MapFileError
+        Where there is none, it is not finished, damaged, or of a newer version.
+    """
+    file = MapFile.read(Path(path))
+    try:
+        identity = MapIdentity.from_meta(file.meta(), file.path)
+        contents = read_contents(file)
+    except BaseException:
+        file.close()
+        raise
+    return SavedMap(file.path, identity, contents, MapFrames(file), file.content_digest(), file)
+
+
+def _yaw(pose: Pose) -> float:
+    """Heading of a pose in the map's plane."""
+    return pose.theta() if isinstance(pose, gtsam.Pose2) else pose.rotation().yaw()
