@@ -49,7 +49,7 @@ def build_map(
         lambda: registrations_of(used_measurements(dataset, config.sensors), choice.cameras, config)
     )
     mountings = journal.mountings()
-    prepare = FramePreparer(config.rgbd, registrations) if choice.cameras else None
+    prepare = FramePreparer(config.rgbd, registrations, lambda: journal.replaying) if choice.cameras else None
     mapper: Mapper = (
         SpatialMapper(config, journal) if choice.spatial else PlanarMapper(config, mountings, journal)
     )

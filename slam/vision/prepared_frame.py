@@ -1,8 +1,8 @@
-"""What odometry needs of an RGB-D frame, computed once; safe to do ahead in another thread."""
+"""What odometry needs of an RGB-D frame, made once; safe to do ahead in another thread."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,44 +15,112 @@ from slam.vision.features import Features, extract_features, gray_of
 from slam.vision.surface import Surface, SurfacePoints, points_of, surface_of, working_depth
 
 
-@dataclass(frozen=True)
-class PreparedFrame:
-    """Features and surface points of a frame.
+class FrameParts:
+    """Features and surfaces of a frame, each made when first asked for.
 
-    Attributes
+    Parameters
     ----------
     frame
-        The images themselves.
+        The images.
+    config
+        How many features and points, and at which resolution.
+    registration
+        Where the colour camera sits; None where colour is registered to depth.
     features
-        At the full resolution.
-    points
-        Of the reduced depth image.
-    depth_m, depth_intrinsics
-        The reduced depth image.
+        Where they are known.
     """
 
+    def __init__(
+        self,
+        frame: RgbdFrame,
+        config: RgbdConfig,
+        registration: ColorRegistration | None = None,
+        features: Features | None = None,
+    ) -> None:
+        self._frame = frame
+        self._config = config
+        self._registration = registration
+        self._known = features
+
+    def make_ready(self) -> None:
+        """Make what a match needs."""
+        _ = self.features, self.points
+
+    @cached_property
+    def features(self) -> Features:
+        """At the full resolution, all of them in the depth camera's image."""
+        if self._known is not None:
+            return self._known
+        depth_m = self._frame.depth_m
+        features = extract_features(gray_of(self._frame), depth_m, self._config.features)
+        if self._registration is None:
+            return features
+        pixels, depth_m = register_features(features.pixels, depth_m, self._registration)
+        return Features(pixels, features.descriptors, features.sigma_px, depth_m).where(depth_m > 0.0)
+
+    @cached_property
+    def depth(self) -> tuple[Float32Array, CameraIntrinsics]:
+        """The reduced depth image and its camera."""
+        return working_depth(self._frame.depth_m, self._frame.intrinsics, self._config.working_width)
+
+    @cached_property
+    def points(self) -> SurfacePoints:
+        """Of the reduced depth image."""
+        config = self._config
+        return points_of(*self.depth, config.plane_radius, config.farthest_m, config.points)
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The whole surface: only a keyframe needs it."""
+        return surface_of(*self.depth, self._config.plane_radius, self._config.farthest_m)
+
+    @cached_property
+    def median_depth_m(self) -> float:
+        """Median depth of the surface points; 1 where there are none."""
+        return float(np.median(self.points.points[:, 2])) if len(self.points) else 1.0
+
+
+@dataclass(frozen=True)
+class PreparedFrame:
+    """A frame and what odometry needs of it; see `FrameParts`."""
+
     frame: RgbdFrame
-    features: Features
-    points: SurfacePoints
-    depth_m: Float32Array
-    depth_intrinsics: CameraIntrinsics
-    _plane_radius: int
-    _farthest_m: float
+    parts: FrameParts
 
     @property
     def stamp_s(self) -> float:
         """Time of the frame."""
         return self.frame.stamp_s
 
-    @cached_property
-    def surface(self) -> Surface:
-        """The whole surface: only a keyframe needs it."""
-        return surface_of(self.depth_m, self.depth_intrinsics, self._plane_radius, self._farthest_m)
+    @property
+    def features(self) -> Features:
+        """ORB features at the full resolution."""
+        return self.parts.features
 
-    @cached_property
+    @property
+    def points(self) -> SurfacePoints:
+        """Surface points of the reduced depth image."""
+        return self.parts.points
+
+    @property
+    def depth_m(self) -> Float32Array:
+        """The reduced depth image."""
+        return self.parts.depth[0]
+
+    @property
+    def depth_intrinsics(self) -> CameraIntrinsics:
+        """The camera of the reduced depth image."""
+        return self.parts.depth[1]
+
+    @property
+    def surface(self) -> Surface:
+        """The whole surface."""
+        return self.parts.surface
+
+    @property
     def median_depth_m(self) -> float:
         """Median depth of the surface points; 1 where there are none."""
-        return float(np.median(self.points.points[:, 2])) if len(self.points) else 1.0
+        return self.parts.median_depth_m
 
 
 class FramePreparer:
@@ -64,33 +132,30 @@ class FramePreparer:
         How many of them, and at which resolution.
     registrations
         Where the colour camera sits, by the camera's name; one that was not accepted changes nothing.
+    idle
+        Whether frames are handed on without: what is needed of them is then made when it is needed.
     """
 
-    def __init__(self, config: RgbdConfig, registrations: Mapping[str, ColorRegistration]) -> None:
+    def __init__(
+        self,
+        config: RgbdConfig,
+        registrations: Mapping[str, ColorRegistration],
+        idle: Callable[[], bool] = lambda: False,
+    ) -> None:
         self._config = config
         self._registrations = {name: found for name, found in registrations.items() if found.accepted}
+        self._idle = idle
 
     def __call__(self, measurement: Measurement) -> Measurement | PreparedFrame:
-        """A frame with its features, all of them in the depth camera's image; anything else as it is."""
+        """A frame with its features; anything else as it is."""
         if not isinstance(measurement, RgbdFrame):
             return measurement
-        features = extract_features(gray_of(measurement), measurement.depth_m, self._config.features)
-        registration = self._registrations.get(measurement.sensor)
-        if registration is not None:
-            pixels, depth_m = register_features(features.pixels, measurement.depth_m, registration)
-            features = Features(pixels, features.descriptors, features.sigma_px, depth_m).where(depth_m > 0.0)
-        return prepared_with(measurement, features, self._config)
+        parts = FrameParts(measurement, self._config, self._registrations.get(measurement.sensor))
+        if not self._idle():
+            parts.make_ready()
+        return PreparedFrame(measurement, parts)
 
 
 def prepared_with(frame: RgbdFrame, features: Features, config: RgbdConfig) -> PreparedFrame:
     """Surface points anew, beside features that are known."""
-    depth, intrinsics = working_depth(frame.depth_m, frame.intrinsics, config.working_width)
-    return PreparedFrame(
-        frame=frame,
-        features=features,
-        points=points_of(depth, intrinsics, config.plane_radius, config.farthest_m, config.points),
-        depth_m=depth,
-        depth_intrinsics=intrinsics,
-        _plane_radius=config.plane_radius,
-        _farthest_m=config.farthest_m,
-    )
+    return PreparedFrame(frame, FrameParts(frame, config, features=features))

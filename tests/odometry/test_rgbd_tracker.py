@@ -57,15 +57,7 @@ class Run:
     def at(self, stamp_s: float) -> TrackedFrame:
         """Track the frame of a stamp, and keep it where the tracker asks for it."""
         image = self._picture.frame
-        frame = PreparedFrame(
-            type(image)(stamp_s, image.color, image.depth_m, SMALL),
-            self._picture.features,
-            self._picture.points,
-            self._picture.depth_m,
-            self._picture.depth_intrinsics,
-            3,
-            6.0,
-        )
+        frame = PreparedFrame(type(image)(stamp_s, image.color, image.depth_m, SMALL), self._picture.parts)
         tracked = self.tracker.track(frame)
         if tracked.new_keyframe:
             self.tracker.add_keyframe(frame, tracked)
