@@ -17,6 +17,7 @@ from pydantic import BaseModel, Field, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
+from slam.config_localization import LocalizationConfig
 from slam.config_stages import (
     BundleConfig,
     DenseMapConfig,
@@ -66,6 +67,7 @@ class Config(StrictModel):
     grid: GridConfig = GridConfig()
     layers: LayersConfig = LayersConfig()
     dense_map: DenseMapConfig = DenseMapConfig()
+    localization: LocalizationConfig = LocalizationConfig()
 
 
 def preset_names() -> list[str]:

@@ -30,6 +30,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     # kernels shared by odometry, graph and localization
     frozenset({"slam.matching", "slam.vision"}),
     frozenset({"slam.config", "slam.measurements"}),
+    frozenset({"slam.config_localization"}),
     frozenset({"slam.config_stages"}),  # the models alone; config reads and writes them
     frozenset({"slam.errors", "slam.answers", "fusion"}),
     frozenset({"slam"}),  # the package's own __init__: the version and nothing else

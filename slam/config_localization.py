@@ -1,0 +1,67 @@
+"""What can be set of localisation in a known map."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from slam.config_stages import StrictModel
+
+
+class LocalizationConfig(StrictModel):
+    """Localisation in a saved map: global search, hypotheses, tracking, loss and recovery."""
+
+    field_cell_m: float = Field(default=0.1, gt=0, description="cell of the whole map's likelihood field")
+    field_sigma_m: float = Field(default=0.15, gt=0, description="blur of that field")
+    unknown_likelihood: float = Field(
+        default=0.25, ge=0, lt=1, description="likelihood of a point where the map knows nothing"
+    )
+    search_every_m: float = Field(default=1.0, gt=0, description="travel between two global searches")
+    search_rarely_m: float = Field(
+        default=4.0, gt=0, description="to which that grows while no search leads to a pose"
+    )
+    search_back_m: float = Field(default=4.0, gt=0, description="travel whose scans are searched together")
+    search_points: int = Field(default=150, ge=20, description="points in the global search")
+    search_least_score: float = Field(default=0.45, gt=0, lt=1, description="least mean likelihood")
+    search_keep_share: float = Field(
+        default=0.85, gt=0, le=1, description="poses with this share of the best score are kept too"
+    )
+    search_threads: int = Field(default=2, ge=1, le=64, description="threads of the global search")
+    hypotheses: int = Field(default=24, ge=1, description="hypotheses carried at most")
+    tile_m: float = Field(default=4.0, gt=0, description="side of a tile of the map that is matched to")
+    tile_reach_m: float = Field(
+        default=10.0, gt=0, description="keyframes so near to a tile's middle make its local map"
+    )
+    tiles_cached: int = Field(default=48, ge=1, description="tiles kept in memory")
+    station_m: float = Field(default=0.4, gt=0, description="travel between two scans that are weighed")
+    station_rad: float = Field(default=0.3, gt=0, description="turn between two scans that are weighed")
+    window_m: float = Field(default=12.0, gt=0, description="travel whose scans are weighed together")
+    news_cell_m: float = Field(
+        default=0.2, gt=0, description="a surface is weighed once, cell by cell of this side"
+    )
+    correlated_cells: float = Field(
+        default=5.0, ge=1, description="neighbouring cells of a surface that count as one reading"
+    )
+    nowhere_nats: float = Field(
+        default=4.0, description="evidence that a pose must exceed to be likelier than none in the map"
+    )
+    kidnap_nats: float = Field(
+        default=6.0, ge=0, description="what it costs a hypothesis to believe that the robot was carried off"
+    )
+    carried_nats: float = Field(
+        default=4.0, description="evidence that a lost robot is where dead reckoning takes it"
+    )
+    sure_probability: float = Field(
+        default=0.99, gt=0.5, lt=1, description="posterior at which a hypothesis wins"
+    )
+    least_inlier_share: float = Field(
+        default=0.4, gt=0, le=1, description="share of the scan that must agree for a match to the map"
+    )
+    gate_sigmas: float = Field(
+        default=4.0, gt=0, description="a match farther from the prediction is not believed"
+    )
+    lag_nodes: int = Field(default=10, ge=2, description="scans in the fixed-lag smoother")
+    lost_nats: float = Field(default=8.0, gt=0, description="evidence against the pose that means lost")
+    lost_after_s: float = Field(default=1.0, ge=0, description="and the least time that it must last")
+    dead_reckoning_m: float = Field(
+        default=0.5, gt=0, description="sigma of the position beyond which dead reckoning means lost"
+    )

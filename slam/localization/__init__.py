@@ -1,0 +1,1 @@
+"""Localisation in a known map: global search, tracking, loss and recovery."""

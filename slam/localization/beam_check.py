@@ -1,0 +1,175 @@
+"""What the beams of a scan say about a pose in a known map: explained, contradicted, or silent."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import gtsam
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.mapping.occupancy_grid import OCCUPIED, OccupancyGrid
+from slam.matching.local_map import OrientedPoints
+from slam.matching.planar import between
+from slam.matching.surfel_map import SurfelMap, nearest_surfel
+from slam.measurements import FloatArray, row_from_pose2
+
+_UNKNOWN, _FREE, _NEAR_WALL, _WALL = 0, 1, 2, 3
+# Probability below which a cell is surely free: some five beams passed it, not the one or two that a door let
+# through.
+_SURELY_FREE = 0.12
+# Farther than this from a wall a return is not explained by it.
+_WALL_REACH_M = 0.1
+# The last stretch of a beam may lie in the wall it ends in, at a small angle and with a little error.
+_END_M = 0.4
+_STEP_CELLS = 0.7
+
+
+class KnownSpace(NamedTuple):
+    """Walls, their surroundings, free and unknown space as a picture.
+
+    Attributes
+    ----------
+    cells
+        (rows, columns) 0 unknown, 1 free, 2 within reach of a wall, 3 wall.
+    frame
+        (3,) x, y, yaw of the lower-left corner of cell (0, 0) in the map.
+    cell_m
+        Side of a cell.
+    """
+
+    cells: NDArray[np.uint8]
+    frame: FloatArray
+    cell_m: float
+
+
+class BeamCounts(NamedTuple):
+    """How many beams of a scan are what.
+
+    Attributes
+    ----------
+    explained
+        End on a known wall that faces the same way.
+    crossing
+        Pass through a known wall.
+    in_free
+        End in known free space: something that was not there when the map was made, or a wrong pose.
+    silent
+        End where the map knows nothing, or within reach of a wall that is not the one that they saw.
+    """
+
+    explained: int
+    crossing: int
+    in_free: int
+    silent: int
+
+
+def known_space(grid: OccupancyGrid) -> KnownSpace:
+    """Prepare a grid for `check_beams`."""
+    states = grid.states()
+    cells = np.full(states.shape, _UNKNOWN, np.uint8)
+    cells[grid.probabilities() < _SURELY_FREE] = _FREE
+    walls = states == OCCUPIED
+    cells[_surroundings(walls, _WALL_REACH_M / grid.resolution_m)] = _NEAR_WALL
+    cells[walls] = _WALL
+    return KnownSpace(cells, row_from_pose2(gtsam.Pose2(grid.T_map_grid)), grid.resolution_m)
+
+
+def check_beams(
+    space: KnownSpace, surfels: SurfelMap, pose: FloatArray, laser: FloatArray, points: OrientedPoints
+) -> BeamCounts:
+    """Follow every beam through the known space.
+
+    Parameters
+    ----------
+    space
+        The map.
+    surfels
+        Its walls around the pose.
+    pose
+        (3,) x, y, yaw of the base in the map.
+    laser
+        (2,) where the beams begin, base frame.
+    points
+        Where they end, base frame.
+    """
+    in_picture = between(space.frame, pose)
+    counts = _check(space, surfels, pose, in_picture, laser, points.points, points.normals)
+    return BeamCounts(*counts.tolist())
+
+
+def _surroundings(walls: NDArray[np.bool_], reach: float) -> NDArray[np.bool_]:
+    """All cells within so many cells of a wall."""
+    near = walls.copy()
+    whole = int(reach)
+    rows, columns = walls.shape
+    for dr in range(-whole, whole + 1):
+        for dc in range(-whole, whole + 1):
+            if 0 < math.hypot(dr, dc) <= reach:
+                near[max(dr, 0) : rows + dr, max(dc, 0) : columns + dc] |= walls[
+                    max(-dr, 0) : rows - dr, max(-dc, 0) : columns - dc
+                ]
+    return near
+
+
+@numba.njit(cache=True)
+def _check(space, surfels, pose, in_picture, laser, points, normals):  # type: ignore[no-untyped-def]
+    """Numbers of explained, crossing, in free and silent beams."""
+    counts = np.zeros(4, np.int64)
+    cos = math.cos(in_picture[2])
+    sin = math.sin(in_picture[2])
+    scale = 1.0 / space.cell_m
+    x0 = (cos * laser[0] - sin * laser[1] + in_picture[0]) * scale
+    y0 = (sin * laser[0] + cos * laser[1] + in_picture[1]) * scale
+    for i in range(points.shape[0]):
+        x1 = (cos * points[i, 0] - sin * points[i, 1] + in_picture[0]) * scale
+        y1 = (sin * points[i, 0] + cos * points[i, 1] + in_picture[1]) * scale
+        if _on_wall(surfels, pose, points[i], normals[i]):
+            counts[0] += 1
+        elif _crosses(space.cells, x0, y0, x1, y1, _END_M * scale):
+            counts[1] += 1
+        elif _cell(space.cells, x1, y1) == _FREE:
+            counts[2] += 1
+        else:
+            counts[3] += 1
+    return counts
+
+
+@numba.njit(cache=True)
+def _on_wall(surfels, pose, point, normal):  # type: ignore[no-untyped-def]
+    """Whether a point of the base frame lies on a surfel that faces as it does."""
+    cos = math.cos(pose[2])
+    sin = math.sin(pose[2])
+    x = cos * point[0] - sin * point[1] + pose[0]
+    y = sin * point[0] + cos * point[1] + pose[1]
+    nx = cos * normal[0] - sin * normal[1]
+    ny = sin * normal[0] + cos * normal[1]
+    k = nearest_surfel(surfels, x, y, nx, ny)
+    if k < 0:
+        return False
+    s = surfels.surfels[k]
+    return abs(s[2] * (x - s[0]) + s[3] * (y - s[1])) < _WALL_REACH_M
+
+
+@numba.njit(cache=True)
+def _crosses(cells, x0, y0, x1, y1, spare):  # type: ignore[no-untyped-def]
+    """Whether the way between two points, all but its last stretch, leads through a wall."""
+    length = math.hypot(x1 - x0, y1 - y0)
+    steps = int((length - spare) / _STEP_CELLS)
+    for n in range(steps):
+        share = n * _STEP_CELLS / length
+        if _cell(cells, x0 + share * (x1 - x0), y0 + share * (y1 - y0)) == _WALL:
+            return True
+    return False
+
+
+@numba.njit(cache=True)
+def _cell(cells, x, y):  # type: ignore[no-untyped-def]
+    """What a point is in; unknown beyond the picture."""
+    row = math.floor(y)
+    column = math.floor(x)
+    if 0 <= row < cells.shape[0] and 0 <= column < cells.shape[1]:
+        return cells[row, column]
+    return _UNKNOWN

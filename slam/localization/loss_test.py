@@ -1,0 +1,44 @@
+"""How far the pose is believed while it is tracked: until what is seen speaks against it (Page 1954)."""
+
+from __future__ import annotations
+
+import math
+
+from slam.config_localization import LocalizationConfig
+
+# One scan counts for so many nats at most: somebody may stand in front of the laser.
+_GREATEST_NATS = 2.0
+
+
+class LossTest:
+    """Log-odds of the pose: a sum of evidence that never exceeds a bound, so that doubt is not late."""
+
+    def __init__(self, config: LocalizationConfig) -> None:
+        self._bound = config.lost_nats
+        self._lost_after_s = config.lost_after_s
+        self.reset()
+
+    @property
+    def lost(self) -> bool:
+        """Whether the pose is contradicted, for long enough."""
+        return self._log_odds <= 0.0 and abs(self._stamp_s - self._sound_s) >= self._lost_after_s
+
+    @property
+    def confidence(self) -> float:
+        """Probability of the pose."""
+        return 1.0 / (1.0 + math.exp(-self._log_odds))
+
+    def reset(self) -> None:
+        """The pose has just been found."""
+        self._log_odds = self._bound
+        self._sound_s = math.nan
+        self._stamp_s = math.nan
+
+    def add(self, stamp_s: float, evidence: float) -> None:
+        """Take the evidence of a scan for the pose, nats."""
+        self._stamp_s = stamp_s
+        self._log_odds = min(
+            self._bound, self._log_odds + min(max(evidence, -_GREATEST_NATS), _GREATEST_NATS)
+        )
+        if self._log_odds == self._bound or math.isnan(self._sound_s):
+            self._sound_s = stamp_s

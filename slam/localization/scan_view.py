@@ -1,0 +1,68 @@
+"""A scan as localisation looks at it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.config import Config
+from slam.matching.local_map import OrientedPoints
+from slam.matching.scan_points import ScanPoints, extract_points
+from slam.measurements import AnyFloatArray, FloatArray, LaserScan
+
+Numbers: TypeAlias = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class ScanView:
+    """One scan, prepared once.
+
+    Attributes
+    ----------
+    stamp_s
+        Time of the scan.
+    points
+        All returns, base frame.
+    oriented
+        Those on a line.
+    laser
+        (2,) where the beams begin, base frame.
+    """
+
+    stamp_s: float
+    points: ScanPoints
+    oriented: OrientedPoints
+    laser: FloatArray
+
+    @classmethod
+    def of(cls, scan: LaserScan, config: Config) -> ScanView:
+        """Prepare a scan."""
+        settings = config.scan
+        points = extract_points(scan, settings.range_min_m, settings.range_max_m, settings.neighbours)
+        laser = np.array([scan.T_base_laser.x(), scan.T_base_laser.y()])
+        return cls(scan.stamp_s, points, OrientedPoints.from_scan(points), laser)
+
+    def thinned(self, cell_m: float) -> OrientedPoints:
+        """One of the oriented points a cell of that side: near walls do not outvote far ones."""
+        return self.where(first_in_cells(self.oriented.points, cell_m)[0])
+
+    def where(self, numbers: Numbers) -> OrientedPoints:
+        """Some of the oriented points."""
+        return OrientedPoints(self.oriented.points[numbers], self.oriented.normals[numbers])
+
+
+def first_in_cells(points: AnyFloatArray, cell_m: float) -> tuple[Numbers, NDArray[np.int64]]:
+    """Numbers of the first point (of (M, 2)) in each cell, ascending, and (n, 2) those cells."""
+    cells = np.floor(points / cell_m).astype(np.int64)
+    _, first = np.unique(cell_keys(cells), return_index=True)
+    first = np.sort(first)
+    return first, cells[first]
+
+
+def cell_keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """One number for each of (n, 2) cells."""
+    keys: NDArray[np.int64] = (cells[:, 0] << 32) + cells[:, 1]
+    return keys
