@@ -128,3 +128,19 @@ def test_one_frame_is_a_trajectory() -> None:
     frames, poses = drifting(1, (0,))
     assert len(frames) == 1
     assert matrices(frames, [MOUNT], gtsam.Pose3())[0].equals(MOUNT * poses[0], 1e-9)
+
+
+@pytest.mark.parametrize("asked", [[0, 1], [2, 0], [1, 2, 0, 1], [0, 0]])
+def test_touching_does_to_the_memory_what_asking_does(frames: list[PreparedFrame], asked: list[int]) -> None:
+    """Which keyframes are whole must not depend on whether their answers were known."""
+    looked, touched = KeyframeStore(RgbdConfig(), cached=2), KeyframeStore(RgbdConfig(), cached=2)
+    for frame in frames:
+        looked.add(frame)
+        touched.add(frame)
+    for key in asked:
+        looked.keyframe(key)
+        touched.touch(key)
+    for key in (2, 1, 0):
+        one, other = looked.keyframe(key), touched.keyframe(key)
+        assert (one is frames[key]) == (other is frames[key]), key
+        np.testing.assert_array_equal(one.depth_m, other.depth_m)
