@@ -54,8 +54,8 @@ class MatchConfig(StrictModel):
     coarse_kernel_m: float = Field(default=0.1, gt=0, description="robust kernel of the first alignment")
     fine_kernel_m: float = Field(default=0.05, gt=0, description="robust kernel of the last alignment")
     iterations: int = Field(default=10, ge=1, description="Gauss-Newton steps an alignment")
-    correlated_points: float = Field(
-        default=25.0, ge=1, description="neighbouring beams that share an error and count as one reading"
+    correlated_beams: int = Field(
+        default=25, ge=1, description="beams up to this far apart may share their errors in the map"
     )
     floor_m: float = Field(default=0.002, gt=0, description="no match is surer than this")
     floor_rad: float = Field(default=0.001, gt=0, description="no match is surer than this")
@@ -132,6 +132,11 @@ class LoopConfig(StrictModel):
     """Loop closure: candidates, verification, acceptance."""
 
     enabled: bool = Field(default=True, description="close loops at all")
+    caution: float = Field(
+        default=4.0,
+        ge=1,
+        description="factor on a loop's covariance: places change, and nothing else holds a true loop",
+    )
     every_m: float = Field(default=0.8, gt=0, description="travel between two attempts")
     least_path_m: float = Field(default=10.0, gt=0, description="way round below which it is no loop")
     reach_m: float = Field(default=3.0, gt=0, description="distance at which two keyframes see the same")

@@ -3,7 +3,7 @@
     python tools/false_loops.py [--data ../shared/data] [--log fr079] [--count 30] [--seeds 2] [--set k=v]
 
 The false loops carry the covariances of true ones and come through the door of the true ones,
-`slam.pipeline.Mapper.add_loop`. Three kinds, each harder than the one before:
+`slam.planar_mapper.PlanarMapper.add_loop`. Three kinds, each harder than the one before:
 
 - ``random``: two keyframes far apart, a relative pose anywhere in the building;
 - ``alike``: two keyframes far apart, said to be nearly the same place, as where two rooms look alike;

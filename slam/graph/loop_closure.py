@@ -161,6 +161,7 @@ class LoopCloser:
                 return candidate.refused("no pose in the window scores enough")
             guess = found.pose
         motion = motion_from_alignment(submap.local_map.align(scan, guess), self._noise)
+        motion = replace(motion, covariance=motion.covariance * config.caution)
         return self._judge(replace(candidate, motion=motion), motion, guess)
 
     def _judge(self, candidate: LoopCandidate, motion: MotionEstimate, guess: FloatArray) -> LoopCandidate:

@@ -11,6 +11,7 @@ from slam.matching.match_covariance import MatchNoise, weak_direction
 from slam.matching.planar import transform_into
 from slam.matching.point_to_line import Alignment, align
 from slam.matching.scan_points import ScanPoints
+from slam.matching.score_spread import score_spread
 from slam.matching.surfel_map import SurfelMap, build_surfel_map
 from slam.measurements import Float32Array, FloatArray
 
@@ -97,7 +98,7 @@ class LocalMap:
         judged = align(
             scan.points, scan.normals, pose, pose, self.fine, self.config.fine_kernel_m, 1, _PINNED
         )
-        return judged._replace(pose=pose, converged=True)
+        return self._with_spread(scan, judged._replace(pose=pose, converged=True))
 
     def _align(self, scan: OrientedPoints, guess: FloatArray, prior: FloatArray) -> Alignment:
         """Coarse, then fine, both tied to the same guess."""
@@ -112,7 +113,7 @@ class LocalMap:
             config.iterations,
             prior,
         )
-        return align(
+        fine = align(
             scan.points,
             scan.normals,
             coarse.pose,
@@ -122,12 +123,25 @@ class LocalMap:
             config.iterations,
             prior,
         )
+        return self._with_spread(scan, fine)
+
+    def _with_spread(self, scan: OrientedPoints, alignment: Alignment) -> Alignment:
+        """The alignment with the spread of its gradient at its pose."""
+        config = self.config
+        spread = score_spread(
+            scan.points,
+            scan.normals,
+            alignment.pose,
+            self.fine,
+            config.fine_kernel_m,
+            config.correlated_beams,
+        )
+        return alignment._replace(spread=spread)
 
 
 def match_noise(config: MatchConfig) -> MatchNoise:
     """The part of the configuration that the covariance needs."""
     return MatchNoise(
-        correlated_points=config.correlated_points,
         floor_m=config.floor_m,
         floor_rad=config.floor_rad,
         degenerate_share=config.degenerate_share,

@@ -9,6 +9,9 @@ import numpy as np
 from slam.matching.point_to_line import Alignment
 from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
 
+# An edge ends at two keyframes, and the one that it starts from was itself matched as well as this one.
+_ENDS = 2.0
+
 
 @dataclass(frozen=True, slots=True)
 class MatchNoise:
@@ -16,8 +19,6 @@ class MatchNoise:
 
     Attributes
     ----------
-    correlated_points
-        Neighbouring beams see the same wall through the same map error: this many count as one reading.
     floor_m, floor_rad
         Standard deviations that no match falls below (timing, quantisation, discretisation).
     degenerate_share
@@ -29,7 +30,6 @@ class MatchNoise:
         Range resolution of the sensors: a smaller residual is luck.
     """
 
-    correlated_points: float
     floor_m: float
     floor_rad: float
     degenerate_share: float
@@ -40,14 +40,16 @@ class MatchNoise:
 def motion_from_alignment(alignment: Alignment, noise: MatchNoise) -> MotionEstimate:
     """Wrap an alignment as a measured motion with its covariance.
 
-    The covariance is s^2 H^-1 (Censi 2007 shows when this is right) with the residual scale s, inflated for
-    correlation; a direction that the scan does not determine gets ``degenerate_sigma_m`` squared on top.
+    The covariance is H^-1 S H^-1 with the spread S of the gradient, in which neighbouring beams share their
+    errors as much as the residuals show (Newey and West 1987). With independent residuals that is s^2 H^-1
+    (Censi 2007 shows when this is right). A direction that the scan does not determine gets
+    ``degenerate_sigma_m`` squared on top.
     """
     weak = weak_direction(alignment, noise.degenerate_share)
     scale = max(alignment.residual_m, noise.minimal_residual_m) if np.isfinite(alignment.residual_m) else 1.0
     # Points that fit nothing are a doubt about all the others.
     doubt = 1.0 / max(alignment.inlier_share, 0.1) ** 2
-    covariance = doubt * scale**2 * noise.correlated_points * _inverse_clamped(alignment.hessian)
+    covariance = _ENDS * doubt * scale**2 * _correlated_inverse(alignment)
     covariance += np.diag([noise.floor_m**2, noise.floor_m**2, noise.floor_rad**2])
     if weak is not None:
         covariance += noise.degenerate_sigma_m**2 * np.outer(weak, weak)
@@ -78,8 +80,17 @@ def weak_direction(alignment: Alignment, degenerate_share: float) -> FloatArray 
     return np.array([eigenvectors[0, 0], eigenvectors[1, 0], 0.0])
 
 
-def _inverse_clamped(information: FloatArray) -> FloatArray:
-    """Inverse with eigenvalues held above a hundredth of a point: no direction is infinitely uncertain."""
-    eigenvalues, eigenvectors = np.linalg.eigh(information)
-    inverse: FloatArray = (eigenvectors / np.maximum(eigenvalues, 0.01)) @ eigenvectors.T
-    return inverse
+def _correlated_inverse(alignment: Alignment) -> FloatArray:
+    """Covariance (3, 3) for a residual of 1: H^-1, widened by what the residuals share.
+
+    Eigenvalues of the Hessian are held above a hundredth of a point: no direction is infinitely uncertain.
+    Residuals that seem to share less than nothing do so by chance.
+    """
+    eigenvalues, eigenvectors = np.linalg.eigh(alignment.hessian)
+    root = eigenvectors / np.sqrt(np.maximum(eigenvalues, 0.01))
+    if alignment.spread is None or not 0.0 < alignment.residual_m < np.inf:
+        return np.asarray(root @ root.T, dtype=np.float64)
+    whitened = root.T @ alignment.spread @ root / alignment.residual_m**2
+    shared, directions = np.linalg.eigh(whitened)
+    widened = root @ directions * np.sqrt(np.maximum(shared, 1.0))
+    return np.asarray(widened @ widened.T, dtype=np.float64)

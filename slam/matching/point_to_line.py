@@ -39,6 +39,9 @@ class Alignment(NamedTuple):
         Points within twice the kernel width over all points with a normal, 0..1.
     converged
         Whether the last step was below a tenth of a millimetre and of a milliradian.
+    spread
+        (3, 3) covariance of the gradient at the pose, see `slam.matching.score_spread`; None where nobody
+        asked for it.
     """
 
     pose: FloatArray
@@ -48,6 +51,7 @@ class Alignment(NamedTuple):
     fit: float
     inlier_share: float
     converged: bool
+    spread: FloatArray | None = None
 
 
 def align(

@@ -237,7 +237,7 @@ class MotionTracker:
         """Log-likelihood of a match over a held one: about the difference of their Geman-McClure costs."""
         residual_m = max(motion.residual_m, self._noise.minimal_residual_m)
         scale = 0.5 * (self._noise.fine_kernel_m / residual_m) ** 2
-        return count / self._noise.correlated_points * scale * (motion.fit - held.fit)
+        return count / self._noise.correlated_beams * scale * (motion.fit - held.fit)
 
     def _fused(self, motion: MotionEstimate) -> FloatArray:
         """Match and camera, each by its covariance: a corridor is as long as it looks."""

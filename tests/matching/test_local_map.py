@@ -152,8 +152,8 @@ def test_maps_and_scans_of_nothing() -> None:
 
 
 def test_the_noise_is_the_configurations() -> None:
-    noise = match_noise(MatchConfig(correlated_points=3.0, floor_m=0.5, degenerate_sigma_m=2.0))
-    assert (noise.correlated_points, noise.floor_m, noise.degenerate_sigma_m) == (3.0, 0.5, 2.0)
+    noise = match_noise(MatchConfig(floor_m=0.5, degenerate_sigma_m=2.0))
+    assert (noise.floor_m, noise.degenerate_sigma_m) == (0.5, 2.0)
     assert noise.floor_rad == CONFIG.floor_rad
 
 

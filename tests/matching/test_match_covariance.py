@@ -1,5 +1,6 @@
 """Is a match as sure as it says? Normalised errors over many seeds, and the corridor's open direction."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -16,9 +17,7 @@ from slam.measurements import FloatArray, MotionEstimate, row_from_pose2
 
 CONFIG = MatchConfig()
 # The covariance as the theory gives it, without any of the caution that the configuration adds.
-BARE = replace(
-    match_noise(CONFIG), correlated_points=1.0, floor_m=1e-6, floor_rad=1e-6, minimal_residual_m=1e-4
-)
+BARE = replace(match_noise(CONFIG), floor_m=1e-6, floor_rad=1e-6, minimal_residual_m=1e-4)
 HOME = np.array([0.3, -0.2, 0.1])
 EXACT = 0  # instead of a number of noisy sweeps: the map is free of noise
 
@@ -65,28 +64,59 @@ def normalised_errors(sigma_m: float, sweeps: int, noise: MatchNoise, count: int
 @pytest.mark.parametrize(
     ("sigma_m", "sweeps"), [(0.005, EXACT), (0.01, EXACT), (0.02, EXACT), (0.01, 1), (0.01, 8)]
 )
-def test_independent_noise_gives_the_errors_that_the_hessian_foretells(sigma_m: float, sweeps: int) -> None:
-    """Near 1, a little above for two known reasons (measured 1.1 to 1.5; 300 degrees of freedom here).
+def test_independent_noise_gives_the_errors_that_the_covariance_foretells(
+    sigma_m: float, sweeps: int
+) -> None:
+    """An edge has two ends, each with such an error, and here only one is wrong: a little above one half."""
+    assert 0.25 < normalised_errors(sigma_m, sweeps, BARE, 100).mean() < 1.0
 
-    s^2 H^-1 takes the kernel's weights for its second derivative, which costs 9 % where sigma is a fifth of
-    the kernel and 39 % at two fifths; and the points that meet one surfel of a noisy map share its error.
+
+@pytest.mark.parametrize(
+    ("sigma_m", "sweeps", "most"), [(0.01, EXACT, 1.0), (0.01, 1, 1.0), (0.03, 1, 1.5), (0.03, 8, 6.0)]
+)
+def test_the_default_covariance_is_not_overconfident(sigma_m: float, sweeps: int, most: float) -> None:
+    """The floors make it a little cautious, but not empty.
+
+    Where several noisy sweeps lie over each other, the nearest of them is nearer than the wall, and residuals
+    look smaller than they are (measured 4.0 for eight sweeps of 3 cm).
     """
-    assert 0.5 < normalised_errors(sigma_m, sweeps, BARE, 100).mean() < 2.0
+    assert 0.05 < normalised_errors(sigma_m, sweeps, match_noise(CONFIG), 60).mean() < most
 
 
-@pytest.mark.parametrize(("sigma_m", "sweeps"), [(0.01, EXACT), (0.01, 1), (0.03, 1), (0.03, 8)])
-def test_the_default_covariance_is_not_overconfident(sigma_m: float, sweeps: int) -> None:
-    """The configured correlation makes it cautious by design (measured 0.02 to 0.4), but not empty."""
-    assert 0.002 < normalised_errors(sigma_m, sweeps, match_noise(CONFIG), 60).mean() < 1.0
+def test_errors_that_neighbouring_beams_share_widen_the_covariance() -> None:
+    """Bumps of a metre on the walls are shared by the many beams that see each."""
+    rng = np.random.default_rng(5)
+    squares, as_if_independent = [], []
+    for _ in range(60):
+        local_map = map_of(bumpy(room(), 0.01, rng), HOME, EXACT, 0.0, rng)
+        alignment = local_map.align(scan_at(room(), HOME, sigma_m=0.002, seed=rng), HOME)
+        error = between(alignment.pose, HOME)
+        for errors, found in ((squares, alignment), (as_if_independent, alignment._replace(spread=None))):
+            covariance = motion_from_alignment(found, BARE).covariance
+            errors.append(error @ np.linalg.solve(covariance, error) / 3.0)
+    assert np.mean(squares) < 1.5
+    assert np.mean(as_if_independent) > 2.5 * np.mean(squares)
+
+
+def bumpy(segments: FloatArray, sigma_m: float, rng: np.random.Generator) -> FloatArray:
+    """Walls cut into pieces of a metre, each moved along its normal at random."""
+    pieces = []
+    for x1, y1, x2, y2 in np.asarray(segments).reshape(-1, 4):
+        start, end = np.array([x1, y1]), np.array([x2, y2])
+        length = float(np.hypot(*(end - start)))
+        normal = np.array([y1 - y2, x2 - x1]) / length
+        cuts = np.linspace(0.0, 1.0, max(2, round(length) + 1))
+        for low, high in itertools.pairwise(cuts):
+            offset = normal * rng.normal(0.0, sigma_m)
+            pieces.append([*(start + low * (end - start) + offset), *(start + high * (end - start) + offset)])
+    return np.array(pieces).reshape(-1, *np.asarray(segments).shape[1:])
 
 
 def test_the_covariance_follows_the_noise() -> None:
-    """Twice the noise, four times the variance; four times the correlation, four times the variance."""
+    """Twice the noise, four times the variance."""
     quiet = match(room(), HOME, BARE, sigma_m=0.005).covariance
     loud = match(room(), HOME, BARE, sigma_m=0.01).covariance
-    shared = match(room(), HOME, replace(BARE, correlated_points=4.0), sigma_m=0.005).covariance
     np.testing.assert_allclose(np.diag(loud) / np.diag(quiet), 4.0, rtol=0.25)
-    np.testing.assert_allclose(np.diag(shared) / np.diag(quiet), 4.0, rtol=1e-3)
 
 
 def test_no_match_is_surer_than_the_floors() -> None:
@@ -153,7 +183,7 @@ def test_a_round_room_does_not_tell_the_heading() -> None:
     round_room = match(circle, np.zeros(3), match_noise(CONFIG))
     square_room = match(room(), np.zeros(3), match_noise(CONFIG))
     assert round_room.covariance[2, 2] > 100.0 * square_room.covariance[2, 2]
-    assert round_room.covariance[2, 2] > 0.05**2
+    assert round_room.covariance[2, 2] > 0.03**2
     assert round_room.covariance[0, 0] < 0.05**2
 
 
