@@ -14,7 +14,7 @@ from slam.errors import MapFileError
 from slam.mount_learner import LearnedMounting
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
-from slam.storage.map_tables import FRAMES, JOURNAL
+from slam.storage.map_tables import FRAMES, IMAGES, JOURNAL
 from slam.storage.packing import pack, unpack
 from slam.vision.color_registration import ColorRegistration
 
@@ -85,8 +85,8 @@ class Journal:
             return
         self._waiting.clear()
         self._count = self._first_waiting = 0
-        self._file.clear(JOURNAL)
-        self._file.clear(FRAMES)
+        for table in (JOURNAL, FRAMES, IMAGES):
+            self._file.clear(table)
         self._remember(_REGISTRATIONS, 0.0, list(registrations.items()))
         rows = [(name, found.T_base_camera, found.note) for name, found in mountings.items()]
         self._remember(_MOUNTINGS, 0.0, rows)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import gtsam
 
@@ -12,27 +11,21 @@ from slam.config import Config
 from slam.errors import ConfigError
 from slam.map_result import MapResult
 from slam.mapping.depth_grid import DepthModel
-from slam.mapping.layered_map import LayerBuilder, LayerSettings
+from slam.mapping.layered_map import LayerBuilder, LayeredMap, LayerSettings
 from slam.measurements import LaserScan, Pose, RgbdFrame, pose2_from_row
-from slam.storage.files import make_folder
-from slam.storage.nav2_layers import write_layers
 
 
-def save_layers(folder: Path, result: MapResult, config: Config) -> list[Path]:
-    """Write ``layers/`` of a robot on a floor that has a camera; nothing for any other run.
-
-    Returns
-    -------
-    The yaml files.
+def layers_of(result: MapResult, config: Config) -> LayeredMap | None:
+    """The layers of a robot on a floor that has a camera; None for any other run.
 
     Raises
     ------
     ScanweaveError
-        Where the map would not fit, a file cannot be written, or the robot climbs over all that it is high.
+        Where the map would not fit, or the robot climbs over all that it is high.
     """
     planar = isinstance(result.graph.pose(0), gtsam.Pose2)
     if not (config.layers.enabled and planar and result.dense is not None):
-        return []
+        return None
     if config.layers.climb_m >= config.layers.robot_height_m:
         raise ConfigError(
             f"layers.climb_m = {config.layers.climb_m:g} leaves no obstacle to a robot of "
@@ -48,8 +41,7 @@ def save_layers(folder: Path, result: MapResult, config: Config) -> list[Path]:
     builder = LayerBuilder(settings)
     for reading, T_map_base in _readings(result):
         builder.add(reading, T_map_base)
-    make_folder(folder / "layers")
-    return write_layers(folder / "layers", builder.finish())
+    return builder.finish()
 
 
 def _readings(result: MapResult) -> Iterator[tuple[LaserScan | RgbdFrame, Pose]]:

@@ -10,6 +10,7 @@ from slam.config_stages import DenseMapConfig
 from slam.errors import ScanweaveError
 from slam.map_result import DenseKeyframes, MapResult
 from slam.mapping.dense_map import DenseMapSettings, fuse_keyframes
+from slam.mapping.layered_map import LayeredMap
 from slam.storage.files import make_folder
 from slam.storage.g2o import G2oEdge, G2oGraph, write_g2o
 from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor
@@ -99,8 +100,13 @@ def save_g2o(path: Path, contents: MapContents) -> None:
     write_g2o(path, G2oGraph(dict(enumerate(contents.node_poses)), edges, frozenset({0})))
 
 
-def contents_of(result: MapResult) -> MapContents:
+def contents_of(result: MapResult, layers: LayeredMap | None = None) -> MapContents:
     """A finished map as it is saved."""
+    grids = {} if result.grid is None else {OCCUPANCY: result.grid}
+    if layers is not None and layers.lidar is not None:
+        grids["lidar layer"] = layers.grid("lidar")
+    if layers is not None and layers.depth is not None:
+        grids["depth layer"] = layers.grid("depth")
     # An accepted loop's covariance is the very array of its candidate.
     loops = {id(loop.motion.covariance): n for n, loop in enumerate(result.loops) if loop.motion is not None}
     return MapContents(
@@ -115,7 +121,7 @@ def contents_of(result: MapResult) -> MapContents:
         ],
         loops=result.loops,
         trajectory=result.trajectory,
-        grids={} if result.grid is None else {OCCUPANCY: result.grid},
+        grids=grids,
     )
 
 

@@ -17,7 +17,7 @@ from slam.config import load_config
 from slam.datasets.dataset import ReadReport
 from slam.errors import ConfigError
 from slam.graph.pose_graph import EdgeKind
-from slam.layer_outputs import save_layers
+from slam.layer_outputs import layers_of
 from slam.map_result import MapResult
 from slam.matching.planar import between, compose
 from slam.measurements import (
@@ -30,6 +30,8 @@ from slam.measurements import (
     pose2_from_row,
 )
 from slam.pipeline import build_map
+from slam.run_outputs import contents_of
+from slam.storage.nav2_layers import write_layers
 
 # The room at the height of the lidar.
 WALLS = np.concatenate([box(-2.5, -2.0, 2.5, 2.0), box(1.6, 0.4, 2.5, 1.5), box(-2.5, -2.0, -1.7, -1.1)])
@@ -166,13 +168,17 @@ def test_the_lidar_is_matched_from_the_first_keyframe(drive: list[tuple[int, Mea
 
 def test_the_layers_show_what_each_sensor_saw(drive: list[tuple[int, Measurement]], tmp_path: Path) -> None:
     config = load_config(None, ["dense_map.enabled=false"])
-    both = {path.stem for path in save_layers(tmp_path, run(drive, whole), config)}
-    assert both == {"lidar", "depth", "fused", "decision", "fused_probability"}
-    alone = save_layers(tmp_path / "alone", run(drive, whole, "sensors.lidar=false"), config)
-    assert "lidar" not in {path.stem for path in alone}
-    assert "depth" in {path.stem for path in alone}
-    assert save_layers(tmp_path, run(drive, whole, "sensors.rgbd=false"), config) == []
+    result = run(drive, whole)
+    both = layers_of(result, config)
+    assert both is not None
+    written = {path.stem for path in write_layers(tmp_path, both)}
+    assert written == {"lidar", "depth", "fused", "decision", "fused_probability"}
+    saved = contents_of(result, both).grids
+    assert set(saved) == {"occupancy", "lidar layer", "depth layer"}
+    np.testing.assert_array_equal(saved["depth layer"].log_odds, both.grid("depth").log_odds)
+    alone = layers_of(run(drive, whole, "sensors.lidar=false"), config)
+    assert alone is not None and alone.lidar is None and alone.depth is not None
+    assert layers_of(run(drive, whole, "sensors.rgbd=false"), config) is None
     with pytest.raises(ConfigError, match="make the step lower"):
-        save_layers(tmp_path, run(drive, whole), load_config(None, ["layers.climb_m=0.8"]))
-    off = load_config(None, ["layers.enabled=false"])
-    assert save_layers(tmp_path / "off", run(drive, whole), off) == []
+        layers_of(result, load_config(None, ["layers.climb_m=0.8"]))
+    assert layers_of(result, load_config(None, ["layers.enabled=false"])) is None

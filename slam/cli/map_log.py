@@ -5,13 +5,18 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from slam.cli.app import ConfigOption, LogArgument, SetOption, StrictOption, app
 from slam.cli.progress import interrupted_between_scans, progress_of
 from slam.errors import ScanweaveError
+
+if TYPE_CHECKING:
+    from slam.config import Config
+    from slam.map_result import MapResult
+    from slam.mapping.layered_map import LayeredMap
 
 _DEMO_ROOMS = 3
 
@@ -99,9 +104,8 @@ def _map(
     from slam.evaluation.map_report import RunCost, beside_of, report_data
     from slam.evaluation.report import write_report
     from slam.journal import Journal
-    from slam.layer_outputs import save_layers
     from slam.pipeline import build_map
-    from slam.run_outputs import contents_of, save_run
+    from slam.run_outputs import contents_of
     from slam.storage.files import make_folder
     from slam.storage.map_contents import write_contents
     from slam.storage.map_file import MAP_NAME
@@ -120,16 +124,12 @@ def _map(
             interrupted_between_scans(advance) as on_scan,
         ):
             result = build_map(dataset, settings, on_scan, Journal(file))
-        written = save_run(out, result, settings.dense_map)
-        try:
-            written += save_layers(out, result, settings)
-        except ScanweaveError as error:  # the rest of the run is still worth its report
-            result.warnings.append(f"No layers were written: {error}")
+        written, layers = _save(out, result, settings)
         cost = RunCost(time.perf_counter() - started, time.process_time())
         beside = beside_of(dataset, result, written)
         data = report_data(log.name, dataset.report, result, settings, cost, beside)
         write_report(out / "report.html", data)
-        write_contents(file, contents_of(result))
+        write_contents(file, contents_of(result, layers))
         file.seal()
     for warning in data.warnings:
         print(f"warning: {warning}", file=sys.stderr)
@@ -144,3 +144,19 @@ def _map(
     if data.truth is not None:
         print(f"{data.truth.error.translation_m.rmse:.4f} m RMSE against the ground truth, rigidly aligned")
     print("wrote " + ", ".join(str(path) for path in [*written, out / MAP_NAME, out / "report.html"]))
+
+
+def _save(out: Path, result: MapResult, config: Config) -> tuple[list[Path], LayeredMap | None]:
+    """Write the files for other programs; which they are, and the layers."""
+    from slam.layer_outputs import layers_of
+    from slam.run_outputs import save_run
+    from slam.storage.nav2_layers import write_layers
+
+    written, layers = save_run(out, result, config.dense_map), None
+    try:
+        layers = layers_of(result, config)
+        if layers is not None:
+            written += write_layers(out / "layers", layers)
+    except ScanweaveError as error:  # the rest of the run is still worth its report
+        result.warnings.append(f"No layers were written: {error}")
+    return written, layers

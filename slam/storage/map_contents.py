@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, TypeVar, cast
 
+import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,8 +16,10 @@ from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Pose, Trajectory
 from slam.storage.map_file import MapFile
-from slam.storage.map_tables import FACTORS, GRIDS, KEYFRAMES, LOOPS, TRAJECTORY
+from slam.storage.map_tables import FACTORS, GRIDS, KEYFRAMES, LOOPS, TRAJECTORY, Table
 from slam.storage.packing import pack, pack_small, unpack, unpack_small
+
+T = TypeVar("T")
 
 # The grid of the lidar; others are layers.
 OCCUPANCY = "occupancy"
@@ -71,6 +74,8 @@ def write_contents(file: MapFile, contents: MapContents) -> None:
     MapFileError
         Where the file cannot be written.
     """
+    for table in (KEYFRAMES, FACTORS, LOOPS, TRAJECTORY, GRIDS):
+        file.clear(table)  # an interrupt may have come amid the writing
     for node, pose in enumerate(contents.node_poses):
         scan = contents.scans[node] if contents.scans else None
         measured = contents.measured_scans[node] if contents.measured_scans else None
@@ -89,9 +94,9 @@ def write_contents(file: MapFile, contents: MapContents) -> None:
     for loop in contents.loops:
         verdict = (loop.place, loop.keyframe, int(loop.accepted))
         file.append(LOOPS, *verdict, float(loop.score), loop.reason, pack(loop))
-    for first in range(0, len(contents.trajectory), _STRETCH):
+    whole = contents.trajectory
+    for first in range(0, len(whole), _STRETCH):
         part = slice(first, first + _STRETCH)
-        whole = contents.trajectory
         stretch = Trajectory(whole.stamps_s[part], whole.positions_m[part], whole.quaternions_xyzw[part])
         file.append(TRAJECTORY, len(stretch), pack_small(stretch))
     for name, grid in contents.grids.items():
@@ -106,65 +111,100 @@ def read_contents(file: MapFile) -> MapContents:
     Raises
     ------
     MapFileError
-        Where a row is damaged.
+        Where a row is damaged, or does not fit the others.
     """
-    keyframes = [_read_keyframe(file, row, number) for number, row in enumerate(file.rows(KEYFRAMES))]
+    keyframes = list(_read(file, KEYFRAMES, _keyframe))
     if not keyframes:
         raise MapFileError(f"{file.path} holds no keyframe; make the map anew")
-    loops = []
-    for number, row in enumerate(file.rows(LOOPS)):
-        with file.blaming(LOOPS, number):
-            loops.append(unpack(cast(bytes, row[5])))
-    factors = []
-    for number, row in enumerate(file.rows(FACTORS)):
-        with file.blaming(FACTORS, number):
-            factors.append(_factor(row))
-    stretches = []
-    for number, row in enumerate(file.rows(TRAJECTORY)):
-        with file.blaming(TRAJECTORY, number):
-            stretches.append(unpack_small(cast(bytes, row[1])))
-    grids = {}
-    for number, row in enumerate(file.rows(GRIDS)):
-        with file.blaming(GRIDS, number):
-            corner, cells = unpack(cast(bytes, row[4])), unpack_small(cast(bytes, row[5]))
-            grids[str(row[0])] = OccupancyGrid(cells, float(cast(float, row[3])), corner)
+    poses = [keyframe[2] for keyframe in keyframes]
+    loops = list(_read(file, LOOPS, lambda row: _loop(row, len(poses))))
+    stretches = list(_read(file, TRAJECTORY, _stretch))
+    if not stretches:
+        raise MapFileError(f"{file.path} holds no trajectory; make the map anew")
     return MapContents(
-        node_poses=[keyframe[2] for keyframe in keyframes],
+        node_poses=poses,
         stamps_s=np.array([keyframe[0] for keyframe in keyframes]),
         readings=np.array([keyframe[1] for keyframe in keyframes], dtype=np.int64),
         measured_scans=[keyframe[3] for keyframe in keyframes],
         scans=[keyframe[4] for keyframe in keyframes],
-        factors=factors,
+        factors=list(_read(file, FACTORS, lambda row: _factor(row, poses, len(loops)))),
         loops=loops,
         trajectory=Trajectory(
             np.concatenate([part.stamps_s for part in stretches]),
             np.concatenate([part.positions_m for part in stretches]),
             np.concatenate([part.quaternions_xyzw for part in stretches]),
         ),
-        grids=grids,
+        grids=dict(_read(file, GRIDS, _grid)),
     )
 
 
-def _read_keyframe(
-    file: MapFile, row: tuple[object, ...], number: int
-) -> tuple[float, int, Pose, LaserScan | None, LaserScan | None]:
+def _read(file: MapFile, table: Table, parse: Callable[[tuple[Any, ...]], T]) -> Iterator[T]:
+    """Every row of a table, understood; a row that does not fit is blamed by its number."""
+    for number, row in enumerate(file.rows(table)):
+        with file.blaming(table, number):
+            parsed = parse(row)
+        yield parsed
+
+
+def _keyframe(row: tuple[Any, ...]) -> tuple[float, int, Pose, LaserScan | None, LaserScan | None]:
     """Stamp, reading, pose, scan as measured and as repaired."""
     stamp_s, reading, pose, measured, repaired = row
-    with file.blaming(KEYFRAMES, number):
-        scan = None if measured is None else unpack_small(cast(bytes, measured))
-        mended = scan if repaired is None else unpack_small(cast(bytes, repaired))
-        return cast(float, stamp_s), cast(int, reading), unpack(cast(bytes, pose)), scan, mended
+    scan = None if measured is None else _of(LaserScan, unpack_small(measured))
+    mended = scan if repaired is None else _of(LaserScan, unpack_small(repaired))
+    found = unpack(pose)
+    return (
+        stamp_s,
+        reading,
+        found if isinstance(found, gtsam.Pose2) else _of(gtsam.Pose3, found),
+        scan,
+        mended,
+    )
 
 
-def _factor(row: tuple[object, ...]) -> SavedFactor:
+def _loop(row: tuple[Any, ...], nodes: int) -> LoopCandidate:
+    """A row of the loop candidates."""
+    loop = _of(LoopCandidate, unpack(row[5]))
+    _require(0 <= loop.place < nodes and 0 <= loop.keyframe < nodes, "its ends are no nodes")
+    return loop
+
+
+def _factor(row: tuple[Any, ...], poses: Sequence[Pose], loops: int) -> SavedFactor:
     """A row of the factors."""
     kind, source, target, trusted, kept, loop, motion, covariance = row
-    edge = Edge(
-        cast(int, source),
-        cast(int, target),
-        unpack(cast(bytes, motion)),
-        unpack(cast(bytes, covariance)),
-        EdgeKind(str(kind)),
-        bool(trusted),
+    _require(0 <= source < len(poses) and 0 <= target < len(poses), "its ends are no nodes")
+    _require(loop is None or 0 <= loop < loops, "its loop is none")
+    measured, spread = _of(type(poses[0]), unpack(motion)), _of(np.ndarray, unpack(covariance))
+    dimension = 3 if isinstance(measured, gtsam.Pose2) else 6
+    _require(spread.shape == (dimension, dimension), "its covariance has another size")
+    return SavedFactor(
+        Edge(source, target, measured, spread, EdgeKind(kind), bool(trusted)), bool(kept), loop
     )
-    return SavedFactor(edge, bool(kept), cast("int | None", loop))
+
+
+def _stretch(row: tuple[Any, ...]) -> Trajectory:
+    """A row of the trajectory."""
+    stretch = _of(Trajectory, unpack_small(row[1]))
+    shapes = (stretch.stamps_s.shape, stretch.positions_m.shape, stretch.quaternions_xyzw.shape)
+    _require(shapes == ((row[0],), (row[0], 3), (row[0], 4)), "its arrays have other sizes")
+    return stretch
+
+
+def _grid(row: tuple[Any, ...]) -> tuple[str, OccupancyGrid]:
+    """A row of the grids, with its name."""
+    name, rows, cols, resolution_m, corner, cells = row
+    log_odds = _of(np.ndarray, unpack_small(cells))
+    _require(log_odds.shape == (rows, cols) and log_odds.dtype == np.float32, "its cells have another size")
+    _require(resolution_m > 0.0, "its resolution is not positive")
+    return name, OccupancyGrid(log_odds, resolution_m, _of(gtsam.Pose2, unpack(corner)))
+
+
+def _of(kind: type[T], value: Any) -> T:
+    """A value of a type, or an error."""
+    _require(isinstance(value, kind), f"a {type(value).__name__} where a {kind.__name__} belongs")
+    return cast(T, value)
+
+
+def _require(condition: bool, fault: str) -> None:
+    """Refuse what does not fit."""
+    if not condition:
+        raise MapFileError(fault)

@@ -242,7 +242,7 @@ class MapFile:
         with _told(self.path, "checked"):
             (verdict,) = self._connection.execute("PRAGMA integrity_check(1)").fetchone()
         if verdict != "ok":
-            raise MapFileError(f"{self.path} is damaged: {' '.join(str(verdict).split())}")
+            raise MapFileError(f"{self.path} is damaged: {_plain(verdict)}")
 
     def _check_kind(self) -> None:
         """Refuse what is no map, a newer one, or one with other tables."""
@@ -319,7 +319,7 @@ class MapFile:
             yield
         except (sqlite3.Error, ValueError, OverflowError, TypeError, MapFileError) as error:
             raise MapFileError(
-                f"{self.path} is damaged: table {table.name}, row {number}: {error}; make the map anew"
+                f"{self.path} is damaged: table {table.name}, row {number}: {_plain(error)}; make the map anew"
             ) from error
 
 
@@ -345,13 +345,18 @@ def _unfinished(path: Path) -> str:
     )
 
 
+def _plain(text: object) -> str:
+    """One line of what may quote a damaged file."""
+    return "".join(sign if sign.isprintable() else " " for sign in str(text))
+
+
 @contextmanager
 def _told(path: Path, done: str) -> Iterator[None]:
     """Turn what SQLite and the disk say into one line."""
     try:
         yield
-    except (sqlite3.Error, OSError) as error:
-        reason = "another run is writing it" if "locked" in str(error) else str(error)
+    except (sqlite3.Error, OSError, UnicodeError) as error:
+        reason = "another run is writing it" if "locked" in str(error) else _plain(error)
         raise MapFileError(
             f"{path} cannot be {done}: {reason}; check the folder and its free space"
         ) from error

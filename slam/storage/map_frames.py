@@ -12,7 +12,7 @@ from slam.errors import MapFileError
 from slam.mapping.image_packing import depth_steps_per_m, packed_color, packed_depth, unpacked_images
 from slam.measurements import CameraIntrinsics, RgbdFrame
 from slam.storage.map_file import MapFile
-from slam.storage.map_tables import FRAMES, Value
+from slam.storage.map_tables import FRAMES, IMAGES, Value
 from slam.storage.packing import pack, unpack
 from slam.vision.features import Features
 
@@ -73,21 +73,26 @@ class MapFrames:
             self._check_same(self.head(index), frame, node)
             return index
         steps_per_m = depth_steps_per_m(frame)
-        return self._file.append(
-            FRAMES,
-            node,
-            frame.stamp_s,
-            frame.sensor,
-            steps_per_m,
-            pack((frame.intrinsics, frame.T_base_camera)),
-            pack(features),
-            packed_color(frame.color),
-            packed_depth(frame.depth_m, steps_per_m),
-        )
+        camera = pack((frame.intrinsics, frame.T_base_camera))
+        self._file.append(FRAMES, node, frame.stamp_s, frame.sensor, steps_per_m, camera, pack(features))
+        color, depth = packed_color(frame.color), packed_depth(frame.depth_m, steps_per_m)
+        return self._file.append(IMAGES, color, depth)
 
     def head(self, index: int) -> FrameHead:
         """What is known of a frame without its images; errors as in `frame`."""
-        return self._head(self._row(index), index)
+        node, stamp_s, sensor, steps_per_m, camera = self._row(index)[:5]
+        with self._file.blaming(FRAMES, index):
+            intrinsics, T_base_camera = unpack(cast(bytes, camera))
+            if not isinstance(intrinsics, CameraIntrinsics) or not float(cast(float, steps_per_m)) > 0.0:
+                raise MapFileError("its camera is none")
+        return FrameHead(
+            cast(int, node),
+            cast(float, stamp_s),
+            str(sensor),
+            cast(float, steps_per_m),
+            intrinsics,
+            T_base_camera,
+        )
 
     def features(self, index: int) -> Features:
         """The ORB features of a frame, in the depth camera's image; errors as in `frame`."""
@@ -107,11 +112,11 @@ class MapFrames:
         MapFileError
             Where its row is damaged.
         """
-        row = self._row(index)
-        head = self._head(row, index)
-        with self._file.blaming(FRAMES, index):
+        head = self.head(index)
+        images = self._file.row(IMAGES, index)
+        with self._file.blaming(IMAGES, index):
             color, depth_m = unpacked_images(
-                cast(bytes, row[6]), cast(bytes, row[7]), head.steps_per_m, head.intrinsics
+                cast(bytes, images[0]), cast(bytes, images[1]), head.steps_per_m, head.intrinsics
             )
         return RgbdFrame(head.stamp_s, color, depth_m, head.intrinsics, head.T_base_camera, head.sensor)
 
@@ -129,17 +134,3 @@ class MapFrames:
         if not 0 <= index < len(self):
             raise IndexError(f"keyframe {index} of {len(self)}")
         return self._file.row(FRAMES, index)
-
-    def _head(self, row: tuple[Value, ...], index: int) -> FrameHead:
-        """The small part of a row."""
-        node, stamp_s, sensor, steps_per_m, camera = row[:5]
-        with self._file.blaming(FRAMES, index):
-            intrinsics, T_base_camera = unpack(cast(bytes, camera))
-        return FrameHead(
-            int(cast(int, node)),
-            float(cast(float, stamp_s)),
-            str(sensor),
-            float(cast(float, steps_per_m)),
-            intrinsics,
-            T_base_camera,
-        )

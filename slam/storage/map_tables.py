@@ -22,8 +22,7 @@ class Table:
     Attributes
     ----------
     columns
-        Name and type, after the number and the checksum; what is long comes last, so that the rest of a row
-        is read without it.
+        Name and type, after the number and the checksum.
     """
 
     name: str
@@ -65,10 +64,10 @@ FRAMES: Final = Table(
         ("steps_per_m", "REAL"),
         ("camera", "BLOB"),
         ("features", "BLOB"),
-        ("color", "BLOB"),
-        ("depth", "BLOB"),
     ),
 )
+# Their images, apart: whoever asks where the frames were taken does not read them.
+IMAGES: Final = Table("images", (("color", "BLOB"), ("depth", "BLOB")))
 FACTORS: Final = Table(
     "factors",
     (
@@ -109,7 +108,7 @@ GRIDS: Final = Table(
 # Answers of matchers and verifiers while a log is mapped; gone when the map is finished.
 JOURNAL: Final = Table("journal", (("first", "INTEGER"), ("answers", "BLOB")))
 
-TABLES: Final = (META, KEYFRAMES, FRAMES, FACTORS, LOOPS, TRAJECTORY, GRIDS, JOURNAL)
+TABLES: Final = (META, KEYFRAMES, FRAMES, IMAGES, FACTORS, LOOPS, TRAJECTORY, GRIDS, JOURNAL)
 
 
 def _tagged(value: Value) -> bytes:

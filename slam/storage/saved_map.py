@@ -10,6 +10,7 @@ import gtsam
 import numpy as np
 
 from slam.config import Config
+from slam.errors import MapFileError
 from slam.graph.loop_closure import LoopCandidate
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Pose, Trajectory
@@ -17,6 +18,7 @@ from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor, read_
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
 from slam.storage.map_identity import MapIdentity
+from slam.storage.map_tables import FRAMES
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,10 +132,15 @@ def open_saved_map(path: Path) -> SavedMap:
     try:
         identity = MapIdentity.from_meta(file.meta(), file.path)
         contents = read_contents(file)
+        frames = MapFrames(file)
+        for index in range(len(frames)):
+            with file.blaming(FRAMES, index):
+                if not 0 <= frames.head(index).node < len(contents.node_poses):
+                    raise MapFileError("it belongs to no node")
     except BaseException:
         file.close()
         raise
-    return SavedMap(file.path, identity, contents, MapFrames(file), file.content_digest(), file)
+    return SavedMap(file.path, identity, contents, frames, file.content_digest(), file)
 
 
 def _yaw(pose: Pose) -> float:

@@ -1,0 +1,241 @@
+"""A map that is written and read back: every pose, scan, image, factor and cell; damage is refused."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from box_world import box_frames
+from test_packing import same
+
+from slam.config import Config, load_config
+from slam.errors import MapFileError
+from slam.graph.loop_closure import LoopCandidate
+from slam.graph.pose_graph import Edge, EdgeKind
+from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.measurements import LaserScan, MotionEstimate, Pose, RgbdFrame, Trajectory
+from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor, write_contents
+from slam.storage.map_file import MapFile
+from slam.storage.map_frames import MapFrames
+from slam.storage.map_identity import MapIdentity
+from slam.storage.map_tables import FACTORS, FRAMES, GRIDS, IMAGES, KEYFRAMES, LOOPS, TABLES, TRAJECTORY
+from slam.storage.packing import pack, pack_small
+from slam.storage.saved_map import open_saved_map
+from slam.vision.features import Features
+from tools.damage_trials import content_of, damaged, damages_of, outcome_of
+
+MOUNT = gtsam.Pose3(gtsam.Rot3.Ypr(0.1, 0.2, 0.3), np.array([0.1, 0.0, 1.0]))
+IDENTITY = MapIdentity(load_config(None, ["seed=7"]), "drive.log", "f00d", {"numpy": "2.0", "code": "abc"})
+
+
+def scan(stamp_s: float) -> LaserScan:
+    ranges = np.array([1.0, np.inf, np.nan, 2.5], np.float32)
+    return LaserScan(stamp_s, ranges, -1.0, 0.5, 30.0, gtsam.Pose2(0.1, 0.0, 3.1), "front")
+
+
+def features(count: int = 5) -> Features:
+    rng = np.random.default_rng(count)
+    return Features(
+        rng.random((count, 2), np.float32),
+        rng.integers(0, 255, (count, 32), np.uint8),
+        rng.random(count, np.float32),
+        rng.random(count, np.float32),
+    )
+
+
+def contents(*, planar: bool = True) -> MapContents:
+    step: Pose = gtsam.Pose2(0.3, 0.01, 0.4) if planar else gtsam.Pose3(gtsam.Pose2(0.3, 0.0, 0.4))
+    poses = [gtsam.Pose2() if planar else gtsam.Pose3()]
+    for _ in range(4):
+        poses.append(poses[-1].compose(step))
+    covariance = np.eye(3 if planar else 6) * 1e-4
+    motion = MotionEstimate(step, covariance, 0.9, 0.8, 0.01, True, False, np.zeros(len(covariance)))
+    loops = [
+        LoopCandidate(0, 3, 0.5, 0.1, 0.7, motion, True, ""),
+        LoopCandidate(1, 4, np.inf, 0.1, 0.2, None, False, "too few points fit"),
+    ]
+    edges = [Edge(n, n + 1, step, covariance * (n + 1), EdgeKind.LIDAR, True) for n in range(4)]
+    factors = [SavedFactor(edge, True) for edge in edges]
+    factors.append(SavedFactor(Edge(0, 3, step, covariance, EdgeKind.LOOP, False), False, 0))
+    repaired = replace(scan(2.0), ranges_m=np.ones(4, np.float32))
+    count = 10_000
+    rng = np.random.default_rng(0)
+    return MapContents(
+        node_poses=poses,
+        stamps_s=np.arange(5.0),
+        readings=np.array([0, 2, 5, 6, 9]),
+        measured_scans=[scan(0.0), None, scan(2.0), scan(3.0), scan(4.0)],
+        scans=[scan(0.0), None, repaired, scan(3.0), scan(4.0)],
+        factors=factors,
+        loops=loops,
+        trajectory=Trajectory(rng.random(count), rng.random((count, 3)), rng.random((count, 4))),
+        grids={OCCUPANCY: OccupancyGrid(rng.random((7, 9), np.float32), 0.05, gtsam.Pose2(-1.0, 2.0, 0.1))},
+    )
+
+
+def write(path: Path, what: MapContents, frames: list[RgbdFrame]) -> Path:
+    file = MapFile.create(path)
+    for key, value in IDENTITY.to_meta().items():
+        file.add_meta(key, value)
+    spool = MapFrames(file, begun=True)
+    for number, frame in enumerate(frames):
+        assert spool.add(frame, 2 * number, features(number)) == number
+    write_contents(file, what)
+    file.seal()
+    return path
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[RgbdFrame]:
+    return [replace(frame, T_base_camera=MOUNT, sensor="kinect") for frame in box_frames(count=3)]
+
+
+@pytest.fixture(scope="module")
+def map_db(frames: list[RgbdFrame], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("map") / "map.db", contents(), frames)
+
+
+class TestReadBack:
+    def test_everything(self, map_db: Path, frames: list[RgbdFrame]) -> None:
+        saved, told = open_saved_map(map_db.parent), contents()
+        found = saved.contents
+        assert saved.planar and saved.identity == IDENTITY and saved.config.seed == 7
+        for name in ("node_poses", "measured_scans", "scans", "loops"):
+            assert same(getattr(found, name), getattr(told, name)), name
+        for name in ("stamps_s", "readings", "trajectory"):
+            assert same(getattr(found, name), getattr(told, name)), name
+        for one, other in zip(saved.factors, told.factors, strict=True):
+            assert same(one, other)
+        assert saved.grid is not None
+        assert same(saved.grid.log_odds, told.grids[OCCUPANCY].log_odds)
+        assert same(saved.grid.T_map_grid, told.grids[OCCUPANCY].T_map_grid)
+        np.testing.assert_array_equal(
+            saved.keyframe_poses, [[pose.x(), pose.y(), pose.theta()] for pose in told.node_poses]
+        )
+        saved.check()
+        saved.close()
+
+    def test_frames(self, map_db: Path, frames: list[RgbdFrame]) -> None:
+        saved = open_saved_map(map_db)
+        assert saved.frame_nodes() == [0, 2, 4]
+        for number, (found, frame) in enumerate(zip(saved.frames, frames, strict=True)):
+            assert (found.stamp_s, found.sensor) == (frame.stamp_s, "kinect")
+            assert found.intrinsics == frame.intrinsics
+            assert same(found.T_base_camera, MOUNT)
+            assert same(saved.frames.features(number), features(number))
+            np.testing.assert_allclose(found.depth_m, frame.depth_m, atol=1.01e-4)
+        np.testing.assert_array_equal(
+            saved.frame_poses()[1].matrix(),
+            gtsam.Pose3(saved.contents.node_poses[2]).compose(MOUNT).matrix(),
+        )
+        with pytest.raises(IndexError):
+            saved.frames.frame(3)
+        saved.close()
+
+    def test_a_camera_alone(self, tmp_path: Path) -> None:
+        told = replace(contents(planar=False), measured_scans=[], scans=[], grids={})
+        frames = [replace(frame, T_base_camera=None) for frame in box_frames(count=3)]
+        saved = open_saved_map(write(tmp_path / "map.db", told, frames))
+        assert not saved.planar and saved.grid is None
+        assert list(saved.keyframe_scans) == [None] * 5
+        assert same(saved.frame_poses(), list(told.node_poses[::2]))
+        assert saved.frames.frame(0).T_base_camera is None
+        np.testing.assert_allclose(saved.keyframe_poses[1], [0.3, 0.0, 0.4])
+        saved.close()
+
+    def test_the_digest_tells_maps_apart(self, map_db: Path, frames: list[RgbdFrame], tmp_path: Path) -> None:
+        again = open_saved_map(write(tmp_path / "again.db", contents(), frames))
+        other = open_saved_map(write(tmp_path / "other.db", contents(), frames[:2]))
+        assert open_saved_map(map_db).digest == again.digest != other.digest
+
+    def test_writing_twice_leaves_one(self, map_db: Path, frames: list[RgbdFrame], tmp_path: Path) -> None:
+        file = MapFile.create(tmp_path / "map.db")
+        for key, value in IDENTITY.to_meta().items():
+            file.add_meta(key, value)
+        spool = MapFrames(file, begun=True)
+        for number, frame in enumerate(frames):
+            spool.add(frame, 2 * number, features(number))
+        write_contents(file, contents())  # an interrupt comes here
+        file.commit()
+        write_contents(file, contents())
+        file.seal()
+        assert (tmp_path / "map.db").read_bytes() == map_db.read_bytes()
+
+
+def forge(path: Path, table: str, number: int, **values: object) -> Path:
+    """Change a row, and make its checksum and the seal right again: not an accident, but a lie."""
+    spec = next(known for known in TABLES if known.name == table)
+    with sqlite3.connect(path) as connection:
+        for name, value in values.items():
+            connection.execute(f"UPDATE {table} SET {name} = ? WHERE number = ?", (value, number))
+        row = connection.execute(f"SELECT * FROM {table} WHERE number = ?", (number,)).fetchone()
+        connection.execute(
+            f"UPDATE {table} SET checksum = ? WHERE number = ?", (spec.checksum(number, row[2:]), number)
+        )
+        connection.execute("DELETE FROM meta WHERE key = 'seal'")
+    connection.close()
+    file = MapFile.resume(path)
+    assert file is not None
+    file.seal()
+    return path
+
+
+MOTION3 = pack(gtsam.Pose3())
+
+
+class TestRefused:
+    @pytest.mark.parametrize(
+        ("table", "number", "values", "said"),
+        [
+            (FACTORS, 1, {"source": 5}, "its ends are no nodes"),
+            (FACTORS, 4, {"loop": 2}, "its loop is none"),
+            (FACTORS, 2, {"kind": "guess"}, "guess"),
+            (FACTORS, 2, {"motion": MOTION3}, "Pose3 where a Pose2 belongs"),
+            (FACTORS, 2, {"covariance": pack(np.eye(6))}, "covariance has another size"),
+            (FACTORS, 2, {"covariance": b"\x80\x04."}, "not packed values"),
+            (LOOPS, 1, {"candidate": pack(1.0)}, "float where a LoopCandidate belongs"),
+            (KEYFRAMES, 3, {"scan": pack_small([])}, "list where a LaserScan belongs"),
+            (KEYFRAMES, 3, {"pose": pack(3.0)}, "float where a Pose3 belongs"),
+            (TRAJECTORY, 1, {"poses": 5}, "arrays have other sizes"),
+            (GRIDS, 0, {"rows": 8}, "cells have another size"),
+            (GRIDS, 0, {"resolution_m": 0.0}, "resolution is not positive"),
+            (FRAMES, 1, {"node": 9}, "no node"),
+            (FRAMES, 1, {"steps_per_m": 0.0}, "camera is none"),
+            (FRAMES, 1, {"features": pack(None)}, "features are none"),
+            (IMAGES, 2, {"color": b"\xff\xd8"}, "an image of None pixels"),
+            (IMAGES, 2, {"depth": b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + b"\x7f" * 8}, "pixels, the camera has"),
+        ],
+    )
+    def test_a_lie_is_told_by_table_and_row(
+        self, map_db: Path, tmp_path: Path, table: object, number: int, values: dict[str, object], said: str
+    ) -> None:
+        path = tmp_path / "map.db"
+        path.write_bytes(map_db.read_bytes())
+        name = table.name  # type: ignore[attr-defined]
+        with pytest.raises(MapFileError, match=rf"table {name}, row {number}: .*{said}") as caught:
+            open_saved_map(forge(path, name, number, **values)).check()
+        assert len(str(caught.value).splitlines()) == 1
+
+    def test_settings_of_another_version(self, map_db: Path, tmp_path: Path) -> None:
+        path = tmp_path / "map.db"
+        path.write_bytes(map_db.read_bytes())
+        with pytest.raises(MapFileError, match="settings that this version does not know"):
+            open_saved_map(forge(path, "meta", 0, value='{"novelty": 1}'))
+        with pytest.raises(MapFileError, match="does not tell its config"):
+            open_saved_map(forge(path, "meta", 0, key="konfig", value=Config().model_dump_json()))
+
+    def test_one_damaged_byte_is_refused_or_harmless(self, map_db: Path, tmp_path: Path) -> None:
+        """As tools/damage_trials.py does a thousand times."""
+        whole, content = map_db.read_bytes(), content_of(map_db)
+        outcomes: Counter[str] = Counter()
+        # Half of them where most meets the eye of SQLite: its header, the tables, the first rows.
+        for damage in [*damages_of(len(whole), 60, seed=1), *damages_of(4096, 60, seed=2)]:
+            (tmp_path / "map.db").write_bytes(damaged(whole, damage))
+            outcomes[outcome_of(tmp_path / "map.db", content)] += 1
+        assert set(outcomes) == {"refused", "harmless"}, outcomes
+        assert outcomes["refused"] > 60
