@@ -29,9 +29,8 @@ EPS_OVER_E = 2.0**0.25  # the middle of Xu2024's best range, E to sqrt(2) E
 LEAST_EPS_SHARE = 0.025  # of the range: below, the lidar's own noise would be called burrs
 _MOST_RESIDUAL = 0.05  # of the range, as it counts for E
 _BURR_RAD = math.radians(1.4)  # longest run of readings that can be a burr
-_CAMERA_BURR_RAD = math.radians(2.2)  # light by a detour comes in patches, which touch
+_CAMERA_BURR_RAD = math.radians(2.2)  # side of a square of pixels: light by a detour comes in patches
 _LONE_RAD = math.radians(0.3)  # single readings of a camera
-_ASIDE_RAD = math.radians(0.4)  # a lidar reading this far aside can be of the pixel's surface
 _GAP_RAD = math.radians(2.0)  # longest hole in both that is interpolated
 _LIDAR_SLACK, _CAMERA_SLACK = 0.04, 0.01  # noise of the difference of two neighbours, as a share of the range
 _SMOOTH_BEAMS = 4
@@ -175,7 +174,7 @@ def _repair(
     )
     for image, view, matrix in seen:
         _repair_image(
-            *repaired_images[id(image)], image.range_max_m, view, matrix, steady, own, (start, step), share
+            *repaired_images[id(image)], image.range_max_m, view, matrix, steady, (start, step), share
         )
     result = np.array(scan.ranges_m, dtype=np.float32)
     if flip:
@@ -231,30 +230,27 @@ def _repair_image(
     view: ImageView,
     matrix: FloatArray,
     lidar: Float32Array,
-    readings: Float32Array,
     beams: tuple[float, float],
     eps_share: float,
 ) -> None:
     """Fill the pixels that look at the lidar's points, in place: Xu2024 Eq. (8)."""
     step = view.curve.step_rad
     columns = (view.curve.start_angle_rad, step, view.curve.ranges_m.size)
-    inverse = np.linalg.inv(matrix)
-    predicted = carry(lidar, beams[0], beams[1], inverse, columns, _LIDAR_SLACK)
+    predicted = carry(lidar, beams[0], beams[1], np.linalg.inv(matrix), columns, _LIDAR_SLACK)
     if not np.isfinite(predicted).any():
         return
     aside = max(1, round(0.5 * beams[1] / step))
     heights, sharp = view.heights(float(np.nanmin(predicted)))
     repair_image(
-        depth.ravel(),
-        source.ravel(),
+        depth,
+        source,
         (view.pixel, view.range_of_depth, view.slopes),
         np.stack([predicted, _shifted(predicted, -aside), _shifted(predicted, aside)]),
-        carry(readings, beams[0], beams[1], inverse, columns, 0.0),
         heights,
         sharp,
         range_max_m,
         eps_share,
-        (round(_CAMERA_BURR_RAD / step), max(1, round(_LONE_RAD / step)), round(_ASIDE_RAD / step)),
+        (round((_CAMERA_BURR_RAD / step) ** 2), max(1, round((_LONE_RAD / step) ** 2))),
     )
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from typing import TypeAlias
 
 import numba
 import numpy as np
@@ -11,6 +12,10 @@ from numpy.typing import NDArray
 
 from fusion.curves import Float32Array, FloatArray, IntArray
 from fusion.repair import FILLED, HOLE, ProvenanceArray
+
+Islands: TypeAlias = tuple[Float32Array, IntArray, IntArray]
+
+_STEP_M, _HANG_SHARE = 0.01, 0.4  # step between neighbours of one surface: and this share of eps
 
 
 @numba.njit(cache=True)
@@ -51,30 +56,30 @@ def look_at(
 def repair_columns(
     measured: Float32Array,
     predicted: Float32Array,
-    raw: Float32Array,
-    inside: NDArray[np.bool_],
+    pixel: IntArray,
+    islands: Islands,
     eps_share: float,
-    samples: tuple[int, int, int],
+    most_pixels: tuple[int, int],
     fill_holes: bool,
 ) -> ProvenanceArray:
     """Which columns of a depth curve to fill from the lidar: Xu2024 Eq. (6) and (8).
 
     A hole is filled unless what the camera sees on both sides of it is nearer than the lidar's surface: then
-    something stands before it. A run of readings that disagree is the camera's fault only between columns
-    that agree, and is a burr where it lies behind the lidar's surface and is short, or is of single readings
-    that fly before it. All else is seen by the camera alone, and is kept; so is what any of the lidar's own
-    readings nearby is near to.
+    something stands before it. A reading that disagrees is the camera's fault only where the image itself
+    does not support it (ours): beside a column that agrees, it hangs together with no more than a few pixels,
+    above and below too. A patch behind the lidar's surface is light by a detour, a tiny one flies at an edge.
+    What belongs to more is seen by the camera alone, and is kept: a table's top, the wall over a box.
 
     Parameters
     ----------
     measured, predicted
         (W,) ranges of the camera, and of the lidar's surfaces, carried to the camera.
-    raw
-        (W,) the lidar's single readings, carried as they are.
-    inside
-        (W,) where a prediction falls into the image.
-    samples
-        Columns of the longest burr and of the longest flight, and how far aside a reading supports another.
+    pixel
+        (W,) flat index of the pixel that looks at a prediction, -1 where none does.
+    islands
+        As for `island_size`.
+    most_pixels
+        Of a burr behind the lidar's surface, and of one before it.
     fill_holes
         False: burrs only.
     """
@@ -84,69 +89,81 @@ def repair_columns(
     for i in range(count):
         if np.isnan(measured[i]):
             source[i] = HOLE
-        elif inside[i]:
+        elif pixel[i] >= 0:
             agrees[i] = abs(measured[i] - predicted[i]) <= eps_share * predicted[i]
     first = 0
     while first < count:
-        if agrees[first] or not inside[first]:
+        if agrees[first] or pixel[first] < 0:
             first += 1
             continue
         last = first
-        while (
-            last + 1 < count and not agrees[last + 1] and (inside[last + 1] or np.isnan(predicted[last + 1]))
-        ):
+        while last + 1 < count and not agrees[last + 1]:
+            if pixel[last + 1] < 0 and not np.isnan(predicted[last + 1]):
+                break
             last += 1
-        before, after = first > 0 and agrees[first - 1], last + 1 < count and agrees[last + 1]
-        burrs = before and after
-        if fill_holes and not (before or after):
+        confirmed = (first > 0 and agrees[first - 1]) or (last + 1 < count and agrees[last + 1])
+        if fill_holes and not confirmed:
             _mark_hidden(measured, predicted, first, last, eps_share, hidden)
         for i in range(first, last + 1):
-            if not inside[i]:
+            if pixel[i] < 0:
                 continue
             if np.isnan(measured[i]):
-                if fill_holes and (before or after or not hidden[i]):
+                if fill_holes and (confirmed or not hidden[i]):
                     source[i] = FILLED
-            elif burrs and not _supported(measured[i], raw, i, samples[2], eps_share):
-                short = last - first + 1 <= samples[0] and measured[i] > predicted[i]
-                if short or _stands_alone(measured, i, samples[1], 0.5 * eps_share):
+            elif confirmed:
+                most = most_pixels[0] if measured[i] > predicted[i] else most_pixels[1]
+                if island_size(pixel[i], islands, _HANG_SHARE * eps_share) <= most:
                     source[i] = FILLED
         first = last + 1
     return source
 
 
 @numba.njit(cache=True)
-def _supported(reading: float, raw: Float32Array, i: int, reach: int, eps_share: float) -> bool:
-    """Whether the other sensor has a reading near this one, close by."""
-    for k in range(max(0, i - reach), min(raw.size, i + reach + 1)):
-        if abs(raw[k] - reading) <= eps_share * reading:
-            return True
-    return False
+def island_size(at: int, islands: Islands, slack_share: float) -> int:
+    """How many pixels hang together with one, by steps to the four neighbours.
 
-
-@numba.njit(cache=True)
-def _stands_alone(measured: Float32Array, i: int, most: int, slack_share: float) -> bool:
-    """Whether a reading, with no more than ``most`` in a row, hangs together with nothing beside it.
-
-    What is beside it must hang together in turn: on a wall seen at a slant every reading stands alone.
+    Parameters
+    ----------
+    at
+        Flat index of a pixel with a reading.
+    islands
+        (H, W) the image as it was given; (H * W,) sizes that are known already, else 0: filled in as they are
+        found; (most + 1,) room to work in. What has more than ``most`` pixels counts ``most + 1``.
+    slack_share
+        Step between neighbours of one surface, as a share of the range.
     """
-    low = high = i
-    last = measured.size - 1
-    while low > 0 and i - low <= most and _hang(measured[low - 1], measured[low], slack_share):
-        low -= 1
-    while high < last and high - i <= most and _hang(measured[high], measured[high + 1], slack_share):
-        high += 1
-    if high - low + 1 > most or low < 2 or high > last - 2:
-        return False
-    left_hole, right_hole = np.isnan(measured[low - 1]), np.isnan(measured[high + 1])
-    left = left_hole or _hang(measured[low - 2], measured[low - 1], slack_share)
-    right = right_hole or _hang(measured[high + 1], measured[high + 2], slack_share)
-    return left and right and not (left_hole and right_hole)
+    depth, sizes, found = islands
+    if sizes[at] > 0:
+        return int(sizes[at])
+    height, width = depth.shape
+    flat = depth.ravel()
+    count, done, size = 1, 0, 0
+    found[0], sizes[at] = at, -1
+    while done < count and size == 0:
+        here = found[done]
+        done += 1
+        row, col = here // width, here % width
+        for step in range(4):
+            r, c = row + (step == 0) - (step == 1), col + (step == 2) - (step == 3)
+            if not (0 <= r < height and 0 <= c < width):
+                continue
+            there = r * width + c
+            if sizes[there] == -1 or not _hang(flat[here], flat[there], slack_share):
+                continue
+            if sizes[there] > 0 or count == found.size:
+                size = found.size
+                break
+            found[count], sizes[there] = there, -1
+            count += 1
+    for k in range(count):
+        sizes[found[k]] = size if size > 0 else count
+    return size if size > 0 else count
 
 
 @numba.njit(cache=True)
 def _hang(near: float, far: float, slack_share: float) -> bool:
     """Whether two neighbours may be of one surface; false for a hole."""
-    return abs(near - far) <= 0.01 + slack_share * min(near, far)
+    return near > 0.0 and far > 0.0 and abs(near - far) <= _STEP_M + slack_share * min(near, far)
 
 
 @numba.njit(cache=True)
@@ -175,23 +192,22 @@ def _mark_hidden(
 
 @numba.njit(cache=True)
 def repair_image(
-    depth: Float32Array,
-    source: ProvenanceArray,
+    image: Float32Array,
+    image_source: ProvenanceArray,
     lookup: tuple[IntArray, Float32Array, Float32Array],
     shifted: Float32Array,
-    raw: Float32Array,
     heights_m: FloatArray,
     sharp: NDArray[np.bool_],
     range_max_m: float,
     eps_share: float,
-    samples: tuple[int, int, int],
+    most_pixels: tuple[int, int],
 ) -> None:
     """Repair the pixels that look at the lidar's surfaces, height by height, in place: Xu2024 Eq. (8).
 
     Parameters
     ----------
-    depth, source
-        The image and its provenance, flat.
+    image, image_source
+        (H, W) the image and its provenance.
     lookup
         Pixels, factors and slopes of the panorama.
     shifted
@@ -200,17 +216,19 @@ def repair_image(
     heights_m, sharp
         (K,) heights, and where the moved ranges are looked at too, for readings that fly: a hole is filled
         from the nearest beam alone.
-    raw, samples
-        As for `repair_columns`.
+    most_pixels
+        As for `repair_columns`; moved ranges tell no more than what flies.
     """
+    depth, source = image.ravel(), image_source.ravel()
+    islands = (image.copy(), np.zeros(depth.size, np.int32), np.empty(max(most_pixels) + 1, np.int32))
     for k in range(heights_m.size):
         for side in range(3 if sharp[k] else 1):
             predicted = shifted[side]
             pixel, measured, scale = look_at(
                 depth, lookup[0], lookup[1], lookup[2], predicted, heights_m[k], range_max_m
             )
-            allowed = samples if side == 0 else (0, samples[1], samples[2])
-            kinds = repair_columns(measured, predicted, raw, pixel >= 0, eps_share, allowed, side == 0)
+            most = most_pixels if side == 0 else (most_pixels[1], most_pixels[1])
+            kinds = repair_columns(measured, predicted, pixel, islands, eps_share, most, side == 0)
             for col in range(predicted.size):
                 if kinds[col] == FILLED and pixel[col] >= 0:
                     value = predicted[col] / scale[col]

@@ -166,12 +166,13 @@ def test_a_patch_of_the_camera_behind_the_wall_is_put_right():
     columns = np.arange(world.SHAPE[1])
     patch = on & (columns >= 100) & (columns < 104)
     depth = image.depth_m.copy()
-    depth[:, patch] += 0.3
+    rows = np.arange(world.SHAPE[0])[:, None]
+    depth[(np.abs(rows - np.median(row[patch])) <= 3) & patch] += 0.3
     result = fusion.denoise(scan, fusion.DepthImage(depth, image.intrinsics), RIG)
     # The pixel of the true point looks at the same row after the repair.
     at = (row[patch], columns[patch])
     repaired = result.depth_source[0][at] == FILLED
-    assert repaired.mean() >= 0.75  # the lidar's reading beside it may be of the same noise
+    assert repaired.mean() >= 0.75  # the panorama may skip one of the image's columns
     assert np.abs(result.depth_m[0] - image.depth_m)[at][repaired].max() < 0.05
 
 
