@@ -52,11 +52,12 @@ def opened_map(folder: Path, identity: MapIdentity, *, resume: bool) -> Iterator
     if file is not None:
         print(f"going on with {path}", file=sys.stderr)
     else:
+        unfinished = left_unfinished(path)
+        file = MapFile.create(path)
         if resume:
             print(f"nothing to resume in {folder}; mapping from the beginning", file=sys.stderr)
-        elif left_unfinished(path):
+        elif unfinished:
             print(f"replacing {path}, which an interrupted run has left", file=sys.stderr)
-        file = MapFile.create(path)
         for key, value in identity.to_meta().items():
             file.add_meta(key, value)
         file.commit()

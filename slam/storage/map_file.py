@@ -43,8 +43,9 @@ class MapFile:
 
     @classmethod
     def create(cls, path: Path) -> MapFile:
-        """A new, empty map in the place of whatever is there."""
+        """A new, empty map in the place of whatever is there, unless another process writes that."""
         with _told(path, "made"):
+            _refuse_in_use(path)
             for stale in (path, *_beside(path)):
                 stale.unlink(missing_ok=True)
             file = cls(path, _writer(path))
@@ -330,6 +331,21 @@ def _writer(path: Path) -> sqlite3.Connection:
     # In WAL mode a crash of the process loses nothing that was committed; one of the machine, the latest.
     connection.execute("PRAGMA synchronous = NORMAL")
     return connection
+
+
+def _refuse_in_use(path: Path) -> None:
+    """Fail where another process writes a map; anything else may be replaced."""
+    if not path.is_file():
+        return
+    connection = sqlite3.connect(path, timeout=0.0, isolation_level=None)
+    try:
+        connection.execute("BEGIN EXCLUSIVE")
+    except sqlite3.OperationalError:
+        raise
+    except sqlite3.DatabaseError:  # no database at all
+        pass
+    finally:
+        connection.close()
 
 
 def _beside(path: Path) -> list[Path]:
