@@ -17,7 +17,7 @@ class LocalizationConfig(StrictModel):
     )
     search_every_m: float = Field(default=1.0, gt=0, description="travel between two global searches")
     search_rarely_m: float = Field(
-        default=4.0, gt=0, description="to which that grows while no search leads to a pose"
+        default=2.0, gt=0, description="to which that grows while no search leads to a pose"
     )
     search_back_m: float = Field(default=4.0, gt=0, description="travel whose scans are searched together")
     search_points: int = Field(default=150, ge=20, description="points in the global search")
@@ -36,22 +36,22 @@ class LocalizationConfig(StrictModel):
     station_rad: float = Field(default=0.3, gt=0, description="turn between two scans that are weighed")
     window_m: float = Field(default=12.0, gt=0, description="travel whose scans are weighed together")
     news_cell_m: float = Field(
-        default=0.2, gt=0, description="a surface is weighed once, cell by cell of this side"
+        default=0.3, gt=0, description="a surface is weighed once, cell by cell of this side"
     )
     correlated_cells: float = Field(
-        default=5.0, ge=1, description="neighbouring cells of a surface that count as one reading"
+        default=3.0, ge=1, description="neighbouring cells of a surface that count as one reading"
     )
     nowhere_nats: float = Field(
-        default=4.0, description="evidence that a pose must exceed to be likelier than none in the map"
+        default=3.0, description="evidence that a pose must exceed to be likelier than none in the map"
     )
     kidnap_nats: float = Field(
-        default=6.0, ge=0, description="what it costs a hypothesis to believe that the robot was carried off"
+        default=3.0, ge=0, description="what it costs a hypothesis to believe that the robot was carried off"
     )
     carried_nats: float = Field(
         default=4.0, description="evidence that a lost robot is where dead reckoning takes it"
     )
     sure_probability: float = Field(
-        default=0.99, gt=0.5, lt=1, description="posterior at which a hypothesis wins"
+        default=0.98, gt=0.5, lt=1, description="posterior at which a hypothesis wins"
     )
     least_inlier_share: float = Field(
         default=0.4, gt=0, le=1, description="share of the scan that must agree for a match to the map"

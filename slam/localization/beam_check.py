@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import gtsam
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from slam.mapping.occupancy_grid import OCCUPIED, OccupancyGrid
 from slam.matching.local_map import OrientedPoints
-from slam.matching.planar import between
+from slam.matching.planar import between, transform_points
 from slam.matching.surfel_map import SurfelMap, nearest_surfel
-from slam.measurements import FloatArray, row_from_pose2
+from slam.measurements import AnyFloatArray, BoolArray, FloatArray, row_from_pose2
 
 _UNKNOWN, _FREE, _NEAR_WALL, _WALL = 0, 1, 2, 3
 # Probability below which a cell is surely free: some five beams passed it, not the one or two that a door let
@@ -22,6 +21,8 @@ _UNKNOWN, _FREE, _NEAR_WALL, _WALL = 0, 1, 2, 3
 _SURELY_FREE = 0.12
 # Farther than this from a wall a return is not explained by it.
 _WALL_REACH_M = 0.1
+# Of a point so far from every wall no small error of the pose makes a wall's.
+_CLEAR_M = 0.2
 # The last stretch of a beam may lie in the wall it ends in, at a small angle and with a little error.
 _END_M = 0.4
 _STEP_CELLS = 0.7
@@ -34,6 +35,8 @@ class KnownSpace(NamedTuple):
     ----------
     cells
         (rows, columns) 0 unknown, 1 free, 2 within reach of a wall, 3 wall.
+    clear
+        (rows, columns) whether a cell is free, and no wall is anywhere near it.
     frame
         (3,) x, y, yaw of the lower-left corner of cell (0, 0) in the map.
     cell_m
@@ -41,6 +44,7 @@ class KnownSpace(NamedTuple):
     """
 
     cells: NDArray[np.uint8]
+    clear: BoolArray
     frame: FloatArray
     cell_m: float
 
@@ -74,7 +78,24 @@ def known_space(grid: OccupancyGrid) -> KnownSpace:
     walls = states == OCCUPIED
     cells[_surroundings(walls, _WALL_REACH_M / grid.resolution_m)] = _NEAR_WALL
     cells[walls] = _WALL
-    return KnownSpace(cells, row_from_pose2(gtsam.Pose2(grid.T_map_grid)), grid.resolution_m)
+    clear = (cells == _FREE) & ~_surroundings(walls, _CLEAR_M / grid.resolution_m)
+    return KnownSpace(cells, clear, row_from_pose2(grid.T_map_grid), grid.resolution_m)
+
+
+def in_clear_space(space: KnownSpace, pose: FloatArray, points: AnyFloatArray) -> BoolArray:
+    """Which points (M, 2) of the base frame lie where there was nothing when the map was made, by far.
+
+    Parameters
+    ----------
+    pose
+        (3,) x, y, yaw of the base in the map, good to some decimetres.
+    """
+    cells = np.floor(transform_points(points, between(space.frame, pose)) / space.cell_m).astype(np.int64)
+    columns, rows = cells.T
+    inside = (rows >= 0) & (rows < space.clear.shape[0]) & (columns >= 0) & (columns < space.clear.shape[1])
+    found = np.zeros(len(points), np.bool_)
+    found[inside] = space.clear[rows[inside], columns[inside]]
+    return found
 
 
 def check_beams(

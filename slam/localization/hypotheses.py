@@ -73,6 +73,7 @@ class HypothesisSet:
         self._log.clear()
         self.members.clear()
         self._search_at_m = 0.0
+        self._searches = 0
         self._search_step_m = self._config.search_every_m
 
     def due(self, pose: FloatArray) -> bool:
@@ -136,9 +137,13 @@ class HypothesisSet:
         member.evidence.append(self._matcher.weigh(member.pose, station.view.laser, station.news))
 
     def _search(self) -> None:
-        """Look everywhere for what was seen of late, and take in what is not yet among the hypotheses."""
+        """Look everywhere for what was seen of late, and take in what is not yet among the hypotheses.
+
+        By turns for all of the last way, which is rarer, and for the newest scan, which no drift has bent.
+        """
         config = self._config
-        points = self._log.recent_points(config.search_back_m)
+        self._searches += 1
+        points = self._log.recent_points(config.search_back_m if self._searches % 2 else 0.0)
         points = points[first_in_cells(points, config.news_cell_m)[0]]
         points = points[:: max(1, -(-len(points) // config.search_points))]
         if len(points) == 0:

@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import gtsam
 import numpy as np
 
 from slam.config import Config
 from slam.errors import MapFileError
+from slam.keyframe_store import KeyframeSpool, TemporarySpool
 from slam.localization.beam_check import KnownSpace, known_space
 from slam.localization.map_tiles import MapTiles
 from slam.localization.whole_map_field import WholeMapField, build_whole_map_field
@@ -19,6 +21,35 @@ from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import transform_points
 from slam.matching.scan_points import ScanPoints, extract_points
 from slam.measurements import FloatArray, LaserScan
+from slam.storage.map_frames import MapFrames
+from slam.storage.saved_map import SavedMap
+
+
+@dataclass(frozen=True)
+class KnownCameras:
+    """The camera keyframes of a map.
+
+    Attributes
+    ----------
+    frames
+        Their images and features, read when they are asked for; each frame's mounting is what is known of
+        the camera's place on the robot.
+    poses
+        ``T_map_camera`` of each.
+    """
+
+    frames: KeyframeSpool
+    poses: Sequence[gtsam.Pose3]
+
+    @property
+    def sensor(self) -> str:
+        """Name of the camera."""
+        return self.frames.frame(0).sensor
+
+    @property
+    def T_base_camera(self) -> gtsam.Pose3 | None:
+        """Where the camera sits; None where it is its own base."""
+        return self.frames.frame(0).T_base_camera
 
 
 @dataclass(frozen=True)
@@ -33,16 +64,33 @@ class KnownMap:
         The scan of each keyframe; None where it has none.
     grid
         The occupancy grid; None of a map without a lidar.
+    planar
+        Whether the robot stays on a floor.
+    cameras
+        The camera keyframes; None where there are none.
     """
 
     keyframe_poses: FloatArray
     keyframe_scans: Sequence[LaserScan | None]
     grid: OccupancyGrid | None
+    planar: bool = True
+    cameras: KnownCameras | None = None
 
     @classmethod
     def of_result(cls, result: MapResult) -> KnownMap:
         """The map that a run has just made."""
-        return cls(result.keyframe_poses, result.keyframe_scans, result.grid)
+        dense = result.dense
+        cameras = None
+        if dense is not None and isinstance(dense.frames, TemporarySpool | MapFrames) and dense.poses:
+            cameras = KnownCameras(dense.frames, dense.poses)
+        planar = isinstance(result.graph.pose(0), gtsam.Pose2)
+        return cls(result.keyframe_poses, result.keyframe_scans, result.grid, planar, cameras)
+
+    @classmethod
+    def of_saved(cls, saved: SavedMap) -> KnownMap:
+        """A map in a file; its images are read when they are asked for."""
+        cameras = KnownCameras(saved.frames, saved.frame_poses()) if len(saved.frames) else None
+        return cls(saved.keyframe_poses, saved.keyframe_scans, saved.grid, saved.planar, cameras)
 
     @property
     def has_walls(self) -> bool:

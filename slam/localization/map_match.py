@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from slam.config import Config
-from slam.localization.beam_check import BeamCounts, check_beams
+from slam.localization.beam_check import BeamCounts, check_beams, in_clear_space
 from slam.localization.known_map import Walls
 from slam.localization.scan_view import ScanView
 from slam.matching.local_map import OrientedPoints, match_noise
@@ -13,6 +13,7 @@ from slam.matching.match_covariance import motion_from_alignment
 from slam.measurements import FloatArray, MotionEstimate
 
 _LEAST_POINTS = 10
+_LEAST_KEPT = 0.4
 # Shares of explained, crossing and in-free beams at the true pose, and at the best of all wrong poses. A
 # silent beam says nothing: where the map is incomplete, true poses have as many of them as wrong ones.
 _EXPLAINED_NATS = math.log(0.93 / 0.57)
@@ -35,6 +36,14 @@ class MapMatcher:
             return None
         motion = motion_from_alignment(tile.align(view.oriented, guess), self._noise)
         return motion if motion.inlier_share > 0.0 else None
+
+    def without_strangers(self, view: ScanView, pose: FloatArray) -> ScanView:
+        """A scan without what stands in the midst of known free space, seen from near a pose (3,): people.
+
+        A scan that would lose much of itself is left whole: rather the pose is wrong.
+        """
+        keep = ~in_clear_space(self._walls.space, pose, view.points.points_base)
+        return view.only(keep) if not keep.all() and keep.mean() >= _LEAST_KEPT else view
 
     def weigh(self, pose: FloatArray, laser: FloatArray, points: OrientedPoints) -> float:
         """Evidence for a pose (3,) over the best of the wrong ones, nats.

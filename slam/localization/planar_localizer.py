@@ -8,12 +8,13 @@ from collections.abc import Iterable
 import numpy as np
 
 from slam.config import Config
+from slam.localization.body import Measured
 from slam.localization.hypotheses import Hypothesis, HypothesisSet
 from slam.localization.known_map import KnownMap, Walls
 from slam.localization.loss_test import LossTest
 from slam.localization.map_match import MapMatcher
 from slam.localization.output import LocalizerOutput, PoseHypothesis, RecoveredPose, State
-from slam.localization.pose_smoother import PoseSmoother
+from slam.localization.pose_smoother import PoseSmoother, squared_sigmas, within
 from slam.localization.scan_odometry import OdometryStep, ScanOdometry
 from slam.localization.scan_view import ScanView
 from slam.matching.planar import between, compose
@@ -56,7 +57,7 @@ class PlanarLocalizer:
     def add_scan(self, scan: LaserScan) -> LocalizerOutput:
         """Take a scan."""
         view = ScanView.of(scan, self._settings)
-        step = self._odometry.add(view)
+        step = self._odometry.add(self._without_strangers(view))
         if step.broken:
             self._set.clear()
             self._untold.clear()
@@ -70,38 +71,43 @@ class PlanarLocalizer:
             support, recovered = self._search(view, step)
         return self._output(view.stamp_s, support, recovered)
 
+    def _without_strangers(self, view: ScanView) -> ScanView:
+        """A scan without people, as far as a tracked pose can tell."""
+        if self._state is not State.TRACKING or self._smoother is None:
+            return view
+        expected, _ = self._odometry.expected_step(view.stamp_s)
+        pose = compose(row_from_pose2(self._smoother.newest.pose), expected)
+        return self._matcher.without_strangers(view, pose)
+
     def _track(self, view: ScanView, step: OdometryStep) -> float:
         """Predict, match to the map, judge: the share of the scan that the map explains."""
         assert self._smoother is not None
-        predicted, covariance = self._smoother.predict(step.step, step.covariance)
-        motion = self._matcher.align(view, predicted)
-        seen: list[tuple[FloatArray, FloatArray]] = []
-        if motion is not None and self._is_believed(motion, predicted, covariance):
-            seen.append((row_from_pose2(motion.T_reference_base), motion.covariance))
-        self._smoother.add(step.step, step.covariance, seen)
-        pose = self._smoother.pose
-        evidence = self._matcher.weigh(pose, view.laser, view.thinned(self._config.news_cell_m))
-        self._loss.add(view.stamp_s, evidence)
-        if self._loss.lost or self._sigma_m() > self._config.dead_reckoning_m:
+        moved = Measured(pose2_from_row(step.step), step.covariance)
+        predicted = self._smoother.predict(moved)
+        motion = self._matcher.align(view, row_from_pose2(predicted.pose))
+        self._smoother.add(moved, self._believed(motion, predicted))
+        pose = row_from_pose2(self._smoother.newest.pose)
+        points = view.thinned(self._config.news_cell_m)
+        self._loss.add(view.stamp_s, self._matcher.weigh(pose, view.laser, points))
+        if self._loss.lost or self._smoother.sigma_m > self._config.dead_reckoning_m:
             self._lose()
         return math.nan if motion is None else motion.inlier_share
 
-    def _is_believed(self, motion: MotionEstimate, predicted: FloatArray, covariance: FloatArray) -> bool:
-        """Whether enough of the scan agrees with a match, and it is where it may be."""
-        if motion.inlier_share < self._config.least_inlier_share:
-            return False
-        moved = between(predicted, row_from_pose2(motion.T_reference_base))
-        squares = float(moved @ np.linalg.solve(covariance + motion.covariance, moved))
-        return squares <= self._config.gate_sigmas**2
+    def _believed(self, motion: MotionEstimate | None, predicted: Measured) -> list[Measured]:
+        """A match, if enough of the scan agrees with it and it is where it may be."""
+        if motion is None or motion.inlier_share < self._config.least_inlier_share:
+            return []
+        found = Measured(motion.T_reference_base, motion.covariance)
+        return [found] if squared_sigmas(predicted, found) <= self._config.gate_sigmas**2 else []
 
     def _search(self, view: ScanView, step: OdometryStep) -> tuple[float, tuple[RecoveredPose, ...]]:
         """Weigh all hypotheses; where one wins, begin to track it."""
         self._untold.append((view.stamp_s, step.pose))
         if self._smoother is not None and not step.broken:
-            self._smoother.add(step.step, step.covariance, [])
+            self._smoother.add(Measured(pose2_from_row(step.step), step.covariance), [])
         if not self._set.due(step.pose):
             return math.nan, ()
-        carried = None if self._smoother is None else self._smoother.pose
+        carried = None if self._smoother is None else row_from_pose2(self._smoother.newest.pose)
         self._set.add_station(view, step.pose, carried)
         winner = self._set.winner()
         if winner is None:
@@ -112,7 +118,8 @@ class PlanarLocalizer:
         """Begin to track a hypothesis; the way up to here becomes known."""
         self._state = State.TRACKING
         covariance = np.diag(_FOUND_SIGMAS**2) if winner.motion is None else winner.motion.covariance
-        self._smoother = PoseSmoother(winner.pose, covariance, self._config.lag_nodes)
+        found = Measured(pose2_from_row(winner.pose), covariance)
+        self._smoother = PoseSmoother(found, self._config.lag_nodes)
         self._loss.reset()
         self._set.clear()
         recovered = tuple(
@@ -128,24 +135,19 @@ class PlanarLocalizer:
         self._set.clear()
         self._untold.clear()
 
-    def _sigma_m(self) -> float:
-        """Greatest standard deviation of the position."""
-        assert self._smoother is not None
-        return math.sqrt(float(np.linalg.eigvalsh(self._smoother.covariance[:2, :2])[-1]))
-
     def _output(self, stamp_s: float, support: float, recovered: Iterable[RecoveredPose]) -> LocalizerOutput:
         """What is known after a scan."""
         probabilities = self._set.probabilities()
         tracking = self._state is State.TRACKING
         confidence = self._loss.confidence if tracking else float(probabilities.max(initial=0.0))
-        if tracking:
-            confidence *= 1.0 - math.exp(-0.5 * (_RIGHT_M / self._sigma_m()) ** 2)
+        if tracking and self._smoother is not None:
+            confidence *= within(_RIGHT_M, self._smoother.sigma_m)
         told = [] if tracking else np.argsort(-probabilities, kind="stable")[:_TOLD].tolist()
-        known = self._smoother
+        known = None if self._smoother is None else self._smoother.newest
         return LocalizerOutput(
             stamp_s=stamp_s,
             state=self._state,
-            pose=None if known is None else pose2_from_row(known.pose),
+            pose=None if known is None else known.pose,
             covariance=None if known is None else known.covariance,
             confidence=confidence,
             hypotheses=tuple(

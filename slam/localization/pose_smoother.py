@@ -2,64 +2,99 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from typing import SupportsFloat, SupportsIndex, SupportsInt
+
 import gtsam
 import numpy as np
 
-from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
+from slam.localization.body import Measured, composed
+from slam.measurements import Pose
 
 
 class PoseSmoother:
-    """Planar poses one after the other; what is older than the lag is marginalised.
+    """Poses one after the other, all Pose2 or all Pose3; what is older than the lag is marginalised.
 
     Parameters
     ----------
-    pose, covariance
-        (3,) in the map and (3, 3) in the base frame, of the first.
+    first
+        Pose in the map, covariance in the base frame.
     lag_nodes
         Poses that may still change.
     """
 
-    def __init__(self, pose: FloatArray, covariance: FloatArray, lag_nodes: int) -> None:
+    def __init__(self, first: Measured, lag_nodes: int) -> None:
         # Time counts nodes: stamps of a log may run backward.
         self._smoother = gtsam.IncrementalFixedLagSmoother(float(lag_nodes), gtsam.ISAM2Params())
         self._newest = 0
-        first = pose2_from_row(pose)
-        prior = gtsam.PriorFactorPose2(0, first, gtsam.noiseModel.Gaussian.Covariance(covariance))
-        self._update([prior], first)
+        self._planar = isinstance(first.pose, gtsam.Pose2)
+        self.newest = self._update([self._seen(first)], first.pose)
 
-    def predict(self, step: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Pose (3,) and covariance (3, 3) after a step (3,) with its covariance, not yet taken."""
-        motion = pose2_from_row(step)
-        pose = row_from_pose2(pose2_from_row(self.pose).compose(motion))
-        adjoint = motion.inverse().AdjointMap()
-        return pose, adjoint @ self.covariance @ adjoint.T + covariance
+    @property
+    def sigma_m(self) -> float:
+        """Greatest standard deviation of the newest position."""
+        covariance = self.newest.covariance
+        position = covariance[:2, :2] if self._planar else covariance[3:, 3:]
+        return math.sqrt(float(np.linalg.eigvalsh(position)[-1]))
 
-    def add(
-        self, step: FloatArray, covariance: FloatArray, seen: list[tuple[FloatArray, FloatArray]]
-    ) -> None:
-        """Take a step (3,) with its covariance, and what was measured of the pose after it.
+    def predict(self, step: Measured) -> Measured:
+        """The pose after a step, which is not yet taken."""
+        adjoint = step.pose.inverse().AdjointMap()
+        covariance = adjoint @ self.newest.covariance @ adjoint.T + step.covariance
+        return Measured(composed(self.newest.pose, step.pose), covariance)
 
-        Parameters
-        ----------
-        seen
-            Poses (3,) in the map with their covariances (3, 3), base frame.
-        """
-        key = self._newest + 1
-        noise = gtsam.noiseModel.Gaussian.Covariance
-        motion = pose2_from_row(step)
-        factors: list[gtsam.NonlinearFactor] = [
-            gtsam.BetweenFactorPose2(self._newest, key, motion, noise(covariance))
-        ]
-        factors += [gtsam.PriorFactorPose2(key, pose2_from_row(pose), noise(c)) for pose, c in seen]
-        self._newest = key
-        self._update(factors, pose2_from_row(self.pose).compose(motion))
+    def add(self, step: Measured, seen: Sequence[Measured]) -> None:
+        """Take a step, and what was measured of the pose in the map after it."""
+        before, self._newest = self._newest, self._newest + 1
+        factors = [_between(before, self._newest, step), *(self._seen(measured) for measured in seen)]
+        self.newest = self._update(factors, composed(self.newest.pose, step.pose))
 
-    def _update(self, factors: list[gtsam.NonlinearFactor], guess: gtsam.Pose2) -> None:
-        """Add a node and solve."""
+    def add_seen(self, seen: Measured) -> None:
+        """Take what was measured of the newest pose."""
+        self.newest = self._update([self._seen(seen)], None)
+
+    def _seen(self, measured: Measured) -> gtsam.NonlinearFactor:
+        """A factor on the newest pose."""
+        if isinstance(measured.pose, gtsam.Pose2):
+            return gtsam.PriorFactorPose2(self._newest, measured.pose, _noise(measured))
+        return gtsam.PriorFactorPose3(self._newest, measured.pose, _noise(measured))
+
+    def _update(self, factors: Sequence[gtsam.NonlinearFactor], guess: Pose | None) -> Measured:
+        """Add factors, and a node where there is a guess of it; the newest pose by all of them."""
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         for factor in factors:
             graph.add(factor)
-        values.insert(self._newest, guess)
-        self._smoother.update(graph, values, {self._newest: float(self._newest)})
-        self.pose: FloatArray = row_from_pose2(self._smoother.calculateEstimatePose2(self._newest))
-        self.covariance: FloatArray = np.array(self._smoother.marginalCovariance(self._newest))
+        stamps: dict[SupportsInt | SupportsIndex, SupportsFloat | SupportsIndex] = {}
+        if guess is not None:
+            values.insert(self._newest, guess)
+            stamps[self._newest] = float(self._newest)
+        self._smoother.update(graph, values, stamps)
+        estimate = (
+            self._smoother.calculateEstimatePose2 if self._planar else self._smoother.calculateEstimatePose3
+        )
+        return Measured(estimate(self._newest), np.array(self._smoother.marginalCovariance(self._newest)))
+
+
+def squared_sigmas(expected: Measured, found: Measured) -> float:
+    """Squared distance of a measured pose from an expected one, in the standard deviations of both."""
+    step = composed(expected.pose.inverse(), found.pose)
+    offset = gtsam.Pose2.Logmap(step) if isinstance(step, gtsam.Pose2) else gtsam.Pose3.Logmap(step)
+    return float(offset @ np.linalg.solve(expected.covariance + found.covariance, offset))
+
+
+def within(radius_m: float, sigma_m: float) -> float:
+    """Probability that a position with that standard deviation is off by less than a radius (Rayleigh)."""
+    return 1.0 - math.exp(-0.5 * (radius_m / sigma_m) ** 2)
+
+
+def _between(before: int, after: int, step: Measured) -> gtsam.NonlinearFactor:
+    """A factor between two poses."""
+    if isinstance(step.pose, gtsam.Pose2):
+        return gtsam.BetweenFactorPose2(before, after, step.pose, _noise(step))
+    return gtsam.BetweenFactorPose3(before, after, step.pose, _noise(step))
+
+
+def _noise(measured: Measured) -> gtsam.noiseModel.Base:
+    """Noise of a measurement."""
+    return gtsam.noiseModel.Gaussian.Covariance(measured.covariance)

@@ -9,7 +9,7 @@ import numpy as np
 
 from slam.config import Config
 from slam.localization.scan_view import ScanView
-from slam.matching.planar import between
+from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, WheelOdometry
 from slam.odometry import make_lidar_odometry
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
@@ -17,6 +17,8 @@ from slam.odometry.wheel_tracker import WheelTracker
 
 # So many scans in a row that match nothing cut the thread: wheels do not tell that a robot is carried.
 _LOST_SCANS = 3
+# Squared sigmas up to which match and expectation tell the same (three degrees of freedom, 99.9 %).
+_AGREE = 16.0
 # A longer time between two scans is a gap in which anything may have happened.
 _GAP_S = 5.0
 
@@ -52,14 +54,32 @@ class ScanOdometry:
         self._keyframe: TrackedScan | None = None
         self._unmatched = 0
         self._stamp_s = 0.0
+        self._step = np.zeros(3)
 
     def add_wheels(self, reading: WheelOdometry) -> None:
         """Take a wheel reading."""
         if self._wheels is not None:
             self._wheels.add(reading)
 
+    def expected_step(self, stamp_s: float) -> tuple[FloatArray, FloatArray]:
+        """Motion (3,) from the last scan to one at a stamp, with its covariance (3, 3), before it is matched.
+
+        By the wheels; as before, where they say nothing.
+        """
+        step, step_s = self._step, stamp_s - self._stamp_s
+        if self._wheels is not None and self._last is not None and self._last.wheel_pose is not None:
+            now = self._wheels.pose_at(stamp_s)
+            turned = None if now is None else between(self._last.wheel_pose, now)
+            if turned is not None and self._wheels.plausible(turned, step_s):
+                return turned, self._wheels.covariance(turned) * self._tracker.wheel_doubt
+        config = self._config.prediction
+        sigma_m = config.velocity_floor_m + config.velocity_share * math.hypot(step[0], step[1])
+        sigma_rad = config.velocity_floor_rad + config.velocity_share * abs(float(step[2]))
+        return step, np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])
+
     def add(self, view: ScanView) -> OdometryStep:
         """Take a scan."""
+        expected = self.expected_step(view.stamp_s)
         tracked = self._tracker.track(view.points, view.stamp_s)
         last, elapsed_s = self._last, view.stamp_s - self._stamp_s
         self._stamp_s = view.stamp_s
@@ -70,15 +90,13 @@ class ScanOdometry:
         else:
             broken = last is None
         self._last = tracked
-        if last is None:
-            step, covariance = np.zeros(3), np.zeros((3, 3))
-        else:
-            step = between(last.pose, tracked.pose)
-            covariance = self._covariance(step, tracked)
+        self._step, covariance = np.zeros(3), np.zeros((3, 3))
+        if last is not None:
+            self._step, covariance = self._fused(between(last.pose, tracked.pose), tracked, expected)
         if self._moved_on(tracked):
             self._tracker.add_keyframe(view.points, tracked)
             self._keyframe = tracked
-        return OdometryStep(tracked.pose, step, covariance, broken)
+        return OdometryStep(tracked.pose, self._step, covariance, broken)
 
     def _new_tracker(self) -> MotionTracker:
         """A new odometry frame."""
@@ -97,14 +115,19 @@ class ScanOdometry:
         plausible = self._wheels.plausible(between(last.wheel_pose, tracked.wheel_pose), elapsed_s)
         return not plausible or elapsed_s > _GAP_S or self._unmatched >= _LOST_SCANS
 
-    def _covariance(self, step: FloatArray, tracked: TrackedScan) -> FloatArray:
-        """Covariance (3, 3) of a step."""
-        if tracked.motion is not None:
-            return tracked.motion.covariance + tracked.dispute
-        if self._wheels is not None:
-            return self._wheels.covariance(step)
-        lost = self._config.graph
-        return np.diag([lost.lost_sigma_m**2, lost.lost_sigma_m**2, lost.lost_sigma_rad**2])
+    def _fused(
+        self, step: FloatArray, tracked: TrackedScan, expected: tuple[FloatArray, FloatArray]
+    ) -> tuple[FloatArray, FloatArray]:
+        """A step by match and expectation, each by its covariance: wheels tell how long a corridor is."""
+        if tracked.motion is None:
+            return expected
+        matched = tracked.motion.covariance + tracked.dispute
+        offset = between(step, expected[0])
+        both = matched + expected[1]
+        if offset @ np.linalg.solve(both, offset) > _AGREE:
+            return step, matched
+        gain = matched @ np.linalg.inv(both)
+        return compose(step, gain @ offset), matched - gain @ matched
 
     def _moved_on(self, tracked: TrackedScan) -> bool:
         """Whether a scan is far enough from the last keyframe to join the local map."""

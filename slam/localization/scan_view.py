@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from slam.config import Config
 from slam.matching.local_map import OrientedPoints
 from slam.matching.scan_points import ScanPoints, extract_points
-from slam.measurements import AnyFloatArray, FloatArray, LaserScan
+from slam.measurements import AnyFloatArray, BoolArray, FloatArray, LaserScan
 
 Numbers: TypeAlias = NDArray[np.intp]
 
@@ -48,6 +48,11 @@ class ScanView:
     def thinned(self, cell_m: float) -> OrientedPoints:
         """One of the oriented points a cell of that side: near walls do not outvote far ones."""
         return self.where(first_in_cells(self.oriented.points, cell_m)[0])
+
+    def only(self, keep: BoolArray) -> ScanView:
+        """The scan with only some of its returns, (M,)."""
+        points = ScanPoints(self.points.points_base[keep], self.points.normals_base[keep])
+        return ScanView(self.stamp_s, points, OrientedPoints.from_scan(points), self.laser)
 
     def where(self, numbers: Numbers) -> OrientedPoints:
         """Some of the oriented points."""

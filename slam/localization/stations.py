@@ -84,12 +84,11 @@ class StationLog:
         return dropped
 
     def recent_points(self, way_m: float) -> FloatArray:
-        """What the stations of the last ``way_m`` saw, (M, 2) in the base frame of the newest."""
+        """What the stations of the last ``way_m`` saw, (M, 2) in the base frame of the newest: all of it."""
         newest = self.stations[-1]
-        return np.concatenate(
-            [
-                transform_points(station.news.points, between(newest.pose, station.pose))
-                for station in self.stations
-                if newest.way_m - station.way_m <= way_m
-            ]
-        )
+        before = [
+            transform_points(station.news.points, between(newest.pose, station.pose))
+            for station in self.stations[:-1]
+            if newest.way_m - station.way_m < way_m
+        ]
+        return np.concatenate([newest.view.points.points_base.astype(np.float64), *before])
