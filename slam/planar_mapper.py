@@ -64,7 +64,8 @@ class PlanarMapper:
         self._marks: CameraMarks = {}
         self._keyframe_marks: CameraMarks = {}
         self._scan_stamp_s = -np.inf
-        self._keyframe_stamp_s = 0.0
+        self._keyframe_stamps: list[float] = []
+        self._camera_doubts: list[tuple[float, FloatArray]] = []
         self._keyframe_scans: list[LaserScan | None] = []
         self._registrations: Mapping[str, ColorRegistration] = {}
         self._travelled_m = 0.0
@@ -83,6 +84,7 @@ class PlanarMapper:
         if self._wheels is None:
             self._readings.add_wheel(reading.stamp_s, None)
             return
+        self._cameras.note_wheel_turn(reading.stamp_s, reading.T_odom_base.theta())
         self._wheels.add(reading)
         self._readings.add_wheel(reading.stamp_s, row_from_pose2(reading.T_odom_base))
 
@@ -105,9 +107,10 @@ class PlanarMapper:
         if self._config.sensors.lidar and np.isneginf(self._scan_stamp_s):
             # The lidar is about to begin: without a scan the first keyframe would leave it nothing to match.
             self._scan_stamp_s = frame.stamp_s
-        silent = frame.stamp_s - self._scan_stamp_s > self._config.sensors.lidar_silent_s
-        if silent and self._cameras.leads(frame.frame.sensor, frame.stamp_s):
-            self._add_moment(frame.stamp_s, None, None, started)
+        stamp_s = self._cameras.robot_stamp_s(frame)
+        silent = stamp_s - self._scan_stamp_s > self._config.sensors.lidar_silent_s
+        if silent and self._cameras.leads(frame.frame.sensor, stamp_s):
+            self._add_moment(stamp_s, None, None, started)
 
     def _add_moment(
         self, stamp_s: float, scan: LaserScan | None, points: ScanPoints | None, started: float
@@ -117,6 +120,8 @@ class PlanarMapper:
         steps = [step.planar for step in self._cameras.steps(self._marks, marks) if step.planar is not None]
         agreed = agreed_motion(steps)
         tracked = self._tracker.track(points, stamp_s, agreed)
+        if scan is not None and tracked.sure:
+            self._cameras.note_scan_turn(stamp_s, tracked.pose[2])
         self._marks = marks
         sure = tracked.sure if scan is not None else agreed is not None
         self._readings.add_scan(stamp_s, tracked.pose, tracked.wheel_pose, sure=sure)
@@ -136,6 +141,7 @@ class PlanarMapper:
     def finish(self) -> MapResult:
         """Optimise everything, give every reading its pose, and draw the grid."""
         clock = [time.perf_counter()]
+        self._settle_cameras()
         for source, target, motion in self._cameras.learned_steps():
             self._graph.add_camera_step(source, target, Step(motion.motion, motion.covariance))
         outcome = self._graph.optimize(self._config.loops.inlier_probability)
@@ -198,9 +204,9 @@ class PlanarMapper:
                 matched = row_from_pose2(tracked.motion.T_reference_base)
                 covariance = tracked.motion.covariance + tracked.dispute
                 match = Step(between(self._last_keyframe.pose, matched), covariance)
-            wheels = self._wheel_step(self._last_keyframe, tracked, stamp_s - self._keyframe_stamp_s)
+            wheels = self._wheel_step(self._last_keyframe, tracked, stamp_s - self._keyframe_stamps[-1])
             moved = self._cameras.steps(self._keyframe_marks, self._marks)
-            cameras = self._camera_steps(moved, tracked)
+            cameras = self._camera_steps(moved, self._tracker.camera_doubt, tracked.dispute)
             outvoted, cameras = vote(match, wheels, cameras)
             doubtful = outvoted or self._doubtful(tracked)
             key = self._graph.add_keyframe(step, match, wheels, cameras, match_doubtful=doubtful)
@@ -213,7 +219,8 @@ class PlanarMapper:
         self._keyframe_scans.append(scan)
         if self._fusion is not None and scan is not None:
             self._fusion.add(key, scan, self._cameras.pictures(self._marks))
-        self._keyframe_stamp_s = stamp_s
+        self._keyframe_stamps.append(stamp_s)
+        self._camera_doubts.append((self._tracker.camera_doubt, tracked.dispute))
         self._keyframe_marks = self._marks
         self._last_keyframe = tracked
         return key
@@ -227,14 +234,22 @@ class PlanarMapper:
         poses = self._graph.poses() if alone else None
         return self._places.add(key, seen.frame, seen.T_base_camera, registration, poses)
 
-    def _camera_steps(self, moved: list[CameraStep], tracked: TrackedScan) -> list[Step]:
+    def _camera_steps(self, moved: list[CameraStep], doubt: float, dispute: FloatArray) -> list[Step]:
         """The edges of cameras whose mounting is given; learned ones wait for its last estimate."""
-        doubt = self._tracker.camera_doubt
         return [
-            Step(step.planar.motion, step.planar.covariance * doubt + tracked.dispute)
+            Step(step.planar.motion, step.planar.covariance * doubt + dispute, step.camera)
             for step in moved
             if step.planar is not None and not self._cameras.is_learned(step.camera)
         ]
+
+    def _settle_cameras(self) -> None:
+        """Say anew how each camera moved: by its clock as the whole run tells it, between frames."""
+        self._cameras.settle_clocks()
+        for key, names in self._graph.camera_steps().items():
+            before, after = (self._cameras.marks(self._keyframe_stamps[n]) for n in (key - 1, key))
+            for step in self._camera_steps(self._cameras.steps(before, after), *self._camera_doubts[key]):
+                if step.camera in names:
+                    self._graph.replace_camera_step(key, step)
 
     def _doubtful(self, tracked: TrackedScan) -> bool:
         """Whether a match was contradicted, or too few points agree with it."""

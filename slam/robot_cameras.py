@@ -13,7 +13,9 @@ from slam.config_stages import RgbdOdometryConfig, SensorsConfig
 from slam.graph.keyframe_graph import Step
 from slam.measurements import FloatArray
 from slam.mount_learner import KeyframeStep, LearnedMounting, MountLearner
-from slam.odometry.camera_odometry import CameraOdometry, CameraPose, camera_step
+from slam.odometry.camera_clock import CameraClock, ClockLearner, YawRates
+from slam.odometry.camera_odometry import CameraOdometry, camera_step
+from slam.odometry.camera_track import CameraPose
 from slam.scan_record import CameraRecord, ScanRecorder
 from slam.vision.camera_frame import T_BODY_CAMERA
 from slam.vision.color_registration import ColorRegistration
@@ -26,16 +28,34 @@ CameraMarks = Mapping[str, CameraPose | None]
 
 @dataclass(slots=True)
 class RobotCamera:
-    """One camera: its odometry, its mounting, what became of its frames, and what it was refused for."""
+    """One camera: its odometry, its mounting and clock, what became of its frames, and its refusals."""
 
     odometry: CameraOdometry
     T_base_camera: gtsam.Pose3 | None
     newest: PreparedFrame | None = None
     newest_pose: gtsam.Pose3 | None = None
     learner: MountLearner | None = None
+    clocks: ClockLearner = field(default_factory=ClockLearner)
     record: ScanRecorder = field(default_factory=ScanRecorder)
     steps: int = 0
     refused_steps: int = 0
+
+    @property
+    def clock(self) -> CameraClock:
+        """The clock as far as it is known."""
+        return self.clocks.clock
+
+    def at(self, stamp_s: float) -> CameraPose | None:
+        """Where the camera was when the robot's clock showed a stamp."""
+        return self.odometry.track.at(stamp_s + self.clock.offset_s, self.clock.sigma_s)
+
+    def note_turn(self) -> None:
+        """Take down how fast the newest frames say that the robot turned."""
+        motion = self.odometry.track.newest_motion()
+        if motion is None or self.T_base_camera is None:
+            return
+        stamp_s, twist = motion
+        self.clocks.rates.add_rate(stamp_s, float(self.T_base_camera.rotation().rotate(twist[:3])[2]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +84,8 @@ class RobotCameras:
     sensors: SensorsConfig
     mountings: Mapping[str, LearnedMounting] = field(default_factory=dict)
     cameras: dict[str, RobotCamera] = field(default_factory=dict)
+    scan_turns: YawRates = field(default_factory=YawRates)
+    wheel_turns: YawRates = field(default_factory=YawRates)
     answers: Answers = COMPUTED
 
     def add(self, frame: PreparedFrame) -> None:
@@ -83,19 +105,43 @@ class RobotCameras:
         camera = self.cameras[name]
         tracked = camera.odometry.add(frame)
         camera.newest, camera.newest_pose = frame, tracked.pose
+        camera.note_turn()
+        camera.clocks.learn(self._turns())
         motion = None if tracked.match is None else tracked.match.motion
         camera.record.add(frame.stamp_s, motion, time.perf_counter() - started, tracked.match)
 
+    def note_scan_turn(self, stamp_s: float, yaw_rad: float) -> None:
+        """Take a heading that a scan told."""
+        self.scan_turns.add(stamp_s, yaw_rad)
+
+    def note_wheel_turn(self, stamp_s: float, yaw_rad: float) -> None:
+        """Take a heading that the wheels told."""
+        self.wheel_turns.add(stamp_s, yaw_rad)
+
+    def _turns(self) -> YawRates:
+        """The rates of the robot's own clock: the lidar's where there is one, else the wheels'."""
+        return self.scan_turns if len(self.scan_turns) else self.wheel_turns
+
+    def settle_clocks(self) -> None:
+        """Estimate every clock from the whole run."""
+        for camera in self.cameras.values():
+            camera.clocks.learn(self._turns(), final=True)
+
+    def robot_stamp_s(self, frame: PreparedFrame) -> float:
+        """What the robot's clock showed when a frame was taken."""
+        camera = self.cameras.get(frame.frame.sensor)
+        return frame.stamp_s if camera is None else frame.stamp_s - camera.clock.offset_s
+
     def marks(self, stamp_s: float) -> CameraMarks:
-        """Where every camera was at a stamp."""
-        return {name: camera.odometry.at(stamp_s) for name, camera in self.cameras.items()}
+        """Where every camera was at a stamp of the robot's clock."""
+        return {name: camera.at(stamp_s) for name, camera in self.cameras.items()}
 
     def leads(self, name: str, stamp_s: float) -> bool:
         """Whether a camera is the first that knows where it is; the first of all where none does."""
         knowing = [
             other
             for other, camera in self.cameras.items()
-            if camera.T_base_camera is not None and camera.odometry.at(stamp_s) is not None
+            if camera.T_base_camera is not None and camera.at(stamp_s) is not None
         ]
         return name == (knowing or list(self.cameras))[0]
 
@@ -191,10 +237,16 @@ class RobotCameras:
         }
 
     def notes(self) -> list[str]:
-        """The mountings that were learned."""
+        """The mountings and the clocks that were learned."""
         cameras = self.cameras.items()
         learning = [camera.learner.note(name) for name, camera in cameras if camera.learner is not None]
-        return [mounting.note for mounting in self.mountings.values()] + learning
+        clocks = [
+            f"{name}: its clock is {1e3 * camera.clock.offset_s:+.0f} +- {1e3 * camera.clock.sigma_s:.0f} ms "
+            f"against the {'lidar' if len(self.scan_turns) else 'wheels'}'s"
+            for name, camera in cameras
+            if camera.clock.known
+        ]
+        return [mounting.note for mounting in self.mountings.values()] + learning + clocks
 
     def warnings(self) -> list[str]:
         """What a person should know, one line a camera that failed often."""

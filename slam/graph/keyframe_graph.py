@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import gtsam
@@ -17,10 +18,11 @@ from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
 
 
 class Step(NamedTuple):
-    """A measured motion (3,) from one keyframe to the next, with its covariance (3, 3)."""
+    """Motion (3,) from one keyframe to the next, its covariance (3, 3), and the camera that measured it."""
 
     motion: FloatArray
     covariance: FloatArray
+    camera: str = ""
 
 
 class KeyframeGraph:
@@ -33,6 +35,7 @@ class KeyframeGraph:
         self._config = config
         self._poses = np.zeros((64, 3))
         self._loop_of_edge: dict[int, int] = {}
+        self._camera_edges: dict[tuple[int, str], int] = {}
         self._loop_waits = False
         self.uncertainty.add_node()
 
@@ -84,6 +87,7 @@ class KeyframeGraph:
         if wheels is not None:
             self._add_step(key, wheels, EdgeKind.WHEEL, trusted=match is None)
         for camera in cameras:
+            self._camera_edges[key, camera.camera] = len(self.graph.edges)
             self._add_step(key, camera, EdgeKind.RGBD, trusted=False)
         if match is None and wheels is None:
             # Someone who walks before the camera takes it along: it may be overruled, and then this holds.
@@ -95,6 +99,21 @@ class KeyframeGraph:
         """A camera's motion between two keyframes that are there, learned of later."""
         self._add_edge(
             Edge(source, target, pose2_from_row(step.motion), step.covariance, EdgeKind.RGBD, trusted=False)
+        )
+
+    def camera_steps(self) -> dict[int, set[str]]:
+        """Keyframes, and the cameras that told the step to each when it was new."""
+        found: dict[int, set[str]] = {}
+        for key, camera in self._camera_edges:
+            found.setdefault(key, set()).add(camera)
+        return found
+
+    def replace_camera_step(self, key: int, step: Step) -> None:
+        """What a camera says now of the step to a keyframe, before the final optimisation."""
+        number = self._camera_edges[key, step.camera]
+        edge = self.graph.edges[number]
+        self.graph.edges[number] = replace(
+            edge, T_source_target=pose2_from_row(step.motion), covariance=step.covariance
         )
 
     def add_loop(self, candidate: LoopCandidate) -> None:
