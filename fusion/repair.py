@@ -27,8 +27,13 @@ MEASURED, FILLED, INTERPOLATED, HOLE, AVERAGED = (np.uint8(kind) for kind in Pro
 ProvenanceArray = NDArray[np.uint8]
 
 _JUTS, _LEAST_JUT_M = 3.0, 0.05
-_BESIDE, _BESIDE_SLOPE = 3, 0.01  # beams that must lie nearer to the surface, and what a slant adds
+_BESIDE, _BESIDE_SLOPE = 3, 0.03  # beams that must lie nearer to the surface, and what noise and slant add
 _NEAR_SAMPLES = 2  # readings of the other sensor this far aside may still be of the same surface
+_MOST_MEAN_M = 0.05  # a mean of two sensors moves no reading farther
+_LEAST_APART_M, _APART_EPS, _FAR_M = 0.03, 0.8, 2.5  # see `_apart_m`
+_RIM_M, _RIM_EPS = 0.05, 2.0  # step between two samples of one surface that the camera sees
+_THIN_SAMPLES = 5  # widest surface of which both rims are compared
+_FLAT_SAMPLES, _FLAT_SHARE = 4, 0.03  # readings on either side of a lone hole, and how near to one line
 
 
 @numba.njit(cache=True)
@@ -70,11 +75,13 @@ def repair_lidar(
             source[i] = HOLE
             if not np.isnan(other[i]):
                 result[i], source[i] = other[i], FILLED
-        elif abs(own[i] - other[i]) <= eps_share * own[i]:
+        elif abs(own[i] - other[i]) <= min(eps_share * own[i], _MOST_MEAN_M / max(trust_other, 1e-3)):
             result[i] = own[i] + trust_other * (other[i] - own[i])
             source[i] = AVERAGED
-    _drop_burrs(own, other, eps_share, burr_samples, result, source)
+    _drop_bumps(own, other, eps_share, burr_samples, result, source)
+    _drop_veil(own, other, eps_share, result, source)
     _bridge(result, other, source, gap_samples, eps_share)
+    _bridge_lone(result, source)
     return result, source
 
 
@@ -94,7 +101,7 @@ def calm(ranges: Float32Array, steady: Float32Array, source: ProvenanceArray, no
             continue
         # Two in a row may be what is seen past an edge, and so may the last one before a jump; where its
         # neighbours jut too there is a corner.
-        alone = max(own[i - 1] - steady[i - 1], own[i + 1] - steady[i + 1]) < 0.5 * jut
+        alone = max(own[i - 1] - steady[i - 1], own[i + 1] - steady[i + 1]) < 0.7 * jut
         for j in range(max(0, i - _BESIDE), min(own.size, i + _BESIDE + 1)):
             alone = alone and (j == i or abs(own[j] - steady[i]) < 0.7 * jut + _BESIDE_SLOPE * own[i])
         if alone:
@@ -102,7 +109,7 @@ def calm(ranges: Float32Array, steady: Float32Array, source: ProvenanceArray, no
 
 
 @numba.njit(cache=True)
-def _drop_burrs(
+def _drop_bumps(
     own: Float32Array,
     other: Float32Array,
     eps_share: float,
@@ -110,25 +117,93 @@ def _drop_burrs(
     result: Float32Array,
     source: ProvenanceArray,
 ) -> None:
-    """Replace what only this sensor says, and its own neighbours do not support; in place."""
-    first = 0
-    while first < own.size:
+    """Put short runs behind a surface, which is whole on both sides and for the other sensor, on to it."""
+    first = 1
+    while first < own.size - 1:
         if not _odd(own, other, first, eps_share):
             first += 1
             continue
         last = first
         while last + 1 < own.size and _odd(own, other, last + 1, eps_share):
             last += 1
-        if last - first < burr_samples:
-            held = first > 0 and last + 1 < own.size and not np.isnan(own[first - 1] + own[last + 1])
-            sure = held and (
+        if last - first < burr_samples and last + 1 < own.size:
+            left, right = own[first - 1], own[last + 1]
+            one = abs(left - right) <= 0.1 + 2.0 * eps_share * min(left, right)  # false for nan
+            if one and (
                 _agrees(own, other, first - 1, eps_share) or _agrees(own, other, last + 1, eps_share)
-            )
-            for i in range(first, last + 1):
-                behind = sure and own[i] > other[i] and _explained(own, i, first, last, eps_share)
-                if behind or _flies(own, i, first, last, eps_share):
-                    result[i], source[i] = other[i], FILLED
+            ):
+                for i in range(first, last + 1):
+                    if own[i] > other[i] + _apart_m(own[i], eps_share):
+                        result[i], source[i] = other[i], FILLED
         first = last + 1
+
+
+@numba.njit(cache=True)
+def _drop_veil(
+    own: Float32Array,
+    other: Float32Array,
+    eps_share: float,
+    result: Float32Array,
+    source: ProvenanceArray,
+) -> None:
+    """Replace single readings that hang in the air between a nearer surface and a farther one; in place.
+
+    A beam on an edge returns a mean of both. A thin thing looks the same where it stands before neither, so
+    what replaces it must be sure: the other sensor sees none of it within two samples, and next to it both
+    see one surface that reaches over this beam. A thing before both of its neighbours is never touched.
+    """
+    for i in range(2, own.size - 2):
+        if source[i] != MEASURED or np.isnan(other[i]) or not _hangs(own, i, _apart_m(own[i], eps_share)):
+            continue
+        if not _odd(own, other, i, eps_share):
+            continue
+        rim = _RIM_M + _RIM_EPS * eps_share * other[i]
+        left = abs(other[i - 1] - other[i]) <= rim
+        right = abs(other[i + 1] - other[i]) <= rim
+        sure = (left and _agrees(own, other, i - 1, eps_share)) or (
+            right and _agrees(own, other, i + 1, eps_share)
+        )
+        if sure and left != right:
+            sure = not _moved(own, other, i, -1 if left else 1, rim, eps_share)
+        if sure:
+            result[i], source[i] = other[i], FILLED
+
+
+@numba.njit(cache=True)
+def _apart_m(range_m: float, eps_share: float) -> float:
+    """What two readings of one surface may differ by: a lidar's noise grows faster than the range far out."""
+    return max(_LEAST_APART_M, _APART_EPS * eps_share * range_m * max(1.0, range_m / _FAR_M))
+
+
+@numba.njit(cache=True)
+def _hangs(own: Float32Array, i: int, slack_m: float) -> bool:
+    """Whether there is a nearer and a farther reading within two beams, and none that is as far."""
+    nearer = farther = False
+    for j in range(i - 2, i + 3):
+        if j == i:
+            continue
+        if abs(own[j] - own[i]) <= slack_m:
+            return False
+        nearer = nearer or own[j] < own[i]
+        farther = farther or own[j] > own[i]
+    return nearer and farther
+
+
+@numba.njit(cache=True)
+def _moved(
+    own: Float32Array, other: Float32Array, i: int, inward: int, rim_m: float, eps_share: float
+) -> bool:
+    """Whether the other sensor sees a thin surface aside of where this one does: its rims tell nothing then.
+
+    Sample i is its last on one side; ``inward`` is the step to the others.
+    """
+    j = i
+    while 0 < j < own.size - 1 and abs(j - i) <= _THIN_SAMPLES and abs(other[j + inward] - other[j]) <= rim_m:
+        j += inward
+    if not (0 < j < own.size - 1 and abs(j - i) <= _THIN_SAMPLES):
+        return False
+    beyond = own[j + inward]
+    return _agrees(own, other, j, eps_share) and abs(beyond - other[j]) <= 1.5 * eps_share * other[j]
 
 
 @numba.njit(cache=True)
@@ -143,35 +218,9 @@ def _odd(own: Float32Array, other: Float32Array, i: int, eps_share: float) -> bo
 
 
 @numba.njit(cache=True)
-def _explained(own: Float32Array, i: int, first: int, last: int, eps_share: float) -> bool:
-    """Whether a reading behind the other sensor's can be a burr: light by a detour, or a flight at an edge.
-
-    What lies behind both of its neighbours, and these are two surfaces, is seen through the gap between.
-    """
-    left, right = own[first - 1], own[last + 1]
-    one = abs(left - right) <= 0.1 + 2.0 * eps_share * min(left, right)
-    return one or own[i] <= max(left, right)
-
-
-@numba.njit(cache=True)
 def _agrees(own: Float32Array, other: Float32Array, i: int, eps_share: float) -> bool:
     """Whether both have the same reading there."""
     return 0 <= i < own.size and abs(own[i] - other[i]) <= 1.5 * eps_share * own[i]
-
-
-@numba.njit(cache=True)
-def _flies(own: Float32Array, i: int, first: int, last: int, eps_share: float) -> bool:
-    """A reading nearer than the other sensor's is a burr only between a nearer thing and what is behind.
-
-    The nearer thing keeps readings of its own then; a thin leg has none nearer beside it, and is kept.
-    """
-    slack = eps_share * own[i]
-    nearer = farther = False
-    for j in range(max(0, first - 2), min(own.size, last + 3)):
-        if j < first or j > last:
-            nearer = nearer or own[j] < own[i] - slack
-            farther = farther or own[j] > own[i] + slack
-    return nearer and farther
 
 
 @numba.njit(cache=True)
@@ -196,3 +245,31 @@ def _bridge(
                     result[k] = 1.0 / ((1.0 - share) / result[before] + share / result[i])
                     source[k] = INTERPOLATED
         before = i
+
+
+@numba.njit(cache=True)
+def _bridge_lone(result: Float32Array, source: ProvenanceArray) -> None:
+    """Interpolate single holes in both where the readings on either side lie on one line; in place."""
+    for i in range(_FLAT_SAMPLES, result.size - _FLAT_SAMPLES):
+        if source[i] != HOLE:
+            continue
+        left, right = _line_at(result, source, i, -1), _line_at(result, source, i, 1)
+        if abs(left - right) <= _FLAT_SHARE * min(left, right):  # false for nan
+            result[i], source[i] = 2.0 / (1.0 / left + 1.0 / right), INTERPOLATED
+
+
+@numba.njit(cache=True)
+def _line_at(ranges: Float32Array, source: ProvenanceArray, i: int, step: int) -> float:
+    """Range at a sample of the line through those next to it on one side; ``nan`` where they make none."""
+    n, sx, sy, sxx, sxy = float(_FLAT_SAMPLES), 0.0, 0.0, 0.0, 0.0
+    for k in range(1, _FLAT_SAMPLES + 1):
+        if source[i + k * step] == HOLE:
+            return np.nan
+        y = 1.0 / ranges[i + k * step]  # a straight wall is straight in one over the range
+        sx, sy, sxx, sxy = sx + k, sy + y, sxx + k * k, sxy + k * y
+    slope = (n * sxy - sx * sy) / (n * sxx - sx * sx)
+    start = (sy - slope * sx) / n
+    for k in range(1, _FLAT_SAMPLES + 1):
+        if not abs((start + slope * k) * ranges[i + k * step] - 1.0) <= _FLAT_SHARE:
+            return np.nan
+    return 1.0 / start if start > 0.0 else np.nan

@@ -15,6 +15,7 @@ from slam.simulation.true_grid import TrueGrid
 
 RESOLUTION_M = 0.05
 NEAR_CELLS = 1  # a wall is met, and an occupied cell is right, within this many cells
+_MARGIN_CELLS = 20  # about the true grid, which ends with the outer walls: what is near them lies outside too
 _OCCUPIED = 100
 
 
@@ -61,9 +62,10 @@ class DriveMaps:
 def _score(grid: OccupancyGrid, truth: TrueGrid, ends: NDArray[np.float64]) -> MapScore:
     """Both grids are laid on one lattice through the map's origin."""
     states = grid.states()
-    shape = truth.occupied.shape
+    walls = np.pad(truth.occupied, _MARGIN_CELLS)
+    shape, origin_xy = walls.shape, np.array(truth.origin_xy) - _MARGIN_CELLS * RESOLUTION_M
     offset = np.round(
-        (np.array([grid.T_map_grid.x(), grid.T_map_grid.y()]) - truth.origin_xy) / RESOLUTION_M
+        (np.array([grid.T_map_grid.x(), grid.T_map_grid.y()]) - origin_xy) / RESOLUTION_M
     ).astype(int)
     row, col = np.nonzero(states == _OCCUPIED)
     row, col = row + offset[1], col + offset[0]
@@ -71,9 +73,9 @@ def _score(grid: OccupancyGrid, truth: TrueGrid, ends: NDArray[np.float64]) -> M
     occupied = np.zeros(shape, dtype=bool)
     occupied[row[inside], col[inside]] = True
     around = np.ones((2 * NEAR_CELLS + 1,) * 2, dtype=bool)
-    near_wall = ndimage.binary_dilation(truth.occupied, around)
+    near_wall = ndimage.binary_dilation(walls, around)
     wrong = np.count_nonzero(occupied & ~near_wall) + np.count_nonzero(~inside)
-    cells = np.floor((ends - truth.origin_xy) / RESOLUTION_M + 1e-6).astype(int)
+    cells = np.floor((ends - origin_xy) / RESOLUTION_M + 1e-6).astype(int)
     cells = cells.clip(0, np.array(shape[::-1]) - 1)
     wanted = np.zeros(shape, dtype=bool)
     wanted[cells[:, 1], cells[:, 0]] = True

@@ -80,6 +80,7 @@ def _score_lidar(pair: TruePair, repaired: fusion.Denoised, tally: Tally) -> Non
         burr = (fault == kind) & (before > VISIBLE_M) & seen
         tally.add(f"lidar_{kind.name.lower()}", replaced[burr])
         tally.add("lidar_burr", replaced[burr])
+        tally.add("lidar_burr_nearer", (replaced & (error < before))[burr])
         tally.add("lidar_burr_error", error[burr & replaced])
     good = (fault == Fault.NONE) & np.isfinite(own)
     tally.add("lidar_worse", (changed & (error > before + WORSE_M))[good])
@@ -119,6 +120,7 @@ def _score_image(
         burr = (fault[on] == kind) & (before[on] > VISIBLE_M) & (given[on] > 0.0)
         tally.add(f"depth_{kind.name.lower()}", changed[on][burr])
         tally.add("depth_burr", changed[on][burr])
+        tally.add("depth_burr_nearer", (changed & (error < before))[on][burr])
         tally.add("depth_burr_error", error[on][burr & changed[on]])
     # All that was touched is counted, but only what could be touched is in the denominator.
     good = (fault == Fault.NONE) & (given > 0.0) & (((above >= band_m[0]) & (above <= band_m[1])) | changed)
