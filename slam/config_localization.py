@@ -50,6 +50,9 @@ class LocalizationConfig(StrictModel):
     carried_nats: float = Field(
         default=4.0, description="evidence that a lost robot is where dead reckoning takes it"
     )
+    looks_nats: float = Field(
+        default=4.0, description="evidence of a camera that recognised a place, where a lidar has its say too"
+    )
     sure_probability: float = Field(
         default=0.98, gt=0.5, lt=1, description="posterior at which a hypothesis wins"
     )

@@ -107,6 +107,20 @@ class HypothesisSet:
             self._search()
         self._prune()
 
+    def propose(self, pose: FloatArray, odometry_pose: FloatArray) -> None:
+        """Take in a pose (3,) in the map that something else has found.
+
+        Parameters
+        ----------
+        odometry_pose
+            (3,) of the robot at that moment, in the odometry frame.
+        """
+        if not self._log.stations:
+            return
+        station = self._log.stations[-1]
+        self._take_in(compose(pose, between(odometry_pose, station.pose)), self._config.looks_nats)
+        self._prune()
+
     def probabilities(self) -> FloatArray:
         """Posterior of each hypothesis; what is left to one is that of being nowhere in the map."""
         config = self._config
@@ -156,22 +170,28 @@ class HypothesisSet:
             config.hypotheses,
             config.search_threads,
         )
-        stations = self._log.stations
         for place in places:
-            member = Hypothesis(place.pose, [], None)
-            self._settle(member, stations[-1], place.pose)
-            if any(_same(member.pose, other.pose) for other in self.members):
-                continue
-            way = [
-                self._matcher.weigh(
-                    compose(member.pose, between(stations[-1].pose, station.pose)),
-                    station.view.laser,
-                    station.news,
-                )
-                for station in stations[:-1]
-            ]
-            member.evidence = way + member.evidence
-            self.members.append(member)
+            self._take_in(place.pose, 0.0)
+
+    def _take_in(self, pose: FloatArray, prior: float) -> None:
+        """Weigh a pose (3,) at the newest station by all stations, unless it is known already."""
+        stations = self._log.stations
+        member = Hypothesis(pose, [], None, prior)
+        self._settle(member, stations[-1], pose)
+        for other in self.members:
+            if _same(member.pose, other.pose):
+                other.prior = max(other.prior, prior)
+                return
+        way = [
+            self._matcher.weigh(
+                compose(member.pose, between(stations[-1].pose, station.pose)),
+                station.view.laser,
+                station.news,
+            )
+            for station in stations[:-1]
+        ]
+        member.evidence = way + member.evidence
+        self.members.append(member)
 
     def _prune(self) -> None:
         """Drop what has become another's double, is hopeless, or is beyond the number that is carried."""

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from slam.config import Config
-from slam.localization.body import Measured
+from slam.localization.body import Body, Measured
 from slam.localization.hypotheses import Hypothesis, HypothesisSet
 from slam.localization.known_map import KnownMap, Walls
 from slam.localization.loss_test import LossTest
@@ -17,6 +17,7 @@ from slam.localization.output import LocalizerOutput, PoseHypothesis, RecoveredP
 from slam.localization.pose_smoother import PoseSmoother, squared_sigmas, within
 from slam.localization.scan_odometry import OdometryStep, ScanOdometry
 from slam.localization.scan_view import ScanView
+from slam.localization.visual_locator import VisualLocator
 from slam.matching.planar import between, compose
 from slam.measurements import (
     FloatArray,
@@ -26,9 +27,12 @@ from slam.measurements import (
     pose2_from_row,
     row_from_pose2,
 )
+from slam.vision.prepared_frame import PreparedFrame
 
 # Sigmas of a pose that was found where nothing could be aligned: the cell of the search.
 _FOUND_SIGMAS = np.array([0.1, 0.1, 0.05])
+# What a scan and a frame differ by though both are right: clocks, and the motion between them.
+_BETWEEN_SENSORS = np.array([0.03, 0.03, 0.02])
 # Dead reckoning is right while it is off by less than this.
 _RIGHT_M = 0.25
 # Hypotheses that are told.
@@ -49,6 +53,8 @@ class PlanarLocalizer:
         self._state = State.SEARCHING
         self._smoother: PoseSmoother | None = None
         self._untold: list[tuple[float, FloatArray]] = []
+        self._odometry_pose: FloatArray | None = None
+        self._looked_at: FloatArray | None = None
 
     def add_odometry(self, reading: WheelOdometry) -> None:
         """Take a wheel reading."""
@@ -58,7 +64,9 @@ class PlanarLocalizer:
         """Take a scan."""
         view = ScanView.of(scan, self._settings)
         step = self._odometry.add(self._without_strangers(view))
+        self._odometry_pose = step.pose
         if step.broken:
+            self._looked_at = None
             self._set.clear()
             self._untold.clear()
             # Not even dead reckoning leads on from the last pose.
@@ -70,6 +78,36 @@ class PlanarLocalizer:
         else:
             support, recovered = self._search(view, step)
         return self._output(view.stamp_s, support, recovered)
+
+    def add_frame(self, frame: PreparedFrame, locator: VisualLocator, body: Body) -> None:
+        """Let a camera help: it proposes places while one is sought, and holds the pose while it is tracked.
+
+        It is asked where the robot has moved on since it was asked last: that is as much as it can tell anew.
+        """
+        if self._odometry_pose is None or not self._frames_due():
+            return
+        self._looked_at = self._odometry_pose
+        if self._state is State.TRACKING and self._smoother is not None:
+            newest = self._smoother.newest
+            match = locator.near(frame, body.camera_of(newest.pose))
+            seen = None if match is None else body.of_camera(match.pose, match.motion.covariance)
+            if seen is not None:
+                seen = Measured(seen.pose, seen.covariance + np.diag(_BETWEEN_SENSORS**2))
+                if squared_sigmas(newest, seen) <= self._config.gate_sigmas**2:
+                    self._smoother.add_seen(seen)
+            return
+        for match in locator.anywhere(frame):
+            seen = body.of_camera(match.pose, match.motion.covariance)
+            if seen is not None:
+                self._set.propose(row_from_pose2(seen.pose), self._odometry_pose)
+
+    def _frames_due(self) -> bool:
+        """Whether the robot has moved on since the camera was asked."""
+        if self._looked_at is None or self._odometry_pose is None:
+            return True
+        step = between(self._looked_at, self._odometry_pose)
+        moved_m, turned_rad = math.hypot(step[0], step[1]), abs(float(step[2]))
+        return moved_m >= self._config.station_m or turned_rad >= self._config.station_rad
 
     def _without_strangers(self, view: ScanView) -> ScanView:
         """A scan without people, as far as a tracked pose can tell."""

@@ -49,18 +49,23 @@ class VisualLocator:
 
     def near(self, frame: PreparedFrame, guess: gtsam.Pose3) -> VisualMatch | None:
         """``T_map_camera`` from a guess; None where no keyframe sees the same, or it does not fit."""
-        local = self._alike(frame, guess)
+        local = [self._keyframe(key) for key in self._alike(frame, guess)]
         match = self._matcher.match(frame, local, guess) if local else None
         return match if match is not None and self._is_sure(match) else None
 
-    def _alike(self, frame: PreparedFrame, guess: gtsam.Pose3) -> list[VisualKeyframe]:
+    def should_see(self, frame: PreparedFrame, guess: gtsam.Pose3) -> bool:
+        """Whether a camera at the guess would see what a keyframe saw."""
+        return bool(self._alike(frame, guess))
+
+    def _alike(self, frame: PreparedFrame, guess: gtsam.Pose3) -> list[int]:
         """Keyframes whose cameras see most nearly the same as one at the guess, best first."""
         far = np.linalg.norm(self._positions - guess.translation(), axis=1) / frame.median_depth_m
         facing = self._axes @ guess.rotation().matrix()[:, 2]
-        possible = np.flatnonzero((far < self._loops.near_unlikeness) & (facing > 0.5)).tolist()
-        scores = [unlikeness(self._poses[key], guess, frame.median_depth_m) for key in possible]
-        order = np.argsort(scores, kind="stable")[: self._views]
-        return [self._keyframe(possible[n]) for n in order if scores[n] < self._loops.near_unlikeness]
+        limit = self._loops.near_unlikeness
+        possible = np.flatnonzero((far < limit) & (facing > 0.5)).tolist()
+        scores = {key: unlikeness(self._poses[key], guess, frame.median_depth_m) for key in possible}
+        near = sorted((key for key in possible if scores[key] < limit), key=lambda key: scores[key])
+        return near[: self._views]
 
     def _keyframe(self, key: int) -> VisualKeyframe:
         """A keyframe with its images, where it stands in the map."""
