@@ -25,5 +25,9 @@ class MapFileError(ScanweaveError):
     """A saved map, grid, graph or trajectory file that is damaged or in another format."""
 
 
+class UnfinishedMapError(MapFileError):
+    """A map whose run was interrupted, or still goes on."""
+
+
 class EvaluationError(ScanweaveError):
     """A reference that does not fit the trajectory it should score."""

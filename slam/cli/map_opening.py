@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from slam.errors import DatasetError, MapFileError
+from slam.errors import DatasetError, MapFileError, UnfinishedMapError
 from slam.storage.map_file import MAP_NAME, MapFile
 from slam.storage.map_identity import MapIdentity
 
@@ -81,6 +81,8 @@ def left_unfinished(path: Path) -> bool:
         return False
     try:
         MapFile.read(path).close()
-    except MapFileError as error:
-        return "is not finished" in str(error)
+    except UnfinishedMapError:
+        return True
+    except MapFileError:
+        return False
     return False

@@ -10,19 +10,26 @@ from typing import Any
 import numpy as np
 
 from slam.config import Config
+from slam.errors import MapFileError, UnfinishedMapError
 from slam.mapping.occupancy_grid import FREE, OCCUPIED
+from slam.storage.map_file import MapFile, map_path
+from slam.storage.map_identity import MapIdentity
+from slam.storage.map_tables import FRAMES
 from slam.storage.saved_map import SavedMap, open_saved_map
 
 
 def map_info(path: Path) -> dict[str, Any]:
-    """The facts about a finished map, as plain values.
+    """The facts about a map, as plain values; of one that is not finished, those that it has.
 
     Raises
     ------
     MapFileError
-        Where there is none, it is not finished, or damaged.
+        Where there is none, it is damaged, or a run is writing it.
     """
-    saved = open_saved_map(path)
+    try:
+        saved = open_saved_map(path)
+    except UnfinishedMapError:
+        return _begun(map_path(path))
     trajectory, identity = saved.trajectory, saved.identity
     kinds = Counter(factor.edge.kind.value for factor in saved.factors if factor.kept)
     refused = Counter(factor.edge.kind.value for factor in saved.factors if not factor.kept)
@@ -43,12 +50,37 @@ def map_info(path: Path) -> dict[str, Any]:
         "loops": len(saved.loops),
         "loops_accepted": sum(loop.accepted for loop in saved.loops),
         "grids": {name: _grid(saved, name) for name in saved.contents.grids},
-        "seed": identity.config.seed,
-        "settings": dict(
-            _differences(identity.config.model_dump(mode="json"), Config().model_dump(mode="json"))
-        ),
-        "versions": dict(identity.versions),
+        **_origin(identity),
         "digest": saved.digest,
+    }
+
+
+def _begun(path: Path) -> dict[str, Any]:
+    """What an interrupted run has left."""
+    file = MapFile.resume(path)
+    if file is None:
+        raise MapFileError(f"{path} was interrupted before it began; map again")
+    try:
+        identity = MapIdentity.from_meta(file.meta(), path)
+        return {
+            "map": str(path),
+            "size_mb": round(path.stat().st_size / 1e6, 3),
+            "finished": file.finished,
+            "log": identity.log_name,
+            "images": file.count(FRAMES),
+            **_origin(identity),
+        }
+    finally:
+        file.close()
+
+
+def _origin(identity: MapIdentity) -> dict[str, Any]:
+    """Seed, settings that are not the defaults, versions."""
+    settings, defaults = (config.model_dump(mode="json") for config in (identity.config, Config()))
+    return {
+        "seed": identity.config.seed,
+        "settings": dict(_differences(settings, defaults)),
+        "versions": dict(identity.versions),
     }
 
 

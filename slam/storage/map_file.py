@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from slam.errors import MapFileError
+from slam.errors import MapFileError, UnfinishedMapError
 from slam.storage.map_tables import APPLICATION_ID, JOURNAL, META, SCHEMA_VERSION, TABLES, Table, Value
 
 MAP_NAME = "map.db"
@@ -101,7 +101,7 @@ class MapFile:
             )
         with _told(path, "read"):
             if any(beside.exists() for beside in _beside(path)):
-                raise MapFileError(_unfinished(path))
+                raise UnfinishedMapError(_unfinished(path))
             with path.open("rb") as stream:
                 if stream.read(len(_HEADER)) != _HEADER:
                     raise MapFileError(f"{path} is no map: not an SQLite file")
@@ -282,7 +282,7 @@ class MapFile:
         self._count_rows()
         seal = self.meta().get(_SEAL)
         if seal is None:
-            raise MapFileError(_unfinished(self.path))
+            raise UnfinishedMapError(_unfinished(self.path))
         for table, found, sealed in zip(TABLES, self._digests(), json.loads(seal), strict=True):
             if found != sealed:
                 raise MapFileError(
@@ -320,7 +320,8 @@ class MapFile:
             yield
         except (sqlite3.Error, ValueError, OverflowError, TypeError, MapFileError) as error:
             raise MapFileError(
-                f"{self.path} is damaged: table {table.name}, row {number}: {_plain(error)}; make the map anew"
+                f"{self.path} is damaged: table {table.name}, row {number}: {_plain(error)}; "
+                "make the map anew"
             ) from error
 
 

@@ -49,12 +49,14 @@ def same(one: Any, other: Any) -> bool:
     return bool(one == other) or (isinstance(one, float) and math.isnan(one) and math.isnan(other))
 
 
+@settings(deadline=None, max_examples=60)
 @given(VALUES)
 def test_what_is_packed_comes_back(value: Any) -> None:
     assert same(unpack(pack(value)), value)
     assert same(unpack_small(pack_small(value)), value)
 
 
+@settings(deadline=None)
 @given(st.floats(-1e3, 1e3), st.floats(-10, 10), st.floats(-1.5, 1.5), st.floats(-3, 3))
 def test_poses_come_back_to_the_bit(x: float, yaw: float, pitch: float, roll: float) -> None:
     planar = gtsam.Pose2(x, -x, yaw).compose(gtsam.Pose2(0.1, 0.2, pitch))
@@ -81,7 +83,7 @@ def test_nothing_else_is_packed(value: object) -> None:
         pack(value)
 
 
-@settings(max_examples=300)
+@settings(deadline=None, max_examples=200)
 @given(st.binary(max_size=60))
 def test_any_bytes_are_a_value_or_refused(content: bytes) -> None:
     for read in (unpack, unpack_small):
@@ -91,7 +93,7 @@ def test_any_bytes_are_a_value_or_refused(content: bytes) -> None:
             assert str(error)
 
 
-@settings(max_examples=300)
+@settings(deadline=None, max_examples=200)
 @given(st.data())
 def test_damaged_bytes_are_a_value_or_refused(data: st.DataObject) -> None:
     content = bytearray(pack([SCAN, np.zeros((3, 3)), gtsam.Pose3(), "text", None]))
