@@ -11,16 +11,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from slam.errors import MapFileError, UnfinishedMapError
-from slam.storage.map_tables import APPLICATION_ID, JOURNAL, META, SCHEMA_VERSION, TABLES, Table, Value
+from slam.storage.map_connection import begin, beside, check_kind, plain, reader, refuse_in_use, told, writer
+from slam.storage.map_tables import JOURNAL, META, TABLES, Table, Value
 
 MAP_NAME = "map.db"
 # A crash loses at most this and what one scan takes.
 COMMIT_EVERY_S = 1.5
 _SEAL = "seal"
-_HEADER = b"SQLite format 3\0"
 _COMMIT_COUNTS = (24, 92)
-# What SQLite writes beside a map that is being written, or was when its process died.
-_BESIDE = ("-wal", "-journal")
 
 
 def map_path(path: Path) -> Path:
@@ -44,19 +42,13 @@ class MapFile:
     @classmethod
     def create(cls, path: Path) -> MapFile:
         """A new, empty map in the place of whatever is there, unless another process writes that."""
-        with _told(path, "made"):
-            _refuse_in_use(path)
-            for stale in (path, *_beside(path)):
+        with told(path, "made"):
+            refuse_in_use(path)
+            for stale in (path, *beside(path)):
                 stale.unlink(missing_ok=True)
-            file = cls(path, _writer(path))
-            run = file._connection.execute
-            run(f"PRAGMA application_id = {APPLICATION_ID}")
-            run(f"PRAGMA user_version = {SCHEMA_VERSION}")
-            run("PRAGMA journal_mode = WAL")
-            run("BEGIN")
-            for table in TABLES:
-                run(table.sql)
-                file._counts[table.name] = 0
+            file = cls(path, writer(path))
+            begin(file._connection)
+            file._counts = dict.fromkeys((table.name for table in TABLES), 0)
         return file
 
     @classmethod
@@ -70,13 +62,13 @@ class MapFile:
         """
         if not path.exists() or not path.stat().st_size:
             return None
-        with _told(path, "opened"):
-            file = cls(path, _writer(path))
+        with told(path, "opened"):
+            file = cls(path, writer(path))
             try:
                 if not file._connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0]:
                     file._connection.close()
                     return None  # it died before its first commit
-                file._check_kind()
+                check_kind(path, file._connection)
                 file._connection.execute("PRAGMA journal_mode = WAL")
                 file._connection.execute("BEGIN")
                 file._count_rows()
@@ -99,22 +91,13 @@ class MapFile:
             raise MapFileError(
                 f"no map at {path}; give a folder that 'scanweave map' has made, or its map.db"
             )
-        with _told(path, "read"):
-            if any(beside.exists() for beside in _beside(path)):
+        with told(path, "read"):
+            if any(left.exists() for left in beside(path)):
                 raise UnfinishedMapError(_unfinished(path))
-            with path.open("rb") as stream:
-                if stream.read(len(_HEADER)) != _HEADER:
-                    raise MapFileError(f"{path} is no map: not an SQLite file")
-            connection = sqlite3.connect(
-                f"{path.absolute().as_uri()}?mode=ro&immutable=1",
-                uri=True,
-                isolation_level=None,
-                check_same_thread=False,
-            )
+            connection = reader(path)
             file = cls(path, connection)
             try:
-                file._harden(path.stat().st_size)
-                file._check_kind()
+                check_kind(path, connection)
                 file._check_seal()
             except BaseException:
                 connection.close()
@@ -141,7 +124,7 @@ class MapFile:
     def append(self, table: Table, *values: Value) -> int:
         """Write the next row; its number."""
         number = self._counts[table.name]
-        with _told(self.path, "written"):
+        with told(self.path, "written"):
             row = (number, table.checksum(number, values), *values)
             self._connection.execute(table.insert_sql, row)
         self._counts[table.name] = number + 1
@@ -174,7 +157,7 @@ class MapFile:
 
     def clear(self, table: Table) -> None:
         """Remove all rows of a table."""
-        with _told(self.path, "written"):
+        with told(self.path, "written"):
             self._connection.execute(f"DELETE FROM {table.name}")
         self._counts[table.name] = 0
 
@@ -191,7 +174,7 @@ class MapFile:
         """Make everything so far safe from a crash of the process."""
         for flush in self._before_commit:
             flush()
-        with _told(self.path, "written"):
+        with told(self.path, "written"):
             self._connection.execute("COMMIT")
             self._connection.execute("BEGIN")
         self._committed_at = time.monotonic()
@@ -206,7 +189,7 @@ class MapFile:
 
     def compact(self) -> None:
         """Give back the room of what was removed, and leave nothing beside the file; it is closed then."""
-        with _told(self.path, "finished"):
+        with told(self.path, "finished"):
             run = self._connection.execute
             run("COMMIT")
             run("PRAGMA journal_mode = DELETE")
@@ -225,7 +208,7 @@ class MapFile:
     def discard(self) -> None:
         """Close the file and remove it."""
         self.close()
-        for left in (self.path, *_beside(self.path)):
+        for left in (self.path, *beside(self.path)):
             left.unlink(missing_ok=True)
 
     def content_digest(self) -> str:
@@ -240,33 +223,10 @@ class MapFile:
         MapFileError
             With the first fault.
         """
-        with _told(self.path, "checked"):
+        with told(self.path, "checked"):
             (verdict,) = self._connection.execute("PRAGMA integrity_check(1)").fetchone()
         if verdict != "ok":
-            raise MapFileError(f"{self.path} is damaged: {_plain(verdict)}")
-
-    def _check_kind(self) -> None:
-        """Refuse what is no map, a newer one, or one with other tables."""
-        run = self._connection.execute
-        if run("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
-            raise MapFileError(f"{self.path} is an SQLite file, but no map of Scanweave")
-        version = run("PRAGMA user_version").fetchone()[0]
-        if version > SCHEMA_VERSION:
-            raise MapFileError(
-                f"{self.path} has schema {version}, this Scanweave reads up to {SCHEMA_VERSION}; "
-                "install a newer one"
-            )
-        tables = run("SELECT type, sql FROM sqlite_schema ORDER BY rowid").fetchall()
-        if version < 1 or tables != [("table", table.sql) for table in TABLES]:
-            raise MapFileError(f"{self.path} is damaged: its tables are not those of schema {version}")
-
-    def _harden(self, size: int) -> None:
-        """Trust nothing in the file: no code of its schema, no length beyond its own."""
-        run = self._connection.execute
-        run("PRAGMA trusted_schema = OFF")
-        run("PRAGMA cell_size_check = ON")
-        run("PRAGMA query_only = ON")
-        self._connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(size, 10_000))
+            raise MapFileError(f"{self.path} is damaged: {plain(verdict)}")
 
     def _count_rows(self) -> None:
         """Rows of every table as they are found."""
@@ -283,7 +243,9 @@ class MapFile:
         seal = self.meta().get(_SEAL)
         if seal is None:
             raise UnfinishedMapError(_unfinished(self.path))
-        for table, found, sealed in zip(TABLES, self._digests(), json.loads(seal), strict=True):
+        with self.blaming(META, self.count(META) - 1):
+            known = list(zip(TABLES, self._digests(), json.loads(seal), strict=True))
+        for table, found, sealed in known:
             if found != sealed:
                 raise MapFileError(
                     f"{self.path} is damaged: table {table.name} has {found[0]} rows of digest {found[1]}, "
@@ -320,38 +282,8 @@ class MapFile:
             yield
         except (sqlite3.Error, ValueError, OverflowError, TypeError, MapFileError) as error:
             raise MapFileError(
-                f"{self.path} is damaged: table {table.name}, row {number}: {_plain(error)}; "
-                "make the map anew"
+                f"{self.path} is damaged: table {table.name}, row {number}: {plain(error)}; make the map anew"
             ) from error
-
-
-def _writer(path: Path) -> sqlite3.Connection:
-    """A connection that no other process can write beside."""
-    connection = sqlite3.connect(path, timeout=0.0, isolation_level=None)
-    connection.execute("PRAGMA locking_mode = EXCLUSIVE")
-    # In WAL mode a crash of the process loses nothing that was committed; one of the machine, the latest.
-    connection.execute("PRAGMA synchronous = NORMAL")
-    return connection
-
-
-def _refuse_in_use(path: Path) -> None:
-    """Fail where another process writes a map; anything else may be replaced."""
-    if not path.is_file():
-        return
-    connection = sqlite3.connect(path, timeout=0.0, isolation_level=None)
-    try:
-        connection.execute("BEGIN EXCLUSIVE")
-    except sqlite3.OperationalError:
-        raise
-    except sqlite3.DatabaseError:  # no database at all
-        pass
-    finally:
-        connection.close()
-
-
-def _beside(path: Path) -> list[Path]:
-    """Files that SQLite keeps beside one that is being written."""
-    return [path.with_name(path.name + ending) for ending in _BESIDE]
 
 
 def _unfinished(path: Path) -> str:
@@ -360,20 +292,3 @@ def _unfinished(path: Path) -> str:
         f"{path} is not finished: its run was interrupted or still goes on; "
         f"'scanweave map LOG -o {path.parent} --resume' goes on with it"
     )
-
-
-def _plain(text: object) -> str:
-    """One line of what may quote a damaged file."""
-    return "".join(sign if sign.isprintable() else " " for sign in str(text))
-
-
-@contextmanager
-def _told(path: Path, done: str) -> Iterator[None]:
-    """Turn what SQLite and the disk say into one line."""
-    try:
-        yield
-    except (sqlite3.Error, OSError, UnicodeError) as error:
-        reason = "another run is writing it" if "locked" in str(error) else _plain(error)
-        raise MapFileError(
-            f"{path} cannot be {done}: {reason}; check the folder and its free space"
-        ) from error

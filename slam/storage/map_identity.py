@@ -78,6 +78,8 @@ class MapIdentity:
                 f"{path} was made with settings that this version does not know "
                 f"({error.errors()[0]['loc'][0]}); make the map anew"
             ) from error
+        except ValueError as error:
+            raise MapFileError(f"{path} tells no versions ({error}); make the map anew") from error
 
     def difference(self, now: MapIdentity) -> str | None:
         """What of a run that goes on now is not as it was, in a few words; None where all is the same."""

@@ -201,3 +201,10 @@ class TestRefused:
         file = MapFile.read(sealed(tmp_path / "map.db"))
         file.check_pages()
         file.close()
+
+    @pytest.mark.parametrize("seal", ["", "[]", "[[1]]", "{"])
+    def test_a_seal_that_is_none(self, tmp_path: Path, seal: str) -> None:
+        path = sealed(tmp_path / "map.db")
+        checksum = META.checksum(1, ("seal", seal)).hex()
+        edit(path, f"UPDATE meta SET value = '{seal}', checksum = x'{checksum}' WHERE key = 'seal'")
+        assert "table meta, row 1" in refusal(path)

@@ -226,8 +226,11 @@ class TestRefused:
         path.write_bytes(map_db.read_bytes())
         with pytest.raises(MapFileError, match="settings that this version does not know"):
             open_saved_map(forge(path, "meta", 0, value='{"novelty": 1}'))
+        forge(path, "meta", 0, value=Config().model_dump_json())
+        with pytest.raises(MapFileError, match="tells no versions"):
+            open_saved_map(forge(path, "meta", 4, value="{"))
         with pytest.raises(MapFileError, match="does not tell its config"):
-            open_saved_map(forge(path, "meta", 0, key="konfig", value=Config().model_dump_json()))
+            open_saved_map(forge(path, "meta", 0, key="konfig"))
 
     def test_one_damaged_byte_is_refused_or_harmless(self, map_db: Path, tmp_path: Path) -> None:
         """As tools/damage_trials.py does a thousand times."""

@@ -1,0 +1,111 @@
+"""Connections to ``map.db``: one that writes, one that trusts nothing, and what SQLite says in one line."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from slam.errors import MapFileError
+from slam.storage.map_tables import APPLICATION_ID, SCHEMA_VERSION, TABLES
+
+_HEADER = b"SQLite format 3\0"
+# What SQLite writes beside a map that is being written, or was when its process died.
+_BESIDE = ("-wal", "-journal")
+
+
+def writer(path: Path) -> sqlite3.Connection:
+    """A connection that no other process can write beside."""
+    connection = sqlite3.connect(path, timeout=0.0, isolation_level=None)
+    connection.execute("PRAGMA locking_mode = EXCLUSIVE")
+    # In WAL mode a crash of the process loses nothing that was committed; one of the machine, the latest.
+    connection.execute("PRAGMA synchronous = NORMAL")
+    return connection
+
+
+def reader(path: Path) -> sqlite3.Connection:
+    """A connection that writes nothing, not even beside the file, and trusts nothing in it.
+
+    Raises
+    ------
+    MapFileError
+        Where it is no SQLite file.
+    """
+    with path.open("rb") as stream:
+        if stream.read(len(_HEADER)) != _HEADER:
+            raise MapFileError(f"{path} is no map: not an SQLite file")
+    connection = sqlite3.connect(
+        f"{path.absolute().as_uri()}?mode=ro&immutable=1",
+        uri=True,
+        isolation_level=None,
+        check_same_thread=False,
+    )
+    connection.execute("PRAGMA trusted_schema = OFF")
+    connection.execute("PRAGMA cell_size_check = ON")
+    connection.execute("PRAGMA query_only = ON")
+    # No length can be beyond that of the file.
+    connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(path.stat().st_size, 10_000))
+    return connection
+
+
+def begin(connection: sqlite3.Connection) -> None:
+    """Make the tables of a new map; the transaction stays open."""
+    connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+    connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+    connection.execute("PRAGMA journal_mode = WAL")
+    connection.execute("BEGIN")
+    for table in TABLES:
+        connection.execute(table.sql)
+
+
+def check_kind(path: Path, connection: sqlite3.Connection) -> None:
+    """Refuse what is no map, a newer one, or one with other tables, by a `MapFileError`."""
+    run = connection.execute
+    if run("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
+        raise MapFileError(f"{path} is an SQLite file, but no map of Scanweave")
+    version = run("PRAGMA user_version").fetchone()[0]
+    if version > SCHEMA_VERSION:
+        raise MapFileError(
+            f"{path} has schema {version}, this Scanweave reads up to {SCHEMA_VERSION}; install a newer one"
+        )
+    tables = run("SELECT type, sql FROM sqlite_schema ORDER BY rowid").fetchall()
+    if version < 1 or tables != [("table", table.sql) for table in TABLES]:
+        raise MapFileError(f"{path} is damaged: its tables are not those of schema {version}")
+
+
+def refuse_in_use(path: Path) -> None:
+    """Fail where another process writes a map; anything else may be replaced."""
+    if not path.is_file():
+        return
+    connection = sqlite3.connect(path, timeout=0.0, isolation_level=None)
+    try:
+        connection.execute("BEGIN EXCLUSIVE")
+    except sqlite3.OperationalError:
+        raise
+    except sqlite3.DatabaseError:  # no database at all
+        pass
+    finally:
+        connection.close()
+
+
+def beside(path: Path) -> list[Path]:
+    """Files that SQLite keeps beside one that is being written."""
+    return [path.with_name(path.name + ending) for ending in _BESIDE]
+
+
+def plain(text: object) -> str:
+    """One line of what may quote a damaged file."""
+    return "".join(sign if sign.isprintable() else " " for sign in str(text))
+
+
+@contextmanager
+def told(path: Path, done: str) -> Iterator[None]:
+    """Turn what SQLite and the disk say into one line."""
+    try:
+        yield
+    except (sqlite3.Error, OSError, UnicodeError) as error:
+        reason = "another run is writing it" if "locked" in str(error) else plain(error)
+        raise MapFileError(
+            f"{path} cannot be {done}: {reason}; check the folder and its free space"
+        ) from error
