@@ -27,7 +27,7 @@ MEASURED, FILLED, INTERPOLATED, HOLE, AVERAGED = (np.uint8(kind) for kind in Pro
 ProvenanceArray = NDArray[np.uint8]
 
 _JUTS, _LEAST_JUT_M = 3.0, 0.05
-_BESIDE, _BESIDE_SLOPE = 3, 0.03  # beams that must lie nearer to the surface, and what noise and slant add
+_BESIDE, _BESIDE_SLOPE = 3, 0.06  # beams that must lie nearer to the surface, and what noise and slant add
 _NEAR_SAMPLES = 2  # readings of the other sensor this far aside may still be of the same surface
 _MOST_MEAN_M = 0.05  # a mean of two sensors moves no reading farther
 _LEAST_APART_M, _APART_EPS, _FAR_M = 0.03, 0.8, 2.5  # see `_apart_m`
@@ -101,7 +101,7 @@ def calm(ranges: Float32Array, steady: Float32Array, source: ProvenanceArray, no
             continue
         # Two in a row may be what is seen past an edge, and so may the last one before a jump; where its
         # neighbours jut too there is a corner.
-        alone = max(own[i - 1] - steady[i - 1], own[i + 1] - steady[i + 1]) < 0.7 * jut
+        alone = max(own[i - 1] - steady[i - 1], own[i + 1] - steady[i + 1]) < 0.5 * jut
         for j in range(max(0, i - _BESIDE), min(own.size, i + _BESIDE + 1)):
             alone = alone and (j == i or abs(own[j] - steady[i]) < 0.7 * jut + _BESIDE_SLOPE * own[i])
         if alone:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import prism_world as world
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fusion
-from fusion.repair import repair_lidar
+from fusion.carry import smooth, without_bumps
+from fusion.repair import calm, repair_lidar
 
 MEASURED, FILLED, INTERPOLATED, HOLE, AVERAGED = fusion.Provenance
 EPS = 0.025
@@ -138,3 +140,28 @@ def test_a_lone_hole_at_a_jump_or_in_a_corner_stays():
     corner = np.concatenate([wall()[20::-1], 2.6 * wall()[:20] / wall()[0]]).astype(np.float32)
     corner[20] = np.nan
     assert repair(corner, np.full(corner.size, np.nan))[1][20] == HOLE
+
+
+def calmed(ranges, step=0.006, noise=0.005):
+    steady = smooth(without_bumps(ranges, step, 1, 4, 0.04), step, 4, 0.04)
+    result, source = ranges.copy(), np.zeros(ranges.size, np.uint8)
+    calm(result, steady, source, noise)
+    return result, source
+
+
+def test_corners_are_not_rounded():
+    for pose in world.POSES:
+        scan = world.lidar(pose)
+        ranges, source = calmed(scan.ranges_m, scan.step_rad)
+        assert np.array_equal(ranges, scan.ranges_m) and (source == MEASURED).all()
+
+
+def test_what_lies_behind_its_own_noisy_wall_is_put_back_and_what_stands_before_is_kept():
+    rng = np.random.default_rng(3)
+    truth = wall(distance=4.0)
+    noisy = (truth * (1.0 + 0.02 * rng.standard_normal(41))).astype(np.float32)
+    noisy[20] = truth[20] * 1.07
+    ranges, source = calmed(noisy)
+    assert source[20] == INTERPOLATED and abs(ranges[20] - truth[20]) < 0.1
+    noisy[20] = truth[20] * 0.93
+    assert calmed(noisy)[1][20] == MEASURED
