@@ -1,0 +1,118 @@
+"""report.html of a localised drive: states and confidence over time, the way over the map, what it cost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from slam.evaluation import report_figures
+from slam.evaluation.figure_parts import BLUE, GREY, ORANGE, RED, figure_of, plain, png_of
+from slam.evaluation.page_parts import folded, image, paragraph, section, table
+from slam.evaluation.report_style import STYLE
+from slam.localization.drive_log import STATES, DriveLog
+from slam.localization.output import State
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
+from slam.measurements import FloatArray
+from slam.storage.files import replacing
+
+_COLORS: Mapping[State, str] = {State.SEARCHING: GREY, State.TRACKING: BLUE, State.LOST: RED}
+
+
+def write_localization_report(
+    path: Path, title: str, drive: DriveLog, grid: OccupancyGrid | None, notes: Sequence[tuple[str, str]]
+) -> None:
+    """Write the report as one HTML file that asks nothing of the network.
+
+    Parameters
+    ----------
+    title
+        The log and the map.
+    grid
+        Of the map; None of a map without a lidar.
+    notes
+        (what, how much) rows of the reader's report.
+
+    Raises
+    ------
+    MapFileError
+        Where the folder is missing, not writable or full; an older report then stays as it was.
+    """
+    page = [
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Scanweave: {escape(title)}'
+        f"</title>\n<style>{STYLE}</style></head>\n<body><main>\n"
+        f"<h1><small>Scanweave localisation</small>{escape(title)}</h1>\n",
+        section("What was known", table(("measurements", "share"), _shares(drive))),
+        section("Way in the map", image(_map_png(drive, grid), "the tracked way over the map")),
+        section("State, confidence and support over time", image(_time_png(drive), "over time", "plot")),
+        section("Cost", paragraph(_cost(drive))),
+        section("Reader's report", folded("show", table(("what", "count"), notes))),
+        "</main></body></html>\n",
+    ]
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+        file.writelines(page)
+
+
+def _shares(drive: DriveLog) -> list[tuple[str, str]]:
+    """Share of the measurements in every state, and the poses that were filled in later."""
+    rows = [(state.value, f"{100.0 * drive.share_of(state):.1f} %") for state in STATES]
+    tracked = int(np.count_nonzero(drive.states == STATES.index(State.TRACKING)))
+    later = len(drive.trajectory()) - tracked
+    return [*rows, ("poses found later, by going back from where it was found", f"{later:,}")]
+
+
+def _cost(drive: DriveLog) -> str:
+    """Time a measurement, and of the slowest."""
+    if not len(drive):
+        return "Nothing was localised."
+    median, greatest = 1000.0 * np.median(drive.seconds), 1000.0 * drive.seconds.max()
+    rate = len(drive) / drive.seconds.sum()
+    return (
+        f"{median:.1f} ms a measurement (median), {greatest:.0f} ms at most, {rate:.0f} a second on average."
+    )
+
+
+def _map_png(drive: DriveLog, grid: OccupancyGrid | None) -> bytes:
+    """The trajectory over the grid."""
+    way = drive.trajectory().positions_m[:, :2]
+    if grid is None:
+        return report_figures.map_png(
+            way, np.zeros((0, 4)), image=None, resolution_m=1.0, origin_xy=(0.0, 0.0)
+        )
+    states = grid.states()
+    grey = np.full(states.shape, 205, np.uint8)
+    grey[states == FREE] = 254
+    grey[states == OCCUPIED] = 0
+    corner = (grid.T_map_grid.x(), grid.T_map_grid.y())
+    picture = np.ascontiguousarray(grey[::-1])
+    return report_figures.map_png(
+        way, np.zeros((0, 4)), image=picture, resolution_m=grid.resolution_m, origin_xy=corner
+    )
+
+
+def _time_png(drive: DriveLog) -> bytes:
+    """Confidence, coloured by state, and support below it."""
+    figure = figure_of(1000, 460)
+    below = figure.add_axes((0.065, 0.10, 0.92, 0.38))
+    above = figure.add_axes((0.065, 0.54, 0.92, 0.38), sharex=below)
+    elapsed_s: FloatArray = drive.stamps_s - drive.stamps_s.min(initial=np.inf)
+    for number, state in enumerate(STATES):
+        here = drive.states == number
+        above.plot(
+            elapsed_s[here],
+            drive.confidences[here],
+            linestyle="none",
+            marker="o",
+            markersize=2,
+            color=_COLORS[state],
+            label=state.value,
+        )
+    above.set(ylabel="confidence", ylim=(-0.03, 1.03))
+    above.legend(loc="lower left", bbox_to_anchor=(-0.01, 0.985), ncols=3, fontsize=8, frameon=False)
+    below.plot(elapsed_s, drive.supports, linestyle="none", marker="o", markersize=2, color=ORANGE)
+    below.set(ylabel="share that the map explains", xlabel="time, s", ylim=(-0.03, 1.03))
+    for axes in (above, below):
+        plain(axes)
+    return png_of(figure)

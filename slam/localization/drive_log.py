@@ -1,0 +1,126 @@
+"""What a localiser said over a whole drive, and its files: trajectory.tum and trajectory.csv."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from slam.localization.output import LocalizerOutput, State
+from slam.measurements import FloatArray, Pose, Trajectory
+from slam.storage.files import write_lines
+from slam.storage.tum import write_tum
+
+STATES = (State.SEARCHING, State.TRACKING, State.LOST)
+_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+# Upper triangles of the covariance, GTSAM's tangent order.
+_PLANAR_AXES = ("x", "y", "yaw")
+_SPATIAL_AXES = ("rx", "ry", "rz", "x", "y", "z")
+
+
+class DriveLog:
+    """Flat, growing columns: numbers only, so that it stays small on a long log."""
+
+    def __init__(self) -> None:
+        self._rows = array("d")
+        self._poses = array("d")
+        self._covariances: list[FloatArray | None] = []
+        self._recovered: list[tuple[float, list[float]]] = []
+
+    def __len__(self) -> int:
+        return len(self._covariances)
+
+    def add(self, output: LocalizerOutput, seconds: float) -> None:
+        """Take what was said after a measurement, and how long it took."""
+        state = STATES.index(output.state)
+        self._rows.extend((output.stamp_s, state, output.confidence, output.support, seconds))
+        self._poses.extend([np.nan] * 7 if output.pose is None else pose_row(output.pose))
+        self._covariances.append(output.covariance)
+        self._recovered += [(past.stamp_s, pose_row(past.pose)) for past in output.recovered]
+
+    @property
+    def stamps_s(self) -> FloatArray:
+        """(N,) of the measurements."""
+        return self._columns()[:, 0]
+
+    @property
+    def states(self) -> FloatArray:
+        """(N,) index into `STATES`."""
+        return self._columns()[:, 1]
+
+    @property
+    def confidences(self) -> FloatArray:
+        """(N,) of the measurements."""
+        return self._columns()[:, 2]
+
+    @property
+    def supports(self) -> FloatArray:
+        """(N,) share of the measurement that the map explains; NaN where that was not asked."""
+        return self._columns()[:, 3]
+
+    @property
+    def seconds(self) -> FloatArray:
+        """(N,) spent on each measurement."""
+        return self._columns()[:, 4]
+
+    @property
+    def poses(self) -> FloatArray:
+        """(N, 7) position and quaternion (x, y, z, w); NaN while searching."""
+        return np.array(self._poses).reshape(-1, 7)
+
+    def share_of(self, state: State) -> float:
+        """Share of the measurements in a state."""
+        return float(np.mean(self.states == STATES.index(state))) if len(self) else 0.0
+
+    def trajectory(self) -> Trajectory:
+        """Poses while tracking, and those of earlier measurements that were found to lead there; by stamp."""
+        tracked = self.states == STATES.index(State.TRACKING)
+        stamps = [*self.stamps_s[tracked], *(stamp for stamp, _ in self._recovered)]
+        rows = np.array([*self.poses[tracked], *(pose for _, pose in self._recovered)]).reshape(-1, 7)
+        order = np.argsort(stamps, kind="stable")
+        return Trajectory(np.array(stamps)[order], rows[order, :3], rows[order, 3:])
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write ``trajectory.csv``, and ``trajectory.tum`` where there is any pose; the files."""
+        written = [folder / "trajectory.csv"]
+        write_lines(written[0], self._csv())
+        trajectory = self.trajectory()
+        if len(trajectory):
+            written.insert(0, folder / "trajectory.tum")
+            write_tum(written[0], trajectory)
+        return written
+
+    def _csv(self) -> Iterator[str]:
+        """A line a measurement in the order of the log, then the recovered poses; empty is unknown."""
+        known = next((covariance for covariance in self._covariances if covariance is not None), None)
+        axes = _SPATIAL_AXES if known is not None and len(known) == 6 else _PLANAR_AXES
+        pairs = [f"cov_{a}_{b}" for n, a in enumerate(axes) for b in axes[n:]]
+        yield ",".join(["stamp_s", "source", "state", "confidence", "support", *_POSE, *pairs])
+        upper = np.triu_indices(len(axes))
+        for row, pose, covariance in zip(self._columns(), self.poses, self._covariances, strict=True):
+            entries = [np.nan] * len(pairs) if covariance is None else covariance[upper].tolist()
+            head = [_number(row[0]), "live", STATES[int(row[1])].value, _number(row[2]), _number(row[3])]
+            yield ",".join([*head, *map(_number, pose), *map(_number, entries)])
+        for stamp_s, recovered in self._recovered:
+            head = [_number(stamp_s), "recovered", State.TRACKING.value, "", ""]
+            yield ",".join([*head, *map(_number, recovered), *[""] * len(pairs)])
+
+    def _columns(self) -> FloatArray:
+        """(N, 5) stamp, state, confidence, support, seconds."""
+        return np.array(self._rows).reshape(-1, 5)
+
+
+def pose_row(pose: Pose) -> list[float]:
+    """Position and quaternion (x, y, z, w) of a pose; a planar one lies at z = 0."""
+    spatial = gtsam.Pose3(pose) if isinstance(pose, gtsam.Pose2) else pose
+    q: Any = spatial.rotation().toQuaternion()
+    return [*spatial.translation().tolist(), q.x(), q.y(), q.z(), q.w()]
+
+
+def _number(value: float) -> str:
+    """The shortest text that reads back as the same number; nothing for NaN."""
+    return "" if np.isnan(value) else repr(float(value))

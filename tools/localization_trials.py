@@ -1,0 +1,289 @@
+"""Localise the rest of a log in the map of its beginning: random starts, tracking, teleports, other logs.
+
+The truth is the full run's own trajectory; it is brought into the frame of the map of the beginning by the
+readings that both have. Travel counts as mapped where the true pose explains most of the scan.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from slam.config import Config, load_config
+from slam.datasets import open_dataset
+from slam.localization.global_search import search_everywhere
+from slam.localization.known_map import KnownMap, Walls
+from slam.localization.localizer import Localizer
+from slam.localization.map_match import MapMatcher
+from slam.localization.output import LocalizerOutput, State
+from slam.localization.scan_view import ScanView, first_in_cells
+from slam.matching.planar import between, compose
+from slam.measurements import FloatArray, LaserScan, Measurement, WheelOdometry, row_from_pose2
+from slam.planar_mapper import PlanarMapper
+
+RIGHT_M, RIGHT_RAD = 0.25, np.radians(5.0)
+MAPPED_SHARE = 0.6
+WITHIN_M = 10.0
+SURE = 0.5
+
+
+@dataclass(frozen=True)
+class Case:
+    """A log, the map of its beginning, and the true pose (n, 3) of every reading in that map's frame."""
+
+    name: str
+    log: list[Measurement]
+    split: int
+    known_map: KnownMap
+    truth: FloatArray
+    mapped: FloatArray
+    config: Config
+
+
+def main() -> None:
+    """Run all trials and print Markdown tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("logs", nargs="+", help="as in fr079.log.gz:0.6, a log and the share that is mapped")
+    parser.add_argument("--starts", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--set", action="append", default=[], help="as in scanweave localize --set")
+    arguments = parser.parse_args()
+    config = load_config(None, arguments.set)
+    cases = [build_case(*argument.rsplit(":", 1), config) for argument in arguments.logs]
+    for case in cases:
+        rng = np.random.default_rng(arguments.seed)
+        print(f"\n## {case.name}\n")
+        search_trial(case, rng)
+        starts_trial(case, arguments.starts, rng)
+        tracking_trial(case)
+        teleport_trial(case)
+        for other in cases:
+            if other is not case:
+                stranger_trial(case, other)
+
+
+def build_case(path: str, share: str, config: Config) -> Case:
+    """Map all of a log and its beginning."""
+    log = [m for m in open_dataset(Path(path)) if isinstance(m, LaserScan | WheelOdometry)]
+    split = int(float(share) * len(log))
+    full, part = mapped_run(log, config), mapped_run(log[:split], config)
+    begun = part.trajectory.to_planar()
+    truth = full.trajectory.to_planar()
+    T_part_full = aligned(truth[:split], begun)
+    truth = np.array([compose(T_part_full, pose) for pose in truth])
+    known_map = KnownMap.of_result(part)
+    matcher = MapMatcher(Walls(known_map, config), config)
+    mapped = np.zeros(len(log))
+    for n in range(split, len(log)):
+        scan = log[n]
+        if isinstance(scan, LaserScan):
+            motion = matcher.align(ScanView.of(scan, config), truth[n])
+            mapped[n] = 0.0 if motion is None else motion.inlier_share
+    return Case(Path(path).name, log, split, known_map, truth, mapped, config)
+
+
+def mapped_run(log: Iterable[Measurement], config: Config):  # type: ignore[no-untyped-def]
+    """The map of a log."""
+    mapper = PlanarMapper(config)
+    for measurement in log:
+        if isinstance(measurement, LaserScan):
+            mapper.add_scan(measurement)
+        elif isinstance(measurement, WheelOdometry):
+            mapper.add_odometry(measurement)
+    return mapper.finish()
+
+
+def aligned(source: FloatArray, target: FloatArray) -> FloatArray:
+    """T_target_source (3,) by the positions of two (n, 3) trajectories."""
+    a, b = source[:, :2].mean(0), target[:, :2].mean(0)
+    h = (source[:, :2] - a).T @ (target[:, :2] - b)
+    yaw = np.arctan2(h[0, 1] - h[1, 0], h[0, 0] + h[1, 1])
+    turned = np.array([np.cos(yaw) * a[0] - np.sin(yaw) * a[1], np.sin(yaw) * a[0] + np.cos(yaw) * a[1]])
+    return np.array([*(b - turned), yaw])
+
+
+def scans_of(case: Case, *, room_m: float = WITHIN_M) -> list[int]:
+    """Numbers of the scans after the mapped part that have so much mapped travel before them."""
+    scans = [n for n in range(case.split, len(case.log)) if isinstance(case.log[n], LaserScan)]
+    steps = np.hypot(*np.diff(case.truth[scans, :2], axis=0).T) * (case.mapped[scans[1:]] >= MAPPED_SHARE)
+    left = np.concatenate([np.cumsum(steps[::-1])[::-1], [0.0]])
+    return [scan for scan, way_m in zip(scans, left, strict=True) if way_m >= room_m]
+
+
+def error_of(output: LocalizerOutput, truth: FloatArray) -> tuple[float, float]:
+    """Metres and radians by which a pose is wrong."""
+    assert output.pose is not None
+    offset = between(truth, row_from_pose2(output.pose))
+    return float(np.hypot(offset[0], offset[1])), abs(float(offset[2]))
+
+
+def wrong(output: LocalizerOutput, truth: FloatArray) -> bool:
+    """Whether a pose was told for sure and is wrong."""
+    if output.state is not State.TRACKING or output.confidence < SURE:
+        return False
+    error_m, error_rad = error_of(output, truth)
+    return error_m > RIGHT_M or error_rad > RIGHT_RAD
+
+
+def search_trial(case: Case, rng: np.random.Generator) -> None:
+    """Time of a global search, by scans from everywhere."""
+    walls = Walls(case.known_map, case.config)
+    settings = case.config.localization
+    walls_s, cpu_s = [], []
+    for n in [scans_of(case)[0], *rng.choice(scans_of(case), 40)]:
+        scan = case.log[n]
+        assert isinstance(scan, LaserScan)
+        points = ScanView.of(scan, case.config).points.points_base
+        points = points[first_in_cells(points, settings.news_cell_m)[0]]
+        began, cpu = time.perf_counter(), time.process_time()
+        search_everywhere(
+            walls.field,
+            points,
+            settings.search_least_score,
+            settings.search_keep_share,
+            settings.hypotheses,
+            settings.search_threads,
+        )
+        walls_s.append(time.perf_counter() - began)
+        cpu_s.append(time.process_time() - cpu)
+    print(
+        f"global search: wall {np.median(walls_s[1:]):.3f} s median, {max(walls_s[1:]):.3f} s at most; "
+        f"CPU {np.median(cpu_s[1:]):.3f} s median, {max(cpu_s[1:]):.3f} s at most"
+    )
+
+
+def starts_trial(case: Case, count: int, rng: np.random.Generator) -> None:
+    """Global localisation from random starts."""
+    found, sure_and_wrong = 0, 0
+    print("\n| start | first found after m | of them mapped | error m | degrees | wrong and sure |")
+    print("|---|---|---|---|---|---|")
+    for start in sorted(rng.choice(scans_of(case), count, replace=False)):
+        way_m, mapped_m, first, errors = run_from(case, int(start))
+        good = first is not None and mapped_m <= WITHIN_M and first[0] <= RIGHT_M and first[1] <= RIGHT_RAD
+        found += good
+        sure_and_wrong += errors
+        told = "never | | |" if first is None else f"{way_m:.1f} | {mapped_m:.1f} | {first[0]:.3f} |"
+        turn = "" if first is None else f"{np.degrees(first[1]):.2f}"
+        print(f"| {start} | {told} {turn} | {errors} |", flush=True)
+    print(
+        f"\nright within {WITHIN_M:g} m of mapped travel: {found} of {count}; "
+        f"wrong and sure: {sure_and_wrong}"
+    )
+
+
+def run_from(case: Case, start: int) -> tuple[float, float, tuple[float, float] | None, int]:
+    """Travel and mapped travel until found, the error there, and wrong outputs in the 10 m after it."""
+    localizer = Localizer(case.known_map, case.config)
+    way_m = mapped_m = 0.0
+    found: tuple[float, float, tuple[float, float]] | None = None
+    errors, last = 0, case.truth[start]
+    for n in range(start, len(case.log)):
+        output = localizer.add(case.log[n])
+        if output is None:
+            continue
+        step_m = float(np.hypot(*(case.truth[n] - last)[:2]))
+        last = case.truth[n]
+        way_m += step_m
+        mapped_m += step_m * (case.mapped[n] >= MAPPED_SHARE)
+        errors += wrong(output, case.truth[n])
+        if found is None and output.state is State.TRACKING:
+            found = way_m, mapped_m, error_of(output, case.truth[n])
+        if (found is None and mapped_m > WITHIN_M) or (found is not None and way_m > found[0] + 10.0):
+            break
+    return (way_m, mapped_m, None, errors) if found is None else (*found, errors)
+
+
+def follow(case: Case, numbers: Sequence[int]) -> tuple[list[tuple[int, LocalizerOutput]], float]:
+    """Localise the readings with these numbers: what was said, and the CPU seconds."""
+    localizer = Localizer(case.known_map, case.config)
+    began, said = time.process_time(), []
+    for n in numbers:
+        output = localizer.add(case.log[n])
+        if output is not None:
+            said.append((n, output))
+    return said, time.process_time() - began
+
+
+def tracking_trial(case: Case) -> None:
+    """The rest of the log in one go."""
+    said, _ = follow(case, range(case.split, len(case.log)))
+    tracked = [(n, output) for n, output in said if output.state is State.TRACKING]
+    errors = np.array([error_of(output, case.truth[n]) for n, output in tracked])
+    in_map = case.mapped[[n for n, _ in tracked]] >= MAPPED_SHARE
+    print(
+        f"\ntracking {len(tracked)} of {len(said)} scans: error {np.median(errors[:, 0]):.4f} m, "
+        f"{np.degrees(np.median(errors[:, 1])):.3f} degrees median; "
+        f"99 % {np.quantile(errors[:, 0], 0.99):.3f} m; "
+        f"in the mapped part {np.median(errors[in_map, 0]):.4f} m; "
+        f"wrong and sure: {sum(wrong(output, case.truth[n]) for n, output in said)}"
+    )
+    rate_trial(case)
+
+
+def rate_trial(case: Case) -> None:
+    """Scans a CPU second while tracking."""
+    localizer = Localizer(case.known_map, case.config)
+    spent, scans = 0.0, 0
+    for measurement in case.log[case.split :]:
+        began = time.process_time()
+        output = localizer.add(measurement)
+        if output is not None and output.state is State.TRACKING:
+            spent += time.process_time() - began
+            scans += 1
+    print(f"tracking: {scans / max(spent, 1e-9):.0f} scans a CPU second ({scans} scans)")
+
+
+def teleport_trial(case: Case) -> None:
+    """The robot is carried off twice, each time to a mapped place far away."""
+    scans = [n for n in scans_of(case) if case.mapped[n] >= 0.9]
+    pieces, at = [], scans[0]
+    for _ in range(3):
+        piece = piece_of(case, at, 25.0)
+        pieces.append(piece)
+        far = [n for n in scans if np.hypot(*(case.truth[n] - case.truth[piece[-1]])[:2]) > 6.0]
+        if not far:
+            break
+        at = far[len(far) // 2]
+    said, _ = follow(case, [n for piece in pieces for n in piece])
+    begins = {piece[0] for piece in pieces[1:]}
+    print(f"\ncarried off {len(pieces) - 1} times:", end=" ")
+    way_m, waiting, last = 0.0, True, None
+    for n, output in said:
+        if n in begins or any(begin in range(last or n, n) for begin in begins):
+            way_m, waiting = 0.0, True
+        elif last is not None:
+            way_m += float(np.hypot(*(case.truth[n] - case.truth[last])[:2]))
+        last = n
+        if waiting and output.state is State.TRACKING and error_of(output, case.truth[n])[0] < RIGHT_M:
+            print(f"found after {way_m:.1f} m,", end=" ")
+            waiting = False
+    print(f"wrong and sure: {sum(wrong(output, case.truth[n]) for n, output in said)}")
+
+
+def piece_of(case: Case, start: int, way_m: float) -> list[int]:
+    """Numbers of the readings from a start on, for so much travel."""
+    steps = np.hypot(*np.diff(case.truth[start:, :2], axis=0).T)
+    return list(range(start, start + int(np.searchsorted(np.cumsum(steps), way_m))))
+
+
+def stranger_trial(case: Case, other: Case) -> None:
+    """A log of another building."""
+    localizer = Localizer(case.known_map, case.config)
+    tracked = scans = 0
+    for measurement in other.log:
+        output = localizer.add(measurement)
+        if output is not None:
+            scans += 1
+            tracked += output.state is State.TRACKING
+    print(f"\n{other.name} in this map: tracking in {tracked} of {scans} scans (0 is right)")
+
+
+if __name__ == "__main__":
+    main()
