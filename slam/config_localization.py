@@ -42,7 +42,7 @@ class LocalizationConfig(StrictModel):
         default=3.0, ge=1, description="neighbouring cells of a surface that count as one reading"
     )
     nowhere_nats: float = Field(
-        default=3.0, description="evidence that a pose must exceed to be likelier than none in the map"
+        default=4.0, description="evidence that a pose must exceed to be likelier than none in the map"
     )
     kidnap_nats: float = Field(
         default=3.0, ge=0, description="what it costs a hypothesis to believe that the robot was carried off"

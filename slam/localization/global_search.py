@@ -19,6 +19,8 @@ from slam.measurements import AnyFloatArray, FloatArray
 
 # The best pose of a block of so many pixels a side (2^3) stands for the others in it.
 _PEAK_LEVEL = 3
+# After so many points each, a sum is looked at.
+_GLANCE = 16
 # Two poses nearer than this are one place.
 _APART_M = 0.5
 _APART_RAD = 0.3
@@ -118,8 +120,11 @@ def _rotated_pixels(points, yaws, cell_m):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _bound(field, k, columns, rows, x, y):  # type: ignore[no-untyped-def]
-    """Upper bound of the score sum over robot pixels x..x+w-1, y..y+w-1, w = 2^k; -1 where none may stand."""
+def _bound(field, k, columns, rows, x, y, bar):  # type: ignore[no-untyped-def]
+    """Upper bound of the score sum over robot pixels x..x+w-1, y..y+w-1, w = 2^k.
+
+    -1 where the robot cannot stand in any of them, or the sum will not reach ``bar``.
+    """
     width = 1 << k
     table = field.table
     if field.standing[table[k, 3] + (y >> k) * table[k, 5] + (x >> k)] == 0:
@@ -129,6 +134,8 @@ def _bound(field, k, columns, rows, x, y):  # type: ignore[no-untyped-def]
     stride = table[k, 2]
     total = 0
     for i in range(columns.size):
+        if i % _GLANCE == 0 and total + 255 * (columns.size - i) < bar:
+            return -1
         c = columns[i] + x + width - 1
         r = rows[i] + y + width - 1
         if 0 <= c < stride and 0 <= r < height:
@@ -170,7 +177,7 @@ def _push_children(field, columns, rows, k, x, y, bar, stack, depth):  # type: i
         low = y + (child >> 1) * half
         if left >= field.table[0, 5] or low >= field.table[0, 4]:
             continue
-        bound = _bound(field, k - 1, columns, rows, left, low)
+        bound = _bound(field, k - 1, columns, rows, left, low, bar)
         if bound < bar:
             continue
         place = depth
@@ -216,7 +223,7 @@ def _search(field, columns, rows, turns, least, keep_share):  # type: ignore[no-
         for b in range(blocks):
             x = (b % across) << top
             y = (b // across) << top
-            bounds[n * blocks + b] = _bound(field, top, columns[turns[n]], rows[turns[n]], x, y)
+            bounds[n * blocks + b] = _bound(field, top, columns[turns[n]], rows[turns[n]], x, y, least)
     order = np.argsort(-bounds, kind="mergesort")
     best = 0
     bar = least
