@@ -284,6 +284,33 @@ class TestResume:
         outcome = scanweave("map", log.log_path, "-o", unfinished, "--set", "seed=3", "--resume")
         assert outcome.code == 1 and "table journal, row 0: its checksum" in outcome.err.splitlines()[-1]
 
+    @pytest.mark.parametrize("died", ["before the tidying up", "before its end"])
+    def test_killed_after_its_last_word(
+        self, scanweave: Scanweave, log: SyntheticLog, lidar_map: Path, unfinished: Path, died: str
+    ) -> None:
+        command = ("map", log.log_path, "-o", unfinished, "--set", "seed=3", "--resume")
+        with pytest.MonkeyPatch.context() as patch:
+            if died == "before the tidying up":
+                patch.setattr(MapFile, "compact", MapFile.close)
+            else:
+                patch.setattr("slam.storage.map_file.settle_counts", lambda path: None)
+            assert scanweave(*command).code == 0
+        whole = (lidar_map / "map.db").read_bytes()
+        assert (unfinished / "map.db").read_bytes() != whole
+        assert "is finished already" in scanweave(*command).out
+        assert (unfinished / "map.db").read_bytes() == whole
+        assert scanweave("check", unfinished).code == 0
+
+    def test_a_finished_map_that_was_damaged(
+        self, scanweave: Scanweave, log: SyntheticLog, lidar_map: Path, tmp_path: Path
+    ) -> None:
+        (tmp_path / "map.db").write_bytes((lidar_map / "map.db").read_bytes())
+        with sqlite3.connect(tmp_path / "map.db") as connection:
+            connection.execute("DELETE FROM factors WHERE number = 28 - 1")
+        connection.close()
+        error = scanweave("map", log.log_path, "-o", tmp_path, "--set", "seed=3", "--resume").error()
+        assert "table factors" in error
+
     def test_two_runs_at_once(self, scanweave: Scanweave, log: SyntheticLog, unfinished: Path) -> None:
         other = MapFile.resume(unfinished / "map.db")
         assert other is not None

@@ -55,16 +55,15 @@ def run_trials(
     rng, trials = np.random.default_rng(seed), Trials()
     shutil.rmtree(folder, ignore_errors=True)
     begun = True
-    while trials.kills < kills or begun:
+    while not trials.faults and (trials.kills < kills or begun):
         patience_s = rng.uniform(begins_s, 1.05 * whole_s) if trials.kills < kills else 100.0 * whole_s + 60.0
         _attempt(_arguments(log, folder, settings), patience_s, trials)
-        if trials.faults:
-            break
         begun = not _finished(folder)
         if not begun:
             trials.finished += 1
             trials.faults += _differences(whole, folder)
-            shutil.rmtree(folder)
+            if not trials.faults:  # else it stays, to be looked at
+                shutil.rmtree(folder)
     return trials
 
 

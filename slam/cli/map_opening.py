@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from slam.errors import DatasetError, MapFileError, UnfinishedMapError
-from slam.storage.map_file import MAP_NAME, MapFile
+from slam.storage.map_file import MAP_NAME, MapFile, is_tidy, settle_counts
 from slam.storage.map_identity import MapIdentity
 
 
@@ -20,21 +20,30 @@ def finished_map(folder: Path, identity: MapIdentity) -> bool:
     MapFileError
         Where it is of another log, configuration or version, or damaged.
     """
-    file = MapFile.resume(folder / MAP_NAME)
+    path = folder / MAP_NAME
+    file: MapFile | None
+    try:
+        file, tidy = MapFile.read(path), is_tidy(path)
+    except MapFileError:
+        file, tidy = MapFile.resume(path), False
     if file is None:
         return False
     try:
-        difference = MapIdentity.from_meta(file.meta(), file.path).difference(identity)
-        if difference is not None:
-            raise MapFileError(
-                f"{file.path} cannot be resumed: {difference}; map anew, without --resume or elsewhere"
-            )
-        if file.finished:
-            file.compact()  # where the interruption came between the last word and the tidying up
-            return True
-        return False
+        difference = MapIdentity.from_meta(file.meta(), path).difference(identity)
+        finished = file.finished
     finally:
         file.close()
+    if difference is not None:
+        raise MapFileError(f"{path} cannot be resumed: {difference}; map anew, without --resume or elsewhere")
+    if finished and not tidy:
+        # The interruption came between the last word and the end of the tidying up.
+        left = MapFile.resume(path)
+        assert left is not None
+        left.compact()
+        MapFile.read(path).close()  # which refuses a damaged one
+    elif finished:
+        settle_counts(path)
+    return finished
 
 
 @contextmanager

@@ -18,12 +18,33 @@ MAP_NAME = "map.db"
 # A crash loses at most this and what one scan takes.
 COMMIT_EVERY_S = 1.5
 _SEAL = "seal"
-_COMMIT_COUNTS = (24, 92)
+# Where SQLite's header counts commits, changes of the tables, and commits again.
+_COUNTS = (24, 40, 92)
+_SETTLED = b"\0\0\0\1"
+# And where it says whether the file is being written.
+_WRITE_VERSION, _NO_WAL = 18, b"\1"
 
 
 def map_path(path: Path) -> Path:
     """The map's file where a folder or the file itself is named."""
     return path / MAP_NAME if path.is_dir() else path
+
+
+def settle_counts(path: Path) -> None:
+    """Set what the header of a closed map counts: the clock has decided it, and where a run was killed."""
+    with path.open("r+b") as stream:
+        for place in _COUNTS:
+            stream.seek(place)
+            if stream.read(4) != _SETTLED:
+                stream.seek(place)
+                stream.write(_SETTLED)
+
+
+def is_tidy(path: Path) -> bool:
+    """Whether a finished map was tidied up to the end, but for its counts."""
+    with path.open("rb") as stream:
+        stream.seek(_WRITE_VERSION)
+        return stream.read(1) == _NO_WAL
 
 
 class MapFile:
@@ -192,14 +213,10 @@ class MapFile:
         with told(self.path, "finished"):
             run = self._connection.execute
             run("COMMIT")
-            run("PRAGMA journal_mode = DELETE")
             run("VACUUM")
+            run("PRAGMA journal_mode = DELETE")  # last: by it `is_tidy` knows that all is done
             self.close()
-            # SQLite counts its commits in the header, in two places; how many there were, the clock decided.
-            with self.path.open("r+b") as stream:
-                for place in _COMMIT_COUNTS:
-                    stream.seek(place)
-                    stream.write(b"\0\0\0\1")
+            settle_counts(self.path)
 
     def close(self) -> None:
         """Close the file; what is not committed is lost."""

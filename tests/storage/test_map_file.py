@@ -66,6 +66,15 @@ class TestRows:
         assert (tmp_path / "other.db").read_bytes() == one.read_bytes()
         assert one.stat().st_size < 60_000
 
+    def test_tidying_up_twice_changes_nothing(self, tmp_path: Path) -> None:
+        """Killed between its last word and the end of the tidying up, a map is tidied up again."""
+        path = sealed(tmp_path / "map.db")
+        before = path.read_bytes()
+        again = MapFile.resume(path)
+        assert again is not None and again.finished
+        again.compact()
+        assert path.read_bytes() == before
+
     def test_reading_writes_nothing(self, tmp_path: Path) -> None:
         path = sealed(tmp_path / "map.db")
         before = path.read_bytes()
