@@ -7,8 +7,9 @@ readings that both have. Travel counts as mapped where the true pose explains mo
 from __future__ import annotations
 
 import argparse
+import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -200,20 +201,11 @@ def run_from(case: Case, start: int) -> tuple[float, float, tuple[float, float] 
     return (way_m, mapped_m, None, errors) if found is None else (*found, errors)
 
 
-def follow(case: Case, numbers: Sequence[int]) -> tuple[list[tuple[int, LocalizerOutput]], float]:
-    """Localise the readings with these numbers: what was said, and the CPU seconds."""
-    localizer = Localizer(case.known_map, case.config)
-    began, said = time.process_time(), []
-    for n in numbers:
-        output = localizer.add(case.log[n])
-        if output is not None:
-            said.append((n, output))
-    return said, time.process_time() - began
-
-
 def tracking_trial(case: Case) -> None:
     """The rest of the log in one go."""
-    said, _ = follow(case, range(case.split, len(case.log)))
+    localizer = Localizer(case.known_map, case.config)
+    outputs = [(n, localizer.add(case.log[n])) for n in range(case.split, len(case.log))]
+    said = [(n, output) for n, output in outputs if output is not None]
     tracked = [(n, output) for n, output in said if output.state is State.TRACKING]
     errors = np.array([error_of(output, case.truth[n]) for n, output in tracked])
     in_map = case.mapped[[n for n, _ in tracked]] >= MAPPED_SHARE
@@ -251,20 +243,23 @@ def teleport_trial(case: Case) -> None:
         if not far:
             break
         at = far[len(far) // 2]
-    said, _ = follow(case, [n for piece in pieces for n in piece])
-    begins = {piece[0] for piece in pieces[1:]}
-    print(f"\ncarried off {len(pieces) - 1} times:", end=" ")
-    way_m, waiting, last = 0.0, True, None
-    for n, output in said:
-        if n in begins or any(begin in range(last or n, n) for begin in begins):
-            way_m, waiting = 0.0, True
-        elif last is not None:
+    localizer = Localizer(case.known_map, case.config)
+    told, sure_and_wrong = [], 0
+    for piece in pieces:
+        way_m, found_m, last = 0.0, math.nan, piece[0]
+        for n in piece:
+            output = localizer.add(case.log[n])
+            if output is None:
+                continue
             way_m += float(np.hypot(*(case.truth[n] - case.truth[last])[:2]))
-        last = n
-        if waiting and output.state is State.TRACKING and error_of(output, case.truth[n])[0] < RIGHT_M:
-            print(f"found after {way_m:.1f} m,", end=" ")
-            waiting = False
-    print(f"wrong and sure: {sum(wrong(output, case.truth[n]) for n, output in said)}")
+            last = n
+            sure_and_wrong += wrong(output, case.truth[n])
+            right = output.state is State.TRACKING and error_of(output, case.truth[n])[0] <= RIGHT_M
+            if math.isnan(found_m) and right:
+                found_m = way_m
+        told.append(f"{found_m:.1f} m")
+    print(f"\ncarried off {len(pieces) - 1} times: found after {', '.join(told)}", end="; ")
+    print(f"wrong and sure: {sure_and_wrong}")
 
 
 def piece_of(case: Case, start: int, way_m: float) -> list[int]:

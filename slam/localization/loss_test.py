@@ -8,6 +8,10 @@ from slam.config_localization import LocalizationConfig
 
 # One scan counts for so many nats at most: somebody may stand in front of the laser.
 _GREATEST_NATS = 2.0
+# Beyond this a probability is 0.
+_MOST_NATS = 50.0
+# What a pose that was right a moment ago has in its favour against the newest scan.
+_MOMENT_NATS = 3.0
 
 
 class LossTest:
@@ -25,18 +29,19 @@ class LossTest:
 
     @property
     def confidence(self) -> float:
-        """Probability of the pose."""
-        return 1.0 / (1.0 + math.exp(-self._log_odds))
+        """Probability of the pose; one scan that contradicts it is enough to doubt, though not to be lost."""
+        return 1.0 / (1.0 + math.exp(-max(min(self._log_odds, self._newest + _MOMENT_NATS), -_MOST_NATS)))
 
     def reset(self) -> None:
         """The pose has just been found."""
         self._log_odds = self._bound
+        self._newest = self._bound
         self._sound_s = math.nan
         self._stamp_s = math.nan
 
     def add(self, stamp_s: float, evidence: float) -> None:
         """Take the evidence of a scan for the pose, nats."""
-        self._stamp_s = stamp_s
+        self._stamp_s, self._newest = stamp_s, evidence
         self._log_odds = min(
             self._bound, self._log_odds + min(max(evidence, -_GREATEST_NATS), _GREATEST_NATS)
         )

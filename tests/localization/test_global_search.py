@@ -76,6 +76,21 @@ def test_no_place_near_the_best_is_left_out(seed: int) -> None:
         assert (np.hypot(offsets[:, 0], offsets[:, 1]) < 0.5 + 8 * CELL_M * math.sqrt(2.0)).any()
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_each_place_has_the_score_of_its_pose(seed: int) -> None:
+    field, points = small_world(seed)
+    # So far ahead of the robot that many fall outside of the map.
+    points[:, 0] += 2.5
+    scores = scores_of(field, points)
+    yaw_rad = 2.0 * math.pi / len(scores)
+    found = search_everywhere(field, points, 0.1, 0.8, 40)
+    assert len(found) > 3
+    for place in found:
+        column, row = np.floor((place.pose[:2] - [field.origin_x, field.origin_y]) / CELL_M).astype(int)
+        turn = round(place.pose[2] / yaw_rad) % len(scores)
+        assert place.score == pytest.approx(scores[turn, row, column] / (255.0 * len(points)))
+
+
 def test_threads_change_nothing() -> None:
     field, points = small_world(7)
     alone = search_everywhere(field, points, 0.1, 0.7, 12)

@@ -93,6 +93,15 @@ def test_a_contradicted_pose_is_lost_and_a_passer_by_is_not_enough() -> None:
     assert test.lost and test.confidence <= 0.5
 
 
+def test_one_scan_is_enough_to_doubt() -> None:
+    test = LossTest(CONFIG)
+    test.add(0.0, 5.0)
+    test.add(0.1, -6.0)
+    assert test.confidence < 0.1 and not test.lost
+    test.add(0.2, 5.0)
+    assert test.confidence > 0.99
+
+
 def test_long_soundness_does_not_delay_the_loss() -> None:
     counts = []
     for sound in (10, 10_000):
