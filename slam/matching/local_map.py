@@ -8,6 +8,7 @@ import numpy as np
 
 from slam.config_stages import MatchConfig
 from slam.matching.match_covariance import MatchNoise, weak_direction
+from slam.matching.object_evidence import object_evidence
 from slam.matching.planar import transform_into
 from slam.matching.point_to_line import Alignment, align
 from slam.matching.scan_points import ScanPoints
@@ -99,6 +100,10 @@ class LocalMap:
             scan.points, scan.normals, pose, pose, self.fine, self.config.fine_kernel_m, 1, _PINNED
         )
         return self._with_spread(scan, judged._replace(pose=pose, converged=True))
+
+    def evidence(self, scan: OrientedPoints, pose: FloatArray, other: FloatArray) -> FloatArray:
+        """What every object of a scan (base frame) says for a pose (3,) against another."""
+        return object_evidence(scan.points, scan.normals, pose, other, self.fine, self.config.fine_kernel_m)
 
     def _align(self, scan: OrientedPoints, guess: FloatArray, prior: FloatArray) -> Alignment:
         """Coarse, then fine, both tied to the same guess."""

@@ -76,6 +76,13 @@ class KissOdometry:
             return None
         return motion_from_alignment(self._local_map.judge(scan, pose), self._noise)
 
+    def evidence(self, points: ScanPoints, pose: FloatArray, other: FloatArray) -> FloatArray:
+        """What every object in a scan says for a pose (3,) against another one, in points; (K,)."""
+        local_map = self._local_map
+        if local_map is None:
+            return np.zeros(0)
+        return local_map.evidence(OrientedPoints.from_scan(points), pose, other)
+
     def _register(self, points: ScanPoints, guess: FloatArray) -> FloatArray:
         """KISS-ICP from a guess (3,): pose (3,) of the scan in the odometry frame."""
         matrix = self._registration.align_points_to_map(

@@ -44,6 +44,10 @@ class LidarOdometry(Protocol):
         """The best pose of the scan that stays close to ``pose`` (3,), however badly it fits."""
         ...
 
+    def evidence(self, points: ScanPoints, pose: FloatArray, other: FloatArray) -> FloatArray:
+        """What every object in a scan says for a pose (3,) against another one, in points; (K,)."""
+        ...
+
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:
         """Take a scan at a pose (3,) of the odometry frame into the local map."""
         ...

@@ -32,6 +32,11 @@ _CAMERA_FLOOR = np.array([0.01, 0.01, 0.008])
 _AGREE = 16.0
 # So many that agree with each other are believed against a match.
 _WITNESSES = 2
+# An object of a scan is one witness: however many beams it catches, it says no more than this (nats).
+_MOST_AN_OBJECT = 5.0
+# Wheels that did well of late are taken to be surer of the way, but not of the turn, than they claim: a slip
+# of time turns a robot that moves straight on. By no more than this share of the variance.
+_LEAST_SHARE = 0.02
 # Only a match that this share of the points agrees with may judge a predictor.
 _JUDGE_INLIER_SHARE = 0.8
 
@@ -65,16 +70,30 @@ class TrackedScan:
 
 
 class _Predictor:
-    """How far a kind of prediction can be trusted, learned from the matches."""
+    """How far a kind of prediction can be trusted, learned from the matches.
 
-    def __init__(self, memory_scans: float) -> None:
+    Parameters
+    ----------
+    memory_scans
+        Scans over which it is judged.
+    least_share
+        Share of the claimed variance of the way that it may be taken to have; 1 to believe no less than all.
+    """
+
+    def __init__(self, memory_scans: float, least_share: float = 1.0) -> None:
         self._rate = 1.0 / memory_scans
+        self._least_share = least_share
+        self._share = 1.0
         self.doubt = 1.0
         self.guess: Guess | None = None
 
-    def predict(self, pose: FloatArray, covariance: FloatArray) -> None:
-        """Expect a pose (3,) with a covariance (3, 3) as claimed; the doubt so far inflates it."""
-        self.guess = Guess(pose, covariance * self.doubt)
+    def predict(self, pose: FloatArray, covariance: FloatArray, dispute: FloatArray) -> None:
+        """Expect a pose (3,) with a covariance (3, 3) as claimed, rescaled by what was learned so far.
+
+        The dispute (3, 3) about the pose that it starts from comes on top.
+        """
+        scale = np.sqrt(self.doubt * np.array([self._share, self._share, 1.0]))
+        self.guess = Guess(pose, covariance * np.outer(scale, scale) + dispute)
 
     def judge(self, pose: FloatArray) -> None:
         """Learn from where the scan was really taken: the mean of the normalised squared error."""
@@ -83,6 +102,10 @@ class _Predictor:
         squares = self.doubt * _squared_sigmas(self.guess, pose) / 3.0
         average = self.doubt + self._rate * (min(squares, _GREATEST_SURPRISE * self.doubt) - self.doubt)
         self.doubt = max(1.0, average)
+        way = between(self.guess.pose, pose)[:2]
+        squares = self._share * float(way @ np.linalg.solve(self.guess.covariance[:2, :2], way)) / 2.0
+        average = self._share + self._rate * (min(squares, _GREATEST_SURPRISE * self._share) - self._share)
+        self._share = min(max(self._least_share, average), 1.0)
 
 
 class MotionTracker:
@@ -99,7 +122,7 @@ class MotionTracker:
         self._wheels = wheels
         self._config = config
         self._noise = match
-        self._by_wheels = _Predictor(config.memory_scans)
+        self._by_wheels = _Predictor(config.memory_scans, _LEAST_SHARE)
         self._by_velocity = _Predictor(config.memory_scans)
         self._by_camera = _Predictor(config.memory_scans)
         self._witnesses = 0
@@ -157,20 +180,20 @@ class MotionTracker:
         """By camera, by wheels, if a robot can move so, and by constant velocity, while they prove it."""
         self._by_camera.guess = self._by_wheels.guess = None
         if camera is not None:
-            covariance = camera.covariance + np.diag(_CAMERA_FLOOR**2) + last.dispute
-            self._by_camera.predict(compose(last.pose, camera.motion), covariance)
+            covariance = camera.covariance + np.diag(_CAMERA_FLOOR**2)
+            self._by_camera.predict(compose(last.pose, camera.motion), covariance, last.dispute)
             self._witnesses = camera.witnesses
         if self._wheels is not None and wheel_pose is not None and last.wheel_pose is not None:
             step = between(last.wheel_pose, wheel_pose)
             if self._wheels.plausible(step, step_s):
-                covariance = self._wheels.covariance(step) + last.dispute
-                self._by_wheels.predict(compose(last.pose, step), covariance)
+                covariance = self._wheels.covariance(step)
+                self._by_wheels.predict(compose(last.pose, step), covariance, last.dispute)
         stretch = 1.0
         if step_s > 0.0 and self._velocity_step_s > 0.0:
             stretch = min(step_s / self._velocity_step_s, _GREATEST_STRETCH)
         step = self._velocity_step * stretch
-        covariance = self._velocity_covariance(step) + last.dispute
-        self._by_velocity.predict(compose(last.pose, step), covariance)
+        covariance = self._velocity_covariance(step)
+        self._by_velocity.predict(compose(last.pose, step), covariance, last.dispute)
         predictors = [self._by_wheels, self._by_velocity]
         if self._by_wheels.doubt > _WHEELS_LOSE_AT * self._by_velocity.doubt:
             predictors.reverse()
@@ -199,19 +222,19 @@ class MotionTracker:
             other = self._odometry.match(points, [guess])
             if other is not None and other.fit > motion.fit:
                 motion = other
-        self._judge(motion)
         held = self._odometry.match_near(points, guesses[0].pose)
-        sigmas = self._sigmas(guesses[0], motion)
-        if sigmas <= config.surprise_sigmas or held is None:
+        if self._sigmas(guesses[0], motion) <= config.surprise_sigmas or held is None:
+            self._judge(motion)
             return motion, np.zeros((3, 3))
         # Log-likelihood ratio: what the scan says for the match, what a heavy tail (Student's t with three
         # degrees of freedom) says for the prediction.
-        for_match = self._evidence(len(points), motion, held)
+        for_match = self._evidence(points, motion, held)
         for_prediction = sum(
             2.0 * math.log1p(_squared_sigmas(guess, row_from_pose2(motion.T_reference_base)) / 3.0)
             for guess in guesses
         )
         if for_match - for_prediction > config.disputed_within:
+            self._judge(motion)
             return motion, np.zeros((3, 3))
         offset = between(row_from_pose2(motion.T_reference_base), row_from_pose2(held.T_reference_base))
         return held if for_prediction > for_match else motion, np.outer(offset, offset)
@@ -233,11 +256,13 @@ class MotionTracker:
         )
         return self._witnesses + agree >= _WITNESSES
 
-    def _evidence(self, count: int, motion: MotionEstimate, held: MotionEstimate) -> float:
+    def _evidence(self, points: ScanPoints, motion: MotionEstimate, held: MotionEstimate) -> float:
         """Log-likelihood of a match over a held one: about the difference of their Geman-McClure costs."""
         residual_m = max(motion.residual_m, self._noise.minimal_residual_m)
-        scale = 0.5 * (self._noise.fine_kernel_m / residual_m) ** 2
-        return count / self._noise.correlated_beams * scale * (motion.fit - held.fit)
+        scale = 0.5 * (self._noise.fine_kernel_m / residual_m) ** 2 / self._noise.correlated_beams
+        poses = (row_from_pose2(estimate.T_reference_base) for estimate in (motion, held))
+        objects = scale * self._odometry.evidence(points, *poses)
+        return float(np.clip(objects, -_MOST_AN_OBJECT, _MOST_AN_OBJECT).sum())
 
     def _fused(self, motion: MotionEstimate) -> FloatArray:
         """Match and camera, each by its covariance: a corridor is as long as it looks."""
@@ -261,8 +286,8 @@ class MotionTracker:
 
     @staticmethod
     def _sigmas(guess: Guess, motion: MotionEstimate) -> float:
-        """Distance of a match from a prediction in its standard deviations."""
-        return math.sqrt(_squared_sigmas(guess, row_from_pose2(motion.T_reference_base)))
+        """Distance of a match from a prediction in their standard deviations."""
+        return _apart(guess, Guess(row_from_pose2(motion.T_reference_base), motion.covariance))
 
 
 def _apart(one: Guess, other: Guess) -> float:

@@ -25,6 +25,12 @@ class RememberedOdometry:
         """The best pose of the scan that stays close to ``pose`` (3,), however badly it fits."""
         return self._answers.ask("held scan", float(pose[0]), lambda: self._odometry.match_near(points, pose))
 
+    def evidence(self, points: ScanPoints, pose: FloatArray, other: FloatArray) -> FloatArray:
+        """What every object in a scan says for a pose (3,) against another one, in points; (K,)."""
+        return self._answers.ask(
+            "evidence", float(pose[0]), lambda: self._odometry.evidence(points, pose, other)
+        )
+
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:
         """Take a scan at a pose (3,) of the odometry frame into the local map."""
         self._odometry.add_keyframe(points, pose)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 
+import numpy as np
+
 from slam.config_stages import LidarOdometryConfig, MatchConfig
 from slam.matching.correlative import build_field, search_window
 from slam.matching.local_map import LocalMap, OrientedPoints, match_noise
@@ -60,6 +62,13 @@ class SurfelOdometry:
         if local_map is None or len(scan) < _LEAST_POINTS:
             return None
         return motion_from_alignment(local_map.align_held(scan, pose), self._noise)
+
+    def evidence(self, points: ScanPoints, pose: FloatArray, other: FloatArray) -> FloatArray:
+        """What every object in a scan says for a pose (3,) against another one, in points; (K,)."""
+        local_map = self._known()
+        if local_map is None:
+            return np.zeros(0)
+        return local_map.evidence(OrientedPoints.from_scan(points), pose, other)
 
     def _known(self) -> LocalMap | None:
         """The local map, built when first asked for; None before the first keyframe."""

@@ -36,14 +36,23 @@ class ScriptedOdometry:
     def __init__(self) -> None:
         self.answer: Callable[[list[Guess]], MotionEstimate | None] = lambda guesses: None
         self.near_fit: float | None = 0.0
+        self.match_fit = 0.0
+        self.objects = 20
         self.asked: list[list[Guess]] = []
 
     def match(self, points: ScanPoints, guesses: list[Guess]) -> MotionEstimate | None:
         self.asked.append(guesses)
-        return self.answer(guesses)
+        motion = self.answer(guesses)
+        self.match_fit = 0.0 if motion is None else motion.fit
+        return motion
 
     def match_near(self, points: ScanPoints, pose: FloatArray) -> MotionEstimate | None:
         return None if self.near_fit is None else motion_at(pose, fit=self.near_fit)
+
+    def evidence(self, points: ScanPoints, pose: FloatArray, other: FloatArray) -> FloatArray:
+        """Every object says the same."""
+        gain = self.match_fit - (self.near_fit or 0.0)
+        return np.full(self.objects, len(points) * gain / self.objects)
 
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None: ...
 
@@ -181,7 +190,7 @@ class TestContradiction:
     ASIDE = np.array([0.1, 0.5, 0.0])
 
     def contradict(
-        self, match_fit: float, near_fit: float | None
+        self, match_fit: float, near_fit: float | None, objects: int = 20
     ) -> tuple[TrackedScan, FloatArray, FloatArray]:
         """The disputed scan, where the match wanted it and where the wheels did."""
         run = Run()
@@ -191,12 +200,19 @@ class TestContradiction:
         by_wheels, by_match = compose(run.true_pose, STEP), compose(run.true_pose, self.ASIDE)
         run.odometry.answer = lambda guesses: motion_at(by_match, fit=match_fit)
         run.odometry.near_fit = near_fit
+        run.odometry.objects = objects
         return run.scan(), by_match, by_wheels
 
     def test_a_clear_match_overrules_the_wheels(self) -> None:
         tracked, by_match, _ = self.contradict(match_fit=0.95, near_fit=0.1)
         np.testing.assert_allclose(tracked.pose, by_match, atol=1e-9)
         np.testing.assert_array_equal(tracked.dispute, np.zeros((3, 3)))
+
+    def test_one_object_does_not_overrule_the_wheels(self) -> None:
+        """Somebody walks ahead: the same points, but they are one."""
+        tracked, _, by_wheels = self.contradict(match_fit=0.95, near_fit=0.1, objects=1)
+        np.testing.assert_allclose(tracked.pose, by_wheels, atol=1e-9)
+        assert tracked.dispute.any()
 
     def test_the_prediction_wins_where_it_fits_as_well(self) -> None:
         tracked, by_match, by_wheels = self.contradict(match_fit=0.95, near_fit=0.95)
@@ -234,6 +250,23 @@ class TestContradiction:
         traces = [np.trace(guess.covariance) for guess in run.odometry.asked[-1]]
         assert len(traces) == 2
         assert min(traces) > 0.5**2, "half a metre in dispute"
+
+
+def test_wheels_that_prove_exact_are_believed_more_and_less_again_after_a_slip() -> None:
+    """The way's variance shrinks, the turn's does not; a slip brings it back."""
+    run = Run()
+    run.see_the_truth()
+    variances = []
+    for n in range(160):
+        slips = 100 <= n < 110
+        run.scan(true_step=STEP * 0.4 if slips else STEP)
+        if n in (2, 99, 110):
+            guess = run.odometry.asked[-1][0 if n < 100 else -1]
+            variances.append(np.diag(guess.covariance))
+    fresh, proven, slipped = variances
+    np.testing.assert_array_less(proven[:2], 0.1 * fresh[:2])
+    np.testing.assert_allclose(proven[2], fresh[2], rtol=0.01)
+    np.testing.assert_array_less(4.0 * proven[:2], slipped[:2])
 
 
 @pytest.mark.parametrize("frame", [(0.0, 0.0, 0.0), (30.0, 20.0, -2.0)])
