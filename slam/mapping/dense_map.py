@@ -205,14 +205,21 @@ class _Volume:
         mesh = self._grid.extract_triangle_mesh(self._weight_below)
         if mesh.is_empty():
             return ColoredMesh(*_nothing(), np.empty((0, 3), np.int32))
-        return ColoredMesh(*_arrays(mesh.vertex), mesh.triangle.indices.numpy().copy())
+        positions, colors, normals = _arrays(mesh.vertex)
+        order = _order(positions, colors, normals)
+        faces = _renumbered(mesh.triangle.indices.numpy(), order)
+        return ColoredMesh(positions[order], colors[order], normals[order], faces)
 
     def cloud(self) -> ColoredCloud:
         """The zero crossing as points, one on each edge of a voxel that it cuts."""
         if self._grid.hashmap().size() == 0:
             return ColoredCloud(*_nothing())
         cloud = self._grid.extract_point_cloud(self._weight_below)
-        return ColoredCloud(*(_nothing() if cloud.is_empty() else _arrays(cloud.point)))
+        if cloud.is_empty():
+            return ColoredCloud(*_nothing())
+        positions, colors, normals = _arrays(cloud.point)
+        order = _order(positions, colors, normals)
+        return ColoredCloud(positions[order], colors[order], normals[order])
 
 
 def _seen_by_open3d(usable: BoolArray) -> bool:
@@ -236,6 +243,22 @@ def _arrays(attributes: Any) -> tuple[Float32Array, Colors, Float32Array]:
     """Positions, colours and normals of an Open3D geometry, as arrays of their own."""
     colors = np.rint(np.clip(attributes.colors.numpy(), 0.0, 1.0) * 255.0).astype(np.uint8)
     return attributes.positions.numpy().copy(), colors, attributes.normals.numpy().copy()
+
+
+def _order(positions: Float32Array, colors: Colors, normals: Float32Array) -> NDArray[np.int64]:
+    """Order of points by place, then normal and colour: Open3D's threads give another one every time."""
+    keys = [*colors.T, *normals.T, *positions.T]
+    return np.lexsort(keys).astype(np.int64)
+
+
+def _renumbered(faces: Faces, order: NDArray[np.int64]) -> Faces:
+    """Triangles (M, 3) of vertices in a new order, the least vertex first, sorted."""
+    number = np.empty(order.size, np.int32)
+    number[order] = np.arange(order.size, dtype=np.int32)
+    faces = number[faces]
+    first = faces.argmin(axis=1)
+    turned = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)
+    return np.ascontiguousarray(turned[np.lexsort(turned.T[::-1])])
 
 
 def _nothing() -> tuple[Float32Array, Colors, Float32Array]:

@@ -124,6 +124,15 @@ def test_a_frame_with_a_single_reading_stops_nothing(row, col, fused):
     assert fuse_keyframes([frame], [gtsam.Pose3()], SETTINGS).frames_fused == fused
 
 
+def test_the_same_frames_give_the_same_bytes():
+    """Open3D's threads do not: points and triangles are put in order."""
+    first, second = (fuse_keyframes(box_frames(), camera_poses(ELSEWHERE), SETTINGS) for _ in range(2))
+    for name in ("vertices_map", "colors", "normals_map", "faces"):
+        assert getattr(first.mesh, name).tobytes() == getattr(second.mesh, name).tobytes(), name
+    for name in ("points_map", "colors", "normals_map"):
+        assert getattr(first.cloud, name).tobytes() == getattr(second.cloud, name).tobytes(), name
+
+
 def test_growing_from_one_block_gives_the_same_map(monkeypatch):
     frames, poses = box_frames(count=3), camera_poses(count=3)
     at_once = fuse_keyframes(frames, poses, SETTINGS).cloud.points_map
