@@ -90,10 +90,11 @@ class _Predictor:
     def predict(self, pose: FloatArray, covariance: FloatArray, dispute: FloatArray) -> None:
         """Expect a pose (3,) with a covariance (3, 3) as claimed, rescaled by what was learned so far.
 
-        The dispute (3, 3) about the pose that it starts from comes on top.
+        The dispute (3, 3) about the pose that it starts from comes on top, rescaled too: who proved exact
+        is believed through a dispute too, or whoever walks ahead would win at the next scan.
         """
         scale = np.sqrt(self.doubt * np.array([self._share, self._share, 1.0]))
-        self.guess = Guess(pose, covariance * np.outer(scale, scale) + dispute)
+        self.guess = Guess(pose, (covariance + dispute) * np.outer(scale, scale))
 
     def judge(self, pose: FloatArray) -> None:
         """Learn from where the scan was really taken: the mean of the normalised squared error."""
@@ -286,8 +287,8 @@ class MotionTracker:
 
     @staticmethod
     def _sigmas(guess: Guess, motion: MotionEstimate) -> float:
-        """Distance of a match from a prediction in their standard deviations."""
-        return _apart(guess, Guess(row_from_pose2(motion.T_reference_base), motion.covariance))
+        """Distance of a match from a prediction in its standard deviations."""
+        return math.sqrt(_squared_sigmas(guess, row_from_pose2(motion.T_reference_base)))
 
 
 def _apart(one: Guess, other: Guess) -> float:

@@ -249,7 +249,7 @@ class TestContradiction:
         run.scan()
         traces = [np.trace(guess.covariance) for guess in run.odometry.asked[-1]]
         assert len(traces) == 2
-        assert min(traces) > 0.5**2, "half a metre in dispute"
+        assert min(traces) > 0.45**2, "half a metre in dispute; the wheels were exact for four scans"
 
 
 def test_wheels_that_prove_exact_are_believed_more_and_less_again_after_a_slip() -> None:
