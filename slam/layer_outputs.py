@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import gtsam
 
 from fusion.height_band import HeightBand
 from slam.config import Config
 from slam.errors import ConfigError
-from slam.map_result import MapResult
+from slam.map_result import DenseKeyframes, MapResult
 from slam.mapping.depth_grid import DepthModel
 from slam.mapping.layered_map import LayerBuilder, LayeredMap, LayerSettings
-from slam.measurements import LaserScan, Pose, RgbdFrame, pose2_from_row
+from slam.measurements import FloatArray, LaserScan, Pose, RgbdFrame, pose2_from_row
 
 
 def layers_of(result: MapResult, config: Config) -> LayeredMap | None:
@@ -23,8 +23,16 @@ def layers_of(result: MapResult, config: Config) -> LayeredMap | None:
     ScanweaveError
         Where the map would not fit, or the robot climbs over all that it is high.
     """
-    planar = isinstance(result.graph.pose(0), gtsam.Pose2)
-    if not (config.layers.enabled and planar and result.dense is not None):
+    if not isinstance(result.graph.pose(0), gtsam.Pose2) or result.dense is None:
+        return None
+    return layers_of_keyframes(result.keyframe_scans, result.keyframe_poses, result.dense, config)
+
+
+def layers_of_keyframes(
+    scans: Sequence[LaserScan | None], poses: FloatArray, dense: DenseKeyframes, config: Config
+) -> LayeredMap | None:
+    """The layers of keyframe scans with (K, 3) poses and of camera keyframes, as in `layers_of`."""
+    if not config.layers.enabled:
         return None
     if config.layers.climb_m >= config.layers.robot_height_m:
         raise ConfigError(
@@ -39,18 +47,18 @@ def layers_of(result: MapResult, config: Config) -> LayeredMap | None:
         max_cells=config.grid.greatest_cells,
     )
     builder = LayerBuilder(settings)
-    for reading, T_map_base in _readings(result):
+    for reading, T_map_base in _readings(scans, poses, dense):
         builder.add(reading, T_map_base)
     return builder.finish()
 
 
-def _readings(result: MapResult) -> Iterator[tuple[LaserScan | RgbdFrame, Pose]]:
+def _readings(
+    scans: Sequence[LaserScan | None], poses: FloatArray, dense: DenseKeyframes
+) -> Iterator[tuple[LaserScan | RgbdFrame, Pose]]:
     """Keyframe scans and images with the pose of the base at each."""
-    for scan, pose in zip(result.keyframe_scans, result.keyframe_poses, strict=True):
+    for scan, pose in zip(scans, poses, strict=True):
         if scan is not None:
             yield scan, pose2_from_row(pose)
-    if result.dense is None:
-        return
-    for frame, T_map_camera in zip(result.dense.frames, result.dense.poses, strict=True):
+    for frame, T_map_camera in zip(dense.frames, dense.poses, strict=True):
         if frame.T_base_camera is not None:
             yield frame, T_map_camera.compose(frame.T_base_camera.inverse())

@@ -16,11 +16,12 @@ from slam.journal import Journal
 from slam.keyframe_fusion import KeyframeFusion
 from slam.keyframe_store import registration_notes
 from slam.map_result import MapResult
-from slam.mapping.occupancy_grid import InverseSensorModel, OccupancyGrid, PosedScan, build_grid
+from slam.mapping.keyframe_grid import grid_of_keyframes
+from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import between
 from slam.matching.scan_points import ScanPoints, extract_points
-from slam.measurements import FloatArray, LaserScan, WheelOdometry, pose2_from_row, row_from_pose2
+from slam.measurements import FloatArray, LaserScan, WheelOdometry, row_from_pose2
 from slam.mount_learner import LearnedMounting
 from slam.odometry import make_lidar_odometry
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
@@ -269,21 +270,7 @@ class PlanarMapper:
         self, scans_fused: Sequence[LaserScan | None], keyframe_poses: FloatArray
     ) -> tuple[OccupancyGrid | None, list[str]]:
         """The grid from the optimised keyframes; a map that would not fit in memory is a warning."""
-        settings = self._config.grid
-        model = InverseSensorModel(
-            p_hit=settings.hit_probability,
-            p_miss=settings.miss_probability,
-            max_hit_range_m=settings.hit_range_m,
-            max_clear_range_m=settings.clear_range_m,
-        )
-        scans = (
-            PosedScan.of(scan, pose2_from_row(pose))
-            for scan, pose in zip(scans_fused, keyframe_poses, strict=True)
-            if scan is not None
-        )
-        if all(scan is None for scan in scans_fused):
-            return None, []
         try:
-            return build_grid(scans, settings.resolution_m, model, max_cells=settings.greatest_cells), []
+            return grid_of_keyframes(scans_fused, keyframe_poses, self._config.grid), []
         except ScanweaveError as error:
             return None, [f"No grid was built: {error}"]

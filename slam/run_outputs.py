@@ -11,6 +11,7 @@ from slam.errors import ScanweaveError
 from slam.map_result import DenseKeyframes, MapResult
 from slam.mapping.dense_map import DenseMapSettings, fuse_keyframes
 from slam.mapping.layered_map import LayeredMap
+from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.storage.files import make_folder
 from slam.storage.g2o import G2oEdge, G2oGraph, write_g2o
 from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor
@@ -103,10 +104,8 @@ def save_g2o(path: Path, contents: MapContents) -> None:
 def contents_of(result: MapResult, layers: LayeredMap | None = None) -> MapContents:
     """A finished map as it is saved."""
     grids = {} if result.grid is None else {OCCUPANCY: result.grid}
-    if layers is not None and layers.lidar is not None:
-        grids["lidar layer"] = layers.grid("lidar")
-    if layers is not None and layers.depth is not None:
-        grids["depth layer"] = layers.grid("depth")
+    if layers is not None:
+        grids.update(layer_grids(layers))
     # An accepted loop's covariance is the very array of its candidate.
     loops = {id(loop.motion.covariance): n for n, loop in enumerate(result.loops) if loop.motion is not None}
     return MapContents(
@@ -123,6 +122,16 @@ def contents_of(result: MapResult, layers: LayeredMap | None = None) -> MapConte
         trajectory=result.trajectory,
         grids=grids,
     )
+
+
+def layer_grids(layers: LayeredMap) -> dict[str, OccupancyGrid]:
+    """The layers that there are, by the names under which they are saved."""
+    grids = {}
+    if layers.lidar is not None:
+        grids["lidar layer"] = layers.grid("lidar")
+    if layers.depth is not None:
+        grids["depth layer"] = layers.grid("depth")
+    return grids
 
 
 def export_map(saved: SavedMap, format_: str, out: Path) -> list[Path]:

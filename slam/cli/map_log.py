@@ -24,7 +24,17 @@ _DEMO_ROOMS = 3
 @app.command("map")
 def map_command(
     log: LogArgument,
-    out: Annotated[Path, typer.Option("--out", "-o", help="folder for the results; made where missing")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="folder for the results; made where missing")
+    ] = None,
+    into: Annotated[
+        Path | None,
+        typer.Option(
+            "--into",
+            metavar="MAP",
+            help="add the log to this saved map; with --out the joined map goes there, and MAP stays",
+        ),
+    ] = None,
     config: ConfigOption = None,
     set_: SetOption = None,
     no_odometry: Annotated[bool, typer.Option("--no-odometry", help="ignore the wheels")] = False,
@@ -46,7 +56,16 @@ def map_command(
         overrides += ["loops.enabled=false", "visual_loops.enabled=false"]
     if no_fusion:
         overrides.append("fusion.enabled=false")
-    _map(log, out, config, overrides, strict, resume)
+    if into is not None:
+        from slam.cli.map_into import map_into
+        from slam.config import load_config
+
+        own = load_config(config, overrides) if config or overrides else None
+        map_into(log, into, out, own, strict, resume)
+    elif out is None:
+        raise typer.BadParameter("say where the map goes (--out), or which map the log joins (--into)")
+    else:
+        _map(log, out, config, overrides, strict, resume)
 
 
 @app.command()

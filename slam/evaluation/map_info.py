@@ -33,18 +33,17 @@ def map_info(path: Path) -> dict[str, Any]:
     trajectory, identity = saved.trajectory, saved.identity
     kinds = Counter(factor.edge.kind.value for factor in saved.factors if factor.kept)
     refused = Counter(factor.edge.kind.value for factor in saved.factors if not factor.kept)
-    steps_m = np.linalg.norm(np.diff(trajectory.positions_m, axis=0), axis=1)
     return {
         "map": str(saved.path),
         "size_mb": round(saved.path.stat().st_size / 1e6, 3),
         "finished": True,
         "log": identity.log_name,
+        "sessions": len(saved.sessions),
         "motion": "planar" if saved.planar else "spatial",
         "sensors": _sensors(saved),
         "keyframes": len(saved.keyframe_poses),
         "poses": len(trajectory),
-        "path_length_m": round(float(steps_m.sum()), 3),
-        "duration_s": round(float(np.ptp(trajectory.stamps_s)), 3),
+        **_extent(saved),
         "factors": dict(sorted(kinds.items())),
         "factors_refused": dict(sorted(refused.items())),
         "loops": len(saved.loops),
@@ -52,6 +51,19 @@ def map_info(path: Path) -> dict[str, Any]:
         "grids": {name: _grid(saved, name) for name in saved.contents.grids},
         **_origin(identity),
         "digest": saved.digest,
+    }
+
+
+def _extent(saved: SavedMap) -> dict[str, float]:
+    """Way and time of all sessions."""
+    ends = np.cumsum([session.poses for session in saved.sessions])[:-1]
+    ways = np.split(saved.trajectory.positions_m, ends)
+    times = np.split(saved.trajectory.stamps_s, ends)
+    return {
+        "path_length_m": round(
+            sum(float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum()) for way in ways), 3
+        ),
+        "duration_s": round(sum(float(np.ptp(stamps_s)) for stamps_s in times), 3),
     }
 
 

@@ -97,12 +97,34 @@ class LoopCloser:
             return []
         tried = []
         for place, covariance in self._propose(key, poses, uncertainty):
-            candidate = self._verify(place, key, between(poses[place], poses[key]), covariance)
-            _report(candidate)
-            tried.append(candidate)
+            tried.append(self.verify(place, key, between(poses[place], poses[key]), covariance))
         if tried:
             self._misses = 0 if any(candidate.accepted for candidate in tried) else self._misses + 1
         return tried
+
+    def verify(self, place: int, key: int, guess: FloatArray, covariance: FloatArray) -> LoopCandidate:
+        """Match a keyframe to a place in the window that the uncertainty of a guess asks for.
+
+        Parameters
+        ----------
+        guess
+            (3,) expected pose of the keyframe in the frame of the place.
+        covariance
+            (3, 3) of the guess.
+        """
+        config = self._config
+        sigma_m = float(_position_sigmas(covariance[None])[0])
+        width = min(config.sigmas * sigma_m, config.greatest_half_width_m)
+        yaw = min(config.sigmas * math.sqrt(float(covariance[2, 2])), config.greatest_half_yaw_rad)
+        if self._misses >= config.misses_until_wide:
+            # Known places all around and none fits: the estimate may be further off than it believes.
+            width, yaw = max(width, config.wide_half_width_m), max(yaw, config.wide_half_yaw_rad)
+        begun = LoopCandidate(place, key, width, yaw, 1.0, None, False, "")
+        # Asked for in any case: what the cache holds must not depend on where the answer comes from.
+        submap = self._submaps.submap(place)
+        candidate = self._answers.ask("loop", float(guess[0]), lambda: self._match(begun, submap, guess))
+        _report(candidate)
+        return candidate
 
     def _propose(
         self, key: int, poses: FloatArray, uncertainty: UncertaintyGraph
@@ -130,20 +152,6 @@ class LoopCloser:
             if all(abs(way - self._submaps.travelled_m(p)) > 2.0 * config.submap_half_m for p, _ in chosen):
                 chosen.append((int(places[n]), covariances[n]))
         return chosen
-
-    def _verify(self, place: int, key: int, guess: FloatArray, covariance: FloatArray) -> LoopCandidate:
-        """Match in the window that the uncertainty asks for."""
-        config = self._config
-        sigma_m = float(_position_sigmas(covariance[None])[0])
-        width = min(config.sigmas * sigma_m, config.greatest_half_width_m)
-        yaw = min(config.sigmas * math.sqrt(float(covariance[2, 2])), config.greatest_half_yaw_rad)
-        if self._misses >= config.misses_until_wide:
-            # Known places all around and none fits: the estimate may be further off than it believes.
-            width, yaw = max(width, config.wide_half_width_m), max(yaw, config.wide_half_yaw_rad)
-        candidate = LoopCandidate(place, key, width, yaw, 1.0, None, False, "")
-        # Asked for in any case: what the cache holds must not depend on where the answer comes from.
-        submap = self._submaps.submap(place)
-        return self._answers.ask("loop", float(guess[0]), lambda: self._match(candidate, submap, guess))
 
     def _match(self, candidate: LoopCandidate, submap: Submap, guess: FloatArray) -> LoopCandidate:
         """Search the candidate's window, refine, and judge."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -10,7 +10,7 @@ import gtsam
 
 from slam.errors import MapFileError
 from slam.mapping.image_packing import depth_steps_per_m, packed_color, packed_depth, unpacked_images
-from slam.measurements import CameraIntrinsics, RgbdFrame
+from slam.measurements import CameraIntrinsics, Pose, RgbdFrame
 from slam.storage.map_file import MapFile
 from slam.storage.map_tables import FRAMES, IMAGES, Value
 from slam.storage.packing import pack, unpack
@@ -119,6 +119,31 @@ class MapFrames:
                 cast(bytes, images[0]), cast(bytes, images[1]), head.steps_per_m, head.intrinsics
             )
         return RgbdFrame(head.stamp_s, color, depth_m, head.intrinsics, head.T_base_camera, head.sensor)
+
+    def copy_to(self, file: MapFile, nodes: int) -> None:
+        """Write all frames to another map as they are, their nodes numbered after so many others.
+
+        Raises
+        ------
+        MapFileError
+            Where a row is damaged, or the other map cannot be written.
+        """
+        for index in range(len(self)):
+            node, *rest = self._row(index)
+            file.append(FRAMES, cast(int, node) + nodes, *rest)
+            file.append(IMAGES, *self._file.row(IMAGES, index))
+
+    def poses(self, node_poses: Sequence[Pose]) -> list[gtsam.Pose3]:
+        """``T_map_camera`` of every frame; the nodes are bases on a floor, or the cameras in space."""
+        poses = []
+        for index in range(len(self)):
+            head = self.head(index)
+            node = node_poses[head.node]
+            if isinstance(node, gtsam.Pose2):
+                assert head.T_base_camera is not None
+                node = gtsam.Pose3(gtsam.Pose2(node.x(), node.y(), node.theta())).compose(head.T_base_camera)
+            poses.append(node)
+        return poses
 
     def _check_same(self, head: FrameHead, frame: RgbdFrame, node: int) -> None:
         """Refuse to go on where an interrupted run took another frame."""

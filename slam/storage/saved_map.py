@@ -18,6 +18,7 @@ from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor, read_
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
 from slam.storage.map_identity import MapIdentity
+from slam.storage.map_sessions import MapSession, sessions_of
 from slam.storage.map_tables import FRAMES
 
 
@@ -31,6 +32,8 @@ class SavedMap:
         Of the file.
     identity
         What decided it.
+    sessions
+        The logs that it was made of.
     contents
         Everything but the camera keyframes.
     frames
@@ -41,6 +44,7 @@ class SavedMap:
 
     path: Path
     identity: MapIdentity
+    sessions: Sequence[MapSession]
     contents: MapContents
     frames: MapFrames
     digest: str
@@ -92,15 +96,7 @@ class SavedMap:
 
     def frame_poses(self) -> list[gtsam.Pose3]:
         """``T_map_camera`` of every camera keyframe."""
-        poses = []
-        for index in range(len(self.frames)):
-            head = self.frames.head(index)
-            node = self.contents.node_poses[head.node]
-            if isinstance(node, gtsam.Pose2):
-                assert head.T_base_camera is not None
-                node = gtsam.Pose3(gtsam.Pose2(node.x(), node.y(), node.theta())).compose(head.T_base_camera)
-            poses.append(node)
-        return poses
+        return self.frames.poses(self.contents.node_poses)
 
     def check(self) -> None:
         """Read everything, images too.
@@ -130,8 +126,10 @@ def open_saved_map(path: Path) -> SavedMap:
     """
     file = MapFile.read(Path(path))
     try:
-        identity = MapIdentity.from_meta(file.meta(), file.path)
+        meta = file.meta()
+        identity = MapIdentity.from_meta(meta, file.path)
         contents = read_contents(file)
+        sessions = sessions_of(meta, len(contents.node_poses), len(contents.trajectory))
         frames = MapFrames(file)
         for index in range(len(frames)):
             with file.blaming(FRAMES, index):
@@ -140,7 +138,7 @@ def open_saved_map(path: Path) -> SavedMap:
     except BaseException:
         file.close()
         raise
-    return SavedMap(file.path, identity, contents, frames, file.content_digest(), file)
+    return SavedMap(file.path, identity, sessions, contents, frames, file.content_digest(), file)
 
 
 def _yaw(pose: Pose) -> float:

@@ -1,0 +1,104 @@
+"""Whether a session belongs into a map, and the two joined where it does: found out in three steps.
+
+Places that are recognised must agree on where the session lies; scans along the way must match the map
+there; and the optimisation of both together must keep most of those loops. Each may say no.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from slam.graph.loop_closure import LoopCandidate
+from slam.localization.known_map import KnownMap
+from slam.sessions.placing import LEAST_PLACES, Placing, agree_on_placing, sightings_of
+from slam.sessions.session_join import JoinedMap, join
+from slam.sessions.session_loops import KeyframeScans, find_loops
+from slam.storage.saved_map import SavedMap
+
+# Loops between two sessions: so many at least, and this share of them kept by the optimisation.
+_LEAST_LOOPS = 3
+_LEAST_KEPT_SHARE = 0.5
+# Real scans never repeat to the last digit: a log that shares so many of them is in the map already.
+_MOST_SHARED = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """What became of an attempt to join a session to a map.
+
+    Attributes
+    ----------
+    placing
+        Where places of the session were recognised.
+    loops
+        Every attempt to match a keyframe of the session to the map.
+    joined
+        The two as one; None where they do not connect.
+    reason
+        Why not, in a few words; empty where they do.
+    """
+
+    placing: Placing
+    loops: Sequence[LoopCandidate]
+    joined: JoinedMap | None
+    reason: str
+
+
+def connect(known: SavedMap, session: SavedMap) -> Connection:
+    """Join a session to a map, both planar and with scans, by the settings of the map.
+
+    Raises
+    ------
+    ScanweaveError
+        Where the joined grid would have too many cells.
+    """
+    config = known.config
+    shared = _shared_scans(known, session)
+    if shared > _MOST_SHARED * len(session.keyframe_scans):
+        reason = f"{shared} of its {len(session.keyframe_scans)} keyframes are in the map already"
+        return Connection(Placing((), 0), (), None, reason)
+    sightings = sightings_of(KnownMap.of_saved(known), session.keyframe_scans, session.keyframe_poses, config)
+    placing = agree_on_placing(sightings, session.keyframe_poses)
+    if not placing.sure:
+        return Connection(placing, (), None, _unplaced(placing))
+    loops = find_loops(
+        KeyframeScans(known.keyframe_scans, known.keyframe_poses),
+        KeyframeScans(session.keyframe_scans, session.keyframe_poses),
+        placing,
+        config,
+    )
+    accepted = sum(loop.accepted for loop in loops)
+    if accepted < _LEAST_LOOPS:
+        reason = f"only {accepted} of {len(loops)} scans match the map where they should, {_LEAST_LOOPS} must"
+        return Connection(placing, loops, None, reason)
+    joined = join(known, session, placing, loops, config)
+    if joined.loops_kept < max(_LEAST_LOOPS, _LEAST_KEPT_SHARE * joined.loops_between):
+        reason = (
+            f"only {joined.loops_kept} of the {joined.loops_between} loops between them hold when both are "
+            "optimised together"
+        )
+        return Connection(placing, loops, None, reason)
+    return Connection(placing, loops, joined, "")
+
+
+def _shared_scans(known: SavedMap, session: SavedMap) -> int:
+    """How many keyframe scans of the session are the map's own, time and every range."""
+    measured = (known.contents.measured_scans, session.contents.measured_scans)
+    ours, theirs = (
+        [(scan.stamp_s, scan.sensor, scan.ranges_m.tobytes()) for scan in scans if scan is not None]
+        for scans in measured
+    )
+    known_scans = set(ours)
+    return sum(scan in known_scans for scan in theirs)
+
+
+def _unplaced(placing: Placing) -> str:
+    """Why a placing is not sure."""
+    agreeing = len(placing.agreeing)
+    if agreeing == 0:
+        return "no place of it was recognised in the map"
+    return (
+        f"{agreeing} of its places agree on where it lies in the map and {placing.disagreeing} do not; at "
+        f"least {LEAST_PLACES} must agree, and twice as many as do not"
+    )

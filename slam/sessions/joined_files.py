@@ -1,0 +1,173 @@
+"""The files of a map with one more session: all are written beside, then take the place of the old ones."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from slam.config import Config
+from slam.errors import MapFileError
+from slam.layer_outputs import layers_of_keyframes
+from slam.map_result import DenseKeyframes
+from slam.mapping.layered_map import LayeredMap
+from slam.measurements import RgbdFrame, Trajectory, row_from_pose2
+from slam.run_outputs import export_map, layer_grids
+from slam.sessions.session_join import JoinedMap
+from slam.storage.files import make_folder
+from slam.storage.map_contents import write_contents
+from slam.storage.map_file import MAP_NAME, MapFile
+from slam.storage.map_frames import MapFrames
+from slam.storage.map_identity import MapIdentity
+from slam.storage.map_sessions import SESSIONS, MapSession, sessions_to_meta
+from slam.storage.nav2_layers import write_layers
+from slam.storage.saved_map import SavedMap, open_saved_map
+from slam.storage.tum import write_tum
+
+
+@contextmanager
+def only_one_in(folder: Path) -> Iterator[None]:
+    """Keep others from joining a session in a folder during the block; a killed process lets go of it.
+
+    Raises
+    ------
+    MapFileError
+        Where another one does so already.
+    """
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError as error:
+        raise MapFileError(f"another run adds a session in {folder}; wait for its end") from error
+    finally:
+        os.close(handle)
+
+
+@dataclass(frozen=True, slots=True)
+class _Frames:
+    """Camera keyframes of several maps, one after the other."""
+
+    parts: Sequence[MapFrames]
+
+    def __iter__(self) -> Iterator[RgbdFrame]:
+        for part in self.parts:
+            yield from part
+
+
+def write_joined(folder: Path, known: SavedMap, session: SavedMap, joined: JoinedMap) -> list[Path]:
+    """Write ``map.db`` of a map and a session, and its exports, into a new folder; what was written.
+
+    Raises
+    ------
+    ScanweaveError
+        Where a file cannot be written.
+    """
+    make_folder(folder)
+    config = known.config
+    layers = _layers(known, session, joined, config)
+    contents = joined.contents
+    if layers is not None:
+        contents = replace(contents, grids={**contents.grids, **layer_grids(layers)})
+    sessions = [*known.sessions, *session.sessions]
+    file = MapFile.create(folder / MAP_NAME)
+    try:
+        for key, value in _identity(known, session).to_meta().items():
+            file.add_meta(key, value)
+        file.add_meta(SESSIONS, sessions_to_meta(sessions))
+        known.frames.copy_to(file, 0)
+        session.frames.copy_to(file, len(known.contents.node_poses))
+        write_contents(file, contents)
+        file.seal()
+    finally:
+        file.close()
+    written = [folder / MAP_NAME, *_exports(folder, config)]
+    written += _session_trajectories(folder, contents.trajectory, sessions)
+    if layers is not None:
+        written += write_layers(folder / "layers", layers)
+    return written
+
+
+def move_into(folder: Path, source: Path) -> list[Path]:
+    """Let all files of a folder take the place of their namesakes in another, ``map.db`` last.
+
+    Each is renamed: at any moment ``map.db`` is the old one or the new one, whole, and while it is the old
+    one the same can be done again. The source is removed.
+
+    Returns
+    -------
+    Where they are now.
+
+    Raises
+    ------
+    MapFileError
+        Where a file cannot be moved.
+    """
+    files = sorted(path for path in source.rglob("*") if path.is_file())
+    files.sort(key=lambda path: path.name == MAP_NAME)
+    moved = []
+    try:
+        for file in files:
+            target = folder / file.relative_to(source)
+            make_folder(target.parent)
+            file.replace(target)
+            moved.append(target)
+        shutil.rmtree(source)
+    except OSError as error:
+        raise MapFileError(f"cannot write {folder}: {error.strerror or error}") from error
+    return moved
+
+
+def _identity(known: SavedMap, session: SavedMap) -> MapIdentity:
+    """What decided the joined map: the settings of the first, the logs of both."""
+    sessions = [*known.sessions, *session.sessions]
+    digest = hashlib.blake2b(digest_size=16)
+    for one in sessions:
+        digest.update(one.log_fingerprint.encode() + b"\0")
+    names = " + ".join(one.log_name for one in sessions)
+    return MapIdentity(known.config, names, digest.hexdigest(), session.identity.versions)
+
+
+def _layers(known: SavedMap, session: SavedMap, joined: JoinedMap, config: Config) -> LayeredMap | None:
+    """The layers from all scans and images; None without a camera."""
+    nodes = joined.contents.node_poses
+    first = len(known.contents.node_poses)
+    poses = [*known.frames.poses(nodes[:first]), *session.frames.poses(nodes[first:])]
+    if not poses:
+        return None
+    rows = np.array([row_from_pose2(pose) for pose in nodes])
+    dense = DenseKeyframes(_Frames((known.frames, session.frames)), poses)
+    return layers_of_keyframes(joined.contents.scans, rows, dense, config)
+
+
+def _exports(folder: Path, config: Config) -> list[Path]:
+    """The files for other programs, as ``scanweave map`` writes them."""
+    saved = open_saved_map(folder)
+    try:
+        formats = ["tum", "g2o"]
+        if saved.grid is not None:
+            formats.append("nav2")
+        if len(saved.frames) and config.dense_map.enabled:
+            formats += ["ply", "bt"] if config.dense_map.octomap else ["ply"]
+        return [path for name in formats for path in export_map(saved, name, folder)]
+    finally:
+        saved.close()
+
+
+def _session_trajectories(folder: Path, whole: Trajectory, sessions: Sequence[MapSession]) -> list[Path]:
+    """A file a session: their clocks may overlap."""
+    written, first = [], 0
+    for number, session in enumerate(sessions, start=1):
+        part = slice(first, first + session.poses)
+        first += session.poses
+        stretch = Trajectory(whole.stamps_s[part], whole.positions_m[part], whole.quaternions_xyzw[part])
+        written.append(folder / f"trajectory-{number}.tum")
+        write_tum(written[-1], stretch)
+    return written

@@ -1,0 +1,206 @@
+"""The graphs of a map and of a session as one, optimised together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.config import Config
+from slam.full_trajectory import spread_correction
+from slam.graph.loop_closure import LoopCandidate
+from slam.graph.pose_graph import Edge, EdgeKind, PoseGraph
+from slam.mapping.keyframe_grid import grid_of_keyframes
+from slam.matching.planar import between, compose
+from slam.measurements import FloatArray, Trajectory, pose2_from_row, row_from_pose2
+from slam.sessions.placing import Placing
+from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor
+from slam.storage.saved_map import SavedMap
+
+Indices: TypeAlias = NDArray[np.int64]
+
+_CONTRADICTED = "disagrees with the other loops (GNC)"
+
+
+@dataclass(frozen=True, slots=True)
+class JoinedMap:
+    """A map and a session in one frame, that of the map.
+
+    Attributes
+    ----------
+    contents
+        Nodes, factors, loops and trajectory of the map, then those of the session, then the loops between
+        them.
+    loops_between
+        How many loops between the two were accepted by their matches.
+    loops_kept
+        How many of them the optimisation has kept.
+    moved_m
+        How far the map's own keyframes have moved at most.
+    """
+
+    contents: MapContents
+    loops_between: int
+    loops_kept: int
+    moved_m: float
+
+
+def join(
+    known_map: SavedMap,
+    session_map: SavedMap,
+    placing: Placing,
+    between_them: Sequence[LoopCandidate],
+    config: Config,
+) -> JoinedMap:
+    """Join two planar maps by loops between them.
+
+    Every edge that may be refused is judged anew: what one session could not decide the other may.
+
+    Parameters
+    ----------
+    placing
+        Where the session lies in the map.
+    between_them
+        Loop candidates, ``keyframe`` numbered after those of the map.
+
+    Raises
+    ------
+    ScanweaveError
+        Where the grid would have too many cells.
+    """
+    known, session = known_map.contents, session_map.contents
+    nodes = len(known.node_poses)
+    factors = [*known.factors, *_renumbered(session, nodes, len(known.loops))]
+    loops = [*known.loops, *(_shifted(loop, nodes) for loop in session.loops)]
+    own_loops = len(loops)
+    for loop in between_them:
+        if loop.accepted and loop.motion is not None:
+            factors.append(SavedFactor(_edge_of(loop), True, len(loops)))
+        loops.append(loop)
+    kept, poses = _optimised(known, session, placing, factors, config)
+    factors = [replace(factor, kept=bool(keep)) for factor, keep in zip(factors, kept, strict=True)]
+    loops = _judged(loops, factors)
+    joined = [factor for factor in factors if factor.loop is not None and factor.loop >= own_loops]
+    scans = [*known.scans, *session.scans]
+    grid = grid_of_keyframes(scans, poses, config.grid)
+    before = _rows(known)
+    return JoinedMap(
+        MapContents(
+            node_poses=[pose2_from_row(pose) for pose in poses],
+            stamps_s=np.concatenate([known.stamps_s, session.stamps_s]),
+            readings=np.concatenate([known.readings, session.readings]),
+            measured_scans=[*known.measured_scans, *session.measured_scans],
+            scans=scans,
+            factors=factors,
+            loops=loops,
+            trajectory=_joined_trajectory((known_map, session_map), poses),
+            grids={} if grid is None else {OCCUPANCY: grid},
+        ),
+        loops_between=len(joined),
+        loops_kept=sum(factor.kept for factor in joined),
+        moved_m=float(np.hypot(*(poses[:nodes, :2] - before[:, :2]).T).max()),
+    )
+
+
+def _optimised(
+    known: MapContents,
+    session: MapContents,
+    placing: Placing,
+    factors: Sequence[SavedFactor],
+    config: Config,
+) -> tuple[list[bool], FloatArray]:
+    """Which factors hold, and (n, 3) poses of all nodes."""
+    graph = PoseGraph(known.node_poses[0])
+    for pose in known.node_poses[1:]:
+        graph.add_node(pose)
+    own = _rows(session)
+    T_map_session, _ = placing.nearest(own[len(own) // 2], own)
+    for row in own:
+        graph.add_node(pose2_from_row(compose(T_map_session, row)))
+    for factor in factors:
+        graph.add_edge(factor.edge)
+    outcome = graph.optimize(config.loops.inlier_probability)
+    return outcome.kept.tolist(), np.array([row_from_pose2(graph.pose(n)) for n in range(len(graph))])
+
+
+def _judged(loops: Sequence[LoopCandidate], factors: Sequence[SavedFactor]) -> list[LoopCandidate]:
+    """The loop candidates with the verdicts of the optimisation."""
+    judged = list(loops)
+    for factor in factors:
+        if factor.loop is None:
+            continue
+        loop = judged[factor.loop]
+        judged[factor.loop] = (
+            replace(loop, accepted=True, reason="") if factor.kept else loop.refused(_CONTRADICTED)
+        )
+    return judged
+
+
+def _renumbered(session: MapContents, nodes: int, loops: int) -> list[SavedFactor]:
+    """The factors of a session, its nodes and loops numbered after others."""
+    return [
+        SavedFactor(
+            replace(factor.edge, source=factor.edge.source + nodes, target=factor.edge.target + nodes),
+            factor.kept,
+            None if factor.loop is None else factor.loop + loops,
+        )
+        for factor in session.factors
+    ]
+
+
+def _shifted(loop: LoopCandidate, nodes: int) -> LoopCandidate:
+    """A loop candidate, its nodes numbered after others."""
+    return replace(loop, place=loop.place + nodes, keyframe=loop.keyframe + nodes)
+
+
+def _edge_of(loop: LoopCandidate) -> Edge:
+    """The edge of an accepted loop."""
+    assert loop.motion is not None
+    motion = loop.motion
+    return Edge(
+        loop.place,
+        loop.keyframe,
+        motion.T_reference_base,
+        motion.covariance,
+        EdgeKind.LOOP,
+        trusted=False,
+    )
+
+
+def _joined_trajectory(maps: Sequence[SavedMap], poses: FloatArray) -> Trajectory:
+    """The trajectories of all sessions, each carried along with its keyframes."""
+    stamps_s = np.concatenate([one.trajectory.stamps_s for one in maps])
+    planar = np.concatenate([one.trajectory.to_planar() for one in maps])
+    before = np.concatenate([one.keyframe_poses for one in maps])
+    keyframe_stamps_s = np.concatenate([one.contents.stamps_s for one in maps])
+    carried, first, node = [], 0, 0
+    # One session at a time: their clocks may overlap.
+    for session in (session for one in maps for session in one.sessions):
+        part, nodes = slice(first, first + session.poses), slice(node, node + session.keyframes)
+        first, node = part.stop, nodes.stop
+        readings, kept = _readings_of(keyframe_stamps_s[nodes], stamps_s[part])
+        corrections = zip(poses[nodes][kept], before[nodes][kept], planar[part][readings], strict=True)
+        corrected = [compose(after, between(old, reading)) for after, old, reading in corrections]
+        carried.append(spread_correction(planar[part], readings, np.array(corrected)))
+    return Trajectory.from_planar(stamps_s, np.concatenate(carried))
+
+
+def _readings_of(keyframes_s: FloatArray, stamps_s: FloatArray) -> tuple[Indices, Indices]:
+    """The reading of each keyframe in the order of the log, and which keyframes these are.
+
+    A log whose clock was set back has stamps twice: a keyframe that would go back is passed over.
+    """
+    order = np.argsort(stamps_s, kind="stable")
+    nearest = np.clip(np.searchsorted(stamps_s[order], keyframes_s), 0, len(stamps_s) - 1)
+    readings = order[nearest]
+    last = np.concatenate([[-1], np.maximum.accumulate(readings)[:-1]])
+    kept = np.flatnonzero((stamps_s[readings] == keyframes_s) & (readings > last))
+    return readings[kept], kept
+
+
+def _rows(contents: MapContents) -> FloatArray:
+    """(K, 3) poses of the nodes of a planar map."""
+    return np.array([row_from_pose2(pose) for pose in contents.node_poses])

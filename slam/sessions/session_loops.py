@@ -1,0 +1,100 @@
+"""Loops between the keyframes of a session and those of the map that it is joined to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam.config import Config
+from slam.graph.loop_closure import LoopCandidate, LoopCloser
+from slam.matching.local_map import OrientedPoints
+from slam.matching.planar import between, compose
+from slam.matching.scan_points import extract_points
+from slam.measurements import FloatArray, LaserScan
+from slam.sessions.placing import Placing
+
+# How well a sighting tells where its surroundings are: sigmas there, and how they grow with the distance.
+_SIGHT_SIGMA_M = 0.12
+_SIGHT_SIGMA_RAD = 0.03
+_BEND_RAD = 0.01
+# A quarter turn apart counts as a metre: a lidar does not see all around.
+_TURN_M_PER_RAD = 0.64
+# Keeps the ways of two sessions so far apart that no submap holds scans of both.
+_GAP_M = 1000.0
+
+
+@dataclass(frozen=True, slots=True)
+class KeyframeScans:
+    """K keyframes: sweeps, and poses (K, 3) in one frame."""
+
+    scans: Sequence[LaserScan | None]
+    poses: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.scans)
+
+
+def find_loops(
+    known: KeyframeScans, session: KeyframeScans, placing: Placing, config: Config
+) -> list[LoopCandidate]:
+    """Try to match keyframes along a session to places of the map near where they are expected.
+
+    Returns
+    -------
+    Every candidate, its ``place`` a keyframe of the map, its ``keyframe`` numbered after those of the map.
+    """
+    closer = LoopCloser(config.loops, config.match)
+    way_m = np.concatenate([_way(known.poses), _way(session.poses)])
+    way_m[len(known) :] += way_m[len(known) - 1] + _GAP_M
+    for part, first in ((known, 0), (session, len(known))):
+        for key, scan in enumerate(part.scans):
+            closer.add_keyframe(_points(scan, config), part.poses[key], way_m[first + key])
+    tried = []
+    next_m = -np.inf
+    for key, scan in enumerate(session.scans):
+        if scan is None or way_m[len(known) + key] < next_m:
+            continue
+        next_m = way_m[len(known) + key] + config.loops.every_m
+        T_map_session, distance_m = placing.nearest(session.poses[key], session.poses)
+        expected = compose(T_map_session, session.poses[key])
+        sigma_m = _SIGHT_SIGMA_M + _BEND_RAD * distance_m
+        covariance = np.diag([sigma_m**2, sigma_m**2, _SIGHT_SIGMA_RAD**2])
+        for place in _places_near(known, expected, way_m, config):
+            guess = between(known.poses[place], expected)
+            tried.append(closer.verify(place, len(known) + key, guess, covariance))
+    return tried
+
+
+def _places_near(
+    known: KeyframeScans, expected: FloatArray, way_m: FloatArray, config: Config
+) -> Iterator[int]:
+    """Keyframes of the map around a pose (3,), the nearest of each pass first."""
+    loops = config.loops
+    turns = np.abs((known.poses[:, 2] - expected[2] + np.pi) % (2.0 * np.pi) - np.pi)
+    distances = np.hypot(*(known.poses[:, :2] - expected[:2]).T)
+    chosen: list[int] = []
+    for place in np.argsort(distances + _TURN_M_PER_RAD * turns, kind="stable").tolist():
+        if len(chosen) == loops.candidates:
+            return
+        if distances[place] > loops.reach_m or known.scans[place] is None:
+            continue
+        if all(abs(way_m[place] - way_m[other]) > 2.0 * loops.submap_half_m for other in chosen):
+            chosen.append(place)
+            yield place
+
+
+def _points(scan: LaserScan | None, config: Config) -> OrientedPoints:
+    """The oriented points of a sweep."""
+    if scan is None:
+        return OrientedPoints.none()
+    settings = config.scan
+    return OrientedPoints.from_scan(
+        extract_points(scan, settings.range_min_m, settings.range_max_m, settings.neighbours)
+    )
+
+
+def _way(poses: FloatArray) -> FloatArray:
+    """(K,) way from the first of (K, 3) poses to each."""
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])

@@ -1,0 +1,59 @@
+"""The logs that a map was made of, in the order in which they were joined."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Final
+
+from slam.errors import MapFileError
+
+SESSIONS: Final = "sessions"
+
+
+@dataclass(frozen=True, slots=True)
+class MapSession:
+    """One log in a map.
+
+    Attributes
+    ----------
+    log_name, log_fingerprint
+        As in `slam.storage.map_identity.MapIdentity`.
+    keyframes, poses
+        How many of the map's keyframes and poses are its own; they follow those of the sessions before.
+    """
+
+    log_name: str
+    log_fingerprint: str
+    keyframes: int
+    poses: int
+
+
+def sessions_to_meta(sessions: Sequence[MapSession]) -> str:
+    """As the value of one row of the file."""
+    return json.dumps([asdict(session) for session in sessions])
+
+
+def sessions_of(meta: Mapping[str, str], keyframes: int, poses: int) -> list[MapSession]:
+    """The sessions of a map that holds so many keyframes and poses; a map of one log does not tell them.
+
+    Raises
+    ------
+    MapFileError
+        Where they are told, but do not make up the map.
+    """
+    if SESSIONS not in meta:
+        return [MapSession(meta["log_name"], meta["log_fingerprint"], keyframes, poses)]
+    try:
+        sessions = [MapSession(**row) for row in json.loads(meta[SESSIONS])]
+        fits = all(session.keyframes > 0 and session.poses > 0 for session in sessions)
+        whole = (sum(one.keyframes for one in sessions), sum(one.poses for one in sessions))
+    except (ValueError, TypeError) as error:
+        raise MapFileError(f"the map's sessions cannot be read ({error}); make the map anew") from error
+    if not fits or whole != (keyframes, poses):
+        raise MapFileError(
+            f"the map's sessions tell of {whole[0]} keyframes and {whole[1]} poses, it holds {keyframes} and "
+            f"{poses}; make the map anew"
+        )
+    return sessions
