@@ -33,6 +33,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"slam.config", "slam.measurements"}),
     frozenset({"slam.config_localization"}),
     frozenset({"slam.config_stages"}),  # the models alone; config reads and writes them
+    frozenset({"slam.open3d_library"}),
     frozenset({"slam.errors", "slam.answers", "fusion"}),
     frozenset({"slam"}),  # the package's own __init__: the version and nothing else
 )

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from slam.errors import ConfigError, ScanweaveError
 from slam.mapping.posed_frames import posed_frames
 from slam.measurements import BoolArray, CameraIntrinsics, Float32Array, RgbdFrame
+from slam.open3d_library import load_open3d
 
 Colors: TypeAlias = NDArray[np.uint8]
 Faces: TypeAlias = NDArray[np.int32]
@@ -149,9 +150,7 @@ class _Volume:
     """The voxel block grid; Open3D's types stay inside."""
 
     def __init__(self, settings: DenseMapSettings) -> None:
-        import open3d
-
-        self._o3d = open3d
+        open3d = self._o3d = load_open3d()
         self._settings = settings
         self._weight_below = settings.minimum_views - 0.5  # Open3D keeps what is above, not at the threshold
         self._most_blocks = int(settings.memory_limit_mb * 1e6 / BLOCK_BYTES)

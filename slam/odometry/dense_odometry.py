@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gtsam
 import numpy as np
 
 from slam.config_stages import RgbdOdometryConfig
 from slam.measurements import FloatArray, MotionEstimate
+from slam.open3d_library import load_open3d
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch, covariance_of
-
-if TYPE_CHECKING:
-    import open3d as o3d
 
 _ITERATIONS = (6, 4, 3)  # a level, coarse to fine
 _INTENSITY_SCALE = 0.1  # of the Huber kernel on brightness, 0..1
@@ -38,7 +36,7 @@ class DenseOdometry:
         seed = self._by_features.match(frame, local, guess)
         start = seed.pose if seed is not None else guess
         keyframe = local[0]
-        import open3d as o3d
+        o3d = load_open3d()
 
         odometry = o3d.t.pipelines.odometry
         source, target = _image(frame), _image(keyframe.frame)
@@ -115,10 +113,11 @@ def _exact(step: FloatArray) -> gtsam.Pose3:
     return gtsam.Pose3(gtsam.Rot3.ClosestTo(step[:3, :3]), step[:3, 3])
 
 
-def _image(frame: PreparedFrame) -> o3d.t.geometry.RGBDImage | Any:
-    """The frame in Open3D's form, reduced as its depth image is."""
+def _image(frame: PreparedFrame) -> Any:
+    """The frame as an RGBDImage of Open3D, reduced as its depth image is."""
     import cv2
-    import open3d as o3d
+
+    o3d = load_open3d()
 
     height, width = frame.depth_m.shape
     color = cv2.resize(frame.frame.color, (width, height), interpolation=cv2.INTER_AREA)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.measurements import BoolArray, Float32Array
+from slam.open3d_library import load_open3d
 from slam.simulation.home_model import Home, Int32Array, Material
 
 NOTHING = -1  # triangle and obstacle of a ray that meets nothing
@@ -82,12 +83,10 @@ class Scene:
         person_xy: tuple[float, float] | None,
     ) -> Hits:
         """Cast, then name what was hit."""
-        from open3d import core
-
         if origins_dirs.shape[0] == 0:  # the ray caster refuses to cast nothing
             return _no_hits()
         rays = np.ascontiguousarray(origins_dirs, dtype=np.float32)
-        found = caster.cast_rays(core.Tensor.from_numpy(rays))
+        found = caster.cast_rays(load_open3d().core.Tensor.from_numpy(rays))
         # Copies: the tensors own the memory that numpy() shows.
         range_m, normal = found["t_hit"].numpy().copy(), found["primitive_normals"].numpy().copy()
         primitive = found["primitive_ids"].numpy()
@@ -102,11 +101,12 @@ class Scene:
 
 def _ray_caster(home: Home, index: Int32Array) -> Any:
     """Open3D's scene of some of the triangles."""
-    from open3d import core, t
-
-    scene = t.geometry.RaycastingScene()
+    open3d = load_open3d()
+    scene = open3d.t.geometry.RaycastingScene()
     triangles = np.ascontiguousarray(home.triangles[index], dtype=np.uint32)
-    scene.add_triangles(core.Tensor.from_numpy(home.vertices), core.Tensor.from_numpy(triangles))
+    scene.add_triangles(
+        open3d.core.Tensor.from_numpy(home.vertices), open3d.core.Tensor.from_numpy(triangles)
+    )
     return scene
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from slam.errors import MapFileError
 from slam.mapping.dense_map import ColoredCloud, ColoredMesh, Colors
+from slam.open3d_library import load_open3d
 from slam.storage.files import replacing
 
 _HEADER_BYTES = 4096
@@ -32,7 +33,7 @@ def write_mesh_ply(path: Path, mesh: ColoredMesh) -> None:
     MapFileError
         Where the mesh is empty or the file cannot be written.
     """
-    import open3d
+    open3d = load_open3d()
 
     _refuse_nothing(path, len(mesh.faces), "triangles")
     tensor = open3d.core.Tensor.from_numpy
@@ -51,7 +52,7 @@ def write_cloud_ply(path: Path, cloud: ColoredCloud) -> None:
     MapFileError
         Where the cloud is empty or the file cannot be written.
     """
-    import open3d
+    open3d = load_open3d()
 
     _refuse_nothing(path, len(cloud.points_map), "points")
     tensor = open3d.core.Tensor.from_numpy
@@ -69,7 +70,7 @@ def read_mesh_ply(path: Path) -> ColoredMesh:
     MapFileError
         Where the file cannot be read, is cut off, or lacks one of them.
     """
-    import open3d
+    open3d = load_open3d()
 
     _check_whole(path)
     mesh = open3d.t.io.read_triangle_mesh(path)
@@ -88,7 +89,7 @@ def read_cloud_ply(path: Path) -> ColoredCloud:
     MapFileError
         Where the file cannot be read, is cut off, or lacks one of them.
     """
-    import open3d
+    open3d = load_open3d()
 
     _check_whole(path)
     cloud = open3d.t.io.read_point_cloud(path)

@@ -1,0 +1,24 @@
+"""Open3D, loaded where it is needed: it takes most of a second, and it needs libraries of the system."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from slam.errors import ScanweaveError
+
+
+def load_open3d() -> Any:
+    """The module.
+
+    Raises
+    ------
+    ScanweaveError
+        A library of the system that it needs is missing.
+    """
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        raise ScanweaveError(
+            f"Open3D does not load ({error}); on Debian: apt-get install libegl1 libgl1 libx11-6 libusb-1.0-0"
+        ) from error
+    return open3d
