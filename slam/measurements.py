@@ -104,7 +104,32 @@ class RgbdFrame:
     sensor: str = "camera"
 
 
-Measurement: TypeAlias = LaserScan | WheelOdometry | RgbdFrame
+@dataclass(frozen=True, slots=True)
+class PointCloud:
+    """One turn of a 3D lidar.
+
+    Attributes
+    ----------
+    stamp_s
+        Time of the cloud, as the sensor stamps it.
+    points_lidar
+        (N, 3) finite points, lidar frame.
+    times_s
+        (N,) time of each point after ``stamp_s`` (below zero: before it); None where the log does not tell it.
+    T_base_lidar
+        Mounting of the lidar on the robot.
+    sensor
+        Name of the sensor, as the log tells it.
+    """
+
+    stamp_s: float
+    points_lidar: Float32Array
+    times_s: FloatArray | None = None
+    T_base_lidar: gtsam.Pose3 = field(default_factory=gtsam.Pose3)
+    sensor: str = "lidar"
+
+
+Measurement: TypeAlias = LaserScan | WheelOdometry | RgbdFrame | PointCloud
 
 
 @dataclass(frozen=True, slots=True)

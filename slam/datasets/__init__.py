@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
+from slam.datasets.bags.dataset import open_bag
+from slam.datasets.bags.files import looks_like_bag
 from slam.datasets.carmen import HEAD_BYTES, CarmenDataset, looks_like_carmen
 from slam.datasets.dataset import Dataset, ReadReport
 from slam.datasets.log_file import read_head
@@ -56,10 +58,11 @@ FORMATS: tuple[DatasetFormat, ...] = (
     DatasetFormat("OpenLORIS-Scene folder", looks_like_open_loris, open_open_loris),
     DatasetFormat("Robot@Home session folder", looks_like_robot_at_home, open_robot_at_home),
     DatasetFormat("Robot@Home2 database (rh.db)", looks_like_robot_at_home2, open_robot_at_home2),
+    DatasetFormat("ROS bag (.bag, .db3, .mcap, or the folder of one)", looks_like_bag, open_bag),
 )
 
 
-def open_dataset(path: Path | str, *, strict: bool = False) -> Dataset:
+def open_dataset(path: Path | str, *, strict: bool = False, topics: Sequence[str] = ()) -> Dataset:
     """Open a log by its content, whatever its name.
 
     Parameters
@@ -68,6 +71,9 @@ def open_dataset(path: Path | str, *, strict: bool = False) -> Dataset:
         A log file, or a folder of one recording.
     strict
         Stop at the first damaged record instead of counting and skipping it.
+    topics
+        Of a ROS bag that holds several topics of a sort: those to read. A sort of which none is named is read
+        as without.
 
     Returns
     -------
@@ -95,6 +101,10 @@ def open_dataset(path: Path | str, *, strict: bool = False) -> Dataset:
         )
     for known in FORMATS:
         if known.recognises(path, head):
+            if known.open is open_bag:
+                return open_bag(path, strict, tuple(topics))
+            if topics:
+                raise DatasetError(f"{path} is a {known.description} and has no topics; leave out --topics")
             return known.open(path, strict)
     if path.is_dir():
         raise DatasetError(f"{path} {_what_is_wrong(path)}; supported: {supported}")

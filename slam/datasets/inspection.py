@@ -10,7 +10,8 @@ import numpy as np
 
 from slam.datasets.dataset import Dataset, Tally
 from slam.datasets.inspection_camera import CameraFigures, CameraSummary, camera_lines
-from slam.measurements import LaserScan, RgbdFrame, WheelOdometry
+from slam.datasets.inspection_cloud import CloudFigures, CloudSummary, cloud_lines
+from slam.measurements import LaserScan, PointCloud, RgbdFrame, WheelOdometry
 
 _SAMPLES_KEPT = 4096  # intervals kept for a median; more are thinned evenly
 
@@ -81,6 +82,7 @@ class SensorSummary:
     laser: LaserSummary | None = None
     odometry: OdometrySummary | None = None
     camera: CameraSummary | None = None
+    cloud: CloudSummary | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +138,8 @@ def inspect_dataset(dataset: Dataset) -> Inspection:
             stream.add_scan(measurement)
         elif isinstance(measurement, RgbdFrame):
             stream.camera.add(measurement)
+        elif isinstance(measurement, PointCloud):
+            stream.cloud.add(measurement)
         else:
             stream.add_odometry(measurement)
         earliest_s = min(earliest_s, measurement.stamp_s)
@@ -196,6 +200,7 @@ class _Stream:
     path_m: float = 0.0
     rotation_rad: float = 0.0
     camera: CameraFigures = field(default_factory=CameraFigures)
+    cloud: CloudFigures = field(default_factory=CloudFigures)
 
     def add_stamp(self, stamp_s: float) -> None:
         """Rate and gaps; a backward step is no interval."""
@@ -243,6 +248,7 @@ class _Stream:
             laser=None if self.last_scan is None else self._laser(self.last_scan),
             odometry=OdometrySummary(self.path_m, self.rotation_rad) if self.last_odometry else None,
             camera=self.camera.summary(),
+            cloud=self.cloud.summary(),
         )
 
     def _laser(self, scan: LaserScan) -> LaserSummary:
@@ -303,6 +309,8 @@ def _sensor_lines(sensor: SensorSummary) -> list[str]:
         lines.append(f"    path {odometry.path_m:.1f} m, turned {turned:.0f} degrees in all")
     if sensor.camera:
         lines += camera_lines(sensor.camera)
+    if sensor.cloud:
+        lines += cloud_lines(sensor.cloud)
     lines.append(
         f"    longest gap {sensor.longest_gap_s:.2f} s, {sensor.longest_gap_at_s:.1f} s into the log"
     )

@@ -12,7 +12,7 @@ from slam.localization.known_map import KnownMap
 from slam.localization.output import LocalizerOutput
 from slam.localization.planar_localizer import PlanarLocalizer
 from slam.localization.visual_locator import VisualLocator
-from slam.measurements import LaserScan, Measurement, RgbdFrame, WheelOdometry
+from slam.measurements import LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
 from slam.vision.camera_frame import T_BODY_CAMERA
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame
 
@@ -71,6 +71,8 @@ class Localizer:
         if isinstance(measurement, LaserScan):
             self._scanned = True
             return None if self._scans is None else self._scans.add_scan(measurement)
+        if isinstance(measurement, PointCloud):
+            return None
         return self._add_frame(measurement)
 
     def _add_frame(self, measurement: RgbdFrame | PreparedFrame) -> LocalizerOutput | None:

@@ -1,0 +1,220 @@
+"""A ROS bag as a stream of measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from slam.datasets.account import Account
+from slam.datasets.bags.camera import BagCamera
+from slam.datasets.bags.decoding import Decoder, stamp_of
+from slam.datasets.bags.figures import BagFigures
+from slam.datasets.bags.files import Bag, find_bag
+from slam.datasets.bags.layout import Layout, layout_of
+from slam.datasets.bags.pairing import ImagePair, PairStream, StampedImage
+from slam.datasets.bags.records import BagRecord
+from slam.datasets.bags.survey import Survey, survey_bag
+from slam.datasets.bags.topics import TRANSFORMS
+from slam.datasets.bags.weave import Weave
+from slam.datasets.dataset import ReadReport, RecordFault
+from slam.datasets.prefetch import map_ahead
+from slam.errors import DatasetError
+from slam.measurements import Measurement, RgbdFrame, Trajectory
+
+NO_FIELD = "message without a field of its type"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FrameToDo:
+    """A pair of images that is not decoded yet."""
+
+    camera: BagCamera
+    pair: ImagePair
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Done:
+    """A measurement with its place in the bag, or why there is none."""
+
+    number: int
+    measurement: Measurement | None
+    where: str = ""
+    fault: RecordFault | None = None
+
+
+class BagDataset:
+    """A bag; see `slam.datasets.dataset.Dataset`.
+
+    Stamps are those of the headers. Readings come in the order of the bag, a frame after the first reading
+    at or after its own stamp. Before each scan comes the wheels' pose at its stamp, between two odometry
+    readings, as tf would give it. Nothing is held but what is about to come.
+
+    Parameters
+    ----------
+    path
+        A bag file, or the folder of one recording.
+    strict
+        Stop at the first damaged record instead of counting and skipping it.
+    topics
+        Topics to read where there are several of a sort.
+
+    Attributes
+    ----------
+    figures
+        What the latest pass found out about topics, clocks and frames.
+    """
+
+    def __init__(self, path: Path, *, strict: bool = False, topics: tuple[str, ...] = ()) -> None:
+        self.path = path
+        self.name = path.resolve().name
+        self.report = ReadReport()
+        self.figures = BagFigures()
+        self._strict, self._topics = strict, topics
+        self._opened: tuple[Bag, Survey, Layout] | None = None
+
+    def __iter__(self) -> Iterator[Measurement]:
+        """Read the bag from its beginning, with a new report.
+
+        Raises
+        ------
+        BadRecordError
+            A damaged record, under ``strict``.
+        DatasetError
+            The bag cannot be read, holds nothing usable, or topics must be chosen.
+        """
+        bag, survey, layout = self._open()
+        report = self.report = ReadReport()
+        self.figures = BagFigures(survey.tree, layout.base)
+        account = Account(self.name, report, self._strict)
+        for note in layout.notes:
+            report.note(note, 1)
+        for done in map_ahead(_decoded, _stream(bag, layout, account, self.figures)):
+            if done.fault is not None:
+                account.refuse(done.fault, done.where, done.number)
+            elif done.measurement is not None:
+                if isinstance(done.measurement, RgbdFrame):
+                    report.accept(f"{done.measurement.sensor} frame")
+                report.observe(done.measurement, done.number)
+                yield done.measurement
+        for cloud in layout.clouds:
+            if cloud.time_choice:
+                report.note(f"{cloud.topic}: {cloud.time_choice}", 1)
+        if report.measurement_count == 0:
+            raise DatasetError(_nothing_usable(self.path, report, survey))
+
+    def groundtruth(self) -> Trajectory | None:
+        """None: what a bag says of its poses is the robot's own belief."""
+        return None
+
+    def _open(self) -> tuple[Bag, Survey, Layout]:
+        """Files, topics and mounts: found once, so that each pass reads the same."""
+        if self._opened is None:
+            bag = find_bag(self.path)
+            survey = survey_bag(bag)
+            self._opened = bag, survey, layout_of(bag, survey, self._topics)
+        return self._opened
+
+
+def open_bag(path: Path, strict: bool, topics: tuple[str, ...] = ()) -> BagDataset:
+    """A bag of ROS 1 or ROS 2."""
+    return BagDataset(path, strict=strict, topics=topics)
+
+
+def _stream(bag: Bag, layout: Layout, account: Account, figures: BagFigures) -> Iterator[_Done | _FrameToDo]:
+    """The bag in order, images not decoded yet."""
+    weave: Weave[_FrameToDo] = Weave()
+    pairs = [PairStream(camera.sensor, camera.tolerance_s, account) for camera in layout.cameras]
+    reader = _Reader(layout, Decoder(), account, figures)
+    for record in bag.records(account):
+        now_s = record.recorded_s
+        for item in reader.read(record):
+            if isinstance(item, StampedImage):
+                place, is_depth = layout.images[record.channel.topic]
+                _hand_on(weave, layout, place, pairs[place].add(item, is_depth=is_depth))
+            else:
+                weave.add_reading(record.number, item, now_s)
+        for place, pair_stream in enumerate(pairs):
+            _hand_on(weave, layout, place, pair_stream.settle(now_s))
+        yield from _as_done(weave.due(now_s))
+    for place, pair_stream in enumerate(pairs):
+        _hand_on(weave, layout, place, pair_stream.rest())
+    yield from _as_done(weave.rest())
+    for pair_stream in pairs:
+        pair_stream.tell()
+
+
+def _hand_on(weave: Weave[_FrameToDo], layout: Layout, place: int, pairs: Iterator[ImagePair]) -> None:
+    """Pairs of a camera as frames to come."""
+    for pair in pairs:
+        size, later_s = pair.color.size + pair.depth.size, max(pair.color.recorded_s, pair.depth.recorded_s)
+        weave.add_frame(place, pair.color.stamp_s, _FrameToDo(layout.cameras[place], pair), size, later_s)
+
+
+def _as_done(items: Iterator[tuple[int, Measurement] | _FrameToDo]) -> Iterator[_Done | _FrameToDo]:
+    """Readings as they are."""
+    for item in items:
+        yield item if isinstance(item, _FrameToDo) else _Done(*item)
+
+
+def _decoded(item: _Done | _FrameToDo) -> _Done:
+    """A frame's images decoded; runs on the thread that reads ahead."""
+    if isinstance(item, _Done):
+        return item
+    number, where = item.pair.color.number, item.camera.sensor
+    try:
+        return _Done(number, item.camera.frame(item.pair))
+    except RecordFault as fault:
+        return _Done(number, None, where, fault)
+    except (AttributeError, TypeError, ValueError, OverflowError) as error:
+        return _Done(number, None, where, RecordFault(NO_FIELD, str(error)))
+
+
+class _Reader:
+    """Messages as readings and images."""
+
+    def __init__(self, layout: Layout, decoder: Decoder, account: Account, figures: BagFigures) -> None:
+        self._layout, self._decoder, self._account, self._figures = layout, decoder, account, figures
+
+    def read(self, record: BagRecord) -> list[Measurement | StampedImage]:
+        """What a message holds; nothing where it is not read or damaged."""
+        topic, kind = record.channel.topic, record.channel.kind
+        self._figures.saw(record)
+        if not self._layout.reads(topic, kind):
+            if not self._layout.is_looked_at(topic):
+                self._account.report.ignore(f"{topic} ({kind})")
+            return []
+        try:
+            message = self._decoder.decode(record)
+            return self._converted(record, message)
+        except RecordFault as fault:
+            self._account.refuse(fault, topic, record.number)
+        except (AttributeError, TypeError, ValueError, OverflowError, IndexError, RuntimeError) as error:
+            self._account.refuse(RecordFault(NO_FIELD, str(error)), topic, record.number)
+        return []
+
+    def _converted(self, record: BagRecord, message: Any) -> list[Measurement | StampedImage]:
+        """The readings of a decoded message."""
+        topic, layout = record.channel.topic, self._layout
+        if record.channel.kind in TRANSFORMS:
+            self._figures.tree.add(message)
+            return list(layout.wheels_from(message)) if layout.wheels_from else []
+        stamp_s = stamp_of(message.header)
+        self._figures.stamped(record, stamp_s)
+        if topic in layout.images:
+            size = int(message.data.nbytes)
+            return [StampedImage(stamp_s, record.number, record.recorded_s, message, size)]
+        reading: Measurement = layout.readers[topic](message)
+        self._account.report.accept(f"{topic} ({record.channel.kind.rpartition('/')[2]})")
+        return [reading]
+
+
+def _nothing_usable(path: Path, report: ReadReport, survey: Survey) -> str:
+    """The message for a bag without a single measurement."""
+    reasons = "; ".join(f"{tally.count} x {reason}" for reason, tally in report.dropped.items())
+    topics = ", ".join(f"{topic} ({channel.kind})" for topic, channel in list(survey.channels.items())[:8])
+    return (
+        f"{path} holds no usable scan, cloud, RGB-D pair or odometry{f' ({reasons})' if reasons else ''}; "
+        f"its topics: {topics or 'none'}"
+    )

@@ -1,0 +1,157 @@
+"""Which files are a bag, and the messages in them, one after another."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+from slam.datasets.account import Account
+from slam.datasets.bags import mcap, rosbag1, sqlite
+from slam.datasets.bags.compression import unpacked_message
+from slam.datasets.bags.records import BagRecord, Channel, Container
+from slam.datasets.dataset import RecordFault
+from slam.errors import DatasetError
+
+_INDEX = "metadata.yaml"
+_INDEX_TITLE = "rosbag2_bagfile_information"
+_SUFFIXES = {".mcap", ".db3", ".bag"}
+_PART = re.compile(r"(.*?)_?(\d+)")  # drive_0.mcap, drive_1.mcap: parts of one recording
+_NS = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Bag:
+    """The files of one recording, in the order in which they were written."""
+
+    path: Path
+    parts: tuple[Path, ...]
+    containers: tuple[Container, ...]
+
+    def announced(self) -> list[Channel] | None:
+        """All channels by the files' indexes; None where one of them has none, as a cut-off file."""
+        found: dict[Channel, None] = {}
+        for path, container in zip(self.parts, self.containers, strict=True):
+            channels = container.announced(path)
+            if channels is None:
+                return None
+            found.update(dict.fromkeys(channels))
+        return list(found)
+
+    def records(self, account: Account) -> Iterator[BagRecord]:
+        """All messages in the order of the files; what is damaged goes to the account.
+
+        Raises
+        ------
+        BadRecordError
+            Something is damaged, under ``strict``.
+        DatasetError
+            A file cannot be read at all.
+        """
+        number = 0
+        for path, container in zip(self.parts, self.containers, strict=True):
+            for channel, recorded_ns, content in container.records(path, account):
+                number += 1
+                account.report.line_count = number
+                try:
+                    message = unpacked_message(content, channel)
+                except RecordFault as fault:
+                    account.refuse(fault, path.name, number)
+                    continue
+                yield BagRecord(number, channel, recorded_ns * _NS, message)
+
+
+def looks_like_bag(path: Path, head: bytes) -> bool:
+    """Whether a path is a ROS bag: a file by its first bytes (or its name), a folder by its files."""
+    if path.is_dir():
+        return bool(_parts_inside(path))
+    return _container_of(path) is not None or path.suffix.lower() in _SUFFIXES
+
+
+def find_bag(path: Path) -> Bag:
+    """The bag at a path: one file, or a folder of the parts of one recording.
+
+    Raises
+    ------
+    DatasetError
+        Files are missing, of no known kind, or of several recordings.
+    """
+    parts = [path] if path.is_file() else _parts_of_one(path)
+    containers = []
+    for part in parts:
+        container = _container_of(part)
+        if container is None:
+            raise DatasetError(
+                f"{part} does not begin as a bag (ROS 1 .bag 2.0, .db3 or .mcap); copy it again, "
+                "and unpack it where it is compressed as a whole"
+            )
+        containers.append(container)
+    return Bag(path, tuple(parts), tuple(containers))
+
+
+def _container_of(path: Path) -> Container | None:
+    """What reads a file, by its first bytes; None where they are of no bag."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(16)
+    except OSError as error:
+        raise DatasetError(f"cannot open {path}: {error.strerror}; check the path and its rights") from error
+    if head.startswith(mcap.MAGIC):
+        return mcap.McapContainer()
+    if head.startswith(rosbag1.MAGIC):
+        return rosbag1.Rosbag1Container()
+    if head.startswith(sqlite.MAGIC) and sqlite.is_rosbag2(path):
+        return sqlite.SqliteContainer()
+    return None
+
+
+def _parts_inside(folder: Path) -> list[Path]:
+    """The bag files directly in a folder, in the order of the numbers in their names."""
+    try:
+        files = [file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file()]
+    except OSError as error:
+        raise DatasetError(f"cannot list {folder}: {error.strerror}; check its rights") from error
+    return sorted(files, key=lambda file: (_title(file), _part_number(file), file.name))
+
+
+def _parts_of_one(folder: Path) -> list[Path]:
+    """The files that ``metadata.yaml`` lists, else those in the folder that are named as parts of one bag."""
+    inside = _parts_inside(folder)
+    listed = _listed(folder / _INDEX)
+    if listed:
+        if missing := [part.name for part in listed if not part.is_file()]:
+            raise DatasetError(
+                f"{folder / _INDEX} lists {', '.join(missing[:4])}, which {folder} does not hold; "
+                f"copy what is missing, or remove {_INDEX} to read what is there"
+            )
+        return listed
+    if len({(_title(file), file.suffix) for file in inside}) > 1:
+        names = ", ".join(file.name for file in inside[:6])
+        raise DatasetError(f"{folder} holds {len(inside)} bags ({names}); give one of them")
+    return inside
+
+
+def _listed(index: Path) -> list[Path]:
+    """The files in the order of ``metadata.yaml``; none where it is not there or damaged."""
+    try:
+        content = yaml.safe_load(index.read_text(encoding="utf-8"))
+        names = content[_INDEX_TITLE]["relative_file_paths"]
+        # Older recorders write the folder's name before the file's.
+        return [index.parent / Path(str(name)).name for name in names]
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
+        return []
+
+
+def _title(file: Path) -> str:
+    """A file's name without the number of its part."""
+    match = _PART.fullmatch(file.stem)
+    return match[1] if match else file.stem
+
+
+def _part_number(file: Path) -> int:
+    """The number of a part, 0 where there is none."""
+    match = _PART.fullmatch(file.stem)
+    return int(match[2]) if match else 0

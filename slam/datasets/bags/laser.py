@@ -1,0 +1,106 @@
+"""LaserScan and MultiEchoLaserScan messages as scans."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from slam.datasets.bags.decoding import stamp_of
+from slam.datasets.dataset import RecordFault
+from slam.datasets.laser_geometry import DEFAULT_NO_RETURN_M, classify_ranges
+from slam.measurements import Float32Array, FloatArray, LaserScan
+
+ZERO_BEAMS = "scan without beams"
+NO_VALID_RANGE = "scan without a valid range"
+BAD_ANGLES = "angles of the scan are none"
+UPRIGHT = "laser not level: its plane stands on edge"
+
+_LEVEL = math.cos(math.radians(45.0))
+_TURN_RAD = 2.0 * math.pi
+_ANGLE_TOLERANCE_RAD = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class LaserMount:
+    """How a laser sits: on the robot's plane, and whether it hangs upside down."""
+
+    T_base_laser: gtsam.Pose2
+    inverted: bool = False
+
+    @classmethod
+    def of(cls, pose: gtsam.Pose3) -> LaserMount:
+        """The mount in the plane; a tilt of less than 45 degrees is projected.
+
+        Raises
+        ------
+        RecordFault
+            The laser's plane stands more upright than level.
+        """
+        axes = pose.rotation().matrix()
+        if abs(axes[2, 2]) < _LEVEL:
+            raise RecordFault(UPRIGHT, f"tilted by {math.degrees(math.acos(abs(axes[2, 2]))):.0f} degrees")
+        flat = gtsam.Pose2(pose.x(), pose.y(), math.atan2(axes[1, 0], axes[0, 0]))
+        return cls(flat, bool(axes[2, 2] < 0.0))
+
+
+def scan_from(message: Any, mount: LaserMount, topic: str) -> LaserScan:
+    """A scan; beams are given counter-clockwise as seen from above the robot.
+
+    Of a MultiEchoLaserScan the first echo of each beam, the nearest, is taken: behind glass or rain the
+    robot still may not drive. Readings below ``range_min`` and NaN are invalid, those at or above
+    ``range_max`` and ``inf`` met nothing (REP-117). The stamp is the header's, of the first beam.
+
+    Raises
+    ------
+    RecordFault
+        No beams, no valid one, or angles that cannot be.
+    """
+    ranges_m = _ranges(message)
+    start_rad, step_rad = float(message.angle_min), float(message.angle_increment)
+    if not ranges_m.size:
+        raise RecordFault(ZERO_BEAMS, topic)
+    span = abs(step_rad) * (ranges_m.size - 1)
+    if not (abs(start_rad) <= 2.0 * _TURN_RAD and span <= _TURN_RAD + _ANGLE_TOLERANCE_RAD):
+        raise RecordFault(BAD_ANGLES, f"{start_rad} and {step_rad} for {ranges_m.size} beams")
+    if ranges_m.size > 1 and step_rad == 0.0:
+        raise RecordFault(BAD_ANGLES, "increment 0")
+    stated_m, least_m = float(message.range_max), float(message.range_min)
+    limit_m = stated_m if 0.0 < stated_m < math.inf else DEFAULT_NO_RETURN_M
+    ranges_m = np.where(ranges_m < least_m, np.nan, ranges_m) if least_m > 0.0 else ranges_m
+    classified = classify_ranges(ranges_m, limit_m)
+    if np.isnan(classified).all():
+        raise RecordFault(NO_VALID_RANGE, f"{classified.size} beams")
+    if mount.inverted:
+        start_rad, step_rad = -start_rad, -step_rad
+    if step_rad < 0.0:
+        start_rad, step_rad = start_rad + step_rad * (classified.size - 1), -step_rad
+        classified = np.ascontiguousarray(classified[::-1])
+    return LaserScan(
+        stamp_s=stamp_of(message.header),
+        ranges_m=classified,
+        start_angle_rad=start_rad,
+        step_rad=step_rad,
+        range_max_m=limit_m,
+        T_base_laser=mount.T_base_laser,
+        sensor=topic,
+    )
+
+
+def _ranges(message: Any) -> FloatArray:
+    """(N,) ranges; of several echoes the first, NaN where a beam has none."""
+    ranges = message.ranges
+    if len(ranges) and hasattr(ranges[0], "echoes"):
+        firsts = [float(beam.echoes[0]) if len(beam.echoes) else math.nan for beam in ranges]
+        return np.array(firsts)
+    with np.errstate(invalid="ignore"):  # a signalling NaN of a damaged message
+        wide: FloatArray = np.asarray(ranges, dtype=np.float64)
+    return wide
+
+
+def invalid_count(ranges_m: Float32Array) -> int:
+    """Beams without a valid reading."""
+    return int(np.count_nonzero(np.isnan(ranges_m)))

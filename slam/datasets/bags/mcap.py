@@ -1,0 +1,188 @@
+"""The MCAP container (mcap.dev, version 0), read from its front: a cut-off file gives what it has.
+
+Own code, since the readers at hand cannot: that of rosbags needs the index at the end of a whole file; that
+of `mcap` unpacks a chunk at once or not at all, so that a cut or a damaged record loses what was sound beside
+it, and takes a record that the file cuts short for a short one.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from slam.datasets.account import Account
+from slam.datasets.bags.compression import unpacked_chunk
+from slam.datasets.bags.records import (
+    CUT,
+    DAMAGED,
+    Channel,
+    CutError,
+    exactly,
+    ros2_name,
+)
+from slam.datasets.dataset import RecordFault
+from slam.errors import DatasetError
+
+MAGIC = b"\x89MCAP0\r\n"
+
+_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x02, 0x03, 0x04, 0x05, 0x06, 0x0F
+_FOOTER_BYTES = 9 + 20 + len(MAGIC)
+_LANGUAGES = {"ros2msg": "msg", "ros1msg": "msg", "ros2idl": "idl"}
+
+
+class McapContainer:
+    """An ``.mcap`` file."""
+
+    def announced(self, path: Path) -> list[Channel] | None:
+        """The channels of the summary at the end; None where there is none."""
+        with path.open("rb") as file:
+            try:
+                if file.seek(0, io.SEEK_END) < _FOOTER_BYTES + len(MAGIC):
+                    return None
+                start = _summary_start(file)
+                if not start:
+                    return None
+                file.seek(start)
+                tables = _Tables()
+                for kind, content, _ in _raw_records(file):
+                    if kind == _FOOTER:
+                        return list(tables.channels.values()) or None
+                    tables.learn(kind, content)
+            except (CutError, RecordFault, OSError):
+                return None
+        return None
+
+    def records(self, path: Path, account: Account) -> Iterator[tuple[Channel, int, bytes]]:
+        """All messages in the order of the file; a damaged chunk costs itself, a cut the rest."""
+        tables, chunks = _Tables(), 0
+        with path.open("rb") as file:
+            if file.read(len(MAGIC)) != MAGIC:
+                raise DatasetError(f"{path} does not begin as an MCAP file; record or copy it again")
+            try:
+                for kind, content, whole in _raw_records(file):
+                    if kind in (_FOOTER, _DATA_END):
+                        return
+                    if kind == _CHUNK:
+                        chunks += 1
+                        where = f"{path.name}, chunk"
+                        yield from _from_chunk(tables, content, account, where, chunks, whole=whole)
+                    elif whole:
+                        yield from _learned(tables, kind, content, account, path.name)
+                # The data are followed by a mark; without it the writer did not finish.
+                raise CutError("no end mark")
+            except (CutError, RecordFault) as error:
+                fault = error if isinstance(error, RecordFault) else RecordFault(CUT, str(error))
+                account.refuse(fault, path.name, account.report.line_count)
+
+
+class _Tables:
+    """Schemas and channels so far."""
+
+    def __init__(self) -> None:
+        self._schemas: dict[int, tuple[str, str, str]] = {}
+        self.channels: dict[int, Channel] = {}
+
+    def learn(self, kind: int, content: bytes) -> tuple[Channel, int, bytes] | None:
+        """Take in a record; the message that it is."""
+        try:
+            if kind == _MESSAGE:
+                number, _, log_ns = struct.unpack_from("<HIQ", content)
+                if number not in self.channels:
+                    raise RecordFault(DAMAGED, f"message on unknown channel {number}")
+                return self.channels[number], log_ns, content[22:]
+            if kind == _SCHEMA:
+                stream = io.BytesIO(content)
+                (number,) = struct.unpack("<H", exactly(stream, 2))
+                name, encoding, text = _text(stream), _text(stream), _text(stream)
+                self._schemas[number] = ros2_name(name), text, _LANGUAGES.get(encoding, encoding)
+            elif kind == _CHANNEL:
+                stream = io.BytesIO(content)
+                number, schema = struct.unpack("<HH", exactly(stream, 4))
+                topic, wire = _text(stream), _text(stream)
+                name, text, language = self._schemas.get(schema, ("", "", "msg"))
+                self.channels[number] = Channel(topic, name, wire, text, language)
+        except (struct.error, CutError, UnicodeDecodeError) as error:
+            raise RecordFault(DAMAGED, str(error)) from error
+        return None
+
+
+def _summary_start(file: BinaryIO) -> int:
+    """Where the summary begins, 0 where the file does not end as it should."""
+    file.seek(-_FOOTER_BYTES, io.SEEK_END)
+    tail = file.read(_FOOTER_BYTES)
+    if not tail.endswith(MAGIC) or tail[0] != _FOOTER:
+        return 0
+    (start,) = struct.unpack_from("<Q", tail, 9)
+    return int(start)
+
+
+def _raw_records(stream: BinaryIO) -> Iterator[tuple[int, bytes, bool]]:
+    """Kinds and contents up to the end of the stream, and whether the record is whole: the last may not be.
+
+    Raises
+    ------
+    CutError, RecordFault
+        After the last record: it is not whole, or has a size that cannot be.
+    """
+    while head := stream.read(9):
+        if len(head) < 9:
+            raise CutError("within the head of a record")
+        kind, size = struct.unpack("<BQ", head)
+        try:
+            yield kind, exactly(stream, size), True
+        except CutError as cut:
+            yield kind, cut.content, False
+            raise
+
+
+def _from_chunk(
+    tables: _Tables, content: bytes, account: Account, where: str, number: int, *, whole: bool
+) -> Iterator[tuple[Channel, int, bytes]]:
+    """The messages of a chunk, as far as it goes."""
+    try:
+        for kind, inner, inner_whole in _raw_records(io.BytesIO(_unpacked(content, whole=whole))):
+            if inner_whole:
+                yield from _learned(tables, kind, inner, account, where)
+    except (RecordFault, CutError) as error:
+        if whole:  # else the file is cut, which is said once
+            fault = error if isinstance(error, RecordFault) else RecordFault(DAMAGED, str(error))
+            account.refuse(fault, where, number)
+
+
+def _learned(
+    tables: _Tables, kind: int, content: bytes, account: Account, where: str
+) -> Iterator[tuple[Channel, int, bytes]]:
+    """The message of a record, if it is one; a damaged record is counted."""
+    try:
+        message = tables.learn(kind, content)
+    except RecordFault as fault:
+        account.refuse(fault, where, account.report.line_count)
+        return
+    if message is not None:
+        yield message
+
+
+def _unpacked(content: bytes, *, whole: bool) -> bytes:
+    """The records of a chunk, checked by their checksum where there is one."""
+    stream = io.BytesIO(content)
+    try:
+        _, _, size, checksum = struct.unpack("<QQQI", exactly(stream, 28))
+        compression = _text(stream)
+        (packed_size,) = struct.unpack("<Q", exactly(stream, 8))
+        packed = exactly(stream, packed_size) if whole else stream.read()
+    except (CutError, UnicodeDecodeError) as error:
+        raise RecordFault(DAMAGED, f"head of a chunk: {error}") from error
+    records = unpacked_chunk(packed, compression, size, cut=not whole)
+    if whole and checksum and zlib.crc32(records) != checksum:
+        raise RecordFault(DAMAGED, "checksum of a chunk")
+    return records
+
+
+def _text(stream: BinaryIO) -> str:
+    """A string with its length before it."""
+    (size,) = struct.unpack("<I", exactly(stream, 4))
+    return exactly(stream, size).decode()

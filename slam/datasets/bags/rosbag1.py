@@ -1,0 +1,171 @@
+"""The ROS 1 bag container (format 2.0), read from its front: a cut-off file gives what it has."""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from slam.datasets.account import Account
+from slam.datasets.bags.compression import unpacked_chunk
+from slam.datasets.bags.records import (
+    CUT,
+    DAMAGED,
+    Channel,
+    CutError,
+    exactly,
+    ros2_name,
+)
+from slam.datasets.dataset import RecordFault
+from slam.errors import DatasetError
+
+MAGIC = b"#ROSBAG V2.0\n"
+
+_MESSAGE, _BAG_HEADER, _CHUNK, _CONNECTION = 0x02, 0x03, 0x05, 0x07
+_HEADER_BYTES = 1 << 16
+
+_Fields = dict[str, bytes]
+
+
+class Rosbag1Container:
+    """A ``.bag`` file."""
+
+    def announced(self, path: Path) -> list[Channel] | None:
+        """The connections of the index at the end; None where there is none."""
+        with path.open("rb") as file:
+            try:
+                if file.read(len(MAGIC)) != MAGIC:
+                    return None
+                fields, _, _ = next(_raw_records(file), ({}, b"", True))
+                index = struct.unpack("<Q", fields.get("index_pos", bytes(8)))[0]
+                if not index or fields.get("op") != bytes([_BAG_HEADER]):
+                    return None
+                if index >= file.seek(0, io.SEEK_END):
+                    return None
+                file.seek(index)
+                found: dict[int, Channel] = {}
+                for fields, content, _ in _raw_records(file):
+                    if fields.get("op") == bytes([_CONNECTION]):
+                        number, channel = _connection(fields, content)
+                        found[number] = channel
+                return list(found.values()) or None
+            except (CutError, RecordFault, struct.error, OSError):
+                return None
+
+    def records(self, path: Path, account: Account) -> Iterator[tuple[Channel, int, bytes]]:
+        """All messages in the order of the file; a damaged chunk costs itself, a cut the rest."""
+        channels: dict[int, Channel] = {}
+        chunks, indexed = 0, True
+        with path.open("rb") as file:
+            if file.read(len(MAGIC)) != MAGIC:
+                raise DatasetError(f"{path} does not begin as a ROS 1 bag 2.0; convert or copy it again")
+            try:
+                for fields, content, whole in _raw_records(file):
+                    kind = fields.get("op", b"")
+                    if kind == bytes([_BAG_HEADER]):
+                        indexed = any(fields.get("index_pos", b""))
+                    elif kind == bytes([_CHUNK]):
+                        chunks += 1
+                        inside = _from_chunk(
+                            channels, fields, content, account, path.name, chunks, whole=whole
+                        )
+                        yield from inside
+                    elif whole:
+                        yield from _learned(channels, fields, content, account, path.name)
+                if not indexed:
+                    raise CutError("no index: the recorder was not stopped properly")
+            except (CutError, RecordFault) as error:
+                fault = error if isinstance(error, RecordFault) else RecordFault(CUT, str(error))
+                account.refuse(fault, path.name, account.report.line_count)
+
+
+def _raw_records(stream: BinaryIO) -> Iterator[tuple[_Fields, bytes, bool]]:
+    """Header fields and contents up to the end of the stream, and whether the record is whole.
+
+    Raises
+    ------
+    CutError, RecordFault
+        After the last record: it is not whole, or has a size that cannot be.
+    """
+    while head := stream.read(4):
+        if len(head) < 4:
+            raise CutError("within the head of a record")
+        (size,) = struct.unpack("<I", head)
+        if size > _HEADER_BYTES:
+            raise RecordFault(DAMAGED, f"a record's header of {size} bytes")
+        fields = _fields(exactly(stream, size))
+        (size,) = struct.unpack("<I", exactly(stream, 4))
+        try:
+            yield fields, exactly(stream, size), True
+        except CutError as cut:
+            yield fields, cut.content, False
+            raise
+
+
+def _fields(header: bytes) -> _Fields:
+    """The named values of a header."""
+    found, at = {}, 0
+    while at + 4 <= len(header):
+        (size,) = struct.unpack_from("<I", header, at)
+        name, equals, value = header[at + 4 : at + 4 + size].partition(b"=")
+        if not equals or at + 4 + size > len(header):
+            raise RecordFault(DAMAGED, "header of a record")
+        found[name.decode("ascii", "replace")] = value
+        at += 4 + size
+    return found
+
+
+def _from_chunk(
+    channels: dict[int, Channel],
+    fields: _Fields,
+    content: bytes,
+    account: Account,
+    where: str,
+    number: int,
+    *,
+    whole: bool,
+) -> Iterator[tuple[Channel, int, bytes]]:
+    """The messages of a chunk, as far as it goes."""
+    try:
+        (size,) = struct.unpack("<I", fields.get("size", b""))
+        compression = fields.get("compression", b"none").decode("ascii", "replace")
+        records = unpacked_chunk(content, compression, size, cut=not whole)
+        for inner, message, inner_whole in _raw_records(io.BytesIO(records)):
+            if inner_whole:
+                yield from _learned(channels, inner, message, account, where)
+    except (RecordFault, CutError, struct.error) as error:
+        if whole:  # else the file is cut, which is said once
+            fault = error if isinstance(error, RecordFault) else RecordFault(DAMAGED, str(error))
+            account.refuse(fault, f"{where}, chunk", number)
+
+
+def _learned(
+    channels: dict[int, Channel], fields: _Fields, content: bytes, account: Account, where: str
+) -> Iterator[tuple[Channel, int, bytes]]:
+    """The message of a record, if it is one; a damaged record is counted."""
+    try:
+        if fields.get("op") == bytes([_CONNECTION]):
+            number, channel = _connection(fields, content)
+            channels[number] = channel
+        elif fields.get("op") == bytes([_MESSAGE]):
+            (number,) = struct.unpack("<I", fields.get("conn", b""))
+            seconds, rest = struct.unpack("<II", fields.get("time", b""))
+            if number not in channels:
+                raise RecordFault(DAMAGED, f"message on unknown connection {number}")
+            yield channels[number], seconds * 1_000_000_000 + rest, content
+    except (RecordFault, struct.error) as error:
+        fault = error if isinstance(error, RecordFault) else RecordFault(DAMAGED, str(error))
+        account.refuse(fault, where, account.report.line_count)
+
+
+def _connection(fields: _Fields, content: bytes) -> tuple[int, Channel]:
+    """A connection record."""
+    (number,) = struct.unpack("<I", fields.get("conn", b""))
+    described = _fields(content)
+    names = [
+        part.decode("utf-8", "replace") for part in (fields.get("topic", b""), described.get("type", b""))
+    ]
+    text = described.get("message_definition", b"").decode("utf-8", "replace")
+    return number, Channel(names[0], ros2_name(names[1]), "ros1", text)

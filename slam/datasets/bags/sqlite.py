@@ -1,0 +1,81 @@
+"""The SQLite container of rosbag2 (``.db3``), read in the order in which it was written."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+from slam.datasets.account import Account
+from slam.datasets.bags.records import CUT, DAMAGED, Channel, ros2_name
+from slam.datasets.dataset import RecordFault
+from slam.errors import DatasetError
+
+MAGIC = b"SQLite format 3\x00"
+
+_LANGUAGES = {"ros2msg": "msg", "ros2idl": "idl"}
+
+
+class SqliteContainer:
+    """A ``.db3`` file of any schema version; definitions are in it from version 4 on."""
+
+    def announced(self, path: Path) -> list[Channel] | None:
+        """The topics' table; None where it cannot be read."""
+        try:
+            with closing(_opened(path)) as database:
+                return list(_channels(database).values()) or None
+        except sqlite3.Error:
+            return None
+
+    def records(self, path: Path, account: Account) -> Iterator[tuple[Channel, int, bytes]]:
+        """All messages in the order of their numbers; a damaged page ends them."""
+        with closing(_opened(path)) as database:
+            try:
+                channels = _channels(database)
+            except sqlite3.Error as error:
+                raise DatasetError(f"{path} is no rosbag2 database: {error}; copy it again") from error
+            try:
+                for number, stamp_ns, content in database.execute(
+                    "SELECT topic_id, timestamp, data FROM messages ORDER BY id"
+                ):
+                    if number in channels and isinstance(stamp_ns, int) and isinstance(content, bytes):
+                        yield channels[number], stamp_ns, content
+                    else:
+                        fault = RecordFault(DAMAGED, f"row of topic {number}")
+                        account.refuse(fault, path.name, account.report.line_count)
+            except sqlite3.Error as error:
+                account.refuse(RecordFault(CUT, str(error)), path.name, account.report.line_count)
+
+
+def is_rosbag2(path: Path) -> bool:
+    """Whether a SQLite file has the tables of a rosbag2."""
+    try:
+        with closing(_opened(path)) as database:
+            names = database.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()
+    except sqlite3.Error:
+        return False
+    return {("messages",), ("topics",)} <= set(names)
+
+
+def _opened(path: Path) -> sqlite3.Connection:
+    """The database, which nobody else writes: no lock, no journal, nothing beside it."""
+    return sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
+
+
+def _channels(database: sqlite3.Connection) -> dict[int, Channel]:
+    """Topics by their number, with their definitions where the bag has them."""
+    definitions: dict[str, tuple[str, str]] = {}
+    known = database.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()
+    if ("message_definitions",) in known:
+        for kind, language, text in database.execute(
+            "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+        ):
+            definitions[str(kind)] = str(text), _LANGUAGES.get(str(language), str(language))
+    found = {}
+    for number, topic, kind, wire in database.execute(
+        "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
+    ):
+        text, language = definitions.get(str(kind), ("", "msg"))
+        found[int(number)] = Channel(str(topic), ros2_name(str(kind)), str(wire), text, language)
+    return found

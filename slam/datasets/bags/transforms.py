@@ -1,0 +1,133 @@
+"""Where the sensors sit on the robot, by tf and tf_static."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from slam.datasets.bags.decoding import frame_name
+from slam.datasets.calibration import pose_from
+from slam.datasets.dataset import RecordFault
+
+BAD_TRANSFORM = "transform that is none"
+BASE_FRAMES = ("base_footprint", "base_link", "base")
+
+_STILL_M, _STILL_RAD = 0.005, math.radians(0.5)
+_MOST_FRAMES = 2000  # a robot has some dozens; damaged names must not fill the memory
+
+
+class FrameTree:
+    """Frames and how they sit in one another; of a frame that moves, where it was first."""
+
+    def __init__(self) -> None:
+        self._parents: dict[str, tuple[str, gtsam.Pose3]] = {}
+        self.moving: set[str] = set()
+
+    def __contains__(self, frame: str) -> bool:
+        return frame in self._parents or any(parent == frame for parent, _ in self._parents.values())
+
+    def __bool__(self) -> bool:
+        return bool(self._parents)
+
+    def add(self, message: Any) -> None:
+        """Take in a TFMessage.
+
+        Raises
+        ------
+        RecordFault
+            A transform in it is not finite or has no rotation; the others are taken in.
+        """
+        fault: RecordFault | None = None
+        for item in message.transforms:
+            try:
+                self._add(item)
+            except (ValueError, RuntimeError) as error:
+                fault = RecordFault(BAD_TRANSFORM, str(error))
+        if fault is not None:
+            raise fault
+
+    def _add(self, item: Any) -> None:
+        """Take in one transform."""
+        parent, child = frame_name(item.header.frame_id), frame_name(item.child_frame_id)
+        pose = pose_of(item.transform.translation, item.transform.rotation)
+        if not parent or not child or parent == child:
+            raise ValueError(f"from '{parent}' to '{child}'")
+        known = self._parents.get(child)
+        if known is None:
+            if len(self._parents) < _MOST_FRAMES:
+                self._parents[child] = parent, pose
+        elif known[0] == parent and child not in self.moving and _differs(known[1], pose):
+            self.moving.add(child)
+
+    def between(self, base: str, sensor: str) -> gtsam.Pose3 | None:
+        """``T_base_sensor``, None where no chain of transforms connects the two."""
+        neighbours: dict[str, list[tuple[str, gtsam.Pose3]]] = {}
+        for child, (parent, pose) in self._parents.items():
+            neighbours.setdefault(parent, []).append((child, pose))
+            neighbours.setdefault(child, []).append((parent, pose.inverse()))
+        found = {base: gtsam.Pose3()}
+        ahead = deque([base])
+        while ahead and sensor not in found:
+            frame = ahead.popleft()
+            for other, pose in neighbours.get(frame, []):
+                if other not in found:
+                    found[other] = found[frame].compose(pose)
+                    ahead.append(other)
+        return found.get(sensor)
+
+    def moves_between(self, base: str, sensor: str) -> bool:
+        """Whether a joint on the way from the base to a sensor has been seen to move."""
+        return bool(self.moving & set(self._chain(base)) ^ self.moving & set(self._chain(sensor)))
+
+    def _chain(self, frame: str) -> list[str]:
+        """A frame and what it sits on, up to the root."""
+        chain = [frame]
+        while (above := self._parents.get(chain[-1])) and above[0] not in chain:
+            chain.append(above[0])
+        return chain
+
+    def root(self) -> str | None:
+        """The only frame that sits in no other; None where there is none or more than one."""
+        roots = {parent for parent, _ in self._parents.values()} - set(self._parents)
+        return roots.pop() if len(roots) == 1 else None
+
+    def parent_of(self, frame: str) -> str | None:
+        """The frame that a frame sits in."""
+        known = self._parents.get(frame)
+        return known[0] if known else None
+
+    def lines(self) -> list[str]:
+        """The tree for people, a frame a line."""
+        children: dict[str, list[str]] = {}
+        for child, (parent, _) in sorted(self._parents.items()):
+            children.setdefault(parent, []).append(child)
+        roots = sorted(set(children) - set(self._parents))
+        lines: list[str] = []
+        ahead = [(root, 0) for root in reversed(roots)]
+        while ahead:
+            frame, depth = ahead.pop()
+            moves = " (moves)" if frame in self.moving else ""
+            lines.append(f"{'  ' * depth}{frame}{moves}")
+            ahead += [(child, depth + 1) for child in reversed(children.get(frame, []))]
+        return lines
+
+
+def pose_of(position: Any, rotation: Any) -> gtsam.Pose3:
+    """A pose from a Vector3 or Point, and a Quaternion.
+
+    Raises
+    ------
+    ValueError
+        Not finite, or no unit quaternion.
+    """
+    return pose_from([position.x, position.y, position.z], [rotation.x, rotation.y, rotation.z, rotation.w])
+
+
+def _differs(first: gtsam.Pose3, second: gtsam.Pose3) -> bool:
+    """Whether two poses are farther apart than rounding."""
+    step = gtsam.Pose3.Logmap(first.between(second))
+    return float(np.linalg.norm(step[3:])) > _STILL_M or float(np.linalg.norm(step[:3])) > _STILL_RAD

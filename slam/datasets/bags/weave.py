@@ -1,0 +1,119 @@
+"""Readings in the order of the bag, frames put where their stamps belong, the wheels asked at each scan.
+
+The recorder writes what arrives; an image arrives later than a scan of the same moment. So readings wait a
+little for the frames that belong before them, as `slam.datasets.recording` merges what lies in folders.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import gtsam
+
+from slam.measurements import LaserScan, Measurement, PointCloud, WheelOdometry
+
+_HOLD_S = 0.5  # by the recorder's clock; a frame that comes later than that comes late
+_LONGEST_S = 2.0  # a frame waits for the readings around it, where there are any to come
+_MOST_BYTES = 1 << 28  # of waiting images
+_MOST_READINGS = 20_000
+_WHEELS_KEPT = 400
+_LONGEST_STEP_S = 0.5  # between two odometry readings; what a robot did in a longer one is not known
+_BACKWARD_S = 1.0  # an older stamp than that beside the newest is a clock that was set, not a late image
+
+_Frame = TypeVar("_Frame")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Waiting(Generic[_Frame]):
+    """A frame that is not decoded yet."""
+
+    frame: _Frame
+    size: int
+    recorded_s: float
+
+
+class Weave(Generic[_Frame]):
+    """Readings and frames go in as they are recorded, and come out in order."""
+
+    def __init__(self) -> None:
+        self._readings: deque[tuple[int, Measurement, float]] = deque()
+        self._frames: list[tuple[float, int, int, _Waiting[_Frame]]] = []
+        self._newest_frame_s: dict[int, float] = {}
+        self._wheels: deque[WheelOdometry] = deque(maxlen=_WHEELS_KEPT)
+        self._newest_s = -math.inf
+        self._bytes = 0
+        self._count = 0
+
+    def add_reading(self, number: int, reading: Measurement, recorded_s: float) -> None:
+        """A scan, a cloud or odometry, with its place in the bag."""
+        if isinstance(reading, WheelOdometry):
+            self._wheels.append(reading)
+        self._readings.append((number, reading, recorded_s))
+
+    def add_frame(self, place: int, stamp_s: float, frame: _Frame, size: int, recorded_s: float) -> None:
+        """A frame of the camera with a place among the cameras; ``size`` is in bytes."""
+        newest_s = self._newest_frame_s.get(place, -math.inf)
+        key_s = stamp_s if stamp_s > newest_s - _BACKWARD_S else newest_s
+        self._newest_frame_s[place] = max(newest_s, stamp_s)
+        self._count += 1
+        self._bytes += size
+        heapq.heappush(self._frames, (key_s, place, self._count, _Waiting(frame, size, recorded_s)))
+
+    def due(self, now_s: float) -> Iterator[tuple[int, Measurement] | _Frame]:
+        """What need not wait longer at a time of the recorder's clock."""
+        while self._readings and (
+            now_s - self._readings[0][2] > _HOLD_S or len(self._readings) > _MOST_READINGS
+        ):
+            yield from self._next_reading()
+        while self._frames and (
+            self._bytes > _MOST_BYTES
+            or now_s - self._frames[0][3].recorded_s > (_LONGEST_S if self._readings else _HOLD_S)
+        ):
+            yield self._next_frame()
+
+    def rest(self) -> Iterator[tuple[int, Measurement] | _Frame]:
+        """All that waits, at the end of the bag."""
+        while self._readings:
+            yield from self._next_reading()
+        while self._frames:
+            yield self._next_frame()
+
+    def _next_reading(self) -> Iterator[tuple[int, Measurement] | _Frame]:
+        """The oldest reading, the wheels before a scan, and the frames up to its stamp."""
+        number, reading, _ = self._readings.popleft()
+        if isinstance(reading, LaserScan | PointCloud):
+            wheels = wheels_at(self._wheels, reading.stamp_s)
+            if wheels is not None:
+                yield number, wheels
+        yield number, reading
+        self._newest_s = max(self._newest_s, reading.stamp_s)
+        while self._frames and self._frames[0][0] <= self._newest_s:
+            yield self._next_frame()
+
+    def _next_frame(self) -> _Frame:
+        """The frame with the oldest stamp."""
+        waiting = heapq.heappop(self._frames)[3]
+        self._bytes -= waiting.size
+        return waiting.frame
+
+
+def wheels_at(readings: deque[WheelOdometry], stamp_s: float) -> WheelOdometry | None:
+    """The wheels between two readings, as tf tells them; None at a reading, or without one on either side."""
+    after: WheelOdometry | None = None
+    for before in reversed(readings):
+        if before.stamp_s == stamp_s:
+            return None
+        if before.stamp_s < stamp_s:
+            if after is None or after.stamp_s - before.stamp_s > _LONGEST_STEP_S:
+                return None
+            share = (stamp_s - before.stamp_s) / (after.stamp_s - before.stamp_s)
+            step = gtsam.Pose2.Logmap(before.T_odom_base.between(after.T_odom_base))
+            pose = before.T_odom_base.compose(gtsam.Pose2.Expmap(share * step))
+            return WheelOdometry(stamp_s, pose, before.sensor)
+        after = before
+    return None
