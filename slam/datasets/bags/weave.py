@@ -90,8 +90,13 @@ class Weave(Generic[_Frame]):
             wheels = wheels_at(self._wheels, reading.stamp_s)
             if wheels is not None:
                 yield number, wheels
+                yield from self._frames_up_to(reading.stamp_s)
         yield number, reading
-        self._newest_s = max(self._newest_s, reading.stamp_s)
+        yield from self._frames_up_to(reading.stamp_s)
+
+    def _frames_up_to(self, stamp_s: float) -> Iterator[_Frame]:
+        """The frames that belong behind a reading with a stamp."""
+        self._newest_s = max(self._newest_s, stamp_s)
         while self._frames and self._frames[0][0] <= self._newest_s:
             yield self._next_frame()
 
