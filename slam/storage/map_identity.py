@@ -97,7 +97,12 @@ class MapIdentity:
 
 def identity_of(log: Path, config: Config) -> MapIdentity:
     """What decides the map of a log."""
-    return MapIdentity(config, log.name, fingerprint_of(log), {**_versions(), "code": _code_digest()})
+    return MapIdentity(config, log.name, fingerprint_of(log), current_versions())
+
+
+def current_versions() -> dict[str, str]:
+    """Versions of the libraries that decide a result, and the digest of Scanweave's own source."""
+    return {**_versions(), "code": _code_digest()}
 
 
 def fingerprint_of(log: Path) -> str:
@@ -141,7 +146,7 @@ def _files(root: Path) -> list[Path]:
 
 
 def _versions() -> dict[str, str]:
-    """Versions of the libraries that decide a result."""
+    """Versions of the libraries."""
     found = {}
     for name in _LIBRARIES:
         try:

@@ -1,0 +1,73 @@
+"""scanweave compare."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from slam.cli.app import app
+from slam.errors import ScanweaveError
+
+if TYPE_CHECKING:
+    from slam.comparison.perform import Row
+
+
+@app.command()
+def compare(
+    experiment: Annotated[
+        Path, typer.Argument(help="experiment file (YAML); ready ones are in configs/experiments/")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="folder for the results; made where missing")],
+    data: Annotated[
+        Path | None,
+        typer.Option(
+            help="folder that relative paths are taken from; the experiment file's own if not given"
+        ),
+    ] = None,
+    cache: Annotated[
+        Path | None, typer.Option(help="folder that simulated drives are kept in; OUT/drives if not given")
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="runs at once here; one a core if not given")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="a Dask scheduler, as in tcp://host:8786; its workers must see OUT and the data"),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="run only what has no result yet, or was stopped by a limit")
+    ] = False,
+) -> None:
+    """Run data sets x configurations x seeds, each run in its own process, and compare them."""
+    from slam.comparison.compare import compare as run_comparison
+
+    if workers is not None and scheduler is not None:
+        raise typer.BadParameter("--workers is for this machine; a scheduler has workers of its own")
+    done = run_comparison(
+        experiment,
+        out,
+        data=data,
+        cache=cache,
+        workers=workers,
+        scheduler=scheduler,
+        resume=resume,
+        on_row=_tell,
+    )
+    lost = [row for row in done.rows if row["status"] != "ok"]
+    print(f"{len(done.rows)} runs, {done.done_now} of them now, {len(lost)} without a result")
+    evo = sum(path.suffix == ".zip" for path in done.written)
+    shown = [str(path) for path in done.written if path.suffix != ".zip"]
+    print("wrote " + ", ".join(shown + ([f"{evo} results for evo in {out / 'evo'}"] if evo else [])))
+    if done.rows and len(lost) == len(done.rows):
+        raise ScanweaveError(f"no run has a result; the first: {lost[0]['reason']}")
+
+
+def _tell(row: Row, done: int, count: int) -> None:
+    """One line a run, as it ends: on stderr, for the results are in the files."""
+    name = ", ".join(part for part in (row["dataset"], row["configuration"], f"seed {row['seed']}") if part)
+    reason = f" ({row['reason']})" if row["reason"] else ""
+    line = f"[{done}/{count}] {name}: {row['status']}{reason}, {row['elapsed_s']:.1f} s"
+    print(line, file=sys.stderr, flush=True)

@@ -1,0 +1,191 @@
+"""The process that does one run: `python -m slam.comparison.child JOB.json FOLDER`.
+
+It ends with its parent: standard input is a pipe, and when that closes, the whole process group is killed, so
+that nothing of a run outlives a killed worker.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from slam.comparison.drives import Drive, record
+from slam.comparison.files import ERRORS, FAILURE, MAPS, MEASURED, TRAJECTORY
+from slam.comparison.runs import SCANWEAVE, Run
+from slam.errors import EvaluationError, ScanweaveError
+
+log = logging.getLogger(__name__)
+
+
+def main() -> None:
+    """Do a job; what stopped it is told in a file of one line, with the whole story in the log."""
+    job_path, folder = Path(sys.argv[1]), Path(sys.argv[2])
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    try:
+        job = json.loads(job_path.read_text(encoding="utf-8"))
+        if "drive" in job:
+            record(Drive(**job["drive"]), Path(job["folder"]))
+            return
+        run = Run.from_dict(job)
+        measured = _command(run, folder) if run.method == "command" else _measured(run, folder)
+        _write_json(folder / MEASURED, measured)
+    except Exception as error:
+        kind = "" if isinstance(error, ScanweaveError) else f"{type(error).__name__}: "
+        _write_json(folder / FAILURE, {"reason": f"{kind}{error}".strip()})
+        traceback.print_exc()
+        sys.exit(1)
+
+
+def _end_with_parent() -> None:
+    """Wait for the parent's end of the pipe to close."""
+    while os.read(0, 4096):
+        pass
+    os.killpg(os.getpgrp(), signal.SIGKILL)
+
+
+def _measured(run: Run, folder: Path) -> dict[str, Any]:
+    """Make the trajectory, score it, and leave it with its maps in the folder."""
+    from slam.comparison.methods import STOCK, scanweave
+    from slam.comparison.product import Product
+    from slam.config import Config
+    from slam.datasets import open_dataset
+    from slam.storage.tum import read_tum
+
+    dataset = open_dataset(Path(run.log))
+    if run.method == "external":
+        return _scored(run, Product(read_tum(Path(run.trajectory))), folder)
+    if run.method == SCANWEAVE:
+        config = Config.model_validate_json(run.config)
+        product, cost = _timed(lambda: scanweave(dataset, config))
+    else:
+        product, cost = _timed(lambda: STOCK[run.method](dataset))
+    measured = _scored(run, product, folder)
+    stamps = product.trajectory.stamps_s
+    duration_s = float(stamps.max() - stamps.min())
+    cost["real_time_factor"] = duration_s / max(cost["wall_s"], 1e-9)
+    measured["figures"] |= {**cost, "peak_mb": _peak_mb()}
+    return measured
+
+
+def _timed(work: Callable[[], Any]) -> tuple[Any, dict[str, float]]:
+    """The result of some work, with its wall and CPU seconds."""
+    wall_s, cpu_s = time.perf_counter(), time.process_time()
+    result = work()
+    return result, {"wall_s": time.perf_counter() - wall_s, "cpu_s": time.process_time() - cpu_s}
+
+
+def _scored(run: Run, product: Any, folder: Path) -> dict[str, Any]:
+    """Score a product and write what the report draws."""
+    import numpy as np
+
+    from slam.comparison.scoring import Truths, scores_of
+    from slam.datasets import open_dataset
+    from slam.simulation.truth_writer import write_npz
+    from slam.storage.tum import read_tum, write_tum
+
+    log_path = Path(run.log)
+    truth = read_tum(Path(run.groundtruth)) if run.groundtruth else open_dataset(log_path).groundtruth()
+    grids = log_path / "truth" if log_path.is_dir() else log_path.parent / "truth"
+    truths = Truths(truth, Path(run.relations) if run.relations else None, grids if grids.is_dir() else None)
+    scores = scores_of(product, truths, run.rpe_m)
+    write_tum(folder / TRAJECTORY, product.trajectory)
+    maps = {"plane": product.plane, "decision": product.decision}
+    arrays: dict[str, Any] = {}
+    for name, grid in maps.items():
+        if grid is not None:
+            corner = grid.T_map_grid
+            arrays[name] = grid.states
+            arrays[f"{name}_at"] = np.array([grid.resolution_m, corner.x(), corner.y(), corner.theta()])
+    if arrays:
+        write_npz(folder / MAPS, **arrays)
+    if scores.truth is not None:
+        write_npz(
+            folder / ERRORS,
+            stamps_s=scores.truth.stamps_s,
+            errors_m=scores.truth.errors_m,
+            positions_m=scores.truth.positions_m,
+            true_positions_m=scores.truth.true_positions_m,
+            T_true_map=scores.truth.error.T_reference_map,
+        )
+    return {"figures": scores.figures, "warnings": [*product.warnings, *scores.warnings]}
+
+
+def _command(run: Run, folder: Path) -> dict[str, Any]:
+    """Run a program of the user's own, and take what it leaves."""
+    told = {"{out}": str(folder), "{python}": sys.executable}
+    words = []
+    for word in run.command:
+        for name, value in told.items():
+            word = word.replace(name, value)
+        words.append(word)
+    started = time.perf_counter()
+    try:
+        # A closed standard input: it shall not swallow the pipe by which this process knows its parent.
+        ended = subprocess.run(words, stdin=subprocess.DEVNULL, check=False)
+    except OSError as error:
+        raise EvaluationError(f"cannot start {words[0]}: {error.strerror or error}") from error
+    if ended.returncode:
+        raise EvaluationError(f"{Path(words[0]).name} ended with {ended.returncode}; see the run's log")
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cost = {"wall_s": time.perf_counter() - started, "cpu_s": usage.ru_utime + usage.ru_stime}
+    measured: dict[str, Any] = {"figures": {}, "warnings": []}
+    if (folder / TRAJECTORY).is_file() and run.log:
+        from slam.comparison.product import Product
+        from slam.storage.tum import read_tum
+
+        measured = _scored(run, Product(read_tum(folder / TRAJECTORY)), folder)
+    if run.figures:
+        measured["figures"] |= _told_figures(folder / run.figures)
+    measured["figures"] |= cost
+    return measured
+
+
+def _told_figures(path: Path) -> dict[str, float]:
+    """Every number of a JSON file, nested keys joined by dots."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise EvaluationError(f"cannot read the figures of the command, {path.name}: {error}") from error
+    return dict(_numbers(content, ""))
+
+
+def _numbers(value: Any, name: str) -> list[tuple[str, float]]:
+    """Numbers in a tree of dictionaries; lists are data, not figures."""
+    if isinstance(value, dict):
+        return [
+            pair for key, inner in value.items() for pair in _numbers(inner, f"{name}.{key}" if name else key)
+        ]
+    return [(name, float(value))] if isinstance(value, int | float) else []
+
+
+def _peak_mb() -> float:
+    """Greatest resident size of this process; the kernel's account begins with the parent's on Linux."""
+    try:
+        for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+            if line.startswith("VmHWM:"):
+                return float(line.split()[1]) / 1024.0
+    except OSError:
+        pass
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1024.0**2 if sys.platform == "darwin" else 1024.0)
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    """Write a small file; nobody looks at it before this process has ended."""
+    path.write_text(json.dumps(content), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

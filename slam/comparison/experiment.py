@@ -1,0 +1,188 @@
+"""An experiment file: which logs are run with which configurations, and against what they are measured."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import yaml
+from pydantic import Field, ValidationError, model_validator
+
+from slam.config_stages import StrictModel
+from slam.errors import ConfigError
+
+Value: TypeAlias = bool | int | float | str | list[Any] | None
+Baseline: TypeAlias = Literal[
+    "wheels", "scan_matching", "no_loops", "no_fusion", "lidar_only", "rgbd_only", "kiss_icp", "open3d"
+]
+
+
+class Simulation(StrictModel):
+    """Drives of the simulator, one a home and seed; they are made once and kept in the cache."""
+
+    rig: str = Field(default="xu2024", description="which robot, as in scanweave simulate")
+    homes: list[int] = Field(min_length=1, description="seeds of plan and furniture")
+    seeds: list[int] = Field(default=[0], min_length=1, description="seeds of tour, noise and faults")
+    duration_s: float | None = Field(default=None, ge=1, description="one tour through all rooms if absent")
+    faults: str = Field(default="usual", description="clocks, losses, people: none, usual or harsh")
+    office: bool = Field(default=False, description="an office instead of a home")
+
+
+class DatasetEntry(StrictModel):
+    """One log, or several: exactly one of path, glob and simulate."""
+
+    path: str | None = None
+    glob: str | None = Field(default=None, description="pattern; every match is a data set")
+    simulate: Simulation | None = None
+    name: str | None = Field(default=None, description="in the tables; of a path only")
+    group: str | None = Field(
+        default=None, description="data sets of one group are not independent (drives in one home)"
+    )
+    relations: str | None = Field(default=None, description="relations file (Kuemmerle 2009)")
+    groundtruth: str | None = Field(default=None, description="TUM file, where the log has no truth itself")
+
+    @model_validator(mode="after")
+    def _one_source(self) -> DatasetEntry:
+        """Refuse an entry that says nothing or too much."""
+        given = [name for name in ("path", "glob", "simulate") if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(f"has {' and '.join(given) or 'none'} of path, glob and simulate; give one")
+        alone = [name for name in ("name", "relations", "groundtruth") if getattr(self, name) is not None]
+        if alone and self.path is None:
+            raise ValueError(f"{alone[0]} belongs to one log; give it with path")
+        return self
+
+
+class Configuration(StrictModel):
+    """A preset with overrides; a sweep makes one configuration of every combination of its values."""
+
+    name: str = Field(min_length=1)
+    preset: str | None = Field(default=None, description="name of a preset, or a YAML file")
+    overrides: dict[str, Value] = Field(default={}, description="as in scanweave map --set")
+    sweep: dict[str, list[Value]] = Field(default={}, description="values by key; every combination is run")
+
+
+class External(StrictModel):
+    """Another system's trajectories, measured as ours are."""
+
+    name: str = Field(min_length=1)
+    trajectory: str = Field(description="TUM file of the base; {dataset} stands for the data set's name")
+
+
+class Command(StrictModel):
+    """A program of one's own: {out}, {python}, {data} and, run on every data set, {dataset} are filled in.
+
+    What it leaves as {out}/trajectory.tum is measured; numbers in its JSON file of figures join the table.
+    """
+
+    name: str = Field(min_length=1)
+    command: list[str] = Field(min_length=1)
+    figures: str | None = Field(default=None, description="JSON file in {out}; nested keys join by dots")
+    on_datasets: bool = Field(default=False, description="run on every data set, not once")
+
+
+class Experiment(StrictModel):
+    """Everything that decides a comparison, besides the logs."""
+
+    name: str = Field(min_length=1)
+    description: str = ""
+    datasets: list[DatasetEntry] = Field(default=[], description="logs, and drives to simulate")
+    configurations: list[Configuration] = Field(default=[], description="of ours")
+    baselines: list[Baseline] = Field(default=[], description="usual ones, by name")
+    external: list[External] = Field(default=[], description="other systems' trajectories")
+    commands: list[Command] = Field(default=[], description="programs of one's own")
+    common: dict[str, Value] = Field(default={}, description="overrides of every configuration")
+    reference: str | None = Field(
+        default=None, description="the others are compared with this one, pair by pair; the first if absent"
+    )
+    seeds: list[int] = Field(default=[0], min_length=1, description="values of the configuration's seed")
+    timeout_s: float = Field(default=3600.0, gt=0, description="a longer run is stopped")
+    memory_mb: float = Field(default=8000.0, gt=0, description="a run that takes more is stopped")
+    rpe_m: list[float] = Field(default=[1.0, 5.0, 10.0], description="lengths of the relative errors")
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Experiment:
+        """Refuse names that are not one, and an experiment without runs."""
+        names = self.names()
+        if twice := [name for name, count in Counter(names).items() if count > 1]:
+            raise ValueError(f"'{twice[0]}' names two configurations; give each its own name")
+        if not names:
+            raise ValueError("has no configurations, baselines, external or commands; give at least one")
+        on_data = len(names) - sum(not command.on_datasets for command in self.commands)
+        if on_data and not self.datasets:
+            raise ValueError("has no datasets; give a path, a glob or a simulation")
+        if self.reference is not None and self.reference not in names:
+            hint = difflib.get_close_matches(self.reference, names, n=1) or names[:8]
+            raise ValueError(f"reference '{self.reference}' is none of its names; nearest: {', '.join(hint)}")
+        if not all(length > 0 for length in self.rpe_m):
+            raise ValueError("rpe_m are lengths in metres; give numbers above 0")
+        return self
+
+    def names(self) -> list[str]:
+        """Of all that is compared, in the order of the tables; a sweep's parts are named after it."""
+        swept = [name for configuration in self.configurations for name, _ in swept_overrides(configuration)]
+        others = [*(one.name for one in self.external), *(one.name for one in self.commands)]
+        return [*swept, *map(baseline_name, self.baselines), *others]
+
+
+def swept_overrides(configuration: Configuration) -> list[tuple[str, dict[str, Value]]]:
+    """Name and overrides of every combination of a sweep; the configuration itself where it has none."""
+    found = [(configuration.name, dict(configuration.overrides))]
+    for key, values in configuration.sweep.items():
+        short = key.rpartition(".")[2]
+        found = [
+            (f"{name}, {short}={value}", {**overrides, key: value})
+            for name, overrides in found
+            for value in values
+        ]
+    return found
+
+
+def baseline_name(baseline: Baseline) -> str:
+    """A baseline's name in the tables."""
+    shown = {
+        "wheels": "wheels only",
+        "scan_matching": "scan matching only",
+        "kiss_icp": "KISS-ICP stock",
+        "open3d": "Open3D stock",
+        "rgbd_only": "RGB-D only",
+    }
+    return shown.get(baseline, baseline.replace("_", " "))
+
+
+def load_experiment(path: Path) -> Experiment:
+    """Read an experiment file.
+
+    Raises
+    ------
+    ConfigError
+        For a missing or malformed file, an unknown key (with the nearest valid one) or a bad value.
+    """
+    try:
+        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+        return Experiment.model_validate_json(json.dumps({} if tree is None else tree))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigError(f"cannot read {path}: {' '.join(str(error).split())}") from error
+    except ValidationError as error:
+        raise ConfigError(f"{path.name}: " + "; ".join(_described(error))) from None
+    except (TypeError, ValueError) as error:  # a date as a value, an anchor that holds itself
+        raise ConfigError(f"{path.name}: not plain keys and values ({error})") from error
+
+
+def _described(error: ValidationError) -> list[str]:
+    """Every fault in one line: where, what, the nearest valid key."""
+    models = (Experiment, DatasetEntry, Simulation, Configuration, External, Command)
+    known = sorted({name for model in models for name in model.model_fields})
+    lines = []
+    for fault in error.errors():
+        where = ".".join(str(part) for part in fault["loc"])
+        if fault["type"] == "extra_forbidden":
+            nearest = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1)
+            lines.append(f"unknown key '{where}'" + (f"; did you mean '{nearest[0]}'?" if nearest else ""))
+        else:
+            text = fault["msg"].removeprefix("Value error, ")
+            lines.append(f"{where}: {text[0].lower()}{text[1:]}" if where else text)
+    return lines

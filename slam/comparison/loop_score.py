@@ -1,0 +1,72 @@
+"""Loops against the truth: how many of the accepted are right, how many of the true ones were found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from slam.comparison.product import AcceptedLoop
+from slam.evaluation.association import nearest_indices
+from slam.measurements import BoolArray, FloatArray, Trajectory
+
+# A loop farther off than this closes the map to the wrong place.
+RIGHT_WITHIN_M, RIGHT_WITHIN_RAD = 0.3, 0.15
+# A revisit: so near to a place that was passed so long before, by the true path.
+REVISIT_M, LEAST_PATH_M = 1.0, 10.0
+_NEAR_S = 0.1
+
+
+def loop_scores(
+    loops: Sequence[AcceptedLoop], keyframe_stamps_s: FloatArray, truth: Trajectory
+) -> dict[str, float]:
+    """Precision and recall of accepted loops.
+
+    Precision is the share of loops whose motion is right within 0.3 m and 0.15 rad; absent without loops.
+    Recall is the share of revisiting keyframes (truly within 1 m of where the robot was 10 m of path before)
+    that have a right loop from a keyframe less than 1 m of path away; absent without revisits.
+    """
+    poses, told = _true_poses(truth, keyframe_stamps_s)
+    path_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
+    right = np.array([_is_right(loop, truth) for loop in loops], dtype=bool)
+    scores = {"loops": float(len(loops))}
+    if len(loops):
+        scores["loop_precision"] = float(right.mean())
+    revisits = np.flatnonzero(_revisits(poses, path_m) & told)
+    if revisits.size:
+        closed = np.array([loop.keyframe_stamp_s for loop, good in zip(loops, right, strict=True) if good])
+        at_m = path_m[nearest_indices(keyframe_stamps_s, closed)] if closed.size else np.array([np.inf])
+        apart_m = np.abs(path_m[revisits, None] - at_m[None, :]).min(axis=1)
+        scores["loop_recall"] = float((apart_m <= REVISIT_M).mean())
+    return scores
+
+
+def _is_right(loop: AcceptedLoop, truth: Trajectory) -> bool:
+    """Whether a loop says what the truth says; one whose stamps the truth does not know is not."""
+    poses, told = _true_poses(truth, np.array([loop.place_stamp_s, loop.keyframe_stamp_s]))
+    if not told.all():
+        return False
+    (x, y, yaw), (x2, y2, yaw2) = poses
+    c, s = np.cos(yaw), np.sin(yaw)
+    moved = np.array([c * (x2 - x) + s * (y2 - y), c * (y2 - y) - s * (x2 - x)])
+    turn_rad = np.mod(yaw2 - yaw - loop.xyt[2] + np.pi, 2.0 * np.pi) - np.pi
+    near = float(np.linalg.norm(moved - loop.xyt[:2])) <= RIGHT_WITHIN_M
+    return near and bool(abs(turn_rad) <= RIGHT_WITHIN_RAD)
+
+
+def _revisits(poses: FloatArray, path_m: FloatArray) -> BoolArray:
+    """(K,) whether a keyframe is near an older one, with enough path between."""
+    found = np.zeros(len(poses), dtype=bool)
+    for key in range(len(poses)):
+        old = path_m <= path_m[key] - LEAST_PATH_M
+        if old.any():
+            found[key] = np.hypot(*(poses[old, :2] - poses[key, :2]).T).min() <= REVISIT_M
+    return found
+
+
+def _true_poses(truth: Trajectory, stamps_s: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """(K, 3) true x, y, yaw at stamps, and whether the truth tells them."""
+    if not len(stamps_s):
+        return np.zeros((0, 3)), np.zeros(0, dtype=bool)
+    nearest = nearest_indices(truth.stamps_s, stamps_s)
+    return truth.to_planar()[nearest], np.abs(truth.stamps_s[nearest] - stamps_s) <= _NEAR_S

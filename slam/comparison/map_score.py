@@ -1,0 +1,110 @@
+"""A map against the true plan of a home, cell by cell, within one cell."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from slam.comparison.product import StateGrid
+from slam.errors import EvaluationError
+from slam.mapping.occupancy_grid import OCCUPIED
+from slam.measurements import FloatArray
+from slam.simulation.true_grid import TrueGrid
+
+Cells: TypeAlias = NDArray[np.bool_]
+# Walls behind a door that the robot never passed cannot be asked for.
+REACH_M = 4.0
+_AROUND = np.ones((3, 3), dtype=bool)
+
+
+def read_true_grid(path: Path) -> TrueGrid:
+    """A grid of truth as the simulator leaves it.
+
+    Raises
+    ------
+    EvaluationError
+        Where it cannot be read.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            corner = file["origin_xy"]
+            return TrueGrid(
+                file["occupied"].astype(bool),
+                float(file["resolution_m"]),
+                (float(corner[0]), float(corner[1])),
+                file["obstacle_id"],
+            )
+    except (OSError, ValueError, KeyError) as error:
+        raise EvaluationError(f"cannot read the true grid {path}: {error}") from error
+
+
+def map_scores(
+    found: StateGrid, truth: TrueGrid, T_true_map: FloatArray, true_xy: FloatArray
+) -> dict[str, float]:
+    """Completeness, share of false cells, and F1 of the occupied cells.
+
+    Completeness: of the true cells that border on the floor which the robot drove, at most `REACH_M` from its
+    way, those within one cell of one found. False: of the cells found, those farther than one cell from any
+    true one. F1: harmonic mean of completeness and the share that is not false.
+
+    Parameters
+    ----------
+    T_true_map
+        (4, 4) rigid motion that brings the map onto the truth, as the trajectory's alignment gives it.
+    true_xy
+        (N, 2) true way of the robot.
+    """
+    laid = on_truth(found, truth, T_true_map)
+    wanted = to_be_seen(truth, true_xy)
+    near_true = ndimage.binary_dilation(truth.occupied, _AROUND)
+    near_found = ndimage.binary_dilation(laid.inside, _AROUND)
+    count = int(laid.inside.sum()) + laid.outside
+    right = int((laid.inside & near_true).sum())
+    completeness = float((wanted & near_found).sum() / max(wanted.sum(), 1))
+    precision = right / max(count, 1)
+    f1 = 2.0 * precision * completeness / max(precision + completeness, 1e-9)
+    return {"completeness": completeness, "false_occupied": 1.0 - precision if count else 0.0, "f1": f1}
+
+
+class Laid:
+    """Occupied cells on the truth's lattice, and how many lie outside it."""
+
+    def __init__(self, inside: Cells, outside: int) -> None:
+        self.inside, self.outside = inside, outside
+
+
+def on_truth(found: StateGrid, truth: TrueGrid, T_true_map: FloatArray) -> Laid:
+    """Bring the occupied cells of a map, by their centres, onto the truth's lattice."""
+    rows, cols = np.nonzero(found.states == OCCUPIED)
+    corner = found.T_map_grid
+    c, s = np.cos(corner.theta()), np.sin(corner.theta())
+    x, y = (cols + 0.5) * found.resolution_m, (rows + 0.5) * found.resolution_m
+    points = np.column_stack([corner.x() + c * x - s * y, corner.y() + s * x + c * y, np.zeros(x.size)])
+    points = points @ T_true_map[:3, :3].T + T_true_map[:3, 3]
+    cells = np.floor((points[:, :2] - truth.origin_xy) / truth.resolution_m).astype(int)
+    within = ((cells >= 0) & (cells < truth.occupied.shape[::-1])).all(axis=1)
+    inside = np.zeros(truth.occupied.shape, dtype=bool)
+    inside[cells[within, 1], cells[within, 0]] = True
+    return Laid(inside, int(np.count_nonzero(~within)))
+
+
+def to_be_seen(truth: TrueGrid, true_xy: FloatArray) -> Cells:
+    """True cells that border on the floor that hangs together with the robot's way, near enough to it.
+
+    No sensor sees the inside of a wardrobe; a map can be asked for its faces.
+    """
+    cells = np.floor((true_xy - truth.origin_xy) / truth.resolution_m).astype(int)
+    within = ((cells >= 0) & (cells < truth.occupied.shape[::-1])).all(axis=1)
+    way = np.zeros(truth.occupied.shape, dtype=bool)
+    way[cells[within, 1], cells[within, 0]] = True
+    labels, _ = ndimage.label(~truth.occupied)
+    driven = np.unique(labels[way])
+    floor = np.isin(labels, driven[driven > 0])
+    if not way.any():
+        return np.zeros_like(way)
+    near = ndimage.distance_transform_edt(~way) * truth.resolution_m <= REACH_M
+    return np.asarray(truth.occupied & ndimage.binary_dilation(floor, _AROUND) & near)

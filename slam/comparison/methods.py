@@ -1,0 +1,161 @@
+"""The ways from a log to a trajectory that are compared: ours, and stock odometries as they come."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from slam.comparison.product import AcceptedLoop, Product, StateGrid
+from slam.config import Config
+from slam.datasets import Dataset
+from slam.errors import DatasetError, ScanweaveError
+from slam.layer_outputs import layers_of
+from slam.map_result import MapResult
+from slam.measurements import FloatArray, LaserScan, RgbdFrame, Trajectory, WheelOdometry, row_from_pose2
+from slam.pipeline import build_map
+
+_FARTHEST_DEPTH_M = 4.0
+
+
+def scanweave(dataset: Dataset, config: Config) -> Product:
+    """Our own run, with the map to drive by where cameras make one."""
+    result = build_map(dataset, config)
+    decision, warnings = None, list(result.warnings)
+    try:
+        layers = layers_of(result, config)
+        if layers is not None:
+            decision = StateGrid(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
+    except ScanweaveError as error:  # trajectory and grid are still worth their scores
+        warnings.append(f"no layers: {error}")
+    grid = result.grid
+    return Product(
+        trajectory=result.trajectory,
+        plane=None if grid is None else StateGrid(grid.states(), grid.resolution_m, grid.T_map_grid),
+        decision=decision,
+        loops=_accepted(result),
+        keyframe_stamps_s=result.scans.stamps_s[result.keyframe_numbers],
+        loops_tried=len(result.loops),
+        warnings=tuple(warnings),
+    )
+
+
+def wheels(dataset: Dataset) -> Product:
+    """Wheel odometry alone, as recorded."""
+    readings = [reading for reading in dataset if isinstance(reading, WheelOdometry)]
+    if not readings:
+        raise DatasetError(f"{dataset.name} holds no wheel odometry; leave 'wheels' out of its baselines")
+    poses = np.array([row_from_pose2(reading.T_odom_base) for reading in readings])
+    return Product(Trajectory.from_planar(np.array([reading.stamp_s for reading in readings]), poses))
+
+
+def kiss_icp(dataset: Dataset) -> Product:
+    """Stock KISS-ICP with its own defaults on the points of each scan; no deskewing, a scan has one stamp."""
+    from kiss_icp.config import KISSConfig
+    from kiss_icp.kiss_icp import KissICP
+
+    settings = KISSConfig()
+    settings.data.deskew = False
+    settings.registration.max_num_threads = 1
+    # KISS-ICP's own rule where no voxel is given.
+    settings.mapping.voxel_size = settings.data.max_range / 100.0
+    odometry = KissICP(settings)
+    stamps, poses = [], []
+    for scan in dataset:
+        if not isinstance(scan, LaserScan):
+            continue
+        points = _points_laser(scan)
+        if not len(points):
+            continue  # KISS-ICP takes an empty cloud for a motion
+        odometry.register_frame(points, np.zeros(len(points)))
+        mount = gtsam.Pose3(scan.T_base_laser)
+        poses.append(mount.compose(gtsam.Pose3(odometry.last_pose)).compose(mount.inverse()))
+        stamps.append(scan.stamp_s)
+    if not stamps:
+        raise DatasetError(f"{dataset.name} holds no scan; leave 'kiss_icp' out of its baselines")
+    return Product(_trajectory(stamps, poses))
+
+
+def open3d(dataset: Dataset) -> Product:
+    """Open3D's multi-scale RGB-D odometry (hybrid), frame to frame from identity, on the first camera.
+
+    A step that fails is taken as no motion.
+    """
+    import open3d as o3d
+
+    odometry = o3d.t.pipelines.odometry
+    before, camera, first = None, None, ""
+    pose, failed = np.eye(4), 0
+    stamps, poses = [], []
+    for frame in dataset:
+        if not isinstance(frame, RgbdFrame) or frame.sensor != (first := first or frame.sensor):
+            continue
+        if camera is None:
+            k = frame.intrinsics
+            matrix = np.array([[k.fx, 0.0, k.cx], [0.0, k.fy, k.cy], [0.0, 0.0, 1.0]])
+            camera = o3d.core.Tensor.from_numpy(matrix)
+        pictures = (np.ascontiguousarray(frame.color), np.ascontiguousarray(frame.depth_m))
+        image = o3d.t.geometry.RGBDImage(*(o3d.t.geometry.Image(picture) for picture in pictures))
+        if before is not None:
+            try:
+                found = odometry.rgbd_odometry_multi_scale(
+                    image,
+                    before,
+                    camera,
+                    depth_scale=1.0,
+                    depth_max=_FARTHEST_DEPTH_M,
+                    method=odometry.Method.Hybrid,
+                )
+                step = found.transformation.numpy()
+            except RuntimeError:
+                step = np.full((4, 4), np.nan)
+            failed += not np.isfinite(step).all()
+            pose = pose @ step if np.isfinite(step).all() else pose
+        before = image
+        mount = gtsam.Pose3() if frame.T_base_camera is None else frame.T_base_camera
+        poses.append(mount.compose(gtsam.Pose3(pose)).compose(mount.inverse()))
+        stamps.append(frame.stamp_s)
+    if not stamps:
+        raise DatasetError(f"{dataset.name} holds no image; leave 'open3d' out of its baselines")
+    warnings = (f"{failed} of {len(stamps) - 1} steps failed",) if failed else ()
+    return Product(_trajectory(stamps, poses), warnings=warnings)
+
+
+# Methods that need no configuration, by their name in a run.
+STOCK: dict[str, Callable[[Dataset], Product]] = {"wheels": wheels, "kiss_icp": kiss_icp, "open3d": open3d}
+
+
+def _points_laser(scan: LaserScan) -> FloatArray:
+    """(N, 3) points of the beams that met something, laser frame, z = 0."""
+    ranges = scan.ranges_m.astype(np.float64)
+    met = np.isfinite(ranges) & (ranges > 0.0) & (ranges < scan.range_max_m)
+    bearings, ranges = scan.bearings_rad()[met], ranges[met]
+    return np.column_stack([ranges * np.cos(bearings), ranges * np.sin(bearings), np.zeros(ranges.size)])
+
+
+def _accepted(result: MapResult) -> list[AcceptedLoop] | None:
+    """The accepted loops of a robot on a floor, by the stamps of their keyframes."""
+    if not isinstance(result.graph.pose(0), gtsam.Pose2):
+        return None
+    stamps = result.scans.stamps_s[result.keyframe_numbers]
+    return [
+        AcceptedLoop(
+            float(stamps[loop.place]),
+            float(stamps[loop.keyframe]),
+            row_from_pose2(loop.motion.T_reference_base),
+        )
+        for loop in result.loops
+        if loop.accepted and loop.motion is not None
+    ]
+
+
+def _trajectory(stamps_s: list[float], poses: list[gtsam.Pose3]) -> Trajectory:
+    """Poses as a trajectory."""
+    quaternions: list[Any] = [pose.rotation().toQuaternion() for pose in poses]
+    return Trajectory(
+        np.array(stamps_s),
+        np.array([pose.translation() for pose in poses]),
+        np.array([[q.x(), q.y(), q.z(), q.w()] for q in quaternions]),
+    )

@@ -1,0 +1,75 @@
+"""What a Dask worker is asked to do. It may be asked twice: a run that is done is not done again."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+from typing import Any
+
+from slam.comparison.drives import is_recorded
+from slam.comparison.files import MEASURED
+from slam.comparison.isolation import Outcome, run_isolated
+from slam.comparison.store import ResultStore
+
+Row = dict[str, Any]
+
+
+def perform(run: Row, root: str, drive_fault: str = "") -> Row:
+    """Do one run in a process of its own.
+
+    Parameters
+    ----------
+    run
+        `slam.comparison.runs.Run` as a dictionary.
+    root
+        The comparison's folder.
+    drive_fault
+        Why its data set could not be made; empty where it is there.
+
+    Returns
+    -------
+    The row of the table: what was run, ``status``, ``reason``, ``figures``, ``warnings``, ``log``.
+    """
+    store = ResultStore(Path(root))
+    known = store.row(run["key"])
+    if known is not None:
+        return known
+    with store.attempt() as folder:
+        if drive_fault:
+            outcome = Outcome("failed", f"its data set could not be made: {drive_fault}", 0.0, 0.0)
+        else:
+            outcome = run_isolated(run, folder, run["timeout_s"], run["memory_mb"])
+        return store.publish(folder, run["key"], row_of(run, outcome, folder))
+
+
+def record_drive(drive: Row, folder: str, root: str, timeout_s: float, memory_mb: float) -> str:
+    """Make a simulated drive in a process of its own; what went wrong, or nothing."""
+    if is_recorded(Path(folder)):
+        return ""
+    with ResultStore(Path(root)).attempt() as attempt:
+        outcome = run_isolated({"drive": drive, "folder": folder}, attempt, timeout_s, memory_mb)
+    return outcome.reason
+
+
+def row_of(run: Row, outcome: Outcome, folder: Path | None) -> Row:
+    """The row of a run that ended somehow."""
+    import json
+
+    measured: Row = {"figures": {}, "warnings": []}
+    status, reason = outcome.status, outcome.reason
+    if status == "ok" and folder is not None:
+        try:
+            measured = json.loads((folder / MEASURED).read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            status, reason = "failed", f"left no figures ({error})"
+    told = ("key", "dataset", "group", "configuration", "method", "seed")
+    return {
+        **{name: run[name] for name in told},
+        "status": status,
+        "reason": reason,
+        "figures": measured["figures"],
+        "warnings": measured["warnings"],
+        "elapsed_s": outcome.elapsed_s,
+        "watched_peak_mb": outcome.peak_mb,
+        "host": socket.gethostname(),
+    }

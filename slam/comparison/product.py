@@ -1,0 +1,73 @@
+"""What a run hands to its scores, whoever made it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.measurements import FloatArray, Trajectory
+
+StateArray = NDArray[np.int8]
+
+
+@dataclass(frozen=True, slots=True)
+class StateGrid:
+    """Cells of OCCUPIED (100), FREE (0) and UNKNOWN (-1).
+
+    Attributes
+    ----------
+    states
+        (rows, cols), row 0 at the lowest y of the grid.
+    resolution_m
+        Side of a cell.
+    T_map_grid
+        Lower-left corner of cell (0, 0).
+    """
+
+    states: StateArray
+    resolution_m: float
+    T_map_grid: gtsam.Pose2
+
+
+@dataclass(frozen=True, slots=True)
+class AcceptedLoop:
+    """A loop of the final graph: pose of the base at the second stamp seen from the first, planar."""
+
+    place_stamp_s: float
+    keyframe_stamp_s: float
+    xyt: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Product:
+    """A finished run.
+
+    Attributes
+    ----------
+    trajectory
+        Of the base, map frame.
+    plane
+        The occupancy grid at the lidar's height; None where there is none.
+    decision
+        The map to drive by; None where no camera made one.
+    loops
+        Accepted ones; None where the method closes none or the robot leaves the floor.
+    keyframe_stamps_s
+        (K,) moments at which a loop could have been closed.
+    loops_tried
+        Candidates, accepted or not.
+    warnings
+        One line each.
+    """
+
+    trajectory: Trajectory
+    plane: StateGrid | None = None
+    decision: StateGrid | None = None
+    loops: Sequence[AcceptedLoop] | None = None
+    keyframe_stamps_s: FloatArray = field(default_factory=lambda: np.zeros(0))
+    loops_tried: int = 0
+    warnings: tuple[str, ...] = ()

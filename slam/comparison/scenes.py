@@ -1,0 +1,109 @@
+"""What the runs on each data set looked like: ways over each other, error over time, maps side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slam.comparison.files import ERRORS, MAPS, TRAJECTORY
+from slam.comparison.map_score import read_true_grid
+from slam.comparison.perform import Row
+from slam.comparison.pictures import errors_png, maps_png, trajectories_png
+from slam.comparison.product import StateArray
+from slam.comparison.runs import Plan, Source
+from slam.comparison.store import ResultStore
+from slam.errors import EvaluationError
+from slam.evaluation.page_parts import folded, image, section
+from slam.evaluation.trajectory_error import associate, umeyama
+from slam.measurements import FloatArray
+from slam.storage.tum import read_tum
+
+# Beyond this many data sets their pictures are folded, so that the page stays readable.
+_MOST_OPEN = 4
+_ALIGN_WITHIN_S = 0.1
+
+
+def scene_sections(plan: Plan, rows: Sequence[Row], store: ResultStore) -> Iterator[str]:
+    """A section a data set; of several seeds the first is shown."""
+    for source in plan.sources:
+        shown: dict[str, Row] = {}
+        for row in rows:
+            if row["dataset"] == source.name and row["status"] == "ok":
+                shown.setdefault(row["configuration"], row)
+        if not shown:
+            continue
+        folders = {name: store.of(row["key"]) for name, row in shown.items()}
+        content = "".join(_pictures(source, folders, plan.reference))
+        if content:
+            many = len(plan.sources) > _MOST_OPEN
+            yield section(source.name, folded("show", content) if many else content)
+
+
+def _pictures(source: Source, folders: dict[str, Path], reference: str) -> Iterator[str]:
+    """The pictures of one data set."""
+    errors = {name: found for name, folder in folders.items() if (found := _arrays(folder / ERRORS))}
+    if errors:
+        ways = {name: _in_truth(found, "positions_m") for name, found in errors.items()}
+        truth = max((_in_truth(found, "true_positions_m") for found in errors.values()), key=len)
+        yield image(trajectories_png(ways, truth), f"ways on {source.name} over the true one", "plot")
+        over_time = {name: (found["stamps_s"], found["errors_m"]) for name, found in errors.items()}
+        yield image(errors_png(over_time), f"error over time on {source.name}", "plot")
+    elif ways := _aligned_ways(folders, reference):
+        yield image(trajectories_png(ways, None), f"ways on {source.name}", "plot")
+    maps = {name: known for name, folder in folders.items() if (known := _map(folder / MAPS))}
+    if maps:
+        if (truth_map := _true_map(source)) is not None:
+            maps = {"truth": truth_map, **maps}
+        yield image(maps_png(maps), f"maps of {source.name} side by side", "map")
+
+
+def _arrays(path: Path) -> dict[str, Any] | None:
+    """What a run has left in an npz, None where it has not."""
+    if not path.is_file():
+        return None
+    with np.load(path, allow_pickle=False) as file:
+        return {name: file[name] for name in file.files}
+
+
+def _in_truth(found: dict[str, Any], name: str) -> FloatArray:
+    """(N, 2) positions in the truth's frame, which is one for all runs."""
+    T_true_map, positions = found["T_true_map"], found[name]
+    return np.asarray((positions @ T_true_map[:3, :3].T + T_true_map[:3, 3])[:, :2])
+
+
+def _aligned_ways(folders: dict[str, Path], reference: str) -> dict[str, FloatArray]:
+    """(N, 2) ways, each brought onto the reference's as well as it can be."""
+    found = {name: read_tum(path) for name, f in folders.items() if (path := f / TRAJECTORY).is_file()}
+    if not found:
+        return {}
+    base = found.get(reference, next(iter(found.values())))
+    ways = {}
+    for name, trajectory in found.items():
+        try:
+            own, others = associate(trajectory, base, _ALIGN_WITHIN_S)
+            T = umeyama(own.positions_m, others.positions_m)
+        except EvaluationError:
+            T = np.eye(4)  # nothing in common: shown as it is
+        ways[name] = (trajectory.positions_m @ T[:3, :3].T + T[:3, 3])[:, :2]
+    return ways
+
+
+def _map(path: Path) -> tuple[StateArray, float] | None:
+    """The map to drive by, or else the plane of the lidar."""
+    found = _arrays(path)
+    if found is None:
+        return None
+    name = "decision" if "decision" in found else "plane"
+    return found[name], float(found[f"{name}_at"][0])
+
+
+def _true_map(source: Source) -> tuple[StateArray, float] | None:
+    """The true plan of a simulated home, as states."""
+    path = source.path / "truth" / "grid_robot.npz"
+    if not path.is_file():
+        return None
+    truth = read_true_grid(path)
+    return np.where(truth.occupied, 100, 0).astype(np.int8), truth.resolution_m
