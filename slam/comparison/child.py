@@ -20,9 +20,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from slam.comparison.drives import Drive, record
 from slam.comparison.files import ERRORS, FAILURE, MAPS, MEASURED, TRAJECTORY
-from slam.comparison.runs import SCANWEAVE, Run
+from slam.comparison.run import SCANWEAVE, Run
 from slam.errors import EvaluationError, ScanweaveError
 
 log = logging.getLogger(__name__)
@@ -36,6 +35,8 @@ def main() -> None:
     try:
         job = json.loads(job_path.read_text(encoding="utf-8"))
         if "drive" in job:
+            from slam.comparison.drives import Drive, record
+
             record(Drive(**job["drive"]), Path(job["folder"]))
             return
         run = Run.from_dict(job)

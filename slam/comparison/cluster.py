@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from slam.comparison.isolation import Outcome
 from slam.comparison.perform import Row, perform, record_drive, row_of
-from slam.comparison.runs import Run, Source
+from slam.comparison.run import Run
+from slam.comparison.runs import Source
 from slam.errors import ScanweaveError
 from slam.storage.map_identity import current_versions
 

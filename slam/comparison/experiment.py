@@ -64,6 +64,13 @@ class Configuration(StrictModel):
     overrides: dict[str, Value] = Field(default={}, description="as in scanweave map --set")
     sweep: dict[str, list[Value]] = Field(default={}, description="values by key; every combination is run")
 
+    @model_validator(mode="after")
+    def _sweeps_something(self) -> Configuration:
+        """Refuse a sweep that leaves nothing to run."""
+        if empty := [key for key, values in self.sweep.items() if not values]:
+            raise ValueError(f"sweep of '{empty[0]}' has no values; give at least one")
+        return self
+
 
 class External(StrictModel):
     """Another system's trajectories, measured as ours are."""

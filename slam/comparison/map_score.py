@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import TypeAlias
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,7 @@ def read_true_grid(path: Path) -> TrueGrid:
         Where it cannot be read.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             corner = file["origin_xy"]
             return TrueGrid(
                 file["occupied"].astype(bool),
@@ -38,7 +39,7 @@ def read_true_grid(path: Path) -> TrueGrid:
                 (float(corner[0]), float(corner[1])),
                 file["obstacle_id"],
             )
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, KeyError, BadZipFile) as error:
         raise EvaluationError(f"cannot read the true grid {path}: {error}") from error
 
 

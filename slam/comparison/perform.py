@@ -20,7 +20,7 @@ def perform(run: Row, root: str, drive_fault: str = "") -> Row:
     Parameters
     ----------
     run
-        `slam.comparison.runs.Run` as a dictionary.
+        `slam.comparison.run.Run` as a dictionary.
     root
         The comparison's folder.
     drive_fault

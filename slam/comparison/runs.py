@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +18,11 @@ from slam.comparison.experiment import (
     baseline_name,
     swept_overrides,
 )
+from slam.comparison.run import SCANWEAVE, Run
 from slam.config import Config, load_config
 from slam.errors import DatasetError, MapFileError
 from slam.storage.map_identity import current_versions, fingerprint_of
 
-SCANWEAVE = "scanweave"
 # A baseline is a configuration of ours, or a method of its own.
 _NO_LOOPS: dict[str, Value] = {"loops.enabled": False, "visual_loops.enabled": False}
 _OVERRIDES: dict[Baseline, dict[str, Value]] = {
@@ -60,58 +60,6 @@ class Source:
     drive: Drive | None = None
     relations: Path | None = None
     groundtruth: Path | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """One run, in plain types: it travels to the worker, and from there to the process that does it.
-
-    Attributes
-    ----------
-    key
-        Hash of data set, effective configuration and code: the same key, the same result.
-    configuration
-        Name in the tables.
-    method
-        ``scanweave``, a baseline of its own (``wheels``, ``kiss_icp``, ``open3d``), ``external`` or
-        ``command``.
-    dataset, group, log, relations, groundtruth
-        As in `Source`; empty where there is none.
-    seed
-        Of the configuration.
-    config
-        The effective configuration as JSON; empty where none decides.
-    trajectory, command, figures
-        Of an outside system.
-    timeout_s, memory_mb, rpe_m
-        As in the experiment.
-    """
-
-    configuration: str
-    method: str
-    dataset: str
-    group: str
-    log: str
-    relations: str
-    groundtruth: str
-    seed: int
-    timeout_s: float
-    memory_mb: float
-    rpe_m: tuple[float, ...]
-    config: str = ""
-    trajectory: str = ""
-    command: tuple[str, ...] = ()
-    figures: str = ""
-    key: str = ""
-
-    def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> Run:
-        """From JSON."""
-        return cls(**{**values, "rpe_m": tuple(values["rpe_m"]), "command": tuple(values["command"])})
 
 
 @dataclass(frozen=True, slots=True)
