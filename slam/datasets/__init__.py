@@ -10,6 +10,7 @@ from pathlib import Path
 from slam.datasets.bags.dataset import open_bag
 from slam.datasets.bags.files import looks_like_bag
 from slam.datasets.carmen import HEAD_BYTES, CarmenDataset, looks_like_carmen
+from slam.datasets.cloud_folder import looks_like_cloud_folder, open_cloud_folder
 from slam.datasets.dataset import Dataset, ReadReport
 from slam.datasets.log_file import read_head
 from slam.datasets.open_loris import looks_like_open_loris, open_open_loris
@@ -58,6 +59,11 @@ FORMATS: tuple[DatasetFormat, ...] = (
     DatasetFormat("OpenLORIS-Scene folder", looks_like_open_loris, open_open_loris),
     DatasetFormat("Robot@Home session folder", looks_like_robot_at_home, open_robot_at_home),
     DatasetFormat("Robot@Home2 database (rh.db)", looks_like_robot_at_home2, open_robot_at_home2),
+    DatasetFormat(
+        "folder of point clouds (KITTI odometry; .bin, .pcd or .ply with a list of stamps)",
+        looks_like_cloud_folder,
+        open_cloud_folder,
+    ),
     DatasetFormat("ROS bag (.bag, .db3, .mcap, or the folder of one)", looks_like_bag, open_bag),
 )
 

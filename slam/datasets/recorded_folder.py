@@ -1,18 +1,23 @@
-"""A robot's folder: a CARMEN log, and beside it cameras in the TUM layout. The simulator writes such."""
+"""A robot's folder: a CARMEN log, beside it cameras in the TUM layout, clouds. The simulator writes such."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from slam.datasets.account import Account
 from slam.datasets.carmen import HEAD_BYTES, CarmenDataset, looks_like_carmen
+from slam.datasets.cloud_folder import has_clouds, read_clouds
+from slam.datasets.clouds_over_time import merged
 from slam.datasets.log_file import read_head
-from slam.datasets.recording import Contents, Recording
+from slam.datasets.recording import Contents, Numbered, Recording
 from slam.datasets.tum import has_tum_layout, read_groundtruth, tum_camera
 from slam.errors import DatasetError
 
 _CAMERA_FOLDERS = "rgbd_*"
-_NO_LOGS = frozenset({".png", ".jpg", ".jpeg", ".yaml", ".yml", ".json", ".mcap", ".npz", ".db", ".bag"})
+_NO_LOGS = frozenset(
+    {".png", ".jpg", ".jpeg", ".yaml", ".yml", ".json", ".mcap", ".npz", ".db", ".db3", ".bag"}
+)
 
 
 def looks_like_recorded_folder(path: Path, head: bytes) -> bool:
@@ -37,7 +42,11 @@ def open_recorded_folder(path: Path, strict: bool) -> Recording:
 
     def load(account: Account) -> Contents:
         cameras = [tum_camera(folder, name, account) for name, folder in _cameras(path).items()]
-        log = CarmenDataset(logs[0], strict=strict).numbered(account.report) if logs else ()
+        log: Iterable[Numbered] = ()
+        if logs:
+            log = CarmenDataset(logs[0], strict=strict).numbered(account.report)
+        if has_clouds(path):
+            log = merged(log, read_clouds(path, account).numbered(account))
         return Contents(cameras, log)
 
     return Recording(path, load, lambda account: read_groundtruth(path, account), strict=strict)

@@ -4,22 +4,26 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import gtsam
 import numpy as np
 
 from slam.measurements import Float32Array
 from slam.simulation.events import CloudEvent
 from slam.simulation.ordered_pool import OrderedPool
+from slam.simulation.tum_writer import transform_fields, write_yaml
 
 
 class CloudWriter:
-    """``points/`` and its index ``points.txt``; use it as a context manager.
+    """``points/`` with its index ``points.txt`` beside it; use it as a context manager.
 
-    A point is x, y, z in the frame of the lidar, and its ring where KITTI has the intensity.
+    A point is x, y, z in the frame of the lidar, and its ring where KITTI has the intensity. Where the lidar
+    sits is in ``points/calibration.yaml``.
     """
 
-    def __init__(self, folder: Path, pool: OrderedPool) -> None:
+    def __init__(self, folder: Path, T_base_lidar: gtsam.Pose3, pool: OrderedPool) -> None:
         self._folder, self._pool = folder, pool
         (folder / "points").mkdir()
+        write_yaml(folder / "points" / "calibration.yaml", {"T_base_lidar": transform_fields(T_base_lidar)})
         self._index = (folder / "points.txt").open("w", encoding="ascii", newline="\n")
         self._index.write(
             "# point clouds: x y z ring, float32\n# simulated by scanweave\n# timestamp filename\n"

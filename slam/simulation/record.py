@@ -164,7 +164,7 @@ class _FolderSink:
         }
         self._clouds = None
         if drive.rig.lidar_3d is not None:
-            self._clouds = stack.enter_context(CloudWriter(folder, images))
+            self._clouds = stack.enter_context(CloudWriter(folder, drive.rig.lidar_3d.T_base_laser, images))
 
     def __call__(self, event: DriveEvent) -> None:
         """Write one event; the trajectory is the truth's business."""

@@ -99,8 +99,8 @@ class BagDataset:
                 report.observe(done.measurement, done.number)
                 yield done.measurement
         for cloud in layout.clouds:
-            if cloud.time_choice:
-                report.note(f"{cloud.topic}: {cloud.time_choice}", 1)
+            if cloud.times.choice:
+                report.note(f"{cloud.topic}: {cloud.times.choice}", 1)
         if report.measurement_count == 0:
             raise DatasetError(_nothing_usable(self.path, report, survey))
 

@@ -13,16 +13,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-import gtsam
-
+from slam.datasets.wheels_between import WHEELS_KEPT, wheels_at
 from slam.measurements import LaserScan, Measurement, PointCloud, WheelOdometry
 
 _HOLD_S = 0.5  # by the recorder's clock; a frame that comes later than that comes late
 _LONGEST_S = 2.0  # a frame waits for the readings around it, where there are any to come
 _MOST_BYTES = 1 << 28  # of waiting images
 _MOST_READINGS = 20_000
-_WHEELS_KEPT = 400
-_LONGEST_STEP_S = 0.5  # between two odometry readings; what a robot did in a longer one is not known
 _BACKWARD_S = 1.0  # an older stamp than that beside the newest is a clock that was set, not a late image
 
 _Frame = TypeVar("_Frame")
@@ -44,7 +41,7 @@ class Weave(Generic[_Frame]):
         self._readings: deque[tuple[int, Measurement, float]] = deque()
         self._frames: list[tuple[float, int, int, _Waiting[_Frame]]] = []
         self._newest_frame_s: dict[int, float] = {}
-        self._wheels: deque[WheelOdometry] = deque(maxlen=_WHEELS_KEPT)
+        self._wheels: deque[WheelOdometry] = deque(maxlen=WHEELS_KEPT)
         self._newest_s = -math.inf
         self._bytes = 0
         self._count = 0
@@ -105,20 +102,3 @@ class Weave(Generic[_Frame]):
         waiting = heapq.heappop(self._frames)[3]
         self._bytes -= waiting.size
         return waiting.frame
-
-
-def wheels_at(readings: deque[WheelOdometry], stamp_s: float) -> WheelOdometry | None:
-    """The wheels between two readings, as tf tells them; None at a reading, or without one on either side."""
-    after: WheelOdometry | None = None
-    for before in reversed(readings):
-        if before.stamp_s == stamp_s:
-            return None
-        if before.stamp_s < stamp_s:
-            if after is None or after.stamp_s - before.stamp_s > _LONGEST_STEP_S:
-                return None
-            share = (stamp_s - before.stamp_s) / (after.stamp_s - before.stamp_s)
-            step = gtsam.Pose2.Logmap(before.T_odom_base.between(after.T_odom_base))
-            pose = before.T_odom_base.compose(gtsam.Pose2.Expmap(share * step))
-            return WheelOdometry(stamp_s, pose, before.sensor)
-        after = before
-    return None

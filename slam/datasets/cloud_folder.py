@@ -1,0 +1,141 @@
+"""Folders of point clouds: KITTI odometry sequences, and any clouds with a list of their stamps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import gtsam
+import numpy as np
+
+from slam.datasets.account import Account
+from slam.datasets.calibration import pose_from, pose_from_matrix, read_yaml
+from slam.datasets.clouds_over_time import CloudFolder, cloud_files, stamped_clouds, times_of
+from slam.datasets.dataset import RecordFault
+from slam.datasets.log_file import numbered_lines
+from slam.datasets.recording import Contents, Recording
+from slam.datasets.stamped_files import read_poses
+from slam.errors import DatasetError
+from slam.measurements import FloatArray, Trajectory
+
+LIDAR_CALIBRATION = "calibration.yaml"
+BAD_POSE_ROW = "pose line without the twelve numbers of a pose"
+
+_INSIDE = ("velodyne", "points", "clouds")  # of KITTI, of the simulator, of others
+_KITTI_CALIBRATION = "calib.txt"
+_GROUNDTRUTH = "groundtruth.txt"
+
+
+def looks_like_cloud_folder(path: Path, head: bytes) -> bool:
+    """Whether a path is a folder with clouds and a list of their stamps."""
+    return path.is_dir() and times_of(path) is not None and bool(_cloud_places(path))
+
+
+def open_cloud_folder(path: Path, strict: bool) -> Recording:
+    """A folder of clouds; the lidar's frame is the robot's unless ``calibration.yaml`` says where it sits."""
+    return Recording(
+        path,
+        lambda account: Contents(log=read_clouds(path, account).numbered(account)),
+        lambda account: _groundtruth(path, account),
+        strict=strict,
+    )
+
+
+def has_clouds(path: Path) -> bool:
+    """Whether a folder of a robot holds clouds with a list of stamps beside them."""
+    return times_of(path) is not None and bool(_cloud_places(path))
+
+
+def read_clouds(path: Path, account: Account) -> CloudFolder:
+    """The clouds of a folder and where their lidar sits."""
+    times = times_of(path)
+    places = _cloud_places(path)
+    if times is None or not places:
+        raise DatasetError(f"{path} holds no clouds with a list of stamps; give a folder with times.txt")
+    return CloudFolder(tuple(stamped_clouds(times, places[0], account)), _mount(places[0]))
+
+
+def _cloud_places(path: Path) -> list[Path]:
+    """The folders that hold clouds: those inside by their names, or the folder itself."""
+    inside = [path / name for name in _INSIDE if (path / name).is_dir()]
+    return [place for place in [*inside, path] if cloud_files(place)]
+
+
+def _mount(folder: Path) -> gtsam.Pose3:
+    """``T_base_lidar`` by ``calibration.yaml`` beside the clouds, else the lidar is the robot's frame."""
+    path = folder / LIDAR_CALIBRATION
+    content = read_yaml(path) if path.is_file() else {}
+    if content.get("T_base_lidar") is None:
+        return gtsam.Pose3()
+    try:
+        fields = content["T_base_lidar"]
+        return pose_from(fields["translation_m"], fields["quaternion_xyzw"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise DatasetError(
+            f"{path}: T_base_lidar: {error}; correct the calibration, or remove the file"
+        ) from error
+
+
+def _groundtruth(path: Path, account: Account) -> Trajectory | None:
+    """``groundtruth.txt``, or KITTI's poses: of its left camera, turned into those of the lidar."""
+    if (path / _GROUNDTRUTH).is_file():
+        return read_poses(path / _GROUNDTRUTH, account)
+    found = [
+        file
+        for file in (
+            path / "poses.txt",
+            path.resolve().parent.parent / "poses" / f"{path.resolve().name}.txt",
+        )
+        if file.is_file()
+    ]
+    times = times_of(path)
+    calibration = path / _KITTI_CALIBRATION
+    if not found or times is None or not calibration.is_file():
+        return None
+    T_camera_lidar = _kitti_rows(calibration, account).get("Tr")
+    if T_camera_lidar is None:
+        return None
+    stamps = [file.stamp_s for file in stamped_clouds(times, _cloud_places(path)[0], account)]
+    rows, used = [], []
+    for stamp_s, T_world_camera in zip(stamps, _kitti_poses(found[0], account), strict=False):
+        if T_world_camera is None:
+            continue
+        pose = T_camera_lidar.inverse().compose(T_world_camera).compose(T_camera_lidar)
+        q = pose.rotation().toQuaternion()
+        rows.append([*pose.translation(), q.x(), q.y(), q.z(), q.w()])  # type: ignore[attr-defined]
+        used.append(stamp_s)
+    if not rows:
+        return None
+    table = np.array(rows)
+    return Trajectory(np.array(used), table[:, :3].copy(), table[:, 3:].copy())
+
+
+def _kitti_poses(path: Path, account: Account) -> list[gtsam.Pose3 | None]:
+    """A pose a line, None where the line has none."""
+    poses: list[gtsam.Pose3 | None] = []
+    for number, line in numbered_lines(path, lambda fault, at: account.refuse(fault, path.name, at)):
+        try:
+            poses.append(_pose_of_row(line.split()))
+        except ValueError as error:
+            account.refuse(RecordFault(BAD_POSE_ROW, str(error)), path.name, number)
+            poses.append(None)
+    return poses
+
+
+def _kitti_rows(path: Path, account: Account) -> dict[str, gtsam.Pose3]:
+    """The transforms of ``calib.txt`` by their names; projections, which are none, are left out."""
+    found = {}
+    for _, line in numbered_lines(path, lambda fault, at: account.refuse(fault, path.name, at)):
+        name, _, numbers = line.partition(b":")
+        try:
+            found[name.decode("ascii", "replace").strip()] = _pose_of_row(numbers.split())
+        except ValueError:
+            continue
+    return found
+
+
+def _pose_of_row(fields: list[bytes]) -> gtsam.Pose3:
+    """A pose from the first three rows of its matrix."""
+    numbers: FloatArray = np.array([float(field) for field in fields])
+    if numbers.size != 12:
+        raise ValueError(f"{numbers.size} numbers")
+    return pose_from_matrix(np.vstack([numbers.reshape(3, 4), [0.0, 0.0, 0.0, 1.0]]))

@@ -1,0 +1,124 @@
+"""Which cloud file was taken when, and clouds put among the readings of a log."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import gtsam
+
+from slam.datasets.account import Account
+from slam.datasets.cloud_files import CLOUD_SUFFIXES, read_cloud
+from slam.datasets.dataset import RecordFault
+from slam.datasets.point_times import PointTimes
+from slam.datasets.recording import Numbered
+from slam.datasets.stamped_files import StampedFile, fields_of, image_path, stamp_of
+from slam.datasets.wheels_between import WHEELS_KEPT, wheels_at
+from slam.errors import DatasetError
+from slam.measurements import PointCloud, WheelOdometry
+
+UNPAIRED = "more clouds than stamps"
+WITHOUT_CLOUD = "more stamps than clouds"
+
+# Beside the clouds or above them; each line a stamp, or a stamp and the name of a file.
+TIMES_NAMES = ("points.txt", "times.txt", "timestamps.txt", "stamps.txt")
+
+
+@dataclass(frozen=True, slots=True)
+class CloudFolder:
+    """Clouds on disk.
+
+    Attributes
+    ----------
+    files
+        With their stamps, in the order of the list.
+    T_base_lidar
+        Mounting of the lidar.
+    """
+
+    files: tuple[StampedFile, ...]
+    T_base_lidar: gtsam.Pose3
+
+    def numbered(self, account: Account) -> Iterator[tuple[int, PointCloud]]:
+        """The clouds with their lines in the list; what cannot be read is counted."""
+        times = PointTimes()
+        for file in self.files:
+            account.report.line_count += 1
+            try:
+                cloud = read_cloud(file.path)
+            except RecordFault as fault:
+                account.refuse(fault, file.path.name, file.number)
+                continue
+            account.report.accept("cloud")
+            times_s = times.of(cloud.fields, cloud.fields.__getitem__, file.stamp_s)
+            yield file.number, PointCloud(file.stamp_s, cloud.points_lidar, times_s, self.T_base_lidar)
+        if times.choice:
+            account.report.note(f"lidar: {times.choice}", 1)
+
+
+def times_of(folder: Path) -> Path | None:
+    """The list of stamps in a folder."""
+    return next((folder / name for name in TIMES_NAMES if (folder / name).is_file()), None)
+
+
+def cloud_files(folder: Path) -> list[Path]:
+    """Clouds directly in a folder, numbers in their names in the order of numbers."""
+    try:
+        found = [
+            path for path in folder.iterdir() if path.suffix.lower() in CLOUD_SUFFIXES and path.is_file()
+        ]
+    except OSError as error:
+        raise DatasetError(f"cannot list {folder}: {error.strerror}; check its rights") from error
+    return sorted(found, key=lambda path: (len(path.stem) if path.stem.isdecimal() else 0, path.name))
+
+
+def stamped_clouds(times: Path, folder: Path, account: Account) -> list[StampedFile]:
+    """The clouds of a list of stamps: by the names in it, else one after another as the folder has them."""
+    lines = list(fields_of(times, account, 1, 2))
+    if any(len(fields) > 1 for _, fields in lines):
+        return _named(times, lines, account)
+    files = cloud_files(folder)
+    found = []
+    for (number, fields), path in zip(lines, files, strict=False):
+        try:
+            found.append(StampedFile(stamp_of(fields[0]), path, number))
+        except RecordFault as fault:
+            account.refuse(fault, times.name, number)
+    for number, _ in lines[len(files) :]:
+        account.refuse(RecordFault(WITHOUT_CLOUD, f"{len(lines)} and {len(files)}"), times.name, number)
+    for place in range(len(lines), len(files)):
+        account.refuse(RecordFault(UNPAIRED, f"{len(files)} and {len(lines)}"), times.name, place + 1)
+    return found
+
+
+def merged(log: Iterable[Numbered], clouds: Iterator[tuple[int, PointCloud]]) -> Iterator[Numbered]:
+    """A log with clouds before the first reading that is later, the wheels asked at each cloud's stamp."""
+    wheels: deque[WheelOdometry] = deque(maxlen=WHEELS_KEPT)
+    waiting = next(clouds, None)
+    for number, reading in log:
+        if isinstance(reading, WheelOdometry):
+            wheels.append(reading)
+        while waiting is not None and waiting[1].stamp_s < reading.stamp_s:
+            if (at := wheels_at(wheels, waiting[1].stamp_s)) is not None:
+                yield waiting[0], at
+            yield waiting
+            waiting = next(clouds, None)
+        yield number, reading
+    if waiting is not None:
+        yield waiting
+        yield from clouds
+
+
+def _named(times: Path, lines: list[tuple[int, list[bytes]]], account: Account) -> list[StampedFile]:
+    """Clouds by lines ``stamp name``; names are relative to the list's folder."""
+    found = []
+    for number, fields in lines:
+        try:
+            if len(fields) < 2:
+                raise RecordFault("index line with too few fields", "1 of 2")
+            found.append(StampedFile(stamp_of(fields[0]), image_path(times.parent, fields[1]), number))
+        except RecordFault as fault:
+            account.refuse(fault, times.name, number)
+    return found

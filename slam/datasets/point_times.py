@@ -1,0 +1,88 @@
+"""The time of each point of a cloud, whatever the driver called it and in which unit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.measurements import FloatArray
+
+# Ouster, Velodyne, Hesai and RoboSense, Livox, and what their users call it.
+_NAMES = (
+    "t",
+    "time",
+    "timestamp",
+    "offset_time",
+    "time_offset",
+    "point_time_offset",
+    "ts",
+    "time_stamp",
+    "times",
+)
+_UNITS_S = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
+# A turn of any lidar takes longer than the first and less than the second; they lie one unit apart.
+_SHORTEST_TURN_S, _LONGEST_TURN_S = 0.002, 2.0
+_FIRST_CLOCK_S = 1e6  # no offset within a turn, and before any clock that was ever set
+_SAME_CLOCK_S = 1.0
+
+
+class PointTimes:
+    """Times of the points of one lidar; what the first cloud tells of field and unit holds for all.
+
+    Attributes
+    ----------
+    choice
+        Field and unit for people; empty before the first cloud.
+    """
+
+    def __init__(self) -> None:
+        self.choice = ""
+        self._field = ""
+        self._unit_s = 0.0
+
+    def of(
+        self, names: Iterable[str], column: Callable[[str], NDArray[Any]], stamp_s: float
+    ) -> FloatArray | None:
+        """Seconds after the stamp of a cloud, (N,); None where the cloud does not tell them.
+
+        Parameters
+        ----------
+        names
+            The fields of its points.
+        column
+            The values of a field, (N,).
+        """
+        own = {name.lower(): name for name in names}
+        if not self.choice:
+            self._choose(own, column)
+        if self._field not in own.values():
+            return None
+        times_s: FloatArray = column(self._field).astype(np.float64) * self._unit_s
+        if not times_s.size or not np.isfinite(times_s).all() or np.ptp(times_s) > _LONGEST_TURN_S:
+            return None
+        first_s = float(times_s.min())
+        if abs(first_s) < _FIRST_CLOCK_S:
+            return times_s
+        # By another clock than the stamp's only the differences mean something.
+        return times_s - (stamp_s if abs(first_s - stamp_s) < _SAME_CLOCK_S else first_s)
+
+    def _choose(self, own: dict[str, str], column: Callable[[str], NDArray[Any]]) -> None:
+        """The field of times, and its unit by how long a turn can take."""
+        found = [own[name] for name in _NAMES if name in own]
+        if not found:
+            self.choice = "points without times"
+            return
+        values = column(found[0])
+        kind, values = values.dtype, values.astype(np.float64)
+        span = float(np.ptp(values)) if values.size and np.isfinite(values).all() else 0.0
+        for unit, unit_s in _UNITS_S.items():
+            if _SHORTEST_TURN_S < span * unit_s <= _LONGEST_TURN_S:
+                self._field, self._unit_s = found[0], unit_s
+                absolute = abs(float(values.min()) * unit_s) >= _FIRST_CLOCK_S
+                after = "by a clock" if absolute else "after the stamp of the cloud"
+                self.choice = f"times of points from field {found[0]} ({kind}), {unit} {after}"
+                return
+        self.choice = f"times of points in field {found[0]} span {span:g}, which is no turn: not used"
