@@ -99,14 +99,18 @@ class KeyframeStore:
         node
             Of the graph, where that is not the keyframe's own number.
         """
+        key = self.add_picture(frame, registration, len(self) if node is None else node)
+        self._keep(key, frame)
+        return key
+
+    def add_picture(self, frame: PreparedFrame, registration: ColorRegistration | None, node: int) -> int:
+        """Take a frame that is for the map alone: nobody matches it to others in this run; its number."""
         image = frame.frame
         if registration is not None and registration.accepted:
             color, known = register_color(image.color, image.depth_m, registration)
             # Depth without colour would paint the map black.
             image = replace(image, color=color, depth_m=np.where(known, image.depth_m, np.float32(0.0)))
-        key = self.images.add(image, len(self) if node is None else node, frame.features)
-        self._keep(key, frame)
-        return key
+        return self.images.add(image, node, frame.features)
 
     def keyframe(self, key: int) -> PreparedFrame:
         """A keyframe, from memory or made anew from its images."""

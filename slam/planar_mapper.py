@@ -227,13 +227,11 @@ class PlanarMapper:
         return key
 
     def _look_around(self, key: int, *, alone: bool) -> list[LoopCandidate]:
-        """Take the leading camera's frame for a keyframe; where cameras are alone, look for its loops."""
-        seen = self._cameras.picture(self._marks)
-        if seen is None:
+        """Take the cameras' frames for a keyframe; where they are alone, look for the leading one's loops."""
+        seen = self._cameras.placed_pictures(self._marks)
+        if not seen:
             return []
-        registration = self._registrations.get(seen.frame.frame.sensor)
-        poses = self._graph.poses() if alone else None
-        return self._places.add(key, seen.frame, seen.T_base_camera, registration, poses)
+        return self._places.add(key, seen, self._registrations, self._graph.poses() if alone else None)
 
     def _camera_steps(self, moved: list[CameraStep], doubt: float, dispute: FloatArray) -> list[Step]:
         """The edges of cameras whose mounting is given; learned ones wait for its last estimate."""

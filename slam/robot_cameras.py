@@ -145,17 +145,23 @@ class RobotCameras:
         ]
         return name == (knowing or list(self.cameras))[0]
 
-    def picture(self, marks: CameraMarks) -> Picture | None:
-        """The newest frame of the first camera with a known mounting; None where it is lost."""
-        for name, camera in self.cameras.items():
-            if camera.T_base_camera is None:
-                continue
-            mark = marks.get(name)
-            if mark is None or camera.newest is None or camera.newest_pose is None:
-                return None
-            since = mark.pose.between(camera.newest_pose)
-            return Picture(camera.newest, camera.T_base_camera.compose(since))
-        return None
+    def placed_pictures(self, marks: CameraMarks) -> list[Picture]:
+        """The newest frame of every camera with a known mounting, the first such camera's first.
+
+        One that is lost is left out; where the first is, all are.
+        """
+        names = [name for name, camera in self.cameras.items() if camera.T_base_camera is not None]
+        found = [self._placed(name, marks) for name in names]
+        return [picture for picture in found if picture is not None] if found and found[0] else []
+
+    def _placed(self, name: str, marks: CameraMarks) -> Picture | None:
+        """The newest frame of a camera with a known mounting; None where it is lost."""
+        camera, mark = self.cameras[name], marks.get(name)
+        if mark is None or camera.newest is None or camera.newest_pose is None:
+            return None
+        assert camera.T_base_camera is not None
+        since = mark.pose.between(camera.newest_pose)
+        return Picture(camera.newest, camera.T_base_camera.compose(since))
 
     def pictures(self, marks: CameraMarks) -> list[Picture]:
         """The newest frame of every camera; one that is lost or not yet placed is taken as it stands."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import gtsam
@@ -182,3 +182,26 @@ def test_the_layers_show_what_each_sensor_saw(drive: list[tuple[int, Measurement
     with pytest.raises(ConfigError, match="make the step lower"):
         layers_of(result, load_config(None, ["layers.climb_m=0.8"]))
     assert layers_of(result, load_config(None, ["layers.enabled=false"])) is None
+
+
+def test_the_map_shows_what_every_camera_saw(drive: list[tuple[int, Measurement]]) -> None:
+    """The first camera's frame of each keyframe, then the others', but for one that is lost."""
+    doubled: list[tuple[int, Measurement]] = []
+    for n, measurement in drive[:90]:
+        doubled.append((n, measurement))
+        if isinstance(measurement, RgbdFrame):
+            other = replace(measurement, sensor="other")
+            doubled.append((n, blind(other) if n >= 20 else other))
+    dense = run(doubled, whole).dense
+    assert dense is not None
+    frames = list(dense.frames)
+    seen = [(round(10.0 * (frame.stamp_s - 100.0)), frame.sensor) for frame in frames]
+    assert all((n, "other") in seen for n, name in seen if name != "other" and n < 20)
+    assert all(n < 20 for n, name in seen if name == "other")
+    first = dict(reversed(seen))
+    assert "other" not in first.values()
+    places = {key: pose.translation() for key, pose in zip(seen, dense.poses, strict=True)}
+    pairs = [(places[n, "other"], places[n, first[n]]) for n, name in seen if name == "other"]
+    assert len(pairs) >= 4
+    for one, another in pairs:
+        np.testing.assert_allclose(one, another, atol=0.01)
