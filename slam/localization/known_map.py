@@ -110,7 +110,7 @@ class Walls:
     def __init__(self, known_map: KnownMap, config: Config) -> None:
         if not known_map.has_walls:
             raise MapFileError("the map holds no lidar scan: a scan cannot be localised in it")
-        self._map = known_map
+        self.map = known_map
         self._config = config
         settings = config.scan
         self._poses = np.array(
@@ -129,8 +129,8 @@ class Walls:
     @cached_property
     def grid(self) -> OccupancyGrid:
         """The occupancy grid."""
-        assert self._map.grid is not None
-        return self._map.grid
+        assert self.map.grid is not None
+        return self.map.grid
 
     @cached_property
     def tiles(self) -> MapTiles:

@@ -13,6 +13,7 @@ from slam.localization.output import LocalizerOutput
 from slam.localization.planar_localizer import PlanarLocalizer
 from slam.localization.visual_locator import VisualLocator
 from slam.measurements import LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
+from slam.storage.saved_map import SavedMap
 from slam.vision.camera_frame import T_BODY_CAMERA
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame
 
@@ -26,7 +27,7 @@ class Localizer:
     Parameters
     ----------
     known_map
-        Where to localise; it is not changed.
+        Where to localise: a saved map, or one that a run has just made; it is not changed.
     config
         The effective configuration; ``sensors.lidar`` and ``sensors.rgbd`` choose what is used.
 
@@ -36,7 +37,9 @@ class Localizer:
         Where the map holds nothing that the chosen sensors could be localised in.
     """
 
-    def __init__(self, known_map: KnownMap, config: Config | None = None) -> None:
+    def __init__(self, known_map: KnownMap | SavedMap, config: Config | None = None) -> None:
+        if isinstance(known_map, SavedMap):
+            known_map = KnownMap.of_saved(known_map)
         self._config = config or Config()
         sensors = self._config.sensors
         self._scans = (

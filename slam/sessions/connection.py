@@ -10,15 +10,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from slam.graph.loop_closure import LoopCandidate
-from slam.localization.known_map import KnownMap
+from slam.localization.known_map import KnownMap, Walls
 from slam.sessions.placing import LEAST_PLACES, Placing, agree_on_placing, sightings_of
 from slam.sessions.session_join import JoinedMap, join
 from slam.sessions.session_loops import KeyframeScans, find_loops
+from slam.sessions.whole_way import weigh_whole_way
 from slam.storage.saved_map import SavedMap
 
 # Loops between two sessions: so many at least, and this share of them kept by the optimisation.
 _LEAST_LOOPS = 3
 _LEAST_KEPT_SHARE = 0.5
+# Evidence of the whole way; where places were recognised rightly it was 4 or more, however little was shared.
+_LEAST_NATS = 2.0
 # Real scans never repeat to the last digit: a log that shares so many of them is in the map already.
 _MOST_SHARED = 0.5
 
@@ -58,10 +61,19 @@ def connect(known: SavedMap, session: SavedMap) -> Connection:
     if shared > _MOST_SHARED * len(session.keyframe_scans):
         reason = f"{shared} of its {len(session.keyframe_scans)} keyframes are in the map already"
         return Connection(Placing((), 0), (), None, reason)
-    sightings = sightings_of(KnownMap.of_saved(known), session.keyframe_scans, session.keyframe_poses, config)
+    walls = Walls(KnownMap.of_saved(known), config)
+    sightings = sightings_of(walls, Walls(KnownMap.of_saved(session), config), config)
     placing = agree_on_placing(sightings, session.keyframe_poses)
     if not placing.sure:
         return Connection(placing, (), None, _unplaced(placing))
+    one = placing.agreeing[0]
+    scans, poses = session.keyframe_scans, session.keyframe_poses
+    nats = weigh_whole_way(walls, scans, poses, one.keyframe, one.pose, config)
+    if nats < _LEAST_NATS:
+        reason = (
+            f"what it saw on all its way contradicts the map: evidence {nats:.1f}, at least {_LEAST_NATS}"
+        )
+        return Connection(placing, (), None, reason)
     loops = find_loops(
         KeyframeScans(known.keyframe_scans, known.keyframe_poses),
         KeyframeScans(session.keyframe_scans, session.keyframe_poses),

@@ -1,7 +1,8 @@
-"""Where a session lies in a known map: stretches of it are localised, each by itself, and they vote.
+"""Where a session lies in a known map: stretches of either are localised in the other, and they vote.
 
-One stretch may be mistaken, rooms are alike. Stretches share no scan, so that several that are mistaken
-in the same way are unlikely; what they must agree on is one motion of the whole session.
+One stretch may be mistaken, rooms are alike. Stretches of one share no scan, so that several that are
+mistaken in the same way are unlikely; what they must agree on is one motion of the whole session. A session
+that leads through a small map and on is found by the stretches of the map, one within a large map by its own.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from slam.localization.known_map import KnownMap, Walls
 from slam.localization.map_match import MapMatcher
 from slam.localization.scan_view import ScanView
 from slam.matching.planar import between, compose
-from slam.measurements import FloatArray, LaserScan
+from slam.measurements import FloatArray
 
 # So many stretches must agree, and be so many times as many as those that disagree.
 LEAST_PLACES = 3
@@ -34,12 +35,12 @@ _ORIGIN = np.zeros(3)
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """A keyframe of the session that was found in the map.
+    """A keyframe of the session and where it is in the map.
 
     Attributes
     ----------
     keyframe
-        Its number in the session.
+        Its number in the session: the one that was found, or that is nearest to where the map's was found.
     pose
         (3,) of its base in the map.
     T_map_session
@@ -85,23 +86,26 @@ class Placing:
         return self.agreeing[n].T_map_session, distances[n]
 
 
-def sightings_of(
-    known_map: KnownMap, scans: Sequence[LaserScan | None], poses: FloatArray, config: Config
-) -> list[Sighting]:
-    """Look for stretches of a session in a map, one after the other until it ends.
+def sightings_of(known: Walls, session: Walls, config: Config) -> list[Sighting]:
+    """Look for stretches of a session in a map, and for stretches of the map in the session."""
+    poses = session.map.keyframe_poses
+    found = []
+    for key, pose in _found_stretches(known, session.map, config):
+        found.append(Sighting(key, pose, compose(pose, between(poses[key], _ORIGIN))))
+    for key, pose in _found_stretches(session, known.map, config):
+        T_map_session = compose(known.map.keyframe_poses[key], between(pose, _ORIGIN))
+        nearest = int(np.hypot(*(poses[:, :2] - pose[:2]).T).argmin())
+        found.append(Sighting(nearest, compose(T_map_session, poses[nearest]), T_map_session))
+    return found
 
-    Parameters
-    ----------
-    known_map
-        The map; it must have walls.
-    scans, poses
-        K keyframes of the session, poses (3,) each in its own frame.
-    """
-    walls = Walls(known_map, config)
+
+def _found_stretches(walls: Walls, way: KnownMap, config: Config) -> list[tuple[int, FloatArray]]:
+    """Keyframes at the ends of stretches of a way that were found between walls, and (3,) where."""
+    scans, poses = way.keyframe_scans, way.keyframe_poses
     hypotheses = HypothesisSet(walls, MapMatcher(walls, config), config.localization)
     way_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
     apart_m = way_m[-1] / _MOST_PLACES
-    found: list[Sighting] = []
+    found = []
     begin_m = 0.0
     for key, scan in enumerate(scans):
         if scan is None or way_m[key] < begin_m or not hypotheses.due(poses[key]):
@@ -110,7 +114,7 @@ def sightings_of(
         winner = hypotheses.winner()
         if winner is None:
             continue
-        found.append(Sighting(key, winner.pose, compose(winner.pose, between(poses[key], _ORIGIN))))
+        found.append((key, winner.pose))
         hypotheses.clear()
         begin_m = max(begin_m + apart_m, way_m[key])
     return found

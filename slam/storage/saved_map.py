@@ -116,7 +116,7 @@ class SavedMap:
         self._file.close()
 
 
-def open_saved_map(path: Path) -> SavedMap:
+def open_saved_map(path: Path | str) -> SavedMap:
     """Open a finished map: a folder that ``scanweave map`` has made, or its ``map.db``.
 
     Raises
