@@ -31,6 +31,10 @@ class SensorsConfig(StrictModel):
     lidar_silent_s: float = Field(
         default=0.5, gt=0, description="time without a scan after which cameras carry on alone"
     )
+    topics: tuple[str, ...] = Field(
+        default=(),
+        description="of a bag with several topics of a sort (scans, clouds, odometry, images): those to read",
+    )
     motion: Literal["auto", "planar", "spatial"] = Field(
         default="auto",
         description="planar: a robot on a floor, SE(2); spatial: a hand-held camera, SE(3); auto: planar "

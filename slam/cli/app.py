@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from pathlib import Path
 from typing import Annotated
@@ -18,8 +19,8 @@ app = typer.Typer(
 LogArgument = Annotated[
     Path,
     typer.Argument(
-        help="the log: a CARMEN file (.log, .clf, plain or .gz), or a folder (simulated, TUM, 7-Scenes, "
-        "OpenLORIS-Scene, Robot@Home)"
+        help="the log: a CARMEN file (.log, .clf, plain or .gz), a ROS bag (.bag, .db3, .mcap), or a folder "
+        "(simulated, TUM, 7-Scenes, OpenLORIS-Scene, Robot@Home, KITTI, point clouds)"
     ),
 ]
 ConfigOption = Annotated[
@@ -29,7 +30,24 @@ SetOption = Annotated[
     list[str] | None, typer.Option("--set", "-s", help="one value, as in grid.resolution_m=0.1; repeatable")
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="JSON instead of text")]
+TopicsOption = Annotated[
+    list[str] | None,
+    typer.Option("--topics", help="of a bag with several topics of a sort: those to read; with commas"),
+]
 StrictOption = Annotated[bool, typer.Option("--strict", help="stop at the first bad record")]
+
+
+def topics_of(option: list[str] | None) -> tuple[str, ...]:
+    """The topics of a ``--topics`` option, each once."""
+    return tuple(
+        dict.fromkeys(name for text in option or [] for part in text.split(",") if (name := part.strip()))
+    )
+
+
+def topics_override(option: list[str] | None) -> list[str]:
+    """The option as a setting, which the map keeps; none where it is not given."""
+    topics = topics_of(option)
+    return [f"sensors.topics={json.dumps(topics)}"] if topics else []
 
 
 @app.callback()

@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slam.cli.app import ConfigOption, LogArgument, SetOption, StrictOption, app
+from slam.cli.app import (
+    ConfigOption,
+    LogArgument,
+    SetOption,
+    StrictOption,
+    TopicsOption,
+    app,
+    topics_override,
+)
 from slam.cli.progress import progress_of
 from slam.cli.saved import MapArgument
 
@@ -30,6 +38,7 @@ def localize(
     config: ConfigOption = None,
     set_: SetOption = None,
     strict: StrictOption = False,
+    topics: TopicsOption = None,
 ) -> None:
     """Find and follow the robot of a log in a saved map, from no start pose; the map is not changed."""
     started = time.perf_counter()
@@ -42,9 +51,9 @@ def localize(
     from slam.storage.files import make_folder
     from slam.storage.saved_map import open_saved_map
 
-    settings = load_config(config, set_ or [])
+    settings = load_config(config, [*(set_ or []), *topics_override(topics)])
     saved = open_saved_map(map_)
-    dataset = open_dataset(log, strict=strict)
+    dataset = open_dataset(log, strict=strict, topics=settings.sensors.topics)
     make_folder(out)
     drive = _drive(KnownMap.of_saved(saved), dataset, settings)
     if not len(drive):

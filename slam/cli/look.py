@@ -8,17 +8,28 @@ from typing import Annotated
 
 import typer
 
-from slam.cli.app import ConfigOption, JsonOption, LogArgument, SetOption, StrictOption, app
+from slam.cli.app import (
+    ConfigOption,
+    JsonOption,
+    LogArgument,
+    SetOption,
+    StrictOption,
+    TopicsOption,
+    app,
+    topics_of,
+)
 from slam.errors import ScanweaveError
 
 
 @app.command()
-def inspect(log: LogArgument, as_json: JsonOption = False, strict: StrictOption = False) -> None:
+def inspect(
+    log: LogArgument, as_json: JsonOption = False, strict: StrictOption = False, topics: TopicsOption = None
+) -> None:
     """Tell what is in a log: sensors, rates, gaps, clock steps, dropped records."""
     from slam.datasets import open_dataset
     from slam.datasets.inspection import inspect_dataset, render_inspection
 
-    inspection = inspect_dataset(open_dataset(log, strict=strict))
+    inspection = inspect_dataset(open_dataset(log, strict=strict, topics=topics_of(topics)))
     print(json.dumps(inspection.to_dict(), indent=2) if as_json else render_inspection(inspection))
 
 

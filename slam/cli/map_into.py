@@ -50,7 +50,7 @@ def map_into(
     _refuse_unfit(known, str(known.path))
     if out is None and known.path.name != MAP_NAME:
         raise MapFileError(f"{known.path} is not named {MAP_NAME}; say with --out where the joined map goes")
-    dataset = open_dataset(log, strict=strict)
+    dataset = open_dataset(log, strict=strict, topics=settings.sensors.topics if settings else ())
     identity = identity_of(dataset.path, settings or known.config)
     if any(session.log_fingerprint == identity.log_fingerprint for session in known.sessions):
         raise ScanweaveError(f"{log} is in {known.path} already; the map is as it was")

@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slam.cli.app import ConfigOption, LogArgument, SetOption, StrictOption, app
+from slam.cli.app import (
+    ConfigOption,
+    LogArgument,
+    SetOption,
+    StrictOption,
+    TopicsOption,
+    app,
+    topics_override,
+)
 from slam.cli.progress import interrupted_between_scans, progress_of
 from slam.errors import ScanweaveError
 
@@ -43,13 +51,14 @@ def map_command(
         bool, typer.Option("--no-fusion", help="do not let lidar and cameras repair each other")
     ] = False,
     strict: StrictOption = False,
+    topics: TopicsOption = None,
     resume: Annotated[
         bool,
         typer.Option("--resume", help="go on with the map that an interrupted run has left in the folder"),
     ] = False,
 ) -> None:
     """Map a log: trajectory, graph, grid, report, and all of it in map.db."""
-    overrides = list(set_ or [])
+    overrides = [*(set_ or []), *topics_override(topics)]
     if no_odometry:
         overrides.append("lidar_odometry.use_wheel_odometry=false")
     if no_loops:
@@ -131,7 +140,7 @@ def _map(
     from slam.storage.map_identity import identity_of
 
     settings = load_config(config, overrides)
-    dataset = open_dataset(log, strict=strict)
+    dataset = open_dataset(log, strict=strict, topics=settings.sensors.topics)
     make_folder(out)
     identity = identity_of(dataset.path, settings)
     if resume and finished_map(out, identity):

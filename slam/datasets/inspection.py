@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 
 from slam.datasets.dataset import Dataset, Tally
+from slam.datasets.inspection_bag import BagSummary, bag_lines, bag_summary
 from slam.datasets.inspection_camera import CameraFigures, CameraSummary, camera_lines
 from slam.datasets.inspection_cloud import CloudFigures, CloudSummary, cloud_lines
 from slam.measurements import LaserScan, PointCloud, RgbdFrame, WheelOdometry
@@ -101,6 +102,8 @@ class Inspection:
         Damaged records by reason, and oddities, with counts and first lines.
     odometry_jumps
         Odometry steps faster than any robot; ``largest`` in metres.
+    bag
+        Topics, clocks and frames of a ROS bag.
     """
 
     name: str
@@ -113,6 +116,7 @@ class Inspection:
     dropped: dict[str, Tally]
     notes: dict[str, Tally]
     odometry_jumps: Tally
+    bag: BagSummary | None = None
 
     def to_dict(self) -> dict[str, object]:
         """Plain types for JSON; angles in radians, every number finite."""
@@ -159,6 +163,7 @@ def inspect_dataset(dataset: Dataset) -> Inspection:
         dropped=dict(report.dropped),
         notes=dict(report.notes),
         odometry_jumps=report.odometry_jumps,
+        bag=bag_summary(dataset),
     )
 
 
@@ -282,6 +287,8 @@ def render_inspection(inspection: Inspection) -> str:
     lines.append(f"  records: {_counts(inspection.records)}")
     if inspection.ignored:
         lines.append(f"  not used: {_counts(inspection.ignored)}")
+    if inspection.bag:
+        lines += bag_lines(inspection.bag)
     lines += _tally_lines("dropped", inspection.dropped) or ["  dropped: none"]
     lines += _tally_lines("note", inspection.notes)
     return "\n".join(lines)

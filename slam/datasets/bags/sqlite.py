@@ -1,4 +1,4 @@
-"""The SQLite container of rosbag2 (``.db3``), read in the order in which it was written."""
+"""The SQLite container of rosbag2 (``.db3``), read in the order in which it was written, up to a cut."""
 
 from __future__ import annotations
 
@@ -8,12 +8,16 @@ from contextlib import closing
 from pathlib import Path
 
 from slam.datasets.account import Account
-from slam.datasets.bags.records import CUT, DAMAGED, Channel, ros2_name
+from slam.datasets.bags.records import CUT, DAMAGED, LARGEST_BYTES, Channel, ros2_name
 from slam.datasets.dataset import RecordFault
 from slam.errors import DatasetError
 
 MAGIC = b"SQLite format 3\x00"
 
+# Messages larger than that are passed over without being loaded: a size that no message has is damage.
+_MESSAGES = f"""
+SELECT topic_id, timestamp, CASE WHEN length(data) <= {LARGEST_BYTES} THEN data END FROM messages ORDER BY id
+"""
 _LANGUAGES = {"ros2msg": "msg", "ros2idl": "idl"}
 
 
@@ -36,9 +40,7 @@ class SqliteContainer:
             except sqlite3.Error as error:
                 raise DatasetError(f"{path} is no rosbag2 database: {error}; copy it again") from error
             try:
-                for number, stamp_ns, content in database.execute(
-                    "SELECT topic_id, timestamp, data FROM messages ORDER BY id"
-                ):
+                for number, stamp_ns, content in database.execute(_MESSAGES):
                     if number in channels and isinstance(stamp_ns, int) and isinstance(content, bytes):
                         yield channels[number], stamp_ns, content
                     else:
@@ -59,8 +61,14 @@ def is_rosbag2(path: Path) -> bool:
 
 
 def _opened(path: Path) -> sqlite3.Connection:
-    """The database, which nobody else writes: no lock, no journal, nothing beside it."""
-    return sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
+    """The database, read only."""
+    # Without a journal of a recorder that was killed beside it, nothing at all is written, not even a lock.
+    journal = path.with_name(f"{path.name}-wal").is_file()
+    how = "mode=ro" if journal else "mode=ro&immutable=1"
+    database = sqlite3.connect(f"{path.resolve().as_uri()}?{how}", uri=True)
+    # Else SQLite gives nothing at all of a file that is shorter than its header says.
+    database.execute("PRAGMA writable_schema=ON")
+    return database
 
 
 def _channels(database: sqlite3.Connection) -> dict[int, Channel]:
