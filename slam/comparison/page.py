@@ -13,7 +13,7 @@ from slam.comparison.perform import Row
 from slam.comparison.pictures import distribution_png
 from slam.comparison.runs import Plan
 from slam.comparison.scenes import scene_sections
-from slam.comparison.statistics import Interval
+from slam.comparison.statistics import LEAST_PAIRS, Interval
 from slam.comparison.store import ResultStore
 from slam.comparison.tables import configurations_of, difference_of, median_of, values_of
 from slam.evaluation.page_parts import folded, image, paragraph, section
@@ -145,7 +145,7 @@ def _differences(plan: Plan, rows: list[Row]) -> str:
     note = paragraph(
         f"Each run minus the run of '{plan.reference}' on the same data set and seed: median of the "
         "differences with the bootstrap interval of 95 %. 'better' and 'worse' where the interval leaves out "
-        "zero, else 'undecided'."
+        f"zero, else 'undecided'; nothing is said of fewer than {LEAST_PAIRS} pairs."
     )
     head = ["configuration", "figure", "difference", "from", "to", "better in", "verdict"]
     return section(f"Compared with '{plan.reference}', pair by pair", note + sortable(head, body))

@@ -29,7 +29,8 @@ def trajectories_png(ways_m: Mapping[str, FloatArray], truth_m: FloatArray | Non
     ways_m
         By configuration, all in one frame.
     truth_m
-        (N, 2); None where nobody knows.
+        (N, 2); None where nobody knows, the first way then tells how far the picture reaches: one that got
+        lost shall not make the others small.
     """
     figure = figure_of(1000, 620)
     axes = figure.add_axes((0.065, 0.085, 0.67, 0.89))
@@ -39,7 +40,8 @@ def trajectories_png(ways_m: Mapping[str, FloatArray], truth_m: FloatArray | Non
     for color, (name, way) in zip(_colors(ways_m), ways_m.items(), strict=True):
         xy = thinned(way)
         axes.plot(xy[:, 0], xy[:, 1], color=color, linewidth=1.1, label=name)
-    axes.set(xlabel="x, m", ylabel="y, m")
+    low, high = _reach(truth_m if truth_m is not None else next(iter(ways_m.values())))
+    axes.set(xlabel="x, m", ylabel="y, m", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     axes.set_aspect("equal", adjustable="datalim")
     _legend_beside(figure, axes)
     plain(axes)
@@ -85,7 +87,7 @@ def distribution_png(values: Mapping[str, Sequence[float]], title: str) -> bytes
     every = np.concatenate([np.asarray(each, dtype=np.float64) for each in values.values()])
     if every.min() > 0.0 and every.max() > 50.0 * every.min():
         axes.set_xscale("log")
-    axes.set(xlabel=title, yticks=range(len(names)), yticklabels=[_short(name) for name in names])
+    axes.set(xlabel=title, yticks=range(len(names)), yticklabels=[_short(name, 25) for name in names])
     axes.set_ylim(len(names) - 0.5, -0.5)
     plain(axes)
     return png_of(figure)
@@ -118,6 +120,13 @@ def maps_png(maps: Mapping[str, tuple[StateArray, float]]) -> bytes:
     return png_of(figure)
 
 
+def _reach(way_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest corner of a picture around a way, with a sixth to spare on every side."""
+    low, high = way_m.min(axis=0), way_m.max(axis=0)
+    margin_m = max(float((high - low).max()) / 6.0, 0.5)
+    return low - margin_m, high + margin_m
+
+
 def _colors(names: Mapping[str, object]) -> list[str]:
     """A colour a configuration; the first ten differ."""
     return [COLORS[number % len(COLORS)] for number in range(len(names))]
@@ -136,9 +145,9 @@ def _legend_beside(figure: Figure, axes: Axes) -> None:
     )
 
 
-def _short(name: str) -> str:
-    """A name of at most 30 characters."""
-    return name if len(name) <= 30 else name[:29] + "…"
+def _short(name: str, length: int = 30) -> str:
+    """A name of at most so many characters."""
+    return name if len(name) <= length else name[: length - 1] + "…"
 
 
 def _grey(states: StateArray) -> NDArray[np.uint8]:

@@ -75,11 +75,12 @@ def _in_truth(found: dict[str, Any], name: str) -> FloatArray:
 
 
 def _aligned_ways(folders: dict[str, Path], reference: str) -> dict[str, FloatArray]:
-    """(N, 2) ways, each brought onto the reference's as well as it can be."""
+    """(N, 2) ways, the reference's first, each brought onto it as well as it can be."""
     found = {name: read_tum(path) for name, f in folders.items() if (path := f / TRAJECTORY).is_file()}
     if not found:
         return {}
-    base = found.get(reference, next(iter(found.values())))
+    found = {name: found[name] for name in sorted(found, key=lambda name: name != reference)}
+    base = next(iter(found.values()))
     ways = {}
     for name, trajectory in found.items():
         try:

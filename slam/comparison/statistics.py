@@ -13,7 +13,9 @@ from slam.measurements import FloatArray
 RESAMPLES = 2000
 SHARE = 0.95
 _SEED = 20
-Verdict: TypeAlias = Literal["better", "worse", "undecided"]
+# Of fewer pairs even a common sign is no evidence: 2 * 0.5**6 is the first below 0.05.
+LEAST_PAIRS = 6
+Verdict: TypeAlias = Literal["better", "worse", "undecided", "too few pairs"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +39,7 @@ class PairedDifference:
     better
         In how many pairs it is better than the reference.
     verdict
-        ``better`` or ``worse`` where the interval leaves out zero.
+        ``better`` or ``worse`` where the interval leaves out zero and there are `LEAST_PAIRS`.
     """
 
     difference: Interval
@@ -89,7 +91,9 @@ def paired(
     sign = 1.0 if smaller_is_better else -1.0
     better = sum(sign * difference < 0.0 for each in groups.values() for difference in each)
     verdict: Verdict = "undecided"
-    if sign * interval.low > 0.0 and sign * interval.high > 0.0:
+    if interval.count < LEAST_PAIRS:
+        verdict = "too few pairs"
+    elif sign * interval.low > 0.0 and sign * interval.high > 0.0:
         verdict = "worse"
     elif sign * interval.low < 0.0 and sign * interval.high < 0.0:
         verdict = "better"

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -156,8 +157,9 @@ def _versions() -> dict[str, str]:
     return found
 
 
+@cache
 def _code_digest() -> str:
-    """Digest of Scanweave's own source."""
+    """Digest of Scanweave's own source, as it is when first asked for: later edits are not what runs."""
     digest = hashlib.blake2b(digest_size=8)
     for root in (Path(__file__).parents[1], Path(fusion.__file__).parent):
         for file in sorted(root.rglob("*.py")):

@@ -69,10 +69,14 @@ def test_no_difference_is_undecided() -> None:
     rng = np.random.default_rng(2)
     found = paired(runs(list(rng.normal(0, 1, 15))), runs([0.0] * 15), smaller_is_better=True)
     assert found is not None and found.verdict == "undecided"
-    same = paired(runs([1.0, 2.0]), runs([1.0, 2.0]), smaller_is_better=True)
+    same = paired(runs([1.0] * 6), runs([1.0] * 6), smaller_is_better=True)
     assert same is not None and (same.verdict, same.better) == ("undecided", 0)
-    alone = paired(runs([1.0]), runs([2.0]), smaller_is_better=True)
-    assert alone is not None and (alone.verdict, alone.better) == ("undecided", 1)
+
+
+def test_few_pairs_are_no_evidence() -> None:
+    for count, verdict in ((1, "too few pairs"), (5, "too few pairs"), (6, "better")):
+        found = paired(runs([1.0] * count), runs([2.0] * count), smaller_is_better=True)
+        assert found is not None and (found.verdict, found.better) == (verdict, count)
 
 
 def test_only_what_both_have_done_is_compared() -> None:
