@@ -67,7 +67,7 @@ class Bag:
 def looks_like_bag(path: Path, head: bytes) -> bool:
     """Whether a path is a ROS bag: a file by its first bytes (or its name), a folder by its files."""
     if path.is_dir():
-        return bool(_parts_inside(path))
+        return bool(_parts_inside(path) or _listed(path / _INDEX))
     return _container_of(path) is not None or path.suffix.lower() in _SUFFIXES
 
 
