@@ -8,6 +8,7 @@ than the scan does at the predicted pose.
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,6 +38,8 @@ _MOST_AN_OBJECT = 5.0
 # Wheels that did well of late are taken to be surer of the way, but not of the turn, than they claim: a slip
 # of time turns a robot that moves straight on. By no more than this share of the variance.
 _LEAST_SHARE = 0.02
+# Matches that err a little at every scan, all the same way, contradict the wheels' way over this time.
+_WINDOW_S = 1.0
 # Only a match that this share of the points agrees with may judge a predictor.
 _JUDGE_INLIER_SHARE = 0.8
 
@@ -93,8 +96,12 @@ class _Predictor:
         The dispute (3, 3) about the pose that it starts from comes on top, rescaled too: who proved exact
         is believed through a dispute too, or whoever walks ahead would win at the next scan.
         """
+        self.guess = self.rescaled(pose, covariance + dispute)
+
+    def rescaled(self, pose: FloatArray, covariance: FloatArray) -> Guess:
+        """A pose (3,) with a covariance (3, 3) as claimed, rescaled by what was learned so far."""
         scale = np.sqrt(self.doubt * np.array([self._share, self._share, 1.0]))
-        self.guess = Guess(pose, (covariance + dispute) * np.outer(scale, scale))
+        return Guess(pose, covariance * np.outer(scale, scale))
 
     def judge(self, pose: FloatArray) -> None:
         """Learn from where the scan was really taken: the mean of the normalised squared error."""
@@ -127,6 +134,8 @@ class MotionTracker:
         self._by_velocity = _Predictor(config.memory_scans)
         self._by_camera = _Predictor(config.memory_scans)
         self._witnesses = 0
+        self._recent: deque[tuple[float, TrackedScan]] = deque()
+        self._window_guess: Guess | None = None
         self._last: TrackedScan | None = None
         self._stamp_s = 0.0
         self._velocity_step = np.zeros(3)
@@ -160,6 +169,7 @@ class MotionTracker:
         else:
             step_s = stamp_s - self._stamp_s
             guesses = self._predict(self._last, wheel_pose, camera, step_s)
+            self._window_guess = self._by_window(stamp_s, wheel_pose)
             motion, dispute = None, np.zeros((3, 3))
             if points is not None:
                 motion, dispute = self._match(points, guesses)
@@ -169,6 +179,7 @@ class MotionTracker:
             self._velocity_step_s = step_s
         self._last = tracked
         self._stamp_s = stamp_s
+        self._recent.append((stamp_s, tracked))
         return tracked
 
     def add_keyframe(self, points: ScanPoints, tracked: TrackedScan) -> None:
@@ -203,6 +214,22 @@ class MotionTracker:
         predictors.insert(0 if first else len(predictors), self._by_camera)
         return [predictor.guess for predictor in predictors if predictor.guess is not None]
 
+    def _by_window(self, stamp_s: float, wheel_pose: FloatArray | None) -> Guess | None:
+        """Where the wheels say that the robot went since a while ago; None where they do not tell."""
+        while self._recent and stamp_s - self._recent[0][0] > _WINDOW_S:
+            self._recent.popleft()
+        if self._wheels is None or wheel_pose is None or len(self._recent) < 2:
+            return None
+        begun_s, begun = self._recent[0]
+        if begun.wheel_pose is None:
+            return None
+        step = between(begun.wheel_pose, wheel_pose)
+        if not self._wheels.plausible(step, stamp_s - begun_s):
+            return None
+        return self._by_wheels.rescaled(
+            compose(begun.pose, step), self._wheels.covariance(step) + begun.dispute
+        )
+
     def _velocity_covariance(self, step: FloatArray) -> FloatArray:
         """Covariance (3, 3) of a step (3,) that repeats the last one."""
         config = self._config
@@ -216,15 +243,16 @@ class MotionTracker:
         motion = self._odometry.match(points, guesses)
         if motion is not None and self._outvoted(motion):
             return None, np.zeros((3, 3))
-        if motion is None or self._sigmas(guesses[0], motion) <= config.surprise_sigmas:
+        contradicted = None if motion is None else self._contradicted(guesses[0], motion)
+        if motion is None or contradicted is None:
             self._judge(motion)
             return motion, np.zeros((3, 3))
         for guess in guesses[1:]:
             other = self._odometry.match(points, [guess])
             if other is not None and other.fit > motion.fit:
                 motion = other
-        held = self._odometry.match_near(points, guesses[0].pose)
-        if self._sigmas(guesses[0], motion) <= config.surprise_sigmas or held is None:
+        held = self._odometry.match_near(points, contradicted.pose)
+        if self._contradicted(guesses[0], motion) is None or held is None:
             self._judge(motion)
             return motion, np.zeros((3, 3))
         # Log-likelihood ratio: what the scan says for the match, what a heavy tail (Student's t with three
@@ -232,13 +260,21 @@ class MotionTracker:
         for_match = self._evidence(points, motion, held)
         for_prediction = sum(
             2.0 * math.log1p(_squared_sigmas(guess, row_from_pose2(motion.T_reference_base)) / 3.0)
-            for guess in guesses
+            for guess in [contradicted, *guesses[1:]]
         )
         if for_match - for_prediction > config.disputed_within:
+            self._recent.clear()  # the wheels have slipped: their way until now tells nothing
             self._judge(motion)
             return motion, np.zeros((3, 3))
         offset = between(row_from_pose2(motion.T_reference_base), row_from_pose2(held.T_reference_base))
         return held if for_prediction > for_match else motion, np.outer(offset, offset)
+
+    def _contradicted(self, guess: Guess, motion: MotionEstimate) -> Guess | None:
+        """The best guess, or else the wheels' over the last while, if a match contradicts it."""
+        for one in (guess, self._window_guess):
+            if one is not None and self._sigmas(one, motion) > self._config.surprise_sigmas:
+                return one
+        return None
 
     def _outvoted(self, motion: MotionEstimate) -> bool:
         """Whether two witnesses (two cameras, or a camera and the wheels) agree and contradict the match.

@@ -247,9 +247,32 @@ class TestContradiction:
         run.odometry.near_fit = 0.95
         run.scan()
         run.scan()
-        traces = [np.trace(guess.covariance) for guess in run.odometry.asked[-1]]
-        assert len(traces) == 2
+        guesses = [asked for asked in run.odometry.asked if len(asked) == 2][-1]
+        traces = [np.trace(guess.covariance) for guess in guesses]
         assert min(traces) > 0.45**2, "half a metre in dispute; the wheels were exact for four scans"
+
+
+def drifted(objects: int) -> float:
+    """How far a slow track is led astray by matches that err by 25 mm a scan, metres; the wheels are exact."""
+    run = Run()
+    run.see_the_truth()
+    slow = 0.3 * STEP
+    for _ in range(60):
+        run.scan(slow, slow)
+    run.odometry.objects = objects
+    led_m = 0.0
+    for _ in range(24):
+        led_m += 0.025
+        ahead = np.array([led_m, 0.0, 0.0])
+        run.odometry.answer = lambda guesses, ahead=ahead: motion_at(compose(run.true_pose, ahead))
+        tracked = run.scan(slow, slow)
+    return float(np.hypot(*between(run.true_pose, tracked.pose)[:2]))
+
+
+def test_matches_that_err_a_little_at_every_scan_contradict_the_way_of_the_wheels() -> None:
+    """Somebody walks ahead: no single step is a surprise, the way is."""
+    assert drifted(objects=1) < 0.3
+    assert drifted(objects=20) > 0.55, "the whole scene says that the wheels slip"
 
 
 def test_wheels_that_prove_exact_are_believed_more_and_less_again_after_a_slip() -> None:
