@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -267,7 +267,19 @@ class MotionTracker:
             self._judge(motion)
             return motion, np.zeros((3, 3))
         offset = between(row_from_pose2(motion.T_reference_base), row_from_pose2(held.T_reference_base))
-        return held if for_prediction > for_match else motion, np.outer(offset, offset)
+        if for_prediction <= for_match:
+            return motion, np.outer(offset, offset)
+        if contradicted is self._window_guess:
+            self._follow_the_wheels()
+        return held, np.outer(offset, offset)
+
+    def _follow_the_wheels(self) -> None:
+        """Take it that the last while went as the wheels say: what led the matches astray leads on."""
+        begun = self._recent[0][1]
+        for n, (stamp_s, tracked) in enumerate(self._recent):
+            if begun.wheel_pose is not None and tracked.wheel_pose is not None:
+                pose = compose(begun.pose, between(begun.wheel_pose, tracked.wheel_pose))
+                self._recent[n] = stamp_s, replace(tracked, pose=pose, dispute=begun.dispute)
 
     def _contradicted(self, guess: Guess, motion: MotionEstimate) -> Guess | None:
         """The best guess, or else the wheels' over the last while, if a match contradicts it."""
