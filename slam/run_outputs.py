@@ -22,17 +22,13 @@ from slam.storage.saved_map import SavedMap
 from slam.storage.tum import write_tum
 
 
-def save_run(folder: Path, result: MapResult, dense: DenseMapConfig | None = None) -> list[Path]:
-    """Write ``trajectory.tum``, ``graph.g2o``, and what else there is.
-
-    With a grid ``map.yaml`` and ``map.pgm``, with camera keyframes ``mesh.ply`` and ``cloud.ply``.
+def save_run(folder: Path, result: MapResult) -> list[Path]:
+    """Write ``trajectory.tum``, ``graph.g2o``, and with a grid ``map.yaml`` and ``map.pgm``.
 
     Parameters
     ----------
     folder
         Must exist; files of an earlier run are replaced one by one.
-    dense
-        How the coloured map is made.
 
     Returns
     -------
@@ -49,12 +45,23 @@ def save_run(folder: Path, result: MapResult, dense: DenseMapConfig | None = Non
     written = [trajectory, graph]
     if result.grid is not None:
         written += write_nav2_map(folder / "map", result.grid)
-    dense = dense or DenseMapConfig()
-    if result.dense is not None and dense.enabled:
-        written += save_surface(folder / "mesh.ply", result.dense, dense)
-        if dense.octomap:
-            save_octomap(folder / "map.bt", result.dense, dense)
-            written.append(folder / "map.bt")
+    return written
+
+
+def save_dense(folder: Path, result: MapResult, config: DenseMapConfig) -> list[Path]:
+    """Write ``mesh.ply`` and ``cloud.ply`` of the camera keyframes, and ``map.bt`` where it is asked for.
+
+    Raises
+    ------
+    ScanweaveError
+        Where a file cannot be written, or a library that this needs is missing.
+    """
+    if result.dense is None or not config.enabled:
+        return []
+    written = save_surface(folder / "mesh.ply", result.dense, config)
+    if config.octomap:
+        save_octomap(folder / "map.bt", result.dense, config)
+        written.append(folder / "map.bt")
     return written
 
 

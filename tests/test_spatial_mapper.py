@@ -11,6 +11,7 @@ import pytest
 from room_world import LESS, Room, blind, furnished, render, turning_walk, write_tum_folder
 
 from slam.config import load_config
+from slam.config_stages import DenseMapConfig
 from slam.datasets import open_dataset
 from slam.errors import DatasetError
 from slam.evaluation.trajectory_error import absolute_error
@@ -18,7 +19,7 @@ from slam.graph.pose_graph import EdgeKind
 from slam.map_result import MapResult
 from slam.measurements import RgbdFrame
 from slam.pipeline import build_map
-from slam.run_outputs import save_run
+from slam.run_outputs import save_dense, save_run
 
 REDKITCHEN = Path(__file__).parents[2] / "shared" / "data" / "rgbd" / "redkitchen"
 RATE_HZ = 15.0
@@ -103,7 +104,8 @@ def test_the_same_log_and_seed_give_the_same_bytes(mapped: MapResult, log: Path,
     for folder, result in zip(folders, (mapped, run(log)), strict=True):
         folder.mkdir()
         save_run(folder, result)
-    for name in ("trajectory.tum", "graph.g2o"):
+        save_dense(folder, result, DenseMapConfig())
+    for name in ("trajectory.tum", "graph.g2o", "mesh.ply", "cloud.ply"):
         one, two = ((folder / name).read_bytes() for folder in folders)
         assert one == two, name
 

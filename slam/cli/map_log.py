@@ -177,14 +177,19 @@ def _map(
 def _save(out: Path, result: MapResult, config: Config) -> tuple[list[Path], LayeredMap | None]:
     """Write the files for other programs; which they are, and the layers."""
     from slam.layer_outputs import layers_of
-    from slam.run_outputs import save_run
+    from slam.run_outputs import save_dense, save_run
     from slam.storage.nav2_layers import write_layers
 
-    written, layers = save_run(out, result, config.dense_map), None
+    written, layers = save_run(out, result), None
+    # Whatever fails of these, the rest of the run is still worth its report.
+    try:
+        written += save_dense(out, result, config.dense_map)
+    except ScanweaveError as error:
+        result.warnings.append(f"No coloured surface was written: {error}")
     try:
         layers = layers_of(result, config)
         if layers is not None:
             written += write_layers(out / "layers", layers)
-    except ScanweaveError as error:  # the rest of the run is still worth its report
+    except ScanweaveError as error:
         result.warnings.append(f"No layers were written: {error}")
     return written, layers
