@@ -130,7 +130,7 @@ def run_all(
         futures[future] = run
     rows = []
     try:
-        for future in as_completed(futures):  # type: ignore[no-untyped-call]
+        for future in as_completed(futures, loop=client.loop):  # type: ignore[no-untyped-call]
             rows.append(_row(future, futures.pop(future), root))
             on_row(rows[-1])
     finally:
