@@ -115,7 +115,7 @@ class PointCloud:
     points_lidar
         (N, 3) finite points, lidar frame.
     times_s
-        (N,) time of each point after ``stamp_s`` (below zero: before it); None where the log does not tell it.
+        (N,) time of each point after ``stamp_s``, below zero before it; None where the log does not tell it.
     T_base_lidar
         Mounting of the lidar on the robot.
     sensor

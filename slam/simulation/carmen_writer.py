@@ -61,8 +61,9 @@ class CarmenWriter:
         if half:
             self._file.write(f"FLASER {scan.ranges_m.size} {ranges} {poses} {tail}\n")
             return
-        fov = scan.step_rad * (scan.ranges_m.size - 1)
-        angles = f"{scan.start_angle_rad:.12g} {fov:.12g} {scan.step_rad:.12g}"
+        # Single precision, as messages of ROS have angles: the bag of a drive and its log hold the same scan.
+        start, step = float(np.float32(scan.start_angle_rad)), float(np.float32(scan.step_rad))
+        angles = f"{start:.17g} {step * (scan.ranges_m.size - 1):.17g} {step:.17g}"
         head = f"0 {angles} {scan.range_max_m:.3f} 0.010 0 {scan.ranges_m.size}"
         # No remissions; speeds and safety distances are unknown to the lidar.
         self._file.write(f"ROBOTLASER1 {head} {ranges} 0 {poses} 0 0 0 0 0 {tail}\n")
@@ -103,4 +104,4 @@ def _parameters(scan: LaserScan) -> list[str]:
 
 def _pose_text(pose: gtsam.Pose2) -> str:
     """x, y, yaw."""
-    return f"{pose.x():.6f} {pose.y():.6f} {pose.theta():.6f}"
+    return f"{pose.x():.12f} {pose.y():.12f} {pose.theta():.12f}"

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.measurements import CameraIntrinsics, Float32Array, LaserScan, RgbdFrame
+from slam.simulation.carmen_writer import written_ranges_m
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -39,10 +40,13 @@ def nanoseconds(stamp_s: float) -> int:
 
 
 def laser_scan(scan: LaserScan, frame_id: str, range_min_m: float, period_s: float) -> Any:
-    """A LaserScan message; no return is ``inf``, invalid ``nan``, by REP-117.
+    """A LaserScan message; no return is ``inf``, invalid ``nan``, by REP-117, ranges in whole millimetres.
 
     The sweep is taken at an instant, so the time between beams is zero.
     """
+    # As the log of the drive has them.
+    printed = np.round(written_ranges_m(scan), 3)
+    ranges = np.where(np.isfinite(scan.ranges_m), printed, scan.ranges_m)
     return _new(
         LASER_SCAN,
         header=_header(scan.stamp_s, frame_id),
@@ -53,7 +57,7 @@ def laser_scan(scan: LaserScan, frame_id: str, range_min_m: float, period_s: flo
         scan_time=period_s,
         range_min=range_min_m,
         range_max=scan.range_max_m,
-        ranges=np.ascontiguousarray(scan.ranges_m, dtype=np.float32),
+        ranges=ranges.astype(np.float32),
         intensities=np.zeros(0, dtype=np.float32),
     )
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from slam.datasets.account import Account
 from slam.datasets.bags.camera import BagCamera
 from slam.datasets.bags.decoding import Decoder, stamp_of
@@ -21,7 +23,7 @@ from slam.datasets.bags.weave import Weave
 from slam.datasets.dataset import ReadReport, RecordFault
 from slam.datasets.prefetch import map_ahead
 from slam.errors import DatasetError
-from slam.measurements import Measurement, RgbdFrame, Trajectory
+from slam.measurements import LaserScan, Measurement, RgbdFrame, Trajectory
 
 NO_FIELD = "message without a field of its type"
 
@@ -206,6 +208,8 @@ class _Reader:
             size = int(message.data.nbytes)
             return [StampedImage(stamp_s, record.number, record.recorded_s, message, size)]
         reading: Measurement = layout.readers[topic](message)
+        if isinstance(reading, LaserScan):
+            self._account.report.invalid_ranges += int(np.count_nonzero(np.isnan(reading.ranges_m)))
         self._account.report.accept(f"{topic} ({record.channel.kind.rpartition('/')[2]})")
         return [reading]
 

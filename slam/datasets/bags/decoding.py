@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
 from slam.datasets.bags.records import LARGEST_BYTES, BagRecord, Channel
 from slam.datasets.dataset import RecordFault
 
 if TYPE_CHECKING:
+    from rosbags.interfaces.typing import Typesdict
     from rosbags.typesys.store import Typestore
 
 UNDECODED = "message does not decode as its type"
@@ -83,20 +84,30 @@ def _typestore(channel: Channel) -> tuple[Typestore, str] | None:
     return (store, kind) if kind in store.fielddefs else None
 
 
+# The same few definitions come in every bag and pass, and each costs a tenth of a second to compile.
+@lru_cache(maxsize=64)
 def _own_types(definition: str, language: str, kind: str) -> Typestore | None:
     """The types of a definition in the bag, None where it cannot be used."""
-    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+    from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
     try:
         types = get_types_from_msg(definition, kind) if language == "msg" else get_types_from_idl(definition)
+    except Exception:  # a damaged definition fails in any way in the parser
+        return None
+    # Definitions may leave out what every installation has, as std_msgs/Header.
+    return _store(types, kind) or _store({**_built_in("cdr").fielddefs, **types}, kind)
+
+
+def _store(types: Typesdict, kind: str) -> Typestore | None:
+    """A store of types, None where they do not describe a type wholly."""
+    from rosbags.typesys import Stores, get_typestore
+
+    try:
         store = get_typestore(Stores.EMPTY)
         store.max_sequence_length = LARGEST_BYTES
-        # Definitions may leave out what every installation has, as std_msgs/Header.
-        for name, fields in _built_in("cdr").fielddefs.items():
-            types.setdefault(name, fields)
         store.register(types)
         store.get_msgdef(kind)
-    except Exception:  # a damaged definition fails in any way in the parser or in what it generates
+    except Exception:  # nor do names that are none survive the code that is generated from them
         return None
     return store
 

@@ -12,7 +12,7 @@ import numpy as np
 from slam.datasets.bags.decoding import stamp_of
 from slam.datasets.dataset import RecordFault
 from slam.datasets.laser_geometry import DEFAULT_NO_RETURN_M, classify_ranges
-from slam.measurements import Float32Array, FloatArray, LaserScan
+from slam.measurements import FloatArray, LaserScan
 
 ZERO_BEAMS = "scan without beams"
 NO_VALID_RANGE = "scan without a valid range"
@@ -68,7 +68,7 @@ def scan_from(message: Any, mount: LaserMount, topic: str) -> LaserScan:
         raise RecordFault(BAD_ANGLES, f"{start_rad} and {step_rad} for {ranges_m.size} beams")
     if ranges_m.size > 1 and step_rad == 0.0:
         raise RecordFault(BAD_ANGLES, "increment 0")
-    stated_m, least_m = float(message.range_max), float(message.range_min)
+    stated_m, least_m = _as_meant(message.range_max), _as_meant(message.range_min)
     limit_m = stated_m if 0.0 < stated_m < math.inf else DEFAULT_NO_RETURN_M
     ranges_m = np.where(ranges_m < least_m, np.nan, ranges_m) if least_m > 0.0 else ranges_m
     classified = classify_ranges(ranges_m, limit_m)
@@ -101,6 +101,6 @@ def _ranges(message: Any) -> FloatArray:
     return wide
 
 
-def invalid_count(ranges_m: Float32Array) -> int:
-    """Beams without a valid reading."""
-    return int(np.count_nonzero(np.isnan(ranges_m)))
+def _as_meant(single: Any) -> float:
+    """The shortest decimal number that a single-precision one stands for: 5.6, not 5.599999904632568."""
+    return float(str(np.float32(single)))
