@@ -29,6 +29,7 @@ from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from slam.datasets import open_dataset
 from slam.errors import DatasetError
@@ -39,6 +40,9 @@ _START_S = 1000.0
 _PATIENCE_S = 60.0  # a small bag that takes longer to read hangs
 _WITH_CHECKSUMS = frozenset({"mcap", "mcap_plain"})
 _DAMAGES = ("cut", "flip", "burst", "zeros", "schema")
+
+_ROS1 = get_typestore(Stores.ROS1_NOETIC)
+_ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", ros.TRANSFORMS))
 
 Sent = tuple[str, str, float, bytes]
 
@@ -259,7 +263,6 @@ def _write_ros1(packing: str) -> Callable[[Path, list[Sent], dict[str, str]], Pa
     """A ROS 1 bag by the package rosbags."""
 
     def written(path: Path, messages: list[Sent], definitions: dict[str, str]) -> Path:
-        store = ros.typestore()
         bag = Writer1(path.with_suffix(".bag"))
         if packing:
             bag.set_compression(Writer1.CompressionFormat[packing])
@@ -267,11 +270,11 @@ def _write_ros1(packing: str) -> Callable[[Path, list[Sent], dict[str, str]], Pa
             topics: dict[str, Any] = {}
             for topic, kind, at_s, content in messages:
                 if topic not in topics:
-                    given: dict[str, Any] = {"typestore": store}
+                    given: dict[str, Any] = {"typestore": _ROS1}
                     if kind in definitions:
                         given = {"msgdef": definitions[kind], "md5sum": "0" * 32}
                     topics[topic] = bag.add_connection(topic, kind, **given)
-                bag.write(topics[topic], round(at_s * 1e9), store.cdr_to_ros1(content, kind))
+                bag.write(topics[topic], round(at_s * 1e9), ros.typestore().cdr_to_ros1(content, kind))
         return path.with_suffix(".bag")
 
     return written

@@ -58,13 +58,13 @@ FORMATS: tuple[DatasetFormat, ...] = (
     DatasetFormat("TUM RGB-D folder", looks_like_tum, open_tum),
     DatasetFormat("OpenLORIS-Scene folder", looks_like_open_loris, open_open_loris),
     DatasetFormat("Robot@Home session folder", looks_like_robot_at_home, open_robot_at_home),
+    DatasetFormat("ROS bag (.bag, .db3, .mcap, or the folder of one)", looks_like_bag, open_bag),
     DatasetFormat("Robot@Home2 database (rh.db)", looks_like_robot_at_home2, open_robot_at_home2),
     DatasetFormat(
         "folder of point clouds (KITTI odometry; .bin, .pcd or .ply with a list of stamps)",
         looks_like_cloud_folder,
         open_cloud_folder,
     ),
-    DatasetFormat("ROS bag (.bag, .db3, .mcap, or the folder of one)", looks_like_bag, open_bag),
 )
 
 

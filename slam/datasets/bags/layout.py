@@ -95,7 +95,7 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Layout:
         layout.images[camera.color], layout.images[camera.depth] = (place, False), (place, True)
     for topic in choice.lonely:
         layout.notes.append(
-            f"{topic} is not read: no {'colour' if survey.depths[topic] else 'depth'} beside it"
+            f"{topic} is not read: no {'colour' if survey.depths.get(topic) else 'depth'} beside it"
         )
     if not choice.odometry and layout.base:
         _read_wheels_from_tf(survey, layout, layout.base)
@@ -106,7 +106,7 @@ def _choice(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Choice:
     """Which topics; what cannot be chosen is listed with its messages."""
     if unknown := [topic for topic in wanted if topic not in survey.channels]:
         raise DatasetError(f"{bag.path} has no topic {unknown[0]}; it holds {_listing(bag, survey, SENSORS)}")
-    kinds = {topic: survey.channels[topic].kind for topic in survey.frames}
+    kinds = {topic: survey.channels[topic].kind for topic in sorted(survey.seen)}
     for topic in wanted:
         kind = survey.channels[topic].kind
         if kind not in SENSORS:
@@ -116,7 +116,9 @@ def _choice(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Choice:
             )
         kinds[topic] = kind
     try:
-        return choose(kinds, survey.depths, wanted)
+        # Where no image could be decoded, its name must tell.
+        depths = {topic: survey.depths.get(topic, "depth" in topic.lower()) for topic in kinds}
+        return choose(kinds, depths, wanted)
     except AmbiguousError as error:
         listing = _listing(bag, survey, SENSORS, set(error.topics))
         raise DatasetError(

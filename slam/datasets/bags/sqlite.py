@@ -74,12 +74,15 @@ def _opened(path: Path) -> sqlite3.Connection:
 def _channels(database: sqlite3.Connection) -> dict[int, Channel]:
     """Topics by their number, with their definitions where the bag has them."""
     definitions: dict[str, tuple[str, str]] = {}
-    known = database.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()
-    if ("message_definitions",) in known:
+    try:
         for kind, language, text in database.execute(
             "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
         ):
             definitions[str(kind)] = str(text), _LANGUAGES.get(str(language), str(language))
+    except (
+        sqlite3.Error
+    ):  # an older schema, or lost by a cut: the common releases' definitions take their place
+        pass
     found = {}
     for number, topic, kind, wire in database.execute(
         "SELECT id, name, type, serialization_format FROM topics ORDER BY id"

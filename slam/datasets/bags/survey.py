@@ -35,8 +35,10 @@ class Survey:
     ----------
     channels
         All topics, by name; announced by the index, or seen where there is none.
+    seen
+        Sensor topics that have had a message, also if it is damaged.
     frames
-        Frame of each sensor topic that has had a message.
+        Frame of each sensor topic that has had a sound message.
     bases
         What odometry messages say to be moving: their child frames.
     lenses
@@ -48,6 +50,7 @@ class Survey:
     """
 
     channels: dict[str, Channel] = field(default_factory=dict)
+    seen: set[str] = field(default_factory=set)
     frames: dict[str, str] = field(default_factory=dict)
     bases: list[str] = field(default_factory=list)
     lenses: dict[str, Any] = field(default_factory=dict)
@@ -125,6 +128,8 @@ def count_messages(bag: Bag) -> Counter[str]:
 def _look(survey: Survey, record: BagRecord, decoder: Decoder) -> None:
     """Take in one message; damaged ones tell nothing here and are counted when the bag is read."""
     kind, topic = record.channel.kind, record.channel.topic
+    if kind in SENSORS:
+        survey.seen.add(topic)
     wanted = kind in SENSORS | TRANSFORMS or kind == CAMERA_INFO
     if not wanted or (topic in survey.frames and kind not in IMAGES) or topic in survey.lenses:
         return
