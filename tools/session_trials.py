@@ -20,10 +20,15 @@ from pathlib import Path
 
 import numpy as np
 
+from slam.errors import MapFileError
 from slam.evaluation.relations import read_relations, score_relations
 from slam.evaluation.trajectory_error import absolute_error
 from slam.measurements import Trajectory
 from slam.sessions.connection import Connection, connect
+from slam.simulation.drive_faults import DriveFaults
+from slam.simulation.home import generate_home
+from slam.simulation.record import record_drive
+from slam.simulation.rigs import RIGS
 from slam.storage.saved_map import SavedMap, open_saved_map
 from slam.storage.tum import read_tum
 
@@ -46,9 +51,11 @@ class Drive:
 
     def opened(self) -> SavedMap:
         """Its map, made where it is missing."""
-        if not (self.map_folder / "map.db").is_file():
+        try:
+            return open_saved_map(self.map_folder)
+        except MapFileError:  # none yet, or one of another version
             _scanweave("map", self.log, "-o", self.map_folder, "--set", "dense_map.enabled=false")
-        return open_saved_map(self.map_folder)
+            return open_saved_map(self.map_folder)
 
 
 def main() -> None:
@@ -64,7 +71,7 @@ def main() -> None:
     parser.add_argument(
         "--skip", type=float, default=0.0, help="drives but the first of a home begin so many seconds later"
     )
-    parser.add_argument("--lidar-alone", action="store_true", help="map the lidar's log, without cameras")
+    parser.add_argument("--lidar-alone", action="store_true", help="drives without cameras and people")
     parser.add_argument("--cut", type=float, action="append", default=[], help="also sessions of s seconds")
     parser.add_argument("--strangers", action="store_true", help="also all pairs of different places")
     parser.add_argument(
@@ -94,14 +101,14 @@ def main() -> None:
 
 def same_place(maps: Sequence[Drive], sessions: Sequence[Drive] | None = None) -> None:
     """Every session into every map of its place but its own; one row each."""
-    print("| map | session | places agree | loops kept | ATE m | max m | alone m | map moved m | s | |")
+    print("| map | session | nats, rival | loops kept | ATE m | max m | alone m | map moved m | s | |")
     print("|---|---|---|---|---|---|---|---|---|---|")
     errors, refused, false = [], 0, 0
     for known, session in _pairs(maps, maps if sessions is None else sessions):
         if known.place != session.place or session.log == known.log or session.name.startswith(known.name):
             continue
         found, took_s = _connected(known, session)
-        start = f"| {known.name} | {session.name} | {_votes(found)} |"
+        start = f"| {known.name} | {session.name} | {_evidence(found)} |"
         if found.joined is None:
             refused += 1
             print(f"{start} | | | | | {took_s:.1f} | {found.reason} |", flush=True)
@@ -124,18 +131,18 @@ def same_place(maps: Sequence[Drive], sessions: Sequence[Drive] | None = None) -
 
 def different_places(maps: Sequence[Drive], sessions: Sequence[Drive]) -> None:
     """Every session into every map of another place; only what is not refused gets a line."""
-    refused, joined, reasons = 0, 0, []
+    refused, joined, nats = 0, 0, []
     for known, session in _pairs(maps, sessions):
         if known.place == session.place:
             continue
         found, _ = _connected(known, session)
         refused += found.joined is None
-        reasons.append(_votes(found))
+        nats.append(found.placing.nats)
         if found.joined is not None:
             joined += 1
-            print(f"FALSE: {session.name} joined to {known.name}, {_votes(found)} places agree", flush=True)
-    counts = ", ".join(f"{vote}: {reasons.count(vote)}" for vote in sorted(set(reasons)))
-    print(f"\nDifferent places: {joined} joined, {refused} refused; places that agreed by pair: {counts}")
+            print(f"FALSE: {session.name} joined to {known.name}, {_evidence(found)} nats", flush=True)
+    most = ", ".join(f"{one:.1f}" for one in sorted(nats, reverse=True)[:8])
+    print(f"\nDifferent places: {joined} joined, {refused} refused; most evidence for a place, nats: {most}")
 
 
 def two_halves(log: str, first: Drive, second: Drive) -> None:
@@ -148,7 +155,7 @@ def two_halves(log: str, first: Drive, second: Drive) -> None:
             continue
         score = score_relations(found.joined.contents.trajectory, relations).all
         print(
-            f"{session.name} in {known.name}: {_votes(found)} places, {found.joined.loops_kept} of "
+            f"{session.name} in {known.name}: {_evidence(found)} nats, {found.joined.loops_kept} of "
             f"{found.joined.loops_between} loops; relations {score.translation_m.mean:.4f} m, "
             f"{np.degrees(score.rotation_rad.mean):.3f} degrees, {score.used} used; {took_s:.1f} s"
         )
@@ -170,10 +177,9 @@ def _connected(known: Drive, session: Drive) -> tuple[Connection, float]:
     return found, took_s
 
 
-def _votes(found: Connection) -> str:
-    """How many recognised places agree."""
-    agreeing = len(found.placing.agreeing)
-    return f"{agreeing} of {agreeing + found.placing.disagreeing}"
+def _evidence(found: Connection) -> str:
+    """Evidence for the likeliest place, and for its rival."""
+    return f"{found.placing.nats:.1f}, {found.placing.rival_nats:.1f}"
 
 
 def _scores(found: Connection, known: Drive, session: Drive) -> tuple[float, float, float]:
@@ -208,7 +214,10 @@ def _simulated(arguments: argparse.Namespace, home: int, seed: int) -> Drive:
     """A drive of the simulator."""
     name = f"{arguments.rig}-{home}-{seed}"
     folder = arguments.folder / name
-    if not (folder / "scans.log").is_file():
+    simulated = (folder / "scans.log").is_file()
+    if not simulated and arguments.lidar_alone:
+        _simulate_lidar(arguments, home, seed, folder)
+    elif not simulated:
         length = () if arguments.duration is None else ("--duration", arguments.duration)
         chosen = ("--rig", arguments.rig, "--home", home, "--seed", seed, *length)
         _scanweave("simulate", *chosen, "--format", "folder", "-o", folder)
@@ -219,6 +228,15 @@ def _simulated(arguments: argparse.Namespace, home: int, seed: int) -> Drive:
     map_name = f"map-{name}-lidar" if arguments.lidar_alone else f"map-{name}"
     truth = read_tum(folder / "groundtruth.txt")
     return Drive(name, f"home {home}", log, arguments.folder / map_name, truth)
+
+
+def _simulate_lidar(arguments: argparse.Namespace, home: int, seed: int, folder: Path) -> None:
+    """A drive without cameras, and with nobody about."""
+    rig = dataclasses.replace(RIGS[arguments.rig], cameras=())
+    faults = DriveFaults(person=False)
+    record_drive(
+        generate_home(home), rig, seed, folder, faults, duration_s=arguments.duration, formats=("folder",)
+    )
 
 
 def _later(source: Path, folder: Path, skip_s: float) -> Path:

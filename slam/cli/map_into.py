@@ -140,9 +140,8 @@ def _summary(connection: Connection, took: str) -> str:
     """The outcome in a line."""
     joined = connection.joined
     assert joined is not None
-    agreeing, others = len(connection.placing.agreeing), connection.placing.disagreeing
     return (
-        f"{agreeing} of {agreeing + others} recognised places agree, {joined.loops_kept} of "
+        f"recognised at {len(connection.placing.anchors)} places, {joined.loops_kept} of "
         f"{len(connection.loops)} loops between the sessions hold, the map's own keyframes moved by up to "
         f"{joined.moved_m:.3f} m; {len(joined.contents.node_poses)} keyframes; {took}"
     )

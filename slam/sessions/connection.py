@@ -1,7 +1,7 @@
 """Whether a session belongs into a map, and the two joined where it does: found out in three steps.
 
-Places that are recognised must agree on where the session lies; scans along the way must match the map
-there; and the optimisation of both together must keep most of those loops. Each may say no.
+All that was seen on the way must tell where the session lies; scans along it must match the map there;
+and the optimisation of both together must keep most of those loops. Each may say no.
 """
 
 from __future__ import annotations
@@ -11,17 +11,14 @@ from dataclasses import dataclass
 
 from slam.graph.loop_closure import LoopCandidate
 from slam.localization.known_map import KnownMap, Walls
-from slam.sessions.placing import LEAST_PLACES, Placing, agree_on_placing, sightings_of
+from slam.sessions.placing import Placing, place
 from slam.sessions.session_join import JoinedMap, join
 from slam.sessions.session_loops import KeyframeScans, find_loops
-from slam.sessions.whole_way import weigh_whole_way
 from slam.storage.saved_map import SavedMap
 
 # Loops between two sessions: so many at least, and this share of them kept by the optimisation.
 _LEAST_LOOPS = 3
 _LEAST_KEPT_SHARE = 0.5
-# Evidence of the whole way; where places were recognised rightly it was 4 or more, however little was shared.
-_LEAST_NATS = 2.0
 # Real scans never repeat to the last digit: a log that shares so many of them is in the map already.
 _MOST_SHARED = 0.5
 
@@ -33,7 +30,7 @@ class Connection:
     Attributes
     ----------
     placing
-        Where places of the session were recognised.
+        Where the session lies.
     loops
         Every attempt to match a keyframe of the session to the map.
     joined
@@ -60,20 +57,12 @@ def connect(known: SavedMap, session: SavedMap) -> Connection:
     shared = _shared_scans(known, session)
     if shared > _MOST_SHARED * len(session.keyframe_scans):
         reason = f"{shared} of its {len(session.keyframe_scans)} keyframes are in the map already"
-        return Connection(Placing((), 0), (), None, reason)
-    walls = Walls(KnownMap.of_saved(known), config)
-    sightings = sightings_of(walls, Walls(KnownMap.of_saved(session), config), config)
-    placing = agree_on_placing(sightings, session.keyframe_poses)
+        return Connection(Placing(), (), None, reason)
+    placing = place(
+        Walls(KnownMap.of_saved(known), config), Walls(KnownMap.of_saved(session), config), config
+    )
     if not placing.sure:
         return Connection(placing, (), None, _unplaced(placing))
-    one = placing.agreeing[0]
-    scans, poses = session.keyframe_scans, session.keyframe_poses
-    nats = weigh_whole_way(walls, scans, poses, one.keyframe, one.pose, config)
-    if nats < _LEAST_NATS:
-        reason = (
-            f"what it saw on all its way contradicts the map: evidence {nats:.1f}, at least {_LEAST_NATS}"
-        )
-        return Connection(placing, (), None, reason)
     loops = find_loops(
         KeyframeScans(known.keyframe_scans, known.keyframe_poses),
         KeyframeScans(session.keyframe_scans, session.keyframe_poses),
@@ -107,10 +96,14 @@ def _shared_scans(known: SavedMap, session: SavedMap) -> int:
 
 def _unplaced(placing: Placing) -> str:
     """Why a placing is not sure."""
-    agreeing = len(placing.agreeing)
-    if agreeing == 0:
+    if not placing.anchors:
         return "no place of it was recognised in the map"
+    if placing.nats < placing.least_nats:
+        return (
+            f"the evidence for its likeliest place in the map is {placing.nats:.1f} nats, "
+            f"{placing.least_nats:.1f} are needed"
+        )
     return (
-        f"{agreeing} of its places agree on where it lies in the map and {placing.disagreeing} do not; at "
-        f"least {LEAST_PLACES} must agree, and twice as many as do not"
+        f"two places in the map are alike, with evidence of {placing.nats:.1f} and "
+        f"{placing.rival_nats:.1f} nats"
     )

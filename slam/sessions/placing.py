@@ -1,14 +1,14 @@
-"""Where a session lies in a known map: stretches of either are localised in the other, and they vote.
+"""Where a session lies in a known map: what may be is collected, and weighed by all that was seen on the way.
 
-One stretch may be mistaken, rooms are alike. Stretches of one share no scan, so that several that are
-mistaken in the same way are unlikely; what they must agree on is one motion of the whole session. A session
-that leads through a small map and on is found by the stretches of the map, one within a large map by its own.
+Stretches of either are looked for in the other: a session that leads through a small map and on is found by
+the places of the map, one within a large map by its own. What a stretch says is only a proposal, rooms are
+alike; each is followed along the whole session, on which every surface may speak for or against it once.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,36 +20,19 @@ from slam.localization.map_match import MapMatcher
 from slam.localization.scan_view import ScanView
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray
+from slam.sessions.whole_way import Followed, Sighting, follow
 
-# So many stretches must agree, and be so many times as many as those that disagree.
-LEAST_PLACES = 3
-_MAJORITY = 2
-# Two votes agree where they put each other's keyframe within this; maps bend a little over their length.
+# Two proposals are one where they put each other's keyframe within this; maps bend over their length.
 _SAME_M = 0.4
 _SAME_RAD = 0.1
 _BEND_RAD = 0.02
-# Of a long session so many places are looked for.
-_MOST_PLACES = 24
+# A stretch without a sure place ends after this; of a long session or map so many stretches are looked for.
+_STRETCH_M = 8.0
+_MOST_STRETCHES = 24
+# Proposals of a stretch that is not sure, and those that are followed.
+_PROPOSED = 3
+_FOLLOWED = 8
 _ORIGIN = np.zeros(3)
-
-
-@dataclass(frozen=True, slots=True)
-class Sighting:
-    """A keyframe of the session and where it is in the map.
-
-    Attributes
-    ----------
-    keyframe
-        Its number in the session: the one that was found, or that is nearest to where the map's was found.
-    pose
-        (3,) of its base in the map.
-    T_map_session
-        (3,) the motion of the session that this asks for.
-    """
-
-    keyframe: int
-    pose: FloatArray
-    T_map_session: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,82 +41,115 @@ class Placing:
 
     Attributes
     ----------
-    agreeing
-        The sightings that agree, in the order of the session.
-    disagreeing
-        How many do not agree with them.
+    anchors
+        Keyframes of the session along the likeliest way, where the walls of the map have confirmed it.
+    nats
+        Evidence for that way over the best of the wrong ones.
+    rival_nats
+        That for the likeliest other place; minus infinity where there is none.
+    least_nats, lead_nats
+        Evidence that it needs, and by how much that must exceed the rival's: what makes a localiser sure.
     """
 
-    agreeing: tuple[Sighting, ...]
-    disagreeing: int
+    anchors: Sequence[Sighting] = ()
+    nats: float = -math.inf
+    rival_nats: float = -math.inf
+    least_nats: float = math.inf
+    lead_nats: float = math.inf
 
     @property
     def sure(self) -> bool:
-        """Whether enough places agree, and few disagree."""
-        count = len(self.agreeing)
-        return count >= LEAST_PLACES and count >= _MAJORITY * self.disagreeing
+        """Whether there is evidence enough, and no other place like it."""
+        return bool(self.anchors) and self.nats >= max(self.least_nats, self.rival_nats + self.lead_nats)
 
     def nearest(self, pose: FloatArray, poses: FloatArray) -> tuple[FloatArray, float]:
-        """The motion of the session by the sighting nearest to a pose (3,) of it, and how far that is, m.
+        """The motion of the session by the anchor nearest to a pose (3,) of it, and how far that is, m.
 
         Parameters
         ----------
         poses
             (K, 3) of the session's keyframes, session frame.
         """
-        distances = [math.dist(poses[one.keyframe, :2], pose[:2]) for one in self.agreeing]
-        n = int(np.argmin(distances))
-        return self.agreeing[n].T_map_session, distances[n]
+        keys = [one.keyframe for one in self.anchors]
+        distances = np.hypot(*(poses[keys, :2] - pose[:2]).T)
+        n = int(distances.argmin())
+        return self.anchors[n].T_map_session, float(distances[n])
 
 
-def sightings_of(known: Walls, session: Walls, config: Config) -> list[Sighting]:
-    """Look for stretches of a session in a map, and for stretches of the map in the session."""
+def place(known: Walls, session: Walls, config: Config) -> Placing:
+    """Find where a session lies in a map."""
     poses = session.map.keyframe_poses
-    found = []
-    for key, pose in _found_stretches(known, session.map, config):
-        found.append(Sighting(key, pose, compose(pose, between(poses[key], _ORIGIN))))
-    for key, pose in _found_stretches(session, known.map, config):
+    ways: list[tuple[Sighting, Followed]] = []
+    for proposal in _distinct(_proposals(known, session, config), poses)[:_FOLLOWED]:
+        way = follow(known, session.map, proposal, config)
+        ways.append((way.anchors[len(way.anchors) // 2] if way.anchors else proposal, way))
+    if not ways:
+        return Placing()
+    one, best = max(ways, key=lambda found: found[1].nats)
+    rivals = [way.nats for other, way in ways if not _agree(one, other, poses)]
+    settings = config.localization
+    sure_nats = math.log(settings.sure_probability / (1.0 - settings.sure_probability))
+    return Placing(
+        best.anchors,
+        best.nats,
+        max(rivals, default=-math.inf),
+        settings.nowhere_nats + sure_nats,
+        sure_nats,
+    )
+
+
+def _proposals(known: Walls, session: Walls, config: Config) -> list[Sighting]:
+    """Where stretches of either may lie in the other, as keyframes of the session in the map."""
+    poses, found = session.map.keyframe_poses, []
+    for key, pose, nats in _stretches(known, session.map, config):
+        found.append(Sighting(key, pose, compose(pose, between(poses[key], _ORIGIN)), nats))
+    for key, pose, nats in _stretches(session, known.map, config):
         T_map_session = compose(known.map.keyframe_poses[key], between(pose, _ORIGIN))
         nearest = int(np.hypot(*(poses[:, :2] - pose[:2]).T).argmin())
-        found.append(Sighting(nearest, compose(T_map_session, poses[nearest]), T_map_session))
+        found.append(Sighting(nearest, compose(T_map_session, poses[nearest]), T_map_session, nats))
     return found
 
 
-def _found_stretches(walls: Walls, way: KnownMap, config: Config) -> list[tuple[int, FloatArray]]:
-    """Keyframes at the ends of stretches of a way that were found between walls, and (3,) where."""
-    scans, poses = way.keyframe_scans, way.keyframe_poses
+def _stretches(walls: Walls, way: KnownMap, config: Config) -> Iterator[tuple[int, FloatArray, float]]:
+    """Stretch by stretch of a way: a keyframe of it, (3,) where it may be between walls, and the evidence."""
     hypotheses = HypothesisSet(walls, MapMatcher(walls, config), config.localization)
+    kidnap_nats = config.localization.kidnap_nats
+    poses = way.keyframe_poses
     way_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
-    apart_m = way_m[-1] / _MOST_PLACES
-    found = []
+    apart_m = way_m[-1] / _MOST_STRETCHES
     begin_m = 0.0
-    for key, scan in enumerate(scans):
+    likeliest: list[tuple[int, FloatArray, float]] = []
+    for key, scan in enumerate(way.keyframe_scans):
         if scan is None or way_m[key] < begin_m or not hypotheses.due(poses[key]):
             continue
         hypotheses.add_station(ScanView.of(scan, config), poses[key], None)
+        members = sorted(hypotheses.members, key=lambda member: -member.total(kidnap_nats))
+        now = [(key, member.pose, member.total(kidnap_nats)) for member in members[:_PROPOSED]]
+        if now and (not likeliest or now[0][2] > likeliest[0][2]):
+            likeliest = now
         winner = hypotheses.winner()
-        if winner is None:
-            continue
-        found.append((key, winner.pose))
-        hypotheses.clear()
-        begin_m = max(begin_m + apart_m, way_m[key])
-    return found
+        if winner is not None:
+            likeliest = [(key, winner.pose, winner.total(kidnap_nats))]
+        if winner is not None or way_m[key] > begin_m + _STRETCH_M:
+            yield from likeliest
+            likeliest = []
+            hypotheses.clear()
+            begin_m = max(begin_m + apart_m, way_m[key])
+    yield from likeliest
 
 
-def agree_on_placing(sightings: Sequence[Sighting], poses: FloatArray) -> Placing:
-    """The largest set of sightings that ask for one motion of the session.
-
-    Parameters
-    ----------
-    poses
-        (K, 3) of the session's keyframes, session frame.
-    """
-    best: list[Sighting] = []
-    for one in sightings:
-        agreeing = [other for other in sightings if _agree(one, other, poses)]
-        if len(agreeing) > len(best):
-            best = agreeing
-    return Placing(tuple(best), len(sightings) - len(best))
+def _distinct(proposals: Sequence[Sighting], poses: FloatArray) -> list[Sighting]:
+    """The likeliest of all that agree with each other, by their common evidence."""
+    groups: list[list[Sighting]] = []
+    for one in sorted(proposals, key=lambda one: -one.nats):
+        for group in groups:
+            if _agree(group[0], one, poses):
+                group.append(one)
+                break
+        else:
+            groups.append([one])
+    groups.sort(key=lambda group: -sum(max(one.nats, 0.0) for one in group))
+    return [group[0] for group in groups]
 
 
 def _agree(one: Sighting, other: Sighting, poses: FloatArray) -> bool:
