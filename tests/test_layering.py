@@ -15,7 +15,7 @@ REPO = Path(__file__).parents[1]
 FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"slam.cli"}),
     frozenset({"slam.sessions", "slam.comparison"}),
-    frozenset({"slam.evaluation", "slam.run_outputs", "slam.layer_outputs"}),
+    frozenset({"slam.evaluation", "slam.run_outputs", "slam.layer_outputs", "slam.map_recording"}),
     frozenset({"slam.pipeline", "slam.localization"}),
     frozenset({"slam.planar_mapper", "slam.spatial_mapper"}),  # what the main loop feeds
     frozenset({"slam.mapper", "slam.planar_places", "slam.sliding_window"}),
@@ -39,7 +39,8 @@ FLOORS: tuple[frozenset[str], ...] = (
 )
 MAX_LINES = 400
 NEVER_IMPORTED = {"evo", "plyfile", "tools", "tests", "conftest"}  # GPL oracles; people's scripts
-LAZY_ONLY = {"open3d", "cv2", "matplotlib", "kiss_icp"}  # slow or heavy to load, and not every run needs them
+# Slow or heavy to load, and not every run needs them; or extras that need not be there.
+LAZY_ONLY = {"open3d", "cv2", "matplotlib", "kiss_icp", "distributed", "pyarrow", "rerun"}
 
 
 @dataclass(frozen=True)

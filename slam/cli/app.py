@@ -29,6 +29,12 @@ ConfigOption = Annotated[
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", "-s", help="one value, as in grid.resolution_m=0.1; repeatable")
 ]
+RecordOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--record", help="also write a recording for the Rerun viewer here (.rrd); wants scanweave[viewer]"
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="JSON instead of text")]
 TopicsOption = Annotated[
     list[str] | None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slam.cli.app import app
+from slam.cli.app import RecordOption, app
 from slam.errors import ScanweaveError
 
 if TYPE_CHECKING:
@@ -40,22 +40,28 @@ def compare(
     resume: Annotated[
         bool, typer.Option("--resume", help="run only what has no result yet, or was stopped by a limit")
     ] = False,
+    record: RecordOption = None,
 ) -> None:
     """Run data sets x configurations x seeds, each run in its own process, and compare them."""
     from slam.comparison.compare import compare as run_comparison
+    from slam.comparison.recording import record_comparison
+    from slam.comparison.store import ResultStore
+    from slam.viewer import recording
 
     if workers is not None and scheduler is not None:
         raise typer.BadParameter("--workers is for this machine; a scheduler has workers of its own")
-    done = run_comparison(
-        experiment,
-        out,
-        data=data,
-        cache=cache,
-        workers=workers,
-        scheduler=scheduler,
-        resume=resume,
-        on_row=_tell,
-    )
+    with recording(record) as viewer:
+        done = run_comparison(
+            experiment,
+            out,
+            data=data,
+            cache=cache,
+            workers=workers,
+            scheduler=scheduler,
+            resume=resume,
+            on_row=_tell,
+        )
+        record_comparison(viewer, done.rows, ResultStore(out))
     lost = [row for row in done.rows if row["status"] != "ok"]
     print(f"{len(done.rows)} runs, {done.done_now} of them now, {len(lost)} without a result")
     evo = sum(path.suffix == ".zip" for path in done.written)

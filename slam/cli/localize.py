@@ -12,6 +12,7 @@ import typer
 from slam.cli.app import (
     ConfigOption,
     LogArgument,
+    RecordOption,
     SetOption,
     StrictOption,
     TopicsOption,
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from slam.localization.drive_log import DriveLog
     from slam.localization.known_map import KnownMap
     from slam.measurements import Measurement
+    from slam.viewer import Viewer
     from slam.vision.prepared_frame import PreparedFrame
 
 
@@ -39,6 +41,7 @@ def localize(
     set_: SetOption = None,
     strict: StrictOption = False,
     topics: TopicsOption = None,
+    record: RecordOption = None,
 ) -> None:
     """Find and follow the robot of a log in a saved map, from no start pose; the map is not changed."""
     started = time.perf_counter()
@@ -50,12 +53,16 @@ def localize(
     from slam.localization.known_map import KnownMap
     from slam.storage.files import make_folder
     from slam.storage.saved_map import open_saved_map
+    from slam.viewer import recording
 
     settings = load_config(config, [*(set_ or []), *topics_override(topics)])
     saved = open_saved_map(map_)
     dataset = open_dataset(log, strict=strict, topics=settings.sensors.topics)
     make_folder(out)
-    drive = _drive(KnownMap.of_saved(saved), dataset, settings)
+    with recording(record) as viewer:
+        if saved.grid is not None:
+            viewer.grid("saved map", saved.grid.states(), saved.grid.resolution_m, saved.grid.T_map_grid)
+        drive = _drive(KnownMap.of_saved(saved), dataset, settings, viewer)
     if not len(drive):
         raise DatasetError(
             f"{dataset.name} holds nothing that can be localised in {saved.path}; see 'scanweave inspect' "
@@ -73,10 +80,11 @@ def localize(
     print("wrote " + ", ".join(str(path) for path in [*written, report]))
 
 
-def _drive(known_map: KnownMap, dataset: Dataset, settings: Config) -> DriveLog:
+def _drive(known_map: KnownMap, dataset: Dataset, settings: Config, viewer: Viewer) -> DriveLog:
     """Localise a whole log."""
     from slam.localization.drive_log import DriveLog
     from slam.localization.localizer import Localizer
+    from slam.map_recording import record_localization
 
     localizer, drive = Localizer(known_map, settings), DriveLog()
     with progress_of("localising", "scans and frames") as progress:
@@ -85,6 +93,7 @@ def _drive(known_map: KnownMap, dataset: Dataset, settings: Config) -> DriveLog:
             output = localizer.add(measurement)
             if output is not None:
                 drive.add(output, time.perf_counter() - before)
+                record_localization(viewer, measurement, output)
                 progress(len(drive))
     return drive
 

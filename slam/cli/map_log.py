@@ -12,6 +12,7 @@ import typer
 from slam.cli.app import (
     ConfigOption,
     LogArgument,
+    RecordOption,
     SetOption,
     StrictOption,
     TopicsOption,
@@ -56,6 +57,7 @@ def map_command(
         bool,
         typer.Option("--resume", help="go on with the map that an interrupted run has left in the folder"),
     ] = False,
+    record: RecordOption = None,
 ) -> None:
     """Map a log: trajectory, graph, grid, report, and all of it in map.db."""
     overrides = [*(set_ or []), *topics_override(topics)]
@@ -65,6 +67,8 @@ def map_command(
         overrides += ["loops.enabled=false", "visual_loops.enabled=false"]
     if no_fusion:
         overrides.append("fusion.enabled=false")
+    if into is not None and record is not None:
+        raise typer.BadParameter("--record is for a map of its own, not for one that joins another (--into)")
     if into is not None:
         from slam.cli.map_into import map_into
         from slam.config import load_config
@@ -74,7 +78,7 @@ def map_command(
     elif out is None:
         raise typer.BadParameter("say where the map goes (--out), or which map the log joins (--into)")
     else:
-        _map(log, out, config, overrides, strict, resume)
+        _map(log, out, config, overrides, strict, resume, record)
 
 
 @app.command()
@@ -122,7 +126,13 @@ def _demo_log(folder: Path, seed: int) -> tuple[Path, Path]:
 
 
 def _map(
-    log: Path, out: Path, config: str | None, overrides: list[str], strict: bool, resume: bool = False
+    log: Path,
+    out: Path,
+    config: str | None,
+    overrides: list[str],
+    strict: bool,
+    resume: bool = False,
+    record: Path | None = None,
 ) -> None:
     """Run the pipeline on a log and write its results."""
     started = time.perf_counter()
@@ -132,12 +142,14 @@ def _map(
     from slam.evaluation.map_report import RunCost, beside_of, report_data
     from slam.evaluation.report import write_report
     from slam.journal import Journal
+    from slam.map_recording import record_map
     from slam.pipeline import build_map
     from slam.run_outputs import contents_of
     from slam.storage.files import make_folder
     from slam.storage.map_contents import write_contents
     from slam.storage.map_file import MAP_NAME
     from slam.storage.map_identity import identity_of
+    from slam.viewer import recording
 
     settings = load_config(config, overrides)
     dataset = open_dataset(log, strict=strict, topics=settings.sensors.topics)
@@ -146,7 +158,7 @@ def _map(
     if resume and finished_map(out, identity):
         print(f"{out / MAP_NAME} is finished already; there is nothing to resume")
         return
-    with opened_map(out, identity, resume=resume) as file:
+    with recording(record) as viewer, opened_map(out, identity, resume=resume) as file:
         with (
             progress_of("mapping", "scans and frames") as advance,
             interrupted_between_scans(advance) as on_scan,
@@ -157,6 +169,7 @@ def _map(
         beside = beside_of(dataset, result, written)
         data = report_data(log.name, dataset.report, result, settings, cost, beside)
         write_report(out / "report.html", data)
+        record_map(viewer, result, layers, settings)
         write_contents(file, contents_of(result, layers))
         file.seal()
     for warning in data.warnings:

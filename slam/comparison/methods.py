@@ -13,6 +13,7 @@ from slam.config import Config
 from slam.datasets import Dataset
 from slam.errors import DatasetError, ScanweaveError
 from slam.layer_outputs import layers_of
+from slam.map_recording import scan_points
 from slam.map_result import MapResult
 from slam.measurements import FloatArray, LaserScan, RgbdFrame, Trajectory, WheelOdometry, row_from_pose2
 from slam.pipeline import build_map
@@ -129,10 +130,8 @@ STOCK: dict[str, Callable[[Dataset], Product]] = {"wheels": wheels, "kiss_icp": 
 
 def _points_laser(scan: LaserScan) -> FloatArray:
     """(N, 3) points of the beams that met something, laser frame, z = 0."""
-    ranges = scan.ranges_m.astype(np.float64)
-    met = np.isfinite(ranges) & (ranges > 0.0) & (ranges < scan.range_max_m)
-    bearings, ranges = scan.bearings_rad()[met], ranges[met]
-    return np.column_stack([ranges * np.cos(bearings), ranges * np.sin(bearings), np.zeros(ranges.size)])
+    points = scan_points(scan, scan.T_base_laser.inverse())
+    return np.column_stack([points, np.zeros(len(points))])
 
 
 def _accepted(result: MapResult) -> list[AcceptedLoop] | None:
