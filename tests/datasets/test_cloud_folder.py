@@ -1,0 +1,141 @@
+"""Folders of point clouds: KITTI odometry, lists of stamps, the simulator's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import open3d as o3d
+import pytest
+from carmen_lines import odom, write
+from rgbd_files import dropped, read
+
+from slam.datasets import open_dataset
+from slam.datasets.cloud_files import DAMAGED, MISSING, NO_POINTS
+from slam.datasets.clouds_over_time import UNPAIRED, WITHOUT_CLOUD
+from slam.datasets.inspection import inspect_dataset, render_inspection
+from slam.errors import DatasetError
+from slam.measurements import PointCloud, WheelOdometry
+
+POINTS = np.array([[1, 2, 3], [4, 5, 6], [0, 0, 0], [np.nan, 1, 1], [7, 8, 9]], np.float32)
+VALID = POINTS[[0, 1, 4]]
+
+
+def bins(folder: Path, count: int) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for k in range(count):
+        rows = np.column_stack([POINTS + np.float32(k), np.ones(5, np.float32)]).astype("<f4")
+        rows[2, :3] = 0.0
+        rows.tofile(folder / f"{k:06d}.bin")
+
+
+def kitti(path: Path, count: int = 3) -> Path:
+    folder = path / "sequences" / "04"
+    bins(folder / "velodyne", count)
+    (folder / "times.txt").write_text("".join(f"{0.1 * k:.6e}\n" for k in range(count)))
+    return folder
+
+
+def clouds(path: Path) -> list[PointCloud]:
+    return [m for m in open_dataset(path) if isinstance(m, PointCloud)]
+
+
+def test_a_kitti_sequence_gives_clouds_and_the_truth_of_its_lidar(tmp_path: Path) -> None:
+    folder = kitti(tmp_path)
+    turn = gtsam.Rot3(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]))
+    T_camera_lidar = gtsam.Pose3(turn, np.array([0.1, 0.2, 0.3]))
+    row = " ".join(map(str, T_camera_lidar.matrix()[:3].ravel()))
+    projection = " ".join(["718.9", *["0"] * 11])
+    (folder / "calib.txt").write_text(f"P0: {projection}\nTr: {row}\n")
+    truth = [gtsam.Pose3(gtsam.Rot3.Yaw(0.2 * k), np.array([1.0 * k, 0.0, 0.0])) for k in range(3)]
+    of_camera = [T_camera_lidar.compose(pose).compose(T_camera_lidar.inverse()) for pose in truth]
+    (tmp_path / "poses").mkdir()
+    lines = [" ".join(map(str, pose.matrix()[:3].ravel())) for pose in of_camera]
+    (tmp_path / "poses" / "04.txt").write_text("\n".join(lines) + "\n")
+    found = clouds(folder)
+    assert [cloud.stamp_s for cloud in found] == pytest.approx([0.0, 0.1, 0.2])
+    assert (found[0].points_lidar == VALID).all() and found[0].times_s is None
+    trajectory = open_dataset(folder).groundtruth()
+    assert trajectory is not None
+    assert trajectory.positions_m == pytest.approx(np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]]), abs=1e-6)
+    assert trajectory.to_planar()[:, 2] == pytest.approx([0.0, 0.2, 0.4], abs=1e-6)
+
+
+@pytest.mark.parametrize("suffix", ["pcd", "ply"])
+def test_pcd_and_ply_give_points_and_their_times(tmp_path: Path, suffix: str) -> None:
+    cloud = o3d.t.geometry.PointCloud()
+    cloud.point.positions = o3d.core.Tensor(POINTS)
+    cloud.point["t"] = o3d.core.Tensor(np.arange(5, dtype=np.float32).reshape(-1, 1) * 25.0)
+    for k in (9, 10):
+        o3d.t.io.write_point_cloud(str(tmp_path / f"{k}.{suffix}"), cloud)
+    (tmp_path / "times.txt").write_text("# seconds\n5.0\n6.0\n")
+    dataset = open_dataset(tmp_path)
+    first, second = (m for m in dataset if isinstance(m, PointCloud))
+    assert (first.stamp_s, second.stamp_s) == (5.0, 6.0)
+    assert (first.points_lidar == VALID).all()
+    assert first.times_s == pytest.approx([0.0, 0.025, 0.1], abs=1e-6)
+    assert any("milliseconds after the stamp" in note for note in dataset.report.notes)
+
+
+def test_names_in_the_list_win_over_the_order_of_the_folder(tmp_path: Path) -> None:
+    bins(tmp_path / "points", 2)
+    (tmp_path / "points.txt").write_text(
+        "1.0 points/000001.bin\n2.0 points/000000.bin\n3.0 points/9.bin\n4.0\n"
+    )
+    found, dataset = read(tmp_path)
+    assert [m.stamp_s for m in found] == [1.0, 2.0]
+    assert isinstance(found[1], PointCloud) and (found[1].points_lidar == VALID).all()
+    assert dropped(dataset) == {MISSING: 1, "index line with too few fields": 1}
+
+
+@pytest.mark.parametrize(("stamps", "reason"), [(2, UNPAIRED), (4, WITHOUT_CLOUD)])
+def test_a_list_of_another_length_is_counted(tmp_path: Path, stamps: int, reason: str) -> None:
+    bins(tmp_path, 3)
+    (tmp_path / "times.txt").write_text("".join(f"{k}.0\n" for k in range(stamps)))
+    found, dataset = read(tmp_path)
+    assert len(found) == min(stamps, 3) and dropped(dataset) == {reason: 1}
+
+
+def test_damaged_clouds_are_counted(tmp_path: Path) -> None:
+    folder = kitti(tmp_path, 4)
+    (folder / "velodyne" / "000001.bin").write_bytes(b"1234567")
+    (folder / "velodyne" / "000002.bin").write_bytes(bytes(64))
+    (folder / "velodyne" / "000003.bin").write_bytes(b"")
+    found, dataset = read(folder)
+    assert len(found) == 1 and dropped(dataset) == {DAMAGED: 2, NO_POINTS: 1}
+
+
+@pytest.mark.parametrize("suffix", ["pcd", "ply"])
+def test_a_damaged_header_is_counted(tmp_path: Path, suffix: str) -> None:
+    cloud = o3d.t.geometry.PointCloud()
+    cloud.point.positions = o3d.core.Tensor(POINTS)
+    o3d.t.io.write_point_cloud(str(tmp_path / f"0.{suffix}"), cloud)
+    whole = (tmp_path / f"0.{suffix}").read_bytes()
+    (tmp_path / f"1.{suffix}").write_bytes(whole.replace(b"x", b"\xe2").replace(b"format", b"famrot"))
+    (tmp_path / f"2.{suffix}").write_bytes(whole[:40])
+    (tmp_path / "times.txt").write_text("1\n2\n3\n")
+    found, dataset = read(tmp_path)
+    assert len(found) == 1 and dropped(dataset) == {DAMAGED: 2}
+
+
+def test_clouds_of_a_robot_come_between_its_readings_with_the_wheels_beside_them(tmp_path: Path) -> None:
+    write(tmp_path, odom(0.0, stamp=1.0), odom(0.1, stamp=1.1), odom(0.2, stamp=1.2))
+    bins(tmp_path / "points", 2)
+    (tmp_path / "points.txt").write_text("1.05 points/000000.bin\n1.3 points/000001.bin\n")
+    (tmp_path / "points" / "calibration.yaml").write_text(
+        "T_base_lidar: {translation_m: [0.1, 0.0, 0.7], quaternion_xyzw: [0, 0, 0, 1]}\n"
+    )
+    found, dataset = read(tmp_path)
+    assert [round(m.stamp_s, 2) for m in found] == [1.0, 1.05, 1.05, 1.1, 1.2, 1.3]
+    assert isinstance(found[1], WheelOdometry) and found[1].T_odom_base.x() == pytest.approx(0.05)
+    assert isinstance(found[2], PointCloud) and found[2].T_base_lidar.z() == pytest.approx(0.7)
+    text = render_inspection(inspect_dataset(dataset))
+    assert "3 points, 3.74 to" in text and "mounted at x 0.100 m, y 0.000 m, z 0.700 m" in text
+
+
+def test_a_wrong_mounting_is_refused(tmp_path: Path) -> None:
+    folder = kitti(tmp_path)
+    (folder / "velodyne" / "calibration.yaml").write_text("T_base_lidar: {translation_m: [0, 0]}\n")
+    with pytest.raises(DatasetError, match="T_base_lidar"):
+        list(open_dataset(folder))
