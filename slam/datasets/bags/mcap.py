@@ -22,6 +22,7 @@ from slam.datasets.bags.records import (
     Channel,
     CutError,
     exactly,
+    one_line,
     ros2_name,
 )
 from slam.datasets.dataset import RecordFault
@@ -104,7 +105,7 @@ class _Tables:
                 number, schema = struct.unpack("<HH", exactly(stream, 4))
                 topic, wire = _text(stream), _text(stream)
                 name, text, language = self._schemas.get(schema, ("", "", "msg"))
-                self.channels[number] = Channel(topic, name, wire, text, language)
+                self.channels[number] = Channel(one_line(topic), one_line(name), wire, text, language)
         except (struct.error, CutError, UnicodeDecodeError) as error:
             raise RecordFault(DAMAGED, str(error)) from error
         return None

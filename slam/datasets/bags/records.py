@@ -12,6 +12,7 @@ from slam.datasets.dataset import RecordFault
 
 CUT = "the bag ends in the middle of a record; read up to there"
 DAMAGED = "damaged record of the bag"
+_LONGEST_NAME = 256
 LARGEST_BYTES = 1 << 29  # of one record or one unpacked chunk; beyond any message of a robot
 
 
@@ -96,6 +97,12 @@ def exactly(stream: BinaryIO, size: int) -> bytes:
     if len(content) < size:
         raise CutError(f"{size} bytes announced, {len(content)} there", content)
     return content
+
+
+def one_line(text: str) -> str:
+    """Text of a damaged file as it may be shown: in one line, and not too long."""
+    shown = "".join(letter if letter.isprintable() else "?" for letter in text[:_LONGEST_NAME])
+    return shown + ("..." if len(text) > _LONGEST_NAME else "")
 
 
 def ros2_name(kind: str) -> str:

@@ -16,6 +16,7 @@ from slam.datasets.bags.records import (
     Channel,
     CutError,
     exactly,
+    one_line,
     ros2_name,
 )
 from slam.datasets.dataset import RecordFault
@@ -168,4 +169,4 @@ def _connection(fields: _Fields, content: bytes) -> tuple[int, Channel]:
         part.decode("utf-8", "replace") for part in (fields.get("topic", b""), described.get("type", b""))
     ]
     text = described.get("message_definition", b"").decode("utf-8", "replace")
-    return number, Channel(names[0], ros2_name(names[1]), "ros1", text)
+    return number, Channel(one_line(names[0]), one_line(ros2_name(names[1])), "ros1", text)

@@ -8,7 +8,7 @@ from contextlib import closing
 from pathlib import Path
 
 from slam.datasets.account import Account
-from slam.datasets.bags.records import CUT, DAMAGED, LARGEST_BYTES, Channel, ros2_name
+from slam.datasets.bags.records import CUT, DAMAGED, LARGEST_BYTES, Channel, one_line, ros2_name
 from slam.datasets.dataset import RecordFault
 from slam.errors import DatasetError
 
@@ -38,7 +38,9 @@ class SqliteContainer:
             try:
                 channels = _channels(database)
             except sqlite3.Error as error:
-                raise DatasetError(f"{path} is no rosbag2 database: {error}; copy it again") from error
+                raise DatasetError(
+                    f"{path} is no rosbag2 database: {one_line(str(error))}; copy it again"
+                ) from error
             try:
                 for number, stamp_ns, content in database.execute(_MESSAGES):
                     if number in channels and isinstance(stamp_ns, int) and isinstance(content, bytes):
@@ -47,7 +49,7 @@ class SqliteContainer:
                         fault = RecordFault(DAMAGED, f"row of topic {number}")
                         account.refuse(fault, path.name, account.report.line_count)
             except sqlite3.Error as error:
-                account.refuse(RecordFault(CUT, str(error)), path.name, account.report.line_count)
+                account.refuse(RecordFault(CUT, one_line(str(error))), path.name, account.report.line_count)
 
 
 def is_rosbag2(path: Path) -> bool:
@@ -88,5 +90,7 @@ def _channels(database: sqlite3.Connection) -> dict[int, Channel]:
         "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
     ):
         text, language = definitions.get(str(kind), ("", "msg"))
-        found[int(number)] = Channel(str(topic), ros2_name(str(kind)), str(wire), text, language)
+        found[int(number)] = Channel(
+            one_line(str(topic)), one_line(ros2_name(str(kind))), str(wire), text, language
+        )
     return found
