@@ -107,6 +107,7 @@ def _joined(log: Path, known: SavedMap, session: SavedMap, folder: Path) -> tupl
     """Connect the two, and write the joined map into a folder; what was written."""
     from slam.sessions.connection import connect
     from slam.sessions.joined_files import move_into, write_joined
+    from slam.storage.files import write_bytes
 
     try:
         _refuse_unfit(session, f"what was mapped of {log}")
@@ -121,7 +122,8 @@ def _joined(log: Path, known: SavedMap, session: SavedMap, folder: Path) -> tupl
     whole = folder / _WORK / "map"
     shutil.rmtree(whole, ignore_errors=True)  # of a run that was killed
     write_joined(whole, known, session, connection.joined)
-    shutil.copyfile(session.path.parent / "report.html", whole / f"report-{len(known.sessions) + 1}.html")
+    report = (session.path.parent / "report.html").read_bytes()
+    write_bytes(whole / f"report-{len(known.sessions) + 1}.html", report)
     written = move_into(folder, whole)
     shutil.rmtree(session.path.parent)
     return connection, written

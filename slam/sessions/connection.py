@@ -19,7 +19,7 @@ from slam.storage.saved_map import SavedMap
 # Loops between two sessions: so many at least, and this share of them kept by the optimisation.
 _LEAST_LOOPS = 3
 _LEAST_KEPT_SHARE = 0.5
-# Real scans never repeat to the last digit: a log that shares so many of them is in the map already.
+# Real scans never repeat to the last digit: where so many are shared, one log is a part of the other.
 _MOST_SHARED = 0.5
 
 
@@ -55,7 +55,7 @@ def connect(known: SavedMap, session: SavedMap) -> Connection:
     """
     config = known.config
     shared = _shared_scans(known, session)
-    if shared > _MOST_SHARED * len(session.keyframe_scans):
+    if shared > _MOST_SHARED * min(len(session.keyframe_scans), len(known.keyframe_scans)):
         reason = f"{shared} of its {len(session.keyframe_scans)} keyframes are in the map already"
         return Connection(Placing(), (), None, reason)
     placing = place(
