@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from slam.comparison.isolation import Outcome
+from slam.comparison.isolation import STOPPING, Outcome
 from slam.comparison.perform import Row, perform, record_drive, row_of
 from slam.comparison.run import Run
 from slam.comparison.runs import Source
@@ -54,10 +54,29 @@ def client_of(workers: int, scheduler: str | None) -> Iterator[Client]:
     ScanweaveError
         Where the scheduler does not answer, has no workers, or they run other code than this.
     """
-    from distributed import Client, LocalCluster
+    from distributed import Client
 
     if scheduler is None:
-        # Slots are threads of this process: each only waits for the process that does its run.
+        with _local_client(workers) as client:
+            yield client
+        return
+    try:
+        client = Client(scheduler, timeout=_CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError, TimeoutError) as error:
+        raise ScanweaveError(
+            f"no Dask scheduler answers at {scheduler} ({error}); start one with 'dask scheduler'"
+        ) from error
+    with client:
+        _check_workers(client, scheduler)
+        yield client
+
+
+@contextmanager
+def _local_client(workers: int) -> Iterator[Client]:
+    """A client of a cluster in this process: slots are threads that wait for the process of their run."""
+    from distributed import Client, LocalCluster
+
+    try:
         with (
             LocalCluster(  # type: ignore[no-untyped-call]
                 n_workers=1,
@@ -70,17 +89,12 @@ def client_of(workers: int, scheduler: str | None) -> Iterator[Client]:
             ) as cluster,
             Client(cluster) as client,  # type: ignore[no-untyped-call]
         ):
-            yield client
-        return
-    try:
-        client = Client(scheduler, timeout=_CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
-    except (OSError, ValueError, TimeoutError) as error:
-        raise ScanweaveError(
-            f"no Dask scheduler answers at {scheduler} ({error}); start one with 'dask scheduler'"
-        ) from error
-    with client:
-        _check_workers(client, scheduler)
-        yield client
+            try:
+                yield client
+            finally:
+                STOPPING.set()  # a thread cannot be interrupted: closing would wait for the end of its run
+    finally:
+        STOPPING.clear()
 
 
 def _check_workers(client: Client, scheduler: str) -> None:

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from contextlib import suppress
 from dataclasses import dataclass
@@ -25,6 +26,8 @@ THREAD_LIMITS = {
     "OPENCV_FOR_THREADS_NUM": "1",
 }
 _LOOK_S = 0.1
+# Set by whoever stops a comparison in this process: its threads end their runs, and begin no more.
+STOPPING = threading.Event()
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +89,8 @@ def run_isolated(job: dict[str, Any], folder: Path, timeout_s: float, memory_mb:
     elapsed_s = time.monotonic() - started
     if stopped == "timeout":
         return Outcome("timeout", f"took longer than {timeout_s:g} s (timeout_s)", elapsed_s, peak_mb)
+    if stopped == "interrupted":
+        return Outcome("killed", "was interrupted", elapsed_s, peak_mb)
     if stopped == "memory":
         text = f"took {peak_mb:.0f} MB, more than {memory_mb:g} MB (memory_mb)"
         return Outcome("memory", text, elapsed_s, peak_mb)
@@ -94,7 +99,7 @@ def run_isolated(job: dict[str, Any], folder: Path, timeout_s: float, memory_mb:
 
 def _watched(
     process: subprocess.Popen[bytes], deadline_s: float, memory_mb: float
-) -> tuple[Literal["timeout", "memory"] | None, float]:
+) -> tuple[Literal["timeout", "memory", "interrupted"] | None, float]:
     """Wait for the end of a process or for what stops it; and the greatest memory seen."""
     import psutil
 
@@ -106,6 +111,8 @@ def _watched(
             return None, peak_mb
         except subprocess.TimeoutExpired:
             pass
+        if STOPPING.is_set():
+            return "interrupted", peak_mb
         with suppress(psutil.Error):
             family = [watched, *watched.children(recursive=True)]
             peak_mb = max(peak_mb, sum(_resident_mb(member) for member in family))

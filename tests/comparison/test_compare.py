@@ -9,6 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pyarrow.parquet as pq
 import pytest
 from command_line import Scanweave, assert_one_line_error, scanweave
@@ -16,8 +17,10 @@ from tiny_comparison import Tiny
 
 from slam.comparison.compare import compare
 from slam.comparison.drives import drives_of
-from slam.comparison.experiment import Simulation
+from slam.comparison.experiment import Simulation, load_experiment
+from slam.comparison.isolation import STOPPING
 from slam.comparison.perform import record_drive
+from slam.comparison.runs import plan_of
 from slam.comparison.store import ResultStore
 from slam.evaluation.truth_comparison import compare_with_truth
 from slam.storage.tum import read_tum
@@ -141,3 +144,24 @@ def test_runs_without_their_drive_are_rows(tmp_path: Path) -> None:
     (row,) = compare(tmp_path / "x.yaml", tmp_path / "out", workers=1).rows
     assert row["status"] == "failed"
     assert "its data set could not be made: took longer than 0.05 s" in row["reason"]
+
+
+def test_an_interrupt_ends_the_runs_at_once_and_resume_repeats_them(tmp_path: Path) -> None:
+    long, short = ("['{python}', -c, 'import time; time.sleep(600)']", "['{python}', -V]")
+    (tmp_path / "x.yaml").write_text(
+        f"{{name: x, commands: [{{name: long, command: {long}}}, {{name: short, command: {short}}}]}}"
+    )
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        compare(tmp_path / "x.yaml", tmp_path / "out", workers=2, on_row=interrupt)
+    assert psutil.Process().children(recursive=True) == []
+    assert not STOPPING.is_set()
+    store = ResultStore(tmp_path / "out")
+    plan = plan_of(load_experiment(tmp_path / "x.yaml"), tmp_path, tmp_path)
+    ended = {run.configuration: store.row(run.key) for run in plan.runs}
+    assert ended["short"] is not None and ended["short"]["status"] == "ok"
+    assert ended["long"] is None or ended["long"]["reason"] == "was interrupted"
+    assert store.missing([run.key for run in plan.runs], resume=True) == {plan.runs[0].key}
