@@ -64,11 +64,11 @@ def _measured(run: Run, folder: Path) -> dict[str, Any]:
     from slam.datasets import open_dataset
     from slam.storage.tum import read_tum
 
-    dataset = open_dataset(Path(run.log))
+    config = Config.model_validate_json(run.config) if run.config else Config()
+    dataset = open_dataset(Path(run.log), topics=config.sensors.topics)
     if run.method == "external":
         return _scored(run, Product(read_tum(Path(run.trajectory))), folder)
     if run.method == SCANWEAVE:
-        config = Config.model_validate_json(run.config)
         product, cost = _timed(lambda: scanweave(dataset, config))
     else:
         product, cost = _timed(lambda: STOCK[run.method](dataset))

@@ -15,7 +15,16 @@ from slam.errors import DatasetError, ScanweaveError
 from slam.layer_outputs import layers_of
 from slam.map_recording import scan_points
 from slam.map_result import MapResult
-from slam.measurements import FloatArray, LaserScan, RgbdFrame, Trajectory, WheelOdometry, row_from_pose2
+from slam.measurements import (
+    FloatArray,
+    LaserScan,
+    PointCloud,
+    RgbdFrame,
+    Trajectory,
+    WheelOdometry,
+    row_from_pose2,
+)
+from slam.open3d_library import load_open3d
 from slam.pipeline import build_map
 
 _FARTHEST_DEPTH_M = 4.0
@@ -53,7 +62,10 @@ def wheels(dataset: Dataset) -> Product:
 
 
 def kiss_icp(dataset: Dataset) -> Product:
-    """Stock KISS-ICP with its own defaults on the points of each scan; no deskewing, a scan has one stamp."""
+    """Stock KISS-ICP with its own defaults on each cloud of a 3D lidar, or else on the points of each scan.
+
+    No deskewing: it aborts the process on points that bear no times of their own.
+    """
     from kiss_icp.config import KISSConfig
     from kiss_icp.kiss_icp import KissICP
 
@@ -64,18 +76,18 @@ def kiss_icp(dataset: Dataset) -> Product:
     settings.mapping.voxel_size = settings.data.max_range / 100.0
     odometry = KissICP(settings)
     stamps, poses = [], []
-    for scan in dataset:
-        if not isinstance(scan, LaserScan):
+    kind = PointCloud if any(isinstance(reading, PointCloud) for reading in dataset) else LaserScan
+    for reading in dataset:
+        if not isinstance(reading, kind):
             continue
-        points = _points_laser(scan)
+        mount, points = _cloud(reading)
         if not len(points):
             continue  # KISS-ICP takes an empty cloud for a motion
         odometry.register_frame(points, np.zeros(len(points)))
-        mount = gtsam.Pose3(scan.T_base_laser)
         poses.append(mount.compose(gtsam.Pose3(odometry.last_pose)).compose(mount.inverse()))
-        stamps.append(scan.stamp_s)
+        stamps.append(reading.stamp_s)
     if not stamps:
-        raise DatasetError(f"{dataset.name} holds no scan; leave 'kiss_icp' out of its baselines")
+        raise DatasetError(f"{dataset.name} holds no scan or cloud; leave 'kiss_icp' out of its baselines")
     return Product(_trajectory(stamps, poses))
 
 
@@ -84,8 +96,7 @@ def open3d(dataset: Dataset) -> Product:
 
     A step that fails is taken as no motion.
     """
-    import open3d as o3d
-
+    o3d = load_open3d()
     odometry = o3d.t.pipelines.odometry
     before, camera, first = None, None, ""
     pose, failed = np.eye(4), 0
@@ -128,10 +139,12 @@ def open3d(dataset: Dataset) -> Product:
 STOCK: dict[str, Callable[[Dataset], Product]] = {"wheels": wheels, "kiss_icp": kiss_icp, "open3d": open3d}
 
 
-def _points_laser(scan: LaserScan) -> FloatArray:
-    """(N, 3) points of the beams that met something, laser frame, z = 0."""
-    points = scan_points(scan, scan.T_base_laser.inverse())
-    return np.column_stack([points, np.zeros(len(points))])
+def _cloud(reading: LaserScan | PointCloud) -> tuple[gtsam.Pose3, FloatArray]:
+    """A lidar's mounting, and (N, 3) points in its frame; those of a scan have z = 0."""
+    if isinstance(reading, PointCloud):
+        return reading.T_base_lidar, reading.points_lidar.astype(np.float64)
+    points = scan_points(reading, reading.T_base_laser.inverse())
+    return gtsam.Pose3(reading.T_base_laser), np.column_stack([points, np.zeros(len(points))])
 
 
 def _accepted(result: MapResult) -> list[AcceptedLoop] | None:
