@@ -42,8 +42,11 @@ def localize(
     strict: StrictOption = False,
     topics: TopicsOption = None,
     record: RecordOption = None,
+    update: Annotated[
+        bool, typer.Option("--update", help="then add the log to the map, as 'scanweave map LOG --into MAP'")
+    ] = False,
 ) -> None:
-    """Find and follow the robot of a log in a saved map, from no start pose; the map is not changed."""
+    """Find and follow the robot of a log in a saved map, from no start pose; the map stays as it is."""
     started = time.perf_counter()
     from slam.config import load_config
     from slam.datasets import open_dataset
@@ -78,6 +81,11 @@ def localize(
         f"{time.perf_counter() - started:.1f} s"
     )
     print("wrote " + ", ".join(str(path) for path in [*written, report]))
+    saved.close()
+    if update:
+        from slam.cli.map_into import map_into
+
+        map_into(log, map_, None, settings if config or set_ else None, strict, resume=False)
 
 
 def _drive(known_map: KnownMap, dataset: Dataset, settings: Config, viewer: Viewer) -> DriveLog:
