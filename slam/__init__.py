@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from slam.localization.output import State as State
     from slam.measurements import CameraIntrinsics as CameraIntrinsics
     from slam.measurements import LaserScan as LaserScan
+    from slam.measurements import PointCloud as PointCloud
     from slam.measurements import RgbdFrame as RgbdFrame
     from slam.measurements import WheelOdometry as WheelOdometry
     from slam.storage.saved_map import SavedMap as SavedMap
@@ -33,6 +34,7 @@ _HOMES = {
     "LaserScan": ("slam.measurements", "LaserScan"),
     "Localizer": ("slam.localization.localizer", "Localizer"),
     "LocalizerOutput": ("slam.localization.output", "LocalizerOutput"),
+    "PointCloud": ("slam.measurements", "PointCloud"),
     "RgbdFrame": ("slam.measurements", "RgbdFrame"),
     "SavedMap": ("slam.storage.saved_map", "SavedMap"),
     "ScanweaveError": ("slam.errors", "ScanweaveError"),
