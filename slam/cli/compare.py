@@ -18,13 +18,14 @@ if TYPE_CHECKING:
 @app.command()
 def compare(
     experiment: Annotated[
-        Path, typer.Argument(help="experiment file (YAML); ready ones are in configs/experiments/")
+        str, typer.Argument(help="experiment file (.yaml), or a ready one: ablation, lidar2d, papers")
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="folder for the results; made where missing")],
     data: Annotated[
         Path | None,
         typer.Option(
-            help="folder that relative paths are taken from; the experiment file's own if not given"
+            help="folder that relative paths are taken from; if not given the experiment file's own, of a "
+            "ready one the present one"
         ),
     ] = None,
     cache: Annotated[
@@ -44,17 +45,19 @@ def compare(
 ) -> None:
     """Run data sets x configurations x seeds, each run in its own process, and compare them."""
     from slam.comparison.compare import compare as run_comparison
+    from slam.comparison.experiment import find_experiment
     from slam.comparison.recording import record_comparison
     from slam.comparison.store import ResultStore
     from slam.viewer import recording
 
     if workers is not None and scheduler is not None:
         raise typer.BadParameter("--workers is for this machine; a scheduler has workers of its own")
+    file = find_experiment(experiment)
     with recording(record) as viewer:
         done = run_comparison(
-            experiment,
+            file,
             out,
-            data=data,
+            data=data or (None if file == Path(experiment) else Path()),
             cache=cache,
             workers=workers,
             scheduler=scheduler,

@@ -11,8 +11,12 @@ from typing import Any, Literal, TypeAlias
 import yaml
 from pydantic import Field, ValidationError, model_validator
 
+import slam
 from slam.config_stages import StrictModel
 from slam.errors import ConfigError
+
+# By way of the link to the top-level configs/, so that a wheel carries them as the presets.
+_READY = Path(slam.__file__).parent / "presets" / "experiments"
 
 Value: TypeAlias = bool | int | float | str | list[Any] | None
 Baseline: TypeAlias = Literal[
@@ -158,6 +162,27 @@ def baseline_name(baseline: Baseline) -> str:
         "rgbd_only": "RGB-D only",
     }
     return shown.get(baseline, baseline.replace("_", " "))
+
+
+def find_experiment(name_or_path: str) -> Path:
+    """Path of an experiment: what ends in .yaml or .yml is one, anything else is a ready one's name.
+
+    Raises
+    ------
+    ConfigError
+        Where there is none of that name.
+    """
+    if Path(name_or_path).suffix in {".yaml", ".yml"}:
+        return Path(name_or_path)
+    names = sorted(file.stem for file in _READY.glob("*.yaml"))
+    if name_or_path not in names:
+        nearest = difflib.get_close_matches(name_or_path, names, n=1)
+        hint = f"; did you mean '{nearest[0]}'?" if nearest else ""
+        raise ConfigError(
+            f"no experiment '{name_or_path}'{hint}; ready ones are: {', '.join(names)}; "
+            "a file of your own must end in .yaml"
+        )
+    return _READY / f"{name_or_path}.yaml"
 
 
 def load_experiment(path: Path) -> Experiment:

@@ -40,9 +40,10 @@ def trajectories_png(ways_m: Mapping[str, FloatArray], truth_m: FloatArray | Non
     for color, (name, way) in zip(_colors(ways_m), ways_m.items(), strict=True):
         xy = thinned(way)
         axes.plot(xy[:, 0], xy[:, 1], color=color, linewidth=1.1, label=name)
-    low, high = _reach(truth_m if truth_m is not None else next(iter(ways_m.values())))
+    low, high = _reach(
+        truth_m if truth_m is not None else next(iter(ways_m.values())), 0.67 / 0.89 * 1000 / 620
+    )
     axes.set(xlabel="x, m", ylabel="y, m", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    axes.set_aspect("equal", adjustable="datalim")
     _legend_beside(figure, axes)
     plain(axes)
     return png_of(figure)
@@ -120,11 +121,12 @@ def maps_png(maps: Mapping[str, tuple[StateArray, float]]) -> bytes:
     return png_of(figure)
 
 
-def _reach(way_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest corner of a picture around a way, with a sixth to spare on every side."""
+def _reach(way_m: FloatArray, wide: float) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest corner of a picture of that width over height around a way, with room to spare."""
     low, high = way_m.min(axis=0), way_m.max(axis=0)
-    margin_m = max(float((high - low).max()) / 6.0, 0.5)
-    return low - margin_m, high + margin_m
+    size = high - low + 2.0 * max(float((high - low).max()) / 6.0, 0.5)
+    size = np.maximum(size, [wide * size[1], size[0] / wide])  # the same scale on both axes
+    return (low + high - size) / 2.0, (low + high + size) / 2.0
 
 
 def _colors(names: Mapping[str, object]) -> list[str]:

@@ -102,9 +102,9 @@ async def _visited(address: str, page: Path, look: Callable[[Page], Any]) -> Any
 
     async def call(method: str, **params: Any) -> Any:
         number = next(numbers)
-        answers[number] = asyncio.get_running_loop().create_future()
+        future = answers[number] = asyncio.get_running_loop().create_future()
         await socket.write_message(json.dumps({"id": number, "method": method, "params": params, **session}))
-        answer = await answers[number] if number in answers else {}
+        answer = await future
         assert "error" not in answer, answer
         return answer["result"]
 

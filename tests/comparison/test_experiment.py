@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from slam.comparison import runs
-from slam.comparison.experiment import load_experiment
+from slam.comparison.experiment import find_experiment, load_experiment
 from slam.comparison.runs import Plan, plan_of
 from slam.errors import ConfigError, DatasetError
 
@@ -168,7 +168,10 @@ def test_what_is_no_experiment_is_refused(tmp_path: Path, text: str) -> None:
 
 def test_the_ready_experiments_are_sound() -> None:
     folder = Path(__file__).parents[2] / "configs" / "experiments"
-    loaded = {file.stem: load_experiment(file) for file in sorted(folder.glob("*.yaml"))}
+    names = [file.stem for file in sorted(folder.glob("*.yaml"))]
+    loaded = {name: load_experiment(find_experiment(name)) for name in names}
+    with pytest.raises(ConfigError, match=r"no experiment 'ablatio'; did you mean 'ablation'\?"):
+        find_experiment("ablatio")
     assert set(loaded) == {"ablation", "lidar2d", "papers"}
     assert loaded["ablation"].datasets[0].simulate is not None
     assert len(loaded["papers"].commands) == 3
