@@ -17,6 +17,7 @@ from pydantic import BaseModel, Field, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
+from slam.config_clouds import CloudLoopConfig, CloudMapConfig, CloudOdometryConfig
 from slam.config_localization import LocalizationConfig
 from slam.config_stages import (
     BundleConfig,
@@ -67,6 +68,9 @@ class Config(StrictModel):
     grid: GridConfig = GridConfig()
     layers: LayersConfig = LayersConfig()
     dense_map: DenseMapConfig = DenseMapConfig()
+    cloud_odometry: CloudOdometryConfig = CloudOdometryConfig()
+    cloud_loops: CloudLoopConfig = CloudLoopConfig()
+    cloud_map: CloudMapConfig = CloudMapConfig()
     localization: LocalizationConfig = LocalizationConfig()
 
 

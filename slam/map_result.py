@@ -26,6 +26,25 @@ class DenseKeyframes:
 
 
 @dataclass(frozen=True, slots=True)
+class MappedClouds:
+    """Points of the keyframes of a 3D lidar, base frame, which can be iterated again and again.
+
+    Attributes
+    ----------
+    clouds
+        (N, 3) each.
+    poses
+        Their optimised ``T_map_base``.
+    T_base_lidar
+        Where their rays begin.
+    """
+
+    clouds: Iterable[FloatArray]
+    poses: Sequence[gtsam.Pose3]
+    T_base_lidar: gtsam.Pose3
+
+
+@dataclass(frozen=True, slots=True)
 class MapResult:
     """A finished map.
 
@@ -63,6 +82,8 @@ class MapResult:
         Camera keyframes for a coloured map; None where there is no camera.
     cameras
         What became of every camera's frames, by its name.
+    clouds
+        Keyframes of a 3D lidar; None where there is none.
     """
 
     trajectory: Trajectory
@@ -81,3 +102,4 @@ class MapResult:
     fused: FusionSummary | None = None
     cameras: Mapping[str, CameraRecord] = field(default_factory=dict)
     measured_scans: list[LaserScan | None] = field(default_factory=list)
+    clouds: MappedClouds | None = None

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from slam.map_result import MapResult
-from slam.measurements import LaserScan, WheelOdometry
+from slam.measurements import LaserScan, PointCloud, WheelOdometry
 from slam.mount_learner import LearnedMounting
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prepared_frame import PreparedFrame
@@ -34,6 +34,10 @@ class Mapper(Protocol):
 
     def add_scan(self, scan: LaserScan) -> None:
         """Take a lidar scan."""
+        ...
+
+    def add_cloud(self, cloud: PointCloud) -> None:
+        """Take a turn of a 3D lidar."""
         ...
 
     def add_frame(self, frame: PreparedFrame) -> None:

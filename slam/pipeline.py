@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
+from slam.cloud_mapper import CloudMapper
 from slam.config import Config
 from slam.datasets.dataset import Dataset
 from slam.errors import DatasetError
 from slam.journal import Journal
 from slam.map_result import MapResult
 from slam.mapper import Mapper
-from slam.measurements import LaserScan, Measurement, WheelOdometry
+from slam.measurements import LaserScan, Measurement, PointCloud, WheelOdometry
 from slam.planar_mapper import PlanarMapper
 from slam.sensor_choice import SensorChoice, used_measurements
 from slam.spatial_mapper import SpatialMapper
@@ -50,9 +51,13 @@ def build_map(
     )
     mountings = journal.mountings()
     prepare = FramePreparer(config.rgbd, registrations, lambda: journal.replaying) if choice.cameras else None
-    mapper: Mapper = (
-        SpatialMapper(config, journal) if choice.spatial else PlanarMapper(config, mountings, journal)
-    )
+    mapper: Mapper
+    if choice.cloud:
+        mapper = CloudMapper(config, journal, choice.unused_cameras)
+    elif choice.spatial:
+        mapper = SpatialMapper(config, journal)
+    else:
+        mapper = PlanarMapper(config, mountings, journal)
     mapper.note_registrations(registrations)
     _feed(mapper, dataset, config, prepare, on_scan)
     if not mountings and (mountings := mapper.learned_mountings()):
@@ -80,6 +85,8 @@ def _feed(
             mapper.add_frame(measurement)
         elif isinstance(measurement, LaserScan):
             mapper.add_scan(measurement)
+        elif isinstance(measurement, PointCloud):
+            mapper.add_cloud(measurement)
         elif isinstance(measurement, WheelOdometry):
             mapper.add_odometry(measurement)
         if on_scan:

@@ -21,7 +21,7 @@ from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import between
 from slam.matching.scan_points import ScanPoints, extract_points
-from slam.measurements import FloatArray, LaserScan, WheelOdometry, row_from_pose2
+from slam.measurements import FloatArray, LaserScan, PointCloud, WheelOdometry, row_from_pose2
 from slam.mount_learner import LearnedMounting
 from slam.odometry import make_lidar_odometry
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
@@ -100,6 +100,9 @@ class PlanarMapper:
         points = extract_points(scan, settings.range_min_m, settings.range_max_m, settings.neighbours)
         self._scan_stamp_s = scan.stamp_s
         self._add_moment(scan.stamp_s, scan, points, started)
+
+    def add_cloud(self, cloud: PointCloud) -> None:
+        """A planar scan tells a robot on a floor as much; clouds have their own mapper."""
 
     def add_frame(self, frame: PreparedFrame) -> None:
         """Track a frame; where no scan has come for a while, the leading camera carries the robot on."""

@@ -6,17 +6,20 @@ from pathlib import Path
 
 import numpy as np
 
+from slam.config_clouds import CloudMapConfig
 from slam.config_stages import DenseMapConfig
 from slam.errors import ScanweaveError
 from slam.map_result import DenseKeyframes, MapResult
+from slam.mapping.cloud_map import map_cloud
 from slam.mapping.dense_map import DenseMapSettings, fuse_keyframes
 from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.matching.local_cloud import moved
 from slam.storage.files import make_folder
 from slam.storage.g2o import G2oEdge, G2oGraph, write_g2o
 from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor
 from slam.storage.nav2 import write_nav2_map
-from slam.storage.octomap import write_octomap
+from slam.storage.octomap import write_octomap, write_octree
 from slam.storage.ply import write_cloud_ply, write_mesh_ply
 from slam.storage.saved_map import SavedMap
 from slam.storage.tum import write_tum
@@ -61,6 +64,31 @@ def save_dense(folder: Path, result: MapResult, config: DenseMapConfig) -> list[
     written = save_surface(folder / "mesh.ply", result.dense, config)
     if config.octomap:
         save_octomap(folder / "map.bt", result.dense, config)
+        written.append(folder / "map.bt")
+    return written
+
+
+def save_clouds(folder: Path, result: MapResult, config: CloudMapConfig, dense: DenseMapConfig) -> list[Path]:
+    """Write ``cloud.ply`` of a 3D lidar's keyframes, and ``map.bt`` where it is asked for.
+
+    Raises
+    ------
+    ScanweaveError
+        Where a file cannot be written, or a library that this needs is missing.
+    """
+    mapped = result.clouds
+    if mapped is None or not (config.enabled and dense.enabled):
+        return []
+    write_cloud_ply(folder / "cloud.ply", map_cloud(mapped.clouds, mapped.poses, config.voxel_m))
+    written = [folder / "cloud.ply"]
+    if dense.octomap:
+        T_base_lidar = mapped.T_base_lidar
+        T_lidar_base = T_base_lidar.inverse()
+        views = (
+            (moved(points, T_lidar_base), T_map_base.compose(T_base_lidar))
+            for points, T_map_base in zip(mapped.clouds, mapped.poses, strict=True)
+        )
+        write_octree(folder / "map.bt", views, dense.octomap_cell_m, config.plan_range_m)
         written.append(folder / "map.bt")
     return written
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from slam.config_stages import SensorsConfig
-from slam.measurements import LaserScan, Measurement, RgbdFrame, WheelOdometry
+from slam.measurements import LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
 
 _LOOK_S = 3.0
 _LOOK_COUNT = 1000
@@ -22,24 +22,34 @@ class SensorChoice:
         Whether the robot is a camera that moves freely, not a vehicle on a floor.
     cameras
         Names of the RGB-D cameras that are used, in the order in which they appear.
+    cloud
+        Whether a 3D lidar makes the map.
+    unused_cameras
+        Names of the cameras that are not used beside it.
     """
 
     spatial: bool
     cameras: tuple[str, ...]
+    cloud: bool = False
+    unused_cameras: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, log: Iterable[Measurement], config: SensorsConfig) -> SensorChoice:
         """Choose by configuration, and else by what the first seconds hold."""
         cameras: dict[str, None] = {}
-        vehicle = False
+        vehicle = scans = clouds = False
         first_s: float | None = None
         for count, measurement in enumerate(used_measurements(log, config)):
             first_s = measurement.stamp_s if first_s is None else first_s
             if isinstance(measurement, RgbdFrame):
                 cameras[measurement.sensor] = None
             vehicle |= isinstance(measurement, LaserScan | WheelOdometry)
+            scans |= isinstance(measurement, LaserScan)
+            clouds |= isinstance(measurement, PointCloud)
             if measurement.stamp_s - first_s > _LOOK_S or count > _LOOK_COUNT:
                 break
+        if clouds and (not scans or config.motion == "spatial"):
+            return cls(True, (), True, tuple(cameras))
         spatial = bool(cameras) and not vehicle if config.motion == "auto" else config.motion == "spatial"
         return cls(spatial, tuple(cameras))
 
@@ -50,5 +60,5 @@ def used_measurements(log: Iterable[Measurement], config: SensorsConfig) -> Iter
         if isinstance(measurement, RgbdFrame):
             if config.rgbd:
                 yield measurement
-        elif config.lidar or not isinstance(measurement, LaserScan):
+        elif config.lidar or not isinstance(measurement, LaserScan | PointCloud):
             yield measurement

@@ -15,7 +15,7 @@ from slam.graph.visual_loops import VisualLoopCloser
 from slam.journal import Journal
 from slam.keyframe_store import KeyframeStore, registration_notes
 from slam.map_result import DenseKeyframes, MapResult
-from slam.measurements import FloatArray, LaserScan, WheelOdometry
+from slam.measurements import FloatArray, LaserScan, PointCloud, WheelOdometry
 from slam.mount_learner import LearnedMounting
 from slam.odometry.rgbd_odometry import make_rgbd_odometry
 from slam.odometry.rgbd_tracker import RgbdTracker, TrackedFrame
@@ -71,6 +71,9 @@ class SpatialMapper:
 
     def add_scan(self, scan: LaserScan) -> None:
         """Nor does a planar scan."""
+
+    def add_cloud(self, cloud: PointCloud) -> None:
+        """A run with a 3D lidar has its own mapper."""
 
     def add_frame(self, frame: PreparedFrame) -> None:
         """Match a frame; where the camera has moved on, make it a keyframe and close loops."""

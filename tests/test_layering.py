@@ -17,7 +17,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"slam.sessions", "slam.comparison"}),
     frozenset({"slam.evaluation", "slam.run_outputs", "slam.layer_outputs", "slam.map_recording"}),
     frozenset({"slam.pipeline", "slam.localization"}),
-    frozenset({"slam.planar_mapper", "slam.spatial_mapper"}),  # what the main loop feeds
+    frozenset({"slam.planar_mapper", "slam.spatial_mapper", "slam.cloud_mapper"}),  # what the main loop feeds
     frozenset({"slam.mapper", "slam.planar_places", "slam.sliding_window"}),
     frozenset({"slam.map_result", "slam.keyframe_store"}),
     frozenset({"slam.keyframe_fusion"}),
@@ -31,7 +31,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     # kernels shared by odometry, graph and localization
     frozenset({"slam.matching", "slam.vision"}),
     frozenset({"slam.config", "slam.measurements"}),
-    frozenset({"slam.config_localization"}),
+    frozenset({"slam.config_localization", "slam.config_clouds"}),
     frozenset({"slam.config_stages"}),  # the models alone; config reads and writes them
     frozenset({"slam.open3d_library"}),
     frozenset({"slam.errors", "slam.answers", "fusion"}),

@@ -62,9 +62,9 @@ def map_command(
     """Map a log: trajectory, graph, grid, report, and all of it in map.db."""
     overrides = [*(set_ or []), *topics_override(topics)]
     if no_odometry:
-        overrides.append("lidar_odometry.use_wheel_odometry=false")
+        overrides += [f"{stage}.use_wheel_odometry=false" for stage in ("lidar_odometry", "cloud_odometry")]
     if no_loops:
-        overrides += ["loops.enabled=false", "visual_loops.enabled=false"]
+        overrides += [f"{stage}.enabled=false" for stage in ("loops", "visual_loops", "cloud_loops")]
     if no_fusion:
         overrides.append("fusion.enabled=false")
     if into is not None and record is not None:
@@ -190,13 +190,14 @@ def _map(
 def _save(out: Path, result: MapResult, config: Config) -> tuple[list[Path], LayeredMap | None]:
     """Write the files for other programs; which they are, and the layers."""
     from slam.layer_outputs import layers_of
-    from slam.run_outputs import save_dense, save_run
+    from slam.run_outputs import save_clouds, save_dense, save_run
     from slam.storage.nav2_layers import write_layers
 
     written, layers = save_run(out, result), None
     # Whatever fails of these, the rest of the run is still worth its report.
     try:
         written += save_dense(out, result, config.dense_map)
+        written += save_clouds(out, result, config.cloud_map, config.dense_map)
     except ScanweaveError as error:
         result.warnings.append(f"No coloured surface was written: {error}")
     try:

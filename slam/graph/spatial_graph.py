@@ -1,4 +1,4 @@
-"""The graph of camera keyframes in space: a chain, loops, and where they all lie."""
+"""The graph of keyframes in space: a chain, loops, and where they all lie."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from slam.measurements import FloatArray
 
 
 class SpatialGraph:
-    """Keyframes 0..n-1 of a camera that moves freely."""
+    """Keyframes 0..n-1 of a sensor that moves freely; ``kind`` is what measures its steps."""
 
-    def __init__(self, origin: gtsam.Pose3, config: GraphConfig) -> None:
+    def __init__(self, origin: gtsam.Pose3, config: GraphConfig, kind: EdgeKind = EdgeKind.RGBD) -> None:
         self.graph = PoseGraph(origin)
         self.loops: list[LoopCandidate] = []
-        self._config = config
+        self._config, self._kind = config, kind
         self._poses = [origin]
         self._loop_of_edge: dict[int, int] = {}
         self._loop_waits = False
@@ -41,7 +41,7 @@ class SpatialGraph:
         """
         key = self.graph.add_node(self._poses[-1].compose(step))
         self._poses.append(self._poses[-1].compose(step))
-        kind = EdgeKind.ASSUMED if covariance is None else EdgeKind.RGBD
+        kind = EdgeKind.ASSUMED if covariance is None else self._kind
         config = self._config
         if covariance is None:
             covariance = np.diag([config.lost_sigma_rad**2] * 3 + [config.lost_sigma_m**2] * 3)

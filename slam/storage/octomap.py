@@ -44,6 +44,20 @@ def write_octomap(
     MapFileError
         Where the file cannot be written.
     """
+    views = (
+        (_points_camera(frame, resolution_m, range_max_m), T_map_camera)
+        for frame, T_map_camera in posed_frames(frames, poses)
+    )
+    write_octree(path, views, resolution_m, range_max_m)
+
+
+def write_octree(
+    path: Path, views: Iterable[tuple[FloatArray, gtsam.Pose3]], resolution_m: float, range_max_m: float
+) -> None:
+    """Write what a sensor saw: points (N, 3) in its frame, and its ``T_map_sensor``; raises the same.
+
+    Points that are not finite must not be among them.
+    """
     if not (resolution_m > 0.0 and range_max_m > 0.0):
         raise ConfigError(
             f"OctoMap with a resolution of {resolution_m:g} m and a range of {range_max_m:g} m; "
@@ -55,18 +69,17 @@ def write_octomap(
         raise ScanweaveError("OctoMap files need an extra: pip install 'scanweave[octomap]'") from error
     tree = octomap.OcTree(resolution_m)
     reach_m = HALF_TREE * resolution_m - range_max_m
-    for frame, T_map_camera in posed_frames(frames, poses):
-        origin_map = T_map_camera.translation()
+    for points, T_map_sensor in views:
+        origin_map = T_map_sensor.translation()
         if np.abs(origin_map).max() > reach_m:
             raise ScanweaveError(
-                f"camera at {np.round(origin_map, 1).tolist()} m; an OctoMap of {resolution_m:g} m voxels "
+                f"sensor at {np.round(origin_map, 1).tolist()} m; an OctoMap of {resolution_m:g} m voxels "
                 f"ends {reach_m:.0f} m from the origin: use a larger resolution"
             )
-        points_camera = _points_camera(frame, resolution_m, range_max_m)
-        points_map = points_camera @ T_map_camera.rotation().matrix().T + origin_map
+        points_map = points @ T_map_sensor.rotation().matrix().T + origin_map
         tree.insertPointCloud(points_map, origin_map, maxrange=range_max_m, lazy_eval=True, discretize=True)
     if tree.size() == 0:
-        raise ScanweaveError(f"nothing for {path}: no keyframe has depth; is the depth scale right?")
+        raise ScanweaveError(f"nothing for {path}: no keyframe has depth in range; is the depth scale right?")
     tree.updateInnerOccupancy()
     write_bytes(path, tree.writeBinary())  # which prunes first
 

@@ -1,0 +1,212 @@
+"""Mapping with a 3D lidar: clouds -> keyframes -> graph -> loops, in SE(3); the plan is cut by height."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+
+import gtsam
+import numpy as np
+
+from fusion.height_band import HeightBand
+from slam.config import Config
+from slam.errors import DatasetError, ScanweaveError
+from slam.graph.cloud_loops import CloudLoopCloser
+from slam.graph.pose_graph import EdgeKind
+from slam.graph.spatial_graph import SpatialGraph
+from slam.journal import Journal
+from slam.map_result import MappedClouds, MapResult
+from slam.mapping.band_scan import band_scan, ground_height
+from slam.mapping.cloud_keyframes import CloudKeyframes
+from slam.mapping.keyframe_grid import grid_of_keyframes
+from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.matching.cloud_points import thinned
+from slam.measurements import FloatArray, LaserScan, PointCloud, WheelOdometry
+from slam.mount_learner import LearnedMounting
+from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
+from slam.odometry.wheel_tracker import WheelTracker
+from slam.scan_record import ScanRecorder
+from slam.spatial_trajectory import FramePoses
+from slam.vision.color_registration import ColorRegistration
+from slam.vision.prepared_frame import PreparedFrame
+
+# Keyframes by which the ground is found, and how far from the base it may be before that is told.
+_GROUND_KEYFRAMES = 20
+_GROUND_SLACK_M = 0.1
+# A kept cloud is as fine as the map, and four times as fine as the matching.
+_KEPT_SHARE = 0.25
+# So many scans of which none matched are no log of a 3D lidar.
+_HOPELESS = 20
+
+
+class CloudMapper:
+    """State of a run: feed clouds in log order, then finish; see `slam.mapper.Mapper`.
+
+    The map frame is that of the first base pose.
+
+    Parameters
+    ----------
+    unused_cameras
+        Cameras of the log, which the map is made without.
+    """
+
+    def __init__(
+        self, config: Config, journal: Journal | None = None, unused_cameras: Sequence[str] = ()
+    ) -> None:
+        self._config, self._journal = config, journal or Journal()
+        self._unused_cameras = unused_cameras
+        settings = config.cloud_odometry
+        self._wheels = WheelTracker(config.wheels) if settings.use_wheel_odometry else None
+        self._tracker = CloudTracker(settings, self._wheels, self._journal)
+        self._clouds = CloudKeyframes()
+        self._closer: CloudLoopCloser | None = None
+        self._graph = SpatialGraph(gtsam.Pose3(), config.graph, EdgeKind.LIDAR)
+        self._frames = FramePoses()
+        self._record = ScanRecorder()
+        self._last_keyframe: gtsam.Pose3 | None = None
+        self._travelled_m = 0.0
+        self._stamps_s: list[float] = []
+        self._T_base_lidar = gtsam.Pose3()
+        self._matched = 0
+
+    @property
+    def scan_count(self) -> int:
+        """Clouds so far."""
+        return len(self._frames)
+
+    def note_registrations(self, registrations: Mapping[str, ColorRegistration]) -> None:
+        """No camera is used."""
+
+    def learned_mountings(self) -> dict[str, LearnedMounting]:
+        """None: no camera is used."""
+        return {}
+
+    def add_odometry(self, reading: WheelOdometry) -> None:
+        """Take a wheel odometry reading, for the next guess."""
+        if self._wheels is not None:
+            self._wheels.add(reading)
+
+    def add_scan(self, scan: LaserScan) -> None:
+        """A planar scan tells less than a cloud."""
+
+    def add_frame(self, frame: PreparedFrame) -> None:
+        """No camera is used."""
+
+    def add_cloud(self, cloud: PointCloud) -> None:
+        """Match a cloud; where the robot has moved on, make it a keyframe and close loops."""
+        started = time.perf_counter()
+        tracked = self._tracker.track(cloud)
+        self._frames.add(cloud.stamp_s, tracked.pose)
+        self._matched += tracked.motion is not None
+        if tracked.new_keyframe:
+            self._T_base_lidar = cloud.T_base_lidar
+            self._stamps_s.append(cloud.stamp_s)
+            key, closer = self._add_keyframe(tracked)
+            for candidate in closer.close(key, self._graph.poses()):
+                self._graph.add_loop(candidate)
+            self._graph.update()
+        self._record.add(cloud.stamp_s, tracked.motion, time.perf_counter() - started)
+
+    def finish(self) -> MapResult:
+        """Optimise everything, give every cloud its pose, and draw the plan."""
+        self._check()
+        clock = [time.perf_counter()]
+        outcome = self._graph.optimize(self._config.loops.inlier_probability)
+        clock.append(time.perf_counter())
+        bases = self._graph.poses()
+        trajectory = self._frames.trajectory(bases, gtsam.Pose3())
+        clock.append(time.perf_counter())
+        planar = np.array([[pose.x(), pose.y(), pose.rotation().yaw()] for pose in bases])
+        scans, grid, notes, warnings = self._plan(planar)
+        clock.append(time.perf_counter())
+        if self._unused_cameras:
+            warnings.append(
+                f"{', '.join(self._unused_cameras)}: not used; beside a 3D lidar no camera is "
+                "(sensors.lidar=false maps by the cameras instead)"
+            )
+        record = self._record.finish()
+        return MapResult(
+            trajectory=trajectory,
+            keyframe_poses=planar,
+            keyframe_numbers=self._frames.keyframes(),
+            keyframe_scans=scans,
+            graph=self._graph.graph,
+            edges_kept=outcome.kept,
+            loops=self._graph.loops,
+            scans=record,
+            grid=grid,
+            stage_seconds={
+                "scans": float(record.seconds.sum()),
+                "final optimisation": clock[1] - clock[0],
+                "full trajectory": clock[2] - clock[1],
+                "grid": clock[3] - clock[2],
+            },
+            warnings=warnings,
+            notes=[f"3D lidar: voxels of {self._tracker.voxel_m:.2f} m", *notes],
+            measured_scans=scans,
+            clouds=MappedClouds(self._clouds, bases, self._T_base_lidar),
+        )
+
+    def _check(self) -> None:
+        """Refuse what is no map."""
+        if not len(self._clouds):
+            raise DatasetError(
+                f"none of {len(self._frames):,} clouds has {self._config.cloud_odometry.least_pairs} usable "
+                "points; look at cloud_odometry.range_min_m and range_max_m, and at 'scanweave inspect'"
+            )
+        if not self._matched and len(self._frames) >= _HOPELESS:
+            raise DatasetError(
+                f"none of {len(self._frames):,} clouds matched another; planes need several rings, "
+                "and points dense enough for cloud_odometry.voxel_m"
+            )
+
+    def _add_keyframe(self, tracked: TrackedCloud) -> tuple[int, CloudLoopCloser]:
+        """Grow the local map, the graph and the loop closer by a cloud; its number."""
+        covariance, motion = None, tracked.motion
+        if self._closer is None:
+            settings, voxel_m = self._config.cloud_odometry, self._tracker.voxel_m
+            self._closer = CloudLoopCloser(
+                self._config.cloud_loops, settings, voxel_m, self._clouds, self._journal
+            )
+        if self._last_keyframe is not None:
+            step = self._last_keyframe.between(tracked.pose)
+            edge = self._graph.add_keyframe(step, None if motion is None else motion.covariance)
+            covariance = self._graph.graph.edges[edge - 1].covariance if motion is None else motion.covariance
+            self._travelled_m += float(np.linalg.norm(step.translation()))
+        self._last_keyframe = tracked.pose
+        self._tracker.add_keyframe(tracked)
+        self._frames.mark_keyframe()
+        kept_m = min(_KEPT_SHARE * self._tracker.voxel_m, self._config.cloud_map.voxel_m)
+        key = self._clouds.add(thinned(tracked.points, kept_m))
+        residual_m = np.nan if motion is None else motion.residual_m
+        self._closer.add_keyframe(tracked.points, tracked.pose, self._travelled_m, covariance, residual_m)
+        return key, self._closer
+
+    def _plan(
+        self, poses: FloatArray
+    ) -> tuple[list[LaserScan | None], OccupancyGrid | None, list[str], list[str]]:
+        """The flat scan of each keyframe, the grid of them, notes and warnings."""
+        settings, layers = self._config.cloud_map, self._config.layers
+        lidar_m = float(self._T_base_lidar.z())
+        first = (self._clouds.points(key) for key in range(min(len(self._clouds), _GROUND_KEYFRAMES)))
+        thickness_m = self._config.cloud_odometry.thickness_m
+        seen_m = ground_height(first, lidar_m, self._tracker.voxel_m, thickness_m)
+        mounted = not self._T_base_lidar.equals(gtsam.Pose3(), 1e-6)
+        if seen_m is None and not mounted:
+            return [], None, [], ["No grid was built: no ground was seen, and no mounting tells its height"]
+        on_ground = mounted and (seen_m is None or abs(seen_m) < _GROUND_SLACK_M)
+        ground_m = 0.0 if on_ground or seen_m is None else seen_m
+        notes = [
+            f"ground: {ground_m:+.2f} m in the base frame, by {'the mounting' if on_ground else 'sight'}"
+        ]
+        try:
+            if layers.climb_m >= layers.robot_height_m:
+                raise DatasetError("layers.climb_m leaves no height to layers.robot_height_m; make it lower")
+            band = HeightBand(0.0, layers.robot_height_m, layers.climb_m)
+            scans: list[LaserScan | None] = [
+                band_scan(points, stamp_s, self._T_base_lidar, band, ground_m, settings)
+                for points, stamp_s in zip(self._clouds, self._stamps_s, strict=True)
+            ]
+            return scans, grid_of_keyframes(scans, poses, self._config.grid), notes, []
+        except ScanweaveError as error:
+            return [], None, notes, [f"No grid was built: {error}"]

@@ -1,0 +1,249 @@
+"""Loop closure by clouds: places near by the estimate or by their looks, verified by registration."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import gtsam
+import numpy as np
+
+from slam.answers import COMPUTED, Answers
+from slam.config_clouds import CloudLoopConfig, CloudOdometryConfig
+from slam.graph.loop_closure import LoopCandidate
+from slam.graph.relative_uncertainty import UncertaintyGraph
+from slam.matching.cloud_points import thinned
+from slam.matching.local_cloud import Aligned, LocalCloud, moved
+from slam.matching.scan_context import ring_key, scan_context, unlikeness
+from slam.measurements import Float32Array, FloatArray
+
+log = logging.getLogger(__name__)
+
+# x, y and yaw of GTSAM's tangent in space.
+_PLANAR = np.ix_([3, 4, 2], [3, 4, 2])
+# How far a scan context reaches, in voxels, and how many places of similar rings are compared whole.
+_LOOKS_REACH = 80.0
+_SIMILAR_RINGS = 10
+_USUAL_RESIDUALS = 200
+
+
+class Clouds(Protocol):
+    """Where the clouds of keyframes are kept."""
+
+    def points(self, key: int) -> FloatArray:
+        """The points (N, 3) of a keyframe, base frame."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class _Guess:
+    """A place to try: where it is expected, how far off that may be, how alike it looks."""
+
+    place: int
+    T_place_base: gtsam.Pose3
+    sigma_m: float
+    score: float
+
+
+class CloudLoopCloser:
+    """Proposes and verifies loops for the newest keyframe.
+
+    Parameters
+    ----------
+    voxel_m
+        Side of a voxel; what the configuration tells in voxels follows the scene.
+    """
+
+    def __init__(
+        self,
+        config: CloudLoopConfig,
+        odometry: CloudOdometryConfig,
+        voxel_m: float,
+        clouds: Clouds,
+        answers: Answers = COMPUTED,
+    ) -> None:
+        self._config, self._odometry, self._voxel_m = config, odometry, voxel_m
+        self._clouds, self._answers = clouds, answers
+        self._contexts: list[Float32Array] = []
+        self._rings: list[FloatArray] = []
+        self._poses: list[gtsam.Pose3] = []
+        self._travelled_m: list[float] = []
+        self._residuals_m: list[float] = []
+        self._uncertainty = UncertaintyGraph()
+        self._last_attempt_m, self._last_loop_m = -math.inf, 0.0
+        self._cache: OrderedDict[int, LocalCloud] = OrderedDict()
+
+    def add_keyframe(
+        self,
+        points: FloatArray,
+        pose: gtsam.Pose3,
+        travelled_m: float,
+        covariance: FloatArray | None,
+        residual_m: float,
+    ) -> None:
+        """Remember the next keyframe.
+
+        Parameters
+        ----------
+        points
+            (N, 3), base frame.
+        pose
+            ``T_odom_base``.
+        travelled_m
+            Way from the start.
+        covariance
+            (6, 6) of the step from the last keyframe; None for the first.
+        residual_m
+            Of its match; NaN where there was none.
+        """
+        self._contexts.append(scan_context(points, _LOOKS_REACH * self._voxel_m))
+        self._rings.append(ring_key(self._contexts[-1]))
+        key = len(self._poses)
+        self._uncertainty.add_node()
+        if covariance is not None:
+            self._join(key - 1, key, self._poses[-1].between(pose), covariance)
+        self._poses.append(pose)
+        self._travelled_m.append(travelled_m)
+        if np.isfinite(residual_m):
+            self._residuals_m = [*self._residuals_m[1 - _USUAL_RESIDUALS :], residual_m]
+
+    def close(self, key: int, poses: Sequence[gtsam.Pose3]) -> list[LoopCandidate]:
+        """Try the places that a keyframe may have come back to.
+
+        Parameters
+        ----------
+        key
+            The newest keyframe.
+        poses
+            Current estimates of all keyframes, ``T_map_base``.
+
+        Returns
+        -------
+        Every candidate that was tried, accepted or refused.
+        """
+        way_m = self._travelled_m[key]
+        config = self._config
+        if not config.enabled or way_m - self._last_attempt_m < config.every_voxels * self._voxel_m:
+            return []
+        self._last_attempt_m = way_m
+        tried = []
+        for guess in self._propose(key, poses):
+            candidate = self._verify(key, guess)
+            if candidate.accepted and candidate.motion is not None:
+                motion = candidate.motion
+                assert isinstance(motion.T_reference_base, gtsam.Pose3)
+                self._join(guess.place, key, motion.T_reference_base, motion.covariance)
+                self._last_loop_m = way_m
+            tried.append(candidate)
+        return tried
+
+    def _join(self, source: int, target: int, step: gtsam.Pose3, covariance: FloatArray) -> None:
+        """Let the uncertainty know of an edge, as seen from above."""
+        relative = np.array([step.x(), step.y(), step.rotation().yaw()])
+        self._uncertainty.add_edge(source, target, relative, covariance[_PLANAR])
+
+    def _propose(self, key: int, poses: Sequence[gtsam.Pose3]) -> list[_Guess]:
+        """Places within the uncertainty: the nearest of each pass, then those that look the same."""
+        config, voxel_m = self._config, self._voxel_m
+        ways = np.array(self._travelled_m[: key + 1])
+        places = np.flatnonzero(ways[key] - ways[:key] > config.least_path_voxels * voxel_m)
+        if not places.size:
+            return []
+        planar = np.array([[pose.x(), pose.y(), pose.rotation().yaw()] for pose in poses])
+        distances = np.hypot(*(planar[places, :2] - planar[key, :2]).T)
+        covariances = self._uncertainty.relative_covariances(key, places, planar)
+        sigmas = np.sqrt(np.maximum(np.linalg.eigvalsh(covariances[:, :2, :2])[:, -1], 0.0))
+        sigmas += config.drift_share * (ways[key] - self._last_loop_m)
+        reach_m = config.reach_voxels * voxel_m
+        possible = distances <= reach_m + config.sigmas * sigmas
+        places, distances, sigmas = places[possible], distances[possible], sigmas[possible]
+        chosen: list[_Guess] = []
+
+        def apart(place: int) -> bool:
+            """Two places on one pass tell the same."""
+            return all(abs(ways[place] - ways[other.place]) > reach_m for other in chosen)
+
+        for n in np.argsort(distances, kind="stable"):
+            place = int(places[n])
+            if len(chosen) < config.near and apart(place):
+                chosen.append(_Guess(place, poses[place].between(poses[key]), float(sigmas[n]), 1.0))
+        rings = np.array([self._rings[place] for place in places]).reshape(len(places), -1)
+        likeness = np.linalg.norm(rings - self._rings[key], axis=1)
+        for n in np.argsort(likeness, kind="stable")[:_SIMILAR_RINGS]:
+            place = int(places[n])
+            if len(chosen) >= config.near + config.by_looks or not apart(place):
+                continue
+            found, yaw = unlikeness(self._contexts[place], self._contexts[key])
+            if found <= config.greatest_unlikeness:
+                turned = gtsam.Pose3(gtsam.Rot3.Yaw(yaw), np.zeros(3))
+                chosen.append(_Guess(place, turned, float(sigmas[n]) + reach_m, 1.0 - found))
+        return chosen
+
+    def _verify(self, key: int, guess: _Guess) -> LoopCandidate:
+        """Register the keyframe to the place, and judge."""
+        # Asked for in any case: what the cache holds must not depend on where the answer comes from.
+        local = self._place(guess.place)
+        candidate = self._answers.ask(
+            "cloud loop", float(guess.T_place_base.x()), lambda: self._match(key, guess, local)
+        )
+        log.info(
+            "cloud loop %d -> %d: %s (place score %.2f, sigma %.2f m)",
+            key,
+            guess.place,
+            "accepted" if candidate.accepted else f"refused, {candidate.reason}",
+            guess.score,
+            guess.sigma_m,
+        )
+        return candidate
+
+    def _match(self, key: int, guess: _Guess, local: LocalCloud) -> LoopCandidate:
+        """Register and judge."""
+        width_m = self._config.sigmas * guess.sigma_m + 2.0 * self._voxel_m
+        candidate = LoopCandidate(guess.place, key, width_m, 0.0, guess.score, None, False, "")
+        scan = thinned(self._clouds.points(key), self._voxel_m)
+        aligned = local.align(scan, guess.T_place_base, max(width_m, 5.0 * self._voxel_m))
+        if aligned is None:
+            return candidate.refused("too little fits")
+        # What the wide kernel found, a second start from there makes exact.
+        again = local.align(scan, aligned.found.pose)
+        return self._judge(candidate, guess, aligned if again is None else again)
+
+    def _judge(self, candidate: LoopCandidate, guess: _Guess, aligned: Aligned) -> LoopCandidate:
+        """Accept or refuse a registration."""
+        config, motion = self._config, aligned.motion
+        motion = replace(motion, covariance=motion.covariance * config.caution)
+        candidate = replace(candidate, motion=motion)
+        usual_m = float(np.median(self._residuals_m)) if self._residuals_m else math.inf
+        usual_m = max(usual_m, self._odometry.minimal_residual_m)
+        moved_m = float(np.linalg.norm(guess.T_place_base.between(aligned.found.pose).translation()))
+        if aligned.found.overlap < config.least_overlap:
+            return candidate.refused("too little is seen by both")
+        if motion.inlier_share < config.least_inlier_share:
+            return candidate.refused("too few points fit")
+        if motion.residual_m > config.greatest_residual_ratio * usual_m:
+            return candidate.refused("residual too large")
+        if moved_m > candidate.half_width_m:
+            return candidate.refused("refinement left the window")
+        if motion.degenerate:
+            return candidate.refused("a direction is not determined")
+        return replace(candidate, accepted=True)
+
+    def _place(self, key: int) -> LocalCloud:
+        """The surroundings of a keyframe in its base frame, by the odometry's short-range accuracy."""
+        if key in self._cache:
+            self._cache.move_to_end(key)
+            return self._cache[key]
+        half = self._config.half_keyframes
+        members = range(max(0, key - half), min(len(self._poses), key + half + 1))
+        points = np.vstack(
+            [moved(self._clouds.points(k), self._poses[key].between(self._poses[k])) for k in members]
+        )
+        local = LocalCloud(thinned(points, 0.25 * self._voxel_m), self._voxel_m, self._odometry)
+        self._cache[key] = local
+        if len(self._cache) > self._config.places_cached:
+            self._cache.popitem(last=False)
+        return local

@@ -1,0 +1,107 @@
+"""The plan that a robot drives by, from clouds: the nearest obstacle of each bearing, by the height band.
+
+Yang2021 Eq. (16)-(18): what lies between the step that the robot drives over and the robot's own height.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import gtsam
+import numpy as np
+
+from fusion.height_band import HeightBand
+from slam.config_clouds import CloudMapConfig
+from slam.matching.plane_voxels import PlaneVoxels
+from slam.measurements import FloatArray, LaserScan
+
+# Heights are noisy by so many sigmas at most, or thousands of floor points would stand in the way.
+_SIGMAS = 3.0
+_LEVEL_COS = 0.97
+_GROUND_BIN_M = 0.05
+# A level with this share of the points of the strongest may be the ground; a few are reflections under it.
+_GROUND_SHARE = 0.2
+_CELL_M = 0.05
+
+
+def band_scan(
+    points: FloatArray,
+    stamp_s: float,
+    T_base_lidar: gtsam.Pose3,
+    band: HeightBand,
+    ground_m: float,
+    config: CloudMapConfig,
+) -> LaserScan:
+    """What a flat lidar would see that stops at every obstacle.
+
+    Parameters
+    ----------
+    points
+        (N, 3), base frame.
+    T_base_lidar
+        Where the rays come from.
+    ground_m
+        Height of the ground in the base frame.
+
+    Returns
+    -------
+    A bearing without obstacle is no reading: a 3D lidar does not tell how far it is free.
+    """
+    origin = T_base_lidar.translation()
+    offset = points - np.array([origin[0], origin[1], ground_m])
+    distance = np.hypot(offset[:, 0], offset[:, 1])
+    margin_m = _SIGMAS * (config.ground_sigma_m + config.ground_share * distance)
+    stops = band.holds(offset[:, 2], margin_m) & (distance < config.plan_range_m)
+    distance, offset = distance[stops], offset[stops]
+    step_rad = 2.0 * math.pi / config.bearings
+    bearing = np.floor((np.arctan2(offset[:, 1], offset[:, 0]) + math.pi) / step_rad).astype(np.int64)
+    bearing = np.minimum(bearing, config.bearings - 1)
+    ranges = np.full(config.bearings, np.nan, dtype=np.float32)
+    order = np.lexsort((distance, bearing))
+    bearing, distance = bearing[order], distance[order]
+    if len(bearing):
+        # One stray point stops nothing: the n-th of a bearing must lie within a cell of it.
+        after = np.arange(len(bearing)) + config.least_points - 1
+        within = after < len(bearing)
+        after = np.minimum(after, len(bearing) - 1)
+        firm = within & (bearing[after] == bearing) & (distance[after] - distance <= 2.0 * _CELL_M)
+        found, first = np.unique(bearing[firm], return_index=True)
+        ranges[found] = distance[firm][first]
+    mounting = gtsam.Pose2(float(origin[0]), float(origin[1]), 0.0)
+    start = -math.pi + 0.5 * step_rad
+    return LaserScan(stamp_s, ranges, start, step_rad, config.plan_range_m, mounting, "band of the 3D lidar")
+
+
+def ground_height(
+    clouds: Iterable[FloatArray], lidar_m: float, voxel_m: float, thickness_m: float
+) -> float | None:
+    """Height of the ground in the base frame: of level surfaces below the lidar the lowest that is large.
+
+    Parameters
+    ----------
+    clouds
+        Points (N, 3) of some keyframes, each in its base frame.
+    lidar_m
+        Height of the lidar in that frame.
+    voxel_m, thickness_m
+        Of the planes, see `slam.matching.plane_voxels.PlaneVoxels`.
+
+    Returns
+    -------
+    None where no level surface is seen.
+    """
+    heights = []
+    for points in clouds:
+        planes = PlaneVoxels.build(points, voxel_m, thickness_m)
+        pairs = planes.pairs(points)
+        level = (np.abs(pairs.normals[:, 2]) > _LEVEL_COS) & (points[pairs.found][:, 2] < lidar_m)
+        heights.append(points[pairs.found][level, 2])
+    below = np.concatenate(heights) if heights else np.zeros(0)
+    if not len(below):
+        return None
+    bins = np.floor(below / _GROUND_BIN_M).astype(np.int64)
+    found, counts = np.unique(bins, return_counts=True)
+    lowest = int(found[np.flatnonzero(counts >= _GROUND_SHARE * counts.max())[0]])
+    near = np.abs(below - (lowest + 0.5) * _GROUND_BIN_M) <= 1.5 * _GROUND_BIN_M
+    return float(np.median(below[near]))

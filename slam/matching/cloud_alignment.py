@@ -1,0 +1,177 @@
+"""Point-to-plane alignment of a cloud in space, and how far it can be trusted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from slam.config_clouds import CloudOdometryConfig
+from slam.matching.plane_voxels import PlaneVoxels
+from slam.measurements import FloatArray, MotionEstimate
+
+# The scale of the robust kernel, in standard deviations of the residuals.
+_KERNEL_SIGMAS = 3.0
+_LEAST_KERNEL_M = 0.02
+_MAD = 1.4826
+# Points change their planes on the way: below this a step is that.
+_CONVERGED = 1e-4
+# An edge ends at two keyframes, and the one that it starts from was itself matched as well as this one.
+_ENDS = 2.0
+_LEAST_EIGENVALUE = 1e-2
+
+
+@dataclass(frozen=True, slots=True)
+class CloudAlignment:
+    """The outcome of an alignment.
+
+    Attributes
+    ----------
+    pose
+        ``T_map_base``.
+    hessian
+        (6, 6) of the weighted squared distances, GTSAM's tangent of the base.
+    weight
+        Sum of the robust weights.
+    lever_m
+        Root mean square distance of the points: a turn by 1/lever moves them by a metre.
+    pair_count
+        Points on known planes.
+    overlap
+        Their share of all points.
+    inlier_share
+        Share of them that agree.
+    fit
+        Their mean weight.
+    residual_m
+        Root mean square distance of those that agree.
+    converged
+        Whether the iteration settled.
+    """
+
+    pose: gtsam.Pose3
+    hessian: FloatArray
+    weight: float
+    lever_m: float
+    pair_count: int
+    overlap: float
+    inlier_share: float
+    fit: float
+    residual_m: float
+    converged: bool
+
+
+def align_cloud(
+    points: FloatArray, planes: PlaneVoxels, guess: gtsam.Pose3, iterations: int, kernel_m: float
+) -> CloudAlignment | None:
+    """Gauss-Newton on the distances to planes, with Cauchy weights whose scale is that of the residuals.
+
+    Parameters
+    ----------
+    points
+        (N, 3) base frame.
+    planes
+        Of the map.
+    guess
+        ``T_map_base``.
+    kernel_m
+        The widest kernel; a point farther than that from its plane never agrees.
+
+    Returns
+    -------
+    None where fewer than six points lie on planes.
+    """
+    pose, found, converged = guess, None, False
+    for _ in range(iterations):
+        found = _linearise(points, planes, pose, kernel_m)
+        if found is None:
+            return None
+        hessian, gradient = found.hessian, found.gradient
+        damping = np.diag(np.maximum(np.diag(hessian), _LEAST_EIGENVALUE)) * 1e-6
+        step = -np.linalg.solve(hessian + damping, gradient)
+        pose = pose.compose(gtsam.Pose3.Expmap(step))
+        if np.abs(step).max() < _CONVERGED:
+            converged = True
+            break
+    found = _linearise(points, planes, pose, kernel_m)
+    if found is None:
+        return None
+    agree = np.abs(found.residuals) <= found.kernel_m
+    inliers = found.residuals[agree]
+    return CloudAlignment(
+        pose,
+        found.hessian,
+        float(found.weights.sum()),
+        float(np.sqrt(np.mean(np.sum(points**2, axis=1)))),
+        len(found.residuals),
+        len(found.residuals) / len(points),
+        float(agree.mean()),
+        float(found.weights.mean()),
+        float(np.sqrt(np.mean(inliers**2))) if len(inliers) else np.inf,
+        converged,
+    )
+
+
+def motion_of(alignment: CloudAlignment, config: CloudOdometryConfig, guess: gtsam.Pose3) -> MotionEstimate:
+    """Wrap an alignment as a measured motion with its covariance, s^2 H^-1 (Censi 2007 shows when it holds).
+
+    A direction that the cloud does not determine keeps its value of the guess (solution remapping, Zhang
+    2016) and gets ``degenerate_sigma_m`` squared on top.
+    """
+    lever_m = max(alignment.lever_m, 1e-3)
+    units = np.array([1.0 / lever_m] * 3 + [1.0] * 3)
+    values, vectors = np.linalg.eigh(units[:, None] * alignment.hessian * units)
+    weak = vectors[:, values < config.degenerate_share * max(alignment.weight, 1.0)]
+    scale = max(alignment.residual_m, config.minimal_residual_m) if np.isfinite(alignment.residual_m) else 1.0
+    # Points that fit nothing are a doubt about all the others.
+    doubt = 1.0 / max(alignment.inlier_share, 0.1) ** 2
+    root = units[:, None] * (vectors / np.sqrt(np.maximum(values, _LEAST_EIGENVALUE)))
+    covariance = _ENDS * doubt * config.correlated_points * scale**2 * (root @ root.T)
+    covariance += np.diag([config.floor_rad**2] * 3 + [config.floor_m**2] * 3)
+    pose, weakest = alignment.pose, np.zeros(6)
+    if weak.shape[1]:
+        away = gtsam.Pose3.Logmap(pose.between(guess)) / units
+        pose = pose.compose(gtsam.Pose3.Expmap(units * (weak @ (weak.T @ away))))
+        open_ = units[:, None] * weak
+        covariance += config.degenerate_sigma_m**2 * (open_ @ open_.T)
+        weakest = open_[:, 0] / np.linalg.norm(open_[:, 0])
+    return MotionEstimate(
+        T_reference_base=pose,
+        covariance=covariance,
+        inlier_share=alignment.inlier_share,
+        fit=alignment.fit,
+        residual_m=alignment.residual_m,
+        converged=alignment.converged,
+        degenerate=bool(weak.shape[1]),
+        weak_direction=weakest,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Linear:
+    """The least squares at a pose."""
+
+    hessian: FloatArray
+    gradient: FloatArray
+    residuals: FloatArray
+    weights: FloatArray
+    kernel_m: float
+
+
+def _linearise(points: FloatArray, planes: PlaneVoxels, pose: gtsam.Pose3, kernel_m: float) -> _Linear | None:
+    """Hessian and gradient for a motion of the base in its own frame."""
+    rotation = pose.rotation().matrix()
+    points_map = points @ rotation.T + pose.translation()
+    pairs = planes.pairs(points_map)
+    if int(pairs.found.sum()) < 6:
+        return None
+    residuals = np.einsum("ij,ij->i", points_map[pairs.found] - pairs.centers, pairs.normals)
+    spread = _MAD * float(np.median(np.abs(residuals)))
+    kernel_m = float(np.clip(_KERNEL_SIGMAS * spread, _LEAST_KERNEL_M, kernel_m))
+    weights = 1.0 / (1.0 + (residuals / kernel_m) ** 2)
+    weights[np.abs(residuals) > 2.0 * kernel_m] = 0.0
+    normals_base = pairs.normals @ rotation
+    rows = np.hstack([np.cross(points[pairs.found], normals_base), normals_base])
+    weighted = rows * weights[:, None]
+    return _Linear(weighted.T @ rows, weighted.T @ residuals, residuals, weights, kernel_m)

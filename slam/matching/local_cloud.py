@@ -1,0 +1,90 @@
+"""A map of clouds to match to: KISS-ICP (Vizzo 2023) finds the way, planes make it exact.
+
+Indoors the rings on floor and ceiling travel with the lidar, and as points they pull every motion short; as
+planes they tell only height and tilt. So KISS-ICP's registration, which nearly always arrives, is followed by
+a point-to-plane alignment, whose Hessian gives the covariance that KISS-ICP has not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from slam.config_clouds import CloudOdometryConfig
+from slam.matching.cloud_alignment import CloudAlignment, align_cloud, motion_of
+from slam.matching.plane_voxels import PlaneVoxels
+from slam.measurements import FloatArray, MotionEstimate
+
+_KISS_ITERATIONS = 50
+_KISS_CONVERGED = 1e-3
+# In voxels: KISS-ICP's greatest pair distance and its kernel, and the kernel of the planes.
+_REACH, _KERNEL, _PLANE_KERNEL = 5.0, 1.0, 1.0
+_LEAST_POINTS = 30
+
+
+@dataclass(frozen=True, slots=True)
+class Aligned:
+    """An alignment with the motion made of it."""
+
+    found: CloudAlignment
+    motion: MotionEstimate
+
+
+class LocalCloud:
+    """A map to match to: points for KISS-ICP, planes for what follows.
+
+    Parameters
+    ----------
+    points
+        (N, 3) in the frame of the map.
+    voxel_m
+        Side of a voxel.
+    """
+
+    def __init__(self, points: FloatArray, voxel_m: float, config: CloudOdometryConfig) -> None:
+        from kiss_icp.mapping import VoxelHashMap
+
+        self._config, self._voxel_m = config, voxel_m
+        self._points = VoxelHashMap(voxel_m, config.range_max_m, config.points_a_voxel)
+        if len(points):
+            self._points.add_points(points)
+        self.planes = PlaneVoxels.build(points, voxel_m, config.thickness_m)
+
+    def align(self, scan: FloatArray, guess: gtsam.Pose3, reach_m: float | None = None) -> Aligned | None:
+        """Align a thinned scan (N, 3), base frame; None where too little is known.
+
+        Parameters
+        ----------
+        guess
+            ``T_map_base``.
+        reach_m
+            How far the guess may be off; a few voxels by default.
+        """
+        if len(scan) < _LEAST_POINTS or not len(self.planes):
+            return None
+        start = self._arrive(scan, guess, _REACH * self._voxel_m if reach_m is None else reach_m)
+        found = align_cloud(scan, self.planes, start, self._config.iterations, _PLANE_KERNEL * self._voxel_m)
+        if found is None or found.pair_count < self._config.least_pairs:
+            return None
+        return Aligned(found, motion_of(found, self._config, guess))
+
+    def _arrive(self, scan: FloatArray, guess: gtsam.Pose3, reach_m: float) -> gtsam.Pose3:
+        """KISS-ICP's registration; the guess itself where it breaks down."""
+        from kiss_icp.registration import Registration
+
+        registration = Registration(_KISS_ITERATIONS, _KISS_CONVERGED, max_num_threads=1)
+        matrix = registration.align_points_to_map(
+            points=scan,
+            voxel_map=self._points,
+            initial_guess=guess.matrix(),
+            max_correspondance_distance=reach_m,
+            kernel=_KERNEL * self._voxel_m,
+        )
+        return gtsam.Pose3(matrix) if np.isfinite(matrix).all() else guess
+
+
+def moved(points: FloatArray, pose: gtsam.Pose3) -> FloatArray:
+    """Points (N, 3) of frame b in frame a by ``T_a_b``."""
+    return np.asarray(points @ pose.rotation().matrix().T + pose.translation())

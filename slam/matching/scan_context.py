@@ -1,0 +1,76 @@
+"""How a place looks to a 3D lidar from above: scan context.
+
+Kim and Kim, "Scan Context: Egocentric spatial descriptor for place recognition within 3D point cloud map",
+IROS 2018. Deviations: heights are taken above the lowest usual point, since a mounting need not be known, and
+the reach follows the scene, since a room is no street.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from slam.measurements import Float32Array, FloatArray
+
+RINGS, SECTORS = 20, 60
+_LOWEST_PERCENT = 2.0
+# Neighbouring sectors also tell where between two shifts the best lies.
+_TINY = 1e-9
+
+
+def scan_context(points: FloatArray, reach_m: float) -> Float32Array:
+    """(RINGS, SECTORS) greatest height in each part of the surroundings, 0 where nothing is.
+
+    Parameters
+    ----------
+    points
+        (N, 3), z up.
+    reach_m
+        Radius of the outermost ring.
+    """
+    context = np.zeros((RINGS, SECTORS), dtype=np.float32)
+    distance = np.hypot(points[:, 0], points[:, 1])
+    near = distance < reach_m
+    if not near.any():
+        return context
+    kept = points[near]
+    ring = (distance[near] / reach_m * RINGS).astype(np.int64)
+    sector = ((np.arctan2(kept[:, 1], kept[:, 0]) / (2.0 * math.pi) % 1.0) * SECTORS).astype(np.int64)
+    height = np.maximum(kept[:, 2] - np.percentile(kept[:, 2], _LOWEST_PERCENT), 0.0)
+    np.maximum.at(context, (ring, np.minimum(sector, SECTORS - 1)), height.astype(np.float32))
+    return context
+
+
+def unlikeness(one: Float32Array, other: Float32Array) -> tuple[float, float]:
+    """Distance of two contexts 0..1, least over all turns (Kim 2018 Eq. (6)-(7)), and that turn.
+
+    Returns
+    -------
+    The distance, and the yaw in radians of the other's base seen from the one's.
+    """
+    first, second = _unit_columns(one), _unit_columns(other)
+    seen = (np.abs(one).sum(axis=0) > 0.0).astype(np.float64), (np.abs(other).sum(axis=0) > 0.0)
+    products = first.T @ second
+    both = np.outer(seen[0], seen[1])
+    columns = np.arange(SECTORS)
+    distances = np.ones(SECTORS)
+    for shift in range(SECTORS):
+        across = (columns - shift) % SECTORS
+        count = both[columns, across].sum()
+        if count > 0.5 * max(seen[0].sum(), 1.0):
+            distances[shift] = 1.0 - products[columns, across].sum() / count
+    best = int(np.argmin(distances))
+    yaw = 2.0 * math.pi * best / SECTORS
+    return float(distances[best]), math.remainder(yaw, 2.0 * math.pi)
+
+
+def ring_key(context: Float32Array) -> FloatArray:
+    """(RINGS,) mean of each ring: the same however the robot is turned."""
+    return np.asarray(context.mean(axis=1, dtype=np.float64))
+
+
+def _unit_columns(context: Float32Array) -> FloatArray:
+    """Each sector as a unit vector."""
+    values = context.astype(np.float64)
+    return np.asarray(values / np.maximum(np.linalg.norm(values, axis=0), _TINY))

@@ -1,0 +1,124 @@
+"""Where a 3D lidar is after every turn, and which turns are keyframes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from slam.answers import COMPUTED, Answers
+from slam.config_clouds import CloudOdometryConfig
+from slam.matching.cloud_points import base_points, voxel_of
+from slam.matching.planar import between
+from slam.measurements import FloatArray, MotionEstimate, PointCloud
+from slam.odometry.cloud_odometry import CloudOdometry
+from slam.odometry.wheel_tracker import WheelTracker
+
+# Beyond this no velocity of before tells where the robot is now.
+_LONGEST_STEP_S = 1.0
+_LOST_AFTER = 10
+
+
+@dataclass(frozen=True, slots=True)
+class TrackedCloud:
+    """A cloud with its place.
+
+    Attributes
+    ----------
+    points
+        (N, 3) usable points, base frame, deskewed where that is possible.
+    pose
+        ``T_odom_base``.
+    motion
+        The match; None where nothing matched, and the pose is a guess.
+    new_keyframe
+        Whether the robot has moved on enough.
+    """
+
+    points: FloatArray
+    pose: gtsam.Pose3
+    motion: MotionEstimate | None
+    new_keyframe: bool
+
+
+class CloudTracker:
+    """State of the odometry."""
+
+    def __init__(
+        self, config: CloudOdometryConfig, wheels: WheelTracker | None, answers: Answers = COMPUTED
+    ) -> None:
+        self._config, self._wheels, self._answers = config, wheels, answers
+        self._odometry: CloudOdometry | None = None
+        self._pose = gtsam.Pose3()
+        self._keyframe = gtsam.Pose3()
+        self._stamp_s: float | None = None
+        self._wheel_pose: FloatArray | None = None
+        self._twist = np.zeros(6)
+        self._lost = 0
+        self.voxel_m = 0.0
+
+    def track(self, cloud: PointCloud) -> TrackedCloud:
+        """Find the pose of the next cloud; where it cannot be matched it is guessed."""
+        step_s = 0.0 if self._stamp_s is None else cloud.stamp_s - self._stamp_s
+        points = base_points(cloud, self._twist, self._config)
+        guesses = self._guesses(cloud.stamp_s, step_s)
+        self._stamp_s = cloud.stamp_s
+        if len(points) < self._config.least_pairs:
+            return self._guessed(points, guesses[0], new_keyframe=False)
+        if self._odometry is None:
+            self.voxel_m = voxel_of(points, self._config)
+            self._odometry = CloudOdometry(self._config, self.voxel_m)
+            return TrackedCloud(points, self._pose, None, new_keyframe=True)
+        odometry = self._odometry
+        motion = self._answers.ask("cloud", float(guesses[0].x()), lambda: odometry.match(points, guesses))
+        if motion is None:
+            self._lost += 1
+            return self._guessed(points, guesses[0], new_keyframe=self._lost >= _LOST_AFTER)
+        self._lost = 0
+        pose = motion.T_reference_base
+        assert isinstance(pose, gtsam.Pose3)
+        if 0.0 < step_s < _LONGEST_STEP_S:
+            self._twist = gtsam.Pose3.Logmap(self._pose.between(pose)) / step_s
+        self._pose = pose
+        return TrackedCloud(points, pose, motion, self._moved_on(pose))
+
+    def add_keyframe(self, tracked: TrackedCloud) -> None:
+        """Take a tracked cloud into the local map; of a lost one it is made anew."""
+        assert self._odometry is not None
+        if self._lost >= _LOST_AFTER:
+            self._odometry.restart()
+            self._lost = 0
+        self._odometry.add_keyframe(tracked.points, tracked.pose)
+        self._keyframe = tracked.pose
+
+    def _guesses(self, stamp_s: float, step_s: float) -> Sequence[gtsam.Pose3]:
+        """Where the robot may be by now: by its wheels, by its velocity, where it was."""
+        guesses = []
+        if self._wheels is not None:
+            before, now = self._wheel_pose, self._wheels.pose_at(stamp_s)
+            self._wheel_pose = now
+            if before is not None and now is not None:
+                moved = between(before, now)
+                if self._wheels.plausible(moved, step_s):
+                    turn = gtsam.Rot3.Yaw(float(moved[2]))
+                    shift = np.array([moved[0], moved[1], 0.0])
+                    guesses.append(self._pose.compose(gtsam.Pose3(turn, shift)))
+        if 0.0 < step_s < _LONGEST_STEP_S:
+            guesses.append(self._pose.compose(gtsam.Pose3.Expmap(self._twist * step_s)))
+        return [*guesses, self._pose]
+
+    def _guessed(self, points: FloatArray, pose: gtsam.Pose3, *, new_keyframe: bool) -> TrackedCloud:
+        """A cloud that did not match."""
+        self._pose = pose
+        return TrackedCloud(points, pose, None, new_keyframe)
+
+    def _moved_on(self, pose: gtsam.Pose3) -> bool:
+        """Whether the last keyframe is far enough behind."""
+        step = self._keyframe.between(pose)
+        turn_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(step.rotation())))
+        way_m = float(np.linalg.norm(step.translation()))
+        return (
+            way_m > self._config.keyframe_voxels * self.voxel_m or turn_rad > self._config.keyframe_angle_rad
+        )

@@ -1,0 +1,70 @@
+"""A room with pillars seen by a lidar of 16 rings, by ray casting on boxes."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+
+from slam.measurements import FloatArray, PointCloud
+
+T_BASE_LIDAR = gtsam.Pose3(gtsam.Rot3(), np.array([0.1, 0.0, 0.7]))
+# x, y and z from and to: the room's inside is the first, what stands in it the others.
+ROOM = np.array([[-5.0, 6.0], [-4.0, 4.0], [0.0, 2.6]])
+PILLARS = np.array(
+    [
+        [[1.0, 1.4], [1.6, 2.0], [0.0, 2.6]],
+        [[-2.5, -2.0], [-2.4, -1.6], [0.0, 2.6]],
+        [[3.5, 4.3], [-3.0, -2.6], [0.0, 1.2]],
+        [[-4.2, -3.6], [2.0, 3.2], [0.0, 0.9]],
+    ]
+)
+ELEVATIONS = np.radians(np.arange(-15.0, 16.0, 2.0))
+
+
+def cast(origin: FloatArray, directions: FloatArray, boxes: FloatArray = PILLARS) -> FloatArray:
+    """(N,) distance from a place in the room to what each ray (N, 3) meets first."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        walls = np.max((ROOM[None] - origin[None, :, None]) / directions[:, :, None], axis=2)
+        hit = np.nanmin(np.where(walls > 0.0, walls, np.inf), axis=1)
+        for box in boxes:
+            ways = np.sort((box[None] - origin[None, :, None]) / directions[:, :, None], axis=2)
+            into, out = np.nanmax(ways[:, :, 0], axis=1), np.nanmin(ways[:, :, 1], axis=1)
+            hit = np.where((into < out) & (into > 0.0), np.minimum(hit, into), hit)
+    return hit
+
+
+def rays(elevations: FloatArray = ELEVATIONS, azimuths: int = 360) -> FloatArray:
+    """(N, 3) unit vectors, firing by firing."""
+    bearing = np.linspace(0.0, 2.0 * np.pi, azimuths, endpoint=False)
+    across, up = np.meshgrid(bearing, elevations, indexing="ij")
+    return np.stack([np.cos(up) * np.cos(across), np.cos(up) * np.sin(across), np.sin(up)], -1).reshape(-1, 3)
+
+
+def look(
+    T_map_base: gtsam.Pose3,
+    stamp_s: float = 0.0,
+    *,
+    seed: int = 0,
+    sigma_m: float = 0.01,
+    elevations: FloatArray = ELEVATIONS,
+    boxes: FloatArray = PILLARS,
+) -> PointCloud:
+    """One turn of the lidar, all points at one instant."""
+    rng = np.random.default_rng(seed)
+    T_map_lidar = T_map_base.compose(T_BASE_LIDAR)
+    directions = rays(elevations)
+    ranges = cast(T_map_lidar.translation(), directions @ T_map_lidar.rotation().matrix().T, boxes)
+    ranges = ranges + sigma_m * rng.standard_normal(len(ranges))
+    points = (directions * ranges[:, None]).astype(np.float32)
+    return PointCloud(stamp_s, points, None, T_BASE_LIDAR)
+
+
+def base(x: float, y: float, yaw: float) -> gtsam.Pose3:
+    """A robot on the floor."""
+    return gtsam.Pose3(gtsam.Rot3.Yaw(yaw), np.array([x, y, 0.0]))
+
+
+def way_round(count: int) -> list[gtsam.Pose3]:
+    """Once about the middle of the room, and back to where it began, looking ahead."""
+    turns = np.linspace(0.0, 2.0 * np.pi, count)
+    return [base(1.6 * np.cos(a), 0.4 + 1.4 * np.sin(a), a + 0.5 * np.pi) for a in turns]

@@ -1,0 +1,174 @@
+"""Scans of a 3D lidar against their map: true motion, honest covariance, weak directions, bad input."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+import pytest
+from cloud_world import ELEVATIONS, T_BASE_LIDAR, base, look, way_round
+
+from slam.config_clouds import CloudOdometryConfig
+from slam.matching.cloud_points import base_points, turn_known, voxel_of
+from slam.measurements import FloatArray, MotionEstimate, PointCloud
+from slam.odometry.cloud_odometry import CloudOdometry
+from slam.odometry.cloud_tracker import CloudTracker
+
+CONFIG = CloudOdometryConfig(voxel_m=0.2)
+STILL = np.zeros(6)
+
+
+def points_at(pose: gtsam.Pose3, seed: int = 0, **kwargs: object) -> FloatArray:
+    return base_points(look(pose, seed=seed, **kwargs), STILL, CONFIG)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def odometry() -> CloudOdometry:
+    """Knows the room from five places."""
+    made = CloudOdometry(CONFIG, 0.2)
+    for seed, x in enumerate((-1.0, -0.5, 0.0, 0.5, 1.0)):
+        made.add_keyframe(points_at(base(x, 0.2 * x, 0.3 * x), 100 + seed), base(x, 0.2 * x, 0.3 * x))
+    return made
+
+
+def error_of(motion: MotionEstimate | None, truth: gtsam.Pose3) -> FloatArray:
+    assert motion is not None
+    assert isinstance(motion.T_reference_base, gtsam.Pose3)
+    return np.asarray(gtsam.Pose3.Logmap(truth.between(motion.T_reference_base)))
+
+
+def test_a_scan_finds_its_place_from_a_guess_far_off(odometry: CloudOdometry) -> None:
+    truth = base(0.3, -0.2, 0.2)
+    guess = truth.compose(gtsam.Pose3(gtsam.Rot3.Ypr(0.08, 0.01, -0.01), np.array([0.2, -0.15, 0.03])))
+    motion = odometry.match(points_at(truth), [guess])
+    error = error_of(motion, truth)
+    assert np.linalg.norm(error[3:]) < 0.01
+    assert np.linalg.norm(error[:3]) < 0.003
+    assert motion is not None
+    assert motion.inlier_share > 0.8
+    assert not motion.degenerate
+    assert 0.005 < motion.residual_m < 0.03
+
+
+def test_the_error_is_what_the_covariance_tells(odometry: CloudOdometry) -> None:
+    squares = []
+    for seed in range(6):
+        truth = base(0.2 * seed - 0.5, 0.1, 0.1 * seed)
+        motion = odometry.match(points_at(truth, seed), [truth])
+        error = error_of(motion, truth)
+        assert motion is not None
+        squares.append(error @ np.linalg.solve(motion.covariance, error))
+        assert np.sqrt(np.linalg.eigvalsh(motion.covariance[3:, 3:])[-1]) < 0.01
+    # Six degrees of freedom, and caution about errors that neighbouring points share.
+    assert np.mean(squares) < 9.0
+
+
+def test_a_second_guess_is_tried_where_the_first_leads_nowhere(odometry: CloudOdometry) -> None:
+    truth = base(0.1, 0.1, 0.0)
+    motion = odometry.match(points_at(truth), [base(0.0, 0.0, 0.5).compose(base(40.0, 0.0, 0.0)), truth])
+    assert np.abs(error_of(motion, truth)).max() < 0.01
+
+
+def test_rings_on_the_floor_do_not_pull_a_motion_short() -> None:
+    """Two steps of 0.3 m on one keyframe; as points the floor would hold the robot back."""
+    made = CloudOdometry(CONFIG, 0.2)
+    made.add_keyframe(points_at(base(0.0, 0.0, 0.0), 1), base(0.0, 0.0, 0.0))
+    truth = base(0.3, 0.0, 0.0)
+    error = error_of(made.match(points_at(truth, 2), [base(0.0, 0.0, 0.0)]), truth)
+    assert abs(error[3]) < 0.02
+
+
+def test_between_two_walls_the_way_along_them_is_open() -> None:
+    """A corridor without an end: x keeps the guess, its variance is inflated, the rest is exact."""
+    rng = np.random.default_rng(0)
+
+    def corridor(count: int = 9000) -> FloatArray:
+        along = rng.uniform(-8.0, 8.0, count)
+        side = rng.integers(0, 3, count)
+        y = np.where(side == 0, -1.0, np.where(side == 1, 1.0, rng.uniform(-1.0, 1.0, count)))
+        z = np.where(side == 2, 0.0, rng.uniform(0.0, 2.0, count))
+        return np.column_stack([along, y, z]) + 0.005 * rng.standard_normal((count, 3))
+
+    made = CloudOdometry(CONFIG, 0.2)
+    made.add_keyframe(corridor(), gtsam.Pose3())
+    guess = base(0.11, 0.05, 0.01)
+    motion = made.match(corridor(), [guess])
+    assert motion is not None
+    assert motion.degenerate
+    assert abs(abs(motion.weak_direction[3]) - 1.0) < 0.05
+    assert motion.covariance[3, 3] > 0.1
+    assert motion.covariance[4, 4] < 0.001
+    found = motion.T_reference_base
+    assert isinstance(found, gtsam.Pose3)
+    assert abs(found.x() - guess.x()) < 0.02
+    assert abs(found.y()) < 0.01
+
+
+@pytest.mark.parametrize(
+    "points",
+    [np.zeros((0, 3)), np.ones((5, 3)), np.tile([[1.0, 2.0, 0.5]], (200, 1))],
+    ids=["empty", "five points", "one place"],
+)
+def test_too_little_matches_nothing(odometry: CloudOdometry, points: FloatArray) -> None:
+    assert odometry.match(points, [gtsam.Pose3()]) is None
+
+
+def test_one_ring_tells_no_planes() -> None:
+    made = CloudOdometry(CONFIG, 0.2)
+    ring = points_at(gtsam.Pose3(), elevations=ELEVATIONS[7:8])
+    made.add_keyframe(ring, gtsam.Pose3())
+    motion = made.match(ring, [gtsam.Pose3()])
+    assert motion is None or motion.degenerate
+
+
+def test_points_that_are_no_readings_are_left_out() -> None:
+    cloud = look(gtsam.Pose3())
+    points = np.vstack([cloud.points_lidar, [[np.nan] * 3, [np.inf, 0.0, 0.0], [0.1, 0.1, 0.1], [500, 0, 0]]])
+    dirty = PointCloud(0.0, points.astype(np.float32), None, T_BASE_LIDAR)
+    np.testing.assert_array_equal(base_points(dirty, STILL, CONFIG), base_points(cloud, STILL, CONFIG))
+
+
+def test_a_turn_is_deskewed_by_the_times_of_its_points() -> None:
+    """Points of a wall, each seen from where a robot at 2 m/s was then."""
+    times_s = np.linspace(-0.1, 0.0, 500)
+    true_points = np.column_stack([np.full(500, 4.0), np.linspace(-3.0, 3.0, 500), np.full(500, 0.4)])
+    seen = true_points - np.column_stack([2.0 * times_s, 0.0 * times_s, 0.0 * times_s])
+    cloud = PointCloud(1.0, seen.astype(np.float32), times_s)
+    twist = np.array([0.0, 0.0, 0.0, 2.0, 0.0, 0.0])
+    np.testing.assert_allclose(base_points(cloud, twist, CONFIG), true_points, atol=0.003)
+    off = CONFIG.model_copy(update={"deskew": False})
+    np.testing.assert_allclose(base_points(cloud, twist, off), seen, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "times_s",
+    [np.zeros(0), np.zeros(10), np.full(10, np.nan), np.array([0.0, 50.0]), np.array([1e9, 1e9 + 0.1])],
+)
+def test_times_that_are_no_turn_deskew_nothing(times_s: FloatArray) -> None:
+    assert not turn_known(times_s)
+
+
+def test_the_voxel_follows_the_scene() -> None:
+    free = CloudOdometryConfig()
+    room, street = (points_at(gtsam.Pose3()) * scale for scale in (1.0, 5.0))
+    assert voxel_of(street, free) == pytest.approx(min(5.0 * voxel_of(room, free), 0.6))
+    assert voxel_of(room, CONFIG) == 0.2
+
+
+def test_a_drive_is_tracked_and_a_gap_is_told() -> None:
+    tracker = CloudTracker(CONFIG, None)
+    errors, motions = [], []
+    poses = way_round(41)[:12]
+    for number, pose in enumerate(poses):
+        cloud = look(pose, 0.1 * number, seed=number)
+        if number == 6:
+            cloud = PointCloud(cloud.stamp_s, np.zeros((0, 3), np.float32), None, T_BASE_LIDAR)
+        tracked = tracker.track(cloud)
+        if tracked.new_keyframe:
+            tracker.add_keyframe(tracked)
+        errors.append(np.linalg.norm(poses[0].between(pose).between(tracked.pose).translation()))
+        motions.append(tracked.motion)
+    assert motions[0] is None
+    assert motions[6] is None
+    assert all(motion is not None for motion in motions[7:])
+    assert max(errors[:6] + errors[7:]) < 0.02
+    assert errors[6] < 0.1
