@@ -242,7 +242,7 @@ class CloudLoopCloser:
         points = np.vstack(
             [moved(self._clouds.points(k), self._poses[key].between(self._poses[k])) for k in members]
         )
-        local = LocalCloud(thinned(points, 0.25 * self._voxel_m), self._voxel_m, self._odometry)
+        local = LocalCloud.of(thinned(points, 0.25 * self._voxel_m), self._voxel_m, self._odometry)
         self._cache[key] = local
         if len(self._cache) > self._config.places_cached:
             self._cache.popitem(last=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+import weakref
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,6 +21,7 @@ class CloudKeyframes:
 
     def __init__(self) -> None:
         self._file = tempfile.TemporaryFile(prefix="scanweave-clouds-")  # noqa: SIM115 - lives as long as this
+        weakref.finalize(self, self._file.close)
         self._places: list[tuple[int, int]] = []
         self._end = 0
 

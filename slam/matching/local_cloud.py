@@ -8,6 +8,7 @@ a point-to-plane alignment, whose Hessian gives the covariance that KISS-ICP has
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import gtsam
 import numpy as np
@@ -16,6 +17,9 @@ from slam.config_clouds import CloudOdometryConfig
 from slam.matching.cloud_alignment import CloudAlignment, align_cloud, motion_of
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray, MotionEstimate
+
+if TYPE_CHECKING:
+    from kiss_icp.mapping import VoxelHashMap
 
 _KISS_ITERATIONS = 50
 _KISS_CONVERGED = 1e-3
@@ -38,19 +42,24 @@ class LocalCloud:
     Parameters
     ----------
     points
-        (N, 3) in the frame of the map.
+        KISS-ICP's map.
+    planes
+        Of the same clouds.
     voxel_m
         Side of a voxel.
     """
 
-    def __init__(self, points: FloatArray, voxel_m: float, config: CloudOdometryConfig) -> None:
-        from kiss_icp.mapping import VoxelHashMap
-
+    def __init__(
+        self, points: VoxelHashMap, planes: PlaneVoxels, voxel_m: float, config: CloudOdometryConfig
+    ) -> None:
+        self._points, self._planes = points, planes
         self._config, self._voxel_m = config, voxel_m
-        self._points = VoxelHashMap(voxel_m, config.range_max_m, config.points_a_voxel)
-        if len(points):
-            self._points.add_points(points)
-        self.planes = PlaneVoxels.build(points, voxel_m, config.thickness_m)
+
+    @classmethod
+    def of(cls, points: FloatArray, voxel_m: float, config: CloudOdometryConfig) -> LocalCloud:
+        """The map of a cloud (N, 3)."""
+        planes = PlaneVoxels.build(points, voxel_m, config.thickness_m)
+        return cls(kiss_map(points, voxel_m, config), planes, voxel_m, config)
 
     def align(self, scan: FloatArray, guess: gtsam.Pose3, reach_m: float | None = None) -> Aligned | None:
         """Align a thinned scan (N, 3), base frame; None where too little is known.
@@ -62,10 +71,10 @@ class LocalCloud:
         reach_m
             How far the guess may be off; a few voxels by default.
         """
-        if len(scan) < _LEAST_POINTS or not len(self.planes):
+        if len(scan) < _LEAST_POINTS or not len(self._planes):
             return None
         start = self._arrive(scan, guess, _REACH * self._voxel_m if reach_m is None else reach_m)
-        found = align_cloud(scan, self.planes, start, self._config.iterations, _PLANE_KERNEL * self._voxel_m)
+        found = align_cloud(scan, self._planes, start, self._config.iterations, _PLANE_KERNEL * self._voxel_m)
         if found is None or found.pair_count < self._config.least_pairs:
             return None
         return Aligned(found, motion_of(found, self._config, guess))
@@ -83,6 +92,16 @@ class LocalCloud:
             kernel=_KERNEL * self._voxel_m,
         )
         return gtsam.Pose3(matrix) if np.isfinite(matrix).all() else guess
+
+
+def kiss_map(points: FloatArray, voxel_m: float, config: CloudOdometryConfig) -> VoxelHashMap:
+    """KISS-ICP's map of a cloud (N, 3)."""
+    from kiss_icp.mapping import VoxelHashMap
+
+    made = VoxelHashMap(voxel_m, config.range_max_m, config.points_a_voxel)
+    if len(points):
+        made.add_points(points)
+    return made
 
 
 def moved(points: FloatArray, pose: gtsam.Pose3) -> FloatArray:

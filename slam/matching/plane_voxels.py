@@ -6,6 +6,7 @@ ones are asked (as the voxel map of Yuan 2022, "Efficient and probabilistic adap
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,13 +14,31 @@ from numpy.typing import NDArray
 
 from slam.measurements import BoolArray, FloatArray
 
-# 21 bits an axis make a key.
-_HALF_AXIS = 1 << 20
+# Three axes make a key.
+_AXIS_BITS = 21
+_HALF_AXIS = 1 << (_AXIS_BITS - 1)
+_ROWS, _COLUMNS = np.triu_indices(3)
 _LEAST_POINTS = 6
 # A ring of the lidar alone is a line: its second extent is noise, which tells no plane.
 _LEAST_EXTENT = 0.12
 _LEAST_FLATNESS = 9.0
 SIZES = (4.0, 2.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class VoxelMoments:
+    """Sums over the points in each voxel of one size, about the voxel's corner; those of two clouds add up.
+
+    Attributes
+    ----------
+    keys
+        (V,) of the voxels, in order.
+    sums
+        (V, 10) number, sum of x, y, z, sums of their products.
+    """
+
+    keys: NDArray[np.int64]
+    sums: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +87,20 @@ class PlaneVoxels:
         thickness_m
             Standard deviation across a plane, at most.
         """
-        return cls([_level(points, voxel_m * size, thickness_m) for size in SIZES])
+        return cls.merged([voxel_moments(points, voxel_m)], voxel_m, thickness_m)
+
+    @classmethod
+    def merged(
+        cls, parts: Collection[Sequence[VoxelMoments]], voxel_m: float, thickness_m: float
+    ) -> PlaneVoxels:
+        """Fit planes to several clouds at once, at least one, each as `voxel_moments` tells it."""
+        levels = zip(*parts, strict=True)
+        return cls(
+            [
+                _planes(_added(list(level)), voxel_m * size, thickness_m)
+                for size, level in zip(SIZES, levels, strict=True)
+            ]
+        )
 
     def __len__(self) -> int:
         return sum(len(level.keys) for level in self._levels)
@@ -81,7 +113,7 @@ class PlaneVoxels:
             if not len(level.keys):
                 continue
             open_ = np.flatnonzero(~found)
-            keys = _keys(np.floor(points[open_] / level.size_m))
+            keys = _keys(points[open_], level.size_m)
             place = np.minimum(np.searchsorted(level.keys, keys), len(level.keys) - 1)
             hit = level.keys[place] == keys
             rows, place = open_[hit], place[hit]
@@ -90,37 +122,62 @@ class PlaneVoxels:
         return PlanePairs(found, centers[found], normals[found])
 
 
-def _level(points: FloatArray, size_m: float, thickness_m: float) -> _Level:
-    """Planes of one size."""
-    cells = np.floor(points / size_m)
-    keys = _keys(cells)
+def voxel_moments(points: FloatArray, voxel_m: float) -> list[VoxelMoments]:
+    """What a cloud (N, 3) adds to the voxels of every size."""
+    return [_moments(points, voxel_m * size) for size in SIZES]
+
+
+def _moments(points: FloatArray, size_m: float) -> VoxelMoments:
+    """Of one size."""
+    keys = _keys(points, size_m)
     order = np.argsort(keys, kind="stable")
-    keys, starts, counts = np.unique(keys[order], return_index=True, return_counts=True)
-    enough = counts >= _LEAST_POINTS
-    if not enough.any():
-        return _Level(size_m, keys[:0], np.zeros((0, 3)), np.zeros((0, 3)))
-    # About the middle of its voxel a moment loses no digits.
-    corners = cells[order][starts] * size_m
-    local = points[order] - np.repeat(corners, counts, axis=0)
-    sums = np.add.reduceat(local, starts)[enough]
-    rows, columns = np.triu_indices(3)
-    squares = np.add.reduceat(local[:, rows] * local[:, columns], starts)[enough]
-    number = counts[enough, None]
-    means = sums / number
+    keys, ordered = keys[order], points[order]
+    # About the corner of its voxel a moment loses no digits.
+    local = ordered - np.floor(ordered / size_m) * size_m
+    rows = np.column_stack([np.ones(len(local)), local, local[:, _ROWS] * local[:, _COLUMNS]])
+    return _summed(keys, rows)
+
+
+def _added(parts: Sequence[VoxelMoments]) -> VoxelMoments:
+    """The moments of several clouds together."""
+    if len(parts) == 1:
+        return parts[0]
+    keys, sums = np.concatenate([part.keys for part in parts]), np.vstack([part.sums for part in parts])
+    order = np.argsort(keys, kind="stable")
+    return _summed(keys[order], sums[order])
+
+
+def _summed(keys: NDArray[np.int64], rows: FloatArray) -> VoxelMoments:
+    """Rows of equal keys, which stand together, added up."""
+    if not len(keys):
+        return VoxelMoments(keys, rows)
+    starts = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
+    return VoxelMoments(keys[starts], np.add.reduceat(rows, starts))
+
+
+def _planes(moments: VoxelMoments, size_m: float, thickness_m: float) -> _Level:
+    """The planes among the voxels of one size."""
+    enough = moments.sums[:, 0] >= _LEAST_POINTS
+    keys, sums = moments.keys[enough], moments.sums[enough]
+    if not len(keys):
+        return _Level(size_m, keys, np.zeros((0, 3)), np.zeros((0, 3)))
+    means = sums[:, 1:4] / sums[:, :1]
+    spread = sums[:, 4:] / sums[:, :1] - means[:, _ROWS] * means[:, _COLUMNS]
     covariances = np.empty((len(means), 3, 3))
-    spread = squares / number - means[:, rows] * means[:, columns]
-    covariances[:, rows, columns] = spread
-    covariances[:, columns, rows] = spread
+    covariances[:, _ROWS, _COLUMNS] = spread
+    covariances[:, _COLUMNS, _ROWS] = spread
     values, vectors = np.linalg.eigh(covariances)
     flat = (
         (values[:, 0] < thickness_m**2)
         & (values[:, 1] > (_LEAST_EXTENT * size_m) ** 2)
         & (values[:, 1] > _LEAST_FLATNESS * values[:, 0])
     )
-    return _Level(size_m, keys[enough][flat], (means + corners[enough])[flat], vectors[flat, :, 0])
+    axes = np.stack([keys >> 2 * _AXIS_BITS, keys >> _AXIS_BITS, keys], axis=1) & ((1 << _AXIS_BITS) - 1)
+    corners = (axes - _HALF_AXIS) * size_m
+    return _Level(size_m, keys[flat], (means + corners)[flat], vectors[flat, :, 0])
 
 
-def _keys(cells: FloatArray) -> NDArray[np.int64]:
-    """One integer a cell (N, 3)."""
-    whole = cells.astype(np.int64) + _HALF_AXIS
-    return (whole[:, 0] << 42) | (whole[:, 1] << 21) | whole[:, 2]
+def _keys(points: FloatArray, size_m: float) -> NDArray[np.int64]:
+    """One integer for the voxel of each point."""
+    whole = np.floor(points / size_m).astype(np.int64) + _HALF_AXIS
+    return (whole[:, 0] << 2 * _AXIS_BITS) | (whole[:, 1] << _AXIS_BITS) | whole[:, 2]

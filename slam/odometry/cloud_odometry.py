@@ -4,14 +4,21 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import gtsam
 import numpy as np
 
 from slam.config_clouds import CloudOdometryConfig
 from slam.matching.cloud_points import thinned
-from slam.matching.local_cloud import LocalCloud, moved
+from slam.matching.local_cloud import LocalCloud, kiss_map, moved
+from slam.matching.plane_voxels import PlaneVoxels, VoxelMoments, voxel_moments
 from slam.measurements import FloatArray, MotionEstimate
+
+if TYPE_CHECKING:
+    from kiss_icp.mapping import VoxelHashMap
+
+_RENEWED_SHARE = 4
 
 
 class CloudOdometry:
@@ -25,19 +32,34 @@ class CloudOdometry:
 
     def __init__(self, config: CloudOdometryConfig, voxel_m: float) -> None:
         self._config, self._voxel_m = config, voxel_m
-        self._keyframes: deque[FloatArray] = deque(maxlen=config.local_map_keyframes)
+        self._clouds: deque[FloatArray] = deque(maxlen=config.local_map_keyframes)
+        self._moments: deque[list[VoxelMoments]] = deque(maxlen=config.local_map_keyframes)
+        self._points: VoxelHashMap | None = None
+        self._grown = 0
         self._map: LocalCloud | None = None
 
     def restart(self) -> None:
         """Forget the local map."""
-        self._keyframes.clear()
-        self._map = None
+        self._clouds.clear()
+        self._moments.clear()
+        self._map = self._points = None
 
     def add_keyframe(self, points: FloatArray, pose: gtsam.Pose3) -> None:
         """Take points (N, 3), base frame, at ``T_odom_base`` into the local map."""
-        if len(points):
-            self._keyframes.append(moved(thinned(points, 0.5 * self._voxel_m), pose))
-        self._map = None
+        if not len(points):
+            return
+        cloud = moved(thinned(points, 0.5 * self._voxel_m), pose)
+        self._clouds.append(cloud)
+        self._moments.append(voxel_moments(cloud, self._voxel_m))
+        self._grown += 1
+        # KISS-ICP's map forgets by distance only; now and then it is made anew of what is still in the map.
+        if self._points is None or self._grown * _RENEWED_SHARE >= self._config.local_map_keyframes:
+            self._points = kiss_map(np.vstack(self._clouds), self._voxel_m, self._config)
+            self._grown = 0
+        else:
+            self._points.add_points(cloud)
+        planes = PlaneVoxels.merged(self._moments, self._voxel_m, self._config.thickness_m)
+        self._map = LocalCloud(self._points, planes, self._voxel_m, self._config)
 
     def match(self, points: FloatArray, guesses: Sequence[gtsam.Pose3]) -> MotionEstimate | None:
         """Pose of a scan (N, 3), base frame, in the odometry frame; None where nothing fits.
@@ -47,10 +69,8 @@ class CloudOdometry:
         guesses
             Tried in this order until one fits.
         """
-        if not self._keyframes:
-            return None
         if self._map is None:
-            self._map = LocalCloud(np.vstack(self._keyframes), self._voxel_m, self._config)
+            return None
         scan = thinned(points, self._voxel_m)
         best: MotionEstimate | None = None
         for guess in guesses:

@@ -1,0 +1,64 @@
+"""Scan contexts: the same however the robot is turned, unlike elsewhere; and the planes that add up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cloud_world import base, look
+
+from slam.config_clouds import CloudOdometryConfig
+from slam.matching.cloud_points import base_points
+from slam.matching.plane_voxels import PlaneVoxels, voxel_moments
+from slam.matching.scan_context import ring_key, scan_context, unlikeness
+from slam.measurements import Float32Array, FloatArray
+
+REACH_M = 8.0
+
+
+def points_at(x: float, y: float, yaw: float, seed: int = 0) -> FloatArray:
+    return base_points(look(base(x, y, yaw), seed=seed), np.zeros(6), CloudOdometryConfig())
+
+
+def context_at(x: float, y: float, yaw: float, seed: int = 0) -> Float32Array:
+    return scan_context(points_at(x, y, yaw, seed), REACH_M)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.0, 3.0])
+def test_a_turn_is_found(yaw: float) -> None:
+    found, turn = unlikeness(context_at(0.5, 0.5, 0.2), context_at(0.5, 0.5, 0.2 + yaw, seed=1))
+    assert found < 0.2
+    assert abs(np.angle(np.exp(1j * (turn - yaw)))) < np.radians(6.5)
+
+
+def test_another_place_looks_less_alike() -> None:
+    here, there = context_at(0.5, 0.5, 0.0), context_at(-4.0, -3.0, 0.0)
+    again = context_at(0.6, 0.5, 1.0, seed=1)
+    assert unlikeness(here, again)[0] < 0.5 * unlikeness(here, there)[0]
+    keys = [ring_key(context) for context in (here, again, there)]
+    assert np.linalg.norm(keys[0] - keys[1]) < np.linalg.norm(keys[0] - keys[2])
+
+
+def test_nothing_looks_like_nothing() -> None:
+    empty = scan_context(np.zeros((0, 3)), REACH_M)
+    assert not empty.any()
+    assert unlikeness(empty, empty)[0] == 1.0
+    assert unlikeness(context_at(0.5, 0.5, 0.0), empty)[0] == 1.0
+
+
+def test_planes_of_clouds_add_up() -> None:
+    """Two halves together tell the planes of the whole, and every plane lies on a wall or the floor."""
+    points = points_at(-1.0, 0.3, 0.4)
+    whole = PlaneVoxels.build(points, 0.2, 0.06)
+    halves = PlaneVoxels.merged([voxel_moments(points[n::2], 0.2) for n in (0, 1)], 0.2, 0.06)
+    one, two = whole.pairs(points), halves.pairs(points)
+    np.testing.assert_array_equal(one.found, two.found)
+    np.testing.assert_allclose(one.centers, two.centers, atol=1e-9)
+    np.testing.assert_allclose(np.abs(np.einsum("ij,ij->i", one.normals, two.normals)), 1.0, atol=1e-6)
+    far = PlaneVoxels.build(points + np.array([500.0, -300.0, 20.0]), 0.2, 0.06)
+    assert len(far) == pytest.approx(len(whole), rel=0.3)
+
+
+def test_a_line_is_no_plane() -> None:
+    line = np.column_stack([np.linspace(0.0, 5.0, 2000), np.zeros(2000), np.zeros(2000)])
+    assert len(PlaneVoxels.build(line, 0.2, 0.06)) == 0
+    assert len(PlaneVoxels.build(np.zeros((0, 3)), 0.2, 0.06)) == 0
