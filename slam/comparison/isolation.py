@@ -25,7 +25,7 @@ THREAD_LIMITS = {
     "VECLIB_MAXIMUM_THREADS": "1",
     "OPENCV_FOR_THREADS_NUM": "1",
 }
-_LOOK_S = 0.1
+_LOOK_S = 0.5  # a look goes through all processes of the machine
 # Set by whoever stops a comparison in this process: its threads end their runs, and begin no more.
 STOPPING = threading.Event()
 
@@ -63,7 +63,7 @@ def run_isolated(job: dict[str, Any], folder: Path, timeout_s: float, memory_mb:
         Must exist; gets the job, the log, and what the run leaves.
     timeout_s, memory_mb
         Beyond either the process is killed, with all that it has started. Memory is the resident size, looked
-        at ten times a second: a limit on the address space would count what libraries only reserve.
+        at twice a second: a limit on the address space would count what libraries only reserve.
     """
     (folder / JOB).write_text(json.dumps(job, indent=1), encoding="utf-8")
     command = [sys.executable, "-m", "slam.comparison.child", str(folder / JOB), str(folder)]
