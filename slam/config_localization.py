@@ -16,9 +16,6 @@ class LocalizationConfig(StrictModel):
         default=0.25, ge=0, lt=1, description="likelihood of a point where the map knows nothing"
     )
     search_every_m: float = Field(default=1.0, gt=0, description="travel between two global searches")
-    search_rarely_m: float = Field(
-        default=2.0, gt=0, description="to which that grows while no search leads to a pose"
-    )
     search_back_m: float = Field(default=4.0, gt=0, description="travel whose scans are searched together")
     search_points: int = Field(default=150, ge=20, description="points in the global search")
     search_least_score: float = Field(default=0.45, gt=0, lt=1, description="least mean likelihood")
@@ -42,7 +39,7 @@ class LocalizationConfig(StrictModel):
         default=3.0, ge=1, description="neighbouring cells of a surface that count as one reading"
     )
     nowhere_nats: float = Field(
-        default=4.0, description="evidence that a pose must exceed to be likelier than none in the map"
+        default=3.5, description="evidence that a pose must exceed to be likelier than none in the map"
     )
     kidnap_nats: float = Field(
         default=3.0, ge=0, description="what it costs a hypothesis to believe that the robot was carried off"
@@ -63,7 +60,7 @@ class LocalizationConfig(StrictModel):
         default=4.0, gt=0, description="a match farther from the prediction is not believed"
     )
     lag_nodes: int = Field(default=10, ge=2, description="scans in the fixed-lag smoother")
-    lost_nats: float = Field(default=8.0, gt=0, description="evidence against the pose that means lost")
+    lost_nats: float = Field(default=12.0, gt=0, description="evidence against the pose that means lost")
     lost_after_s: float = Field(default=1.0, ge=0, description="and the least time that it must last")
     dead_reckoning_m: float = Field(
         default=0.5, gt=0, description="sigma of the position beyond which dead reckoning means lost"

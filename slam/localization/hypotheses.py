@@ -74,7 +74,6 @@ class HypothesisSet:
         self.members.clear()
         self._search_at_m = 0.0
         self._searches = 0
-        self._search_step_m = self._config.search_every_m
 
     def due(self, pose: FloatArray) -> bool:
         """Whether a scan at a pose (3,) in the odometry frame should be weighed."""
@@ -102,8 +101,7 @@ class HypothesisSet:
             self._settle(member, station, carried)
             self.members.append(member)
         if station.way_m >= self._search_at_m:
-            self._search_at_m = station.way_m + self._search_step_m
-            self._search_step_m = min(2.0 * self._search_step_m, self._config.search_rarely_m)
+            self._search_at_m = station.way_m + self._config.search_every_m
             self._search()
         self._prune()
 
