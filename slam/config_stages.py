@@ -37,8 +37,8 @@ class SensorsConfig(StrictModel):
     )
     motion: Literal["auto", "planar", "spatial"] = Field(
         default="auto",
-        description="planar: a robot on a floor, SE(2); spatial: a hand-held camera, SE(3); auto: planar "
-        "where the log holds a lidar or wheels",
+        description="planar: a robot on a floor, SE(2); spatial: a 3D lidar or a hand-held camera, SE(3); "
+        "auto: by a 3D lidar where it is the only one, else planar where the log holds a lidar or wheels",
     )
 
 
@@ -119,6 +119,11 @@ class WheelConfig(StrictModel):
     distance_share: float = Field(default=0.2, ge=0, description="sigma a metre travelled")
     turn_share: float = Field(default=0.2, ge=0, description="sigma a radian turned")
     turn_per_m_rad: float = Field(default=0.05, ge=0, description="yaw sigma a metre travelled")
+    swing_m_per_rad: float = Field(
+        default=0.1,
+        ge=0,
+        description="way sigma a radian turned, of wheels that proved exact on the straight",
+    )
     greatest_speed_m_s: float = Field(default=5.0, gt=0, description="a faster jump is not believed")
     greatest_turn_rad_s: float = Field(default=6.0, gt=0, description="a faster turn is not believed")
 

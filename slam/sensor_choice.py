@@ -23,15 +23,12 @@ class SensorChoice:
     cameras
         Names of the RGB-D cameras that are used, in the order in which they appear.
     cloud
-        Whether a 3D lidar makes the map.
-    unused_cameras
-        Names of the cameras that are not used beside it.
+        Whether a 3D lidar makes the map, without the cameras.
     """
 
     spatial: bool
     cameras: tuple[str, ...]
     cloud: bool = False
-    unused_cameras: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, log: Iterable[Measurement], config: SensorsConfig) -> SensorChoice:
@@ -48,10 +45,9 @@ class SensorChoice:
             clouds |= isinstance(measurement, PointCloud)
             if measurement.stamp_s - first_s > _LOOK_S or count > _LOOK_COUNT:
                 break
-        if clouds and (not scans or config.motion == "spatial"):
-            return cls(True, (), True, tuple(cameras))
         spatial = bool(cameras) and not vehicle if config.motion == "auto" else config.motion == "spatial"
-        return cls(spatial, tuple(cameras))
+        cloud = clouds and (config.motion == "spatial" or (config.motion == "auto" and not scans))
+        return cls(spatial, tuple(cameras), cloud)
 
 
 def used_measurements(log: Iterable[Measurement], config: SensorsConfig) -> Iterator[Measurement]:

@@ -15,8 +15,10 @@ from slam.config import load_config
 from slam.datasets import open_dataset
 from slam.errors import DatasetError
 from slam.evaluation.trajectory_error import absolute_error
+from slam.graph.cloud_loops import CloudLoopCloser
 from slam.graph.pose_graph import EdgeKind
 from slam.map_result import MapResult
+from slam.mapping.cloud_keyframes import CloudKeyframes
 from slam.measurements import LaserScan, Measurement, PointCloud, WheelOdometry
 from slam.pipeline import build_map
 from slam.run_outputs import save_clouds, save_run
@@ -116,6 +118,20 @@ def test_no_loops_where_none_are_wanted(log: Path) -> None:
     assert not result.loops
 
 
+def test_a_place_too_far_to_be_the_same_is_not_tried() -> None:
+    """There and nowhere near: identical clouds, 40 m apart, all steps sure."""
+    config, kept = load_config(None, SMALL), CloudKeyframes()
+    closer = CloudLoopCloser(config.cloud_loops, config.cloud_odometry, 0.25, kept)
+    points = look(gtsam.Pose3()).points_lidar.astype(np.float64)
+    poses = [gtsam.Pose3(gtsam.Rot3(), np.array([4.0 * n, 0.0, 0.0])) for n in range(11)]
+    for key, pose in enumerate(poses):
+        kept.add(points)
+        covariance = None if key == 0 else np.eye(6) * 1e-6
+        closer.add_keyframe(points, pose, 4.0 * key, covariance, 0.01)
+        tried = closer.close(key, poses[: key + 1])
+    assert not tried
+
+
 def test_an_unknown_mounting_finds_the_ground_by_sight(tmp_path: Path) -> None:
     clouds = [look(pose, 0.1 * number, seed=number) for number, pose in enumerate(way_round(COUNT)[:4])]
     folder = write_log(tmp_path / "log", clouds)
@@ -156,6 +172,7 @@ def test_clouds_choose_the_mapper() -> None:
     assert not choice(cloud, scan).cloud
     assert choice(cloud, scan, motion="spatial").cloud
     assert not choice(cloud, wheels, lidar=False).cloud
+    assert not choice(cloud, wheels, motion="planar").cloud
 
 
 def test_a_camera_beside_the_lidar_is_told_to_be_unused() -> None:

@@ -26,7 +26,7 @@ from slam.graph.pose_graph import EdgeKind
 from slam.map_result import MapResult
 from slam.mapping.dense_map import ColoredCloud
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
-from slam.measurements import BoolArray, FloatArray
+from slam.measurements import BoolArray
 from slam.scan_record import CameraRecord
 from slam.storage.ply import read_cloud_ply
 
@@ -118,7 +118,7 @@ def report_data(
         degenerate=scans.degenerate[keyframes] > 0.0,
         scan_times_s=scans.seconds,
         map_picture=None if result.grid is None else _picture(result.grid),
-        loops=[_loop_row(loop, result.keyframe_poses, config) for loop in result.loops],
+        loops=[_loop_row(loop, result, config) for loop in result.loops],
         reader_notes=_reader_notes(reading) + _edge_notes(result) + [("note", note) for note in result.notes],
         stage_times_s=result.stage_seconds,
         warnings=[*result.warnings, *_warnings(result), *beside.warnings],
@@ -147,11 +147,12 @@ def _picture(grid: OccupancyGrid) -> MapPicture:
     )
 
 
-def _loop_row(loop: LoopCandidate, poses: FloatArray, config: Config) -> LoopRow:
+def _loop_row(loop: LoopCandidate, result: MapResult, config: Config) -> LoopRow:
     """One candidate for the table; its score is the share of points that fit, where it got so far."""
-    source, place = poses[loop.keyframe], poses[loop.place]
+    source, place = result.keyframe_poses[loop.keyframe], result.keyframe_poses[loop.place]
     # A camera finds a place by its looks: only a lidar searches a window.
-    limits = config.loops if loop.half_width_m > 0.0 else config.visual_loops
+    by_scans = config.loops if result.clouds is None else config.cloud_loops
+    limits = by_scans if loop.half_width_m > 0.0 else config.visual_loops
     return LoopRow(
         from_keyframe=loop.keyframe,
         to_keyframe=loop.place,

@@ -160,6 +160,8 @@ class CloudLoopCloser:
         sigmas += config.drift_share * (ways[key] - self._last_loop_m)
         reach_m = config.reach_voxels * voxel_m
         possible = distances <= reach_m + config.sigmas * sigmas
+        if not possible.any():
+            return []
         places, distances, sigmas = places[possible], distances[possible], sigmas[possible]
         chosen: list[_Guess] = []
 
@@ -171,7 +173,7 @@ class CloudLoopCloser:
             place = int(places[n])
             if len(chosen) < config.near and apart(place):
                 chosen.append(_Guess(place, poses[place].between(poses[key]), float(sigmas[n]), 1.0))
-        rings = np.array([self._rings[place] for place in places]).reshape(len(places), -1)
+        rings = np.array([self._rings[place] for place in places])
         likeness = np.linalg.norm(rings - self._rings[key], axis=1)
         for n in np.argsort(likeness, kind="stable")[:_SIMILAR_RINGS]:
             place = int(places[n])

@@ -66,6 +66,7 @@ class CloudTracker:
         guesses = self._guesses(cloud.stamp_s, step_s)
         self._stamp_s = cloud.stamp_s
         if len(points) < self._config.least_pairs:
+            self._lost += 1
             return self._guessed(points, guesses[0], new_keyframe=False)
         if self._odometry is None:
             self.voxel_m = voxel_of(points, self._config)
@@ -105,7 +106,8 @@ class CloudTracker:
                     turn = gtsam.Rot3.Yaw(float(moved[2]))
                     shift = np.array([moved[0], moved[1], 0.0])
                     guesses.append(self._pose.compose(gtsam.Pose3(turn, shift)))
-        if 0.0 < step_s < _LONGEST_STEP_S:
+        # Nobody knows how long a robot that sees nothing goes on.
+        if 0.0 < step_s < _LONGEST_STEP_S and self._lost < _LOST_AFTER:
             guesses.append(self._pose.compose(gtsam.Pose3.Expmap(self._twist * step_s)))
         return [*guesses, self._pose]
 
