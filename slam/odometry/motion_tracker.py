@@ -90,18 +90,24 @@ class _Predictor:
         self.doubt = 1.0
         self.guess: Guess | None = None
 
-    def predict(self, pose: FloatArray, covariance: FloatArray, dispute: FloatArray) -> None:
+    def predict(
+        self, pose: FloatArray, covariance: FloatArray, dispute: FloatArray, swing_m: float = 0.0
+    ) -> None:
         """Expect a pose (3,) with a covariance (3, 3) as claimed, rescaled by what was learned so far.
 
         The dispute (3, 3) about the pose that it starts from comes on top, rescaled too: who proved exact
         is believed through a dispute too, or whoever walks ahead would win at the next scan.
         """
-        self.guess = self.rescaled(pose, covariance + dispute)
+        self.guess = self.rescaled(pose, covariance + dispute, swing_m)
 
-    def rescaled(self, pose: FloatArray, covariance: FloatArray) -> Guess:
-        """A pose (3,) with a covariance (3, 3) as claimed, rescaled by what was learned so far."""
+    def rescaled(self, pose: FloatArray, covariance: FloatArray, swing_m: float = 0.0) -> Guess:
+        """A pose (3,) with a covariance (3, 3) as claimed, rescaled by what was learned so far.
+
+        ``swing_m`` is a sigma of the way that whoever proved exact on the straight has all the same.
+        """
         scale = np.sqrt(self.doubt * np.array([self._share, self._share, 1.0]))
-        return Guess(pose, covariance * np.outer(scale, scale))
+        swing = np.diag([swing_m**2, swing_m**2, 0.0])
+        return Guess(pose, covariance * np.outer(scale, scale) + swing)
 
     def judge(self, pose: FloatArray) -> None:
         """Learn from where the scan was really taken: the mean of the normalised squared error."""
@@ -199,7 +205,8 @@ class MotionTracker:
             step = between(last.wheel_pose, wheel_pose)
             if self._wheels.plausible(step, step_s):
                 covariance = self._wheels.covariance(step)
-                self._by_wheels.predict(compose(last.pose, step), covariance, last.dispute)
+                swing_m = self._wheels.swing_m(step)
+                self._by_wheels.predict(compose(last.pose, step), covariance, last.dispute, swing_m)
         stretch = 1.0
         if step_s > 0.0 and self._velocity_step_s > 0.0:
             stretch = min(step_s / self._velocity_step_s, _GREATEST_STRETCH)
@@ -226,9 +233,8 @@ class MotionTracker:
         step = between(begun.wheel_pose, wheel_pose)
         if not self._wheels.plausible(step, stamp_s - begun_s):
             return None
-        return self._by_wheels.rescaled(
-            compose(begun.pose, step), self._wheels.covariance(step) + begun.dispute
-        )
+        covariance = self._wheels.covariance(step) + begun.dispute
+        return self._by_wheels.rescaled(compose(begun.pose, step), covariance, self._wheels.swing_m(step))
 
     def _velocity_covariance(self, step: FloatArray) -> FloatArray:
         """Covariance (3, 3) of a step (3,) that repeats the last one."""

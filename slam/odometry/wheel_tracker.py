@@ -49,6 +49,10 @@ class WheelTracker:
             and abs(step[2]) <= self._config.greatest_turn_rad_s * time_s + self._config.floor_rad
         )
 
+    def swing_m(self, step: FloatArray) -> float:
+        """Sigma of the way that a turn adds: the base may sit beside the axle by more than the log tells."""
+        return self._config.swing_m_per_rad * abs(float(step[2]))
+
     def covariance(self, step: FloatArray) -> FloatArray:
         """Covariance (3, 3) of a wheel motion ``step`` (3,): floor, and shares of way and turn."""
         config = self._config

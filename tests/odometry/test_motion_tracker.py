@@ -292,6 +292,18 @@ def test_wheels_that_prove_exact_are_believed_more_and_less_again_after_a_slip()
     np.testing.assert_array_less(4.0 * proven[:2], slipped[:2])
 
 
+def test_wheels_that_prove_exact_on_the_straight_may_swing_in_a_turn() -> None:
+    """The base sits beside the axle: each turn takes it aside, and that is no contradiction."""
+    run = Run()
+    run.see_the_truth()
+    for _ in range(160):
+        run.scan()
+    run.odometry.near_fit = 0.95
+    tracked = run.scan(wheel_step=np.array([0.0, 0.0, 0.35]), true_step=np.array([0.0, 0.04, 0.35]))
+    np.testing.assert_allclose(tracked.pose, run.true_pose, atol=1e-9)
+    np.testing.assert_array_equal(tracked.dispute, np.zeros((3, 3)))
+
+
 @pytest.mark.parametrize("frame", [(0.0, 0.0, 0.0), (30.0, 20.0, -2.0)])
 def test_real_scans_overrule_slipping_wheels_in_a_room(frame: tuple[float, ...]) -> None:
     """The robot stands, the wheels spin: 8 cm a scan for ten scans, all of it denied by the walls."""
