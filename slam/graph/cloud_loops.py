@@ -41,12 +41,13 @@ class Clouds(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class _Guess:
-    """A place to try: where it is expected, how far off that may be, how alike it looks."""
+    """A place to try: where it is expected, how far off that may be, and whether its looks proposed it."""
 
     place: int
     T_place_base: gtsam.Pose3
     sigma_m: float
     score: float
+    by_looks: bool
 
 
 class CloudLoopCloser:
@@ -130,8 +131,10 @@ class CloudLoopCloser:
         if not config.enabled or way_m - self._last_attempt_m < config.every_voxels * self._voxel_m:
             return []
         self._last_attempt_m = way_m
-        tried = []
+        tried: list[LoopCandidate] = []
         for guess in self._propose(key, poses):
+            if guess.by_looks and any(candidate.accepted for candidate in tried):
+                break  # where the robot is, is known
             candidate = self._verify(key, guess)
             if candidate.accepted and candidate.motion is not None:
                 motion = candidate.motion
@@ -172,7 +175,7 @@ class CloudLoopCloser:
         for n in np.argsort(distances, kind="stable"):
             place = int(places[n])
             if len(chosen) < config.near and apart(place):
-                chosen.append(_Guess(place, poses[place].between(poses[key]), float(sigmas[n]), 1.0))
+                chosen.append(_Guess(place, poses[place].between(poses[key]), float(sigmas[n]), 1.0, False))
         rings = np.array([self._rings[place] for place in places])
         likeness = np.linalg.norm(rings - self._rings[key], axis=1)
         for n in np.argsort(likeness, kind="stable")[:_SIMILAR_RINGS]:
@@ -182,7 +185,7 @@ class CloudLoopCloser:
             found, yaw = unlikeness(self._contexts[place], self._contexts[key])
             if found <= config.greatest_unlikeness:
                 turned = gtsam.Pose3(gtsam.Rot3.Yaw(yaw), np.zeros(3))
-                chosen.append(_Guess(place, turned, float(sigmas[n]) + reach_m, 1.0 - found))
+                chosen.append(_Guess(place, turned, float(sigmas[n]) + reach_m, 1.0 - found, True))
         return chosen
 
     def _verify(self, key: int, guess: _Guess) -> LoopCandidate:
@@ -241,10 +244,13 @@ class CloudLoopCloser:
             return self._cache[key]
         half = self._config.half_keyframes
         members = range(max(0, key - half), min(len(self._poses), key + half + 1))
-        points = np.vstack(
-            [moved(self._clouds.points(k), self._poses[key].between(self._poses[k])) for k in members]
-        )
-        local = LocalCloud.of(thinned(points, 0.25 * self._voxel_m), self._voxel_m, self._odometry)
+        parts = [
+            moved(
+                thinned(self._clouds.points(k), 0.5 * self._voxel_m), self._poses[key].between(self._poses[k])
+            )
+            for k in members
+        ]
+        local = LocalCloud.of(np.vstack(parts), self._voxel_m, self._odometry)
         self._cache[key] = local
         if len(self._cache) > self._config.places_cached:
             self._cache.popitem(last=False)
