@@ -21,6 +21,8 @@ DeltaUnit: TypeAlias = Literal["frames", "metres"]
 # evo's own limits; the figures are to agree with it.
 DEFAULT_MAX_DIFFERENCE_S = 0.01
 _ALL_PAIRS_TOLERANCE = 0.1
+# Of the greatest spread: what is less is rounding, and the points lie on a line.
+_OPEN_SHARE = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,7 +204,7 @@ def umeyama(points: FloatArray, targets: FloatArray) -> FloatArray:
     mean_points, mean_targets = points.mean(axis=0), targets.mean(axis=0)
     covariance = (targets - mean_targets).T @ (points - mean_points) / len(points)
     left, singular, right = np.linalg.svd(covariance)
-    if np.count_nonzero(singular > np.finfo(np.float64).eps) < 2:
+    if np.count_nonzero(singular > _OPEN_SHARE * singular[0]) < 2:
         raise EvaluationError(
             f"{len(points)} associated poses in one place or on one line leave the alignment open; use none"
         )
