@@ -38,8 +38,6 @@ _MOST_AN_OBJECT = 5.0
 # Wheels that did well of late are taken to be surer of the way, but not of the turn, than they claim: a slip
 # of time turns a robot that moves straight on. By no more than this share of the variance.
 _LEAST_SHARE = 0.02
-# Only wheels that have come down to this share may contradict by their way over a while.
-_PROVEN_SHARE = 0.3
 # Matches that err a little at every scan, all the same way, contradict the wheels' way over this time.
 _WINDOW_S = 1.0
 # Only a match that this share of the points agrees with may judge a predictor.
@@ -88,7 +86,7 @@ class _Predictor:
     def __init__(self, memory_scans: float, least_share: float = 1.0) -> None:
         self._rate = 1.0 / memory_scans
         self._least_share = least_share
-        self.share = 1.0
+        self._share = 1.0
         self.doubt = 1.0
         self.guess: Guess | None = None
 
@@ -107,7 +105,7 @@ class _Predictor:
 
         ``swing_m`` is a sigma of the way that whoever proved exact on the straight has all the same.
         """
-        scale = np.sqrt(self.doubt * np.array([self.share, self.share, 1.0]))
+        scale = np.sqrt(self.doubt * np.array([self._share, self._share, 1.0]))
         swing = np.diag([swing_m**2, swing_m**2, 0.0])
         return Guess(pose, covariance * np.outer(scale, scale) + swing)
 
@@ -119,9 +117,9 @@ class _Predictor:
         average = self.doubt + self._rate * (min(squares, _GREATEST_SURPRISE * self.doubt) - self.doubt)
         self.doubt = max(1.0, average)
         way = between(self.guess.pose, pose)[:2]
-        squares = self.share * float(way @ np.linalg.solve(self.guess.covariance[:2, :2], way)) / 2.0
-        average = self.share + self._rate * (min(squares, _GREATEST_SURPRISE * self.share) - self.share)
-        self.share = min(max(self._least_share, average), 1.0)
+        squares = self._share * float(way @ np.linalg.solve(self.guess.covariance[:2, :2], way)) / 2.0
+        average = self._share + self._rate * (min(squares, _GREATEST_SURPRISE * self._share) - self._share)
+        self._share = min(max(self._least_share, average), 1.0)
 
 
 class MotionTracker:
@@ -229,13 +227,12 @@ class MotionTracker:
             self._recent.popleft()
         if self._wheels is None or wheel_pose is None or len(self._recent) < 2:
             return None
-        if self._by_wheels.share > _PROVEN_SHARE:
-            return None
         begun_s, begun = self._recent[0]
         if begun.wheel_pose is None:
             return None
         step = between(begun.wheel_pose, wheel_pose)
-        if not self._wheels.plausible(step, stamp_s - begun_s):
+        # Wheels that report no motion at all stand still or are dead.
+        if not step.any() or not self._wheels.plausible(step, stamp_s - begun_s):
             return None
         covariance = self._wheels.covariance(step) + begun.dispute
         return self._by_wheels.rescaled(compose(begun.pose, step), covariance, self._wheels.swing_m(step))
@@ -262,13 +259,6 @@ class MotionTracker:
             if other is not None and other.fit > motion.fit:
                 motion = other
         held = self._odometry.match_near(points, contradicted.pose)
-        if (
-            contradicted is self._window_guess
-            and held is not None
-            and self._sigmas(contradicted, held) > config.surprise_sigmas
-        ):
-            held = None
-            self._recent.clear()  # no match holds where the wheels say: their way until now tells nothing
         if self._contradicted(guesses[0], motion) is None or held is None:
             self._judge(motion)
             return motion, np.zeros((3, 3))
