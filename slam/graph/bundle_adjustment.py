@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from slam.errors import GraphError
 from slam.graph.landmarks import (
@@ -261,7 +261,7 @@ def _agreeing(problem: _Problem, state: WindowState, kept: BoolArray) -> BoolArr
     distance = (pixels**2).sum(axis=1) * left_over / _robust_scale(pixels[kept]) ** 2
     if (kept & deep).any():
         distance[deep] += depths[deep] ** 2 * left_over / _robust_scale(depths[kept & deep]) ** 2
-    gates = chi2.ppf(problem.settings.inlier_probability, np.where(deep, 3, 2))
+    gates = chdtri(np.where(deep, 3, 2), 1.0 - problem.settings.inlier_probability)
     return kept & (distance < gates)
 
 

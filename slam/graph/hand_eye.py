@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from slam.measurements import BoolArray, FloatArray
 
@@ -147,7 +147,7 @@ def search(motions: Motions, R_start: FloatArray, t_start: FloatArray) -> tuple[
     """
     R, t = _seeds(R_start, t_start)
     weights = _search_weights(motions)
-    gate = float(chi2.ppf(0.99, 6))
+    gate = float(chdtri(6, 0.01))
     for _ in range(_SEARCH_ROUNDS):
         errors, jacobians = linearise(motions, R, t)
         weighted = jacobians * weights[..., None]
@@ -165,14 +165,14 @@ def refine(motions: Motions, R: FloatArray, t: FloatArray, inlier_probability: f
     The loss is as wide as the median of the residuals asks: wide from a bad start, narrow at the end, as
     graduated non-convexity does by a schedule (Yang 2020, Sec. IV).
     """
-    gate = float(chi2.ppf(inlier_probability, 6))
+    gate = float(chdtri(6, 1.0 - inlier_probability))
     step = np.full(6, np.inf)
     for _ in range(_REFINING_ROUNDS):
         errors, jacobians = linearise(motions, R, t)
         precisions = np.linalg.inv(covariances(motions, R, t))
         distances = np.einsum("ni,nij,nj->n", errors, precisions, errors)
         # Stated noise may be too small, and then the median tells.
-        spread = max(float(np.median(distances)) / float(chi2.ppf(0.5, 6)), 1.0)
+        spread = max(float(np.median(distances)) / float(chdtri(6, 0.5)), 1.0)
         bend = spread * gate
         weighted = np.einsum("n,nki,nkl->nil", (bend / (distances + bend)) ** 2, jacobians, precisions)
         information = np.einsum("nil,nlj->ij", weighted, jacobians)

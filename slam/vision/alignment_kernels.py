@@ -1,4 +1,4 @@
-"""Normal equations of the alignment of a frame: point to plane, and reprojection."""
+"""Terms of the alignment of a frame: point to plane, and reprojection."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 _LEAST_NORMAL_COSINE = 0.8  # two surfaces turned further apart are not the same
 _NEAREST_M = 0.2
+_TERMS = 19  # numbers kept of a point
+_BLOCK = 256  # points whose terms stay in the nearest cache
 
 
 @numba.njit(cache=True, nogil=True)
@@ -36,54 +38,86 @@ def surface_part(
     product of both surfaces' normals, whose noise is independent, does not: that is the ``information``.
     """
     fx, fy, cx, cy = camera
+    inverse_fx, inverse_fy, inverse_kernel = 1.0 / fx, 1.0 / fy, 1.0 / kernel
     height, width = inverse_depth.shape
-    jacobian = np.empty(6)
-    twin = np.empty(6)
+    r00, r01, r02, tx = T[0, 0], T[0, 1], T[0, 2], T[0, 3]
+    r10, r11, r12, ty = T[1, 0], T[1, 1], T[1, 2], T[1, 3]
+    r20, r21, r22, tz = T[2, 0], T[2, 1], T[2, 2], T[2, 3]
+    terms = np.empty((_TERMS, _BLOCK))
+    count = 0
     for i in range(points.shape[0]):
+        if count == _BLOCK:
+            _add_up(terms, count, hessian, gradient, information)
+            count = 0
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
-        x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
-        y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
-        z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+        z = r20 * px + r21 * py + r22 * pz + tz
         if z < _NEAREST_M:
             continue
-        u = int(np.floor(fx * x / z + cx + 0.5))
-        v = int(np.floor(fy * y / z + cy + 0.5))
+        x = r00 * px + r01 * py + r02 * pz + tx
+        y = r10 * px + r11 * py + r12 * pz + ty
+        inverse_z = 1.0 / z
+        u = int(np.floor(fx * x * inverse_z + cx + 0.5))
+        v = int(np.floor(fy * y * inverse_z + cy + 0.5))
         if u < 0 or v < 0 or u >= width or v >= height or inverse_depth[v, u] <= 0.0:
             continue
         seen[i] = 1
         nx, ny, nz = surface_normals[v, u, 0], surface_normals[v, u, 1], surface_normals[v, u, 2]
         # The view's normal, seen from the frame.
-        mx = T[0, 0] * nx + T[1, 0] * ny + T[2, 0] * nz
-        my = T[0, 1] * nx + T[1, 1] * ny + T[2, 1] * nz
-        mz = T[0, 2] * nx + T[1, 2] * ny + T[2, 2] * nz
-        if mx * normals[i, 0] + my * normals[i, 1] + mz * normals[i, 2] < _LEAST_NORMAL_COSINE:
+        mx = r00 * nx + r10 * ny + r20 * nz
+        my = r01 * nx + r11 * ny + r21 * nz
+        mz = r02 * nx + r12 * ny + r22 * nz
+        ox, oy, oz = normals[i, 0], normals[i, 1], normals[i, 2]
+        if mx * ox + my * oy + mz * oz < _LEAST_NORMAL_COSINE:
             continue
         qz = 1.0 / inverse_depth[v, u]
         if abs(z - qz) > gate_m * max(1.0, z * z) * 2.0:
             continue
-        r = nx * (x - (u - cx) / fx * qz) + ny * (y - (v - cy) / fy * qz) + nz * (z - qz)
-        sigma = depth_floor_m + depth_share * z * z
-        normalised = abs(r) / sigma
+        r = nx * (x - (u - cx) * inverse_fx * qz) + ny * (y - (v - cy) * inverse_fy * qz) + nz * (z - qz)
+        inverse_sigma = 1.0 / (depth_floor_m + depth_share * z * z)
+        normalised = abs(r) * inverse_sigma
         residuals[i] = min(residuals[i], normalised)
-        weight = 1.0 / (1.0 + (normalised / kernel) ** 2)
-        weight = weight * weight / (sigma * sigma)
-        jacobian[0] = py * mz - pz * my
-        jacobian[1] = pz * mx - px * mz
-        jacobian[2] = px * my - py * mx
-        jacobian[3] = mx
-        jacobian[4] = my
-        jacobian[5] = mz
-        twin[0] = py * normals[i, 2] - pz * normals[i, 1]
-        twin[1] = pz * normals[i, 0] - px * normals[i, 2]
-        twin[2] = px * normals[i, 1] - py * normals[i, 0]
-        twin[3] = normals[i, 0]
-        twin[4] = normals[i, 1]
-        twin[5] = normals[i, 2]
-        for a in range(6):
-            gradient[a] -= weight * jacobian[a] * r
-            for b in range(6):
-                hessian[a, b] += weight * jacobian[a] * jacobian[b]
-                information[a, b] += weight * jacobian[a] * twin[b]
+        weight = inverse_sigma / (1.0 + (normalised * inverse_kernel) ** 2)
+        weight *= weight
+        jx, jy, jz = py * mz - pz * my, pz * mx - px * mz, px * my - py * mx
+        terms[0, count], terms[1, count], terms[2, count] = jx, jy, jz
+        terms[3, count], terms[4, count], terms[5, count] = mx, my, mz
+        terms[6, count], terms[7, count], terms[8, count] = weight * jx, weight * jy, weight * jz
+        terms[9, count], terms[10, count], terms[11, count] = weight * mx, weight * my, weight * mz
+        terms[12, count] = py * oz - pz * oy
+        terms[13, count] = pz * ox - px * oz
+        terms[14, count] = px * oy - py * ox
+        terms[15, count], terms[16, count], terms[17, count] = ox, oy, oz
+        terms[18, count] = r
+        count += 1
+    _add_up(terms, count, hessian, gradient, information)
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_up(
+    terms: NDArray[Any],
+    count: int,
+    hessian: NDArray[Any],
+    gradient: NDArray[Any],
+    information: NDArray[Any],
+) -> None:
+    """Add products of ``terms`` (19, N): derivative by the view's normal (6), the same times its weight (6),
+    derivative by the point's own normal (6), distance.
+    """
+    for a in range(6):
+        weighted = terms[6 + a, :count]
+        gradient[a] -= _dot(weighted, terms[18, :count])
+        for b in range(6):
+            hessian[a, b] += _dot(weighted, terms[b, :count])
+            information[a, b] += _dot(weighted, terms[12 + b, :count])
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def _dot(first: NDArray[Any], second: NDArray[Any]) -> float:
+    """Inner product, in the order that vector instructions like."""
+    total = 0.0
+    for i in range(first.size):
+        total += first[i] * second[i]
+    return total
 
 
 @numba.njit(cache=True, nogil=True)

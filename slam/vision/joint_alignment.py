@@ -143,8 +143,10 @@ def align(
     near, _ = _descend(coarse, views, intrinsics, guess, settings, settings.coarse_iterations, _NEAR, 4.0)
     fine = _Work.of(points, landmarks)
     rounds = settings.iterations - settings.coarse_iterations
-    pose, converged = _descend(fine, views, intrinsics, near, settings, rounds, _SETTLED, 1.0)
-    return fine.conclude(views, intrinsics, pose, settings, converged)
+    pose, step = _descend(fine, views, intrinsics, near, settings, rounds, _SETTLED, 1.0)
+    if step >= _SETTLED:
+        fine.linearize(views, intrinsics, pose, settings, 1.0)
+    return fine.conclude(pose, settings, converged=step < _SHORT)
 
 
 def _descend(
@@ -156,23 +158,23 @@ def _descend(
     rounds: int,
     settled: float,
     slack: float,
-) -> tuple[gtsam.Pose3, bool]:
-    """Gauss-Newton until a step is shorter than ``settled``: the pose, and whether it came to rest."""
+) -> tuple[gtsam.Pose3, float]:
+    """Gauss-Newton until a step is shorter than ``settled``: the pose, and the length of the last step."""
     length = np.inf
     for _ in range(rounds):
         hessian, gradient = work.linearize(views, intrinsics, pose, settings, slack)
         ridge = _LEAST_CURVATURE * float(np.trace(hessian))
         if ridge <= 0.0:
-            return pose, False
+            return pose, np.inf
         # Where nothing tells a direction, as along a bare wall, the pose stays there and moves elsewhere.
         step = np.linalg.solve(hessian + ridge * np.eye(6), gradient)
         length = float(np.linalg.norm(step))
         if length > 1.0:
-            return pose, False
+            return pose, np.inf
         pose = pose.compose(gtsam.Pose3.Expmap(step))
         if length < settled:
             break
-    return pose, length < _SHORT
+    return pose, length
 
 
 @dataclass(slots=True)
@@ -247,16 +249,8 @@ class _Work:
         gradient = depth_g / settings.correlated_points + feature_g / settings.correlated_features
         return hessian, gradient
 
-    def conclude(
-        self,
-        views: list[View],
-        k: CameraIntrinsics,
-        pose: gtsam.Pose3,
-        settings: AlignmentSettings,
-        converged: bool,
-    ) -> JointAlignment:
-        """Judge the residuals at the last pose."""
-        self.linearize(views, k, pose, settings, 1.0)
+    def conclude(self, pose: gtsam.Pose3, settings: AlignmentSettings, *, converged: bool) -> JointAlignment:
+        """Judge the residuals of the last linearisation, which was done at this pose or a hair beside it."""
         seen = self.seen > 0
         agreeing = self.point_residuals[self.point_residuals < settings.kernel_sigmas]
         matched = self.feature_residuals[self.feature_residuals < settings.kernel_sigmas]
