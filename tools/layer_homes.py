@@ -124,10 +124,10 @@ def obstacles_found(
 
 
 def score_home(seed: int, rig: Rig, settings: LayerSettings) -> dict[str, Any]:
-    """F1 of every layer of one home, of the plain unions, and the low obstacles that each sensor saw.
+    """F1 of every layer of one home, of the plain union, and the low obstacles that each sensor saw.
 
-    Poses carry smooth errors as an optimised graph leaves them. ``union_points`` is every cell in which
-    either sensor ever ended, without Bayes; ``union_half`` every cell that either layer has above 0.5.
+    Poses carry smooth errors as an optimised graph leaves them. ``union`` is every cell in which either
+    sensor ever ended, without Bayes.
     """
     home = generate_home(seed)
     posed = list(keyframes(home, rig, seed))
@@ -142,11 +142,10 @@ def score_home(seed: int, rig: Rig, settings: LayerSettings) -> dict[str, Any]:
     truth = true_grid(home, settings.depth.band.low_m, settings.depth.band.high_m, settings.resolution_m)
     wanted = to_be_seen(truth, home)
     laid = {name: on_truth(built.states(name), built, truth) for name in LAYERS}
-    for name, made in (("union_half", built), ("union_points", ended)):
-        assert made.lidar is not None
-        assert made.depth is not None
-        either = np.where((made.lidar > 0) | (made.depth > 0), OCCUPIED, 0).astype(np.int8)
-        laid[name] = on_truth(either, made, truth)
+    assert ended.lidar is not None
+    assert ended.depth is not None
+    either = np.where((ended.lidar > 0) | (ended.depth > 0), OCCUPIED, 0).astype(np.int8)
+    laid["union"] = on_truth(either, ended, truth)
     lidar_z = 0.0 if rig.lidar is None else rig.lidar.T_base_laser.z()
     low = [o.id for o in home.obstacles if settings.depth.band.low_m < o.box[1, 2] < lidar_z]
     seen = {name: set(obstacles_found(laid[name], truth.obstacle_id, low)) for name in LAYERS}

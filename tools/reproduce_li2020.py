@@ -160,7 +160,7 @@ def page(runs: list[dict[str, Any]], results: dict[str, Any], scene_3d: bytes) -
     rows = [
         [str(run["seed"]), *(_ids(run[name]) for name in (*PUBLISHED, "printed", "eq_10"))] for run in runs
     ]
-    head = ["seed", "lidar", "Kinect", "fused", "Table 3 as printed", "Eq. (10) > 0.65"]
+    head = ["seed", "lidar", "Kinect", "fused", "Table 3 as printed", "Eq. (10)"]
     pictures = [
         grids([(name, run["built"].states(name)) for name in LAYERS], f"layers of seed {run['seed']}")
         for run in runs[:3]
@@ -190,7 +190,7 @@ def homes_part(homes: list[dict[str, Any]]) -> list[str]:
     ]
     note = (
         "Precision is against everything in the true grid, recall of what borders on the floor. The decision "
-        "is by its rule the union of what each sensor has decided; union_points is without Bayes."
+        "is by its rule the union of what each sensor has decided; union: where either ever ended."
     )
     head = ["home", *names, "low obstacles missed"]
     return [section("Furnished homes: F1 of occupied cells", paragraph(note) + table(head, rows))]

@@ -35,8 +35,8 @@ _ROWS_AT_ONCE = 256
 class Thresholds:
     """Li2020 Eq. (9) on either side: what is between is uncertain. Each sensor has its own."""
 
-    occupied_above: float = 0.65
-    free_below: float = 0.35
+    occupied_above: float = 0.5
+    free_below: float = 0.4
 
     def __post_init__(self) -> None:
         if not 0.0 < self.free_below <= self.occupied_above < 1.0:

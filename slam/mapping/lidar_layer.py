@@ -39,7 +39,7 @@ class LidarModel:
     """
 
     p_hit: float = 0.7
-    p_miss: float = 0.4
+    p_miss: float = 0.45
     noise: RangeNoise = field(default_factory=lambda: RangeNoise(0.01, share=0.005))
     max_hit_range_m: float = 40.0
     max_clear_range_m: float = 8.0

@@ -25,6 +25,7 @@ OCCUPIED_THRESH = 0.65
 FREE_THRESH = 0.196
 _PIXELS = {OCCUPIED: 0, FREE: 254, UNKNOWN: 205}
 _UNKNOWN_PIXEL = _PIXELS[UNKNOWN]
+_NO_PIXEL = 1  # of what is no state
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,12 +81,11 @@ def write_nav2_states(
     """
     stem = Path(stem)
     image_path, yaml_path = stem.with_name(f"{stem.name}.pgm"), stem.with_name(f"{stem.name}.yaml")
-    image = np.zeros(states.shape, dtype=np.uint8)
-    known = np.zeros(states.shape, dtype=np.bool_)
+    pixel_of = np.full(256, _NO_PIXEL, dtype=np.uint8)
     for state, pixel in _PIXELS.items():
-        image[states == state] = pixel
-        known |= states == state
-    if states.ndim != 2 or not states.size or not known.all():
+        pixel_of[np.uint8(state % 256)] = pixel
+    image = pixel_of[states.astype(np.int8, copy=False).view(np.uint8)]
+    if states.ndim != 2 or not states.size or (image == _NO_PIXEL).any():
         raise MapFileError(
             f"cannot write {yaml_path}: needs a grid of 100, 0 and -1, got shape {states.shape}"
         )

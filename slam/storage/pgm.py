@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.errors import MapFileError
-from slam.storage.files import write_bytes
+from slam.storage.files import replacing
 
 GreyImage: TypeAlias = NDArray[np.uint8]
 
+_ROWS_AT_ONCE = 256
 # Magic number, then width, height and the value of white, apart by blanks and comments, then one blank.
 _GAP = rb"(?:\s|#[^\r\n]*[\r\n])+"
 _HEADER = re.compile(rb"(P[25])" + _GAP + rb"(\d+)" + _GAP + rb"(\d+)" + _GAP + rb"(\d+)\s")
@@ -28,9 +29,11 @@ def write_pgm(path: Path, image: GreyImage) -> None:
         Where the file cannot be written.
     """
     rows, cols = image.shape
-    write_bytes(
-        path, b"P5\n%d %d\n255\n" % (cols, rows) + np.ascontiguousarray(image, dtype=np.uint8).tobytes()
-    )
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.write(b"P5\n%d %d\n255\n" % (cols, rows))
+        # A large map is not held a second time.
+        for first in range(0, rows, _ROWS_AT_ONCE):
+            file.write(np.ascontiguousarray(image[first : first + _ROWS_AT_ONCE], dtype=np.uint8))
 
 
 def read_pgm(path: Path) -> GreyImage:
