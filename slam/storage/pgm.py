@@ -33,7 +33,7 @@ def write_pgm(path: Path, image: GreyImage) -> None:
         file.write(b"P5\n%d %d\n255\n" % (cols, rows))
         # A large map is not held a second time.
         for first in range(0, rows, _ROWS_AT_ONCE):
-            file.write(np.ascontiguousarray(image[first : first + _ROWS_AT_ONCE], dtype=np.uint8))
+            file.write(image[first : first + _ROWS_AT_ONCE].astype(np.uint8).tobytes())
 
 
 def read_pgm(path: Path) -> GreyImage:
