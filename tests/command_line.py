@@ -23,6 +23,11 @@ class Outcome:
     out: str
     err: str
 
+    def error(self) -> str:
+        """Its one-line error."""
+        assert_one_line_error(self)
+        return self.err
+
 
 Scanweave = Callable[..., Outcome]
 

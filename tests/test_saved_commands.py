@@ -6,10 +6,10 @@ import json
 import sqlite3
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from command_line import Scanweave, scanweave
 from room_world import LESS, furnished, render, turning_walk, write_tum_folder
 from scipy.spatial import cKDTree
 
@@ -19,43 +19,7 @@ from slam.simulation.synthetic_log import SyntheticLog, write_synthetic_log
 from slam.storage.map_file import MapFile
 from slam.storage.ply import read_cloud_ply
 
-
-@dataclass(frozen=True)
-class Outcome:
-    """What a command left behind."""
-
-    code: int
-    out: str
-    err: str
-
-    def error(self) -> str:
-        """Its one-line error."""
-        assert self.code == 1 and self.out == "" and self.err.count("\n") == 1, self
-        assert self.err.startswith("scanweave: ")
-        return self.err
-
-
-Scanweave = Callable[..., Outcome]
-
-
-@pytest.fixture
-def scanweave(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Scanweave:
-    """The command, in this process."""
-    monkeypatch.setenv("TERMINAL_WIDTH", "200")
-
-    def run(*arguments: object) -> Outcome:
-        monkeypatch.setattr(sys, "argv", ["scanweave", *map(str, arguments)])
-        capsys.readouterr()
-        try:
-            main()
-            code: object = 0
-        except SystemExit as stop:
-            code = stop.code or 0
-        captured = capsys.readouterr()
-        assert isinstance(code, int)
-        return Outcome(code, captured.out, captured.err)
-
-    return run
+__all__ = ["scanweave"]  # a fixture
 
 
 def mapped(log: Path, out: Path, *settings: str) -> Path:
