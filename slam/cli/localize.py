@@ -60,7 +60,8 @@ def localize(
 
     settings = load_config(config, [*(set_ or []), *topics_override(topics)])
     saved = open_saved_map(map_)
-    dataset = open_dataset(log, strict=strict, topics=settings.sensors.topics)
+    sensors = settings.sensors
+    dataset = open_dataset(log, strict=strict, topics=sensors.topics, images=sensors.rgbd)
     make_folder(out)
     with recording(record) as viewer:
         if saved.grid is not None:

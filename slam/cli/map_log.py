@@ -152,7 +152,8 @@ def _map(
     from slam.viewer import recording
 
     settings = load_config(config, overrides)
-    dataset = open_dataset(log, strict=strict, topics=settings.sensors.topics)
+    sensors = settings.sensors
+    dataset = open_dataset(log, strict=strict, topics=sensors.topics, images=sensors.rgbd)
     make_folder(out)
     identity = identity_of(dataset.path, settings)
     if resume and finished_map(out, identity):

@@ -58,14 +58,15 @@ def _end_with_parent() -> None:
 
 def _measured(run: Run, folder: Path) -> dict[str, Any]:
     """Make the trajectory, score it, and leave it with its maps in the folder."""
-    from slam.comparison.methods import STOCK, scanweave
+    from slam.comparison.methods import STOCK, WITHOUT_IMAGES, scanweave
     from slam.comparison.product import Product
     from slam.config import Config
     from slam.datasets import open_dataset
     from slam.storage.tum import read_tum
 
     config = Config.model_validate_json(run.config) if run.config else Config()
-    dataset = open_dataset(Path(run.log), topics=config.sensors.topics)
+    images = config.sensors.rgbd and run.method not in WITHOUT_IMAGES
+    dataset = open_dataset(Path(run.log), topics=config.sensors.topics, images=images)
     if run.method == "external":
         return _scored(run, Product(read_tum(Path(run.trajectory))), folder)
     if run.method == SCANWEAVE:

@@ -135,8 +135,9 @@ def open3d(dataset: Dataset) -> Product:
     return Product(_trajectory(stamps, poses), warnings=warnings)
 
 
-# Methods that need no configuration, by their name in a run.
+# Methods that need no configuration, by their name in a run; and those of them that look at no image.
 STOCK: dict[str, Callable[[Dataset], Product]] = {"wheels": wheels, "kiss_icp": kiss_icp, "open3d": open3d}
+WITHOUT_IMAGES = frozenset({"wheels", "kiss_icp"})
 
 
 def _cloud(reading: LaserScan | PointCloud) -> tuple[gtsam.Pose3, FloatArray]:

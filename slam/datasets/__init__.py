@@ -15,6 +15,7 @@ from slam.datasets.dataset import Dataset, ReadReport
 from slam.datasets.log_file import read_head
 from slam.datasets.open_loris import looks_like_open_loris, open_open_loris
 from slam.datasets.recorded_folder import looks_like_recorded_folder, open_recorded_folder
+from slam.datasets.recording import Recording
 from slam.datasets.robot_at_home import looks_like_robot_at_home, open_robot_at_home
 from slam.datasets.robot_at_home2 import looks_like_robot_at_home2, open_robot_at_home2
 from slam.datasets.seven_scenes import looks_like_seven_scenes, open_seven_scenes
@@ -68,7 +69,9 @@ FORMATS: tuple[DatasetFormat, ...] = (
 )
 
 
-def open_dataset(path: Path | str, *, strict: bool = False, topics: Sequence[str] = ()) -> Dataset:
+def open_dataset(
+    path: Path | str, *, strict: bool = False, topics: Sequence[str] = (), images: bool = True
+) -> Dataset:
     """Open a log by its content, whatever its name.
 
     Parameters
@@ -80,6 +83,8 @@ def open_dataset(path: Path | str, *, strict: bool = False, topics: Sequence[str
     topics
         Of a ROS bag that holds several topics of a sort: those to read. A sort of which none is named is read
         as without.
+    images
+        False leaves the images of a folder unread, where nobody will look at them.
 
     Returns
     -------
@@ -111,7 +116,10 @@ def open_dataset(path: Path | str, *, strict: bool = False, topics: Sequence[str
                 return open_bag(path, strict, tuple(topics))
             if topics:
                 raise DatasetError(f"{path} is a {known.description} and has no topics; leave out --topics")
-            return known.open(path, strict)
+            dataset = known.open(path, strict)
+            if isinstance(dataset, Recording):
+                dataset.read_images = images
+            return dataset
     if path.is_dir():
         raise DatasetError(f"{path} {_what_is_wrong(path)}; supported: {supported}")
     raise DatasetError(f"{path} is a file of no known format; supported: {supported}")

@@ -57,6 +57,16 @@ def test_the_log_alone_stays_a_lidar_log(tmp_path: Path) -> None:
     assert open_dataset(path).groundtruth() is None
 
 
+def test_images_that_nobody_wants_are_not_opened(tmp_path: Path) -> None:
+    write(tmp_path, *GOOD)
+    write_tum(tmp_path)
+    for image in tmp_path.glob("*/*.png"):
+        image.write_bytes(b"no image")
+    dataset = open_dataset(tmp_path, images=False)
+    found = list(dataset)
+    assert found and not frames(found) and not dataset.report.dropped
+
+
 def test_damage_of_either_part_is_in_one_report(tmp_path: Path) -> None:
     write(tmp_path, *GOOD, "FLASER 3 1")
     (write_tum(tmp_path) / "rgb/0.png").unlink()
