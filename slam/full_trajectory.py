@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from slam.matching.planar import between, compose, wrap
 from slam.measurements import FloatArray
 
+# Scans on either side by which it is judged how far a way and the matches disagree.
+_AROUND = 10
 # A radian of turn counts as this much way when a correction is spread; standing still counts a little.
 _TURN_M_PER_RAD = 0.3
 _STILL_M = 1e-6
@@ -62,6 +64,54 @@ def spread_correction(motion: FloatArray, anchors: NDArray[np.int64], anchor_pos
             poses[n, 0] += share * miss_x
             poses[n, 1] += share * miss_y
             poses[n, 2] += share * miss_yaw
+    return poses
+
+
+@numba.njit(cache=True)
+def steadied(
+    matched: FloatArray, bridged: FloatArray, variances: FloatArray, anchors: NDArray[np.int64]
+) -> FloatArray:
+    """Take the noise of matches out of the poses between anchors, by a way that is smoother.
+
+    Where matches and way disagree, around a scan, by no more than the matches' noise, the way is as good and
+    the difference is noise; where they disagree by more, the way is wrong by the rest: Wiener's share of the
+    difference is kept, in each direction.
+
+    Parameters
+    ----------
+    matched, bridged
+        (S, 3) poses of the scans, and where the way from anchor to anchor passes; the same at the anchors.
+    variances
+        (S, 3) of the matches, x and y along the base's axes, yaw; nan where unknown: such a pose stays.
+    anchors
+        (M,) increasing numbers of the scans whose pose is known.
+
+    Returns
+    -------
+    (S, 3); at the anchors, and before the first and after the last, as matched.
+    """
+    poses = matched.copy()
+    count = matched.shape[0]
+    off = np.zeros((count, 3))
+    free = np.ones(count)
+    for n in range(count):
+        off[n] = between(bridged[n], matched[n])
+    for anchor in anchors:
+        free[anchor] = 0.0
+    kept = np.empty(3)
+    for n in range(anchors[0] + 1, anchors[-1]):
+        if free[n] == 0.0 or np.isnan(variances[n, 0]):
+            continue
+        first, stop = max(anchors[0], n - _AROUND), min(anchors[-1] + 1, n + _AROUND + 1)
+        for k in range(3):
+            squares = 0.0
+            seen = 0.0
+            for m in range(first, stop):
+                squares += free[m] * off[m, k] * off[m, k]
+                seen += free[m]
+            noise = variances[n, k] * seen
+            kept[k] = off[n, k] * (1.0 - noise / squares) if squares > noise else 0.0
+        poses[n] = compose(bridged[n], kept)
     return poses
 
 

@@ -128,7 +128,8 @@ class PlanarMapper:
             self._cameras.note_scan_turn(stamp_s, tracked.pose[2])
         self._marks = marks
         sure = tracked.sure if scan is not None else agreed is not None
-        self._readings.add_scan(stamp_s, tracked.pose, tracked.wheel_pose, sure=sure)
+        variances = None if tracked.motion is None else np.diag(tracked.motion.covariance)
+        self._readings.add_scan(stamp_s, tracked.pose, tracked.wheel_pose, variances=variances, sure=sure)
         if self._moved_on(tracked):
             key = self._add_keyframe(stamp_s, scan, points, tracked)
             for candidate in self._closer.close(key, self._graph.poses(), self._graph.uncertainty):

@@ -7,7 +7,7 @@ from array import array
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.full_trajectory import spread_correction
+from slam.full_trajectory import spread_correction, steadied
 from slam.measurements import FloatArray, Trajectory
 
 
@@ -19,6 +19,7 @@ class Readings:
         self._wheel_poses = array("d")
         self._scan_readings = array("q")
         self._scan_poses = array("d")
+        self._scan_variances = array("d")
         self._scan_sure = array("b")
         self._keyframe_scans = array("q")
 
@@ -33,9 +34,23 @@ class Readings:
         self._wheel_poses.extend((np.nan,) * 3 if pose is None else pose)
 
     def add_scan(
-        self, stamp_s: float, pose: FloatArray, wheel_pose: FloatArray | None, *, sure: bool = True
+        self,
+        stamp_s: float,
+        pose: FloatArray,
+        wheel_pose: FloatArray | None,
+        *,
+        variances: FloatArray | None = None,
+        sure: bool = True,
     ) -> None:
-        """A scan with its pose (3,) in the odometry frame; one that is not sure is no anchor for others."""
+        """A scan with its pose (3,) in the odometry frame; one that is not sure is no anchor for others.
+
+        Parameters
+        ----------
+        variances
+            (3,) of the pose against the scans around it, along the base's axes; None where nothing measured
+            it.
+        """
+        self._scan_variances.extend((np.nan,) * 3 if variances is None else variances)
         self._scan_readings.append(len(self._stamps_s))
         self._scan_sure.append(sure)
         self._scan_poses.extend(pose)
@@ -62,20 +77,27 @@ class Readings:
             (K, 3) optimised poses, map frame, K > 0.
         """
         stamps = np.array(self._stamps_s)
-        scan_poses = spread_correction(
-            np.array(self._scan_poses).reshape(-1, 3), self.keyframe_scans(), keyframe_poses
-        )
-        sure = np.array(self._scan_sure, dtype=np.bool_)
-        sure[0] |= not sure.any()
-        scans, scan_poses = np.array(self._scan_readings)[sure], scan_poses[sure]
         wheel_poses = np.array(self._wheel_poses).reshape(-1, 3)
         known = np.flatnonzero(~np.isnan(wheel_poses[:, 0]))
         if known.size:
             # Only what came before the first odometry reading is unknown: the wheels had not turned yet.
             wheel_poses[: known[0]] = wheel_poses[known[0]]
-        else:
+        scan_poses = self._scans_of(keyframe_poses, wheel_poses if known.size else None)
+        sure = np.array(self._scan_sure, dtype=np.bool_)
+        sure[self.keyframe_scans()] = True
+        scans, scan_poses = np.array(self._scan_readings)[sure], scan_poses[sure]
+        if not known.size:
             wheel_poses = self._motion_without_wheels(stamps, scans, scan_poses)
         return Trajectory.from_planar(stamps, spread_correction(wheel_poses, scans, scan_poses))
+
+    def _scans_of(self, keyframe_poses: FloatArray, wheel_poses: FloatArray | None) -> FloatArray:
+        """(S, 3) poses of the scans: as matched between keyframes, noise taken out by the wheels' way."""
+        keyframes = self.keyframe_scans()
+        matched = spread_correction(np.array(self._scan_poses).reshape(-1, 3), keyframes, keyframe_poses)
+        if wheel_poses is None:
+            return matched
+        bridged = spread_correction(wheel_poses[np.array(self._scan_readings)], keyframes, keyframe_poses)
+        return steadied(matched, bridged, np.array(self._scan_variances).reshape(-1, 3), keyframes)
 
     @staticmethod
     def _motion_without_wheels(
