@@ -149,6 +149,7 @@ class PlanarMapper:
         self._settle_cameras()
         for source, target, motion in self._cameras.learned_steps():
             self._graph.add_camera_step(source, target, Step(motion.motion, motion.covariance))
+        outvoted = self._graph.judge_cameras()
         outcome = self._graph.optimize(self._config.loops.inlier_probability)
         clock.append(time.perf_counter())
         keyframe_poses = self._graph.poses()
@@ -181,6 +182,7 @@ class PlanarMapper:
             notes=[
                 *registration_notes(self._registrations),
                 *self._cameras.notes(),
+                *([f"{outvoted:,} motions by cameras contradicted match and wheels"] if outvoted else []),
                 *([] if fused is None else [fused.note]),
             ],
             dense=self._places.dense(keyframe_poses),

@@ -13,6 +13,7 @@ from slam.config_stages import GraphConfig
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import BatchResult, Edge, EdgeKind, PoseGraph
 from slam.graph.relative_uncertainty import UncertaintyGraph
+from slam.graph.wheel_judge import outvoted_cameras
 from slam.matching.planar import compose
 from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
 
@@ -115,6 +116,13 @@ class KeyframeGraph:
         self.graph.edges[number] = replace(
             edge, T_source_target=pose2_from_row(step.motion), covariance=step.covariance
         )
+
+    def judge_cameras(self) -> int:
+        """Let steps of cameras that match and wheels contradict tell little, at the end: how many."""
+        outvoted = outvoted_cameras(self.graph.edges)
+        for number, edge in outvoted.items():
+            self.graph.edges[number] = edge
+        return len(outvoted)
 
     def add_loop(self, candidate: LoopCandidate) -> None:
         """Take a loop candidate: into the graph if it was accepted, into the report in any case."""
