@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slam.full_trajectory import spread_correction
+from slam.full_trajectory import spread_correction, steadied
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray
 
@@ -143,3 +143,35 @@ def test_one_reading() -> None:
     np.testing.assert_array_equal(
         spread_correction(np.ones((1, 3)), np.array([0]), np.array([[1.0, 2.0, 3.0]])), [[1.0, 2.0, 3.0]]
     )
+
+
+def straight(count: int) -> FloatArray:
+    """Poses every 5 cm."""
+    return np.column_stack([0.05 * np.arange(count), np.zeros(count), np.zeros(count)])
+
+
+def test_noise_between_anchors_goes_and_anchors_stay() -> None:
+    way, anchors = straight(201), np.arange(0, 201, 5)
+    noise = np.random.default_rng(0).normal(0.0, (0.02, 0.02, 0.01), (201, 3))
+    noise[anchors] = 0.0
+    matched = way + noise
+    poses = steadied(matched, way, np.full((201, 3), (0.02, 0.02, 0.01)) ** 2, anchors)
+    np.testing.assert_array_equal(poses[anchors], way[anchors])
+    assert np.std(poses - way) < 0.35 * np.std(noise)
+
+
+def test_where_wheels_slip_the_matches_count() -> None:
+    """The way is 10 cm off over an interval; matches are 5 mm fine."""
+    way, anchors = straight(101), np.array([0, 40, 60, 100])
+    slipped = way.copy()
+    slipped[41:60, 1] += 0.1
+    poses = steadied(way, slipped, np.full((101, 3), 0.005**2), anchors)
+    assert np.abs(poses - way).max() < 0.002
+
+
+def test_a_pose_that_nothing_measured_stays() -> None:
+    way = straight(11)
+    matched = way + np.array([0.0, 0.01, 0.0])
+    matched[[0, 10]] = way[[0, 10]]
+    poses = steadied(matched, way, np.full((11, 3), np.nan), np.array([0, 10]))
+    np.testing.assert_array_equal(poses, matched)

@@ -156,3 +156,14 @@ def test_where_no_scan_is_sure_the_first_anchors_all() -> None:
             readings.mark_keyframe()
     poses = readings.trajectory(np.array([row(5.0)])).to_planar()
     np.testing.assert_allclose(poses[:, 0], [5.0, 6.0, 7.0], atol=1e-9)
+
+
+def test_a_keyframe_is_an_anchor_though_its_match_was_in_doubt() -> None:
+    """Cameras and loops have mended it: the reading at its stamp is where the keyframe is."""
+    readings = Readings()
+    for n in range(5):
+        readings.add_scan(float(n), row(n), row(0.9 * n), sure=n != 2)
+        if n % 2 == 0:
+            readings.mark_keyframe()
+    keyframes = np.array([row(0.0), row(2.0, 0.3), row(4.0)])
+    np.testing.assert_allclose(readings.trajectory(keyframes).to_planar()[[0, 2, 4]], keyframes, atol=1e-9)
