@@ -17,7 +17,7 @@ from slam.graph.spatial_graph import SpatialGraph
 from slam.journal import Journal
 from slam.map_result import MappedClouds, MapResult
 from slam.mapping.band_scan import band_scan, ground_height
-from slam.mapping.cloud_keyframes import CloudKeyframes
+from slam.mapping.cloud_keyframes import CloudKeyframes, CloudSpool
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.matching.cloud_points import thinned
@@ -58,7 +58,8 @@ class CloudMapper:
         settings = config.cloud_odometry
         self._wheels = WheelTracker(config.wheels) if settings.use_wheel_odometry else None
         self._tracker = CloudTracker(settings, self._wheels, self._journal)
-        self._clouds = CloudKeyframes()
+        spool = self._journal.cloud_spool()
+        self._clouds: CloudSpool = CloudKeyframes() if spool is None else spool
         self._closer: CloudLoopCloser | None = None
         self._graph = SpatialGraph(gtsam.Pose3(), config.graph, EdgeKind.LIDAR)
         self._frames = FramePoses()
@@ -177,7 +178,7 @@ class CloudMapper:
         self._tracker.add_keyframe(tracked)
         self._frames.mark_keyframe()
         kept_m = min(_KEPT_SHARE * self._tracker.voxel_m, self._config.cloud_map.voxel_m)
-        key = self._clouds.add(thinned(tracked.points, kept_m))
+        key = self._clouds.add(self._stamps_s[-1], thinned(tracked.points, kept_m), self._T_base_lidar)
         residual_m = np.nan if motion is None else motion.residual_m
         self._closer.add_keyframe(tracked.points, tracked.pose, self._travelled_m, covariance, residual_m)
         return key, self._closer

@@ -125,7 +125,7 @@ def test_a_place_too_far_to_be_the_same_is_not_tried() -> None:
     points = look(gtsam.Pose3()).points_lidar.astype(np.float64)
     poses = [gtsam.Pose3(gtsam.Rot3(), np.array([4.0 * n, 0.0, 0.0])) for n in range(11)]
     for key, pose in enumerate(poses):
-        kept.add(points)
+        kept.add(float(key), points, T_BASE_LIDAR)
         covariance = None if key == 0 else np.eye(6) * 1e-6
         closer.add_keyframe(points, pose, 4.0 * key, covariance, 0.01)
         tried = closer.close(key, poses[: key + 1])
