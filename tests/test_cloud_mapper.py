@@ -173,12 +173,3 @@ def test_clouds_choose_the_mapper() -> None:
     assert choice(cloud, scan, motion="spatial").cloud
     assert not choice(cloud, wheels, lidar=False).cloud
     assert not choice(cloud, wheels, motion="planar").cloud
-
-
-def test_a_camera_beside_the_lidar_is_told_to_be_unused() -> None:
-    from slam.cloud_mapper import CloudMapper
-
-    mapper = CloudMapper(load_config(None, SMALL), None, ("front",))
-    for number, pose in enumerate(way_round(COUNT)[:3]):
-        mapper.add_cloud(look(pose, 0.1 * number, seed=number))
-    assert any("front: not used" in warning for warning in mapper.finish().warnings)

@@ -27,6 +27,8 @@ _KISS_CONVERGED = 1e-3
 # In voxels: KISS-ICP's greatest pair distance and its kernel, and the kernel of the planes.
 _REACH, _KERNEL, _PLANE_KERNEL = 5.0, 1.0, 1.0
 _LEAST_POINTS = 30
+# Points that know nothing of the planes lie evenly within the kernel; so many voxels RMS are nearly that.
+_CHANCE = 0.45
 # Planes alone are believed within so many voxels of the guess, where this share of the points agrees.
 _NEAR, _SURE_SHARE = 1.0, 0.7
 
@@ -81,6 +83,8 @@ class LocalCloud:
             start = self._arrive(scan, guess, _REACH * self._voxel_m if reach_m is None else reach_m)
             found = self._by_planes(scan, start)
         if found is None or found.pair_count < self._config.least_pairs:
+            return None
+        if not found.residual_m < _CHANCE * self._voxel_m:
             return None
         return Aligned(found, motion_of(found, self._config, guess))
 
