@@ -1,23 +1,29 @@
-"""Mapping with a 3D lidar: clouds -> keyframes -> graph -> loops, in SE(3); the plan is cut by height."""
+"""Mapping with a 3D lidar: clouds -> keyframes -> graph -> loops, in SE(3); the plan is cut by height.
+
+Cameras beside it see what it passes: the map's colours and depth layer, see `slam.cloud_cameras`.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
 
 from fusion.height_band import HeightBand
+from slam.cloud_cameras import CloudCameras
 from slam.config import Config
 from slam.errors import DatasetError, ScanweaveError
 from slam.graph.cloud_loops import CloudLoopCloser
 from slam.graph.pose_graph import EdgeKind
 from slam.graph.spatial_graph import SpatialGraph
 from slam.journal import Journal
+from slam.keyframe_fusion import FusionSummary
 from slam.map_result import MappedClouds, MapResult
 from slam.mapping.band_scan import band_scan, ground_height
-from slam.mapping.cloud_keyframes import CloudKeyframes
+from slam.mapping.cloud_keyframes import CloudKeyframes, CloudSpool
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.matching.cloud_points import thinned
@@ -39,28 +45,35 @@ _KEPT_SHARE = 0.25
 _HOPELESS = 20
 
 
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """The flat scan of each keyframe, repaired and as measured, the grid of them, and how it came about."""
+
+    scans: list[LaserScan | None] = field(default_factory=list)
+    measured: list[LaserScan | None] = field(default_factory=list)
+    grid: OccupancyGrid | None = None
+    ground_m: float = 0.0
+    fused: FusionSummary | None = None
+    notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
 class CloudMapper:
     """State of a run: feed clouds in log order, then finish; see `slam.mapper.Mapper`.
 
     The map frame is that of the first base pose.
-
-    Parameters
-    ----------
-    unused_cameras
-        Cameras of the log, which the map is made without.
     """
 
-    def __init__(
-        self, config: Config, journal: Journal | None = None, unused_cameras: Sequence[str] = ()
-    ) -> None:
+    def __init__(self, config: Config, journal: Journal | None = None) -> None:
         self._config, self._journal = config, journal or Journal()
-        self._unused_cameras = unused_cameras
         settings = config.cloud_odometry
         self._wheels = WheelTracker(config.wheels) if settings.use_wheel_odometry else None
         self._tracker = CloudTracker(settings, self._wheels, self._journal)
-        self._clouds = CloudKeyframes()
+        spool = self._journal.cloud_spool()
+        self._clouds: CloudSpool = CloudKeyframes() if spool is None else spool
+        self._cameras = CloudCameras(config, self._journal)
         self._closer: CloudLoopCloser | None = None
-        self._graph = SpatialGraph(gtsam.Pose3(), config.graph, EdgeKind.LIDAR)
+        self._graph = SpatialGraph(gtsam.Pose3(), config.graph)
         self._frames = FramePoses()
         self._record = ScanRecorder()
         self._last_keyframe: gtsam.Pose3 | None = None
@@ -75,22 +88,25 @@ class CloudMapper:
         return len(self._frames)
 
     def note_registrations(self, registrations: Mapping[str, ColorRegistration]) -> None:
-        """No camera is used."""
+        """Take down where colour cameras sit that are not registered to depth."""
+        self._cameras.note_registrations(registrations)
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:
-        """None: no camera is used."""
+        """None: the log must tell where a camera sits."""
         return {}
 
     def add_odometry(self, reading: WheelOdometry) -> None:
         """Take a wheel odometry reading, for the next guess."""
         if self._wheels is not None:
+            self._cameras.note_wheels(reading)
             self._wheels.add(reading)
 
     def add_scan(self, scan: LaserScan) -> None:
         """A planar scan tells less than a cloud."""
 
     def add_frame(self, frame: PreparedFrame) -> None:
-        """No camera is used."""
+        """Take a camera's frame."""
+        self._cameras.add(frame)
 
     def add_cloud(self, cloud: PointCloud) -> None:
         """Match a cloud; where the robot has moved on, make it a keyframe and close loops."""
@@ -98,6 +114,7 @@ class CloudMapper:
         tracked = self._tracker.track(cloud)
         self._frames.add(cloud.stamp_s, tracked.pose)
         self._matched += tracked.motion is not None
+        self._cameras.note_cloud(cloud.stamp_s, tracked)
         if tracked.new_keyframe:
             self._T_base_lidar = cloud.T_base_lidar
             self._stamps_s.append(cloud.stamp_s)
@@ -117,34 +134,32 @@ class CloudMapper:
         trajectory = self._frames.trajectory(bases, gtsam.Pose3())
         clock.append(time.perf_counter())
         planar = np.array([[pose.x(), pose.y(), pose.rotation().yaw()] for pose in bases])
-        scans, grid, notes, warnings = self._plan(planar)
+        plan = self._plan(planar)
         clock.append(time.perf_counter())
-        if self._unused_cameras:
-            warnings.append(
-                f"{', '.join(self._unused_cameras)}: not used; beside a 3D lidar no camera is "
-                "(sensors.lidar=false maps by the cameras instead)"
-            )
         record = self._record.finish()
         return MapResult(
             trajectory=trajectory,
             keyframe_poses=planar,
             keyframe_numbers=self._frames.keyframes(),
-            keyframe_scans=scans,
+            keyframe_scans=plan.scans,
             graph=self._graph.graph,
             edges_kept=outcome.kept,
             loops=self._graph.loops,
             scans=record,
-            grid=grid,
+            grid=plan.grid,
             stage_seconds={
                 "scans": float(record.seconds.sum()),
                 "final optimisation": clock[1] - clock[0],
                 "full trajectory": clock[2] - clock[1],
                 "grid": clock[3] - clock[2],
             },
-            warnings=warnings,
-            notes=[f"3D lidar: voxels of {self._tracker.voxel_m:.2f} m", *notes],
-            measured_scans=scans,
-            clouds=MappedClouds(self._clouds, bases, self._T_base_lidar),
+            warnings=[*plan.warnings, *self._cameras.warnings()],
+            notes=[f"3D lidar: voxels of {self._tracker.voxel_m:.2f} m", *plan.notes, *self._cameras.notes()],
+            dense=self._cameras.dense(bases),
+            fused=plan.fused,
+            cameras=self._cameras.records(),
+            measured_scans=plan.measured,
+            clouds=MappedClouds(self._clouds, bases, self._T_base_lidar, plan.ground_m),
         )
 
     def _check(self) -> None:
@@ -162,7 +177,7 @@ class CloudMapper:
 
     def _add_keyframe(self, tracked: TrackedCloud) -> tuple[int, CloudLoopCloser]:
         """Grow the local map, the graph and the loop closer by a cloud; its number."""
-        covariance, motion = None, tracked.motion
+        covariance, motion, stamp_s = None, tracked.motion, self._stamps_s[-1]
         if self._closer is None:
             settings, voxel_m = self._config.cloud_odometry, self._tracker.voxel_m
             self._closer = CloudLoopCloser(
@@ -170,22 +185,26 @@ class CloudMapper:
             )
         if self._last_keyframe is not None:
             step = self._last_keyframe.between(tracked.pose)
-            edge = self._graph.add_keyframe(step, None if motion is None else motion.covariance)
-            covariance = self._graph.graph.edges[edge - 1].covariance if motion is None else motion.covariance
+            kind = EdgeKind.LIDAR
+            if motion is not None:
+                covariance = motion.covariance
+            elif (seen := self._cameras.step(stamp_s)) is not None:
+                (step, covariance), kind = seen, EdgeKind.RGBD
+            self._graph.add_keyframe(step, covariance, kind)
+            covariance = self._graph.graph.edges[-1].covariance
             self._travelled_m += float(np.linalg.norm(step.translation()))
         self._last_keyframe = tracked.pose
         self._tracker.add_keyframe(tracked)
         self._frames.mark_keyframe()
         kept_m = min(_KEPT_SHARE * self._tracker.voxel_m, self._config.cloud_map.voxel_m)
-        key = self._clouds.add(thinned(tracked.points, kept_m))
+        key = self._clouds.add(stamp_s, thinned(tracked.points, kept_m), self._T_base_lidar)
+        self._cameras.add_keyframe(key, stamp_s, tracked.points, self._T_base_lidar)
         residual_m = np.nan if motion is None else motion.residual_m
         self._closer.add_keyframe(tracked.points, tracked.pose, self._travelled_m, covariance, residual_m)
         return key, self._closer
 
-    def _plan(
-        self, poses: FloatArray
-    ) -> tuple[list[LaserScan | None], OccupancyGrid | None, list[str], list[str]]:
-        """The flat scan of each keyframe, the grid of them, notes and warnings."""
+    def _plan(self, poses: FloatArray) -> _Plan:
+        """The flat scan of each keyframe, and the grid of them."""
         settings, layers = self._config.cloud_map, self._config.layers
         lidar_m = float(self._T_base_lidar.z())
         first = (self._clouds.points(key) for key in range(min(len(self._clouds), _GROUND_KEYFRAMES)))
@@ -193,7 +212,7 @@ class CloudMapper:
         seen_m = ground_height(first, lidar_m, self._tracker.voxel_m, thickness_m)
         mounted = not self._T_base_lidar.equals(gtsam.Pose3(), 1e-6)
         if seen_m is None and not mounted:
-            return [], None, [], ["No grid was built: no ground was seen, and no mounting tells its height"]
+            return _Plan(warnings=["No grid was built: no ground was seen, and no mounting tells its height"])
         on_ground = mounted and (seen_m is None or abs(seen_m) < _GROUND_SLACK_M)
         ground_m = 0.0 if on_ground or seen_m is None else seen_m
         notes = [
@@ -203,10 +222,14 @@ class CloudMapper:
             if layers.climb_m >= layers.robot_height_m:
                 raise DatasetError("layers.climb_m leaves no height to layers.robot_height_m; make it lower")
             band = HeightBand(0.0, layers.robot_height_m, layers.climb_m)
-            scans: list[LaserScan | None] = [
+            measured: list[LaserScan | None] = [
                 band_scan(points, stamp_s, self._T_base_lidar, band, ground_m, settings)
                 for points, stamp_s in zip(self._clouds, self._stamps_s, strict=True)
             ]
-            return scans, grid_of_keyframes(scans, poses, self._config.grid), notes, []
+            in_band = layers.climb_m < lidar_m - ground_m < layers.robot_height_m
+            scans, fused = self._cameras.repaired(measured, in_band=in_band)
+            notes += [] if fused is None else [fused.note]
+            grid = grid_of_keyframes(scans, poses, self._config.grid)
+            return _Plan(scans, measured, grid, ground_m, fused, notes)
         except ScanweaveError as error:
-            return [], None, notes, [f"No grid was built: {error}"]
+            return _Plan(ground_m=ground_m, notes=notes, warnings=[f"No grid was built: {error}"])

@@ -55,7 +55,7 @@ class CloudLoopConfig(StrictModel):
 
     enabled: bool = Field(default=True, description="close loops by the 3D lidar at all")
     caution: float = Field(default=4.0, ge=1, description="factor on a loop's covariance: places change")
-    every_voxels: float = Field(default=6.0, gt=0, description="travel in voxels between two attempts")
+    every_voxels: float = Field(default=12.0, gt=0, description="travel in voxels between two attempts")
     least_path_voxels: float = Field(
         default=60.0, gt=0, description="way round in voxels below which it is no loop"
     )

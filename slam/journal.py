@@ -12,6 +12,7 @@ from typing import Any, TypeVar, cast
 
 from slam.errors import MapFileError
 from slam.mount_learner import LearnedMounting
+from slam.storage.map_clouds import MapClouds
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
 from slam.storage.map_tables import FRAMES, IMAGES, JOURNAL
@@ -95,6 +96,10 @@ class Journal:
     def spool(self) -> MapFrames | None:
         """Where the camera keyframes of a pass go; None for a temporary place."""
         return None if self._file is None else MapFrames(self._file, begun=True)
+
+    def cloud_spool(self) -> MapClouds | None:
+        """Where the clouds of keyframes go; None for a temporary place."""
+        return None if self._file is None else MapClouds(self._file, begun=True)
 
     def _replayed(self, question: str, key: float) -> Any:
         """The next known answer, if it is one to this question."""

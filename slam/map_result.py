@@ -37,11 +37,14 @@ class MappedClouds:
         Their optimised ``T_map_base``.
     T_base_lidar
         Where their rays begin.
+    ground_m
+        Height of the floor in the base frame.
     """
 
     clouds: Iterable[FloatArray]
     poses: Sequence[gtsam.Pose3]
     T_base_lidar: gtsam.Pose3
+    ground_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

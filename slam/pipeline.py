@@ -45,16 +45,17 @@ def build_map(
         Where the log holds nothing that can be mapped.
     """
     choice = SensorChoice.of(dataset, config.sensors)
-    cameras = () if choice.cloud else choice.cameras
     journal = journal or Journal()
     registrations = journal.registrations(
-        lambda: registrations_of(used_measurements(dataset, config.sensors), cameras, config)
+        lambda: registrations_of(used_measurements(dataset, config.sensors), choice.cameras, config)
     )
     mountings = journal.mountings()
-    prepare = FramePreparer(config.rgbd, registrations, lambda: journal.replaying) if cameras else None
+    prepare = None
+    if choice.cameras:
+        prepare = FramePreparer(config.rgbd, registrations, lambda: journal.replaying)
     mapper: Mapper
     if choice.cloud:
-        mapper = CloudMapper(config, journal, unused_cameras=choice.cameras)
+        mapper = CloudMapper(config, journal)
     elif choice.spatial:
         mapper = SpatialMapper(config, journal)
     else:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import gtsam
 import numpy as np
 
 from slam.config_clouds import CloudMapConfig
 from slam.config_stages import DenseMapConfig
 from slam.errors import ScanweaveError
-from slam.map_result import DenseKeyframes, MapResult
+from slam.map_result import DenseKeyframes, MappedClouds, MapResult
 from slam.mapping.cloud_map import map_cloud
 from slam.mapping.dense_map import DenseMapSettings, fuse_keyframes
 from slam.mapping.layered_map import LayeredMap
@@ -54,6 +55,8 @@ def save_run(folder: Path, result: MapResult) -> list[Path]:
 def save_dense(folder: Path, result: MapResult, config: DenseMapConfig) -> list[Path]:
     """Write ``mesh.ply`` and ``cloud.ply`` of the camera keyframes, and ``map.bt`` where it is asked for.
 
+    The octree is that of a 3D lidar where there is one, see `save_clouds`.
+
     Raises
     ------
     ScanweaveError
@@ -62,14 +65,16 @@ def save_dense(folder: Path, result: MapResult, config: DenseMapConfig) -> list[
     if result.dense is None or not config.enabled:
         return []
     written = save_surface(folder / "mesh.ply", result.dense, config)
-    if config.octomap:
+    if config.octomap and result.clouds is None:
         save_octomap(folder / "map.bt", result.dense, config)
         written.append(folder / "map.bt")
     return written
 
 
 def save_clouds(folder: Path, result: MapResult, config: CloudMapConfig, dense: DenseMapConfig) -> list[Path]:
-    """Write ``cloud.ply`` of a 3D lidar's keyframes, and ``map.bt`` where it is asked for.
+    """Write the cloud of a 3D lidar's keyframes, and ``map.bt`` where it is asked for.
+
+    The cloud is ``cloud.ply``; beside the coloured one of cameras ``lidar.ply``.
 
     Raises
     ------
@@ -79,18 +84,30 @@ def save_clouds(folder: Path, result: MapResult, config: CloudMapConfig, dense: 
     mapped = result.clouds
     if mapped is None or not (config.enabled and dense.enabled):
         return []
-    write_cloud_ply(folder / "cloud.ply", map_cloud(mapped.clouds, mapped.poses, config.voxel_m))
-    written = [folder / "cloud.ply"]
+    written = [folder / ("cloud.ply" if result.dense is None else "lidar.ply")]
+    save_cloud(written[0], mapped, config)
     if dense.octomap:
-        T_base_lidar = mapped.T_base_lidar
-        T_lidar_base = T_base_lidar.inverse()
-        views = (
-            (moved(points, T_lidar_base), T_map_base.compose(T_base_lidar))
-            for points, T_map_base in zip(mapped.clouds, mapped.poses, strict=True)
-        )
-        write_octree(folder / "map.bt", views, dense.octomap_cell_m, config.plan_range_m)
         written.append(folder / "map.bt")
+        save_cloud_octomap(written[1], mapped, config, dense)
     return written
+
+
+def save_cloud(path: Path, mapped: MappedClouds, config: CloudMapConfig) -> None:
+    """The cloud of a 3D lidar's keyframes."""
+    write_cloud_ply(path, map_cloud(mapped.clouds, mapped.poses, config.voxel_m))
+
+
+def save_cloud_octomap(
+    path: Path, mapped: MappedClouds, config: CloudMapConfig, dense: DenseMapConfig
+) -> None:
+    """The octree of a 3D lidar's keyframes."""
+    T_base_lidar = mapped.T_base_lidar
+    T_lidar_base = T_base_lidar.inverse()
+    views = (
+        (moved(points, T_lidar_base), T_map_base.compose(T_base_lidar))
+        for points, T_map_base in zip(mapped.clouds, mapped.poses, strict=True)
+    )
+    write_octree(path, views, dense.octomap_cell_m, config.plan_range_m)
 
 
 def save_surface(path: Path, keyframes: DenseKeyframes, config: DenseMapConfig) -> list[Path]:
@@ -178,7 +195,8 @@ def export_map(saved: SavedMap, format_: str, out: Path) -> list[Path]:
         nav2, tum, g2o, ply or bt.
     out
         The file, or a folder (what is one, or has no ending) for the names that `save_run` uses. Of nav2 it
-        is the yaml, of ply the mesh; what belongs to them goes beside.
+        is the yaml, of ply the mesh of the images or, without any, the cloud of the 3D lidar; what belongs to
+        them goes beside.
 
     Returns
     -------
@@ -193,26 +211,57 @@ def export_map(saved: SavedMap, format_: str, out: Path) -> list[Path]:
         "nav2": "map.yaml",
         "tum": "trajectory.tum",
         "g2o": "graph.g2o",
-        "ply": "mesh.ply",
+        "ply": "mesh.ply" if len(saved.frames) or not len(saved.clouds) else "cloud.ply",
         "bt": "map.bt",
     }
     if out.is_dir() or not out.suffix:
         make_folder(out)
         out = out / usual[format_]
-    needs = {"nav2": saved.grid is not None, "ply": len(saved.frames) > 0, "bt": len(saved.frames) > 0}
+    seen = len(saved.frames) + len(saved.clouds) > 0
+    needs = {"nav2": saved.grid is not None, "ply": seen, "bt": seen}
     if not needs.get(format_, True):
-        lacking = "grid" if format_ == "nav2" else "image"
+        lacking = "grid" if format_ == "nav2" else "image or cloud"
         raise ScanweaveError(f"{saved.path} holds no {lacking}, so there is nothing to write as {format_}")
-    config = saved.config.dense_map
     if format_ == "nav2":
         assert saved.grid is not None
         return list(write_nav2_map(out.with_suffix(""), saved.grid))
     if format_ == "ply":
-        return save_surface(out, DenseKeyframes(saved.frames, saved.frame_poses()), config)
+        return _export_ply(saved, out)
     if format_ == "bt":
-        save_octomap(out, DenseKeyframes(saved.frames, saved.frame_poses()), config)
+        _export_octomap(saved, out)
     elif format_ == "tum":
         write_tum(out, saved.trajectory)
     else:
         save_g2o(out, saved.contents)
     return [out]
+
+
+def _export_ply(saved: SavedMap, out: Path) -> list[Path]:
+    """The coloured surface of the images, and the cloud of the 3D lidar."""
+    written, cloud = [], out
+    if len(saved.frames):
+        written = save_surface(out, _dense_of(saved), saved.config.dense_map)
+        cloud = out.with_name("lidar.ply" if out.name == "mesh.ply" else f"{out.stem}-lidar.ply")
+    if len(saved.clouds):
+        save_cloud(cloud, _clouds_of(saved), saved.config.cloud_map)
+        written.append(cloud)
+    return written
+
+
+def _export_octomap(saved: SavedMap, out: Path) -> None:
+    """The octree of the 3D lidar, or else of the images."""
+    if len(saved.clouds):
+        save_cloud_octomap(out, _clouds_of(saved), saved.config.cloud_map, saved.config.dense_map)
+    else:
+        save_octomap(out, _dense_of(saved), saved.config.dense_map)
+
+
+def _dense_of(saved: SavedMap) -> DenseKeyframes:
+    """The camera keyframes of a saved map."""
+    return DenseKeyframes(saved.frames, saved.frame_poses())
+
+
+def _clouds_of(saved: SavedMap) -> MappedClouds:
+    """The clouds of a saved map, whose nodes are the bases."""
+    nodes = [pose for pose in saved.contents.node_poses if isinstance(pose, gtsam.Pose3)]
+    return MappedClouds(saved.clouds, nodes, saved.clouds.T_base_lidar(len(nodes) - 1))

@@ -23,7 +23,7 @@ class SensorChoice:
     cameras
         Names of the RGB-D cameras that are used, in the order in which they appear.
     cloud
-        Whether a 3D lidar makes the map, without the cameras.
+        Whether a 3D lidar makes the map.
     """
 
     spatial: bool

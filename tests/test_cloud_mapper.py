@@ -125,7 +125,7 @@ def test_a_place_too_far_to_be_the_same_is_not_tried() -> None:
     points = look(gtsam.Pose3()).points_lidar.astype(np.float64)
     poses = [gtsam.Pose3(gtsam.Rot3(), np.array([4.0 * n, 0.0, 0.0])) for n in range(11)]
     for key, pose in enumerate(poses):
-        kept.add(points)
+        kept.add(float(key), points, T_BASE_LIDAR)
         covariance = None if key == 0 else np.eye(6) * 1e-6
         closer.add_keyframe(points, pose, 4.0 * key, covariance, 0.01)
         tried = closer.close(key, poses[: key + 1])
@@ -173,12 +173,3 @@ def test_clouds_choose_the_mapper() -> None:
     assert choice(cloud, scan, motion="spatial").cloud
     assert not choice(cloud, wheels, lidar=False).cloud
     assert not choice(cloud, wheels, motion="planar").cloud
-
-
-def test_a_camera_beside_the_lidar_is_told_to_be_unused() -> None:
-    from slam.cloud_mapper import CloudMapper
-
-    mapper = CloudMapper(load_config(None, SMALL), None, ("front",))
-    for number, pose in enumerate(way_round(COUNT)[:3]):
-        mapper.add_cloud(look(pose, 0.1 * number, seed=number))
-    assert any("front: not used" in warning for warning in mapper.finish().warnings)

@@ -61,6 +61,8 @@ def content_of(path: Path) -> str:
             node, camera = saved.frames.head(number).node, [frame.intrinsics, frame.T_base_camera]
             images = [frame.color, frame.depth_m, saved.frames.features(number)]
             digest.update(pack([node, frame.stamp_s, frame.sensor, camera, images]))
+        for key, points in enumerate(saved.clouds):
+            digest.update(pack([points, saved.clouds.T_base_lidar(key)]))
         return digest.hexdigest()
     finally:
         saved.close()

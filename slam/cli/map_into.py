@@ -151,6 +151,8 @@ def _summary(connection: Connection, took: str) -> str:
 
 def _refuse_unfit(saved: SavedMap, name: str) -> None:
     """Refuse a map whose sessions cannot be joined by their scans."""
+    if len(saved.clouds):
+        raise ScanweaveError(f"{name} is of a 3D lidar; only maps of a robot on a floor take sessions")
     if not saved.planar:
         raise ScanweaveError(f"{name} is of a camera in space; only maps of a robot on a floor take sessions")
     if saved.grid is None or all(scan is None for scan in saved.keyframe_scans):

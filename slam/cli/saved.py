@@ -43,8 +43,9 @@ def check(map_: MapArgument) -> None:
 
     saved = open_saved_map(map_)
     saved.check()
+    clouds = f"{len(saved.clouds)} clouds, " if len(saved.clouds) else ""
     print(
-        f"{saved.path} is whole: {len(saved.keyframe_poses)} keyframes, {len(saved.frames)} images, "
+        f"{saved.path} is whole: {len(saved.keyframe_poses)} keyframes, {clouds}{len(saved.frames)} images, "
         f"{len(saved.factors)} factors, {len(saved.trajectory)} poses, digest {saved.digest}"
     )
 

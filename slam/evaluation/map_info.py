@@ -14,7 +14,7 @@ from slam.errors import MapFileError, UnfinishedMapError
 from slam.mapping.occupancy_grid import FREE, OCCUPIED
 from slam.storage.map_file import MapFile, map_path
 from slam.storage.map_identity import MapIdentity
-from slam.storage.map_tables import FRAMES
+from slam.storage.map_tables import CLOUDS, FRAMES
 from slam.storage.saved_map import SavedMap, open_saved_map
 
 
@@ -42,6 +42,7 @@ def map_info(path: Path) -> dict[str, Any]:
         "motion": "planar" if saved.planar else "spatial",
         "sensors": _sensors(saved),
         "keyframes": len(saved.keyframe_poses),
+        **({"clouds": len(saved.clouds)} if len(saved.clouds) else {}),
         "poses": len(trajectory),
         **_extent(saved),
         "factors": dict(sorted(kinds.items())),
@@ -80,6 +81,7 @@ def _begun(path: Path) -> dict[str, Any]:
             "finished": file.finished,
             "log": identity.log_name,
             "images": file.count(FRAMES),
+            **({"clouds": file.count(CLOUDS)} if file.count(CLOUDS) else {}),
             **_origin(identity),
         }
     finally:

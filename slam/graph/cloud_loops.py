@@ -29,6 +29,8 @@ _PLANAR = np.ix_([3, 4, 2], [3, 4, 2])
 _LOOKS_REACH = 80.0
 _SIMILAR_RINGS = 10
 _USUAL_RESIDUALS = 200
+# A guess this good needs no wide kernel.
+_NEAR_REACH = 5.0
 
 
 class Clouds(Protocol):
@@ -133,7 +135,7 @@ class CloudLoopCloser:
         self._last_attempt_m = way_m
         tried: list[LoopCandidate] = []
         for guess in self._propose(key, poses):
-            if guess.by_looks and any(candidate.accepted for candidate in tried):
+            if tried and tried[-1].accepted:
                 break  # where the robot is, is known
             candidate = self._verify(key, guess)
             if candidate.accepted and candidate.motion is not None:
@@ -210,11 +212,13 @@ class CloudLoopCloser:
         width_m = self._config.sigmas * guess.sigma_m + 2.0 * self._voxel_m
         candidate = LoopCandidate(guess.place, key, width_m, 0.0, guess.score, None, False, "")
         scan = thinned(self._clouds.points(key), self._voxel_m)
-        aligned = local.align(scan, guess.T_place_base, max(width_m, 5.0 * self._voxel_m))
+        near = not guess.by_looks and width_m <= _NEAR_REACH * self._voxel_m
+        reach_m = None if near else max(width_m, _NEAR_REACH * self._voxel_m)
+        aligned = local.align(scan, guess.T_place_base, reach_m)
         if aligned is None:
             return candidate.refused("too little fits")
         # What the wide kernel found, a second start from there makes exact.
-        again = local.align(scan, aligned.found.pose)
+        again = None if near else local.align(scan, aligned.found.pose)
         return self._judge(candidate, guess, aligned if again is None else again)
 
     def _judge(self, candidate: LoopCandidate, guess: _Guess, aligned: Aligned) -> LoopCandidate:

@@ -12,12 +12,12 @@ from slam.measurements import FloatArray
 
 
 class SpatialGraph:
-    """Keyframes 0..n-1 of a sensor that moves freely; ``kind`` is what measures its steps."""
+    """Keyframes 0..n-1 of a sensor that moves freely."""
 
-    def __init__(self, origin: gtsam.Pose3, config: GraphConfig, kind: EdgeKind = EdgeKind.RGBD) -> None:
+    def __init__(self, origin: gtsam.Pose3, config: GraphConfig) -> None:
         self.graph = PoseGraph(origin)
         self.loops: list[LoopCandidate] = []
-        self._config, self._kind = config, kind
+        self._config = config
         self._poses = [origin]
         self._loop_of_edge: dict[int, int] = {}
         self._loop_waits = False
@@ -29,7 +29,9 @@ class SpatialGraph:
         """Current estimates, ``T_map_keyframe``."""
         return self._poses
 
-    def add_keyframe(self, step: gtsam.Pose3, covariance: FloatArray | None) -> int:
+    def add_keyframe(
+        self, step: gtsam.Pose3, covariance: FloatArray | None, kind: EdgeKind = EdgeKind.RGBD
+    ) -> int:
         """Add the next keyframe and return its number.
 
         Parameters
@@ -38,12 +40,14 @@ class SpatialGraph:
             Motion from the last keyframe.
         covariance
             (6, 6), GTSAM's order; None where nothing measured the step.
+        kind
+            What measured it.
         """
         key = self.graph.add_node(self._poses[-1].compose(step))
         self._poses.append(self._poses[-1].compose(step))
-        kind = EdgeKind.ASSUMED if covariance is None else self._kind
         config = self._config
         if covariance is None:
+            kind = EdgeKind.ASSUMED
             covariance = np.diag([config.lost_sigma_rad**2] * 3 + [config.lost_sigma_m**2] * 3)
         self.graph.add_edge(Edge(key - 1, key, step, covariance, kind, trusted=True))
         return key

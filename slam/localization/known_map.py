@@ -88,7 +88,18 @@ class KnownMap:
 
     @classmethod
     def of_saved(cls, saved: SavedMap) -> KnownMap:
-        """A map in a file; its images are read when they are asked for."""
+        """A map in a file; its images are read when they are asked for.
+
+        Raises
+        ------
+        MapFileError
+            Where a 3D lidar made it.
+        """
+        if len(saved.clouds):
+            raise MapFileError(
+                f"{saved.path} is of a 3D lidar: nothing can be localised in clouds; "
+                "'scanweave export --format nav2' writes its plan for other localisers"
+            )
         cameras = KnownCameras(saved.frames, saved.frame_poses()) if len(saved.frames) else None
         return cls(saved.keyframe_poses, saved.keyframe_scans, saved.grid, saved.planar, cameras)
 

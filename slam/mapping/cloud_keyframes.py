@@ -1,4 +1,4 @@
-"""Keyframe clouds of a whole run, on disk."""
+"""Keyframe clouds of a whole run, on disk where no map keeps them."""
 
 from __future__ import annotations
 
@@ -6,17 +6,35 @@ import tempfile
 import weakref
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Protocol
 
-import numpy as np
+import gtsam
 
 from slam.errors import MapFileError
-from slam.measurements import Float32Array, FloatArray
+from slam.mapping.cloud_packing import packed_cloud, unpacked_cloud
+from slam.measurements import FloatArray
+
+
+class CloudSpool(Protocol):
+    """Where the clouds of keyframes lie while a log is mapped: in the map, or in a temporary file."""
+
+    def __len__(self) -> int: ...
+
+    def __iter__(self) -> Iterator[FloatArray]: ...
+
+    def add(self, stamp_s: float, points: FloatArray, T_base_lidar: gtsam.Pose3) -> int:
+        """Keep the points (N, 3), base frame, of the next keyframe; its number."""
+        ...
+
+    def points(self, key: int) -> FloatArray:
+        """The points (N, 3) of a keyframe, as exactly as they are packed."""
+        ...
 
 
 class CloudKeyframes:
     """Points of keyframes in their base frames, one after another in a temporary file that goes with it.
 
-    Memory holds three numbers a keyframe.
+    Memory holds two numbers a keyframe.
     """
 
     def __init__(self) -> None:
@@ -31,30 +49,29 @@ class CloudKeyframes:
     def __iter__(self) -> Iterator[FloatArray]:
         return (self.points(key) for key in range(len(self)))
 
-    def add(self, points: FloatArray) -> int:
-        """Keep the points (N, 3) of the next keyframe; its number.
+    def add(self, stamp_s: float, points: FloatArray, T_base_lidar: gtsam.Pose3) -> int:
+        """Keep the points (N, 3), base frame, of the next keyframe; its number.
 
         Raises
         ------
         MapFileError
             Where there is no room for them.
         """
-        rows: Float32Array = np.ascontiguousarray(points, dtype=np.float32)
+        content = packed_cloud(points)
         try:
             self._file.seek(self._end)
-            self._file.write(rows.tobytes())
+            self._file.write(content)
         except OSError as error:
             folder = Path(tempfile.gettempdir())
             raise MapFileError(
                 f"cannot keep a cloud in {folder}: {error.strerror}; free some space, or set TMPDIR"
             ) from error
-        self._places.append((self._end, len(rows)))
-        self._end += rows.nbytes
+        self._places.append((self._end, len(content)))
+        self._end += len(content)
         return len(self._places) - 1
 
     def points(self, key: int) -> FloatArray:
-        """The points (N, 3) of a keyframe."""
-        start, count = self._places[key]
+        """The points (N, 3) of a keyframe, as exactly as they are packed."""
+        start, size = self._places[key]
         self._file.seek(start)
-        rows = np.frombuffer(self._file.read(12 * count), dtype=np.float32)
-        return rows.reshape(count, 3).astype(np.float64)
+        return unpacked_cloud(self._file.read(size))

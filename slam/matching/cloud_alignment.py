@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from slam.config_clouds import CloudOdometryConfig
 from slam.matching.plane_voxels import PlaneVoxels
@@ -32,6 +33,8 @@ class CloudAlignment:
         ``T_map_base``.
     hessian
         (6, 6) of the weighted squared distances, GTSAM's tangent of the base.
+    spread
+        (6, 6) of its gradient, as the residuals tell it: points of one plane share their errors.
     weight
         Sum of the robust weights.
     lever_m
@@ -52,6 +55,7 @@ class CloudAlignment:
 
     pose: gtsam.Pose3
     hessian: FloatArray
+    spread: FloatArray
     weight: float
     lever_m: float
     pair_count: int
@@ -102,6 +106,7 @@ def align_cloud(
     return CloudAlignment(
         pose,
         found.hessian,
+        found.spread(),
         float(found.weights.sum()),
         float(np.sqrt(np.mean(np.sum(points**2, axis=1)))),
         len(found.residuals),
@@ -114,7 +119,11 @@ def align_cloud(
 
 
 def motion_of(alignment: CloudAlignment, config: CloudOdometryConfig, guess: gtsam.Pose3) -> MotionEstimate:
-    """Wrap an alignment as a measured motion with its covariance, s^2 H^-1 (Censi 2007 shows when it holds).
+    """Wrap an alignment as a measured motion with its covariance.
+
+    The covariance is H^-1 S H^-1 with the spread S of the gradient, in which the points of a plane share
+    their errors as much as the residuals show (Liang and Zeger 1986). It is at least s^2 H^-1 with as many
+    readings as ``correlated_points`` make of the points (Censi 2007 shows when that is right).
 
     A direction that the cloud does not determine keeps its value of the guess (solution remapping, Zhang
     2016) and gets ``degenerate_sigma_m`` squared on top.
@@ -127,7 +136,10 @@ def motion_of(alignment: CloudAlignment, config: CloudOdometryConfig, guess: gts
     # Points that fit nothing are a doubt about all the others.
     doubt = 1.0 / max(alignment.inlier_share, 0.1) ** 2
     root = units[:, None] * (vectors / np.sqrt(np.maximum(values, _LEAST_EIGENVALUE)))
-    covariance = _ENDS * doubt * config.correlated_points * scale**2 * (root @ root.T)
+    # How many times the spread is that of independent residuals, by direction.
+    shared, directions = np.linalg.eigh(root.T @ alignment.spread @ root / scale**2)
+    widened = root @ directions * np.sqrt(np.maximum(shared, config.correlated_points))
+    covariance = _ENDS * doubt * scale**2 * (widened @ widened.T)
     covariance += np.diag([config.floor_rad**2] * 3 + [config.floor_m**2] * 3)
     pose, weakest = alignment.pose, np.zeros(6)
     if weak.shape[1]:
@@ -157,6 +169,16 @@ class _Linear:
     residuals: FloatArray
     weights: FloatArray
     kernel_m: float
+    gradients: FloatArray
+    planes: NDArray[np.int64]
+
+    def spread(self) -> FloatArray:
+        """(6, 6) of the gradient: those of one plane's points are added up before they are squared."""
+        order = np.argsort(self.planes, kind="stable")
+        planes = self.planes[order]
+        starts = np.flatnonzero(np.concatenate([[True], planes[1:] != planes[:-1]]))
+        sums = np.add.reduceat(self.gradients[order], starts)
+        return np.asarray(sums.T @ sums)
 
 
 def _linearise(points: FloatArray, planes: PlaneVoxels, pose: gtsam.Pose3, kernel_m: float) -> _Linear | None:
@@ -174,4 +196,7 @@ def _linearise(points: FloatArray, planes: PlaneVoxels, pose: gtsam.Pose3, kerne
     normals_base = pairs.normals @ rotation
     rows = np.hstack([np.cross(points[pairs.found], normals_base), normals_base])
     weighted = rows * weights[:, None]
-    return _Linear(weighted.T @ rows, weighted.T @ residuals, residuals, weights, kernel_m)
+    gradients = weighted * residuals[:, None]
+    return _Linear(
+        weighted.T @ rows, gradients.sum(axis=0), residuals, weights, kernel_m, gradients, pairs.planes
+    )

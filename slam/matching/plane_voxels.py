@@ -61,11 +61,14 @@ class PlanePairs:
         (N,) whether a point lies in a voxel with a plane.
     centers, normals
         (M, 3) of those, in their order.
+    planes
+        (M,) number of the plane of each.
     """
 
     found: BoolArray
     centers: FloatArray
     normals: FloatArray
+    planes: NDArray[np.int64]
 
 
 class PlaneVoxels:
@@ -109,6 +112,7 @@ class PlaneVoxels:
         """The plane of the largest voxel around each point (N, 3) that has one."""
         found = np.zeros(len(points), dtype=np.bool_)
         centers, normals = np.zeros((len(points), 3)), np.zeros((len(points), 3))
+        planes, before = np.zeros(len(points), dtype=np.int64), 0
         for level in self._levels:
             if not len(level.keys):
                 continue
@@ -119,7 +123,9 @@ class PlaneVoxels:
             rows, place = open_[hit], place[hit]
             found[rows] = True
             centers[rows], normals[rows] = level.centers[place], level.normals[place]
-        return PlanePairs(found, centers[found], normals[found])
+            planes[rows] = before + place
+            before += len(level.keys)
+        return PlanePairs(found, centers[found], normals[found], planes[found])
 
 
 def voxel_moments(points: FloatArray, voxel_m: float) -> list[VoxelMoments]:

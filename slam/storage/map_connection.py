@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from slam.errors import MapFileError
-from slam.storage.map_tables import APPLICATION_ID, SCHEMA_VERSION, TABLES
+from slam.storage.map_tables import APPLICATION_ID, SCHEMA_VERSION, TABLES, Table, tables_of
 
 _HEADER = b"SQLite format 3\0"
 # What SQLite writes beside a map that is being written, or was when its process died.
@@ -59,8 +59,8 @@ def begin(connection: sqlite3.Connection) -> None:
         connection.execute(table.sql)
 
 
-def check_kind(path: Path, connection: sqlite3.Connection) -> None:
-    """Refuse what is no map, a newer one, or one with other tables, by a `MapFileError`."""
+def check_kind(path: Path, connection: sqlite3.Connection) -> tuple[Table, ...]:
+    """The tables of a map; what is none, a newer one, or one with other tables is a `MapFileError`."""
     run = connection.execute
     if run("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
         raise MapFileError(f"{path} is an SQLite file, but no map of Scanweave")
@@ -70,8 +70,10 @@ def check_kind(path: Path, connection: sqlite3.Connection) -> None:
             f"{path} has schema {version}, this Scanweave reads up to {SCHEMA_VERSION}; install a newer one"
         )
     tables = run("SELECT type, sql FROM sqlite_schema ORDER BY rowid").fetchall()
-    if version < 1 or tables != [("table", table.sql) for table in TABLES]:
+    known = tables_of(version)
+    if version < 1 or tables != [("table", table.sql) for table in known]:
         raise MapFileError(f"{path} is damaged: its tables are not those of schema {version}")
+    return known
 
 
 def refuse_in_use(path: Path) -> None:

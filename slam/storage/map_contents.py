@@ -1,4 +1,4 @@
-"""What a finished map consists of besides its camera keyframes, and its rows in ``map.db``."""
+"""What a finished map consists of besides camera keyframes and clouds, and its rows in ``map.db``."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ class SavedFactor:
 
 @dataclass(frozen=True, slots=True)
 class MapContents:
-    """What is written when a map is finished; camera keyframes are written while it is made.
+    """What is written when a map is finished; camera keyframes and clouds are written while it is made.
 
     Attributes
     ----------
     node_poses
-        ``T_map_base`` of the K nodes, Pose2; in space ``T_map_camera``, Pose3.
+        ``T_map_base`` of the K nodes, Pose2; in space Pose3, of a camera alone ``T_map_camera``.
     stamps_s, readings
         (K,) time of each, and its number among the scans or frames of the log.
     measured_scans, scans

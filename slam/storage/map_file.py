@@ -56,6 +56,7 @@ class MapFile:
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self.path = path
         self._connection = connection
+        self._tables: tuple[Table, ...] = TABLES
         self._counts: dict[str, int] = {}
         self._committed_at = time.monotonic()
         self._before_commit: list[Callable[[], None]] = []
@@ -89,7 +90,7 @@ class MapFile:
                 if not file._connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0]:
                     file._connection.close()
                     return None  # it died before its first commit
-                check_kind(path, file._connection)
+                file._tables = check_kind(path, file._connection)
                 file._connection.execute("PRAGMA journal_mode = WAL")
                 file._connection.execute("BEGIN")
                 file._count_rows()
@@ -118,7 +119,7 @@ class MapFile:
             connection = reader(path)
             file = cls(path, connection)
             try:
-                check_kind(path, connection)
+                file._tables = check_kind(path, connection)
                 file._check_seal()
             except BaseException:
                 connection.close()
@@ -139,8 +140,8 @@ class MapFile:
         self.append(META, key, value)
 
     def count(self, table: Table) -> int:
-        """Rows of a table."""
-        return self._counts[table.name]
+        """Rows of a table; none where the map is older than the table."""
+        return self._counts.get(table.name, 0)
 
     def append(self, table: Table, *values: Value) -> int:
         """Write the next row; its number."""
@@ -247,7 +248,7 @@ class MapFile:
 
     def _count_rows(self) -> None:
         """Rows of every table as they are found."""
-        for table in TABLES:
+        for table in self._tables:
             with self.blaming(table, 0):
                 found = self._connection.execute(f"SELECT count(*), max(number) FROM {table.name}").fetchone()
                 if found[0] != (-1 if found[1] is None else found[1]) + 1:
@@ -261,7 +262,7 @@ class MapFile:
         if seal is None:
             raise UnfinishedMapError(_unfinished(self.path))
         with self.blaming(META, self.count(META) - 1):
-            known = list(zip(TABLES, self._digests(), json.loads(seal), strict=True))
+            known = list(zip(self._tables, self._digests(), json.loads(seal), strict=True))
         for table, found, sealed in known:
             if found != sealed:
                 raise MapFileError(
@@ -272,7 +273,7 @@ class MapFile:
     def _digests(self) -> list[list[int | str]]:
         """Count and digest of every table, the seal itself left out."""
         digests: list[list[int | str]] = []
-        for table in TABLES:
+        for table in self._tables:
             digest, count = hashlib.blake2b(digest_size=16), 0
             seal = " WHERE key != 'seal'" if table is META else ""
             with self.blaming(table, 0):

@@ -133,15 +133,24 @@ class MapFrames:
             file.append(FRAMES, cast(int, node) + nodes, *rest)
             file.append(IMAGES, *self._file.row(IMAGES, index))
 
-    def poses(self, node_poses: Sequence[Pose]) -> list[gtsam.Pose3]:
-        """``T_map_camera`` of every frame; the nodes are bases on a floor, or the cameras in space."""
+    def poses(self, node_poses: Sequence[Pose], *, bases: bool = False) -> list[gtsam.Pose3]:
+        """``T_map_camera`` of every frame.
+
+        Parameters
+        ----------
+        bases
+            Whether nodes in space are bases, not the cameras themselves; on a floor they always are.
+        """
         poses = []
         for index in range(len(self)):
             head = self.head(index)
             node = node_poses[head.node]
+            planar = isinstance(node, gtsam.Pose2)
             if isinstance(node, gtsam.Pose2):
+                node = gtsam.Pose3(gtsam.Pose2(node.x(), node.y(), node.theta()))
+            if planar or bases:
                 assert head.T_base_camera is not None
-                node = gtsam.Pose3(gtsam.Pose2(node.x(), node.y(), node.theta())).compose(head.T_base_camera)
+                node = node.compose(head.T_base_camera)
             poses.append(node)
         return poses
 

@@ -11,7 +11,7 @@ ColumnType: TypeAlias = Literal["INTEGER", "REAL", "TEXT", "BLOB"]
 Value: TypeAlias = int | float | str | bytes | None
 
 # Raised when a table changes; a reader refuses what is newer than itself.
-SCHEMA_VERSION: Final = 1
+SCHEMA_VERSION: Final = 2
 APPLICATION_ID: Final = 0x5CA9EA7E
 
 
@@ -108,7 +108,15 @@ GRIDS: Final = Table(
 # Answers of matchers and verifiers while a log is mapped; gone when the map is finished.
 JOURNAL: Final = Table("journal", (("first", "INTEGER"), ("answers", "BLOB")))
 
-TABLES: Final = (META, KEYFRAMES, FRAMES, IMAGES, FACTORS, LOOPS, TRAJECTORY, GRIDS, JOURNAL)
+# The cloud of each node, where a 3D lidar made the map.
+CLOUDS: Final = Table("clouds", (("stamp_s", "REAL"), ("lidar", "BLOB"), ("points", "BLOB")))
+
+TABLES: Final = (META, KEYFRAMES, FRAMES, IMAGES, FACTORS, LOOPS, TRAJECTORY, GRIDS, JOURNAL, CLOUDS)
+
+
+def tables_of(version: int) -> tuple[Table, ...]:
+    """The tables of a schema; the first had no clouds."""
+    return TABLES if version > 1 else TABLES[:-1]
 
 
 def _tagged(value: Value) -> bytes:

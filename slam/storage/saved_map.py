@@ -1,4 +1,4 @@
-"""A finished map, read back: poses, scans, camera keyframes, factors, loops, trajectory, grids."""
+"""A finished map, read back: poses, scans, clouds, camera keyframes, factors, loops, trajectory, grids."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from slam.errors import MapFileError
 from slam.graph.loop_closure import LoopCandidate
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Pose, Trajectory
+from slam.storage.map_clouds import MapClouds
 from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor, read_contents
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
@@ -24,7 +25,7 @@ from slam.storage.map_tables import FRAMES
 
 @dataclass(frozen=True, slots=True)
 class SavedMap:
-    """A finished map; images are read when they are asked for.
+    """A finished map; images and clouds are read when they are asked for.
 
     Attributes
     ----------
@@ -35,9 +36,11 @@ class SavedMap:
     sessions
         The logs that it was made of.
     contents
-        Everything but the camera keyframes.
+        Everything but the camera keyframes and the clouds.
     frames
         The camera keyframes.
+    clouds
+        The clouds of the nodes; none where no 3D lidar made the map.
     digest
         Of everything; equal for equal maps.
     """
@@ -47,12 +50,13 @@ class SavedMap:
     sessions: Sequence[MapSession]
     contents: MapContents
     frames: MapFrames
+    clouds: MapClouds
     digest: str
     _file: MapFile = field(repr=False)
 
     @property
     def planar(self) -> bool:
-        """Whether the robot stays on a floor, and the nodes are bases; else they are cameras."""
+        """Whether the robot stays on a floor; in space the nodes are bases with clouds, or else cameras."""
         return isinstance(self.contents.node_poses[0], gtsam.Pose2)
 
     @property
@@ -96,10 +100,10 @@ class SavedMap:
 
     def frame_poses(self) -> list[gtsam.Pose3]:
         """``T_map_camera`` of every camera keyframe."""
-        return self.frames.poses(self.contents.node_poses)
+        return self.frames.poses(self.contents.node_poses, bases=len(self.clouds) > 0)
 
     def check(self) -> None:
-        """Read everything, images too.
+        """Read everything, images and clouds too.
 
         Raises
         ------
@@ -110,9 +114,12 @@ class SavedMap:
         for index in range(len(self.frames)):
             self.frames.features(index)
             self.frames.frame(index)
+        for key in range(len(self.clouds)):
+            self.clouds.points(key)
+            self.clouds.T_base_lidar(key)
 
     def close(self) -> None:
-        """Close the file; no image can be read afterwards."""
+        """Close the file; no image or cloud can be read afterwards."""
         self._file.close()
 
 
@@ -130,15 +137,26 @@ def open_saved_map(path: Path | str) -> SavedMap:
         identity = MapIdentity.from_meta(meta, file.path)
         contents = read_contents(file)
         sessions = sessions_of(meta, len(contents.node_poses), len(contents.trajectory))
-        frames = MapFrames(file)
+        frames, clouds = MapFrames(file), MapClouds(file)
+        nodes = contents.node_poses
+        in_space = sum(isinstance(pose, gtsam.Pose3) for pose in nodes)
+        if len(clouds) and not len(clouds) == len(nodes) == in_space:
+            raise MapFileError(
+                f"{file.path} holds {len(clouds)} clouds for {len(nodes)} nodes, {in_space} of them in "
+                "space; make the map anew"
+            )
         for index in range(len(frames)):
             with file.blaming(FRAMES, index):
-                if not 0 <= frames.head(index).node < len(contents.node_poses):
+                head = frames.head(index)
+                if not 0 <= head.node < len(contents.node_poses):
                     raise MapFileError("it belongs to no node")
+                if len(clouds) and head.T_base_camera is None:
+                    raise MapFileError("it does not tell where the camera was on the robot")
     except BaseException:
         file.close()
         raise
-    return SavedMap(file.path, identity, sessions, contents, frames, file.content_digest(), file)
+    digest = file.content_digest()
+    return SavedMap(file.path, identity, sessions, contents, frames, clouds, digest, file)
 
 
 def _yaw(pose: Pose) -> float:

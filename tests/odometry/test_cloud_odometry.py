@@ -8,7 +8,10 @@ import pytest
 from cloud_world import ELEVATIONS, T_BASE_LIDAR, base, look, way_round
 
 from slam.config_clouds import CloudOdometryConfig
+from slam.matching.cloud_alignment import align_cloud
 from slam.matching.cloud_points import base_points, turn_known, voxel_of
+from slam.matching.local_cloud import LocalCloud
+from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray, MotionEstimate, PointCloud
 from slam.odometry.cloud_odometry import CloudOdometry
 from slam.odometry.cloud_tracker import CloudTracker
@@ -172,3 +175,42 @@ def test_a_drive_is_tracked_and_a_gap_is_told() -> None:
     assert all(motion is not None for motion in motions[7:])
     assert max(errors[:6] + errors[7:]) < 0.02
     assert errors[6] < 0.1
+
+
+def test_kiss_icp_comes_only_where_the_guess_is_far(
+    odometry: CloudOdometry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It takes most of the time, and planes find the same pose from a near guess."""
+    truth, asked = base(0.3, -0.2, 0.2), []
+    arrive = LocalCloud._arrive
+    monkeypatch.setattr(LocalCloud, "_arrive", lambda *args: asked.append(1) or arrive(*args))  # type: ignore[func-returns-value]
+    near = odometry.match(points_at(truth), [truth.compose(base(0.06, -0.04, 0.01))])
+    assert not asked
+    far = odometry.match(points_at(truth), [truth.compose(base(0.4, -0.3, 0.1))])
+    assert asked
+    assert np.linalg.norm(error_of(near, truth) - error_of(far, truth)) < 0.002
+
+
+def test_errors_that_planes_share_widen_the_covariance() -> None:
+    """The same noise a point by itself, and a plane as a whole."""
+    rng = np.random.default_rng(0)
+    places = np.array([[x, y, 0.0] for x in (-2.0, 0.0, 2.0) for y in (-2.0, 0.0, 2.0)])
+    normals = np.tile(np.eye(3), (3, 1))
+    patches = []
+    for place, normal in zip(places, normals, strict=True):
+        flat = rng.uniform(-0.3, 0.3, (300, 3))
+        patches.append(place + 0.45 + flat - np.outer(flat @ normal, normal))
+    planes = PlaneVoxels.build(np.vstack(patches), 0.2, 0.06)
+    own = [
+        patch + 0.02 * np.outer(rng.standard_normal(300), n)
+        for patch, n in zip(patches, normals, strict=True)
+    ]
+    shared = [patch + 0.02 * rng.standard_normal() * n for patch, n in zip(patches, normals, strict=True)]
+    spreads = []
+    for cloud in (own, shared):
+        found = align_cloud(np.vstack(cloud), planes, gtsam.Pose3(), 15, 0.2)
+        assert found is not None
+        root = np.linalg.cholesky(np.linalg.inv(found.hessian))
+        spreads.append(np.trace(root.T @ found.spread @ root) / found.residual_m**2)
+    assert spreads[0] < 12.0  # of independent readings it is six
+    assert spreads[1] > 5.0 * spreads[0]

@@ -1,0 +1,65 @@
+"""Clouds as bytes and back: points in whole steps, each as the way from the one before, packed by zlib."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import numpy as np
+
+from slam.errors import ScanweaveError
+from slam.measurements import FloatArray
+
+STEP_M = 0.001  # a thirtieth of a 3D lidar's noise; coarser only for a cloud that reaches beyond 500 km
+_MOST_STEPS = 2**29
+_HEAD = struct.Struct("<dI")
+_BYTES_A_POINT = 12
+# zlib packs a run of equal bytes to a thousandth; more is a lie about the length.
+_GREATEST_RATIO = 1040
+
+
+def packed_cloud(points: FloatArray) -> bytes:
+    """Points (N, 3), rounded to steps of `STEP_M`, in their order.
+
+    Raises
+    ------
+    ScanweaveError
+        Where a point is not finite.
+    """
+    reach_m = float(np.abs(points).max(initial=0.0))
+    if not np.isfinite(reach_m):
+        raise ScanweaveError(f"a cloud holds a point at {reach_m}; only finite points can be kept")
+    step_m = max(STEP_M, reach_m / _MOST_STEPS)
+    steps = np.rint(points / step_m).astype(np.int32).reshape(-1, 3)
+    ways = np.diff(steps, axis=0, prepend=np.zeros((1, 3), np.int32))
+    # The sign goes to the lowest bit: upper bytes of short ways are all zero, whichever way they go.
+    signless = ((ways << 1) ^ (ways >> 31)).astype("<i4")
+    planes = signless.T.copy().view(np.uint8).reshape(-1, 4).T
+    return _HEAD.pack(step_m, len(steps)) + zlib.compress(planes.tobytes(), 1)
+
+
+def unpacked_cloud(content: bytes) -> FloatArray:
+    """Points (N, 3) of packed bytes.
+
+    Raises
+    ------
+    ValueError
+        Where they are not what `packed_cloud` gives; the size is looked at before anything is unpacked.
+    """
+    if len(content) < _HEAD.size:
+        raise ValueError("a cloud that ends too soon")
+    step_m, count = _HEAD.unpack_from(content)
+    size = _BYTES_A_POINT * count
+    if not 0.0 < step_m < np.inf or size > _GREATEST_RATIO * len(content):
+        raise ValueError(f"{len(content)} bytes cannot hold {count} points in steps of {step_m:g} m")
+    unpacker = zlib.decompressobj()
+    try:
+        plain = unpacker.decompress(content[_HEAD.size :], size + 1)
+    except zlib.error as error:
+        raise ValueError(f"a packed cloud that is damaged: {error}") from error
+    if len(plain) != size or not unpacker.eof or unpacker.unused_data:
+        raise ValueError(f"a packed cloud that is not of {count} points")
+    planes = np.frombuffer(plain, np.uint8).reshape(4, -1)
+    signless = np.ascontiguousarray(planes.T).view("<i4").reshape(3, -1).T.astype(np.int32)
+    ways = ((signless >> 1) & 0x7FFFFFFF) ^ -(signless & 1)
+    return np.cumsum(ways, axis=0, dtype=np.int32) * step_m

@@ -1,0 +1,65 @@
+"""The ring of a 3D lidar nearest the horizon as a flat scan: Xu2024's curve, to compare with a camera's."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+
+from slam.config_clouds import CloudMapConfig
+from slam.measurements import Float32Array, FloatArray, LaserScan
+
+# Elevations within one bin are one ring; a ring has at least this share of the points of the fullest.
+_BIN_RAD = math.radians(0.25)
+_RING_SHARE = 0.3
+# A ring farther from the horizon leaves the height at which it began.
+_STEEPEST_RAD = math.radians(5.0)
+
+
+def horizon_scan(
+    points: FloatArray, stamp_s: float, T_base_lidar: gtsam.Pose3, config: CloudMapConfig, sensor: str
+) -> LaserScan | None:
+    """What the ring sees, on the bearings of `slam.mapping.band_scan.band_scan`.
+
+    Parameters
+    ----------
+    points
+        (N, 3), base frame.
+    T_base_lidar
+        Where the rays come from; ranges are level ones from there.
+
+    Returns
+    -------
+    None where no ring is near the horizon.
+    """
+    rays = points - T_base_lidar.translation()
+    level = np.hypot(rays[:, 0], rays[:, 1])
+    elevation = np.arctan2(rays @ T_base_lidar.rotation().matrix()[:, 2], level)
+    bins = np.rint(elevation / _BIN_RAD).astype(np.int64)
+    near = np.abs(elevation) <= _STEEPEST_RAD
+    if not near.any():
+        return None
+    found, counts = np.unique(bins[near], return_counts=True)
+    rings = found[counts >= _RING_SHARE * counts.max()]
+    ring = int(rings[np.argmin(np.abs(rings))])
+    on_ring = np.abs(elevation - ring * _BIN_RAD) <= _BIN_RAD
+    step_rad = 2.0 * math.pi / config.bearings
+    bearing = ((np.arctan2(rays[on_ring, 1], rays[on_ring, 0]) + math.pi) / step_rad).astype(np.int64)
+    ranges: Float32Array = np.full(config.bearings, np.inf, dtype=np.float32)
+    np.minimum.at(ranges, np.minimum(bearing, config.bearings - 1), level[on_ring].astype(np.float32))
+    mounting = gtsam.Pose2(float(T_base_lidar.x()), float(T_base_lidar.y()), 0.0)
+    start = -math.pi + 0.5 * step_rad
+    return LaserScan(stamp_s, ranges, start, step_rad, config.plan_range_m, mounting, sensor)
+
+
+def with_repairs(plan: LaserScan, measured: LaserScan, repaired: LaserScan) -> LaserScan:
+    """A flat scan of the height band, with what the repair of the ring has found nearer.
+
+    The three share their bearings.
+    """
+    touched = (repaired.ranges_m != measured.ranges_m) & np.isfinite(repaired.ranges_m)
+    touched &= (repaired.ranges_m > 0.0) & (repaired.ranges_m < plan.range_max_m)
+    nearer = touched & ~(plan.ranges_m <= repaired.ranges_m)
+    return replace(plan, ranges_m=np.where(nearer, repaired.ranges_m, plan.ranges_m).astype(np.float32))

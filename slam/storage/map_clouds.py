@@ -1,0 +1,86 @@
+"""Keyframe clouds of a 3D lidar in ``map.db``; each is read when it is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import cast
+
+import gtsam
+
+from slam.errors import MapFileError
+from slam.mapping.cloud_packing import packed_cloud, unpacked_cloud
+from slam.measurements import FloatArray
+from slam.storage.map_file import MapFile
+from slam.storage.map_tables import CLOUDS, Value
+from slam.storage.packing import pack, unpack
+
+
+class MapClouds:
+    """The clouds of a map, one a node of its graph.
+
+    Parameters
+    ----------
+    begun
+        Whether the map is being written: clouds that an interrupted run has left are there only once they are
+        added again, and cost nothing then.
+    """
+
+    def __init__(self, file: MapFile, *, begun: bool = False) -> None:
+        self._file = file
+        self._count = 0 if begun else file.count(CLOUDS)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __iter__(self) -> Iterator[FloatArray]:
+        """The points of every keyframe, those of one in memory at a time."""
+        return (self.points(key) for key in range(len(self)))
+
+    def add(self, stamp_s: float, points: FloatArray, T_base_lidar: gtsam.Pose3) -> int:
+        """Write the points (N, 3), base frame, of the next keyframe; its number.
+
+        Raises
+        ------
+        ScanweaveError
+            Where a point is not finite, the map cannot be written, or an interrupted run had another cloud
+            here.
+        """
+        key = self._count
+        self._count += 1
+        if key < self._file.count(CLOUDS):
+            known_s = cast(float, self._row(key)[0])
+            if known_s != stamp_s:
+                raise MapFileError(
+                    f"{self._file.path} cannot be resumed: it has a cloud at {known_s:.6f} s where one at "
+                    f"{stamp_s:.6f} s comes; map anew, without --resume"
+                )
+            return key
+        return self._file.append(CLOUDS, stamp_s, pack(T_base_lidar), packed_cloud(points))
+
+    def points(self, key: int) -> FloatArray:
+        """The points (N, 3) of a keyframe, base frame.
+
+        Raises
+        ------
+        IndexError
+            Where there is no such keyframe.
+        MapFileError
+            Where its row is damaged.
+        """
+        content = self._row(key)[2]
+        with self._file.blaming(CLOUDS, key):
+            return unpacked_cloud(cast(bytes, content))
+
+    def T_base_lidar(self, key: int) -> gtsam.Pose3:
+        """Where the lidar was on the robot; errors as in `points`."""
+        with self._file.blaming(CLOUDS, key):
+            found = unpack(cast(bytes, self._row(key)[1]))
+            if not isinstance(found, gtsam.Pose3):
+                raise MapFileError("its mounting is none")
+        return found
+
+    def _row(self, key: int) -> tuple[Value, ...]:
+        """The values of a row."""
+        if not 0 <= key < len(self):
+            raise IndexError(f"cloud {key} of {len(self)}")
+        return self._file.row(CLOUDS, key)
