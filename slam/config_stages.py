@@ -335,6 +335,11 @@ class LayersConfig(StrictModel):
 
     enabled: bool = Field(default=True, description="write the layers of a robot that has a camera")
     robot_height_m: float = Field(default=0.7, gt=0, description="what hangs higher stops no robot")
+    robot_radius_m: float = Field(
+        default=0.15,
+        ge=0,
+        description="of a disc around the base that the robot covers: nothing stands there",
+    )
     climb_m: float = Field(default=0.03, ge=0, description="highest step that the robot drives over")
     depth_max_m: float = Field(default=3.5, gt=0, description="farther depth readings mark nothing")
     rule: Literal["corrected", "printed"] = Field(

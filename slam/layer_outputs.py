@@ -61,6 +61,7 @@ def layers_of_keyframes(
         resolution_m=config.grid.resolution_m,
         depth=DepthModel(band=band, depth_max_m=config.layers.depth_max_m),
         rule=config.layers.rule,
+        robot_radius_m=config.layers.robot_radius_m,
         max_cells=config.grid.greatest_cells,
     )
     builder = LayerBuilder(settings)

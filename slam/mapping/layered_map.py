@@ -18,6 +18,7 @@ from fusion.height_band import LensDistortion
 from slam.errors import ConfigError, ScanweaveError
 from slam.mapping.depth_grid import DepthModel, depth_board
 from slam.mapping.evidence_tiles import Board, EvidenceTiles, Steps, union
+from slam.mapping.footprint import footprint_board
 from slam.mapping.lidar_layer import LidarModel, lidar_board
 from slam.mapping.occupancy_grid import OccupancyGrid, PosedScan, StateArray
 from slam.mapping.ray_tracing import Box
@@ -73,6 +74,8 @@ class LayerSettings:
         Direction of the grid's x axis in the map.
     distortion
         Of the depth images, where they do not come undistorted.
+    robot_radius_m
+        Of a disc around the base that the robot covers: what stood there has gone.
     memory_mb
         Memory for the tiles of each layer while building, 10^6 bytes; the rest waits on disk.
     max_cells
@@ -90,6 +93,7 @@ class LayerSettings:
     p_max: float = 0.98
     axes_yaw_rad: float = 0.0
     distortion: LensDistortion | None = None
+    robot_radius_m: float = 0.0
     memory_mb: float = 24.0
     max_cells: int = 64_000_000
 
@@ -221,7 +225,12 @@ class LayerBuilder:
         self._seen.add(key)
         if board is not None:
             self._check_room(board.box())
-            self._tiles.setdefault(name, EvidenceTiles(self._settings.memory_mb)).add(board)
+            tiles = self._tiles.setdefault(name, EvidenceTiles(self._settings.memory_mb))
+            tiles.add(board)
+            under = self._axes.between(_planar(T_map_base))
+            footprint = footprint_board(under, self._settings.robot_radius_m, self._settings.resolution_m)
+            if footprint is not None:
+                tiles.add(footprint)
             self._counts[name] += 1
         return True
 

@@ -214,3 +214,24 @@ def test_a_sensor_that_dies_half_way_leaves_the_other_to_map_on():
     assert state(built, "decision", 1.0, 0.0) == FREE
     assert state(built, "decision", 22.98, 0.0) == OCCUPIED
     assert state(built, "lidar", 22.98, 0.0) == UNKNOWN
+
+
+def test_what_stood_where_the_robot_passes_has_gone():
+    walker = (1.4, 1.6, -0.1, 0.1, 0.0, 0.5)
+    beside = (1.4, 1.6, 0.4, 0.6, 0.0, 0.5)
+    readings = [frame(0.0, boxes=(walker, beside)), frame(1.0), frame(2.0)]
+    poses = [gtsam.Pose2(), gtsam.Pose2(1.45, 0.0, 0.1), gtsam.Pose2(1.6, 0.0, 0.1)]
+    there = build_layers(readings, poses, SETTINGS)
+    gone = build_layers(readings, poses, replace(SETTINGS, robot_radius_m=0.2))
+    for x in (1.41, 1.44):
+        assert state(there, "decision", x, 0.0) == OCCUPIED
+        assert state(gone, "decision", x, 0.0) != OCCUPIED
+    assert state(gone, "decision", 1.41, 0.5) == state(there, "decision", 1.41, 0.5) == OCCUPIED
+
+
+def test_a_robot_smaller_than_a_cell_clears_nothing():
+    readings, poses = [frame()], same_base(1)
+    thin = build_layers(readings, poses, replace(SETTINGS, robot_radius_m=0.03))
+    np.testing.assert_array_equal(
+        thin.states("depth"), build_layers(readings, poses, SETTINGS).states("depth")
+    )
