@@ -109,10 +109,10 @@ def test_interrupted_and_resumed(
 
 
 def test_killed(log: Path, tmp_path: Path) -> None:
-    """SIGKILL, by the tool that does it fifty times."""
+    """SIGKILL, by the tool that does it many times."""
     settings = (*SMALL, "dense_map.enabled=false")
-    found = run_trials(log, tmp_path, kills=2, seed=5, settings=settings, begins_s=1.0)
-    assert (found.kills, found.faults) == (2, [])
+    found = run_trials(log, tmp_path, kills=1, seed=5, settings=settings, begins_s=1.0)
+    assert (found.kills, found.faults) == (1, [])
     assert found.finished >= 1
 
 
