@@ -19,7 +19,7 @@ from slam.map_result import MapResult
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.matching.local_map import OrientedPoints
-from slam.matching.planar import between
+from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints, extract_points
 from slam.measurements import FloatArray, LaserScan, PointCloud, WheelOdometry, row_from_pose2
 from slam.mount_learner import LearnedMounting
@@ -34,6 +34,11 @@ from slam.scan_record import ScanRecorder
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.planar_motion import agreed_motion
 from slam.vision.prepared_frame import PreparedFrame
+
+# A keyframe that matched nothing was guessed to this share of a step that nothing measured. A match is made
+# to those before it while no more guessed ones than this have joined the local map.
+_GUESS_SHARE = 0.1
+_MOST_GUESSED = 5
 
 
 class PlanarMapper:
@@ -59,6 +64,8 @@ class PlanarMapper:
         self._readings = Readings()
         self._record = ScanRecorder()
         self._last_keyframe: TrackedScan | None = None
+        self._matched: tuple[int, TrackedScan | None] = (0, None)
+        self._guessed = 0
         self._cameras = RobotCameras(config.rgbd_odometry, config.sensors, mountings or {}, answers=journal)
         self._places = PlanarPlaces(config, journal)
         self._fusion = KeyframeFusion(config.fusion) if config.fusion.enabled else None
@@ -212,11 +219,16 @@ class PlanarMapper:
                 covariance = tracked.motion.covariance + tracked.dispute
                 match = Step(between(self._last_keyframe.pose, matched), covariance)
             wheels = self._wheel_step(self._last_keyframe, tracked, stamp_s - self._keyframe_stamps[-1])
+            bridge = None
+            if match is not None and self._last_keyframe is not self._matched[1]:
+                match, bridge = self._past_a_guess(match, covariance)
             moved = self._cameras.steps(self._keyframe_marks, self._marks)
             cameras = self._camera_steps(moved, self._tracker.camera_doubt, tracked.dispute)
             outvoted, cameras = vote(match, wheels, cameras)
             doubtful = outvoted or self._doubtful(tracked)
             key = self._graph.add_keyframe(step, match, wheels, cameras, match_doubtful=doubtful)
+            if bridge is not None:
+                self._graph.add_bridge(self._matched[0], bridge)
             self._cameras.learn(key - 1, key, moved, wheels if doubtful else match)
         if points is not None:
             self._tracker.add_keyframe(points, tracked)
@@ -230,7 +242,25 @@ class PlanarMapper:
         self._camera_doubts.append((self._tracker.camera_doubt, tracked.dispute))
         self._keyframe_marks = self._marks
         self._last_keyframe = tracked
+        if tracked.motion is not None or key == 0:
+            self._matched, self._guessed = (key, tracked), 0
+        else:
+            self._guessed += len(seen) > 0
         return key
+
+    def _past_a_guess(self, match: Step, covariance: FloatArray) -> tuple[Step, Step | None]:
+        """A match where the last keyframe matched nothing: from there, and from the last that matched.
+
+        It was made to keyframes of before, and to the last one only as well as that was guessed. Where scans
+        of guessed keyframes have come to be the most of the local map nobody knows which it was made to.
+        """
+        matched = self._matched[1]
+        assert self._last_keyframe is not None and matched is not None
+        unsure = Step(match.motion, match.covariance + self._graph.unmeasured(_GUESS_SHARE))
+        if self._guessed > _MOST_GUESSED:
+            return unsure, None
+        now = compose(self._last_keyframe.pose, match.motion)
+        return unsure, Step(between(matched.pose, now), covariance)
 
     def _look_around(self, key: int, *, alone: bool) -> list[LoopCandidate]:
         """Take the cameras' frames for a keyframe; where they are alone, look for the leading one's loops."""

@@ -83,7 +83,7 @@ class KeyframeGraph:
             # It may be wrong as a loop may be: a loose twin holds the chain where it is refused. Not so for
             # a sure match, or a handful of false loops that agree with each other could break the chain.
             best = cameras[0].motion if cameras else step
-            loose = Step(best, match.covariance + self._unmeasured(self._config.loose_share))
+            loose = Step(best, match.covariance + self.unmeasured(self._config.loose_share))
             self._add_step(key, loose, EdgeKind.ASSUMED, trusted=True)
         if wheels is not None:
             self._add_step(key, wheels, EdgeKind.WHEEL, trusted=match is None)
@@ -93,8 +93,14 @@ class KeyframeGraph:
         if match is None and wheels is None:
             # Someone who walks before the camera takes it along: it may be overruled, and then this holds.
             share = self._config.loose_share if cameras else 1.0
-            self._add_step(key, Step(step, self._unmeasured(share)), EdgeKind.ASSUMED, trusted=True)
+            self._add_step(key, Step(step, self.unmeasured(share)), EdgeKind.ASSUMED, trusted=True)
         return key
+
+    def add_bridge(self, source: int, match: Step) -> None:
+        """A match to the newest keyframe from an older one, past keyframes that matched nothing."""
+        target = len(self.graph) - 1
+        motion = pose2_from_row(match.motion)
+        self._add_edge(Edge(source, target, motion, match.covariance, EdgeKind.LIDAR, trusted=False))
 
     def add_camera_step(self, source: int, target: int, step: Step) -> None:
         """A camera's motion between two keyframes that are there, learned of later."""
@@ -162,7 +168,7 @@ class KeyframeGraph:
         self._poses[: len(self)] = self.graph.planar_poses()
         return outcome
 
-    def _unmeasured(self, share: float) -> FloatArray:
+    def unmeasured(self, share: float) -> FloatArray:
         """Covariance (3, 3) of a step that nothing measured, its sigmas scaled by a share."""
         config = self._config
         sigmas = share * np.array([config.lost_sigma_m, config.lost_sigma_m, config.lost_sigma_rad])
