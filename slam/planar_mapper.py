@@ -11,7 +11,7 @@ from slam.config import Config
 from slam.errors import ScanweaveError
 from slam.graph.keyframe_graph import KeyframeGraph, Step
 from slam.graph.loop_closure import LoopCandidate, LoopCloser
-from slam.graph.step_vote import vote
+from slam.graph.step_vote import agree, vote
 from slam.journal import Journal
 from slam.keyframe_fusion import KeyframeFusion
 from slam.keyframe_store import registration_notes
@@ -66,6 +66,7 @@ class PlanarMapper:
         self._last_keyframe: TrackedScan | None = None
         self._matched: tuple[int, TrackedScan | None] = (0, None)
         self._guessed = 0
+        self._guess_steps: list[Step] = []
         self._cameras = RobotCameras(config.rgbd_odometry, config.sensors, mountings or {}, answers=journal)
         self._places = PlanarPlaces(config, journal)
         self._fusion = KeyframeFusion(config.fusion) if config.fusion.enabled else None
@@ -209,7 +210,7 @@ class PlanarMapper:
         self, stamp_s: float, scan: LaserScan | None, points: ScanPoints | None, tracked: TrackedScan
     ) -> int:
         """Grow the local map, the graph and the loop closer by a moment; the keyframe's number."""
-        key = 0
+        key, cameras = 0, list[Step]()
         if self._last_keyframe is not None:
             step = between(self._last_keyframe.pose, tracked.pose)
             self._travelled_m += float(np.hypot(step[0], step[1]))
@@ -220,7 +221,8 @@ class PlanarMapper:
                 match = Step(between(self._last_keyframe.pose, matched), covariance)
             wheels = self._wheel_step(self._last_keyframe, tracked, stamp_s - self._keyframe_stamps[-1])
             bridge = None
-            if match is not None and self._last_keyframe is not self._matched[1]:
+            guessed = self._last_keyframe is not self._matched[1]
+            if match is not None and guessed and not (self._guess_steps and agree(self._guess_steps)):
                 match, bridge = self._past_a_guess(match, covariance)
             moved = self._cameras.steps(self._keyframe_marks, self._marks)
             cameras = self._camera_steps(moved, self._tracker.camera_doubt, tracked.dispute)
@@ -246,18 +248,20 @@ class PlanarMapper:
             self._matched, self._guessed = (key, tracked), 0
         else:
             self._guessed += len(seen) > 0
+            self._guess_steps = cameras
         return key
 
     def _past_a_guess(self, match: Step, covariance: FloatArray) -> tuple[Step, Step | None]:
         """A match where the last keyframe matched nothing: from there, and from the last that matched.
 
-        It was made to keyframes of before, and to the last one only as well as that was guessed. Where scans
-        of guessed keyframes have come to be the most of the local map nobody knows which it was made to.
+        The guess was by the wheels, or by cameras that contradict each other. The match was made to keyframes
+        of before, and to the last one only as well as that was guessed. Where cameras hold the chain no more
+        is needed; where scans of guessed keyframes are most of the local map nobody knows what it was made to.
         """
         matched = self._matched[1]
         assert self._last_keyframe is not None and matched is not None
         unsure = Step(match.motion, match.covariance + self._graph.unmeasured(_GUESS_SHARE))
-        if self._guessed > _MOST_GUESSED:
+        if self._guess_steps or self._guessed > _MOST_GUESSED:
             return unsure, None
         now = compose(self._last_keyframe.pose, match.motion)
         return unsure, Step(between(matched.pose, now), covariance)

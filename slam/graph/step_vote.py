@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -38,6 +39,11 @@ def vote(match: Step | None, wheels: Step | None, cameras: Sequence[Step]) -> tu
     if for_match > for_cameras:
         return False, [camera for camera, opposed in zip(cameras, contradicts, strict=True) if not opposed]
     return True, list(cameras)
+
+
+def agree(steps: Sequence[Step]) -> bool:
+    """Whether no two of some steps contradict each other."""
+    return all(_squares(*pair) <= _CONTRADICTION for pair in combinations(steps, 2))
 
 
 def _squares(one: Step, other: Step) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from slam.graph.keyframe_graph import Step
-from slam.graph.step_vote import vote
+from slam.graph.step_vote import agree, vote
 
 SURE = np.diag([0.005, 0.005, 0.003]) ** 2
 VAGUE = np.diag([0.1, 0.1, 0.05]) ** 2
@@ -53,3 +53,9 @@ def test_without_a_match_there_is_no_vote() -> None:
     doubtful, kept = vote(None, step(0.1), [step(0.5)])
     assert not doubtful
     assert len(kept) == 1
+
+
+def test_steps_agree_unless_two_of_them_contradict_each_other() -> None:
+    near, beside, far = (Step(np.array([x, 0.0, 0.0]), SURE) for x in (0.2, 0.205, 0.3))
+    assert agree([]) and agree([far]) and agree([near, beside])
+    assert not agree([near, beside, far])
