@@ -256,7 +256,7 @@ class PlanarMapper:
 
         The guess was by the wheels, or by cameras that contradict each other. The match was made to keyframes
         of before, and to the last one only as well as that was guessed. Where cameras hold the chain no more
-        is needed; where scans of guessed keyframes are most of the local map nobody knows which it was to.
+        is needed; where scans of guessed keyframes are most of the local map nobody knows to which.
         """
         matched = self._matched[1]
         assert self._last_keyframe is not None and matched is not None
