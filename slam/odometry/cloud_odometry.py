@@ -72,13 +72,8 @@ class CloudOdometry:
         if self._map is None:
             return None
         scan = thinned(points, self._voxel_m)
-        best: MotionEstimate | None = None
         for guess in guesses:
             aligned = self._map.align(scan, guess)
-            if aligned is None:
-                continue
-            if best is None or aligned.motion.inlier_share > best.inlier_share:
-                best = aligned.motion
-            if best.inlier_share >= self._config.least_inlier_share:
-                return best
+            if aligned is not None and aligned.motion.inlier_share >= self._config.least_inlier_share:
+                return aligned.motion
         return None

@@ -84,7 +84,9 @@ def write_nav2_states(
     pixel_of = np.full(256, _NO_PIXEL, dtype=np.uint8)
     for state, pixel in _PIXELS.items():
         pixel_of[np.uint8(state % 256)] = pixel
-    image = pixel_of[states.astype(np.int8, copy=False).view(np.uint8)]
+    if states.dtype != np.int8:
+        states = np.clip(states, UNKNOWN - 1, OCCUPIED + 1).astype(np.int8)  # a state too large is still none
+    image = pixel_of[np.ascontiguousarray(states).view(np.uint8)]
     if states.ndim != 2 or not states.size or (image == _NO_PIXEL).any():
         raise MapFileError(
             f"cannot write {yaml_path}: needs a grid of 100, 0 and -1, got shape {states.shape}"

@@ -186,7 +186,8 @@ def test_what_is_no_map_is_refused_in_one_line(tmp_path):
 
 
 def test_other_states_are_not_written(tmp_path):
-    for states in (np.array([[50]], np.int8), np.zeros((0, 3), np.int8), np.zeros(3, np.int8)):
+    wrong = (np.array([[50]], np.int8), np.array([[356]]), np.zeros((0, 3), np.int8), np.zeros(3, np.int8))
+    for states in wrong:
         with pytest.raises(MapFileError, match="needs a grid of 100, 0 and -1"):
             write_nav2_states(tmp_path / "map", states, 0.05, gtsam.Pose2())
     assert not list(tmp_path.iterdir())
