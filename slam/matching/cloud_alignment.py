@@ -21,6 +21,8 @@ _CONVERGED = 1e-4
 # An edge ends at two keyframes, and the one that it starts from was itself matched as well as this one.
 _ENDS = 2.0
 _LEAST_EIGENVALUE = 1e-2
+# A point this share of the widest kernel from its plane lies on it.
+_ON_PLANE = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +53,8 @@ class CloudAlignment:
         Root mean square distance of those that agree.
     converged
         Whether the iteration settled.
+    agreement
+        Share of all points that lie on a plane, by a measure that is the same for every pose of a scan.
     """
 
     pose: gtsam.Pose3
@@ -64,6 +68,7 @@ class CloudAlignment:
     fit: float
     residual_m: float
     converged: bool
+    agreement: float
 
 
 def align_cloud(
@@ -115,7 +120,14 @@ def align_cloud(
         float(found.weights.mean()),
         float(np.sqrt(np.mean(inliers**2))) if len(inliers) else np.inf,
         converged,
+        found.agreement(kernel_m, len(points)),
     )
+
+
+def agreement(points: FloatArray, planes: PlaneVoxels, pose: gtsam.Pose3, kernel_m: float) -> float:
+    """Share of points (N, 3), base frame, that lie on planes from ``T_map_base``; see `CloudAlignment`."""
+    found = _linearise(points, planes, pose, kernel_m)
+    return 0.0 if found is None else found.agreement(kernel_m, len(points))
 
 
 def motion_of(alignment: CloudAlignment, config: CloudOdometryConfig, guess: gtsam.Pose3) -> MotionEstimate:
@@ -171,6 +183,10 @@ class _Linear:
     kernel_m: float
     gradients: FloatArray
     planes: NDArray[np.int64]
+
+    def agreement(self, kernel_m: float, point_count: int) -> float:
+        """Share of all points near their planes."""
+        return float(np.sum(np.abs(self.residuals) <= _ON_PLANE * kernel_m)) / point_count
 
     def spread(self) -> FloatArray:
         """(6, 6) of the gradient: those of one plane's points are added up before they are squared."""

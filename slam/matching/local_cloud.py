@@ -15,7 +15,7 @@ import gtsam
 import numpy as np
 
 from slam.config_clouds import CloudOdometryConfig
-from slam.matching.cloud_alignment import CloudAlignment, align_cloud, motion_of
+from slam.matching.cloud_alignment import CloudAlignment, agreement, align_cloud, motion_of
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray, MotionEstimate
 
@@ -35,10 +35,17 @@ _NEAR, _SURE_SHARE = 1.0, 0.7
 
 @dataclass(frozen=True, slots=True)
 class Aligned:
-    """An alignment with the motion made of it."""
+    """An alignment with the motion made of it.
+
+    Attributes
+    ----------
+    near
+        Whether it settled where it was expected, and nearly all points agree: no other guess is needed.
+    """
 
     found: CloudAlignment
     motion: MotionEstimate
+    near: bool
 
 
 class LocalCloud:
@@ -79,14 +86,19 @@ class LocalCloud:
         if len(scan) < _LEAST_POINTS or not len(self._planes):
             return None
         found = self._by_planes(scan, guess) if reach_m is None else None
-        if found is None or not self._is_near(found, guess):
+        near = found is not None and self._is_near(found, guess)
+        if not near:
             start = self._arrive(scan, guess, _REACH * self._voxel_m if reach_m is None else reach_m)
             found = self._by_planes(scan, start)
         if found is None or found.pair_count < self._config.least_pairs:
             return None
         if not found.residual_m < _CHANCE * self._voxel_m:
             return None
-        return Aligned(found, motion_of(found, self._config, guess))
+        return Aligned(found, motion_of(found, self._config, guess), near)
+
+    def agreement(self, scan: FloatArray, pose: gtsam.Pose3) -> float:
+        """Share of a thinned scan (N, 3), base frame, that lies on planes from ``T_map_base``."""
+        return agreement(scan, self._planes, pose, _PLANE_KERNEL * self._voxel_m)
 
     def _by_planes(self, scan: FloatArray, start: gtsam.Pose3) -> CloudAlignment | None:
         """The point-to-plane alignment."""

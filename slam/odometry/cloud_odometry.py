@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import gtsam
@@ -11,7 +12,7 @@ import numpy as np
 
 from slam.config_clouds import CloudOdometryConfig
 from slam.matching.cloud_points import thinned
-from slam.matching.local_cloud import LocalCloud, kiss_map, moved
+from slam.matching.local_cloud import Aligned, LocalCloud, kiss_map, moved
 from slam.matching.plane_voxels import PlaneVoxels, VoxelMoments, voxel_moments
 from slam.measurements import FloatArray, MotionEstimate
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from kiss_icp.mapping import VoxelHashMap
 
 _RENEWED_SHARE = 4
+# This share of the points on planes is nearly as many.
+_NEARLY = 0.75
 
 
 class CloudOdometry:
@@ -37,6 +40,7 @@ class CloudOdometry:
         self._points: VoxelHashMap | None = None
         self._grown = 0
         self._map: LocalCloud | None = None
+        self._expected = 0.0
 
     def restart(self) -> None:
         """Forget the local map."""
@@ -60,6 +64,7 @@ class CloudOdometry:
             self._points.add_points(cloud)
         planes = PlaneVoxels.merged(self._moments, self._voxel_m, self._config.thickness_m)
         self._map = LocalCloud(self._points, planes, self._voxel_m, self._config)
+        self._expected = self._map.agreement(thinned(points, self._voxel_m), pose)
 
     def match(self, points: FloatArray, guesses: Sequence[gtsam.Pose3]) -> MotionEstimate | None:
         """Pose of a scan (N, 3), base frame, in the odometry frame; None where nothing fits.
@@ -67,13 +72,32 @@ class CloudOdometry:
         Parameters
         ----------
         guesses
-            Tried in this order until one fits.
+            Tried in this order until a match settles near one, with nearly as many points on planes as the
+            newest keyframe has. Where none does, the match with most of them is taken: from wheels that slip,
+            or a robot that was pushed, a match arrives at what fits in part.
         """
         if self._map is None:
             return None
         scan = thinned(points, self._voxel_m)
+        found: list[Aligned] = []
         for guess in guesses:
             aligned = self._map.align(scan, guess)
-            if aligned is not None and aligned.motion.inlier_share >= self._config.least_inlier_share:
+            if aligned is None or aligned.motion.inlier_share < self._config.least_inlier_share:
+                continue
+            if aligned.near and aligned.found.agreement >= _NEARLY * self._expected:
                 return aligned.motion
-        return None
+            found.append(aligned)
+        if not found:
+            return None
+        best = max(found, key=lambda aligned: aligned.found.agreement)
+        return self._believed(best, found)
+
+    def _believed(self, best: Aligned, rivals: Sequence[Aligned]) -> MotionEstimate:
+        """The motion of a match; rivals that fit as well make it as unsure as they are far away."""
+        apart = [
+            gtsam.Pose3.Logmap(best.found.pose.between(rival.found.pose))
+            for rival in rivals
+            if rival.found.agreement >= _NEARLY * best.found.agreement
+        ]
+        doubt = sum((np.outer(way, way) for way in apart), start=np.zeros((6, 6)))
+        return replace(best.motion, covariance=best.motion.covariance + doubt)

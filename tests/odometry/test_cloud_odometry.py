@@ -71,6 +71,36 @@ def test_a_second_guess_is_tried_where_the_first_leads_nowhere(odometry: CloudOd
     assert np.abs(error_of(motion, truth)).max() < 0.01
 
 
+@pytest.mark.parametrize("off", [base(1.0, 0.0, 0.0), base(0.0, 0.0, 3.14), base(0.3, 0.0, 0.5)])
+def test_wheels_that_slipped_do_not_lead_to_what_fits_in_part(
+    odometry: CloudOdometry, off: gtsam.Pose3
+) -> None:
+    """From each of these alone a match arrives where at least six tenths of the points agree."""
+    truth = base(0.3, -0.2, 0.2)
+    astray = odometry.match(points_at(truth), [truth.compose(off)])
+    assert np.linalg.norm(error_of(astray, truth)) > 0.3
+    assert astray is not None
+    assert astray.inlier_share > 0.6
+    motion = odometry.match(points_at(truth), [truth.compose(off), truth.compose(base(0.1, 0.05, -0.02))])
+    assert np.linalg.norm(error_of(motion, truth)) < 0.01
+
+
+def test_two_places_that_fit_alike_leave_the_motion_unsure() -> None:
+    """A room without pillars looks the same after half a turn about its middle."""
+    bare = np.zeros((0, 3, 2))
+    made = CloudOdometry(CONFIG, 0.2)
+    middle = base(0.5, 0.0, 0.0).compose(T_BASE_LIDAR.inverse())
+    made.add_keyframe(points_at(middle, boxes=bare), middle)
+    turned = middle.compose(T_BASE_LIDAR).compose(base(0.0, 0.0, np.pi)).compose(T_BASE_LIDAR.inverse())
+    scan = points_at(middle, seed=1, boxes=bare)
+    far = [pose.compose(base(0.3, 0.0, 0.0)) for pose in (turned, middle)]
+    motion, alone = made.match(scan, far), made.match(scan, far[:1])
+    assert motion is not None
+    assert alone is not None
+    assert np.sqrt(motion.covariance[2, 2]) > 3.0
+    assert np.sqrt(alone.covariance[2, 2]) < 0.01
+
+
 def test_rings_on_the_floor_do_not_pull_a_motion_short() -> None:
     """Two steps of 0.3 m on one keyframe; as points the floor would hold the robot back."""
     made = CloudOdometry(CONFIG, 0.2)
