@@ -22,6 +22,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+import cv2
 import gtsam
 import numpy as np
 from mcap.writer import CompressionType
@@ -39,6 +40,7 @@ from slam.simulation import ros_messages as ros
 _START_S = 1000.0
 _PATIENCE_S = 60.0  # a small bag that takes longer to read hangs
 _WITH_CHECKSUMS = frozenset({"mcap", "mcap_plain"})
+_PACKED = "sensor_msgs/msg/CompressedImage"
 _DAMAGES = ("cut", "flip", "burst", "zeros", "schema")
 
 _ROS1 = get_typestore(Stores.ROS1_NOETIC)
@@ -116,7 +118,9 @@ def damaged(path: Path, name: str, whole: Path, kind: str, rng: np.random.Genera
 
 def _wrong_definition(rng: np.random.Generator) -> dict[str, str]:
     """For one message type a text that does not describe it."""
-    kind = str(rng.choice([ros.LASER_SCAN, ros.IMAGE, ros.ODOMETRY, ros.POINT_CLOUD, ros.TRANSFORMS]))
+    kind = str(
+        rng.choice([ros.LASER_SCAN, ros.IMAGE, ros.ODOMETRY, ros.POINT_CLOUD, ros.TRANSFORMS, _PACKED])
+    )
     text = ros.typestore().generate_msgdef(kind)[0]
     lines = text.splitlines()
     at = int(rng.integers(len(lines)))
@@ -208,18 +212,35 @@ def _messages() -> list[Sent]:
         color = rng.integers(0, 256, (24, 32, 3), dtype=np.uint8)
         depth = rng.integers(500, 4000, (24, 32), dtype=np.uint16)
         frame = RgbdFrame(at_s, color, depth.astype(np.float32), lens)
+        picture, distances = ros.color_image(frame, "optical"), ros.depth_image(depth, at_s, "optical")
         sent += [
             ("/odom", ros.ODOMETRY, at_s, ros.odometry(at_s, pose, (0.5, 0.1), "odom", "base_link")),
             ("/scan", ros.LASER_SCAN, at_s, ros.laser_scan(scan, "laser", 0.1, 0.1)),
             ("/points", ros.POINT_CLOUD, at_s, ros.point_cloud(points, ring, at_s, "lidar")),
             ("/camera/depth/camera_info", ros.CAMERA_INFO, at_s, ros.camera_info(lens, at_s, "optical")),
-            ("/camera/color/image_raw", ros.IMAGE, at_s, ros.color_image(frame, "optical")),
-            ("/camera/depth/image_raw", ros.IMAGE, at_s, ros.depth_image(depth, at_s, "optical")),
+            ("/camera/color/image_raw", ros.IMAGE, at_s, picture),
+            ("/camera/depth/image_raw", ros.IMAGE, at_s, distances),
+            ("/rear/depth/camera_info", ros.CAMERA_INFO, at_s, ros.camera_info(lens, at_s, "optical")),
+            ("/rear/color/image_raw/compressed", _PACKED, at_s, _packed(picture, color, "png", b"")),
+            (
+                "/rear/depth/image_raw/compressedDepth",
+                _PACKED,
+                at_s,
+                _packed(distances, depth, "16UC1; compressedDepth png", bytes(12)),
+            ),
         ]
     store = ros.typestore()
     return [
         (topic, kind, at_s, bytes(store.serialize_cdr(message, kind))) for topic, kind, at_s, message in sent
     ]
+
+
+def _packed(raw: Any, pixels: np.ndarray, form: str, before: bytes) -> Any:
+    """A CompressedImage of what a raw message shows."""
+    done, content = cv2.imencode(".png", pixels)
+    assert done
+    data = np.frombuffer(before + content.tobytes(), np.uint8)
+    return ros.typestore().types[_PACKED](header=raw.header, format=form, data=data)
 
 
 def write(path: Path, name: str, messages: list[Sent], definitions: dict[str, str]) -> Path:

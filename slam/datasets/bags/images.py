@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.datasets.bags.run_length_depth import unpacked
 from slam.datasets.dataset import RecordFault
 from slam.datasets.quiet_decoder import decode_quietly
 from slam.measurements import ColorImage, Float32Array
@@ -111,12 +112,11 @@ def _compressed_color(message: Any) -> ColorImage:
 
 
 def _compressed_depth(message: Any) -> Float32Array:
-    """PNG after the header of compressedDepth; of 32-bit images the PNG holds inverse depth."""
+    """PNG or RVL after the header of compressedDepth; of 32-bit images they hold inverse depth."""
     content, words = bytes(message.data), str(message.format)
     with_header = "compressedDepth" in words
-    if with_header and "rvl" in words.lower():
-        raise RecordFault(BAD_ENCODING, "compressedDepth by RVL")
-    steps = _decoded(content[_CONFIG_BYTES:] if with_header else content)
+    image = content[_CONFIG_BYTES:] if with_header else content
+    steps = unpacked(image) if with_header and "rvl" in words.lower() else _decoded(image)
     if steps.ndim != 2 or steps.dtype != np.uint16:
         raise RecordFault(BAD_ENCODING, f"compressed depth {steps.dtype} {steps.shape}")
     if not (with_header and words.startswith("32FC1")):

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import shutil
+import struct
 from dataclasses import dataclass, field
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -214,6 +216,31 @@ def png(pixels: NDArray[Any]) -> bytes:
     done, content = cv2.imencode(".png", pixels)
     assert done
     return content.tobytes()
+
+
+def rvl(pixels: NDArray[Any]) -> bytes:
+    """Width, height, and the runs of a depth image (Wilson 2017)."""
+    groups: list[int] = []
+
+    def write(value: int) -> None:
+        while value > 7:
+            groups.append(8 | value & 7)
+            value >>= 3
+        groups.append(value)
+
+    flat, at, before = [int(value) for value in pixels.ravel()], 0, 0
+    while at < len(flat):
+        empty = sum(1 for _ in takewhile(lambda value: value == 0, flat[at:]))
+        readings = list(takewhile(bool, flat[at + empty :]))
+        at += empty + len(readings)
+        write(empty)
+        write(len(readings))
+        for value in readings:
+            step, before = value - before, value
+            write(2 * step if step >= 0 else -2 * step - 1)
+    groups += [0] * (-len(groups) % 8)
+    words = [int("".join(f"{group:x}" for group in groups[n : n + 8]), 16) for n in range(0, len(groups), 8)]
+    return struct.pack(f"<II{len(words)}I", pixels.shape[1], pixels.shape[0], *words)
 
 
 def info(

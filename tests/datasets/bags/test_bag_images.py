@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import gtsam
 import numpy as np
 import pytest
-from bag_writing import START_S, Sent, image, info, packed_image, png, transforms, write_bag
+from bag_writing import START_S, Sent, image, info, packed_image, png, rvl, transforms, write_bag
 
 from slam.datasets import open_dataset
 from slam.datasets.bags.images import BAD_ENCODING, BAD_SIZE, DAMAGED
+from slam.datasets.bags.run_length_depth import DAMAGED_RUNS
 from slam.datasets.dataset import Dataset
 from slam.datasets.frame_pairs import NO_COLOR, NO_DEPTH
 from slam.measurements import RgbdFrame
@@ -38,12 +40,12 @@ def alpha(pixels: np.ndarray) -> np.ndarray:
     return np.dstack([pixels, np.full(pixels.shape[:2], 9, np.uint8)])
 
 
-def inverse_depth() -> bytes:
-    """What the transport makes of 32FC1: a header, and a PNG of quantised inverse depth."""
+def inverse_depth(packing: Callable[[np.ndarray], bytes] = png) -> bytes:
+    """What the transport makes of 32FC1: a header, and an image of quantised inverse depth."""
     a, b = 100.0 * 101.0, 1.0 - 100.0 * 101.0 / 10.0
     with np.errstate(divide="ignore"):
         steps = np.where(DEPTH > 0, np.rint(a / METRES + b), 0.0)
-    return struct.pack("<iff", 0, a, b) + png(steps.astype(np.uint16))
+    return struct.pack("<iff", 0, a, b) + packing(steps.astype(np.uint16))
 
 
 @pytest.mark.parametrize(
@@ -83,6 +85,8 @@ def test_grey_is_spread_and_jpeg_is_near(tmp_path: Path) -> None:
         (packed_image(D + "/compressedDepth", bytes(12) + png(DEPTH), "16UC1; compressedDepth"), 1e-6),
         (packed_image(D + "/compressedDepth", bytes(12) + png(DEPTH), "16UC1; compressedDepth png"), 1e-6),
         (packed_image(D + "/compressedDepth", inverse_depth(), "32FC1; compressedDepth"), 2e-3),
+        (packed_image(D + "/compressedDepth", bytes(12) + rvl(DEPTH), "16UC1; compressedDepth rvl"), 1e-6),
+        (packed_image(D + "/compressedDepth", inverse_depth(rvl), "32FC1; compressedDepth rvl"), 2e-3),
         (packed_image(D + "/compressed", png(DEPTH), "16UC1; png compressed "), 1e-6),
     ],
     ids=lambda value: (
@@ -140,6 +144,23 @@ def test_a_cut_png_is_counted(tmp_path: Path) -> None:
     ]
     found, dataset = frames(tmp_path, *sent)
     assert len(found) == 1 and dataset.report.dropped[DAMAGED].count == 1
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", rvl(DEPTH)[:7], rvl(DEPTH)[:900], struct.pack("<II", 64, 0), struct.pack("<II", 1 << 20, 1 << 20)]
+    + [rvl(DEPTH)[:8] + word * 500 for word in (bytes(4), b"\xff" * 4, b"\x11" * 4)],
+)
+def test_damaged_run_lengths_are_counted(tmp_path: Path, content: bytes) -> None:
+    form, topic = "16UC1; compressedDepth rvl", D + "/compressedDepth"
+    good, bad = (
+        packed_image(topic, bytes(12) + runs, form, START_S + k)
+        for k, runs in enumerate((rvl(DEPTH), content))
+    )
+    found, dataset = frames(
+        tmp_path, image(C, COLOR, "rgb8"), good, image(C, COLOR, "rgb8", START_S + 1), bad
+    )
+    assert len(found) == 1 and dataset.report.dropped[DAMAGED_RUNS].count == 1
 
 
 def test_images_are_paired_by_nearest_stamp_and_the_rest_is_counted(tmp_path: Path) -> None:

@@ -1,0 +1,76 @@
+"""Depth images packed by RVL (Wilson 2017, "Fast Lossless Depth Image Compression"), as ROS sends them.
+
+Runs of invalid pixels and of readings follow each other; a reading is its difference to the one before.
+Numbers are written in groups of three bits, the lowest first, each with a bit that tells whether more follow.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.datasets.dataset import RecordFault
+
+DAMAGED_RUNS = "depth image of run lengths that is damaged"
+
+_SIZE_BYTES = 8  # width and height come first
+_MOST_PIXELS = 1 << 26
+
+
+def unpacked(content: bytes) -> NDArray[np.uint16]:
+    """(H, W) of an image with its size.
+
+    Raises
+    ------
+    RecordFault
+        Where the runs do not make up an image of that size.
+    """
+    if len(content) < _SIZE_BYTES:
+        raise RecordFault(DAMAGED_RUNS, f"{len(content)} bytes")
+    width, height = (int(value) for value in np.frombuffer(content, "<u4", 2))
+    if not 0 < width * height <= _MOST_PIXELS:
+        raise RecordFault(DAMAGED_RUNS, f"{width} x {height}")
+    whole = len(content) // 4 * 4
+    words = np.frombuffer(content[_SIZE_BYTES:whole], "<u4").astype(np.uint32)
+    pixels = np.zeros(width * height, dtype=np.uint16)
+    if not _fill(words, pixels):
+        raise RecordFault(DAMAGED_RUNS, f"{width} x {height} in {len(content)} bytes")
+    return pixels.reshape(height, width)
+
+
+@numba.njit(cache=True)
+def _fill(words: NDArray[np.uint32], pixels: NDArray[np.uint16]) -> bool:
+    """Write all pixels; False where the runs end before, or go beyond."""
+    at, done, before = 0, 0, 0
+    while done < len(pixels):
+        at, empty = _number(words, at)
+        at, filled = _number(words, at)
+        if at < 0 or empty + filled == 0 or done + empty + filled > len(pixels):
+            return False
+        done += empty
+        for _ in range(filled):
+            at, folded = _number(words, at)
+            if at < 0:
+                return False
+            before += -(folded + 1) // 2 if folded & 1 else folded // 2
+            if not 0 < before < 1 << 16:
+                return False
+            pixels[done] = before
+            done += 1
+    return True
+
+
+@numba.njit(cache=True)
+def _number(words: NDArray[np.uint32], at: int) -> tuple[int, int]:
+    """The number that begins at a group, and the group after it; -1 where the data end."""
+    value, shift, more = 0, 0, 8
+    while more:
+        if at < 0 or at >= 8 * len(words) or shift > 30:
+            return -1, 0
+        group = (int(words[at // 8]) >> (28 - 4 * (at % 8))) & 15
+        more = group & 8
+        value |= (group & 7) << shift
+        shift += 3
+        at += 1
+    return at, value
