@@ -20,6 +20,7 @@ OTHER_ASPECT = "image size does not fit the calibration"
 
 _SAME_ASPECT = 0.005  # rounding of sizes; 1280 x 720 and 848 x 480 already show other parts of the scene
 _NORM_TOLERANCE = 1e-2
+_FARTHEST_M = 1e8
 _STRETCH_TOLERANCE = 0.05  # published rotations have determinants of 0.9995; a scaled one is refused
 
 
@@ -135,12 +136,12 @@ def pose_from(translation_m: Any, quaternion_xyzw: Any) -> gtsam.Pose3:
     Raises
     ------
     ValueError
-        Not three and four finite numbers, or no unit quaternion.
+        Not three and four finite numbers, no unit quaternion, or farther away than any place on Earth.
     """
     translation = np.asarray(translation_m, dtype=np.float64).ravel()
     x, y, z, w = unit_quaternion(np.asarray(quaternion_xyzw, dtype=np.float64).ravel())
-    if translation.size != 3 or not np.isfinite(translation).all():
-        raise ValueError(f"translation {translation_m} is not three finite numbers")
+    if translation.size != 3 or not (np.abs(translation) < _FARTHEST_M).all():
+        raise ValueError(f"translation {translation_m} is not three numbers below {_FARTHEST_M:g} m")
     return gtsam.Pose3(gtsam.Rot3.Quaternion(w, x, y, z), translation)
 
 
@@ -169,7 +170,8 @@ def unit_quaternion(quaternion: FloatArray) -> FloatArray:
     ValueError
         Not four finite numbers, or of a length that no rounding explains.
     """
-    norm = float(np.linalg.norm(quaternion)) if quaternion.size == 4 else math.nan
+    # Unlike NumPy's norm it takes the hugest numbers of a damaged file without a warning.
+    norm = math.hypot(*quaternion.tolist()) if quaternion.size == 4 else math.nan
     if not abs(norm - 1.0) <= _NORM_TOLERANCE:
         raise ValueError(f"quaternion {quaternion.tolist()} is not four numbers of length 1")
     unit: FloatArray = quaternion / norm
