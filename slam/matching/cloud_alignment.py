@@ -16,8 +16,8 @@ from slam.measurements import FloatArray, MotionEstimate
 _KERNEL_SIGMAS = 3.0
 _LEAST_KERNEL_M = 0.02
 _MAD = 1.4826
-# Points change their planes on the way: below this a step is that.
-_CONVERGED = 1e-4
+# Points change their planes on the way: below this share of the widest kernel a step is that.
+_CONVERGED = 1e-3
 # An edge ends at two keyframes, and the one that it starts from was itself matched as well as this one.
 _ENDS = 2.0
 _LEAST_EIGENVALUE = 1e-2
@@ -100,7 +100,7 @@ def align_cloud(
         damping = np.diag(np.maximum(np.diag(hessian), _LEAST_EIGENVALUE)) * 1e-6
         step = -np.linalg.solve(hessian + damping, gradient)
         pose = pose.compose(gtsam.Pose3.Expmap(step))
-        if np.abs(step).max() < _CONVERGED:
+        if np.abs(step).max() < _CONVERGED * kernel_m:
             converged = True
             break
     found = _linearise(points, planes, pose, kernel_m)

@@ -8,6 +8,7 @@ registration, which nearly always arrives, comes before it; it takes more time t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,8 @@ _KISS_CONVERGED = 1e-3
 # In voxels: KISS-ICP's greatest pair distance and its kernel, and the kernel of the planes.
 _REACH, _KERNEL, _PLANE_KERNEL = 5.0, 1.0, 1.0
 _LEAST_POINTS = 30
+# Points that find the way: what follows takes them all.
+_ARRIVING_POINTS, _SEARCHED_POINTS = 3000, 1500
 # Points that know nothing of the planes lie evenly within the kernel; so many voxels RMS are nearly that.
 _CHANCE = 0.45
 # Planes alone are believed within so many voxels of the guess, where this share of the points agrees.
@@ -73,7 +76,13 @@ class LocalCloud:
         planes = PlaneVoxels.build(points, voxel_m, config.thickness_m)
         return cls(kiss_map(points, voxel_m, config), planes, voxel_m, config)
 
-    def align(self, scan: FloatArray, guess: gtsam.Pose3, reach_m: float | None = None) -> Aligned | None:
+    def align(
+        self,
+        scan: FloatArray,
+        guess: gtsam.Pose3,
+        reach_m: float | None = None,
+        least_agreement: float = 0.0,
+    ) -> Aligned | None:
         """Align a thinned scan (N, 3), base frame; None where too little is known.
 
         Parameters
@@ -82,11 +91,13 @@ class LocalCloud:
             ``T_map_base``.
         reach_m
             How far the guess may be off; None where it is expected to be right within a voxel.
+        least_agreement
+            Share of points on planes with which planes alone are believed.
         """
         if len(scan) < _LEAST_POINTS or not len(self._planes):
             return None
         found = self._by_planes(scan, guess) if reach_m is None else None
-        near = found is not None and self._is_near(found, guess)
+        near = found is not None and self._is_near(found, guess) and found.agreement >= least_agreement
         if not near:
             start = self._arrive(scan, guess, _REACH * self._voxel_m if reach_m is None else reach_m)
             found = self._by_planes(scan, start)
@@ -95,6 +106,16 @@ class LocalCloud:
         if not found.residual_m < _CHANCE * self._voxel_m:
             return None
         return Aligned(found, motion_of(found, self._config, guess), near)
+
+    def best_of(self, scan: FloatArray, starts: Sequence[gtsam.Pose3]) -> gtsam.Pose3:
+        """The start ``T_map_base``, moved to where a part of the scan fits, with most points on planes there.
+
+        KISS-ICP holds on to where it starts along a street of flat walls, since rings travel with the lidar.
+        """
+        part = _part(scan, _SEARCHED_POINTS)
+        found = [self._by_planes(part, start) for start in starts]
+        best = max(found, key=lambda one: 0.0 if one is None else one.agreement)
+        return starts[0] if best is None else best.pose
 
     def agreement(self, scan: FloatArray, pose: gtsam.Pose3) -> float:
         """Share of a thinned scan (N, 3), base frame, that lies on planes from ``T_map_base``."""
@@ -111,12 +132,12 @@ class LocalCloud:
         return bool(sure and moved_m.max() <= _NEAR * self._voxel_m)
 
     def _arrive(self, scan: FloatArray, guess: gtsam.Pose3, reach_m: float) -> gtsam.Pose3:
-        """KISS-ICP's registration; the guess itself where it breaks down."""
+        """KISS-ICP's registration of a part of the scan; the guess itself where it breaks down."""
         from kiss_icp.registration import Registration
 
         registration = Registration(_KISS_ITERATIONS, _KISS_CONVERGED, max_num_threads=1)
         matrix = registration.align_points_to_map(
-            points=scan,
+            points=_part(scan, _ARRIVING_POINTS),
             voxel_map=self._points,
             initial_guess=guess.matrix(),
             max_correspondance_distance=reach_m,
@@ -133,6 +154,11 @@ def kiss_map(points: FloatArray, voxel_m: float, config: CloudOdometryConfig) ->
     if len(points):
         made.add_points(points)
     return made
+
+
+def _part(scan: FloatArray, count: int) -> FloatArray:
+    """About so many points, evenly taken."""
+    return scan[:: -(-len(scan) // count)]
 
 
 def moved(points: FloatArray, pose: gtsam.Pose3) -> FloatArray:

@@ -21,7 +21,11 @@ if TYPE_CHECKING:
 
 _RENEWED_SHARE = 4
 # This share of the points on planes is nearly as many.
-_NEARLY = 0.75
+_NEARLY = 0.8
+# With a smaller share of what is expected nothing fits.
+_HARDLY = 0.5
+# How many voxels a robot may move between two scans without anything that tells its motion.
+_REACH = 5.0
 
 
 class CloudOdometry:
@@ -66,38 +70,73 @@ class CloudOdometry:
         self._map = LocalCloud(self._points, planes, self._voxel_m, self._config)
         self._expected = self._map.agreement(thinned(points, self._voxel_m), pose)
 
-    def match(self, points: FloatArray, guesses: Sequence[gtsam.Pose3]) -> MotionEstimate | None:
+    def match(
+        self, points: FloatArray, guesses: Sequence[gtsam.Pose3], before: gtsam.Pose3 | None = None
+    ) -> MotionEstimate | None:
         """Pose of a scan (N, 3), base frame, in the odometry frame; None where nothing fits.
 
         Parameters
         ----------
         guesses
-            Tried in this order until a match settles near one, with nearly as many points on planes as the
-            newest keyframe has. Where none does, the match with most of them is taken: from wheels that slip,
-            or a robot that was pushed, a match arrives at what fits in part.
+            By measured motion. Tried in this order until a match settles near one, with nearly as many points
+            on planes as the newest keyframe has. Where none does, the match with most of them is taken: from
+            wheels that slip, or a robot that was pushed, a match arrives at what fits in part.
+        before
+            Where the robot was, as the last guess. Nobody has measured the motion since, and along a street
+            where it was fits well: places all around are tried too.
+
+        Returns
+        -------
+        Not converged, and unsure by a voxel, where fewer points than usual lie on planes.
         """
         if self._map is None:
             return None
         scan = thinned(points, self._voxel_m)
-        found: list[Aligned] = []
+        found: list[Aligned | None] = []
         for guess in guesses:
-            aligned = self._map.align(scan, guess)
-            if aligned is None or aligned.motion.inlier_share < self._config.least_inlier_share:
-                continue
-            if aligned.near and aligned.found.agreement >= _NEARLY * self._expected:
-                return aligned.motion
+            aligned = self._map.align(scan, guess, None, self._usual)
+            if aligned is not None and aligned.near:
+                found = [aligned]
+                break
             found.append(aligned)
-        if not found:
-            return None
-        best = max(found, key=lambda aligned: aligned.found.agreement)
-        return self._believed(best, found)
+        best = self._best(found)
+        if before is not None and (best is None or best.found.agreement < self._usual):
+            found.append(self._map.align(scan, before, _REACH * self._voxel_m))
+            found.append(self._map.align(scan, self._map.best_of(scan, self._around(before))))
+            best = self._best(found)
+        return None if best is None else self._motion(best, found)
 
-    def _believed(self, best: Aligned, rivals: Sequence[Aligned]) -> MotionEstimate:
-        """The motion of a match; rivals that fit as well make it as unsure as they are far away."""
-        apart = [
-            gtsam.Pose3.Logmap(best.found.pose.between(rival.found.pose))
-            for rival in rivals
-            if rival.found.agreement >= _NEARLY * best.found.agreement
+    @property
+    def _usual(self) -> float:
+        """The least share of points on planes that is usual."""
+        return _NEARLY * self._expected
+
+    def _around(self, pose: gtsam.Pose3) -> list[gtsam.Pose3]:
+        """Places ahead, behind and beside a pose."""
+        ways_m = self._voxel_m * np.arange(1.0, _REACH + 1.0)
+        return [pose] + [
+            pose.compose(gtsam.Pose3(gtsam.Rot3(), way_m * np.array(axis)))
+            for way_m in ways_m
+            for axis in ([1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0])
         ]
-        doubt = sum((np.outer(way, way) for way in apart), start=np.zeros((6, 6)))
-        return replace(best.motion, covariance=best.motion.covariance + doubt)
+
+    def _best(self, found: Sequence[Aligned | None]) -> Aligned | None:
+        """The match with most points on planes; None where none fits."""
+        least = self._config.least_inlier_share
+        fitting = [one for one in found if one is not None and one.motion.inlier_share >= least]
+        best = max(fitting, key=lambda one: one.found.agreement, default=None)
+        return None if best is None or best.found.agreement < _HARDLY * self._expected else best
+
+    def _motion(self, best: Aligned, found: Sequence[Aligned | None]) -> MotionEstimate:
+        """The motion of the best match, as unsure as rivals with nearly as many points on planes are far."""
+        agreement = best.found.agreement
+        doubt = np.zeros((6, 6))
+        for rival in found:
+            if rival is not None and rival.found.agreement >= _NEARLY * agreement:
+                apart = gtsam.Pose3.Logmap(best.found.pose.between(rival.found.pose))
+                doubt += np.outer(apart, apart)
+        if agreement < self._usual:
+            units = np.array([1.0 / max(best.found.lever_m, 1e-3)] * 3 + [1.0] * 3)
+            doubt += np.diag((self._voxel_m * units) ** 2)
+        motion = replace(best.motion, covariance=best.motion.covariance + doubt)
+        return motion if agreement >= self._usual else replace(motion, converged=False)

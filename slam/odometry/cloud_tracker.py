@@ -55,7 +55,7 @@ class CloudTracker:
         self._keyframe = gtsam.Pose3()
         self._stamp_s: float | None = None
         self._wheel_pose: FloatArray | None = None
-        self._twist = np.zeros(6)
+        self._twist, self._twist_known = np.zeros(6), False
         self._lost = 0
         self.voxel_m = 0.0
 
@@ -63,25 +63,28 @@ class CloudTracker:
         """Find the pose of the next cloud; where it cannot be matched it is guessed."""
         step_s = 0.0 if self._stamp_s is None else cloud.stamp_s - self._stamp_s
         points = base_points(cloud, self._twist, self._config)
-        guesses = self._guesses(cloud.stamp_s, step_s)
+        guesses, before = self._guesses(cloud.stamp_s, step_s), self._pose
+        expected = guesses[0] if guesses else before
         self._stamp_s = cloud.stamp_s
         if len(points) < self._config.least_pairs:
             self._lost += 1
-            return self._guessed(points, guesses[0], new_keyframe=False)
+            return self._guessed(points, expected, new_keyframe=False)
         if self._odometry is None:
             self.voxel_m = voxel_of(points, self._config)
             self._odometry = CloudOdometry(self._config, self.voxel_m)
             return TrackedCloud(points, self._pose, None, new_keyframe=True)
         odometry = self._odometry
-        motion = self._answers.ask("cloud", float(guesses[0].x()), lambda: odometry.match(points, guesses))
+        motion = self._answers.ask(
+            "cloud", float(expected.x()), lambda: odometry.match(points, guesses, before)
+        )
         if motion is None:
             self._lost += 1
-            return self._guessed(points, guesses[0], new_keyframe=self._lost >= _LOST_AFTER)
+            return self._guessed(points, expected, new_keyframe=self._lost >= _LOST_AFTER)
         self._lost = 0
         pose = motion.T_reference_base
         assert isinstance(pose, gtsam.Pose3)
-        if 0.0 < step_s < _LONGEST_STEP_S:
-            self._twist = gtsam.Pose3.Logmap(self._pose.between(pose)) / step_s
+        if motion.converged and 0.0 < step_s < _LONGEST_STEP_S:
+            self._twist, self._twist_known = gtsam.Pose3.Logmap(self._pose.between(pose)) / step_s, True
         self._pose = pose
         return TrackedCloud(points, pose, motion, self._moved_on(pose))
 
@@ -90,12 +93,12 @@ class CloudTracker:
         assert self._odometry is not None
         if self._lost >= _LOST_AFTER:
             self._odometry.restart()
-            self._lost = 0
+            self._lost, self._twist_known = 0, False
         self._odometry.add_keyframe(tracked.points, tracked.pose)
         self._keyframe = tracked.pose
 
     def _guesses(self, stamp_s: float, step_s: float) -> Sequence[gtsam.Pose3]:
-        """Where the robot may be by now: by its wheels, by its velocity, where it was."""
+        """Where the robot may be by now: by its wheels, by its velocity."""
         guesses = []
         if self._wheels is not None:
             before, now = self._wheel_pose, self._wheels.pose_at(stamp_s)
@@ -107,9 +110,9 @@ class CloudTracker:
                     shift = np.array([moved[0], moved[1], 0.0])
                     guesses.append(self._pose.compose(gtsam.Pose3(turn, shift)))
         # Nobody knows how long a robot that sees nothing goes on.
-        if 0.0 < step_s < _LONGEST_STEP_S and self._lost < _LOST_AFTER:
+        if self._twist_known and 0.0 < step_s < _LONGEST_STEP_S and self._lost < _LOST_AFTER:
             guesses.append(self._pose.compose(gtsam.Pose3.Expmap(self._twist * step_s)))
-        return [*guesses, self._pose]
+        return guesses
 
     def _guessed(self, points: FloatArray, pose: gtsam.Pose3, *, new_keyframe: bool) -> TrackedCloud:
         """A cloud that did not match."""
