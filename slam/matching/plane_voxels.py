@@ -6,7 +6,7 @@ ones are asked (as the voxel map of Yuan 2022, "Efficient and probabilistic adap
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,8 +42,18 @@ class VoxelMoments:
 
 
 @dataclass(frozen=True, slots=True)
-class _Level:
-    """The planes of one size of voxel, sorted by key."""
+class PlaneLevel:
+    """The planes of one size of voxel.
+
+    Attributes
+    ----------
+    size_m
+        Side of a voxel.
+    keys
+        (V,) of the voxels that hold a plane, in order.
+    centers, normals
+        (V, 3) of their planes.
+    """
 
     size_m: float
     keys: NDArray[np.int64]
@@ -74,7 +84,7 @@ class PlanePairs:
 class PlaneVoxels:
     """The planes of a cloud."""
 
-    def __init__(self, levels: list[_Level]) -> None:
+    def __init__(self, levels: Sequence[PlaneLevel]) -> None:
         self._levels = levels
 
     @classmethod
@@ -90,20 +100,11 @@ class PlaneVoxels:
         thickness_m
             Standard deviation across a plane, at most.
         """
-        return cls.merged([voxel_moments(points, voxel_m)], voxel_m, thickness_m)
-
-    @classmethod
-    def merged(
-        cls, parts: Collection[Sequence[VoxelMoments]], voxel_m: float, thickness_m: float
-    ) -> PlaneVoxels:
-        """Fit planes to several clouds at once, at least one, each as `voxel_moments` tells it."""
-        levels = zip(*parts, strict=True)
-        return cls(
-            [
-                _planes(_added(list(level)), voxel_m * size, thickness_m)
-                for size, level in zip(SIZES, levels, strict=True)
-            ]
-        )
+        levels = []
+        for moments, size in zip(voxel_moments(points, voxel_m), SIZES, strict=True):
+            flat, centers, normals = fitted(moments, voxel_m * size, thickness_m)
+            levels.append(PlaneLevel(voxel_m * size, moments.keys[flat], centers[flat], normals[flat]))
+        return cls(levels)
 
     def __len__(self) -> int:
         return sum(len(level.keys) for level in self._levels)
@@ -144,15 +145,6 @@ def _moments(points: FloatArray, size_m: float) -> VoxelMoments:
     return _summed(keys, rows)
 
 
-def _added(parts: Sequence[VoxelMoments]) -> VoxelMoments:
-    """The moments of several clouds together."""
-    if len(parts) == 1:
-        return parts[0]
-    keys, sums = np.concatenate([part.keys for part in parts]), np.vstack([part.sums for part in parts])
-    order = np.argsort(keys, kind="stable")
-    return _summed(keys[order], sums[order])
-
-
 def _summed(keys: NDArray[np.int64], rows: FloatArray) -> VoxelMoments:
     """Rows of equal keys, which stand together, added up."""
     if not len(keys):
@@ -161,26 +153,32 @@ def _summed(keys: NDArray[np.int64], rows: FloatArray) -> VoxelMoments:
     return VoxelMoments(keys[starts], np.add.reduceat(rows, starts))
 
 
-def _planes(moments: VoxelMoments, size_m: float, thickness_m: float) -> _Level:
-    """The planes among the voxels of one size."""
-    enough = moments.sums[:, 0] >= _LEAST_POINTS
-    keys, sums = moments.keys[enough], moments.sums[enough]
-    if not len(keys):
-        return _Level(size_m, keys, np.zeros((0, 3)), np.zeros((0, 3)))
-    means = sums[:, 1:4] / sums[:, :1]
-    spread = sums[:, 4:] / sums[:, :1] - means[:, _ROWS] * means[:, _COLUMNS]
+def fitted(
+    moments: VoxelMoments, size_m: float, thickness_m: float
+) -> tuple[BoolArray, FloatArray, FloatArray]:
+    """Whether each voxel (V,) of one size holds a plane, and the planes' centers and normals, both (V, 3)."""
+    keys, sums = moments.keys, moments.sums
+    flat = sums[:, 0] >= _LEAST_POINTS
+    centers, normals = np.zeros((len(keys), 3)), np.zeros((len(keys), 3))
+    if not flat.any():
+        return flat, centers, normals
+    means = sums[flat, 1:4] / sums[flat, :1]
+    spread = sums[flat, 4:] / sums[flat, :1] - means[:, _ROWS] * means[:, _COLUMNS]
     covariances = np.empty((len(means), 3, 3))
     covariances[:, _ROWS, _COLUMNS] = spread
     covariances[:, _COLUMNS, _ROWS] = spread
     values, vectors = np.linalg.eigh(covariances)
-    flat = (
+    axes = np.stack([keys >> 2 * _AXIS_BITS, keys >> _AXIS_BITS, keys], axis=1)[flat] & (
+        (1 << _AXIS_BITS) - 1
+    )
+    centers[flat] = means + (axes - _HALF_AXIS) * size_m
+    normals[flat] = vectors[:, :, 0]
+    flat[flat] = (
         (values[:, 0] < thickness_m**2)
         & (values[:, 1] > (_LEAST_EXTENT * size_m) ** 2)
         & (values[:, 1] > _LEAST_FLATNESS * values[:, 0])
     )
-    axes = np.stack([keys >> 2 * _AXIS_BITS, keys >> _AXIS_BITS, keys], axis=1) & ((1 << _AXIS_BITS) - 1)
-    corners = (axes - _HALF_AXIS) * size_m
-    return _Level(size_m, keys[flat], (means + corners)[flat], vectors[flat, :, 0])
+    return flat, centers, normals
 
 
 def _keys(points: FloatArray, size_m: float) -> NDArray[np.int64]:

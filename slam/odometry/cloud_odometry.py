@@ -13,7 +13,7 @@ import numpy as np
 from slam.config_clouds import CloudOdometryConfig
 from slam.matching.cloud_points import thinned
 from slam.matching.local_cloud import Aligned, LocalCloud, kiss_map, moved
-from slam.matching.plane_voxels import PlaneVoxels, VoxelMoments, voxel_moments
+from slam.matching.plane_window import PlaneWindow
 from slam.measurements import FloatArray, MotionEstimate
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class CloudOdometry:
     def __init__(self, config: CloudOdometryConfig, voxel_m: float) -> None:
         self._config, self._voxel_m = config, voxel_m
         self._clouds: deque[FloatArray] = deque(maxlen=config.local_map_keyframes)
-        self._moments: deque[list[VoxelMoments]] = deque(maxlen=config.local_map_keyframes)
+        self._planes = PlaneWindow(voxel_m, config.thickness_m, config.local_map_keyframes)
         self._points: VoxelHashMap | None = None
         self._grown = 0
         self._map: LocalCloud | None = None
@@ -49,7 +49,7 @@ class CloudOdometry:
     def restart(self) -> None:
         """Forget the local map."""
         self._clouds.clear()
-        self._moments.clear()
+        self._planes = PlaneWindow(self._voxel_m, self._config.thickness_m, self._config.local_map_keyframes)
         self._map = self._points = None
 
     def add_keyframe(self, points: FloatArray, pose: gtsam.Pose3) -> None:
@@ -58,7 +58,6 @@ class CloudOdometry:
             return
         cloud = moved(thinned(points, 0.5 * self._voxel_m), pose)
         self._clouds.append(cloud)
-        self._moments.append(voxel_moments(cloud, self._voxel_m))
         self._grown += 1
         # KISS-ICP's map forgets by distance only; now and then it is made anew of what is still in the map.
         if self._points is None or self._grown * _RENEWED_SHARE >= self._config.local_map_keyframes:
@@ -66,8 +65,7 @@ class CloudOdometry:
             self._grown = 0
         else:
             self._points.add_points(cloud)
-        planes = PlaneVoxels.merged(self._moments, self._voxel_m, self._config.thickness_m)
-        self._map = LocalCloud(self._points, planes, self._voxel_m, self._config)
+        self._map = LocalCloud(self._points, self._planes.add(cloud), self._voxel_m, self._config)
         self._expected = self._map.agreement(thinned(points, self._voxel_m), pose)
 
     def match(

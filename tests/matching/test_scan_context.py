@@ -8,7 +8,8 @@ from cloud_world import base, look
 
 from slam.config_clouds import CloudOdometryConfig
 from slam.matching.cloud_points import base_points
-from slam.matching.plane_voxels import PlaneVoxels, voxel_moments
+from slam.matching.plane_voxels import PlaneVoxels
+from slam.matching.plane_window import PlaneWindow
 from slam.matching.scan_context import ring_key, scan_context, unlikeness
 from slam.measurements import Float32Array, FloatArray
 
@@ -49,7 +50,9 @@ def test_planes_of_clouds_add_up() -> None:
     """Two halves together tell the planes of the whole, and every plane lies on a wall or the floor."""
     points = points_at(-1.0, 0.3, 0.4)
     whole = PlaneVoxels.build(points, 0.2, 0.06)
-    halves = PlaneVoxels.merged([voxel_moments(points[n::2], 0.2) for n in (0, 1)], 0.2, 0.06)
+    window = PlaneWindow(0.2, 0.06, 2)
+    for part in (points[::3] + 1.0, points[::2], points[1::2]):
+        halves = window.add(part)
     one, two = whole.pairs(points), halves.pairs(points)
     np.testing.assert_array_equal(one.found, two.found)
     np.testing.assert_allclose(one.centers, two.centers, atol=1e-9)
