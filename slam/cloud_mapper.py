@@ -6,6 +6,7 @@ Cameras beside it see what it passes: the map's colours and depth layer, see `sl
 from __future__ import annotations
 
 import time
+from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -26,13 +27,13 @@ from slam.mapping.band_scan import band_scan, ground_height
 from slam.mapping.cloud_keyframes import CloudKeyframes, CloudSpool
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.matching.cloud_points import thinned
+from slam.matching.cloud_points import at_middle_of_turn, thinned
 from slam.measurements import FloatArray, LaserScan, PointCloud, WheelOdometry
 from slam.mount_learner import LearnedMounting
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
 from slam.odometry.wheel_tracker import WheelTracker
 from slam.scan_record import ScanRecorder
-from slam.spatial_trajectory import FramePoses
+from slam.spatial_trajectory import FramePoses, at_stamps
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prepared_frame import PreparedFrame
 
@@ -43,6 +44,8 @@ _GROUND_SLACK_M = 0.1
 _KEPT_SHARE = 0.25
 # So many scans of which none matched are no log of a 3D lidar.
 _HOPELESS = 20
+# A larger share of doubtful matches is worth a warning.
+_MOST_DOUBTFUL = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,8 +82,10 @@ class CloudMapper:
         self._last_keyframe: gtsam.Pose3 | None = None
         self._travelled_m = 0.0
         self._stamps_s: list[float] = []
+        # The stamps of the log, by which the trajectory is told; all else goes by the middle of each turn.
+        self._seen_s = array("d")
         self._T_base_lidar = gtsam.Pose3()
-        self._matched = 0
+        self._matched, self._doubtful = 0, 0
 
     @property
     def scan_count(self) -> int:
@@ -111,9 +116,12 @@ class CloudMapper:
     def add_cloud(self, cloud: PointCloud) -> None:
         """Match a cloud; where the robot has moved on, make it a keyframe and close loops."""
         started = time.perf_counter()
+        self._seen_s.append(cloud.stamp_s)
+        cloud = at_middle_of_turn(cloud, self._config.cloud_odometry)
         tracked = self._tracker.track(cloud)
         self._frames.add(cloud.stamp_s, tracked.pose)
         self._matched += tracked.motion is not None
+        self._doubtful += tracked.motion is not None and not tracked.motion.converged
         self._cameras.note_cloud(cloud.stamp_s, tracked)
         if tracked.new_keyframe:
             self._T_base_lidar = cloud.T_base_lidar
@@ -122,7 +130,7 @@ class CloudMapper:
             for candidate in closer.close(key, self._graph.poses()):
                 self._graph.add_loop(candidate)
             self._graph.update()
-        self._record.add(cloud.stamp_s, tracked.motion, time.perf_counter() - started)
+        self._record.add(self._seen_s[-1], tracked.motion, time.perf_counter() - started)
 
     def finish(self) -> MapResult:
         """Optimise everything, give every cloud its pose, and draw the plan."""
@@ -131,7 +139,7 @@ class CloudMapper:
         outcome = self._graph.optimize(self._config.loops.inlier_probability)
         clock.append(time.perf_counter())
         bases = self._graph.poses()
-        trajectory = self._frames.trajectory(bases, gtsam.Pose3())
+        trajectory = at_stamps(self._frames.trajectory(bases, gtsam.Pose3()), np.array(self._seen_s))
         clock.append(time.perf_counter())
         planar = np.array([[pose.x(), pose.y(), pose.rotation().yaw()] for pose in bases])
         plan = self._plan(planar)
@@ -153,7 +161,7 @@ class CloudMapper:
                 "full trajectory": clock[2] - clock[1],
                 "grid": clock[3] - clock[2],
             },
-            warnings=[*plan.warnings, *self._cameras.warnings()],
+            warnings=[*plan.warnings, *self._doubts(), *self._cameras.warnings()],
             notes=[f"3D lidar: voxels of {self._tracker.voxel_m:.2f} m", *plan.notes, *self._cameras.notes()],
             dense=self._cameras.dense(bases),
             fused=plan.fused,
@@ -174,6 +182,14 @@ class CloudMapper:
                 f"none of {len(self._frames):,} clouds matched another; planes need several rings, "
                 "and points dense enough for cloud_odometry.voxel_m"
             )
+
+    def _doubts(self) -> list[str]:
+        """A warning where clouds fitted the map only in part."""
+        if self._doubtful <= _MOST_DOUBTFUL * self._matched:
+            return []
+        return [
+            f"{self._doubtful:,} of {self._matched:,} clouds fit only in part; their motions count as unsure"
+        ]
 
     def _add_keyframe(self, tracked: TrackedCloud) -> tuple[int, CloudLoopCloser]:
         """Grow the local map, the graph and the loop closer by a cloud; its number."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from array import array
+from dataclasses import replace
 from typing import Any
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.measurements import Trajectory
+from slam.measurements import FloatArray, Trajectory
 
 
 class FramePoses:
@@ -70,6 +71,28 @@ class FramePoses:
         """``T_odom_camera`` of a frame."""
         matrix = np.array(self._poses[12 * frame : 12 * frame + 12]).reshape(3, 4)
         return gtsam.Pose3(gtsam.Rot3(matrix[:, :3]), matrix[:, 3])
+
+
+def at_stamps(trajectory: Trajectory, stamps_s: FloatArray) -> Trajectory:
+    """A pose for each of other stamps (N,), in the order of the trajectory's own and near them.
+
+    The motion to the pose before, or for the first to the one after, is taken as even.
+    """
+    own_s = trajectory.stamps_s
+    if len(own_s) < 2 or np.array_equal(own_s, stamps_s):
+        return replace(trajectory, stamps_s=stamps_s)
+    poses = [
+        gtsam.Pose3(gtsam.Rot3.Quaternion(w, x, y, z), position)
+        for (x, y, z, w), position in zip(trajectory.quaternions_xyzw, trajectory.positions_m, strict=True)
+    ]
+    positions, quaternions = np.empty((len(own_s), 3)), np.empty((len(own_s), 4))
+    for n, stamp_s in enumerate(stamps_s):
+        left = max(n - 1, 0)
+        step_s = own_s[left + 1] - own_s[left]
+        share = (stamp_s - own_s[left]) / step_s if step_s > 0.0 else float(n > 0)
+        pose = poses[left].slerp(float(np.clip(share, -1.0, 2.0)), poses[left + 1])
+        positions[n], quaternions[n] = pose.translation(), _xyzw(pose.rotation())
+    return Trajectory(stamps_s, positions, quaternions)
 
 
 def _xyzw(rotation: gtsam.Rot3) -> list[float]:

@@ -59,6 +59,23 @@ def look(
     return PointCloud(stamp_s, points, None, T_BASE_LIDAR)
 
 
+def look_on_the_way(
+    T_map_base: gtsam.Pose3, twist: FloatArray, stamp_s: float, *, seed: int = 0, turn_s: float = 0.1
+) -> PointCloud:
+    """One turn of the lidar on a robot that moves by ``twist`` (6,), stamped at its beginning."""
+    rng = np.random.default_rng(seed)
+    slices = np.array_split(rays().reshape(-1, len(ELEVATIONS), 3), 60)
+    points, times_s = [], []
+    for n, directions in enumerate(slices):
+        at_s = turn_s * n / len(slices)
+        T_map_lidar = T_map_base.compose(gtsam.Pose3.Expmap(twist * at_s)).compose(T_BASE_LIDAR)
+        fan = directions.reshape(-1, 3)
+        ranges = cast(T_map_lidar.translation(), fan @ T_map_lidar.rotation().matrix().T)
+        points.append(fan * (ranges + 0.01 * rng.standard_normal(len(ranges)))[:, None])
+        times_s.append(np.full(len(fan), at_s))
+    return PointCloud(stamp_s, np.vstack(points).astype(np.float32), np.concatenate(times_s), T_BASE_LIDAR)
+
+
 def base(x: float, y: float, yaw: float) -> gtsam.Pose3:
     """A robot on the floor."""
     return gtsam.Pose3(gtsam.Rot3.Yaw(yaw), np.array([x, y, 0.0]))

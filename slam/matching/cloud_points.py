@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 
@@ -30,9 +32,26 @@ def base_points(cloud: PointCloud, twist: FloatArray, config: CloudOdometryConfi
         usable = (squares >= config.range_min_m**2) & (squares <= config.range_max_m**2)
     T = cloud.T_base_lidar
     points = points[usable] @ T.rotation().matrix().T + T.translation()
-    if not config.deskew or cloud.times_s is None or not turn_known(cloud.times_s) or not twist.any():
+    if not deskewed(cloud, config) or not twist.any():
         return points
     return _deskewed(points, np.asarray(cloud.times_s)[usable], twist)
+
+
+def deskewed(cloud: PointCloud, config: CloudOdometryConfig) -> bool:
+    """Whether the motion within a turn is undone."""
+    return config.deskew and cloud.times_s is not None and turn_known(cloud.times_s)
+
+
+def at_middle_of_turn(cloud: PointCloud, config: CloudOdometryConfig) -> PointCloud:
+    """The same points, stamped in the middle of the turn where it is deskewed.
+
+    There a twist that is a bit off moves nothing to first order. At the beginning it moves the pose, the next
+    twist is off by as much the other way, and so on, without end.
+    """
+    if not deskewed(cloud, config) or cloud.times_s is None:
+        return cloud
+    after_s = 0.5 * float(cloud.times_s.min() + cloud.times_s.max())
+    return replace(cloud, stamp_s=cloud.stamp_s + after_s, times_s=cloud.times_s - after_s)
 
 
 def turn_known(times_s: FloatArray) -> bool:

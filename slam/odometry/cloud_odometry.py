@@ -66,7 +66,7 @@ class CloudOdometry:
         else:
             self._points.add_points(cloud)
         self._map = LocalCloud(self._points, self._planes.add(cloud), self._voxel_m, self._config)
-        self._expected = self._map.agreement(thinned(points, self._voxel_m), pose)
+        self._expected = self.agreement(points, pose)
 
     def match(
         self, points: FloatArray, guesses: Sequence[gtsam.Pose3], before: gtsam.Pose3 | None = None
@@ -103,6 +103,14 @@ class CloudOdometry:
             found.append(self._map.align(scan, self._map.best_of(scan, self._around(before))))
             best = self._best(found)
         return None if best is None else self._motion(best, found)
+
+    def nearby(self, points: FloatArray, start: gtsam.Pose3) -> gtsam.Pose3:
+        """Roughly where a scan (N, 3) fits near ``T_odom_base``."""
+        return start if self._map is None else self._map.best_of(thinned(points, self._voxel_m), [start])
+
+    def agreement(self, points: FloatArray, pose: gtsam.Pose3) -> float:
+        """Share of a scan (N, 3), base frame, that lies on planes from ``T_odom_base``."""
+        return 0.0 if self._map is None else self._map.agreement(thinned(points, self._voxel_m), pose)
 
     @property
     def _usual(self) -> float:

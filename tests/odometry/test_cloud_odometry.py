@@ -5,11 +5,11 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 import pytest
-from cloud_world import ELEVATIONS, T_BASE_LIDAR, base, look, way_round
+from cloud_world import ELEVATIONS, T_BASE_LIDAR, base, look, look_on_the_way, way_round
 
 from slam.config_clouds import CloudOdometryConfig
 from slam.matching.cloud_alignment import align_cloud
-from slam.matching.cloud_points import base_points, turn_known, voxel_of
+from slam.matching.cloud_points import at_middle_of_turn, base_points, turn_known, voxel_of
 from slam.matching.local_cloud import LocalCloud
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray, MotionEstimate, PointCloud
@@ -222,6 +222,25 @@ def test_a_drive_is_tracked_and_a_gap_is_told() -> None:
     assert all(motion is not None for motion in motions[7:])
     assert max(errors[:6] + errors[7:]) < 0.02
     assert errors[6] < 0.1
+
+
+def test_a_robot_that_moves_while_the_lidar_turns_is_followed() -> None:
+    """Without wheels; it starts and stops turning at once, with 2 m/s and 1.5 rad/s."""
+    tracker, pose, errors = CloudTracker(CONFIG, None), base(-1.5, -1.0, 0.0), []
+    first = pose
+    for number in range(24):
+        moving = number > 1
+        twist = np.array([0.0, 0.0, 1.5 * (8 < number < 16), 2.0 * moving, 0.0, 0.0])
+        cloud = at_middle_of_turn(look_on_the_way(pose, twist, 0.1 * number, seed=number), CONFIG)
+        assert cloud.stamp_s == pytest.approx(0.1 * number + 0.05, abs=0.001)
+        tracked = tracker.track(cloud)
+        if tracked.new_keyframe:
+            tracker.add_keyframe(tracked)
+        middle = pose.compose(gtsam.Pose3.Expmap(twist * (cloud.stamp_s - 0.1 * number)))
+        errors.append(gtsam.Pose3.Logmap(first.between(middle).between(tracked.pose)))
+        pose = pose.compose(gtsam.Pose3.Expmap(0.1 * twist))
+    assert np.abs(np.array(errors)[:, 3:]).max() < 0.03
+    assert np.abs(np.array(errors)[:, :3]).max() < 0.01
 
 
 def test_kiss_icp_comes_only_where_the_guess_is_far(
