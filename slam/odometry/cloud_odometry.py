@@ -20,10 +20,11 @@ if TYPE_CHECKING:
     from kiss_icp.mapping import VoxelHashMap
 
 _RENEWED_SHARE = 4
-# This share of the points on planes is nearly as many.
-_NEARLY = 0.8
-# With a smaller share of what is expected nothing fits.
-_HARDLY = 0.5
+# This share of the points on planes is nearly as many; of what is expected a smaller one is no match at all.
+_NEARLY, _HARDLY = 0.85, 0.4
+# How many points of a keyframe lie on the planes of those before it, as a share of those on its own too: by so
+# many keyframes, at least the one, and the other where none has told it yet.
+_KNOWN_KEYFRAMES, _LEAST_KNOWN, _FIRST_KNOWN = 10, 0.7, 0.8
 # How many voxels a robot may move between two scans without anything that tells its motion.
 _REACH = 5.0
 
@@ -45,17 +46,20 @@ class CloudOdometry:
         self._grown = 0
         self._map: LocalCloud | None = None
         self._expected = 0.0
+        self._known: deque[float] = deque(maxlen=_KNOWN_KEYFRAMES)
 
     def restart(self) -> None:
         """Forget the local map."""
         self._clouds.clear()
         self._planes = PlaneWindow(self._voxel_m, self._config.thickness_m, self._config.local_map_keyframes)
         self._map = self._points = None
+        self._known.clear()
 
     def add_keyframe(self, points: FloatArray, pose: gtsam.Pose3) -> None:
         """Take points (N, 3), base frame, at ``T_odom_base`` into the local map."""
         if not len(points):
             return
+        before = self.agreement(points, pose)
         cloud = moved(thinned(points, 0.5 * self._voxel_m), pose)
         self._clouds.append(cloud)
         self._grown += 1
@@ -66,7 +70,11 @@ class CloudOdometry:
         else:
             self._points.add_points(cloud)
         self._map = LocalCloud(self._points, self._planes.add(cloud), self._voxel_m, self._config)
-        self._expected = self.agreement(points, pose)
+        own = self.agreement(points, pose)
+        if before > 0.0 and own > 0.0:
+            self._known.append(before / own)
+        known = float(np.median(self._known)) if self._known else _FIRST_KNOWN
+        self._expected = own * max(known, _LEAST_KNOWN)
 
     def match(
         self, points: FloatArray, guesses: Sequence[gtsam.Pose3], before: gtsam.Pose3 | None = None
@@ -77,7 +85,7 @@ class CloudOdometry:
         ----------
         guesses
             By measured motion. Tried in this order until a match settles near one, with nearly as many points
-            on planes as the newest keyframe has. Where none does, the match with most of them is taken: from
+            on planes as the newest keyframes had. Where none does, the match with most of them is taken: from
             wheels that slip, or a robot that was pushed, a match arrives at what fits in part.
         before
             Where the robot was, as the last guess. Nobody has measured the motion since, and along a street
