@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 _RENEWED_SHARE = 4
 # This share of the points on planes is nearly as many; of what is expected a smaller one is no match at all.
 _NEARLY, _HARDLY = 0.85, 0.4
-# How many points of a keyframe lie on the planes of those before it, as a share of those on its own too: by so
-# many keyframes, at least the one, and the other where none has told it yet.
+# How many points of a keyframe lie on the planes of those before it, as a share of those on its own too: by
+# so many keyframes, at least the one, and the other where none has told it yet.
 _KNOWN_KEYFRAMES, _LEAST_KNOWN, _FIRST_KNOWN = 10, 0.7, 0.8
 # How many voxels a robot may move between two scans without anything that tells its motion.
 _REACH = 5.0
