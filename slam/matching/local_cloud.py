@@ -64,7 +64,7 @@ class LocalCloud:
     def __init__(
         self, points: VoxelHashMap, planes: PlaneVoxels, voxel_m: float, config: CloudOdometryConfig
     ) -> None:
-        self._points, self._planes = points, planes
+        self._points, self.planes = points, planes
         self._config, self._voxel_m = config, voxel_m
 
     @classmethod
@@ -83,7 +83,7 @@ class LocalCloud:
         reach_m
             How far the guess may be off; None where it is expected to be right within a voxel.
         """
-        if len(scan) < _LEAST_POINTS or not len(self._planes):
+        if len(scan) < _LEAST_POINTS or not len(self.planes):
             return None
         found = self._by_planes(scan, guess) if reach_m is None else None
         near = found is not None and self._is_near(found, guess)
@@ -98,11 +98,11 @@ class LocalCloud:
 
     def agreement(self, scan: FloatArray, pose: gtsam.Pose3) -> float:
         """Share of a thinned scan (N, 3), base frame, that lies on planes from ``T_map_base``."""
-        return agreement(scan, self._planes, pose, _PLANE_KERNEL * self._voxel_m)
+        return agreement(scan, self.planes, pose, _PLANE_KERNEL * self._voxel_m)
 
     def _by_planes(self, scan: FloatArray, start: gtsam.Pose3) -> CloudAlignment | None:
         """The point-to-plane alignment."""
-        return align_cloud(scan, self._planes, start, self._config.iterations, _PLANE_KERNEL * self._voxel_m)
+        return align_cloud(scan, self.planes, start, self._config.iterations, _PLANE_KERNEL * self._voxel_m)
 
     def _is_near(self, found: CloudAlignment, guess: gtsam.Pose3) -> bool:
         """Whether an alignment settled where it was expected."""
