@@ -73,7 +73,7 @@ class CloudLocalizationConfig(StrictModel):
     Lengths that follow the scene are in voxels of ``cloud_odometry.voxel_m``.
     """
 
-    tile_voxels: float = Field(default=10.0, gt=0, description="side of a tile of the map that is matched to")
+    tile_voxels: float = Field(default=16.0, gt=0, description="side of a tile of the map that is matched to")
     tile_keyframes: int = Field(default=24, ge=1, description="nearest keyframes that make a tile's map")
     reach_voxels: float = Field(
         default=40.0, gt=0, description="farther than this from every keyframe there is no map to match to"
@@ -90,10 +90,22 @@ class CloudLocalizationConfig(StrictModel):
     looks_beside_voxels: float = Field(
         default=10.0, ge=0, description="places are also compared as they look from so far beside the robot"
     )
+    coarseness: float = Field(
+        default=3.0, ge=1, description="a place by looks is first aligned with voxels so many times as large"
+    )
     arrive_voxels: float = Field(default=12.0, gt=0, description="how far a place by looks may be off")
+    refined: int = Field(default=3, ge=1, description="of those, the best so many are aligned exactly")
     on_plane_voxels: float = Field(
         default=0.5, gt=0, description="a point so near to a plane is explained by it"
     )
     least_stations: int = Field(
         default=3, ge=1, description="scans from different places that must agree before a pose is believed"
     )
+    least_agreement: float = Field(
+        default=0.5,
+        gt=0,
+        le=1,
+        description="least share of a cloud on known planes, as a part of what the map's own clouds have",
+    )
+    map_sigma_m: float = Field(default=0.01, gt=0, description="what the map is off by from place to place")
+    map_sigma_rad: float = Field(default=0.002, gt=0, description="and by how much it is bent there")

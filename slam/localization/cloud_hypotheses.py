@@ -111,7 +111,7 @@ class CloudHypotheses:
         """Align a hypothesis to the map near its predicted pose, and weigh the station's news."""
         member.pose, member.motion = predicted, None
         motion = self._matcher.align(station.view, predicted)
-        if motion is not None and motion.inlier_share >= self._config.least_inlier_share:
+        if motion is not None:
             aligned = motion.T_reference_base
             assert isinstance(aligned, gtsam.Pose3)
             if _near(predicted, aligned, _GREATEST_CORRECTION_M, _GREATEST_CORRECTION_RAD):

@@ -36,6 +36,8 @@ class CloudLocalizer:
         self._motion = CloudMotion(config)
         self._set = CloudHypotheses(self._matcher, config)
         self._loss = LossTest(config.localization)
+        settings = config.cloud_localization
+        self._map_covariance = np.diag([settings.map_sigma_rad**2] * 3 + [settings.map_sigma_m**2] * 3)
         self._state = State.SEARCHING
         self._smoother: PoseSmoother | None = None
         self._untold: list[tuple[float, gtsam.Pose3]] = []
@@ -73,8 +75,8 @@ class CloudLocalizer:
         return math.nan if motion is None else motion.inlier_share
 
     def _believed(self, motion: MotionEstimate | None, predicted: Measured) -> list[Measured]:
-        """A match, if enough of the cloud agrees with it and it is where it may be."""
-        if motion is None or motion.inlier_share < self._config.least_inlier_share:
+        """A match, if it is where it may be."""
+        if motion is None:
             return []
         found = Measured(motion.T_reference_base, motion.covariance)
         return [found] if squared_sigmas(predicted, found) <= self._config.gate_sigmas**2 else []
@@ -126,7 +128,7 @@ class CloudLocalizer:
             stamp_s=stamp_s,
             state=self._state,
             pose=None if known is None else known.pose,
-            covariance=None if known is None else known.covariance,
+            covariance=None if known is None else known.covariance + self._map_covariance,
             confidence=confidence,
             hypotheses=tuple(
                 PoseHypothesis(self._set.members[n].pose, float(probabilities[n])) for n in told

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -17,9 +17,9 @@ from slam.matching.local_cloud import moved
 from slam.measurements import FloatArray, MotionEstimate, PointCloud
 
 # Shares of explained, in-free and crossing beams at true poses, and at wrong ones that fit best.
-_EXPLAINED_NATS = math.log(0.40 / 0.22)
-_IN_FREE_NATS = math.log(0.01 / 0.10)
-_CROSSING_NATS = math.log(0.045 / 0.15)
+_EXPLAINED_NATS = math.log(0.40 / 0.20)
+_IN_FREE_NATS = math.log(0.01 / 0.06)
+_CROSSING_NATS = math.log(0.03 / 0.18)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,21 +56,41 @@ class CloudMatcher:
         return CloudView(cloud.stamp_s, thinned(points, self.voxel_m), lidar)
 
     def align(self, view: CloudView, guess: gtsam.Pose3) -> MotionEstimate | None:
-        """``T_map_base`` from a guess nearby; None where nothing fits."""
+        """``T_map_base`` from a guess nearby; None where too little of the cloud fits."""
         tile = self._tiles.around(guess)
-        aligned = None if tile is None else tile.local.align(view.points, guess)
-        return None if aligned is None else aligned.motion
+        if tile is None:
+            return None
+        lidar = np.asarray(guess.transformFrom(view.lidar))
+        strange = tile.planes.judge(lidar, moved(view.points, guess), 0.0).strange
+        aligned = tile.local.align(view.points[~strange], guess)
+        if aligned is None or aligned.motion.inlier_share < self._general.least_inlier_share:
+            return None
+        agreement = aligned.found.agreement * float(np.mean(~strange)) / max(tile.agreement, 1e-3)
+        if agreement < self._settings.least_agreement:
+            return None
+        # Where only a part is known, that part is seen at its edges.
+        doubt = 1.0 / min(agreement, 1.0) ** 2
+        return replace(aligned.motion, covariance=doubt * aligned.motion.covariance)
 
     def search(self, view: CloudView) -> list[gtsam.Pose3]:
         """``T_map_base`` of places that look alike and fit, each arrived at from afar."""
-        found = []
+        settings, wide_m = self._settings, self._settings.coarseness * self.voxel_m
+        scan = thinned(view.points, wide_m)
+        arrived: list[tuple[float, gtsam.Pose3]] = []
         for guess in self._places.propose(view.points):
             tile = self._tiles.around(guess)
-            reach_m = self._settings.arrive_voxels * self.voxel_m
-            aligned = None if tile is None else tile.local.align(view.points, guess, reach_m)
-            if aligned is not None and aligned.motion.inlier_share >= self._general.least_inlier_share:
-                found.append(aligned.found.pose)
-        return found
+            if tile is None:
+                continue
+            aligned = tile.coarse.align(scan, guess, settings.arrive_voxels * self.voxel_m)
+            if aligned is not None:
+                arrived.append((aligned.found.agreement, aligned.found.pose))
+        arrived.sort(key=lambda place: -place[0])
+        motions = (self.align(view, pose) for _, pose in arrived[: settings.refined])
+        return [
+            m.T_reference_base
+            for m in motions
+            if m is not None and isinstance(m.T_reference_base, gtsam.Pose3)
+        ]
 
     def weigh(self, pose: gtsam.Pose3, view: CloudView, points: FloatArray) -> float:
         """Evidence for ``T_map_base`` over the best of the wrong poses, nats.
@@ -87,7 +107,7 @@ class CloudMatcher:
             return 0.0
         lidar = np.asarray(pose.transformFrom(view.lidar))
         reach_m = self._settings.on_plane_voxels * self.voxel_m
-        verdicts = judge_beams(tile.space, tile.local.planes, lidar, moved(points, pose), reach_m)
+        verdicts = judge_beams(tile.space, tile.planes, lidar, moved(points, pose), reach_m)
         said = verdicts.explained | verdicts.in_free | verdicts.crossing
         if not said.any():
             return 0.0

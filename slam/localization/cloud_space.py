@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.matching.plane_voxels import PlaneVoxels
+from slam.localization.plane_sides import SidedPlanes
 from slam.measurements import BoolArray, FloatArray
 
 _UNKNOWN, _FREE, _NEAR, _WALL = 0, 1, 2, 3
@@ -19,8 +19,8 @@ _PASSES_A_HIT = 4
 # The end of a beam, in cells: it lies in the wall that it meets, and grazes what is beside that.
 _END_CELLS = 3.0
 _STEP_CELLS = 0.7
-# Of a plane whose normal is nearer to level than this: a wall, not a floor.
-_LEVEL = 0.5
+# A beam that is in a wall for so many steps is not one that grazes its edge.
+_THROUGH = 2
 # A picture of more cells is made of larger ones.
 _MOST_CELLS = 16_000_000
 
@@ -62,7 +62,7 @@ class BeamVerdicts(NamedTuple):
 
 
 def cloud_space(
-    lidars: FloatArray, clouds: Sequence[FloatArray], planes: PlaneVoxels, cell_m: float, reach_m: float
+    lidars: FloatArray, clouds: Sequence[FloatArray], planes: SidedPlanes, cell_m: float, reach_m: float
 ) -> CloudSpace:
     """Follow the beams of clouds.
 
@@ -92,26 +92,17 @@ def cloud_space(
         _follow(passes, (lidar - low) / cell_m, (cloud - low) / cell_m)
     surfaces = np.zeros(shape, np.bool_)
     surfaces[_cells(points, low, cell_m)] = True
-    np.add.at(hits, _cells(points[on_planes(points, planes, 0.5 * cell_m)[1]], low, cell_m), 1)
+    for lidar, cloud in zip(lidars, clouds, strict=True):
+        kept = cloud[np.abs(cloud - middle).max(axis=1) <= reach_m]
+        np.add.at(hits, _cells(kept[planes.judge(lidar, kept, 0.5 * cell_m).upright], low, cell_m), 1)
     cells = np.where(passes >= _LEAST_PASSES, _FREE, _UNKNOWN).astype(np.uint8)
     cells[_grown(surfaces)] = _NEAR
     cells[(hits > 0) & (passes <= _PASSES_A_HIT * hits)] = _WALL
     return CloudSpace(cells, low, cell_m)
 
 
-def on_planes(points: FloatArray, planes: PlaneVoxels, reach_m: float) -> tuple[BoolArray, BoolArray]:
-    """Which points (N, 3), map frame, lie on a plane, and which on one that stands upright."""
-    pairs = planes.pairs(points)
-    off_m = np.abs(np.einsum("ij,ij->i", points[pairs.found] - pairs.centers, pairs.normals))
-    on = np.zeros(len(points), np.bool_)
-    upright = on.copy()
-    on[pairs.found] = off_m <= reach_m
-    upright[pairs.found] = (off_m <= reach_m) & (np.abs(pairs.normals[:, 2]) < _LEVEL)
-    return on, upright
-
-
 def judge_beams(
-    space: CloudSpace, planes: PlaneVoxels, lidar: FloatArray, points: FloatArray, reach_m: float
+    space: CloudSpace, planes: SidedPlanes, lidar: FloatArray, points: FloatArray, reach_m: float
 ) -> BeamVerdicts:
     """Follow every beam through known space.
 
@@ -124,10 +115,10 @@ def judge_beams(
     reach_m
         A point so near to a plane lies on it.
     """
-    on, upright = on_planes(points, planes, reach_m)
+    found = planes.judge(lidar, points, reach_m)
     ends = (points - space.corner) / space.cell_m
     against = _against(space.cells, (lidar - space.corner) / space.cell_m, ends)
-    return BeamVerdicts(upright, ~on & (against == _FREE), ~on & (against == _WALL))
+    return BeamVerdicts(found.upright, ~found.on & (against == _FREE), ~found.on & (against == _WALL))
 
 
 def _cells(points: FloatArray, corner: FloatArray, cell_m: float) -> tuple[NDArray[np.int64], ...]:
@@ -178,9 +169,11 @@ def _against(cells, origin, ends):  # type: ignore[no-untyped-def]
             continue
         way = ends[i] - origin
         length = np.sqrt((way * way).sum())
+        inside = 0
         for n in range(int((length - _END_CELLS) / _STEP_CELLS)):
             at = origin + n * _STEP_CELLS / length * way
-            if _cell(cells, at[0], at[1], at[2]) == _WALL:
+            inside = inside + 1 if _cell(cells, at[0], at[1], at[2]) == _WALL else 0
+            if inside == _THROUGH:
                 found[i] = _WALL
                 break
     return found

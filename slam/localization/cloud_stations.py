@@ -13,6 +13,8 @@ from slam.localization.cloud_match import CloudView
 from slam.matching.local_cloud import moved
 from slam.measurements import FloatArray
 
+# What was seen longer ago may be seen anew: from where the map knew nothing of it, it said nothing.
+_NEWS_M = 5.0
 _AROUND = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.int64)
 _HALF, _BITS = 1 << 20, 21
 
@@ -74,7 +76,9 @@ class CloudStations:
         cells = np.floor(moved(view.points, pose) / self._config.news_cell_m).astype(np.int64)
         keys, first = np.unique(_keys(cells), return_index=True)
         if self.stations:
-            seen = np.concatenate([station.keys for station in self.stations])
+            seen = np.concatenate(
+                [station.keys for station in self.stations if way_m - station.way_m <= _NEWS_M] or [keys[:0]]
+            )
             # A cell beside a known one may be the same surface, a little off.
             beside = np.isin(_keys((cells[first][:, None] + _AROUND).reshape(-1, 3)), seen)
             fresh = first[~beside.reshape(-1, len(_AROUND)).any(axis=1)]

@@ -13,9 +13,13 @@ import numpy as np
 from slam.config import Config
 from slam.errors import MapFileError
 from slam.localization.cloud_space import CloudSpace, cloud_space
+from slam.localization.plane_sides import SidedPlanes
 from slam.matching.cloud_points import thinned, voxel_of
 from slam.matching.local_cloud import LocalCloud, moved
 from slam.measurements import FloatArray
+
+# Clouds by which it is found how much of a cloud agrees with its own map.
+_OWN = 3
 
 
 class Clouds(Protocol):
@@ -49,10 +53,27 @@ class KnownClouds:
 
 @dataclass(frozen=True, slots=True)
 class CloudTile:
-    """The map around a place: what is matched to, and what was free."""
+    """The map around a place.
+
+    Attributes
+    ----------
+    local
+        What is matched to.
+    coarse
+        The same with larger voxels, to arrive from afar.
+    planes
+        Those of ``local``, with the sides from which they were seen.
+    space
+        What was free, and what was wall.
+    agreement
+        Share of the map's own clouds that lies on its planes.
+    """
 
     local: LocalCloud
+    coarse: LocalCloud
+    planes: SidedPlanes
     space: CloudSpace
+    agreement: float
 
 
 class CloudTiles:
@@ -102,11 +123,18 @@ class CloudTiles:
         if not members:
             return None
         poses = [self.known.poses[k] for k in members]
-        points = [
-            moved(thinned(self.known.clouds.points(k), 0.5 * voxel_m), pose)
-            for k, pose in zip(members, poses, strict=True)
+        clouds = [thinned(self.known.clouds.points(k), 0.5 * voxel_m) for k in members]
+        points = [moved(cloud, pose) for cloud, pose in zip(clouds, poses, strict=True)]
+        every = np.vstack(points)
+        local = LocalCloud.of(every, voxel_m, self._odometry)
+        own = [
+            local.agreement(thinned(cloud, voxel_m), pose)
+            for cloud, pose in zip(clouds[:_OWN], poses[:_OWN], strict=True)
         ]
-        local = LocalCloud.of(np.vstack(points), voxel_m, self._odometry)
+        wide_m = settings.coarseness * voxel_m
+        coarse = LocalCloud.of(thinned(every, 0.5 * wide_m), wide_m, self._odometry)
         lidars = np.array([pose.compose(self.known.T_base_lidar).translation() for pose in poses])
-        space_m = settings.space_voxels * voxel_m
-        return CloudTile(local, cloud_space(lidars, points, local.planes, voxel_m, space_m))
+        thin = [thinned(cloud, voxel_m) for cloud in points]
+        planes = SidedPlanes(local.planes, lidars, thin)
+        space = cloud_space(lidars, thin, planes, voxel_m, settings.space_voxels * voxel_m)
+        return CloudTile(local, coarse, planes, space, float(np.median(own)))
