@@ -85,7 +85,11 @@ class CloudLocalizationConfig(StrictModel):
     thickness_m: float = Field(
         default=0.03, gt=0, description="sigma across a plane; the two faces of a thin wall must exceed it"
     )
-    looks: int = Field(default=8, ge=1, description="places that look alike, tried by each search")
+    looks: int = Field(
+        default=6,
+        ge=1,
+        description="places that look alike, and as many of the same plan, tried by each search",
+    )
     looks_apart_voxels: float = Field(default=8.0, gt=0, description="nearer places are tried once")
     looks_beside_voxels: float = Field(
         default=10.0, ge=0, description="places are also compared as they look from so far beside the robot"
@@ -94,7 +98,7 @@ class CloudLocalizationConfig(StrictModel):
         default=3.0, ge=1, description="a place by looks is first aligned with voxels so many times as large"
     )
     arrive_voxels: float = Field(default=12.0, gt=0, description="how far a place by looks may be off")
-    refined: int = Field(default=3, ge=1, description="of those, the best so many are aligned exactly")
+    refined: int = Field(default=5, ge=1, description="of those, the best so many are aligned exactly")
     on_plane_voxels: float = Field(
         default=0.5, gt=0, description="a point so near to a plane is explained by it"
     )

@@ -17,6 +17,7 @@ from slam.localization.known_clouds import KnownClouds
 from slam.localization.loss_test import LossTest
 from slam.localization.output import LocalizerOutput, PoseHypothesis, RecoveredPose, State
 from slam.localization.pose_smoother import PoseSmoother, squared_sigmas, within
+from slam.localization.whole_map_field import WholeMapField
 from slam.measurements import MotionEstimate, PointCloud, WheelOdometry
 
 # Sigmas of a pose that was found where nothing could be aligned, radians and metres.
@@ -28,11 +29,19 @@ _TOLD = 8
 
 
 class CloudLocalizer:
-    """State of one drive in a known map; feed clouds and wheel readings in the order of the log."""
+    """State of one drive in a known map; feed clouds and wheel readings in the order of the log.
 
-    def __init__(self, known: KnownClouds, config: Config) -> None:
+    Parameters
+    ----------
+    known
+        The clouds of the map.
+    field
+        Of its plan; None where it has none.
+    """
+
+    def __init__(self, known: KnownClouds, field: WholeMapField | None, config: Config) -> None:
         self._config = config.localization
-        self._matcher = CloudMatcher(known, config)
+        self._matcher = CloudMatcher(known, field, config)
         self._motion = CloudMotion(config)
         self._set = CloudHypotheses(self._matcher, config)
         self._loss = LossTest(config.localization)

@@ -10,10 +10,12 @@ import numpy as np
 
 from slam.config import Config
 from slam.localization.cloud_places import CloudPlaces
+from slam.localization.cloud_plan import CloudPlan
 from slam.localization.cloud_space import judge_beams
 from slam.localization.known_clouds import CloudTiles, KnownClouds
+from slam.localization.whole_map_field import WholeMapField
 from slam.matching.cloud_points import thinned
-from slam.matching.local_cloud import moved
+from slam.matching.local_cloud import Aligned, moved
 from slam.measurements import FloatArray, MotionEstimate, PointCloud
 
 # Shares of explained, in-free and crossing beams at true poses, and at wrong ones that fit best.
@@ -44,11 +46,12 @@ class CloudView:
 class CloudMatcher:
     """Matches clouds to a map; stateless but for the tiles that it keeps."""
 
-    def __init__(self, known: KnownClouds, config: Config) -> None:
+    def __init__(self, known: KnownClouds, field: WholeMapField | None, config: Config) -> None:
         self._tiles = CloudTiles(known, config)
         self._settings, self._general = config.cloud_localization, config.localization
         self.voxel_m = self._tiles.voxel_m
         self._places = CloudPlaces(known, self.voxel_m, self._settings)
+        self._plan = None if field is None else CloudPlan(field, known, self.voxel_m, config)
 
     def view(self, cloud: PointCloud, points: FloatArray) -> CloudView:
         """Prepare the deskewed points (N, 3), base frame, of a cloud."""
@@ -56,16 +59,10 @@ class CloudMatcher:
         return CloudView(cloud.stamp_s, thinned(points, self.voxel_m), lidar)
 
     def align(self, view: CloudView, guess: gtsam.Pose3) -> MotionEstimate | None:
-        """``T_map_base`` from a guess nearby; None where too little of the cloud fits."""
-        tile = self._tiles.around(guess)
-        if tile is None:
-            return None
-        lidar = np.asarray(guess.transformFrom(view.lidar))
-        strange = tile.planes.judge(lidar, moved(view.points, guess), 0.0).strange
-        aligned = tile.local.align(view.points[~strange], guess)
+        """``T_map_base`` from a guess nearby; None where too little of the cloud is known there."""
+        aligned, agreement = self._aligned(view, guess)
         if aligned is None or aligned.motion.inlier_share < self._general.least_inlier_share:
             return None
-        agreement = aligned.found.agreement * float(np.mean(~strange)) / max(tile.agreement, 1e-3)
         if agreement < self._settings.least_agreement:
             return None
         # Where only a part is known, that part is seen at its edges.
@@ -73,24 +70,35 @@ class CloudMatcher:
         return replace(aligned.motion, covariance=doubt * aligned.motion.covariance)
 
     def search(self, view: CloudView) -> list[gtsam.Pose3]:
-        """``T_map_base`` of places that look alike and fit, each arrived at from afar."""
+        """``T_map_base`` of places that look alike, by scan context or by plan, and fit best."""
         settings, wide_m = self._settings, self._settings.coarseness * self.voxel_m
+        by_plan = [] if self._plan is None else self._plan.propose(view.points)
         scan = thinned(view.points, wide_m)
         arrived: list[tuple[float, gtsam.Pose3]] = []
-        for guess in self._places.propose(view.points):
+        for guess in self._places.apart([*by_plan, *self._places.propose(view.points)]):
             tile = self._tiles.around(guess)
             if tile is None:
                 continue
             aligned = tile.coarse.align(scan, guess, settings.arrive_voxels * self.voxel_m)
-            if aligned is not None:
-                arrived.append((aligned.found.agreement, aligned.found.pose))
+            pose = guess if aligned is None else aligned.found.pose
+            arrived.append((self.weigh(pose, view, view.points), pose))
         arrived.sort(key=lambda place: -place[0])
-        motions = (self.align(view, pose) for _, pose in arrived[: settings.refined])
-        return [
-            m.T_reference_base
-            for m in motions
-            if m is not None and isinstance(m.T_reference_base, gtsam.Pose3)
-        ]
+        found = []
+        for _, pose in arrived[: settings.refined]:
+            exact, _ = self._aligned(view, pose)
+            found.append(pose if exact is None else exact.found.pose)
+        return found
+
+    def _aligned(self, view: CloudView, guess: gtsam.Pose3) -> tuple[Aligned | None, float]:
+        """An alignment, and the share of the cloud that agrees, in parts of what the map's own clouds have."""
+        tile = self._tiles.around(guess)
+        if tile is None or not len(view.points):
+            return None, 0.0
+        lidar = np.asarray(guess.transformFrom(view.lidar))
+        known = ~tile.planes.judge(lidar, moved(view.points, guess), 0.0).strange
+        aligned = tile.local.align(view.points[known], guess)
+        share = 0.0 if aligned is None else aligned.found.agreement * float(np.mean(known))
+        return aligned, share / max(tile.agreement, 1e-3)
 
     def weigh(self, pose: gtsam.Pose3, view: CloudView, points: FloatArray) -> float:
         """Evidence for ``T_map_base`` over the best of the wrong poses, nats.

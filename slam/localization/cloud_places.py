@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import gtsam
 import numpy as np
@@ -50,6 +51,14 @@ class CloudPlaces:
             if not any(self._same(pose, other) for other in chosen):
                 chosen.append(pose)
         return chosen
+
+    def apart(self, guesses: Sequence[gtsam.Pose3]) -> list[gtsam.Pose3]:
+        """Those of poses that are not the same as an earlier one."""
+        kept: list[gtsam.Pose3] = []
+        for guess in guesses:
+            if not any(self._same(guess, other) for other in kept):
+                kept.append(guess)
+        return kept
 
     def _context(self, points: FloatArray) -> Float32Array:
         """The scan context of a thinned cloud (N, 3)."""

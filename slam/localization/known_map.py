@@ -107,9 +107,7 @@ class KnownMap:
 
     @property
     def has_walls(self) -> bool:
-        """Whether a planar scan can be matched to it; the plan of clouds was seen by no planar lidar."""
-        if self.clouds is not None:
-            return False
+        """Whether a planar scan, or the plan of a cloud, can be matched to it."""
         return self.grid is not None and any(scan is not None for scan in self.keyframe_scans)
 
 

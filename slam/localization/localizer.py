@@ -9,7 +9,7 @@ from slam.errors import MapFileError
 from slam.localization.body import Body, PlanarBody, SpatialBody
 from slam.localization.camera_localizer import CameraLocalizer
 from slam.localization.cloud_localizer import CloudLocalizer
-from slam.localization.known_map import KnownMap
+from slam.localization.known_map import KnownMap, Walls
 from slam.localization.output import LocalizerOutput
 from slam.localization.planar_localizer import PlanarLocalizer
 from slam.localization.visual_locator import VisualLocator
@@ -50,10 +50,10 @@ class Localizer:
                 raise MapFileError(
                     "the map is of a 3D lidar, and sensors.lidar is off: nothing can be localised"
                 )
-            self._clouds = CloudLocalizer(known_map.clouds, self._config)
-        self._scans = (
-            PlanarLocalizer(known_map, self._config) if sensors.lidar and known_map.has_walls else None
-        )
+            field = Walls(known_map, self._config).field if known_map.has_walls else None
+            self._clouds = CloudLocalizer(known_map.clouds, field, self._config)
+        planar = sensors.lidar and known_map.has_walls and self._clouds is None
+        self._scans = PlanarLocalizer(known_map, self._config) if planar else None
         self._map = known_map
         self._locator: VisualLocator | None = None
         if sensors.rgbd and known_map.cameras is not None and self._clouds is None:
