@@ -90,7 +90,7 @@ class CloudMatcher:
         return found
 
     def _aligned(self, view: CloudView, guess: gtsam.Pose3) -> tuple[Aligned | None, float]:
-        """An alignment, and the share of the cloud that agrees, in parts of what the map's own clouds have."""
+        """An alignment, and what share of the cloud agrees, where that of the map's own clouds is 1."""
         tile = self._tiles.around(guess)
         if tile is None or not len(view.points):
             return None, 0.0
