@@ -98,7 +98,8 @@ class CloudLocalizationConfig(StrictModel):
         default=3.0, ge=1, description="a place by looks is first aligned with voxels so many times as large"
     )
     arrive_voxels: float = Field(default=12.0, gt=0, description="how far a place by looks may be off")
-    refined: int = Field(default=5, ge=1, description="of those, the best so many are aligned exactly")
+    refined: int = Field(default=4, ge=1, description="of those, the best so many are aligned exactly")
+    hypotheses: int = Field(default=8, ge=1, description="hypotheses carried at most")
     on_plane_voxels: float = Field(
         default=0.5, gt=0, description="a point so near to a plane is explained by it"
     )
@@ -111,5 +112,5 @@ class CloudLocalizationConfig(StrictModel):
         le=1,
         description="least share of a cloud on known planes, as a part of what the map's own clouds have",
     )
-    map_sigma_m: float = Field(default=0.01, gt=0, description="what the map is off by from place to place")
-    map_sigma_rad: float = Field(default=0.002, gt=0, description="and by how much it is bent there")
+    map_sigma_m: float = Field(default=0.015, gt=0, description="what the map is off by from place to place")
+    map_sigma_rad: float = Field(default=0.004, gt=0, description="and by how much it is bent there")

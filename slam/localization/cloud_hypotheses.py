@@ -50,7 +50,8 @@ class CloudHypotheses:
     def __init__(self, matcher: CloudMatcher, config: Config) -> None:
         self._matcher = matcher
         self._config, self._stations = config.localization, CloudStations(config.localization)
-        self._least_stations = config.cloud_localization.least_stations
+        settings = config.cloud_localization
+        self._least_stations, self._most = settings.least_stations, settings.hypotheses
         self._odometry_pose = gtsam.Pose3()
         self.members: list[CloudHypothesis] = []
         self._search_at_m = 0.0
@@ -141,7 +142,7 @@ class CloudHypotheses:
         totals = [self._total(member) for member in self.members]
         kept: list[CloudHypothesis] = []
         for n in sorted(range(len(totals)), key=lambda n: -totals[n]):
-            if len(kept) == self._config.hypotheses or totals[n] < max(totals) - _HOPELESS_NATS:
+            if len(kept) == self._most or totals[n] < max(totals) - _HOPELESS_NATS:
                 break
             if not any(_near(self.members[n].pose, other.pose, _SAME_M, _SAME_RAD) for other in kept):
                 kept.append(self.members[n])

@@ -24,6 +24,8 @@ from slam.measurements import MotionEstimate, PointCloud, WheelOdometry
 _FOUND_SIGMAS = np.array([0.02, 0.02, 0.05, 0.1, 0.1, 0.05])
 # Dead reckoning is right while it is off by less than this.
 _RIGHT_M = 0.25
+# Less than this, and the pose is rather wrong.
+_DOUBT = 0.5
 # Hypotheses that are told.
 _TOLD = 8
 
@@ -125,17 +127,18 @@ class CloudLocalizer:
         self._untold.clear()
 
     def _output(self, stamp_s: float, support: float, recovered: Iterable[RecoveredPose]) -> LocalizerOutput:
-        """What is known after a cloud."""
+        """What is known after a cloud; a pose that the newest one speaks against counts as lost."""
         probabilities = self._set.probabilities()
         tracking = self._state is State.TRACKING
         confidence = self._loss.confidence if tracking else float(probabilities.max(initial=0.0))
         if tracking and self._smoother is not None:
             confidence *= within(_RIGHT_M, self._smoother.sigma_m)
+        doubted = tracking and self._loss.confidence < _DOUBT
         told = [] if tracking else np.argsort(-probabilities, kind="stable")[:_TOLD].tolist()
         known = None if self._smoother is None else self._smoother.newest
         return LocalizerOutput(
             stamp_s=stamp_s,
-            state=self._state,
+            state=State.LOST if doubted else self._state,
             pose=None if known is None else known.pose,
             covariance=None if known is None else known.covariance + self._map_covariance,
             confidence=confidence,

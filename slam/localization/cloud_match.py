@@ -96,7 +96,7 @@ class CloudMatcher:
             return None, 0.0
         lidar = np.asarray(guess.transformFrom(view.lidar))
         known = ~tile.planes.judge(lidar, moved(view.points, guess), 0.0).strange
-        aligned = tile.local.align(view.points[known], guess)
+        aligned = tile.local.refine(view.points[known], guess)
         share = 0.0 if aligned is None else aligned.found.agreement * float(np.mean(known))
         return aligned, share / max(tile.agreement, 1e-3)
 

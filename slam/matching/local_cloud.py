@@ -90,6 +90,17 @@ class LocalCloud:
         if not near:
             start = self._arrive(scan, guess, _REACH * self._voxel_m if reach_m is None else reach_m)
             found = self._by_planes(scan, start)
+        return self._aligned(found, guess, near=near)
+
+    def refine(self, scan: FloatArray, guess: gtsam.Pose3) -> Aligned | None:
+        """The same from a guess that is right within a voxel, by the planes alone."""
+        if len(scan) < _LEAST_POINTS or not len(self.planes):
+            return None
+        found = self._by_planes(scan, guess)
+        return self._aligned(found, guess, near=found is not None and self._is_near(found, guess))
+
+    def _aligned(self, found: CloudAlignment | None, guess: gtsam.Pose3, *, near: bool) -> Aligned | None:
+        """An alignment, if enough points fit better than by chance."""
         if found is None or found.pair_count < self._config.least_pairs:
             return None
         if not found.residual_m < _CHANCE * self._voxel_m:
