@@ -19,8 +19,8 @@ _PASSES_A_HIT = 4
 # The end of a beam, in cells: it lies in the wall that it meets, and grazes what is beside that.
 _END_CELLS = 3.0
 _STEP_CELLS = 0.7
-# A beam that is in a wall for so many steps is not one that grazes its edge.
-_THROUGH = 2
+# A beam that is in a wall for so many short steps on end is not one that grazes its edge.
+_THROUGH, _SHORT_CELLS = 2, 0.4
 # A picture of more cells is made of larger ones.
 _MOST_CELLS = 16_000_000
 
@@ -170,8 +170,8 @@ def _against(cells, origin, ends):  # type: ignore[no-untyped-def]
         way = ends[i] - origin
         length = np.sqrt((way * way).sum())
         inside = 0
-        for n in range(int((length - _END_CELLS) / _STEP_CELLS)):
-            at = origin + n * _STEP_CELLS / length * way
+        for n in range(int((length - _END_CELLS) / _SHORT_CELLS)):
+            at = origin + n * _SHORT_CELLS / length * way
             inside = inside + 1 if _cell(cells, at[0], at[1], at[2]) == _WALL else 0
             if inside == _THROUGH:
                 found[i] = _WALL

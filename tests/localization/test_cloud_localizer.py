@@ -84,7 +84,7 @@ def errors(outputs: Sequence[LocalizerOutput], poses: Sequence[gtsam.Pose3]) -> 
 
 
 def test_a_drive_is_found_and_tracked(known_map: KnownMap) -> None:
-    poses = drive(OTHER)[3:36]
+    poses = drive(OTHER)[3:30]
     outputs = follow(known_map, seen(poses, 100))
     found = errors(outputs, poses)
     assert len(found) > 0.7 * len(poses)
@@ -105,7 +105,7 @@ def test_another_building_leads_to_no_pose(known_map: KnownMap) -> None:
     """The same rooms, but smaller, and the other way round."""
     small = np.array([0.8, -0.8, 1.0], np.float32)
     clouds = [
-        replace(cloud, points_lidar=cloud.points_lidar * small) for cloud in seen(drive(OTHER)[:25], 200)
+        replace(cloud, points_lidar=cloud.points_lidar * small) for cloud in seen(drive(OTHER)[:18], 200)
     ]
     outputs = follow(known_map, clouds)
     assert all(output.state is State.SEARCHING and output.pose is None for output in outputs)
@@ -114,10 +114,10 @@ def test_another_building_leads_to_no_pose(known_map: KnownMap) -> None:
 def test_carried_off_and_found_again(known_map: KnownMap) -> None:
     """From the left room into the right one, in the midst of the log, without a gap in the stamps."""
     whole = drive(OTHER)
-    poses = [*whole[:14], *whole[34:]]
+    poses = [*whole[:12], *whole[34:]]
     outputs = follow(known_map, seen(poses, 300))
-    assert outputs[13].state is State.TRACKING
-    assert any(output.state is State.LOST for output in outputs[14:])
+    assert outputs[11].state is State.TRACKING
+    assert any(output.state is State.LOST for output in outputs[12:])
     assert outputs[-1].state is State.TRACKING and outputs[-1].pose is not None
     assert offset(outputs[-1].pose, poses[-1])[0] < 0.05
     for output, pose in zip(outputs, poses, strict=True):
@@ -141,7 +141,7 @@ def test_the_command(scanweave: Scanweave, log: Path, tmp_path: Path) -> None:
     folder, out = tmp_path / "map", tmp_path / "out"
     assert scanweave("map", log, "-o", folder, *options).code == 0
     before = (folder / "map.db").read_bytes()
-    poses = drive(OTHER)[4:24]
+    poses = drive(OTHER)[4:16]
     driven = write_log(tmp_path / "driven", seen(poses, 400), poses)
     outcome = scanweave("localize", folder, driven, "-o", out, *options)
     assert outcome.code == 0 and "tracking" in outcome.out, outcome
