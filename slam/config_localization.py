@@ -103,6 +103,9 @@ class CloudLocalizationConfig(StrictModel):
     on_plane_voxels: float = Field(
         default=0.5, gt=0, description="a point so near to a plane is explained by it"
     )
+    new_share: float = Field(
+        default=0.2, gt=0, le=1, description="part of what a scan sees that the one before did not see alike"
+    )
     least_stations: int = Field(
         default=3, ge=1, description="scans from different places that must agree before a pose is believed"
     )

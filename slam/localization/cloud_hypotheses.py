@@ -18,6 +18,10 @@ _GREATEST_CORRECTION_M = 0.3
 _GREATEST_CORRECTION_RAD = 0.15
 # Hypotheses nearer than this are one.
 _SAME_M, _SAME_RAD = 0.3, 0.15
+# One station counts for so many nats at most: somebody may stand before the lidar.
+_MOST_NATS = 4.0
+# What is newly found is weighed by so many earlier stations: those before cost time, and drift bends the way.
+_BACK = 5
 # A hypothesis this much worse than the best is dropped, in nats.
 _HOPELESS_NATS = 15.0
 
@@ -52,6 +56,7 @@ class CloudHypotheses:
         self._config, self._stations = config.localization, CloudStations(config.localization)
         settings = config.cloud_localization
         self._least_stations, self._most = settings.least_stations, settings.hypotheses
+        self._new_share = settings.new_share
         self._odometry_pose = gtsam.Pose3()
         self.members: list[CloudHypothesis] = []
         self._search_at_m = 0.0
@@ -117,7 +122,12 @@ class CloudHypotheses:
             assert isinstance(aligned, gtsam.Pose3)
             if _near(predicted, aligned, _GREATEST_CORRECTION_M, _GREATEST_CORRECTION_RAD):
                 member.pose, member.motion = aligned, motion
-        member.evidence.append(self._matcher.weigh(member.pose, station.view, station.news))
+        member.evidence.append(self._weighed(member.pose, station))
+
+    def _weighed(self, pose: gtsam.Pose3, station: CloudStation) -> float:
+        """What a station adds to the evidence for ``T_map_base``: in part it sees what others saw."""
+        nats = self._new_share * self._matcher.weigh(pose, station.view)
+        return min(max(nats, -_MOST_NATS), _MOST_NATS)
 
     def _take_in(self, pose: gtsam.Pose3, prior: float) -> None:
         """Weigh ``T_map_base`` at the newest station by all stations, unless it is known already."""
@@ -129,12 +139,10 @@ class CloudHypotheses:
                 other.prior = max(other.prior, prior)
                 return
         way = [
-            self._matcher.weigh(
-                member.pose.compose(newest.pose.between(station.pose)), station.view, station.news
-            )
-            for station in before
+            self._weighed(member.pose.compose(newest.pose.between(station.pose)), station)
+            for station in before[-_BACK:]
         ]
-        member.evidence = way + member.evidence
+        member.evidence = [*[0.0] * (len(before) - len(way)), *way, *member.evidence]
         self.members.append(member)
 
     def _prune(self) -> None:

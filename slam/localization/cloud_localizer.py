@@ -80,7 +80,7 @@ class CloudLocalizer:
         predicted = self._smoother.predict(step.moved)
         motion = self._matcher.align(view, _in_space(predicted))
         self._smoother.add(step.moved, self._believed(motion, predicted))
-        self._loss.add(view.stamp_s, self._matcher.weigh(_in_space(self._smoother.newest), view, view.points))
+        self._loss.add(view.stamp_s, self._matcher.weigh(_in_space(self._smoother.newest), view))
         if self._loss.lost or self._smoother.sigma_m > self._config.dead_reckoning_m:
             self._lose()
         return math.nan if motion is None else motion.inlier_share

@@ -13,6 +13,7 @@ from slam.localization.cloud_places import CloudPlaces
 from slam.localization.cloud_plan import CloudPlan
 from slam.localization.cloud_space import judge_beams
 from slam.localization.known_clouds import CloudTiles, KnownClouds
+from slam.localization.scan_view import cell_keys
 from slam.localization.whole_map_field import WholeMapField
 from slam.matching.cloud_points import thinned
 from slam.matching.local_cloud import Aligned, moved
@@ -81,7 +82,7 @@ class CloudMatcher:
                 continue
             aligned = tile.coarse.align(scan, guess, settings.arrive_voxels * self.voxel_m)
             pose = guess if aligned is None else aligned.found.pose
-            arrived.append((self.weigh(pose, view, view.points), pose))
+            arrived.append((self.weigh(pose, view), pose))
         arrived.sort(key=lambda place: -place[0])
         found = []
         for _, pose in arrived[: settings.refined]:
@@ -100,22 +101,17 @@ class CloudMatcher:
         share = 0.0 if aligned is None else aligned.found.agreement * float(np.mean(known))
         return aligned, share / max(tile.agreement, 1e-3)
 
-    def weigh(self, pose: gtsam.Pose3, view: CloudView, points: FloatArray) -> float:
-        """Evidence for ``T_map_base`` over the best of the wrong poses, nats.
+    def weigh(self, pose: gtsam.Pose3, view: CloudView) -> float:
+        """Evidence of a cloud for ``T_map_base`` over the best of the wrong poses, nats.
 
         The beams of a column, one over the other, count as one: walls are upright.
-
-        Parameters
-        ----------
-        points
-            (N, 3) of the view, base frame, one a cell of a surface.
         """
         tile = self._tiles.around(pose)
-        if tile is None or not len(points):
+        if tile is None or not len(view.points):
             return 0.0
         lidar = np.asarray(pose.transformFrom(view.lidar))
         reach_m = self._settings.on_plane_voxels * self.voxel_m
-        verdicts = judge_beams(tile.space, tile.planes, lidar, moved(points, pose), reach_m)
+        verdicts = judge_beams(tile.space, tile.planes, lidar, moved(view.points, pose), reach_m)
         said = verdicts.explained | verdicts.in_free | verdicts.crossing
         if not said.any():
             return 0.0
@@ -124,5 +120,6 @@ class CloudMatcher:
             + _IN_FREE_NATS * float(verdicts.in_free.sum())
             + _CROSSING_NATS * float(verdicts.crossing.sum())
         )
-        columns = np.unique(np.floor(points[said, :2] / self._general.news_cell_m).astype(np.int64), axis=0)
-        return nats / float(said.sum()) * len(columns) / self._general.correlated_cells
+        cells = np.floor(view.points[said, :2] / self._general.news_cell_m).astype(np.int64)
+        columns = len(np.unique(cell_keys(cells)))
+        return nats / float(said.sum()) * columns / self._general.correlated_cells

@@ -1,4 +1,4 @@
-"""The clouds of the last way, each with what it saw for the first time: no surface is weighed twice."""
+"""The clouds of the last way, from places far enough apart to tell something new."""
 
 from __future__ import annotations
 
@@ -6,17 +6,9 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from slam.config_localization import LocalizationConfig
 from slam.localization.cloud_match import CloudView
-from slam.matching.local_cloud import moved
-from slam.measurements import FloatArray
-
-# What was seen longer ago may be seen anew: from where the map knew nothing of it, it said nothing.
-_NEWS_M = 5.0
-_AROUND = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.int64)
-_HALF, _BITS = 1 << 20, 21
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,17 +23,11 @@ class CloudStation:
         ``T_odom_base``.
     way_m
         Travel up to here.
-    news
-        (N, 3) points on surfaces that no earlier station saw, base frame.
-    keys
-        The cells of those surfaces.
     """
 
     view: CloudView
     pose: gtsam.Pose3
     way_m: float
-    news: FloatArray
-    keys: NDArray[np.int64]
 
 
 class CloudStations:
@@ -70,26 +56,7 @@ class CloudStations:
         if self.stations:
             step = self.stations[-1].pose.between(pose)
             way_m = self.stations[-1].way_m + float(np.linalg.norm(step.translation()))
-        known = [s for s in self.stations if way_m - s.way_m <= self._config.window_m]
-        dropped = len(self.stations) - len(known)
-        self.stations = known
-        cells = np.floor(moved(view.points, pose) / self._config.news_cell_m).astype(np.int64)
-        keys, first = np.unique(_keys(cells), return_index=True)
-        if self.stations:
-            seen = np.concatenate(
-                [station.keys for station in self.stations if way_m - station.way_m <= _NEWS_M] or [keys[:0]]
-            )
-            # A cell beside a known one may be the same surface, a little off.
-            beside = np.isin(_keys((cells[first][:, None] + _AROUND).reshape(-1, 3)), seen)
-            fresh = first[~beside.reshape(-1, len(_AROUND)).any(axis=1)]
-            keys = keys[~np.isin(keys, seen)]
-        else:
-            fresh = first
-        self.stations.append(CloudStation(view, pose, way_m, view.points[fresh], keys))
+        kept = [station for station in self.stations if way_m - station.way_m <= self._config.window_m]
+        dropped = len(self.stations) - len(kept)
+        self.stations = [*kept, CloudStation(view, pose, way_m)]
         return dropped
-
-
-def _keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    """One number for each of (n, 3) cells."""
-    x, y, z = (cells + _HALF).T
-    return np.asarray((x << 2 * _BITS) | (y << _BITS) | z)
