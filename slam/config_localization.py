@@ -81,7 +81,7 @@ class CloudLocalizationConfig(StrictModel):
     space_voxels: float = Field(
         default=120.0, gt=0, description="how far around a tile it is known what was free"
     )
-    tiles_cached: int = Field(default=24, ge=1, description="tiles kept in memory")
+    tiles_cached: int = Field(default=48, ge=1, description="tiles kept in memory")
     thickness_m: float = Field(
         default=0.03, gt=0, description="sigma across a plane; the two faces of a thin wall must exceed it"
     )

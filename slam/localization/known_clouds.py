@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from functools import lru_cache
+from typing import NamedTuple, Protocol
 
 import gtsam
 import numpy as np
@@ -16,10 +17,13 @@ from slam.localization.cloud_space import CloudSpace, cloud_space
 from slam.localization.plane_sides import SidedPlanes
 from slam.matching.cloud_points import thinned, voxel_of
 from slam.matching.local_cloud import LocalCloud, moved
+from slam.matching.plane_voxels import PlaneVoxels, VoxelMoments, voxel_moments
 from slam.measurements import FloatArray
 
 # Clouds by which it is found how much of a cloud agrees with its own map.
 _OWN = 3
+# Keyframes kept in memory beside the tiles.
+_FRAMES_KEPT = 128
 
 
 class Clouds(Protocol):
@@ -49,6 +53,14 @@ class KnownClouds:
     clouds: Clouds
     poses: Sequence[gtsam.Pose3]
     T_base_lidar: gtsam.Pose3
+
+
+class _Keyframe(NamedTuple):
+    """The points of a keyframe in its base frame; and in the map, thinned to voxels, with their moments."""
+
+    points: FloatArray
+    placed: FloatArray
+    moments: list[VoxelMoments]
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +109,7 @@ class CloudTiles:
         # The two faces of a thin wall are no plane together.
         self._odometry = config.cloud_odometry.model_copy(update={"thickness_m": self._settings.thickness_m})
         self._positions = np.array([pose.translation() for pose in known.poses])
+        self._frame = lru_cache(_FRAMES_KEPT)(self._read)
         self._cache: OrderedDict[tuple[int, ...], CloudTile] = OrderedDict()
 
     def around(self, pose: gtsam.Pose3) -> CloudTile | None:
@@ -114,6 +127,12 @@ class CloudTiles:
             self._cache.popitem(last=False)
         return tile
 
+    def _read(self, key: int) -> _Keyframe:
+        """A keyframe, as dense as its planes need."""
+        points = thinned(self.known.clouds.points(key), 0.5 * self.voxel_m)
+        placed = moved(points, self.known.poses[key])
+        return _Keyframe(points, thinned(placed, self.voxel_m), voxel_moments(placed, self.voxel_m))
+
     def _made(self, middle: FloatArray) -> CloudTile | None:
         """The tile of the keyframes nearest to a place (3,)."""
         settings, voxel_m = self._settings, self.voxel_m
@@ -123,18 +142,17 @@ class CloudTiles:
         if not members:
             return None
         poses = [self.known.poses[k] for k in members]
-        clouds = [thinned(self.known.clouds.points(k), 0.5 * voxel_m) for k in members]
-        points = [moved(cloud, pose) for cloud, pose in zip(clouds, poses, strict=True)]
-        every = np.vstack(points)
-        local = LocalCloud.of(every, voxel_m, self._odometry)
+        frames = [self._frame(k) for k in members]
+        merged = PlaneVoxels.merged([frame.moments for frame in frames], voxel_m, settings.thickness_m)
+        local = LocalCloud.of_planes(merged, voxel_m, self._odometry)
         own = [
-            local.agreement(thinned(cloud, voxel_m), pose)
-            for cloud, pose in zip(clouds[:_OWN], poses[:_OWN], strict=True)
+            local.agreement(thinned(frame.points, voxel_m), pose)
+            for frame, pose in zip(frames[:_OWN], poses[:_OWN], strict=True)
         ]
+        clouds = [frame.placed for frame in frames]
         wide_m = settings.coarseness * voxel_m
-        coarse = LocalCloud.of(thinned(every, 0.5 * wide_m), wide_m, self._odometry)
+        coarse = LocalCloud.of(thinned(np.vstack(clouds), 0.5 * wide_m), wide_m, self._odometry)
         lidars = np.array([pose.compose(self.known.T_base_lidar).translation() for pose in poses])
-        thin = [thinned(cloud, voxel_m) for cloud in points]
-        planes = SidedPlanes(local.planes, lidars, thin)
-        space = cloud_space(lidars, thin, planes, voxel_m, settings.space_voxels * voxel_m)
+        planes = SidedPlanes(merged, lidars, clouds)
+        space = cloud_space(lidars, clouds, planes, voxel_m, settings.space_voxels * voxel_m)
         return CloudTile(local, coarse, planes, space, float(np.median(own)))

@@ -73,6 +73,11 @@ class LocalCloud:
         planes = PlaneVoxels.build(points, voxel_m, config.thickness_m)
         return cls(kiss_map(points, voxel_m, config), planes, voxel_m, config)
 
+    @classmethod
+    def of_planes(cls, planes: PlaneVoxels, voxel_m: float, config: CloudOdometryConfig) -> LocalCloud:
+        """A map of planes, to which nothing arrives from afar."""
+        return cls(kiss_map(np.zeros((0, 3)), voxel_m, config), planes, voxel_m, config)
+
     def align(self, scan: FloatArray, guess: gtsam.Pose3, reach_m: float | None = None) -> Aligned | None:
         """Align a thinned scan (N, 3), base frame; None where too little is known.
 
