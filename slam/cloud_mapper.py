@@ -23,7 +23,7 @@ from slam.graph.spatial_graph import SpatialGraph
 from slam.journal import Journal
 from slam.keyframe_fusion import FusionSummary
 from slam.map_result import MappedClouds, MapResult
-from slam.mapping.band_scan import band_scan, ground_height
+from slam.mapping.band_scan import band_scan, ground_of
 from slam.mapping.cloud_keyframes import CloudKeyframes, CloudSpool
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.mapping.occupancy_grid import OccupancyGrid
@@ -37,9 +37,8 @@ from slam.spatial_trajectory import FramePoses, at_stamps
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prepared_frame import PreparedFrame
 
-# Keyframes by which the ground is found, and how far from the base it may be before that is told.
+# Keyframes by which the ground is found.
 _GROUND_KEYFRAMES = 20
-_GROUND_SLACK_M = 0.1
 # A kept cloud is as fine as the map, and four times as fine as the matching.
 _KEPT_SHARE = 0.25
 # So many scans of which none matched are no log of a 3D lidar.
@@ -225,15 +224,11 @@ class CloudMapper:
         lidar_m = float(self._T_base_lidar.z())
         first = (self._clouds.points(key) for key in range(min(len(self._clouds), _GROUND_KEYFRAMES)))
         thickness_m = self._config.cloud_odometry.thickness_m
-        seen_m = ground_height(first, lidar_m, self._tracker.voxel_m, thickness_m)
-        mounted = not self._T_base_lidar.equals(gtsam.Pose3(), 1e-6)
-        if seen_m is None and not mounted:
+        ground = ground_of(first, self._T_base_lidar, self._tracker.voxel_m, thickness_m)
+        if ground is None:
             return _Plan(warnings=["No grid was built: no ground was seen, and no mounting tells its height"])
-        on_ground = mounted and (seen_m is None or abs(seen_m) < _GROUND_SLACK_M)
-        ground_m = 0.0 if on_ground or seen_m is None else seen_m
-        notes = [
-            f"ground: {ground_m:+.2f} m in the base frame, by {'the mounting' if on_ground else 'sight'}"
-        ]
+        ground_m, source = ground.height_m, "the mounting" if ground.by_mounting else "sight"
+        notes = [f"ground: {ground_m:+.2f} m in the base frame, by {source}"]
         try:
             if layers.climb_m >= layers.robot_height_m:
                 raise DatasetError("layers.climb_m leaves no height to layers.robot_height_m; make it lower")

@@ -18,7 +18,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from slam.config_clouds import CloudLoopConfig, CloudMapConfig, CloudOdometryConfig
-from slam.config_localization import LocalizationConfig
+from slam.config_localization import CloudLocalizationConfig, LocalizationConfig
 from slam.config_stages import (
     BundleConfig,
     DenseMapConfig,
@@ -72,6 +72,7 @@ class Config(StrictModel):
     cloud_loops: CloudLoopConfig = CloudLoopConfig()
     cloud_map: CloudMapConfig = CloudMapConfig()
     localization: LocalizationConfig = LocalizationConfig()
+    cloud_localization: CloudLocalizationConfig = CloudLocalizationConfig()
 
 
 def preset_names() -> list[str]:

@@ -65,3 +65,55 @@ class LocalizationConfig(StrictModel):
     dead_reckoning_m: float = Field(
         default=0.5, gt=0, description="sigma of the position beyond which dead reckoning means lost"
     )
+
+
+class CloudLocalizationConfig(StrictModel):
+    """Localisation of a 3D lidar in a map of clouds, beside what ``localization`` says of every kind.
+
+    Lengths that follow the scene are in voxels of ``cloud_odometry.voxel_m``.
+    """
+
+    tile_voxels: float = Field(default=16.0, gt=0, description="side of a tile of the map that is matched to")
+    tile_keyframes: int = Field(default=24, ge=1, description="nearest keyframes that make a tile's map")
+    reach_voxels: float = Field(
+        default=40.0, gt=0, description="farther than this from every keyframe there is no map to match to"
+    )
+    space_voxels: float = Field(
+        default=120.0, gt=0, description="how far around a tile it is known what was free"
+    )
+    tiles_cached: int = Field(default=48, ge=1, description="tiles kept in memory")
+    thickness_m: float = Field(
+        default=0.03, gt=0, description="sigma across a plane; the two faces of a thin wall must exceed it"
+    )
+    looks: int = Field(
+        default=6,
+        ge=1,
+        description="places that look alike, and as many of the same plan, tried by each search",
+    )
+    looks_apart_voxels: float = Field(default=8.0, gt=0, description="nearer places are tried once")
+    looks_beside_voxels: float = Field(
+        default=10.0, ge=0, description="places are also compared as they look from so far beside the robot"
+    )
+    coarseness: float = Field(
+        default=3.0, ge=1, description="a place by looks is first aligned with voxels so many times as large"
+    )
+    arrive_voxels: float = Field(default=12.0, gt=0, description="how far a place by looks may be off")
+    refined: int = Field(default=4, ge=1, description="of those, the best so many are aligned exactly")
+    hypotheses: int = Field(default=8, ge=1, description="hypotheses carried at most")
+    on_plane_voxels: float = Field(
+        default=0.5, gt=0, description="a point so near to a plane is explained by it"
+    )
+    new_share: float = Field(
+        default=0.2, gt=0, le=1, description="part of what a scan sees that the one before did not see alike"
+    )
+    least_stations: int = Field(
+        default=3, ge=1, description="scans from different places that must agree before a pose is believed"
+    )
+    least_agreement: float = Field(
+        default=0.5,
+        gt=0,
+        le=1,
+        description="least share of a cloud on known planes, as a part of what the map's own clouds have",
+    )
+    map_sigma_m: float = Field(default=0.015, gt=0, description="what the map is off by from place to place")
+    map_sigma_rad: float = Field(default=0.004, gt=0, description="and by how much it is bent there")

@@ -17,7 +17,8 @@ from slam.map_result import MapResult
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.mapping.layered_map import LAYERS, LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.measurements import FloatArray, LaserScan, Measurement, Pose
+from slam.matching.local_cloud import moved
+from slam.measurements import FloatArray, LaserScan, Measurement, PointCloud, Pose
 from slam.viewer import Viewer
 from slam.vision.prepared_frame import PreparedFrame
 
@@ -58,6 +59,9 @@ def record_localization(
         viewer.pose(output.pose)
     if isinstance(measurement, LaserScan) and isinstance(output.pose, gtsam.Pose2):
         viewer.scan(scan_points(measurement, output.pose))
+    elif isinstance(measurement, PointCloud) and isinstance(output.pose, gtsam.Pose3):
+        T_map_lidar = output.pose.compose(measurement.T_base_lidar)
+        viewer.scan(moved(measurement.points_lidar.astype(np.float64), T_map_lidar))
     elif isinstance(measurement, PreparedFrame):
         frame = measurement.frame
         viewer.image(frame.sensor, frame.color, frame.depth_m)

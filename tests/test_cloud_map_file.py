@@ -121,9 +121,8 @@ def test_what_it_cannot_be_used_for_is_told(
 ) -> None:
     before = (mapped / "map.db").read_bytes()
     assert_one_line_error(scanweave("map", log, "--into", mapped), "is of a 3D lidar", "on a floor")
-    assert_one_line_error(
-        scanweave("localize", mapped, log, "-o", tmp_path / "out"), "is of a 3D lidar", "export"
-    )
+    outcome = scanweave("localize", mapped, log, "-o", tmp_path / "out", "--update")
+    assert_one_line_error(outcome, "is of a 3D lidar", "without --update")
     assert (mapped / "map.db").read_bytes() == before
 
 

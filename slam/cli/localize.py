@@ -50,7 +50,7 @@ def localize(
     started = time.perf_counter()
     from slam.config import load_config
     from slam.datasets import open_dataset
-    from slam.errors import DatasetError
+    from slam.errors import DatasetError, MapFileError
     from slam.evaluation.localization_report import write_localization_report
     from slam.localization.drive_log import STATES
     from slam.localization.known_map import KnownMap
@@ -60,6 +60,8 @@ def localize(
 
     settings = load_config(config, [*(set_ or []), *topics_override(topics)])
     saved = open_saved_map(map_)
+    if update and len(saved.clouds):
+        raise MapFileError(f"{saved.path} is of a 3D lidar and takes no other log; localise without --update")
     sensors = settings.sensors
     dataset = open_dataset(log, strict=strict, topics=sensors.topics, images=sensors.rgbd)
     make_folder(out)
@@ -68,9 +70,10 @@ def localize(
             viewer.grid("saved map", saved.grid.states(), saved.grid.resolution_m, saved.grid.T_map_grid)
         drive = _drive(KnownMap.of_saved(saved), dataset, settings, viewer)
     if not len(drive):
+        wanted = "clouds of a 3D lidar" if len(saved.clouds) else "planar scans, or frames of its camera"
         raise DatasetError(
-            f"{dataset.name} holds nothing that can be localised in {saved.path}; see 'scanweave inspect' "
-            "for what it holds and 'scanweave info' for the map"
+            f"{dataset.name} holds nothing that can be localised in {saved.path}, which takes {wanted}; see "
+            "'scanweave inspect' for what the log holds and 'scanweave info' for the map"
         )
     written = drive.write(out)
     notes = [(reason, f"{tally.count:,}") for reason, tally in dataset.report.dropped.items()]

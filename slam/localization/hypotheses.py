@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.config_localization import LocalizationConfig
+from slam.localization.evidence import posterior, way_nats
 from slam.localization.global_search import search_everywhere
 from slam.localization.known_map import Walls
 from slam.localization.map_match import MapMatcher
@@ -49,11 +50,7 @@ class Hypothesis:
 
     def total(self, kidnap_nats: float) -> float:
         """Evidence of the way, or of its end alone if the robot was carried off in between."""
-        whole = best = 0.0
-        for nats in reversed(self.evidence):
-            whole += nats
-            best = max(best, whole)
-        return self.prior + max(whole, best - kidnap_nats)
+        return self.prior + way_nats(self.evidence, kidnap_nats)
 
 
 class HypothesisSet:
@@ -123,9 +120,7 @@ class HypothesisSet:
         """Posterior of each hypothesis; what is left to one is that of being nowhere in the map."""
         config = self._config
         totals = np.array([member.total(config.kidnap_nats) for member in self.members])
-        weights = np.exp(totals - max(config.nowhere_nats, totals.max(initial=-math.inf)))
-        nowhere = math.exp(config.nowhere_nats - max(config.nowhere_nats, totals.max(initial=-math.inf)))
-        return np.asarray(weights / (weights.sum() + nowhere))
+        return posterior(totals, config.nowhere_nats)
 
     def winner(self) -> Hypothesis | None:
         """The hypothesis that is sure; None while there is none."""

@@ -13,14 +13,17 @@ from slam.config import Config
 from slam.errors import MapFileError
 from slam.keyframe_store import KeyframeSpool, TemporarySpool
 from slam.localization.beam_check import KnownSpace, known_space
+from slam.localization.known_clouds import KnownClouds
 from slam.localization.map_tiles import MapTiles
 from slam.localization.whole_map_field import WholeMapField, build_whole_map_field
 from slam.map_result import MapResult
+from slam.mapping.cloud_keyframes import CloudKeyframes
 from slam.mapping.occupancy_grid import FREE, OccupancyGrid
 from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import transform_points
 from slam.matching.scan_points import ScanPoints, extract_points
 from slam.measurements import FloatArray, LaserScan
+from slam.storage.map_clouds import MapClouds
 from slam.storage.map_frames import MapFrames
 from slam.storage.saved_map import SavedMap
 
@@ -68,6 +71,8 @@ class KnownMap:
         Whether the robot stays on a floor.
     cameras
         The camera keyframes; None where there are none.
+    clouds
+        The clouds of the keyframes; None where no 3D lidar made the map.
     """
 
     keyframe_poses: FloatArray
@@ -75,6 +80,7 @@ class KnownMap:
     grid: OccupancyGrid | None
     planar: bool = True
     cameras: KnownCameras | None = None
+    clouds: KnownClouds | None = None
 
     @classmethod
     def of_result(cls, result: MapResult) -> KnownMap:
@@ -84,28 +90,24 @@ class KnownMap:
         if dense is not None and isinstance(dense.frames, TemporarySpool | MapFrames) and dense.poses:
             cameras = KnownCameras(dense.frames, dense.poses)
         planar = isinstance(result.graph.pose(0), gtsam.Pose2)
-        return cls(result.keyframe_poses, result.keyframe_scans, result.grid, planar, cameras)
+        clouds, mapped = None, result.clouds
+        if mapped is not None and isinstance(mapped.clouds, CloudKeyframes | MapClouds):
+            clouds = KnownClouds(mapped.clouds, mapped.poses, mapped.T_base_lidar)
+        return cls(result.keyframe_poses, result.keyframe_scans, result.grid, planar, cameras, clouds)
 
     @classmethod
     def of_saved(cls, saved: SavedMap) -> KnownMap:
-        """A map in a file; its images are read when they are asked for.
-
-        Raises
-        ------
-        MapFileError
-            Where a 3D lidar made it.
-        """
-        if len(saved.clouds):
-            raise MapFileError(
-                f"{saved.path} is of a 3D lidar: nothing can be localised in clouds; "
-                "'scanweave export --format nav2' writes its plan for other localisers"
-            )
+        """A map in a file; its images and clouds are read when they are asked for."""
         cameras = KnownCameras(saved.frames, saved.frame_poses()) if len(saved.frames) else None
-        return cls(saved.keyframe_poses, saved.keyframe_scans, saved.grid, saved.planar, cameras)
+        clouds = None
+        if len(saved.clouds):
+            bases = [pose for pose in saved.contents.node_poses if isinstance(pose, gtsam.Pose3)]
+            clouds = KnownClouds(saved.clouds, bases, saved.clouds.T_base_lidar(0))
+        return cls(saved.keyframe_poses, saved.keyframe_scans, saved.grid, saved.planar, cameras, clouds)
 
     @property
     def has_walls(self) -> bool:
-        """Whether a scan can be matched to it."""
+        """Whether a planar scan, or the plan of a cloud, can be matched to it."""
         return self.grid is not None and any(scan is not None for scan in self.keyframe_scans)
 
 

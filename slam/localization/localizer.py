@@ -8,7 +8,8 @@ from slam.config import Config
 from slam.errors import MapFileError
 from slam.localization.body import Body, PlanarBody, SpatialBody
 from slam.localization.camera_localizer import CameraLocalizer
-from slam.localization.known_map import KnownMap
+from slam.localization.cloud_localizer import CloudLocalizer
+from slam.localization.known_map import KnownMap, Walls
 from slam.localization.output import LocalizerOutput
 from slam.localization.planar_localizer import PlanarLocalizer
 from slam.localization.visual_locator import VisualLocator
@@ -22,7 +23,8 @@ class Localizer:
     """Feed it the measurements of a log, or of a robot, one after the other.
 
     Scans are localised in the walls of the map, frames at its camera keyframes. Where the map has walls and
-    scans come, frames of the map's camera help the scans; without scans they do it alone.
+    scans come, frames of the map's camera help the scans; without scans they do it alone. In the map of a 3D
+    lidar its clouds are localised, and nothing else.
 
     Parameters
     ----------
@@ -42,14 +44,21 @@ class Localizer:
             known_map = KnownMap.of_saved(known_map)
         self._config = config or Config()
         sensors = self._config.sensors
-        self._scans = (
-            PlanarLocalizer(known_map, self._config) if sensors.lidar and known_map.has_walls else None
-        )
+        self._clouds: CloudLocalizer | None = None
+        if known_map.clouds is not None:
+            if not sensors.lidar:
+                raise MapFileError(
+                    "the map is of a 3D lidar, and sensors.lidar is off: nothing can be localised"
+                )
+            field = Walls(known_map, self._config).field if known_map.has_walls else None
+            self._clouds = CloudLocalizer(known_map.clouds, field, self._config)
+        planar = sensors.lidar and known_map.has_walls and self._clouds is None
+        self._scans = PlanarLocalizer(known_map, self._config) if planar else None
         self._map = known_map
         self._locator: VisualLocator | None = None
-        if sensors.rgbd and known_map.cameras is not None:
+        if sensors.rgbd and known_map.cameras is not None and self._clouds is None:
             self._locator = VisualLocator(known_map.cameras, self._config)
-        if self._scans is None and self._locator is None:
+        if self._scans is None and self._locator is None and self._clouds is None:
             raise MapFileError(
                 "the map holds neither scans nor camera keyframes for the sensors that are switched on; "
                 "see 'scanweave info' for what it holds"
@@ -68,14 +77,15 @@ class Localizer:
         What is known after a scan or frame; None after one that is only kept (wheels), or not used.
         """
         if isinstance(measurement, WheelOdometry):
-            if self._scans is not None:
-                self._scans.add_odometry(measurement)
+            for localizer in (self._scans, self._clouds):
+                if localizer is not None:
+                    localizer.add_odometry(measurement)
             return None
         if isinstance(measurement, LaserScan):
             self._scanned = True
             return None if self._scans is None else self._scans.add_scan(measurement)
         if isinstance(measurement, PointCloud):
-            return None
+            return None if self._clouds is None else self._clouds.add_cloud(measurement)
         return self._add_frame(measurement)
 
     def _add_frame(self, measurement: RgbdFrame | PreparedFrame) -> LocalizerOutput | None:

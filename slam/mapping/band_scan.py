@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -23,6 +24,8 @@ _GROUND_BIN_M = 0.05
 # A level with this share of the points of the strongest may be the ground; a few are reflections under it.
 _GROUND_SHARE = 0.2
 _CELL_M = 0.05
+# How far from the base the ground may be seen before that is told.
+_GROUND_SLACK_M = 0.1
 
 
 def band_scan(
@@ -71,6 +74,40 @@ def band_scan(
     mounting = gtsam.Pose2(float(origin[0]), float(origin[1]), 0.0)
     start = -math.pi + 0.5 * step_rad
     return LaserScan(stamp_s, ranges, start, step_rad, config.plan_range_m, mounting, "band of the 3D lidar")
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """The ground under a robot.
+
+    Attributes
+    ----------
+    height_m
+        In the base frame.
+    by_mounting
+        Whether the base stands on it, as the lidar's mounting tells; else it was seen.
+    """
+
+    height_m: float
+    by_mounting: bool
+
+
+def ground_of(
+    clouds: Iterable[FloatArray], T_base_lidar: gtsam.Pose3, voxel_m: float, thickness_m: float
+) -> Ground | None:
+    """Where the ground is: where it is seen, if the mounting does not tell as well that it is at the base.
+
+    Parameters as those of `ground_height`.
+
+    Returns
+    -------
+    None where it is not seen, and no mounting tells it.
+    """
+    seen_m = ground_height(clouds, float(T_base_lidar.z()), voxel_m, thickness_m)
+    mounted = not T_base_lidar.equals(gtsam.Pose3(), 1e-6)
+    if mounted and (seen_m is None or abs(seen_m) < _GROUND_SLACK_M):
+        return Ground(0.0, by_mounting=True)
+    return None if seen_m is None else Ground(seen_m, by_mounting=False)
 
 
 def ground_height(

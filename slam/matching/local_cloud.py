@@ -67,7 +67,7 @@ class LocalCloud:
     def __init__(
         self, points: VoxelHashMap, planes: PlaneVoxels, voxel_m: float, config: CloudOdometryConfig
     ) -> None:
-        self._points, self._planes = points, planes
+        self._points, self.planes = points, planes
         self._config, self._voxel_m = config, voxel_m
 
     @classmethod
@@ -75,6 +75,11 @@ class LocalCloud:
         """The map of a cloud (N, 3)."""
         planes = PlaneVoxels.build(points, voxel_m, config.thickness_m)
         return cls(kiss_map(points, voxel_m, config), planes, voxel_m, config)
+
+    @classmethod
+    def of_planes(cls, planes: PlaneVoxels, voxel_m: float, config: CloudOdometryConfig) -> LocalCloud:
+        """A map of planes, to which nothing arrives from afar."""
+        return cls(kiss_map(np.zeros((0, 3)), voxel_m, config), planes, voxel_m, config)
 
     def align(
         self,
@@ -94,13 +99,24 @@ class LocalCloud:
         least_agreement
             Share of points on planes with which planes alone are believed.
         """
-        if len(scan) < _LEAST_POINTS or not len(self._planes):
+        if len(scan) < _LEAST_POINTS or not len(self.planes):
             return None
         found = self._by_planes(scan, guess) if reach_m is None else None
         near = found is not None and self._is_near(found, guess) and found.agreement >= least_agreement
         if not near:
             start = self._arrive(scan, guess, _REACH * self._voxel_m if reach_m is None else reach_m)
             found = self._by_planes(scan, start)
+        return self._aligned(found, guess, near=near)
+
+    def refine(self, scan: FloatArray, guess: gtsam.Pose3) -> Aligned | None:
+        """The same from a guess that is right within a voxel, by the planes alone."""
+        if len(scan) < _LEAST_POINTS or not len(self.planes):
+            return None
+        found = self._by_planes(scan, guess)
+        return self._aligned(found, guess, near=found is not None and self._is_near(found, guess))
+
+    def _aligned(self, found: CloudAlignment | None, guess: gtsam.Pose3, *, near: bool) -> Aligned | None:
+        """An alignment, if enough points fit better than by chance."""
         if found is None or found.pair_count < self._config.least_pairs:
             return None
         if not found.residual_m < _CHANCE * self._voxel_m:
@@ -119,11 +135,11 @@ class LocalCloud:
 
     def agreement(self, scan: FloatArray, pose: gtsam.Pose3) -> float:
         """Share of a thinned scan (N, 3), base frame, that lies on planes from ``T_map_base``."""
-        return agreement(scan, self._planes, pose, _PLANE_KERNEL * self._voxel_m)
+        return agreement(scan, self.planes, pose, _PLANE_KERNEL * self._voxel_m)
 
     def _by_planes(self, scan: FloatArray, start: gtsam.Pose3) -> CloudAlignment | None:
         """The point-to-plane alignment."""
-        return align_cloud(scan, self._planes, start, self._config.iterations, _PLANE_KERNEL * self._voxel_m)
+        return align_cloud(scan, self.planes, start, self._config.iterations, _PLANE_KERNEL * self._voxel_m)
 
     def _is_near(self, found: CloudAlignment, guess: gtsam.Pose3) -> bool:
         """Whether an alignment settled where it was expected."""

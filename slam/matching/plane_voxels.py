@@ -6,7 +6,7 @@ ones are asked (as the voxel map of Yuan 2022, "Efficient and probabilistic adap
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,8 +100,16 @@ class PlaneVoxels:
         thickness_m
             Standard deviation across a plane, at most.
         """
+        return cls.merged([voxel_moments(points, voxel_m)], voxel_m, thickness_m)
+
+    @classmethod
+    def merged(
+        cls, parts: Collection[Sequence[VoxelMoments]], voxel_m: float, thickness_m: float
+    ) -> PlaneVoxels:
+        """Fit planes to several clouds at once, at least one, each as `voxel_moments` tells it."""
         levels = []
-        for moments, size in zip(voxel_moments(points, voxel_m), SIZES, strict=True):
+        for of_size, size in zip(zip(*parts, strict=True), SIZES, strict=True):
+            moments = _added(of_size)
             flat, centers, normals = fitted(moments, voxel_m * size, thickness_m)
             levels.append(PlaneLevel(voxel_m * size, moments.keys[flat], centers[flat], normals[flat]))
         return cls(levels)
@@ -143,6 +151,15 @@ def _moments(points: FloatArray, size_m: float) -> VoxelMoments:
     local = ordered - np.floor(ordered / size_m) * size_m
     rows = np.column_stack([np.ones(len(local)), local, local[:, _ROWS] * local[:, _COLUMNS]])
     return _summed(keys, rows)
+
+
+def _added(parts: Sequence[VoxelMoments]) -> VoxelMoments:
+    """The moments of several clouds together."""
+    if len(parts) == 1:
+        return parts[0]
+    keys, sums = np.concatenate([part.keys for part in parts]), np.vstack([part.sums for part in parts])
+    order = np.argsort(keys, kind="stable")
+    return _summed(keys[order], sums[order])
 
 
 def _summed(keys: NDArray[np.int64], rows: FloatArray) -> VoxelMoments:

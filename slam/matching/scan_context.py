@@ -8,8 +8,10 @@ the reach follows the scene, since a room is no street.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam.measurements import Float32Array, FloatArray
 
@@ -65,6 +67,30 @@ def unlikeness(one: Float32Array, other: Float32Array) -> tuple[float, float]:
     return float(distances[best]), math.remainder(yaw, 2.0 * math.pi)
 
 
+class ContextBank:
+    """Many contexts, compared all at once.
+
+    Parameters
+    ----------
+    contexts
+        (RINGS, SECTORS) each, at least one.
+    """
+
+    def __init__(self, contexts: Sequence[Float32Array]) -> None:
+        # A circular correlation over the turns, all rings together.
+        self._columns = np.array([_spectrum(_unit_columns(context)) for context in contexts])
+        self._seen = np.array([np.fft.rfft(_seen(context)) for context in contexts])
+
+    def unlikeness(self, context: Float32Array) -> FloatArray:
+        """(K, SECTORS) distance 0..1 of a context to each, turned by so many sectors; see `unlikeness`."""
+        products = (self._columns * np.conj(_spectrum(_unit_columns(context)))).sum(axis=1)
+        seen = _seen(context)
+        counts = np.fft.irfft(self._seen * np.conj(np.fft.rfft(seen)), SECTORS).round()
+        likeness = np.fft.irfft(products, SECTORS) / np.maximum(counts, 1.0)
+        enough = counts > 0.5 * max(float(seen.sum()), 1.0)
+        return np.asarray(np.where(enough, 1.0 - likeness, 1.0))
+
+
 def ring_key(context: Float32Array) -> FloatArray:
     """(RINGS,) mean of each ring: the same however the robot is turned."""
     return np.asarray(context.mean(axis=1, dtype=np.float64))
@@ -74,3 +100,13 @@ def _unit_columns(context: Float32Array) -> FloatArray:
     """Each sector as a unit vector."""
     values = context.astype(np.float64)
     return np.asarray(values / np.maximum(np.linalg.norm(values, axis=0), _TINY))
+
+
+def _seen(context: Float32Array) -> FloatArray:
+    """(SECTORS,) 1 where anything is seen."""
+    return np.asarray((context > 0.0).any(axis=0), dtype=np.float64)
+
+
+def _spectrum(columns: FloatArray) -> NDArray[np.complex128]:
+    """Of each ring around."""
+    return np.fft.rfft(columns, axis=1)

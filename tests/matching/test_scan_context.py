@@ -10,7 +10,7 @@ from slam.config_clouds import CloudOdometryConfig
 from slam.matching.cloud_points import base_points
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.matching.plane_window import PlaneWindow
-from slam.matching.scan_context import ring_key, scan_context, unlikeness
+from slam.matching.scan_context import SECTORS, ContextBank, ring_key, scan_context, unlikeness
 from slam.measurements import Float32Array, FloatArray
 
 REACH_M = 8.0
@@ -44,6 +44,19 @@ def test_nothing_looks_like_nothing() -> None:
     assert not empty.any()
     assert unlikeness(empty, empty)[0] == 1.0
     assert unlikeness(context_at(0.5, 0.5, 0.0), empty)[0] == 1.0
+
+
+def test_a_bank_tells_what_the_pairs_tell() -> None:
+    empty = scan_context(np.zeros((0, 3)), REACH_M)
+    contexts = [context_at(0.5, 0.5, 0.0), context_at(-4.0, -3.0, 1.0), empty]
+    here = context_at(0.6, 0.5, 1.0, seed=1)
+    found = ContextBank(contexts).unlikeness(here)
+    assert found.shape == (3, SECTORS)
+    for context, row in zip(contexts, found, strict=True):
+        least, turn = unlikeness(context, here)
+        assert row.min() == pytest.approx(least, abs=1e-6)
+        if least < 1.0:
+            assert 2.0 * np.pi * row.argmin() / SECTORS == pytest.approx(turn % (2.0 * np.pi))
 
 
 def test_planes_of_clouds_add_up() -> None:

@@ -1,0 +1,77 @@
+"""From which side each plane of a map was seen: a thin wall is another one from the next room."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from slam.matching.plane_voxels import PlaneVoxels
+from slam.measurements import BoolArray, FloatArray
+
+# One beam through a door, or a point on an edge, is no view of a wall.
+_LEAST_SEEN = 3
+# Of a plane whose normal is nearer to level than this: a wall, not a floor.
+_LEVEL = 0.5
+
+
+class OnPlanes(NamedTuple):
+    """What each of N points has to do with the planes.
+
+    Attributes
+    ----------
+    on
+        Whether it lies on a plane.
+    upright
+        Whether it lies on one that stands upright.
+    strange
+        Whether it lies in the voxel of a plane that was seen from the other side only.
+    """
+
+    on: BoolArray
+    upright: BoolArray
+    strange: BoolArray
+
+
+class SidedPlanes:
+    """Planes that know from where they were seen.
+
+    Parameters
+    ----------
+    planes
+        Of the clouds.
+    lidars
+        (K, 3) where the beams of each cloud begin, map frame.
+    clouds
+        K of (N, 3) where they end.
+    """
+
+    def __init__(self, planes: PlaneVoxels, lidars: FloatArray, clouds: Sequence[FloatArray]) -> None:
+        self._planes = planes
+        seen = np.zeros((2, len(planes)), np.int64)
+        for lidar, cloud in zip(lidars, clouds, strict=True):
+            pairs = planes.pairs(cloud)
+            ahead = np.einsum("ij,ij->i", lidar - cloud[pairs.found], pairs.normals) > 0.0
+            for side in (0, 1):
+                seen[side] += np.bincount(pairs.planes[ahead == side], minlength=len(planes))
+        self._seen = seen >= _LEAST_SEEN
+
+    def judge(self, lidar: FloatArray, points: FloatArray, reach_m: float) -> OnPlanes:
+        """See `OnPlanes`; of points (N, 3) seen from a lidar (3,), map frame.
+
+        Parameters
+        ----------
+        reach_m
+            A point so near to a plane lies on it.
+        """
+        pairs = self._planes.pairs(points)
+        placed = points[pairs.found]
+        off_m = np.abs(np.einsum("ij,ij->i", placed - pairs.centers, pairs.normals))
+        ahead = (np.einsum("ij,ij->i", lidar - placed, pairs.normals) > 0.0).astype(np.int64)
+        facing = self._seen[ahead, pairs.planes]
+        found = OnPlanes(*np.zeros((3, len(points)), np.bool_))
+        found.on[pairs.found] = (off_m <= reach_m) & facing
+        found.upright[pairs.found] = (off_m <= reach_m) & facing & (np.abs(pairs.normals[:, 2]) < _LEVEL)
+        found.strange[pairs.found] = ~facing
+        return found

@@ -1,0 +1,157 @@
+"""Drives of a 3D lidar in two rooms: found, tracked, carried off, found again; never sure and wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from cloud_world import PILLARS, base, look
+from command_line import Scanweave, assert_one_line_error
+from command_line import scanweave as scanweave
+from test_cloud_mapper import write_log
+
+from slam.config import load_config
+from slam.datasets import open_dataset
+from slam.errors import MapFileError
+from slam.localization.known_map import KnownMap
+from slam.localization.localizer import Localizer
+from slam.localization.output import LocalizerOutput, State
+from slam.measurements import FloatArray, PointCloud
+from slam.pipeline import build_map
+from slam.simulation.synthetic_log import write_synthetic_log
+from slam.storage.tum import read_tum
+
+SETTINGS = ("cloud_odometry.voxel_m=0.25", "cloud_map.enabled=false", "localization.search_threads=1")
+CONFIG = load_config(None, SETTINGS)
+# A wall with a door between the left room and the right one.
+ROOMS = np.concatenate(
+    [PILLARS, [[[0.4, 0.6], [-4.0, -0.2], [0.0, 2.6]], [[0.4, 0.6], [1.2, 4.0], [0.0, 2.6]]]]
+)
+WAY = [(-3.6, -0.8), (-2.6, 1.2), (-0.8, 0.5), (0.5, 0.5), (2.4, 0.3), (4.6, 0.8), (4.8, 2.6), (3.0, 3.0)]
+# As the map, a little beside it.
+OTHER = [(-3.2, -0.6), (-2.3, 0.9), (-0.8, 0.6), (0.5, 0.6), (2.2, 0.5), (4.3, 0.9), (4.6, 2.4), (3.2, 2.8)]
+
+
+def drive(corners: Sequence[tuple[float, float]], step_m: float = 0.25) -> list[gtsam.Pose3]:
+    """Poses along a way that turns gently."""
+    ends = np.array(corners)
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(ends, axis=0).T))])
+    stops = np.arange(0.0, along[-1], step_m)
+    x, y = (np.interp(stops, along, column) for column in ends.T)
+    return [base(a, b, 0.5 * np.sin(0.6 * way)) for a, b, way in zip(x, y, stops, strict=True)]
+
+
+def seen(poses: Sequence[gtsam.Pose3], seed: int) -> list[PointCloud]:
+    """A cloud at every pose, ten a second."""
+    return [look(pose, 0.1 * n, seed=seed + n, boxes=ROOMS) for n, pose in enumerate(poses)]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    poses = drive(WAY)
+    return write_log(tmp_path_factory.mktemp("mapped") / "log", seen(poses, 0), poses)
+
+
+@pytest.fixture(scope="module")
+def known_map(log: Path) -> KnownMap:
+    return KnownMap.of_result(build_map(open_dataset(log), CONFIG))
+
+
+def follow(known_map: KnownMap, clouds: Iterable[PointCloud]) -> list[LocalizerOutput]:
+    localizer = Localizer(known_map, CONFIG)
+    outputs = [localizer.add(cloud) for cloud in clouds]
+    assert all(output is not None for output in outputs)
+    return [output for output in outputs if output is not None]
+
+
+def offset(found: object, pose: gtsam.Pose3) -> FloatArray:
+    """(2,) metres and radians of a pose of the map, whose frame is where its drive began."""
+    assert isinstance(found, gtsam.Pose3)
+    step = drive(WAY)[0].between(pose).between(found)
+    turn_rad = np.linalg.norm(gtsam.Rot3.Logmap(step.rotation()))
+    return np.array([np.linalg.norm(step.translation()), turn_rad])
+
+
+def errors(outputs: Sequence[LocalizerOutput], poses: Sequence[gtsam.Pose3]) -> FloatArray:
+    """(N, 2) metres and radians of the poses that are tracked."""
+    pairs = zip(outputs, poses, strict=True)
+    rows = [offset(output.pose, pose) for output, pose in pairs if output.state is State.TRACKING]
+    return np.array(rows).reshape(-1, 2)
+
+
+def test_a_drive_is_found_and_tracked(known_map: KnownMap) -> None:
+    poses = drive(OTHER)[2:30]
+    outputs = follow(known_map, seen(poses, 100))
+    found = errors(outputs, poses)
+    assert len(found) > 0.6 * len(poses)
+    assert np.median(found[:, 0]) < 0.03 and np.median(found[:, 1]) < np.radians(0.5)
+    assert found[:, 0].max() < 0.1
+    first = next(n for n, output in enumerate(outputs) if output.state is State.TRACKING)
+    assert 0 < first == len(outputs[first].recovered)
+    for past, pose in zip(outputs[first].recovered, poses, strict=False):
+        assert offset(past.pose, pose)[0] < 0.1
+    for output in outputs:
+        assert (output.pose is None) == (output.state is State.SEARCHING)
+        assert 0.0 <= output.confidence <= 1.0
+        if output.covariance is not None:
+            assert np.linalg.eigvalsh(output.covariance)[0] > 0.0
+
+
+def test_another_building_leads_to_no_pose(known_map: KnownMap) -> None:
+    """The same rooms, but smaller, and the other way round."""
+    small = np.array([0.8, -0.8, 1.0], np.float32)
+    clouds = [
+        replace(cloud, points_lidar=cloud.points_lidar * small) for cloud in seen(drive(OTHER)[:14], 200)
+    ]
+    outputs = follow(known_map, clouds)
+    assert all(output.state is State.SEARCHING and output.pose is None for output in outputs)
+
+
+def test_carried_off_and_found_again(known_map: KnownMap) -> None:
+    """From the left room into the right one, in the midst of the log, without a gap in the stamps."""
+    whole = drive(OTHER)
+    poses = [*whole[:9], *whole[27:]]
+    outputs = follow(known_map, seen(poses, 300))
+    assert outputs[8].state is State.TRACKING
+    assert any(output.state is State.LOST for output in outputs[9:])
+    assert outputs[-1].state is State.TRACKING and outputs[-1].pose is not None
+    assert offset(outputs[-1].pose, poses[-1])[0] < 0.05
+    for output, pose in zip(outputs, poses, strict=True):
+        if output.state is State.TRACKING:
+            assert offset(output.pose, pose)[0] < 0.25
+
+
+def test_empty_clouds_are_endured(known_map: KnownMap) -> None:
+    empty = [PointCloud(0.1 * n, np.zeros((n % 3, 3), np.float32)) for n in range(8)]
+    assert all(output.state is State.SEARCHING for output in follow(known_map, empty))
+
+
+def test_without_its_lidar_it_is_refused(known_map: KnownMap) -> None:
+    with pytest.raises(MapFileError, match="3D lidar"):
+        Localizer(known_map, load_config(None, ["sensors.lidar=false"]))
+
+
+def test_the_command(scanweave: Scanweave, log: Path, tmp_path: Path) -> None:
+    """Files as of a robot on a floor; the map stays as it is; what does not fit is told."""
+    options = [part for setting in SETTINGS for part in ("--set", setting)]
+    folder, out = tmp_path / "map", tmp_path / "out"
+    assert scanweave("map", log, "-o", folder, *options).code == 0
+    before = (folder / "map.db").read_bytes()
+    poses = drive(OTHER)[3:12]
+    driven = write_log(tmp_path / "driven", seen(poses, 400), poses)
+    outcome = scanweave("localize", folder, driven, "-o", out, *options)
+    assert outcome.code == 0 and "tracking" in outcome.out, outcome
+    assert {path.name for path in out.iterdir()} == {"trajectory.tum", "trajectory.csv", "report.html"}
+    assert len(read_tum(out / "trajectory.tum")) == len(poses)
+    assert "cov_rx_rx" in (out / "trajectory.csv").read_text().splitlines()[0]
+
+    flat = write_synthetic_log(tmp_path / "flat", seed=1, duration_s=10.0).log_path
+    assert_one_line_error(scanweave("localize", folder, flat, "-o", out), "takes clouds of a 3D lidar")
+    assert (folder / "map.db").read_bytes() == before
+    assert scanweave("map", flat, "-o", tmp_path / "flat map").code == 0
+    outcome = scanweave("localize", tmp_path / "flat map", driven, "-o", out)
+    assert_one_line_error(outcome, "takes planar scans")
