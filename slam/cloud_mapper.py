@@ -17,6 +17,7 @@ from fusion.height_band import HeightBand
 from slam.cloud_cameras import CloudCameras
 from slam.config import Config
 from slam.errors import DatasetError, ScanweaveError
+from slam.graph.anchored_steps import AnchoredSteps
 from slam.graph.cloud_loops import CloudLoopCloser
 from slam.graph.pose_graph import EdgeKind
 from slam.graph.spatial_graph import SpatialGraph
@@ -76,6 +77,7 @@ class CloudMapper:
         self._cameras = CloudCameras(config, self._journal)
         self._closer: CloudLoopCloser | None = None
         self._graph = SpatialGraph(gtsam.Pose3(), config.graph)
+        self._steps = AnchoredSteps(settings.local_map_keyframes)
         self._frames = FramePoses()
         self._record = ScanRecorder()
         self._last_keyframe: gtsam.Pose3 | None = None
@@ -193,6 +195,7 @@ class CloudMapper:
     def _add_keyframe(self, tracked: TrackedCloud) -> tuple[int, CloudLoopCloser]:
         """Grow the local map, the graph and the loop closer by a cloud; its number."""
         covariance, motion, stamp_s = None, tracked.motion, self._stamps_s[-1]
+        key, bridge = len(self._clouds), None
         if self._closer is None:
             settings, voxel_m = self._config.cloud_odometry, self._tracker.voxel_m
             self._closer = CloudLoopCloser(
@@ -202,20 +205,25 @@ class CloudMapper:
             step = self._last_keyframe.between(tracked.pose)
             kind = EdgeKind.LIDAR
             if motion is not None:
-                covariance = motion.covariance
+                covariance, bridge = self._steps.add(key, step, tracked.pose, motion)
             elif (seen := self._cameras.step(stamp_s)) is not None:
                 (step, covariance), kind = seen, EdgeKind.RGBD
             self._graph.add_keyframe(step, covariance, kind)
             covariance = self._graph.graph.edges[-1].covariance
             self._travelled_m += float(np.linalg.norm(step.translation()))
+        if motion is None:
+            self._steps.begin(key, tracked.pose)
         self._last_keyframe = tracked.pose
         self._tracker.add_keyframe(tracked)
         self._frames.mark_keyframe()
         kept_m = min(_KEPT_SHARE * self._tracker.voxel_m, self._config.cloud_map.voxel_m)
-        key = self._clouds.add(stamp_s, thinned(tracked.points, kept_m), self._T_base_lidar)
+        self._clouds.add(stamp_s, thinned(tracked.points, kept_m), self._T_base_lidar)
         self._cameras.add_keyframe(key, stamp_s, tracked.points, self._T_base_lidar)
         residual_m = np.nan if motion is None else motion.residual_m
         self._closer.add_keyframe(tracked.points, tracked.pose, self._travelled_m, covariance, residual_m)
+        if bridge is not None:
+            self._graph.add_bridge(bridge)
+            self._closer.add_bridge(bridge)
         return key, self._closer
 
     def _plan(self, poses: FloatArray) -> _Plan:

@@ -14,6 +14,7 @@ import numpy as np
 
 from slam.answers import COMPUTED, Answers
 from slam.config_clouds import CloudLoopConfig, CloudOdometryConfig
+from slam.graph.anchored_steps import Bridge
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.matching.cloud_points import thinned
@@ -113,6 +114,10 @@ class CloudLoopCloser:
         self._travelled_m.append(travelled_m)
         if np.isfinite(residual_m):
             self._residuals_m = [*self._residuals_m[1 - _USUAL_RESIDUALS :], residual_m]
+
+    def add_bridge(self, bridge: Bridge) -> None:
+        """Learn of a sure motion to the newest keyframe from one before the last."""
+        self._join(bridge.source, len(self._poses) - 1, bridge.T_source_target, bridge.covariance)
 
     def close(self, key: int, poses: Sequence[gtsam.Pose3]) -> list[LoopCandidate]:
         """Try the places that a keyframe may have come back to.

@@ -6,6 +6,7 @@ import gtsam
 import numpy as np
 
 from slam.config_stages import GraphConfig
+from slam.graph.anchored_steps import Bridge
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import BatchResult, Edge, EdgeKind, PoseGraph
 from slam.measurements import FloatArray
@@ -51,6 +52,13 @@ class SpatialGraph:
             covariance = np.diag([config.lost_sigma_rad**2] * 3 + [config.lost_sigma_m**2] * 3)
         self.graph.add_edge(Edge(key - 1, key, step, covariance, kind, trusted=True))
         return key
+
+    def add_bridge(self, bridge: Bridge) -> None:
+        """Join the newest keyframe to an older one, past keyframes that were not surely placed."""
+        motion, covariance = bridge.T_source_target, bridge.covariance
+        self.graph.add_edge(
+            Edge(bridge.source, len(self) - 1, motion, covariance, EdgeKind.LIDAR, trusted=True)
+        )
 
     def add_loop(self, candidate: LoopCandidate) -> None:
         """Take a loop candidate: into the graph if it was accepted, into the report in any case."""

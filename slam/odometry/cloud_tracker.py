@@ -66,6 +66,7 @@ class CloudTracker:
         self._pose = gtsam.Pose3()
         self._keyframe = gtsam.Pose3()
         self._stamp_s: float | None = None
+        self._free_twist = np.zeros(6)
         self._sure_pose, self._sure_s = gtsam.Pose3(), -np.inf
         self._wheel_pose: FloatArray | None = None
         self._twist, self._twist_known = np.zeros(6), False
@@ -156,13 +157,23 @@ class CloudTracker:
         self._lost = 0
         pose = _pose_of(motion)
         if motion.converged:
-            twist = self._twist_to(pose, cloud.stamp_s)
+            twist = self._learned(self._twist_to(pose, cloud.stamp_s), points, motion)
             self._twist_known = self._twist_known or cloud.stamp_s - self._sure_s < _LONGEST_STEP_S
             self._sure_pose, self._sure_s, self._twist = pose, cloud.stamp_s, twist
             if deskewed(cloud, self._config):
                 points = base_points(cloud, twist, self._config)
         self._pose = pose
         return TrackedCloud(points, pose, motion, self._moved_on(pose))
+
+    def _learned(self, twist: FloatArray, points: FloatArray, motion: MotionEstimate) -> FloatArray:
+        """A twist (6,); in a direction that nothing determined, that of when it last was."""
+        if not motion.degenerate:
+            self._free_twist = twist
+            return twist
+        units = np.array([float(np.sqrt(np.mean(np.sum(points**2, axis=1))))] * 3 + [1.0] * 3)
+        weak = units * motion.weak_direction
+        weak /= np.linalg.norm(weak)
+        return np.asarray(twist - weak * (weak @ (units * (twist - self._free_twist))) / units)
 
     def _twist_to(self, pose: gtsam.Pose3, stamp_s: float) -> FloatArray:
         """Velocity (6,), GTSAM's tangent, from the last sure pose to another; after a gap that of before."""

@@ -1,0 +1,85 @@
+"""Steps between keyframes that were matched to a local map, where one was not surely placed in it.
+
+A match tells where a keyframe is among those of the local map. The one before it may have been put there by a
+guess, wholly or in a direction that nothing determined; then the step between the two is no surer than the
+guess, and what is sure is the way from the last keyframe that was surely placed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+
+from slam.measurements import FloatArray, MotionEstimate
+
+
+@dataclass(frozen=True, slots=True)
+class Bridge:
+    """A motion between two keyframes that do not follow each other.
+
+    Attributes
+    ----------
+    source
+        The earlier keyframe.
+    T_source_target
+        Pose of the newest keyframe in its frame.
+    covariance
+        (6, 6), GTSAM's tangent of the newest.
+    """
+
+    source: int
+    T_source_target: gtsam.Pose3
+    covariance: FloatArray
+
+
+class AnchoredSteps:
+    """Remembers the last keyframe that was surely placed.
+
+    Parameters
+    ----------
+    reach
+        Keyframes that make the local map: an older one is not in it.
+    """
+
+    def __init__(self, reach: int) -> None:
+        self._reach = reach
+        self._sure = 0, gtsam.Pose3()
+        self._unsure: FloatArray | None = None
+
+    def begin(self, key: int, pose: gtsam.Pose3) -> None:
+        """A keyframe at ``T_odom_base`` that begins a local map, and is sure in it."""
+        self._sure, self._unsure = (key, pose), None
+
+    def add(
+        self, key: int, step: gtsam.Pose3, pose: gtsam.Pose3, motion: MotionEstimate
+    ) -> tuple[FloatArray, Bridge | None]:
+        """Take the next keyframe.
+
+        Parameters
+        ----------
+        step
+            Motion from the last keyframe.
+        pose
+            ``T_odom_base``.
+        motion
+            Its match to the local map.
+
+        Returns
+        -------
+        Covariance (6, 6) of the step; and a bridge where the last keyframe was unsure and this one is not.
+        """
+        covariance, bridge = motion.covariance, None
+        sure = motion.converged and not motion.degenerate
+        anchor, T_odom_anchor = self._sure
+        if self._unsure is not None:
+            carried = step.inverse().AdjointMap()
+            covariance = covariance + carried @ self._unsure @ carried.T
+            if sure and key - anchor <= self._reach:
+                # The unsure keyframes between are in the local map, too.
+                bridge = Bridge(anchor, T_odom_anchor.between(pose), (key - anchor) ** 2 * motion.covariance)
+        if sure:
+            self._sure, self._unsure = (key, pose), None
+        else:
+            self._unsure = motion.covariance
+        return covariance, bridge
