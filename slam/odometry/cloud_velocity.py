@@ -1,0 +1,73 @@
+"""How fast a 3D lidar moves, by its last sure matches."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+
+from slam.measurements import FloatArray, MotionEstimate
+
+# Beyond this no velocity of before tells where the robot is now.
+LONGEST_STEP_S = 1.0
+
+
+class CloudVelocity:
+    """The newest twist (6,), GTSAM's tangent a second, of the base.
+
+    Attributes
+    ----------
+    twist
+        As last measured; zero before.
+    known
+        Whether it was measured since the local map began.
+    """
+
+    def __init__(self) -> None:
+        self.twist: FloatArray = np.zeros(6)
+        self.known = False
+        self._determined: FloatArray = np.zeros(6)
+        self._pose, self._stamp_s = gtsam.Pose3(), -np.inf
+
+    def begin(self, stamp_s: float) -> None:
+        """The first cloud, at the origin."""
+        self._stamp_s = stamp_s
+
+    def forget(self) -> None:
+        """A new local map begins: what was before may be wrong."""
+        self.known = False
+
+    def to(self, pose: gtsam.Pose3, stamp_s: float) -> FloatArray:
+        """The twist (6,) from the last sure pose to another, ``T_odom_base``; after a gap that of before."""
+        step_s = stamp_s - self._stamp_s
+        if not 0.0 < step_s < LONGEST_STEP_S:
+            return self.twist
+        return np.asarray(gtsam.Pose3.Logmap(self._pose.between(pose)) / step_s)
+
+    def carry_on(self, twist: FloatArray, stamp_s: float) -> gtsam.Pose3 | None:
+        """Where a twist (6,) leads from the last sure pose; None after a gap."""
+        step_s = stamp_s - self._stamp_s
+        if not 0.0 < step_s < LONGEST_STEP_S:
+            return None
+        return self._pose.compose(gtsam.Pose3.Expmap(twist * step_s))
+
+    def learn(self, pose: gtsam.Pose3, stamp_s: float, lever_m: float, motion: MotionEstimate) -> None:
+        """Take a sure match.
+
+        In a direction that nothing determined the twist stays as it was when something last did: its noise
+        would else lead on.
+
+        Parameters
+        ----------
+        lever_m
+            Root mean square distance of the points: a turn by 1/lever moves them by a metre.
+        """
+        twist = self.to(pose, stamp_s)
+        if motion.degenerate:
+            units = np.array([lever_m] * 3 + [1.0] * 3)
+            weak = units * motion.weak_direction
+            weak /= np.linalg.norm(weak)
+            twist = twist - weak * (weak @ (units * (twist - self._determined))) / units
+        else:
+            self._determined = twist
+        self.known = self.known or stamp_s - self._stamp_s < LONGEST_STEP_S
+        self._pose, self._stamp_s, self.twist = pose, stamp_s, twist

@@ -1,0 +1,117 @@
+"""Matches a cloud that was seen while the lidar turned and the robot moved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from slam.config_clouds import CloudOdometryConfig
+from slam.matching.cloud_points import base_points, deskewed
+from slam.measurements import FloatArray, MotionEstimate, PointCloud
+from slam.odometry.cloud_odometry import CloudOdometry
+from slam.odometry.cloud_velocity import CloudVelocity
+
+# A turn is deskewed again where the match tells a motion that moves its ends by more voxels than this.
+_SKEWED_VOXELS, _DESKEWED_TIMES = 0.25, 3
+# Changes of the rate of turn that are tried where a cloud does not fit.
+_JERKS_RAD_S = (0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, -2.0)
+
+
+@dataclass(frozen=True, slots=True)
+class SeenCloud:
+    """A cloud as a twist of the base straightens it.
+
+    Attributes
+    ----------
+    points
+        (N, 3) usable points, base frame.
+    twist
+        (6,) by which they were deskewed, where the times of points are known.
+    """
+
+    points: FloatArray
+    twist: FloatArray
+
+    @classmethod
+    def of(cls, cloud: PointCloud, twist: FloatArray, config: CloudOdometryConfig) -> SeenCloud:
+        """Deskew a cloud."""
+        return cls(base_points(cloud, twist, config), twist)
+
+    @property
+    def lever_m(self) -> float:
+        """Root mean square distance of the points."""
+        return float(np.sqrt(np.mean(np.sum(self.points**2, axis=1))))
+
+
+class TurnMatcher:
+    """Finds pose and twist together, where the twist of before does not make a cloud fit."""
+
+    def __init__(
+        self, config: CloudOdometryConfig, odometry: CloudOdometry, velocity: CloudVelocity, voxel_m: float
+    ) -> None:
+        self._config, self._odometry, self._velocity = config, odometry, velocity
+        self._voxel_m = voxel_m
+
+    def match(
+        self, cloud: PointCloud, seen: SeenCloud, guesses: Sequence[gtsam.Pose3], before: gtsam.Pose3
+    ) -> MotionEstimate | None:
+        """Pose of a cloud in the odometry frame; None where nothing fits.
+
+        Parameters
+        ----------
+        seen
+            The cloud as the first guess straightens it.
+        guesses, before
+            See `CloudOdometry.match`.
+        """
+        motion = self._odometry.match(seen.points, guesses, before)
+        if motion is None or not motion.converged:
+            seen, motion = self._after_a_jerk(cloud, seen, motion)
+        for _ in range(_DESKEWED_TIMES):
+            if motion is None or not self._is_skewed(cloud, seen, motion):
+                break
+            again = SeenCloud.of(cloud, self._velocity.to(pose_of(motion), cloud.stamp_s), self._config)
+            better = self._odometry.match(again.points, [pose_of(motion)])
+            if self._share(again, better) <= self._share(seen, motion):
+                break
+            seen, motion = again, better
+        return motion
+
+    def _after_a_jerk(
+        self, cloud: PointCloud, seen: SeenCloud, motion: MotionEstimate | None
+    ) -> tuple[SeenCloud, MotionEstimate | None]:
+        """The best match of a robot that may have begun or ended to turn at once."""
+        tried = []
+        for turn_rad_s in _JERKS_RAD_S:
+            twist = seen.twist + np.array([0.0, 0.0, turn_rad_s, 0.0, 0.0, 0.0])
+            start = self._velocity.carry_on(twist, cloud.stamp_s)
+            if start is None:
+                return seen, motion
+            turned = SeenCloud.of(cloud, twist, self._config)
+            pose = self._odometry.nearby(turned.points, start)
+            tried.append((self._odometry.agreement(turned.points, pose), turned, pose))
+        _, turned, pose = max(tried, key=lambda one: one[0])
+        found = self._odometry.match(turned.points, [pose])
+        better = self._share(turned, found) > self._share(seen, motion)
+        return (turned, found) if better else (seen, motion)
+
+    def _share(self, seen: SeenCloud, motion: MotionEstimate | None) -> float:
+        """How much of a cloud lies on planes where a match puts it."""
+        return 0.0 if motion is None else self._odometry.agreement(seen.points, pose_of(motion))
+
+    def _is_skewed(self, cloud: PointCloud, seen: SeenCloud, motion: MotionEstimate) -> bool:
+        """Whether the match tells another twist than the one by which a cloud was deskewed."""
+        if cloud.times_s is None or not deskewed(cloud, self._config):
+            return False
+        off = self._velocity.to(pose_of(motion), cloud.stamp_s) - seen.twist
+        turned_rad, moved_m = 0.5 * np.ptp(cloud.times_s) * np.linalg.norm(off.reshape(2, 3), axis=1)
+        return bool(turned_rad * seen.lever_m + moved_m > _SKEWED_VOXELS * self._voxel_m)
+
+
+def pose_of(motion: MotionEstimate) -> gtsam.Pose3:
+    """The pose of a match in space."""
+    assert isinstance(motion.T_reference_base, gtsam.Pose3)
+    return motion.T_reference_base

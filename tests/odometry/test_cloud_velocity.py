@@ -1,0 +1,60 @@
+"""The velocity of a 3D lidar by its matches: over gaps, after doubts, and where a direction is open."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+import pytest
+
+from slam.measurements import MotionEstimate
+from slam.odometry.cloud_velocity import CloudVelocity
+
+AHEAD = np.array([0.0, 0.0, 0.2, 1.0, 0.0, 0.0])
+ROLL = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+def match(pose: gtsam.Pose3, weak: np.ndarray | None = None) -> MotionEstimate:
+    direction = np.zeros(6) if weak is None else weak
+    return MotionEstimate(pose, np.eye(6), 0.9, 0.9, 0.01, True, weak is not None, direction)
+
+
+def driven(steps: int) -> tuple[CloudVelocity, gtsam.Pose3]:
+    velocity, pose = CloudVelocity(), gtsam.Pose3()
+    velocity.begin(5.0)
+    for n in range(1, steps + 1):
+        pose = gtsam.Pose3.Expmap(0.1 * n * AHEAD)
+        velocity.learn(pose, 5.0 + 0.1 * n, 4.0, match(pose))
+    return velocity, pose
+
+
+def test_it_is_known_after_one_step() -> None:
+    fresh, _ = driven(0)
+    assert not fresh.known
+    velocity, pose = driven(1)
+    assert velocity.known
+    np.testing.assert_allclose(velocity.twist, AHEAD, atol=1e-9)
+    on = velocity.carry_on(velocity.twist, 5.3)
+    assert on is not None
+    assert on.equals(gtsam.Pose3.Expmap(0.3 * AHEAD), 1e-9)
+    velocity.forget()
+    assert not velocity.known
+
+
+def test_a_gap_tells_no_velocity() -> None:
+    velocity, pose = driven(2)
+    far = pose.compose(gtsam.Pose3(gtsam.Rot3(), np.array([9.0, 0.0, 0.0])))
+    np.testing.assert_allclose(velocity.to(far, 8.0), AHEAD, atol=1e-9)
+    assert velocity.carry_on(AHEAD, 8.0) is None
+
+
+@pytest.mark.parametrize("roll_rad", [0.02, -0.02])
+def test_an_open_direction_does_not_gather_speed(roll_rad: float) -> None:
+    """Its noise would else lead the next guesses on."""
+    velocity, pose = driven(3)
+    for n in range(4, 8):
+        pose = pose.compose(gtsam.Pose3.Expmap(0.1 * AHEAD + roll_rad * ROLL))
+        velocity.learn(pose, 5.0 + 0.1 * n, 4.0, match(pose, ROLL))
+        assert abs(velocity.twist[0]) < 1e-6
+        np.testing.assert_allclose(velocity.twist[2:4], AHEAD[2:4], atol=0.05)
+    velocity.learn(pose.compose(gtsam.Pose3.Expmap(0.1 * AHEAD + 0.01 * ROLL)), 5.8, 4.0, match(pose))
+    assert abs(velocity.twist[0]) > 0.05
