@@ -30,7 +30,7 @@ def driven(steps: int) -> tuple[CloudVelocity, gtsam.Pose3]:
 def test_it_is_known_after_one_step() -> None:
     fresh, _ = driven(0)
     assert not fresh.known
-    velocity, pose = driven(1)
+    velocity, _ = driven(1)
     assert velocity.known
     np.testing.assert_allclose(velocity.twist, AHEAD, atol=1e-9)
     on = velocity.carry_on(velocity.twist, 5.3)
