@@ -39,6 +39,9 @@ from slam.vision.prepared_frame import PreparedFrame
 # to those before it while no more guessed ones than this have joined the local map.
 _GUESS_SHARE = 0.1
 _MOST_GUESSED = 5
+# Where the wheels are farther from that by more squared sigmas than three degrees of freedom have on average,
+# it was rather made to the guessed one itself.
+_WHEELS_AGREE = 3.0
 
 
 class PlanarMapper:
@@ -223,14 +226,15 @@ class PlanarMapper:
             bridge = None
             guessed = self._last_keyframe is not self._matched[1]
             if match is not None and guessed and not (self._guess_steps and agree(self._guess_steps)):
-                match, bridge = self._past_a_guess(match, covariance)
+                since_s = stamp_s - self._keyframe_stamps[self._matched[0]]
+                match, bridge = self._past_a_guess(match, covariance, tracked, since_s)
             moved = self._cameras.steps(self._keyframe_marks, self._marks)
             cameras = self._camera_steps(moved, self._tracker.camera_doubt, tracked.dispute)
             outvoted, cameras = vote(match, wheels, cameras)
             doubtful = outvoted or self._doubtful(tracked)
             key = self._graph.add_keyframe(step, match, wheels, cameras, match_doubtful=doubtful)
             if bridge is not None:
-                self._graph.add_bridge(self._matched[0], bridge)
+                self._graph.add_bridge(self._matched[0], bridge, doubtful=doubtful)
             self._cameras.learn(key - 1, key, moved, wheels if doubtful else match)
         if points is not None:
             self._tracker.add_keyframe(points, tracked)
@@ -251,7 +255,9 @@ class PlanarMapper:
             self._guess_steps = cameras
         return key
 
-    def _past_a_guess(self, match: Step, covariance: FloatArray) -> tuple[Step, Step | None]:
+    def _past_a_guess(
+        self, match: Step, covariance: FloatArray, tracked: TrackedScan, since_s: float
+    ) -> tuple[Step, Step | None]:
         """A match where the last keyframe matched nothing: from there, and from the last that matched.
 
         The guess was by the wheels, or by cameras that contradict each other. The match was made to keyframes
@@ -264,7 +270,9 @@ class PlanarMapper:
         if self._guess_steps or self._guessed > _MOST_GUESSED:
             return unsure, None
         now = compose(self._last_keyframe.pose, match.motion)
-        return unsure, Step(between(matched.pose, now), covariance)
+        bridge = Step(between(matched.pose, now), covariance)
+        wheels = self._wheel_step(matched, tracked, since_s)
+        return unsure, bridge if wheels is None or agree([bridge, wheels], _WHEELS_AGREE) else None
 
     def _look_around(self, key: int, *, alone: bool) -> list[LoopCandidate]:
         """Take the cameras' frames for a keyframe; where they are alone, look for the leading one's loops."""

@@ -96,11 +96,14 @@ class KeyframeGraph:
             self._add_step(key, Step(step, self.unmeasured(share)), EdgeKind.ASSUMED, trusted=True)
         return key
 
-    def add_bridge(self, source: int, match: Step) -> None:
-        """A match to the newest keyframe from an older one, past keyframes that matched nothing."""
+    def add_bridge(self, source: int, match: Step, *, doubtful: bool) -> None:
+        """A match to the newest keyframe from an older one, past keyframes that matched nothing.
+
+        Where it is not doubtful it holds the chain, which is loose between: false loops may not break it.
+        """
         target = len(self.graph) - 1
         motion = pose2_from_row(match.motion)
-        self._add_edge(Edge(source, target, motion, match.covariance, EdgeKind.LIDAR, trusted=False))
+        self._add_edge(Edge(source, target, motion, match.covariance, EdgeKind.LIDAR, trusted=not doubtful))
 
     def add_camera_step(self, source: int, target: int, step: Step) -> None:
         """A camera's motion between two keyframes that are there, learned of later."""

@@ -41,9 +41,9 @@ def vote(match: Step | None, wheels: Step | None, cameras: Sequence[Step]) -> tu
     return True, list(cameras)
 
 
-def agree(steps: Sequence[Step]) -> bool:
-    """Whether no two of some steps contradict each other."""
-    return all(_squares(*pair) <= _CONTRADICTION for pair in combinations(steps, 2))
+def agree(steps: Sequence[Step], squares: float = _CONTRADICTION) -> bool:
+    """Whether no two of some steps are farther apart than so many squared sigmas: contradict each other."""
+    return all(_squares(*pair) <= squares for pair in combinations(steps, 2))
 
 
 def _squares(one: Step, other: Step) -> float:

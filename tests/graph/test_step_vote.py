@@ -59,3 +59,12 @@ def test_steps_agree_unless_two_of_them_contradict_each_other() -> None:
     near, beside, far = (Step(np.array([x, 0.0, 0.0]), SURE) for x in (0.2, 0.205, 0.3))
     assert agree([]) and agree([far]) and agree([near, beside])
     assert not agree([near, beside, far])
+
+
+def test_how_near_steps_must_be_to_agree_may_be_told() -> None:
+    """Half a radian from wheels that may be off by a quarter: no contradiction, and no agreement."""
+    match = Step(np.array([0.0, 0.0, 1.0]), SURE)
+    wheels = Step(np.array([0.0, 0.0, 1.5]), np.diag([0.01, 0.01, 0.0625]))
+    assert agree([match, wheels])
+    assert not agree([match, wheels], 3.0)
+    assert agree([match, Step(np.array([0.0, 0.0, 1.3]), wheels.covariance)], 3.0)
