@@ -169,14 +169,24 @@ def _against(cells, origin, ends):  # type: ignore[no-untyped-def]
             continue
         way = ends[i] - origin
         length = np.sqrt((way * way).sum())
-        inside = 0
+        inside, entered = 0, False
         for n in range(int((length - _END_CELLS) / _SHORT_CELLS)):
             at = origin + n * _SHORT_CELLS / length * way
+            there = _inside(cells, at[0], at[1], at[2])
+            if entered and not there:
+                break  # a way that has left the picture does not come back
+            entered = there
             inside = inside + 1 if _cell(cells, at[0], at[1], at[2]) == _WALL else 0
             if inside == _THROUGH:
                 found[i] = _WALL
                 break
     return found
+
+
+@numba.njit(cache=True)
+def _inside(cells, x, y, z):  # type: ignore[no-untyped-def]
+    """Whether a point is in the picture."""
+    return 0 <= x < cells.shape[0] and 0 <= y < cells.shape[1] and 0 <= z < cells.shape[2]
 
 
 @numba.njit(cache=True)
