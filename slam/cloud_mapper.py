@@ -38,8 +38,6 @@ from slam.spatial_trajectory import FramePoses, at_stamps
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prepared_frame import PreparedFrame
 
-# Keyframes by which the ground is found.
-_GROUND_KEYFRAMES = 20
 # A kept cloud is as fine as the map, and four times as fine as the matching.
 _KEPT_SHARE = 0.25
 # So many scans of which none matched are no log of a 3D lidar.
@@ -230,9 +228,8 @@ class CloudMapper:
         """The flat scan of each keyframe, and the grid of them."""
         settings, layers = self._config.cloud_map, self._config.layers
         lidar_m = float(self._T_base_lidar.z())
-        first = (self._clouds.points(key) for key in range(min(len(self._clouds), _GROUND_KEYFRAMES)))
         thickness_m = self._config.cloud_odometry.thickness_m
-        ground = ground_of(first, self._T_base_lidar, self._tracker.voxel_m, thickness_m)
+        ground = ground_of(self._clouds, self._T_base_lidar, self._tracker.voxel_m, thickness_m)
         if ground is None:
             return _Plan(warnings=["No grid was built: no ground was seen, and no mounting tells its height"])
         ground_m, source = ground.height_m, "the mounting" if ground.by_mounting else "sight"

@@ -150,7 +150,7 @@ class MotionEstimate:
     residual_m
         Robust standard deviation of the agreeing readings.
     converged
-        Whether the iteration settled.
+        Whether the iteration settled; of a cloud, also where as many of its points fit as usual.
     degenerate
         Whether a direction of motion is not determined by the readings (a corridor).
     weak_direction

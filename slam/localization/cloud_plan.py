@@ -19,9 +19,6 @@ from slam.mapping.band_scan import band_scan, ground_of
 from slam.matching.scan_points import extract_points
 from slam.measurements import FloatArray
 
-# Keyframes by which the ground is found.
-_GROUND_KEYFRAMES = 20
-
 
 class CloudPlan:
     """The plan of a map, searched for the plan of a scan.
@@ -39,8 +36,8 @@ class CloudPlan:
     def __init__(self, field: WholeMapField, known: KnownClouds, voxel_m: float, config: Config) -> None:
         self._field, self._config = field, config
         self._T_base_lidar = known.T_base_lidar
-        first = (known.clouds.points(key) for key in range(min(len(known.clouds), _GROUND_KEYFRAMES)))
-        ground = ground_of(first, known.T_base_lidar, voxel_m, config.cloud_odometry.thickness_m)
+        clouds = (known.clouds.points(key) for key in range(len(known.clouds)))
+        ground = ground_of(clouds, known.T_base_lidar, voxel_m, config.cloud_odometry.thickness_m)
         self._ground_m = None if ground is None else ground.height_m
         self._positions = np.array([pose.translation() for pose in known.poses])
 

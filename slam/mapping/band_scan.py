@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import islice
 
 import gtsam
 import numpy as np
@@ -24,8 +25,8 @@ _GROUND_BIN_M = 0.05
 # A level with this share of the points of the strongest may be the ground; a few are reflections under it.
 _GROUND_SHARE = 0.2
 _CELL_M = 0.05
-# How far from the base the ground may be seen before that is told.
-_GROUND_SLACK_M = 0.1
+# Keyframes by which the ground is found, and how far from the base it may be seen before that is told.
+_GROUND_KEYFRAMES, _GROUND_SLACK_M = 20, 0.1
 
 
 def band_scan(
@@ -97,13 +98,19 @@ def ground_of(
 ) -> Ground | None:
     """Where the ground is: where it is seen, if the mounting does not tell as well that it is at the base.
 
-    Parameters as those of `ground_height`.
+    Parameters
+    ----------
+    clouds
+        (N, 3) points of all keyframes, base frame; the first of them are looked at.
+    voxel_m, thickness_m
+        As of `ground_height`.
 
     Returns
     -------
     None where it is not seen, and no mounting tells it.
     """
-    seen_m = ground_height(clouds, float(T_base_lidar.z()), voxel_m, thickness_m)
+    first = islice(clouds, _GROUND_KEYFRAMES)
+    seen_m = ground_height(first, float(T_base_lidar.z()), voxel_m, thickness_m)
     mounted = not T_base_lidar.equals(gtsam.Pose3(), 1e-6)
     if mounted and (seen_m is None or abs(seen_m) < _GROUND_SLACK_M):
         return Ground(0.0, by_mounting=True)
