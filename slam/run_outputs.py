@@ -173,6 +173,7 @@ def contents_of(result: MapResult, layers: LayeredMap | None = None) -> MapConte
         loops=result.loops,
         trajectory=result.trajectory,
         grids=grids,
+        cameras={name: record.learned for name, record in result.cameras.items()},
     )
 
 

@@ -25,6 +25,7 @@ from slam.spatial_trajectory import FramePoses
 from slam.vision.camera_frame import T_BODY_CAMERA
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.frame_matcher import FrameMatcher
+from slam.vision.learned_camera import LearnedCamera
 from slam.vision.prepared_frame import PreparedFrame
 
 
@@ -125,7 +126,10 @@ class SpatialMapper:
             notes=registration_notes(self._registrations),
             dense=DenseKeyframes(self._store.images, cameras),
             cameras={
-                self._camera: CameraRecord(scans, registration=self._registrations.get(self._camera)),
+                self._camera: CameraRecord(
+                    scans,
+                    learned=LearnedCamera(self._registrations.get(self._camera), self._T_base_camera),
+                ),
             },
         )
 

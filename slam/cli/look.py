@@ -15,13 +15,13 @@ from slam.cli.app import (
     SetOption,
     StrictOption,
     TopicsOption,
-    app,
+    command,
     topics_of,
 )
 from slam.errors import ScanweaveError
 
 
-@app.command()
+@command()
 def inspect(
     log: LogArgument, as_json: JsonOption = False, strict: StrictOption = False, topics: TopicsOption = None
 ) -> None:
@@ -33,7 +33,7 @@ def inspect(
     print(json.dumps(inspection.to_dict(), indent=2) if as_json else render_inspection(inspection))
 
 
-@app.command()
+@command()
 def evaluate(
     trajectory: Annotated[Path, typer.Argument(help="trajectory in TUM format")],
     relations: Annotated[
@@ -57,7 +57,7 @@ def evaluate(
     print(json.dumps(scores, indent=2) if as_json else score_text(scores))
 
 
-@app.command("config")
+@command("config")
 def config_command(config: ConfigOption = None, set_: SetOption = None) -> None:
     """Print the effective configuration, every field explained."""
     from slam.config import dump_config, load_config
@@ -65,7 +65,7 @@ def config_command(config: ConfigOption = None, set_: SetOption = None) -> None:
     print(dump_config(load_config(config, set_ or [])), end="")
 
 
-@app.command()
+@command()
 def plan(
     map_: Annotated[Path, typer.Argument(metavar="MAP", help="a nav2 map (.yaml), or a folder with layers")],
     start: Annotated[str, typer.Option("--from", help="x,y in metres, map frame")],

@@ -59,7 +59,9 @@ class Beside:
     warnings: tuple[str, ...] = ()
 
 
-def beside_of(dataset: Dataset, result: MapResult, written: Iterable[Path]) -> Beside:
+def beside_of(
+    dataset: Dataset, result: MapResult, written: Iterable[Path], warnings: Iterable[str] = ()
+) -> Beside:
     """Gather what lies beside a map.
 
     What cannot be had is a warning: the map itself is made.
@@ -68,21 +70,23 @@ def beside_of(dataset: Dataset, result: MapResult, written: Iterable[Path]) -> B
     ----------
     written
         The files of the run; the coloured cloud is read from there, not fused again.
+    warnings
+        Of what could not be written.
     """
-    truth, cloud, warnings = None, None, []
+    truth, cloud, lines = None, None, list(warnings)
     try:
         true_trajectory = dataset.groundtruth()
         if true_trajectory is not None:
             truth = compare_with_truth(result.trajectory, true_trajectory)
     except ScanweaveError as error:
-        warnings.append(f"Not compared with the ground truth: {error}")
+        lines.append(f"Not compared with the ground truth: {error}")
     try:
         for path in written:
             if path.name == CLOUD_FILE:
                 cloud = read_cloud_ply(path)
     except ScanweaveError as error:
-        warnings.append(f"No picture of the coloured map: {error}")
-    return Beside(truth, cloud, tuple(warnings))
+        lines.append(f"No picture of the coloured map: {error}")
+    return Beside(truth, cloud, tuple(lines))
 
 
 def report_data(
@@ -197,11 +201,12 @@ def _unit(result: MapResult) -> Literal["scan", "frame"]:
 
 def _registration_text(record: CameraRecord, config: Config) -> str:
     """Whether a camera's colour is registered to its depth, and by what evidence."""
-    if record.registration is None:
+    registration = record.learned.registration
+    if registration is None:
         asked = config.rgbd.registration == "auto"
         return "taken as registered" if asked else "taken as registered (rgbd.registration=given)"
-    reason = record.registration.reason
-    return f"registered by the log itself: {reason}" if record.registration.accepted else reason
+    reason = registration.reason
+    return f"registered by the log itself: {reason}" if registration.accepted else reason
 
 
 def _warnings(result: MapResult) -> list[str]:

@@ -98,6 +98,7 @@ def join(
             loops=loops,
             trajectory=_joined_trajectory((known_map, session_map), poses),
             grids={} if grid is None else {OCCUPANCY: grid},
+            cameras={**session.cameras, **known.cameras},
         ),
         loops_between=len(joined),
         loops_kept=sum(factor.kept for factor in joined),

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeVar, cast
 
 import gtsam
@@ -16,8 +17,10 @@ from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Pose, Trajectory
 from slam.storage.map_file import MapFile
-from slam.storage.map_tables import FACTORS, GRIDS, KEYFRAMES, LOOPS, TRAJECTORY, Table
+from slam.storage.map_tables import CAMERAS, FACTORS, GRIDS, KEYFRAMES, LOOPS, TRAJECTORY, Table
 from slam.storage.packing import pack, pack_small, unpack, unpack_small
+from slam.vision.color_registration import ColorRegistration
+from slam.vision.learned_camera import LearnedCamera
 
 T = TypeVar("T")
 
@@ -53,6 +56,8 @@ class MapContents:
         A pose for every reading of the log.
     grids
         By name.
+    cameras
+        What the run learned of each camera, by its name.
     """
 
     node_poses: Sequence[Pose]
@@ -64,6 +69,7 @@ class MapContents:
     loops: Sequence[LoopCandidate]
     trajectory: Trajectory
     grids: Mapping[str, OccupancyGrid]
+    cameras: Mapping[str, LearnedCamera] = field(default_factory=dict)
 
 
 def write_contents(file: MapFile, contents: MapContents) -> None:
@@ -74,7 +80,7 @@ def write_contents(file: MapFile, contents: MapContents) -> None:
     MapFileError
         Where the file cannot be written.
     """
-    for table in (KEYFRAMES, FACTORS, LOOPS, TRAJECTORY, GRIDS):
+    for table in (KEYFRAMES, FACTORS, LOOPS, TRAJECTORY, GRIDS, CAMERAS):
         file.clear(table)  # an interrupt may have come amid the writing
     for node, pose in enumerate(contents.node_poses):
         scan = contents.scans[node] if contents.scans else None
@@ -103,6 +109,8 @@ def write_contents(file: MapFile, contents: MapContents) -> None:
         rows, cols = grid.log_odds.shape
         corner, cells = pack(grid.T_map_grid), pack_small(np.ascontiguousarray(grid.log_odds))
         file.append(GRIDS, name, rows, cols, grid.resolution_m, corner, cells)
+    for name, learned in contents.cameras.items():
+        file.append(CAMERAS, name, pack(learned))
 
 
 def read_contents(file: MapFile) -> MapContents:
@@ -135,6 +143,7 @@ def read_contents(file: MapFile) -> MapContents:
             np.concatenate([part.quaternions_xyzw for part in stretches]),
         ),
         grids=dict(_read(file, GRIDS, _grid)),
+        cameras=dict(_read(file, CAMERAS, _camera)),
     )
 
 
@@ -196,6 +205,17 @@ def _grid(row: tuple[Any, ...]) -> tuple[str, OccupancyGrid]:
     _require(log_odds.shape == (rows, cols) and log_odds.dtype == np.float32, "its cells have another size")
     _require(resolution_m > 0.0, "its resolution is not positive")
     return name, OccupancyGrid(log_odds, resolution_m, _of(gtsam.Pose2, unpack(corner)))
+
+
+def _camera(row: tuple[Any, ...]) -> tuple[str, LearnedCamera]:
+    """A row of what was learned of cameras, with the camera's name."""
+    name, learned = row
+    found = _of(LearnedCamera, unpack(learned))
+    _require(isinstance(found.registration, ColorRegistration | None), "its registration is none")
+    _require(isinstance(found.T_base_camera, gtsam.Pose3 | None), "its mounting is none")
+    clock_s = (_of(float, found.clock_offset_s), _of(float, found.clock_sigma_s))
+    _require(all(map(math.isfinite, clock_s)), "its clock is not finite")
+    return name, found
 
 
 def _of(kind: type[T], value: Any) -> T:

@@ -22,6 +22,7 @@ from slam.graph.loop_closure import LoopCandidate
 from slam.measurements import CameraIntrinsics, LaserScan, MotionEstimate, Trajectory
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.features import Features
+from slam.vision.learned_camera import LearnedCamera
 from slam.vision.visual_match import VisualMatch
 
 # The place in this list is the number in the file: append only.
@@ -36,6 +37,7 @@ _RECORDS: tuple[type, ...] = (
     WindowResult,
     WindowFailure,
     Trajectory,
+    LearnedCamera,
 )
 _NUMBER_OF = {record: number for number, record in enumerate(_RECORDS)}
 _FIELDS = tuple(tuple(field.name for field in fields(record)) for record in _RECORDS)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import gtsam
 import numpy as np
@@ -21,6 +23,9 @@ from slam.storage.map_frames import MapFrames
 from slam.storage.map_identity import MapIdentity
 from slam.storage.map_sessions import MapSession, sessions_of
 from slam.storage.map_tables import FRAMES
+
+# What the run told people, as rows of the file.
+NOTES, WARNINGS = "notes", "warnings"
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +48,8 @@ class SavedMap:
         The clouds of the nodes; none where no 3D lidar made the map.
     digest
         Of everything; equal for equal maps.
+    notes, warnings
+        What the mapping run found out, and what a person should know before trusting the map: a line each.
     """
 
     path: Path
@@ -52,7 +59,10 @@ class SavedMap:
     frames: MapFrames
     clouds: MapClouds
     digest: str
+    notes: Sequence[str]
+    warnings: Sequence[str]
     _file: MapFile = field(repr=False)
+    _folder: TemporaryDirectory[str] | None = field(default=None, repr=False)
 
     @property
     def planar(self) -> bool:
@@ -123,8 +133,13 @@ class SavedMap:
         self._file.close()
 
 
-def open_saved_map(path: Path | str) -> SavedMap:
+def open_saved_map(path: Path | str, kept_in: TemporaryDirectory[str] | None = None) -> SavedMap:
     """Open a finished map: a folder that ``scanweave map`` has made, or its ``map.db``.
+
+    Parameters
+    ----------
+    kept_in
+        A temporary folder that holds it, and lives as long as the map.
 
     Raises
     ------
@@ -156,7 +171,21 @@ def open_saved_map(path: Path | str) -> SavedMap:
         file.close()
         raise
     digest = file.content_digest()
-    return SavedMap(file.path, identity, sessions, contents, frames, clouds, digest, file)
+    notes, warnings = (_lines(meta, key, file.path) for key in (NOTES, WARNINGS))
+    return SavedMap(
+        file.path, identity, sessions, contents, frames, clouds, digest, notes, warnings, file, kept_in
+    )
+
+
+def _lines(meta: Mapping[str, str], key: str, path: Path) -> list[str]:
+    """Lines of text from a row of the file; none in a map of an older version."""
+    try:
+        lines = json.loads(meta.get(key, "[]"))
+    except ValueError as error:
+        raise MapFileError(f"{path} tells no {key} ({error}); make the map anew") from error
+    if not isinstance(lines, list) or not all(isinstance(line, str) for line in lines):
+        raise MapFileError(f"{path} tells no {key}; make the map anew")
+    return lines
 
 
 def _yaw(pose: Pose) -> float:

@@ -153,4 +153,5 @@ def test_another_field_is_another_schema() -> None:
         "WindowResult": 7,
         "WindowFailure": 1,
         "Trajectory": 3,
+        "LearnedCamera": 5,
     }
