@@ -204,7 +204,7 @@ def test_an_interrupt_waits_for_the_scan_to_end(
         on_scan(2)
         seen.append(2)
 
-    monkeypatch.setattr("slam.pipeline.build_map", build)
+    monkeypatch.setattr("slam.app.map_run.build_map", build)
     handler = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         outcome = scanweave("map", log.log_path, "-o", tmp_path)
@@ -219,12 +219,12 @@ def test_an_interrupt_waits_for_the_scan_to_end(
 _ANNOUNCED = """
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)
-import slam.cli, slam.pipeline
-build_map = slam.pipeline.build_map
+import slam.cli, slam.app.map_run
+build_map = slam.app.map_run.build_map
 def announced(*arguments):
     print("mapping", flush=True)
     return build_map(*arguments)
-slam.pipeline.build_map = announced
+slam.app.map_run.build_map = announced
 sys.argv[0] = "scanweave"
 slam.cli.main()
 """

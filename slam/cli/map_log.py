@@ -96,20 +96,10 @@ def map_log(
 ) -> MapRun:
     """Map a log into a folder, and tell of it."""
     started = time.perf_counter()
-    from slam.app.map_folder import Left, left_in
     from slam.app.mapping import run_log
-    from slam.storage.map_file import MAP_NAME
 
-    left, path = left_in(out), out / MAP_NAME
-    first = ""
-    if resume and left is Left.NOTHING:
-        first = f"nothing to resume in {out}; mapping from the beginning"
-    elif resume and left is Left.UNFINISHED:
-        first = f"going on with {path}"
-    elif left is Left.UNFINISHED:
-        first = f"replacing {path}, which an interrupted run has left"
     try:
-        with progress_bar(first=first) as show, interruptible(show) as on_progress:
+        with progress_bar(first=_beginning(out, resume)) as show, interruptible(show) as on_progress:
             run = run_log(
                 log,
                 config,
@@ -124,7 +114,7 @@ def map_log(
         _tell_unfinished(out)
         raise
     if run.report is None:
-        say(f"{path} is finished already; there is nothing to resume")
+        say(f"{run.map.path} is finished already; there is nothing to resume")
         return run
     _tell(run, f", {time.perf_counter() - started:.1f} s")
     if run.report.truth is not None:
@@ -143,11 +133,12 @@ def map_into(
     from slam.storage.saved_map import open_saved_map
 
     known = open_saved_map(map_)
+    work = (out or known.path.parent) / WORK / "session"
     try:
-        with progress_bar() as show, interruptible(show) as on_progress:
+        with progress_bar(first=_beginning(work, resume)) as show, interruptible(show) as on_progress:
             joined = join(known, log, config, out=out, on_progress=on_progress, resume=resume, strict=strict)
     except KeyboardInterrupt:
-        _tell_unfinished((out or known.path.parent) / WORK / "session")
+        _tell_unfinished(work)
         raise
     if joined.session.report is not None:
         _tell(joined.session, "", f"{log.name} alone: ")
@@ -161,6 +152,18 @@ def map_into(
     )
     say("wrote " + ", ".join(str(path) for path in joined.written))
     return joined
+
+
+def _beginning(folder: Path, resume: bool) -> str:
+    """What becomes of a map that an interrupted run has left; nothing where there is none."""
+    from slam.app.map_folder import Left, left_in
+    from slam.storage.map_file import MAP_NAME
+
+    left, path = left_in(folder), folder / MAP_NAME
+    if left is Left.UNFINISHED:
+        return f"going on with {path}" if resume else f"replacing {path}, which an interrupted run has left"
+    nothing = resume and left is Left.NOTHING
+    return f"nothing to resume in {folder}; mapping from the beginning" if nothing else ""
 
 
 def _tell_unfinished(folder: Path) -> None:
