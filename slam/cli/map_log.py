@@ -100,7 +100,7 @@ def demo(
 def _demo_log(folder: Path, seed: int) -> tuple[Path, Path]:
     """A simulated lidar log and its truth; a flat world where ray casting is not to be had."""
     try:
-        import open3d  # noqa: F401
+        import embreex  # noqa: F401
     except (ImportError, OSError) as error:
         from slam.simulation.synthetic_log import write_synthetic_log
 
