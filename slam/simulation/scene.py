@@ -1,18 +1,17 @@
-"""Casts rays into a home: Open3D's ray caster for the mesh, closed form for a person who walks through it."""
+"""Casts rays into a home: Embree for the mesh, closed form for a person who walks through it."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from slam.measurements import BoolArray, Float32Array
-from slam.open3d_library import load_open3d
 from slam.simulation.home_model import Home, Int32Array, Material
+from slam.simulation.ray_caster import RayCaster
 
 NOTHING = -1  # triangle and obstacle of a ray that meets nothing
 PERSON = -2  # triangle and obstacle of the person
@@ -54,8 +53,8 @@ class Scene:
         # Glass apart, so that a second cast can tell what is behind it.
         self._opaque_index = np.flatnonzero(~clear).astype(np.int32)
         self._all_index = np.arange(len(home.triangles), dtype=np.int32)
-        self._everything = _ray_caster(home, self._all_index)
-        self._opaque = _ray_caster(home, self._opaque_index)
+        self._everything = RayCaster(home.vertices, home.triangles)
+        self._opaque = RayCaster(home.vertices, home.triangles[self._opaque_index])
 
     def cast(self, origins_dirs: Float32Array, person_xy: tuple[float, float] | None = None) -> Hits:
         """First surface along each ray.
@@ -77,21 +76,16 @@ class Scene:
 
     def _cast(
         self,
-        caster: Any,
+        caster: RayCaster,
         index: Int32Array,
         origins_dirs: Float32Array,
         person_xy: tuple[float, float] | None,
     ) -> Hits:
         """Cast, then name what was hit."""
-        if origins_dirs.shape[0] == 0:  # the ray caster refuses to cast nothing
-            return _no_hits()
         rays = np.ascontiguousarray(origins_dirs, dtype=np.float32)
-        found = caster.cast_rays(load_open3d().core.Tensor.from_numpy(rays))
-        # Copies: the tensors own the memory that numpy() shows.
-        range_m, normal = found["t_hit"].numpy().copy(), found["primitive_normals"].numpy().copy()
-        primitive = found["primitive_ids"].numpy()
+        range_m, primitive, normal = caster.cast(rays)
         triangle, obstacle, material = _name_hits(
-            primitive, index, self.home.obstacle_of_triangle, self.home.material_of_triangle
+            primitive, normal, index, self.home.obstacle_of_triangle, self.home.material_of_triangle
         )
         if person_xy is not None:
             mine = _meet_cylinder(rays, np.array(person_xy, dtype=np.float64), range_m, normal)
@@ -99,42 +93,26 @@ class Scene:
         return Hits(range_m, triangle, obstacle, material, normal)
 
 
-def _ray_caster(home: Home, index: Int32Array) -> Any:
-    """Open3D's scene of some of the triangles."""
-    open3d = load_open3d()
-    scene = open3d.t.geometry.RaycastingScene()
-    triangles = np.ascontiguousarray(home.triangles[index], dtype=np.uint32)
-    scene.add_triangles(
-        open3d.core.Tensor.from_numpy(home.vertices), open3d.core.Tensor.from_numpy(triangles)
-    )
-    return scene
-
-
-def _no_hits() -> Hits:
-    """The hits of no rays."""
-    none = np.empty(0, dtype=np.int32)
-    return Hits(
-        np.empty(0, np.float32), none, none.copy(), np.empty(0, np.uint8), np.empty((0, 3), np.float32)
-    )
-
-
 @numba.njit(cache=True)
 def _name_hits(
-    primitive: NDArray[np.uint32],
+    primitive: Int32Array,
+    normal: Float32Array,
     index: Int32Array,
     obstacle_of_triangle: Int32Array,
     material_of_triangle: NDArray[np.uint8],
 ) -> tuple[Int32Array, Int32Array, NDArray[np.uint8]]:
-    """Triangle, obstacle and material of the ray caster's primitives."""
+    """Triangle, obstacle and material of the caster's primitives; their normals get unit length in place."""
     count = primitive.size
     triangle = np.full(count, -1, np.int32)
     obstacle = np.full(count, -1, np.int32)
     material = np.zeros(count, np.uint8)
     for ray in range(count):
-        if primitive[ray] < index.size:  # the caster's mark for nothing is the largest number
+        if primitive[ray] >= 0:
             triangle[ray] = index[primitive[ray]]
             obstacle[ray] = obstacle_of_triangle[triangle[ray]]
             material[ray] = material_of_triangle[triangle[ray]]
+            x, y, z = normal[ray]
+            normal[ray] /= math.sqrt(x * x + y * y + z * z)
     return triangle, obstacle, material
 
 
