@@ -158,8 +158,6 @@ def contents_of(result: MapResult, layers: LayeredMap | None = None) -> MapConte
     grids = {} if result.grid is None else {OCCUPANCY: result.grid}
     if layers is not None:
         grids.update(layer_grids(layers))
-    # An accepted loop's covariance is the very array of its candidate.
-    loops = {id(loop.motion.covariance): n for n, loop in enumerate(result.loops) if loop.motion is not None}
     return MapContents(
         node_poses=[result.graph.pose(node) for node in range(len(result.graph))],
         stamps_s=result.scans.stamps_s[result.keyframe_numbers],
@@ -167,7 +165,7 @@ def contents_of(result: MapResult, layers: LayeredMap | None = None) -> MapConte
         measured_scans=result.measured_scans,
         scans=result.keyframe_scans,
         factors=[
-            SavedFactor(edge, bool(kept), loops.get(id(edge.covariance)))
+            SavedFactor(edge, bool(kept))
             for edge, kept in zip(result.graph.edges, result.edges_kept, strict=True)
         ],
         loops=result.loops,

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from slam.answers import COMPUTED, Answers
 from slam.config_stages import LoopConfig, MatchConfig
+from slam.graph.pose_graph import Edge, EdgeKind
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.submaps import Submap, SubmapStore
 from slam.matching.correlative import search_window
@@ -56,6 +58,36 @@ class LoopCandidate:
     def refused(self, reason: str) -> LoopCandidate:
         """The same candidate, refused."""
         return replace(self, accepted=False, reason=reason)
+
+    def edge(self, number: int) -> Edge:
+        """What an accepted loop adds to the graph; ``number`` is its place among the candidates."""
+        assert self.motion is not None
+        return Edge(
+            self.place,
+            self.keyframe,
+            self.motion.T_reference_base,
+            self.motion.covariance,
+            EdgeKind.LOOP,
+            trusted=False,
+            loop=number,
+        )
+
+
+def judged(
+    loops: Sequence[LoopCandidate], edges: Iterable[Edge], kept: Iterable[bool]
+) -> list[LoopCandidate]:
+    """The loop candidates with the verdicts of an optimisation on their edges."""
+    verdicts = list(loops)
+    for edge, keep in zip(edges, kept, strict=True):
+        if edge.loop is None:
+            continue
+        loop = verdicts[edge.loop]
+        verdicts[edge.loop] = (
+            replace(loop, accepted=True, reason="")
+            if keep
+            else loop.refused("disagrees with the other loops (GNC)")
+        )
+    return verdicts
 
 
 class LoopCloser:

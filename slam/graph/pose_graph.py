@@ -49,6 +49,8 @@ class Edge:
         Where it comes from.
     trusted
         Part of the chain that holds the graph together; others may be refused as outliers.
+    loop
+        Number of the loop candidate that it comes from; None for other edges.
     """
 
     source: int
@@ -57,6 +59,7 @@ class Edge:
     covariance: FloatArray
     kind: EdgeKind
     trusted: bool
+    loop: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,7 +61,7 @@ def contents(*, planar: bool = True) -> MapContents:
     ]
     edges = [Edge(n, n + 1, step, covariance * (n + 1), EdgeKind.LIDAR, True) for n in range(4)]
     factors = [SavedFactor(edge, True) for edge in edges]
-    factors.append(SavedFactor(Edge(0, 3, step, covariance, EdgeKind.LOOP, False), False, 0))
+    factors.append(SavedFactor(Edge(0, 3, step, covariance, EdgeKind.LOOP, False, loop=0), False))
     repaired = replace(scan(2.0), ranges_m=np.ones(4, np.float32))
     count = 10_000
     rng = np.random.default_rng(0)
