@@ -101,9 +101,11 @@ class LoopCloser:
         self._last_attempt_m = -math.inf
         self._misses = 0
 
-    def add_keyframe(self, scan: OrientedPoints, pose: FloatArray, travelled_m: float) -> None:
-        """Remember a keyframe: its scan, its pose (3,) in the odometry frame, the way so far."""
-        self._submaps.add(scan, pose, travelled_m)
+    def add_keyframe(
+        self, scan: OrientedPoints, pose: FloatArray, travelled_m: float, session: int = 0
+    ) -> None:
+        """Remember a keyframe, see `SubmapStore.add`."""
+        self._submaps.add(scan, pose, travelled_m, session)
 
     def close(self, key: int, poses: FloatArray, uncertainty: UncertaintyGraph) -> list[LoopCandidate]:
         """Try the places that the newest keyframe may have come back to.
