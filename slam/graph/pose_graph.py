@@ -1,4 +1,4 @@
-"""The pose graph, and the only file that builds its GTSAM factors (windows and mountings build their own).
+"""The pose graph, and the only file that builds its GTSAM factors (mountings build their own).
 
 While mapping, iSAM2 (Kaess 2012) keeps the estimate; at the end graduated non-convexity with truncated
 least squares (Yang 2020) decides which loops and wheel steps are true. SE(2) and SE(3) alike.

@@ -227,7 +227,7 @@ class TestRefused:
         with pytest.raises(MapFileError, match="settings that this version does not know"):
             open_saved_map(forge(path, "meta", 0, value='{"novelty": 1}'))
         forge(path, "meta", 0, value=Config().model_dump_json())
-        with pytest.raises(MapFileError, match="tells no versions"):
+        with pytest.raises(MapFileError, match="versions cannot be read"):
             open_saved_map(forge(path, "meta", 4, value="{"))
         with pytest.raises(MapFileError, match="does not tell its config"):
             open_saved_map(forge(path, "meta", 0, key="konfig"))
