@@ -212,14 +212,14 @@ def export_map(saved: SavedMap, format_: str, out: Path) -> list[Path]:
         "ply": "mesh.ply" if len(saved.frames) or not len(saved.clouds) else "cloud.ply",
         "bt": "map.bt",
     }
-    if out.is_dir() or not out.suffix:
-        make_folder(out)
-        out = out / usual[format_]
     seen = len(saved.frames) + len(saved.clouds) > 0
     needs = {"nav2": saved.grid is not None, "ply": seen, "bt": seen}
     if not needs.get(format_, True):
         lacking = "grid" if format_ == "nav2" else "image or cloud"
         raise ScanweaveError(f"{saved.path} holds no {lacking}, so there is nothing to write as {format_}")
+    if out.is_dir() or not out.suffix:
+        make_folder(out)
+        out = out / usual[format_]
     if format_ == "nav2":
         assert saved.grid is not None
         return list(write_nav2_map(out.with_suffix(""), saved.grid))
