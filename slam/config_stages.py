@@ -306,19 +306,6 @@ class DenseMapConfig(StrictModel):
     octomap_cell_m: float = Field(default=0.05, gt=0, description="side of its smallest cell")
 
 
-class BundleConfig(StrictModel):
-    """Bundle adjustment of the latest camera keyframes."""
-
-    enabled: bool = Field(
-        default=False,
-        description="adjust at every keyframe; matching to several keyframes at once measured better",
-    )
-    keyframes: int = Field(default=7, ge=2, description="keyframes of the window")
-    linked: int = Field(default=3, ge=1, description="keyframes whose features a new one is matched to")
-    landmarks: int = Field(default=300, ge=20, description="landmarks at most")
-    gate_px: float = Field(default=4.0, gt=0, description="reprojection error of a match that is believed")
-
-
 class FusionConfig(StrictModel):
     """Repair of scans and depth images by each other (Xu2024)."""
 

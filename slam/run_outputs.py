@@ -158,8 +158,6 @@ def contents_of(result: MapResult, layers: LayeredMap | None = None) -> MapConte
     grids = {} if result.grid is None else {OCCUPANCY: result.grid}
     if layers is not None:
         grids.update(layer_grids(layers))
-    # An accepted loop's covariance is the very array of its candidate.
-    loops = {id(loop.motion.covariance): n for n, loop in enumerate(result.loops) if loop.motion is not None}
     return MapContents(
         node_poses=[result.graph.pose(node) for node in range(len(result.graph))],
         stamps_s=result.scans.stamps_s[result.keyframe_numbers],
@@ -167,7 +165,7 @@ def contents_of(result: MapResult, layers: LayeredMap | None = None) -> MapConte
         measured_scans=result.measured_scans,
         scans=result.keyframe_scans,
         factors=[
-            SavedFactor(edge, bool(kept), loops.get(id(edge.covariance)))
+            SavedFactor(edge, bool(kept))
             for edge, kept in zip(result.graph.edges, result.edges_kept, strict=True)
         ],
         loops=result.loops,
@@ -215,14 +213,14 @@ def export_map(saved: SavedMap, format_: str, out: Path) -> list[Path]:
         "ply": "mesh.ply" if len(saved.frames) or not len(saved.clouds) else "cloud.ply",
         "bt": "map.bt",
     }
-    if out.is_dir() or not out.suffix:
-        make_folder(out)
-        out = out / usual[format_]
     seen = len(saved.frames) + len(saved.clouds) > 0
     needs = {"nav2": saved.grid is not None, "ply": seen, "bt": seen}
     if not needs.get(format_, True):
         lacking = "grid" if format_ == "nav2" else "image or cloud"
         raise ScanweaveError(f"{saved.path} holds no {lacking}, so there is nothing to write as {format_}")
+    if out.is_dir() or not out.suffix:
+        make_folder(out)
+        out = out / usual[format_]
     if format_ == "nav2":
         assert saved.grid is not None
         return list(write_nav2_map(out.with_suffix(""), saved.grid))

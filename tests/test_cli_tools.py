@@ -84,6 +84,19 @@ class TestEvaluate:
         assert scores["ate"]["translation_m"]["max"] < 1e-9
         assert scores["rpe"]["rotation_rad"]["max"] < 1e-6
 
+    def test_a_drive_shorter_than_delta_has_its_ate(self, scanweave: Scanweave, tmp_path: Path) -> None:
+        truth, off = tmp_path / "truth.tum", tmp_path / "off.tum"
+        for file, y in ((truth, 0.1), (off, 0.2)):
+            poses = ((0.0, 0.0), (0.3, 0.0), (0.3, y), (0.6, y))
+            file.write_text("".join(f"{n}.0 {x} {y} 0 0 0 0 1\n" for n, (x, y) in enumerate(poses)))
+        arguments = ["evaluate", off, "--groundtruth", truth]
+        outcome = scanweave(*arguments, "--json")
+        assert (outcome.code, outcome.err) == (0, "")
+        scores = json.loads(outcome.out)
+        assert 0.01 < scores["ate"]["translation_m"]["rmse"] < 0.1
+        assert scores["rpe"] is None
+        assert "rpe: none: the drive is shorter than delta" in scanweave(*arguments).out
+
     @pytest.mark.parametrize("option", ["--relations", "--groundtruth"])
     def test_files_that_are_none(
         self, scanweave: Scanweave, mapped: Path, tmp_path: Path, option: str

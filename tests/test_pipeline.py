@@ -78,6 +78,19 @@ class TestSynthetic:
         ]
         assert kept == [(loop.place, loop.keyframe) for loop in accepted]
 
+    def test_an_edge_tells_the_number_of_its_loop(self, mapped: MapResult) -> None:
+        # Not by what the candidate holds: a copy of it is the same candidate.
+        loops = [
+            replace(loop, motion=loop.motion and replace(loop.motion, covariance=np.eye(3)))
+            for loop in mapped.loops
+        ]
+        edges = [factor.edge for factor in contents_of(replace(mapped, loops=loops)).factors]
+        assert {edge.kind is EdgeKind.LOOP for edge in edges if edge.loop is not None} == {True}
+        assert {edge.kind is EdgeKind.LOOP for edge in edges if edge.loop is None} == {False}
+        for edge in edges:
+            if edge.loop is not None:
+                assert (edge.source, edge.target) == (loops[edge.loop].place, loops[edge.loop].keyframe)
+
     def test_edges_keep_their_provenance(self, mapped: MapResult) -> None:
         kinds = [edge.kind for edge in mapped.graph.edges]
         chain = len(mapped.keyframe_poses) - 1

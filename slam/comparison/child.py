@@ -94,7 +94,6 @@ def _scored(run: Run, product: Any, folder: Path) -> dict[str, Any]:
 
     from slam.comparison.scoring import Truths, scores_of
     from slam.datasets import open_dataset
-    from slam.simulation.truth_writer import write_npz
     from slam.storage.tum import read_tum, write_tum
 
     log_path = Path(run.log)
@@ -111,9 +110,9 @@ def _scored(run: Run, product: Any, folder: Path) -> dict[str, Any]:
             arrays[name] = grid.states
             arrays[f"{name}_at"] = np.array([grid.resolution_m, corner.x(), corner.y(), corner.theta()])
     if arrays:
-        write_npz(folder / MAPS, **arrays)
+        np.savez_compressed(folder / MAPS, **arrays)
     if scores.truth is not None:
-        write_npz(
+        np.savez_compressed(
             folder / ERRORS,
             stamps_s=scores.truth.stamps_s,
             errors_m=scores.truth.errors_m,

@@ -13,7 +13,6 @@ from slam.config import Config
 from slam.datasets import Dataset
 from slam.errors import DatasetError, ScanweaveError
 from slam.layer_outputs import layers_of
-from slam.map_recording import scan_points
 from slam.map_result import MapResult
 from slam.measurements import (
     FloatArray,
@@ -144,7 +143,7 @@ def _cloud(reading: LaserScan | PointCloud) -> tuple[gtsam.Pose3, FloatArray]:
     """A lidar's mounting, and (N, 3) points in its frame; those of a scan have z = 0."""
     if isinstance(reading, PointCloud):
         return reading.T_base_lidar, reading.points_lidar.astype(np.float64)
-    points = scan_points(reading, reading.T_base_laser.inverse())
+    points = reading.points_laser()
     return gtsam.Pose3(reading.T_base_laser), np.column_stack([points, np.zeros(len(points))])
 
 

@@ -31,11 +31,10 @@ _STRETCH = 4096
 
 @dataclass(frozen=True, slots=True)
 class SavedFactor:
-    """An edge of the graph, whether the final optimisation kept it, and the number of its loop candidate."""
+    """An edge of the graph, and whether the final optimisation kept it."""
 
     edge: Edge
     kept: bool
-    loop: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +94,7 @@ def write_contents(file: MapFile, contents: MapContents) -> None:
         )
     for factor in contents.factors:
         edge = factor.edge
-        ends = (edge.source, edge.target, int(edge.trusted), int(factor.kept), factor.loop)
+        ends = (edge.source, edge.target, int(edge.trusted), int(factor.kept), edge.loop)
         file.append(FACTORS, edge.kind.value, *ends, pack(edge.T_source_target), pack(edge.covariance))
     for loop in contents.loops:
         verdict = (loop.place, loop.keyframe, int(loop.accepted))
@@ -186,7 +185,7 @@ def _factor(row: tuple[Any, ...], poses: Sequence[Pose], loops: int) -> SavedFac
     dimension = 3 if isinstance(measured, gtsam.Pose2) else 6
     _require(spread.shape == (dimension, dimension), "its covariance has another size")
     return SavedFactor(
-        Edge(source, target, measured, spread, EdgeKind(kind), bool(trusted)), bool(kept), loop
+        Edge(source, target, measured, spread, EdgeKind(kind), bool(trusted), loop), bool(kept)
     )
 
 

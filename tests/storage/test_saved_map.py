@@ -61,7 +61,7 @@ def contents(*, planar: bool = True) -> MapContents:
     ]
     edges = [Edge(n, n + 1, step, covariance * (n + 1), EdgeKind.LIDAR, True) for n in range(4)]
     factors = [SavedFactor(edge, True) for edge in edges]
-    factors.append(SavedFactor(Edge(0, 3, step, covariance, EdgeKind.LOOP, False), False, 0))
+    factors.append(SavedFactor(Edge(0, 3, step, covariance, EdgeKind.LOOP, False, loop=0), False))
     repaired = replace(scan(2.0), ranges_m=np.ones(4, np.float32))
     count = 10_000
     rng = np.random.default_rng(0)
@@ -227,7 +227,7 @@ class TestRefused:
         with pytest.raises(MapFileError, match="settings that this version does not know"):
             open_saved_map(forge(path, "meta", 0, value='{"novelty": 1}'))
         forge(path, "meta", 0, value=Config().model_dump_json())
-        with pytest.raises(MapFileError, match="tells no versions"):
+        with pytest.raises(MapFileError, match="versions cannot be read"):
             open_saved_map(forge(path, "meta", 4, value="{"))
         with pytest.raises(MapFileError, match="does not tell its config"):
             open_saved_map(forge(path, "meta", 0, key="konfig"))
