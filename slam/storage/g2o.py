@@ -121,14 +121,14 @@ def write_g2o(path: Path, graph: G2oGraph) -> None:
 
 
 def _lines(graph: G2oGraph, space: str, where: str) -> Iterator[str]:
-    """The file's lines: vertices, fixed ids, edges."""
+    """The file's lines: vertices, edges, fixed ids: these last, or gtsam's reader finds no edge in 2D."""
     for vertex, pose in graph.vertices.items():
         yield f"VERTEX_{space} {vertex} {_numbers_text(_pose_numbers(pose, space, where), where)}"
-    for vertex in sorted(graph.fixed):
-        yield f"FIX {vertex}"
     for edge in graph.edges:
         numbers = [*_pose_numbers(edge.T_i_j, space, where), *_upper_triangle(edge, space, where)]
         yield f"EDGE_{space} {edge.i} {edge.j} {_numbers_text(numbers, where)}"
+    for vertex in sorted(graph.fixed):
+        yield f"FIX {vertex}"
 
 
 def _numbers_text(numbers: list[float], where: str) -> str:

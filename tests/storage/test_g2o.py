@@ -53,6 +53,24 @@ def test_reading_back_gives_the_same_graph(tmp_path_factory, seed, is_3d, packed
         np.testing.assert_allclose(again.information, edge.information, rtol=1e-9)
 
 
+@given(seed=st.integers(0, 2**32 - 1), is_3d=st.booleans())
+def test_gtsam_reads_the_same_graph(tmp_path_factory, seed, is_3d):
+    graph = random_graph(np.random.default_rng(seed), is_3d)
+    path = tmp_path_factory.mktemp("g2o") / "graph.g2o"
+    write_g2o(path, graph)
+    factors, values = gtsam.readG2o(str(path), is_3d)
+    assert sorted(values.keys()) == sorted(graph.vertices)
+    pose_at = values.atPose3 if is_3d else values.atPose2
+    assert all(pose.equals(pose_at(vertex), 1e-12) for vertex, pose in graph.vertices.items())
+    assert factors.size() == len(graph.edges)
+    for number, edge in enumerate(graph.edges):
+        factor = factors.at(number)
+        assert factor.keys() == [edge.i, edge.j]
+        assert factor.measured().equals(edge.T_i_j, 1e-12)
+        information = factor.noiseModel().information()
+        np.testing.assert_allclose(information, edge.information, rtol=1e-6, atol=1e-9 * information.max())
+
+
 def test_a_3d_file_keeps_translation_first_and_gtsam_rotation_first(tmp_path):
     upper = [[10 * r + c if c >= r else 0 for c in range(1, 7)] for r in range(1, 7)]
     numbers = " ".join(str(v) for r, row in enumerate(upper) for v in row[r:])
