@@ -9,6 +9,7 @@ from pathlib import Path
 import gtsam
 import numpy as np
 import pytest
+from flat_worlds import clearance_m
 from pipeline_runs import (
     Row,
     errors_m,
@@ -28,7 +29,7 @@ from slam.mapping.occupancy_grid import FREE, OCCUPIED
 from slam.matching.planar import between
 from slam.measurements import row_from_pose2 as row_of
 from slam.run_outputs import contents_of, save_g2o, save_run
-from slam.simulation.floor_plan import TOUR_M, clearance_m, walls
+from slam.simulation.floor_plan import TOUR_M, walls
 from slam.simulation.synthetic_log import SyntheticLog
 from slam.storage.nav2 import read_nav2_map
 from slam.storage.tum import read_tum
