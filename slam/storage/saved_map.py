@@ -104,10 +104,6 @@ class SavedMap:
         """Every loop candidate with its verdict."""
         return self.contents.loops
 
-    def frame_nodes(self) -> list[int]:
-        """The node of every camera keyframe."""
-        return [self.frames.head(index).node for index in range(len(self.frames))]
-
     def frame_poses(self) -> list[gtsam.Pose3]:
         """``T_map_camera`` of every camera keyframe."""
         return self.frames.poses(self.contents.node_poses, bases=len(self.clouds) > 0)
