@@ -168,7 +168,7 @@ def _map(
         written, layers = _save(out, result, settings)
         cost = RunCost(time.perf_counter() - started, time.process_time())
         beside = beside_of(dataset, result, written)
-        data = report_data(log.name, dataset.report, result, settings, cost, beside)
+        data = report_data(log.name, dataset.report, result, settings, cost, beside, layers)
         write_report(out / "report.html", data)
         record_map(viewer, result, layers, settings)
         write_contents(file, contents_of(result, layers))
@@ -192,19 +192,13 @@ def _save(out: Path, result: MapResult, config: Config) -> tuple[list[Path], Lay
     """Write the files for other programs; which they are, and the layers."""
     from slam.layer_outputs import layers_of
     from slam.run_outputs import save_clouds, save_dense, save_run
-    from slam.storage.nav2_layers import write_layers
 
-    written, layers = save_run(out, result), None
+    layers = layers_of(result, config)
+    written = save_run(out, result, layers)
     # Whatever fails of these, the rest of the run is still worth its report.
     try:
         written += save_dense(out, result, config.dense_map)
         written += save_clouds(out, result, config.cloud_map, config.dense_map)
     except ScanweaveError as error:
         result.warnings.append(f"No coloured surface was written: {error}")
-    try:
-        layers = layers_of(result, config)
-        if layers is not None:
-            written += write_layers(out / "layers", layers)
-    except ScanweaveError as error:
-        result.warnings.append(f"No layers were written: {error}")
     return written, layers

@@ -85,7 +85,7 @@ def join(
     loops = _judged(loops, factors)
     joined = [factor for factor in factors if factor.loop is not None and factor.loop >= own_loops]
     scans = [*known.scans, *session.scans]
-    grid = grid_of_keyframes(scans, poses, config.grid)
+    grid = grid_of_keyframes(scans, poses, config)
     before = _rows(known)
     return JoinedMap(
         MapContents(

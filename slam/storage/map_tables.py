@@ -11,7 +11,7 @@ ColumnType: TypeAlias = Literal["INTEGER", "REAL", "TEXT", "BLOB"]
 Value: TypeAlias = int | float | str | bytes | None
 
 # Raised when a table changes; a reader refuses what is newer than itself.
-SCHEMA_VERSION: Final = 2
+SCHEMA_VERSION: Final = 3
 APPLICATION_ID: Final = 0x5CA9EA7E
 
 
