@@ -20,10 +20,12 @@ from pipeline_runs import (
     wheel_rows,
 )
 
+from slam.config import Config
 from slam.datasets import open_dataset
 from slam.evaluation.relations import RelationGroupScore, read_relations, score_relations
 from slam.evaluation.trajectory_error import absolute_error
 from slam.graph.pose_graph import EdgeKind
+from slam.layer_outputs import layers_of
 from slam.map_result import MapResult
 from slam.mapping.occupancy_grid import FREE, OCCUPIED
 from slam.matching.planar import between
@@ -105,7 +107,7 @@ class TestSynthetic:
         folders = [tmp_path / "one", tmp_path / "two"]
         for folder, result in zip(folders, (mapped, again), strict=True):
             folder.mkdir()
-            save_run(folder, result)
+            save_run(folder, result, layers_of(result, Config()))
         for name in ("trajectory.tum", "graph.g2o", "map.pgm", "map.yaml"):
             one, two = ((folder / name).read_bytes() for folder in folders)
             assert one == two, name
@@ -133,7 +135,7 @@ class TestSynthetic:
 @pytest.fixture(scope="module")
 def folder(mapped: MapResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("files")
-    save_run(folder, mapped)
+    save_run(folder, mapped, layers_of(mapped, Config()))
     return folder
 
 

@@ -191,6 +191,6 @@ class Walls:
         """Points of a keyframe in the map, but for those where other scans saw free space: people."""
         placed = transform_points(points.points_base, pose)
         cells = self.grid.cells_of(placed)
-        inside = ((cells >= 0) & (cells < self.grid.log_odds.shape)).all(axis=1)
+        inside = ((cells >= 0) & (cells < self.grid.shape)).all(axis=1)
         placed, cells = placed[inside], cells[inside]
         return placed[self.grid.states()[cells[:, 0], cells[:, 1]] != FREE]

@@ -83,7 +83,7 @@ def join(
     factors = [replace(factor, kept=bool(keep)) for factor, keep in zip(factors, kept, strict=True)]
     joined = [factor for factor in factors if factor.edge.loop is not None and factor.edge.loop >= own_loops]
     scans = [*known.scans, *session.scans]
-    grid = grid_of_keyframes(scans, poses, config.grid)
+    grid = grid_of_keyframes(scans, poses, config)
     before = _rows(known)
     return JoinedMap(
         MapContents(

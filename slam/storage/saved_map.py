@@ -14,10 +14,12 @@ import numpy as np
 from slam.config import Config
 from slam.errors import MapFileError
 from slam.graph.loop_closure import LoopCandidate
+from slam.mapping.keyframe_grid import layers_of_grids
+from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Pose, Trajectory
 from slam.storage.map_clouds import MapClouds
-from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor, read_contents
+from slam.storage.map_contents import DEPTH, OCCUPANCY, MapContents, SavedFactor, read_contents
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
 from slam.storage.map_identity import MapIdentity
@@ -86,8 +88,13 @@ class SavedMap:
 
     @property
     def grid(self) -> OccupancyGrid | None:
-        """The occupancy grid; None of a camera alone."""
+        """The lidar's grid, which other scans are matched to; None of cameras alone."""
         return self.contents.grids.get(OCCUPANCY)
+
+    @property
+    def layers(self) -> LayeredMap | None:
+        """The map to drive by and its layers, those of the run that saved it; None of a camera in space."""
+        return layers_of_grids(self.grid, self.contents.grids.get(DEPTH), self.config)
 
     @property
     def trajectory(self) -> Trajectory:
