@@ -10,9 +10,10 @@ import numpy as np
 
 from slam.config import Config
 from slam.localization.body import Measured
-from slam.localization.cloud_hypotheses import CloudHypotheses, CloudHypothesis
+from slam.localization.cloud_hypotheses import CloudHypotheses
 from slam.localization.cloud_match import CloudMatcher, CloudView
 from slam.localization.cloud_motion import CloudMotion, CloudStep
+from slam.localization.evidence import Hypothesis
 from slam.localization.known_clouds import KnownClouds
 from slam.localization.loss_test import LossTest
 from slam.localization.output import LocalizerOutput, PoseHypothesis, RecoveredPose, State
@@ -108,7 +109,9 @@ class CloudLocalizer:
             return math.nan, ()
         return self._found(winner, step)
 
-    def _found(self, winner: CloudHypothesis, step: CloudStep) -> tuple[float, tuple[RecoveredPose, ...]]:
+    def _found(
+        self, winner: Hypothesis[gtsam.Pose3], step: CloudStep
+    ) -> tuple[float, tuple[RecoveredPose, ...]]:
         """Begin to track a hypothesis; the way up to here becomes known."""
         self._state = State.TRACKING
         covariance = np.diag(_FOUND_SIGMAS**2) if winner.motion is None else winner.motion.covariance

@@ -9,7 +9,8 @@ import numpy as np
 
 from slam.config import Config
 from slam.localization.body import Body, Measured
-from slam.localization.hypotheses import Hypothesis, HypothesisSet
+from slam.localization.evidence import Hypothesis
+from slam.localization.hypotheses import HypothesisSet
 from slam.localization.known_map import KnownMap, Walls
 from slam.localization.loss_test import LossTest
 from slam.localization.map_match import MapMatcher
@@ -152,7 +153,9 @@ class PlanarLocalizer:
             return math.nan, ()
         return self._found(winner, step)
 
-    def _found(self, winner: Hypothesis, step: OdometryStep) -> tuple[float, tuple[RecoveredPose, ...]]:
+    def _found(
+        self, winner: Hypothesis[FloatArray], step: OdometryStep
+    ) -> tuple[float, tuple[RecoveredPose, ...]]:
         """Begin to track a hypothesis; the way up to here becomes known."""
         self._state = State.TRACKING
         covariance = np.diag(_FOUND_SIGMAS**2) if winner.motion is None else winner.motion.covariance
