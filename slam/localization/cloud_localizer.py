@@ -17,15 +17,13 @@ from slam.localization.evidence import Hypothesis
 from slam.localization.known_clouds import KnownClouds
 from slam.localization.loss_test import LossTest
 from slam.localization.output import LocalizerOutput, PoseHypothesis, RecoveredPose, State
-from slam.localization.pose_smoother import PoseSmoother, squared_sigmas, within
+from slam.localization.pose_smoother import PoseSmoother, squared_sigmas
 from slam.localization.whole_map_field import WholeMapField
 from slam.matching.cloud_points import at_middle_of_turn
 from slam.measurements import MotionEstimate, PointCloud, WheelOdometry
 
 # Sigmas of a pose that was found where nothing could be aligned, radians and metres.
 _FOUND_SIGMAS = np.array([0.02, 0.02, 0.05, 0.1, 0.1, 0.05])
-# Dead reckoning is right while it is off by less than this.
-_RIGHT_M = 0.25
 # Less than this, and the pose is rather wrong.
 _DOUBT = 0.5
 # Hypotheses that are told.
@@ -137,7 +135,7 @@ class CloudLocalizer:
         tracking = self._state is State.TRACKING
         confidence = self._loss.confidence if tracking else float(probabilities.max(initial=0.0))
         if tracking and self._smoother is not None:
-            confidence *= within(_RIGHT_M, self._smoother.sigma_m)
+            confidence *= self._smoother.trust
         doubted = tracking and self._loss.confidence < _DOUBT
         told = [] if tracking else np.argsort(-probabilities, kind="stable")[:_TOLD].tolist()
         known = None if self._smoother is None else self._smoother.newest
