@@ -104,11 +104,11 @@ def denoise(
         return _unchanged(scan, images)
     if len(matrices) != len(images):
         raise ValueError(f"{len(images)} images for {len(matrices)} registered cameras")
-    seen = [
-        (image, _view(image, registration), matrix)
-        for image, matrix in zip(images, matrices, strict=True)
+    seen = {
+        camera: (_view(images[camera], registration), matrix)
+        for camera, matrix in enumerate(matrices)
         if matrix is not None
-    ]
+    }
     return _repair(scan, images, seen, eps_over_e)
 
 
@@ -145,17 +145,17 @@ def matched_points(lidar: Curve, camera: Curve, yaw_rad: float) -> tuple[FloatAr
 def _repair(
     scan: LidarCurve,
     images: tuple[DepthImage, ...],
-    seen: list[tuple[DepthImage, ImageView, FloatArray]],
+    seen: dict[int, tuple[ImageView, FloatArray]],
     eps_over_e: float,
 ) -> Denoised:
-    """Carry, compare, decide; the beams counter-clockwise."""
+    """Carry, compare, decide; the beams counter-clockwise. ``seen`` is by the index of the image."""
     ranges = scan.valid_ranges_m()
     flip, step = scan.step_rad < 0.0, abs(scan.step_rad)
     own = ranges[::-1].copy() if flip else ranges
     start = scan.start_angle_rad + (scan.step_rad * (own.size - 1) if flip else 0.0)
     other = np.full(own.size, np.nan, dtype=np.float32)
     noise = []
-    for _, view, matrix in seen:
+    for view, matrix in seen.values():
         carried, rough = _seen_by_lidar(view.curve, matrix, (start, step, own.size))
         np.fmin(other, carried, out=other)
         noise.append(rough)
@@ -169,13 +169,10 @@ def _repair(
     repaired, source = repair_lidar(own, other, share, burr, gap, trust)
     calm(repaired, steady, source, mine)
     untouched = _unchanged(scan, images)
-    repaired_images = dict(
-        zip(map(id, images), zip(untouched.depth_m, untouched.depth_source, strict=True), strict=True)
-    )
-    for image, view, matrix in seen:
-        _repair_image(
-            *repaired_images[id(image)], image.range_max_m, view, matrix, steady, (start, step), share
-        )
+    for camera, (view, matrix) in seen.items():
+        depth, marks = untouched.depth_m[camera], untouched.depth_source[camera]
+        range_max_m = images[camera].range_max_m
+        _repair_image(depth, marks, range_max_m, view, matrix, steady, (start, step), share)
     result = np.array(scan.ranges_m, dtype=np.float32)
     if flip:
         repaired, source = repaired[::-1], source[::-1]

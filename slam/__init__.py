@@ -1,8 +1,16 @@
 """Scanweave: offline SLAM from lidar and RGB-D logs.
 
-What programs use is found here, and loaded when it is first asked for: `open_dataset` reads a log,
-`load_map` a saved map, `Localizer` finds and follows a robot in one, measurement by measurement;
-`examples/localize_step_by_step.py` shows them at work. The command line is ``scanweave``.
+What programs use is found here, and loaded when it is first asked for. `map_log` maps a log, `build_map`
+measurements of your own; `load_map` opens a saved map, `join` adds a log to it, `localize_log` follows a log
+in it, `Localizer` a robot, measurement by measurement; `evaluate` scores a trajectory. The command line,
+``scanweave``, is a thin shell over the same.
+
+Examples
+--------
+>>> import slam
+>>> house = slam.map_log("monday.log", out="house/")  # doctest: +SKIP
+>>> house.trajectory.positions_m, house.grid.states(), house.loops  # doctest: +SKIP
+>>> slam.localize_log(house, "tuesday.log").trajectory  # doctest: +SKIP
 """
 
 from __future__ import annotations
@@ -11,6 +19,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from slam.app.joining import join as join
+    from slam.app.localizing import Localization as Localization
+    from slam.app.localizing import localize_log as localize_log
+    from slam.app.mapping import build_map as build_map
+    from slam.app.mapping import map_log as map_log
+    from slam.app.progress import Progress as Progress
     from slam.config import Config as Config
     from slam.config import load_config as load_config
     from slam.datasets import open_dataset as open_dataset
@@ -22,6 +36,7 @@ if TYPE_CHECKING:
     from slam.measurements import LaserScan as LaserScan
     from slam.measurements import PointCloud as PointCloud
     from slam.measurements import RgbdFrame as RgbdFrame
+    from slam.measurements import Trajectory as Trajectory
     from slam.measurements import WheelOdometry as WheelOdometry
     from slam.storage.saved_map import SavedMap as SavedMap
     from slam.storage.saved_map import open_saved_map
@@ -32,16 +47,23 @@ _HOMES = {
     "CameraIntrinsics": ("slam.measurements", "CameraIntrinsics"),
     "Config": ("slam.config", "Config"),
     "LaserScan": ("slam.measurements", "LaserScan"),
+    "Localization": ("slam.app.localizing", "Localization"),
     "Localizer": ("slam.localization.localizer", "Localizer"),
     "LocalizerOutput": ("slam.localization.output", "LocalizerOutput"),
     "PointCloud": ("slam.measurements", "PointCloud"),
+    "Progress": ("slam.app.progress", "Progress"),
     "RgbdFrame": ("slam.measurements", "RgbdFrame"),
     "SavedMap": ("slam.storage.saved_map", "SavedMap"),
     "ScanweaveError": ("slam.errors", "ScanweaveError"),
     "State": ("slam.localization.output", "State"),
+    "Trajectory": ("slam.measurements", "Trajectory"),
     "WheelOdometry": ("slam.measurements", "WheelOdometry"),
+    "build_map": ("slam.app.mapping", "build_map"),
+    "join": ("slam.app.joining", "join"),
     "load_config": ("slam.config", "load_config"),
     "load_map": ("slam.storage.saved_map", "open_saved_map"),
+    "localize_log": ("slam.app.localizing", "localize_log"),
+    "map_log": ("slam.app.mapping", "map_log"),
     "open_dataset": ("slam.datasets", "open_dataset"),
 }
 

@@ -20,7 +20,6 @@ from pydantic_core import ErrorDetails
 from slam.config_clouds import CloudLoopConfig, CloudMapConfig, CloudOdometryConfig
 from slam.config_localization import CloudLocalizationConfig, LocalizationConfig
 from slam.config_stages import (
-    BundleConfig,
     DenseMapConfig,
     FusionConfig,
     GraphConfig,
@@ -59,7 +58,6 @@ class Config(StrictModel):
     wheels: WheelConfig = WheelConfig()
     rgbd: RgbdConfig = RgbdConfig()
     rgbd_odometry: RgbdOdometryConfig = RgbdOdometryConfig()
-    bundle: BundleConfig = BundleConfig()
     visual_loops: VisualLoopConfig = VisualLoopConfig()
     keyframes: KeyframeConfig = KeyframeConfig()
     loops: LoopConfig = LoopConfig()

@@ -187,19 +187,22 @@ class GraphConfig(StrictModel):
 
 
 class GridConfig(StrictModel):
-    """The occupancy grid that is saved."""
+    """The cells of every map, and what a beam of the lidar tells of them."""
 
     resolution_m: float = Field(default=0.05, gt=0, le=1, description="side of a cell")
     hit_probability: float = Field(default=0.7, gt=0.5, lt=1, description="p of a cell that a beam ends in")
     miss_probability: float = Field(default=0.4, gt=0, lt=0.5, description="p of a cell a beam passes")
-    hit_range_m: float = Field(default=40.0, gt=0, description="a return from farther marks nothing")
+    hit_range_m: float = Field(
+        default=40.0, gt=0, le=10_000, description="a return from farther marks nothing"
+    )
     clear_range_m: float = Field(
         default=8.0,
         ge=0,
+        le=10_000,
         description="a beam without return clears so far: black things return nothing too",
     )
     greatest_cells: int = Field(
-        default=64_000_000, ge=1, description="limit of the map's size, 5 bytes a cell"
+        default=64_000_000, ge=1, description="limit of the map's size, against a lost pose"
     )
 
 
@@ -304,19 +307,6 @@ class DenseMapConfig(StrictModel):
     farthest_m: float = Field(default=4.0, gt=0, description="farther depth readings are left out")
     octomap: bool = Field(default=False, description="write an OctoMap too; wants scanweave[octomap]")
     octomap_cell_m: float = Field(default=0.05, gt=0, description="side of its smallest cell")
-
-
-class BundleConfig(StrictModel):
-    """Bundle adjustment of the latest camera keyframes."""
-
-    enabled: bool = Field(
-        default=False,
-        description="adjust at every keyframe; matching to several keyframes at once measured better",
-    )
-    keyframes: int = Field(default=7, ge=2, description="keyframes of the window")
-    linked: int = Field(default=3, ge=1, description="keyframes whose features a new one is matched to")
-    landmarks: int = Field(default=300, ge=20, description="landmarks at most")
-    gate_px: float = Field(default=4.0, gt=0, description="reprojection error of a match that is believed")
 
 
 class FusionConfig(StrictModel):

@@ -15,10 +15,11 @@ from slam.errors import ScanweaveError
 from slam.localization.output import LocalizerOutput
 from slam.map_result import MapResult
 from slam.mapping.keyframe_grid import grid_of_keyframes
-from slam.mapping.layered_map import LAYERS, LayeredMap
+from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.matching.local_cloud import moved
-from slam.measurements import FloatArray, LaserScan, Measurement, PointCloud, Pose
+from slam.matching.planar import transform_points
+from slam.measurements import FloatArray, LaserScan, Measurement, PointCloud, Pose, row_from_pose2
 from slam.viewer import Viewer
 from slam.vision.prepared_frame import PreparedFrame
 
@@ -42,11 +43,9 @@ def record_map(viewer: Viewer, result: MapResult, layers: LayeredMap | None, con
     _record_keyframes(viewer, result, poses, positions_m)
     _record_images(viewer, result)
     _record_grids(viewer, result, config)
-    for layer in LAYERS if layers is not None else ():
-        assert layers is not None
-        if (layer == "lidar" and layers.lidar is None) or (layer == "depth" and layers.depth is None):
-            continue
-        viewer.grid(f"{layer} layer", layers.states(layer), layers.resolution_m, layers.T_map_grid)
+    if layers is not None:
+        for name in layers.names:
+            viewer.grid(f"{name} layer", layers.states(name), layers.resolution_m, layers.T_map_grid)
 
 
 def record_localization(
@@ -58,22 +57,13 @@ def record_localization(
     if output.pose is not None:
         viewer.pose(output.pose)
     if isinstance(measurement, LaserScan) and isinstance(output.pose, gtsam.Pose2):
-        viewer.scan(scan_points(measurement, output.pose))
+        viewer.scan(_scan_points(measurement, output.pose))
     elif isinstance(measurement, PointCloud) and isinstance(output.pose, gtsam.Pose3):
         T_map_lidar = output.pose.compose(measurement.T_base_lidar)
         viewer.scan(moved(measurement.points_lidar.astype(np.float64), T_map_lidar))
     elif isinstance(measurement, PreparedFrame):
         frame = measurement.frame
         viewer.image(frame.sensor, frame.color, frame.depth_m)
-
-
-def scan_points(scan: LaserScan, T_map_base: gtsam.Pose2) -> FloatArray:
-    """(N, 2) points of the beams that met something, map frame."""
-    ranges = scan.ranges_m.astype(np.float64)
-    met = np.isfinite(ranges) & (ranges > 0.0) & (ranges < scan.range_max_m)
-    pose, bearings = T_map_base.compose(scan.T_base_laser), scan.bearings_rad()[met]
-    around = bearings + pose.theta()
-    return np.column_stack([pose.x() + ranges[met] * np.cos(around), pose.y() + ranges[met] * np.sin(around)])
 
 
 def _record_keyframes(
@@ -91,7 +81,7 @@ def _record_keyframes(
         viewer.pose(pose)
         scan = result.keyframe_scans[key] if key < len(result.keyframe_scans) else None
         if scan is not None and isinstance(pose, gtsam.Pose2):
-            viewer.scan(scan_points(scan, pose))
+            viewer.scan(_scan_points(scan, pose))
         if np.isfinite(shares[key]):
             viewer.figure("inlier share", float(shares[key]))
         loops = met.get(key, [])
@@ -117,7 +107,7 @@ def _record_grids(viewer: Viewer, result: MapResult, config: Config) -> None:
     count = len(result.keyframe_scans)
     for end in np.unique(np.linspace(1, count, _GRIDS + 1).astype(int))[:-1]:
         try:
-            grid = grid_of_keyframes(result.keyframe_scans[:end], result.keyframe_poses[:end], config.grid)
+            grid = grid_of_keyframes(result.keyframe_scans[:end], result.keyframe_poses[:end], config)
         except ScanweaveError:
             continue  # the whole one fitted, this one has no beam
         if grid is not None:
@@ -129,6 +119,11 @@ def _show(viewer: Viewer, stamp_s: float, grid: OccupancyGrid) -> None:
     """The grid at a moment."""
     viewer.at(stamp_s)
     viewer.grid("occupancy", grid.states(), grid.resolution_m, grid.T_map_grid)
+
+
+def _scan_points(scan: LaserScan, T_map_base: gtsam.Pose2) -> FloatArray:
+    """(N, 2) points of a scan, map frame."""
+    return transform_points(scan.points_laser(), row_from_pose2(T_map_base.compose(scan.T_base_laser)))
 
 
 def _position(pose: Pose) -> FloatArray:

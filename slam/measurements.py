@@ -53,6 +53,13 @@ class LaserScan:
         """Bearing of every beam in the laser frame, (N,)."""
         return self.start_angle_rad + self.step_rad * np.arange(self.ranges_m.size, dtype=np.float64)
 
+    def points_laser(self) -> FloatArray:
+        """(N, 2) points of the beams that met something, laser frame."""
+        ranges = self.ranges_m.astype(np.float64)
+        met = np.isfinite(ranges) & (ranges > 0.0) & (ranges < self.range_max_m)
+        bearings = self.bearings_rad()[met]
+        return np.column_stack([ranges[met] * np.cos(bearings), ranges[met] * np.sin(bearings)])
+
 
 @dataclass(frozen=True, slots=True)
 class WheelOdometry:

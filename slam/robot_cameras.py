@@ -19,6 +19,7 @@ from slam.odometry.camera_track import CameraPose
 from slam.scan_record import CameraRecord, ScanRecorder
 from slam.vision.camera_frame import T_BODY_CAMERA
 from slam.vision.color_registration import ColorRegistration
+from slam.vision.learned_camera import LearnedCamera
 from slam.vision.planar_motion import PlanarMotion, planar_motion
 from slam.vision.prepared_frame import PreparedFrame
 
@@ -237,7 +238,16 @@ class RobotCameras:
         """What became of every camera's frames, for the report."""
         return {
             name: CameraRecord(
-                camera.record.finish(), camera.steps, camera.refused_steps, registrations.get(name)
+                camera.record.finish(),
+                camera.steps,
+                camera.refused_steps,
+                LearnedCamera(
+                    registrations.get(name),
+                    camera.T_base_camera,
+                    camera.learner is not None or name in self.mountings,
+                    camera.clock.offset_s,
+                    camera.clock.sigma_s,
+                ),
             )
             for name, camera in self.cameras.items()
         }

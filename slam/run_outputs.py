@@ -14,25 +14,26 @@ from slam.map_result import DenseKeyframes, MappedClouds, MapResult
 from slam.mapping.cloud_map import map_cloud
 from slam.mapping.dense_map import DenseMapSettings, fuse_keyframes
 from slam.mapping.layered_map import LayeredMap
-from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.matching.local_cloud import moved
 from slam.storage.files import make_folder
 from slam.storage.g2o import G2oEdge, G2oGraph, write_g2o
-from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor
-from slam.storage.nav2 import write_nav2_map
+from slam.storage.map_contents import DEPTH, OCCUPANCY, MapContents, SavedFactor
+from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers
 from slam.storage.octomap import write_octomap, write_octree
 from slam.storage.ply import write_cloud_ply, write_mesh_ply
 from slam.storage.saved_map import SavedMap
 from slam.storage.tum import write_tum
 
 
-def save_run(folder: Path, result: MapResult) -> list[Path]:
-    """Write ``trajectory.tum``, ``graph.g2o``, and with a grid ``map.yaml`` and ``map.pgm``.
+def save_run(folder: Path, result: MapResult, layers: LayeredMap | None) -> list[Path]:
+    """Write ``trajectory.tum``, ``graph.g2o``, and of a floor ``map.yaml``, ``map.pgm`` and ``layers/``.
 
     Parameters
     ----------
     folder
         Must exist; files of an earlier run are replaced one by one.
+    layers
+        The map of the floor; None of a camera in space.
 
     Returns
     -------
@@ -47,8 +48,9 @@ def save_run(folder: Path, result: MapResult) -> list[Path]:
     write_tum(trajectory, result.trajectory)
     save_g2o(graph, contents_of(result))
     written = [trajectory, graph]
-    if result.grid is not None:
-        written += write_nav2_map(folder / "map", result.grid)
+    if layers is not None:
+        written += write_driving_map(folder / Path(MAP_YAML).stem, layers)
+        written += write_layers(folder / "layers", layers)
     return written
 
 
@@ -156,10 +158,8 @@ def save_g2o(path: Path, contents: MapContents) -> None:
 def contents_of(result: MapResult, layers: LayeredMap | None = None) -> MapContents:
     """A finished map as it is saved."""
     grids = {} if result.grid is None else {OCCUPANCY: result.grid}
-    if layers is not None:
-        grids.update(layer_grids(layers))
-    # An accepted loop's covariance is the very array of its candidate.
-    loops = {id(loop.motion.covariance): n for n, loop in enumerate(result.loops) if loop.motion is not None}
+    if layers is not None and layers.depth is not None:
+        grids[DEPTH] = layers.depth
     return MapContents(
         node_poses=[result.graph.pose(node) for node in range(len(result.graph))],
         stamps_s=result.scans.stamps_s[result.keyframe_numbers],
@@ -167,23 +167,14 @@ def contents_of(result: MapResult, layers: LayeredMap | None = None) -> MapConte
         measured_scans=result.measured_scans,
         scans=result.keyframe_scans,
         factors=[
-            SavedFactor(edge, bool(kept), loops.get(id(edge.covariance)))
+            SavedFactor(edge, bool(kept))
             for edge, kept in zip(result.graph.edges, result.edges_kept, strict=True)
         ],
         loops=result.loops,
         trajectory=result.trajectory,
         grids=grids,
+        cameras={name: record.learned for name, record in result.cameras.items()},
     )
-
-
-def layer_grids(layers: LayeredMap) -> dict[str, OccupancyGrid]:
-    """The layers that there are, by the names under which they are saved."""
-    grids = {}
-    if layers.lidar is not None:
-        grids["lidar layer"] = layers.grid("lidar")
-    if layers.depth is not None:
-        grids["depth layer"] = layers.grid("depth")
-    return grids
 
 
 def export_map(saved: SavedMap, format_: str, out: Path) -> list[Path]:
@@ -192,7 +183,7 @@ def export_map(saved: SavedMap, format_: str, out: Path) -> list[Path]:
     Parameters
     ----------
     format_
-        nav2, tum, g2o, ply or bt.
+        nav2 (the map to drive by), tum, g2o, ply or bt.
     out
         The file, or a folder (what is one, or has no ending) for the names that `save_run` uses. Of nav2 it
         is the yaml, of ply the mesh of the images or, without any, the cloud of the 3D lidar; what belongs to
@@ -208,23 +199,25 @@ def export_map(saved: SavedMap, format_: str, out: Path) -> list[Path]:
         Where the map does not hold what the format needs, or a file cannot be written.
     """
     usual = {
-        "nav2": "map.yaml",
+        "nav2": MAP_YAML,
         "tum": "trajectory.tum",
         "g2o": "graph.g2o",
         "ply": "mesh.ply" if len(saved.frames) or not len(saved.clouds) else "cloud.ply",
         "bt": "map.bt",
     }
+    lacking = ""
+    if format_ == "nav2" and saved.layers is None:
+        lacking = "grid"
+    elif format_ in ("ply", "bt") and not len(saved.frames) + len(saved.clouds):
+        lacking = "image or cloud"
+    if lacking:
+        raise ScanweaveError(f"{saved.path} holds no {lacking}, so there is nothing to write as {format_}")
     if out.is_dir() or not out.suffix:
         make_folder(out)
         out = out / usual[format_]
-    seen = len(saved.frames) + len(saved.clouds) > 0
-    needs = {"nav2": saved.grid is not None, "ply": seen, "bt": seen}
-    if not needs.get(format_, True):
-        lacking = "grid" if format_ == "nav2" else "image or cloud"
-        raise ScanweaveError(f"{saved.path} holds no {lacking}, so there is nothing to write as {format_}")
     if format_ == "nav2":
-        assert saved.grid is not None
-        return list(write_nav2_map(out.with_suffix(""), saved.grid))
+        assert saved.layers is not None
+        return list(write_driving_map(out.with_suffix(""), saved.layers))
     if format_ == "ply":
         return _export_ply(saved, out)
     if format_ == "bt":

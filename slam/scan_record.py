@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
 from slam.measurements import BoolArray, FloatArray, MotionEstimate
-from slam.vision.color_registration import ColorRegistration
+from slam.vision.learned_camera import LearnedCamera
 from slam.vision.visual_match import VisualMatch
 
 
@@ -56,14 +56,14 @@ class CameraRecord:
         Every frame.
     motions, refused_motions
         How many motions a robot's camera told, and how many of them were refused because they left the floor.
-    registration
-        Where the colour camera sits, or why it was taken as registered; None where that was not asked.
+    learned
+        Where the camera and its colour camera sit, and its clock.
     """
 
     frames: ScanRecord
     motions: int = 0
     refused_motions: int = 0
-    registration: ColorRegistration | None = None
+    learned: LearnedCamera = field(default_factory=LearnedCamera)
 
 
 class ScanRecorder:

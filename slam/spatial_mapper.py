@@ -15,16 +15,16 @@ from slam.graph.visual_loops import VisualLoopCloser
 from slam.journal import Journal
 from slam.keyframe_store import KeyframeStore, registration_notes
 from slam.map_result import DenseKeyframes, MapResult
-from slam.measurements import FloatArray, LaserScan, PointCloud, WheelOdometry
+from slam.measurements import LaserScan, PointCloud, WheelOdometry
 from slam.mount_learner import LearnedMounting
 from slam.odometry.rgbd_odometry import make_rgbd_odometry
 from slam.odometry.rgbd_tracker import RgbdTracker, TrackedFrame
 from slam.scan_record import CameraRecord, ScanRecorder
-from slam.sliding_window import SlidingWindow
 from slam.spatial_trajectory import FramePoses
 from slam.vision.camera_frame import T_BODY_CAMERA
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.frame_matcher import FrameMatcher
+from slam.vision.learned_camera import LearnedCamera
 from slam.vision.prepared_frame import PreparedFrame
 
 
@@ -43,7 +43,6 @@ class SpatialMapper:
         cached = config.visual_loops.keyframes_cached
         self._store = KeyframeStore(config.rgbd, cached, journal.spool())
         self._closer = VisualLoopCloser(config.visual_loops, matcher, self._store, config.seed, journal)
-        self._window = SlidingWindow(config.bundle, config.rgbd_odometry, journal)
         self._graph: SpatialGraph | None = None
         self._frames = FramePoses()
         self._record = ScanRecorder()
@@ -125,7 +124,10 @@ class SpatialMapper:
             notes=registration_notes(self._registrations),
             dense=DenseKeyframes(self._store.images, cameras),
             cameras={
-                self._camera: CameraRecord(scans, registration=self._registrations.get(self._camera)),
+                self._camera: CameraRecord(
+                    scans,
+                    learned=LearnedCamera(self._registrations.get(self._camera), self._T_base_camera),
+                ),
             },
         )
 
@@ -135,27 +137,14 @@ class SpatialMapper:
             self._T_base_camera = frame.frame.T_base_camera
             origin = T_BODY_CAMERA if self._T_base_camera is None else self._T_base_camera
             self._graph = SpatialGraph(origin, self._config.graph)
-            self._window.add(frame, tracked.pose)
         else:
-            step, covariance = self._step(frame, tracked, self._last_keyframe)
-            self._graph.add_keyframe(step, covariance)
+            covariance = None if tracked.match is None else tracked.match.motion.covariance
+            self._graph.add_keyframe(self._last_keyframe.between(tracked.pose), covariance)
         self._tracker.add_keyframe(frame, tracked)
         self._frames.mark_keyframe()
         self._closer.add_keyframe(frame, adrift=tracked.restarted)
         self._last_keyframe = tracked.pose
         return self._graph, self._store.add(frame, self._registrations.get(frame.frame.sensor))
-
-    def _step(
-        self, frame: PreparedFrame, tracked: TrackedFrame, last: gtsam.Pose3
-    ) -> tuple[gtsam.Pose3, FloatArray | None]:
-        """Motion from the last keyframe: by the window of landmarks where it tells, else as tracked."""
-        if tracked.match is None:
-            self._window.restart()
-        adjusted = self._window.add(frame, tracked.pose) if self._config.bundle.enabled else None
-        if adjusted is not None:
-            return adjusted.T_previous_newest, adjusted.covariance
-        covariance = None if tracked.match is None else tracked.match.motion.covariance
-        return last.between(tracked.pose), covariance
 
 
 def _planar(pose: gtsam.Pose3) -> list[float]:

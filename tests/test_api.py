@@ -11,14 +11,7 @@ import numpy as np
 import pytest
 
 import slam
-from slam.config import load_config
-from slam.journal import Journal
-from slam.pipeline import build_map
-from slam.run_outputs import contents_of
 from slam.simulation.synthetic_log import SyntheticLog, write_synthetic_log
-from slam.storage.map_contents import write_contents
-from slam.storage.map_file import MapFile
-from slam.storage.map_identity import identity_of
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "localize_step_by_step.py"
 
@@ -28,12 +21,8 @@ def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small saved map."""
     folder = tmp_path_factory.mktemp("house")
     log = write_synthetic_log(folder / "log", seed=1, duration_s=24.0).log_path
-    file = MapFile.create(folder / "map.db")
-    for key, value in identity_of(log, load_config()).to_meta().items():
-        file.add_meta(key, value)
-    write_contents(file, contents_of(build_map(slam.open_dataset(log), load_config(), journal=Journal(file))))
-    file.seal()
-    return folder
+    slam.map_log(log, out=folder / "map").close()
+    return folder / "map"
 
 
 @pytest.fixture(scope="module")

@@ -84,6 +84,19 @@ class TestEvaluate:
         assert scores["ate"]["translation_m"]["max"] < 1e-9
         assert scores["rpe"]["rotation_rad"]["max"] < 1e-6
 
+    def test_a_drive_shorter_than_delta_has_its_ate(self, scanweave: Scanweave, tmp_path: Path) -> None:
+        truth, off = tmp_path / "truth.tum", tmp_path / "off.tum"
+        for file, y in ((truth, 0.1), (off, 0.2)):
+            poses = ((0.0, 0.0), (0.3, 0.0), (0.3, y), (0.6, y))
+            file.write_text("".join(f"{n}.0 {x} {y} 0 0 0 0 1\n" for n, (x, y) in enumerate(poses)))
+        arguments = ["evaluate", off, "--groundtruth", truth]
+        outcome = scanweave(*arguments, "--json")
+        assert (outcome.code, outcome.err) == (0, "")
+        scores = json.loads(outcome.out)
+        assert 0.01 < scores["ate"]["translation_m"]["rmse"] < 0.1
+        assert scores["rpe"] is None
+        assert "rpe: none: the drive is shorter than delta" in scanweave(*arguments).out
+
     @pytest.mark.parametrize("option", ["--relations", "--groundtruth"])
     def test_files_that_are_none(
         self, scanweave: Scanweave, mapped: Path, tmp_path: Path, option: str
@@ -204,7 +217,7 @@ def test_an_interrupt_waits_for_the_scan_to_end(
         on_scan(2)
         seen.append(2)
 
-    monkeypatch.setattr("slam.pipeline.build_map", build)
+    monkeypatch.setattr("slam.app.map_run.build_map", build)
     handler = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         outcome = scanweave("map", log.log_path, "-o", tmp_path)
@@ -219,12 +232,12 @@ def test_an_interrupt_waits_for_the_scan_to_end(
 _ANNOUNCED = """
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)
-import slam.cli, slam.pipeline
-build_map = slam.pipeline.build_map
+import slam.cli, slam.app.map_run
+build_map = slam.app.map_run.build_map
 def announced(*arguments):
     print("mapping", flush=True)
     return build_map(*arguments)
-slam.pipeline.build_map = announced
+slam.app.map_run.build_map = announced
 sys.argv[0] = "scanweave"
 slam.cli.main()
 """

@@ -94,7 +94,8 @@ def test_without_the_camera_nothing_else_changes(log: Log, mapped: MapResult) ->
     alone = build_map(log, load_config(None, [*SETTINGS, "sensors.rgbd=false"]))  # type: ignore[arg-type]
     assert alone.dense is None and not alone.cameras
     np.testing.assert_array_equal(alone.trajectory.positions_m, mapped.trajectory.positions_m)
-    assert layers_of(alone, load_config(None, SETTINGS)) is None
+    layers = layers_of(alone, load_config(None, SETTINGS))
+    assert layers is not None and layers.lidar is alone.grid and layers.depth is None
 
 
 def test_the_camera_tells_the_step_where_the_lidar_is_lost() -> None:

@@ -164,7 +164,9 @@ class TestExport:
     def test_what_is_not_there(
         self, scanweave: Scanweave, lidar_map: Path, camera_map: Path, tmp_path: Path
     ) -> None:
-        assert "holds no image" in scanweave("export", lidar_map, "--format", "ply", "-o", tmp_path).error()
+        none = tmp_path / "none"
+        assert "holds no image" in scanweave("export", lidar_map, "--format", "ply", "-o", none).error()
+        assert not none.exists()
         assert "holds no grid" in scanweave("export", camera_map, "--format", "nav2", "-o", tmp_path).error()
         assert scanweave("export", lidar_map, "--format", "png", "-o", tmp_path).code == 2
         (tmp_path / "file").write_text("mine")

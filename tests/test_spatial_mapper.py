@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from room_world import LESS, Room, blind, furnished, render, turning_walk, write_tum_folder
 
-from slam.config import load_config
+from slam.config import Config, load_config
 from slam.config_stages import DenseMapConfig
 from slam.datasets import open_dataset
 from slam.errors import DatasetError
 from slam.evaluation.trajectory_error import absolute_error
 from slam.graph.pose_graph import EdgeKind
+from slam.layer_outputs import layers_of
 from slam.map_result import MapResult
 from slam.measurements import RgbdFrame
 from slam.pipeline import build_map
@@ -103,7 +104,7 @@ def test_the_same_log_and_seed_give_the_same_bytes(mapped: MapResult, log: Path,
     folders = [tmp_path / "one", tmp_path / "two"]
     for folder, result in zip(folders, (mapped, run(log)), strict=True):
         folder.mkdir()
-        save_run(folder, result)
+        save_run(folder, result, layers_of(result, Config()))
         save_dense(folder, result, DenseMapConfig())
     for name in ("trajectory.tum", "graph.g2o", "mesh.ply", "cloud.ply"):
         one, two = ((folder / name).read_bytes() for folder in folders)

@@ -11,7 +11,8 @@ import pytest
 from command_line import Scanweave, assert_one_line_error, log, mapped, scanweave
 
 from slam.errors import ScanweaveError
-from slam.map_recording import scan_points
+from slam.localization.output import LocalizerOutput, State
+from slam.map_recording import record_localization
 from slam.measurements import LaserScan
 from slam.simulation.synthetic_log import SyntheticLog
 from slam.viewer import NullViewer, RerunViewer, recording
@@ -41,8 +42,12 @@ def test_nothing_is_shown_without_a_path(tmp_path: Path) -> None:
 def test_points_of_a_scan_lie_where_the_laser_stood() -> None:
     ranges = np.array([1.0, np.inf, 2.0, np.nan, 90.0], dtype=np.float32)
     scan = LaserScan(0.0, ranges, 0.0, np.pi / 4.0, 80.0, gtsam.Pose2(0.5, 0.0, 0.0))
-    points = scan_points(scan, gtsam.Pose2(10.0, 0.0, np.pi / 2.0))
-    np.testing.assert_allclose(points, [[10.0, 1.5], [8.0, 0.5]], atol=1e-9)
+    np.testing.assert_allclose(scan.points_laser(), [[1.0, 0.0], [0.0, 2.0]], atol=1e-9)
+    pose, shown = gtsam.Pose2(10.0, 0.0, np.pi / 2.0), []
+    viewer = NullViewer()
+    viewer.scan = shown.append  # type: ignore[method-assign]
+    record_localization(viewer, scan, LocalizerOutput(0.0, State.TRACKING, pose, None, 1.0, (), 1.0))
+    np.testing.assert_allclose(shown[0], [[10.0, 1.5], [8.0, 0.5]], atol=1e-9)
 
 
 def test_a_map_and_a_localisation_are_recorded(

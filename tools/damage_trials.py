@@ -53,7 +53,7 @@ def content_of(path: Path) -> str:
         digest.update(pack([scans, poses]))
         for factor in contents.factors:
             edge = factor.edge
-            ends = [edge.source, edge.target, edge.kind.value, edge.trusted, factor.kept, factor.loop]
+            ends = [edge.source, edge.target, edge.kind.value, edge.trusted, factor.kept, edge.loop]
             digest.update(pack([ends, edge.T_source_target, edge.covariance]))
         for name, grid in contents.grids.items():
             digest.update(pack([name, grid.log_odds, grid.resolution_m, grid.T_map_grid]))

@@ -23,7 +23,8 @@ from fusion.height_band import HeightBand
 from slam.evaluation.figure_parts import figure_of, png_of
 from slam.evaluation.page_parts import image, paragraph, section, table
 from slam.mapping.dense_map import ColoredCloud, DenseMapSettings, fuse_keyframes
-from slam.mapping.layered_map import LAYERS, LayeredMap, build_layers
+from slam.mapping.layer_builder import build_layers
+from slam.mapping.layered_map import LAYERS, LayeredMap
 from slam.measurements import LaserScan, RgbdFrame
 from slam.simulation.rigs import RIGS
 from slam.simulation.true_grid import true_grid

@@ -80,12 +80,11 @@ def angle_error_deg(run: Run, occupied: Points) -> float:
     return float(np.mean(errors))
 
 
-def completeness(run: Run, built: LayeredMap) -> float:
+def completeness(run: Run, built: LayeredMap, band: HeightBand) -> float:
     """Occupied cells of the map (tau'), over the true ones that can be seen (tau).
 
     True are cells that border on the floor, and the tops of what ends inside the height band.
     """
-    band = built.settings.depth.band
     truth = true_grid(run.home, band.low_m, band.high_m, built.resolution_m)
     above = true_grid(run.home, band.high_m, band.high_m + 0.01, built.resolution_m)
     wanted = to_be_seen(truth, run.home) | (truth.occupied & ~above.occupied)

@@ -2,17 +2,72 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import logging
+from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, TypeVar
 
 import typer
 
+_Command = TypeVar("_Command", bound=Callable[..., None])
+_verbosity = {"quiet": False}
+
+
+def say(text: str) -> None:
+    """Print what a command has to tell, unless only warnings and errors are wanted."""
+    if not _verbosity["quiet"]:
+        print(text)
+
+
+def is_quiet() -> bool:
+    """Whether only warnings and errors are wanted."""
+    return _verbosity["quiet"]
+
+
+def command(name: str | None = None) -> Callable[[_Command], _Command]:
+    """Make a function a command, with the options that every command has wherever they stand in the line."""
+
+    def register(function: _Command) -> _Command:
+        def run(*, verbose: bool, quiet: bool, **given: Any) -> None:
+            _set_verbosity(verbose, quiet)
+            function(**given)
+
+        own = inspect.signature(function, eval_str=True).parameters.values()
+        shared = [
+            inspect.Parameter(one, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=kind)
+            for one, kind in (("verbose", VerboseOption), ("quiet", QuietOption))
+        ]
+        parameters = [*(part.replace(kind=inspect.Parameter.KEYWORD_ONLY) for part in own), *shared]
+        run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        run.__annotations__ = {part.name: part.annotation for part in parameters}
+        run.__name__, run.__doc__ = function.__name__, function.__doc__
+        app.command(name)(run)
+        return function
+
+    return register
+
+
+def _set_verbosity(verbose: bool, quiet: bool) -> None:
+    """What was asked for before or after the command's name."""
+    if verbose:
+        logging.getLogger().setLevel(logging.INFO)
+    _verbosity["quiet"] |= quiet
+
+
+def folder_of(text: str) -> Path:
+    """A folder that results may go to."""
+    if not text:
+        raise typer.BadParameter("give a folder; '.' is the current one")
+    return Path(text)
+
+
 app = typer.Typer(
-    add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     help="Offline SLAM from lidar and RGB-D logs: one trajectory, one map, no ROS.",
 )
 
@@ -23,6 +78,10 @@ LogArgument = Annotated[
         "(simulated, TUM, 7-Scenes, OpenLORIS-Scene, Robot@Home, KITTI, point clouds)"
     ),
 ]
+OutOption = Annotated[
+    Path,
+    typer.Option("--out", "-o", parser=folder_of, help="folder for the results; made where missing"),
+]
 ConfigOption = Annotated[
     str | None, typer.Option("--config", "-c", help="preset name or a YAML file of your own")
 ]
@@ -32,7 +91,8 @@ SetOption = Annotated[
 RecordOption = Annotated[
     Path | None,
     typer.Option(
-        "--record", help="also write a recording for the Rerun viewer here (.rrd); wants scanweave[viewer]"
+        "--record",
+        help="also write a recording for the Rerun viewer here (.rrd); needs the extra 'viewer' of scanweave",
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="JSON instead of text")]
@@ -40,6 +100,8 @@ TopicsOption = Annotated[
     list[str] | None,
     typer.Option("--topics", help="of a bag with several topics of a sort: those to read; with commas"),
 ]
+VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="one line an event, on stderr")]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="warnings and errors alone")]
 StrictOption = Annotated[bool, typer.Option("--strict", help="stop at the first bad record")]
 
 
@@ -56,9 +118,24 @@ def topics_override(option: list[str] | None) -> list[str]:
     return [f"sensors.topics={json.dumps(topics)}"] if topics else []
 
 
+def _show_version(wanted: bool) -> None:
+    """Print the version and stop."""
+    if wanted:
+        print(f"scanweave {version('scanweave')}")
+        raise typer.Exit
+
+
 @app.callback()
-def _logging(
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="one line an event, on stderr")] = False,
+def _before_any_command(
+    show_version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="print the version and stop"),
+    ] = False,
+    verbose: VerboseOption = False,
+    quiet: QuietOption = False,
 ) -> None:
-    """Set up logging before any command."""
-    logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, format="%(message)s")
+    """Set up what is told before any command."""
+    logging.basicConfig(format="%(message)s")
+    logging.getLogger().setLevel(logging.WARNING)
+    _verbosity["quiet"] = False
+    _set_verbosity(verbose, quiet)

@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slam.cli.app import RecordOption, app
+from slam.cli.app import OutOption, RecordOption, command, say
 from slam.errors import ScanweaveError
 
 if TYPE_CHECKING:
     from slam.comparison.perform import Row
 
 
-@app.command()
+@command()
 def compare(
     experiment: Annotated[
         str, typer.Argument(help="experiment file (.yaml), or a ready one: ablation, lidar2d, papers")
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="folder for the results; made where missing")],
+    out: OutOption,
     data: Annotated[
         Path | None,
         typer.Option(
@@ -66,10 +66,10 @@ def compare(
         )
         record_comparison(viewer, done.rows, ResultStore(out))
     lost = [row for row in done.rows if row["status"] != "ok"]
-    print(f"{len(done.rows)} runs, {done.done_now} of them now, {len(lost)} without a result")
+    say(f"{len(done.rows)} runs, {done.done_now} of them now, {len(lost)} without a result")
     evo = sum(path.suffix == ".zip" for path in done.written)
     shown = [str(path) for path in done.written if path.suffix != ".zip"]
-    print("wrote " + ", ".join(shown + ([f"{evo} results for evo in {out / 'evo'}"] if evo else [])))
+    say("wrote " + ", ".join(shown + ([f"{evo} results for evo in {out / 'evo'}"] if evo else [])))
     if done.rows and len(lost) == len(done.rows):
         raise ScanweaveError(f"no run has a result; the first: {lost[0]['reason']}")
 

@@ -4,20 +4,27 @@ from __future__ import annotations
 
 import signal
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import TYPE_CHECKING, Any
+
+from slam.cli.app import is_quiet
+
+if TYPE_CHECKING:
+    from slam.app.progress import Progress
+
+Show = Callable[["Progress"], None]
 
 
 @contextmanager
-def interrupted_between_scans(advance: Callable[[int], None]) -> Iterator[Callable[[int], None]]:
-    """Let Ctrl-C wait for the end of a scan: in compiled code it surfaces as some other error.
+def interruptible(show: Show) -> Iterator[Show]:
+    """Let Ctrl-C wait for the next moment that is shown: in compiled code it surfaces as some other error.
 
     A second one does not wait.
     """
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield advance  # whoever ignores or handles the signal has a reason
+        yield show  # whoever ignores or handles the signal has a reason
         return
     asked = False
 
@@ -26,48 +33,80 @@ def interrupted_between_scans(advance: Callable[[int], None]) -> Iterator[Callab
         asked = True
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
-    def on_scan(count: int) -> None:
+    def show_or_stop(progress: Progress) -> None:
         if asked:
             raise KeyboardInterrupt
-        advance(count)
+        show(progress)
 
     signal.signal(signal.SIGINT, note)
     try:
-        yield on_scan
+        yield show_or_stop
     finally:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    if asked:
-        raise KeyboardInterrupt
 
 
 @contextmanager
-def progress_of(what: str, unit: str = "scans") -> Iterator[Progress]:
-    """A counter on stderr while work goes on; silent where stderr is not a terminal."""
-    progress = Progress(what, unit)
-    try:
-        yield progress
-    finally:
-        progress.close()
+def progress_bar(unit: str = "scans and frames", first: str = "") -> Iterator[Show]:
+    """Show on stderr how far the work is: share, rate, time left; of what is no terminal only a first line.
+
+    Parameters
+    ----------
+    first
+        Told once the work has begun; a command that is refused says why, and nothing else.
+    """
+    begun = iter([first] if first else [])
+
+    def tell_first(progress: Progress) -> None:
+        for line in begun:
+            print(line, file=sys.stderr)
+
+    if is_quiet() or not sys.stderr.isatty():
+        yield tell_first
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as Bars
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TextColumn("{task.fields[readings]} " + unit),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(elapsed_when_finished=True),
+    )
+    with Bars(*columns, console=Console(stderr=True), transient=True) as bars:
+        show = _Bars(bars)
+
+        def tell_and_show(progress: Progress) -> None:
+            tell_first(progress)
+            show(progress)
+
+        yield tell_and_show
 
 
-class Progress:
-    """Rewrites one line a few times a second."""
+class _Bars:
+    """One bar a stage."""
 
-    def __init__(self, what: str, unit: str) -> None:
-        self._what = what
-        self._unit = unit
-        self._shown_at = time.perf_counter()
-        self._terminal = sys.stderr.isatty()
-        self._shown = False
+    def __init__(self, bars: Any) -> None:
+        self._bars = bars
+        self._task: Any = None
+        self._stage = ""
+        self._first = 0
 
-    def __call__(self, count: int) -> None:
-        """Show that ``count`` units are done."""
-        now = time.perf_counter()
-        if self._terminal and now - self._shown_at > 0.2:
-            print(f"\r{self._what}: {count} {self._unit}", end="", file=sys.stderr, flush=True)
-            self._shown_at, self._shown = now, True
-
-    def close(self) -> None:
-        """Clear the line."""
-        if self._shown:
-            print("\r" + " " * 40 + "\r", end="", file=sys.stderr, flush=True)
+    def __call__(self, progress: Progress) -> None:
+        """Show how far it is."""
+        if progress.stage != self._stage:
+            if self._task is not None:
+                self._bars.remove_task(self._task)
+            self._stage, self._first = progress.stage, progress.readings
+            self._task = self._bars.add_task(progress.stage, total=None, readings=0, rate="")
+        task = next(task for task in self._bars.tasks if task.id == self._task)
+        done, elapsed_s = progress.readings - self._first, task.elapsed or 0.0
+        self._bars.update(
+            self._task,
+            total=None if progress.share is None else 1.0,
+            completed=progress.share or 0.0,
+            readings=f"{progress.readings:,}",
+            rate=f"{done / elapsed_s:,.0f}/s" if done and elapsed_s > 0.0 else "",
+        )

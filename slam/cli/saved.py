@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from slam.cli.app import JsonOption, app
+from slam.cli.app import JsonOption, command
 from slam.errors import ScanweaveError
 
 MapArgument = Annotated[
@@ -27,7 +27,7 @@ class Format(StrEnum):
     BT = "bt"
 
 
-@app.command()
+@command()
 def info(map_: MapArgument, as_json: JsonOption = False) -> None:
     """Tell what is in a map: sensors, keyframes, loops, grid, settings, versions."""
     from slam.evaluation.map_info import map_info, render_info
@@ -36,7 +36,7 @@ def info(map_: MapArgument, as_json: JsonOption = False) -> None:
     print(json.dumps(found, indent=2) if as_json else render_info(found))
 
 
-@app.command()
+@command()
 def check(map_: MapArgument) -> None:
     """Read everything in a map and compare it with its checksums."""
     from slam.storage.saved_map import open_saved_map
@@ -50,7 +50,7 @@ def check(map_: MapArgument) -> None:
     )
 
 
-@app.command()
+@command()
 def export(
     map_: MapArgument,
     format_: Annotated[

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slam.cli.app import app
-from slam.cli.progress import progress_of
+from slam.cli.app import command, folder_of, say
+from slam.cli.progress import progress_bar
+
+if TYPE_CHECKING:
+    from slam.simulation.drive_faults import DriveFaults
+    from slam.simulation.home_model import Home
+    from slam.simulation.record import DriveSummary
+    from slam.simulation.rigs import Rig
 
 
-@app.command()
+@command()
 def simulate(
-    out: Annotated[Path, typer.Option("--out", "-o", help="folder for the log; must be empty or new")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", parser=folder_of, help="folder for the log; must be empty or new")
+    ],
     rig: Annotated[
         str,
         typer.Option(help="which robot; a wrong name lists them"),
@@ -33,24 +41,43 @@ def simulate(
     from slam.errors import ConfigError
     from slam.simulation.drive_faults import FAULT_PRESETS
     from slam.simulation.home import generate_home
-    from slam.simulation.record import FORMATS, record_drive
+    from slam.simulation.record import FORMATS
     from slam.simulation.rigs import RIGS
 
     if rig not in RIGS:
         raise ConfigError(f"no rig '{rig}'; there are {', '.join(sorted(RIGS))}")
     if faults not in FAULT_PRESETS:
         raise ConfigError(f"no fault preset '{faults}'; there are {', '.join(FAULT_PRESETS)}")
-    with progress_of("simulating", "s") as progress:
-        summary = record_drive(
-            generate_home(home, "office" if office else "home"),
-            RIGS[rig],
-            seed,
-            out,
-            FAULT_PRESETS[faults],
-            duration,
-            lambda done_s, _: progress(int(done_s)),
-            formats=tuple(formats) if formats else FORMATS,
-        )
+    summary = simulate_into(
+        out,
+        generate_home(home, "office" if office else "home"),
+        RIGS[rig],
+        seed,
+        FAULT_PRESETS[faults],
+        duration,
+        tuple(formats) if formats else FORMATS,
+    )
     counts = ", ".join(f"{count} {name}" for name, count in summary.counts.items())
-    print(f"{summary.duration_s:.0f} s, {summary.path_m:.1f} m through {len(summary.rooms)} rooms: {counts}")
-    print(f"wrote {summary.folder}")
+    say(f"{summary.duration_s:.0f} s, {summary.path_m:.1f} m through {len(summary.rooms)} rooms: {counts}")
+    say(f"wrote {summary.folder}")
+
+
+def simulate_into(
+    out: Path,
+    home: Home,
+    rig: Rig,
+    seed: int,
+    faults: DriveFaults | None,
+    duration_s: float | None,
+    formats: tuple[str, ...],
+) -> DriveSummary:
+    """Record a drive, and show how far it is."""
+    from slam.app.progress import Progress
+    from slam.simulation.record import record_drive
+
+    with progress_bar("s driven") as show:
+
+        def on_progress(done_s: float, all_s: float) -> None:
+            show(Progress("simulating", int(done_s), done_s / all_s))
+
+        return record_drive(home, rig, seed, out, faults, duration_s, on_progress, formats=formats)

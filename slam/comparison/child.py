@@ -24,8 +24,6 @@ from slam.comparison.files import ERRORS, FAILURE, MAPS, MEASURED, TRAJECTORY
 from slam.comparison.run import SCANWEAVE, Run
 from slam.errors import EvaluationError, ScanweaveError
 
-log = logging.getLogger(__name__)
-
 
 def main() -> None:
     """Do a job; what stopped it is told in a file of one line, with the whole story in the log."""
@@ -94,7 +92,6 @@ def _scored(run: Run, product: Any, folder: Path) -> dict[str, Any]:
 
     from slam.comparison.scoring import Truths, scores_of
     from slam.datasets import open_dataset
-    from slam.simulation.truth_writer import write_npz
     from slam.storage.tum import read_tum, write_tum
 
     log_path = Path(run.log)
@@ -111,9 +108,9 @@ def _scored(run: Run, product: Any, folder: Path) -> dict[str, Any]:
             arrays[name] = grid.states
             arrays[f"{name}_at"] = np.array([grid.resolution_m, corner.x(), corner.y(), corner.theta()])
     if arrays:
-        write_npz(folder / MAPS, **arrays)
+        np.savez_compressed(folder / MAPS, **arrays)
     if scores.truth is not None:
-        write_npz(
+        np.savez_compressed(
             folder / ERRORS,
             stamps_s=scores.truth.stamps_s,
             errors_m=scores.truth.errors_m,

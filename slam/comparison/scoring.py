@@ -65,10 +65,10 @@ def scores_of(product: Product, truths: Truths, rpe_m: tuple[float, ...]) -> Sco
     if comparison is not None and truths.trajectory is not None:
         figures |= absolute_figures(comparison)
         for length_m in rpe_m:
-            try:
-                figures |= _relative_figures(product.trajectory, truths.trajectory, length_m)
-            except EvaluationError as error:
-                warnings.append(f"no RPE over {length_m:g} m: {error}")
+            relative = _relative_figures(product.trajectory, truths.trajectory, length_m)
+            figures |= relative
+            if not relative:
+                warnings.append(f"no RPE over {length_m:g} m: the drive is shorter")
         if product.loops is not None:
             figures |= loop_scores(product.loops, product.keyframe_stamps_s, truths.trajectory)
             figures["loops_tried"] = float(product.loops_tried)
@@ -103,10 +103,12 @@ def absolute_figures(comparison: TruthComparison) -> dict[str, float]:
 
 
 def _relative_figures(trajectory: Trajectory, truth: Trajectory, length_m: float) -> dict[str, float]:
-    """RPE over one length."""
+    """RPE over one length; nothing where the drive is shorter."""
     error = relative_error(
         trajectory, truth, delta=length_m, unit="metres", max_difference_s=MAX_DIFFERENCE_S
     )
+    if error is None:
+        return {}
     return {
         f"rpe_{length_m:g}m_m": error.translation_m.rmse,
         f"rpe_{length_m:g}m_deg": math.degrees(error.rotation_rad.rmse),

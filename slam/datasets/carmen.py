@@ -115,7 +115,7 @@ class CarmenDataset:
         self.report = report
         decoder = _Decoder(report, _preferred_kinds(read_head(self.path, HEAD_BYTES)))
         last = 0
-        for number, line in numbered_lines(self.path, self._refuse):
+        for number, line in numbered_lines(self.path, self._refuse, report.note_share):
             report.line_count += number - last
             last = number
             try:

@@ -44,8 +44,9 @@ class CloudFolder:
     def numbered(self, account: Account) -> Iterator[tuple[int, PointCloud]]:
         """The clouds with their lines in the list; what cannot be read is counted."""
         times = PointTimes()
-        for file in self.files:
+        for index, file in enumerate(self.files):
             account.report.line_count += 1
+            account.report.note_share(index / len(self.files))
             try:
                 cloud = read_cloud(file.path)
             except RecordFault as fault:

@@ -82,9 +82,12 @@ class ReadReport:
         Odometry steps faster than any robot; ``largest`` in metres.
     invalid_ranges
         Beams that read zero, negative or NaN.
+    share
+        Of the log that has been read, 0..1; None where the reader cannot tell.
     """
 
     line_count: int = 0
+    share: float | None = None
     records: Counter[str] = field(default_factory=Counter)
     ignored: Counter[str] = field(default_factory=Counter)
     dropped: dict[str, Tally] = field(default_factory=dict)
@@ -116,6 +119,10 @@ class ReadReport:
     def note(self, text: str, line: int, size: float = 0.0) -> None:
         """Count an oddity that did not cost the record."""
         _tally(self.notes, text).add(line, size)
+
+    def note_share(self, share: float) -> None:
+        """Take down how much of the log has been read, 0..1."""
+        self.share = share
 
     def observe(self, measurement: Measurement, line: int) -> None:
         """Check one measurement, in the order of the log, for clock steps and odometry jumps."""

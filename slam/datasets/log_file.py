@@ -24,6 +24,8 @@ LINE_TOO_LONG = "line too long"
 STREAM_DAMAGED = "compressed data damaged or cut short"
 
 Refuse = Callable[[RecordFault, int], None]
+OnShare = Callable[[float], None]
+_LINES_A_SHARE = 64
 
 
 def open_log(path: Path) -> io.BufferedReader:
@@ -53,10 +55,15 @@ class _Gunzipped(io.RawIOBase):
     """
 
     def __init__(self, path: Path) -> None:
-        self._file = gzip.GzipFile(path, "rb")
+        self._raw = path.open("rb")
+        self._file = gzip.GzipFile(fileobj=self._raw)
 
     def readable(self) -> bool:
         return True
+
+    def packed_position(self) -> int:
+        """Bytes of the compressed file that have been read."""
+        return self._raw.tell()
 
     def readinto(self, buffer: Buffer) -> int:
         view = memoryview(buffer)
@@ -66,6 +73,7 @@ class _Gunzipped(io.RawIOBase):
 
     def close(self) -> None:
         self._file.close()
+        self._raw.close()
         super().close()
 
 
@@ -82,7 +90,9 @@ def read_head(path: Path, size: int) -> bytes:
     return b"".join(chunks).removeprefix(_BYTE_ORDER_MARK)
 
 
-def numbered_lines(path: Path, refuse: Refuse) -> Iterator[tuple[int, bytes]]:
+def numbered_lines(
+    path: Path, refuse: Refuse, on_share: OnShare | None = None
+) -> Iterator[tuple[int, bytes]]:
     """1-based numbers and lines, each with its line end, in constant memory.
 
     Parameters
@@ -90,6 +100,8 @@ def numbered_lines(path: Path, refuse: Refuse) -> Iterator[tuple[int, bytes]]:
     refuse
         Called with the fault and the line number for an over-long line and for damaged compression;
         the first is skipped, the second ends the stream after what could be read.
+    on_share
+        Called now and then with the share of the file that has been read, 0..1.
 
     Raises
     ------
@@ -98,9 +110,12 @@ def numbered_lines(path: Path, refuse: Refuse) -> Iterator[tuple[int, bytes]]:
     """
     number = 0
     with open_log(path) as stream:
+        size = max(path.stat().st_size, 1)
         try:
             while line := stream.readline(MAX_LINE_BYTES):
                 number += 1
+                if on_share is not None and number % _LINES_A_SHARE == 0:
+                    on_share(_position(stream) / size)
                 if len(line) == MAX_LINE_BYTES and not line.endswith(b"\n"):
                     _skip_line(stream)
                     detail = f"more than {MAX_LINE_BYTES} bytes"
@@ -111,6 +126,11 @@ def numbered_lines(path: Path, refuse: Refuse) -> Iterator[tuple[int, bytes]]:
             refuse(RecordFault(STREAM_DAMAGED, str(error)), number + 1)
         except OSError as error:
             raise DatasetError(f"cannot read {path} after line {number}: {error.strerror}") from error
+
+
+def _position(stream: io.BufferedReader) -> int:
+    """Bytes of the file on disk that have been read."""
+    return stream.raw.packed_position() if isinstance(stream.raw, _Gunzipped) else stream.tell()
 
 
 def _skip_line(stream: io.BufferedReader) -> None:

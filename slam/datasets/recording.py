@@ -88,9 +88,15 @@ class Recording:
         account = Account(self.name, report, self._strict)
         contents = self._load(account)
         cameras = contents.cameras if self.read_images else []
+        # Frames take the time, where there are any; else the log beside them tells how far it was read.
+        frames_in_all, frames_read = sum(len(camera.pairs) for camera in cameras), 0
         with closing(read_frames(_by_time(cameras), account)) as frames:
             for number, measurement in _frames_after_log(contents.log, frames):
                 report.observe(measurement, number)
+                if isinstance(measurement, RgbdFrame):
+                    frames_read += 1
+                if frames_in_all:
+                    report.note_share(min(1.0, frames_read / frames_in_all))
                 yield measurement
         if report.measurement_count == 0 and self.read_images:
             raise DatasetError(_nothing_usable(self.path, report))

@@ -31,6 +31,10 @@ def score(
     groundtruth
         A TUM file, or the folder of a dataset that comes with its truth.
 
+    Returns
+    -------
+    By name; None of the RPE of a drive that is shorter than ``delta_m``.
+
     Raises
     ------
     DatasetError, EvaluationError, MapFileError
@@ -43,9 +47,10 @@ def score(
         raise ValueError("relations or groundtruth must be given")
     truth = _truth(groundtruth)
     limit_s = _TOLERANCE_S if tolerance_s is None else tolerance_s
+    relative = relative_error(poses, truth, delta=delta_m, unit="metres", max_difference_s=limit_s)
     return {
         "ate": absolute_error(poses, truth, max_difference_s=limit_s).to_dict(),
-        "rpe": relative_error(poses, truth, delta=delta_m, unit="metres", max_difference_s=limit_s).to_dict(),
+        "rpe": None if relative is None else relative.to_dict(),
     }
 
 
@@ -63,6 +68,9 @@ def score_text(scores: dict[str, Any]) -> str:
     """A few lines for people; angles in degrees."""
     lines = []
     for name, values in scores.items():
+        if values is None:
+            lines.append(f"{name}: none: the drive is shorter than delta")
+            continue
         lines.append(f"{name}:")
         lines += _lines(values, "  ")
     return "\n".join(lines)

@@ -156,17 +156,20 @@ def relative_error(
     unit: DeltaUnit = "frames",
     all_pairs: bool = False,
     max_difference_s: float = DEFAULT_MAX_DIFFERENCE_S,
-) -> RelativeError:
+) -> RelativeError | None:
     """Relative pose error over motions of ``delta`` frames or metres of the trajectory's own path.
 
     Consecutive motions by default; ``all_pairs`` starts one at every pose (in metres: where the path meets
     ``delta`` within a tenth of it).
 
+    Returns
+    -------
+    None where the trajectory holds no motion that long.
+
     Raises
     ------
     EvaluationError
-        Where no poses can be associated, ``delta`` is not positive (or not whole, in frames), or the
-        trajectory holds no motion that long.
+        Where no poses can be associated, or ``delta`` is not positive (or not whole, in frames).
     """
     if not delta > 0.0 or (unit == "frames" and delta != int(delta)):
         raise EvaluationError(f"delta must be positive, and whole in frames; it is {delta:g} {unit}")
@@ -176,9 +179,7 @@ def relative_error(
     else:
         starts, ends = _pairs_by_path(estimate.positions_m, delta, all_pairs)
     if not len(starts):
-        raise EvaluationError(
-            f"no motion of {delta:g} {unit} among {len(estimate)} poses; choose a smaller delta"
-        )
+        return None
     moved, turned = _motions(estimate, starts, ends)
     moved_truth, turned_truth = _motions(truth, starts, ends)
     # E = inverse(reference motion) * estimated motion: its translation is the difference of both, turned.

@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 
 from slam.config_stages import GraphConfig
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_closure import LoopCandidate, judged
 from slam.graph.pose_graph import BatchResult, Edge, EdgeKind, PoseGraph
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.wheel_judge import outvoted_cameras
@@ -35,7 +35,6 @@ class KeyframeGraph:
         self.loops: list[LoopCandidate] = []
         self._config = config
         self._poses = np.zeros((64, 3))
-        self._loop_of_edge: dict[int, int] = {}
         self._camera_edges: dict[tuple[int, str], int] = {}
         self._loop_waits = False
         self.uncertainty.add_node()
@@ -136,19 +135,8 @@ class KeyframeGraph:
     def add_loop(self, candidate: LoopCandidate) -> None:
         """Take a loop candidate: into the graph if it was accepted, into the report in any case."""
         if candidate.accepted and candidate.motion is not None:
-            self._loop_of_edge[len(self.graph.edges)] = len(self.loops)
             self._loop_waits = True
-            motion = candidate.motion
-            self._add_edge(
-                Edge(
-                    candidate.place,
-                    candidate.keyframe,
-                    motion.T_reference_base,
-                    motion.covariance,
-                    EdgeKind.LOOP,
-                    trusted=False,
-                )
-            )
+            self._add_edge(candidate.edge(len(self.loops)))
         self.loops.append(candidate)
 
     def update(self) -> None:
@@ -165,9 +153,7 @@ class KeyframeGraph:
         """Solve everything anew; a loop that disagrees with the others is marked as refused."""
         self.graph.update()
         outcome = self.graph.optimize(inlier_probability)
-        for edge, loop in self._loop_of_edge.items():
-            if not outcome.kept[edge]:
-                self.loops[loop] = self.loops[loop].refused("disagrees with the other loops (GNC)")
+        self.loops = judged(self.loops, self.graph.edges, outcome.kept)
         self._poses[: len(self)] = self.graph.planar_poses()
         return outcome
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from slam.answers import COMPUTED, Answers
 from slam.config_stages import LoopConfig, MatchConfig
+from slam.graph.pose_graph import Edge, EdgeKind
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.submaps import Submap, SubmapStore
 from slam.matching.correlative import search_window
@@ -57,6 +59,36 @@ class LoopCandidate:
         """The same candidate, refused."""
         return replace(self, accepted=False, reason=reason)
 
+    def edge(self, number: int) -> Edge:
+        """What an accepted loop adds to the graph; ``number`` is its place among the candidates."""
+        assert self.motion is not None
+        return Edge(
+            self.place,
+            self.keyframe,
+            self.motion.T_reference_base,
+            self.motion.covariance,
+            EdgeKind.LOOP,
+            trusted=False,
+            loop=number,
+        )
+
+
+def judged(
+    loops: Sequence[LoopCandidate], edges: Iterable[Edge], kept: Iterable[bool]
+) -> list[LoopCandidate]:
+    """The loop candidates with the verdicts of an optimisation on their edges."""
+    verdicts = list(loops)
+    for edge, keep in zip(edges, kept, strict=True):
+        if edge.loop is None:
+            continue
+        loop = verdicts[edge.loop]
+        verdicts[edge.loop] = (
+            replace(loop, accepted=True, reason="")
+            if keep
+            else loop.refused("disagrees with the other loops (GNC)")
+        )
+    return verdicts
+
 
 class LoopCloser:
     """Proposes and verifies loops for the newest keyframe."""
@@ -69,9 +101,11 @@ class LoopCloser:
         self._last_attempt_m = -math.inf
         self._misses = 0
 
-    def add_keyframe(self, scan: OrientedPoints, pose: FloatArray, travelled_m: float) -> None:
-        """Remember a keyframe: its scan, its pose (3,) in the odometry frame, the way so far."""
-        self._submaps.add(scan, pose, travelled_m)
+    def add_keyframe(
+        self, scan: OrientedPoints, pose: FloatArray, travelled_m: float, session: int = 0
+    ) -> None:
+        """Remember a keyframe, see `SubmapStore.add`."""
+        self._submaps.add(scan, pose, travelled_m, session)
 
     def close(self, key: int, poses: FloatArray, uncertainty: UncertaintyGraph) -> list[LoopCandidate]:
         """Try the places that the newest keyframe may have come back to.

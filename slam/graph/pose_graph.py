@@ -1,4 +1,4 @@
-"""The pose graph, and the only file that builds its GTSAM factors (windows and mountings build their own).
+"""The pose graph, and the only file that builds its GTSAM factors (mountings build their own).
 
 While mapping, iSAM2 (Kaess 2012) keeps the estimate; at the end graduated non-convexity with truncated
 least squares (Yang 2020) decides which loops and wheel steps are true. SE(2) and SE(3) alike.
@@ -49,6 +49,8 @@ class Edge:
         Where it comes from.
     trusted
         Part of the chain that holds the graph together; others may be refused as outliers.
+    loop
+        Number of the loop candidate that it comes from; None for other edges.
     """
 
     source: int
@@ -57,6 +59,7 @@ class Edge:
     covariance: FloatArray
     kind: EdgeKind
     trusted: bool
+    loop: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ import numpy as np
 
 from slam.config_stages import GraphConfig
 from slam.graph.anchored_steps import Bridge
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_closure import LoopCandidate, judged
 from slam.graph.pose_graph import BatchResult, Edge, EdgeKind, PoseGraph
 from slam.measurements import FloatArray
 
@@ -20,7 +20,6 @@ class SpatialGraph:
         self.loops: list[LoopCandidate] = []
         self._config = config
         self._poses = [origin]
-        self._loop_of_edge: dict[int, int] = {}
         self._loop_waits = False
 
     def __len__(self) -> int:
@@ -63,19 +62,8 @@ class SpatialGraph:
     def add_loop(self, candidate: LoopCandidate) -> None:
         """Take a loop candidate: into the graph if it was accepted, into the report in any case."""
         if candidate.accepted and candidate.motion is not None:
-            self._loop_of_edge[len(self.graph.edges)] = len(self.loops)
             self._loop_waits = True
-            motion = candidate.motion
-            self.graph.add_edge(
-                Edge(
-                    candidate.place,
-                    candidate.keyframe,
-                    motion.T_reference_base,
-                    motion.covariance,
-                    EdgeKind.LOOP,
-                    trusted=False,
-                )
-            )
+            self.graph.add_edge(candidate.edge(len(self.loops)))
         self.loops.append(candidate)
 
     def update(self) -> None:
@@ -89,9 +77,7 @@ class SpatialGraph:
         """Solve everything anew; a loop that disagrees with the others is marked as refused."""
         self.graph.update()
         outcome = self.graph.optimize(inlier_probability)
-        for edge, loop in self._loop_of_edge.items():
-            if not outcome.kept[edge]:
-                self.loops[loop] = self.loops[loop].refused("disagrees with the other loops (GNC)")
+        self.loops = judged(self.loops, self.graph.edges, outcome.kept)
         self._read_poses()
         return outcome
 

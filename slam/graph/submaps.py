@@ -48,13 +48,18 @@ class SubmapStore:
         self._scans: list[OrientedPoints] = []
         self._poses: list[FloatArray] = []
         self._travelled_m: list[float] = []
+        self._sessions: list[int] = []
         self._cache: OrderedDict[int, Submap] = OrderedDict()
 
-    def add(self, scan: OrientedPoints, pose: FloatArray, travelled_m: float) -> None:
-        """Take the next keyframe: its scan, its pose (3,) in the odometry frame, the way so far."""
+    def add(self, scan: OrientedPoints, pose: FloatArray, travelled_m: float, session: int = 0) -> None:
+        """Take the next keyframe: its scan, its pose (3,) in the odometry frame, the way so far.
+
+        Keyframes of different sessions, which have no odometry between them, share no submap.
+        """
         self._scans.append(scan)
         self._poses.append(pose)
         self._travelled_m.append(travelled_m)
+        self._sessions.append(session)
 
     def scan(self, key: int) -> OrientedPoints:
         """Oriented points of a keyframe, base frame."""
@@ -73,7 +78,8 @@ class SubmapStore:
         members = [
             k
             for k in range(max(0, key - half), min(len(self._scans), key + half + 1))
-            if abs(self._travelled_m[k] - self._travelled_m[key]) <= self._loop.submap_half_m
+            if self._sessions[k] == self._sessions[key]
+            and abs(self._travelled_m[k] - self._travelled_m[key]) <= self._loop.submap_half_m
         ]
         submap = Submap(lambda: self._local_map(key, members), self._loop)
         self._cache[key] = submap

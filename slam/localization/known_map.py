@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import gtsam
@@ -26,6 +26,8 @@ from slam.measurements import FloatArray, LaserScan
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_frames import MapFrames
 from slam.storage.saved_map import SavedMap
+from slam.vision.color_registration import ColorRegistration
+from slam.vision.learned_camera import LearnedCamera
 
 
 @dataclass(frozen=True)
@@ -39,10 +41,13 @@ class KnownCameras:
         the camera's place on the robot.
     poses
         ``T_map_camera`` of each.
+    learned
+        What the mapping run learned of cameras, by their names.
     """
 
     frames: KeyframeSpool
     poses: Sequence[gtsam.Pose3]
+    learned: Mapping[str, LearnedCamera] = field(default_factory=dict)
 
     @property
     def sensor(self) -> str:
@@ -52,7 +57,19 @@ class KnownCameras:
     @property
     def T_base_camera(self) -> gtsam.Pose3 | None:
         """Where the camera sits; None where it is its own base."""
+        learned = self.learned.get(self.sensor)
+        if learned is not None and learned.T_base_camera is not None:
+            return learned.T_base_camera
         return self.frames.frame(0).T_base_camera
+
+    @property
+    def registrations(self) -> dict[str, ColorRegistration]:
+        """Where colour cameras sit beside their depth cameras, as far as the mapping run has asked."""
+        return {
+            name: learned.registration
+            for name, learned in self.learned.items()
+            if learned.registration is not None
+        }
 
 
 @dataclass(frozen=True)
@@ -88,7 +105,8 @@ class KnownMap:
         dense = result.dense
         cameras = None
         if dense is not None and isinstance(dense.frames, TemporarySpool | MapFrames) and dense.poses:
-            cameras = KnownCameras(dense.frames, dense.poses)
+            learned = {name: record.learned for name, record in result.cameras.items()}
+            cameras = KnownCameras(dense.frames, dense.poses, learned)
         planar = isinstance(result.graph.pose(0), gtsam.Pose2)
         clouds, mapped = None, result.clouds
         if mapped is not None and isinstance(mapped.clouds, CloudKeyframes | MapClouds):
@@ -98,7 +116,9 @@ class KnownMap:
     @classmethod
     def of_saved(cls, saved: SavedMap) -> KnownMap:
         """A map in a file; its images and clouds are read when they are asked for."""
-        cameras = KnownCameras(saved.frames, saved.frame_poses()) if len(saved.frames) else None
+        cameras = None
+        if len(saved.frames):
+            cameras = KnownCameras(saved.frames, saved.frame_poses(), saved.contents.cameras)
         clouds = None
         if len(saved.clouds):
             bases = [pose for pose in saved.contents.node_poses if isinstance(pose, gtsam.Pose3)]
@@ -171,6 +191,6 @@ class Walls:
         """Points of a keyframe in the map, but for those where other scans saw free space: people."""
         placed = transform_points(points.points_base, pose)
         cells = self.grid.cells_of(placed)
-        inside = ((cells >= 0) & (cells < self.grid.log_odds.shape)).all(axis=1)
+        inside = ((cells >= 0) & (cells < self.grid.shape)).all(axis=1)
         placed, cells = placed[inside], cells[inside]
         return placed[self.grid.states()[cells[:, 0], cells[:, 1]] != FREE]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import gtsam
 
 from slam.config import Config
@@ -16,6 +18,7 @@ from slam.localization.visual_locator import VisualLocator
 from slam.measurements import LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
 from slam.storage.saved_map import SavedMap
 from slam.vision.camera_frame import T_BODY_CAMERA
+from slam.vision.color_registration import ColorRegistration
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame
 
 
@@ -32,6 +35,9 @@ class Localizer:
         Where to localise: a saved map, or one that a run has just made; it is not changed.
     config
         The effective configuration; ``sensors.lidar`` and ``sensors.rgbd`` choose what is used.
+    registrations
+        Where colour cameras sit beside their depth cameras, by the cameras' names; None takes what the
+        mapping run has learned.
 
     Raises
     ------
@@ -39,7 +45,12 @@ class Localizer:
         Where the map holds nothing that the chosen sensors could be localised in.
     """
 
-    def __init__(self, known_map: KnownMap | SavedMap, config: Config | None = None) -> None:
+    def __init__(
+        self,
+        known_map: KnownMap | SavedMap,
+        config: Config | None = None,
+        registrations: Mapping[str, ColorRegistration] | None = None,
+    ) -> None:
         if isinstance(known_map, SavedMap):
             known_map = KnownMap.of_saved(known_map)
         self._config = config or Config()
@@ -66,7 +77,9 @@ class Localizer:
         self._frames: CameraLocalizer | None = None
         self._body: Body | None = None
         self._sensor = known_map.cameras.sensor if self._locator and known_map.cameras else ""
-        self._prepare = FramePreparer(self._config.rgbd, {})
+        if registrations is None and known_map.cameras is not None:
+            registrations = known_map.cameras.registrations
+        self._prepare = FramePreparer(self._config.rgbd, registrations or {})
         self._scanned = False
 
     def add(self, measurement: Measurement | PreparedFrame) -> LocalizerOutput | None:

@@ -53,7 +53,8 @@ class CameraTrack:
     def add(self, stamp_s: float, pose: CameraPose) -> None:
         """Take the next frame; a stamp that does not rise begins the track anew."""
         if self._stamps and stamp_s <= self._stamps[-1]:
-            self.__init__()  # type: ignore[misc]
+            for column in (self._stamps, self._poses, self._covariances, self._segments):
+                del column[:]
         self._stamps.append(stamp_s)
         self._poses.extend(pose.pose.matrix().ravel())
         self._covariances.extend(np.asarray(pose.covariance).ravel())

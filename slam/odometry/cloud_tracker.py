@@ -15,7 +15,7 @@ from slam.matching.planar import between
 from slam.measurements import FloatArray, MotionEstimate, PointCloud
 from slam.odometry.cloud_odometry import CloudOdometry
 from slam.odometry.cloud_velocity import LONGEST_STEP_S, CloudVelocity
-from slam.odometry.turn_matcher import SeenCloud, TurnMatcher, pose_of
+from slam.odometry.turn_matcher import DeskewedCloud, TurnMatcher, pose_of
 from slam.odometry.wheel_tracker import WheelTracker
 
 _LOST_AFTER = 10
@@ -67,7 +67,7 @@ class CloudTracker:
         expected = guesses[0] if guesses else before
         self._stamp_s = cloud.stamp_s
         twist = self._velocity.to(expected, cloud.stamp_s) if guesses else np.zeros(6)
-        seen = SeenCloud.of(cloud, twist, self._config)
+        seen = DeskewedCloud.of(cloud, twist, self._config)
         if len(seen.points) < self._config.least_pairs:
             self._lost += 1
             return self._guessed(seen.points, expected, new_keyframe=False)
@@ -109,7 +109,7 @@ class CloudTracker:
             guesses.append(self._pose.compose(gtsam.Pose3.Expmap(self._velocity.twist * step_s)))
         return guesses
 
-    def _begun(self, cloud: PointCloud, seen: SeenCloud) -> TrackedCloud:
+    def _begun(self, cloud: PointCloud, seen: DeskewedCloud) -> TrackedCloud:
         """The first cloud, by which all that comes is measured."""
         self.voxel_m = voxel_of(seen.points, self._config)
         self._odometry = CloudOdometry(self._config, self.voxel_m)
@@ -117,7 +117,7 @@ class CloudTracker:
         self._velocity.begin(cloud.stamp_s)
         return TrackedCloud(seen.points, self._pose, None, new_keyframe=True)
 
-    def _matched(self, cloud: PointCloud, seen: SeenCloud, motion: MotionEstimate) -> TrackedCloud:
+    def _matched(self, cloud: PointCloud, seen: DeskewedCloud, motion: MotionEstimate) -> TrackedCloud:
         """Where the robot is, and with which velocity."""
         self._lost = 0
         self._pose = pose_of(motion)

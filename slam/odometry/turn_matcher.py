@@ -16,12 +16,12 @@ from slam.odometry.cloud_velocity import CloudVelocity
 
 # A turn is deskewed again where the match tells a motion that moves its ends by more voxels than this.
 _SKEWED_VOXELS, _DESKEWED_TIMES = 0.25, 3
-# Changes of the rate of turn that are tried where a cloud does not fit.
-_JERKS_RAD_S = (0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, -2.0)
+# Turn rates that are tried where a cloud does not fit, as offsets from the rate of before.
+_TURN_RATE_OFFSETS_RAD_S = (0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, -2.0)
 
 
 @dataclass(frozen=True, slots=True)
-class SeenCloud:
+class DeskewedCloud:
     """A cloud as a twist of the base straightens it.
 
     Attributes
@@ -36,7 +36,7 @@ class SeenCloud:
     twist: FloatArray
 
     @classmethod
-    def of(cls, cloud: PointCloud, twist: FloatArray, config: CloudOdometryConfig) -> SeenCloud:
+    def of(cls, cloud: PointCloud, twist: FloatArray, config: CloudOdometryConfig) -> DeskewedCloud:
         """Deskew a cloud."""
         return cls(base_points(cloud, twist, config), twist)
 
@@ -56,7 +56,7 @@ class TurnMatcher:
         self._voxel_m = voxel_m
 
     def match(
-        self, cloud: PointCloud, seen: SeenCloud, guesses: Sequence[gtsam.Pose3], before: gtsam.Pose3
+        self, cloud: PointCloud, seen: DeskewedCloud, guesses: Sequence[gtsam.Pose3], before: gtsam.Pose3
     ) -> MotionEstimate | None:
         """Pose of a cloud in the odometry frame; None where nothing fits.
 
@@ -69,28 +69,28 @@ class TurnMatcher:
         """
         motion = self._odometry.match(seen.points, guesses, before)
         if motion is None or not motion.converged:
-            seen, motion = self._after_a_jerk(cloud, seen, motion)
+            seen, motion = self._after_a_sudden_turn(cloud, seen, motion)
         for _ in range(_DESKEWED_TIMES):
             if motion is None or not self._is_skewed(cloud, seen, motion):
                 break
-            again = SeenCloud.of(cloud, self._velocity.to(pose_of(motion), cloud.stamp_s), self._config)
+            again = DeskewedCloud.of(cloud, self._velocity.to(pose_of(motion), cloud.stamp_s), self._config)
             better = self._odometry.match(again.points, [pose_of(motion)])
             if self._share(again, better) <= self._share(seen, motion):
                 break
             seen, motion = again, better
         return motion
 
-    def _after_a_jerk(
-        self, cloud: PointCloud, seen: SeenCloud, motion: MotionEstimate | None
-    ) -> tuple[SeenCloud, MotionEstimate | None]:
+    def _after_a_sudden_turn(
+        self, cloud: PointCloud, seen: DeskewedCloud, motion: MotionEstimate | None
+    ) -> tuple[DeskewedCloud, MotionEstimate | None]:
         """The best match of a robot that may have begun or ended to turn at once."""
         tried = []
-        for turn_rad_s in _JERKS_RAD_S:
-            twist = seen.twist + np.array([0.0, 0.0, turn_rad_s, 0.0, 0.0, 0.0])
+        for offset_rad_s in _TURN_RATE_OFFSETS_RAD_S:
+            twist = seen.twist + np.array([0.0, 0.0, offset_rad_s, 0.0, 0.0, 0.0])
             start = self._velocity.carry_on(twist, cloud.stamp_s)
             if start is None:
                 return seen, motion
-            turned = SeenCloud.of(cloud, twist, self._config)
+            turned = DeskewedCloud.of(cloud, twist, self._config)
             pose = self._odometry.nearby(turned.points, start)
             tried.append((self._odometry.agreement(turned.points, pose), turned, pose))
         _, turned, pose = max(tried, key=lambda one: one[0])
@@ -98,11 +98,11 @@ class TurnMatcher:
         better = self._share(turned, found) > self._share(seen, motion)
         return (turned, found) if better else (seen, motion)
 
-    def _share(self, seen: SeenCloud, motion: MotionEstimate | None) -> float:
+    def _share(self, seen: DeskewedCloud, motion: MotionEstimate | None) -> float:
         """How much of a cloud lies on planes where a match puts it."""
         return 0.0 if motion is None else self._odometry.agreement(seen.points, pose_of(motion))
 
-    def _is_skewed(self, cloud: PointCloud, seen: SeenCloud, motion: MotionEstimate) -> bool:
+    def _is_skewed(self, cloud: PointCloud, seen: DeskewedCloud, motion: MotionEstimate) -> bool:
         """Whether the match tells another twist than the one by which a cloud was deskewed."""
         if cloud.times_s is None or not deskewed(cloud, self._config):
             return False

@@ -63,12 +63,7 @@ def connect(known: SavedMap, session: SavedMap) -> Connection:
     )
     if not placing.sure:
         return Connection(placing, (), None, _unplaced(placing))
-    loops = find_loops(
-        KeyframeScans(known.keyframe_scans, known.keyframe_poses),
-        KeyframeScans(session.keyframe_scans, session.keyframe_poses),
-        placing,
-        config,
-    )
+    loops = find_loops(KeyframeScans.of_saved(known), KeyframeScans.of_saved(session), placing, config)
     accepted = sum(loop.accepted for loop in loops)
     if accepted < _LEAST_LOOPS:
         reason = f"only {accepted} of {len(loops)} scans match the map where they should, {_LEAST_LOOPS} must"

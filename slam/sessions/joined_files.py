@@ -11,18 +11,16 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from slam.config import Config
 from slam.errors import MapFileError
-from slam.layer_outputs import layers_of_keyframes
+from slam.layer_outputs import depth_grid
 from slam.map_result import DenseKeyframes
-from slam.mapping.layered_map import LayeredMap
-from slam.measurements import RgbdFrame, Trajectory, row_from_pose2
-from slam.run_outputs import export_map, layer_grids
+from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.measurements import RgbdFrame, Trajectory
+from slam.run_outputs import export_map
 from slam.sessions.session_join import JoinedMap
 from slam.storage.files import make_folder
-from slam.storage.map_contents import write_contents
+from slam.storage.map_contents import DEPTH, write_contents
 from slam.storage.map_file import MAP_NAME, MapFile
 from slam.storage.map_frames import MapFrames
 from slam.storage.map_identity import MapIdentity
@@ -72,10 +70,9 @@ def write_joined(folder: Path, known: SavedMap, session: SavedMap, joined: Joine
     """
     make_folder(folder)
     config = known.config
-    layers = _layers(known, session, joined, config)
-    contents = joined.contents
-    if layers is not None:
-        contents = replace(contents, grids={**contents.grids, **layer_grids(layers)})
+    depth, contents = _depth(known, session, joined, config), joined.contents
+    if depth is not None:
+        contents = replace(contents, grids={**contents.grids, DEPTH: depth})
     sessions = [*known.sessions, *session.sessions]
     file = MapFile.create(folder / MAP_NAME)
     try:
@@ -89,10 +86,7 @@ def write_joined(folder: Path, known: SavedMap, session: SavedMap, joined: Joine
     finally:
         file.close()
     written = [folder / MAP_NAME, *_exports(folder, config)]
-    written += _session_trajectories(folder, contents.trajectory, sessions)
-    if layers is not None:
-        written += write_layers(folder / "layers", layers)
-    return written
+    return written + _session_trajectories(folder, contents.trajectory, sessions)
 
 
 def move_into(folder: Path, source: Path) -> list[Path]:
@@ -135,16 +129,14 @@ def _identity(known: SavedMap, session: SavedMap) -> MapIdentity:
     return MapIdentity(known.config, names, digest.hexdigest(), session.identity.versions)
 
 
-def _layers(known: SavedMap, session: SavedMap, joined: JoinedMap, config: Config) -> LayeredMap | None:
-    """The layers from all scans and images; None without a camera."""
+def _depth(known: SavedMap, session: SavedMap, joined: JoinedMap, config: Config) -> OccupancyGrid | None:
+    """The depth layer from all images; None without a camera."""
     nodes = joined.contents.node_poses
     first = len(known.contents.node_poses)
     poses = [*known.frames.poses(nodes[:first]), *session.frames.poses(nodes[first:])]
     if not poses:
         return None
-    rows = np.array([row_from_pose2(pose) for pose in nodes])
-    dense = DenseKeyframes(_Frames((known.frames, session.frames)), poses)
-    return layers_of_keyframes(joined.contents.scans, rows, dense, config)
+    return depth_grid(DenseKeyframes(_Frames((known.frames, session.frames)), poses), config)
 
 
 def _exports(folder: Path, config: Config) -> list[Path]:
@@ -152,11 +144,13 @@ def _exports(folder: Path, config: Config) -> list[Path]:
     saved = open_saved_map(folder)
     try:
         formats = ["tum", "g2o"]
-        if saved.grid is not None:
+        layers = saved.layers
+        if layers is not None:
             formats.append("nav2")
         if len(saved.frames) and config.dense_map.enabled:
             formats += ["ply", "bt"] if config.dense_map.octomap else ["ply"]
-        return [path for name in formats for path in export_map(saved, name, folder)]
+        written = [path for name in formats for path in export_map(saved, name, folder)]
+        return written if layers is None else [*written, *write_layers(folder / "layers", layers)]
     finally:
         saved.close()
 

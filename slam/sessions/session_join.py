@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from slam.config import Config
 from slam.full_trajectory import spread_correction
-from slam.graph.loop_closure import LoopCandidate
-from slam.graph.pose_graph import Edge, EdgeKind, PoseGraph
+from slam.graph.loop_closure import LoopCandidate, judged
+from slam.graph.pose_graph import PoseGraph
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, Trajectory, pose2_from_row, row_from_pose2
@@ -21,8 +21,6 @@ from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor
 from slam.storage.saved_map import SavedMap
 
 Indices: TypeAlias = NDArray[np.int64]
-
-_CONTRADICTED = "disagrees with the other loops (GNC)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,14 +76,14 @@ def join(
     own_loops = len(loops)
     for loop in between_them:
         if loop.accepted and loop.motion is not None:
-            factors.append(SavedFactor(_edge_of(loop), True, len(loops)))
+            factors.append(SavedFactor(loop.edge(len(loops)), True))
         loops.append(loop)
     kept, poses = _optimised(known, session, placing, factors, config)
+    loops = judged(loops, (factor.edge for factor in factors), kept)
     factors = [replace(factor, kept=bool(keep)) for factor, keep in zip(factors, kept, strict=True)]
-    loops = _judged(loops, factors)
-    joined = [factor for factor in factors if factor.loop is not None and factor.loop >= own_loops]
+    joined = [factor for factor in factors if factor.edge.loop is not None and factor.edge.loop >= own_loops]
     scans = [*known.scans, *session.scans]
-    grid = grid_of_keyframes(scans, poses, config.grid)
+    grid = grid_of_keyframes(scans, poses, config)
     before = _rows(known)
     return JoinedMap(
         MapContents(
@@ -98,6 +96,7 @@ def join(
             loops=loops,
             trajectory=_joined_trajectory((known_map, session_map), poses),
             grids={} if grid is None else {OCCUPANCY: grid},
+            cameras={**session.cameras, **known.cameras},
         ),
         loops_between=len(joined),
         loops_kept=sum(factor.kept for factor in joined),
@@ -126,26 +125,17 @@ def _optimised(
     return outcome.kept.tolist(), np.array([row_from_pose2(graph.pose(n)) for n in range(len(graph))])
 
 
-def _judged(loops: Sequence[LoopCandidate], factors: Sequence[SavedFactor]) -> list[LoopCandidate]:
-    """The loop candidates with the verdicts of the optimisation."""
-    judged = list(loops)
-    for factor in factors:
-        if factor.loop is None:
-            continue
-        loop = judged[factor.loop]
-        judged[factor.loop] = (
-            replace(loop, accepted=True, reason="") if factor.kept else loop.refused(_CONTRADICTED)
-        )
-    return judged
-
-
 def _renumbered(session: MapContents, nodes: int, loops: int) -> list[SavedFactor]:
     """The factors of a session, its nodes and loops numbered after others."""
     return [
-        SavedFactor(
-            replace(factor.edge, source=factor.edge.source + nodes, target=factor.edge.target + nodes),
-            factor.kept,
-            None if factor.loop is None else factor.loop + loops,
+        replace(
+            factor,
+            edge=replace(
+                factor.edge,
+                source=factor.edge.source + nodes,
+                target=factor.edge.target + nodes,
+                loop=None if factor.edge.loop is None else factor.edge.loop + loops,
+            ),
         )
         for factor in session.factors
     ]
@@ -154,20 +144,6 @@ def _renumbered(session: MapContents, nodes: int, loops: int) -> list[SavedFacto
 def _shifted(loop: LoopCandidate, nodes: int) -> LoopCandidate:
     """A loop candidate, its nodes numbered after others."""
     return replace(loop, place=loop.place + nodes, keyframe=loop.keyframe + nodes)
-
-
-def _edge_of(loop: LoopCandidate) -> Edge:
-    """The edge of an accepted loop."""
-    assert loop.motion is not None
-    motion = loop.motion
-    return Edge(
-        loop.place,
-        loop.keyframe,
-        motion.T_reference_base,
-        motion.covariance,
-        EdgeKind.LOOP,
-        trusted=False,
-    )
 
 
 def _joined_trajectory(maps: Sequence[SavedMap], poses: FloatArray) -> Trajectory:

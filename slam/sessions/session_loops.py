@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam.config import Config
 from slam.graph.loop_closure import LoopCandidate, LoopCloser
@@ -14,6 +15,7 @@ from slam.matching.planar import between, compose
 from slam.matching.scan_points import extract_points
 from slam.measurements import FloatArray, LaserScan
 from slam.sessions.placing import Placing
+from slam.storage.saved_map import SavedMap
 
 # How well a sighting tells where its surroundings are: sigmas there, and how they grow with the distance.
 _SIGHT_SIGMA_M = 0.12
@@ -21,19 +23,28 @@ _SIGHT_SIGMA_RAD = 0.03
 _BEND_RAD = 0.01
 # A quarter turn apart counts as a metre: a lidar does not see all around.
 _TURN_M_PER_RAD = 0.64
-# Keeps the ways of two sessions so far apart that no submap holds scans of both.
-_GAP_M = 1000.0
 
 
 @dataclass(frozen=True, slots=True)
 class KeyframeScans:
-    """K keyframes: sweeps, and poses (K, 3) in one frame."""
+    """K keyframes: sweeps, poses (K, 3) in one frame, and the number (K,) of the session of each."""
 
     scans: Sequence[LaserScan | None]
     poses: FloatArray
+    sessions: NDArray[np.int64]
+
+    @classmethod
+    def of_saved(cls, saved: SavedMap) -> KeyframeScans:
+        """Those of a map."""
+        counts = [session.keyframes for session in saved.sessions]
+        return cls(saved.keyframe_scans, saved.keyframe_poses, np.repeat(np.arange(len(counts)), counts))
 
     def __len__(self) -> int:
         return len(self.scans)
+
+    def way_m(self) -> FloatArray:
+        """(K,) way from the first to each."""
+        return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self.poses[:, :2], axis=0).T))])
 
 
 def find_loops(
@@ -46,22 +57,21 @@ def find_loops(
     Every candidate, its ``place`` a keyframe of the map, its ``keyframe`` numbered after those of the map.
     """
     closer = LoopCloser(config.loops, config.match)
-    way_m = np.concatenate([_way(known.poses), _way(session.poses)])
-    way_m[len(known) :] += way_m[len(known) - 1] + _GAP_M
-    for part, first in ((known, 0), (session, len(known))):
-        for key, scan in enumerate(part.scans):
-            closer.add_keyframe(_points(scan, config), part.poses[key], way_m[first + key])
+    known_m, session_m = known.way_m(), session.way_m()
+    for part, way_m, first in ((known, known_m, 0), (session, session_m, int(known.sessions[-1]) + 1)):
+        for scan, pose, travelled_m, number in zip(part.scans, part.poses, way_m, part.sessions, strict=True):
+            closer.add_keyframe(_points(scan, config), pose, travelled_m, first + number)
     tried = []
     next_m = -np.inf
     for key, scan in enumerate(session.scans):
-        if scan is None or way_m[len(known) + key] < next_m:
+        if scan is None or session_m[key] < next_m:
             continue
-        next_m = way_m[len(known) + key] + config.loops.every_m
+        next_m = session_m[key] + config.loops.every_m
         T_map_session, distance_m = placing.nearest(session.poses[key], session.poses)
         expected = compose(T_map_session, session.poses[key])
         sigma_m = _SIGHT_SIGMA_M + _BEND_RAD * distance_m
         covariance = np.diag([sigma_m**2, sigma_m**2, _SIGHT_SIGMA_RAD**2])
-        for place in _places_near(known, expected, way_m, config):
+        for place in _places_near(known, expected, known_m, config):
             guess = between(known.poses[place], expected)
             tried.append(closer.verify(place, len(known) + key, guess, covariance))
     return tried
@@ -80,7 +90,11 @@ def _places_near(
             return
         if distances[place] > loops.reach_m or known.scans[place] is None:
             continue
-        if all(abs(way_m[place] - way_m[other]) > 2.0 * loops.submap_half_m for other in chosen):
+        if all(
+            known.sessions[place] != known.sessions[other]
+            or abs(way_m[place] - way_m[other]) > 2.0 * loops.submap_half_m
+            for other in chosen
+        ):
             chosen.append(place)
             yield place
 
@@ -93,8 +107,3 @@ def _points(scan: LaserScan | None, config: Config) -> OrientedPoints:
     return OrientedPoints.from_scan(
         extract_points(scan, settings.range_min_m, settings.range_max_m, settings.neighbours)
     )
-
-
-def _way(poses: FloatArray) -> FloatArray:
-    """(K,) way from the first of (K, 3) poses to each."""
-    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeVar, cast
 
 import gtsam
@@ -16,23 +17,24 @@ from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Pose, Trajectory
 from slam.storage.map_file import MapFile
-from slam.storage.map_tables import FACTORS, GRIDS, KEYFRAMES, LOOPS, TRAJECTORY, Table
+from slam.storage.map_tables import CAMERAS, FACTORS, GRIDS, KEYFRAMES, LOOPS, TRAJECTORY, Table
 from slam.storage.packing import pack, pack_small, unpack, unpack_small
+from slam.vision.color_registration import ColorRegistration
+from slam.vision.learned_camera import LearnedCamera
 
 T = TypeVar("T")
 
-# The grid of the lidar; others are layers.
-OCCUPANCY = "occupancy"
+# The grids of lidar and depth camera; what they decide together follows from them.
+OCCUPANCY, DEPTH = "occupancy", "depth layer"
 _STRETCH = 4096
 
 
 @dataclass(frozen=True, slots=True)
 class SavedFactor:
-    """An edge of the graph, whether the final optimisation kept it, and the number of its loop candidate."""
+    """An edge of the graph, and whether the final optimisation kept it."""
 
     edge: Edge
     kept: bool
-    loop: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +55,8 @@ class MapContents:
         A pose for every reading of the log.
     grids
         By name.
+    cameras
+        What the run learned of each camera, by its name.
     """
 
     node_poses: Sequence[Pose]
@@ -64,6 +68,7 @@ class MapContents:
     loops: Sequence[LoopCandidate]
     trajectory: Trajectory
     grids: Mapping[str, OccupancyGrid]
+    cameras: Mapping[str, LearnedCamera] = field(default_factory=dict)
 
 
 def write_contents(file: MapFile, contents: MapContents) -> None:
@@ -74,7 +79,7 @@ def write_contents(file: MapFile, contents: MapContents) -> None:
     MapFileError
         Where the file cannot be written.
     """
-    for table in (KEYFRAMES, FACTORS, LOOPS, TRAJECTORY, GRIDS):
+    for table in (KEYFRAMES, FACTORS, LOOPS, TRAJECTORY, GRIDS, CAMERAS):
         file.clear(table)  # an interrupt may have come amid the writing
     for node, pose in enumerate(contents.node_poses):
         scan = contents.scans[node] if contents.scans else None
@@ -89,7 +94,7 @@ def write_contents(file: MapFile, contents: MapContents) -> None:
         )
     for factor in contents.factors:
         edge = factor.edge
-        ends = (edge.source, edge.target, int(edge.trusted), int(factor.kept), factor.loop)
+        ends = (edge.source, edge.target, int(edge.trusted), int(factor.kept), edge.loop)
         file.append(FACTORS, edge.kind.value, *ends, pack(edge.T_source_target), pack(edge.covariance))
     for loop in contents.loops:
         verdict = (loop.place, loop.keyframe, int(loop.accepted))
@@ -100,9 +105,10 @@ def write_contents(file: MapFile, contents: MapContents) -> None:
         stretch = Trajectory(whole.stamps_s[part], whole.positions_m[part], whole.quaternions_xyzw[part])
         file.append(TRAJECTORY, len(stretch), pack_small(stretch))
     for name, grid in contents.grids.items():
-        rows, cols = grid.log_odds.shape
-        corner, cells = pack(grid.T_map_grid), pack_small(np.ascontiguousarray(grid.log_odds))
-        file.append(GRIDS, name, rows, cols, grid.resolution_m, corner, cells)
+        corner, cells = pack(grid.T_map_grid), pack_small(np.ascontiguousarray(grid.steps))
+        file.append(GRIDS, name, *grid.shape, grid.resolution_m, corner, cells)
+    for name, learned in contents.cameras.items():
+        file.append(CAMERAS, name, pack(learned))
 
 
 def read_contents(file: MapFile) -> MapContents:
@@ -135,6 +141,7 @@ def read_contents(file: MapFile) -> MapContents:
             np.concatenate([part.quaternions_xyzw for part in stretches]),
         ),
         grids=dict(_read(file, GRIDS, _grid)),
+        cameras=dict(_read(file, CAMERAS, _camera)),
     )
 
 
@@ -177,7 +184,7 @@ def _factor(row: tuple[Any, ...], poses: Sequence[Pose], loops: int) -> SavedFac
     dimension = 3 if isinstance(measured, gtsam.Pose2) else 6
     _require(spread.shape == (dimension, dimension), "its covariance has another size")
     return SavedFactor(
-        Edge(source, target, measured, spread, EdgeKind(kind), bool(trusted)), bool(kept), loop
+        Edge(source, target, measured, spread, EdgeKind(kind), bool(trusted), loop), bool(kept)
     )
 
 
@@ -192,10 +199,25 @@ def _stretch(row: tuple[Any, ...]) -> Trajectory:
 def _grid(row: tuple[Any, ...]) -> tuple[str, OccupancyGrid]:
     """A row of the grids, with its name."""
     name, rows, cols, resolution_m, corner, cells = row
-    log_odds = _of(np.ndarray, unpack_small(cells))
-    _require(log_odds.shape == (rows, cols) and log_odds.dtype == np.float32, "its cells have another size")
+    steps = _of(np.ndarray, unpack_small(cells))
+    _require(steps.shape == (rows, cols), "its cells have another size")
     _require(resolution_m > 0.0, "its resolution is not positive")
-    return name, OccupancyGrid(log_odds, resolution_m, _of(gtsam.Pose2, unpack(corner)))
+    T_map_grid = _of(gtsam.Pose2, unpack(corner))
+    if steps.dtype == np.float32:  # log-odds, in maps of the first schemas
+        return name, OccupancyGrid.of_log_odds(steps, resolution_m, T_map_grid)
+    _require(steps.dtype == np.int16, "its cells are no steps of log-odds")
+    return name, OccupancyGrid(steps, resolution_m, T_map_grid)
+
+
+def _camera(row: tuple[Any, ...]) -> tuple[str, LearnedCamera]:
+    """A row of what was learned of cameras, with the camera's name."""
+    name, learned = row
+    found = _of(LearnedCamera, unpack(learned))
+    _require(isinstance(found.registration, ColorRegistration | None), "its registration is none")
+    _require(isinstance(found.T_base_camera, gtsam.Pose3 | None), "its mounting is none")
+    clock_s = (_of(float, found.clock_offset_s), _of(float, found.clock_sigma_s))
+    _require(all(map(math.isfinite, clock_s)), "its clock is not finite")
+    return name, found
 
 
 def _of(kind: type[T], value: Any) -> T:

@@ -166,6 +166,8 @@ class MapFile:
 
     def rows(self, table: Table) -> Iterator[tuple[Value, ...]]:
         """The values of all rows in their order, one in memory at a time; `MapFileError` as in `row`."""
+        if table.name not in self._counts:
+            return  # the map is older than the table
         number = -1
         with self.blaming(table, 0):
             found = iter(self._connection.execute(f"SELECT * FROM {table.name} ORDER BY number"))

@@ -22,6 +22,8 @@ _LIBRARIES = ("scanweave", "gtsam", "numpy", "numba", "scipy", "kiss-icp", "open
 # Images are known by name and size; anything else by its content.
 _IMAGES = frozenset({".png", ".jpg", ".jpeg", ".pgm", ".ppm"})
 _BLOCK = 1 << 20
+# Sections that earlier versions had: what they decided is in the map.
+_RETIRED = frozenset({"bundle"})
 # What a run leaves in the folder of its log where it is told to write there.
 _OUTPUTS = frozenset(
     {f"{MAP_NAME}{ending}" for ending in ("", "-wal", "-shm", "-journal")}
@@ -69,7 +71,9 @@ class MapIdentity:
             Where a row is missing, or the configuration is that of another version.
         """
         try:
-            config = Config.model_validate_json(meta["config"])
+            settings = json.loads(meta["config"])
+            known = {name: value for name, value in settings.items() if name not in _RETIRED}
+            config = Config.model_validate_json(json.dumps(known))
             versions = json.loads(meta["versions"])
             return cls(config, meta["log_name"], meta["log_fingerprint"], versions)
         except KeyError as error:
@@ -80,7 +84,9 @@ class MapIdentity:
                 f"({error.errors()[0]['loc'][0]}); make the map anew"
             ) from error
         except ValueError as error:
-            raise MapFileError(f"{path} tells no versions ({error}); make the map anew") from error
+            raise MapFileError(
+                f"{path}: settings or versions cannot be read ({error}); make the map anew"
+            ) from error
 
     def difference(self, now: MapIdentity) -> str | None:
         """What of a run that goes on now is not as it was, in a few words; None where all is the same."""

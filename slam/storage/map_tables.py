@@ -11,7 +11,7 @@ ColumnType: TypeAlias = Literal["INTEGER", "REAL", "TEXT", "BLOB"]
 Value: TypeAlias = int | float | str | bytes | None
 
 # Raised when a table changes; a reader refuses what is newer than itself.
-SCHEMA_VERSION: Final = 2
+SCHEMA_VERSION: Final = 3
 APPLICATION_ID: Final = 0x5CA9EA7E
 
 
@@ -111,12 +111,15 @@ JOURNAL: Final = Table("journal", (("first", "INTEGER"), ("answers", "BLOB")))
 # The cloud of each node, where a 3D lidar made the map.
 CLOUDS: Final = Table("clouds", (("stamp_s", "REAL"), ("lidar", "BLOB"), ("points", "BLOB")))
 
-TABLES: Final = (META, KEYFRAMES, FRAMES, IMAGES, FACTORS, LOOPS, TRAJECTORY, GRIDS, JOURNAL, CLOUDS)
+# What the run learned of each camera, by its name: where it sits, its colour camera, its clock.
+CAMERAS: Final = Table("cameras", (("sensor", "TEXT"), ("learned", "BLOB")))
+
+TABLES: Final = (META, KEYFRAMES, FRAMES, IMAGES, FACTORS, LOOPS, TRAJECTORY, GRIDS, JOURNAL, CLOUDS, CAMERAS)
 
 
 def tables_of(version: int) -> tuple[Table, ...]:
-    """The tables of a schema; the first had no clouds."""
-    return TABLES if version > 1 else TABLES[:-1]
+    """The tables of a schema: the first had no clouds, the second nothing that was learned of cameras."""
+    return TABLES[: len(TABLES) - max(0, SCHEMA_VERSION - version)]
 
 
 def _tagged(value: Value) -> bytes:

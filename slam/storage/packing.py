@@ -17,28 +17,27 @@ import gtsam
 import numpy as np
 
 from slam.errors import MapFileError
-from slam.graph.bundle_adjustment import WindowFailure, WindowResult
 from slam.graph.loop_closure import LoopCandidate
 from slam.measurements import CameraIntrinsics, LaserScan, MotionEstimate, Trajectory
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.features import Features
+from slam.vision.learned_camera import LearnedCamera
 from slam.vision.visual_match import VisualMatch
 
-# The place in this list is the number in the file: append only.
-_RECORDS: tuple[type, ...] = (
-    MotionEstimate,
-    LaserScan,
-    CameraIntrinsics,
-    Features,
-    LoopCandidate,
-    VisualMatch,
-    ColorRegistration,
-    WindowResult,
-    WindowFailure,
-    Trajectory,
-)
-_NUMBER_OF = {record: number for number, record in enumerate(_RECORDS)}
-_FIELDS = tuple(tuple(field.name for field in fields(record)) for record in _RECORDS)
+# The numbers are those in the file: one that has been given (7 and 8 were) is not given again.
+_RECORDS: dict[int, type] = {
+    0: MotionEstimate,
+    1: LaserScan,
+    2: CameraIntrinsics,
+    3: Features,
+    4: LoopCandidate,
+    5: VisualMatch,
+    6: ColorRegistration,
+    9: Trajectory,
+    10: LearnedCamera,
+}
+_NUMBER_OF = {record: number for number, record in _RECORDS.items()}
+_FIELDS = {number: tuple(field.name for field in fields(record)) for number, record in _RECORDS.items()}
 _DTYPES = tuple(np.dtype(name) for name in ("f8", "f4", "i8", "i4", "i2", "i1", "u1", "?"))
 _DTYPE_NUMBER = {dtype: number for number, dtype in enumerate(_DTYPES)}
 _DEEPEST = 8
@@ -153,6 +152,8 @@ def _unpack(content: bytes, at: int, depth: int) -> tuple[Any, int]:
     at += 1
     if tag == b"o":
         number = content[at]
+        if number not in _RECORDS:
+            raise ValueError(f"unknown record {number}")
         values, at = _unpack_many(content, at + 1, len(_FIELDS[number]), depth)
         return _RECORDS[number](*values), at
     if tag == b"d":

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import gtsam
 import numpy as np
@@ -12,15 +14,20 @@ import numpy as np
 from slam.config import Config
 from slam.errors import MapFileError
 from slam.graph.loop_closure import LoopCandidate
+from slam.mapping.keyframe_grid import layers_of_grids
+from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Pose, Trajectory
 from slam.storage.map_clouds import MapClouds
-from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor, read_contents
+from slam.storage.map_contents import DEPTH, OCCUPANCY, MapContents, SavedFactor, read_contents
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
 from slam.storage.map_identity import MapIdentity
 from slam.storage.map_sessions import MapSession, sessions_of
 from slam.storage.map_tables import FRAMES
+
+# What the run told people, as rows of the file.
+NOTES, WARNINGS = "notes", "warnings"
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +50,8 @@ class SavedMap:
         The clouds of the nodes; none where no 3D lidar made the map.
     digest
         Of everything; equal for equal maps.
+    notes, warnings
+        What the mapping run found out, and what a person should know before trusting the map: a line each.
     """
 
     path: Path
@@ -52,7 +61,10 @@ class SavedMap:
     frames: MapFrames
     clouds: MapClouds
     digest: str
+    notes: Sequence[str]
+    warnings: Sequence[str]
     _file: MapFile = field(repr=False)
+    _folder: TemporaryDirectory[str] | None = field(default=None, repr=False)
 
     @property
     def planar(self) -> bool:
@@ -76,8 +88,13 @@ class SavedMap:
 
     @property
     def grid(self) -> OccupancyGrid | None:
-        """The occupancy grid; None of a camera alone."""
+        """The lidar's grid, which other scans are matched to; None of cameras alone."""
         return self.contents.grids.get(OCCUPANCY)
+
+    @property
+    def layers(self) -> LayeredMap | None:
+        """The map to drive by and its layers, those of the run that saved it; None of a camera in space."""
+        return layers_of_grids(self.grid, self.contents.grids.get(DEPTH), self.config)
 
     @property
     def trajectory(self) -> Trajectory:
@@ -93,10 +110,6 @@ class SavedMap:
     def loops(self) -> Sequence[LoopCandidate]:
         """Every loop candidate with its verdict."""
         return self.contents.loops
-
-    def frame_nodes(self) -> list[int]:
-        """The node of every camera keyframe."""
-        return [self.frames.head(index).node for index in range(len(self.frames))]
 
     def frame_poses(self) -> list[gtsam.Pose3]:
         """``T_map_camera`` of every camera keyframe."""
@@ -123,8 +136,13 @@ class SavedMap:
         self._file.close()
 
 
-def open_saved_map(path: Path | str) -> SavedMap:
+def open_saved_map(path: Path | str, kept_in: TemporaryDirectory[str] | None = None) -> SavedMap:
     """Open a finished map: a folder that ``scanweave map`` has made, or its ``map.db``.
+
+    Parameters
+    ----------
+    kept_in
+        A temporary folder that holds it, and lives as long as the map.
 
     Raises
     ------
@@ -156,7 +174,21 @@ def open_saved_map(path: Path | str) -> SavedMap:
         file.close()
         raise
     digest = file.content_digest()
-    return SavedMap(file.path, identity, sessions, contents, frames, clouds, digest, file)
+    notes, warnings = (_lines(meta, key, file.path) for key in (NOTES, WARNINGS))
+    return SavedMap(
+        file.path, identity, sessions, contents, frames, clouds, digest, notes, warnings, file, kept_in
+    )
+
+
+def _lines(meta: Mapping[str, str], key: str, path: Path) -> list[str]:
+    """Lines of text from a row of the file; none in a map of an older version."""
+    try:
+        lines = json.loads(meta.get(key, "[]"))
+    except ValueError as error:
+        raise MapFileError(f"{path} tells no {key} ({error}); make the map anew") from error
+    if not isinstance(lines, list) or not all(isinstance(line, str) for line in lines):
+        raise MapFileError(f"{path} tells no {key}; make the map anew")
+    return lines
 
 
 def _yaw(pose: Pose) -> float:

@@ -23,12 +23,9 @@ _POINTS_A_FEATURE = 10.0
 class FrameMatcher:
     """Stateless but for its settings; without surfaces it is Yang2021's ORB odometry, Eq. (1)-(6)."""
 
-    def __init__(
-        self, config: RgbdOdometryConfig, *, use_surfaces: bool = True, use_features: bool = True
-    ) -> None:
+    def __init__(self, config: RgbdOdometryConfig, *, use_surfaces: bool = True) -> None:
         self._config = config
         self._use_surfaces = use_surfaces
-        self._use_features = use_features
         self._settings = AlignmentSettings(
             iterations=config.iterations,
             coarse_iterations=config.coarse_iterations,
@@ -45,7 +42,7 @@ class FrameMatcher:
     ) -> VisualMatch | None:
         """See `slam.odometry.rgbd_odometry.RgbdOdometry`."""
         config = self._config
-        known = local[: config.feature_views] if self._use_features else []
+        known = local[: config.feature_views]
         landmarks = self._landmarks(frame, known, guess)
         anywhere = len(landmarks.points) < config.least_inliers
         if anywhere:

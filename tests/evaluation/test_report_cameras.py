@@ -27,6 +27,7 @@ from slam.measurements import CameraIntrinsics, FloatArray, LaserScan, Trajector
 from slam.scan_record import CameraRecord, ScanRecord
 from slam.storage.ply import write_cloud_ply
 from slam.vision.color_registration import identity_registration
+from slam.vision.learned_camera import LearnedCamera
 
 COUNT = 100
 LENS = CameraIntrinsics(300.0, 300.0, 160.0, 120.0, 320, 240)
@@ -135,10 +136,10 @@ def test_only_the_steps_that_cameras_told_are_theirs() -> None:
 
 def test_a_registration_is_told_with_its_reason(tmp_path: Path) -> None:
     refused = identity_registration(LENS, "taken as registered: <no clear gain>")
-    record = CameraRecord(frames(), motions=1234, refused_motions=56, registration=refused)
+    record = CameraRecord(frames(), motions=1234, refused_motions=56, learned=LearnedCamera(refused))
     html = page(replace(result(), cameras={"left": record}), tmp_path)
     assert "<td>1,234<td>56<td>" in html and "taken as registered: &lt;no clear gain&gt;" in html
-    found = replace(record, registration=replace(refused, accepted=True, reason="1.7 cm beside"))
+    found = replace(record, learned=LearnedCamera(replace(refused, accepted=True, reason="1.7 cm beside")))
     assert "registered by the log itself: 1.7 cm beside" in page(
         replace(result(), cameras={"left": found}), tmp_path
     )

@@ -219,6 +219,17 @@ def test_an_image_turned_in_memory_is_repaired_too():
     assert (result.depth_source[0][row[95:100], np.arange(95, 100)] == FILLED)[on[95:100]].all()
 
 
+def test_each_camera_gets_its_own_repair_though_both_hand_in_one_image():
+    scan, image = pair()
+    depth = image.depth_m.copy()
+    depth[:, 95:100] = 0.0
+    image = fusion.DepthImage(depth, image.intrinsics)
+    rig = dataclasses.replace(RIG, alignments=RIG.alignments * 2)
+    result = fusion.denoise(scan, (image, image), rig)
+    assert all((source == FILLED).any() for source in result.depth_source)
+    assert np.array_equal(*result.depth_source) and np.array_equal(*result.depth_m)
+
+
 def test_a_pair_alone_is_enough_where_its_grade_is_high():
     boxes = (*world.ROOM, world.CUPBOARD)
     scan, image = pair(boxes)

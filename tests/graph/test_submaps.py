@@ -38,6 +38,15 @@ def test_the_neighbours_by_way() -> None:
     np.testing.assert_allclose(seen_x(store, 10), [-2.0, -1.0, 0.0, 1.0, 2.0], atol=1e-6)
 
 
+def test_sessions_share_no_submap() -> None:
+    """Three keyframes each; the odometry of the second session begins where that of the first ended."""
+    store = store_of(3)
+    for n in range(3):
+        store.add(one_point(0.0, 5.0), np.array([2.0 + n, 0.0, 0.0]), 2.0 + n, session=1)
+    np.testing.assert_allclose(seen_x(store, 1), [-1.0, 0.0, 1.0], atol=1e-6)
+    np.testing.assert_allclose(seen_x(store, 3), [0.0, 1.0, 2.0], atol=1e-6)
+
+
 def test_a_submap_is_in_the_places_frame() -> None:
     """Three sweeps of a room from three poses, seen from the middle one: they draw the same walls."""
     store = SubmapStore(LoopConfig(), MatchConfig())

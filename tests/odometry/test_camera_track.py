@@ -59,9 +59,14 @@ def test_what_a_track_does_not_know() -> None:
 
 def test_a_clock_that_goes_back_begins_anew() -> None:
     track = at_constant_speed(np.array([10.0, 10.1]))
-    track.add(3.0, CameraPose(gtsam.Pose3(), COVARIANCE, 0))
+    track.lose()
+    track.add(3.0, CameraPose(gtsam.Pose3(), 2.0 * COVARIANCE, 7))
     assert track.at(10.05, 0.0) is None
-    assert track.at(3.0, 0.0) is not None
+    assert track.newest_motion() is None
+    begun = track.at(3.0, 0.0)
+    assert begun is not None
+    assert begun.pose.equals(gtsam.Pose3(), 1e-12) and begun.segment == 7
+    np.testing.assert_allclose(begun.covariance, 2.0 * COVARIANCE, rtol=1e-6)
 
 
 def test_the_newest_motion_is_a_speed_at_the_middle() -> None:

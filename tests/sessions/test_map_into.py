@@ -85,6 +85,10 @@ class TestJoined:
             np.testing.assert_array_equal(one.ranges_m, other.ranges_m)
         bridges = [f.edge for f in after.factors if f.edge.source < first.keyframes <= f.edge.target]
         assert len(bridges) >= 3 and all(edge.kind.value == "loop" for edge in bridges)
+        for edge in (factor.edge for factor in after.factors if factor.edge.kind.value == "loop"):
+            assert edge.loop is not None
+            loop = after.loops[edge.loop]
+            assert (edge.source, edge.target) == (loop.place, loop.keyframe)
         assert not (joined / "joining").exists()
         before.close()
         after.close()

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from slam.config import Config, load_config
-from slam.errors import DatasetError
+from slam.errors import ConfigError, DatasetError
 from slam.storage.map_identity import MapIdentity, fingerprint_of, identity_of
 
 
@@ -26,6 +27,15 @@ def test_the_same_is_the_same(log: Path) -> None:
     assert one.difference(identity_of(log, Config())) is None
     assert MapIdentity.from_meta(one.to_meta(), log) == one
     assert {"scanweave", "gtsam", "numpy", "code"} <= set(one.versions)
+
+
+def test_a_map_with_settings_of_an_earlier_version_is_read(log: Path) -> None:
+    one = identity_of(log, Config())
+    meta = one.to_meta()
+    meta["config"] = json.dumps({**json.loads(meta["config"]), "bundle": {"enabled": False}})
+    assert MapIdentity.from_meta(meta, log) == one
+    with pytest.raises(ConfigError, match="unknown key 'bundle'"):
+        load_config(None, ["bundle.enabled=true"])
 
 
 @pytest.mark.parametrize(

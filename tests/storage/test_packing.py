@@ -140,17 +140,22 @@ def test_compressed_values_are_what_they_say() -> None:
 def test_another_field_is_another_schema() -> None:
     """Whoever changes a record sees this: raise SCHEMA_VERSION, and read the old one or refuse it."""
     known = {
-        record.__name__: len(names) for record, names in zip(packing._RECORDS, packing._FIELDS, strict=True)
+        number: (record.__name__, len(packing._FIELDS[number])) for number, record in packing._RECORDS.items()
     }
     assert known == {
-        "MotionEstimate": 8,
-        "LaserScan": 7,
-        "CameraIntrinsics": 6,
-        "Features": 4,
-        "LoopCandidate": 8,
-        "VisualMatch": 4,
-        "ColorRegistration": 7,
-        "WindowResult": 7,
-        "WindowFailure": 1,
-        "Trajectory": 3,
+        0: ("MotionEstimate", 8),
+        1: ("LaserScan", 7),
+        2: ("CameraIntrinsics", 6),
+        3: ("Features", 4),
+        4: ("LoopCandidate", 8),
+        5: ("VisualMatch", 4),
+        6: ("ColorRegistration", 7),
+        9: ("Trajectory", 3),
+        10: ("LearnedCamera", 5),
     }
+
+
+@pytest.mark.parametrize("number", [7, 8, 11, 255])
+def test_a_record_that_no_version_or_an_older_one_knows_is_refused(number: int) -> None:
+    with pytest.raises(MapFileError, match=f"unknown record {number}"):
+        unpack(b"o" + bytes([number]) + b"N")

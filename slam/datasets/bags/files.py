@@ -52,8 +52,12 @@ class Bag:
             A file cannot be read at all.
         """
         number = 0
-        for path, container in zip(self.parts, self.containers, strict=True):
-            for channel, recorded_ns, content in container.records(path, account):
+        for part, (path, container) in enumerate(zip(self.parts, self.containers, strict=True)):
+
+            def note_share(share: float, part: int = part) -> None:
+                account.report.note_share((part + share) / len(self.parts))
+
+            for channel, recorded_ns, content in container.records(path, account, note_share):
                 number += 1
                 account.report.line_count = number
                 try:

@@ -26,6 +26,7 @@ from slam.datasets.bags.records import (
     ros2_name,
 )
 from slam.datasets.dataset import RecordFault
+from slam.datasets.log_file import OnShare
 from slam.errors import DatasetError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -57,14 +58,18 @@ class McapContainer:
                 return None
         return None
 
-    def records(self, path: Path, account: Account) -> Iterator[tuple[Channel, int, bytes]]:
+    def records(
+        self, path: Path, account: Account, on_share: OnShare
+    ) -> Iterator[tuple[Channel, int, bytes]]:
         """All messages in the order of the file; a damaged chunk costs itself, a cut the rest."""
         tables, chunks = _Tables(), 0
         with path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
                 raise DatasetError(f"{path} does not begin as an MCAP file; record or copy it again")
             try:
+                size = path.stat().st_size
                 for kind, content, whole in _raw_records(file):
+                    on_share(file.tell() / size)
                     if kind in (_FOOTER, _DATA_END):
                         return
                     if kind == _CHUNK:

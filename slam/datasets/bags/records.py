@@ -9,6 +9,7 @@ from typing import BinaryIO, Protocol
 
 from slam.datasets.account import Account
 from slam.datasets.dataset import RecordFault
+from slam.datasets.log_file import OnShare
 
 CUT = "the bag ends in the middle of a record; read up to there"
 DAMAGED = "damaged record of the bag"
@@ -62,8 +63,12 @@ class Container(Protocol):
         """All channels by the index of the file; None where it has none, as a cut-off file."""
         ...
 
-    def records(self, path: Path, account: Account) -> Iterator[tuple[Channel, int, bytes]]:
+    def records(
+        self, path: Path, account: Account, on_share: OnShare
+    ) -> Iterator[tuple[Channel, int, bytes]]:
         """Channel, time in nanoseconds and content of each message; what is damaged goes to the account.
+
+        Now and then ``on_share`` is told the share of the file that has been read, 0..1.
 
         Raises
         ------

@@ -20,6 +20,7 @@ from slam.datasets.bags.records import (
     ros2_name,
 )
 from slam.datasets.dataset import RecordFault
+from slam.datasets.log_file import OnShare
 from slam.errors import DatasetError
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -55,7 +56,9 @@ class Rosbag1Container:
             except (CutError, RecordFault, struct.error, OSError):
                 return None
 
-    def records(self, path: Path, account: Account) -> Iterator[tuple[Channel, int, bytes]]:
+    def records(
+        self, path: Path, account: Account, on_share: OnShare
+    ) -> Iterator[tuple[Channel, int, bytes]]:
         """All messages in the order of the file; a damaged chunk costs itself, a cut the rest."""
         channels: dict[int, Channel] = {}
         chunks, indexed = 0, True
@@ -63,7 +66,9 @@ class Rosbag1Container:
             if file.read(len(MAGIC)) != MAGIC:
                 raise DatasetError(f"{path} does not begin as a ROS 1 bag 2.0; convert or copy it again")
             try:
+                size = path.stat().st_size
                 for fields, content, whole in _raw_records(file):
+                    on_share(file.tell() / size)
                     kind = fields.get("op", b"")
                     if kind == bytes([_BAG_HEADER]):
                         indexed = any(fields.get("index_pos", b""))

@@ -10,6 +10,7 @@ from pathlib import Path
 from slam.datasets.account import Account
 from slam.datasets.bags.records import CUT, DAMAGED, LARGEST_BYTES, Channel, one_line, ros2_name
 from slam.datasets.dataset import RecordFault
+from slam.datasets.log_file import OnShare
 from slam.errors import DatasetError
 
 MAGIC = b"SQLite format 3\x00"
@@ -32,7 +33,9 @@ class SqliteContainer:
         except sqlite3.Error:
             return None
 
-    def records(self, path: Path, account: Account) -> Iterator[tuple[Channel, int, bytes]]:
+    def records(
+        self, path: Path, account: Account, on_share: OnShare
+    ) -> Iterator[tuple[Channel, int, bytes]]:
         """All messages in the order of their numbers; a damaged page ends them."""
         with closing(_opened(path)) as database:
             try:
@@ -42,7 +45,9 @@ class SqliteContainer:
                     f"{path} is no rosbag2 database: {one_line(str(error))}; copy it again"
                 ) from error
             try:
-                for number, stamp_ns, content in database.execute(_MESSAGES):
+                count = max(_last_number(database), 1)
+                for row, (number, stamp_ns, content) in enumerate(database.execute(_MESSAGES)):
+                    on_share(min(row / count, 1.0))
                     if number in channels and isinstance(stamp_ns, int) and isinstance(content, bytes):
                         yield channels[number], stamp_ns, content
                     else:
@@ -50,6 +55,15 @@ class SqliteContainer:
                         account.refuse(fault, path.name, account.report.line_count)
             except sqlite3.Error as error:
                 account.refuse(RecordFault(CUT, one_line(str(error))), path.name, account.report.line_count)
+
+
+def _last_number(database: sqlite3.Connection) -> int:
+    """The number of the last message; 0 where its page is damaged."""
+    try:
+        (last,) = database.execute("SELECT max(id) FROM messages").fetchone()
+    except sqlite3.Error:
+        return 0
+    return last if isinstance(last, int) else 0
 
 
 def is_rosbag2(path: Path) -> bool:

@@ -1,10 +1,10 @@
-"""How ``scanweave map`` begins, goes on with and leaves a map that is being made."""
+"""The folder of a map that is being made: what lies there, how a run begins, goes on and leaves it."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from enum import Enum
 from pathlib import Path
 
 from slam.errors import DatasetError, MapFileError, UnfinishedMapError
@@ -46,6 +46,29 @@ def finished_map(folder: Path, identity: MapIdentity) -> bool:
     return finished
 
 
+class Left(Enum):
+    """What an earlier run has left in a folder."""
+
+    NOTHING = "nothing"
+    UNFINISHED = "a map that was interrupted"
+    FINISHED = "a finished map"
+    DAMAGED = "something that is no whole map"
+
+
+def left_in(folder: Path) -> Left:
+    """What an earlier run has left in a folder."""
+    path = folder / MAP_NAME
+    if not path.is_file() or not path.stat().st_size:
+        return Left.NOTHING
+    try:
+        MapFile.read(path).close()
+    except UnfinishedMapError:
+        return Left.UNFINISHED
+    except MapFileError:
+        return Left.DAMAGED
+    return Left.FINISHED
+
+
 @contextmanager
 def opened_map(folder: Path, identity: MapIdentity, *, resume: bool) -> Iterator[MapFile]:
     """Yield the map to write; whatever but a faulty log ends the block, what was found out is kept.
@@ -58,15 +81,8 @@ def opened_map(folder: Path, identity: MapIdentity, *, resume: bool) -> Iterator
     path = folder / MAP_NAME
     file = MapFile.resume(path) if resume else None
     resumed = file is not None
-    if file is not None:
-        print(f"going on with {path}", file=sys.stderr)
-    else:
-        unfinished = left_unfinished(path)
+    if file is None:
         file = MapFile.create(path)
-        if resume:
-            print(f"nothing to resume in {folder}; mapping from the beginning", file=sys.stderr)
-        elif unfinished:
-            print(f"replacing {path}, which an interrupted run has left", file=sys.stderr)
         for key, value in identity.to_meta().items():
             file.add_meta(key, value)
         file.commit()
@@ -78,20 +94,6 @@ def opened_map(folder: Path, identity: MapIdentity, *, resume: bool) -> Iterator
         raise
     except KeyboardInterrupt:
         file.commit()
-        print(f"{path} is not finished; the same command with --resume goes on with it", file=sys.stderr)
         raise
     finally:
         file.close()
-
-
-def left_unfinished(path: Path) -> bool:
-    """Whether a map is there that was never finished."""
-    if not path.is_file():
-        return False
-    try:
-        MapFile.read(path).close()
-    except UnfinishedMapError:
-        return True
-    except MapFileError:
-        return False
-    return False

@@ -1,0 +1,143 @@
+"""One more session in a saved map."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from slam.app.map_run import MapRun, run_into
+from slam.app.progress import OnProgress, Progress, silent
+from slam.config import Config
+from slam.datasets import open_dataset
+from slam.datasets.dataset import Dataset
+from slam.errors import MapFileError, ScanweaveError
+from slam.sessions.connection import Connection, connect
+from slam.sessions.joined_files import move_into, only_one_in, write_joined
+from slam.storage.files import make_folder, write_bytes
+from slam.storage.map_file import MAP_NAME
+from slam.storage.map_identity import identity_of
+from slam.storage.saved_map import SavedMap, open_saved_map
+
+# Where the session is mapped and the joined map is written until it is whole.
+WORK = "joining"
+
+
+@dataclass(frozen=True, slots=True)
+class Joined:
+    """What became of a session.
+
+    Attributes
+    ----------
+    map
+        The joined map, open.
+    session
+        How the log alone was mapped; that map is closed and gone.
+    connection
+        Where the session lies, and the loops between it and the map.
+    written
+        The files.
+    """
+
+    map: SavedMap
+    session: MapRun
+    connection: Connection
+    written: tuple[Path, ...]
+
+
+def join(
+    known: SavedMap,
+    log: Path | str | Dataset,
+    config: Config | None = None,
+    *,
+    out: Path | str | None = None,
+    on_progress: OnProgress | None = None,
+    resume: bool = False,
+    strict: bool = False,
+) -> Joined:
+    """Map a log, join it to a saved map, and let the joined map take its place, or go to another folder.
+
+    Parameters
+    ----------
+    known
+        The map; it stays open, and shows what it was.
+    log
+        A path that `slam.open_dataset` takes, or what it has opened.
+    config
+        By which the log is mapped; None takes the settings of the map.
+    out
+        Folder for the joined map; None lets it take the place of ``known``.
+    on_progress
+        Told how far it is.
+    resume
+        Go on with a session that was interrupted.
+    strict
+        Stop at the first damaged record instead of counting and skipping it; of a path.
+
+    Raises
+    ------
+    ScanweaveError
+        Where the two do not connect, or a file is at fault; the saved map is as it was.
+    """
+    _refuse_unfit(known, str(known.path))
+    if out is None and known.path.name != MAP_NAME:
+        raise MapFileError(
+            f"{known.path} is not named {MAP_NAME}; say with --out (out=) where the joined map goes"
+        )
+    if isinstance(log, str | Path):
+        log = open_dataset(log, strict=strict, topics=config.sensors.topics if config else ())
+    identity = identity_of(log.path, config or known.config)
+    if any(session.log_fingerprint == identity.log_fingerprint for session in known.sessions):
+        raise ScanweaveError(f"{log.path} is in {known.path} already; the map is as it was")
+    folder = known.path.parent if out is None else Path(out)
+    was_there = folder.exists()
+    work = folder / WORK / "session"
+    make_folder(work)
+    tell = on_progress or silent
+    with only_one_in(folder):
+        try:
+            session = run_into(work, log, identity, on_progress=tell, resume=resume, exports=False)
+            tell(Progress("joining", 0))
+            connection, written = _connected(log, known, session, folder)
+        finally:
+            session_map = work / MAP_NAME
+            if not session_map.exists():  # nothing is left that could be gone on with
+                shutil.rmtree(folder / WORK, ignore_errors=True)
+                if not was_there and not any(folder.iterdir()):
+                    folder.rmdir()
+    return Joined(open_saved_map(folder), session, connection, tuple(written))
+
+
+def _connected(log: Dataset, known: SavedMap, session: MapRun, folder: Path) -> tuple[Connection, list[Path]]:
+    """Connect the two, and write the joined map into a folder; what was written."""
+    work = session.map.path.parent
+    try:
+        _refuse_unfit(session.map, f"what was mapped of {log.path}")
+        connection = connect(known, session.map)
+        if connection.joined is None:
+            raise ScanweaveError(
+                f"{log.path} does not connect to {known.path}: {connection.reason}; the map is as it was"
+            )
+    except ScanweaveError:
+        session.map.close()
+        shutil.rmtree(work)  # to go on with it would lead here again
+        raise
+    whole = folder / WORK / "map"
+    shutil.rmtree(whole, ignore_errors=True)  # of a run that was killed
+    write_joined(whole, known, session.map, connection.joined)
+    session.map.close()
+    report = (work / "report.html").read_bytes()
+    write_bytes(whole / f"report-{len(known.sessions) + 1}.html", report)
+    written = move_into(folder, whole)
+    shutil.rmtree(work)
+    return connection, written
+
+
+def _refuse_unfit(saved: SavedMap, name: str) -> None:
+    """Refuse a map whose sessions cannot be joined by their scans."""
+    if len(saved.clouds):
+        raise ScanweaveError(f"{name} is of a 3D lidar; only maps of a robot on a floor take sessions")
+    if not saved.planar:
+        raise ScanweaveError(f"{name} is of a camera in space; only maps of a robot on a floor take sessions")
+    if saved.grid is None or all(scan is None for scan in saved.keyframe_scans):
+        raise ScanweaveError(f"{name} holds no lidar scan; sessions are joined by their scans")

@@ -1,0 +1,148 @@
+"""A log localised in a saved map."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from slam.app.progress import OnProgress, Progress, silent
+from slam.config import Config
+from slam.datasets import open_dataset
+from slam.datasets.dataset import Dataset
+from slam.errors import DatasetError
+from slam.evaluation.localization_report import write_localization_report
+from slam.localization.drive_log import DriveLog
+from slam.localization.known_map import KnownMap
+from slam.localization.localizer import Localizer
+from slam.map_recording import record_localization
+from slam.measurements import Trajectory
+from slam.sensor_choice import SensorChoice, used_measurements
+from slam.storage.files import make_folder
+from slam.storage.saved_map import SavedMap
+from slam.viewer import Viewer, recording
+from slam.vision.color_registration import ColorRegistration
+from slam.vision.registration_pairs import registrations_of
+
+
+@dataclass(frozen=True, slots=True)
+class Localization:
+    """A localised log.
+
+    Attributes
+    ----------
+    drive
+        State, pose, covariance and confidence after every scan or frame.
+    written
+        The files.
+    """
+
+    drive: DriveLog
+    written: tuple[Path, ...]
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Poses in the map while it was known where the robot is, those found later included; by stamp."""
+        return self.drive.trajectory()
+
+
+def localize_log(
+    saved: SavedMap,
+    log: Path | str | Dataset,
+    config: Config | None = None,
+    *,
+    out: Path | str | None = None,
+    on_progress: OnProgress | None = None,
+    strict: bool = False,
+    record: Path | None = None,
+) -> Localization:
+    """Find and follow the robot of a log in a saved map, from no start pose; the map stays as it is.
+
+    Parameters
+    ----------
+    saved
+        The map.
+    log
+        A path that `slam.open_dataset` takes, or what it has opened.
+    config
+        The effective configuration; None for the default preset.
+    out
+        Folder for ``trajectory.tum``, ``trajectory.csv`` and the report; None writes nothing.
+    on_progress
+        Told how far it is.
+    strict
+        Stop at the first damaged record instead of counting and skipping it; of a path.
+    record
+        Where a recording for the Rerun viewer goes; None for none.
+
+    Raises
+    ------
+    ScanweaveError
+        Where the log cannot be read, holds nothing that can be localised in the map, or a file cannot be
+        written.
+
+    Examples
+    --------
+    >>> import slam, tempfile
+    >>> from slam.simulation.synthetic_log import write_synthetic_log
+    >>> folder = tempfile.TemporaryDirectory()
+    >>> monday = write_synthetic_log(folder.name + "/monday", seed=1, duration_s=24.0).log_path
+    >>> tuesday = write_synthetic_log(folder.name + "/tuesday", seed=2, duration_s=12.0).log_path
+    >>> house = slam.map_log(monday)
+    >>> found = slam.localize_log(house, tuesday)
+    >>> len(found.trajectory) > 50
+    True
+    """
+    config = config or Config()
+    if isinstance(log, str | Path):
+        sensors = config.sensors
+        log = open_dataset(log, strict=strict, topics=sensors.topics, images=sensors.rgbd)
+    known_map = KnownMap.of_saved(saved)
+    registrations = _registrations(known_map, log, config)
+    with recording(record) as viewer:
+        if saved.grid is not None:
+            viewer.grid("saved map", saved.grid.states(), saved.grid.resolution_m, saved.grid.T_map_grid)
+        localizer = Localizer(known_map, config, registrations)
+        drive = _driven(localizer, log, config, viewer, on_progress or silent)
+    if not len(drive):
+        wanted = "clouds of a 3D lidar" if len(saved.clouds) else "planar scans, or frames of its camera"
+        raise DatasetError(
+            f"{log.name} holds nothing that can be localised in {saved.path}, which takes {wanted}; see "
+            "'scanweave inspect' for what the log holds and 'scanweave info' for the map"
+        )
+    return Localization(drive, _written(Path(out), drive, saved, log) if out is not None else ())
+
+
+def _registrations(known_map: KnownMap, log: Dataset, config: Config) -> dict[str, ColorRegistration] | None:
+    """Where the map's colour camera sits: None where the map tells it, else as the log tells."""
+    cameras = known_map.cameras
+    if cameras is None or cameras.registrations or config.rgbd.registration == "given":
+        return None if config.rgbd.registration != "given" else {}
+    choice = SensorChoice.of(log, config.sensors)
+    return registrations_of(used_measurements(log, config.sensors), choice.cameras, config)
+
+
+def _driven(
+    localizer: Localizer, log: Dataset, config: Config, viewer: Viewer, on_progress: OnProgress
+) -> DriveLog:
+    """The whole log through the localiser."""
+    drive = DriveLog()
+    for measurement in used_measurements(log, config.sensors):
+        before = time.perf_counter()
+        output = localizer.add(measurement)
+        if output is not None:
+            drive.add(output, time.perf_counter() - before)
+            record_localization(viewer, measurement, output)
+            on_progress(Progress("localising", len(drive), log.report.share))
+    return drive
+
+
+def _written(out: Path, drive: DriveLog, saved: SavedMap, log: Dataset) -> tuple[Path, ...]:
+    """Trajectory, covariances and report in a folder."""
+    make_folder(out)
+    files = drive.write(out)
+    notes = [(reason, f"{tally.count:,}") for reason, tally in log.report.dropped.items()]
+    write_localization_report(
+        out / "report.html", f"{log.path.name} in {saved.path}", drive, saved.grid, notes
+    )
+    return (*files, out / "report.html")

@@ -1,0 +1,131 @@
+"""One log through the mapper into one folder: map.db, the files of other programs, the report."""
+
+from __future__ import annotations
+
+import json
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from slam.app.map_folder import finished_map, opened_map
+from slam.app.progress import OnProgress, Progress
+from slam.config import Config
+from slam.datasets.dataset import Dataset
+from slam.errors import ScanweaveError
+from slam.evaluation.map_report import RunCost, beside_of, report_data
+from slam.evaluation.report import ReportData, write_report
+from slam.journal import Journal
+from slam.layer_outputs import layers_of
+from slam.map_recording import record_map
+from slam.map_result import MapResult
+from slam.mapping.layered_map import LayeredMap
+from slam.pipeline import build_map
+from slam.run_outputs import contents_of, save_clouds, save_dense, save_run
+from slam.storage.files import make_folder
+from slam.storage.map_contents import write_contents
+from slam.storage.map_file import MAP_NAME
+from slam.storage.map_identity import MapIdentity
+from slam.storage.saved_map import NOTES, WARNINGS, SavedMap, open_saved_map
+from slam.viewer import recording
+
+
+@dataclass(frozen=True, slots=True)
+class MapRun:
+    """What became of a run.
+
+    Attributes
+    ----------
+    map
+        The finished map, open.
+    report
+        What its report tells; None where the map was finished before, and nothing was done.
+    written
+        The files, ``map.db`` and the report among them.
+    dropped
+        Records of the log that were refused.
+    """
+
+    map: SavedMap
+    report: ReportData | None
+    written: tuple[Path, ...]
+    dropped: int = 0
+
+
+def run_into(
+    folder: Path,
+    dataset: Dataset,
+    identity: MapIdentity,
+    *,
+    on_progress: OnProgress,
+    resume: bool = False,
+    exports: bool = True,
+    report: bool = True,
+    record: Path | None = None,
+) -> MapRun:
+    """Map a log into a folder.
+
+    Parameters
+    ----------
+    folder
+        Made where it is missing; what an earlier run has left there is replaced, unless ``resume``.
+    identity
+        What decides the map: the settings, and which log it is.
+    resume
+        Go on with what an interrupted run of the same log and settings has left.
+    exports, report
+        Whether the files for other programs, and ``report.html``, are written beside ``map.db``.
+    record
+        Where a recording for the Rerun viewer goes; None for none.
+
+    Raises
+    ------
+    ScanweaveError
+        Where the log holds nothing to map, a file is at fault, or what is resumed does not fit.
+    """
+    started = time.perf_counter()
+    make_folder(folder)
+    if resume and finished_map(folder, identity):
+        return MapRun(open_saved_map(folder), None, ())
+    config, written = identity.config, []
+    with ExitStack() as stack:
+        viewer = stack.enter_context(recording(record))
+        file = stack.enter_context(opened_map(folder, identity, resume=resume))
+
+        def on_reading(count: int) -> None:
+            on_progress(Progress("mapping", count, dataset.report.share))
+
+        result = build_map(dataset, config, on_reading, Journal(file))
+        on_progress(Progress("writing", result.scans.stamps_s.size))
+        layers = layers_of(result, config)
+        files, missing = _exports(folder, result, layers, config) if exports else ([], [])
+        data = None
+        if report:
+            cost = RunCost(time.perf_counter() - started, time.process_time())
+            beside = beside_of(dataset, result, files, missing)
+            data = report_data(identity.log_name, dataset.report, result, config, cost, beside, layers)
+            write_report(folder / "report.html", data)
+            written.append(folder / "report.html")
+        record_map(viewer, result, layers, config)
+        write_contents(file, contents_of(result, layers))
+        file.add_meta(NOTES, json.dumps(result.notes))
+        file.add_meta(WARNINGS, json.dumps(result.warnings))
+        file.seal()
+    dropped = dataset.report.dropped_count
+    return MapRun(open_saved_map(folder), data, (*files, folder / MAP_NAME, *written), dropped)
+
+
+def _exports(
+    folder: Path, result: MapResult, layers: LayeredMap | None, config: Config
+) -> tuple[list[Path], list[str]]:
+    """Write the files for other programs; which they are, and what of them could not be had.
+
+    Without surfaces the map is still worth its report.
+    """
+    files = save_run(folder, result, layers)
+    try:
+        files += save_dense(folder, result, config.dense_map)
+        files += save_clouds(folder, result, config.cloud_map, config.dense_map)
+    except ScanweaveError as error:
+        return files, [f"No coloured surface was written: {error}"]
+    return files, []

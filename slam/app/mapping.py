@@ -1,0 +1,171 @@
+"""A log, or measurements of a program's own, to a saved map."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from slam.app.map_folder import Left, left_in
+from slam.app.map_run import MapRun, run_into
+from slam.app.measured import Measured
+from slam.app.progress import OnProgress, silent
+from slam.config import Config
+from slam.datasets import open_dataset
+from slam.datasets.dataset import Dataset
+from slam.errors import MapFileError
+from slam.measurements import Measurement
+from slam.storage.map_file import MAP_NAME
+from slam.storage.map_identity import MapIdentity, current_versions, identity_of
+from slam.storage.saved_map import SavedMap, open_saved_map
+
+
+def map_log(
+    log: Path | str | Dataset,
+    config: Config | None = None,
+    *,
+    out: Path | str | None = None,
+    on_progress: OnProgress | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+) -> SavedMap:
+    """Map a log.
+
+    Parameters
+    ----------
+    log
+        A path that `slam.open_dataset` takes, or what it has opened.
+    config
+        The effective configuration; None for the default preset.
+    out
+        Folder for ``map.db``, the files of other programs and the report, made where it is missing. None
+        keeps the map in a temporary folder that goes with it; `SavedMap.save` writes it elsewhere.
+    on_progress
+        Told how far it is, a few times a second or more often.
+    resume
+        Go on with what an interrupted run of the same log and settings has left in ``out``.
+    overwrite
+        Replace a finished map in ``out``.
+
+    Returns
+    -------
+    The finished map, open.
+
+    Raises
+    ------
+    ScanweaveError
+        Where the log cannot be read or holds nothing to map, where ``out`` holds a finished map and is not
+        to be replaced, or a file cannot be written.
+
+    Examples
+    --------
+    >>> import slam, tempfile
+    >>> from slam.simulation.synthetic_log import write_synthetic_log
+    >>> folder = tempfile.TemporaryDirectory()
+    >>> log = write_synthetic_log(folder.name + "/log", duration_s=12.0).log_path
+    >>> house = slam.map_log(log, out=folder.name + "/house")
+    >>> house.keyframe_poses.shape[1], len(house.trajectory) > 100
+    (3, True)
+    >>> house.close()
+    """
+    return run_log(log, config, out=out, on_progress=on_progress, resume=resume, overwrite=overwrite).map
+
+
+def run_log(
+    log: Path | str | Dataset,
+    config: Config | None = None,
+    *,
+    out: Path | str | None = None,
+    on_progress: OnProgress | None = None,
+    resume: bool = False,
+    overwrite: bool = False,
+    strict: bool = False,
+    record: Path | None = None,
+) -> MapRun:
+    """`map_log`, with what its report tells and the files that were written.
+
+    Parameters
+    ----------
+    strict
+        Stop at the first damaged record instead of counting and skipping it; of a path.
+    record
+        Where a recording for the Rerun viewer goes; None for none.
+    """
+    config = config or Config()
+    dataset = _opened(log, config, strict)
+    identity = identity_of(dataset.path, config)
+    if out is None:
+        return _in_memory(dataset, identity, on_progress)
+    folder = Path(out)
+    if left_in(folder) is Left.FINISHED and not (resume or overwrite):
+        raise MapFileError(
+            f"{folder / MAP_NAME} is a finished map; --force (overwrite=True) replaces it, another --out "
+            "(out=) leaves it as it is"
+        )
+    return run_into(
+        folder, dataset, identity, on_progress=on_progress or silent, resume=resume, record=record
+    )
+
+
+def build_map(
+    measurements: Iterable[Measurement],
+    config: Config | None = None,
+    *,
+    on_progress: OnProgress | None = None,
+) -> SavedMap:
+    """Map measurements of a program's own: scans, wheels, clouds, frames in the order in which they came.
+
+    Parameters
+    ----------
+    measurements
+        `slam.LaserScan`, `slam.WheelOdometry`, `slam.PointCloud`, `slam.RgbdFrame`. They are read several
+        times: a list, a dataset, or whatever else can be iterated again; an iterator is gathered in memory.
+    config
+        The effective configuration; None for the default preset.
+    on_progress
+        As in `map_log`.
+
+    Returns
+    -------
+    The finished map in a temporary folder that goes with it; `SavedMap.save` writes it elsewhere.
+
+    Raises
+    ------
+    ScanweaveError
+        Where the measurements hold nothing to map.
+
+    Examples
+    --------
+    A square room of 6 m by 4 m, seen by a robot that stands in its middle and turns.
+
+    >>> import gtsam, numpy as np, slam
+    >>> bearings = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+    >>> def seen_at(number):
+    ...     around = bearings + 0.1 * number
+    ...     far = np.minimum(3.0 / np.abs(np.cos(around)), 2.0 / np.abs(np.sin(around) + 1e-9))
+    ...     return slam.LaserScan(0.1 * number, far.astype(np.float32), -np.pi, np.pi / 180, 20.0)
+    >>> room = slam.build_map([seen_at(number) for number in range(20)])
+    >>> rows, columns = (room.grid.states() == 100).nonzero()
+    >>> bool(abs(np.ptp(columns) * room.grid.resolution_m - 6.0) < 0.2)
+    True
+    """
+    config = config or Config()
+    measured = Measured(measurements)
+    identity = MapIdentity(config, measured.name, measured.fingerprint(), current_versions())
+    return _in_memory(measured, identity, on_progress).map
+
+
+def _opened(log: Path | str | Dataset, config: Config, strict: bool) -> Dataset:
+    """The log as a dataset."""
+    if not isinstance(log, str | Path):
+        return log
+    return open_dataset(log, strict=strict, topics=config.sensors.topics, images=config.sensors.rgbd)
+
+
+def _in_memory(dataset: Dataset, identity: MapIdentity, on_progress: OnProgress | None) -> MapRun:
+    """A map in a temporary folder that goes with it: neither files of other programs nor a report."""
+    kept_in = TemporaryDirectory(prefix="scanweave-")
+    folder = Path(kept_in.name)
+    run = run_into(folder, dataset, identity, on_progress=on_progress or silent, exports=False, report=False)
+    run.map.close()
+    return MapRun(open_saved_map(folder, kept_in), None, ())

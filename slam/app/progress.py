@@ -1,0 +1,33 @@
+"""How far a use case has come, told to whoever waits for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far a run has come.
+
+    Attributes
+    ----------
+    stage
+        What is being done: ``mapping``, ``localising``, ``writing``.
+    readings
+        Scans and frames so far.
+    share
+        Of the log that has been read, 0..1; None where its reader cannot tell.
+    """
+
+    stage: str
+    readings: int
+    share: float | None = None
+
+
+OnProgress: TypeAlias = Callable[[Progress], None]
+
+
+def silent(progress: Progress) -> None:
+    """Tell nobody."""

@@ -1,0 +1,36 @@
+"""scanweave demo."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slam.cli.app import command, folder_of, say
+from slam.cli.map_log import map_log
+from slam.cli.simulate import simulate_into
+
+_ROOMS, _DURATION_S = 3, 20.0
+
+
+@command()
+def demo(
+    out: Annotated[
+        Path, typer.Option("--out", "-o", parser=folder_of, help="folder for the log and the results")
+    ] = Path("demo-out"),
+    seed: Annotated[int, typer.Option(min=0, help="another seed, another home and drive")] = 0,
+) -> None:
+    """Simulate a robot with a lidar and four depth cameras in a furnished home, and map what it recorded."""
+    from slam.config import load_config
+    from slam.simulation.drive_faults import FAULT_PRESETS
+    from slam.simulation.home import generate_home
+    from slam.simulation.rigs import RIGS
+
+    log = out / f"simulated-{seed}"
+    # The same seed gives the same log: what an earlier demo left is used again.
+    if not (log / "scans.log").is_file():
+        home = generate_home(seed, rooms=_ROOMS)
+        simulate_into(log, home, RIGS["xu2024"], seed, FAULT_PRESETS["usual"], _DURATION_S, ("folder",))
+    map_log(log, out, load_config(), force=True)
+    say(f"open {out / 'report.html'} to look at it")
