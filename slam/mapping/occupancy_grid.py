@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from slam.errors import ConfigError, ScanweaveError
 from slam.mapping.ray_tracing import Box, add_evidence, beam_ends, draw_scan
-from slam.measurements import Float32Array, FloatArray, LaserScan, row_from_pose2
+from slam.measurements import Float32Array, FloatArray, LaserScan, one_line, row_from_pose2
 
 StateArray: TypeAlias = NDArray[np.int8]
 
@@ -96,6 +96,8 @@ class OccupancyGrid:
     log_odds: Float32Array
     resolution_m: float
     T_map_grid: gtsam.Pose2 = field(default_factory=gtsam.Pose2)
+
+    __repr__ = one_line
 
     def probabilities(self) -> Float32Array:
         """(rows, cols) probability of being occupied."""
