@@ -130,7 +130,7 @@ def test_without_open3d_there_is_the_cloud_and_one_line_about_the_mesh(
     assert np.isfinite(axes).all()
 
 
-@pytest.mark.parametrize("method", ["features", "dense"])
+@pytest.mark.parametrize("method", ["features", pytest.param("dense", marks=pytest.mark.system)])
 def test_the_other_methods(
     method: str, frames: list[RgbdFrame], tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:

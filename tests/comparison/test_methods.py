@@ -86,7 +86,7 @@ def test_wheels_are_as_recorded() -> None:
     np.testing.assert_allclose(found.to_planar(), [[n, 2.0 * n, 0.1] for n in range(3)], atol=1e-12)
 
 
-@pytest.mark.parametrize("method", [wheels, kiss_icp, open3d])
+@pytest.mark.parametrize("method", [wheels, kiss_icp, pytest.param(open3d, marks=pytest.mark.system)])
 def test_a_log_without_its_sensor_is_named(
     method: Callable[[Drawn], object], request: pytest.FixtureRequest
 ) -> None:
