@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import typer
+from test_layering import FLOORS
 
 import slam
 from slam.cli import app
@@ -81,6 +82,12 @@ def test_links_lead_somewhere(page: Path) -> None:
         file = (page.parent / path).resolve() if path else page
         assert file.exists(), f"{page.name}: {target}"
         assert not anchor or anchor in anchors(file), f"{page.name}: {target}"
+
+
+def test_contributing_names_every_room() -> None:
+    text = (REPO / "CONTRIBUTING.md").read_text("utf-8")
+    rooms = {room.removeprefix("slam.") for floor in FLOORS for room in floor}
+    assert [room for room in sorted(rooms) if f"`{room}`" not in text] == []
 
 
 def test_every_page_is_in_the_index() -> None:
