@@ -14,7 +14,9 @@ from test_layering import FLOORS
 
 import slam
 from slam.cli import app
+from slam.comparison.experiment import load_experiment
 from slam.config import Config, load_config
+from slam.datasets.calibration import Calibration, read_calibration
 from slam.simulation.synthetic_log import write_synthetic_log
 from tools.benchmark import cost_cells, table, write_between
 
@@ -148,6 +150,19 @@ def test_tools_have_the_options_that_are_shown(page: Path) -> None:
 def test_python_compiles(page: Path) -> None:
     for code in blocks(page, "python"):
         compile(code, str(page), "exec")
+
+
+def test_yaml_examples_are_read(tmp_path: Path) -> None:
+    def written(page: str, name: str) -> Path:
+        (code,) = blocks(REPO / "docs" / page, "yaml")
+        (tmp_path / name).write_text(code, "utf-8")
+        return tmp_path / name
+
+    load_config(str(written("configure.md", "mine.yaml")))
+    load_experiment(written("compare.md", "experiment.yaml"))
+    guess = Calibration(slam.CameraIntrinsics(1.0, 1.0, 0.0, 0.0, 0, 0), 1.0, assumed="no file")
+    calibration = read_calibration(written("own-data.md", "calibration.yaml").parent, guess)
+    assert not calibration.assumed and calibration.T_base_camera is not None
 
 
 @pytest.fixture(scope="module")

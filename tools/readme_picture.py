@@ -1,6 +1,6 @@
 """Draw the README's picture: a simulated home by the lidar alone and with cameras, and a real log below it.
 
-    python tools/readme_picture.py [--work FOLDER] [--log fr079.log.gz] [--out docs/images/maps.png]
+    python tools/readme_picture.py [--work FOLDER] [--log fr079.log.gz] [--source TEXT] [--out FILE]
 
 The home is simulated and mapped once, a few minutes; with ``--work`` drive and maps are kept and used again.
 ``--log`` adds the map of a log, such as Freiburg building 079, which is not part of a clone.
@@ -72,7 +72,7 @@ def main() -> None:
         work = options.work or Path(temporary)
         rows = [home_panels(work)]
         if options.log:
-            rows.append([log_panel(options.log, work / "log")])
+            rows.append([log_panel(options.log, work / "log", options.source)])
         picture = drawn(rows)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     picture.save(options.out, optimize=True)
@@ -87,7 +87,9 @@ def parse_options() -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--work", type=Path, help="folder that keeps the drive and the maps")
-    parser.add_argument("--log", type=Path, help="a log of a lidar, drawn below")
+    parser.add_argument("--log", type=Path, help="a log of a 2D lidar, drawn below")
+    source = "Freiburg building 079 (C. Stachniss)"
+    parser.add_argument("--source", default=source, help="where that log is from")
     parser.add_argument("--out", type=Path, default=REPO / "docs" / "images" / "maps.png")
     return parser.parse_args()
 
@@ -125,7 +127,7 @@ def home_panels(work: Path) -> list[Panel]:
     ]
 
 
-def log_panel(log: Path, folder: Path) -> Panel:
+def log_panel(log: Path, folder: Path, source: str) -> Panel:
     """A real log: its grid and the way, lying on its long side."""
     house = mapped(log, folder)
     grid = house.grid
@@ -143,8 +145,7 @@ def log_panel(log: Path, folder: Path) -> Panel:
         )
     length_m = float(np.linalg.norm(np.diff(house.trajectory.positions_m, axis=0), axis=1).sum())
     house.close()
-    title = f"A recorded log: Freiburg building 079 (C. Stachniss), 2D lidar and wheels, {length_m:.0f} m"
-    return Panel(title, image, way)
+    return Panel(f"A recorded log: {source}, 2D lidar and wheels, {length_m:.0f} m", image, way)
 
 
 def mapped(log: Path, folder: Path, *overrides: str) -> slam.SavedMap:
