@@ -132,6 +132,7 @@ def _driven(
             drive.add(output, time.perf_counter() - before)
             record_localization(viewer, measurement, output)
             on_progress(Progress("localising", len(drive), log.report.share))
+    on_progress(Progress("localising", len(drive), 1.0))
     return drive
 
 

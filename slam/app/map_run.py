@@ -106,7 +106,9 @@ def run_into(
             on_progress(Progress("mapping", count, dataset.report.share))
 
         result = build_map(dataset, config, on_reading, Journal(file))
-        on_progress(Progress("writing", result.scans.stamps_s.size))
+        readings = result.scans.stamps_s.size
+        on_progress(Progress("mapping", readings, 1.0))
+        on_progress(Progress("writing", readings))
         outputs = _outputs(folder, result, config) if exports else _unwritten(result, config)
         data = None
         if report:
