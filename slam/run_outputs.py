@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 
-import gtsam
 import numpy as np
 
 from slam.config_clouds import CloudMapConfig
 from slam.config_stages import DenseMapConfig
-from slam.errors import LibraryError, ScanweaveError
+from slam.errors import LibraryError
 from slam.map_result import DenseKeyframes, MappedClouds, MapResult
 from slam.mapping.camera_points import camera_cloud
 from slam.mapping.cloud_map import map_cloud
 from slam.mapping.dense_map import DenseMapSettings, fuse_keyframes
 from slam.mapping.layered_map import LayeredMap
 from slam.matching.local_cloud import moved
-from slam.storage.files import make_folder
 from slam.storage.g2o import G2oEdge, G2oGraph, write_g2o
 from slam.storage.map_contents import DEPTH, OCCUPANCY, MapContents, SavedFactor
 from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers
 from slam.storage.octomap import write_octomap, write_octree
 from slam.storage.ply import write_cloud_ply, write_mesh_ply
-from slam.storage.saved_map import SavedMap
 from slam.storage.tum import write_tum
-
-log = logging.getLogger(__name__)
 
 
 def save_run(folder: Path, result: MapResult, layers: LayeredMap | None) -> list[Path]:
@@ -197,88 +191,3 @@ def contents_of(result: MapResult, layers: LayeredMap | None = None) -> MapConte
         grids=grids,
         cameras={name: record.learned for name, record in result.cameras.items()},
     )
-
-
-def export_map(saved: SavedMap, format_: str, out: Path) -> list[Path]:
-    """Write a saved map in another program's format.
-
-    Parameters
-    ----------
-    format_
-        nav2 (the map to drive by), tum, g2o, ply or bt.
-    out
-        The file, or a folder (what is one, or has no ending) for the names that `save_run` uses. Of nav2 it
-        is the yaml, of ply the mesh of the images or, without any, the cloud of the 3D lidar; what belongs to
-        them goes beside.
-
-    Returns
-    -------
-    What was written.
-
-    Raises
-    ------
-    ScanweaveError
-        Where the map does not hold what the format needs, or a file cannot be written.
-    """
-    usual = {
-        "nav2": MAP_YAML,
-        "tum": "trajectory.tum",
-        "g2o": "graph.g2o",
-        "ply": "mesh.ply" if len(saved.frames) or not len(saved.clouds) else "cloud.ply",
-        "bt": "map.bt",
-    }
-    lacking = ""
-    if format_ == "nav2" and saved.layers is None:
-        lacking = "grid"
-    elif format_ in ("ply", "bt") and not len(saved.frames) + len(saved.clouds):
-        lacking = "image or cloud"
-    if lacking:
-        raise ScanweaveError(f"{saved.path} holds no {lacking}, so there is nothing to write as {format_}")
-    if out.is_dir() or not out.suffix:
-        make_folder(out)
-        out = out / usual[format_]
-    if format_ == "nav2":
-        assert saved.layers is not None
-        return list(write_driving_map(out.with_suffix(""), saved.layers))
-    if format_ == "ply":
-        return _export_ply(saved, out)
-    if format_ == "bt":
-        _export_octomap(saved, out)
-    elif format_ == "tum":
-        write_tum(out, saved.trajectory)
-    else:
-        save_g2o(out, saved.contents)
-    return [out]
-
-
-def _export_ply(saved: SavedMap, out: Path) -> list[Path]:
-    """The coloured surface of the images, and the cloud of the 3D lidar."""
-    written, cloud = list[Path](), out
-    if len(saved.frames):
-        written, missing = save_surface(out, _dense_of(saved), saved.config.dense_map)
-        for fault in missing:
-            log.warning("%s", fault)
-        cloud = out.with_name("lidar.ply" if out.name == "mesh.ply" else f"{out.stem}-lidar.ply")
-    if len(saved.clouds):
-        save_cloud(cloud, _clouds_of(saved), saved.config.cloud_map)
-        written.append(cloud)
-    return written
-
-
-def _export_octomap(saved: SavedMap, out: Path) -> None:
-    """The octree of the 3D lidar, or else of the images."""
-    if len(saved.clouds):
-        save_cloud_octomap(out, _clouds_of(saved), saved.config.cloud_map, saved.config.dense_map)
-    else:
-        save_octomap(out, _dense_of(saved), saved.config.dense_map)
-
-
-def _dense_of(saved: SavedMap) -> DenseKeyframes:
-    """The camera keyframes of a saved map."""
-    return DenseKeyframes(saved.frames, saved.frame_poses())
-
-
-def _clouds_of(saved: SavedMap) -> MappedClouds:
-    """The clouds of a saved map, whose nodes are the bases."""
-    nodes = [pose for pose in saved.contents.node_poses if isinstance(pose, gtsam.Pose3)]
-    return MappedClouds(saved.clouds, nodes, saved.clouds.T_base_lidar(len(nodes) - 1))

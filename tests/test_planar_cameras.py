@@ -15,6 +15,7 @@ from room_world import LESS, T_BODY_CAMERA, blind, furnished, render
 
 from slam.config import load_config
 from slam.datasets.dataset import ReadReport
+from slam.finished_map import open_map
 from slam.graph.pose_graph import EdgeKind
 from slam.layer_outputs import layers_of
 from slam.map_result import MapResult
@@ -30,13 +31,12 @@ from slam.measurements import (
     pose2_from_row,
 )
 from slam.pipeline import build_map
-from slam.run_outputs import contents_of, export_map, save_run
+from slam.run_outputs import contents_of, save_run
 from slam.storage.map_contents import write_contents
 from slam.storage.map_file import MapFile
 from slam.storage.map_identity import MapIdentity
 from slam.storage.nav2 import read_nav2_map
 from slam.storage.nav2_layers import write_layers
-from slam.storage.saved_map import open_saved_map
 
 # The room at the height of the lidar.
 WALLS = np.concatenate([box(-2.5, -2.0, 2.5, 2.0), box(1.6, 0.4, 2.5, 1.5), box(-2.5, -2.0, -1.7, -1.1)])
@@ -205,8 +205,8 @@ def test_one_answer_to_which_map(drive: list[tuple[int, Measurement]], tmp_path:
         file.add_meta(key, value)
     write_contents(file, contents_of(result, layers))
     file.seal()
-    saved = open_saved_map(tmp_path)
-    for path in export_map(saved, "nav2", tmp_path / "exported"):
+    saved = open_map(tmp_path)
+    for path in saved.export("nav2", tmp_path / "exported"):
         assert path.read_bytes() == (tmp_path / path.name).read_bytes(), path.name
     assert saved.grid is not None and result.grid is not None
     np.testing.assert_array_equal(saved.grid.steps, result.grid.steps)

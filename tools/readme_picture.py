@@ -148,7 +148,7 @@ def log_panel(log: Path, folder: Path, source: str) -> Panel:
     return Panel(f"A recorded log: {source}, 2D lidar and wheels, {length_m:.0f} m", image, way)
 
 
-def mapped(log: Path, folder: Path, *overrides: str) -> slam.SavedMap:
+def mapped(log: Path, folder: Path, *overrides: str) -> slam.Map:
     """The finished map of a log, of an earlier call where there is one."""
     if left_in(folder) is Left.FINISHED:
         return slam.load_map(folder)

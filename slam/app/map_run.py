@@ -15,6 +15,7 @@ from slam.datasets.dataset import Dataset
 from slam.errors import ScanweaveError
 from slam.evaluation.map_report import RunCost, beside_of, report_data
 from slam.evaluation.report import ReportData, write_report
+from slam.finished_map import NOTES, WARNINGS, Map, open_map
 from slam.journal import Journal
 from slam.layer_outputs import layers_of
 from slam.map_recording import record_map
@@ -26,7 +27,6 @@ from slam.storage.files import make_folder
 from slam.storage.map_contents import write_contents
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import MapIdentity
-from slam.storage.saved_map import NOTES, WARNINGS, SavedMap, open_saved_map
 from slam.viewer import recording
 
 
@@ -46,7 +46,7 @@ class MapRun:
         Records of the log that were refused.
     """
 
-    map: SavedMap
+    map: Map
     report: ReportData | None
     written: tuple[Path, ...]
     dropped: int = 0
@@ -86,7 +86,7 @@ def run_into(
     started = time.perf_counter()
     make_folder(folder)
     if resume and finished_map(folder, identity):
-        return MapRun(open_saved_map(folder), None, ())
+        return MapRun(open_map(folder), None, ())
     config, written = identity.config, []
     with ExitStack() as stack:
         viewer = stack.enter_context(recording(record))
@@ -96,7 +96,9 @@ def run_into(
             on_progress(Progress("mapping", count, dataset.report.share))
 
         result = build_map(dataset, config, on_reading, Journal(file))
-        on_progress(Progress("writing", result.scans.stamps_s.size))
+        readings = result.scans.stamps_s.size
+        on_progress(Progress("mapping", readings, 1.0))
+        on_progress(Progress("writing", readings))
         layers = layers_of(result, config)
         files, missing = _exports(folder, result, layers, config) if exports else ([], [])
         data = None
@@ -112,7 +114,7 @@ def run_into(
         file.add_meta(WARNINGS, json.dumps(result.warnings))
         file.seal()
     dropped = dataset.report.dropped_count
-    return MapRun(open_saved_map(folder), data, (*files, folder / MAP_NAME, *written), dropped)
+    return MapRun(open_map(folder), data, (*files, folder / MAP_NAME, *written), dropped)
 
 
 def _exports(

@@ -64,8 +64,8 @@ def evaluate(
     """
     poses = _poses(trajectory)
     if (groundtruth is None) == (relations is None):
-        given = "neither" if relations is None else "both"
-        raise EvaluationError(f"a trajectory is scored by groundtruth or by relations, {given} was given")
+        given = "none" if relations is None else "both"
+        raise EvaluationError(f"a trajectory is scored by groundtruth or by relations: give one, not {given}")
     if relations is not None:
         checked = relations if isinstance(relations, Relations) else read_relations(Path(relations))
         return {"relations": score_relations(poses, checked).to_dict()}
