@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from slam.cli.app import JsonOption, command
+from slam.cli.app import JsonOption, command, folder_of, say
 from slam.errors import ScanweaveError
 
 MapArgument = Annotated[
@@ -57,7 +57,10 @@ def export(
         Format, typer.Option("--format", "-f", help="nav2 grid, TUM trajectory, g2o graph, PLY, OctoMap")
     ],
     out: Annotated[
-        Path, typer.Option("--out", "-o", help="the file, or a folder for files of the usual names")
+        Path,
+        typer.Option(
+            "--out", "-o", parser=folder_of, help="the file, or a folder for files of the usual names"
+        ),
     ],
 ) -> None:
     """Write a map in the format of another program: the same bytes as 'scanweave map' has written."""
@@ -67,4 +70,4 @@ def export(
     written = saved.export(format_.value, out)
     if not written:
         raise ScanweaveError(f"nothing was exported of {saved.path}: its images show no surface")
-    print("wrote " + ", ".join(str(path) for path in written))
+    say("wrote " + ", ".join(str(path) for path in written))

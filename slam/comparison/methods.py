@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing
 from typing import Any
 
 import gtsam
 import numpy as np
 
+from slam.app.mapping import map_log
 from slam.comparison.product import AcceptedLoop, Product, StateGrid
 from slam.config import Config
 from slam.datasets import Dataset
 from slam.errors import DatasetError
-from slam.layer_outputs import layers_of
-from slam.map_result import MapResult
+from slam.finished_map import Map
 from slam.measurements import (
     FloatArray,
     LaserScan,
@@ -24,26 +25,26 @@ from slam.measurements import (
     row_from_pose2,
 )
 from slam.open3d_library import load_open3d
-from slam.pipeline import build_map
 
 _FARTHEST_DEPTH_M = 4.0
 
 
 def scanweave(dataset: Dataset, config: Config) -> Product:
     """Our own run, with the map to drive by where cameras make one."""
-    result = build_map(dataset, config)
-    decision, layers, grid = None, layers_of(result, config), result.grid
-    if layers is not None and layers.names:
-        decision = StateGrid(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
-    return Product(
-        trajectory=result.trajectory,
-        plane=None if grid is None else StateGrid(grid.states(), grid.resolution_m, grid.T_map_grid),
-        decision=decision,
-        loops=_accepted(result),
-        keyframe_stamps_s=result.scans.stamps_s[result.keyframe_numbers],
-        loops_tried=len(result.loops),
-        warnings=tuple(result.warnings),
-    )
+    with closing(map_log(dataset, config)) as made:
+        grid, layers = made.grid, made.layers
+        decision = None
+        if layers is not None and layers.names:
+            decision = StateGrid(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
+        return Product(
+            trajectory=made.trajectory,
+            plane=None if grid is None else StateGrid(grid.states(), grid.resolution_m, grid.T_map_grid),
+            decision=decision,
+            loops=_accepted(made) if made.planar else None,
+            keyframe_stamps_s=made.contents.stamps_s,
+            loops_tried=len(made.loops),
+            warnings=tuple(made.warnings),
+        )
 
 
 def wheels(dataset: Dataset) -> Product:
@@ -142,18 +143,16 @@ def _cloud(reading: LaserScan | PointCloud) -> tuple[gtsam.Pose3, FloatArray]:
     return gtsam.Pose3(reading.T_base_laser), np.column_stack([points, np.zeros(len(points))])
 
 
-def _accepted(result: MapResult) -> list[AcceptedLoop] | None:
+def _accepted(made: Map) -> list[AcceptedLoop]:
     """The accepted loops of a robot on a floor, by the stamps of their keyframes."""
-    if not isinstance(result.graph.pose(0), gtsam.Pose2):
-        return None
-    stamps = result.scans.stamps_s[result.keyframe_numbers]
+    stamps = made.contents.stamps_s
     return [
         AcceptedLoop(
             float(stamps[loop.place]),
             float(stamps[loop.keyframe]),
             row_from_pose2(loop.motion.T_reference_base),
         )
-        for loop in result.loops
+        for loop in made.loops
         if loop.accepted and loop.motion is not None
     ]
 
