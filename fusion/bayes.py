@@ -7,13 +7,12 @@ means nothing. 0 is unknown.
 from __future__ import annotations
 
 import math
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 States: TypeAlias = NDArray[np.int8]
-Probabilities: TypeAlias = NDArray[np.floating[Any]]
 Rule: TypeAlias = Literal["corrected", "printed"]
 
 # The values of nav2's occupancy grid.
@@ -53,47 +52,6 @@ def evidence_steps(probability: float) -> int:
     if steps == 0 and probability != 0.5:
         return int(math.copysign(1, probability - 0.5))
     return steps
-
-
-def update(sensor: Probabilities, before: Probabilities) -> Probabilities:
-    """Probability of being occupied after a measurement, cell by cell: Li2020 Eq. (8), and Eq. (10).
-
-    Parameters
-    ----------
-    sensor
-        Ps, what the inverse sensor model says, 0..1; in Eq. (10) the first sensor's grid.
-    before
-        Pm, what was believed, 0..1; at first 0.5 everywhere, Eq. (7). In Eq. (10) the second sensor's grid.
-
-    Returns
-    -------
-    Of the broadcast shape. Where one is sure that a cell is occupied and the other that it is not, nan.
-    """
-    occupied = np.asarray(sensor * before)
-    empty = np.asarray((1.0 - sensor) * (1.0 - before))
-    with np.errstate(invalid="ignore"):
-        return np.asarray(occupied / (occupied + empty))
-
-
-def exceeds(probabilities: Probabilities, threshold: float = 0.5) -> NDArray[np.bool_]:
-    """Li2020 Eq. (9): whether a cell counts as occupied."""
-    return np.asarray(probabilities > threshold)
-
-
-def states_of(probabilities: Probabilities, occupied_above: float, free_below: float) -> States:
-    """Li2020 Eq. (9) with a threshold on either side of 0.5: what is between the two is uncertain.
-
-    Raises
-    ------
-    ValueError
-        Where the thresholds are not 0 < free_below <= occupied_above < 1.
-    """
-    if not 0.0 < free_below <= occupied_above < 1.0:
-        raise ValueError(f"thresholds {free_below} and {occupied_above}; give 0 < free <= occupied < 1")
-    states = np.full(probabilities.shape, UNKNOWN, dtype=np.int8)
-    states[probabilities > occupied_above] = OCCUPIED
-    states[probabilities < free_below] = FREE
-    return states
 
 
 def decide(lidar: States, camera: States, rule: Rule = "corrected") -> States:

@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.curves import BoolArray, Float32Array, FloatArray, IntArray
+from fusion.curves import Float32Array, FloatArray
 
 _STEEP = 6.0  # a surface seen at more than 80 degrees from its normal is an edge
 
@@ -179,18 +179,3 @@ def _valid_after(ranges: Float32Array, last: int) -> int:
     while at < ranges.size and np.isnan(ranges[at]):
         at += 1
     return at if at < ranges.size else -1
-
-
-@numba.njit(cache=True)
-def run_lengths(flags: BoolArray) -> IntArray:
-    """(N,) how many neighbours in a row share a sample's flag being set; 0 where it is not."""
-    result = np.zeros(flags.size, np.int32)
-    first = 0
-    while first < flags.size:
-        last = first
-        if flags[first]:
-            while last + 1 < flags.size and flags[last + 1]:
-                last += 1
-            result[first : last + 1] = last - first + 1
-        first = last + 1
-    return result

@@ -1,4 +1,4 @@
-"""What a range tells about the cell in which it ends: Li2020 Eq. (2)-(6), and noise that grows with range."""
+"""What a range tells about the cell in which it ends: Li2020 Eq. (4)-(6), and noise that grows with range."""
 
 from __future__ import annotations
 
@@ -39,37 +39,6 @@ class RangeNoise:
     def sigma_m(self, range_m: Array) -> Array:
         """Standard deviation at each range, metres."""
         return np.asarray(self.floor_m + self.share * range_m + self.per_m * np.square(range_m))
-
-
-def depth_from_disparity(
-    disparity_px: Array, reference_m: float, focal_px: float, baseline_m: float
-) -> Array:
-    """Depth Zk of a structured-light camera, Li2020 Eq. (4), which follows from Eq. (2) and (3).
-
-    The print leaves the second Z0 and its place open; the triangles give Z0 / (1 + Z0 d / (f b)).
-
-    Parameters
-    ----------
-    disparity_px
-        d, shift of the dots against the reference plane, positive for what is nearer.
-    reference_m
-        Z0, where the reference plane stood.
-    focal_px, baseline_m
-        f and b of the infrared camera and its projector.
-
-    Returns
-    -------
-    Metres, of the disparity's shape; nan where the disparity belongs to no point before the camera.
-    """
-    share = 1.0 + reference_m * np.asarray(disparity_px, dtype=np.float64) / (focal_px * baseline_m)
-    return np.where(share > 0.0, reference_m / np.where(share > 0.0, share, 1.0), np.nan)
-
-
-def disparity_noise(
-    sigma_px: float, focal_px: float, baseline_m: float, floor_m: float = 0.001
-) -> RangeNoise:
-    """Noise of a depth from that of its disparity: dZ = Z ** 2 / (f b) dd, by Li2020 Eq. (4)."""
-    return RangeNoise(floor_m, per_m=sigma_px / (focal_px * baseline_m))
 
 
 def share_in_cell(range_m: Array, noise: RangeNoise, cell_m: float) -> Array:

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from slam.datasets import open_dataset as open_dataset
     from slam.errors import ScanweaveError as ScanweaveError
     from slam.evaluation.score import evaluate as evaluate
+    from slam.finished_map import Map as Map
+    from slam.finished_map import open_map
     from slam.graph.loop_closure import LoopCandidate as LoopCandidate
     from slam.graph.pose_graph import Edge as Edge
     from slam.graph.pose_graph import EdgeKind as EdgeKind
@@ -52,10 +54,8 @@ if TYPE_CHECKING:
     from slam.parts import check_loop as check_loop
     from slam.parts import grid_of_scans as grid_of_scans
     from slam.parts import match_scans as match_scans
-    from slam.storage.saved_map import SavedMap as SavedMap
-    from slam.storage.saved_map import open_saved_map
 
-    load_map = open_saved_map
+    load_map = open_map
 
 _HOMES = {
     "CameraIntrinsics": ("slam.measurements", "CameraIntrinsics"),
@@ -74,7 +74,7 @@ _HOMES = {
     "PoseGraph": ("slam.graph.pose_graph", "PoseGraph"),
     "Progress": ("slam.app.progress", "Progress"),
     "RgbdFrame": ("slam.measurements", "RgbdFrame"),
-    "SavedMap": ("slam.storage.saved_map", "SavedMap"),
+    "Map": ("slam.finished_map", "Map"),
     "ScanweaveError": ("slam.errors", "ScanweaveError"),
     "State": ("slam.localization.output", "State"),
     "Trajectory": ("slam.measurements", "Trajectory"),
@@ -85,7 +85,7 @@ _HOMES = {
     "grid_of_scans": ("slam.parts", "grid_of_scans"),
     "join": ("slam.app.joining", "join"),
     "load_config": ("slam.config", "load_config"),
-    "load_map": ("slam.storage.saved_map", "open_saved_map"),
+    "load_map": ("slam.finished_map", "open_map"),
     "localize_log": ("slam.app.localizing", "localize_log"),
     "map_log": ("slam.app.mapping", "map_log"),
     "match_scans": ("slam.parts", "match_scans"),

@@ -245,7 +245,7 @@ class CloudMapper:
             in_band = layers.climb_m < lidar_m - ground_m < layers.robot_height_m
             scans, fused = self._cameras.repaired(measured, in_band=in_band)
             notes += [] if fused is None else [fused.note]
-            grid = grid_of_keyframes(scans, poses, self._config.grid)
+            grid = grid_of_keyframes(scans, poses, self._config)
             return _Plan(scans, measured, grid, ground_m, fused, notes)
         except ScanweaveError as error:
             return _Plan(ground_m=ground_m, notes=notes, warnings=[f"No grid was built: {error}"])

@@ -187,19 +187,22 @@ class GraphConfig(StrictModel):
 
 
 class GridConfig(StrictModel):
-    """The occupancy grid that is saved."""
+    """The cells of every map, and what a beam of the lidar tells of them."""
 
     resolution_m: float = Field(default=0.05, gt=0, le=1, description="side of a cell")
     hit_probability: float = Field(default=0.7, gt=0.5, lt=1, description="p of a cell that a beam ends in")
     miss_probability: float = Field(default=0.4, gt=0, lt=0.5, description="p of a cell a beam passes")
-    hit_range_m: float = Field(default=40.0, gt=0, description="a return from farther marks nothing")
+    hit_range_m: float = Field(
+        default=40.0, gt=0, le=10_000, description="a return from farther marks nothing"
+    )
     clear_range_m: float = Field(
         default=8.0,
         ge=0,
+        le=10_000,
         description="a beam without return clears so far: black things return nothing too",
     )
     greatest_cells: int = Field(
-        default=64_000_000, ge=1, description="limit of the map's size, 5 bytes a cell"
+        default=64_000_000, ge=1, description="limit of the map's size, against a lost pose"
     )
 
 

@@ -1,82 +1,63 @@
-"""The layered map of a finished run: what each sensor says of every cell, and what to drive by."""
+"""The map of a finished run to drive by, and the layers that it was made of."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import gtsam
 import numpy as np
 
-from fusion.height_band import HeightBand
 from slam.config import Config
-from slam.errors import ConfigError
+from slam.errors import ScanweaveError
 from slam.map_result import DenseKeyframes, MapResult
-from slam.mapping.depth_grid import DepthModel
-from slam.mapping.layered_map import LayerBuilder, LayeredMap, LayerSettings
-from slam.measurements import FloatArray, LaserScan, Pose, RgbdFrame, pose2_from_row
+from slam.mapping.keyframe_grid import depth_model, layer_settings, layers_of_grids
+from slam.mapping.layer_builder import LayerBuilder
+from slam.mapping.layered_map import LayeredMap
+from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.measurements import Pose, RgbdFrame
 
 
 def layers_of(result: MapResult, config: Config) -> LayeredMap | None:
-    """The layers of a robot on a floor, or of one with a 3D lidar, that has a camera; None for any other run.
+    """The layers of a run whose robot knows its floor; None of a camera in space.
 
-    Raises
-    ------
-    ScanweaveError
-        Where the map would not fit, or the robot climbs over all that it is high.
+    The lidar's is the run's grid, the depth layer is drawn from the camera keyframes. Where it cannot be
+    drawn, the run gets a warning and the lidar's stands alone.
     """
-    if result.dense is None:
-        return None
-    if isinstance(result.graph.pose(0), gtsam.Pose2):
-        return layers_of_keyframes(result.keyframe_scans, result.keyframe_poses, result.dense, config)
-    if result.clouds is None or not result.keyframe_scans:
-        return None
-    ground_m = result.clouds.ground_m
-    return layers_of_keyframes(result.keyframe_scans, result.keyframe_poses, result.dense, config, ground_m)
+    depth = None
+    planar = isinstance(result.graph.pose(0), gtsam.Pose2)
+    if result.dense is not None and (planar or (result.clouds is not None and result.grid is not None)):
+        ground_m = None if planar or result.clouds is None else result.clouds.ground_m
+        try:
+            depth = depth_grid(result.dense, config, ground_m)
+        except ScanweaveError as error:
+            result.warnings.append(f"No depth layer was drawn, the map is the lidar's alone: {error}")
+    return layers_of_grids(result.grid, depth, config)
 
 
-def layers_of_keyframes(
-    scans: Sequence[LaserScan | None],
-    poses: FloatArray,
-    dense: DenseKeyframes,
-    config: Config,
-    ground_m: float | None = None,
-) -> LayeredMap | None:
-    """The layers of keyframe scans with (K, 3) poses and of camera keyframes, as in `layers_of`.
+def depth_grid(dense: DenseKeyframes, config: Config, ground_m: float | None = None) -> OccupancyGrid | None:
+    """The depth layer of camera keyframes; None where it is not asked for, or they tell nothing.
 
     Parameters
     ----------
     ground_m
         Height of the floor in the base frame of a robot in space, which then counts as level; None of one
         that stays in the plane.
+
+    Raises
+    ------
+    ScanweaveError
+        Where the map would not fit, or the robot climbs over all that it is high.
     """
     if not config.layers.enabled:
         return None
-    if config.layers.climb_m >= config.layers.robot_height_m:
-        raise ConfigError(
-            f"layers.climb_m = {config.layers.climb_m:g} leaves no obstacle to a robot of "
-            f"layers.robot_height_m = {config.layers.robot_height_m:g}; make the step lower"
-        )
-    band = HeightBand(0.0, config.layers.robot_height_m, config.layers.climb_m)
-    settings = LayerSettings(
-        resolution_m=config.grid.resolution_m,
-        depth=DepthModel(band=band, depth_max_m=config.layers.depth_max_m),
-        rule=config.layers.rule,
-        robot_radius_m=config.layers.robot_radius_m,
-        max_cells=config.grid.greatest_cells,
-    )
-    builder = LayerBuilder(settings)
-    for reading, T_map_base in _readings(scans, poses, dense, ground_m):
-        builder.add(reading, T_map_base)
-    return builder.finish()
+    builder = LayerBuilder(layer_settings(config, depth_model(config)))
+    for frame, T_map_base in _posed_frames(dense, ground_m):
+        builder.add(frame, T_map_base)
+    return builder.grid("depth")
 
 
-def _readings(
-    scans: Sequence[LaserScan | None], poses: FloatArray, dense: DenseKeyframes, ground_m: float | None
-) -> Iterator[tuple[LaserScan | RgbdFrame, Pose]]:
-    """Keyframe scans and images with the pose of the base at each."""
-    for scan, pose in zip(scans, poses, strict=True):
-        if scan is not None:
-            yield scan, pose2_from_row(pose)
+def _posed_frames(dense: DenseKeyframes, ground_m: float | None) -> Iterator[tuple[RgbdFrame, Pose]]:
+    """Keyframe images with the pose of the base at each."""
     for frame, T_map_camera in zip(dense.frames, dense.poses, strict=True):
         if frame.T_base_camera is not None:
             base = T_map_camera.compose(frame.T_base_camera.inverse())

@@ -15,7 +15,7 @@ from slam.errors import ScanweaveError
 from slam.localization.output import LocalizerOutput
 from slam.map_result import MapResult
 from slam.mapping.keyframe_grid import grid_of_keyframes
-from slam.mapping.layered_map import LAYERS, LayeredMap
+from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.matching.local_cloud import moved
 from slam.matching.planar import transform_points
@@ -43,11 +43,9 @@ def record_map(viewer: Viewer, result: MapResult, layers: LayeredMap | None, con
     _record_keyframes(viewer, result, poses, positions_m)
     _record_images(viewer, result)
     _record_grids(viewer, result, config)
-    for layer in LAYERS if layers is not None else ():
-        assert layers is not None
-        if (layer == "lidar" and layers.lidar is None) or (layer == "depth" and layers.depth is None):
-            continue
-        viewer.grid(f"{layer} layer", layers.states(layer), layers.resolution_m, layers.T_map_grid)
+    if layers is not None:
+        for name in layers.names:
+            viewer.grid(f"{name} layer", layers.states(name), layers.resolution_m, layers.T_map_grid)
 
 
 def record_localization(
@@ -109,7 +107,7 @@ def _record_grids(viewer: Viewer, result: MapResult, config: Config) -> None:
     count = len(result.keyframe_scans)
     for end in np.unique(np.linspace(1, count, _GRIDS + 1).astype(int))[:-1]:
         try:
-            grid = grid_of_keyframes(result.keyframe_scans[:end], result.keyframe_poses[:end], config.grid)
+            grid = grid_of_keyframes(result.keyframe_scans[:end], result.keyframe_poses[:end], config)
         except ScanweaveError:
             continue  # the whole one fitted, this one has no beam
         if grid is not None:

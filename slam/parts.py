@@ -205,7 +205,7 @@ def grid_of_scans(
     """
     config = config or Config()
     rows = _rows(poses, (len(scans), 3), f"the poses of {len(scans)} scans")
-    grid = grid_of_keyframes(scans, rows, config.grid)
+    grid = grid_of_keyframes(scans, rows, config)
     if grid is None:
         raise ScanweaveError("no scan was given to build a grid from")
     return grid

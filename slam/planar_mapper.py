@@ -317,6 +317,6 @@ class PlanarMapper:
     ) -> tuple[OccupancyGrid | None, list[str]]:
         """The grid from the optimised keyframes; a map that would not fit in memory is a warning."""
         try:
-            return grid_of_keyframes(scans_fused, keyframe_poses, self._config.grid), []
+            return grid_of_keyframes(scans_fused, keyframe_poses, self._config), []
         except ScanweaveError as error:
             return None, [f"No grid was built: {error}"]

@@ -60,10 +60,6 @@ class Readings:
         """The newest scan is a keyframe."""
         self._keyframe_scans.append(self.scan_count - 1)
 
-    def scan_stamps(self) -> FloatArray:
-        """(S,) stamps of the scans."""
-        return np.array(self._stamps_s)[np.array(self._scan_readings)]
-
     def keyframe_scans(self) -> NDArray[np.int64]:
         """(K,) scan number of each keyframe."""
         return np.array(self._keyframe_scans)

@@ -4,35 +4,34 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import gtsam
 import numpy as np
 
 from slam.config_clouds import CloudMapConfig
 from slam.config_stages import DenseMapConfig
-from slam.errors import ScanweaveError
+from slam.errors import LibraryError
 from slam.map_result import DenseKeyframes, MappedClouds, MapResult
+from slam.mapping.camera_points import camera_cloud
 from slam.mapping.cloud_map import map_cloud
 from slam.mapping.dense_map import DenseMapSettings, fuse_keyframes
 from slam.mapping.layered_map import LayeredMap
-from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.matching.local_cloud import moved
-from slam.storage.files import make_folder
 from slam.storage.g2o import G2oEdge, G2oGraph, write_g2o
-from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor
-from slam.storage.nav2 import write_nav2_map
+from slam.storage.map_contents import DEPTH, OCCUPANCY, MapContents, SavedFactor
+from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers
 from slam.storage.octomap import write_octomap, write_octree
 from slam.storage.ply import write_cloud_ply, write_mesh_ply
-from slam.storage.saved_map import SavedMap
 from slam.storage.tum import write_tum
 
 
-def save_run(folder: Path, result: MapResult) -> list[Path]:
-    """Write ``trajectory.tum``, ``graph.g2o``, and with a grid ``map.yaml`` and ``map.pgm``.
+def save_run(folder: Path, result: MapResult, layers: LayeredMap | None) -> list[Path]:
+    """Write ``trajectory.tum``, ``graph.g2o``, and of a floor ``map.yaml``, ``map.pgm`` and ``layers/``.
 
     Parameters
     ----------
     folder
         Must exist; files of an earlier run are replaced one by one.
+    layers
+        The map of the floor; None of a camera in space.
 
     Returns
     -------
@@ -47,15 +46,20 @@ def save_run(folder: Path, result: MapResult) -> list[Path]:
     write_tum(trajectory, result.trajectory)
     save_g2o(graph, contents_of(result))
     written = [trajectory, graph]
-    if result.grid is not None:
-        written += write_nav2_map(folder / "map", result.grid)
+    if layers is not None:
+        written += write_driving_map(folder / Path(MAP_YAML).stem, layers)
+        written += write_layers(folder / "layers", layers)
     return written
 
 
-def save_dense(folder: Path, result: MapResult, config: DenseMapConfig) -> list[Path]:
+def save_dense(folder: Path, result: MapResult, config: DenseMapConfig) -> tuple[list[Path], list[str]]:
     """Write ``mesh.ply`` and ``cloud.ply`` of the camera keyframes, and ``map.bt`` where it is asked for.
 
     The octree is that of a 3D lidar where there is one, see `save_clouds`.
+
+    Returns
+    -------
+    What was written, and what of it could not be had.
 
     Raises
     ------
@@ -63,12 +67,12 @@ def save_dense(folder: Path, result: MapResult, config: DenseMapConfig) -> list[
         Where a file cannot be written, or a library that this needs is missing.
     """
     if result.dense is None or not config.enabled:
-        return []
-    written = save_surface(folder / "mesh.ply", result.dense, config)
+        return [], []
+    written, missing = save_surface(folder / "mesh.ply", result.dense, config)
     if config.octomap and result.clouds is None:
         save_octomap(folder / "map.bt", result.dense, config)
         written.append(folder / "map.bt")
-    return written
+    return written, missing
 
 
 def save_clouds(folder: Path, result: MapResult, config: CloudMapConfig, dense: DenseMapConfig) -> list[Path]:
@@ -110,21 +114,35 @@ def save_cloud_octomap(
     write_octree(path, views, dense.octomap_cell_m, config.plan_range_m)
 
 
-def save_surface(path: Path, keyframes: DenseKeyframes, config: DenseMapConfig) -> list[Path]:
-    """The coloured mesh of the camera keyframes, and their cloud beside it; nothing where they show none."""
+def save_surface(
+    path: Path, keyframes: DenseKeyframes, config: DenseMapConfig
+) -> tuple[list[Path], list[str]]:
+    """The coloured mesh of the camera keyframes, and their cloud beside it; nothing where they show none.
+
+    Without Open3D there is no mesh, and the cloud is of the points as they were seen.
+
+    Returns
+    -------
+    What was written, and what could not be had.
+    """
     settings = DenseMapSettings(
         voxel_size_m=config.voxel_m, depth_min_m=config.nearest_m, depth_max_m=config.farthest_m
     )
-    dense = fuse_keyframes(keyframes.frames, keyframes.poses, settings)
-    cloud = path.with_name("cloud.ply" if path.name == "mesh.ply" else f"{path.stem}-cloud.ply")
-    written = []
-    if len(dense.mesh.faces):
-        write_mesh_ply(path, dense.mesh)
-        written.append(path)
-    if len(dense.cloud.points_map):
-        write_cloud_ply(cloud, dense.cloud)
-        written.append(cloud)
-    return written
+    cloud_path = path.with_name("cloud.ply" if path.name == "mesh.ply" else f"{path.stem}-cloud.ply")
+    written, missing = [], []
+    try:
+        dense = fuse_keyframes(keyframes.frames, keyframes.poses, settings)
+        cloud = dense.cloud
+        if len(dense.mesh.faces):
+            write_mesh_ply(path, dense.mesh)
+            written.append(path)
+    except LibraryError as error:
+        cloud = camera_cloud(keyframes.frames, keyframes.poses, settings)
+        missing.append(f"No {path.name}, and {cloud_path.name} is of points as they were seen: {error}")
+    if len(cloud.points_map):
+        write_cloud_ply(cloud_path, cloud)
+        written.append(cloud_path)
+    return written, missing
 
 
 def save_octomap(path: Path, keyframes: DenseKeyframes, config: DenseMapConfig) -> None:
@@ -156,8 +174,8 @@ def save_g2o(path: Path, contents: MapContents) -> None:
 def contents_of(result: MapResult, layers: LayeredMap | None = None) -> MapContents:
     """A finished map as it is saved."""
     grids = {} if result.grid is None else {OCCUPANCY: result.grid}
-    if layers is not None:
-        grids.update(layer_grids(layers))
+    if layers is not None and layers.depth is not None:
+        grids[DEPTH] = layers.depth
     return MapContents(
         node_poses=[result.graph.pose(node) for node in range(len(result.graph))],
         stamps_s=result.scans.stamps_s[result.keyframe_numbers],
@@ -173,94 +191,3 @@ def contents_of(result: MapResult, layers: LayeredMap | None = None) -> MapConte
         grids=grids,
         cameras={name: record.learned for name, record in result.cameras.items()},
     )
-
-
-def layer_grids(layers: LayeredMap) -> dict[str, OccupancyGrid]:
-    """The layers that there are, by the names under which they are saved."""
-    grids = {}
-    if layers.lidar is not None:
-        grids["lidar layer"] = layers.grid("lidar")
-    if layers.depth is not None:
-        grids["depth layer"] = layers.grid("depth")
-    return grids
-
-
-def export_map(saved: SavedMap, format_: str, out: Path) -> list[Path]:
-    """Write a saved map in another program's format.
-
-    Parameters
-    ----------
-    format_
-        nav2, tum, g2o, ply or bt.
-    out
-        The file, or a folder (what is one, or has no ending) for the names that `save_run` uses. Of nav2 it
-        is the yaml, of ply the mesh of the images or, without any, the cloud of the 3D lidar; what belongs to
-        them goes beside.
-
-    Returns
-    -------
-    What was written.
-
-    Raises
-    ------
-    ScanweaveError
-        Where the map does not hold what the format needs, or a file cannot be written.
-    """
-    usual = {
-        "nav2": "map.yaml",
-        "tum": "trajectory.tum",
-        "g2o": "graph.g2o",
-        "ply": "mesh.ply" if len(saved.frames) or not len(saved.clouds) else "cloud.ply",
-        "bt": "map.bt",
-    }
-    seen = len(saved.frames) + len(saved.clouds) > 0
-    needs = {"nav2": saved.grid is not None, "ply": seen, "bt": seen}
-    if not needs.get(format_, True):
-        lacking = "grid" if format_ == "nav2" else "image or cloud"
-        raise ScanweaveError(f"{saved.path} holds no {lacking}, so there is nothing to write as {format_}")
-    if out.is_dir() or not out.suffix:
-        make_folder(out)
-        out = out / usual[format_]
-    if format_ == "nav2":
-        assert saved.grid is not None
-        return list(write_nav2_map(out.with_suffix(""), saved.grid))
-    if format_ == "ply":
-        return _export_ply(saved, out)
-    if format_ == "bt":
-        _export_octomap(saved, out)
-    elif format_ == "tum":
-        write_tum(out, saved.trajectory)
-    else:
-        save_g2o(out, saved.contents)
-    return [out]
-
-
-def _export_ply(saved: SavedMap, out: Path) -> list[Path]:
-    """The coloured surface of the images, and the cloud of the 3D lidar."""
-    written, cloud = [], out
-    if len(saved.frames):
-        written = save_surface(out, _dense_of(saved), saved.config.dense_map)
-        cloud = out.with_name("lidar.ply" if out.name == "mesh.ply" else f"{out.stem}-lidar.ply")
-    if len(saved.clouds):
-        save_cloud(cloud, _clouds_of(saved), saved.config.cloud_map)
-        written.append(cloud)
-    return written
-
-
-def _export_octomap(saved: SavedMap, out: Path) -> None:
-    """The octree of the 3D lidar, or else of the images."""
-    if len(saved.clouds):
-        save_cloud_octomap(out, _clouds_of(saved), saved.config.cloud_map, saved.config.dense_map)
-    else:
-        save_octomap(out, _dense_of(saved), saved.config.dense_map)
-
-
-def _dense_of(saved: SavedMap) -> DenseKeyframes:
-    """The camera keyframes of a saved map."""
-    return DenseKeyframes(saved.frames, saved.frame_poses())
-
-
-def _clouds_of(saved: SavedMap) -> MappedClouds:
-    """The clouds of a saved map, whose nodes are the bases."""
-    nodes = [pose for pose in saved.contents.node_poses if isinstance(pose, gtsam.Pose3)]
-    return MappedClouds(saved.clouds, nodes, saved.clouds.T_base_lidar(len(nodes) - 1))

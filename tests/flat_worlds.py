@@ -16,6 +16,15 @@ from slam.simulation.floor_plan import cast_rays
 RANGE_MAX_M = 30.0
 
 
+def clearance_m(segments: FloatArray, points_m: FloatArray) -> FloatArray:
+    """Distance from every point (N, 2) to the nearest segment x1, y1, x2, y2, (N,)."""
+    start, edge = segments[:, :2], segments[:, 2:] - segments[:, :2]
+    offset = points_m[:, None, :] - start
+    share = np.clip((offset * edge).sum(axis=2) / (edge * edge).sum(axis=1), 0.0, 1.0)
+    nearest = offset - share[:, :, None] * edge
+    return np.asarray(np.hypot(nearest[..., 0], nearest[..., 1]).min(axis=1))
+
+
 def box(west: float, south: float, east: float, north: float) -> FloatArray:
     """Four walls, (4, 4) rows of x1, y1, x2, y2."""
     return np.array(

@@ -223,6 +223,6 @@ def test_the_example_of_mapping(
 def test_a_map_is_shown_in_one_line(house: Path) -> None:
     map_ = slam.load_map(house)
     shown = repr(map_)
-    assert shown.startswith(f"SavedMap('{house}/map.db', sessions=1, keyframes={len(map_.keyframe_poses)}, ")
+    assert shown.startswith(f"Map('{house}/map.db', sessions=1, keyframes={len(map_.keyframe_poses)}, ")
     assert "\n" not in shown and len(shown) < len(str(house)) + 100
     map_.close()

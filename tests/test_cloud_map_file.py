@@ -16,9 +16,9 @@ from command_line import scanweave as scanweave
 from test_cloud_mapper import SMALL, write_log
 
 from slam.cli import main
+from slam.finished_map import open_map
 from slam.journal import Journal
 from slam.matching.local_cloud import moved
-from slam.storage.saved_map import open_saved_map
 from tools.kill_trials import run_trials
 
 COUNT = 9
@@ -128,7 +128,7 @@ def test_what_it_cannot_be_used_for_is_told(
 
 def test_the_clouds_are_where_they_were_seen(log: Path, mapped: Path) -> None:
     """Every kept point lies on the room's walls, floor, ceiling or pillars."""
-    saved, start = open_saved_map(mapped), way_round(36)[0]
+    saved, start = open_map(mapped), way_round(36)[0]
     for points, pose in zip(saved.clouds, saved.contents.node_poses, strict=True):
         assert isinstance(pose, gtsam.Pose3)
         placed = moved(points, start.compose(pose))

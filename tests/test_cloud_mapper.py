@@ -17,6 +17,7 @@ from slam.errors import DatasetError
 from slam.evaluation.trajectory_error import absolute_error
 from slam.graph.cloud_loops import CloudLoopCloser
 from slam.graph.pose_graph import EdgeKind
+from slam.layer_outputs import layers_of
 from slam.map_result import MapResult
 from slam.mapping.cloud_keyframes import CloudKeyframes
 from slam.measurements import LaserScan, Measurement, PointCloud, WheelOdometry
@@ -100,7 +101,7 @@ def test_the_plan_shows_what_stands_in_the_way(mapped: MapResult) -> None:
 
 def test_the_files(mapped: MapResult, log: Path, tmp_path: Path) -> None:
     config = load_config(None, SMALL)
-    names = {path.name for path in save_run(tmp_path, mapped)}
+    names = {path.name for path in save_run(tmp_path, mapped, layers_of(mapped, config))}
     assert names == {"trajectory.tum", "graph.g2o", "map.yaml", "map.pgm"}
     written = save_clouds(tmp_path, mapped, config.cloud_map, config.dense_map)
     cloud = read_cloud_ply(written[0])

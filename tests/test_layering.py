@@ -17,10 +17,12 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"slam.comparison"}),
     frozenset({"slam.app"}),  # use cases
     frozenset({"slam.sessions"}),
-    frozenset({"slam.evaluation", "slam.run_outputs", "slam.layer_outputs", "slam.map_recording"}),
+    frozenset({"slam.evaluation", "slam.layer_outputs", "slam.map_recording"}),
     frozenset({"slam.pipeline", "slam.localization"}),
     frozenset({"slam.planar_mapper", "slam.spatial_mapper", "slam.cloud_mapper"}),  # what the main loop feeds
     frozenset({"slam.mapper", "slam.planar_places", "slam.cloud_cameras"}),
+    frozenset({"slam.finished_map"}),
+    frozenset({"slam.run_outputs"}),
     frozenset({"slam.map_result", "slam.keyframe_store"}),
     frozenset({"slam.keyframe_fusion"}),
     frozenset({"slam.robot_cameras", "slam.journal"}),

@@ -24,11 +24,12 @@ from pipeline_runs import (
     with_stamp,
 )
 
-from slam.config import load_config
+from slam.config import Config, load_config
 from slam.datasets import open_dataset
 from slam.errors import DatasetError
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import EdgeKind
+from slam.layer_outputs import layers_of
 from slam.map_result import MapResult
 from slam.mapping.occupancy_grid import OCCUPIED
 from slam.matching.planar import between, compose
@@ -194,7 +195,7 @@ class TestMishaps:
         assert len(result.keyframe_poses) == 1
         np.testing.assert_array_equal(result.trajectory.to_planar(), np.zeros((2, 3)))
         assert result.grid is not None
-        save_run(tmp_path, result)
+        save_run(tmp_path, result, layers_of(result, Config()))
 
     def test_a_robot_that_stands_still(self, short_log: SyntheticLog, tmp_path: Path) -> None:
         lines = [line for line in short_log.log_path.read_text().splitlines() if line.startswith("FLASER")]

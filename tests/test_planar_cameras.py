@@ -15,10 +15,11 @@ from room_world import LESS, T_BODY_CAMERA, blind, furnished, render
 
 from slam.config import load_config
 from slam.datasets.dataset import ReadReport
-from slam.errors import ConfigError
+from slam.finished_map import open_map
 from slam.graph.pose_graph import EdgeKind
 from slam.layer_outputs import layers_of
 from slam.map_result import MapResult
+from slam.mapping.occupancy_grid import OCCUPIED
 from slam.matching.planar import between, compose
 from slam.measurements import (
     FloatArray,
@@ -30,7 +31,11 @@ from slam.measurements import (
     pose2_from_row,
 )
 from slam.pipeline import build_map
-from slam.run_outputs import contents_of
+from slam.run_outputs import contents_of, save_run
+from slam.storage.map_contents import write_contents
+from slam.storage.map_file import MapFile
+from slam.storage.map_identity import MapIdentity
+from slam.storage.nav2 import read_nav2_map
 from slam.storage.nav2_layers import write_layers
 
 # The room at the height of the lidar.
@@ -174,14 +179,51 @@ def test_the_layers_show_what_each_sensor_saw(drive: list[tuple[int, Measurement
     written = {path.stem for path in write_layers(tmp_path, both)}
     assert written == {"lidar", "depth", "fused", "decision", "fused_probability"}
     saved = contents_of(result, both).grids
-    assert set(saved) == {"occupancy", "lidar layer", "depth layer"}
-    np.testing.assert_array_equal(saved["depth layer"].log_odds, both.grid("depth").log_odds)
+    assert saved == {"occupancy": both.lidar, "depth layer": both.depth}
+    assert both.lidar is result.grid  # drawn once
     alone = layers_of(run(drive, whole, "sensors.lidar=false"), config)
     assert alone is not None and alone.lidar is None and alone.depth is not None
-    assert layers_of(run(drive, whole, "sensors.rgbd=false"), config) is None
-    with pytest.raises(ConfigError, match="make the step lower"):
-        layers_of(result, load_config(None, ["layers.climb_m=0.8"]))
-    assert layers_of(result, load_config(None, ["layers.enabled=false"])) is None
+    assert alone.names == ("depth", "fused", "decision")
+
+
+def test_one_answer_to_which_map(drive: list[tuple[int, Measurement]], tmp_path: Path) -> None:
+    """What a robot loads, what is exported of the saved map, and the decision are one; the lidar's stays."""
+    config = load_config(None, ["dense_map.enabled=false", "layers.robot_height_m=1.0"])
+    result = run(drive, whole)
+    layers = layers_of(result, config)
+    assert layers is not None
+    save_run(tmp_path, result, layers)
+    loaded = read_nav2_map(tmp_path / "map.yaml")
+    decision = read_nav2_map(tmp_path / "layers" / "decision.yaml")
+    np.testing.assert_array_equal(loaded.values, layers.states("decision"))
+    np.testing.assert_array_equal(loaded.values, decision.values)
+    # Not the lidar's, which looks over what is low.
+    more = (loaded.values == OCCUPIED) & (layers.states("lidar") != OCCUPIED)
+    assert np.count_nonzero(more) > 10
+    file = MapFile.create(tmp_path / "map.db")
+    for key, value in MapIdentity(config, "log", "0", {}).to_meta().items():
+        file.add_meta(key, value)
+    write_contents(file, contents_of(result, layers))
+    file.seal()
+    saved = open_map(tmp_path)
+    for path in saved.export("nav2", tmp_path / "exported"):
+        assert path.read_bytes() == (tmp_path / path.name).read_bytes(), path.name
+    assert saved.grid is not None and result.grid is not None
+    np.testing.assert_array_equal(saved.grid.steps, result.grid.steps)
+    saved.close()
+
+
+def test_without_a_depth_layer_the_map_is_the_lidars(drive: list[tuple[int, Measurement]]) -> None:
+    result = run(drive, whole, "sensors.rgbd=false")
+    for settings in ([], ["layers.enabled=false"]):
+        alone = layers_of(result, load_config(None, settings))
+        assert alone is not None and alone.depth is None and alone.names == ()
+        np.testing.assert_array_equal(alone.states("decision"), alone.states("lidar"))
+    seen = run(drive, whole)
+    alone = layers_of(seen, load_config(None, ["layers.climb_m=0.8"]))
+    assert alone is not None and alone.depth is None
+    assert "the map is the lidar's alone: layers.climb_m = 0.8" in seen.warnings[-1]
+    assert "make the step lower" in seen.warnings[-1]
 
 
 def test_the_map_shows_what_every_camera_saw(drive: list[tuple[int, Measurement]]) -> None:

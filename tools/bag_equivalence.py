@@ -89,7 +89,7 @@ def difference(one: MapResult, other: MapResult) -> Difference:
 def different_cells(one: OccupancyGrid | None, other: OccupancyGrid | None) -> int:
     """Cells whose state differs; all where only one map has a plan, or the plans are of different sizes."""
     if one is None or other is None:
-        return sum(plan.log_odds.size for plan in (one, other) if plan is not None)
+        return sum(plan.steps.size for plan in (one, other) if plan is not None)
     states, others = one.states(), other.states()
     return int((states != others).sum()) if states.shape == others.shape else states.size
 

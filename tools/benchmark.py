@@ -1,16 +1,16 @@
 """Measure accuracy and cost of ``scanweave map`` on the real logs.
 
     python tools/benchmark.py [--data ../shared/data] [--log fr079 --log intel] [--set k=v] [--repeat N]
-                              [--cold] [--json FILE]
+                              [--cold] [--json FILE] [--docs]
     python tools/benchmark.py rgbd ...            the RGB-D sequence instead: see benchmark_rgbd.py
 
 For every log and variant the real command runs in a process of its own: once to warm numba's cache, then
 ``--repeat`` times for wall and CPU seconds (medians) and peak memory (greatest), from the kernel's account of
 the child. The time a scan comes from one more run through the Python API. ``--cold`` adds, for the first
-log, a first run ever: with an empty numba cache.
+log, a first run ever: with an empty numba cache. ``--docs`` writes the table into docs/figures.md; ``--json``
+has more: errors over short and long relations, wall seconds, times a scan.
 
-Seconds drift between machines and from day to day; compare ratios within one run: the column ``CPU ratio``
-is relative to the first row.
+Seconds drift between machines and from day to day; compare ratios within one run.
 """
 
 # Only the standard library here: on Linux a child begins with its parent's peak memory, so this process
@@ -31,6 +31,7 @@ from time import perf_counter
 from typing import Any
 
 REPO = Path(__file__).parents[1]
+FIGURES = REPO / "docs" / "figures.md"
 
 # Options of `scanweave map`, and the logs that they are measured on (None: all).
 VARIANTS: dict[str, tuple[list[str], set[str] | None]] = {
@@ -71,13 +72,16 @@ def main() -> None:
                     print(f"measured {name}, {variant}", file=sys.stderr)
         cold = bench.cold((options.log or ["fr079"])[0]) if options.cold else None
     report = {"machine": machine(), "settings": options.set, "repeat": options.repeat, "rows": rows}
-    print(table(rows))
+    text = table(rows)
     if cold:
         report["cold"] = cold
-        print(f"\nFirst run ever ({cold['log']}, numba compiles): {cold['wall_s']:.1f} s wall, ", end="")
-        print(f"{cold['cpu_s']:.1f} s CPU, {cold['peak_mb']:.0f} MB")
+        text += f"\n\nFirst run ever ({cold['log']}, numba compiles): {cold['wall_s']:.1f} s wall, "
+        text += f"{cold['cpu_s']:.1f} s CPU, {cold['peak_mb']:.0f} MB."
+    print(text)
     if options.json:
         options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    if options.docs:
+        write_between(FIGURES, "bench", text)
 
 
 def parse_options() -> argparse.Namespace:
@@ -92,6 +96,7 @@ def parse_options() -> argparse.Namespace:
     parser.add_argument("--repeat", type=int, default=1, help="measured runs a row")
     parser.add_argument("--cold", action="store_true", help="also measure a first run ever")
     parser.add_argument("--json", type=Path, help="also write the figures here")
+    parser.add_argument("--docs", action="store_true", help="also write the table into docs/figures.md")
     parser.add_argument("--child", choices=("profile", "wheels"), help=argparse.SUPPRESS)
     parser.add_argument("arguments", nargs="*", help=argparse.SUPPRESS)
     return parser.parse_args()
@@ -253,62 +258,40 @@ def machine() -> dict[str, Any]:
 
 def table(rows: list[dict[str, Any]]) -> str:
     """All rows as one Markdown table."""
-    base = next((row["cpu_s"] for row in rows if "cpu_s" in row), 1.0)
-    heads = [
-        "log",
-        "variant",
-        "all [m]",
-        "all [deg]",
-        "short [m]",
-        "long [m]",
-        "relations used",
-        "wall s",
-        "CPU s",
-        "CPU ratio",
-        "peak MB",
-        "times real time",
-        "ms a scan",
-        "last/first tenth, mean",
-        "median",
-        "loops",
-    ]
+    heads = ["log", "variant", "translation, m", "rotation, degrees", "CPU s", "peak MB", "x real time"]
+    heads += ["last/first tenth: mean, median", "loops"]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for row in rows:
-        cells = [row["log"], row["variant"], *accuracy_cells(row["relations"]), *cost_cells(row, base)]
-        lines.append("| " + " | ".join(cells) + " |")
+        errors = [spread(row, "translation_m", 1.0, 4), spread(row, "rotation_rad", 57.29577951308232, 3)]
+        lines.append("| " + " | ".join([row["log"], row["variant"], *errors, *cost_cells(row)]) + " |")
     return "\n".join(lines)
 
 
-def accuracy_cells(score: dict[str, Any]) -> list[str]:
-    """Mean and standard deviation over all relations, and over the short and the long ones."""
-    groups = (score, score["short"], score["long"])
-    metres = [spread(group, "translation_m", 1.0, 4) for group in groups]
-    used = f"{score['used']} of {score['used'] + score['skipped']}"
-    return [metres[0], spread(score, "rotation_rad", 57.29577951308232, 3), *metres[1:], used]
+def spread(row: dict[str, Any], name: str, scale: float, digits: int) -> str:
+    """Mean and standard deviation over all relations."""
+    error = row["relations"][name]
+    return f"{scale * error['mean']:.{digits}f} ± {scale * error['std']:.{digits}f}"
 
 
-def spread(group: dict[str, Any] | None, name: str, scale: float, digits: int) -> str:
-    """Mean and standard deviation; a dash where the group is empty."""
-    if group is None:
-        return "-"
-    return f"{scale * group[name]['mean']:.{digits}f} ± {scale * group[name]['std']:.{digits}f}"
-
-
-def cost_cells(row: dict[str, Any], base_cpu_s: float) -> list[str]:
-    """What a run cost; dashes for the baseline, which costs nothing."""
+def cost_cells(row: dict[str, Any]) -> list[str]:
+    """What a run cost; nothing for the baseline, which costs nothing."""
     if "cpu_s" not in row:
-        return ["-"] * 9
+        return [""] * 5
     return [
-        f"{row['wall_s']:.1f}",
         f"{row['cpu_s']:.1f}",
-        f"{row['cpu_s'] / base_cpu_s:.2f}",
         f"{row['peak_mb']:.0f}",
         f"{row['real_time_factor']:.0f}",
-        f"{row['scan_ms_mean']:.2f}",
-        f"{row['last_over_first_mean']:.2f}",
-        f"{row['last_over_first_median']:.2f}",
+        f"{row['last_over_first_mean']:.2f}, {row['last_over_first_median']:.2f}",
         f"{row['loops_accepted']} of {row['loops_tried']}",
     ]
+
+
+def write_between(path: Path, mark: str, text: str) -> None:
+    """Put a text between the marks ``<!-- mark -->`` and ``<!-- /mark -->`` of a page."""
+    first, last = f"<!-- {mark} -->\n", f"<!-- /{mark} -->\n"
+    before, rest = path.read_text(encoding="utf-8").split(first)
+    _, after = rest.split(last)
+    path.write_text(f"{before}{first}{text}\n{last}{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":

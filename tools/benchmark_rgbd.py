@@ -1,6 +1,6 @@
 """Measure ``scanweave map`` on a real RGB-D sequence beside the stock odometries of other libraries.
 
-    python tools/benchmark_rgbd.py [FOLDER] [--row NAME] [--repeat N] [--json FILE] [--readme]
+    python tools/benchmark_rgbd.py [FOLDER] [--row NAME] [--repeat N] [--json FILE] [--docs]
 
 FOLDER is any dataset with its ground truth; the default is 7-Scenes RedKitchen. Every row is a process of
 its own: the real command for ours, `rgbd_baselines.py` for the others, each from decoding to the written
@@ -8,7 +8,7 @@ trajectory. Accuracy is the ATE RMSE after rigid alignment, by ``scanweave evalu
 (least of ``--repeat`` runs) and peak memory are the kernel's account of the child.
 
 Two more rows tell how cost grows: the sequence at half its width, and four times its length (forward and
-backward by turns). ``--readme`` writes the table between the README's ``bench-rgbd`` marks.
+backward by turns). ``--docs`` writes the table into docs/figures.md.
 
 Seconds drift with the machine and its load; compare ratios within one run: ``CPU ratio`` is relative to the
 first row.
@@ -26,7 +26,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from benchmark import REPO, machine, run, scanweave
+from benchmark import FIGURES, REPO, machine, run, scanweave, write_between
 
 OURS: dict[str, list[str]] = {
     "Scanweave": [],
@@ -46,7 +46,6 @@ OTHERS = (
 )
 HALVED, LONGER = "Scanweave, half width", "Scanweave, four times as long"
 SEQUENCES = {HALVED: ("2", "1"), LONGER: ("1", "4")}  # shrink, times
-MARKS = ("<!-- bench-rgbd -->\n", "<!-- /bench-rgbd -->\n")
 
 
 def main() -> None:
@@ -68,8 +67,8 @@ def main() -> None:
     if options.json:
         report = {"machine": machine(), "repeat": options.repeat, "rows": rows}
         options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
-    if options.readme:
-        write_readme(REPO / "README.md", text)
+    if options.docs:
+        write_between(FIGURES, "bench-rgbd", text)
 
 
 def parse_options() -> argparse.Namespace:
@@ -84,7 +83,7 @@ def parse_options() -> argparse.Namespace:
     )
     parser.add_argument("--repeat", type=int, default=1, help="measured runs a row")
     parser.add_argument("--json", type=Path, help="also write the figures here")
-    parser.add_argument("--readme", action="store_true", help="also write the table into the README")
+    parser.add_argument("--docs", action="store_true", help="also write the table into docs/figures.md")
     return parser.parse_args()
 
 
@@ -157,13 +156,6 @@ def table(rows: list[dict[str, Any]]) -> str:
         ]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
-
-
-def write_readme(path: Path, text: str) -> None:
-    """Put the table between its marks."""
-    before, rest = path.read_text(encoding="utf-8").split(MARKS[0])
-    _, after = rest.split(MARKS[1])
-    path.write_text(f"{before}{MARKS[0]}{text}\n{MARKS[1]}{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import MapFileError
+from slam.finished_map import open_map
 from slam.storage.packing import pack
-from slam.storage.saved_map import open_saved_map
 
 # A map that takes longer than this to read hangs.
 _PATIENCE_S = 60.0
@@ -44,7 +44,7 @@ def content_of(path: Path) -> str:
     MapFileError
         Where the map is refused.
     """
-    saved = open_saved_map(path)
+    saved = open_map(path)
     try:
         contents, digest = saved.contents, hashlib.blake2b()
         digest.update(repr(sorted(saved.identity.to_meta().items())).encode())

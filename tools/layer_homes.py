@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from slam.mapping.layered_map import LAYERS, LayeredMap, LayerSettings, build_layers
+from slam.mapping.layer_builder import LayerSettings, build_layers
+from slam.mapping.layered_map import LAYERS, LayeredMap
 from slam.mapping.occupancy_grid import OCCUPIED
 from slam.measurements import LaserScan, RgbdFrame
 from slam.simulation.drive import planar_mount
@@ -142,9 +143,7 @@ def score_home(seed: int, rig: Rig, settings: LayerSettings) -> dict[str, Any]:
     truth = true_grid(home, settings.depth.band.low_m, settings.depth.band.high_m, settings.resolution_m)
     wanted = to_be_seen(truth, home)
     laid = {name: on_truth(built.states(name), built, truth) for name in LAYERS}
-    assert ended.lidar is not None
-    assert ended.depth is not None
-    either = np.where((ended.lidar > 0) | (ended.depth > 0), OCCUPIED, 0).astype(np.int8)
+    either = np.where((ended.grid("lidar").steps > 0) | (ended.grid("depth").steps > 0), OCCUPIED, 0)
     laid["union"] = on_truth(either, ended, truth)
     lidar_z = 0.0 if rig.lidar is None else rig.lidar.T_base_laser.z()
     low = [o.id for o in home.obstacles if settings.depth.band.low_m < o.box[1, 2] < lidar_z]

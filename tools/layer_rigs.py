@@ -7,7 +7,7 @@ import math
 from fusion.depth_model import RangeNoise
 from fusion.height_band import HeightBand
 from slam.mapping.depth_grid import DepthModel
-from slam.mapping.layered_map import LayerSettings
+from slam.mapping.layer_builder import LayerSettings
 from slam.mapping.lidar_layer import LidarModel
 from slam.simulation.rigs import Rig
 

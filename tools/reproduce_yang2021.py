@@ -30,7 +30,9 @@ from fusion.camera_tilt import camera_tilt
 from fusion.curves import Intrinsics
 from fusion.height_band import HeightBand, back_project, pixel_rays
 from slam.evaluation.page_parts import section, table
-from slam.mapping.layered_map import LayerSettings, Thresholds, build_layers
+from slam.mapping.layer_builder import LayerSettings, build_layers
+from slam.mapping.layered_map import DecisionRule
+from slam.mapping.occupancy_grid import Thresholds
 from slam.simulation.rigs import RIGS
 
 # The paper's l and sigma; its h is the camera's height over the base's centre, which here is on the floor.
@@ -65,7 +67,7 @@ def settings() -> LayerSettings:
     """The rig's, with Yang2021's N and the map's threshold."""
     chosen = layer_settings(RIGS["yang2021"], BAND)
     depth = replace(chosen.depth, least_points=LEAST_POINTS)
-    return replace(chosen, depth=depth, depth_thresholds=Thresholds(occupied_above=OCCUPIED_ABOVE))
+    return replace(chosen, depth=depth, rule=DecisionRule(depth=Thresholds(occupied_above=OCCUPIED_ABOVE)))
 
 
 def score_run(seed: int) -> dict[str, Any]:
@@ -82,7 +84,7 @@ def score_run(seed: int) -> dict[str, Any]:
         "keyframe_ransac_points": points_right(run, by_keyframe, built.resolution_m),
         "length_error_per_m": length_error_per_m(run, occupied),
         "angle_error_deg": angle_error_deg(run, occupied),
-        "completeness": completeness(run, built),
+        "completeness": completeness(run, built, BAND),
         "calibration": calibration(run, seed),
         "states": built.states("depth"),
         "ransac_map": _drawn(fitted, built.resolution_m),
@@ -130,7 +132,7 @@ def page(runs: list[dict[str, Any]], results: dict[str, Any]) -> list[str]:
         f"{POSE_SIGMA_M * 1e3:g} mm and {math.degrees(POSE_SIGMA_RAD):g} degrees. The band is 0.03 m to "
         f"l + sigma = 0.23 m. N = {LEAST_POINTS} and the threshold {OCCUPIED_ABOVE:g} were chosen on another "
         "drive; completeness depends on them (N = 3 and 0.65 give 1.37: walls two cells thick). RANSAC is "
-        "Open3D's, one plane for the cloud of the drive, beside it one for each keyframe."
+        "of one plane for the cloud of the drive, beside it one for each keyframe."
     )
     head = [
         "run",

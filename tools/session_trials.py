@@ -23,13 +23,13 @@ import numpy as np
 from slam.errors import MapFileError
 from slam.evaluation.relations import read_relations, score_relations
 from slam.evaluation.trajectory_error import absolute_error
+from slam.finished_map import Map, open_map
 from slam.measurements import Trajectory
 from slam.sessions.connection import Connection, connect
 from slam.simulation.drive_faults import DriveFaults
 from slam.simulation.home import generate_home
 from slam.simulation.record import record_drive
 from slam.simulation.rigs import RIGS
-from slam.storage.saved_map import SavedMap, open_saved_map
 from slam.storage.tum import read_tum
 
 _READINGS = ("ODOM", "FLASER")
@@ -49,13 +49,13 @@ class Drive:
     map_folder: Path
     truth: Trajectory | None
 
-    def opened(self) -> SavedMap:
+    def opened(self) -> Map:
         """Its map, made where it is missing."""
         try:
-            return open_saved_map(self.map_folder)
+            return open_map(self.map_folder)
         except MapFileError:  # none yet, or one of another version
             _scanweave("map", self.log, "-o", self.map_folder, "--set", "dense_map.enabled=false")
-            return open_saved_map(self.map_folder)
+            return open_map(self.map_folder)
 
 
 def main() -> None:

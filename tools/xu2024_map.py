@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from xu2024_pairs import TruePair
 
-from slam.mapping.occupancy_grid import GridBuilder, OccupancyGrid, PosedScan
-from slam.measurements import row_from_pose2
+from slam.mapping.layer_builder import LayerBuilder, LayerSettings
+from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.measurements import LaserScan, row_from_pose2
 from slam.simulation.true_grid import TrueGrid
 
 RESOLUTION_M = 0.05
@@ -40,14 +41,19 @@ class DriveMaps:
     """Maps of one drive from the same poses: one of the scans as they are, one of the repaired."""
 
     def __init__(self) -> None:
-        self.before, self.after = GridBuilder(RESOLUTION_M), GridBuilder(RESOLUTION_M)
+        settings = LayerSettings(RESOLUTION_M)
+        self.before, self.after = LayerBuilder(settings), LayerBuilder(settings)
         self._met: list[NDArray[np.float64]] = []
 
     def add(self, pair: TruePair, repaired_m: NDArray[np.float32]) -> None:
         """One scan into both; what it truly met is what a map can be asked for."""
         scan, pose = pair.scan, row_from_pose2(pair.T_map_laser)
         for builder, ranges in ((self.before, scan.ranges_m), (self.after, repaired_m)):
-            builder.add(PosedScan(pose, ranges, scan.start_angle_rad, scan.step_rad, scan.range_max_m))
+            # Scans of one place are told apart by their times, and a pair tells none.
+            numbered = LaserScan(
+                float(len(self._met)), ranges, scan.start_angle_rad, scan.step_rad, scan.range_max_m
+            )
+            builder.add(numbered, pair.T_map_laser)
         bearings, truth = scan.bearings_rad() + pose[2], pair.true_ranges_m.astype(np.float64)
         met = np.isfinite(truth) & (truth <= scan.range_max_m)
         ends = pose[:2] + truth[met, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])[met]
@@ -56,7 +62,9 @@ class DriveMaps:
     def scores(self, truth: TrueGrid) -> tuple[MapScore, MapScore]:
         """Before and after."""
         ends = np.concatenate(self._met)
-        return _score(self.before.finish(), truth, ends), _score(self.after.finish(), truth, ends)
+        before, after = self.before.grid("lidar"), self.after.grid("lidar")
+        assert before is not None and after is not None
+        return _score(before, truth, ends), _score(after, truth, ends)
 
 
 def _score(grid: OccupancyGrid, truth: TrueGrid, ends: NDArray[np.float64]) -> MapScore:

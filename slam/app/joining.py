@@ -12,12 +12,12 @@ from slam.config import Config
 from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
 from slam.errors import MapFileError, ScanweaveError
+from slam.finished_map import Map, open_map
 from slam.sessions.connection import Connection, connect
 from slam.sessions.joined_files import move_into, only_one_in, write_joined
 from slam.storage.files import make_folder, write_bytes
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import identity_of
-from slam.storage.saved_map import SavedMap, open_saved_map
 
 # Where the session is mapped and the joined map is written until it is whole.
 WORK = "joining"
@@ -39,14 +39,14 @@ class Joined:
         The files.
     """
 
-    map: SavedMap
+    map: Map
     session: MapRun
     connection: Connection
     written: tuple[Path, ...]
 
 
 def join(
-    known: SavedMap,
+    known: Map,
     log: Path | str | Dataset,
     config: Config | None = None,
     *,
@@ -116,10 +116,10 @@ def join(
                 shutil.rmtree(folder / WORK, ignore_errors=True)
                 if not was_there and not any(folder.iterdir()):
                     folder.rmdir()
-    return Joined(open_saved_map(folder), session, connection, tuple(written))
+    return Joined(open_map(folder), session, connection, tuple(written))
 
 
-def _connected(log: Dataset, known: SavedMap, session: MapRun, folder: Path) -> tuple[Connection, list[Path]]:
+def _connected(log: Dataset, known: Map, session: MapRun, folder: Path) -> tuple[Connection, list[Path]]:
     """Connect the two, and write the joined map into a folder; what was written."""
     work = session.map.path.parent
     try:
@@ -144,7 +144,7 @@ def _connected(log: Dataset, known: SavedMap, session: MapRun, folder: Path) -> 
     return connection, written
 
 
-def _refuse_unfit(saved: SavedMap, name: str) -> None:
+def _refuse_unfit(saved: Map, name: str) -> None:
     """Refuse a map whose sessions cannot be joined by their scans."""
     if len(saved.clouds):
         raise ScanweaveError(f"{name} is of a 3D lidar; only maps of a robot on a floor take sessions")

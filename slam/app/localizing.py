@@ -12,6 +12,7 @@ from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
 from slam.errors import DatasetError
 from slam.evaluation.localization_report import write_localization_report
+from slam.finished_map import Map
 from slam.localization.drive_log import DriveLog
 from slam.localization.known_map import KnownMap
 from slam.localization.localizer import Localizer
@@ -19,7 +20,6 @@ from slam.map_recording import record_localization
 from slam.measurements import Trajectory
 from slam.sensor_choice import SensorChoice, used_measurements
 from slam.storage.files import make_folder
-from slam.storage.saved_map import SavedMap
 from slam.viewer import Viewer, recording
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.registration_pairs import registrations_of
@@ -47,7 +47,7 @@ class Localization:
 
 
 def localize_log(
-    saved: SavedMap,
+    saved: Map,
     log: Path | str | Dataset,
     config: Config | None = None,
     *,
@@ -136,7 +136,7 @@ def _driven(
     return drive
 
 
-def _written(out: Path, drive: DriveLog, saved: SavedMap, log: Dataset) -> tuple[Path, ...]:
+def _written(out: Path, drive: DriveLog, saved: Map, log: Dataset) -> tuple[Path, ...]:
     """Trajectory, covariances and report in a folder."""
     make_folder(out)
     files = drive.write(out)

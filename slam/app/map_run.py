@@ -15,6 +15,7 @@ from slam.datasets.dataset import Dataset
 from slam.errors import ScanweaveError
 from slam.evaluation.map_report import RunCost, beside_of, report_data
 from slam.evaluation.report import ReportData, write_report
+from slam.finished_map import NOTES, WARNINGS, Map, open_map
 from slam.journal import Journal
 from slam.layer_outputs import layers_of
 from slam.map_recording import record_map
@@ -26,8 +27,6 @@ from slam.storage.files import make_folder
 from slam.storage.map_contents import write_contents
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import MapIdentity
-from slam.storage.nav2_layers import write_layers
-from slam.storage.saved_map import NOTES, WARNINGS, SavedMap, open_saved_map
 from slam.viewer import recording
 
 
@@ -47,19 +46,10 @@ class MapRun:
         Records of the log that were refused.
     """
 
-    map: SavedMap
+    map: Map
     report: ReportData | None
     written: tuple[Path, ...]
     dropped: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class _Outputs:
-    """The layers, the files for other programs, and what of them could not be had."""
-
-    layers: LayeredMap | None
-    files: list[Path]
-    warnings: list[str]
 
 
 def run_into(
@@ -96,7 +86,7 @@ def run_into(
     started = time.perf_counter()
     make_folder(folder)
     if resume and finished_map(folder, identity):
-        return MapRun(open_saved_map(folder), None, ())
+        return MapRun(open_map(folder), None, ())
     config, written = identity.config, []
     with ExitStack() as stack:
         viewer = stack.enter_context(recording(record))
@@ -109,47 +99,36 @@ def run_into(
         readings = result.scans.stamps_s.size
         on_progress(Progress("mapping", readings, 1.0))
         on_progress(Progress("writing", readings))
-        outputs = _outputs(folder, result, config) if exports else _unwritten(result, config)
+        layers = layers_of(result, config)
+        files, missing = _exports(folder, result, layers, config) if exports else ([], [])
         data = None
         if report:
             cost = RunCost(time.perf_counter() - started, time.process_time())
-            beside = beside_of(dataset, result, outputs.files, outputs.warnings)
-            data = report_data(identity.log_name, dataset.report, result, config, cost, beside)
+            beside = beside_of(dataset, result, files, missing)
+            data = report_data(identity.log_name, dataset.report, result, config, cost, beside, layers)
             write_report(folder / "report.html", data)
             written.append(folder / "report.html")
-        record_map(viewer, result, outputs.layers, config)
-        write_contents(file, contents_of(result, outputs.layers))
+        record_map(viewer, result, layers, config)
+        write_contents(file, contents_of(result, layers))
         file.add_meta(NOTES, json.dumps(result.notes))
         file.add_meta(WARNINGS, json.dumps(result.warnings))
         file.seal()
-    files = (*outputs.files, folder / MAP_NAME, *written)
-    return MapRun(open_saved_map(folder), data, files, dataset.report.dropped_count)
+    dropped = dataset.report.dropped_count
+    return MapRun(open_map(folder), data, (*files, folder / MAP_NAME, *written), dropped)
 
 
-def _outputs(folder: Path, result: MapResult, config: Config) -> _Outputs:
-    """Write the files for other programs; without surfaces the map is still worth its report."""
-    files, warnings = save_run(folder, result), list[str]()
+def _exports(
+    folder: Path, result: MapResult, layers: LayeredMap | None, config: Config
+) -> tuple[list[Path], list[str]]:
+    """Write the files for other programs; which they are, and what of them could not be had.
+
+    Without surfaces the map is still worth its report.
+    """
+    files, missing = save_run(folder, result, layers), list[str]()
     try:
-        files += save_dense(folder, result, config.dense_map)
+        surface, missing = save_dense(folder, result, config.dense_map)
+        files += surface
         files += save_clouds(folder, result, config.cloud_map, config.dense_map)
     except ScanweaveError as error:
-        warnings.append(f"No coloured surface was written: {error}")
-    layers = _layers(result, config, warnings)
-    if layers is not None:
-        files += write_layers(folder / "layers", layers)
-    return _Outputs(layers, files, warnings)
-
-
-def _unwritten(result: MapResult, config: Config) -> _Outputs:
-    """The layers alone, for ``map.db``."""
-    warnings: list[str] = []
-    return _Outputs(_layers(result, config, warnings), [], warnings)
-
-
-def _layers(result: MapResult, config: Config, warnings: list[str]) -> LayeredMap | None:
-    """The layers of a robot with cameras; where they cannot be had, ``warnings`` gets the reason."""
-    try:
-        return layers_of(result, config)
-    except ScanweaveError as error:
-        warnings.append(f"There are no layers: {error}")
-        return None
+        missing.append(f"No coloured surface was written: {error}")
+    return files, missing

@@ -14,10 +14,10 @@ from slam.config import Config
 from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
 from slam.errors import MapFileError
+from slam.finished_map import Map, open_map
 from slam.measurements import Measurement
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import MapIdentity, current_versions, identity_of
-from slam.storage.saved_map import SavedMap, open_saved_map
 
 
 def map_log(
@@ -28,7 +28,7 @@ def map_log(
     on_progress: OnProgress | None = None,
     resume: bool = False,
     overwrite: bool = False,
-) -> SavedMap:
+) -> Map:
     """Map a log.
 
     Parameters
@@ -39,7 +39,7 @@ def map_log(
         The effective configuration; None for the default preset.
     out
         Folder for ``map.db``, the files of other programs and the report, made where it is missing. None
-        keeps the map in a temporary folder that goes with it; `SavedMap.save` writes it elsewhere.
+        keeps the map in a temporary folder that goes with it; `Map.save` writes it elsewhere.
     on_progress
         Told how far it is, a few times a second or more often.
     resume
@@ -110,7 +110,7 @@ def build_map(
     config: Config | None = None,
     *,
     on_progress: OnProgress | None = None,
-) -> SavedMap:
+) -> Map:
     """Map measurements of a program's own: scans, wheels, clouds, frames in the order in which they came.
 
     Parameters
@@ -125,7 +125,7 @@ def build_map(
 
     Returns
     -------
-    The finished map in a temporary folder that goes with it; `SavedMap.save` writes it elsewhere.
+    The finished map in a temporary folder that goes with it; `Map.save` writes it elsewhere.
 
     Raises
     ------
@@ -166,4 +166,4 @@ def _in_memory(dataset: Dataset, identity: MapIdentity, on_progress: OnProgress 
     folder = Path(kept_in.name)
     run = run_into(folder, dataset, identity, on_progress=on_progress or silent, exports=False, report=False)
     run.map.close()
-    return MapRun(open_saved_map(folder, kept_in), None, ())
+    return MapRun(open_map(folder, kept_in), None, ())

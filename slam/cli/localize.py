@@ -42,14 +42,14 @@ def localize(
     from slam.app.localizing import localize_log
     from slam.config import load_config
     from slam.errors import MapFileError
+    from slam.finished_map import open_map
     from slam.localization.drive_log import STATES
     from slam.storage.map_file import MAP_NAME
-    from slam.storage.saved_map import open_saved_map
 
     settings = load_config(config, [*(set_ or []), *topics_override(topics)])
     if (out / MAP_NAME).exists():
         raise MapFileError(f"{out} is the folder of a map, whose files would be replaced; give another --out")
-    saved = open_saved_map(map_)
+    saved = open_map(map_)
     if update and len(saved.clouds):
         raise MapFileError(f"{saved.path} is of a 3D lidar and takes no other log; localise without --update")
     with progress_bar() as show, interruptible(show) as on_progress:

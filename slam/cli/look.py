@@ -70,7 +70,12 @@ def config_command(config: ConfigOption = None, set_: SetOption = None) -> None:
 
 @command()
 def plan(
-    map_: Annotated[Path, typer.Argument(metavar="MAP", help="a nav2 map (.yaml), or a folder with layers")],
+    map_: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MAP", help="a folder that 'scanweave map' has made, its map.db, or a nav2 map (.yaml)"
+        ),
+    ],
     start: Annotated[str, typer.Option("--from", help="x,y in metres, map frame")],
     goal: Annotated[str, typer.Option("--to", help="x,y in metres, map frame")],
     radius: Annotated[float, typer.Option(min=0.0, help="of the robot, metres")] = 0.2,
@@ -83,7 +88,7 @@ def plan(
     from slam.storage.nav2 import read_nav2_map
 
     ends = _point(start, "--from"), _point(goal, "--to")
-    grid = read_nav2_map(map_ / "decision.yaml" if map_.is_dir() else map_)
+    grid = read_nav2_map(_map_yaml(map_))
     space = free_space(grid.values, grid.resolution_m, grid.T_map_grid, radius)
     path = shortest_path(space, *ends, clearance_m(grid.values, grid.resolution_m))
     if path is None:
@@ -92,6 +97,22 @@ def plan(
         )
     write_bytes(out, plan_picture(grid.values, space, path))
     print(f"{path.length_m:.2f} m, at least {path.clearance_m:.2f} m from obstacles; wrote {out}")
+
+
+def _map_yaml(map_: Path) -> Path:
+    """The map to drive by that belongs to what was named."""
+    from slam.storage.map_file import MAP_NAME
+    from slam.storage.nav2_layers import MAP_YAML
+
+    folder = map_.parent if map_.name == MAP_NAME else map_
+    if not folder.is_dir():
+        return map_
+    if not (folder / MAP_YAML).is_file():
+        raise ScanweaveError(
+            f"no {MAP_YAML} in {folder}; 'scanweave map' writes one of a robot on a floor, "
+            "'scanweave export --format nav2' writes it again"
+        )
+    return folder / MAP_YAML
 
 
 def _point(text: str, option: str) -> tuple[float, float]:

@@ -130,9 +130,9 @@ def map_into(
     """Map a log as one more session of a saved map, and tell of it."""
     started = time.perf_counter()
     from slam.app.joining import WORK, join
-    from slam.storage.saved_map import open_saved_map
+    from slam.finished_map import open_map
 
-    known = open_saved_map(map_)
+    known = open_map(map_)
     work = (out or known.path.parent) / WORK / "session"
     try:
         with progress_bar(first=_beginning(work, resume)) as show, interruptible(show) as on_progress:

@@ -39,9 +39,9 @@ def info(map_: MapArgument, as_json: JsonOption = False) -> None:
 @command()
 def check(map_: MapArgument) -> None:
     """Read everything in a map and compare it with its checksums."""
-    from slam.storage.saved_map import open_saved_map
+    from slam.finished_map import open_map
 
-    saved = open_saved_map(map_)
+    saved = open_map(map_)
     saved.check()
     clouds = f"{len(saved.clouds)} clouds, " if len(saved.clouds) else ""
     print(
@@ -61,11 +61,10 @@ def export(
     ],
 ) -> None:
     """Write a map in the format of another program: the same bytes as 'scanweave map' has written."""
-    from slam.run_outputs import export_map
-    from slam.storage.saved_map import open_saved_map
+    from slam.finished_map import open_map
 
-    saved = open_saved_map(map_)
-    written = export_map(saved, format_.value, out)
+    saved = open_map(map_)
+    written = saved.export(format_.value, out)
     if not written:
         raise ScanweaveError(f"nothing was exported of {saved.path}: its images show no surface")
     print("wrote " + ", ".join(str(path) for path in written))

@@ -24,8 +24,6 @@ from slam.comparison.files import ERRORS, FAILURE, MAPS, MEASURED, TRAJECTORY
 from slam.comparison.run import SCANWEAVE, Run
 from slam.errors import EvaluationError, ScanweaveError
 
-log = logging.getLogger(__name__)
-
 
 def main() -> None:
     """Do a job; what stopped it is told in a file of one line, with the whole story in the log."""

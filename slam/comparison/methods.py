@@ -11,7 +11,7 @@ import numpy as np
 from slam.comparison.product import AcceptedLoop, Product, StateGrid
 from slam.config import Config
 from slam.datasets import Dataset
-from slam.errors import DatasetError, ScanweaveError
+from slam.errors import DatasetError
 from slam.layer_outputs import layers_of
 from slam.map_result import MapResult
 from slam.measurements import (
@@ -32,14 +32,9 @@ _FARTHEST_DEPTH_M = 4.0
 def scanweave(dataset: Dataset, config: Config) -> Product:
     """Our own run, with the map to drive by where cameras make one."""
     result = build_map(dataset, config)
-    decision, warnings = None, list(result.warnings)
-    try:
-        layers = layers_of(result, config)
-        if layers is not None:
-            decision = StateGrid(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
-    except ScanweaveError as error:  # trajectory and grid are still worth their scores
-        warnings.append(f"no layers: {error}")
-    grid = result.grid
+    decision, layers, grid = None, layers_of(result, config), result.grid
+    if layers is not None and layers.names:
+        decision = StateGrid(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
     return Product(
         trajectory=result.trajectory,
         plane=None if grid is None else StateGrid(grid.states(), grid.resolution_m, grid.T_map_grid),
@@ -47,7 +42,7 @@ def scanweave(dataset: Dataset, config: Config) -> Product:
         loops=_accepted(result),
         keyframe_stamps_s=result.scans.stamps_s[result.keyframe_numbers],
         loops_tried=len(result.loops),
-        warnings=tuple(warnings),
+        warnings=tuple(result.warnings),
     )
 
 

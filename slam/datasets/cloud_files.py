@@ -10,6 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.datasets.dataset import RecordFault
+from slam.datasets.pcd_points import read_pcd_points
+from slam.datasets.ply_points import read_ply_points
+from slam.datasets.point_rows import MOST_BYTES
 from slam.measurements import Float32Array
 
 CLOUD_SUFFIXES = frozenset({".bin", ".pcd", ".ply"})
@@ -20,7 +23,6 @@ DAMAGED = "cloud file truncated or damaged"
 NO_POINTS = "cloud without a valid point"
 
 _FLOATS_A_POINT = 4  # x, y, z and the intensity
-_MOST_BYTES = 1 << 30
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,12 +57,12 @@ def read_cloud(path: Path) -> CloudFile:
         raise RecordFault(MISSING, str(path)) from error
     except (OSError, ValueError) as error:
         raise RecordFault(UNREADABLE, f"{path.name}: {error}") from error
-    if not 0 < size <= _MOST_BYTES:
+    if not 0 < size <= MOST_BYTES:
         raise RecordFault(DAMAGED, f"{path.name}: {size} bytes")
-    points, fields = _from_bin(path) if path.suffix.lower() == ".bin" else _from_open3d(path)
+    points, fields = _from_bin(path) if path.suffix.lower() == ".bin" else _from_fields(path)
     with np.errstate(invalid="ignore", over="ignore"):
         points = points.astype(np.float32)
-    valid = np.isfinite(points).all(axis=1) & points.any(axis=1)
+        valid = np.isfinite(points).all(axis=1) & points.any(axis=1)
     if not valid.any():
         raise RecordFault(NO_POINTS, f"{path.name}: {len(points)} points")
     kept = {name: values[valid] for name, values in fields.items()}
@@ -78,18 +80,18 @@ def _from_bin(path: Path) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
     return floats.reshape(-1, _FLOATS_A_POINT)[:, :3], {}
 
 
-def _from_open3d(path: Path) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
+def _from_fields(path: Path) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
     """Points, and what else the file says of each."""
-    import open3d as o3d
-
-    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-        try:
-            cloud = o3d.t.io.read_point_cloud(str(path), format=path.suffix.lower()[1:])  # type: ignore[arg-type]
-            columns = {name: values.numpy() for name, values in cloud.point.items()}
-        # A damaged header comes out as any error: of text, of keys, of Open3D's own.
-        except (RuntimeError, ValueError, KeyError, IndexError, UnicodeDecodeError) as error:
-            raise RecordFault(DAMAGED, f"{path.name}: {error}") from error
-    points = columns.pop("positions", np.zeros(0))
-    if points.ndim != 2 or points.shape[1:] != (3,):
+    read = read_pcd_points if path.suffix.lower() == ".pcd" else read_ply_points
+    try:
+        columns = read(path)
+        points = np.column_stack([columns.pop(axis) for axis in "xyz"])
+    except OSError as error:
+        raise RecordFault(UNREADABLE, f"{path.name}: {error}") from error
+    except KeyError as error:
+        raise RecordFault(DAMAGED, f"{path.name}: no {error} of the points") from error
+    except ValueError as error:
+        raise RecordFault(DAMAGED, f"{path.name}: {error}") from error
+    if points.shape[1:] != (3,):
         raise RecordFault(DAMAGED, f"{path.name}: points of shape {points.shape}")
-    return points, {name: values.ravel() for name, values in columns.items() if values.size == len(points)}
+    return points, {name: values for name, values in columns.items() if values.ndim == 1}

@@ -50,7 +50,6 @@ def thinned(rows: FloatArray) -> FloatArray:
 def png_of(figure: Figure, ground: NDArray[np.uint8] | None = None) -> bytes:
     """The figure rendered by Agg, over an (H, W, 3) ground of the same size."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from PIL import Image
 
     canvas: Any = FigureCanvasAgg(figure)  # its methods bear no types
     canvas.draw()
@@ -60,6 +59,13 @@ def png_of(figure: Figure, ground: NDArray[np.uint8] | None = None) -> bytes:
         # Laid over by hand: imshow would resample by way of several float copies, tens of megabytes.
         alpha = drawn[..., 3:].astype(np.uint16)
         rgb = ((rgb * alpha + ground * (255 - alpha)) // 255).astype(np.uint8)
+    return encoded_png(rgb)
+
+
+def encoded_png(image: NDArray[np.uint8]) -> bytes:
+    """An (H, W) grey or (H, W, 3) RGB picture as PNG."""
+    from PIL import Image
+
     buffer = io.BytesIO()
-    Image.fromarray(rgb).save(buffer, format="png")
+    Image.fromarray(image).save(buffer, format="png")
     return buffer.getvalue()

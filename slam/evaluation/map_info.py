@@ -11,11 +11,11 @@ import numpy as np
 
 from slam.config import Config
 from slam.errors import MapFileError, UnfinishedMapError
+from slam.finished_map import Map, open_map
 from slam.mapping.occupancy_grid import FREE, OCCUPIED
 from slam.storage.map_file import MapFile, map_path
 from slam.storage.map_identity import MapIdentity
 from slam.storage.map_tables import CLOUDS, FRAMES
-from slam.storage.saved_map import SavedMap, open_saved_map
 
 
 def map_info(path: Path) -> dict[str, Any]:
@@ -27,7 +27,7 @@ def map_info(path: Path) -> dict[str, Any]:
         Where there is none, it is damaged, or a run is writing it.
     """
     try:
-        saved = open_saved_map(path)
+        saved = open_map(path)
     except UnfinishedMapError:
         return _begun(map_path(path))
     trajectory, identity = saved.trajectory, saved.identity
@@ -55,7 +55,7 @@ def map_info(path: Path) -> dict[str, Any]:
     }
 
 
-def _extent(saved: SavedMap) -> dict[str, float]:
+def _extent(saved: Map) -> dict[str, float]:
     """Way and time of all sessions."""
     ends = np.cumsum([session.poses for session in saved.sessions])[:-1]
     ways = np.split(saved.trajectory.positions_m, ends)
@@ -115,14 +115,14 @@ def _text(value: Any) -> str:
     return str(value)
 
 
-def _sensors(saved: SavedMap) -> dict[str, int]:
+def _sensors(saved: Map) -> dict[str, int]:
     """How many keyframes each sensor gave."""
     scans = Counter(scan.sensor for scan in saved.keyframe_scans if scan is not None)
     images = Counter(saved.frames.head(index).sensor for index in range(len(saved.frames)))
     return dict(sorted((scans + images).items()))
 
 
-def _grid(saved: SavedMap, name: str) -> dict[str, Any]:
+def _grid(saved: Map, name: str) -> dict[str, Any]:
     """Size and content of a grid."""
     grid = saved.contents.grids[name]
     states = grid.states()

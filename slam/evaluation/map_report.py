@@ -25,7 +25,8 @@ from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import EdgeKind
 from slam.map_result import MapResult
 from slam.mapping.dense_map import ColoredCloud
-from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
+from slam.mapping.layered_map import LayeredMap
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid, StateArray
 from slam.measurements import BoolArray
 from slam.scan_record import CameraRecord
 from slam.storage.ply import read_cloud_ply
@@ -96,8 +97,9 @@ def report_data(
     config: Config,
     cost: RunCost,
     beside: Beside | None = None,
+    layers: LayeredMap | None = None,
 ) -> ReportData:
-    """Gather the report of a run."""
+    """Gather the report of a run; without layers its map is the lidar's grid, where there is one."""
     beside = beside or Beside()
     keyframes = result.keyframe_numbers
     scans = result.scans
@@ -121,7 +123,8 @@ def report_data(
         residual_m=scans.residuals_m[keyframes],
         degenerate=scans.degenerate[keyframes] > 0.0,
         scan_times_s=scans.seconds,
-        map_picture=None if result.grid is None else _picture(result.grid),
+        map_picture=_map_picture(result.grid, layers),
+        layers=_layer_pictures(layers),
         loops=[_loop_row(loop, result, config) for loop in result.loops],
         reader_notes=_reader_notes(reading) + _edge_notes(result) + [("note", note) for note in result.notes],
         stage_times_s=result.stage_seconds,
@@ -140,9 +143,21 @@ def report_data(
     )
 
 
-def _picture(grid: OccupancyGrid) -> MapPicture:
-    """The grid in nav2's grey values, top row first."""
-    states = grid.states()
+def _map_picture(grid: OccupancyGrid | None, layers: LayeredMap | None) -> MapPicture | None:
+    """The map to drive by."""
+    if layers is not None:
+        return _picture(layers.states("decision"), layers)
+    return None if grid is None else _picture(grid.states(), grid)
+
+
+def _layer_pictures(layers: LayeredMap | None) -> dict[str, MapPicture]:
+    """What the map was made of: all but the decision, which is the map itself."""
+    names = () if layers is None else layers.names[:-1]
+    return {name: _picture(layers.states(name), layers) for name in names if layers is not None}
+
+
+def _picture(states: StateArray, grid: OccupancyGrid | LayeredMap) -> MapPicture:
+    """States in nav2's grey values, top row first."""
     image = np.full(states.shape, 205, np.uint8)
     image[states == FREE] = 254
     image[states == OCCUPIED] = 0

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from slam.evaluation import report_figures
 from slam.evaluation.cloud_picture import CloudPicture
 from slam.evaluation.fusion_figures import fusion_section
-from slam.evaluation.page_parts import folded, image, section, table
+from slam.evaluation.page_parts import folded, image, paragraph, section, table
 from slam.evaluation.report_cameras import CameraRow, camera_sections, cloud_section, side_view, truth_section
 from slam.evaluation.report_style import STYLE
 from slam.evaluation.truth_comparison import TruthComparison
@@ -28,6 +28,13 @@ from slam.storage.files import replacing
 
 # Beyond this many rows the accepted loops are folded too, so that the page stays readable.
 _MAX_OPEN_ROWS = 40
+
+_MAP_LEGEND = "The map to drive by: black is what the robot must not hit, white is free, grey is unknown."
+_LAYER_LEGENDS = {
+    "lidar": "The lidar alone, at its own height (layers/lidar.yaml).",
+    "depth": "The cameras alone, within the robot's height (layers/depth.yaml).",
+    "fused": "Both as one probability: unknown where they contradict each other (layers/fused.yaml).",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +68,7 @@ class LoopRow:
 
 @dataclass(frozen=True, slots=True)
 class MapPicture:
-    """The occupancy grid as a grey picture.
+    """A grid as a grey picture.
 
     Attributes
     ----------
@@ -90,7 +97,9 @@ class ReportData:
     cpu_s, wall_s, peak_memory_mb
         What the run cost up to the report.
     map_picture
-        The grid, or None where no map was made.
+        The map to drive by, or None where no map was made.
+    layers
+        What it was made of, by name, all of one size; nothing where the lidar's grid is the map.
     trajectory_m
         (N, 3) final positions in the map frame, in the order of the log.
     keyframe_stamps_s, inlier_share, residual_m, degenerate
@@ -137,6 +146,7 @@ class ReportData:
     degenerate: BoolArray
     scan_times_s: FloatArray
     map_picture: MapPicture | None = None
+    layers: Mapping[str, MapPicture] = field(default_factory=dict)
     loops: Sequence[LoopRow] = ()
     reader_notes: Sequence[tuple[str, str]] = ()
     stage_times_s: Mapping[str, float] = field(default_factory=dict)
@@ -243,7 +253,22 @@ def _map(data: ReportData) -> str:
     above = image(png, "map with trajectory and accepted loops")
     if data.spatial and len(data.trajectory_m):
         return section("Trajectory from above and from the side", above + side_view(data.trajectory_m))
-    return section("Map" if picture is not None else "Trajectory", above)
+    if picture is None:
+        return section("Trajectory", above)
+    return section("Map", paragraph(_MAP_LEGEND) + above + _layers(data.layers, picture))
+
+
+def _layers(layers: Mapping[str, MapPicture], decision: MapPicture) -> str:
+    """What the map was made of, in small."""
+    if not layers:
+        return ""
+    window = report_figures.known_window(decision.image)
+    figures = "".join(
+        f"<figure>{image(report_figures.small_map_png(layer.image[window]), f'{name} layer')}"
+        f"<figcaption>{escape(_LAYER_LEGENDS[name])}</figcaption></figure>\n"
+        for name, layer in layers.items()
+    )
+    return f'<div class="layers">{figures}</div>\n'
 
 
 def _scores(data: ReportData) -> str:

@@ -12,6 +12,7 @@ from slam.evaluation.figure_parts import (
     GREEN,
     ORANGE,
     RED,
+    encoded_png,
     figure_of,
     legend_above,
     plain,
@@ -28,7 +29,9 @@ if TYPE_CHECKING:
 # corridor's map still gets some pixels, for legend and labels.
 _LONG_SIDE_PX, _MIN_SIDE_PX = 1000, 320
 _LEFT_PX, _RIGHT_PX, _BOTTOM_PX, _TOP_PX = 60, 12, 45, 28
+_SMALL_SIDE_PX = 480
 _UNKNOWN_GREY = 205  # of nav2
+_MARGIN_CELLS = 8  # of what is shown around all that is known
 
 
 def map_png(
@@ -75,6 +78,25 @@ def map_png(
         axes.plot(*trajectory_xy[-1], "s", color=RED, markersize=6, label="end")
         legend_above(axes)
     return png_of(figure, ground)
+
+
+def known_window(image: NDArray[np.uint8]) -> tuple[slice, slice]:
+    """Rows and columns of a grey picture that hold all that is known, with a margin; all where nothing is."""
+    told = image != _UNKNOWN_GREY
+    rows, columns = np.flatnonzero(told.any(axis=1)), np.flatnonzero(told.any(axis=0))
+    if not rows.size:
+        return slice(0, image.shape[0]), slice(0, image.shape[1])
+    return (
+        slice(max(rows[0] - _MARGIN_CELLS, 0), min(rows[-1] + _MARGIN_CELLS + 1, image.shape[0])),
+        slice(max(columns[0] - _MARGIN_CELLS, 0), min(columns[-1] + _MARGIN_CELLS + 1, image.shape[1])),
+    )
+
+
+def small_map_png(image: NDArray[np.uint8]) -> bytes:
+    """A grey picture without axes, small enough to stand beside others."""
+    scale = _SMALL_SIDE_PX / max(image.shape)
+    rows, columns = (max(1, round(scale * size)) for size in image.shape)
+    return encoded_png(_resized(image, rows, columns))
 
 
 def scores_png(
@@ -183,15 +205,9 @@ def _cropped(
     image: NDArray[np.uint8], resolution_m: float, origin_xy: tuple[float, float]
 ) -> tuple[NDArray[np.uint8], FloatArray]:
     """The picture without its unknown margin, and the new lower-left corner."""
-    told = image != _UNKNOWN_GREY
-    rows, columns = np.flatnonzero(told.any(axis=1)), np.flatnonzero(told.any(axis=0))
-    if not rows.size:
-        return image, np.array(origin_xy, dtype=np.float64)
-    margin = 8
-    top, bottom = max(rows[0] - margin, 0), min(rows[-1] + margin + 1, image.shape[0])
-    left, right = max(columns[0] - margin, 0), min(columns[-1] + margin + 1, image.shape[1])
-    corner = np.array(origin_xy) + resolution_m * np.array([left, image.shape[0] - bottom])
-    return image[top:bottom, left:right], corner
+    rows, columns = known_window(image)
+    corner = np.array(origin_xy) + resolution_m * np.array([columns.start, image.shape[0] - rows.stop])
+    return image[rows, columns], corner
 
 
 def _resized(image: NDArray[np.uint8], rows: int, columns: int) -> NDArray[np.uint8]:

@@ -25,6 +25,10 @@ section.warnings ul { margin: 0; padding-left: 20px; }
 .facts dt { color: var(--soft); font-size: 13px; }
 .facts dd { margin: 0; font-size: 19px; font-weight: 600; font-variant-numeric: tabular-nums; }
 .columns { display: grid; grid-template-columns: repeat(auto-fit, minmax(320px, 1fr)); gap: 0 16px; }
+.layers { display: grid; grid-template-columns: repeat(auto-fit, minmax(220px, 1fr)); gap: 16px;
+  margin-top: 12px; }
+figure { margin: 0; }
+figcaption { color: var(--soft); font-size: 13px; margin-top: 4px; }
 img { display: block; max-width: 100%; height: auto; margin: 0 auto; border-radius: 6px; }
 p { margin: 0 0 10px; }
 table { border-collapse: collapse; margin: 0 0 12px; font-variant-numeric: tabular-nums; }

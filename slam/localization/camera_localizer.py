@@ -13,7 +13,7 @@ from slam.config import Config
 from slam.localization.body import Body, Measured, composed
 from slam.localization.loss_test import LossTest
 from slam.localization.output import LocalizerOutput, PoseHypothesis, RecoveredPose, State
-from slam.localization.pose_smoother import PoseSmoother, squared_sigmas, within
+from slam.localization.pose_smoother import PoseSmoother, squared_sigmas
 from slam.localization.visual_locator import VisualLocator
 from slam.measurements import FloatArray, Pose
 from slam.odometry.rgbd_odometry import make_rgbd_odometry
@@ -27,7 +27,6 @@ _SAME_M, _SAME_RAD = 0.15, 0.08
 _FINDS = 3
 # Evidence of one frame for the pose and against it, nats.
 _MATCHED_NATS, _UNMATCHED_NATS = 2.0, -0.5
-_RIGHT_M = 0.25
 # Sigmas of a step that nothing measured: the camera's own metres and radians a frame.
 _UNKNOWN_STEP = 0.1
 
@@ -60,6 +59,7 @@ class CameraLocalizer:
         self._locator = locator
         self._body = body
         self._config = config.localization
+        self._gate = config.localization.gate_sigmas**2
         self._depth_share = config.rgbd_odometry.keyframe_parallax
         self._odometry = RgbdTracker(make_rgbd_odometry(config.rgbd_odometry), config.rgbd_odometry)
         self._segment = 0
@@ -120,7 +120,7 @@ class CameraLocalizer:
         newest = self._smoother.newest
         match = self._locator.near(frame, self._body.camera_of(newest.pose))
         seen = None if match is None else self._measured(match)
-        if seen is not None and squared_sigmas(newest, seen) <= self._config.gate_sigmas**2:
+        if seen is not None and squared_sigmas(newest, seen) <= self._gate:
             self._smoother.add_seen(seen)
             self._loss.add(frame.stamp_s, _MATCHED_NATS)
         elif self._locator.should_see(frame, self._body.camera_of(newest.pose)):
@@ -149,7 +149,7 @@ class CameraLocalizer:
                 self._note(place, now)
         self._found.sort(key=lambda found: -found.finds)
         if self._found and self._found[0].finds >= _FINDS and self._outdoes_all():
-            return best, self._begin(self._found[0], now)
+            return best, self._begin(self._settled(self._found[0].pose, frame), now)
         return best, ()
 
     def _sees_anew(self, frame: PreparedFrame, now: _Seen) -> bool:
@@ -163,15 +163,14 @@ class CameraLocalizer:
 
     def _note(self, place: Measured, now: _Seen) -> None:
         """Take a find: it confirms a place that the odometry leads here from, or is a new one."""
-        slack = [_SAME_M**2, _SAME_M**2, _SAME_RAD**2]
-        if isinstance(place.pose, gtsam.Pose3):
-            slack = [_SAME_RAD**2] * 3 + [_SAME_M**2] * 3
         for found in self._found:
             step = self._moved(found.at, now)
             if step is None:
                 continue
-            carried = Measured(composed(found.pose.pose, step.pose), found.pose.covariance + np.diag(slack))
-            if squared_sigmas(carried, place) <= self._config.gate_sigmas**2:
+            carried = Measured(
+                composed(found.pose.pose, step.pose), found.pose.covariance + _slack(place.pose)
+            )
+            if squared_sigmas(carried, place) <= self._gate:
                 found.pose, found.at, found.finds = place, now, found.finds + 1
                 return
         self._found.append(_Found(place, now, 1))
@@ -180,16 +179,26 @@ class CameraLocalizer:
         """Whether the first place was found more than twice as often as any other."""
         return len(self._found) == 1 or self._found[0].finds > 2 * self._found[1].finds
 
-    def _begin(self, found: _Found, now: _Seen) -> tuple[RecoveredPose, ...]:
+    def _settled(self, place: Measured, frame: PreparedFrame) -> Measured:
+        """A place by looks matched to all keyframes in sight; where they tell nothing, unsure.
+
+        A match to one keyframe from anywhere may settle beside the place, and claim to be sure.
+        """
+        match = self._locator.near(frame, self._body.camera_of(place.pose))
+        seen = None if match is None else self._measured(match)
+        unsure = Measured(place.pose, place.covariance + _slack(place.pose))
+        return seen if seen is not None and squared_sigmas(unsure, seen) <= self._gate else unsure
+
+    def _begin(self, place: Measured, now: _Seen) -> tuple[RecoveredPose, ...]:
         """Track a place; the way up to it becomes known."""
         self._state = State.TRACKING
-        self._smoother = PoseSmoother(found.pose, self._config.lag_nodes)
+        self._smoother = PoseSmoother(place, self._config.lag_nodes)
         self._loss.reset()
         recovered = []
         for stamp_s, at in self._untold[:-1]:
             step = self._moved(now, at)
             if step is not None:
-                recovered.append(RecoveredPose(stamp_s, composed(found.pose.pose, step.pose)))
+                recovered.append(RecoveredPose(stamp_s, composed(place.pose, step.pose)))
         self._untold.clear()
         self._found.clear()
         return tuple(recovered)
@@ -200,7 +209,7 @@ class CameraLocalizer:
         finds = [found.finds for found in self._found]
         confidence = max(finds, default=0) / (sum(finds) + _FINDS)
         if self._state is State.TRACKING and self._smoother is not None:
-            confidence = self._loss.confidence * within(_RIGHT_M, self._smoother.sigma_m)
+            confidence = self._loss.confidence * self._smoother.trust
         return LocalizerOutput(
             stamp_s=stamp_s,
             state=self._state,
@@ -213,3 +222,10 @@ class CameraLocalizer:
             support=support,
             recovered=tuple(recovered),
         )
+
+
+def _slack(pose: Pose) -> FloatArray:
+    """(d, d) covariance by which two places found by looks may differ and still be one."""
+    if isinstance(pose, gtsam.Pose3):
+        return np.diag([_SAME_RAD**2] * 3 + [_SAME_M**2] * 3)
+    return np.diag([_SAME_M**2, _SAME_M**2, _SAME_RAD**2])

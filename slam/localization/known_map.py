@@ -11,6 +11,7 @@ import numpy as np
 
 from slam.config import Config
 from slam.errors import MapFileError
+from slam.finished_map import Map
 from slam.keyframe_store import KeyframeSpool, TemporarySpool
 from slam.localization.beam_check import KnownSpace, known_space
 from slam.localization.known_clouds import KnownClouds
@@ -25,7 +26,6 @@ from slam.matching.scan_points import ScanPoints, extract_points
 from slam.measurements import FloatArray, LaserScan
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_frames import MapFrames
-from slam.storage.saved_map import SavedMap
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.learned_camera import LearnedCamera
 
@@ -114,7 +114,7 @@ class KnownMap:
         return cls(result.keyframe_poses, result.keyframe_scans, result.grid, planar, cameras, clouds)
 
     @classmethod
-    def of_saved(cls, saved: SavedMap) -> KnownMap:
+    def of_saved(cls, saved: Map) -> KnownMap:
         """A map in a file; its images and clouds are read when they are asked for."""
         cameras = None
         if len(saved.frames):
@@ -191,6 +191,6 @@ class Walls:
         """Points of a keyframe in the map, but for those where other scans saw free space: people."""
         placed = transform_points(points.points_base, pose)
         cells = self.grid.cells_of(placed)
-        inside = ((cells >= 0) & (cells < self.grid.log_odds.shape)).all(axis=1)
+        inside = ((cells >= 0) & (cells < self.grid.shape)).all(axis=1)
         placed, cells = placed[inside], cells[inside]
         return placed[self.grid.states()[cells[:, 0], cells[:, 1]] != FREE]

@@ -8,6 +8,7 @@ import gtsam
 
 from slam.config import Config
 from slam.errors import MapFileError
+from slam.finished_map import Map
 from slam.localization.body import Body, PlanarBody, SpatialBody
 from slam.localization.camera_localizer import CameraLocalizer
 from slam.localization.cloud_localizer import CloudLocalizer
@@ -16,7 +17,6 @@ from slam.localization.output import LocalizerOutput
 from slam.localization.planar_localizer import PlanarLocalizer
 from slam.localization.visual_locator import VisualLocator
 from slam.measurements import LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
-from slam.storage.saved_map import SavedMap
 from slam.vision.camera_frame import T_BODY_CAMERA
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame
@@ -59,11 +59,11 @@ class Localizer:
 
     def __init__(
         self,
-        known_map: KnownMap | SavedMap,
+        known_map: KnownMap | Map,
         config: Config | None = None,
         registrations: Mapping[str, ColorRegistration] | None = None,
     ) -> None:
-        if isinstance(known_map, SavedMap):
+        if isinstance(known_map, Map):
             known_map = KnownMap.of_saved(known_map)
         self._config = config or Config()
         sensors = self._config.sensors

@@ -121,7 +121,7 @@ def _free_pixels(
         [origin_x + (columns.ravel() + 0.5) * cell_m, origin_y + (rows.ravel() + 0.5) * cell_m]
     )
     cells = grid.cells_of(middles)
-    inside = ((cells >= 0) & (cells < grid.log_odds.shape)).all(axis=1)
+    inside = ((cells >= 0) & (cells < grid.shape)).all(axis=1)
     free = np.zeros(len(cells), np.bool_)
     free[inside] = grid.states()[cells[inside, 0], cells[inside, 1]] == FREE
     return free.reshape(shape)

@@ -12,12 +12,12 @@ from slam.errors import ScanweaveError
 from slam.mapping.dense_map import ColoredCloud, Colors
 from slam.matching.local_cloud import moved
 from slam.measurements import FloatArray
-from slam.open3d_library import load_open3d
 
 # Clouds are thinned together by so many, so that no more than these and the map are held.
 _BATCH = 32
 _NORMAL_VOXELS = 4.0
 _NEIGHBOURS = 20
+_CHUNK = 1 << 14  # points whose neighbours are held at a time
 # Blue, green, yellow, red from the lowest to the highest usual height.
 _RAMP = np.array([[40, 60, 160], [40, 160, 120], [230, 210, 60], [200, 60, 40]], dtype=np.float64)
 _USUAL_PERCENT = (1.0, 99.0)
@@ -36,9 +36,8 @@ def map_cloud(clouds: Iterable[FloatArray], poses: Sequence[gtsam.Pose3], voxel_
     Raises
     ------
     ScanweaveError
-        Where a pose is not finite, or Open3D is missing.
+        Where a pose is not finite.
     """
-    open3d = load_open3d()
     batches: list[FloatArray] = []
     waiting: list[FloatArray] = []
     for number, (points, pose) in enumerate(zip(clouds, poses, strict=True)):
@@ -50,11 +49,35 @@ def map_cloud(clouds: Iterable[FloatArray], poses: Sequence[gtsam.Pose3], voxel_
             waiting = []
     gathered = [*batches, *waiting]
     points_map = thin_to_voxels(np.vstack(gathered), voxel_m) if gathered else np.zeros((0, 3))
-    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points_map))
-    around = open3d.geometry.KDTreeSearchParamHybrid(radius=_NORMAL_VOXELS * voxel_m, max_nn=_NEIGHBOURS)
-    cloud.estimate_normals(around)
-    normals = _towards_the_way(points_map, np.asarray(cloud.normals), poses)
+    normals = _towards_the_way(points_map, plane_normals(points_map, voxel_m), poses)
     return ColoredCloud(points_map.astype(np.float32), _by_height(points_map), normals.astype(np.float32))
+
+
+def plane_normals(points: FloatArray, voxel_m: float) -> FloatArray:
+    """Normals of points that lie a voxel apart.
+
+    Returns
+    -------
+    (N, 3) unit vectors across the plane through the neighbours of each, either way; upright without one.
+    """
+    from scipy.spatial import cKDTree
+
+    normals = np.tile([0.0, 0.0, 1.0], (len(points), 1))
+    tree = cKDTree(points)
+    # Where there are fewer neighbours the tree names the one behind the last.
+    padded = np.vstack([points, np.zeros(3)])
+    for start in range(0, len(points), _CHUNK):
+        chunk = slice(start, start + _CHUNK)
+        near = tree.query(points[chunk], _NEIGHBOURS, distance_upper_bound=_NORMAL_VOXELS * voxel_m)[1]
+        there = np.asarray(near < len(points))
+        offsets = (padded[near] - points[chunk, None]) * there[..., None]
+        count = np.count_nonzero(there, axis=1)
+        mean = offsets.sum(axis=1) / count[:, None]
+        scatter = offsets.transpose(0, 2, 1) @ offsets / count[:, None, None]
+        covariance = scatter - mean[:, :, None] * mean[:, None]
+        plane = count >= 3
+        normals[chunk][plane] = np.linalg.eigh(covariance[plane])[1][:, :, 0]
+    return normals
 
 
 def _towards_the_way(points: FloatArray, normals: FloatArray, poses: Sequence[gtsam.Pose3]) -> FloatArray:

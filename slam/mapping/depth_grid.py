@@ -26,7 +26,8 @@ from fusion.height_band import (
     to_frame,
 )
 from slam.errors import ConfigError
-from slam.mapping.evidence_tiles import Board, Steps
+from slam.mapping.evidence_tiles import Board
+from slam.mapping.occupancy_grid import Steps
 from slam.mapping.view_coverage import MAX_BINS, heights_seen, view_box
 from slam.measurements import CameraIntrinsics, Float32Array, FloatArray, RgbdFrame
 

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.errors import ScanweaveError
+from slam.mapping.occupancy_grid import Steps
 from slam.mapping.ray_tracing import Box
 
-Steps: TypeAlias = NDArray[np.int16]
 Tile: TypeAlias = NDArray[np.int32]
 
 SIDE = 256

@@ -1,35 +1,83 @@
-"""The occupancy grid of a map's keyframes."""
+"""The settings of a run as the builder of grids takes them, and the lidar's grid of a map's keyframes."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from slam.config_stages import GridConfig
-from slam.mapping.occupancy_grid import InverseSensorModel, OccupancyGrid, PosedScan, build_grid
+from fusion.height_band import HeightBand
+from slam.config import Config
+from slam.errors import ConfigError
+from slam.mapping.depth_grid import DepthModel
+from slam.mapping.layer_builder import LayerBuilder, LayerSettings
+from slam.mapping.layered_map import DecisionRule, LayeredMap
+from slam.mapping.lidar_layer import LidarModel
+from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, pose2_from_row
 
 
+def layer_settings(config: Config, depth: DepthModel | None = None) -> LayerSettings:
+    """What the configuration says of the grids; the depth model only where depth images are drawn."""
+    grid = config.grid
+    return LayerSettings(
+        resolution_m=grid.resolution_m,
+        lidar=LidarModel(
+            p_hit=grid.hit_probability,
+            p_miss=grid.miss_probability,
+            max_hit_range_m=grid.hit_range_m,
+            max_clear_range_m=grid.clear_range_m,
+        ),
+        depth=depth or DepthModel(),
+        rule=DecisionRule(config.layers.rule),
+        robot_radius_m=config.layers.robot_radius_m,
+        max_cells=grid.greatest_cells,
+    )
+
+
+def depth_model(config: Config) -> DepthModel:
+    """What the configuration says of depth images.
+
+    Raises
+    ------
+    ConfigError
+        Where the robot climbs over all that it is high.
+    """
+    layers = config.layers
+    if layers.climb_m >= layers.robot_height_m:
+        raise ConfigError(
+            f"layers.climb_m = {layers.climb_m:g} leaves no obstacle to a robot of "
+            f"layers.robot_height_m = {layers.robot_height_m:g}; make the step lower"
+        )
+    band = HeightBand(0.0, layers.robot_height_m, layers.climb_m)
+    return DepthModel(band=band, depth_max_m=layers.depth_max_m)
+
+
 def grid_of_keyframes(
-    scans: Sequence[LaserScan | None], poses: FloatArray, config: GridConfig
+    scans: Sequence[LaserScan | None], poses: FloatArray, config: Config
 ) -> OccupancyGrid | None:
-    """The grid of keyframe scans at their poses, (K, 3) map frame; None where no keyframe has a scan.
+    """The lidar's grid of keyframe scans at their poses, (K, 3) map frame; None where no keyframe has a scan.
 
     Raises
     ------
     ScanweaveError
         Where the grid would have too many cells.
     """
-    if all(scan is None for scan in scans):
+    builder = LayerBuilder(layer_settings(config))
+    for scan, pose in zip(scans, poses, strict=True):
+        if scan is not None:
+            builder.add(scan, pose2_from_row(pose))
+    return builder.grid("lidar")
+
+
+def layers_of_grids(
+    lidar: OccupancyGrid | None, depth: OccupancyGrid | None, config: Config
+) -> LayeredMap | None:
+    """What the grids of both sensors decide together; None where there is neither.
+
+    Raises
+    ------
+    ScanweaveError
+        Where they do not lie on one lattice.
+    """
+    if lidar is None and depth is None:
         return None
-    model = InverseSensorModel(
-        p_hit=config.hit_probability,
-        p_miss=config.miss_probability,
-        max_hit_range_m=config.hit_range_m,
-        max_clear_range_m=config.clear_range_m,
-    )
-    posed = (
-        PosedScan.of(scan, pose2_from_row(pose))
-        for scan, pose in zip(scans, poses, strict=True)
-        if scan is not None
-    )
-    return build_grid(posed, config.resolution_m, model, max_cells=config.greatest_cells)
+    return LayeredMap(lidar, depth, DecisionRule(config.layers.rule))

@@ -6,16 +6,17 @@ import math
 from dataclasses import dataclass, field
 from functools import lru_cache
 
+import gtsam
 import numba
 import numpy as np
 
 from fusion.bayes import evidence_steps
 from fusion.depth_model import RangeNoise, hit_evidence
 from slam.errors import ConfigError
-from slam.mapping.evidence_tiles import Board, Steps
-from slam.mapping.occupancy_grid import PosedScan
-from slam.mapping.ray_tracing import FREE, HIT, NOTHING, Box, Evidence, beam_ends, draw_scan
-from slam.measurements import FloatArray
+from slam.mapping.evidence_tiles import Board
+from slam.mapping.occupancy_grid import Steps
+from slam.mapping.ray_tracing import HIT, Box, Evidence, beam_ends, draw_lines
+from slam.measurements import FloatArray, LaserScan
 
 _BINS_A_M = 10
 
@@ -64,14 +65,23 @@ class LidarModel:
             )
 
 
-def lidar_board(scan: PosedScan, model: LidarModel, cell_m: float) -> Board:
-    """The evidence of one scan; its pose is in the lattice's axes."""
-    x_cells, y_cells = float(scan.pose_xyt[0]) / cell_m, float(scan.pose_xyt[1]) / cell_m
+def lidar_board(scan: LaserScan, T_grid_base: gtsam.Pose2, model: LidarModel, cell_m: float) -> Board:
+    """The evidence of one scan.
+
+    Parameters
+    ----------
+    T_grid_base
+        The robot in the lattice's axes.
+    cell_m
+        Side of a cell.
+    """
+    laser = T_grid_base.compose(scan.T_base_laser)
+    x_cells, y_cells = laser.x() / cell_m, laser.y() / cell_m
     ends, kinds, box = beam_ends(
         np.ascontiguousarray(scan.ranges_m, dtype=np.float32),
         x_cells,
         y_cells,
-        float(scan.pose_xyt[2]) + scan.start_angle_rad,
+        laser.theta() + scan.start_angle_rad,
         float(scan.step_rad),
         1.0 / cell_m,
         min(model.max_hit_range_m, scan.range_max_m),
@@ -98,6 +108,8 @@ def weigh_beams(
 ) -> Steps:
     """Steps of evidence of a scan's box: lines up to the margin first, then the ends on top.
 
+    So a cell in which a beam ended is never cleared by the neighbour that passes it.
+
     Parameters
     ----------
     ends, kinds, box, x_cells, y_cells
@@ -113,19 +125,17 @@ def weigh_beams(
     -------
     (rows, cols); where several beams end in one cell, the nearest decides.
     """
-    short, free = np.empty_like(ends), np.empty_like(kinds)
-    range_m = np.empty(kinds.size)
+    short, range_m = np.empty_like(ends), np.empty(kinds.size)
     for beam in range(kinds.size):
         dx, dy = ends[beam, 0] - x_cells, ends[beam, 1] - y_cells
         reach = math.sqrt(dx * dx + dy * dy) * cell_m
         range_m[beam] = reach
         share = 1.0
-        free[beam] = NOTHING if kinds[beam] == NOTHING else FREE
         if kinds[beam] == HIT:
             sigma = noise[0] + noise[1] * reach + noise[2] * reach * reach
             share = max(0.0, 1.0 - margin_sigmas * sigma / max(reach, 1e-6))
         short[beam, 0], short[beam, 1] = x_cells + share * dx, y_cells + share * dy
-    board = draw_scan(short, free, box, x_cells, y_cells)
+    board = draw_lines(short, kinds, box, x_cells, y_cells)
     steps = np.empty(board.shape, np.int16)
     miss = np.int16(miss_step)
     for row in range(board.shape[0]):

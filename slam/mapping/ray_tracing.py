@@ -1,8 +1,7 @@
 """The kernels that turn one laser scan into evidence for the cells of a grid.
 
-A scan is drawn on a small board of its own: lines of free cells first, the ends on top. So each cell takes at
-most one piece of evidence a scan (neighbouring beams through one cell see the same surface and are not
-independent), and a cell in which a beam ended is never cleared by the neighbour that passes it.
+A scan is drawn on a small board of its own, so that each cell takes at most one piece of evidence a scan:
+neighbouring beams through one cell see the same surface and are not independent.
 
 Positions are in cells on an endless lattice: cell (row, col) spans [col, col + 1) in x, [row, row + 1) in y.
 """
@@ -88,19 +87,21 @@ def beam_ends(
 
 
 @numba.njit(cache=True)
-def draw_scan(ends: FloatArray, kinds: Evidence, box: Box, x_cells: float, y_cells: float) -> Evidence:
-    """The board of a scan: what it says about every cell of its box.
+def draw_lines(ends: FloatArray, kinds: Evidence, box: Box, x_cells: float, y_cells: float) -> Evidence:
+    """The board of a scan: which cells of its box its beams pass, those of their ends included.
 
     Parameters
     ----------
-    ends, kinds, box
+    ends
+        As from `beam_ends`, or nearer to the laser.
+    kinds, box
         From `beam_ends`.
     x_cells, y_cells
         The laser.
 
     Returns
     -------
-    (rows, cols) of NOTHING, FREE or HIT; row 0 at the lowest y.
+    (rows, cols) of FREE or NOTHING; row 0 at the lowest y.
     """
     first_row, first_col, rows, cols = box
     board = np.zeros(rows * cols, np.uint8)
@@ -111,46 +112,8 @@ def draw_scan(ends: FloatArray, kinds: Evidence, box: Box, x_cells: float, y_cel
         if kinds[beam] != NOTHING:
             end_x, end_y = min(ends[beam, 0] - first_col, last_x), min(ends[beam, 1] - first_row, last_y)
             _clear_line(board, cols, x, y, end_x, end_y)
-    for kind in (FREE, HIT):
-        for beam in range(kinds.size):
-            if kinds[beam] == kind:
-                end_x, end_y = min(ends[beam, 0] - first_col, last_x), min(ends[beam, 1] - first_row, last_y)
-                board[int(end_y) * cols + int(end_x)] = kind
+            board[int(end_y) * cols + int(end_x)] = FREE
     return board.reshape(rows, cols)
-
-
-@numba.njit(cache=True)
-def add_evidence(
-    log_odds: Float32Array,
-    board: Evidence,
-    first_row: int,
-    first_col: int,
-    hit_log_odds: np.float32,
-    miss_log_odds: np.float32,
-) -> None:
-    """Li2020 Eq. (8) for every cell of a board, in place; in log-odds it is a sum.
-
-    Parameters
-    ----------
-    log_odds
-        (rows, cols) of the grid.
-    board
-        From `draw_scan`; must lie inside the grid.
-    first_row, first_col
-        The board's corner in the grid.
-    """
-    rows, cols = board.shape
-    if first_row < 0 or first_col < 0:
-        raise IndexError("the board lies outside the grid")
-    if first_row + rows > log_odds.shape[0] or first_col + cols > log_odds.shape[1]:
-        raise IndexError("the board lies outside the grid")
-    for row in range(rows):
-        line = log_odds[first_row + row, first_col : first_col + cols]
-        kinds = board[row]
-        # A choice without a branch, so that the compiler does many cells at once.
-        for col in range(cols):
-            is_free, is_hit = np.float32(kinds[col] & FREE), np.float32(kinds[col] >> FREE)
-            line[col] += is_free * miss_log_odds + is_hit * hit_log_odds
 
 
 @numba.njit(cache=True, error_model="numpy")

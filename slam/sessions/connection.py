@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from slam.finished_map import Map
 from slam.graph.loop_closure import LoopCandidate
 from slam.localization.known_map import KnownMap, Walls
 from slam.sessions.placing import Placing, place
 from slam.sessions.session_join import JoinedMap, join
 from slam.sessions.session_loops import KeyframeScans, find_loops
-from slam.storage.saved_map import SavedMap
 
 # Loops between two sessions: so many at least, and this share of them kept by the optimisation.
 _LEAST_LOOPS = 3
@@ -45,7 +45,7 @@ class Connection:
     reason: str
 
 
-def connect(known: SavedMap, session: SavedMap) -> Connection:
+def connect(known: Map, session: Map) -> Connection:
     """Join a session to a map, both planar and with scans, by the settings of the map.
 
     Raises
@@ -78,7 +78,7 @@ def connect(known: SavedMap, session: SavedMap) -> Connection:
     return Connection(placing, loops, joined, "")
 
 
-def _shared_scans(known: SavedMap, session: SavedMap) -> int:
+def _shared_scans(known: Map, session: Map) -> int:
     """How many keyframe scans of the session are the map's own, time and every range."""
     measured = (known.contents.measured_scans, session.contents.measured_scans)
     ours, theirs = (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
+import json
 import os
 import shutil
 from collections.abc import Iterator, Sequence
@@ -11,24 +12,20 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from slam.config import Config
 from slam.errors import MapFileError
-from slam.layer_outputs import layers_of_keyframes
+from slam.finished_map import NOTES, WARNINGS, Map, open_map
+from slam.layer_outputs import depth_grid
 from slam.map_result import DenseKeyframes
-from slam.mapping.layered_map import LayeredMap
-from slam.measurements import RgbdFrame, Trajectory, row_from_pose2
-from slam.run_outputs import export_map, layer_grids
+from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.measurements import RgbdFrame, Trajectory
 from slam.sessions.session_join import JoinedMap
 from slam.storage.files import make_folder
-from slam.storage.map_contents import write_contents
+from slam.storage.map_contents import DEPTH, write_contents
 from slam.storage.map_file import MAP_NAME, MapFile
 from slam.storage.map_frames import MapFrames
 from slam.storage.map_identity import MapIdentity
 from slam.storage.map_sessions import SESSIONS, MapSession, sessions_to_meta
-from slam.storage.nav2_layers import write_layers
-from slam.storage.saved_map import SavedMap, open_saved_map
 from slam.storage.tum import write_tum
 
 
@@ -62,7 +59,7 @@ class _Frames:
             yield from part
 
 
-def write_joined(folder: Path, known: SavedMap, session: SavedMap, joined: JoinedMap) -> list[Path]:
+def write_joined(folder: Path, known: Map, session: Map, joined: JoinedMap) -> list[Path]:
     """Write ``map.db`` of a map and a session, and its exports, into a new folder; what was written.
 
     Raises
@@ -72,27 +69,29 @@ def write_joined(folder: Path, known: SavedMap, session: SavedMap, joined: Joine
     """
     make_folder(folder)
     config = known.config
-    layers = _layers(known, session, joined, config)
-    contents = joined.contents
-    if layers is not None:
-        contents = replace(contents, grids={**contents.grids, **layer_grids(layers)})
+    depth, contents = _depth(known, session, joined, config), joined.contents
+    if depth is not None:
+        contents = replace(contents, grids={**contents.grids, DEPTH: depth})
     sessions = [*known.sessions, *session.sessions]
     file = MapFile.create(folder / MAP_NAME)
     try:
         for key, value in _identity(known, session).to_meta().items():
             file.add_meta(key, value)
         file.add_meta(SESSIONS, sessions_to_meta(sessions))
+        file.add_meta(NOTES, json.dumps([*known.notes, *session.notes]))
+        file.add_meta(WARNINGS, json.dumps([*known.warnings, *session.warnings]))
         known.frames.copy_to(file, 0)
         session.frames.copy_to(file, len(known.contents.node_poses))
         write_contents(file, contents)
         file.seal()
     finally:
         file.close()
-    written = [folder / MAP_NAME, *_exports(folder, config)]
-    written += _session_trajectories(folder, contents.trajectory, sessions)
-    if layers is not None:
-        written += write_layers(folder / "layers", layers)
-    return written
+    saved = open_map(folder)
+    try:
+        written = [folder / MAP_NAME, *saved.write_files(folder)]
+    finally:
+        saved.close()
+    return written + _session_trajectories(folder, contents.trajectory, sessions)
 
 
 def move_into(folder: Path, source: Path) -> list[Path]:
@@ -125,7 +124,7 @@ def move_into(folder: Path, source: Path) -> list[Path]:
     return moved
 
 
-def _identity(known: SavedMap, session: SavedMap) -> MapIdentity:
+def _identity(known: Map, session: Map) -> MapIdentity:
     """What decided the joined map: the settings of the first, the logs of both."""
     sessions = [*known.sessions, *session.sessions]
     digest = hashlib.blake2b(digest_size=16)
@@ -135,30 +134,14 @@ def _identity(known: SavedMap, session: SavedMap) -> MapIdentity:
     return MapIdentity(known.config, names, digest.hexdigest(), session.identity.versions)
 
 
-def _layers(known: SavedMap, session: SavedMap, joined: JoinedMap, config: Config) -> LayeredMap | None:
-    """The layers from all scans and images; None without a camera."""
+def _depth(known: Map, session: Map, joined: JoinedMap, config: Config) -> OccupancyGrid | None:
+    """The depth layer from all images; None without a camera."""
     nodes = joined.contents.node_poses
     first = len(known.contents.node_poses)
     poses = [*known.frames.poses(nodes[:first]), *session.frames.poses(nodes[first:])]
     if not poses:
         return None
-    rows = np.array([row_from_pose2(pose) for pose in nodes])
-    dense = DenseKeyframes(_Frames((known.frames, session.frames)), poses)
-    return layers_of_keyframes(joined.contents.scans, rows, dense, config)
-
-
-def _exports(folder: Path, config: Config) -> list[Path]:
-    """The files for other programs, as ``scanweave map`` writes them."""
-    saved = open_saved_map(folder)
-    try:
-        formats = ["tum", "g2o"]
-        if saved.grid is not None:
-            formats.append("nav2")
-        if len(saved.frames) and config.dense_map.enabled:
-            formats += ["ply", "bt"] if config.dense_map.octomap else ["ply"]
-        return [path for name in formats for path in export_map(saved, name, folder)]
-    finally:
-        saved.close()
+    return depth_grid(DenseKeyframes(_Frames((known.frames, session.frames)), poses), config)
 
 
 def _session_trajectories(folder: Path, whole: Trajectory, sessions: Sequence[MapSession]) -> list[Path]:

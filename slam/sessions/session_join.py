@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.config import Config
+from slam.finished_map import Map
 from slam.full_trajectory import spread_correction
 from slam.graph.loop_closure import LoopCandidate, judged
 from slam.graph.pose_graph import PoseGraph
@@ -18,7 +19,6 @@ from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, Trajectory, pose2_from_row, row_from_pose2
 from slam.sessions.placing import Placing
 from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor
-from slam.storage.saved_map import SavedMap
 
 Indices: TypeAlias = NDArray[np.int64]
 
@@ -47,8 +47,8 @@ class JoinedMap:
 
 
 def join(
-    known_map: SavedMap,
-    session_map: SavedMap,
+    known_map: Map,
+    session_map: Map,
     placing: Placing,
     between_them: Sequence[LoopCandidate],
     config: Config,
@@ -83,7 +83,7 @@ def join(
     factors = [replace(factor, kept=bool(keep)) for factor, keep in zip(factors, kept, strict=True)]
     joined = [factor for factor in factors if factor.edge.loop is not None and factor.edge.loop >= own_loops]
     scans = [*known.scans, *session.scans]
-    grid = grid_of_keyframes(scans, poses, config.grid)
+    grid = grid_of_keyframes(scans, poses, config)
     before = _rows(known)
     return JoinedMap(
         MapContents(
@@ -146,7 +146,7 @@ def _shifted(loop: LoopCandidate, nodes: int) -> LoopCandidate:
     return replace(loop, place=loop.place + nodes, keyframe=loop.keyframe + nodes)
 
 
-def _joined_trajectory(maps: Sequence[SavedMap], poses: FloatArray) -> Trajectory:
+def _joined_trajectory(maps: Sequence[Map], poses: FloatArray) -> Trajectory:
     """The trajectories of all sessions, each carried along with its keyframes."""
     stamps_s = np.concatenate([one.trajectory.stamps_s for one in maps])
     planar = np.concatenate([one.trajectory.to_planar() for one in maps])

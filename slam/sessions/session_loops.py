@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.config import Config
+from slam.finished_map import Map
 from slam.graph.loop_closure import LoopCandidate, LoopCloser
 from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import extract_points
 from slam.measurements import FloatArray, LaserScan
 from slam.sessions.placing import Placing
-from slam.storage.saved_map import SavedMap
 
 # How well a sighting tells where its surroundings are: sigmas there, and how they grow with the distance.
 _SIGHT_SIGMA_M = 0.12
@@ -34,7 +34,7 @@ class KeyframeScans:
     sessions: NDArray[np.int64]
 
     @classmethod
-    def of_saved(cls, saved: SavedMap) -> KeyframeScans:
+    def of_saved(cls, saved: Map) -> KeyframeScans:
         """Those of a map."""
         counts = [session.keyframes for session in saved.sessions]
         return cls(saved.keyframe_scans, saved.keyframe_poses, np.repeat(np.arange(len(counts)), counts))

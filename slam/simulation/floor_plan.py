@@ -119,12 +119,3 @@ def cast_rays(segments: FloatArray, origin_m: FloatArray, bearings_rad: FloatArr
         share = (to_x * direction_y - to_y * direction_x) / cross
     meets = (range_m > 0.0) & (share >= 0.0) & (share <= 1.0)
     return np.asarray(np.where(meets, range_m, np.inf).min(axis=1, initial=np.inf))
-
-
-def clearance_m(segments: FloatArray, points_m: FloatArray) -> FloatArray:
-    """Distance from every point (N, 2) to the nearest segment, (N,)."""
-    start, edge = segments[:, :2], segments[:, 2:] - segments[:, :2]
-    offset = points_m[:, None, :] - start
-    share = np.clip((offset * edge).sum(axis=2) / (edge * edge).sum(axis=1), 0.0, 1.0)
-    nearest = offset - share[:, :, None] * edge
-    return np.asarray(np.hypot(nearest[..., 0], nearest[..., 1]).min(axis=1))

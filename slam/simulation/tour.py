@@ -70,13 +70,6 @@ class Tour:
         speed, turn = map(float, self.twists[index])
         return advance(x, y, yaw, speed, turn, inside - index * STEP_S)
 
-    def twist_at(self, time_s: float) -> tuple[float, float]:
-        """Speed in m/s and turn rate in rad/s at a time; zero before and after the drive."""
-        if not 0.0 <= time_s <= self.duration_s:
-            return 0.0, 0.0
-        speed, turn = self.twists[min(int(time_s / STEP_S), len(self.twists) - 1)]
-        return float(speed), float(turn)
-
     def poses_at(self, times_s: FloatArray) -> FloatArray:
         """`pose_at` for many times, (N, 3)."""
         return np.array([self.pose_at(float(time_s)) for time_s in times_s]).reshape(-1, 3)

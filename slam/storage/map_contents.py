@@ -24,8 +24,8 @@ from slam.vision.learned_camera import LearnedCamera
 
 T = TypeVar("T")
 
-# The grid of the lidar; others are layers.
-OCCUPANCY = "occupancy"
+# The grids of lidar and depth camera; what they decide together follows from them.
+OCCUPANCY, DEPTH = "occupancy", "depth layer"
 _STRETCH = 4096
 
 
@@ -105,9 +105,8 @@ def write_contents(file: MapFile, contents: MapContents) -> None:
         stretch = Trajectory(whole.stamps_s[part], whole.positions_m[part], whole.quaternions_xyzw[part])
         file.append(TRAJECTORY, len(stretch), pack_small(stretch))
     for name, grid in contents.grids.items():
-        rows, cols = grid.log_odds.shape
-        corner, cells = pack(grid.T_map_grid), pack_small(np.ascontiguousarray(grid.log_odds))
-        file.append(GRIDS, name, rows, cols, grid.resolution_m, corner, cells)
+        corner, cells = pack(grid.T_map_grid), pack_small(np.ascontiguousarray(grid.steps))
+        file.append(GRIDS, name, *grid.shape, grid.resolution_m, corner, cells)
     for name, learned in contents.cameras.items():
         file.append(CAMERAS, name, pack(learned))
 
@@ -200,10 +199,14 @@ def _stretch(row: tuple[Any, ...]) -> Trajectory:
 def _grid(row: tuple[Any, ...]) -> tuple[str, OccupancyGrid]:
     """A row of the grids, with its name."""
     name, rows, cols, resolution_m, corner, cells = row
-    log_odds = _of(np.ndarray, unpack_small(cells))
-    _require(log_odds.shape == (rows, cols) and log_odds.dtype == np.float32, "its cells have another size")
+    steps = _of(np.ndarray, unpack_small(cells))
+    _require(steps.shape == (rows, cols), "its cells have another size")
     _require(resolution_m > 0.0, "its resolution is not positive")
-    return name, OccupancyGrid(log_odds, resolution_m, _of(gtsam.Pose2, unpack(corner)))
+    T_map_grid = _of(gtsam.Pose2, unpack(corner))
+    if steps.dtype == np.float32:  # log-odds, in maps of the first schemas
+        return name, OccupancyGrid.of_log_odds(steps, resolution_m, T_map_grid)
+    _require(steps.dtype == np.int16, "its cells are no steps of log-odds")
+    return name, OccupancyGrid(steps, resolution_m, T_map_grid)
 
 
 def _camera(row: tuple[Any, ...]) -> tuple[str, LearnedCamera]:

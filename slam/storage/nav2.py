@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.errors import MapFileError
-from slam.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid, StateArray
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, StateArray
 from slam.storage.files import write_lines
 from slam.storage.pgm import GreyImage, read_pgm, write_pgm
 
@@ -51,13 +51,8 @@ class Nav2Map:
     mode: Mode = "trinary"
 
 
-def write_nav2_map(stem: Path, grid: OccupancyGrid) -> tuple[Path, Path]:
-    """Write the states of a grid as ``stem.yaml`` and ``stem.pgm``; see `write_nav2_states`."""
-    return write_nav2_states(stem, grid.states(), grid.resolution_m, grid.T_map_grid)
-
-
-def write_nav2_states(
-    stem: Path, states: StateArray, resolution_m: float, T_map_grid: gtsam.Pose2
+def write_nav2_map(
+    stem: Path, states: StateArray, resolution_m: float, T_map_grid: gtsam.Pose2, what: str
 ) -> tuple[Path, Path]:
     """Write a trinary map as ``stem.yaml`` and ``stem.pgm`` (254 free, 0 occupied, 205 unknown).
 
@@ -69,6 +64,8 @@ def write_nav2_states(
         (rows, cols) of 100, 0 and -1; row 0 at the lowest y.
     T_map_grid
         The lower-left corner of cell (0, 0).
+    what
+        One line for people, a comment in the yaml: map servers know no key for it.
 
     Returns
     -------
@@ -97,6 +94,7 @@ def write_nav2_states(
     write_lines(
         yaml_path,
         [
+            f"# {what}",
             f"image: {_quoted(image_path.name)}",
             "mode: trinary",
             f"resolution: {_decimal(resolution_m)}",

@@ -1,4 +1,4 @@
-"""Every layer of a fused map for nav2: states as trinary maps, the fused probability as a raw one."""
+"""A finished map for nav2: the one to drive by, and beside it the layers that it was made of."""
 
 from __future__ import annotations
 
@@ -6,18 +6,42 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.mapping.layered_map import LAYERS, LayeredMap
+from slam.mapping.layered_map import LayeredMap, LayerName
 from slam.mapping.occupancy_grid import StateArray
 from slam.storage.files import make_folder, write_lines
-from slam.storage.nav2 import write_nav2_states
+from slam.storage.nav2 import write_nav2_map
 from slam.storage.pgm import write_pgm
 
+MAP_YAML = "map.yaml"
 
-def write_layers(folder: Path, built: LayeredMap) -> list[Path]:
+_WHAT: dict[LayerName, str] = {
+    "lidar": "What the lidar alone saw, at its own height; the map to drive by is ../map.yaml.",
+    "depth": "What the cameras alone saw within the robot's height; the map to drive by is ../map.yaml.",
+    "fused": "Lidar and cameras as one probability (Li2020 Eq. (10)); the map to drive by is ../map.yaml.",
+    "decision": "What the robot must not hit, by lidar or cameras (Li2020 Table 3): the same as ../map.yaml.",
+}
+_RAW = "Probability of being occupied by lidar and cameras, in percent; the map to drive by is ../map.yaml."
+
+
+def write_driving_map(stem: Path, layers: LayeredMap) -> tuple[Path, Path]:
+    """Write what the robot must not hit as ``stem.yaml`` and ``stem.pgm``: the map that it loads.
+
+    Raises
+    ------
+    MapFileError
+        Where a file cannot be written.
+    """
+    by = [name for name, grid in (("lidar", layers.lidar), ("cameras", layers.depth)) if grid is not None]
+    what = f"The map to drive by: what the robot must not hit, as seen by {' and '.join(by)}."
+    return write_nav2_map(stem, layers.states("decision"), layers.resolution_m, layers.T_map_grid, what)
+
+
+def write_layers(folder: Path, layers: LayeredMap) -> list[Path]:
     """Write ``lidar``, ``depth``, ``fused`` and ``decision`` (trinary) and ``fused_probability`` (raw).
 
-    A robot drives by ``decision.yaml``. A layer whose sensor gave nothing is left out. In the raw map a
-    pixel is the probability in percent, and 255, which nav2 reads as unknown, where it is one half.
+    A layer whose sensor gave nothing is left out; without cameras there is none but the map itself, and
+    nothing is written. In the raw map a pixel is the probability in percent, and 255, which nav2 reads as
+    unknown, where it is one half.
 
     Returns
     -------
@@ -28,14 +52,14 @@ def write_layers(folder: Path, built: LayeredMap) -> list[Path]:
     MapFileError
         Where a file cannot be written.
     """
+    if not layers.names:
+        return []
     make_folder(folder)
-    missing = {"lidar": built.lidar is None, "depth": built.depth is None}
+    place = (layers.resolution_m, layers.T_map_grid)
     written = [
-        write_nav2_states(folder / name, built.states(name), built.resolution_m, built.T_map_grid)[0]
-        for name in LAYERS
-        if not missing.get(name, False)
+        write_nav2_map(folder / name, layers.states(name), *place, _WHAT[name])[0] for name in layers.names
     ]
-    return [*written, _write_raw(folder / "fused_probability", built.percent(), written[-1])]
+    return [*written, _write_raw(folder / "fused_probability", layers.percent(), written[-1])]
 
 
 def _write_raw(stem: Path, percent: StateArray, trinary_yaml: Path) -> Path:
@@ -44,7 +68,7 @@ def _write_raw(stem: Path, percent: StateArray, trinary_yaml: Path) -> Path:
     write_pgm(image_path, percent[::-1].view(np.uint8))
     lines = trinary_yaml.read_text(encoding="utf-8").splitlines()
     told = {"image": image_path.name, "mode": "raw"}
-    write_lines(yaml_path, [_replaced(line, told) for line in lines])
+    write_lines(yaml_path, [f"# {_RAW}", *(_replaced(line, told) for line in lines[1:])])
     return yaml_path
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import gtsam
 import numpy as np
-import open3d as o3d
 import pytest
-from carmen_lines import odom, write
+from carmen_lines import odom
+from carmen_lines import write as write_log
+from point_files import write_pcd, write_ply
 from rgbd_files import dropped, read
 
 from slam.datasets import open_dataset
@@ -62,13 +64,13 @@ def test_a_kitti_sequence_gives_clouds_and_the_truth_of_its_lidar(tmp_path: Path
     assert trajectory.to_planar()[:, 2] == pytest.approx([0.0, 0.2, 0.4], abs=1e-6)
 
 
-@pytest.mark.parametrize("suffix", ["pcd", "ply"])
-def test_pcd_and_ply_give_points_and_their_times(tmp_path: Path, suffix: str) -> None:
-    cloud = o3d.t.geometry.PointCloud()
-    cloud.point.positions = o3d.core.Tensor(POINTS)
-    cloud.point["t"] = o3d.core.Tensor(np.arange(5, dtype=np.float32).reshape(-1, 1) * 25.0)
+COLUMNS = dict(zip("xyz", POINTS.T, strict=True))
+
+
+@pytest.mark.parametrize(("suffix", "write"), [("pcd", write_pcd), ("ply", write_ply)])
+def test_pcd_and_ply_give_points_and_their_times(tmp_path: Path, suffix: str, write: Any) -> None:
     for k in (9, 10):
-        o3d.t.io.write_point_cloud(str(tmp_path / f"{k}.{suffix}"), cloud)
+        write(tmp_path / f"{k}.{suffix}", COLUMNS | {"t": np.arange(5, dtype=np.float32) * 25})
     (tmp_path / "times.txt").write_text("# seconds\n5.0\n6.0\n")
     dataset = open_dataset(tmp_path)
     first, second = (m for m in dataset if isinstance(m, PointCloud))
@@ -106,12 +108,9 @@ def test_damaged_clouds_are_counted(tmp_path: Path) -> None:
     assert len(found) == 1 and dropped(dataset) == {DAMAGED: 2, NO_POINTS: 1}
 
 
-@pytest.mark.parametrize("suffix", ["pcd", "ply"])
-def test_a_damaged_header_is_counted(tmp_path: Path, suffix: str) -> None:
-    cloud = o3d.t.geometry.PointCloud()
-    cloud.point.positions = o3d.core.Tensor(POINTS)
-    o3d.t.io.write_point_cloud(str(tmp_path / f"0.{suffix}"), cloud)
-    whole = (tmp_path / f"0.{suffix}").read_bytes()
+@pytest.mark.parametrize(("suffix", "write"), [("pcd", write_pcd), ("ply", write_ply)])
+def test_a_damaged_header_is_counted(tmp_path: Path, suffix: str, write: Any) -> None:
+    whole = write(tmp_path / f"0.{suffix}", COLUMNS).read_bytes()
     (tmp_path / f"1.{suffix}").write_bytes(whole.replace(b"x", b"\xe2").replace(b"format", b"famrot"))
     (tmp_path / f"2.{suffix}").write_bytes(whole[:40])
     (tmp_path / "times.txt").write_text("1\n2\n3\n")
@@ -120,7 +119,7 @@ def test_a_damaged_header_is_counted(tmp_path: Path, suffix: str) -> None:
 
 
 def test_clouds_of_a_robot_come_between_its_readings_with_the_wheels_beside_them(tmp_path: Path) -> None:
-    write(tmp_path, odom(0.0, stamp=1.0), odom(0.1, stamp=1.1), odom(0.2, stamp=1.2))
+    write_log(tmp_path, odom(0.0, stamp=1.0), odom(0.1, stamp=1.1), odom(0.2, stamp=1.2))
     bins(tmp_path / "points", 2)
     (tmp_path / "points.txt").write_text("1.05 points/000000.bin\n1.3 points/000001.bin\n")
     (tmp_path / "points" / "calibration.yaml").write_text(

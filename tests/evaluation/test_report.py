@@ -109,6 +109,21 @@ def test_nothing_is_asked_of_the_network_and_nothing_runs(data: ReportData, writ
     assert not re.search(r"https?:|//\w|url\(|@import|\son\w+=", re.sub(r"base64,[^\"]*", "", html))
 
 
+def test_layers_are_shown_in_small_beside_the_map_that_they_make(data: ReportData, written) -> None:
+    assert data.map_picture is not None
+    seen = replace(data.map_picture, image=np.full_like(data.map_picture.image, 205))
+    html = written(replace(data, layers={"lidar": data.map_picture, "depth": seen}))
+    page = Page(html)
+    assert page.tags.count("img") == 5 and page.tags.count("figcaption") == 2
+    for part in ("The map to drive by: black", "The lidar alone, at its own height", "layers/depth.yaml"):
+        assert part in page.text
+    small = re.findall(r'alt="(lidar|depth) layer" src="data:image/png;base64,([^"]*)"', html)
+    pictures = {name: np.asarray(Image.open(io.BytesIO(base64.b64decode(png)))) for name, png in small}
+    # Both cut as the map is: 40 x 60 known cells and eight on each side, where there are so many.
+    assert pictures["lidar"].shape == pictures["depth"].shape == (round(480 * 56 / 76), 480)
+    assert (pictures["depth"] == 205).all() and (pictures["lidar"] == 0).any()
+
+
 def test_every_text_is_escaped(data: ReportData, written) -> None:
     evil = "<script>alert('&')</script>\""
     html = written(

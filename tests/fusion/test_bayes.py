@@ -3,29 +3,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fusion.bayes import FREE, OCCUPIED, UNKNOWN, decide, evidence_steps, exceeds, log_odds, states_of, update
+from fusion.bayes import FREE, OCCUPIED, UNKNOWN, decide, evidence_steps, log_odds
 
 PROBABILITIES = st.floats(0.001, 0.999)
 
 
-@given(PROBABILITIES, PROBABILITIES, PROBABILITIES)
-def test_fusing_is_commutative_and_associative(a, b, c):
-    a, b, c = np.array(a), np.array(b), np.array(c)
-    assert update(a, b) == pytest.approx(update(b, a), abs=1e-12)
-    assert update(update(a, b), c) == pytest.approx(update(a, update(b, c)), abs=1e-6)
-
-
 @given(PROBABILITIES, PROBABILITIES)
-def test_in_log_odds_fusing_is_a_sum(a, b):
-    fused = float(update(np.array(a), np.array(b)))
-    assert fused == pytest.approx(1 / (1 + np.exp(-(log_odds(a) + log_odds(b)))), abs=1e-9)
-
-
-def test_equation_8_and_10_by_hand():
-    np.testing.assert_allclose(
-        update(np.array([0.5, 0.9, 0.9]), np.array([0.3, 0.9, 0.1])), [0.3, 81 / 82, 0.5]
-    )
-    assert np.isnan(update(np.array(1.0), np.array(0.0)))
+def test_in_log_odds_equation_8_is_a_sum(a, b):
+    fused = a * b / (a * b + (1 - a) * (1 - b))
+    assert log_odds(fused) == pytest.approx(log_odds(a) + log_odds(b), abs=1e-9)
 
 
 # The eight cases of Table 3 beside "both uncertain": rows lidar, columns camera.
@@ -39,14 +25,6 @@ def test_table_3_corrected_and_as_printed():
     assert decide(LIDAR, CAMERA, "printed").tolist() == [[o, o, o], [o, f, f], [f, o, u]]
     with pytest.raises(ValueError, match="corrected or printed"):
         decide(LIDAR, CAMERA, "both")
-
-
-def test_thresholds_of_equation_9():
-    p = np.array([0.2, 0.35, 0.5, 0.65, 0.7])
-    assert exceeds(p).tolist() == [False, False, False, True, True]
-    assert states_of(p, 0.65, 0.35).tolist() == [FREE, UNKNOWN, UNKNOWN, UNKNOWN, OCCUPIED]
-    with pytest.raises(ValueError, match="thresholds"):
-        states_of(p, 0.3, 0.6)
 
 
 def test_evidence_is_whole_steps_and_keeps_its_sign():

@@ -4,25 +4,7 @@ import numpy as np
 import pytest
 
 from fusion.bayes import STEPS_A_UNIT, evidence_steps
-from fusion.depth_model import RangeNoise, depth_from_disparity, disparity_noise, hit_evidence, share_in_cell
-
-
-def test_depth_from_disparity_solves_equations_2_and_3():
-    z0, f, b = 2.0, 580.0, 0.075
-    z = np.array([0.8, 1.5, 2.0, 3.5])
-    shift = b * (z0 - z) / z0  # Eq. (2): D
-    disparity = f * shift / z  # Eq. (3): d
-    np.testing.assert_allclose(depth_from_disparity(disparity, z0, f, b), z, rtol=1e-12)
-    assert np.isnan(depth_from_disparity(np.array(-30.0), z0, f, b))
-
-
-def test_noise_of_a_depth_is_that_of_its_disparity():
-    noise = disparity_noise(0.0625, 580.0, 0.075, floor_m=1e-9)
-    z = np.array([1.0, 3.0])
-    d = 580.0 * 0.075 / z
-    np.testing.assert_allclose(noise.sigma_m(z), z - 580.0 * 0.075 / (d + 0.0625), rtol=0.01)
-    with pytest.raises(ValueError, match="floor_m"):
-        RangeNoise(0.0)
+from fusion.depth_model import RangeNoise, hit_evidence, share_in_cell
 
 
 def test_a_hit_weighs_less_the_wider_its_noise():
@@ -35,5 +17,7 @@ def test_a_hit_weighs_less_the_wider_its_noise():
     sigma = noise.sigma_m(np.array(2.0))
     assert share_in_cell(np.array(2.0), noise, 2 * float(sigma)) == pytest.approx(math.erf(1 / math.sqrt(2)))
     assert table.max() < 4 * STEPS_A_UNIT
+    with pytest.raises(ValueError, match="floor_m"):
+        RangeNoise(0.0)
     with pytest.raises(ValueError, match="p_hit"):
         hit_evidence(noise, 0.5, 0.05, 6.0)

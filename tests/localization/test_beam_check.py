@@ -20,7 +20,7 @@ def world(frame: FloatArray):  # type: ignore[no-untyped-def]
     log_odds = np.zeros((20, 60), np.float32)
     log_odds[:, :30] = FREE
     log_odds[:, 30] = WALL
-    grid = OccupancyGrid(log_odds, CELL_M, gtsam.Pose2(*frame))
+    grid = OccupancyGrid.of_log_odds(log_odds, CELL_M, gtsam.Pose2(*frame))
     wall = np.column_stack([np.full(60, 3.05), np.linspace(0.0, 2.0, 60)])
     normals = np.tile([-1.0, 0.0], (60, 1))
     turn = np.array([0.0, 0.0, frame[2]])
@@ -56,7 +56,7 @@ def test_only_the_midst_of_free_space_is_clear() -> None:
 
 def test_free_by_a_single_glance_contradicts_nothing() -> None:
     log_odds = np.full((10, 30), -0.8, np.float32)
-    space = known_space(OccupancyGrid(log_odds, CELL_M))
+    space = known_space(OccupancyGrid.of_log_odds(log_odds, CELL_M))
     point = OrientedPoints(np.array([[1.0, 0.0]], np.float32), np.array([[-1.0, 0.0]], np.float32))
     none = build_surfel_map(np.zeros((0, 2)), np.zeros((0, 2)), CELL_M)
     counts = check_beams(space, none, np.array([0.5, 0.5, 0.0]), np.zeros(2), point)

@@ -39,7 +39,7 @@ def scores_of(field: WholeMapField, points: FloatArray) -> FloatArray:
 def small_world(seed: int) -> tuple[WholeMapField, FloatArray]:
     rng = np.random.default_rng(seed)
     walls = rng.uniform(-2.0, 2.0, (25, 2))
-    grid = OccupancyGrid(
+    grid = OccupancyGrid.of_log_odds(
         rng.choice(np.array([-2.0, 0.0, 2.0], np.float32), (50, 47)), 0.1, gtsam.Pose2(-2.5, -2.4, 0.0)
     )
     return build_whole_map_field(walls, grid, CELL_M, SIGMA_M, UNKNOWN), rng.uniform(-1.5, 1.5, (9, 2))

@@ -10,8 +10,10 @@ from fusion.height_band import HeightBand
 from slam.errors import ConfigError, ScanweaveError
 from slam.mapping.depth_grid import DepthModel
 from slam.mapping.evidence_tiles import SIDE, Board, EvidenceTiles
-from slam.mapping.layered_map import LayerBuilder, LayeredMap, LayerSettings, build_layers
+from slam.mapping.layer_builder import LayerBuilder, LayerSettings, build_layers
+from slam.mapping.layered_map import DecisionRule, LayeredMap
 from slam.mapping.lidar_layer import LidarModel
+from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import CameraIntrinsics, LaserScan, RgbdFrame
 
 CAMERA = CameraIntrinsics(240.0, 240.0, 159.5, 119.5, 320, 240)
@@ -113,12 +115,12 @@ def test_order_partial_maps_and_repeats_change_nothing():
     whole = build_layers(readings, poses, SETTINGS)
     for order in (rng.permutation(12), np.arange(12)[::-1]):
         other = build_layers([readings[i] for i in order], [poses[i] for i in order], SETTINGS)
-        np.testing.assert_array_equal(other.lidar, whole.lidar)
-        np.testing.assert_array_equal(other.depth, whole.depth)
+        np.testing.assert_array_equal(other.lidar.steps, whole.lidar.steps)
+        np.testing.assert_array_equal(other.depth.steps, whole.depth.steps)
         assert other.T_map_grid.equals(whole.T_map_grid, 1e-12)
     twice = build_layers(readings + readings, poses + poses, SETTINGS)
-    np.testing.assert_array_equal(twice.depth, whole.depth)
-    assert (twice.scans, twice.frames, twice.repeated) == (6, 6, 12)
+    np.testing.assert_array_equal(twice.depth.steps, whole.depth.steps)
+    np.testing.assert_array_equal(twice.lidar.steps, whole.lidar.steps)
 
 
 def test_tiles_on_disk_and_merged_ones_hold_the_same_sums():
@@ -150,21 +152,52 @@ def drawn(*rows):
     return np.array([[LETTER[cell] for cell in row] for row in rows[::-1]], dtype=np.int16)
 
 
+def laid(steps, yaw, row=-40, col=20):
+    """A grid whose corner is that row and column of the lattice."""
+    corner = gtsam.Pose2(0.0, 0.0, yaw).compose(gtsam.Pose2(0.05 * col, 0.05 * row, 0.0))
+    return OccupancyGrid(steps, 0.05, corner)
+
+
 @pytest.mark.parametrize("yaw", [0.0, 0.7])
 def test_the_table_on_hand_drawn_grids(yaw):
     lidar, depth = drawn("###", "ooo", "..."), drawn("#o.", "#o.", "#o.")
-    built = LayeredMap(lidar, depth, 0.05, gtsam.Pose2(1.0, -2.0, yaw), SETTINGS, 1, 1, 0)
+    built = LayeredMap(laid(lidar, yaw), laid(depth, yaw))
 
     def picture(name, made=built):
         return ["".join(SIGN[int(cell)] for cell in row) for row in made.states(name)[::-1]]
 
     assert picture("decision") == ["###", "#oo", "#o."]
-    printed = replace(built, settings=replace(SETTINGS, rule="printed"))
+    printed = replace(built, rule=DecisionRule("printed"))
     assert picture("decision", printed) == ["###", "#oo", "o#."]
     # Eq. (10): what contradicts itself is uncertain.
     assert picture("fused") == ["#.#", ".oo", "#o."]
     at = built.T_map_grid.transformFrom(np.array([0.075, 0.125]))
     assert built.grid("fused").cells_of(at[None])[0].tolist() == [2, 1]
+
+
+@pytest.mark.parametrize("yaw", [0.0, -0.7])
+def test_grids_of_different_sizes_are_laid_on_one_lattice(yaw):
+    built = LayeredMap(laid(drawn("##", "oo"), yaw, 5, -3), laid(drawn("#", "#", "o"), yaw, 3, 0))
+    assert built.box == (3, -3, 4, 4)
+
+    def picture(name):
+        return ["".join(SIGN[int(cell)] for cell in row) for row in built.states(name)[::-1]]
+
+    assert picture("lidar") == ["##..", "oo..", "....", "...."]
+    assert picture("depth") == ["....", "...#", "...#", "...o"]
+    assert picture("decision") == ["##..", "oo.#", "...#", "...o"]
+    assert built.grid("lidar").T_map_grid.equals(laid(drawn("#"), yaw, 3, -3).T_map_grid, 1e-12)
+    for other in (laid(drawn("#"), yaw, 3.4, 0), laid(drawn("#"), yaw + 0.1, 3, 0)):
+        with pytest.raises(ScanweaveError, match="do not lie on one lattice"):
+            LayeredMap(built.lidar, other)
+    with pytest.raises(ConfigError, match="must be corrected or printed"):
+        DecisionRule("guessed")
+
+
+def test_two_logs_whose_clocks_agree_count_both():
+    one = build_layers([scan()], same_base(1), SETTINGS)
+    both = build_layers([scan(), scan()], [gtsam.Pose2(), gtsam.Pose2(0.001, 0.0, 0.0)], SETTINGS)
+    assert both.lidar.steps.max() > 1.5 * one.lidar.steps.max()
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.5, -2.0])
@@ -179,7 +212,7 @@ def test_a_turned_grid_holds_the_same_world(yaw):
 
 
 def test_a_far_hit_weighs_less_and_bad_input_is_refused():
-    near, far = (build_layers([scan(0.0, r)], same_base(1), SETTINGS).lidar.max() for r in (1.0, 11.0))
+    near, far = (build_layers([scan(0.0, r)], same_base(1), SETTINGS).lidar.steps.max() for r in (1.0, 11.0))
     assert 0 < far < near
     builder = LayerBuilder(SETTINGS)
     with pytest.raises(ScanweaveError, match="its pose is lost"):
@@ -198,13 +231,13 @@ def test_a_far_hit_weighs_less_and_bad_input_is_refused():
         with pytest.raises(ConfigError, match="p_miss"):
             make(p_miss=0.6)
     assert builder.add(scan(), gtsam.Pose2())
-    assert not builder.add(scan(), gtsam.Pose2(1, 1, 1))
+    assert not builder.add(scan(), gtsam.Pose2())
 
 
 def test_an_image_without_readings_says_nothing():
     empty = replace(frame(), depth_m=np.zeros((240, 320), np.float32))
     built = build_layers([empty, scan()], same_base(2), SETTINGS)
-    assert (built.frames, built.scans) == (0, 1)
+    assert built.depth is None and built.lidar is not None
 
 
 def test_a_sensor_that_dies_half_way_leaves_the_other_to_map_on():

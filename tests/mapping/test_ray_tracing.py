@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
-from slam.mapping.ray_tracing import FREE, HIT, NOTHING, add_evidence, beam_ends, draw_scan
+from slam.mapping.lidar_layer import weigh_beams
+from slam.mapping.ray_tracing import FREE, HIT, beam_ends, draw_lines
 
-LETTERS = {NOTHING: ".", FREE: "o", HIT: "#"}
+LETTERS = {0: ".", -1: "o", 2: "#"}
 
 
 def draw(ranges, x=0.5, y=0.5, start=0.0, step=np.pi / 2, cells_per_m=1.0, hit_limit=50.0, clear_limit=3.0):
@@ -11,7 +12,8 @@ def draw(ranges, x=0.5, y=0.5, start=0.0, step=np.pi / 2, cells_per_m=1.0, hit_l
     ends, kinds, box = beam_ends(
         np.array(ranges, dtype=np.float32), x, y, start, step, cells_per_m, hit_limit, clear_limit
     )
-    board = draw_scan(ends, kinds, box, x, y)
+    exact = ((0.0, 0.0, 0.0), 0.0, np.array([2], np.int16), -1)
+    board = weigh_beams(ends, kinds, box, x, y, 1.0 / cells_per_m, *exact)
     return ["".join(LETTERS[value] for value in row) for row in board[::-1]], box
 
 
@@ -73,15 +75,15 @@ def test_random_lines_stay_near_the_true_one_and_are_connected():
         x, y, angle, reach = rng.uniform([-9, -9, -7, 0.1], [9, 9, 7, 40])
         ends, kinds, box = beam_ends(np.array([reach], dtype=np.float32), x, y, angle, 0.1, 1.0, 50.0, 3.0)
         np.testing.assert_allclose(ends[0], [x + reach * np.cos(angle), y + reach * np.sin(angle)], atol=1e-5)
-        board = draw_scan(ends, kinds, box, x, y)
+        board = draw_lines(ends, kinds, box, x, y)
         rows, cols = np.nonzero(board)
         centres = np.column_stack([cols + box[1] + 0.5 - x, rows + box[0] + 0.5 - y])
         across = np.abs(centres @ [-np.sin(angle), np.cos(angle)])
         assert across.max() < np.sqrt(0.5) + 1e-6
         # One cell a step along the longer axis; the last step may be cut short by the border of a cell.
         assert max(board.shape) - 1 <= len(rows) <= max(board.shape)
-        assert (board == HIT).sum() == 1
-        assert board[int(np.floor(ends[0, 1])) - box[0], int(np.floor(ends[0, 0])) - box[1]] == HIT
+        assert kinds[0] == HIT
+        assert board[int(np.floor(ends[0, 1])) - box[0], int(np.floor(ends[0, 0])) - box[1]] == FREE
 
 
 def test_places_a_hair_below_a_border_stay_on_the_board():
@@ -90,15 +92,8 @@ def test_places_a_hair_below_a_border_stay_on_the_board():
     assert (picture, box) == ([".#", "#."], (-1, -1, 2, 2))
 
 
-def test_evidence_is_added_where_the_board_lies():
-    grid = np.ones((4, 5), dtype=np.float32)
-    board = np.array([[FREE, HIT], [NOTHING, FREE]], dtype=np.uint8)
-    add_evidence(grid, board, 1, 3, np.float32(2.0), np.float32(-0.5))
-    expected = np.ones((4, 5))
-    expected[1, 3:] = [0.5, 3.0]
-    expected[2, 3:] = [1.0, 0.5]
-    assert np.array_equal(grid, expected)
-    for corner in ((-1, 0), (0, -1), (3, 0), (0, 4)):
-        with pytest.raises(IndexError, match="outside the grid"):
-            add_evidence(grid, board, *corner, np.float32(2.0), np.float32(-0.5))
-    assert np.array_equal(grid, expected)
+def test_a_beam_clears_nothing_within_the_noise_of_its_end():
+    ends, kinds, box = beam_ends(np.array([6.0], np.float32), 0.5, 0.5, 0.0, 0.1, 1.0, 50.0, 3.0)
+    noise = (0.5, 0.25, 0.0)  # 2 m at 6 m
+    board = weigh_beams(ends, kinds, box, 0.5, 0.5, 1.0, noise, 1.0, np.array([2], np.int16), -1)
+    assert board.tolist() == [[-1, -1, -1, -1, -1, 0, 2]]

@@ -13,11 +13,11 @@ import pytest
 from session_runs import Sessions, run, scanweave, sessions_in
 
 from slam.evaluation.trajectory_error import absolute_error
+from slam.finished_map import open_map
 from slam.journal import Journal
 from slam.measurements import Trajectory
 from slam.sessions.joined_files import only_one_in
 from slam.simulation.synthetic_log import write_synthetic_log
-from slam.storage.saved_map import open_saved_map
 from slam.storage.tum import read_tum
 
 APART_S = 1e5
@@ -74,7 +74,7 @@ class TestJoined:
         assert absolute_error(parts[0], truths[0]).translation_m.rmse < 0.02
 
     def test_nothing_is_lost(self, sessions: Sessions, mapped: Path, joined: Path) -> None:
-        before, after = open_saved_map(mapped), open_saved_map(joined)
+        before, after = open_map(mapped), open_map(joined)
         after.check()
         first, second = after.sessions
         assert (first.keyframes, first.poses) == (len(before.keyframe_poses), len(before.trajectory))
@@ -110,7 +110,7 @@ class TestJoined:
         out = tmp_path / "three"
         outcome = scanweave(capsys, "map", third.log_path, "--into", joined, "--out", out)
         assert outcome.code == 0, outcome.err
-        two, three = open_saved_map(joined), open_saved_map(out)
+        two, three = open_map(joined), open_map(out)
         assert list(three.sessions[:2]) == list(two.sessions) and len(three.sessions) == 3
         # The clocks of all three overlap: what is one's must not be carried along with another's keyframes.
         parts = [read_tum(out / f"trajectory-{n}.tum") for n in (1, 2, 3)]

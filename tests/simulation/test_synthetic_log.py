@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from flat_worlds import clearance_m
 
 from slam.datasets import open_dataset
 from slam.errors import ConfigError
 from slam.measurements import LaserScan, WheelOdometry, row_from_pose2
-from slam.simulation.floor_plan import TOUR_M, cast_rays, clearance_m, walls
+from slam.simulation.floor_plan import TOUR_M, cast_rays, walls
 from slam.simulation.synthetic_log import SyntheticLogConfig, drive_tour, wheel_odometry, write_synthetic_log
 
 CONFIG = SyntheticLogConfig()

@@ -13,6 +13,7 @@ from box_world import box_frames
 from test_saved_map import IDENTITY, MOUNT, contents, features, forge
 
 from slam.errors import MapFileError
+from slam.finished_map import open_map
 from slam.mapping.cloud_packing import packed_cloud
 from slam.measurements import FloatArray, RgbdFrame
 from slam.storage.map_clouds import MapClouds
@@ -20,7 +21,6 @@ from slam.storage.map_contents import write_contents
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
 from slam.storage.packing import pack
-from slam.storage.saved_map import open_saved_map
 
 LIDAR = gtsam.Pose3(gtsam.Rot3.Yaw(0.2), np.array([0.0, 0.1, 0.7]))
 
@@ -47,7 +47,7 @@ def write(path: Path, kept: list[FloatArray], frames: list[RgbdFrame] = [], *, p
 
 
 def test_they_come_back(tmp_path: Path) -> None:
-    saved = open_saved_map(write(tmp_path / "map.db", clouds()))
+    saved = open_map(write(tmp_path / "map.db", clouds()))
     saved.check()
     assert len(saved.clouds) == len(saved.keyframe_poses) == 5
     for found, points in zip(saved.clouds, clouds(), strict=True):
@@ -60,14 +60,14 @@ def test_they_come_back(tmp_path: Path) -> None:
 
 def test_frames_beside_clouds_sit_on_bases(tmp_path: Path) -> None:
     frames = [replace(frame, T_base_camera=MOUNT) for frame in box_frames(count=2)]
-    saved = open_saved_map(write(tmp_path / "map.db", clouds(), frames))
+    saved = open_map(write(tmp_path / "map.db", clouds(), frames))
     node = saved.contents.node_poses[1]
     assert isinstance(node, gtsam.Pose3)
     np.testing.assert_array_equal(saved.frame_poses()[1].matrix(), node.compose(MOUNT).matrix())
     saved.close()
     write(tmp_path / "lost.db", clouds(), [replace(frames[0], T_base_camera=None)])
     with pytest.raises(MapFileError, match=r"table frames, row 0: .*where the camera was"):
-        open_saved_map(tmp_path / "lost.db")
+        open_map(tmp_path / "lost.db")
 
 
 def test_what_is_known_already_is_not_written_again(tmp_path: Path) -> None:
@@ -96,21 +96,21 @@ def test_what_is_known_already_is_not_written_again(tmp_path: Path) -> None:
 def test_a_lie_is_told_by_table_and_row(tmp_path: Path, values: dict[str, object], said: str) -> None:
     path = forge(write(tmp_path / "map.db", clouds()), "clouds", 2, **values)
     with pytest.raises(MapFileError, match=rf"table clouds, row 2: .*{said}") as caught:
-        open_saved_map(path).check()
+        open_map(path).check()
     assert len(str(caught.value).splitlines()) == 1
 
 
 def test_clouds_that_fit_no_nodes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(MapFileError, match="4 clouds for 5 nodes, 5 of them in space"):
-        open_saved_map(write(tmp_path / "few.db", clouds(4)))
+        open_map(write(tmp_path / "few.db", clouds(4)))
     with pytest.raises(MapFileError, match="5 clouds for 5 nodes, 0 of them in space"):
-        open_saved_map(write(tmp_path / "planar.db", clouds(), planar=True))
+        open_map(write(tmp_path / "planar.db", clouds(), planar=True))
 
 
 def test_a_map_older_than_clouds_is_read(tmp_path: Path) -> None:
     """Schema 1 ended with the journal."""
     path = tmp_path / "map.db"
-    now = open_saved_map(write(path, []))
+    now = open_map(write(path, []))
     digest = now.digest
     now.close()
     with sqlite3.connect(path) as connection:
@@ -122,7 +122,7 @@ def test_a_map_older_than_clouds_is_read(tmp_path: Path) -> None:
     file = MapFile.resume(path)
     assert file is not None
     file.seal()
-    saved = open_saved_map(path)
+    saved = open_map(path)
     saved.check()
     assert len(saved.clouds) == 0 and len(saved.keyframe_poses) == 5
     assert saved.digest != digest

@@ -3,17 +3,18 @@ import numpy as np
 import pytest
 
 from fusion.bayes import STEPS_A_UNIT
-from slam.mapping.layered_map import LAYERS, LayeredMap, LayerSettings
+from slam.mapping.layered_map import LAYERS, LayeredMap
+from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.storage.nav2 import read_nav2_map
-from slam.storage.nav2_layers import write_layers
+from slam.storage.nav2_layers import write_driving_map, write_layers
 
 
 def built(lidar=True):
     steps = (np.array([[-3, 0, 3], [1, -1, 2]]) * STEPS_A_UNIT).astype(np.int16)
     other = (np.array([[1, 0, -3], [-1, 1, 1]]) * STEPS_A_UNIT).astype(np.int16)
-    return LayeredMap(
-        steps if lidar else None, other, 0.05, gtsam.Pose2(1.5, -2.25, 0.5), LayerSettings(), 1, 1, 0
-    )
+    corner = gtsam.Pose2(0.0, 0.0, 0.5).compose(gtsam.Pose2(1.5, -2.25, 0.0))
+    grids = [OccupancyGrid(part, 0.05, corner) for part in (steps, other)]
+    return LayeredMap(grids[0] if lidar else None, grids[1])
 
 
 def test_every_layer_reads_back_trinary_and_raw(tmp_path):
@@ -46,3 +47,21 @@ def test_scale_mode_understands_the_same_pixels(tmp_path, name):
 def test_a_missing_sensor_has_no_file(tmp_path):
     stems = [path.stem for path in write_layers(tmp_path, built(lidar=False))]
     assert stems == ["depth", "fused", "decision", "fused_probability"]
+
+
+def test_the_map_to_drive_by_is_the_decision_and_every_file_says_what_it_is(tmp_path):
+    path, image_path = write_driving_map(tmp_path / "map", built())
+    layers = write_layers(tmp_path / "layers", built())
+    said = [yaml.read_text().splitlines()[0] for yaml in (path, *layers)]
+    assert said[0] == "# The map to drive by: what the robot must not hit, as seen by lidar and cameras."
+    assert len(set(said)) == len(said) and all("../map.yaml" in line for line in said[1:])
+    assert image_path.read_bytes() == (tmp_path / "layers" / "decision.pgm").read_bytes()
+    assert "image: fused_probability.pgm" in layers[-1].read_text()
+
+
+def test_a_map_of_the_lidar_alone_has_no_layers_beside_it(tmp_path):
+    alone = LayeredMap(built().lidar, None)
+    assert write_layers(tmp_path / "layers", alone) == [] and not (tmp_path / "layers").exists()
+    path, _ = write_driving_map(tmp_path / "map", alone)
+    assert "as seen by lidar." in path.read_text()
+    np.testing.assert_array_equal(read_nav2_map(path).values, alone.lidar.states())

@@ -15,6 +15,7 @@ from test_packing import same
 
 from slam.config import Config, load_config
 from slam.errors import MapFileError
+from slam.finished_map import open_map
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapping.occupancy_grid import OccupancyGrid
@@ -25,7 +26,6 @@ from slam.storage.map_frames import MapFrames
 from slam.storage.map_identity import MapIdentity
 from slam.storage.map_tables import FACTORS, FRAMES, GRIDS, IMAGES, KEYFRAMES, LOOPS, TABLES, TRAJECTORY
 from slam.storage.packing import pack, pack_small
-from slam.storage.saved_map import open_saved_map
 from slam.vision.features import Features
 from tools.damage_trials import content_of, damaged, damages_of, outcome_of
 
@@ -74,7 +74,11 @@ def contents(*, planar: bool = True) -> MapContents:
         factors=factors,
         loops=loops,
         trajectory=Trajectory(rng.random(count), rng.random((count, 3)), rng.random((count, 4))),
-        grids={OCCUPANCY: OccupancyGrid(rng.random((7, 9), np.float32), 0.05, gtsam.Pose2(-1.0, 2.0, 0.1))},
+        grids={
+            OCCUPANCY: OccupancyGrid(
+                rng.integers(-999, 999, (7, 9), np.int16), 0.05, gtsam.Pose2(-1.0, 2.0, 0.1)
+            )
+        },
     )
 
 
@@ -102,7 +106,7 @@ def map_db(frames: list[RgbdFrame], tmp_path_factory: pytest.TempPathFactory) ->
 
 class TestReadBack:
     def test_everything(self, map_db: Path, frames: list[RgbdFrame]) -> None:
-        saved, told = open_saved_map(map_db.parent), contents()
+        saved, told = open_map(map_db.parent), contents()
         found = saved.contents
         assert saved.planar and saved.identity == IDENTITY and saved.config.seed == 7
         for name in ("node_poses", "measured_scans", "scans", "loops"):
@@ -112,7 +116,7 @@ class TestReadBack:
         for one, other in zip(saved.factors, told.factors, strict=True):
             assert same(one, other)
         assert saved.grid is not None
-        assert same(saved.grid.log_odds, told.grids[OCCUPANCY].log_odds)
+        assert same(saved.grid.steps, told.grids[OCCUPANCY].steps)
         assert same(saved.grid.T_map_grid, told.grids[OCCUPANCY].T_map_grid)
         np.testing.assert_array_equal(
             saved.keyframe_poses, [[pose.x(), pose.y(), pose.theta()] for pose in told.node_poses]
@@ -121,8 +125,8 @@ class TestReadBack:
         saved.close()
 
     def test_frames(self, map_db: Path, frames: list[RgbdFrame]) -> None:
-        saved = open_saved_map(map_db)
-        assert saved.frame_nodes() == [0, 2, 4]
+        saved = open_map(map_db)
+        assert [saved.frames.head(number).node for number in range(3)] == [0, 2, 4]
         for number, (found, frame) in enumerate(zip(saved.frames, frames, strict=True)):
             assert (found.stamp_s, found.sensor) == (frame.stamp_s, "kinect")
             assert found.intrinsics == frame.intrinsics
@@ -140,7 +144,7 @@ class TestReadBack:
     def test_a_camera_alone(self, tmp_path: Path) -> None:
         told = replace(contents(planar=False), measured_scans=[], scans=[], grids={})
         frames = [replace(frame, T_base_camera=None) for frame in box_frames(count=3)]
-        saved = open_saved_map(write(tmp_path / "map.db", told, frames))
+        saved = open_map(write(tmp_path / "map.db", told, frames))
         assert not saved.planar and saved.grid is None
         assert list(saved.keyframe_scans) == [None] * 5
         assert same(saved.frame_poses(), list(told.node_poses[::2]))
@@ -149,9 +153,9 @@ class TestReadBack:
         saved.close()
 
     def test_the_digest_tells_maps_apart(self, map_db: Path, frames: list[RgbdFrame], tmp_path: Path) -> None:
-        again = open_saved_map(write(tmp_path / "again.db", contents(), frames))
-        other = open_saved_map(write(tmp_path / "other.db", contents(), frames[:2]))
-        assert open_saved_map(map_db).digest == again.digest != other.digest
+        again = open_map(write(tmp_path / "again.db", contents(), frames))
+        other = open_map(write(tmp_path / "other.db", contents(), frames[:2]))
+        assert open_map(map_db).digest == again.digest != other.digest
 
     def test_writing_twice_leaves_one(self, map_db: Path, frames: list[RgbdFrame], tmp_path: Path) -> None:
         file = MapFile.create(tmp_path / "map.db")
@@ -218,19 +222,19 @@ class TestRefused:
         path.write_bytes(map_db.read_bytes())
         name = table.name  # type: ignore[attr-defined]
         with pytest.raises(MapFileError, match=rf"table {name}, row {number}: .*{said}") as caught:
-            open_saved_map(forge(path, name, number, **values)).check()
+            open_map(forge(path, name, number, **values)).check()
         assert len(str(caught.value).splitlines()) == 1
 
     def test_settings_of_another_version(self, map_db: Path, tmp_path: Path) -> None:
         path = tmp_path / "map.db"
         path.write_bytes(map_db.read_bytes())
         with pytest.raises(MapFileError, match="settings that this version does not know"):
-            open_saved_map(forge(path, "meta", 0, value='{"novelty": 1}'))
+            open_map(forge(path, "meta", 0, value='{"novelty": 1}'))
         forge(path, "meta", 0, value=Config().model_dump_json())
         with pytest.raises(MapFileError, match="versions cannot be read"):
-            open_saved_map(forge(path, "meta", 4, value="{"))
+            open_map(forge(path, "meta", 4, value="{"))
         with pytest.raises(MapFileError, match="does not tell its config"):
-            open_saved_map(forge(path, "meta", 0, key="konfig"))
+            open_map(forge(path, "meta", 0, key="konfig"))
 
     def test_one_damaged_byte_is_refused_or_harmless(self, map_db: Path, tmp_path: Path) -> None:
         """As tools/damage_trials.py does a thousand times."""

@@ -29,8 +29,8 @@ class BagCamera:
 
     Attributes
     ----------
-    sensor, color_topic, depth_topic
-        Its name, and the topics of its images.
+    sensor
+        Its name.
     depth_lens, color_lens
         None where no CameraInfo goes with the topic.
     turn_depth_color
@@ -42,8 +42,6 @@ class BagCamera:
     """
 
     sensor: str
-    color_topic: str
-    depth_topic: str
     depth_lens: Lens | None
     color_lens: Lens | None
     turn_depth_color: NDArray[np.float64]

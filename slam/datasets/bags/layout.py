@@ -183,8 +183,6 @@ def _camera(survey: Survey, layout: Layout, topics: CameraTopics) -> BagCamera:
     stamps = [survey.stamps_s.get(topic, []) for topic in (topics.color, topics.depth)]
     camera = BagCamera(
         topics.name,
-        topics.color,
-        topics.depth,
         _lens(survey, layout, topics.depth),
         _lens(survey, layout, topics.color),
         turn,

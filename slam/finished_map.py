@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import logging
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,24 +14,34 @@ import gtsam
 import numpy as np
 
 from slam.config import Config
-from slam.errors import MapFileError
+from slam.errors import MapFileError, ScanweaveError
 from slam.graph.loop_closure import LoopCandidate
+from slam.map_result import DenseKeyframes, MappedClouds
+from slam.mapping.keyframe_grid import layers_of_grids
+from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Pose, Trajectory
+from slam.run_outputs import save_cloud, save_cloud_octomap, save_g2o, save_octomap, save_surface
+from slam.storage.files import make_folder, replacing
 from slam.storage.map_clouds import MapClouds
-from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor, read_contents
-from slam.storage.map_file import MapFile
+from slam.storage.map_contents import DEPTH, OCCUPANCY, MapContents, SavedFactor, read_contents
+from slam.storage.map_file import MAP_NAME, MapFile
 from slam.storage.map_frames import MapFrames
 from slam.storage.map_identity import MapIdentity
 from slam.storage.map_sessions import MapSession, sessions_of
 from slam.storage.map_tables import FRAMES
+from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers
+from slam.storage.tum import write_tum
+
+log = logging.getLogger(__name__)
 
 # What the run told people, as rows of the file.
 NOTES, WARNINGS = "notes", "warnings"
+_OWN_NAMES = {"tum": "trajectory.tum", "g2o": "graph.g2o"}
 
 
 @dataclass(frozen=True, slots=True)
-class SavedMap:
+class Map:
     """A finished map; images and clouds are read when they are asked for.
 
     Attributes
@@ -70,7 +82,7 @@ class SavedMap:
             f"poses={len(self.trajectory)}, loops={len(self.loops)}, frames={len(self.frames)}, "
             f"clouds={len(self.clouds)}"
         )
-        return f"SavedMap({str(self.path)!r}, {sizes})"
+        return f"Map({str(self.path)!r}, {sizes})"
 
     @property
     def planar(self) -> bool:
@@ -94,8 +106,13 @@ class SavedMap:
 
     @property
     def grid(self) -> OccupancyGrid | None:
-        """The occupancy grid; None of a camera alone."""
+        """The lidar's grid, which other scans are matched to; None of cameras alone."""
         return self.contents.grids.get(OCCUPANCY)
+
+    @property
+    def layers(self) -> LayeredMap | None:
+        """The map to drive by and its layers, those of the run that saved it; None of a camera in space."""
+        return layers_of_grids(self.grid, self.contents.grids.get(DEPTH), self.config)
 
     @property
     def trajectory(self) -> Trajectory:
@@ -111,10 +128,6 @@ class SavedMap:
     def loops(self) -> Sequence[LoopCandidate]:
         """Every loop candidate with its verdict."""
         return self.contents.loops
-
-    def frame_nodes(self) -> list[int]:
-        """The node of every camera keyframe."""
-        return [self.frames.head(index).node for index in range(len(self.frames))]
 
     def frame_poses(self) -> list[gtsam.Pose3]:
         """``T_map_camera`` of every camera keyframe."""
@@ -136,12 +149,143 @@ class SavedMap:
             self.clouds.points(key)
             self.clouds.T_base_lidar(key)
 
+    def export(self, format_: str, out: Path | str) -> list[Path]:
+        """Write the map in another program's format.
+
+        Parameters
+        ----------
+        format_
+            nav2 (the map to drive by), tum, g2o, ply or bt.
+        out
+            The file, or a folder (what is one, or has no ending) for the usual names. Of nav2 it is the yaml,
+            of ply the mesh of the images or, without any, the cloud of the 3D lidar; what belongs to them
+            goes beside.
+
+        Returns
+        -------
+        What was written.
+
+        Raises
+        ------
+        ScanweaveError
+            Where the map does not hold what the format needs, or a file cannot be written.
+        """
+        seen = len(self.frames) + len(self.clouds) > 0
+        lacking = ""
+        if format_ == "nav2" and self.layers is None:
+            lacking = "grid"
+        elif format_ in ("ply", "bt") and not seen:
+            lacking = "image or cloud"
+        if lacking:
+            raise ScanweaveError(f"{self.path} holds no {lacking}, so there is nothing to write as {format_}")
+        out = Path(out)
+        if out.is_dir() or not out.suffix:
+            make_folder(out)
+            ply = "mesh.ply" if len(self.frames) else "cloud.ply"
+            out = out / {"nav2": MAP_YAML, "ply": ply, "bt": "map.bt", **_OWN_NAMES}[format_]
+        if format_ == "nav2":
+            assert self.layers is not None
+            return list(write_driving_map(out.with_suffix(""), self.layers))
+        if format_ == "ply":
+            return self._export_ply(out)
+        if format_ == "bt":
+            self._export_octomap(out)
+        elif format_ == "tum":
+            write_tum(out, self.trajectory)
+        else:
+            save_g2o(out, self.contents)
+        return [out]
+
+    def write_files(self, folder: Path) -> list[Path]:
+        """Write the files for other programs that ``scanweave map`` writes; errors as in `export`."""
+        formats = ["tum", "g2o"]
+        layers, dense = self.layers, self.config.dense_map
+        if layers is not None:
+            formats.append("nav2")
+        if len(self.frames) + len(self.clouds) and dense.enabled:
+            formats += ["ply", "bt"] if dense.octomap else ["ply"]
+        written = [path for name in formats for path in self.export(name, folder)]
+        return written if layers is None else written + write_layers(folder / "layers", layers)
+
+    def save(self, folder: Path | str, *, overwrite: bool = False) -> list[Path]:
+        """Write the map into a folder: ``map.db``, and the files for other programs.
+
+        Parameters
+        ----------
+        folder
+            Made where it is missing.
+        overwrite
+            Replace another map in the folder.
+
+        Returns
+        -------
+        What was written.
+
+        Raises
+        ------
+        ScanweaveError
+            Where the folder holds another map and is not to be replaced, or a file cannot be written.
+
+        Examples
+        --------
+        >>> import slam, tempfile
+        >>> from pathlib import Path
+        >>> from slam.simulation.synthetic_log import write_synthetic_log
+        >>> folder = tempfile.TemporaryDirectory()
+        >>> house = slam.map_log(write_synthetic_log(Path(folder.name), duration_s=12.0).log_path)
+        >>> sorted(path.name for path in house.save(Path(folder.name) / "house"))[:3]
+        ['graph.g2o', 'map.db', 'map.pgm']
+        >>> slam.load_map(Path(folder.name) / "house").digest == house.digest
+        True
+        >>> house.close()
+        """
+        folder = Path(folder)
+        target = folder / MAP_NAME
+        if target.exists() and not overwrite and not (target.samefile(self.path)):
+            raise MapFileError(f"{target} is another map; overwrite=True replaces it")
+        make_folder(folder)
+        if not (target.exists() and target.samefile(self.path)):
+            with replacing(target) as temporary:
+                shutil.copyfile(self.path, temporary)
+        return [target, *self.write_files(folder)]
+
+    def _export_ply(self, out: Path) -> list[Path]:
+        """The coloured surface of the images, and the cloud of the 3D lidar."""
+        written, cloud = list[Path](), out
+        if len(self.frames):
+            written, missing = save_surface(out, self._dense(), self.config.dense_map)
+            for fault in missing:
+                log.warning("%s", fault)
+            cloud = out.with_name("lidar.ply" if out.name == "mesh.ply" else f"{out.stem}-lidar.ply")
+        if len(self.clouds):
+            save_cloud(cloud, self._mapped_clouds(), self.config.cloud_map)
+            written.append(cloud)
+        return written
+
+    def _export_octomap(self, out: Path) -> None:
+        """The octree of the 3D lidar, or else of the images."""
+        if len(self.clouds):
+            save_cloud_octomap(out, self._mapped_clouds(), self.config.cloud_map, self.config.dense_map)
+        else:
+            save_octomap(out, self._dense(), self.config.dense_map)
+
+    def _dense(self) -> DenseKeyframes:
+        """The camera keyframes with their poses."""
+        return DenseKeyframes(self.frames, self.frame_poses())
+
+    def _mapped_clouds(self) -> MappedClouds:
+        """The clouds, whose nodes are the bases."""
+        nodes = [pose for pose in self.contents.node_poses if isinstance(pose, gtsam.Pose3)]
+        return MappedClouds(self.clouds, nodes, self.clouds.T_base_lidar(len(nodes) - 1))
+
     def close(self) -> None:
-        """Close the file; no image or cloud can be read afterwards."""
+        """Close the file; no image or cloud can be read afterwards, and a map in memory is gone."""
         self._file.close()
+        if self._folder is not None:
+            self._folder.cleanup()
 
 
-def open_saved_map(path: Path | str, kept_in: TemporaryDirectory[str] | None = None) -> SavedMap:
+def open_map(path: Path | str, kept_in: TemporaryDirectory[str] | None = None) -> Map:
     """Open a finished map: a folder that ``scanweave map`` has made, or its ``map.db``.
 
     Parameters
@@ -190,7 +334,7 @@ def open_saved_map(path: Path | str, kept_in: TemporaryDirectory[str] | None = N
         raise
     digest = file.content_digest()
     notes, warnings = (_lines(meta, key, file.path) for key in (NOTES, WARNINGS))
-    return SavedMap(
+    return Map(
         file.path, identity, sessions, contents, frames, clouds, digest, notes, warnings, file, kept_in
     )
 

@@ -1,0 +1,136 @@
+"""The points of a PCD file of the Point Cloud Library: as text, binary, or binary and compressed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.datasets.point_rows import MOST_BYTES, binary_rows, check_bytes, header_line, row_bytes, text_rows
+
+_KINDS = {"F": "f", "I": "i", "U": "u"}
+_SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
+_PADDING = "_"
+# A reference back is three bytes at least and 264 bytes long at most.
+_MOST_GROWTH = 264 / 3
+
+
+def read_pcd_points(path: Path) -> dict[str, NDArray[Any]]:
+    """The fields of the points by their names, (N,) each, or (N, C) where a field has a count C.
+
+    Raises
+    ------
+    ValueError
+        The file is damaged, cut off, or no PCD file.
+    OSError
+        It cannot be read.
+    """
+    with path.open("rb") as stream:
+        header = _header(stream)
+        fields, count = _fields(header), _count(header)
+        match header["DATA"]:
+            case ["ascii"]:
+                rows = text_rows(stream, fields, count)
+            case ["binary"]:
+                rows = binary_rows(stream, fields, count)
+            case ["binary_compressed"]:
+                return _without_padding(_compressed(stream, fields, count))
+            case form:
+                raise ValueError(f"DATA {' '.join(form)[:80]}; known are ascii, binary, binary_compressed")
+    return _without_padding({name: rows[name].copy() for name, _, _ in fields})
+
+
+def _header(stream: BinaryIO) -> dict[str, list[str]]:
+    """What each line of the header says, by its first word."""
+    header: dict[str, list[str]] = {}
+    while "DATA" not in header:
+        name, *values = header_line(stream).split() or ["#"]
+        if not name.startswith("#"):
+            header["FIELDS" if name == "COLUMNS" else name] = values
+    return header
+
+
+def _fields(header: dict[str, list[str]]) -> list[tuple[str, str, int]]:
+    """Name, NumPy's code of the type and how many numbers there are of each field."""
+    names, kinds, sizes = (header.get(key, []) for key in ("FIELDS", "TYPE", "SIZE"))
+    counts = header.get("COUNT", ["1"] * len(names))
+    fields = []
+    for number, (name, kind, size, many) in enumerate(zip(names, kinds, sizes, counts, strict=True)):
+        if not (size.isdecimal() and int(size) in _SIZES.get(kind, ()) and many.isdecimal() and int(many)):
+            raise ValueError(f"field {name[:80]} of type {kind[:8]}, size {size[:8]}, count {many[:8]}")
+        # Any number of fields may be padding; rows want names that differ.
+        own_name = f"{_PADDING}{number}" if name == _PADDING else name
+        fields.append((own_name, f"<{_KINDS[kind]}{size}", int(many)))
+    return fields
+
+
+def _count(header: dict[str, list[str]]) -> int:
+    """How many points there are; told as columns times rows, as a number, or both."""
+    told = {key: header[key] for key in ("WIDTH", "HEIGHT", "POINTS") if key in header}
+    if not all(len(words) == 1 and words[0].isdecimal() for words in told.values()):
+        raise ValueError(f"{told} points"[:200])
+    numbers = {key: int(words[0]) for key, words in told.items()}
+    count = numbers.get("POINTS", numbers.get("WIDTH", 0) * numbers.get("HEIGHT", 1))
+    if count != numbers.get("WIDTH", count) * numbers.get("HEIGHT", 1):
+        raise ValueError(f"{numbers} do not agree")
+    return count
+
+
+def _without_padding(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """The fields that mean something."""
+    return {name: values for name, values in columns.items() if not name.startswith(_PADDING)}
+
+
+def _compressed(stream: BinaryIO, fields: list[tuple[str, str, int]], count: int) -> dict[str, NDArray[Any]]:
+    """Fields one after another, compressed by LZF."""
+    packed_bytes, whole_bytes = (
+        int(size) for size in binary_rows(stream, [("size", "<u4", 2)], 1)["size"][0]
+    )
+    check_bytes(stream, packed_bytes)
+    wanted = count * row_bytes(fields)
+    if whole_bytes != wanted or whole_bytes > min(MOST_BYTES, _MOST_GROWTH * packed_bytes):
+        raise ValueError(f"{whole_bytes} bytes in {packed_bytes} for {wanted} bytes of points")
+    whole = np.empty(whole_bytes, np.uint8)
+    if not _unpack(np.frombuffer(stream.read(packed_bytes), np.uint8), whole):
+        raise ValueError("damaged compression")
+    columns, start = {}, 0
+    for name, code, many in fields:
+        bytes_ = np.dtype(code).itemsize * many * count
+        values = whole[start : start + bytes_].view(code)
+        columns[name] = values if many == 1 else values.reshape(count, many)
+        start += bytes_
+    return columns
+
+
+@numba.njit(cache=True)
+def _unpack(packed: NDArray[np.uint8], whole: NDArray[np.uint8]) -> bool:
+    """Undo LZF (M. Lehmann's liblzf) into an array of the right length; whether all fits."""
+    read = written = np.int64(0)
+    while read < packed.size:
+        control = np.int64(packed[read])
+        read += 1
+        if control < 32:  # so many bytes, and one, as they are
+            length = control + 1
+            if read + length > packed.size or written + length > whole.size:
+                return False
+            whole[written : written + length] = packed[read : read + length]
+            read += length
+        else:  # bytes that came before, which may overlap with what they give
+            length = control >> 5
+            if length == 7 and read < packed.size:
+                length += np.int64(packed[read])
+                read += 1
+            if read >= packed.size:
+                return False
+            length += 2
+            start = written - ((control & 31) << 8) - np.int64(packed[read]) - 1
+            read += 1
+            if start < 0 or written + length > whole.size:
+                return False
+            for k in range(length):
+                whole[written + k] = whole[start + k]
+        written += length
+    return bool(written == whole.size)

@@ -1,0 +1,95 @@
+"""Rows of points as PCD and PLY files hold them behind their headers, binary or as text."""
+
+from __future__ import annotations
+
+import os
+from itertools import chain, islice
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+MOST_BYTES = 1 << 30  # of a file, and of what it holds packed
+_MOST_HEADER_BYTES = 1 << 16
+
+
+def header_line(stream: BinaryIO) -> str:
+    """The next line of a header, without the blanks around it.
+
+    Raises
+    ------
+    ValueError
+        The file ends before the header, or the header never does.
+    """
+    line = stream.readline(_MOST_HEADER_BYTES)
+    if not line.endswith(b"\n") or stream.tell() > _MOST_HEADER_BYTES:
+        raise ValueError(f"no end of the header in {min(stream.tell(), _MOST_HEADER_BYTES)} bytes")
+    return line.decode("ascii", errors="replace").strip()
+
+
+def bytes_left(stream: BinaryIO) -> int:
+    """From here to the end of the file."""
+    return os.fstat(stream.fileno()).st_size - stream.tell()
+
+
+def check_bytes(stream: BinaryIO, needed: int) -> None:
+    """Refuse a file that is shorter than its header says, before memory is taken for it.
+
+    Raises
+    ------
+    ValueError
+        It is.
+    """
+    if needed > bytes_left(stream):
+        start = stream.tell()
+        raise ValueError(f"cut off, {start + bytes_left(stream)} of {start + needed} bytes")
+
+
+def row_bytes(fields: list[tuple[str, str, int]]) -> int:
+    """Length of a row, see `row_type`."""
+    return sum(np.dtype(code).itemsize * many for _, code, many in fields)
+
+
+def row_type(fields: list[tuple[str, str, int]]) -> np.dtype[np.void]:
+    """The type of rows.
+
+    Parameters
+    ----------
+    fields
+        Name, NumPy's code of the type and how many there are of each.
+
+    Raises
+    ------
+    ValueError
+        No field, two of one name, or no row of this length is possible.
+    """
+    if not 0 < row_bytes(fields) <= MOST_BYTES:
+        raise ValueError(f"{len(fields)} fields of {row_bytes(fields)} bytes")
+    return np.dtype([(name, code) if count == 1 else (name, code, (count,)) for name, code, count in fields])
+
+
+def binary_rows(stream: BinaryIO, fields: list[tuple[str, str, int]], count: int) -> NDArray[np.void]:
+    """The next ``count`` rows; ValueError as `check_bytes` and `row_type`."""
+    check_bytes(stream, count * row_bytes(fields))
+    return np.frombuffer(stream.read(count * row_bytes(fields)), row_type(fields))
+
+
+def text_rows(stream: BinaryIO, fields: list[tuple[str, str, int]], count: int) -> NDArray[np.void]:
+    """The next ``count`` lines of numbers.
+
+    Raises
+    ------
+    ValueError
+        Fewer rows, more or fewer numbers in one, what is no number or does not fit its type.
+    """
+    # A number takes a digit and what parts it from the next.
+    check_bytes(stream, 2 * count * sum(many for _, _, many in fields) - 1)
+    if count == 0:
+        return np.empty(0, row_type(fields))
+    lines = (line.decode("ascii") for line in islice(stream, count))
+    # Zeros first: where all lines are empty loadtxt would warn, and give nothing.
+    zeros = " ".join("0" for _, _, many in fields for _ in range(many))
+    rows = np.loadtxt(chain([zeros], lines), row_type(fields), comments=None, ndmin=1)[1:]
+    if len(rows) != count:
+        raise ValueError(f"cut off, {len(rows)} of {count} lines")
+    return rows

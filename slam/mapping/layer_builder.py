@@ -1,0 +1,212 @@
+"""From keyframes at known poses to the grids of lidar and depth: the one way in which evidence is drawn.
+
+Rebuilt from keyframes at their optimised poses, in any order, each counted once. Evidence is summed without
+bounds and clamped only when the map is taken: clamping on the way would make the map depend on the order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import gtsam
+import numpy as np
+
+from fusion import bayes
+from fusion.height_band import LensDistortion
+from slam.errors import ConfigError, ScanweaveError
+from slam.mapping.depth_grid import DepthModel, depth_board
+from slam.mapping.evidence_tiles import Board, EvidenceTiles, union
+from slam.mapping.footprint import footprint_board
+from slam.mapping.layered_map import DecisionRule, LayeredMap
+from slam.mapping.lidar_layer import LidarModel, lidar_board
+from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.mapping.ray_tracing import Box
+from slam.measurements import FloatArray, LaserScan, Pose, RgbdFrame, row_from_pose2
+
+Reading: TypeAlias = LaserScan | RgbdFrame
+
+_MAX_POSITION_M = 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class LayerSettings:
+    """How keyframes become the grids of a layered map.
+
+    Attributes
+    ----------
+    resolution_m
+        Side of a cell; Yang2021's R.
+    lidar, depth
+        The inverse sensor models.
+    rule
+        What the grids decide together.
+    p_min, p_max
+        Bounds of each sensor's finished grid; they leave the other a say in Li2020 Eq. (10).
+    axes_yaw_rad
+        Direction of the grid's x axis in the map.
+    distortion
+        Of the depth images, where they do not come undistorted.
+    robot_radius_m
+        Of a disc around the base that the robot covers: what stood there has gone.
+    memory_mb
+        Memory for the tiles of each layer while building, 10^6 bytes; the rest waits on disk.
+    max_cells
+        Largest map; a guard against a lost pose.
+    """
+
+    resolution_m: float = 0.05
+    lidar: LidarModel = field(default_factory=LidarModel)
+    depth: DepthModel = field(default_factory=DepthModel)
+    rule: DecisionRule = field(default_factory=DecisionRule)
+    p_min: float = 0.02
+    p_max: float = 0.98
+    axes_yaw_rad: float = 0.0
+    distortion: LensDistortion | None = None
+    robot_radius_m: float = 0.0
+    memory_mb: float = 24.0
+    max_cells: int = 64_000_000
+
+    def __post_init__(self) -> None:
+        if not 1e-3 <= self.resolution_m < math.inf:
+            raise ConfigError(f"resolution_m={self.resolution_m:g}: must be 0.001 or more (0.05 is usual)")
+        if not 0.0 < self.p_min < 0.5 < self.p_max < 1.0:
+            raise ConfigError(f"p_min={self.p_min:g} p_max={self.p_max:g}: needs 0 < p_min < 0.5 < p_max < 1")
+
+
+class LayerBuilder:
+    """Grids that grow with the readings put into them; each is seen once and not kept."""
+
+    def __init__(self, settings: LayerSettings | None = None) -> None:
+        self._settings = settings or LayerSettings()
+        self._axes = gtsam.Pose2(0.0, 0.0, self._settings.axes_yaw_rad)
+        self._tiles: dict[str, EvidenceTiles] = {}
+        self._seen: set[tuple[str, float, bytes]] = set()
+
+    def add(self, reading: Reading, T_map_base: Pose) -> bool:
+        """Add one keyframe's scan or depth image; False where it was added before.
+
+        Parameters
+        ----------
+        reading
+            Known by its sensor, stamp and pose: the clocks of two logs in one map may agree.
+        T_map_base
+            The robot when the reading was taken; the map's z = 0 is the floor.
+
+        Raises
+        ------
+        ScanweaveError
+            Where the pose is not finite or too far away, the map would be too large, or a frame does not
+            tell where its camera sits; the map is as it was then.
+        """
+        if not (np.abs(T_map_base.matrix()) < _MAX_POSITION_M).all():
+            raise ScanweaveError(f"cannot map the reading at {reading.stamp_s:.6f} s: its pose is lost")
+        under = _planar(T_map_base)
+        key = (reading.sensor, reading.stamp_s, row_from_pose2(under).tobytes())
+        if key in self._seen:
+            return False
+        board = self._board(reading, T_map_base)
+        if board is not None:
+            self._check_room(board.box())
+            name = "lidar" if isinstance(reading, LaserScan) else "depth"
+            tiles = self._tiles.setdefault(name, EvidenceTiles(self._settings.memory_mb))
+            tiles.add(board)
+            settings = self._settings
+            footprint = footprint_board(
+                self._axes.between(under), settings.robot_radius_m, settings.resolution_m
+            )
+            if footprint is not None:
+                tiles.add(footprint)
+        self._seen.add(key)
+        return True
+
+    def grid(self, name: str) -> OccupancyGrid | None:
+        """The grid of ``lidar`` or ``depth`` so far, clamped; None where it told nothing."""
+        tiles, settings = self._tiles.get(name), self._settings
+        if tiles is None or tiles.used is None:
+            return None
+        row, col = tiles.used[:2]
+        low, high = bayes.evidence_steps(settings.p_min), bayes.evidence_steps(settings.p_max)
+        corner = gtsam.Pose2(col * settings.resolution_m, row * settings.resolution_m, 0.0)
+        steps = tiles.clipped(tiles.used, low, high)
+        return OccupancyGrid(steps, settings.resolution_m, self._axes.compose(corner))
+
+    def finish(self) -> LayeredMap:
+        """The map so far.
+
+        Raises
+        ------
+        ScanweaveError
+            Where no reading told anything.
+        """
+        return LayeredMap(self.grid("lidar"), self.grid("depth"), self._settings.rule)
+
+    def _board(self, reading: Reading, T_map_base: Pose) -> Board | None:
+        """What the reading says; None where it says nothing."""
+        settings = self._settings
+        if isinstance(reading, LaserScan):
+            T_grid_base = self._axes.between(_planar(T_map_base))
+            return lidar_board(reading, T_grid_base, settings.lidar, settings.resolution_m)
+        T_grid_camera = self._T_grid_camera(reading, T_map_base)
+        return depth_board(reading, T_grid_camera, settings.depth, settings.resolution_m, settings.distortion)
+
+    def _T_grid_camera(self, frame: RgbdFrame, T_map_base: Pose) -> FloatArray:
+        """Yang2021 Eq. (15)-(16): the chain from the optical frame to the lattice's axes."""
+        if frame.T_base_camera is None:
+            raise ScanweaveError(
+                f"camera {frame.sensor} does not tell where it sits on the robot; "
+                "give its mount in the config, or estimate it with fusion.camera_tilt"
+            )
+        T_map_body = gtsam.Pose3(T_map_base) if isinstance(T_map_base, gtsam.Pose2) else T_map_base
+        T_map_camera = T_map_body.compose(frame.T_base_camera)
+        T_grid_camera = gtsam.Pose3(self._axes).inverse().compose(T_map_camera)
+        return np.asarray(T_grid_camera.matrix())
+
+    def _check_room(self, box: Box) -> None:
+        """Refuse to grow over the limit."""
+        for tiles in self._tiles.values():
+            if tiles.used is not None:
+                box = union(box, tiles.used)
+        rows, cols = box[2:]
+        if rows * cols > self._settings.max_cells:
+            raise ScanweaveError(
+                f"the map would have {rows} x {cols} cells of {self._settings.resolution_m:g} m, the limit "
+                f"is {self._settings.max_cells}: choose a coarser resolution, or look for a lost pose"
+            )
+
+
+def build_layers(
+    keyframes: Iterable[Reading], poses: Sequence[Pose], settings: LayerSettings | None = None
+) -> LayeredMap:
+    """Build the layers in one pass over keyframes at known poses; their order changes nothing.
+
+    Parameters
+    ----------
+    keyframes
+        Scans and depth images, mixed as they come; one is in memory at a time.
+    poses
+        ``T_map_base`` of each, in the same order.
+
+    Raises
+    ------
+    ScanweaveError
+        Where there are more or fewer poses than keyframes, and as `LayerBuilder.add` and `finish`.
+    """
+    builder = LayerBuilder(settings)
+    count = 0
+    for count, reading in enumerate(keyframes, start=1):
+        if count > len(poses):
+            raise ScanweaveError(f"more keyframes than their {len(poses)} poses; give one pose a keyframe")
+        builder.add(reading, poses[count - 1])
+    if count < len(poses):
+        raise ScanweaveError(f"{count} keyframes for {len(poses)} poses; give one pose a keyframe")
+    return builder.finish()
+
+
+def _planar(T_map_base: Pose) -> gtsam.Pose2:
+    """A pose on the floor."""
+    if isinstance(T_map_base, gtsam.Pose2):
+        return T_map_base
+    return gtsam.Pose2(T_map_base.x(), T_map_base.y(), T_map_base.rotation().yaw())

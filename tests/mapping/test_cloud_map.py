@@ -1,0 +1,70 @@
+"""The cloud of a 3D lidar's map: one point a voxel, normals of known surfaces towards the robot."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from slam.errors import ScanweaveError
+from slam.mapping import cloud_map
+from slam.mapping.cloud_map import map_cloud, plane_normals
+
+RNG = np.random.default_rng(2)
+HERE = gtsam.Pose3(gtsam.Rot3.Ypr(0.3, 0.1, -0.2), np.array([4.0, -1.0, 0.5]))
+
+
+def wall(normal, distance_m, count=6000):
+    """Points of a wall that faces the origin, and 2 mm off it."""
+    normal = np.array(normal) / np.linalg.norm(normal)
+    along = np.linalg.svd(normal[None])[2][1:]
+    spread = RNG.uniform(-2.0, 2.0, size=(count, 2))
+    return spread @ along - normal * (distance_m + 0.002 * RNG.normal(size=(count, 1))), normal
+
+
+@pytest.mark.parametrize("normal", [(1, 0, 0), (0.2, -0.9, 0.3), (0, 0, 1)])
+def test_normals_of_a_wall_look_at_the_robot(normal):
+    points, normal = wall(normal, 3.0)
+    cloud = map_cloud([points], [HERE], 0.1)
+    in_map = HERE.rotation().matrix() @ normal
+    assert 800 < len(cloud.points_map) < 3000
+    np.testing.assert_allclose(np.linalg.norm(cloud.normals_map, axis=1), 1.0, atol=1e-5)
+    # Upright walls; of a floor the sign depends on the nearest keyframe's height alone.
+    assert (cloud.normals_map @ in_map > 0.99).mean() > 0.99
+    heights = (cloud.points_map - HERE.translation()) @ in_map
+    np.testing.assert_allclose(heights, -3.0, atol=0.02)
+
+
+def test_points_without_neighbours_look_up_or_down():
+    lonely = np.array([[5.0, 0, 0], [0, 5, 0], [0, 5.1, 0], [0, 0, 5]])
+    cloud = map_cloud([lonely], [gtsam.Pose3()], 0.05)
+    np.testing.assert_array_equal(np.abs(cloud.normals_map), np.tile([0, 0, 1], (4, 1)))
+
+
+def test_the_plane_of_neighbours_need_not_hold_the_point():
+    side = 0.05 * np.arange(-20, 21)
+    floor = np.column_stack([*(axis.ravel() for axis in np.meshgrid(side, side)), np.zeros(side.size**2)])
+    over = plane_normals(np.vstack([floor, [0.0, 0.0, 0.2]]), 0.1)[-1]
+    assert abs(over[2]) > 0.99
+
+
+def test_how_many_points_are_held_at_a_time_changes_nothing(monkeypatch):
+    points = np.vstack([wall((1, 0, 0), 3.0)[0], wall((0, 1, 0.1), 2.0)[0]])
+    at_once = map_cloud([points], [HERE], 0.1)
+    monkeypatch.setattr(cloud_map, "_CHUNK", 7)
+    np.testing.assert_array_equal(map_cloud([points], [HERE], 0.1).normals_map, at_once.normals_map)
+
+
+def test_the_normals_are_those_of_open3d(open3d):
+    points = np.vstack([wall((1, 0, 0), 3.0)[0], wall((0, 1, 0.1), 2.0)[0], RNG.normal(size=(500, 3))])
+    found = plane_normals(points, 0.075)
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
+    cloud.estimate_normals(open3d.geometry.KDTreeSearchParamHybrid(radius=0.3, max_nn=20))
+    assert (np.abs(np.sum(found * np.asarray(cloud.normals), axis=1)) > 0.999).mean() > 0.998
+
+
+def test_nothing_gives_nothing_and_a_bad_pose_is_named():
+    cloud = map_cloud([np.zeros((0, 3))], [gtsam.Pose3()], 0.1)
+    assert cloud.points_map.shape == cloud.normals_map.shape == cloud.colors.shape == (0, 3)
+    assert len(map_cloud([], [], 0.1).points_map) == 0
+    lost = gtsam.Pose3(gtsam.Rot3(), np.array([np.nan, 0, 0]))
+    with pytest.raises(ScanweaveError, match="pose 1 of 2 keyframes is not finite"):
+        map_cloud([np.ones((1, 3)), np.ones((1, 3))], [gtsam.Pose3(), lost], 0.1)

@@ -1,0 +1,217 @@
+"""README.md and docs/ against the product: links, commands, settings, names and examples hold."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from test_layering import FLOORS
+
+import slam
+from slam.cli import app
+from slam.comparison.experiment import load_experiment
+from slam.config import Config, load_config
+from slam.datasets.calibration import Calibration, read_calibration
+from slam.simulation.synthetic_log import write_synthetic_log
+from tools.benchmark import cost_cells, table, write_between
+
+REPO = Path(__file__).parents[1]
+PAGES = [REPO / "README.md", REPO / "CONTRIBUTING.md", *sorted((REPO / "docs").glob("*.md"))]
+MOST_WORDS = 900  # of the README, as `wc -w` counts
+MOST_BYTES = 300_000  # of all pictures
+
+FENCE = re.compile(r"^```(.*?)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\]\(([^)\s]+)\)|<img src=\"([^\"]+)\"")
+INLINE = re.compile(r"`([^`\n]+)`")
+
+COMMANDS: Any = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+# Typer brings a click of its own in some versions; this is UsageError of the one in use.
+USAGE_ERROR = typer.BadParameter.__bases__[0]
+
+every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+
+
+def blocks(page: Path, language: str = "") -> list[str]:
+    """The code blocks of a page whose first line begins with a language."""
+    return [code for info, code in FENCE.findall(page.read_text("utf-8")) if info.startswith(language)]
+
+
+def prose(page: Path) -> str:
+    """A page without its code blocks."""
+    return FENCE.sub("", page.read_text("utf-8"))
+
+
+def anchors(page: Path) -> set[str]:
+    """What GitHub makes of the headings of a page."""
+    heads = re.findall(r"^#+ (.*)$", prose(page), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
+
+
+def command_lines(text: str, program: str) -> list[list[str]]:
+    """The arguments of a program in the lines of a block, comments left out."""
+    lines = (line.strip().removeprefix(".venv/bin/") for line in text.splitlines())
+    return [shlex.split(line, comments=True)[1:] for line in lines if line.startswith(program + " ")]
+
+
+def parsed(arguments: list[str]) -> None:
+    """Parse a command line of scanweave as far as its options; nothing runs."""
+    name, *rest = arguments
+    COMMANDS[name].make_context(name, rest)
+
+
+def settings(arguments: list[str]) -> list[str]:
+    """The values of ``--set`` and ``-s``."""
+    return [value for option, value in itertools.pairwise(arguments) if option in ("--set", "-s")]
+
+
+def test_the_readme_is_short_and_its_pictures_are_small() -> None:
+    assert len((REPO / "README.md").read_text("utf-8").split()) <= MOST_WORDS
+    assert sum(picture.stat().st_size for picture in (REPO / "docs" / "images").iterdir()) < MOST_BYTES
+
+
+@every_page
+def test_links_lead_somewhere(page: Path) -> None:
+    for pair in LINK.findall(prose(page)):
+        target = next(filter(None, pair))
+        if re.match(r"[a-z]+:", target):
+            continue
+        path, _, anchor = target.partition("#")
+        file = (page.parent / path).resolve() if path else page
+        assert file.exists(), f"{page.name}: {target}"
+        assert not anchor or anchor in anchors(file), f"{page.name}: {target}"
+
+
+def test_contributing_names_every_room() -> None:
+    text = (REPO / "CONTRIBUTING.md").read_text("utf-8")
+    rooms = {room.removeprefix("slam.") for floor in FLOORS for room in floor}
+    assert [room for room in sorted(rooms) if f"`{room}`" not in text] == []
+
+
+def test_every_page_is_in_the_index() -> None:
+    index = (REPO / "docs" / "index.md").read_text("utf-8")
+    names = [page.name for page in PAGES if page.parent == REPO / "docs" and page.name != "index.md"]
+    assert [name for name in names if f"({name})" not in index] == []
+
+
+@every_page
+def test_commands_and_their_options_exist(page: Path) -> None:
+    for arguments in (line for code in blocks(page) for line in command_lines(code, "scanweave")):
+        try:
+            parsed(arguments)
+        except (KeyError, USAGE_ERROR) as error:
+            pytest.fail(f"{page.name}: scanweave {shlex.join(arguments)}: {error}")
+        load_config(overrides=settings(arguments))
+
+
+@every_page
+def test_commands_named_in_the_text_exist(page: Path) -> None:
+    options = {option for one in COMMANDS.values() for part in one.params for option in part.opts}
+    for span in INLINE.findall(prose(page)):
+        words = shlex.split(span) if span.startswith(("scanweave ", "--")) else []
+        if words[:1] == ["scanweave"]:
+            assert words[1] in COMMANDS, f"{page.name}: {span}"
+        load_config(overrides=settings(words))
+        if span.startswith("--set ") or words[:1] == ["scanweave"]:
+            assert {word for word in words if word.startswith("--")} <= options | {"--help"}, span
+
+
+@every_page
+def test_settings_named_in_the_text_exist(page: Path) -> None:
+    for section, key in re.findall(r"`([a-z_]+)\.([a-z0-9_]+)(?:`|=)", prose(page)):
+        field = Config.model_fields.get(section)
+        if field is not None and key not in ("yaml", "g2o"):  # names of files
+            assert key in field.annotation.model_fields, f"{page.name}: {section}.{key}"
+
+
+@every_page
+def test_public_names_and_files_of_the_text_exist(page: Path) -> None:
+    text = page.read_text("utf-8")
+    for name in re.findall(r"\bslam\.([A-Za-z]\w*)", text):
+        assert name in slam._HOMES or (REPO / "slam" / name).is_dir() or name == "cli", f"{page.name}: {name}"
+    for name in re.findall(r"\b((?:tools|tests|examples|configs|slam|fusion)/[\w/]*\.(?:py|yaml))", text):
+        assert (REPO / name).is_file(), f"{page.name}: {name}"
+
+
+@every_page
+def test_tools_have_the_options_that_are_shown(page: Path) -> None:
+    spans = [*INLINE.findall(prose(page)), *blocks(page)]
+    for arguments in (line for span in spans for line in command_lines(span, "python")):
+        script = (REPO / arguments[0]).read_text("utf-8")
+        for option in (word for word in arguments[1:] if word.startswith("--")):
+            assert f'"{option}"' in script, f"{page.name}: {shlex.join(arguments)}"
+
+
+@every_page
+def test_python_compiles(page: Path) -> None:
+    for code in blocks(page, "python"):
+        compile(code, str(page), "exec")
+
+
+def test_yaml_examples_are_read(tmp_path: Path) -> None:
+    def written(page: str, name: str) -> Path:
+        (code,) = blocks(REPO / "docs" / page, "yaml")
+        (tmp_path / name).write_text(code, "utf-8")
+        return tmp_path / name
+
+    load_config(str(written("configure.md", "mine.yaml")))
+    load_experiment(written("compare.md", "experiment.yaml"))
+    guess = Calibration(slam.CameraIntrinsics(1.0, 1.0, 0.0, 0.0, 0, 0), 1.0, assumed="no file")
+    calibration = read_calibration(written("own-data.md", "calibration.yaml").parent, guess)
+    assert not calibration.assumed and calibration.T_base_camera is not None
+
+
+@pytest.fixture(scope="module")
+def two_days(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with two logs of one place: what the examples are about."""
+    folder = tmp_path_factory.mktemp("days")
+    for seed, name, duration_s in ((1, "monday", 24.0), (2, "tuesday", 12.0)):
+        write_synthetic_log(folder, seed=seed, duration_s=duration_s).log_path.rename(folder / f"{name}.log")
+    return folder
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if blocks(page, "python run")], ids=lambda page: page.name
+)
+@pytest.mark.filterwarnings("ignore:Implicitly cleaning up:ResourceWarning")  # maps in temporary folders
+def test_examples_run(page: Path, two_days: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Blocks marked `python run` run one after the other, as a reader would type them.
+    for log in two_days.glob("*.log"):
+        (tmp_path / log.name).symlink_to(log)
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    for code in blocks(page, "python run"):
+        exec(compile(code, str(page), "exec"), names)
+
+
+def test_the_benchmarks_find_their_tables() -> None:
+    figures = (REPO / "docs" / "figures.md").read_text("utf-8")
+    for mark in ("bench", "bench-rgbd"):
+        assert figures.count(f"<!-- {mark} -->\n") == figures.count(f"<!-- /{mark} -->\n") == 1
+    head = table([]).splitlines()[0]
+    assert head in figures and len(cost_cells({})) == head.count("|") - 1 - 4
+
+
+def test_a_table_is_written_between_its_marks(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("above\n<!-- a -->\nold\n<!-- /a -->\nbelow\n<!-- b -->\n<!-- /b -->\n")
+    write_between(page, "a", "new")
+    assert page.read_text() == "above\n<!-- a -->\nnew\n<!-- /a -->\nbelow\n<!-- b -->\n<!-- /b -->\n"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "localize house/ a.log",
+        "map a.log -o out --nothing",
+        "mapp a.log -o out",
+        "export out --format obj -o x",
+    ],
+)
+def test_a_wrong_command_line_is_seen(line: str) -> None:
+    with pytest.raises((KeyError, USAGE_ERROR)):
+        parsed(shlex.split(line))
