@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import heapq
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.kernel import kernel
 from slam.matching.planar import add_rotated, adjoint, between, rotate_covariance
 from slam.measurements import FloatArray
 
@@ -82,7 +82,7 @@ class UncertaintyGraph:
         self._edges += 1
 
 
-@numba.njit(cache=True)
+@kernel
 def _cheapest_paths(start, targets, heads, following, ends, costs):  # type: ignore[no-untyped-def]
     """Dijkstra until all targets are reached: the edge by which each node is reached, -1 for none."""
     distance = np.full(heads.size, np.inf)
@@ -111,7 +111,7 @@ def _cheapest_paths(start, targets, heads, following, ends, costs):  # type: ign
     return arrived_by
 
 
-@numba.njit(cache=True)
+@kernel
 def _carry(start, targets, poses, arrived_by, sources, covariances):  # type: ignore[no-untyped-def]
     """Add up the covariances along the paths; a stretch that two paths share is added up once."""
     # Covariance of inverse(pose_start) * pose_k in frame k.

@@ -12,10 +12,10 @@ from __future__ import annotations
 import math
 from typing import TypeAlias
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.kernel import kernel
 from slam.measurements import Float32Array, FloatArray
 
 Evidence: TypeAlias = NDArray[np.uint8]
@@ -31,7 +31,7 @@ _ONE = float(1 << _FRACTION_BITS)
 _HAIR = 1e-9
 
 
-@numba.njit(cache=True)
+@kernel
 def beam_ends(
     ranges_m: Float32Array,
     x_cells: float,
@@ -87,7 +87,7 @@ def beam_ends(
     return ends, kinds, (row, col, math.floor(high_y) + 1 - row, math.floor(high_x) + 1 - col)
 
 
-@numba.njit(cache=True)
+@kernel
 def draw_scan(ends: FloatArray, kinds: Evidence, box: Box, x_cells: float, y_cells: float) -> Evidence:
     """The board of a scan: what it says about every cell of its box.
 
@@ -119,7 +119,7 @@ def draw_scan(ends: FloatArray, kinds: Evidence, box: Box, x_cells: float, y_cel
     return board.reshape(rows, cols)
 
 
-@numba.njit(cache=True)
+@kernel
 def add_evidence(
     log_odds: Float32Array,
     board: Evidence,
@@ -153,7 +153,7 @@ def add_evidence(
             line[col] += is_free * miss_log_odds + is_hit * hit_log_odds
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _clear_line(board: Evidence, cols: int, x: float, y: float, end_x: float, end_y: float) -> None:
     """Set the cells of a line to FREE but for its last; one cell a step along the longer axis."""
     dx, dy = end_x - x, end_y - y

@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.kernel import kernel
 from slam.measurements import AnyFloatArray, FloatArray
 
 _LEVELS = 5
@@ -111,7 +111,7 @@ def search_window(
     return SearchResult(guess + offset, best / (255.0 * len(points)), True)
 
 
-@numba.njit(cache=True)
+@kernel
 def _stamp(points, level, origin_x, origin_y, cell_m, sigma_m):  # type: ignore[no-untyped-def]
     """Draw a Gaussian blob around the pixel of every point, keeping the maximum."""
     radius = math.ceil(3.0 * sigma_m / cell_m)
@@ -133,7 +133,7 @@ def _stamp(points, level, origin_x, origin_y, cell_m, sigma_m):  # type: ignore[
                     level[row + a, column + b] = value
 
 
-@numba.njit(cache=True)
+@kernel
 def _pool_twice(level, width):  # type: ignore[no-untyped-def]
     """From maxima over ``width`` pixels to maxima over twice as many."""
     rows, columns = level.shape
@@ -150,7 +150,7 @@ def _pool_twice(level, width):  # type: ignore[no-untyped-def]
     return pooled
 
 
-@numba.njit(cache=True)
+@kernel
 def _rotated_pixels(points, guess, yaw_steps, step_rad, origin_x, origin_y, cell_m):  # type: ignore[no-untyped-def]
     """Pixel of every point for every yaw of the window, (turns, M) columns and rows."""
     turns = 2 * yaw_steps + 1
@@ -168,7 +168,7 @@ def _rotated_pixels(points, guess, yaw_steps, step_rad, origin_x, origin_y, cell
     return columns, rows
 
 
-@numba.njit(cache=True)
+@kernel
 def _score(level, width, columns, rows, dx, dy):  # type: ignore[no-untyped-def]
     """Upper bound of the score sum over the ``width`` x ``width`` offsets that start at (dx, dy)."""
     total = 0
@@ -180,7 +180,7 @@ def _score(level, width, columns, rows, dx, dy):  # type: ignore[no-untyped-def]
     return total
 
 
-@numba.njit(cache=True)
+@kernel
 def _block_bounds(level, block, columns, rows, width_steps, side):  # type: ignore[no-untyped-def]
     """Bound of every block of the window: (turns * side * side,), x fastest."""
     turns = columns.shape[0]
@@ -212,7 +212,7 @@ def _branch_and_bound(
     return _descend(levels, columns, rows, width_steps, least, top, side, bounds, order)
 
 
-@numba.njit(cache=True)
+@kernel
 def _descend(levels, columns, rows, width_steps, least, top, side, bounds, order):  # type: ignore[no-untyped-def]
     """Depth first through the blocks in the order of their bounds."""
     block = 1 << top

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
+from fusion.kernel import kernel
 from slam.matching.surfel_map import SurfelMap, nearest_surfel
 from slam.measurements import AnyFloatArray, FloatArray
 
@@ -47,7 +47,7 @@ def object_evidence(
     return _by_object(points, gain)
 
 
-@numba.njit(cache=True)
+@kernel
 def _weights(points, normals, pose, surfel_map: SurfelMap, kernel_m: float):  # type: ignore[no-untyped-def]
     """(M,) Geman-McClure weight of every point at a pose; zero where it finds no surfel."""
     surfels = surfel_map.surfels
@@ -66,7 +66,7 @@ def _weights(points, normals, pose, surfel_map: SurfelMap, kernel_m: float):  # 
     return weights
 
 
-@numba.njit(cache=True)
+@kernel
 def _by_object(points, gain):  # type: ignore[no-untyped-def]
     """(K,) sums over runs of neighbouring points."""
     sums = np.zeros(points.shape[0])

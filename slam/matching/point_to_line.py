@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from fusion.kernel import kernel
 from slam.matching.surfel_map import SurfelMap, nearest_surfel
 from slam.measurements import AnyFloatArray, FloatArray
 
@@ -92,7 +92,7 @@ def align(
     return Alignment(pose, hessian, weight, residual_m, weight / count, inliers / count, converged)
 
 
-@numba.njit(cache=True)
+@kernel
 def _align(  # type: ignore[no-untyped-def]
     points, normals, start, guess, surfel_map: SurfelMap, kernel_m: float, iterations: int, prior
 ):
@@ -124,7 +124,7 @@ def _align(  # type: ignore[no-untyped-def]
     return pose, hessian, weight, squares, inliers, converged
 
 
-@numba.njit(cache=True)
+@kernel
 def _solve(matrix, right):  # type: ignore[no-untyped-def]
     """Solution of a symmetric positive 3 x 3 system by Cholesky; LAPACK compiles ten times longer."""
     lower = np.zeros((3, 3))
@@ -146,7 +146,7 @@ def _solve(matrix, right):  # type: ignore[no-untyped-def]
     return solution
 
 
-@numba.njit(cache=True)
+@kernel
 def _linearise(points, normals, pose, surfel_map: SurfelMap, kernel_m: float):  # type: ignore[no-untyped-def]
     """Normal equations at a pose; the tangent moves the base frame on its own right side."""
     surfels = surfel_map.surfels

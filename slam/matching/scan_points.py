@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
+from fusion.kernel import kernel
 from slam.measurements import BoolArray, Float32Array, FloatArray, LaserScan
 
 # A surface patch is a line when its thickness is below this: floor [m2] plus share of its length squared.
@@ -67,7 +67,7 @@ def extract_points(scan: LaserScan, range_min_m: float, range_max_m: float, neig
     return ScanPoints(points_base.astype(np.float32), (normals[usable] @ rotation_t).astype(np.float32))
 
 
-@numba.njit(cache=True)
+@kernel
 def _line_normals(points: FloatArray, usable: BoolArray, step_rad: float, neighbours: int) -> FloatArray:
     """Principal-axis line fit over the connected neighbours of each beam; zero where it is no line.
 
@@ -92,7 +92,7 @@ def _line_normals(points: FloatArray, usable: BoolArray, step_rad: float, neighb
     return normals
 
 
-@numba.njit(cache=True)
+@kernel
 def _fit_line(
     points: FloatArray, usable: BoolArray, step_rad: float, i: int, neighbours: int
 ) -> tuple[float, float]:

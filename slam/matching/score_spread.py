@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
+from fusion.kernel import kernel
 from slam.matching.surfel_map import SurfelMap, nearest_surfel
 from slam.measurements import AnyFloatArray, FloatArray
 
@@ -51,7 +51,7 @@ def score_spread(
     return _spread(gradients, lags) * flattened**2
 
 
-@numba.njit(cache=True)
+@kernel
 def _gradients(points, normals, pose, surfel_map: SurfelMap, kernel_m: float):  # type: ignore[no-untyped-def]
     """(M, 3) gradients of the points' robust costs, zero without a surfel; sums of weight and bend."""
     surfels = surfel_map.surfels
@@ -85,7 +85,7 @@ def _gradients(points, normals, pose, surfel_map: SurfelMap, kernel_m: float):  
     return gradients, weight, bend
 
 
-@numba.njit(cache=True)
+@kernel
 def _spread(gradients, lags: int):  # type: ignore[no-untyped-def]
     """Newey and West 1987: products of neighbours, weighted down with their distance."""
     spread = np.zeros((3, 3))

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.kernel import kernel
 from slam.measurements import AnyFloatArray, FloatArray
 
 _SIDES = 4
@@ -56,7 +56,7 @@ def build_surfel_map(points: AnyFloatArray, normals: AnyFloatArray, cell_m: floa
     return SurfelMap(index, surfels, origin_x, origin_y, cell_m)
 
 
-@numba.njit(cache=True)
+@kernel
 def _side(nx: float, ny: float) -> int:
     """The quarter of the compass that a normal faces."""
     if abs(nx) >= abs(ny):
@@ -64,7 +64,7 @@ def _side(nx: float, ny: float) -> int:
     return 1 if ny > 0.0 else 3
 
 
-@numba.njit(cache=True)
+@kernel
 def _build(
     points: AnyFloatArray, normals: AnyFloatArray, cell_m: float
 ) -> tuple[NDArray[np.int32], FloatArray, float, float]:
@@ -106,7 +106,7 @@ def _build(
     return index, surfels, origin_x, origin_y
 
 
-@numba.njit(cache=True)
+@kernel
 def nearest_surfel(surfel_map: SurfelMap, x: float, y: float, nx: float, ny: float) -> int:
     """Number of the nearest surfel in the 3 x 3 cells around a point that faces the same way, or -1."""
     index = surfel_map.cells
