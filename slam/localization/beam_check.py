@@ -167,7 +167,9 @@ def _on_wall(surfels, pose, point, normal):  # type: ignore[no-untyped-def]
     y = sin * point[0] + cos * point[1] + pose[1]
     nx = cos * normal[0] - sin * normal[1]
     ny = sin * normal[0] + cos * normal[1]
-    k = nearest_surfel(surfels, x, y, nx, ny)
+    k = nearest_surfel(
+        surfels.cells, surfels.surfels, surfels.origin_x, surfels.origin_y, surfels.cell_m, x, y, nx, ny
+    )
     if k < 0:
         return False
     s = surfels.surfels[k]
