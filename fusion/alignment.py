@@ -12,11 +12,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.curves import Curve, FloatArray
+from fusion.kernel import kernel
 
 _ROUNDS = 12
 _WIDE_M, _NARROW_M = 0.3, 0.06  # a residual beyond counts little; from the first round to the last
@@ -98,7 +98,7 @@ def planar(x_m: float, y_m: float, yaw_rad: float) -> FloatArray:
     return np.array([[c, -s, x_m], [s, c, y_m], [0.0, 0.0, 1.0]])
 
 
-@numba.njit(cache=True)
+@kernel
 def _normals(points: FloatArray) -> FloatArray:
     """(N, 2) unit normals of the lines through each point's neighbours; ``nan`` where they make no line."""
     count = points.shape[0]
@@ -123,7 +123,7 @@ def _normals(points: FloatArray) -> FloatArray:
     return normals
 
 
-@numba.njit(cache=True)
+@kernel
 def _normal_equations(
     lidar: NDArray[np.float32],
     start: float,

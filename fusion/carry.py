@@ -5,22 +5,22 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.curves import Float32Array, FloatArray
+from fusion.kernel import kernel
 
 _STEEP = 6.0  # a surface seen at more than 80 degrees from its normal is an edge
 
 
-@numba.njit(cache=True)
+@kernel
 def joined(near: float, far: float, angle: float, slack_m: float) -> bool:
     """Whether two neighbouring readings can be of one surface; false for ``nan``."""
     return abs(near - far) <= slack_m + _STEEP * angle * min(near, far)
 
 
-@numba.njit(cache=True)
+@kernel
 def carry(
     ranges: Float32Array,
     start: float,
@@ -80,7 +80,7 @@ def carry(
     return seen
 
 
-@numba.njit(cache=True)
+@kernel
 def _draw(seen: Float32Array, from_at: float, to_at: float, from_m: float, to_m: float) -> None:
     """Put a straight piece into the samples that look at it, where it is the nearest; in place."""
     if from_at > to_at:
@@ -94,7 +94,7 @@ def _draw(seen: Float32Array, from_at: float, to_at: float, from_m: float, to_m:
             seen[k] = here
 
 
-@numba.njit(cache=True)
+@kernel
 def smooth(ranges: Float32Array, step: float, reach: int, slack_share: float) -> NDArray[np.float32]:
     """Each reading on the line through its neighbours of the same surface, fitted in one over the range."""
     result = ranges.copy()
@@ -122,13 +122,13 @@ def smooth(ranges: Float32Array, step: float, reach: int, slack_share: float) ->
     return result
 
 
-@numba.njit(cache=True)
+@kernel
 def _same(ranges: Float32Array, i: int, j: int, step: float, slack_share: float) -> bool:
     """Whether two neighbours are of one surface."""
     return joined(ranges[i], ranges[j], step, 0.03 + slack_share * min(ranges[i], ranges[j]))
 
 
-@numba.njit(cache=True)
+@kernel
 def without_bumps(
     ranges: Float32Array, step: float, lone: int, bump: int, slack_share: float
 ) -> NDArray[np.float32]:
@@ -163,7 +163,7 @@ def without_bumps(
     return result
 
 
-@numba.njit(cache=True)
+@kernel
 def _valid_before(ranges: Float32Array, first: int) -> int:
     """Index of the last reading before, -1 if none."""
     at = first - 1
@@ -172,7 +172,7 @@ def _valid_before(ranges: Float32Array, first: int) -> int:
     return at
 
 
-@numba.njit(cache=True)
+@kernel
 def _valid_after(ranges: Float32Array, last: int) -> int:
     """Index of the first reading after, -1 if none."""
     at = last + 1

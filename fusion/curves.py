@@ -13,9 +13,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, TypeAlias
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from fusion.kernel import kernel
 
 Float32Array: TypeAlias = NDArray[np.float32]
 FloatArray: TypeAlias = NDArray[np.float64]
@@ -182,7 +183,7 @@ def resample(scan: LidarCurve, step_rad: float = SAMPLE_STEP_RAD) -> Curve:
     return Curve(_medians(ranges, own / step_rad, count), start, step_rad)
 
 
-@numba.njit(cache=True)
+@kernel
 def _medians(ranges: Float32Array, samples_a_beam: float, count: int) -> Float32Array:
     """(count,) median of the valid beams within half a sample; without any, of the nearest beam alone."""
     result = np.full(count, np.nan, np.float32)

@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.curves import Curve, Float32Array, FloatArray
+from fusion.kernel import kernel
 
 OFFSETS_M = (-0.2, -0.1, 0.0, 0.1, 0.2)  # ranges of the camera less those of the lidar: sensors of one robot
 SIGMA_M, SIGMA_SHARE = 0.04, 0.02  # noise of both sensors, and half a step of the offsets
@@ -72,7 +72,7 @@ def log_ratio_map(candidates_m: Float32Array, curve_m: Float32Array) -> Float32A
     return _log_ratios(candidates, ranges, weight, sharpness, floor, offsets)
 
 
-@numba.njit(cache=True, fastmath={"reassoc", "contract", "nsz", "arcp", "nnan"})
+@kernel(fastmath={"reassoc", "contract", "nsz", "arcp", "nnan"})
 def _log_ratios(
     candidates: Float32Array,
     curve: Float32Array,

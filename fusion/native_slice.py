@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.curves import Curve, DepthImage, Float32Array, IntArray
+from fusion.kernel import kernel
 from fusion.panorama import lookup_of, yaw_of
 
 _SLACK_M = 0.01  # beyond half a pixel: noise, and a height that is known in steps of 2 cm
@@ -46,7 +46,7 @@ def native_slice(image: DepthImage, height_m: float) -> Curve:
     return Curve(ranges, yaw_of(image) + float(lookup.bearings_rad[0]), step)
 
 
-@numba.njit(cache=True)
+@kernel
 def _slice(
     depth: Float32Array,
     pixel: IntArray,

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeAlias
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,6 +27,7 @@ from fusion.curves import (
     IntArray,
     masked,
 )
+from fusion.kernel import kernel
 
 _STEEPEST = 2.0  # slope: beyond, a camera looks at the floor before the robot's feet
 
@@ -233,7 +233,7 @@ def _plain_rows(image: DepthImage, rows: int, step_rad: float) -> CurveStack:
     return CurveStack(ranges, -0.5 * (count - 1) * step_rad, step_rad, None)
 
 
-@numba.njit(cache=True)
+@kernel
 def _drop_into_heights(
     depth: Float32Array,
     pixel: IntArray,

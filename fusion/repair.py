@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.curves import Float32Array
+from fusion.kernel import kernel
 
 
 class Provenance(IntEnum):
@@ -36,7 +36,7 @@ _THIN_SAMPLES = 5  # widest surface of which both rims are compared
 _FLAT_SAMPLES, _FLAT_SHARE = 4, 0.03  # readings on either side of a lone hole, and how near to one line
 
 
-@numba.njit(cache=True)
+@kernel
 def repair_lidar(
     own: Float32Array,
     other: Float32Array,
@@ -85,7 +85,7 @@ def repair_lidar(
     return result, source
 
 
-@numba.njit(cache=True)
+@kernel
 def calm(ranges: Float32Array, steady: Float32Array, source: ProvenanceArray, noise_share: float) -> None:
     """Put readings behind their own surface back on to it, where the other sensor has no say.
 
@@ -108,7 +108,7 @@ def calm(ranges: Float32Array, steady: Float32Array, source: ProvenanceArray, no
             ranges[i], source[i] = steady[i], INTERPOLATED
 
 
-@numba.njit(cache=True)
+@kernel
 def _drop_bumps(
     own: Float32Array,
     other: Float32Array,
@@ -138,7 +138,7 @@ def _drop_bumps(
         first = last + 1
 
 
-@numba.njit(cache=True)
+@kernel
 def _drop_veil(
     own: Float32Array,
     other: Float32Array,
@@ -169,13 +169,13 @@ def _drop_veil(
             result[i], source[i] = other[i], FILLED
 
 
-@numba.njit(cache=True)
+@kernel
 def _apart_m(range_m: float, eps_share: float) -> float:
     """What two readings of one surface may differ by: a lidar's noise grows faster than the range far out."""
     return max(_LEAST_APART_M, _APART_EPS * eps_share * range_m * max(1.0, range_m / _FAR_M))
 
 
-@numba.njit(cache=True)
+@kernel
 def _hangs(own: Float32Array, i: int, slack_m: float) -> bool:
     """Whether there is a nearer and a farther reading within two beams, and none that is as far."""
     nearer = farther = False
@@ -189,7 +189,7 @@ def _hangs(own: Float32Array, i: int, slack_m: float) -> bool:
     return nearer and farther
 
 
-@numba.njit(cache=True)
+@kernel
 def _moved(
     own: Float32Array, other: Float32Array, i: int, inward: int, rim_m: float, eps_share: float
 ) -> bool:
@@ -206,7 +206,7 @@ def _moved(
     return _agrees(own, other, j, eps_share) and abs(beyond - other[j]) <= 1.5 * eps_share * other[j]
 
 
-@numba.njit(cache=True)
+@kernel
 def _odd(own: Float32Array, other: Float32Array, i: int, eps_share: float) -> bool:
     """Both have a reading, and none of the other's nearby is where this one is."""
     if np.isnan(own[i]) or np.isnan(other[i]):
@@ -217,13 +217,13 @@ def _odd(own: Float32Array, other: Float32Array, i: int, eps_share: float) -> bo
     return True
 
 
-@numba.njit(cache=True)
+@kernel
 def _agrees(own: Float32Array, other: Float32Array, i: int, eps_share: float) -> bool:
     """Whether both have the same reading there."""
     return 0 <= i < own.size and abs(own[i] - other[i]) <= 1.5 * eps_share * own[i]
 
 
-@numba.njit(cache=True)
+@kernel
 def _bridge(
     result: Float32Array,
     other: Float32Array,
@@ -247,7 +247,7 @@ def _bridge(
         before = i
 
 
-@numba.njit(cache=True)
+@kernel
 def _bridge_lone(result: Float32Array, source: ProvenanceArray) -> None:
     """Interpolate single holes in both where the readings on either side lie on one line; in place."""
     for i in range(_FLAT_SAMPLES, result.size - _FLAT_SAMPLES):
@@ -258,7 +258,7 @@ def _bridge_lone(result: Float32Array, source: ProvenanceArray) -> None:
             result[i], source[i] = 2.0 / (1.0 / left + 1.0 / right), INTERPOLATED
 
 
-@numba.njit(cache=True)
+@kernel
 def _line_at(ranges: Float32Array, source: ProvenanceArray, i: int, step: int) -> float:
     """Range at a sample of the line through those next to it on one side; ``nan`` where they make none."""
     n, sx, sy, sxx, sxy = float(_FLAT_SAMPLES), 0.0, 0.0, 0.0, 0.0

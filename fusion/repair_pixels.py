@@ -6,11 +6,11 @@ from __future__ import annotations
 import math
 from typing import TypeAlias
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.curves import Float32Array, FloatArray, IntArray
+from fusion.kernel import kernel
 from fusion.repair import FILLED, HOLE, ProvenanceArray
 
 Islands: TypeAlias = tuple[Float32Array, IntArray, IntArray]
@@ -18,7 +18,7 @@ Islands: TypeAlias = tuple[Float32Array, IntArray, IntArray]
 _STEP_M, _HANG_SHARE = 0.01, 0.4  # step between neighbours of one surface: and this share of eps
 
 
-@numba.njit(cache=True)
+@kernel
 def look_at(
     depth: Float32Array,
     pixel: IntArray,
@@ -52,7 +52,7 @@ def look_at(
     return at, measured, scale
 
 
-@numba.njit(cache=True)
+@kernel
 def repair_columns(
     measured: Float32Array,
     predicted: Float32Array,
@@ -118,7 +118,7 @@ def repair_columns(
     return source
 
 
-@numba.njit(cache=True)
+@kernel
 def island_size(at: int, islands: Islands, slack_share: float) -> int:
     """How many pixels hang together with one, by steps to the four neighbours.
 
@@ -160,13 +160,13 @@ def island_size(at: int, islands: Islands, slack_share: float) -> int:
     return size if size > 0 else count
 
 
-@numba.njit(cache=True)
+@kernel
 def _hang(near: float, far: float, slack_share: float) -> bool:
     """Whether two neighbours may be of one surface; false for a hole."""
     return near > 0.0 and far > 0.0 and abs(near - far) <= _STEP_M + slack_share * min(near, far)
 
 
-@numba.njit(cache=True)
+@kernel
 def _mark_hidden(
     measured: Float32Array,
     predicted: Float32Array,
@@ -190,7 +190,7 @@ def _mark_hidden(
             nearest = measured[i]
 
 
-@numba.njit(cache=True)
+@kernel
 def repair_image(
     image: Float32Array,
     image_source: ProvenanceArray,

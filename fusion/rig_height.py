@@ -8,11 +8,11 @@ value a height is fitted to all these differences.
 # mypy: allow-untyped-decorators
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.curves import Curve, Float32Array, FloatArray
+from fusion.kernel import kernel
 from fusion.panorama import CurveStack
 
 _LEAST_COVER = 0.1  # of the samples of the best covered height
@@ -65,7 +65,7 @@ class HeightContest:
         return best, first, last
 
 
-@numba.njit(cache=True)
+@kernel
 def log_ratios(
     candidates: Float32Array,
     bearings: FloatArray,

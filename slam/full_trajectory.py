@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.matching.planar import between, compose, wrap
 from slam.measurements import FloatArray
 
 # Scans on either side by which it is judged how far a way and the matches disagree.
@@ -18,7 +16,6 @@ _TURN_M_PER_RAD = 0.3
 _STILL_M = 1e-6
 
 
-@numba.njit(cache=True)
 def spread_correction(motion: FloatArray, anchors: NDArray[np.int64], anchor_poses: FloatArray) -> FloatArray:
     """Carry corrected anchor poses over to all poses of a drifting trajectory.
 
@@ -37,37 +34,21 @@ def spread_correction(motion: FloatArray, anchors: NDArray[np.int64], anchor_pos
     the second by is added in proportion to the way. Before the first and after the last anchor the
     motion is attached rigidly.
     """
-    poses = np.empty_like(motion)
-    carried = np.empty(3)
-    first = anchors[0]
-    for n in range(first):
-        _carry_over(anchor_poses[0], motion[first], motion[n], poses[n])
-    for m in range(anchors.size):
-        start = anchors[m]
-        _carry_over(anchor_poses[m], motion[start], motion[start], poses[start])
-        stop = anchors[m + 1] if m + 1 < anchors.size else motion.shape[0]
-        for n in range(start + 1, stop):
-            _carry_over(anchor_poses[m], motion[start], motion[n], poses[n])
-        if m + 1 == anchors.size:
-            break
-        _carry_over(anchor_poses[m], motion[start], motion[stop], carried)
-        miss_x = anchor_poses[m + 1, 0] - carried[0]
-        miss_y = anchor_poses[m + 1, 1] - carried[1]
-        miss_yaw = wrap(anchor_poses[m + 1, 2] - carried[2])
-        whole = 0.0
-        for n in range(start, stop):
-            whole += _way(motion[n], motion[n + 1])
-        way = 0.0
-        for n in range(start + 1, stop):
-            way += _way(motion[n - 1], motion[n])
-            share = way / whole
-            poses[n, 0] += share * miss_x
-            poses[n, 1] += share * miss_y
-            poses[n, 2] += share * miss_yaw
+    numbers = np.arange(len(motion))
+    # The anchor at or before each reading; the first for those ahead of it.
+    before = np.maximum(np.searchsorted(anchors, numbers, side="right") - 1, 0)
+    poses = _composed(anchor_poses[before], _between(motion[anchors[before]], motion))
+    start, stop = anchors[:-1], anchors[1:]
+    missed = anchor_poses[1:] - _composed(anchor_poses[:-1], _between(motion[start], motion[stop]))
+    missed[:, 2] = _wrapped(missed[:, 2])
+    way = np.concatenate([[0.0], np.cumsum(_ways(motion))])
+    inside = (numbers > anchors[0]) & (numbers < anchors[-1])
+    gap = before[inside]
+    share = (way[inside] - way[start[gap]]) / (way[stop] - way[start])[gap]
+    poses[inside] += share[:, None] * missed[gap]
     return poses
 
 
-@numba.njit(cache=True)
 def steadied(
     matched: FloatArray, bridged: FloatArray, variances: FloatArray, anchors: NDArray[np.int64]
 ) -> FloatArray:
@@ -90,40 +71,55 @@ def steadied(
     -------
     (S, 3); at the anchors, and before the first and after the last, as matched.
     """
-    poses = matched.copy()
-    count = matched.shape[0]
-    off = np.zeros((count, 3))
-    free = np.ones(count)
-    for n in range(count):
-        off[n] = between(bridged[n], matched[n])
-    for anchor in anchors:
-        free[anchor] = 0.0
-    kept = np.empty(3)
-    for n in range(anchors[0] + 1, anchors[-1]):
-        if free[n] == 0.0 or np.isnan(variances[n, 0]):
-            continue
-        first, stop = max(anchors[0], n - _AROUND), min(anchors[-1] + 1, n + _AROUND + 1)
-        for k in range(3):
-            squares = 0.0
-            seen = 0.0
-            for m in range(first, stop):
-                squares += free[m] * off[m, k] * off[m, k]
-                seen += free[m]
-            noise = variances[n, k] * seen
-            kept[k] = off[n, k] * (1.0 - noise / squares) if squares > noise else 0.0
-        poses[n] = compose(bridged[n], kept)
-    return poses
+    numbers = np.arange(len(matched))
+    within = (numbers >= anchors[0]) & (numbers <= anchors[-1])
+    free = np.ones(len(matched))
+    free[anchors] = 0.0
+    off = _between(bridged, matched)
+    counted = (free * within)[:, None]
+    squares = _around(counted * off * off)
+    noise = variances * _around(counted)
+    steady = within & (free > 0.0) & ~np.isnan(variances[:, 0])
+    kept = np.zeros_like(off)
+    np.divide(noise, squares, out=kept, where=squares > noise)
+    kept = np.where(squares > noise, off * (1.0 - kept), 0.0)
+    return np.where(steady[:, None], _composed(bridged, kept), matched)
 
 
-@numba.njit(cache=True)
-def _carry_over(anchor: FloatArray, start: FloatArray, end: FloatArray, out: FloatArray) -> None:
-    """Write the pose that the motion from ``start`` to ``end`` leads to from an anchor, (3,) each."""
-    moved = compose(anchor, between(start, end))
-    for k in range(3):
-        out[k] = moved[k]
+def _around(rows: FloatArray) -> FloatArray:
+    """(S, K) sums over the rows that lie no more than `_AROUND` away."""
+    padded = np.pad(rows, ((_AROUND, _AROUND), (0, 0)))
+    total = np.zeros_like(rows)
+    for first in range(2 * _AROUND + 1):
+        total += padded[first : first + len(rows)]
+    return total
 
 
-@numba.njit(cache=True)
-def _way(a: FloatArray, b: FloatArray) -> float:
-    """Way between two poses, turns included."""
-    return math.hypot(b[0] - a[0], b[1] - a[1]) + _TURN_M_PER_RAD * abs(wrap(b[2] - a[2])) + _STILL_M
+def _composed(a: FloatArray, b: FloatArray) -> FloatArray:
+    """T_a * T_b, row by row, (N, 3)."""
+    cos, sin = np.cos(a[:, 2]), np.sin(a[:, 2])
+    return np.column_stack(
+        [
+            a[:, 0] + cos * b[:, 0] - sin * b[:, 1],
+            a[:, 1] + sin * b[:, 0] + cos * b[:, 1],
+            _wrapped(a[:, 2] + b[:, 2]),
+        ]
+    )
+
+
+def _between(a: FloatArray, b: FloatArray) -> FloatArray:
+    """inverse(T_a) * T_b, row by row, (N, 3)."""
+    cos, sin = np.cos(a[:, 2]), np.sin(a[:, 2])
+    dx, dy = b[:, 0] - a[:, 0], b[:, 1] - a[:, 1]
+    return np.column_stack([cos * dx + sin * dy, -sin * dx + cos * dy, _wrapped(b[:, 2] - a[:, 2])])
+
+
+def _wrapped(angles_rad: FloatArray) -> FloatArray:
+    """The same angles in [-pi, pi)."""
+    return angles_rad - 2.0 * math.pi * np.floor((angles_rad + math.pi) / (2.0 * math.pi))
+
+
+def _ways(motion: FloatArray) -> FloatArray:
+    """(N - 1,) way from each pose to the next, turns included."""
+    steps = np.diff(motion, axis=0)
+    return np.hypot(steps[:, 0], steps[:, 1]) + _TURN_M_PER_RAD * np.abs(_wrapped(steps[:, 2])) + _STILL_M

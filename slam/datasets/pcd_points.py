@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.kernel import kernel
 from slam.datasets.point_rows import MOST_BYTES, binary_rows, check_bytes, header_line, row_bytes, text_rows
 
 _KINDS = {"F": "f", "I": "i", "U": "u"}
@@ -105,7 +105,7 @@ def _compressed(stream: BinaryIO, fields: list[tuple[str, str, int]], count: int
     return columns
 
 
-@numba.njit(cache=True)
+@kernel
 def _unpack(packed: NDArray[np.uint8], whole: NDArray[np.uint8]) -> bool:
     """Undo LZF (M. Lehmann's liblzf) into an array of the right length; whether all fits."""
     read = written = np.int64(0)

@@ -6,13 +6,13 @@ the graph. It tells loop closure where to look, and how far.
 
 from __future__ import annotations
 
-import heapq
+import math
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.matching.planar import add_rotated, adjoint, between, rotate_covariance
+from fusion.kernel import ONE, ZERO, kernel
+from slam.matching.planar import adjoint, rotate_covariance
 from slam.measurements import FloatArray
 
 # A yaw error is worth its lever arm: how far from a node its surroundings are matched.
@@ -60,9 +60,21 @@ class UncertaintyGraph:
         -------
         (m, 3, 3); infinite where no path leads.
         """
-        heads = self._heads[: self._count]
-        arrived_by = _cheapest_paths(start, targets, heads, self._next, self._targets, self._costs)
-        return _carry(start, targets, poses, arrived_by, self._sources, self._covariances)
+        distance = np.full(self._count, np.inf)
+        arrived_by = np.full(self._count, -1)
+        wanted = np.zeros(self._count, np.bool_)
+        wanted[targets] = True
+        # Every edge is put into the queue once at most, from its source.
+        queue = np.empty(self._edges + 1), np.empty(self._edges + 1, np.int64)
+        _cheapest_paths(
+            start, wanted, self._heads, self._next, self._targets, self._costs, distance, arrived_by, *queue
+        )
+        carried = np.zeros((self._count + len(targets), 3, 3))
+        scratch = np.zeros(self._count, np.bool_), np.empty(self._count, np.int64), np.eye(3)
+        _carry(start, targets, poses, arrived_by, self._sources, self._covariances, carried, *scratch)
+        seen = carried[self._count :]
+        seen[np.isinf(distance[targets])] = np.inf
+        return seen
 
     def _append(self, source: int, target: int, cost: float, covariance: FloatArray) -> None:
         """One direction of an edge, covariance in the target's frame."""
@@ -82,62 +94,118 @@ class UncertaintyGraph:
         self._edges += 1
 
 
-@numba.njit(cache=True)
-def _cheapest_paths(start, targets, heads, following, ends, costs):  # type: ignore[no-untyped-def]
-    """Dijkstra until all targets are reached: the edge by which each node is reached, -1 for none."""
-    distance = np.full(heads.size, np.inf)
-    done = np.zeros(heads.size, np.bool_)
-    arrived_by = np.full(heads.size, -1, np.int64)
-    wanted = np.zeros(heads.size, np.bool_)
-    wanted[targets] = True
-    missing = wanted.sum()
+@kernel
+def _cheapest_paths(  # type: ignore[no-untyped-def]
+    start, wanted, heads, following, ends, costs, distance, arrived_by, queued, queued_nodes
+):
+    """Dijkstra until all wanted nodes are reached: the edge by which each node is reached, -1 for none.
+
+    The queue is a binary heap of two arrays: numba takes half a second for the one of a list.
+    """
+    missing = ZERO
+    for node in range(wanted.size):
+        missing += wanted[node]
     distance[start] = 0.0
-    queue = [(0.0, start)]
-    while len(queue) > 0 and missing > 0:
-        reached, node = heapq.heappop(queue)
-        if done[node]:
+    queued[0] = 0.0
+    queued_nodes[0] = start
+    length = ONE
+    while length > 0 and missing > 0:
+        reached = queued[0]
+        node = queued_nodes[0]
+        # The last of the queue sinks from its top.
+        length -= 1
+        last = queued[length]
+        last_node = queued_nodes[length]
+        at = ZERO
+        child = ONE
+        while child < length:
+            right = child + 1
+            if right < length and _sooner(
+                queued[right], queued_nodes[right], queued[child], queued_nodes[child]
+            ):
+                child = right
+            if not _sooner(queued[child], queued_nodes[child], last, last_node):
+                break
+            queued[at] = queued[child]
+            queued_nodes[at] = queued_nodes[child]
+            at = child
+            child = 2 * at + 1
+        queued[at] = last
+        queued_nodes[at] = last_node
+        # Put in once more, at less cost, and done with since.
+        if reached > distance[node]:
             continue
-        done[node] = True
         if wanted[node]:
             missing -= 1
         k = heads[node]
         while k >= 0:
             end = ends[k]
-            if reached + costs[k] < distance[end]:
-                distance[end] = reached + costs[k]
+            cost = reached + costs[k]
+            if cost < distance[end]:
+                distance[end] = cost
                 arrived_by[end] = k
-                heapq.heappush(queue, (distance[end], end))
+                at = length
+                length += 1
+                while at > 0:
+                    above = (at - 1) >> 1
+                    if not _sooner(cost, end, queued[above], queued_nodes[above]):
+                        break
+                    queued[at] = queued[above]
+                    queued_nodes[at] = queued_nodes[above]
+                    at = above
+                queued[at] = cost
+                queued_nodes[at] = end
             k = following[k]
-    return arrived_by
 
 
-@numba.njit(cache=True)
-def _carry(start, targets, poses, arrived_by, sources, covariances):  # type: ignore[no-untyped-def]
-    """Add up the covariances along the paths; a stretch that two paths share is added up once."""
-    # Covariance of inverse(pose_start) * pose_k in frame k.
-    carried = np.zeros((poses.shape[0], 3, 3))
-    known = np.zeros(poses.shape[0], np.bool_)
+@kernel(inline="always")
+def _sooner(cost, node, other_cost, other_node):  # type: ignore[no-untyped-def]
+    """Which of two nodes the queue gives first."""
+    return cost < other_cost or (cost == other_cost and node < other_node)
+
+
+@kernel
+def _carry(  # type: ignore[no-untyped-def]
+    start, targets, poses, arrived_by, sources, covariances, carried, known, path, turn
+):
+    """Add up the covariances along the paths; a stretch that two paths share is added up once.
+
+    Row k of ``carried`` is the covariance of inverse(pose_start) * pose_k in frame k; the rows after those of
+    the nodes are those of the targets, in the start's frame.
+    """
+    count = poses.shape[0]
     known[start] = True
-    seen = np.full((targets.size, 3, 3), np.inf)
-    path = np.empty(poses.shape[0], np.int64)
     for t in range(targets.size):
         node = targets[t]
-        length = 0
+        length = ZERO
         while not known[node] and arrived_by[node] >= 0:
             path[length] = node
             length += 1
             node = sources[arrived_by[node]]
-        for n in range(length - 1, -1, -1):
-            end = path[n]
-            k = arrived_by[end]
-            back = adjoint(between(poses[end], poses[sources[k]]))
-            add_rotated(back, carried[sources[k]], carried[end])
-            known[end] = True
+        # Outwards to the target; last, what the start sees of it.
+        for n in range(length - 1, -2, -1):
+            here, there, into = start, targets[t], count + t
+            k = -1
+            if n >= 0:
+                here = into = path[n]
+                k = arrived_by[here]
+                there = sources[k]
+                known[here] = True
+            cos = math.cos(poses[here, 2])
+            sin = math.sin(poses[here, 2])
+            dx = poses[there, 0] - poses[here, 0]
+            dy = poses[there, 1] - poses[here, 1]
+            yaw = poses[there, 2] - poses[here, 2]
+            yaw -= 2.0 * math.pi * math.floor((yaw + math.pi) / (2.0 * math.pi))
+            turn[0, 0] = turn[1, 1] = math.cos(yaw)
+            turn[1, 0] = math.sin(yaw)
+            turn[0, 1] = -math.sin(yaw)
+            turn[0, 2] = -sin * dx + cos * dy
+            turn[1, 2] = -(cos * dx + sin * dy)
             for i in range(3):
                 for j in range(3):
-                    carried[end, i, j] += covariances[k, i, j]
-        if known[targets[t]]:
-            turn = adjoint(between(poses[start], poses[targets[t]]))
-            seen[t, :, :] = 0.0
-            add_rotated(turn, carried[targets[t]], seen[t])
-    return seen
+                    total = carried[into, i, j]
+                    for a in range(3):
+                        for b in range(3):
+                            total += turn[i, a] * carried[there, a, b] * turn[j, b]
+                    carried[into, i, j] = total + covariances[k, i, j] if k >= 0 else total

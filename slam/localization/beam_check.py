@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.kernel import kernel
 from slam.mapping.occupancy_grid import OCCUPIED, OccupancyGrid
 from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import between, transform_points
@@ -135,7 +135,7 @@ def _surroundings(walls: NDArray[np.bool_], reach: float) -> NDArray[np.bool_]:
     return near
 
 
-@numba.njit(cache=True)
+@kernel
 def _check(space, surfels, pose, in_picture, laser, points, normals):  # type: ignore[no-untyped-def]
     """Numbers of explained, crossing, in free and silent beams."""
     counts = np.zeros(4, np.int64)
@@ -158,7 +158,7 @@ def _check(space, surfels, pose, in_picture, laser, points, normals):  # type: i
     return counts
 
 
-@numba.njit(cache=True)
+@kernel
 def _on_wall(surfels, pose, point, normal):  # type: ignore[no-untyped-def]
     """Whether a point of the base frame lies on a surfel that faces as it does."""
     cos = math.cos(pose[2])
@@ -167,14 +167,16 @@ def _on_wall(surfels, pose, point, normal):  # type: ignore[no-untyped-def]
     y = sin * point[0] + cos * point[1] + pose[1]
     nx = cos * normal[0] - sin * normal[1]
     ny = sin * normal[0] + cos * normal[1]
-    k = nearest_surfel(surfels, x, y, nx, ny)
+    k = nearest_surfel(
+        surfels.cells, surfels.surfels, surfels.origin_x, surfels.origin_y, surfels.cell_m, x, y, nx, ny
+    )
     if k < 0:
         return False
     s = surfels.surfels[k]
     return abs(s[2] * (x - s[0]) + s[3] * (y - s[1])) < _WALL_REACH_M
 
 
-@numba.njit(cache=True)
+@kernel
 def _crosses(cells, x0, y0, x1, y1, spare):  # type: ignore[no-untyped-def]
     """Whether the way between two points, all but its last stretch, leads through a wall."""
     length = math.hypot(x1 - x0, y1 - y0)
@@ -186,7 +188,7 @@ def _crosses(cells, x0, y0, x1, y1, spare):  # type: ignore[no-untyped-def]
     return False
 
 
-@numba.njit(cache=True)
+@kernel
 def _cell(cells, x, y):  # type: ignore[no-untyped-def]
     """What a point is in; unknown beyond the picture."""
     row = math.floor(y)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.kernel import kernel
 from slam.localization.plane_sides import SidedPlanes
 from slam.measurements import BoolArray, FloatArray
 
@@ -139,7 +139,7 @@ def _grown(mask: BoolArray) -> BoolArray:
     return mask
 
 
-@numba.njit(cache=True)
+@kernel
 def _follow(passes, origin, ends):  # type: ignore[no-untyped-def]
     """Count the beams through each cell, all but their last stretch; in cells."""
     for i in range(ends.shape[0]):
@@ -159,7 +159,7 @@ def _follow(passes, origin, ends):  # type: ignore[no-untyped-def]
             last = cell
 
 
-@numba.njit(cache=True)
+@kernel
 def _against(cells, origin, ends):  # type: ignore[no-untyped-def]
     """Which beams end in free space (1), and which pass a wall on their way (3); in cells."""
     found = np.zeros(ends.shape[0], np.uint8)
@@ -183,13 +183,13 @@ def _against(cells, origin, ends):  # type: ignore[no-untyped-def]
     return found
 
 
-@numba.njit(cache=True)
+@kernel
 def _inside(cells, x, y, z):  # type: ignore[no-untyped-def]
     """Whether a point is in the picture."""
     return 0 <= x < cells.shape[0] and 0 <= y < cells.shape[1] and 0 <= z < cells.shape[2]
 
 
-@numba.njit(cache=True)
+@kernel
 def _cell(cells, x, y, z):  # type: ignore[no-untyped-def]
     """What a point is in; unknown beyond the picture."""
     i = int(np.floor(x))

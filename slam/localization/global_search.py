@@ -10,9 +10,9 @@ import math
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from fusion.kernel import kernel
 from slam.localization.whole_map_field import WholeMapField
 from slam.matching.planar import wrap
 from slam.measurements import AnyFloatArray, FloatArray
@@ -105,7 +105,7 @@ def _apart(poses: FloatArray, most: int) -> list[int]:
     return chosen
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _rotated_pixels(points, yaws, cell_m):  # type: ignore[no-untyped-def]
     """Pixels from the robot's own to that of every point, for every yaw: (turns, M) columns and rows."""
     columns = np.empty((yaws.size, points.shape[0]), np.int32)
@@ -119,7 +119,7 @@ def _rotated_pixels(points, yaws, cell_m):  # type: ignore[no-untyped-def]
     return columns, rows
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _bound(field, k, columns, rows, x, y, bar):  # type: ignore[no-untyped-def]
     """Upper bound of the score sum over robot pixels x..x+w-1, y..y+w-1, w = 2^k.
 
@@ -145,7 +145,7 @@ def _bound(field, k, columns, rows, x, y, bar):  # type: ignore[no-untyped-def]
     return total
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _peak(field, columns, rows, x, y, level, bar, stack):  # type: ignore[no-untyped-def]
     """Best score sum of a block that is at least ``bar``, with its x and y; score -1 where there is none."""
     best = -1
@@ -167,7 +167,7 @@ def _peak(field, columns, rows, x, y, level, bar, stack):  # type: ignore[no-unt
     return best, best_x, best_y
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _push_children(field, columns, rows, k, x, y, bar, stack, depth):  # type: ignore[no-untyped-def]
     """Put the quarters of a block whose bound is at least ``bar`` on the stack, the best on top."""
     half = 1 << (k - 1)
@@ -193,7 +193,7 @@ def _push_children(field, columns, rows, k, x, y, bar, stack, depth):  # type: i
     return depth
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _kept(peaks, count, bar):  # type: ignore[no-untyped-def]
     """Drop peaks below the bar; where all stay, make room for as many again: the array and their number."""
     kept = 0
@@ -209,7 +209,7 @@ def _kept(peaks, count, bar):  # type: ignore[no-untyped-def]
     return larger, kept
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _search(field, columns, rows, turns, least, keep_share):  # type: ignore[no-untyped-def]
     """Peaks of some yaws: (n, 4) score sum, x, y, number of the yaw."""
     top = field.table.shape[0] - 1

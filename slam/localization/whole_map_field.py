@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.mapping.occupancy_grid import FREE, OccupancyGrid
-from slam.matching.correlative import build_field
+from slam.matching.correlative import blurred
 from slam.measurements import AnyFloatArray
 
 Picture = NDArray[np.uint8]
@@ -74,13 +74,12 @@ def build_whole_map_field(
     unknown_likelihood
         Likelihood of a point where the map knows nothing.
     """
-    drawn = build_field(points_map, cell_m, sigma_m)
-    level = drawn.levels[0]
+    level, origin_x, origin_y = blurred(points_map, cell_m, sigma_m)
     unknown = round(255.0 * unknown_likelihood)
     free = np.zeros(level.shape, np.bool_)
     standing = np.ones(level.shape, np.uint8)
     if grid is not None:
-        free = _free_pixels(level.shape, drawn.origin_x, drawn.origin_y, cell_m, grid)
+        free = _free_pixels(level.shape, origin_x, origin_y, cell_m, grid)
         standing = _grown(free, math.ceil(_STANDING_ROOM_M / cell_m)).astype(np.uint8)
     level = np.where(free, level, np.maximum(level, np.uint8(unknown)))
     levels, places = [level], [standing]
@@ -101,8 +100,8 @@ def build_whole_map_field(
         np.concatenate([place.ravel() for place in places]),
         table,
         unknown,
-        drawn.origin_x,
-        drawn.origin_y,
+        origin_x,
+        origin_y,
         cell_m,
     )
 

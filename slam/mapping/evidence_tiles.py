@@ -14,10 +14,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.kernel import kernel
 from slam.errors import ScanweaveError
 from slam.mapping.occupancy_grid import Steps
 from slam.mapping.ray_tracing import Box
@@ -131,7 +131,7 @@ def union(a: Box, b: Box) -> Box:
     return row, col, max(a[0] + a[2], b[0] + b[2]) - row, max(a[1] + a[3], b[1] + b[3]) - col
 
 
-@numba.njit(cache=True)
+@kernel
 def _add(sums: Tile, steps: Steps) -> None:
     """Add steps to sums in place; numpy would go by way of a copy."""
     for row in range(sums.shape[0]):

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import gtsam
-import numba
 import numpy as np
 
 from fusion.bayes import evidence_steps
 from fusion.depth_model import RangeNoise, hit_evidence
+from fusion.kernel import kernel
 from slam.errors import ConfigError
 from slam.mapping.evidence_tiles import Board
 from slam.mapping.occupancy_grid import Steps
@@ -93,7 +93,7 @@ def lidar_board(scan: LaserScan, T_grid_base: gtsam.Pose2, model: LidarModel, ce
     return Board(steps, box[0], box[1])
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def weigh_beams(
     ends: FloatArray,
     kinds: Evidence,

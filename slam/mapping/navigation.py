@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import gtsam
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from fusion.kernel import kernel
 from slam.errors import ScanweaveError
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, StateArray
 from slam.measurements import BoolArray, FloatArray
@@ -154,7 +154,7 @@ def _free_cell(space: FreeSpace, xy: tuple[float, float], what: str) -> Cell:
     return row, col
 
 
-@numba.njit(cache=True)
+@kernel
 def _search(
     allowed: BoolArray, start_row: int, start_col: int, goal_row: int, goal_col: int
 ) -> NDArray[np.int64]:
@@ -192,7 +192,7 @@ def _search(
     return _chain(before, start, goal, cols)
 
 
-@numba.njit(cache=True)
+@kernel
 def _chain(before: Labels, start: int, goal: int, cols: int) -> NDArray[np.int64]:
     """The cells from start to goal."""
     count, cell = 1, goal

@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 from typing import TypeAlias
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.kernel import kernel
 from slam.measurements import Float32Array, FloatArray
 
 Evidence: TypeAlias = NDArray[np.uint8]
@@ -30,7 +30,6 @@ _ONE = float(1 << _FRACTION_BITS)
 _HAIR = 1e-9
 
 
-@numba.njit(cache=True)
 def beam_ends(
     ranges_m: Float32Array,
     x_cells: float,
@@ -60,33 +59,54 @@ def beam_ends(
     (N, 2) ends x, y in cells; (N,) HIT, FREE (no return) or NOTHING (``nan``, zero or less); and the box
     (first row, first col, rows, cols) that holds the laser and every end.
     """
-    count = ranges_m.size
-    ends = np.empty((count, 2))
-    kinds = np.zeros(count, np.uint8)
+    ends, kinds = np.empty((ranges_m.size, 2)), np.zeros(ranges_m.size, np.uint8)
+    limits_m = hit_limit_m, clear_limit_m
+    box: Box = _shoot(ranges_m, x_cells, y_cells, start_rad, step_rad, cells_per_m, *limits_m, ends, kinds)
+    return ends, kinds, box
+
+
+@kernel
+def _shoot(  # type: ignore[no-untyped-def]
+    ranges_m,
+    x_cells,
+    y_cells,
+    start_rad,
+    step_rad,
+    cells_per_m,
+    hit_limit_m,
+    clear_limit_m,
+    ends,
+    kinds,
+):
+    """Write the ends and kinds of `beam_ends`; the box."""
     low_x = high_x = x_cells
     low_y = high_y = y_cells
     cosine, sine = math.cos(start_rad), math.sin(start_rad)
     turn_cosine, turn_sine = math.cos(step_rad), math.sin(step_rad)
-    for beam in range(count):
+    for beam in range(ranges_m.size):
+        range_m = float(ranges_m[beam])
         reach_m = 0.0
-        if 0.0 < ranges_m[beam] <= hit_limit_m and ranges_m[beam] < math.inf:
-            kinds[beam] = HIT
-            reach_m = ranges_m[beam]
-        elif ranges_m[beam] > 0.0 and clear_limit_m > 0.0:
-            kinds[beam] = FREE
-            reach_m = min(ranges_m[beam], clear_limit_m)
+        if range_m > 0.0:
+            if range_m <= hit_limit_m and range_m < math.inf:
+                kinds[beam] = HIT
+                reach_m = range_m
+            elif clear_limit_m > 0.0:
+                kinds[beam] = FREE
+                reach_m = min(range_m, clear_limit_m)
         end_x = x_cells + reach_m * cells_per_m * cosine
         end_y = y_cells + reach_m * cells_per_m * sine
-        ends[beam, 0], ends[beam, 1] = end_x, end_y
-        low_x, high_x = min(low_x, end_x), max(high_x, end_x)
-        low_y, high_y = min(low_y, end_y), max(high_y, end_y)
+        ends[beam, 0] = end_x
+        ends[beam, 1] = end_y
+        low_x = min(low_x, end_x)
+        high_x = max(high_x, end_x)
+        low_y = min(low_y, end_y)
+        high_y = max(high_y, end_y)
         # The next bearing by one rotation: a sine and a cosine a beam cost as much as its line.
         cosine, sine = cosine * turn_cosine - sine * turn_sine, sine * turn_cosine + cosine * turn_sine
     row, col = math.floor(low_y), math.floor(low_x)
-    return ends, kinds, (row, col, math.floor(high_y) + 1 - row, math.floor(high_x) + 1 - col)
+    return row, col, math.floor(high_y) + 1 - row, math.floor(high_x) + 1 - col
 
 
-@numba.njit(cache=True)
 def draw_lines(ends: FloatArray, kinds: Evidence, box: Box, x_cells: float, y_cells: float) -> Evidence:
     """The board of a scan: which cells of its box its beams pass, those of their ends included.
 
@@ -103,42 +123,44 @@ def draw_lines(ends: FloatArray, kinds: Evidence, box: Box, x_cells: float, y_ce
     -------
     (rows, cols) of FREE or NOTHING; row 0 at the lowest y.
     """
+    board = np.zeros((box[2], box[3]), np.uint8)
+    _draw(ends, kinds, box, x_cells, y_cells, board.reshape(-1))
+    return board
+
+
+@kernel(error_model="numpy")
+def _draw(ends, kinds, box, x_cells, y_cells, board):  # type: ignore[no-untyped-def]
+    """Draw the board of `draw_lines`, row after row: lines of cells, one a step along the longer axis."""
     first_row, first_col, rows, cols = box
-    board = np.zeros(rows * cols, np.uint8)
     # A place a hair below a border may be rounded onto it when the corner is taken off.
     last_x, last_y = cols - _HAIR, rows - _HAIR
     x, y = min(x_cells - first_col, last_x), min(y_cells - first_row, last_y)
     for beam in range(kinds.size):
-        if kinds[beam] != NOTHING:
-            end_x, end_y = min(ends[beam, 0] - first_col, last_x), min(ends[beam, 1] - first_row, last_y)
-            _clear_line(board, cols, x, y, end_x, end_y)
-            board[int(end_y) * cols + int(end_x)] = FREE
-    return board.reshape(rows, cols)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _clear_line(board: Evidence, cols: int, x: float, y: float, end_x: float, end_y: float) -> None:
-    """Set the cells of a line to FREE but for its last; one cell a step along the longer axis."""
-    dx, dy = end_x - x, end_y - y
-    along_x = abs(dx) >= abs(dy)
-    if along_x:
-        major, minor, steps, slope = x, y, abs(int(end_x) - int(x)), dy / abs(dx)
-        stride, forward = 1, dx > 0.0
-    else:
-        major, minor, steps, slope = y, x, abs(int(end_y) - int(y)), dx / abs(dy)
-        stride, forward = cols, dy > 0.0
-    board[int(y) * cols + int(x)] = FREE
-    # From the laser to the middle of the next cell along the axis: there the line is looked at first.
-    offset = int(major) + 1.5 - major if forward else major - int(major) + 0.5
-    direction = stride if forward else -stride
-    at = int(major) * stride
-    across = int((minor + slope * offset) * _ONE)
-    increment = int(slope * _ONE)
-    if along_x:
-        for step in range(1, steps):
-            board[np.uint64((across >> _FRACTION_BITS) * cols + at + direction * step)] = FREE
-            across += increment
-    else:
-        for step in range(1, steps):
-            board[np.uint64((across >> _FRACTION_BITS) + at + direction * step)] = FREE
-            across += increment
+        if kinds[beam] == NOTHING:
+            continue
+        end_x = min(ends[beam, 0] - first_col, last_x)
+        end_y = min(ends[beam, 1] - first_row, last_y)
+        dx = end_x - x
+        dy = end_y - y
+        if abs(dx) >= abs(dy):
+            major, minor, end, along, across, stride, aside = x, y, end_x, dx, dy, 1, cols
+        else:
+            major, minor, end, along, across, stride, aside = y, x, end_y, dy, dx, cols, 1
+        start = int(major)
+        steps = abs(int(end) - start)
+        slope = across / abs(along)
+        # From the laser to the middle of the next cell along the axis: there the line is looked at first.
+        offset = major - start + 0.5
+        forward = -stride
+        if along > 0.0:
+            offset = start + 1.5 - major
+            forward = stride
+        at = start * stride
+        place = int((minor + slope * offset) * _ONE)
+        increment = int(slope * _ONE)
+        board[int(y) * cols + int(x)] = FREE
+        for _ in range(1, steps):
+            at += forward
+            board[np.uint64((place >> _FRACTION_BITS) * aside + at)] = FREE
+            place += increment
+        board[int(end_y) * cols + int(end_x)] = FREE

@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from typing import TypeAlias
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.kernel import kernel
 from slam.measurements import Float32Array, FloatArray
 
 HeightMask: TypeAlias = NDArray[np.uint32]
@@ -23,7 +23,7 @@ MAX_BINS = 30
 FLOOR_BIT = np.uint32(1)
 
 
-@numba.njit(cache=True)
+@kernel
 def view_box(
     depth_m: Float32Array, rays: Float32Array, T_grid_camera: FloatArray, reach_m: float, cell_m: float
 ) -> Box:
@@ -63,7 +63,7 @@ def view_box(
     )
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def heights_seen(
     depth_m: Float32Array,
     rays: Float32Array,
@@ -123,7 +123,7 @@ def heights_seen(
     return mask
 
 
-@numba.njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _follow(
     mask: HeightMask,
     x: float,

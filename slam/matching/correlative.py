@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.kernel import NONE, ONE, ZERO, kernel
 from slam.measurements import AnyFloatArray, FloatArray
 
 _LEVELS = 5
@@ -25,15 +25,15 @@ class LikelihoodField(NamedTuple):
     Attributes
     ----------
     levels
-        uint8 pictures; pixel (r + w - 1, c + w - 1) of level k is the maximum of level 0 over
-        rows r..r+w-1 and columns c..c+w-1, with w = 2^k. 255 stands for likelihood 1.
+        (levels, rows, columns) uint8 pictures; pixel (r + w - 1, c + w - 1) of level k is the maximum of
+        level 0 over rows r..r+w-1 and columns c..c+w-1, with w = 2^k. 255 stands for likelihood 1.
     origin_x, origin_y
         Lower-left corner of pixel (0, 0) of level 0, metres.
     cell_m
         Edge of a pixel.
     """
 
-    levels: tuple[NDArray[np.uint8], ...]
+    levels: NDArray[np.uint8]
     origin_x: float
     origin_y: float
     cell_m: float
@@ -59,17 +59,42 @@ class SearchResult(NamedTuple):
 
 def build_field(points: AnyFloatArray, cell_m: float, sigma_m: float) -> LikelihoodField:
     """Blur (M, 2) map points, M > 0, into a likelihood field of standard deviation ``sigma_m``."""
+    level, origin_x, origin_y = blurred(points, cell_m, sigma_m)
+    widest = 1 << (_LEVELS - 1)
+    levels = np.zeros((_LEVELS, level.shape[0] + widest - 1, level.shape[1] + widest - 1), np.uint8)
+    levels[0, : level.shape[0], : level.shape[1]] = level
+    for k in range(1, _LEVELS):
+        # From maxima over some pixels to maxima over twice as many.
+        width = 1 << (k - 1)
+        levels[k] = levels[k - 1]
+        np.maximum(levels[k, width:], levels[k - 1, :-width], out=levels[k, width:])
+        np.maximum(levels[k, :, width:], levels[k, :, :-width].copy(), out=levels[k, :, width:])
+    return LikelihoodField(levels, origin_x, origin_y, cell_m)
+
+
+def blurred(points: AnyFloatArray, cell_m: float, sigma_m: float) -> tuple[NDArray[np.uint8], float, float]:
+    """A picture of (M, 2) points, M > 0, each a Gaussian blob, and the x and y of its lower-left corner.
+
+    Where blobs overlap, the higher one counts.
+    """
     margin = 3.0 * sigma_m + cell_m
     origin_x = float(points[:, 0].min()) - margin
     origin_y = float(points[:, 1].min()) - margin
     columns = int((float(points[:, 0].max()) + margin - origin_x) / cell_m) + 1
     rows = int((float(points[:, 1].max()) + margin - origin_y) / cell_m) + 1
-    level = np.zeros((rows, columns), np.uint8)
-    _stamp(points, level, origin_x, origin_y, cell_m, sigma_m)
-    levels = [level]
-    for k in range(1, _LEVELS):
-        levels.append(_pool_twice(levels[-1], 1 << (k - 1)))
-    return LikelihoodField(tuple(levels), origin_x, origin_y, cell_m)
+    radius = math.ceil(3.0 * sigma_m / cell_m)
+    level = np.zeros((rows + 2 * radius, columns + 2 * radius), np.uint8)
+    pixels = ((points - (origin_x, origin_y)) / cell_m).astype(np.int64) + radius
+    level[pixels[:, 1], pixels[:, 0]] = 1
+    met = np.flatnonzero(level)
+    dy, dx = np.indices((2 * radius + 1, 2 * radius + 1)) - radius
+    squared = dx * dx + dy * dy
+    # From the rim of the blobs to their middles: what is drawn last is the highest.
+    for distance in np.unique(squared)[::-1].tolist():
+        height = int(255.0 * math.exp(-0.5 * (distance * cell_m * cell_m) / (sigma_m * sigma_m)))
+        ring = (dy * level.shape[1] + dx)[squared == distance]
+        level.ravel()[met[:, None] + ring] = height
+    return np.ascontiguousarray(level[radius : radius + rows, radius : radius + columns]), origin_x, origin_y
 
 
 def search_window(
@@ -99,9 +124,7 @@ def search_window(
     step_rad = field.cell_m / reach_m
     yaw_steps = math.ceil(half_yaw_rad / step_rad)
     width_steps = math.ceil(half_width_m / field.cell_m)
-    columns, rows = _rotated_pixels(
-        points, guess, yaw_steps, step_rad, field.origin_x, field.origin_y, field.cell_m
-    )
+    columns, rows = _rotated_pixels(field, points, guess, yaw_steps, step_rad)
     best, dx, dy, turn = _branch_and_bound(
         field.levels, columns, rows, width_steps, int(least_score * 255.0 * len(points))
     )
@@ -111,91 +134,23 @@ def search_window(
     return SearchResult(guess + offset, best / (255.0 * len(points)), True)
 
 
-@numba.njit(cache=True)
-def _stamp(points, level, origin_x, origin_y, cell_m, sigma_m):  # type: ignore[no-untyped-def]
-    """Draw a Gaussian blob around the pixel of every point, keeping the maximum."""
-    radius = math.ceil(3.0 * sigma_m / cell_m)
-    blob = np.empty((2 * radius + 1, 2 * radius + 1), np.uint8)
-    for a in range(-radius, radius + 1):
-        for b in range(-radius, radius + 1):
-            squared = (a * a + b * b) * cell_m * cell_m
-            blob[a + radius, b + radius] = int(255.0 * math.exp(-0.5 * squared / (sigma_m * sigma_m)))
-    rows, columns = level.shape
-    for i in range(points.shape[0]):
-        column = int((points[i, 0] - origin_x) / cell_m)
-        row = int((points[i, 1] - origin_y) / cell_m)
-        if level[row, column] == 255:
-            continue
-        for a in range(max(-radius, -row), min(radius + 1, rows - row)):
-            for b in range(max(-radius, -column), min(radius + 1, columns - column)):
-                value = blob[a + radius, b + radius]
-                if value > level[row + a, column + b]:
-                    level[row + a, column + b] = value
-
-
-@numba.njit(cache=True)
-def _pool_twice(level, width):  # type: ignore[no-untyped-def]
-    """From maxima over ``width`` pixels to maxima over twice as many."""
-    rows, columns = level.shape
-    wide = np.zeros((rows, columns + width), np.uint8)
-    for r in range(rows):
-        for c in range(columns):
-            wide[r, c] = max(wide[r, c], level[r, c])
-            wide[r, c + width] = level[r, c]
-    pooled = np.zeros((rows + width, columns + width), np.uint8)
-    for r in range(rows):
-        for c in range(columns + width):
-            pooled[r, c] = max(pooled[r, c], wide[r, c])
-            pooled[r + width, c] = max(pooled[r + width, c], wide[r, c])
-    return pooled
-
-
-@numba.njit(cache=True)
-def _rotated_pixels(points, guess, yaw_steps, step_rad, origin_x, origin_y, cell_m):  # type: ignore[no-untyped-def]
+def _rotated_pixels(
+    field: LikelihoodField, points: AnyFloatArray, guess: FloatArray, yaw_steps: int, step_rad: float
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Pixel of every point for every yaw of the window, (turns, M) columns and rows."""
-    turns = 2 * yaw_steps + 1
-    columns = np.empty((turns, points.shape[0]), np.int32)
-    rows = np.empty((turns, points.shape[0]), np.int32)
-    for t in range(turns):
-        yaw = guess[2] + (t - yaw_steps) * step_rad
-        cos = math.cos(yaw)
-        sin = math.sin(yaw)
-        for i in range(points.shape[0]):
-            x = cos * points[i, 0] - sin * points[i, 1] + guess[0] - origin_x
-            y = sin * points[i, 0] + cos * points[i, 1] + guess[1] - origin_y
-            columns[t, i] = math.floor(x / cell_m)
-            rows[t, i] = math.floor(y / cell_m)
-    return columns, rows
-
-
-@numba.njit(cache=True)
-def _score(level, width, columns, rows, dx, dy):  # type: ignore[no-untyped-def]
-    """Upper bound of the score sum over the ``width`` x ``width`` offsets that start at (dx, dy)."""
-    total = 0
-    for i in range(columns.size):
-        c = columns[i] + dx + width - 1
-        r = rows[i] + dy + width - 1
-        if 0 <= c < level.shape[1] and 0 <= r < level.shape[0]:
-            total += level[r, c]
-    return total
-
-
-@numba.njit(cache=True)
-def _block_bounds(level, block, columns, rows, width_steps, side):  # type: ignore[no-untyped-def]
-    """Bound of every block of the window: (turns * side * side,), x fastest."""
-    turns = columns.shape[0]
-    bounds = np.empty(turns * side * side, np.int64)
-    for t in range(turns):
-        for a in range(side):
-            for b in range(side):
-                bounds[(t * side + a) * side + b] = _score(
-                    level, block, columns[t], rows[t], b * block - width_steps, a * block - width_steps
-                )
-    return bounds
+    yaws = [float(guess[2]) + turn * step_rad for turn in range(-yaw_steps, yaw_steps + 1)]
+    cos = np.array([[math.cos(yaw)] for yaw in yaws])
+    sin = np.array([[math.sin(yaw)] for yaw in yaws])
+    x = cos * points[:, 0] - sin * points[:, 1] + guess[0] - field.origin_x
+    y = sin * points[:, 0] + cos * points[:, 1] + guess[1] - field.origin_y
+    return (
+        np.floor(x / field.cell_m).astype(np.int32),
+        np.floor(y / field.cell_m).astype(np.int32),
+    )
 
 
 def _branch_and_bound(
-    levels: tuple[NDArray[np.uint8], ...],
+    levels: NDArray[np.uint8],
     columns: NDArray[np.int32],
     rows: NDArray[np.int32],
     width_steps: int,
@@ -205,58 +160,88 @@ def _branch_and_bound(
     top = len(levels) - 1
     while top > 0 and (1 << top) > 2 * width_steps + 1:
         top -= 1
-    block = 1 << top
-    side = (2 * width_steps + block) // block
-    bounds = _block_bounds(levels[top], block, columns, rows, width_steps, side)
-    order = np.argsort(-bounds, kind="stable")
-    return _descend(levels, columns, rows, width_steps, least, top, side, bounds, order)
-
-
-@numba.njit(cache=True)
-def _descend(levels, columns, rows, width_steps, least, top, side, bounds, order):  # type: ignore[no-untyped-def]
-    """Depth first through the blocks in the order of their bounds."""
-    block = 1 << top
-    best = least
-    best_dx = best_dy = 0
-    best_turn = -1
+    side = (2 * width_steps + (1 << top)) // (1 << top)
+    bounds = np.empty(len(columns) * side * side, np.int64)
     stack = np.empty((4 * (top + 1), 4), np.int64)
-    for node in order:
-        if bounds[node] <= best:
+    return _descend(levels, columns, rows, width_steps, least, top, side, bounds, stack)
+
+
+@kernel
+def _descend(levels, columns, rows, width_steps, least, top, side, bounds, stack):  # type: ignore[no-untyped-def]
+    """Depth first through the blocks, always the one of the highest bound next.
+
+    ``bounds`` is room for the bound of every block, (turns * side * side,), x fastest. A row of ``stack``
+    names one quarter of a block that was cut: its bound times four and which quarter, its level, and the
+    first x and y of the block.
+    """
+    block = 1 << top
+    for node in range(bounds.size):
+        dx = node % side * block - width_steps
+        dy = node // side % side * block - width_steps
+        bounds[node] = _score(levels, top, columns, rows, node // (side * side), dx, dy)
+    best = least
+    best_dx = best_dy = ZERO
+    best_turn = NONE
+    while True:
+        highest = best
+        found = NONE
+        for node in range(bounds.size):
+            if bounds[node] > highest:
+                highest = bounds[node]
+                found = node
+        if found < 0:
             break
-        t = node // (side * side)
-        stack[0, 0] = top
-        stack[0, 1] = node % side * block - width_steps
-        stack[0, 2] = (node // side) % side * block - width_steps
-        stack[0, 3] = bounds[node]
-        depth = 1
+        bounds[found] = -1
+        turn = found // (side * side)
+        stack[0, 0] = 4 * highest
+        stack[0, 1] = top
+        stack[0, 2] = found % side * block - width_steps
+        stack[0, 3] = found // side % side * block - width_steps
+        depth = ONE
         while depth > 0:
             depth -= 1
-            level, dx, dy, bound = stack[depth]
-            if bound <= best:
+            key = stack[depth, 0]
+            level = stack[depth, 1]
+            if key >> 2 <= best:
                 continue
+            dx = stack[depth, 2] + ((key & 1) << level)
+            dy = stack[depth, 3] + ((key >> 1 & 1) << level)
             if level == 0:
-                best, best_dx, best_dy, best_turn = bound, dx, dy, t
+                best, best_dx, best_dy, best_turn = key >> 2, dx, dy, turn
                 continue
-            half = 1 << (level - 1)
+            level -= 1
             first = depth
-            for child in range(4):
-                x = dx + (child & 1) * half
-                y = dy + (child >> 1) * half
+            for quarter in range(4):
+                x = dx + ((quarter & 1) << level)
+                y = dy + ((quarter >> 1) << level)
                 # The last block of a row reaches beyond the window.
                 if x > width_steps or y > width_steps:
                     continue
-                bound = _score(levels[level - 1], half, columns[t], rows[t], x, y)
+                bound = _score(levels, level, columns, rows, turn, x, y)
                 if bound <= best:
                     continue
-                # Insert so that the child with the highest bound lies on top.
+                # The quarter of the highest bound on top.
+                key = 4 * bound + quarter
                 place = depth
-                while place > first and stack[place - 1, 3] > bound:
-                    for k in range(4):
-                        stack[place, k] = stack[place - 1, k]
+                while place > first and stack[place - 1, 0] > key:
+                    stack[place, 0] = stack[place - 1, 0]
                     place -= 1
-                stack[place, 0] = level - 1
-                stack[place, 1] = x
-                stack[place, 2] = y
-                stack[place, 3] = bound
+                stack[place, 0] = key
+                stack[depth, 1] = level
+                stack[depth, 2] = dx
+                stack[depth, 3] = dy
                 depth += 1
     return best, best_dx, best_dy, best_turn
+
+
+@kernel(inline="always")
+def _score(levels, level, columns, rows, turn, dx, dy):  # type: ignore[no-untyped-def]
+    """Upper bound of the score sum over a block of 2^level x 2^level offsets that starts at (dx, dy)."""
+    total = ZERO
+    reach = (1 << level) - 1
+    for i in range(columns.shape[1]):
+        column = columns[turn, i] + dx + reach
+        row = rows[turn, i] + dy + reach
+        if 0 <= column < levels.shape[2] and 0 <= row < levels.shape[1]:
+            total += levels[level, row, column]
+    return total

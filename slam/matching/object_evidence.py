@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
-from slam.matching.surfel_map import SurfelMap, nearest_surfel
+from fusion.kernel import NONE, kernel
+from slam.matching.point_to_line import terms_at
+from slam.matching.surfel_map import SurfelMap
 from slam.measurements import AnyFloatArray, FloatArray
 
 # Neighbouring points further apart than this are on different objects; a wall is cut at every metre.
@@ -42,42 +43,27 @@ def object_evidence(
     -------
     (K,) sums of the points' robust weights at ``pose`` less those at ``other``, an object each.
     """
-    preferred = _weights(points, normals, pose, surfel_map, kernel_m)
-    gain = preferred - _weights(points, normals, other, surfel_map, kernel_m)
-    return _by_object(points, gain)
+    preferred = terms_at(points, normals, pose, surfel_map, kernel_m)[:, 3]
+    gain = preferred - terms_at(points, normals, other, surfel_map, kernel_m)[:, 3]
+    objects = np.empty(points.shape[0], np.int64)
+    _number_objects(points, objects)
+    return np.asarray(np.bincount(objects, gain), np.float64)
 
 
-@numba.njit(cache=True)
-def _weights(points, normals, pose, surfel_map: SurfelMap, kernel_m: float):  # type: ignore[no-untyped-def]
-    """(M,) Geman-McClure weight of every point at a pose; zero where it finds no surfel."""
-    surfels = surfel_map.surfels
-    weights = np.zeros(points.shape[0])
-    cos = math.cos(pose[2])
-    sin = math.sin(pose[2])
+@kernel
+def _number_objects(points, objects):  # type: ignore[no-untyped-def]
+    """Write the number of the object of each point: runs of neighbouring points."""
+    number = NONE
+    first_x = first_y = before_x = before_y = 0.0
     for i in range(points.shape[0]):
-        x = cos * points[i, 0] - sin * points[i, 1] + pose[0]
-        y = sin * points[i, 0] + cos * points[i, 1] + pose[1]
-        nx = cos * normals[i, 0] - sin * normals[i, 1]
-        ny = sin * normals[i, 0] + cos * normals[i, 1]
-        k = nearest_surfel(surfel_map, x, y, nx, ny)
-        if k >= 0:
-            residual = surfels[k, 2] * (x - surfels[k, 0]) + surfels[k, 3] * (y - surfels[k, 1])
-            weights[i] = 1.0 / (1.0 + (residual / kernel_m) ** 2) ** 2
-    return weights
-
-
-@numba.njit(cache=True)
-def _by_object(points, gain):  # type: ignore[no-untyped-def]
-    """(K,) sums over runs of neighbouring points."""
-    sums = np.zeros(points.shape[0])
-    count = 0
-    first = 0
-    for i in range(points.shape[0]):
-        if i > 0:
-            gap = math.hypot(points[i, 0] - points[i - 1, 0], points[i, 1] - points[i - 1, 1])
-            reach = math.hypot(points[i, 0] - points[first, 0], points[i, 1] - points[first, 1])
-            if gap > _GAP_M or reach > _LONGEST_M:
-                count += 1
-                first = i
-        sums[count] += gain[i]
-    return sums[: count + 1] if points.shape[0] else sums
+        x = points[i, 0]
+        y = points[i, 1]
+        gap = math.hypot(x - before_x, y - before_y)
+        reach = math.hypot(x - first_x, y - first_y)
+        if i == 0 or gap > _GAP_M or reach > _LONGEST_M:
+            number += 1
+            first_x = x
+            first_y = y
+        before_x = x
+        before_y = y
+        objects[i] = number

@@ -4,37 +4,35 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
+from fusion.kernel import kernel
 from slam.measurements import AnyFloatArray, FloatArray
 
 
-@numba.njit(cache=True)
 def compose(a: FloatArray, b: FloatArray) -> FloatArray:
     """T_a * T_b for two rows (3,)."""
-    cos = math.cos(a[2])
-    sin = math.sin(a[2])
-    return np.array([a[0] + cos * b[0] - sin * b[1], a[1] + sin * b[0] + cos * b[1], wrap(a[2] + b[2])])
+    x, y, yaw = a.tolist()
+    bx, by, b_yaw = b.tolist()
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    return np.array([x + cos * bx - sin * by, y + sin * bx + cos * by, wrap(yaw + b_yaw)])
 
 
-@numba.njit(cache=True)
 def between(a: FloatArray, b: FloatArray) -> FloatArray:
     """inverse(T_a) * T_b for two rows (3,)."""
-    cos = math.cos(a[2])
-    sin = math.sin(a[2])
-    dx = b[0] - a[0]
-    dy = b[1] - a[1]
-    return np.array([cos * dx + sin * dy, -sin * dx + cos * dy, wrap(b[2] - a[2])])
+    x, y, yaw = a.tolist()
+    bx, by, b_yaw = b.tolist()
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    dx, dy = bx - x, by - y
+    return np.array([cos * dx + sin * dy, -sin * dx + cos * dy, wrap(b_yaw - yaw)])
 
 
-@numba.njit(cache=True)
 def wrap(angle_rad: float) -> float:
     """The same angle in [-pi, pi)."""
     return angle_rad - 2.0 * math.pi * math.floor((angle_rad + math.pi) / (2.0 * math.pi))
 
 
-@numba.njit(cache=True)
+@kernel
 def transform_into(rows, pose, out, rotate_only):  # type: ignore[no-untyped-def]
     """Write the (M, 2) rows, moved by a pose (3,), into ``out``; directions are only rotated."""
     cos = math.cos(pose[2])
@@ -55,25 +53,11 @@ def transform_points(points: AnyFloatArray, pose: FloatArray) -> FloatArray:
     return out
 
 
-@numba.njit(cache=True)
 def adjoint(pose: FloatArray) -> FloatArray:
     """Adjoint of SE(2) in GTSAM's order (x, y, theta), (3, 3): covariance_a = Ad covariance_b Ad^T."""
-    cos = math.cos(pose[2])
-    sin = math.sin(pose[2])
-    return np.array([[cos, -sin, pose[1]], [sin, cos, -pose[0]], [0.0, 0.0, 1.0]])
-
-
-@numba.njit(cache=True)
-def add_rotated(adjoint_a_b: FloatArray, covariance_b: FloatArray, total: FloatArray) -> None:
-    """Add Ad covariance Ad^T, (3, 3), to ``total``: a covariance in the tangent space of b, seen in a's.
-
-    Plain loops: numba takes seconds to compile the same in array expressions.
-    """
-    for i in range(3):
-        for j in range(3):
-            for k in range(3):
-                for m in range(3):
-                    total[i, j] += adjoint_a_b[i, k] * covariance_b[k, m] * adjoint_a_b[j, m]
+    x, y, yaw = pose.tolist()
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    return np.array([[cos, -sin, y], [sin, cos, -x], [0.0, 0.0, 1.0]])
 
 
 def rotate_covariance(adjoint_a_b: FloatArray, covariance_b: FloatArray) -> FloatArray:

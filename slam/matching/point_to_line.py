@@ -9,15 +9,17 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from fusion.kernel import kernel
 from slam.matching.surfel_map import SurfelMap, nearest_surfel
 from slam.measurements import AnyFloatArray, FloatArray
 
 _SETTLED_M = 1e-4
 _SETTLED_RAD = 1e-4
 _REGULARISATION = 1e-6
+_NO_PRIOR = np.zeros((3, 3))
+_NO_TERMS = np.empty((0, 5))
 
 
 class Alignment(NamedTuple):
@@ -85,105 +87,132 @@ def align(
         in units of points.
     """
     pose, hessian, weight, squares, inliers, converged = _align(
-        points, normals, start, guess, surfel_map, kernel_m, iterations, prior
+        points, normals, start, guess, *surfel_map, kernel_m, iterations, prior, _NO_TERMS
     )
     residual_m = math.sqrt(squares / weight) if weight > 0.0 else math.inf
     count = max(len(points), 1)
-    return Alignment(pose, hessian, weight, residual_m, weight / count, inliers / count, converged)
+    return Alignment(
+        np.array(pose),
+        np.array(hessian).reshape(3, 3),
+        weight,
+        residual_m,
+        weight / count,
+        inliers / count,
+        converged,
+    )
 
 
-@numba.njit(cache=True)
+def terms_at(
+    points: AnyFloatArray, normals: AnyFloatArray, pose: FloatArray, surfel_map: SurfelMap, kernel_m: float
+) -> FloatArray:
+    """What each oriented point (M, 2) brings into an alignment at a pose (3,), (M, 5); zero without a surfel.
+
+    The gradient of its robust cost, tangent order x, y, theta of the base frame; its robust weight; and the
+    bend of its cost, the second derivative by the residual.
+    """
+    terms = np.zeros((points.shape[0], 5))
+    _align(points, normals, pose, pose, *surfel_map, kernel_m, 0, _NO_PRIOR, terms)
+    return terms
+
+
+@kernel
 def _align(  # type: ignore[no-untyped-def]
-    points, normals, start, guess, surfel_map: SurfelMap, kernel_m: float, iterations: int, prior
+    points,
+    normals,
+    start,
+    guess,
+    cells,
+    surfels,
+    origin_x,
+    origin_y,
+    cell_m,
+    kernel_m,
+    iterations,
+    prior,
+    terms,
 ):
-    pose = start.copy()
-    hessian = np.zeros((3, 3))
-    damped = np.zeros((3, 3))
-    weight = 0.0
-    squares = 0.0
-    inliers = 0
+    """Gauss and Newton's steps from ``start``; without iterations, only the ``terms`` there, (M, 5).
+
+    One kernel for both, and numbers instead of small arrays: either halves the time to compile.
+    """
+    px, py, yaw = start[0], start[1], start[2]
+    p00, p01, p02 = prior[0, 0], prior[0, 1], prior[0, 2]
+    p11, p12, p22 = prior[1, 1], prior[1, 2], prior[2, 2]
+    h00 = h01 = h02 = h11 = h12 = h22 = weight = squares = inliers = 0.0
     converged = False
-    for _ in range(iterations):
-        hessian, gradient, weight, squares, inliers = _linearise(points, normals, pose, surfel_map, kernel_m)
-        cos = math.cos(pose[2])
-        sin = math.sin(pose[2])
-        dx = pose[0] - guess[0]
-        dy = pose[1] - guess[1]
-        offset = (cos * dx + sin * dy, -sin * dx + cos * dy, pose[2] - guess[2])
-        for row in range(3):
-            for column in range(3):
-                gradient[row] += prior[row, column] * offset[column]
-                damped[row, column] = hessian[row, column] + prior[row, column]
-        step = _solve(damped, gradient)
-        pose[0] -= cos * step[0] - sin * step[1]
-        pose[1] -= sin * step[0] + cos * step[1]
-        pose[2] -= step[2]
-        if math.hypot(step[0], step[1]) < _SETTLED_M and abs(step[2]) < _SETTLED_RAD:
+    for _ in range(max(iterations, 1)):
+        cos = math.cos(yaw)
+        sin = math.sin(yaw)
+        g0 = g1 = g2 = h00 = h01 = h02 = h11 = h12 = h22 = weight = squares = inliers = 0.0
+        for i in range(points.shape[0]):
+            bx = points[i, 0]
+            by = points[i, 1]
+            x = cos * bx - sin * by + px
+            y = sin * bx + cos * by + py
+            nx = cos * normals[i, 0] - sin * normals[i, 1]
+            ny = sin * normals[i, 0] + cos * normals[i, 1]
+            k = nearest_surfel(cells, surfels, origin_x, origin_y, cell_m, x, y, nx, ny)
+            if k < 0:
+                continue
+            mx = surfels[k, 2]
+            my = surfels[k, 3]
+            residual = mx * (x - surfels[k, 0]) + my * (y - surfels[k, 1])
+            u = residual / kernel_m
+            bowl = 1.0 + u * u
+            w = 1.0 / (bowl * bowl)
+            j0 = mx * cos + my * sin
+            j1 = my * cos - mx * sin
+            j2 = j1 * bx - j0 * by
+            if iterations == 0:
+                weighted = residual / (bowl * bowl)
+                terms[i, 0] = weighted * j0
+                terms[i, 1] = weighted * j1
+                terms[i, 2] = weighted * j2
+                terms[i, 3] = w
+                terms[i, 4] = (1.0 - 3.0 * (u * u)) / (bowl * bowl * bowl)
+            if abs(residual) < 2.0 * kernel_m:
+                inliers += 1.0
+            w0 = w * j0
+            w1 = w * j1
+            w2 = w * j2
+            g0 += w0 * residual
+            g1 += w1 * residual
+            g2 += w2 * residual
+            h00 += w0 * j0
+            h01 += w0 * j1
+            h02 += w0 * j2
+            h11 += w1 * j1
+            h12 += w1 * j2
+            h22 += w2 * j2
+            weight += w
+            squares += w * residual * residual
+        if iterations == 0:
+            break
+        dx = px - guess[0]
+        dy = py - guess[1]
+        ahead = cos * dx + sin * dy
+        left = cos * dy - sin * dx
+        turned = yaw - guess[2]
+        g0 = g0 + p00 * ahead + p01 * left + p02 * turned
+        g1 = g1 + p01 * ahead + p11 * left + p12 * turned
+        g2 = g2 + p02 * ahead + p12 * left + p22 * turned
+        # Cholesky; LAPACK compiles ten times longer.
+        l00 = math.sqrt(max(h00 + p00 + _REGULARISATION, _REGULARISATION))
+        l10 = (h01 + p01) / l00
+        l20 = (h02 + p02) / l00
+        l11 = math.sqrt(max(h11 + p11 + _REGULARISATION - l10 * l10, _REGULARISATION))
+        l21 = (h12 + p12 - l20 * l10) / l11
+        l22 = math.sqrt(max(h22 + p22 + _REGULARISATION - l20 * l20 - l21 * l21, _REGULARISATION))
+        s0 = g0 / l00
+        s1 = (g1 - l10 * s0) / l11
+        s2 = (g2 - l20 * s0 - l21 * s1) / l22 / l22
+        s1 = (s1 - l21 * s2) / l11
+        s0 = (s0 - l10 * s1 - l20 * s2) / l00
+        px -= cos * s0 - sin * s1
+        py -= sin * s0 + cos * s1
+        yaw -= s2
+        if math.hypot(s0, s1) < _SETTLED_M and abs(s2) < _SETTLED_RAD:
             converged = True
             break
-    return pose, hessian, weight, squares, inliers, converged
-
-
-@numba.njit(cache=True)
-def _solve(matrix, right):  # type: ignore[no-untyped-def]
-    """Solution of a symmetric positive 3 x 3 system by Cholesky; LAPACK compiles ten times longer."""
-    lower = np.zeros((3, 3))
-    for i in range(3):
-        for j in range(i + 1):
-            rest = matrix[i, j] + (_REGULARISATION if i == j else 0.0)
-            for k in range(j):
-                rest -= lower[i, k] * lower[j, k]
-            lower[i, j] = math.sqrt(max(rest, _REGULARISATION)) if i == j else rest / lower[j, j]
-    solution = right.copy()
-    for i in range(3):
-        for k in range(i):
-            solution[i] -= lower[i, k] * solution[k]
-        solution[i] /= lower[i, i]
-    for i in range(2, -1, -1):
-        for k in range(i + 1, 3):
-            solution[i] -= lower[k, i] * solution[k]
-        solution[i] /= lower[i, i]
-    return solution
-
-
-@numba.njit(cache=True)
-def _linearise(points, normals, pose, surfel_map: SurfelMap, kernel_m: float):  # type: ignore[no-untyped-def]
-    """Normal equations at a pose; the tangent moves the base frame on its own right side."""
-    surfels = surfel_map.surfels
-    hessian = np.zeros((3, 3))
-    gradient = np.zeros(3)
-    weight = 0.0
-    squares = 0.0
-    inliers = 0
-    cos = math.cos(pose[2])
-    sin = math.sin(pose[2])
-    jacobian = np.empty(3)
-    for i in range(points.shape[0]):
-        px = points[i, 0]
-        py = points[i, 1]
-        x = cos * px - sin * py + pose[0]
-        y = sin * px + cos * py + pose[1]
-        nx = cos * normals[i, 0] - sin * normals[i, 1]
-        ny = sin * normals[i, 0] + cos * normals[i, 1]
-        k = nearest_surfel(surfel_map, x, y, nx, ny)
-        if k < 0:
-            continue
-        mx = surfels[k, 2]
-        my = surfels[k, 3]
-        residual = mx * (x - surfels[k, 0]) + my * (y - surfels[k, 1])
-        w = 1.0 / (1.0 + (residual / kernel_m) ** 2) ** 2
-        if abs(residual) < 2.0 * kernel_m:
-            inliers += 1
-        jacobian[0] = mx * cos + my * sin
-        jacobian[1] = -mx * sin + my * cos
-        jacobian[2] = -jacobian[0] * py + jacobian[1] * px
-        for a in range(3):
-            gradient[a] += w * jacobian[a] * residual
-            for b in range(a, 3):
-                hessian[a, b] += w * jacobian[a] * jacobian[b]
-        weight += w
-        squares += w * residual * residual
-    hessian[1, 0] = hessian[0, 1]
-    hessian[2, 0] = hessian[0, 2]
-    hessian[2, 1] = hessian[1, 2]
-    return hessian, gradient, weight, squares, inliers
+    hessian = (h00, h01, h02, h01, h11, h12, h02, h12, h22)
+    return (px, py, yaw), hessian, weight, squares, inliers, converged

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
-import numba
 import numpy as np
 
-from slam.measurements import BoolArray, Float32Array, FloatArray, LaserScan
+from fusion.kernel import kernel
+from slam.measurements import Float32Array, FloatArray, LaserScan
 
 # A surface patch is a line when its thickness is below this: floor [m2] plus share of its length squared.
 _LINE_THICKNESS_FLOOR_M2 = 0.02**2
@@ -37,7 +38,7 @@ class ScanPoints:
 
     def oriented(self) -> tuple[Float32Array, Float32Array]:
         """Only the points that have a normal: (K, 2) points and (K, 2) normals."""
-        known = (self.normals_base != 0.0).any(axis=1)
+        known = (self.normals_base[:, 0] != 0.0) | (self.normals_base[:, 1] != 0.0)
         return self.points_base[known], self.normals_base[known]
 
 
@@ -53,13 +54,14 @@ def extract_points(scan: LaserScan, range_min_m: float, range_max_m: float, neig
     neighbours
         How many beams on each side may join the line fit; they stop at a gap in the surface.
     """
-    bearings = scan.bearings_rad()
     ranges = scan.ranges_m.astype(np.float64)
     with np.errstate(invalid="ignore"):
         usable = (ranges > range_min_m) & (ranges < range_max_m)
-    ranges = np.where(usable, ranges, 0.0)
-    points = np.column_stack([ranges * np.cos(bearings), ranges * np.sin(bearings)])
-    normals = _line_normals(points, usable, abs(scan.step_rad), neighbours)
+    ranges[~usable] = 0.0
+    points = ranges[:, None] * _directions(scan.start_angle_rad, scan.step_rad, ranges.size)
+    normals = np.zeros_like(points)
+    onward = np.zeros(points.shape, np.bool_)
+    _line_normals(points, usable, abs(scan.step_rad), neighbours, onward, normals)
     mount = scan.T_base_laser
     cos, sin = math.cos(mount.theta()), math.sin(mount.theta())
     rotation_t = np.array([[cos, sin], [-sin, cos]])
@@ -83,77 +85,85 @@ def orient_points(points: FloatArray, range_min_m: float, range_max_m: float, ne
     usable = (ranges > range_min_m) & (ranges < range_max_m)
     # Most beams met something: the usual step between points is that between beams.
     step_rad = float(np.median(np.diff(bearings[order]))) if len(points) > 1 else 0.0
-    normals = _line_normals(points, usable, step_rad, neighbours)
+    normals, onward = np.zeros_like(points), np.zeros(points.shape, np.bool_)
+    _line_normals(points, usable, step_rad, neighbours, onward, normals)
     return ScanPoints(points[usable].astype(np.float32), normals[usable].astype(np.float32))
 
 
-@numba.njit(cache=True)
-def _line_normals(points: FloatArray, usable: BoolArray, step_rad: float, neighbours: int) -> FloatArray:
-    """Principal-axis line fit over the connected neighbours of each beam; zero where it is no line.
+@lru_cache(maxsize=8)
+def _directions(start_angle_rad: float, step_rad: float, count: int) -> FloatArray:
+    """(count, 2) unit vectors along the beams."""
+    bearings = start_angle_rad + step_rad * np.arange(count, dtype=np.float64)
+    return np.column_stack([np.cos(bearings), np.sin(bearings)])
+
+
+@kernel
+def _line_normals(points, usable, step_rad, neighbours, onward, normals):  # type: ignore[no-untyped-def]
+    """Principal-axis line fit over the connected neighbours of each beam; zero stays where it is no line.
 
     A fine beam spacing with a noisy range makes short patches whose direction is noise: where the fit says
     so, it is done again over four times as many neighbours.
+
+    ``onward`` (N, 2) is for how the surface goes on from each beam to the one before and to the one after.
     """
     count = points.shape[0]
-    normals = np.zeros((count, 2))
+    for i in range(count - 1):
+        x = points[i, 0]
+        y = points[i, 1]
+        next_x = points[i + 1, 0]
+        next_y = points[i + 1, 1]
+        gap = math.hypot(next_x - x, next_y - y) if usable[i] and usable[i + 1] else math.inf
+        # A surface seen at up to 72 degrees incidence spaces its points 3 beam widths apart.
+        onward[i, 1] = gap <= 0.1 + 3.0 * math.hypot(x, y) * step_rad
+        onward[i + 1, 0] = gap <= 0.1 + 3.0 * math.hypot(next_x, next_y) * step_rad
     for i in range(count):
         if not usable[i]:
             continue
-        line = _fit_line(points, usable, step_rad, i, neighbours)
-        if line[1] > _GREATEST_NORMAL_SIGMA_RAD:
-            line = _fit_line(points, usable, step_rad, i, 4 * neighbours)
-        if math.isinf(line[1]):
-            continue
-        nx = -math.sin(line[0])
-        ny = math.cos(line[0])
-        facing = 1.0 if nx * points[i, 0] + ny * points[i, 1] <= 0.0 else -1.0
-        normals[i, 0] = facing * nx
-        normals[i, 1] = facing * ny
-    return normals
-
-
-@numba.njit(cache=True)
-def _fit_line(
-    points: FloatArray, usable: BoolArray, step_rad: float, i: int, neighbours: int
-) -> tuple[float, float]:
-    """Direction of the line through beam i and up to ``neighbours`` a side, and its standard deviation.
-
-    Both in radians; the standard deviation is infinite where the points make no line.
-    """
-    sx = sy = sxx = sxy = syy = 0.0
-    members = 1
-    for direction in (-1, 1):
-        j = i
-        for hop in range(neighbours):
-            following = j + direction
-            if following < 0 or following >= points.shape[0] or not usable[following]:
+        x = points[i, 0]
+        y = points[i, 1]
+        angle_rad = 0.0
+        sigma_rad = math.inf
+        reach = neighbours
+        for _ in range(2):
+            sx = sy = sxx = sxy = syy = 0.0
+            members = 1.0
+            for side in range(2):
+                j = i
+                for hop in range(reach):
+                    if not onward[j, side]:
+                        break
+                    j += 2 * side - 1
+                    dx = points[j, 0] - x
+                    dy = points[j, 1] - y
+                    # Two neighbours a side are always taken; more only while the patch stays small.
+                    if hop >= 2 and math.hypot(dx, dy) > 0.3:
+                        break
+                    sx += dx
+                    sy += dy
+                    sxx += dx * dx
+                    sxy += dx * dy
+                    syy += dy * dy
+                    members += 1.0
+            mean_x = sx / members
+            mean_y = sy / members
+            cxx = sxx / members - mean_x * mean_x
+            cxy = sxy / members - mean_x * mean_y
+            cyy = syy / members - mean_y * mean_y
+            apart = cxx - cyy
+            spread = math.sqrt(apart * apart + 4.0 * cxy * cxy)
+            long_axis = 0.5 * (cxx + cyy + spread)
+            short_axis = max(0.5 * (cxx + cyy - spread), 0.0)
+            thickest = _LINE_THICKNESS_FLOOR_M2 + _LINE_THICKNESS_SHARE * long_axis
+            sigma_rad = math.inf
+            if members > 2.5 and long_axis >= 1e-6 and short_axis <= thickest:
+                sigma_rad = math.sqrt(short_axis / (long_axis * members))
+                angle_rad = 0.5 * math.atan2(2.0 * cxy, apart)
+            if sigma_rad <= _GREATEST_NORMAL_SIGMA_RAD:
                 break
-            range_m = math.hypot(points[j, 0], points[j, 1])
-            # A surface seen at up to 72 degrees incidence spaces its points 3 beam widths apart.
-            gap = math.hypot(points[following, 0] - points[j, 0], points[following, 1] - points[j, 1])
-            if gap > 0.1 + 3.0 * range_m * step_rad:
-                break
-            dx = points[following, 0] - points[i, 0]
-            dy = points[following, 1] - points[i, 1]
-            # Two neighbours a side are always taken; more only while the patch stays small.
-            if hop >= 2 and math.hypot(dx, dy) > 0.3:
-                break
-            j = following
-            sx += dx
-            sy += dy
-            sxx += dx * dx
-            sxy += dx * dy
-            syy += dy * dy
-            members += 1
-    if members < 3:
-        return 0.0, math.inf
-    cxx = sxx / members - (sx / members) ** 2
-    cxy = sxy / members - (sx / members) * (sy / members)
-    cyy = syy / members - (sy / members) ** 2
-    spread = math.sqrt((cxx - cyy) ** 2 + 4.0 * cxy * cxy)
-    long_axis = 0.5 * (cxx + cyy + spread)
-    short_axis = max(0.5 * (cxx + cyy - spread), 0.0)
-    if long_axis < 1e-6 or short_axis > _LINE_THICKNESS_FLOOR_M2 + _LINE_THICKNESS_SHARE * long_axis:
-        return 0.0, math.inf
-    sigma_rad = math.sqrt(short_axis / (long_axis * members))
-    return 0.5 * math.atan2(2.0 * cxy, cxx - cyy), sigma_rad
+            reach *= 4
+        if sigma_rad < math.inf:
+            nx = -math.sin(angle_rad)
+            ny = math.cos(angle_rad)
+            facing = 1.0 if nx * x + ny * y <= 0.0 else -1.0
+            normals[i, 0] = facing * nx
+            normals[i, 1] = facing * ny

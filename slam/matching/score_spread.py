@@ -7,12 +7,11 @@ covariance of the gradient is summed up over neighbouring beams too (Newey and W
 
 from __future__ import annotations
 
-import math
-
-import numba
 import numpy as np
 
-from slam.matching.surfel_map import SurfelMap, nearest_surfel
+from fusion.kernel import kernel
+from slam.matching.point_to_line import terms_at
+from slam.matching.surfel_map import SurfelMap
 from slam.measurements import AnyFloatArray, FloatArray
 
 # Where hardly a residual is within the bend, the kernel's second derivative is no measure.
@@ -46,55 +45,44 @@ def score_spread(
     Hessian of Gauss and Newton. Larger residuals are beyond the bend of the kernel; the Hessian takes its
     weights for its second derivative, and the spread makes up for that.
     """
-    gradients, weight, bend = _gradients(points, normals, pose, surfel_map, kernel_m)
+    terms = terms_at(points, normals, pose, surfel_map, kernel_m)
+    half, weight, bend = _half_spread(terms, lags)
     flattened = weight / max(bend, _LEAST_BEND * weight) if weight > 0.0 else 1.0
-    return _spread(gradients, lags) * flattened**2
+    spread = np.array(half).reshape(3, 3)
+    return (spread + spread.T) * flattened**2
 
 
-@numba.njit(cache=True)
-def _gradients(points, normals, pose, surfel_map: SurfelMap, kernel_m: float):  # type: ignore[no-untyped-def]
-    """(M, 3) gradients of the points' robust costs, zero without a surfel; sums of weight and bend."""
-    surfels = surfel_map.surfels
-    gradients = np.zeros((points.shape[0], 3))
-    weight = 0.0
-    bend = 0.0
-    cos = math.cos(pose[2])
-    sin = math.sin(pose[2])
-    for i in range(points.shape[0]):
-        px = points[i, 0]
-        py = points[i, 1]
-        x = cos * px - sin * py + pose[0]
-        y = sin * px + cos * py + pose[1]
-        nx = cos * normals[i, 0] - sin * normals[i, 1]
-        ny = sin * normals[i, 0] + cos * normals[i, 1]
-        k = nearest_surfel(surfel_map, x, y, nx, ny)
-        if k < 0:
-            continue
-        mx = surfels[k, 2]
-        my = surfels[k, 3]
-        residual = mx * (x - surfels[k, 0]) + my * (y - surfels[k, 1])
-        u = (residual / kernel_m) ** 2
-        weighted = residual / (1.0 + u) ** 2
-        weight += 1.0 / (1.0 + u) ** 2
-        bend += (1.0 - 3.0 * u) / (1.0 + u) ** 3
-        along = mx * cos + my * sin
-        across = -mx * sin + my * cos
-        gradients[i, 0] = weighted * along
-        gradients[i, 1] = weighted * across
-        gradients[i, 2] = weighted * (across * px - along * py)
-    return gradients, weight, bend
+@kernel
+def _half_spread(terms, lags):  # type: ignore[no-untyped-def]
+    """Newey and West 1987: products of neighbours, weighted down with their distance.
 
-
-@numba.njit(cache=True)
-def _spread(gradients, lags: int):  # type: ignore[no-untyped-def]
-    """Newey and West 1987: products of neighbours, weighted down with their distance."""
-    spread = np.zeros((3, 3))
-    for i in range(gradients.shape[0]):
-        # Half the own product, so that adding the transpose below counts it once.
-        sums = 0.5 * gradients[i]
-        for lag in range(1, min(lags, gradients.shape[0] - 1 - i) + 1):
-            sums += (1.0 - lag / (lags + 1.0)) * gradients[i + lag]
-        for a in range(3):
-            for b in range(3):
-                spread[a, b] += gradients[i, a] * sums[b]
-    return spread + spread.T
+    A matrix row by row, to which its transpose is to be added; and the sums of weight and bend.
+    """
+    weight = bend = xx = xy = xt = yx = yy = yt = tx = ty = tt = 0.0
+    for i in range(terms.shape[0]):
+        x = terms[i, 0]
+        y = terms[i, 1]
+        turn = terms[i, 2]
+        # Half the own product: the transpose counts it once more.
+        sum_x = 0.5 * x
+        sum_y = 0.5 * y
+        sum_t = 0.5 * turn
+        for lag in range(1, lags + 1):
+            if i + lag >= terms.shape[0]:
+                break
+            share = 1.0 - lag / (lags + 1.0)
+            sum_x += share * terms[i + lag, 0]
+            sum_y += share * terms[i + lag, 1]
+            sum_t += share * terms[i + lag, 2]
+        xx += x * sum_x
+        xy += x * sum_y
+        xt += x * sum_t
+        yx += y * sum_x
+        yy += y * sum_y
+        yt += y * sum_t
+        tx += turn * sum_x
+        ty += turn * sum_y
+        tt += turn * sum_t
+        weight += terms[i, 3]
+        bend += terms[i, 4]
+    return (xx, xy, xt, yx, yy, yt, tx, ty, tt), weight, bend

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.kernel import kernel
 from slam.measurements import BoolArray, Float32Array
 from slam.simulation.home_model import Home, Int32Array, Material
 from slam.simulation.ray_caster import RayCaster
@@ -93,7 +93,7 @@ class Scene:
         return Hits(range_m, triangle, obstacle, material, normal)
 
 
-@numba.njit(cache=True)
+@kernel
 def _name_hits(
     primitive: Int32Array,
     normal: Float32Array,
@@ -116,7 +116,7 @@ def _name_hits(
     return triangle, obstacle, material
 
 
-@numba.njit(cache=True)
+@kernel
 def _meet_cylinder(
     rays: Float32Array, center: NDArray[np.float64], range_m: Float32Array, normal: Float32Array
 ) -> BoolArray:

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import gtsam
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.kernel import kernel
 from slam.measurements import CameraIntrinsics, ColorImage, Float32Array
 from slam.simulation.faults import Fault, FaultMask, FaultyReadings, Surfaces, corrupt
 from slam.simulation.home_model import Material
@@ -289,7 +289,7 @@ def _ring_directions(elevations_rad: tuple[float, ...], azimuths: int) -> Float3
     return beams.reshape(-1, 3).astype(np.float32)
 
 
-@numba.njit(cache=True)
+@kernel
 def _rays(directions: Float32Array, T_world_sensor: NDArray[np.float64]) -> Float32Array:
     """(N, 6) origins and directions in the world from directions in the sensor's frame."""
     rays = np.empty((directions.shape[0], 6), np.float32)
@@ -304,7 +304,7 @@ def _rays(directions: Float32Array, T_world_sensor: NDArray[np.float64]) -> Floa
     return rays
 
 
-@numba.njit(cache=True)
+@kernel
 def _cos_incidence(rays: Float32Array, normal: Float32Array) -> Float32Array:
     """(N,) cosine between each ray and the normal that it meets."""
     cosine = np.empty(rays.shape[0], np.float32)
@@ -315,7 +315,7 @@ def _cos_incidence(rays: Float32Array, normal: Float32Array) -> Float32Array:
     return cosine
 
 
-@numba.njit(cache=True)
+@kernel
 def _disparity_steps(
     depth: Float32Array,
     fault: FaultMask,
@@ -341,7 +341,7 @@ def _disparity_steps(
             fault[pixel] = out_of_range
 
 
-@numba.njit(cache=True)
+@kernel
 def _expose(image: Float32Array, sigma: float, seed: int) -> ColorImage:
     """Add noise and round to bytes; hashed, since three normal numbers a pixel cost more than the image."""
     color = np.empty(image.shape, np.uint8)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from fusion.kernel import kernel
 
 _LEAST_NORMAL_COSINE = 0.8  # two surfaces turned further apart are not the same
 _NEAREST_M = 0.2
@@ -14,7 +15,7 @@ _TERMS = 19  # numbers kept of a point
 _BLOCK = 256  # points whose terms stay in the nearest cache
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def surface_part(
     points: NDArray[Any],
     normals: NDArray[Any],
@@ -92,7 +93,7 @@ def surface_part(
     _add_up(terms, count, hessian, gradient, information)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _add_up(
     terms: NDArray[Any],
     count: int,
@@ -111,7 +112,7 @@ def _add_up(
             information[a, b] += _dot(weighted, terms[12 + b, :count])
 
 
-@numba.njit(cache=True, nogil=True, fastmath=True)
+@kernel(nogil=True, fastmath=True)
 def _dot(first: NDArray[Any], second: NDArray[Any]) -> float:
     """Inner product, in the order that vector instructions like."""
     total = 0.0
@@ -120,7 +121,7 @@ def _dot(first: NDArray[Any], second: NDArray[Any]) -> float:
     return total
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def feature_part(
     points: NDArray[Any],
     pixels: NDArray[Any],

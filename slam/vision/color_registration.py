@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import gtsam
-import numba
 import numpy as np
 
+from fusion.kernel import kernel
 from slam.errors import DatasetError
 from slam.measurements import AnyFloatArray, BoolArray, CameraIntrinsics, ColorImage, Float32Array, FloatArray
 
@@ -156,7 +156,7 @@ def _check_size(depth_m: Float32Array, intrinsics: CameraIntrinsics) -> None:
         )
 
 
-@numba.njit(cache=True)
+@kernel
 def points_of_pixels(pixels_color: FloatArray, depth_m: Float32Array, cameras: FloatArray) -> FloatArray:
     """(N, 3) points in the colour frame of (N, 2) colour pixels; z is 0 where the ray meets no surface.
 
@@ -176,7 +176,7 @@ def points_of_pixels(pixels_color: FloatArray, depth_m: Float32Array, cameras: F
     return points
 
 
-@numba.njit(cache=True)
+@kernel
 def _first_meeting(depth_m: Float32Array, column: float, row: float, along: float, down: float) -> float:
     """Depth at which the ray that starts (at infinity) in a depth pixel first meets the depth image; or 0."""
     reach = np.hypot(along, down)
@@ -193,7 +193,7 @@ def _first_meeting(depth_m: Float32Array, column: float, row: float, along: floa
     return 0.0
 
 
-@numba.njit(cache=True)
+@kernel
 def _nearest_reading(depth_m: Float32Array, column: float, row: float) -> float:
     """The reading of the nearest pixel; 0 outside."""
     c, r = int(np.floor(column + 0.5)), int(np.floor(row + 0.5))
@@ -202,7 +202,7 @@ def _nearest_reading(depth_m: Float32Array, column: float, row: float) -> float:
     return float(depth_m[r, c])
 
 
-@numba.njit(cache=True)
+@kernel
 def _surface_reading(depth_m: Float32Array, column: float, row: float) -> float:
     """Mean of the up to four readings around, by nearness; on a rim, the nearest of them."""
     c, r = int(np.floor(column)), int(np.floor(row))
@@ -225,7 +225,7 @@ def _surface_reading(depth_m: Float32Array, column: float, row: float) -> float:
     return total / weights
 
 
-@numba.njit(cache=True)
+@kernel
 def _color_pixels(depth_m: Float32Array, cameras: FloatArray) -> tuple[Float32Array, Float32Array]:
     """(H, W) column and row in the colour image of each depth pixel; -1 without a reading."""
     fx, fy, cx, cy, fx_depth, fy_depth, cx_depth, cy_depth, shift_x, shift_y = cameras
@@ -240,7 +240,7 @@ def _color_pixels(depth_m: Float32Array, cameras: FloatArray) -> tuple[Float32Ar
     return columns, rows
 
 
-@numba.njit(cache=True)
+@kernel
 def _visible(
     columns: Float32Array, rows: Float32Array, depth_m: Float32Array, height: int, width: int
 ) -> BoolArray:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.kernel import kernel
 from slam.measurements import FloatArray
 
 IntArray: TypeAlias = NDArray[np.int64]
@@ -16,7 +16,7 @@ IntArray: TypeAlias = NDArray[np.int64]
 _DAMPING = 1e-6
 
 
-@numba.njit(cache=True)
+@kernel
 def settle_motions(
     points_a: FloatArray,
     points_b: FloatArray,
@@ -64,7 +64,7 @@ def settle_motions(
     return settled
 
 
-@numba.njit(cache=True)
+@kernel
 def squared_errors(
     points_a: FloatArray,
     points_b: FloatArray,
@@ -90,7 +90,7 @@ def squared_errors(
     return errors
 
 
-@numba.njit(cache=True)
+@kernel
 def _forth(pose: FloatArray, point: FloatArray) -> tuple[float, float, float]:
     """A point of a in b."""
     x = pose[0, 0] * point[0] + pose[0, 1] * point[1] + pose[0, 2] * point[2] + pose[0, 3]
@@ -99,7 +99,7 @@ def _forth(pose: FloatArray, point: FloatArray) -> tuple[float, float, float]:
     return x, y, z
 
 
-@numba.njit(cache=True)
+@kernel
 def _back(pose: FloatArray, point: FloatArray) -> tuple[float, float, float]:
     """A point of b in a."""
     dx, dy, dz = point[0] - pose[0, 3], point[1] - pose[1, 3], point[2] - pose[2, 3]
@@ -109,13 +109,13 @@ def _back(pose: FloatArray, point: FloatArray) -> tuple[float, float, float]:
     return x, y, z
 
 
-@numba.njit(cache=True)
+@kernel
 def _miss(x: float, y: float, z: float, pixel: FloatArray, camera: FloatArray) -> tuple[float, float]:
     """Where a point is projected to, less where it is seen."""
     return camera[0] * x / z + camera[2] - pixel[0], camera[1] * y / z + camera[3] - pixel[1]
 
 
-@numba.njit(cache=True)
+@kernel
 def _add_forth(
     hessian: FloatArray,
     gradient: FloatArray,
@@ -135,7 +135,7 @@ def _add_forth(
     _add_row(hessian, gradient, 0.0, camera[1] / z, -camera[1] * y / (z * z), x, y, z, dv, weight)
 
 
-@numba.njit(cache=True)
+@kernel
 def _add_back(
     hessian: FloatArray,
     gradient: FloatArray,
@@ -161,14 +161,14 @@ def _add_back(
         _add_row(hessian, gradient, a, b, c, point[0], point[1], point[2], miss, weight)
 
 
-@numba.njit(cache=True)
+@kernel
 def _weight(squared: float, scale_px: float) -> float:
     """Of Geman and McClure."""
     share = scale_px * scale_px / (scale_px * scale_px + squared)
     return share * share
 
 
-@numba.njit(cache=True)
+@kernel
 def _add_row(
     hessian: FloatArray,
     gradient: FloatArray,
@@ -189,7 +189,7 @@ def _add_row(
             hessian[j, k] += weight * row[j] * row[k]
 
 
-@numba.njit(cache=True)
+@kernel
 def _move(pose: FloatArray, step: FloatArray) -> None:
     """``pose`` becomes a turn by step[3:] and a shift by step[:3] after it; in place."""
     angle = np.sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.kernel import kernel
 from slam.measurements import FloatArray
 from slam.vision.features import Features, Matches
 
@@ -57,7 +57,7 @@ def match_near(
     return Matches(first, target[first])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _nearest(
     expected: NDArray[Any],
     known: NDArray[Any],
@@ -97,7 +97,7 @@ def _nearest(
         target[i] = chosen
 
 
-@numba.njit(cache=True, nogil=True, inline="always")
+@kernel(nogil=True, inline="always")
 def _bits(word: Any) -> int:
     """Number of ones in 64 bits."""
     word = word - ((word >> np.uint64(1)) & _M1)

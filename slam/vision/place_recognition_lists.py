@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.kernel import kernel
 from slam.measurements import FloatArray
 from slam.vision.place_recognition_vocabulary import BitRows, Words, ones
 
@@ -68,7 +68,7 @@ def _longer(array: NDArray[_Entry], length: int) -> NDArray[_Entry]:
     return grown
 
 
-@numba.njit(cache=True)
+@kernel
 def _append(
     words: Words,
     rows: BitRows,
@@ -95,7 +95,7 @@ def _append(
     return blocks
 
 
-@numba.njit(cache=True)
+@kernel
 def _scores(
     words: Words,
     rows: BitRows,

@@ -9,9 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TypeAlias
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from fusion.kernel import kernel
 
 Descriptors: TypeAlias = NDArray[np.uint8]
 Words: TypeAlias = NDArray[np.int32]
@@ -80,7 +81,7 @@ def _k_majority(rows: BitRows, count: int, rng: np.random.Generator) -> tuple[Bi
     return centres, nearest
 
 
-@numba.njit(cache=True)
+@kernel
 def nearest_rows(rows: BitRows, centres: BitRows) -> tuple[Words, Words]:
     """(N,) index and Hamming distance of the nearest centre of each row."""
     index, distance = np.zeros(len(rows), np.int32), np.zeros(len(rows), np.int32)
@@ -89,7 +90,7 @@ def nearest_rows(rows: BitRows, centres: BitRows) -> tuple[Words, Words]:
     return index, distance
 
 
-@numba.njit(cache=True)
+@kernel
 def _words(rows: BitRows, branches: BitRows, leaves: BitRows, starts: Words) -> Words:
     """Down the tree with as many probes as `_PROBES`."""
     words = np.zeros(len(rows), np.int32)
@@ -104,7 +105,7 @@ def _words(rows: BitRows, branches: BitRows, leaves: BitRows, starts: Words) -> 
     return words
 
 
-@numba.njit(cache=True)
+@kernel
 def _nearest(row: BitRows, centres: BitRows, start: int, stop: int) -> tuple[int, int]:
     """Index and distance of the nearest centre from start to stop; the first of equals."""
     best, index = _BITS + 1, start
@@ -115,7 +116,7 @@ def _nearest(row: BitRows, centres: BitRows, start: int, stop: int) -> tuple[int
     return index, best
 
 
-@numba.njit(cache=True)
+@kernel
 def _nearest_but(row: BitRows, centres: BitRows, skipped: int) -> int:
     """Index of the nearest centre that is not the skipped one; the skipped one where it is alone."""
     best, index = _BITS + 1, 0
@@ -126,13 +127,13 @@ def _nearest_but(row: BitRows, centres: BitRows, skipped: int) -> int:
     return index
 
 
-@numba.njit(cache=True)
+@kernel
 def _hamming(a: BitRows, b: BitRows) -> int:
     """Bits that differ between two rows of four words of 64 bits."""
     return ones(a[0] ^ b[0]) + ones(a[1] ^ b[1]) + ones(a[2] ^ b[2]) + ones(a[3] ^ b[3])
 
 
-@numba.njit(cache=True)
+@kernel
 def ones(x: np.uint64) -> int:
     """Bits set; the compiler makes one instruction of it."""
     x = x - ((x >> np.uint64(1)) & np.uint64(0x5555555555555555))
@@ -142,7 +143,7 @@ def ones(x: np.uint64) -> int:
     return count
 
 
-@numba.njit(cache=True)
+@kernel
 def _majority(rows: BitRows, nearest: Words, centres: BitRows) -> None:
     """Each bit of a centre as most of its members have it; a centre without members stays. In place."""
     set_bits = np.zeros((len(centres), _BITS), np.int32)

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from fusion.kernel import kernel
 
 _LEAST_SHARE = 0.5  # of a window's pixels on the same surface, below which there is no normal
 _LEAST_DETERMINANT = 1e-3
@@ -19,7 +20,7 @@ _SAME_SURFACE = np.float32(0.04)  # relative difference of inverse depth to the 
 _N, _U, _UU, _V, _VV, _UV, _W, _WU, _WV = range(9)
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def fit_planes(
     inverse: NDArray[Any],
     radius: int,
@@ -78,7 +79,7 @@ def fit_planes(
             normals[v, u, 2] = -nz / length
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _sum_windows(inverse: NDArray[Any], v: int, radius: int, sums: NDArray[Any]) -> None:
     """Sums (9, W - 2 radius) over the windows around row ``v`` of what is on their centres' surfaces."""
     span = sums.shape[1]
@@ -104,7 +105,7 @@ def _sum_windows(inverse: NDArray[Any], v: int, radius: int, sums: NDArray[Any])
         _add(line[3], along, sums[_WV])
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _count(
     beside: NDArray[Any],
     centre: NDArray[Any],
@@ -123,7 +124,7 @@ def _count(
         uu[i] += one * du * du
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _differ(
     beside: NDArray[Any],
     centre: NDArray[Any],
@@ -141,7 +142,7 @@ def _differ(
         wu[i] += counted * du
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel(nogil=True)
 def _add(values: NDArray[Any], factor: Any, total: NDArray[Any]) -> None:
     """Add a multiple."""
     for i in range(total.size):

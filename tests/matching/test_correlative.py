@@ -47,14 +47,15 @@ def test_pooled_levels_are_maxima(seed: int) -> None:
     rng = np.random.default_rng(seed)
     field = build_field(rng.uniform(-1.0, 1.0, (12, 2)), CELL_M, SIGMA_M)
     picture = field.levels[0]
-    rows, columns = picture.shape
     assert len(field.levels) > 1
     for k, level in enumerate(field.levels):
         width = 1 << k
-        assert level.shape == (rows + width - 1, columns + width - 1)
-        padded = np.pad(picture, width - 1)
+        padded = np.pad(picture, ((width - 1, 0), (width - 1, 0)))
         windows = np.lib.stride_tricks.sliding_window_view(padded, (width, width))
         np.testing.assert_array_equal(level, windows.max(axis=(2, 3)))
+    # A blob's outermost row reaches the last rows of the highest level, and is not cut off.
+    last = np.flatnonzero(picture.any(axis=1)).max()
+    assert field.levels[-1][last + width - 1].any()
 
 
 @pytest.mark.parametrize("offset", [(0.0, 0.0), (-812.3, 55.1)])

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from slam.matching.planar import (
-    add_rotated,
     adjoint,
     between,
     compose,
@@ -67,15 +66,6 @@ def test_rotate_covariance_is_the_product(a: np.ndarray, root: np.ndarray) -> No
     np.testing.assert_allclose(
         rotate_covariance(adjoint(a), covariance), ad @ covariance @ ad.T, rtol=1e-9, atol=1e-9 * scale
     )
-
-
-def test_add_rotated_adds_the_product() -> None:
-    rng = np.random.default_rng(0)
-    covariance, before = rng.normal(size=(2, 3, 3))
-    ad = adjoint(np.array([2.0, -1.0, 0.7]))
-    total = before.copy()
-    add_rotated(ad, covariance, total)
-    np.testing.assert_allclose(total, before + ad @ covariance @ ad.T)
 
 
 def test_a_rotated_covariance_is_that_of_the_moved_perturbations() -> None:

@@ -49,7 +49,7 @@ def test_the_sides_of_a_thin_wall_are_not_mixed(offset: tuple[float, float], tur
         for asked in (0.0, 0.04):
             spot = turned(np.array([[asked, 1.0]]), turn)[0] + offset
             way = turned(np.array([[normal, 0.0]]), turn)[0]
-            found = nearest_surfel(surfel_map, *spot, *way)
+            found = nearest_surfel(*surfel_map, *spot, *way)
             assert found >= 0
             assert sides[found] == pytest.approx(x, abs=1e-9)
 
@@ -62,7 +62,7 @@ def test_the_nearest_of_several_is_found() -> None:
     spots = rng.uniform(-0.4, 3.4, (300, 2))
     for spot in spots:
         distances = np.hypot(*(surfel_map.surfels[:, :2] - spot).T)
-        found = nearest_surfel(surfel_map, *spot, 0.6, 0.8)
+        found = nearest_surfel(*surfel_map, *spot, 0.6, 0.8)
         # The 3 x 3 cells reach one cell at least.
         if distances.min() < 0.5:
             assert found == distances.argmin()
@@ -76,20 +76,20 @@ def test_the_nearest_of_several_is_found() -> None:
 def test_a_surfel_is_found_only_by_who_faces_alike(angle_deg: float, found: bool) -> None:
     surfel_map = build_surfel_map(*arrays([[1.0, 1.0]], [[1.0, 0.0]]), 0.2)
     angle = math.radians(angle_deg)
-    assert (nearest_surfel(surfel_map, 1.0, 1.0, math.cos(angle), math.sin(angle)) == 0) is found
+    assert (nearest_surfel(*surfel_map, 1.0, 1.0, math.cos(angle), math.sin(angle)) == 0) is found
 
 
 def test_nothing_is_found_far_away() -> None:
     surfel_map = build_surfel_map(*arrays([[1.0, 1.0]], [[1.0, 0.0]]), 0.2)
-    assert nearest_surfel(surfel_map, 1.19, 1.0, 1.0, 0.0) == 0
+    assert nearest_surfel(*surfel_map, 1.19, 1.0, 1.0, 0.0) == 0
     for x, y in ((1.31, 1.0), (1.0, 0.69), (1e6, 1e6), (-1e6, -1e6), (math.inf, 0.0)):
-        assert nearest_surfel(surfel_map, x, y, 1.0, 0.0) == -1
+        assert nearest_surfel(*surfel_map, x, y, 1.0, 0.0) == -1
 
 
 def test_an_empty_map_answers() -> None:
     surfel_map = build_surfel_map(np.zeros((0, 2)), np.zeros((0, 2)), 0.1)
     assert len(surfel_map.surfels) == 0
-    assert nearest_surfel(surfel_map, 0.0, 0.0, 1.0, 0.0) == -1
+    assert nearest_surfel(*surfel_map, 0.0, 0.0, 1.0, 0.0) == -1
 
 
 def test_points_at_the_maps_edge() -> None:

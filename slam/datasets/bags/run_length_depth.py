@@ -6,10 +6,10 @@ Numbers are written in groups of three bits, the lowest first, each with a bit t
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.kernel import kernel
 from slam.datasets.dataset import RecordFault
 
 DAMAGED_RUNS = "depth image of run lengths that is damaged"
@@ -39,7 +39,7 @@ def unpacked(content: bytes) -> NDArray[np.uint16]:
     return pixels.reshape(height, width)
 
 
-@numba.njit(cache=True)
+@kernel
 def _fill(words: NDArray[np.uint32], pixels: NDArray[np.uint16]) -> bool:
     """Write all pixels; False where the runs end before, or go beyond."""
     at, done, before = 0, 0, 0
@@ -61,7 +61,7 @@ def _fill(words: NDArray[np.uint32], pixels: NDArray[np.uint16]) -> bool:
     return True
 
 
-@numba.njit(cache=True)
+@kernel
 def _number(words: NDArray[np.uint32], at: int) -> tuple[int, int]:
     """The number that begins at a group, and the group after it; -1 where the data end."""
     value, shift, more = 0, 0, 8
