@@ -22,7 +22,7 @@ from fusion.camera_tilt import CameraTilt, camera_tilt
 from fusion.curves import DepthImage, Intrinsics, LidarCurve
 from fusion.denoise import Denoised, denoise
 from fusion.depth_model import RangeNoise
-from fusion.height_band import HeightBand, LensDistortion, camera_on_arm
+from fusion.height_band import ArmJoint, HeightBand, LensDistortion, camera_on_arm
 from fusion.registration import Registration, register
 from fusion.repair import Provenance
 from fusion.rig import Rig, RigEstimate
@@ -30,6 +30,7 @@ from fusion.similarity import Grade
 from fusion.time_alignment import ClockOffset, clock_offset, pair_stamps
 
 __all__ = [
+    "ArmJoint",
     "CameraTilt",
     "ClockOffset",
     "Denoised",

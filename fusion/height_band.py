@@ -124,6 +124,18 @@ def camera_on_arm(
     ------
     ValueError
         Where there is not one position a joint.
+
+    Examples
+    --------
+    A mast that slides up, on a base that turns.
+
+    >>> import fusion, numpy as np
+    >>> turn, slide = fusion.ArmJoint(np.eye(4)), fusion.ArmJoint(np.eye(4), kind="slide")
+    >>> T_link_camera = np.eye(4)
+    >>> T_link_camera[0, 3] = 0.2  # before the mast
+    >>> T_base_camera = fusion.camera_on_arm([turn, slide], [np.pi / 2, 0.5], T_link_camera)
+    >>> T_base_camera[:3, 3].round(3).tolist()
+    [0.0, 0.2, 0.5]
     """
     T_base_link = np.eye(4)
     for joint, position in zip(joints, positions, strict=True):

@@ -64,6 +64,26 @@ class Rig:
     kept
         How many pairs the height and the motion are estimated from; bounds the memory (60 kB
         for each of 180 degrees).
+
+    Examples
+    --------
+    A robot that turns on the spot; its camera looks 0.3 rad to the left of the lidar's zero.
+
+    >>> import fusion, numpy as np
+    >>> def ranges_m(bearings):  # of the walls of a room of 6 m by 4 m, from a place in it
+    ...     ways = np.column_stack([np.cos(bearings), np.sin(bearings)])
+    ...     return ((np.array([3.0, 2.0]) - np.sign(ways) * [0.5, 0.3]) / np.abs(ways)).min(axis=1)
+    >>> beams, slopes = np.linspace(-np.pi, np.pi, 721, endpoint=False), (79.5 - np.arange(160)) / 120
+    >>> camera = fusion.Intrinsics(fx=120, fy=120, cx=79.5, cy=59.5)
+    >>> rig = fusion.Rig()
+    >>> for heading in (0.6, 1.1, 2.0, 3.5, 4.1):
+    ...     scan = fusion.LidarCurve(ranges_m(beams + heading - 0.3), -np.pi, 2 * np.pi / 721)
+    ...     depth_m = ranges_m(np.arctan(slopes) + heading) * np.cos(np.arctan(slopes))
+    ...     depth = fusion.DepthImage(np.tile(depth_m, (120, 1)).astype(np.float32), camera)
+    ...     rig.add(fusion.register(scan, depth))
+    >>> known = rig.estimate()
+    >>> round(known.yaw_rad, 1), known.pairs, known.drift
+    (0.3, 5, 0)
     """
 
     def __init__(self, kept: int = 96) -> None:

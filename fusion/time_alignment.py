@@ -62,6 +62,12 @@ def pair_stamps(first_s: NDArray[Any], second_s: NDArray[Any], tolerance_s: floa
     ------
     ValueError
         A stamp that is not finite, or a tolerance below zero.
+
+    Examples
+    --------
+    >>> import fusion, numpy as np
+    >>> fusion.pair_stamps(np.array([0.0, 1.0, 2.0]), np.array([0.98, 2.3, 0.01]), 0.05).tolist()
+    [[0, 2], [1, 0]]
     """
     a, b = np.asarray(first_s, dtype=np.float64), np.asarray(second_s, dtype=np.float64)
     if not (np.isfinite(a).all() and np.isfinite(b).all()) or not tolerance_s >= 0.0:
@@ -112,6 +118,16 @@ def clock_offset(
     ------
     ValueError
         Stamps that do not rise.
+
+    Examples
+    --------
+    >>> import fusion, numpy as np
+    >>> def yaw_rate(true_s):
+    ...     return 0.5 * np.sin(true_s) + 0.3 * np.sin(2.7 * true_s)
+    >>> scans_s, images_s = np.arange(0.0, 20.0, 0.1), np.arange(0.0, 20.0, 0.04)
+    >>> found = fusion.clock_offset(scans_s, yaw_rate(scans_s), images_s + 0.25, yaw_rate(images_s))
+    >>> round(found.offset_s, 2)
+    0.25
     """
     for stamps in (first_s, second_s):
         if np.any(np.diff(stamps) <= 0.0):

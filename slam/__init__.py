@@ -5,6 +5,9 @@ measurements of your own; `load_map` opens a saved map, `join` adds a log to it,
 in it, `Localizer` a robot, measurement by measurement; `evaluate` scores a trajectory. The command line,
 ``scanweave``, is a thin shell over the same.
 
+The parts work by themselves on plain arrays: `match_scans` a matcher, `check_loop` a loop check, `PoseGraph`
+the graph, `grid_of_scans` the grid, and the package `fusion` the fusion of lidar and depth.
+
 Examples
 --------
 >>> import slam
@@ -19,6 +22,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from slam.app.joining import Joined as Joined
     from slam.app.joining import join as join
     from slam.app.localizing import Localization as Localization
     from slam.app.localizing import localize_log as localize_log
@@ -29,15 +33,25 @@ if TYPE_CHECKING:
     from slam.config import load_config as load_config
     from slam.datasets import open_dataset as open_dataset
     from slam.errors import ScanweaveError as ScanweaveError
+    from slam.evaluation.score import evaluate as evaluate
+    from slam.graph.loop_closure import LoopCandidate as LoopCandidate
+    from slam.graph.pose_graph import Edge as Edge
+    from slam.graph.pose_graph import EdgeKind as EdgeKind
+    from slam.graph.pose_graph import PoseGraph as PoseGraph
     from slam.localization.localizer import Localizer as Localizer
     from slam.localization.output import LocalizerOutput as LocalizerOutput
     from slam.localization.output import State as State
+    from slam.mapping.occupancy_grid import OccupancyGrid as OccupancyGrid
     from slam.measurements import CameraIntrinsics as CameraIntrinsics
     from slam.measurements import LaserScan as LaserScan
+    from slam.measurements import MotionEstimate as MotionEstimate
     from slam.measurements import PointCloud as PointCloud
     from slam.measurements import RgbdFrame as RgbdFrame
     from slam.measurements import Trajectory as Trajectory
     from slam.measurements import WheelOdometry as WheelOdometry
+    from slam.parts import check_loop as check_loop
+    from slam.parts import grid_of_scans as grid_of_scans
+    from slam.parts import match_scans as match_scans
     from slam.storage.saved_map import SavedMap as SavedMap
     from slam.storage.saved_map import open_saved_map
 
@@ -46,11 +60,18 @@ if TYPE_CHECKING:
 _HOMES = {
     "CameraIntrinsics": ("slam.measurements", "CameraIntrinsics"),
     "Config": ("slam.config", "Config"),
+    "Edge": ("slam.graph.pose_graph", "Edge"),
+    "EdgeKind": ("slam.graph.pose_graph", "EdgeKind"),
+    "Joined": ("slam.app.joining", "Joined"),
     "LaserScan": ("slam.measurements", "LaserScan"),
     "Localization": ("slam.app.localizing", "Localization"),
     "Localizer": ("slam.localization.localizer", "Localizer"),
     "LocalizerOutput": ("slam.localization.output", "LocalizerOutput"),
+    "LoopCandidate": ("slam.graph.loop_closure", "LoopCandidate"),
+    "MotionEstimate": ("slam.measurements", "MotionEstimate"),
+    "OccupancyGrid": ("slam.mapping.occupancy_grid", "OccupancyGrid"),
     "PointCloud": ("slam.measurements", "PointCloud"),
+    "PoseGraph": ("slam.graph.pose_graph", "PoseGraph"),
     "Progress": ("slam.app.progress", "Progress"),
     "RgbdFrame": ("slam.measurements", "RgbdFrame"),
     "SavedMap": ("slam.storage.saved_map", "SavedMap"),
@@ -59,11 +80,15 @@ _HOMES = {
     "Trajectory": ("slam.measurements", "Trajectory"),
     "WheelOdometry": ("slam.measurements", "WheelOdometry"),
     "build_map": ("slam.app.mapping", "build_map"),
+    "check_loop": ("slam.parts", "check_loop"),
+    "evaluate": ("slam.evaluation.score", "evaluate"),
+    "grid_of_scans": ("slam.parts", "grid_of_scans"),
     "join": ("slam.app.joining", "join"),
     "load_config": ("slam.config", "load_config"),
     "load_map": ("slam.storage.saved_map", "open_saved_map"),
     "localize_log": ("slam.app.localizing", "localize_log"),
     "map_log": ("slam.app.mapping", "map_log"),
+    "match_scans": ("slam.parts", "match_scans"),
     "open_dataset": ("slam.datasets", "open_dataset"),
 }
 

@@ -93,6 +93,13 @@ def load_config(preset_or_path: str | None = None, overrides: Sequence[str] = ()
     ConfigError
         For a missing or malformed file, an unknown key (with the nearest valid one) or a bad value
         (with its limit).
+
+    Examples
+    --------
+    >>> import slam
+    >>> config = slam.load_config(overrides=["keyframes.distance_m=0.3"])
+    >>> config.keyframes.distance_m, config.grid.resolution_m
+    (0.3, 0.05)
     """
     file = _find_file(preset_or_path or DEFAULT_PRESET)
     tree = _read_tree(file)

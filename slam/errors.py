@@ -29,5 +29,9 @@ class UnfinishedMapError(MapFileError):
     """A map whose run was interrupted, or still goes on."""
 
 
+class LibraryError(ScanweaveError):
+    """A library that does not load, or lacks one of the system."""
+
+
 class EvaluationError(ScanweaveError):
     """A reference that does not fit the trajectory it should score."""

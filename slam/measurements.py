@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, TypeAlias
 
 import gtsam
@@ -19,6 +19,27 @@ AnyFloatArray: TypeAlias = NDArray[np.floating[Any]]
 BoolArray: TypeAlias = NDArray[np.bool_]
 ColorImage: TypeAlias = NDArray[np.uint8]
 Pose: TypeAlias = gtsam.Pose2 | gtsam.Pose3
+
+
+def one_line(record: Any) -> str:
+    """A dataclass in one line, as the ``__repr__`` of those that hold arrays: arrays by type and shape."""
+    shown = (f"{item.name}={_shown(getattr(record, item.name))}" for item in fields(record) if item.repr)
+    return f"{type(record).__name__}({', '.join(shown)})"
+
+
+def _shown(value: Any) -> str:
+    """A field in `one_line`; what is long by its type and size."""
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype}{list(value.shape)}"
+    if isinstance(value, list | tuple):
+        return f"{type(value).__name__}[{len(value)}]"
+    if isinstance(value, gtsam.Pose2):
+        return f"Pose2({value.x():.6g}, {value.y():.6g}, {value.theta():.6g})"
+    if isinstance(value, gtsam.Pose3):
+        x, y, z = value.translation()
+        roll, pitch, yaw = value.rotation().rpy()
+        return f"Pose3(xyz=({x:.6g}, {y:.6g}, {z:.6g}), rpy=({roll:.6g}, {pitch:.6g}, {yaw:.6g}))"
+    return repr(value.item() if isinstance(value, np.generic) else value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +70,8 @@ class LaserScan:
     T_base_laser: gtsam.Pose2 = field(default_factory=gtsam.Pose2)
     sensor: str = "laser"
 
+    __repr__ = one_line
+
     def bearings_rad(self) -> FloatArray:
         """Bearing of every beam in the laser frame, (N,)."""
         return self.start_angle_rad + self.step_rad * np.arange(self.ranges_m.size, dtype=np.float64)
@@ -68,6 +91,8 @@ class WheelOdometry:
     stamp_s: float
     T_odom_base: gtsam.Pose2
     sensor: str = "odometry"
+
+    __repr__ = one_line
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +135,8 @@ class RgbdFrame:
     T_base_camera: gtsam.Pose3 | None = None
     sensor: str = "camera"
 
+    __repr__ = one_line
+
 
 @dataclass(frozen=True, slots=True)
 class PointCloud:
@@ -134,6 +161,8 @@ class PointCloud:
     times_s: FloatArray | None = None
     T_base_lidar: gtsam.Pose3 = field(default_factory=gtsam.Pose3)
     sensor: str = "lidar"
+
+    __repr__ = one_line
 
 
 Measurement: TypeAlias = LaserScan | WheelOdometry | RgbdFrame | PointCloud
@@ -173,6 +202,8 @@ class MotionEstimate:
     degenerate: bool
     weak_direction: FloatArray
 
+    __repr__ = one_line
+
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
@@ -191,6 +222,8 @@ class Trajectory:
     stamps_s: FloatArray
     positions_m: FloatArray
     quaternions_xyzw: FloatArray
+
+    __repr__ = one_line
 
     def __len__(self) -> int:
         return int(self.stamps_s.size)

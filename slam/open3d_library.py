@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from slam.errors import ScanweaveError
+from slam.errors import LibraryError
 
 
 def load_open3d() -> Any:
@@ -12,13 +12,13 @@ def load_open3d() -> Any:
 
     Raises
     ------
-    ScanweaveError
+    LibraryError
         A library of the system that it needs is missing.
     """
     try:
         import open3d
     except (ImportError, OSError) as error:
-        raise ScanweaveError(
+        raise LibraryError(
             f"Open3D does not load ({error}); on Debian: apt-get install libegl1 libgl1 libx11-6 libusb-1.0-0"
         ) from error
     return open3d

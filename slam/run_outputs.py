@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import gtsam
@@ -9,8 +10,9 @@ import numpy as np
 
 from slam.config_clouds import CloudMapConfig
 from slam.config_stages import DenseMapConfig
-from slam.errors import ScanweaveError
+from slam.errors import LibraryError, ScanweaveError
 from slam.map_result import DenseKeyframes, MappedClouds, MapResult
+from slam.mapping.camera_points import camera_cloud
 from slam.mapping.cloud_map import map_cloud
 from slam.mapping.dense_map import DenseMapSettings, fuse_keyframes
 from slam.mapping.layered_map import LayeredMap
@@ -23,6 +25,8 @@ from slam.storage.octomap import write_octomap, write_octree
 from slam.storage.ply import write_cloud_ply, write_mesh_ply
 from slam.storage.saved_map import SavedMap
 from slam.storage.tum import write_tum
+
+log = logging.getLogger(__name__)
 
 
 def save_run(folder: Path, result: MapResult, layers: LayeredMap | None) -> list[Path]:
@@ -54,10 +58,14 @@ def save_run(folder: Path, result: MapResult, layers: LayeredMap | None) -> list
     return written
 
 
-def save_dense(folder: Path, result: MapResult, config: DenseMapConfig) -> list[Path]:
+def save_dense(folder: Path, result: MapResult, config: DenseMapConfig) -> tuple[list[Path], list[str]]:
     """Write ``mesh.ply`` and ``cloud.ply`` of the camera keyframes, and ``map.bt`` where it is asked for.
 
     The octree is that of a 3D lidar where there is one, see `save_clouds`.
+
+    Returns
+    -------
+    What was written, and what of it could not be had.
 
     Raises
     ------
@@ -65,12 +73,12 @@ def save_dense(folder: Path, result: MapResult, config: DenseMapConfig) -> list[
         Where a file cannot be written, or a library that this needs is missing.
     """
     if result.dense is None or not config.enabled:
-        return []
-    written = save_surface(folder / "mesh.ply", result.dense, config)
+        return [], []
+    written, missing = save_surface(folder / "mesh.ply", result.dense, config)
     if config.octomap and result.clouds is None:
         save_octomap(folder / "map.bt", result.dense, config)
         written.append(folder / "map.bt")
-    return written
+    return written, missing
 
 
 def save_clouds(folder: Path, result: MapResult, config: CloudMapConfig, dense: DenseMapConfig) -> list[Path]:
@@ -112,21 +120,35 @@ def save_cloud_octomap(
     write_octree(path, views, dense.octomap_cell_m, config.plan_range_m)
 
 
-def save_surface(path: Path, keyframes: DenseKeyframes, config: DenseMapConfig) -> list[Path]:
-    """The coloured mesh of the camera keyframes, and their cloud beside it; nothing where they show none."""
+def save_surface(
+    path: Path, keyframes: DenseKeyframes, config: DenseMapConfig
+) -> tuple[list[Path], list[str]]:
+    """The coloured mesh of the camera keyframes, and their cloud beside it; nothing where they show none.
+
+    Without Open3D there is no mesh, and the cloud is of the points as they were seen.
+
+    Returns
+    -------
+    What was written, and what could not be had.
+    """
     settings = DenseMapSettings(
         voxel_size_m=config.voxel_m, depth_min_m=config.nearest_m, depth_max_m=config.farthest_m
     )
-    dense = fuse_keyframes(keyframes.frames, keyframes.poses, settings)
-    cloud = path.with_name("cloud.ply" if path.name == "mesh.ply" else f"{path.stem}-cloud.ply")
-    written = []
-    if len(dense.mesh.faces):
-        write_mesh_ply(path, dense.mesh)
-        written.append(path)
-    if len(dense.cloud.points_map):
-        write_cloud_ply(cloud, dense.cloud)
-        written.append(cloud)
-    return written
+    cloud_path = path.with_name("cloud.ply" if path.name == "mesh.ply" else f"{path.stem}-cloud.ply")
+    written, missing = [], []
+    try:
+        dense = fuse_keyframes(keyframes.frames, keyframes.poses, settings)
+        cloud = dense.cloud
+        if len(dense.mesh.faces):
+            write_mesh_ply(path, dense.mesh)
+            written.append(path)
+    except LibraryError as error:
+        cloud = camera_cloud(keyframes.frames, keyframes.poses, settings)
+        missing.append(f"No {path.name}, and {cloud_path.name} is of points as they were seen: {error}")
+    if len(cloud.points_map):
+        write_cloud_ply(cloud_path, cloud)
+        written.append(cloud_path)
+    return written, missing
 
 
 def save_octomap(path: Path, keyframes: DenseKeyframes, config: DenseMapConfig) -> None:
@@ -231,9 +253,11 @@ def export_map(saved: SavedMap, format_: str, out: Path) -> list[Path]:
 
 def _export_ply(saved: SavedMap, out: Path) -> list[Path]:
     """The coloured surface of the images, and the cloud of the 3D lidar."""
-    written, cloud = [], out
+    written, cloud = list[Path](), out
     if len(saved.frames):
-        written = save_surface(out, _dense_of(saved), saved.config.dense_map)
+        written, missing = save_surface(out, _dense_of(saved), saved.config.dense_map)
+        for fault in missing:
+            log.warning("%s", fault)
         cloud = out.with_name("lidar.ply" if out.name == "mesh.ply" else f"{out.stem}-lidar.ply")
     if len(saved.clouds):
         save_cloud(cloud, _clouds_of(saved), saved.config.cloud_map)

@@ -19,3 +19,10 @@ def open3d() -> Any:
         return load_open3d()
     except ScanweaveError as error:
         pytest.skip(f"NOT TESTED: {error}")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What takes Open3D needs more than a bare machine has."""
+    for item in items:
+        if "open3d" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.system)

@@ -25,7 +25,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"slam.keyframe_fusion"}),
     frozenset({"slam.robot_cameras", "slam.journal"}),
     frozenset({"slam.mount_learner"}),
-    frozenset({"slam.storage", "slam.readings", "slam.scan_record"}),
+    frozenset({"slam.storage", "slam.readings", "slam.scan_record", "slam.parts"}),
     frozenset(
         {"slam.odometry", "slam.graph", "slam.mapping", "slam.datasets", "slam.simulation", "slam.viewer"}
         | {"slam.full_trajectory", "slam.spatial_trajectory", "slam.sensor_choice"}

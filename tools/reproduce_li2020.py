@@ -22,7 +22,8 @@ from fusion import bayes
 from fusion.height_band import HeightBand
 from slam.evaluation.figure_parts import figure_of, png_of
 from slam.evaluation.page_parts import image, paragraph, section, table
-from slam.mapping.dense_map import ColoredCloud, DenseMapSettings, fuse_keyframes
+from slam.mapping.camera_points import camera_cloud
+from slam.mapping.dense_map import ColoredCloud, DenseMapSettings
 from slam.mapping.layer_builder import build_layers
 from slam.mapping.layered_map import LAYERS, LayeredMap
 from slam.measurements import LaserScan, RgbdFrame
@@ -116,14 +117,14 @@ def write_3d(out: Path, seed: int) -> bytes:
         if isinstance(reading, RgbdFrame) and reading.T_base_camera is not None
     ]
     write_octomap(out / "scene.bt", frames, poses, 0.05, 3.5)
-    dense = fuse_keyframes(frames, poses, DenseMapSettings(0.01, 0.8, 3.5))
+    seen = camera_cloud(frames, poses, DenseMapSettings(0.01, 0.8, 3.5))
     lidar = np.concatenate(
         [_ends(reading, pose) for reading, pose in posed if isinstance(reading, LaserScan)]
     )
     cloud = ColoredCloud(
-        np.concatenate([dense.cloud.points_map, lidar]).astype(np.float32),
-        np.concatenate([dense.cloud.colors, np.full((len(lidar), 3), (220, 40, 40), np.uint8)]),
-        np.concatenate([dense.cloud.normals_map, np.tile(np.float32([0, 0, 1]), (len(lidar), 1))]),
+        np.concatenate([seen.points_map, lidar]).astype(np.float32),
+        np.concatenate([seen.colors, np.full((len(lidar), 3), (220, 40, 40), np.uint8)]),
+        np.concatenate([seen.normals_map, np.tile(np.float32([0, 0, 1]), (len(lidar), 1))]),
     )
     write_cloud_ply(out / "scene.ply", cloud)
     return cloud_picture(cloud)
@@ -174,7 +175,7 @@ def page(runs: list[dict[str, Any]], results: dict[str, Any], scene_3d: bytes) -
         section("Layers: black occupied, white free, grey unknown", "".join(pictures)),
         section(
             "The scene in 3D, as of Fig. 13",
-            paragraph("The camera's surface in colour, the lidar's ends in red; also scene.ply and scene.bt.")
+            paragraph("The camera's points in colour, the lidar's ends in red; also scene.ply and scene.bt.")
             + image(scene_3d, "coloured points of the scene"),
         ),
     ]

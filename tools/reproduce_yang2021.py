@@ -132,7 +132,7 @@ def page(runs: list[dict[str, Any]], results: dict[str, Any]) -> list[str]:
         f"{POSE_SIGMA_M * 1e3:g} mm and {math.degrees(POSE_SIGMA_RAD):g} degrees. The band is 0.03 m to "
         f"l + sigma = 0.23 m. N = {LEAST_POINTS} and the threshold {OCCUPIED_ABOVE:g} were chosen on another "
         "drive; completeness depends on them (N = 3 and 0.65 give 1.37: walls two cells thick). RANSAC is "
-        "Open3D's, one plane for the cloud of the drive, beside it one for each keyframe."
+        "of one plane for the cloud of the drive, beside it one for each keyframe."
     )
     head = [
         "run",

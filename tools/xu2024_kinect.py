@@ -8,13 +8,14 @@ depth is compared with the mesh.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import fusion
 from fusion.native_slice import native_slice
+from slam.open3d_library import load_open3d
+from slam.simulation.ray_caster import RayCaster
 
 INTRINSICS = fusion.Intrinsics(585.0, 585.0, 320.0, 240.0)
 EVERY, FRAMES, VOXEL_M = 5, 500, 0.015
@@ -108,10 +109,9 @@ def _level(pose: NDArray[np.float64], down: NDArray[np.float64]) -> NDArray[np.f
     return np.stack([ahead, np.cross(up, ahead), up])
 
 
-def _mesh(folder: Path) -> Any:
+def _mesh(folder: Path) -> RayCaster:
     """A ray caster of the TSDF's mesh."""
-    import open3d as o3d
-
+    o3d = load_open3d()
     grid = o3d.t.geometry.VoxelBlockGrid(
         ("tsdf", "weight"), (o3d.core.float32, o3d.core.float32), ((1), (1)), VOXEL_M, 16, 20000
     )
@@ -124,21 +124,19 @@ def _mesh(folder: Path) -> Any:
         extrinsic = o3d.core.Tensor(np.linalg.inv(pose))
         blocks = grid.compute_unique_block_coordinates(image, matrix, extrinsic, 1.0, 4.0)
         grid.integrate(blocks, image, matrix, extrinsic, 1.0, 4.0)
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(grid.extract_triangle_mesh(weight_threshold=3.0))
-    return scene
+    mesh = grid.extract_triangle_mesh(weight_threshold=3.0)
+    return RayCaster(mesh.vertex.positions.numpy(), mesh.triangle.indices.numpy())
 
 
-def _cast(scene: Any, origin: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.float32]:
+def _cast(
+    scene: RayCaster, origin: NDArray[np.float64], directions: NDArray[np.float64]
+) -> NDArray[np.float32]:
     """(N,) distances in lengths of the directions, ``inf`` where nothing is."""
-    from open3d import core
-
-    rays = np.hstack([np.tile(origin, (len(directions), 1)), directions]).astype(np.float32)
-    return np.asarray(scene.cast_rays(core.Tensor.from_numpy(rays))["t_hit"].numpy().copy())
+    return scene.cast(np.hstack([np.tile(origin, (len(directions), 1)), directions]).astype(np.float32))[0]
 
 
 def _virtual_scan(
-    scene: Any, pose: NDArray[np.float64], level: NDArray[np.float64], rng: np.random.Generator
+    scene: RayCaster, pose: NDArray[np.float64], level: NDArray[np.float64], rng: np.random.Generator
 ) -> fusion.LidarCurve:
     """A lidar under the camera, level, that looks the same way."""
     step = APERTURE_RAD / (BEAMS - 1)
@@ -149,7 +147,7 @@ def _virtual_scan(
     return fusion.LidarCurve(noisy.astype(np.float32), -0.5 * APERTURE_RAD, step, REACH_M)
 
 
-def _truth(scene: Any, pose: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float32]:
+def _truth(scene: RayCaster, pose: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float32]:
     """(H, W) depth of the mesh."""
     col, row = np.meshgrid(np.arange(shape[1]), np.arange(shape[0]))
     rays = np.stack(

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import gtsam
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -12,7 +11,7 @@ from xu2024_pairs import TruePair
 
 from slam.mapping.layer_builder import LayerBuilder, LayerSettings
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.measurements import row_from_pose2
+from slam.measurements import LaserScan, row_from_pose2
 from slam.simulation.true_grid import TrueGrid
 
 RESOLUTION_M = 0.05
@@ -50,7 +49,11 @@ class DriveMaps:
         """One scan into both; what it truly met is what a map can be asked for."""
         scan, pose = pair.scan, row_from_pose2(pair.T_map_laser)
         for builder, ranges in ((self.before, scan.ranges_m), (self.after, repaired_m)):
-            builder.add(replace(scan, ranges_m=ranges, T_base_laser=gtsam.Pose2()), pair.T_map_laser)
+            # Scans of one place are told apart by their times, and a pair tells none.
+            numbered = LaserScan(
+                float(len(self._met)), ranges, scan.start_angle_rad, scan.step_rad, scan.range_max_m
+            )
+            builder.add(numbered, pair.T_map_laser)
         bearings, truth = scan.bearings_rad() + pose[2], pair.true_ranges_m.astype(np.float64)
         met = np.isfinite(truth) & (truth <= scan.range_max_m)
         ends = pose[:2] + truth[met, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])[met]

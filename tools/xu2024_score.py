@@ -11,7 +11,6 @@ from xu2024_pairs import TrueImage, TruePair
 import fusion
 from slam.simulation.faults import Fault
 
-HOLES = (Fault.HOLE_GLASS, Fault.HOLE_GRAZING)  # first and last of the numbers that are holes
 BURRS = (Fault.BURR_EDGE, Fault.BURR_MULTIPATH)
 VISIBLE_M = 0.05  # a burr nearer to the truth than this makes nothing worse and counts as no burr
 SAME_M = 0.05  # two sensors see the same point where they agree on it so far

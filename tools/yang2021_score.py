@@ -26,7 +26,7 @@ from slam.mapping.occupancy_grid import OCCUPIED
 from slam.simulation.true_grid import true_grid
 
 NEAR_M = 0.12
-RANSAC_DISTANCE_M, RANSAC_POINTS, RANSAC_DRAWS = 0.03, 3, 1000
+RANSAC_DISTANCE_M, RANSAC_DRAWS = 0.03, 1000
 
 Points = NDArray[np.float64]
 
@@ -93,7 +93,7 @@ def completeness(run: Run, built: LayeredMap, band: HeightBand) -> float:
 
 
 def ransac_occupied(run: Run, band: HeightBand, cell_m: float, seed: int, *, whole: bool) -> Points:
-    """Occupied middles where the ground is fitted by Open3D's RANSAC instead, map frame.
+    """Occupied middles where the ground is fitted by RANSAC instead, map frame.
 
     What lies on the plane is cut off as ground, what lies above it is projected.
 
@@ -102,9 +102,7 @@ def ransac_occupied(run: Run, band: HeightBand, cell_m: float, seed: int, *, who
     whole
         One plane for the cloud of the whole drive; otherwise one for each keyframe.
     """
-    import open3d
-
-    open3d.utility.random.seed(seed)
+    rng = np.random.default_rng(seed)
     clouds, eyes = [], []
     for frame, pose in zip(run.frames, run.poses, strict=True):
         camera = frame.intrinsics
@@ -117,24 +115,37 @@ def ransac_occupied(run: Run, band: HeightBand, cell_m: float, seed: int, *, who
         eyes.append(T_map_camera[:3, 3])
     if whole:
         clouds, eyes = [thin_to_voxels(np.concatenate(clouds), 0.015)], [np.mean(eyes, axis=0)]
-    kept = np.concatenate([_over_plane(cloud, eye, band) for cloud, eye in zip(clouds, eyes, strict=True)])
+    kept = np.concatenate(
+        [_over_plane(cloud, eye, band, rng) for cloud, eye in zip(clouds, eyes, strict=True)]
+    )
     left = thin_to_voxels(kept, 0.015)
     left = left[dense_enough(left, 0.04, 6)]
     cells, counts = count_in_cells(left, cell_m)
     return np.asarray((cells[counts >= 3] + 0.5) * cell_m)
 
 
-def _over_plane(cloud: Points, eye: Points, band: HeightBand) -> Points:
+def _over_plane(cloud: Points, eye: Points, band: HeightBand, rng: np.random.Generator) -> Points:
     """The points above the plane of most of a cloud, up to the band's top; up is towards the eye."""
-    import open3d
+    normal, middle = _ransac_plane(cloud, rng)
+    height = (cloud - middle) @ normal * math.copysign(1.0, (eye - middle) @ normal)
+    return cloud[(height > RANSAC_DISTANCE_M) & (height < band.high_m)]
 
-    points = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud))
-    plane, inliers = points.segment_plane(RANSAC_DISTANCE_M, RANSAC_POINTS, RANSAC_DRAWS)
-    normal, length = np.array(plane[:3]), float(np.linalg.norm(plane[:3]))
-    height = (cloud @ normal + plane[3]) / length * math.copysign(1.0, eye @ normal + plane[3])
-    off = np.ones(len(cloud), dtype=bool)
-    off[inliers] = False
-    return cloud[off & (height > 0.0) & (height < band.high_m)]
+
+def _ransac_plane(cloud: Points, rng: np.random.Generator) -> tuple[Points, Points]:
+    """Unit normal and a point of the plane that most points are near, fitted to all of those."""
+    first, second, third = (cloud[rng.integers(0, len(cloud), RANSAC_DRAWS)] for _ in range(3))
+    normals = np.cross(second - first, third - first)
+    length = np.linalg.norm(normals, axis=1)
+    planes = [
+        (n / norm, n @ p / norm) for n, norm, p in zip(normals, length, first, strict=True) if norm > 0.0
+    ]
+
+    def near(plane: tuple[Points, float]) -> NDArray[np.bool_]:
+        return np.abs(cloud @ plane[0] - plane[1]) < RANSAC_DISTANCE_M
+
+    inliers = cloud[near(max(planes, key=lambda plane: np.count_nonzero(near(plane))))]
+    middle = inliers.mean(axis=0)
+    return np.linalg.eigh(np.cov((inliers - middle).T))[1][:, 0], middle
 
 
 def _face(run: Run, occupied: Points, axis: int, place: float, across: tuple[float, float]) -> Line:

@@ -78,6 +78,17 @@ def join(
     ------
     ScanweaveError
         Where the two do not connect, or a file is at fault; the saved map is as it was.
+
+    Examples
+    --------
+    >>> import slam
+    >>> from slam.simulation.synthetic_log import write_synthetic_log
+    >>> monday = write_synthetic_log("monday", seed=1, duration_s=10.0).log_path
+    >>> tuesday = write_synthetic_log("tuesday", seed=2, duration_s=10.0).log_path
+    >>> house = slam.map_log(monday, out="house")
+    >>> joined = slam.join(house, tuesday, out="joined")
+    >>> len(joined.map.sessions), len(joined.map.keyframe_poses) > len(house.keyframe_poses)
+    (2, True)
     """
     _refuse_unfit(known, str(known.path))
     if out is None and known.path.name != MAP_NAME:

@@ -83,13 +83,11 @@ def localize_log(
 
     Examples
     --------
-    >>> import slam, tempfile
+    >>> import slam
     >>> from slam.simulation.synthetic_log import write_synthetic_log
-    >>> folder = tempfile.TemporaryDirectory()
-    >>> monday = write_synthetic_log(folder.name + "/monday", seed=1, duration_s=24.0).log_path
-    >>> tuesday = write_synthetic_log(folder.name + "/tuesday", seed=2, duration_s=12.0).log_path
-    >>> house = slam.map_log(monday)
-    >>> found = slam.localize_log(house, tuesday)
+    >>> monday = write_synthetic_log("monday", seed=1, duration_s=10.0).log_path
+    >>> tuesday = write_synthetic_log("tuesday", seed=2, duration_s=10.0).log_path
+    >>> found = slam.localize_log(slam.map_log(monday), tuesday)
     >>> len(found.trajectory) > 50
     True
     """

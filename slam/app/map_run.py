@@ -122,10 +122,11 @@ def _exports(
 
     Without surfaces the map is still worth its report.
     """
-    files = save_run(folder, result, layers)
+    files, missing = save_run(folder, result, layers), list[str]()
     try:
-        files += save_dense(folder, result, config.dense_map)
+        surface, missing = save_dense(folder, result, config.dense_map)
+        files += surface
         files += save_clouds(folder, result, config.cloud_map, config.dense_map)
     except ScanweaveError as error:
-        return files, [f"No coloured surface was written: {error}"]
-    return files, []
+        missing.append(f"No coloured surface was written: {error}")
+    return files, missing

@@ -59,11 +59,9 @@ def map_log(
 
     Examples
     --------
-    >>> import slam, tempfile
+    >>> import slam
     >>> from slam.simulation.synthetic_log import write_synthetic_log
-    >>> folder = tempfile.TemporaryDirectory()
-    >>> log = write_synthetic_log(folder.name + "/log", duration_s=12.0).log_path
-    >>> house = slam.map_log(log, out=folder.name + "/house")
+    >>> house = slam.map_log(write_synthetic_log("monday", duration_s=10.0).log_path, out="house")
     >>> house.keyframe_poses.shape[1], len(house.trajectory) > 100
     (3, True)
     >>> house.close()
@@ -138,7 +136,7 @@ def build_map(
     --------
     A square room of 6 m by 4 m, seen by a robot that stands in its middle and turns.
 
-    >>> import gtsam, numpy as np, slam
+    >>> import numpy as np, slam
     >>> bearings = np.linspace(-np.pi, np.pi, 360, endpoint=False)
     >>> def seen_at(number):
     ...     around = bearings + 0.1 * number

@@ -49,11 +49,14 @@ def evaluate(
     as_json: JsonOption = False,
 ) -> None:
     """Score a trajectory by relations, or by ATE and RPE against the truth."""
-    from slam.evaluation.score_text import score, score_text
+    from slam.evaluation.score import evaluate as score
+    from slam.evaluation.score_text import score_text
 
     if (relations is None) == (groundtruth is None):
         raise typer.BadParameter("give --relations or --groundtruth, one of them")
-    scores = score(trajectory, relations, groundtruth, tolerance_s=tolerance, delta_m=delta)
+    scores = score(
+        trajectory, groundtruth=groundtruth, relations=relations, tolerance_s=tolerance, delta_m=delta
+    )
     print(json.dumps(scores, indent=2) if as_json else score_text(scores))
 
 

@@ -95,6 +95,14 @@ def open_dataset(
     ------
     DatasetError
         No such file, an empty one, or a format that no reader recognises.
+
+    Examples
+    --------
+    >>> import slam
+    >>> from slam.simulation.synthetic_log import write_synthetic_log
+    >>> log = slam.open_dataset(write_synthetic_log("monday", duration_s=10.0).log_path)
+    >>> sorted({measurement.sensor for measurement in log}), log.report.dropped_count
+    (['FLASER', 'odometry'], 0)
     """
     path = Path(path)
     supported = ", ".join(known.description for known in FORMATS)

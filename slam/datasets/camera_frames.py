@@ -12,8 +12,8 @@ from slam.datasets.calibration import Calibration, same_aspect
 from slam.datasets.dataset import RecordFault
 from slam.datasets.frame_pairs import FramePair
 from slam.datasets.image_files import read_color, read_depth
-from slam.datasets.prefetch import map_ahead
 from slam.measurements import CameraIntrinsics, ColorImage, Float32Array, RgbdFrame
+from slam.vision.ahead import prepared_ahead
 
 SIZES_DIFFER = "colour and depth of different aspect"
 SIZE_CHANGED = "image size differs from the first frame's"
@@ -59,7 +59,7 @@ def read_frames(
 ) -> Generator[tuple[int, RgbdFrame], None, None]:
     """Frames in the order of the requests, each with the line of its colour image; faults are counted."""
     sizes: dict[str, CameraIntrinsics] = {}
-    for images in map_ahead(_decode, requests):
+    for images in prepared_ahead(requests, _decode):
         camera, number = images.camera, images.pair.color.number
         account.report.line_count += 1
         try:

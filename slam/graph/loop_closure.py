@@ -16,9 +16,9 @@ from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.submaps import Submap, SubmapStore
 from slam.matching.correlative import search_window
 from slam.matching.local_map import OrientedPoints, match_noise
-from slam.matching.match_covariance import motion_from_alignment
+from slam.matching.match_covariance import MatchNoise, motion_from_alignment
 from slam.matching.planar import between
-from slam.measurements import FloatArray, MotionEstimate, row_from_pose2
+from slam.measurements import FloatArray, MotionEstimate, one_line, row_from_pose2
 
 log = logging.getLogger(__name__)
 
@@ -54,6 +54,8 @@ class LoopCandidate:
     motion: MotionEstimate | None
     accepted: bool
     reason: str
+
+    __repr__ = one_line
 
     def refused(self, reason: str) -> LoopCandidate:
         """The same candidate, refused."""
@@ -156,7 +158,12 @@ class LoopCloser:
         begun = LoopCandidate(place, key, width, yaw, 1.0, None, False, "")
         # Asked for in any case: what the cache holds must not depend on where the answer comes from.
         submap = self._submaps.submap(place)
-        candidate = self._answers.ask("loop", float(guess[0]), lambda: self._match(begun, submap, guess))
+        scan = self._submaps.scan(key)
+        candidate = self._answers.ask(
+            "loop",
+            float(guess[0]),
+            lambda: search_place(begun, submap, scan, guess, self._config, self._noise),
+        )
         _report(candidate)
         return candidate
 
@@ -187,38 +194,60 @@ class LoopCloser:
                 chosen.append((int(places[n]), covariances[n]))
         return chosen
 
-    def _match(self, candidate: LoopCandidate, submap: Submap, guess: FloatArray) -> LoopCandidate:
-        """Search the candidate's window, refine, and judge."""
-        config = self._config
-        width, yaw = candidate.half_width_m, candidate.half_yaw_rad
-        scan = self._submaps.scan(candidate.keyframe)
-        if len(submap.local_map.points) < _LEAST_POINTS:
-            return candidate.refused("the place has too few points")
-        if width > config.least_half_width_m or yaw > config.least_half_yaw_rad:
-            found = search_window(
-                submap.field, scan.thinned(config.points), guess, width, yaw, config.least_score
-            )
-            candidate = replace(candidate, score=found.score)
-            if not found.found:
-                return candidate.refused("no pose in the window scores enough")
-            guess = found.pose
-        motion = motion_from_alignment(submap.local_map.align(scan, guess), self._noise)
-        motion = replace(motion, covariance=motion.covariance * config.caution)
-        return self._judge(replace(candidate, motion=motion), motion, guess)
 
-    def _judge(self, candidate: LoopCandidate, motion: MotionEstimate, guess: FloatArray) -> LoopCandidate:
-        """Accept or refuse a refined match."""
-        config = self._config
-        moved = between(guess, row_from_pose2(motion.T_reference_base))
-        moved_m = math.hypot(moved[0], moved[1])
-        limit_m = max(candidate.half_width_m, config.least_half_width_m) + config.least_half_width_m
-        if motion.inlier_share < config.least_inlier_share:
-            return candidate.refused("too few points fit")
-        if motion.residual_m > config.greatest_residual_m:
-            return candidate.refused("residual too large")
-        if moved_m > limit_m:
-            return candidate.refused("refinement left the window")
-        return replace(candidate, accepted=True)
+def search_place(
+    candidate: LoopCandidate,
+    submap: Submap,
+    scan: OrientedPoints,
+    guess: FloatArray,
+    config: LoopConfig,
+    noise: MatchNoise,
+) -> LoopCandidate:
+    """Search a candidate's window about a guess, refine what is found, and judge it.
+
+    Parameters
+    ----------
+    candidate
+        Tells the window.
+    submap
+        The place.
+    scan
+        What may have been seen there, base frame.
+    guess
+        (3,) expected pose of the base in the frame of the place.
+    """
+    width, yaw = candidate.half_width_m, candidate.half_yaw_rad
+    if len(submap.local_map.points) < _LEAST_POINTS:
+        return candidate.refused("the place has too few points")
+    if len(scan) < _LEAST_POINTS:
+        return candidate.refused("the scan has too few points")
+    if width > config.least_half_width_m or yaw > config.least_half_yaw_rad:
+        found = search_window(
+            submap.field, scan.thinned(config.points), guess, width, yaw, config.least_score
+        )
+        candidate = replace(candidate, score=found.score)
+        if not found.found:
+            return candidate.refused("no pose in the window scores enough")
+        guess = found.pose
+    motion = motion_from_alignment(submap.local_map.align(scan, guess), noise)
+    motion = replace(motion, covariance=motion.covariance * config.caution)
+    return _judge(replace(candidate, motion=motion), motion, guess, config)
+
+
+def _judge(
+    candidate: LoopCandidate, motion: MotionEstimate, guess: FloatArray, config: LoopConfig
+) -> LoopCandidate:
+    """Accept or refuse a refined match."""
+    moved = between(guess, row_from_pose2(motion.T_reference_base))
+    moved_m = math.hypot(moved[0], moved[1])
+    limit_m = max(candidate.half_width_m, config.least_half_width_m) + config.least_half_width_m
+    if motion.inlier_share < config.least_inlier_share:
+        return candidate.refused("too few points fit")
+    if motion.residual_m > config.greatest_residual_m:
+        return candidate.refused("residual too large")
+    if moved_m > limit_m:
+        return candidate.refused("refinement left the window")
+    return replace(candidate, accepted=True)
 
 
 def _position_sigmas(covariances: FloatArray) -> FloatArray:

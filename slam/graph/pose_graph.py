@@ -85,6 +85,25 @@ class PoseGraph:
     ----------
     origin
         Pose of node 0, Pose2 or Pose3; it decides the dimension of the graph.
+
+    Examples
+    --------
+    Around a square of 2 m by wheels that turn too far, with a true loop at the end and a false one.
+
+    >>> import gtsam, numpy as np, slam
+    >>> graph = slam.PoseGraph(gtsam.Pose2())
+    >>> wheels, walls = np.diag([0.1, 0.1, 0.05]) ** 2, np.diag([0.02, 0.02, 0.01]) ** 2
+    >>> step = gtsam.Pose2(2.0, 0.0, np.pi / 2 + 0.05)
+    >>> for node in range(4):
+    ...     new = graph.add_node(graph.pose(node) * step)
+    ...     graph.add_edge(slam.Edge(node, new, step, wheels, slam.EdgeKind.WHEEL, trusted=True))
+    >>> back, false = gtsam.Pose2(), gtsam.Pose2(0.5, 0.0, 1.0)
+    >>> graph.add_edge(slam.Edge(0, 4, back, walls, slam.EdgeKind.LOOP, trusted=False))
+    >>> graph.add_edge(slam.Edge(0, 2, false, walls, slam.EdgeKind.LOOP, trusted=False))
+    >>> graph.optimize().kept.tolist()
+    [True, True, True, True, True, False]
+    >>> np.abs(graph.planar_poses()[:4, :2].round(1)).tolist()  # the corners
+    [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]]
     """
 
     def __init__(self, origin: Pose) -> None:

@@ -13,7 +13,7 @@ from slam.config import Config
 from slam.localization.body import Body, Measured, composed
 from slam.localization.loss_test import LossTest
 from slam.localization.output import LocalizerOutput, PoseHypothesis, RecoveredPose, State
-from slam.localization.pose_smoother import PoseSmoother, squared_sigmas, within
+from slam.localization.pose_smoother import PoseSmoother, squared_sigmas
 from slam.localization.visual_locator import VisualLocator
 from slam.measurements import FloatArray, Pose
 from slam.odometry.rgbd_odometry import make_rgbd_odometry
@@ -27,7 +27,6 @@ _SAME_M, _SAME_RAD = 0.15, 0.08
 _FINDS = 3
 # Evidence of one frame for the pose and against it, nats.
 _MATCHED_NATS, _UNMATCHED_NATS = 2.0, -0.5
-_RIGHT_M = 0.25
 # Sigmas of a step that nothing measured: the camera's own metres and radians a frame.
 _UNKNOWN_STEP = 0.1
 
@@ -210,7 +209,7 @@ class CameraLocalizer:
         finds = [found.finds for found in self._found]
         confidence = max(finds, default=0) / (sum(finds) + _FINDS)
         if self._state is State.TRACKING and self._smoother is not None:
-            confidence = self._loss.confidence * within(_RIGHT_M, self._smoother.sigma_m)
+            confidence = self._loss.confidence * self._smoother.trust
         return LocalizerOutput(
             stamp_s=stamp_s,
             state=self._state,

@@ -2,50 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import gtsam
 import numpy as np
 
 from slam.config import Config
 from slam.localization.cloud_match import CloudMatcher, CloudView
 from slam.localization.cloud_stations import CloudStation, CloudStations
-from slam.localization.evidence import posterior, way_nats
-from slam.measurements import FloatArray, MotionEstimate
+from slam.localization.evidence import Hypothesis, is_correction, is_same_place, posterior, pruned
+from slam.measurements import FloatArray
 
-# An alignment may correct a hypothesis by so much a station; what moves farther is another place.
-_GREATEST_CORRECTION_M = 0.3
-_GREATEST_CORRECTION_RAD = 0.15
-# Hypotheses nearer than this are one.
-_SAME_M, _SAME_RAD = 0.3, 0.15
 # One station counts for so many nats at most: somebody may stand before the lidar.
 _MOST_NATS = 4.0
 # What is newly found is weighed by so many earlier stations: those before cost time, and drift bends the way.
 _BACK = 5
-# A hypothesis this much worse than the best is dropped, in nats.
-_HOPELESS_NATS = 15.0
-
-
-@dataclass(slots=True)
-class CloudHypothesis:
-    """A pose that may be the robot's.
-
-    Attributes
-    ----------
-    pose
-        ``T_map_base`` at the newest station.
-    evidence
-        Nats by station, oldest first, as many as there are stations.
-    motion
-        The alignment of the newest station; None where there was nothing to align to.
-    prior
-        Nats in favour before anything was seen.
-    """
-
-    pose: gtsam.Pose3
-    evidence: list[float]
-    motion: MotionEstimate | None
-    prior: float = 0.0
 
 
 class CloudHypotheses:
@@ -58,7 +27,7 @@ class CloudHypotheses:
         self._least_stations, self._most = settings.least_stations, settings.hypotheses
         self._new_share = settings.new_share
         self._odometry_pose = gtsam.Pose3()
-        self.members: list[CloudHypothesis] = []
+        self.members: list[Hypothesis[gtsam.Pose3]] = []
         self._search_at_m = 0.0
 
     def clear(self) -> None:
@@ -97,11 +66,11 @@ class CloudHypotheses:
 
     def probabilities(self) -> FloatArray:
         """Posterior of each hypothesis; what is left to one is that of being nowhere in the map."""
-        return posterior(
-            np.array([self._total(member) for member in self.members]), self._config.nowhere_nats
-        )
+        config = self._config
+        totals = np.array([member.total(config.kidnap_nats) for member in self.members])
+        return posterior(totals, config.nowhere_nats)
 
-    def winner(self) -> CloudHypothesis | None:
+    def winner(self) -> Hypothesis[gtsam.Pose3] | None:
         """The hypothesis that is sure; None while there is none."""
         probabilities = self.probabilities()
         if not self.members or len(self._stations.stations) < self._least_stations:
@@ -109,18 +78,14 @@ class CloudHypotheses:
         best = int(probabilities.argmax())
         return self.members[best] if probabilities[best] >= self._config.sure_probability else None
 
-    def _total(self, member: CloudHypothesis) -> float:
-        """All evidence for a hypothesis, nats."""
-        return member.prior + way_nats(member.evidence, self._config.kidnap_nats)
-
-    def _settle(self, member: CloudHypothesis, station: CloudStation, predicted: gtsam.Pose3) -> None:
+    def _settle(self, member: Hypothesis[gtsam.Pose3], station: CloudStation, predicted: gtsam.Pose3) -> None:
         """Align a hypothesis to the map near its predicted pose, and weigh the station's news."""
         member.pose, member.motion = predicted, None
         motion = self._matcher.align(station.view, predicted)
         if motion is not None:
             aligned = motion.T_reference_base
             assert isinstance(aligned, gtsam.Pose3)
-            if _near(predicted, aligned, _GREATEST_CORRECTION_M, _GREATEST_CORRECTION_RAD):
+            if is_correction(*_apart(predicted, aligned)):
                 member.pose, member.motion = aligned, motion
         member.evidence.append(self._weighed(member.pose, station))
 
@@ -132,10 +97,10 @@ class CloudHypotheses:
     def _take_in(self, pose: gtsam.Pose3, prior: float) -> None:
         """Weigh ``T_map_base`` at the newest station by all stations, unless it is known already."""
         *before, newest = self._stations.stations
-        member = CloudHypothesis(pose, [], None, prior)
+        member = Hypothesis(pose, [], None, prior)
         self._settle(member, newest, pose)
         for other in self.members:
-            if _near(member.pose, other.pose, _SAME_M, _SAME_RAD):
+            if _same(member.pose, other.pose):
                 other.prior = max(other.prior, prior)
                 return
         way = [
@@ -146,19 +111,17 @@ class CloudHypotheses:
         self.members.append(member)
 
     def _prune(self) -> None:
-        """Drop what has become another's double, is hopeless, or is beyond the number that is carried."""
-        totals = [self._total(member) for member in self.members]
-        kept: list[CloudHypothesis] = []
-        for n in sorted(range(len(totals)), key=lambda n: -totals[n]):
-            if len(kept) == self._most or totals[n] < max(totals) - _HOPELESS_NATS:
-                break
-            if not any(_near(self.members[n].pose, other.pose, _SAME_M, _SAME_RAD) for other in kept):
-                kept.append(self.members[n])
-        self.members = kept
+        """Drop what is no longer worth carrying."""
+        self.members = pruned(self.members, self._most, self._config.kidnap_nats, _same)
 
 
-def _near(one: gtsam.Pose3, other: gtsam.Pose3, way_m: float, turn_rad: float) -> bool:
-    """Whether two poses are no farther apart."""
+def _same(one: gtsam.Pose3, other: gtsam.Pose3) -> bool:
+    """Whether two poses are one place."""
+    return is_same_place(*_apart(one, other))
+
+
+def _apart(one: gtsam.Pose3, other: gtsam.Pose3) -> tuple[float, float]:
+    """Metres and radians between two poses."""
     step = one.between(other)
-    turned = float(np.linalg.norm(gtsam.Rot3.Logmap(step.rotation())))
-    return float(np.linalg.norm(step.translation())) < way_m and turned < turn_rad
+    turned_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(step.rotation())))
+    return float(np.linalg.norm(step.translation())), turned_rad

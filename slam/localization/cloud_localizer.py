@@ -10,21 +10,20 @@ import numpy as np
 
 from slam.config import Config
 from slam.localization.body import Measured
-from slam.localization.cloud_hypotheses import CloudHypotheses, CloudHypothesis
+from slam.localization.cloud_hypotheses import CloudHypotheses
 from slam.localization.cloud_match import CloudMatcher, CloudView
 from slam.localization.cloud_motion import CloudMotion, CloudStep
+from slam.localization.evidence import Hypothesis
 from slam.localization.known_clouds import KnownClouds
 from slam.localization.loss_test import LossTest
 from slam.localization.output import LocalizerOutput, PoseHypothesis, RecoveredPose, State
-from slam.localization.pose_smoother import PoseSmoother, squared_sigmas, within
+from slam.localization.pose_smoother import PoseSmoother, squared_sigmas
 from slam.localization.whole_map_field import WholeMapField
 from slam.matching.cloud_points import at_middle_of_turn
 from slam.measurements import MotionEstimate, PointCloud, WheelOdometry
 
 # Sigmas of a pose that was found where nothing could be aligned, radians and metres.
 _FOUND_SIGMAS = np.array([0.02, 0.02, 0.05, 0.1, 0.1, 0.05])
-# Dead reckoning is right while it is off by less than this.
-_RIGHT_M = 0.25
 # Less than this, and the pose is rather wrong.
 _DOUBT = 0.5
 # Hypotheses that are told.
@@ -108,7 +107,9 @@ class CloudLocalizer:
             return math.nan, ()
         return self._found(winner, step)
 
-    def _found(self, winner: CloudHypothesis, step: CloudStep) -> tuple[float, tuple[RecoveredPose, ...]]:
+    def _found(
+        self, winner: Hypothesis[gtsam.Pose3], step: CloudStep
+    ) -> tuple[float, tuple[RecoveredPose, ...]]:
         """Begin to track a hypothesis; the way up to here becomes known."""
         self._state = State.TRACKING
         covariance = np.diag(_FOUND_SIGMAS**2) if winner.motion is None else winner.motion.covariance
@@ -134,7 +135,7 @@ class CloudLocalizer:
         tracking = self._state is State.TRACKING
         confidence = self._loss.confidence if tracking else float(probabilities.max(initial=0.0))
         if tracking and self._smoother is not None:
-            confidence *= within(_RIGHT_M, self._smoother.sigma_m)
+            confidence *= self._smoother.trust
         doubted = tracking and self._loss.confidence < _DOUBT
         told = [] if tracking else np.argsort(-probabilities, kind="stable")[:_TOLD].tolist()
         known = None if self._smoother is None else self._smoother.newest

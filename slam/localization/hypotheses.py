@@ -3,54 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from slam.config_localization import LocalizationConfig
-from slam.localization.evidence import posterior, way_nats
+from slam.localization.evidence import Hypothesis, is_same_place, posterior, pruned
 from slam.localization.global_search import search_everywhere
 from slam.localization.known_map import Walls
 from slam.localization.map_match import MapMatcher
 from slam.localization.scan_view import ScanView, first_in_cells
 from slam.localization.stations import Station, StationLog
 from slam.matching.planar import between, compose
-from slam.measurements import FloatArray, MotionEstimate, row_from_pose2
-
-# An alignment may correct a hypothesis by so much a station; what moves farther is another place.
-_GREATEST_CORRECTION_M = 0.3
-_GREATEST_CORRECTION_RAD = 0.15
-# Hypotheses nearer than this are one.
-_SAME_M = 0.3
-_SAME_RAD = 0.15
-# A hypothesis this much worse than the best is dropped, in nats.
-_HOPELESS_NATS = 15.0
-
-
-@dataclass(slots=True)
-class Hypothesis:
-    """A pose that may be the robot's.
-
-    Attributes
-    ----------
-    pose
-        (3,) in the map, at the newest station.
-    evidence
-        Nats by station, oldest first, as many as there are stations.
-    motion
-        The alignment of the newest station; None where there was nothing to align to.
-    prior
-        Nats in favour before anything was seen.
-    """
-
-    pose: FloatArray
-    evidence: list[float]
-    motion: MotionEstimate | None
-    prior: float = 0.0
-
-    def total(self, kidnap_nats: float) -> float:
-        """Evidence of the way, or of its end alone if the robot was carried off in between."""
-        return self.prior + way_nats(self.evidence, kidnap_nats)
+from slam.measurements import FloatArray, row_from_pose2
 
 
 class HypothesisSet:
@@ -62,7 +26,7 @@ class HypothesisSet:
         self._config = config
         self._odometry_pose = np.zeros(3)
         self._log = StationLog(config)
-        self.members: list[Hypothesis] = []
+        self.members: list[Hypothesis[FloatArray]] = []
         self.clear()
 
     def clear(self) -> None:
@@ -122,25 +86,19 @@ class HypothesisSet:
         totals = np.array([member.total(config.kidnap_nats) for member in self.members])
         return posterior(totals, config.nowhere_nats)
 
-    def winner(self) -> Hypothesis | None:
+    def winner(self) -> Hypothesis[FloatArray] | None:
         """The hypothesis that is sure; None while there is none."""
         probabilities = self.probabilities()
         if not self.members or probabilities.max() < self._config.sure_probability:
             return None
         return self.members[int(probabilities.argmax())]
 
-    def _settle(self, member: Hypothesis, station: Station, predicted: FloatArray) -> None:
+    def _settle(self, member: Hypothesis[FloatArray], station: Station, predicted: FloatArray) -> None:
         """Align a hypothesis to the map near its predicted pose, and weigh the station's news."""
         member.pose, member.motion = predicted, None
-        motion = self._matcher.align(station.view, predicted)
-        if motion is not None and motion.inlier_share >= self._config.least_inlier_share:
-            aligned = row_from_pose2(motion.T_reference_base)
-            moved = between(predicted, aligned)
-            if (
-                math.hypot(moved[0], moved[1]) <= _GREATEST_CORRECTION_M
-                and abs(moved[2]) <= _GREATEST_CORRECTION_RAD
-            ):
-                member.pose, member.motion = aligned, motion
+        motion = self._matcher.correct(station.view, predicted)
+        if motion is not None:
+            member.pose, member.motion = row_from_pose2(motion.T_reference_base), motion
         member.evidence.append(self._matcher.weigh(member.pose, station.view.laser, station.news))
 
     def _search(self) -> None:
@@ -187,18 +145,12 @@ class HypothesisSet:
         self.members.append(member)
 
     def _prune(self) -> None:
-        """Drop what has become another's double, is hopeless, or is beyond the number that is carried."""
-        totals = [member.total(self._config.kidnap_nats) for member in self.members]
-        kept: list[Hypothesis] = []
-        for n in sorted(range(len(totals)), key=lambda n: -totals[n]):
-            if len(kept) == self._config.hypotheses or totals[n] < max(totals) - _HOPELESS_NATS:
-                break
-            if not any(_same(self.members[n].pose, other.pose) for other in kept):
-                kept.append(self.members[n])
-        self.members = kept
+        """Drop what is no longer worth carrying."""
+        config = self._config
+        self.members = pruned(self.members, config.hypotheses, config.kidnap_nats, _same)
 
 
 def _same(one: FloatArray, other: FloatArray) -> bool:
     """Whether two poses (3,) are one place."""
     step = between(one, other)
-    return bool(math.hypot(step[0], step[1]) < _SAME_M and abs(step[2]) < _SAME_RAD)
+    return is_same_place(math.hypot(step[0], step[1]), abs(float(step[2])))

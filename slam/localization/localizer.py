@@ -43,6 +43,18 @@ class Localizer:
     ------
     MapFileError
         Where the map holds nothing that the chosen sensors could be localised in.
+
+    Examples
+    --------
+    >>> import slam
+    >>> from slam.simulation.synthetic_log import write_synthetic_log
+    >>> monday = write_synthetic_log("monday", seed=1, duration_s=10.0).log_path
+    >>> tuesday = write_synthetic_log("tuesday", seed=2, duration_s=10.0).log_path
+    >>> localizer = slam.Localizer(slam.map_log(monday, out="house"))
+    >>> outputs = [localizer.add(measurement) for measurement in slam.open_dataset(tuesday)]
+    >>> newest = [output for output in outputs if output is not None][-1]
+    >>> newest.state is slam.State.TRACKING, newest.covariance.shape
+    (True, (3, 3))
     """
 
     def __init__(

@@ -6,11 +6,13 @@ import math
 
 from slam.config import Config
 from slam.localization.beam_check import BeamCounts, check_beams, in_clear_space
+from slam.localization.evidence import is_correction
 from slam.localization.known_map import Walls
 from slam.localization.scan_view import ScanView
 from slam.matching.local_map import OrientedPoints, match_noise
 from slam.matching.match_covariance import motion_from_alignment
-from slam.measurements import FloatArray, MotionEstimate
+from slam.matching.planar import between
+from slam.measurements import FloatArray, MotionEstimate, row_from_pose2
 
 _LEAST_POINTS = 10
 _LEAST_KEPT = 0.4
@@ -36,6 +38,14 @@ class MapMatcher:
             return None
         motion = motion_from_alignment(tile.align(view.oriented, guess), self._noise)
         return motion if motion.inlier_share > 0.0 else None
+
+    def correct(self, view: ScanView, expected: FloatArray) -> MotionEstimate | None:
+        """An alignment that corrects an expected pose (3,); None where too little of the scan agrees."""
+        motion = self.align(view, expected)
+        if motion is None or motion.inlier_share < self._settings.least_inlier_share:
+            return None
+        moved = between(expected, row_from_pose2(motion.T_reference_base))
+        return motion if is_correction(math.hypot(moved[0], moved[1]), abs(float(moved[2]))) else None
 
     def without_strangers(self, view: ScanView, pose: FloatArray) -> ScanView:
         """A scan without what stands in the midst of known free space, seen from near a pose (3,): people.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from slam.measurements import FloatArray, Pose
+from slam.measurements import FloatArray, Pose, one_line
 
 
 class State(StrEnum):
@@ -68,3 +68,5 @@ class LocalizerOutput:
     hypotheses: tuple[PoseHypothesis, ...]
     support: float
     recovered: tuple[RecoveredPose, ...] = ()
+
+    __repr__ = one_line

@@ -9,12 +9,13 @@ import numpy as np
 
 from slam.config import Config
 from slam.localization.body import Body, Measured
-from slam.localization.hypotheses import Hypothesis, HypothesisSet
+from slam.localization.evidence import Hypothesis
+from slam.localization.hypotheses import HypothesisSet
 from slam.localization.known_map import KnownMap, Walls
 from slam.localization.loss_test import LossTest
 from slam.localization.map_match import MapMatcher
 from slam.localization.output import LocalizerOutput, PoseHypothesis, RecoveredPose, State
-from slam.localization.pose_smoother import PoseSmoother, squared_sigmas, within
+from slam.localization.pose_smoother import PoseSmoother, squared_sigmas
 from slam.localization.scan_odometry import OdometryStep, ScanOdometry
 from slam.localization.scan_view import ScanView
 from slam.localization.visual_locator import VisualLocator
@@ -33,8 +34,6 @@ from slam.vision.prepared_frame import PreparedFrame
 _FOUND_SIGMAS = np.array([0.1, 0.1, 0.05])
 # What a scan and a frame differ by though both are right: clocks, and the motion between them.
 _BETWEEN_SENSORS = np.array([0.03, 0.03, 0.02])
-# Dead reckoning is right while it is off by less than this.
-_RIGHT_M = 0.25
 # Hypotheses that are told.
 _TOLD = 8
 
@@ -152,7 +151,9 @@ class PlanarLocalizer:
             return math.nan, ()
         return self._found(winner, step)
 
-    def _found(self, winner: Hypothesis, step: OdometryStep) -> tuple[float, tuple[RecoveredPose, ...]]:
+    def _found(
+        self, winner: Hypothesis[FloatArray], step: OdometryStep
+    ) -> tuple[float, tuple[RecoveredPose, ...]]:
         """Begin to track a hypothesis; the way up to here becomes known."""
         self._state = State.TRACKING
         covariance = np.diag(_FOUND_SIGMAS**2) if winner.motion is None else winner.motion.covariance
@@ -179,7 +180,7 @@ class PlanarLocalizer:
         tracking = self._state is State.TRACKING
         confidence = self._loss.confidence if tracking else float(probabilities.max(initial=0.0))
         if tracking and self._smoother is not None:
-            confidence *= within(_RIGHT_M, self._smoother.sigma_m)
+            confidence *= self._smoother.trust
         told = [] if tracking else np.argsort(-probabilities, kind="stable")[:_TOLD].tolist()
         known = None if self._smoother is None else self._smoother.newest
         return LocalizerOutput(

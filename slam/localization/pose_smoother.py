@@ -12,6 +12,9 @@ import numpy as np
 from slam.localization.body import Measured, composed
 from slam.measurements import Pose
 
+# A position is right while it is off by less than this.
+_RIGHT_M = 0.25
+
 
 class PoseSmoother:
     """Poses one after the other, all Pose2 or all Pose3; what is older than the lag is marginalised.
@@ -37,6 +40,11 @@ class PoseSmoother:
         covariance = self.newest.covariance
         position = covariance[:2, :2] if self._planar else covariance[3:, 3:]
         return math.sqrt(float(np.linalg.eigvalsh(position)[-1]))
+
+    @property
+    def trust(self) -> float:
+        """Probability that the newest position is right, by its standard deviation (Rayleigh)."""
+        return 1.0 - math.exp(-0.5 * (_RIGHT_M / self.sigma_m) ** 2)
 
     def predict(self, step: Measured) -> Measured:
         """The pose after a step, which is not yet taken."""
@@ -81,11 +89,6 @@ def squared_sigmas(expected: Measured, found: Measured) -> float:
     step = composed(expected.pose.inverse(), found.pose)
     offset = gtsam.Pose2.Logmap(step) if isinstance(step, gtsam.Pose2) else gtsam.Pose3.Logmap(step)
     return float(offset @ np.linalg.solve(expected.covariance + found.covariance, offset))
-
-
-def within(radius_m: float, sigma_m: float) -> float:
-    """Probability that a position with that standard deviation is off by less than a radius (Rayleigh)."""
-    return 1.0 - math.exp(-0.5 * (radius_m / sigma_m) ** 2)
 
 
 def _between(before: int, after: int, step: Measured) -> gtsam.NonlinearFactor:

@@ -49,12 +49,17 @@ def map_cloud(clouds: Iterable[FloatArray], poses: Sequence[gtsam.Pose3], voxel_
             waiting = []
     gathered = [*batches, *waiting]
     points_map = thin_to_voxels(np.vstack(gathered), voxel_m) if gathered else np.zeros((0, 3))
-    normals = _towards_the_way(points_map, _normals(points_map, _NORMAL_VOXELS * voxel_m), poses)
+    normals = _towards_the_way(points_map, plane_normals(points_map, voxel_m), poses)
     return ColoredCloud(points_map.astype(np.float32), _by_height(points_map), normals.astype(np.float32))
 
 
-def _normals(points: FloatArray, radius_m: float) -> FloatArray:
-    """(N, 3) unit normals of the planes through the neighbours of each point; upright where there is none."""
+def plane_normals(points: FloatArray, voxel_m: float) -> FloatArray:
+    """Normals of points that lie a voxel apart.
+
+    Returns
+    -------
+    (N, 3) unit vectors across the plane through the neighbours of each, either way; upright without one.
+    """
     from scipy.spatial import cKDTree
 
     normals = np.tile([0.0, 0.0, 1.0], (len(points), 1))
@@ -63,7 +68,7 @@ def _normals(points: FloatArray, radius_m: float) -> FloatArray:
     padded = np.vstack([points, np.zeros(3)])
     for start in range(0, len(points), _CHUNK):
         chunk = slice(start, start + _CHUNK)
-        near = tree.query(points[chunk], _NEIGHBOURS, distance_upper_bound=radius_m)[1]
+        near = tree.query(points[chunk], _NEIGHBOURS, distance_upper_bound=_NORMAL_VOXELS * voxel_m)[1]
         there = np.asarray(near < len(points))
         offsets = (padded[near] - points[chunk, None]) * there[..., None]
         count = np.count_nonzero(there, axis=1)

@@ -74,6 +74,14 @@ class DenseMapSettings:
                 "they must be at least 1 and above 0"
             )
 
+    def too_large(self) -> ScanweaveError:
+        """The error of a map beyond the memory limit."""
+        return ScanweaveError(
+            f"the dense map needs more than {self.memory_limit_mb:g} MB at voxels of "
+            f"{self.voxel_size_m:g} m; use a larger voxel_size_m, a smaller depth_max_m or a "
+            "larger memory_limit_mb"
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class ColoredCloud:
@@ -189,11 +197,7 @@ class _Volume:
         blocks = self._grid.hashmap()
         needed = blocks.size() + count
         if needed > self._most_blocks:
-            raise ScanweaveError(
-                f"the dense map needs more than {self._settings.memory_limit_mb:g} MB at voxels of "
-                f"{self._settings.voxel_size_m:g} m; use a larger voxel_size_m, a smaller depth_max_m or a "
-                "larger memory_limit_mb"
-            )
+            raise self._settings.too_large()
         if needed > blocks.capacity():
             blocks.reserve(min(max(needed, int(GROWTH * blocks.capacity())), self._most_blocks))
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fusion.bayes import FREE, OCCUPIED, STEPS_A_UNIT, UNKNOWN, log_odds
 from slam.errors import ConfigError
-from slam.measurements import Float32Array, FloatArray
+from slam.measurements import Float32Array, FloatArray, one_line
 
 __all__ = ["FREE", "OCCUPIED", "UNKNOWN"]
 
@@ -63,6 +63,8 @@ class OccupancyGrid:
     steps: Steps
     resolution_m: float
     T_map_grid: gtsam.Pose2 = field(default_factory=gtsam.Pose2)
+
+    __repr__ = one_line
 
     @classmethod
     def of_log_odds(

@@ -34,7 +34,7 @@ class VoxelMoments:
     keys
         (V,) of the voxels, in order.
     sums
-        (V, 10) number, sum of x, y, z, sums of their products.
+        (V, C) one row a voxel; of a surface (V, 10): number, sum of x, y, z, sums of their products.
     """
 
     keys: NDArray[np.int64]
@@ -109,7 +109,7 @@ class PlaneVoxels:
         """Fit planes to several clouds at once, at least one, each as `voxel_moments` tells it."""
         levels = []
         for of_size, size in zip(zip(*parts, strict=True), SIZES, strict=True):
-            moments = _added(of_size)
+            moments = added(of_size)
             flat, centers, normals = fitted(moments, voxel_m * size, thickness_m)
             levels.append(PlaneLevel(voxel_m * size, moments.keys[flat], centers[flat], normals[flat]))
         return cls(levels)
@@ -126,7 +126,7 @@ class PlaneVoxels:
             if not len(level.keys):
                 continue
             open_ = np.flatnonzero(~found)
-            keys = _keys(points[open_], level.size_m)
+            keys = voxel_keys(points[open_], level.size_m)
             place = np.minimum(np.searchsorted(level.keys, keys), len(level.keys) - 1)
             hit = level.keys[place] == keys
             rows, place = open_[hit], place[hit]
@@ -144,25 +144,25 @@ def voxel_moments(points: FloatArray, voxel_m: float) -> list[VoxelMoments]:
 
 def _moments(points: FloatArray, size_m: float) -> VoxelMoments:
     """Of one size."""
-    keys = _keys(points, size_m)
+    keys = voxel_keys(points, size_m)
     order = np.argsort(keys, kind="stable")
     keys, ordered = keys[order], points[order]
     # About the corner of its voxel a moment loses no digits.
     local = ordered - np.floor(ordered / size_m) * size_m
     rows = np.column_stack([np.ones(len(local)), local, local[:, _ROWS] * local[:, _COLUMNS]])
-    return _summed(keys, rows)
+    return summed(keys, rows)
 
 
-def _added(parts: Sequence[VoxelMoments]) -> VoxelMoments:
+def added(parts: Sequence[VoxelMoments]) -> VoxelMoments:
     """The moments of several clouds together."""
     if len(parts) == 1:
         return parts[0]
     keys, sums = np.concatenate([part.keys for part in parts]), np.vstack([part.sums for part in parts])
     order = np.argsort(keys, kind="stable")
-    return _summed(keys[order], sums[order])
+    return summed(keys[order], sums[order])
 
 
-def _summed(keys: NDArray[np.int64], rows: FloatArray) -> VoxelMoments:
+def summed(keys: NDArray[np.int64], rows: FloatArray) -> VoxelMoments:
     """Rows of equal keys, which stand together, added up."""
     if not len(keys):
         return VoxelMoments(keys, rows)
@@ -198,7 +198,7 @@ def fitted(
     return flat, centers, normals
 
 
-def _keys(points: FloatArray, size_m: float) -> NDArray[np.int64]:
+def voxel_keys(points: FloatArray, size_m: float) -> NDArray[np.int64]:
     """One integer for the voxel of each point."""
     whole = np.floor(points / size_m).astype(np.int64) + _HALF_AXIS
     return (whole[:, 0] << 2 * _AXIS_BITS) | (whole[:, 1] << _AXIS_BITS) | whole[:, 2]

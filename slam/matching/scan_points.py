@@ -67,6 +67,26 @@ def extract_points(scan: LaserScan, range_min_m: float, range_max_m: float, neig
     return ScanPoints(points_base.astype(np.float32), (normals[usable] @ rotation_t).astype(np.float32))
 
 
+def orient_points(points: FloatArray, range_min_m: float, range_max_m: float, neighbours: int) -> ScanPoints:
+    """Give points their normals, as `extract_points` does those of a sweep.
+
+    Parameters
+    ----------
+    points
+        (M, 2) finite, in any order, all seen from the frame's origin: of one sweep.
+    range_min_m, range_max_m, neighbours
+        As in `extract_points`; points outside are left out.
+    """
+    bearings = np.arctan2(points[:, 1], points[:, 0])
+    order = np.argsort(bearings, kind="stable")
+    points, ranges = points[order], np.hypot(points[order, 0], points[order, 1])
+    usable = (ranges > range_min_m) & (ranges < range_max_m)
+    # Most beams met something: the usual step between points is that between beams.
+    step_rad = float(np.median(np.diff(bearings[order]))) if len(points) > 1 else 0.0
+    normals = _line_normals(points, usable, step_rad, neighbours)
+    return ScanPoints(points[usable].astype(np.float32), normals[usable].astype(np.float32))
+
+
 @numba.njit(cache=True)
 def _line_normals(points: FloatArray, usable: BoolArray, step_rad: float, neighbours: int) -> FloatArray:
     """Principal-axis line fit over the connected neighbours of each beam; zero where it is no line.

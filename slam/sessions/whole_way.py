@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,9 +15,6 @@ from slam.localization.stations import StationLog
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, row_from_pose2
 
-# An alignment may correct the way by so much a station; what moves farther is another place.
-_GREATEST_CORRECTION_M = 0.3
-_GREATEST_CORRECTION_RAD = 0.15
 # Longer than any way.
 _ENDLESS_M = 1e9
 _ORIGIN = np.zeros(3)
@@ -70,26 +66,13 @@ def follow(walls: Walls, session: KnownMap, start: Sighting, config: Config) -> 
             if scan is None or not log.due(poses[key]):
                 continue
             view = ScanView.of(scan, config)
-            at, laid = _laid(matcher, view, compose(at, between(poses[last], poses[key])), config)
-            last = key
+            at, last = compose(at, between(poses[last], poses[key])), key
+            motion = matcher.correct(view, at)
+            if motion is not None:
+                at = row_from_pose2(motion.T_reference_base)
             log.add(view, poses[key])
             nats = matcher.weigh(at, view.laser, log.stations[-1].news)
             total += nats
-            if laid:
+            if motion is not None:
                 anchors.append(Sighting(key, at, compose(at, between(poses[key], _ORIGIN)), nats))
     return Followed(anchors, total)
-
-
-def _laid(
-    matcher: MapMatcher, view: ScanView, expected: FloatArray, config: Config
-) -> tuple[FloatArray, bool]:
-    """An expected pose (3,) in the map, corrected by the walls if enough of the scan agrees with them."""
-    motion = matcher.align(view, expected)
-    if motion is None or motion.inlier_share < config.localization.least_inlier_share:
-        return expected, False
-    aligned = row_from_pose2(motion.T_reference_base)
-    moved = between(expected, aligned)
-    near = math.hypot(moved[0], moved[1]) <= _GREATEST_CORRECTION_M
-    if not near or abs(float(moved[2])) > _GREATEST_CORRECTION_RAD:
-        return expected, False
-    return aligned, True

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.errors import ScanweaveError
+from slam.errors import LibraryError
 from slam.measurements import Float32Array
 
 
@@ -21,7 +21,7 @@ class RayCaster:
 
     Raises
     ------
-    ScanweaveError
+    LibraryError
         Embree's binding does not load.
     """
 
@@ -30,7 +30,7 @@ class RayCaster:
             from embreex.mesh_construction import TriangleMesh
             from embreex.rtcore_scene import EmbreeScene
         except (ImportError, OSError) as error:
-            raise ScanweaveError(
+            raise LibraryError(
                 f"no ray casting: embreex does not load ({error}); it has wheels for Linux and Windows on "
                 "x86-64 and for macOS; simulate there, the recorded log maps anywhere"
             ) from error

@@ -103,7 +103,7 @@ _SHORTEST_S = 10.0  # a drive that still leaves the place where it began
 
 
 def write_synthetic_log(
-    directory: Path,
+    directory: Path | str,
     *,
     seed: int = 0,
     duration_s: float | None = None,
@@ -137,6 +137,7 @@ def write_synthetic_log(
     odometry = wheel_odometry(config, poses, rng)
     log_lines = list(_log_lines(config, stamps_s, poses, odometry, rng))
     truth = Trajectory.from_planar(stamps_s, poses)
+    directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     log_path, truth_path = directory / "scans.log", directory / "groundtruth.txt"
     _write(log_path, log_lines)

@@ -66,6 +66,14 @@ class SavedMap:
     _file: MapFile = field(repr=False)
     _folder: TemporaryDirectory[str] | None = field(default=None, repr=False)
 
+    def __repr__(self) -> str:
+        sizes = (
+            f"sessions={len(self.sessions)}, keyframes={len(self.contents.node_poses)}, "
+            f"poses={len(self.trajectory)}, loops={len(self.loops)}, frames={len(self.frames)}, "
+            f"clouds={len(self.clouds)}"
+        )
+        return f"SavedMap({str(self.path)!r}, {sizes})"
+
     @property
     def planar(self) -> bool:
         """Whether the robot stays on a floor; in space the nodes are bases with clouds, or else cameras."""
@@ -148,6 +156,16 @@ def open_saved_map(path: Path | str, kept_in: TemporaryDirectory[str] | None = N
     ------
     MapFileError
         Where there is none, it is not finished, damaged, or of a newer version.
+
+    Examples
+    --------
+    >>> import slam
+    >>> from slam.simulation.synthetic_log import write_synthetic_log
+    >>> slam.map_log(write_synthetic_log("monday", duration_s=10.0).log_path, out="house").close()
+    >>> house = slam.load_map("house")
+    >>> house.planar, len(house.keyframe_scans) == len(house.keyframe_poses)
+    (True, True)
+    >>> house.close()
     """
     file = MapFile.read(Path(path))
     try:

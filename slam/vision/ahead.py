@@ -1,4 +1,4 @@
-"""Frames prepared in another thread while the one before is matched."""
+"""Items decoded or prepared in another thread while the one before is used."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Prepared = TypeVar("Prepared")
 
 
 def prepared_ahead(
-    items: Iterable[Item], prepare: Callable[[Item], Prepared], ahead: int = 2
+    items: Iterable[Item], prepare: Callable[[Item], Prepared], ahead: int = 3
 ) -> Iterator[Prepared]:
     """Results of ``prepare`` in the order of the items, up to ``ahead`` of them computed in advance.
 

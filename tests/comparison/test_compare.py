@@ -147,7 +147,6 @@ def test_wrong_usage_and_a_silent_scheduler(
 
 
 def test_drives_are_simulated_once_and_shared(tmp_path: Path) -> None:
-    pytest.importorskip("open3d", reason="the simulator's ray caster needs Open3D's system libraries")
     (drive,) = drives_of(Simulation(rig="sick2d", homes=[1], duration_s=2.0))
     folder = tmp_path / "drives" / drive.folder_name
     made_ns = set()

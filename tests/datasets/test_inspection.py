@@ -19,7 +19,7 @@ from slam.cli import app
 from slam.datasets import ReadReport, open_dataset
 from slam.datasets.inspection import inspect_dataset, render_inspection
 from slam.errors import EvaluationError
-from slam.evaluation.score_text import score
+from slam.evaluation.score import evaluate
 from slam.measurements import CameraIntrinsics, LaserScan, Measurement, RgbdFrame, WheelOdometry
 
 LIDAR2D = Path(__file__).parents[3] / "shared" / "data" / "lidar2d"
@@ -195,4 +195,4 @@ def test_inspect_and_evaluate_take_a_folder(tmp_path: Path) -> None:
         assert json.loads(scored.stdout)["ate"]["translation_m"]["rmse"] == pytest.approx(0.0, abs=1e-9)
     Path(truth).rename(tmp_path / "mine.txt")
     with pytest.raises(EvaluationError, match="has no true trajectory; give a file"):
-        score(tmp_path / "mine.txt", None, folder, tolerance_s=None, delta_m=1.0)
+        evaluate(tmp_path / "mine.txt", groundtruth=folder)

@@ -282,9 +282,9 @@ def test_an_abandoned_reading_leaves_no_thread_and_a_second_pass_is_the_first_ag
     dataset = open_dataset(write_tum(tmp_path, 8))
     stream = iter(dataset)
     next(stream)
-    assert any(thread.name.startswith("read-ahead") for thread in threading.enumerate())
+    assert any(thread.name.startswith("prepare") for thread in threading.enumerate())
     del stream
-    assert not any(thread.name.startswith("read-ahead") for thread in threading.enumerate())
+    assert not any(thread.name.startswith("prepare") for thread in threading.enumerate())
     first = [m.stamp_s for m in dataset]
     report = dataset.report.to_dict()
     assert [m.stamp_s for m in dataset] == first

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slam.localization.body import Measured
-from slam.localization.pose_smoother import PoseSmoother, squared_sigmas, within
+from slam.localization.pose_smoother import PoseSmoother, squared_sigmas
 
 
 def test_straight_steps_are_a_kalman_filter() -> None:
@@ -54,6 +54,7 @@ def test_distance_in_sigmas_counts_both_covariances() -> None:
     assert squared_sigmas(one, other) == pytest.approx(4.0)
 
 
-def test_within_is_the_share_of_a_round_gaussian() -> None:
+def test_trust_is_the_share_of_a_round_gaussian_within_a_quarter_metre() -> None:
     draws = np.hypot(*np.random.default_rng(0).normal(0.0, 0.2, (2, 200_000)))
-    assert within(0.25, 0.2) == pytest.approx(np.mean(draws < 0.25), abs=0.005)
+    smoother = PoseSmoother(Measured(gtsam.Pose2(), np.diag([0.04, 0.04, 0.01])), 5)
+    assert smoother.trust == pytest.approx(np.mean(draws < 0.25), abs=0.005)

@@ -7,7 +7,7 @@ import pytest
 from flat_worlds import points_at, room
 
 from slam.config_localization import LocalizationConfig
-from slam.localization.hypotheses import Hypothesis
+from slam.localization.evidence import Hypothesis, is_correction, is_same_place, pruned
 from slam.localization.loss_test import LossTest
 from slam.localization.scan_view import ScanView, first_in_cells
 from slam.localization.stations import StationLog
@@ -77,6 +77,20 @@ def test_cells_keep_their_first_point() -> None:
 def test_the_end_of_the_way_may_count_alone_at_a_price(evidence: list[float], expected: float) -> None:
     assert Hypothesis(np.zeros(3), evidence, None).total(kidnap_nats=3.0) == pytest.approx(expected)
     assert Hypothesis(np.zeros(3), evidence, None, 1.5).total(3.0) == pytest.approx(expected + 1.5)
+
+
+def test_doubles_the_hopeless_and_too_many_are_dropped() -> None:
+    members = [
+        Hypothesis(np.array([x, 0.0, 0.0]), [nats], None) for x, nats in ((0, 1), (1, 9), (1.1, 8), (5, -7))
+    ]
+    for most, kept in ((9, [1.0, 0.0]), (1, [1.0])):
+        left = pruned(members, most, 30.0, lambda one, other: is_same_place(abs(one[0] - other[0]), 0.0))
+        assert [member.pose[0] for member in left] == kept
+
+
+def test_an_alignment_that_moves_far_is_another_place() -> None:
+    assert is_correction(0.29, 0.14)
+    assert not is_correction(0.31, 0.0) and not is_correction(0.0, 0.16)
 
 
 def test_a_contradicted_pose_is_lost_and_a_passer_by_is_not_enough() -> None:

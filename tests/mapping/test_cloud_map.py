@@ -6,7 +6,7 @@ import pytest
 
 from slam.errors import ScanweaveError
 from slam.mapping import cloud_map
-from slam.mapping.cloud_map import map_cloud
+from slam.mapping.cloud_map import map_cloud, plane_normals
 
 RNG = np.random.default_rng(2)
 HERE = gtsam.Pose3(gtsam.Rot3.Ypr(0.3, 0.1, -0.2), np.array([4.0, -1.0, 0.5]))
@@ -42,7 +42,7 @@ def test_points_without_neighbours_look_up_or_down():
 def test_the_plane_of_neighbours_need_not_hold_the_point():
     side = 0.05 * np.arange(-20, 21)
     floor = np.column_stack([*(axis.ravel() for axis in np.meshgrid(side, side)), np.zeros(side.size**2)])
-    over = cloud_map._normals(np.vstack([floor, [0.0, 0.0, 0.2]]), 0.4)[-1]
+    over = plane_normals(np.vstack([floor, [0.0, 0.0, 0.2]]), 0.1)[-1]
     assert abs(over[2]) > 0.99
 
 
@@ -55,7 +55,7 @@ def test_how_many_points_are_held_at_a_time_changes_nothing(monkeypatch):
 
 def test_the_normals_are_those_of_open3d(open3d):
     points = np.vstack([wall((1, 0, 0), 3.0)[0], wall((0, 1, 0.1), 2.0)[0], RNG.normal(size=(500, 3))])
-    found = cloud_map._normals(points, 0.3)
+    found = plane_normals(points, 0.075)
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     cloud.estimate_normals(open3d.geometry.KDTreeSearchParamHybrid(radius=0.3, max_nn=20))
     assert (np.abs(np.sum(found * np.asarray(cloud.normals), axis=1)) > 0.999).mean() > 0.998

@@ -1,8 +1,7 @@
-"""Frames prepared ahead in another thread, and what is collected to find out where a colour camera sits."""
+"""Frames prepared for matching, and what is collected to find out where a colour camera sits."""
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -14,40 +13,11 @@ from room_world import LESS, MIDDLE, furnished, looking, prepared, render
 from slam.config import load_config
 from slam.config_stages import RgbdConfig
 from slam.measurements import Measurement, WheelOdometry
-from slam.vision.ahead import prepared_ahead
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame
 from slam.vision.registration_pairs import registrations_of
 
 FRAME = render(furnished(), looking(0.0, 0.0, 1.3, 0.3), MIDDLE)
-
-
-def test_results_keep_the_order_of_a_plain_loop() -> None:
-    assert list(prepared_ahead(range(50), lambda n: n * n)) == [n * n for n in range(50)]
-    assert list(prepared_ahead([], abs)) == []
-
-
-@pytest.mark.parametrize("ahead", [0, 1, 4])
-def test_no_more_is_read_than_asked(ahead: int) -> None:
-    read: list[int] = []
-
-    def items() -> Iterator[int]:
-        for n in range(100):
-            read.append(n)
-            yield n
-
-    results = prepared_ahead(items(), lambda n: n, ahead)
-    assert next(results) == 0
-    assert max(read) <= ahead
-    results.close()  # type: ignore[attr-defined]
-    assert not any(thread.name.startswith("prepare") for thread in threading.enumerate())
-
-
-def test_an_error_comes_when_its_turn_does() -> None:
-    results = prepared_ahead(range(5), lambda n: 1 // (2 - n))
-    assert [next(results), next(results)] == [0, 1]
-    with pytest.raises(ZeroDivisionError):
-        next(results)
 
 
 def test_what_is_no_frame_passes() -> None:

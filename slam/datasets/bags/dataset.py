@@ -21,9 +21,9 @@ from slam.datasets.bags.survey import Survey, survey_bag
 from slam.datasets.bags.topics import TRANSFORMS
 from slam.datasets.bags.weave import Weave
 from slam.datasets.dataset import ReadReport, RecordFault
-from slam.datasets.prefetch import map_ahead
 from slam.errors import DatasetError
 from slam.measurements import LaserScan, Measurement, RgbdFrame, Trajectory
+from slam.vision.ahead import prepared_ahead
 
 NO_FIELD = "message without a field of its type"
 
@@ -92,7 +92,7 @@ class BagDataset:
         account = Account(self.name, report, self._strict)
         for note in layout.notes:
             report.note(note, 1)
-        for done in map_ahead(_decoded, _stream(bag, layout, account, self.figures)):
+        for done in prepared_ahead(_stream(bag, layout, account, self.figures), _decoded):
             if done.fault is not None:
                 account.refuse(done.fault, done.where, done.number)
             elif done.measurement is not None:

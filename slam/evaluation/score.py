@@ -1,0 +1,94 @@
+"""Score a trajectory against relations or the truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from slam.datasets import open_dataset
+from slam.errors import EvaluationError
+from slam.evaluation.relations import Relations, read_relations, score_relations
+from slam.evaluation.trajectory_error import absolute_error, relative_error
+from slam.measurements import Trajectory
+from slam.storage.tum import read_tum
+
+_TOLERANCE_S = 0.05
+
+
+def evaluate(
+    trajectory: Trajectory | Path | str,
+    *,
+    groundtruth: Trajectory | Path | str | None = None,
+    relations: Relations | Path | str | None = None,
+    tolerance_s: float | None = None,
+    delta_m: float = 1.0,
+) -> dict[str, Any]:
+    """Score a trajectory by ATE and RPE (Sturm 2012) against the truth, or by relations (Kuemmerle 2009).
+
+    Parameters
+    ----------
+    trajectory
+        Poses in a frame of their own, or a TUM file of them.
+    groundtruth
+        True poses, a TUM file, or the folder of a dataset that comes with its truth. The ATE is taken after
+        the rigid alignment of Umeyama 1991 without scale.
+    relations
+        Relative poses that people have checked, or a file of them: ``t1 t2 x y z roll pitch yaw``.
+    tolerance_s
+        Greatest time between a pose and its true pose; None for 0.05 s. Relations have their own, 0.1 s.
+    delta_m
+        The RPE is of motions over this many metres.
+
+    Returns
+    -------
+    By name: ``ate`` and ``rpe``, or ``relations``; in each ``translation_m`` and ``rotation_rad`` with
+    ``mean``, ``std``, ``median``, ``rmse`` and ``max``. The ``rpe`` of a drive shorter than ``delta_m`` is
+    None.
+
+    Raises
+    ------
+    DatasetError, EvaluationError, MapFileError
+        For files that cannot be read or share no time, or where not exactly one reference is given.
+
+    Examples
+    --------
+    >>> import numpy as np, slam
+    >>> stamps_s = np.arange(0.0, 60.0, 0.5)
+    >>> yaw = stamps_s / 9.0
+    >>> circle = np.column_stack([3.0 * np.sin(yaw), -3.0 * np.cos(yaw), yaw])
+    >>> truth = slam.Trajectory.from_planar(stamps_s, circle)
+    >>> wider = slam.Trajectory.from_planar(stamps_s, circle * [1.01, 1.01, 1.0])
+    >>> scores = slam.evaluate(wider, groundtruth=truth)
+    >>> round(scores["ate"]["translation_m"]["rmse"], 2), round(scores["rpe"]["translation_m"]["mean"], 2)
+    (0.03, 0.01)
+    """
+    poses = _poses(trajectory)
+    if (groundtruth is None) == (relations is None):
+        given = "neither" if relations is None else "both"
+        raise EvaluationError(f"a trajectory is scored by groundtruth or by relations, {given} was given")
+    if relations is not None:
+        checked = relations if isinstance(relations, Relations) else read_relations(Path(relations))
+        return {"relations": score_relations(poses, checked).to_dict()}
+    assert groundtruth is not None
+    truth = _truth(groundtruth)
+    limit_s = _TOLERANCE_S if tolerance_s is None else tolerance_s
+    relative = relative_error(poses, truth, delta=delta_m, unit="metres", max_difference_s=limit_s)
+    return {
+        "ate": absolute_error(poses, truth, max_difference_s=limit_s).to_dict(),
+        "rpe": None if relative is None else relative.to_dict(),
+    }
+
+
+def _poses(source: Trajectory | Path | str) -> Trajectory:
+    """A trajectory, or that of a TUM file."""
+    return source if isinstance(source, Trajectory) else read_tum(Path(source))
+
+
+def _truth(source: Trajectory | Path | str) -> Trajectory:
+    """As `_poses`, or what a dataset folder knows of its truth."""
+    if isinstance(source, Trajectory) or not Path(source).is_dir():
+        return _poses(source)
+    truth = open_dataset(source).groundtruth()
+    if truth is None:
+        raise EvaluationError(f"{source} has no true trajectory; give a file in TUM format")
+    return truth

@@ -1,0 +1,243 @@
+"""Parts of the mapper by themselves, on plain arrays: match two scans, check a loop, draw a grid.
+
+The graph is `slam.graph.pose_graph.PoseGraph`, the fusion of lidar and depth the package `fusion`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from slam.config import Config
+from slam.errors import ScanweaveError
+from slam.graph.loop_closure import LoopCandidate, search_place
+from slam.graph.submaps import Submap
+from slam.mapping.keyframe_grid import grid_of_keyframes
+from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.matching.local_map import LocalMap, OrientedPoints, match_noise
+from slam.matching.match_covariance import motion_from_alignment
+from slam.matching.scan_points import extract_points, orient_points
+from slam.measurements import AnyFloatArray, FloatArray, LaserScan, MotionEstimate
+
+Scan: TypeAlias = LaserScan | AnyFloatArray
+
+
+def match_scans(
+    reference: Scan | Sequence[Scan],
+    scan: Scan,
+    guess: ArrayLike = (0.0, 0.0, 0.0),
+    *,
+    reference_poses: ArrayLike | None = None,
+    config: Config | None = None,
+) -> MotionEstimate:
+    """Match a scan to another, or to several: point-to-line alignment from a guess (metric of Censi 2008).
+
+    It settles on the nearest match, within some 0.3 m and 0.3 rad of the guess; `check_loop` searches.
+
+    Parameters
+    ----------
+    reference
+        What is matched to: a `slam.LaserScan`, or (N, 2) points of one sweep in metres, seen from the origin
+        of their frame (x forward, y left); or a list of such.
+    scan
+        What is matched, in its own base frame.
+    guess
+        (3,) x, y, yaw: the expected pose of the scan's base in the reference frame; metres, radians.
+    reference_poses
+        (K, 3) x, y, yaw of the bases of K references in one frame, the reference frame. None where there is
+        one reference, whose base frame it is.
+    config
+        `Config.scan` and `Config.match` are used; None for the defaults.
+
+    Returns
+    -------
+    The pose of the scan's base in the reference frame, with its covariance, the share of points that fit and
+    whether a direction stays open (a corridor). Where hardly a point fits it is no match: look at
+    ``inlier_share``.
+
+    Raises
+    ------
+    ScanweaveError
+        Where an array has another shape or holds what is not finite, or poses and references do not pair up.
+
+    Examples
+    --------
+    >>> import numpy as np, slam
+    >>> bearings = np.linspace(-np.pi, np.pi, 361, endpoint=False)
+    >>> def seen_from(x, y, yaw):  # (361, 2) points of the walls of a room of 6 m by 4 m
+    ...     ways = np.column_stack([np.cos(bearings + yaw), np.sin(bearings + yaw)])
+    ...     far = ((np.array([3.0, 2.0]) - np.sign(ways) * [x, y]) / np.abs(ways)).min(axis=1)
+    ...     return far[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])
+    >>> motion = slam.match_scans(seen_from(0, 0, 0), seen_from(0.2, 0.1, 0.05))
+    >>> T = motion.T_reference_base
+    >>> [round(value, 2) + 0.0 for value in (T.x(), T.y(), T.theta())]
+    [0.2, 0.1, 0.05]
+    >>> bool(motion.inlier_share > 0.9), motion.degenerate, motion.covariance.shape
+    (True, False, (3, 3))
+    """
+    config = config or Config()
+    local_map = _local_map(reference, reference_poses, config)
+    alignment = local_map.align(_oriented(scan, config), _rows(guess, (3,), "the guess"))
+    return motion_from_alignment(alignment, match_noise(config.match))
+
+
+def check_loop(
+    place: Scan | Sequence[Scan],
+    scan: Scan,
+    guess: ArrayLike = (0.0, 0.0, 0.0),
+    *,
+    place_poses: ArrayLike | None = None,
+    half_width_m: float | None = None,
+    half_yaw_rad: float | None = None,
+    config: Config | None = None,
+) -> LoopCandidate:
+    """Whether a scan was taken at a known place: search a window about a guess, refine, judge.
+
+    The search is Olson 2009 by branch and bound (Hess 2016 Sec. V-B), as for the loops of a map; what it
+    finds is refined as in `match_scans`.
+
+    Parameters
+    ----------
+    place
+        The known place: a scan or several, see `match_scans`.
+    scan
+        What may have been taken there, in its own base frame.
+    guess
+        (3,) x, y, yaw: the expected pose of the scan's base in the frame of the place; metres, radians.
+    place_poses
+        (K, 3) poses of K scans of the place, see `match_scans`.
+    half_width_m, half_yaw_rad
+        Half size of the searched window, in x and y, and in yaw. None takes ``loops.wide_half_width_m`` and
+        ``loops.wide_half_yaw_rad`` of the configuration.
+    config
+        `Config.loops`, `Config.scan` and `Config.match` are used; None for the defaults.
+
+    Returns
+    -------
+    ``accepted``, else the ``reason``; ``motion`` is the pose of the scan's base in the frame of the place,
+    None where no pose in the window fits. The place has number 0 and the scan 1; with
+    `dataclasses.replace` they get those of your graph. One scan can deceive: add the loop untrusted, and
+    let `slam.PoseGraph.optimize` judge it against the others.
+
+    Raises
+    ------
+    ScanweaveError
+        Where an array has another shape or holds what is not finite, poses and scans do not pair up, or the
+        window is not finite and not negative.
+
+    Examples
+    --------
+    >>> import numpy as np, slam
+    >>> bearings = np.linspace(-np.pi, np.pi, 361, endpoint=False)
+    >>> def seen_from(x, y, yaw, width_m=4.0):  # (361, 2) points of the walls of a room 6 m long
+    ...     ways = np.column_stack([np.cos(bearings + yaw), np.sin(bearings + yaw)])
+    ...     far = ((np.array([3.0, width_m / 2]) - np.sign(ways) * [x, y]) / np.abs(ways)).min(axis=1)
+    ...     return far[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])
+    >>> loop = slam.check_loop(seen_from(0, 0, 0), seen_from(1.0, 0.5, 0.3))
+    >>> T = loop.motion.T_reference_base
+    >>> loop.accepted, [round(value, 2) for value in (T.x(), T.y(), T.theta())]
+    (True, [1.0, 0.5, 0.3])
+    >>> other = slam.check_loop(seen_from(0, 0, 0), seen_from(1.0, 0.5, 0.3, width_m=9.0))
+    >>> other.accepted, other.reason
+    (False, 'no pose in the window scores enough')
+    """
+    config = config or Config()
+    loops = config.loops
+    width = loops.wide_half_width_m if half_width_m is None else float(half_width_m)
+    yaw = loops.wide_half_yaw_rad if half_yaw_rad is None else float(half_yaw_rad)
+    if not (0.0 <= width < np.inf and 0.0 <= yaw <= np.pi):
+        raise ScanweaveError(
+            f"a window of half_width_m={width:g} half_yaw_rad={yaw:g} cannot be searched: give finite sizes "
+            "from 0 on, yaw up to pi"
+        )
+    local_map = _local_map(place, place_poses, config)
+    return search_place(
+        LoopCandidate(0, 1, width, yaw, 1.0, None, False, ""),
+        Submap(lambda: local_map, loops),
+        _oriented(scan, config),
+        _rows(guess, (3,), "the guess"),
+        loops,
+        match_noise(config.match),
+    )
+
+
+def grid_of_scans(
+    scans: Sequence[LaserScan], poses: ArrayLike, config: Config | None = None
+) -> OccupancyGrid:
+    """The occupancy grid of scans at known poses: Li2020 Eq. (1), (7), (8).
+
+    Parameters
+    ----------
+    scans
+        K sweeps.
+    poses
+        (K, 3) x, y, yaw of the robot's base at each, map frame; metres, radians.
+    config
+        `Config.grid` is used; None for the defaults.
+
+    Returns
+    -------
+    Cells of ``grid.resolution_m``; ``states()`` is (rows, cols) of 100 occupied, 0 free, -1 unknown, row 0 at
+    the lowest y.
+
+    Raises
+    ------
+    ScanweaveError
+        Where there is no scan, poses and scans do not pair up or a pose is not finite, or the grid would
+        have too many cells.
+
+    Examples
+    --------
+    >>> import numpy as np, slam
+    >>> bearings = np.linspace(-np.pi, np.pi, 361, endpoint=False)
+    >>> def seen_from(x, y, yaw):  # the walls of a room of 6 m by 4 m
+    ...     ways = np.column_stack([np.cos(bearings + yaw), np.sin(bearings + yaw)])
+    ...     far = ((np.array([3.0, 2.0]) - np.sign(ways) * [x, y]) / np.abs(ways)).min(axis=1)
+    ...     return slam.LaserScan(0.0, far.astype(np.float32), -np.pi, 2 * np.pi / 361, 20.0)
+    >>> poses = np.array([[0.0, 0.0, 0.0], [0.5, 0.2, 0.3], [1.0, 0.4, 0.6]])
+    >>> grid = slam.grid_of_scans([seen_from(*pose) for pose in poses], poses)
+    >>> rows, columns = (grid.states() == 100).nonzero()
+    >>> [round(np.ptp(cells) * grid.resolution_m) for cells in (columns, rows)]
+    [6, 4]
+    """
+    config = config or Config()
+    rows = _rows(poses, (len(scans), 3), f"the poses of {len(scans)} scans")
+    grid = grid_of_keyframes(scans, rows, config)
+    if grid is None:
+        raise ScanweaveError("no scan was given to build a grid from")
+    return grid
+
+
+def _local_map(scans: Scan | Sequence[Scan], poses: ArrayLike | None, config: Config) -> LocalMap:
+    """One scan in its own frame, or several at their poses."""
+    if isinstance(scans, LaserScan | np.ndarray):
+        scans = [scans]
+    if poses is None and len(scans) == 1:
+        poses = np.zeros((1, 3))
+    if poses is None or not len(scans):
+        raise ScanweaveError(f"{len(scans)} scans without poses make no place; give each its x, y, yaw")
+    rows = _rows(poses, (len(scans), 3), f"the poses of {len(scans)} scans")
+    parts = [_oriented(scan, config).moved(row) for scan, row in zip(scans, rows, strict=True)]
+    return LocalMap.build(parts, config.match)
+
+
+def _oriented(scan: Scan, config: Config) -> OrientedPoints:
+    """The points of a scan that have a normal, base frame."""
+    limits = config.scan.range_min_m, config.scan.range_max_m, config.scan.neighbours
+    if isinstance(scan, LaserScan):
+        return OrientedPoints.from_scan(extract_points(scan, *limits))
+    points = np.asarray(scan, dtype=np.float64)
+    return OrientedPoints.from_scan(orient_points(_rows(points, (*points.shape[:1], 2), "a scan"), *limits))
+
+
+def _rows(values: ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:
+    """Finite numbers of a shape."""
+    rows = np.asarray(values, dtype=np.float64)
+    if rows.shape != shape:
+        raise ScanweaveError(f"{name}: an array of shape {rows.shape}, it must be {shape}")
+    if bad := int(np.count_nonzero(~np.isfinite(rows))):
+        raise ScanweaveError(f"{name}: {bad} of {rows.size} numbers are not finite; leave them out")
+    return rows

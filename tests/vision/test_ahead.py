@@ -1,0 +1,53 @@
+"""Results made ahead: in order, bounded, and without a thread left behind."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from slam.vision.ahead import prepared_ahead
+
+
+def preparers() -> int:
+    return sum(thread.name.startswith("prepare") for thread in threading.enumerate())
+
+
+def test_results_come_in_order_from_one_other_thread() -> None:
+    names = set()
+
+    def square(item: int) -> int:
+        names.add(threading.current_thread().name)
+        return item * item
+
+    assert list(prepared_ahead(range(50), square)) == [n * n for n in range(50)]
+    assert len(names) == 1
+    assert threading.current_thread().name not in names
+    assert list(prepared_ahead([], abs)) == []
+    assert preparers() == 0
+
+
+@pytest.mark.parametrize("ahead", [0, 1, 4])
+def test_no_more_is_taken_than_is_needed_soon(ahead: int) -> None:
+    taken = 0
+
+    def items() -> Iterator[int]:
+        nonlocal taken
+        while True:
+            taken += 1
+            yield taken
+
+    results = prepared_ahead(items(), lambda item: item, ahead)
+    assert [next(results) for _ in range(5)] == [1, 2, 3, 4, 5]
+    assert taken <= 5 + ahead
+    del results
+    assert preparers() == 0
+
+
+def test_an_error_comes_at_its_place() -> None:
+    results = prepared_ahead([1, 1, 0, 1], lambda item: 1 // item)
+    assert [next(results), next(results)] == [1, 1]
+    with pytest.raises(ZeroDivisionError):
+        next(results)
+    assert preparers() == 0
