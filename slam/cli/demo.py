@@ -19,7 +19,7 @@ def demo(
     out: Annotated[
         Path, typer.Option("--out", "-o", parser=folder_of, help="folder for the log and the results")
     ] = Path("demo-out"),
-    seed: Annotated[int, typer.Option(min=0, help="another seed, another home and drive")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="another seed, another home and drive")] = 1,
 ) -> None:
     """Simulate a robot with a lidar and four depth cameras in a furnished home, and map what it recorded."""
     from slam.config import load_config
