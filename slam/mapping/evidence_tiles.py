@@ -62,7 +62,9 @@ class EvidenceTiles:
         for key, tile_part, board_part in _parts(box):
             # Boards are mostly empty at their rims: no tile for nothing.
             if self._holds(key) or board.steps[board_part].any():
-                _add(self._tile(key)[tile_part], board.steps[board_part])
+                corners = [part.start for part in (*tile_part, *board_part)]
+                rows, cols = board.steps[board_part].shape
+                _add(self._tile(key), board.steps, *corners, rows, cols)
         self.used = box if self.used is None else union(self.used, box)
 
     def merge(self, other: EvidenceTiles) -> None:
@@ -132,11 +134,14 @@ def union(a: Box, b: Box) -> Box:
 
 
 @kernel
-def _add(sums: Tile, steps: Steps) -> None:
-    """Add steps to sums in place; numpy would go by way of a copy."""
-    for row in range(sums.shape[0]):
-        for col in range(sums.shape[1]):
-            sums[row, col] += steps[row, col]
+def _add(sums, steps, row, col, first_row, first_col, rows, cols):  # type: ignore[no-untyped-def]
+    """Add a part of the steps to a part of the sums in place; numpy would go by way of a copy.
+
+    Whole arrays and corners: parts of arrays would be other types, and another compilation each.
+    """
+    for i in range(rows):
+        for j in range(cols):
+            sums[row + i, col + j] += steps[first_row + i, first_col + j]
 
 
 def _parts(box: Box) -> Iterator[tuple[tuple[int, int], tuple[slice, slice], tuple[slice, slice]]]:
