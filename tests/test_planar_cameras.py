@@ -12,9 +12,12 @@ import numpy as np
 import pytest
 from flat_worlds import box, sweep
 from room_world import LESS, T_BODY_CAMERA, blind, furnished, render
+from typer.testing import CliRunner
 
+from slam.cli import app
 from slam.config import load_config
 from slam.datasets.dataset import ReadReport
+from slam.evaluation.map_info import map_info
 from slam.finished_map import open_map
 from slam.graph.pose_graph import EdgeKind
 from slam.layer_outputs import layers_of
@@ -211,6 +214,12 @@ def test_one_answer_to_which_map(drive: list[tuple[int, Measurement]], tmp_path:
     assert saved.grid is not None and result.grid is not None
     np.testing.assert_array_equal(saved.grid.steps, result.grid.steps)
     saved.close()
+    told = map_info(tmp_path)["grids"]
+    assert set(told) == {"occupancy", "depth layer", "decision"}
+    assert told["decision"]["occupied_m2"] > told["occupancy"]["occupied_m2"]
+    ends = ["--from", "0,0", "--to", "0.2,0", "--radius", "0.05", "--out", str(tmp_path / "way.png")]
+    planned = CliRunner().invoke(app, ["plan", str(tmp_path), *ends])
+    assert planned.exit_code == 0 and "from obstacles" in planned.output, planned.output
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import numpy as np
 from slam.config import Config
 from slam.errors import MapFileError, UnfinishedMapError
 from slam.finished_map import Map, open_map
-from slam.mapping.occupancy_grid import FREE, OCCUPIED
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, StateArray
 from slam.storage.map_file import MapFile, map_path
 from slam.storage.map_identity import MapIdentity
 from slam.storage.map_tables import CLOUDS, FRAMES
@@ -49,7 +49,7 @@ def map_info(path: Path) -> dict[str, Any]:
         "factors_refused": dict(sorted(refused.items())),
         "loops": len(saved.loops),
         "loops_accepted": sum(loop.accepted for loop in saved.loops),
-        "grids": {name: _grid(saved, name) for name in saved.contents.grids},
+        "grids": _grids(saved),
         **_origin(identity),
         "digest": saved.digest,
     }
@@ -122,15 +122,22 @@ def _sensors(saved: Map) -> dict[str, int]:
     return dict(sorted((scans + images).items()))
 
 
-def _grid(saved: Map, name: str) -> dict[str, Any]:
+def _grids(saved: Map) -> dict[str, Any]:
+    """Every grid, and what they decide where there are two."""
+    found = {name: _grid(grid.states(), grid.resolution_m) for name, grid in saved.contents.grids.items()}
+    layers = saved.layers
+    if layers is not None and layers.names:
+        found["decision"] = _grid(layers.states("decision"), layers.resolution_m)
+    return found
+
+
+def _grid(states: StateArray, resolution_m: float) -> dict[str, Any]:
     """Size and content of a grid."""
-    grid = saved.contents.grids[name]
-    states = grid.states()
     rows, cols = states.shape
-    cell_m2 = grid.resolution_m**2
+    cell_m2 = resolution_m**2
     return {
-        "size_m": [round(cols * grid.resolution_m, 2), round(rows * grid.resolution_m, 2)],
-        "resolution_m": grid.resolution_m,
+        "size_m": [round(cols * resolution_m, 2), round(rows * resolution_m, 2)],
+        "resolution_m": resolution_m,
         "free_m2": round(float((states == FREE).sum()) * cell_m2, 1),
         "occupied_m2": round(float((states == OCCUPIED).sum()) * cell_m2, 1),
     }

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
-from slam.mapping.layered_map import LayeredMap, LayerName
+from slam.errors import MapFileError
+from slam.mapping.layered_map import LAYERS, LayeredMap, LayerName
 from slam.mapping.occupancy_grid import StateArray
 from slam.storage.files import make_folder, write_lines
 from slam.storage.nav2 import write_nav2_map
 from slam.storage.pgm import write_pgm
 
 MAP_YAML = "map.yaml"
+_PROBABILITY = "fused_probability"
 
 _WHAT: dict[LayerName, str] = {
     "lidar": "What the lidar alone saw, at its own height; the map to drive by is ../map.yaml.",
@@ -52,14 +55,25 @@ def write_layers(folder: Path, layers: LayeredMap) -> list[Path]:
     MapFileError
         Where a file cannot be written.
     """
+    _remove(folder, set(LAYERS) - set(layers.names))
     if not layers.names:
+        _remove(folder, {_PROBABILITY})
         return []
     make_folder(folder)
     place = (layers.resolution_m, layers.T_map_grid)
     written = [
         write_nav2_map(folder / name, layers.states(name), *place, _WHAT[name])[0] for name in layers.names
     ]
-    return [*written, _write_raw(folder / "fused_probability", layers.percent(), written[-1])]
+    return [*written, _write_raw(folder / _PROBABILITY, layers.percent(), written[-1])]
+
+
+def _remove(folder: Path, names: Iterable[str]) -> None:
+    """Remove layers that an earlier run has left: they would tell of another map."""
+    try:
+        for path in [folder / f"{name}{ending}" for name in names for ending in (".yaml", ".pgm")]:
+            path.unlink(missing_ok=True)
+    except OSError as error:
+        raise MapFileError(f"cannot write {folder}: {error.strerror or error}") from error
 
 
 def _write_raw(stem: Path, percent: StateArray, trinary_yaml: Path) -> Path:

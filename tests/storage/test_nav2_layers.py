@@ -62,6 +62,11 @@ def test_the_map_to_drive_by_is_the_decision_and_every_file_says_what_it_is(tmp_
 def test_a_map_of_the_lidar_alone_has_no_layers_beside_it(tmp_path):
     alone = LayeredMap(built().lidar, None)
     assert write_layers(tmp_path / "layers", alone) == [] and not (tmp_path / "layers").exists()
+    # Nor those of an earlier run, which would tell of another map.
+    write_layers(tmp_path / "layers", built())
+    (tmp_path / "layers" / "mine.txt").write_text("mine")
+    assert write_layers(tmp_path / "layers", alone) == []
+    assert [path.name for path in (tmp_path / "layers").iterdir()] == ["mine.txt"]
     path, _ = write_driving_map(tmp_path / "map", alone)
     assert "as seen by lidar." in path.read_text()
     np.testing.assert_array_equal(read_nav2_map(path).values, alone.lidar.states())
