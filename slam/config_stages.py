@@ -191,7 +191,12 @@ class GridConfig(StrictModel):
 
     resolution_m: float = Field(default=0.05, gt=0, le=1, description="side of a cell")
     hit_probability: float = Field(default=0.7, gt=0.5, lt=1, description="p of a cell that a beam ends in")
-    miss_probability: float = Field(default=0.4, gt=0, lt=0.5, description="p of a cell a beam passes")
+    miss_probability: float = Field(
+        default=0.45,
+        gt=0,
+        lt=0.5,
+        description="p of a cell that a beam passes: it says little of a thin leg in it",
+    )
     hit_range_m: float = Field(
         default=40.0, gt=0, le=10_000, description="a return from farther marks nothing"
     )

@@ -161,7 +161,7 @@ class TestGrid:
         config = slam.load_config(overrides=["grid.resolution_m=0.1"])
         grid, expected = (
             slam.grid_of_scans(scans, self.POSES, config),
-            grid_of_keyframes(scans, self.POSES, config.grid),
+            grid_of_keyframes(scans, self.POSES, config),
         )
         assert expected is not None and grid.resolution_m == 0.1
         np.testing.assert_array_equal(grid.states(), expected.states())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -11,7 +10,6 @@ import numpy as np
 
 from fusion.bayes import evidence_steps
 from fusion.depth_model import RangeNoise, hit_evidence
-from fusion.kernel import kernel
 from slam.errors import ConfigError
 from slam.mapping.evidence_tiles import Board
 from slam.mapping.occupancy_grid import Steps
@@ -87,21 +85,19 @@ def lidar_board(scan: LaserScan, T_grid_base: gtsam.Pose2, model: LidarModel, ce
         min(model.max_hit_range_m, scan.range_max_m),
         min(model.max_clear_range_m, scan.range_max_m),
     )
-    noise = (model.noise.floor_m, model.noise.share, model.noise.per_m)
     hits, miss = _hits_by_range(model, cell_m), evidence_steps(model.p_miss)
-    steps = weigh_beams(ends, kinds, box, x_cells, y_cells, cell_m, noise, model.margin_sigmas, hits, miss)
+    noise, margin = model.noise, model.margin_sigmas
+    steps = weigh_beams(ends, kinds, box, (x_cells, y_cells), cell_m, noise, margin, hits, miss)
     return Board(steps, box[0], box[1])
 
 
-@kernel(error_model="numpy")
 def weigh_beams(
     ends: FloatArray,
     kinds: Evidence,
     box: Box,
-    x_cells: float,
-    y_cells: float,
+    laser_cells: tuple[float, float],
     cell_m: float,
-    noise: tuple[float, float, float],
+    noise: RangeNoise,
     margin_sigmas: float,
     hit_steps: Steps,
     miss_step: int,
@@ -112,10 +108,10 @@ def weigh_beams(
 
     Parameters
     ----------
-    ends, kinds, box, x_cells, y_cells
+    ends, kinds, box
         As from `beam_ends`.
-    noise
-        floor_m, share and per_m of the range's standard deviation.
+    laser_cells
+        x and y of the laser, as `beam_ends` took them.
     hit_steps
         (N,) evidence of a hit by range, `_BINS_A_M` to a metre.
     miss_step
@@ -125,29 +121,15 @@ def weigh_beams(
     -------
     (rows, cols); where several beams end in one cell, the nearest decides.
     """
-    short, range_m = np.empty_like(ends), np.empty(kinds.size)
-    for beam in range(kinds.size):
-        dx, dy = ends[beam, 0] - x_cells, ends[beam, 1] - y_cells
-        reach = math.sqrt(dx * dx + dy * dy) * cell_m
-        range_m[beam] = reach
-        share = 1.0
-        if kinds[beam] == HIT:
-            sigma = noise[0] + noise[1] * reach + noise[2] * reach * reach
-            share = max(0.0, 1.0 - margin_sigmas * sigma / max(reach, 1e-6))
-        short[beam, 0], short[beam, 1] = x_cells + share * dx, y_cells + share * dy
-    board = draw_lines(short, kinds, box, x_cells, y_cells)
-    steps = np.empty(board.shape, np.int16)
-    miss = np.int16(miss_step)
-    for row in range(board.shape[0]):
-        for col in range(board.shape[1]):
-            # FREE is 1 and NOTHING 0.
-            steps[row, col] = np.int16(board[row, col]) * miss
-    for beam in range(kinds.size):
-        if kinds[beam] == HIT:
-            end_row = min(math.floor(ends[beam, 1]) - box[0], box[2] - 1)
-            end_col = min(math.floor(ends[beam, 0]) - box[1], box[3] - 1)
-            weight = hit_steps[min(int(range_m[beam] * _BINS_A_M), hit_steps.size - 1)]
-            steps[end_row, end_col] = max(steps[end_row, end_col], weight)
+    met, away = kinds == HIT, ends - laser_cells
+    range_m = np.hypot(*away.T) * cell_m
+    share = 1.0 - margin_sigmas * noise.sigma_m(range_m) / np.maximum(range_m, 1e-6)
+    short = laser_cells + np.where(met, np.maximum(0.0, share), 1.0)[:, None] * away
+    board = draw_lines(short, kinds, box, *laser_cells)
+    steps: Steps = board.astype(np.int16) * np.int16(miss_step)  # FREE is 1 and NOTHING 0
+    cells = np.minimum(np.floor(ends[met, ::-1]).astype(np.intp) - box[:2], np.array(box[2:]) - 1)
+    place = np.minimum((range_m[met] * _BINS_A_M).astype(np.intp), hit_steps.size - 1)
+    np.maximum.at(steps, (cells[:, 0], cells[:, 1]), hit_steps[place])
     return steps
 
 

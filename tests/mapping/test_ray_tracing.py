@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from fusion.depth_model import RangeNoise
 from slam.mapping.lidar_layer import weigh_beams
 from slam.mapping.ray_tracing import FREE, HIT, beam_ends, draw_lines
 
@@ -12,8 +13,8 @@ def draw(ranges, x=0.5, y=0.5, start=0.0, step=np.pi / 2, cells_per_m=1.0, hit_l
     ends, kinds, box = beam_ends(
         np.array(ranges, dtype=np.float32), x, y, start, step, cells_per_m, hit_limit, clear_limit
     )
-    exact = ((0.0, 0.0, 0.0), 0.0, np.array([2], np.int16), -1)
-    board = weigh_beams(ends, kinds, box, x, y, 1.0 / cells_per_m, *exact)
+    exact = (RangeNoise(1e-12), 0.0, np.array([2], np.int16), -1)
+    board = weigh_beams(ends, kinds, box, (x, y), 1.0 / cells_per_m, *exact)
     return ["".join(LETTERS[value] for value in row) for row in board[::-1]], box
 
 
@@ -94,6 +95,6 @@ def test_places_a_hair_below_a_border_stay_on_the_board():
 
 def test_a_beam_clears_nothing_within_the_noise_of_its_end():
     ends, kinds, box = beam_ends(np.array([6.0], np.float32), 0.5, 0.5, 0.0, 0.1, 1.0, 50.0, 3.0)
-    noise = (0.5, 0.25, 0.0)  # 2 m at 6 m
-    board = weigh_beams(ends, kinds, box, 0.5, 0.5, 1.0, noise, 1.0, np.array([2], np.int16), -1)
+    noise = RangeNoise(0.5, 0.25)  # 2 m at 6 m
+    board = weigh_beams(ends, kinds, box, (0.5, 0.5), 1.0, noise, 1.0, np.array([2], np.int16), -1)
     assert board.tolist() == [[-1, -1, -1, -1, -1, 0, 2]]
