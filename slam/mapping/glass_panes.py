@@ -51,7 +51,7 @@ class Pane(NamedTuple):
 
 def find_panes(scan: LaserScan) -> list[Pane]:
     """The panes that a scan meets at a right angle, each followed to its frame where that is in its plane."""
-    ranges = scan.ranges_m.astype(np.float64)
+    ranges: FloatArray = scan.ranges_m.astype(np.float64)
     bearings: FloatArray = scan.start_angle_rad + scan.step_rad * np.arange(ranges.size)
     if scan.step_rad < 0.0:
         ranges, bearings = ranges[::-1], bearings[::-1]
