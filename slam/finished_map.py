@@ -8,7 +8,6 @@ import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import gtsam
 import numpy as np
@@ -22,7 +21,7 @@ from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Pose, Trajectory
 from slam.run_outputs import save_cloud, save_cloud_octomap, save_g2o, save_octomap, save_surface
-from slam.storage.files import make_folder, replacing
+from slam.storage.files import TemporaryFolder, make_folder, replacing
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_contents import DEPTH, OCCUPANCY, MapContents, SavedFactor, read_contents
 from slam.storage.map_file import MAP_NAME, MapFile
@@ -74,7 +73,7 @@ class Map:
     notes: Sequence[str]
     warnings: Sequence[str]
     _file: MapFile = field(repr=False)
-    _folder: TemporaryDirectory[str] | None = field(default=None, repr=False)
+    _folder: TemporaryFolder | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
         sizes = (
@@ -228,14 +227,13 @@ class Map:
 
         Examples
         --------
-        >>> import slam, tempfile
+        >>> import slam
         >>> from pathlib import Path
         >>> from slam.simulation.synthetic_log import write_synthetic_log
-        >>> folder = tempfile.TemporaryDirectory()
-        >>> house = slam.map_log(write_synthetic_log(Path(folder.name), duration_s=12.0).log_path)
-        >>> sorted(path.name for path in house.save(Path(folder.name) / "house"))[:3]
+        >>> house = slam.map_log(write_synthetic_log(Path("monday"), duration_s=12.0).log_path)
+        >>> sorted(path.name for path in house.save("house"))[:3]
         ['graph.g2o', 'map.db', 'map.pgm']
-        >>> slam.load_map(Path(folder.name) / "house").digest == house.digest
+        >>> slam.load_map("house").digest == house.digest
         True
         >>> house.close()
         """
@@ -282,10 +280,10 @@ class Map:
         """Close the file; no image or cloud can be read afterwards, and a map in memory is gone."""
         self._file.close()
         if self._folder is not None:
-            self._folder.cleanup()
+            self._folder.remove()
 
 
-def open_map(path: Path | str, kept_in: TemporaryDirectory[str] | None = None) -> Map:
+def open_map(path: Path | str, kept_in: TemporaryFolder | None = None) -> Map:
     """Open a finished map: a folder that ``scanweave map`` has made, or its ``map.db``.
 
     Parameters

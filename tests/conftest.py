@@ -21,8 +21,15 @@ def open3d() -> Any:
         pytest.skip(f"NOT TESTED: {error}")
 
 
+@pytest.fixture(autouse=True)
+def _open3d_where_marked(request: pytest.FixtureRequest) -> None:
+    """A test, or a case of it, that is marked ``open3d`` need not take the fixture."""
+    if request.node.get_closest_marker("open3d"):
+        request.getfixturevalue("open3d")
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What takes Open3D needs more than a bare machine has."""
+    """What takes the fixture is found by the mark too."""
     for item in items:
         if "open3d" in getattr(item, "fixturenames", ()):
-            item.add_marker(pytest.mark.system)
+            item.add_marker(pytest.mark.open3d)

@@ -24,9 +24,6 @@ from slam.simulation.synthetic_log import SyntheticLog, write_synthetic_log
 EXAMPLES = Path(__file__).parents[1] / "examples"
 DATA = Path(__file__).parents[2] / "shared" / "data"
 
-# A map that was given no folder has a temporary one, which goes with it.
-pytestmark = pytest.mark.filterwarnings("ignore:Implicitly cleaning up:ResourceWarning")
-
 
 @pytest.fixture(scope="module")
 def house(tmp_path_factory: pytest.TempPathFactory) -> Path:

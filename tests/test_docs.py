@@ -177,7 +177,6 @@ def two_days(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if blocks(page, "python run")], ids=lambda page: page.name
 )
-@pytest.mark.filterwarnings("ignore:Implicitly cleaning up:ResourceWarning")  # maps in temporary folders
 def test_examples_run(page: Path, two_days: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Blocks marked `python run` run one after the other, as a reader would type them.
     for log in two_days.glob("*.log"):

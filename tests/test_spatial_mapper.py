@@ -130,13 +130,9 @@ def test_without_open3d_there_is_the_cloud_and_one_line_about_the_mesh(
     assert np.isfinite(axes).all()
 
 
-@pytest.mark.parametrize("method", ["features", pytest.param("dense", marks=pytest.mark.system)])
-def test_the_other_methods(
-    method: str, frames: list[RgbdFrame], tmp_path: Path, request: pytest.FixtureRequest
-) -> None:
+@pytest.mark.parametrize("method", ["features", pytest.param("dense", marks=pytest.mark.open3d)])
+def test_the_other_methods(method: str, frames: list[RgbdFrame], tmp_path: Path) -> None:
     """The first third of the round; they drift more."""
-    if method == "dense":
-        request.getfixturevalue("open3d")
     path = write_tum_folder(tmp_path / "log", frames[:20], walk()[:20])
     result = run(path, f"rgbd_odometry.method={method}", "visual_loops.enabled=false")
     assert ate_m(result, path) < 0.05

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from slam.datasets import open_dataset
 from slam.measurements import RgbdFrame, Trajectory
+from slam.open3d_library import load_open3d
 from slam.storage.tum import write_tum
 
 Matrix: TypeAlias = NDArray[np.float64]
@@ -75,8 +76,7 @@ def open3d_step(method: str) -> Callable[[RgbdFrame], Step]:
     """Open3D's multi-scale tensor odometry by one of its methods."""
 
     def make(first: RgbdFrame) -> Step:
-        import open3d as o3d
-
+        o3d = load_open3d()
         odometry = o3d.t.pipelines.odometry
         camera = o3d.core.Tensor.from_numpy(camera_matrix(first))
         before: list[Any] = []

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from slam.app.map_folder import Left, left_in
 from slam.app.map_run import MapRun, run_into
@@ -16,6 +15,7 @@ from slam.datasets.dataset import Dataset
 from slam.errors import MapFileError
 from slam.finished_map import Map, open_map
 from slam.measurements import Measurement
+from slam.storage.files import TemporaryFolder
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import MapIdentity, current_versions, identity_of
 
@@ -162,8 +162,9 @@ def _opened(log: Path | str | Dataset, config: Config, strict: bool) -> Dataset:
 
 def _in_memory(dataset: Dataset, identity: MapIdentity, on_progress: OnProgress | None) -> MapRun:
     """A map in a temporary folder that goes with it: neither files of other programs nor a report."""
-    kept_in = TemporaryDirectory(prefix="scanweave-")
-    folder = Path(kept_in.name)
-    run = run_into(folder, dataset, identity, on_progress=on_progress or silent, exports=False, report=False)
+    kept_in = TemporaryFolder()
+    run = run_into(
+        kept_in.path, dataset, identity, on_progress=on_progress or silent, exports=False, report=False
+    )
     run.map.close()
-    return MapRun(open_map(folder, kept_in), None, ())
+    return MapRun(open_map(kept_in.path, kept_in), None, ())

@@ -10,8 +10,6 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
-from scipy.special import chdtri
 
 from slam.measurements import BoolArray, FloatArray
 
@@ -59,7 +57,7 @@ class Motions:
     def significant(self) -> tuple[BoolArray, BoolArray]:
         """Which base steps turn, and which move, by more than their noise; (N,) each."""
         variances = np.diagonal(self.covariance_base, axis1=1, axis2=2)
-        angles = np.linalg.norm(Rotation.from_matrix(self.R_base).as_rotvec(), axis=1)
+        angles = np.linalg.norm(_rotation_vectors(self.R_base), axis=1)
         lengths = np.linalg.norm(self.t_base, axis=1)
         turning: BoolArray = angles > _SIGNIFICANT_SIGMAS * np.sqrt(variances[:, :3].max(axis=1))
         moving: BoolArray = lengths > _SIGNIFICANT_SIGMAS * np.sqrt(variances[:, 3:].max(axis=1))
@@ -117,7 +115,7 @@ def linearise(motions: Motions, R: FloatArray, t: FloatArray) -> tuple[FloatArra
     to_camera = np.swapaxes(motions.R_camera, -1, -2)
     turns = to_camera @ R_step
     errors = np.empty((*t_step.shape[:-1], 6))
-    errors[..., :3] = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_rotvec().reshape(t_step.shape)
+    errors[..., :3] = _rotation_vectors(turns.reshape(-1, 3, 3)).reshape(t_step.shape)
     errors[..., 3:] = np.einsum("nij,...nj->...ni", to_camera, t_step - motions.t_camera)
     jacobians = np.zeros((*t_step.shape[:-1], 6, 6))
     excitation = np.where(turning[:, None, None], R_step - np.eye(3), 0.0)
@@ -147,7 +145,7 @@ def search(motions: Motions, R_start: FloatArray, t_start: FloatArray) -> tuple[
     """
     R, t = _seeds(R_start, t_start)
     weights = _search_weights(motions)
-    gate = float(chdtri(6, 0.01))
+    gate = _chi_square(0.01)
     for _ in range(_SEARCH_ROUNDS):
         errors, jacobians = linearise(motions, R, t)
         weighted = jacobians * weights[..., None]
@@ -165,14 +163,14 @@ def refine(motions: Motions, R: FloatArray, t: FloatArray, inlier_probability: f
     The loss is as wide as the median of the residuals asks: wide from a bad start, narrow at the end, as
     graduated non-convexity does by a schedule (Yang 2020, Sec. IV).
     """
-    gate = float(chdtri(6, 1.0 - inlier_probability))
+    gate = _chi_square(1.0 - inlier_probability)
     step = np.full(6, np.inf)
     for _ in range(_REFINING_ROUNDS):
         errors, jacobians = linearise(motions, R, t)
         precisions = np.linalg.inv(covariances(motions, R, t))
         distances = np.einsum("ni,nij,nj->n", errors, precisions, errors)
         # Stated noise may be too small, and then the median tells.
-        spread = max(float(np.median(distances)) / float(chdtri(6, 0.5)), 1.0)
+        spread = max(float(np.median(distances)) / _chi_square(0.5), 1.0)
         bend = spread * gate
         weighted = np.einsum("n,nki,nkl->nil", (bend / (distances + bend)) ** 2, jacobians, precisions)
         information = np.einsum("nil,nlj->ij", weighted, jacobians)
@@ -232,7 +230,24 @@ def _moved(
         length = np.linalg.norm(step[:, part], axis=1, keepdims=True)
         step[:, part] *= longest / np.maximum(length, longest)
     t = t + np.einsum("sij,sj->si", R, step[:, 3:])
+    from scipy.spatial.transform import Rotation
+
     return R @ Rotation.from_rotvec(step[:, :3]).as_matrix(), t, step
+
+
+# SciPy is loaded where a mount is computed: that takes 0.1 s, and most runs know or need none.
+def _rotation_vectors(matrices: FloatArray) -> FloatArray:
+    """(N, 3) of rotations (N, 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(matrices).as_rotvec())
+
+
+def _chi_square(exceeded: float) -> float:
+    """What chi squared of six degrees exceeds with that probability."""
+    from scipy.special import chdtri
+
+    return float(chdtri(6, exceeded))
 
 
 def _cross(vectors: FloatArray) -> FloatArray:

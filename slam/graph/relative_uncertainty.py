@@ -17,6 +17,8 @@ from slam.measurements import FloatArray
 
 # A yaw error is worth its lever arm: how far from a node its surroundings are matched.
 _LEVER_M = 5.0
+# Where the nine elements of a symmetric matrix are in its upper triangle.
+_WHOLE = [0, 1, 2, 1, 3, 4, 2, 4, 5]
 
 
 class UncertaintyGraph:
@@ -27,7 +29,6 @@ class UncertaintyGraph:
         self._heads = np.full(64, -1, np.int64)
         self._next = np.full(256, -1, np.int64)
         self._targets = np.zeros(256, np.int64)
-        self._sources = np.zeros(256, np.int64)
         self._costs = np.zeros(256)
         self._covariances = np.zeros((256, 3, 3))
         self._edges = 0
@@ -61,20 +62,15 @@ class UncertaintyGraph:
         (m, 3, 3); infinite where no path leads.
         """
         distance = np.full(self._count, np.inf)
-        arrived_by = np.full(self._count, -1)
+        seen = np.zeros((self._count, 6))
         wanted = np.zeros(self._count, np.bool_)
         wanted[targets] = True
-        # Every edge is put into the queue once at most, from its source.
+        edges = self._targets, self._costs, self._covariances.reshape(-1, 9)
+        # An edge is put into the queue once at most, from its source.
         queue = np.empty(self._edges + 1), np.empty(self._edges + 1, np.int64)
-        _cheapest_paths(
-            start, wanted, self._heads, self._next, self._targets, self._costs, distance, arrived_by, *queue
-        )
-        carried = np.zeros((self._count + len(targets), 3, 3))
-        scratch = np.zeros(self._count, np.bool_), np.empty(self._count, np.int64), np.eye(3)
-        _carry(start, targets, poses, arrived_by, self._sources, self._covariances, carried, *scratch)
-        seen = carried[self._count :]
-        seen[np.isinf(distance[targets])] = np.inf
-        return seen
+        _follow(start, wanted, poses, self._heads, self._next, *edges, distance, seen, *queue)
+        seen[np.isinf(distance)] = np.inf
+        return seen[targets][:, _WHOLE].reshape(-1, 3, 3)
 
     def _append(self, source: int, target: int, cost: float, covariance: FloatArray) -> None:
         """One direction of an edge, covariance in the target's frame."""
@@ -82,29 +78,30 @@ class UncertaintyGraph:
         if k == self._next.size:
             self._next = np.concatenate([self._next, np.full_like(self._next, -1)])
             self._targets = np.concatenate([self._targets, np.zeros_like(self._targets)])
-            self._sources = np.concatenate([self._sources, np.zeros_like(self._sources)])
             self._costs = np.concatenate([self._costs, np.zeros_like(self._costs)])
             self._covariances = np.concatenate([self._covariances, np.zeros_like(self._covariances)])
         self._next[k] = self._heads[source]
         self._heads[source] = k
         self._targets[k] = target
-        self._sources[k] = source
         self._costs[k] = cost
         self._covariances[k] = covariance
         self._edges += 1
 
 
 @kernel
-def _cheapest_paths(  # type: ignore[no-untyped-def]
-    start, wanted, heads, following, ends, costs, distance, arrived_by, queued, queued_nodes
+def _follow(  # type: ignore[no-untyped-def]
+    start, wanted, poses, heads, following, ends, costs, covariances, distance, seen, queued, queued_nodes
 ):
-    """Dijkstra until all wanted nodes are reached: the edge by which each node is reached, -1 for none.
+    """Dijkstra until all wanted nodes are reached; what is reached is seen by the sum of its path's edges.
 
-    The queue is a binary heap of two arrays: numba takes half a second for the one of a list.
+    ``seen`` (n, 6) becomes the upper triangles of the covariances in the start's frame. The queue is a binary
+    heap of two arrays: that of a list compiles half a second longer.
     """
     missing = ZERO
     for node in range(wanted.size):
         missing += wanted[node]
+    cos = math.cos(poses[start, 2])
+    sin = math.sin(poses[start, 2])
     distance[start] = 0.0
     queued[0] = 0.0
     queued_nodes[0] = start
@@ -135,15 +132,13 @@ def _cheapest_paths(  # type: ignore[no-untyped-def]
         # Put in once more, at less cost, and done with since.
         if reached > distance[node]:
             continue
-        if wanted[node]:
-            missing -= 1
+        missing -= wanted[node]
         k = heads[node]
         while k >= 0:
             end = ends[k]
             cost = reached + costs[k]
             if cost < distance[end]:
                 distance[end] = cost
-                arrived_by[end] = k
                 at = length
                 length += 1
                 while at > 0:
@@ -155,6 +150,27 @@ def _cheapest_paths(  # type: ignore[no-untyped-def]
                     at = above
                 queued[at] = cost
                 queued_nodes[at] = end
+                # Ad C Ad^T by the end's pose in the start's frame.
+                dx = poses[end, 0] - poses[start, 0]
+                dy = poses[end, 1] - poses[start, 1]
+                x = cos * dx + sin * dy
+                y = cos * dy - sin * dx
+                yaw = poses[end, 2] - poses[start, 2]
+                c = math.cos(yaw)
+                s = math.sin(yaw)
+                tt = covariances[k, 8]
+                xt = c * covariances[k, 2] - s * covariances[k, 5]
+                yt = s * covariances[k, 2] + c * covariances[k, 5]
+                xx = c * covariances[k, 0] - s * covariances[k, 1]
+                xy = c * covariances[k, 1] - s * covariances[k, 4]
+                yx = s * covariances[k, 0] + c * covariances[k, 1]
+                yy = s * covariances[k, 1] + c * covariances[k, 4]
+                seen[end, 0] = seen[node, 0] + c * xx - s * xy + y * (2.0 * xt + y * tt)
+                seen[end, 1] = seen[node, 1] + s * xx + c * xy + y * yt - x * (xt + y * tt)
+                seen[end, 2] = seen[node, 2] + xt + y * tt
+                seen[end, 3] = seen[node, 3] + s * yx + c * yy - x * (2.0 * yt - x * tt)
+                seen[end, 4] = seen[node, 4] + yt - x * tt
+                seen[end, 5] = seen[node, 5] + tt
             k = following[k]
 
 
@@ -162,50 +178,3 @@ def _cheapest_paths(  # type: ignore[no-untyped-def]
 def _sooner(cost, node, other_cost, other_node):  # type: ignore[no-untyped-def]
     """Which of two nodes the queue gives first."""
     return cost < other_cost or (cost == other_cost and node < other_node)
-
-
-@kernel
-def _carry(  # type: ignore[no-untyped-def]
-    start, targets, poses, arrived_by, sources, covariances, carried, known, path, turn
-):
-    """Add up the covariances along the paths; a stretch that two paths share is added up once.
-
-    Row k of ``carried`` is the covariance of inverse(pose_start) * pose_k in frame k; the rows after those of
-    the nodes are those of the targets, in the start's frame.
-    """
-    count = poses.shape[0]
-    known[start] = True
-    for t in range(targets.size):
-        node = targets[t]
-        length = ZERO
-        while not known[node] and arrived_by[node] >= 0:
-            path[length] = node
-            length += 1
-            node = sources[arrived_by[node]]
-        # Outwards to the target; last, what the start sees of it.
-        for n in range(length - 1, -2, -1):
-            here, there, into = start, targets[t], count + t
-            k = -1
-            if n >= 0:
-                here = into = path[n]
-                k = arrived_by[here]
-                there = sources[k]
-                known[here] = True
-            cos = math.cos(poses[here, 2])
-            sin = math.sin(poses[here, 2])
-            dx = poses[there, 0] - poses[here, 0]
-            dy = poses[there, 1] - poses[here, 1]
-            yaw = poses[there, 2] - poses[here, 2]
-            yaw -= 2.0 * math.pi * math.floor((yaw + math.pi) / (2.0 * math.pi))
-            turn[0, 0] = turn[1, 1] = math.cos(yaw)
-            turn[1, 0] = math.sin(yaw)
-            turn[0, 1] = -math.sin(yaw)
-            turn[0, 2] = -sin * dx + cos * dy
-            turn[1, 2] = -(cos * dx + sin * dy)
-            for i in range(3):
-                for j in range(3):
-                    total = carried[into, i, j]
-                    for a in range(3):
-                        for b in range(3):
-                            total += turn[i, a] * carried[there, a, b] * turn[j, b]
-                    carried[into, i, j] = total + covariances[k, i, j] if k >= 0 else total

@@ -51,12 +51,14 @@ class Pane(NamedTuple):
 
 def find_panes(scan: LaserScan) -> list[Pane]:
     """The panes that a scan meets at a right angle, each followed to its frame where that is in its plane."""
-    ranges: FloatArray = scan.ranges_m.astype(np.float64)
-    bearings: FloatArray = scan.start_angle_rad + scan.step_rad * np.arange(ranges.size)
+    ranges = np.full(scan.ranges_m.size, np.nan)
+    with np.errstate(invalid="ignore"):
+        seen = (scan.ranges_m > 0.0) & (scan.ranges_m < scan.range_max_m)
+    ranges[seen] = scan.ranges_m[seen]
+    bearings = np.linspace(0.0, scan.step_rad * (ranges.size - 1), ranges.size) + scan.start_angle_rad
     if scan.step_rad < 0.0:
         ranges, bearings = ranges[::-1], bearings[::-1]
     with np.errstate(invalid="ignore"):
-        ranges = np.where((ranges > 0.0) & (ranges < scan.range_max_m), ranges, np.nan)
         one = np.abs(np.diff(ranges)) < _STEP_M + _STEP_SHARE * ranges[:-1]
     edges = np.flatnonzero(np.diff(np.concatenate([[False], one, [False]]).astype(np.int8)))
     first, last = edges[::2], edges[1::2]

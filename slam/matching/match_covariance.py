@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,9 @@ from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
 
 # An edge ends at two keyframes, and the one that it starts from was itself matched as well as this one.
 _ENDS = 2.0
+_HARDLY_ANY = np.eye(3) * 1e-9
+_ROUNDING = 1e-9
+_DIAGONAL = np.diag_indices(3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,11 +50,13 @@ def motion_from_alignment(alignment: Alignment, noise: MatchNoise) -> MotionEsti
     ``degenerate_sigma_m`` squared on top.
     """
     weak = weak_direction(alignment, noise.degenerate_share)
-    scale = max(alignment.residual_m, noise.minimal_residual_m) if np.isfinite(alignment.residual_m) else 1.0
+    scale = (
+        max(alignment.residual_m, noise.minimal_residual_m) if math.isfinite(alignment.residual_m) else 1.0
+    )
     # Points that fit nothing are a doubt about all the others.
     doubt = 1.0 / max(alignment.inlier_share, 0.1) ** 2
     covariance = _ENDS * doubt * scale**2 * _correlated_inverse(alignment)
-    covariance += np.diag([noise.floor_m**2, noise.floor_m**2, noise.floor_rad**2])
+    covariance[_DIAGONAL] += (noise.floor_m**2, noise.floor_m**2, noise.floor_rad**2)
     if weak is not None:
         covariance += noise.degenerate_sigma_m**2 * np.outer(weak, weak)
     return MotionEstimate(
@@ -71,11 +77,16 @@ def weak_direction(alignment: Alignment, degenerate_share: float) -> FloatArray 
     The rotation is eliminated first (Schur complement): what counts is the information on a direction when
     the yaw is free. It is compared with the number of points, so it does not depend on the beam count.
     """
-    information = alignment.hessian + np.eye(3) * 1e-9
-    translation = information[:2, :2] - np.outer(information[:2, 2], information[:2, 2]) / information[2, 2]
-    eigenvalues, eigenvectors = np.linalg.eigh(translation)
     # Less than one point's worth determines nothing.
-    if eigenvalues[0] >= degenerate_share * max(alignment.weight, 1.0):
+    least = degenerate_share * max(alignment.weight, 1.0)
+    xx, xy, xt, _, yy, yt, _, _, tt = (alignment.hessian + _HARDLY_ANY).ravel().tolist()
+    xx, xy, yy = xx - xt * xt / tt, xy - xt * yt / tt, yy - yt * yt / tt
+    lower = 0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), xy)
+    # Clearly determined, as nearly always: rounding leaves no doubt of that.
+    if lower - _ROUNDING * (xx + yy) > least:
+        return None
+    eigenvalues, eigenvectors = np.linalg.eigh(np.array([[xx, xy], [xy, yy]]))
+    if eigenvalues[0] >= least:
         return None
     return np.array([eigenvectors[0, 0], eigenvectors[1, 0], 0.0])
 

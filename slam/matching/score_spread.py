@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from fusion.kernel import kernel
 from slam.matching.point_to_line import terms_at
 from slam.matching.surfel_map import SurfelMap
 from slam.measurements import AnyFloatArray, FloatArray
@@ -46,43 +45,20 @@ def score_spread(
     weights for its second derivative, and the spread makes up for that.
     """
     terms = terms_at(points, normals, pose, surfel_map, kernel_m)
-    half, weight, bend = _half_spread(terms, lags)
+    weight, bend = terms[:, 3:].sum(axis=0).tolist()
     flattened = weight / max(bend, _LEAST_BEND * weight) if weight > 0.0 else 1.0
-    spread = np.array(half).reshape(3, 3)
-    return (spread + spread.T) * flattened**2
+    return _bartlett_sum(terms[:, :3], lags) * flattened**2
 
 
-@kernel
-def _half_spread(terms, lags):  # type: ignore[no-untyped-def]
-    """Newey and West 1987: products of neighbours, weighted down with their distance.
+def _bartlett_sum(rows: FloatArray, lags: int) -> FloatArray:
+    """Sum (3, 3) of the products of all pairs of rows up to so far apart, by weights that fall with the lag.
 
-    A matrix row by row, to which its transpose is to be added; and the sums of weight and bend.
+    Bartlett's weight of a pair, 1 - lag / (lags + 1), is the share of the windows of lags + 1 rows which hold
+    both: so it is the mean of the products of the windows' sums.
     """
-    weight = bend = xx = xy = xt = yx = yy = yt = tx = ty = tt = 0.0
-    for i in range(terms.shape[0]):
-        x = terms[i, 0]
-        y = terms[i, 1]
-        turn = terms[i, 2]
-        # Half the own product: the transpose counts it once more.
-        sum_x = 0.5 * x
-        sum_y = 0.5 * y
-        sum_t = 0.5 * turn
-        for lag in range(1, lags + 1):
-            if i + lag >= terms.shape[0]:
-                break
-            share = 1.0 - lag / (lags + 1.0)
-            sum_x += share * terms[i + lag, 0]
-            sum_y += share * terms[i + lag, 1]
-            sum_t += share * terms[i + lag, 2]
-        xx += x * sum_x
-        xy += x * sum_y
-        xt += x * sum_t
-        yx += y * sum_x
-        yy += y * sum_y
-        yt += y * sum_t
-        tx += turn * sum_x
-        ty += turn * sum_y
-        tt += turn * sum_t
-        weight += terms[i, 3]
-        bend += terms[i, 4]
-    return (xx, xy, xt, yx, yy, yt, tx, ty, tt), weight, bend
+    sums = np.zeros((len(rows) + 2 * lags + 1, 3))
+    within = slice(lags + 1, lags + 1 + len(rows))
+    np.cumsum(rows, axis=0, out=sums[within])
+    sums[within.stop :] = sums[within.stop - 1]
+    windows = sums[lags + 1 :] - sums[: -lags - 1]
+    return windows.T @ windows / (lags + 1)

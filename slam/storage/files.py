@@ -6,6 +6,9 @@ import gzip
 import io
 import os
 import secrets
+import shutil
+import tempfile
+import weakref
 import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -13,6 +16,14 @@ from pathlib import Path
 from typing import TextIO
 
 from slam.errors import MapFileError, ScanweaveError
+
+
+class TemporaryFolder:
+    """A folder that goes with this object, or when `remove` is called; also at the end of the program."""
+
+    def __init__(self) -> None:
+        self.path = Path(tempfile.mkdtemp(prefix="scanweave-"))
+        self.remove = weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
 
 
 @contextmanager

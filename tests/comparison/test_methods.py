@@ -57,7 +57,7 @@ def test_kiss_icp_gives_the_robots_way_not_the_sensors() -> None:
     np.testing.assert_allclose(found.positions_m, [pose.translation() for pose in truth], atol=0.03)
 
 
-@pytest.mark.usefixtures("open3d")
+@pytest.mark.open3d
 def test_open3d_gives_the_robots_way_and_counts_what_failed() -> None:
     rng = np.random.default_rng(0)
     color = np.repeat(np.repeat(rng.integers(0, 255, (12, 16, 3)), 10, 0), 10, 1).astype(np.uint8)
@@ -86,11 +86,9 @@ def test_wheels_are_as_recorded() -> None:
     np.testing.assert_allclose(found.to_planar(), [[n, 2.0 * n, 0.1] for n in range(3)], atol=1e-12)
 
 
-@pytest.mark.parametrize("method", [wheels, kiss_icp, pytest.param(open3d, marks=pytest.mark.system)])
+@pytest.mark.parametrize("method", [wheels, kiss_icp, pytest.param(open3d, marks=pytest.mark.open3d)])
 def test_a_log_without_its_sensor_is_named(
-    method: Callable[[Drawn], object], request: pytest.FixtureRequest
+    method: Callable[[Drawn], object],
 ) -> None:
-    if method is open3d:
-        request.getfixturevalue("open3d")
     with pytest.raises(DatasetError, match=f"drawn holds no .*'{method.__name__}'"):
         method(Drawn([]))

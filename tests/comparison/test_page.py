@@ -14,7 +14,7 @@ TEXTS = f"[...{COLUMN}].map(row => row.cells[{{column}}].textContent)"
 CLICK = "[...document.querySelectorAll('table.sortable')].at({table}).tHead.rows[0].cells[{column}].click()"
 
 
-@pytest.mark.system
+@pytest.mark.browser
 def test_the_page_works_in_chromium(tiny: Tiny, tmp_path: Path) -> None:
     async def look(page: Page) -> dict[str, Any]:
         async def column(table: int, number: int) -> Any:

@@ -205,4 +205,4 @@ def test_what_became_of_every_camera_of_a_robot_is_told() -> None:
     assert (left.frames.seconds > 0.0).all() and np.nanmin(left.frames.feature_counts) > 10
     assert np.nanmin(left.frames.overlaps[1:6]) > 0.5
     assert left.motions > right.motions > 0 and left.refused_motions == 0
-    assert left.registration is refused and right.registration is None
+    assert left.learned.registration is refused and right.learned.registration is None

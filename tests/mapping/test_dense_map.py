@@ -24,9 +24,6 @@ SETTINGS = DenseMapSettings(voxel_size_m=0.02, minimum_views=2)
 ELSEWHERE = gtsam.Pose3(gtsam.Rot3.Ypr(0.7, -0.4, 1.1), [12.3, -7.1, 2.9])
 
 
-needs_open3d = pytest.mark.usefixtures("open3d")
-
-
 @pytest.fixture(scope="module", params=[gtsam.Pose3(), ELSEWHERE], ids=["at the origin", "elsewhere"])
 def fused(request, open3d):
     """The map of the box before the wall, and T_world_map back to where the truth is known."""
@@ -82,7 +79,7 @@ def test_normals_and_faces_look_at_the_camera(fused):
     assert outward.mean() > 0.999
 
 
-@needs_open3d
+@pytest.mark.open3d
 def test_a_slanted_wall_is_not_shifted_by_half_a_pixel():
     # z = 1.5 + 0.8 x falls by 8 mm a pixel; cutting pixels off instead of rounding moves it by half of that.
     u = np.arange(CAMERA.width)
@@ -96,7 +93,7 @@ def test_a_slanted_wall_is_not_shifted_by_half_a_pixel():
     assert abs(offsets.mean()) < 0.0005
 
 
-@needs_open3d
+@pytest.mark.open3d
 def test_readings_outside_the_depth_range_are_not_used():
     frame, pose = box_frame(gtsam.Pose3()), gtsam.Pose3(gtsam.Rot3(), [0.0, 0.0, 0.007])
     settings = DenseMapSettings(voxel_size_m=0.02, depth_min_m=1.7, depth_max_m=3.0, minimum_views=1)
@@ -108,7 +105,7 @@ def test_readings_outside_the_depth_range_are_not_used():
     assert min(len(no_box), len(no_wall)) > 400
 
 
-@needs_open3d
+@pytest.mark.open3d
 def test_what_too_few_frames_saw_and_what_has_no_depth_is_left_out():
     frame, pose = box_frame(gtsam.Pose3()), gtsam.Pose3(gtsam.Rot3(), [0.0, 0.0, 0.007])
     blind = RgbdFrame(0.0, frame.color, np.zeros_like(frame.depth_m), CAMERA)
@@ -121,7 +118,7 @@ def test_what_too_few_frames_saw_and_what_has_no_depth_is_left_out():
     assert len(fuse_keyframes([frame, frame], [pose, pose], SETTINGS).mesh.faces) > 1000
 
 
-@needs_open3d
+@pytest.mark.open3d
 @pytest.mark.parametrize(("row", "col", "fused"), [(8, 12, 1), (9, 13, 0), (120, 12, 0), (8, 160, 0)])
 def test_a_frame_with_a_single_reading_stops_nothing(row, col, fused):
     camera = replace(CAMERA, width=162, height=122)
@@ -131,7 +128,7 @@ def test_a_frame_with_a_single_reading_stops_nothing(row, col, fused):
     assert fuse_keyframes([frame], [gtsam.Pose3()], SETTINGS).frames_fused == fused
 
 
-@needs_open3d
+@pytest.mark.open3d
 def test_the_same_frames_give_the_same_bytes():
     """Open3D's threads do not: points and triangles are put in order."""
     first, second = (fuse_keyframes(box_frames(), camera_poses(ELSEWHERE), SETTINGS) for _ in range(2))
@@ -141,7 +138,7 @@ def test_the_same_frames_give_the_same_bytes():
         assert getattr(first.cloud, name).tobytes() == getattr(second.cloud, name).tobytes(), name
 
 
-@needs_open3d
+@pytest.mark.open3d
 def test_growing_from_one_block_gives_the_same_map(monkeypatch):
     frames, poses = box_frames(count=3), camera_poses(count=3)
     at_once = fuse_keyframes(frames, poses, SETTINGS).cloud.points_map
@@ -150,7 +147,7 @@ def test_growing_from_one_block_gives_the_same_map(monkeypatch):
     np.testing.assert_array_equal(np.unique(grown, axis=0), np.unique(at_once, axis=0))
 
 
-@needs_open3d
+@pytest.mark.open3d
 def test_room_is_made_up_to_the_limit_and_not_beyond(monkeypatch):
     monkeypatch.setattr(dense_map, "FIRST_BLOCKS", 500)
     most_blocks = 850  # 535 are needed in the end; by itself Open3D doubles to 1000
@@ -161,7 +158,7 @@ def test_room_is_made_up_to_the_limit_and_not_beyond(monkeypatch):
     assert 500 < volume._grid.hashmap().size() <= volume._grid.hashmap().capacity() <= most_blocks
 
 
-@needs_open3d
+@pytest.mark.open3d
 def test_the_memory_limit_is_an_error_with_its_remedy():
     settings = DenseMapSettings(voxel_size_m=0.02, memory_limit_mb=5.0)
     with pytest.raises(
@@ -170,7 +167,7 @@ def test_the_memory_limit_is_an_error_with_its_remedy():
         fuse_keyframes(box_frames(), camera_poses(), settings)
 
 
-@needs_open3d
+@pytest.mark.open3d
 def test_poses_that_do_not_fit_the_frames_are_refused():
     frames, poses = box_frames(count=3), camera_poses(count=3)
     with pytest.raises(ScanweaveError, match="3 keyframes for 6 poses"):
