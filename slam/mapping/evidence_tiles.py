@@ -72,7 +72,9 @@ class EvidenceTiles:
         for key, tile_part, board_part in _parts(box, self._side):
             # Boards are mostly empty at their rims: no tile for nothing.
             if self._holds(key) or steps[board_part].any():
-                _add(self._tile(key)[tile_part], steps[board_part])
+                corners = [part.start for part in (*tile_part, *board_part)]
+                rows, cols = steps[board_part].shape[:2]
+                _add(self._tile(key), steps, *corners, rows, cols)
         self.used = box if self.used is None else union(self.used, box)
 
     def merge(self, other: EvidenceTiles) -> None:
@@ -145,13 +147,17 @@ def union(a: Box, b: Box) -> Box:
 
 
 @kernel
-def _add(sums: Tile, steps: Steps) -> None:
-    """Add steps to sums in place; numpy would go by way of a copy. One height of steps counts for all."""
+def _add(sums, steps, row, col, first_row, first_col, rows, cols):  # type: ignore[no-untyped-def]
+    """Add a part of the steps to a part of the sums in place; numpy would go by way of a copy.
+
+    One height of steps counts for all. Whole arrays and corners: parts of arrays would be other types, and
+    another compilation each.
+    """
     a_height = 1 if steps.shape[2] > 1 else 0
-    for row in range(sums.shape[0]):
-        for col in range(sums.shape[1]):
+    for i in range(rows):
+        for j in range(cols):
             for height in range(sums.shape[2]):
-                sums[row, col, height] += steps[row, col, height * a_height]
+                sums[row + i, col + j, height] += steps[first_row + i, first_col + j, height * a_height]
 
 
 def _parts(box: Box, side: int) -> Iterator[tuple[tuple[int, int], tuple[slice, slice], tuple[slice, slice]]]:

@@ -84,7 +84,7 @@ def _shoot(  # type: ignore[no-untyped-def]
     cosine, sine = math.cos(start_rad), math.sin(start_rad)
     turn_cosine, turn_sine = math.cos(step_rad), math.sin(step_rad)
     for beam in range(ranges_m.size):
-        range_m = float(ranges_m[beam])
+        range_m = np.float64(ranges_m[beam])
         reach_m = 0.0
         if range_m > 0.0:
             if range_m <= hit_limit_m and range_m < math.inf:
@@ -146,8 +146,8 @@ def _draw(ends, kinds, box, x_cells, y_cells, board):  # type: ignore[no-untyped
             major, minor, end, along, across, stride, aside = x, y, end_x, dx, dy, 1, cols
         else:
             major, minor, end, along, across, stride, aside = y, x, end_y, dy, dx, cols, 1
-        start = int(major)
-        steps = abs(int(end) - start)
+        start = math.floor(major)
+        steps = abs(math.floor(end) - start)
         slope = across / abs(along)
         # From the laser to the middle of the next cell along the axis: there the line is looked at first.
         offset = major - start + 0.5
@@ -156,11 +156,11 @@ def _draw(ends, kinds, box, x_cells, y_cells, board):  # type: ignore[no-untyped
             offset = start + 1.5 - major
             forward = stride
         at = start * stride
-        place = int((minor + slope * offset) * _ONE)
-        increment = int(slope * _ONE)
-        board[int(y) * cols + int(x)] = FREE
+        place = np.int64((minor + slope * offset) * _ONE)
+        increment = np.int64(slope * _ONE)
+        board[math.floor(y) * cols + math.floor(x)] = FREE
         for _ in range(1, steps):
             at += forward
             board[np.uint64((place >> _FRACTION_BITS) * aside + at)] = FREE
             place += increment
-        board[int(end_y) * cols + int(end_x)] = FREE
+        board[math.floor(end_y) * cols + math.floor(end_x)] = FREE

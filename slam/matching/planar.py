@@ -48,9 +48,10 @@ def transform_into(rows, pose, out, rotate_only):  # type: ignore[no-untyped-def
 
 def transform_points(points: AnyFloatArray, pose: FloatArray) -> FloatArray:
     """(M, 2) points moved by a pose row (3,), float64."""
-    out = np.empty((points.shape[0], 2))
-    transform_into(points, np.asarray(pose, dtype=np.float64), out, False)
-    return out
+    tx, ty, yaw = np.asarray(pose, np.float64).tolist()
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    x, y = np.asarray(points, np.float64).T
+    return np.column_stack([cos * x - sin * y + tx, sin * x + cos * y + ty])
 
 
 def adjoint(pose: FloatArray) -> FloatArray:
