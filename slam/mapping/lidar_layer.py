@@ -12,7 +12,6 @@ from fusion.bayes import evidence_steps
 from fusion.depth_model import RangeNoise, hit_evidence
 from slam.errors import ConfigError
 from slam.mapping.evidence_tiles import Board
-from slam.mapping.glass_panes import find_panes
 from slam.mapping.occupancy_grid import Steps
 from slam.mapping.ray_tracing import HIT, Box, Evidence, beam_ends, draw_lines
 from slam.measurements import FloatArray, LaserScan
@@ -64,10 +63,6 @@ class LidarModel:
             )
 
 
-# Of a cell in which a pane of glass was seen: it outweighs some thirty beams that pass at a slant.
-_P_PANE = 0.999
-
-
 def lidar_board(scan: LaserScan, T_grid_base: gtsam.Pose2, model: LidarModel, cell_m: float) -> Board:
     """The evidence of one scan.
 
@@ -93,11 +88,6 @@ def lidar_board(scan: LaserScan, T_grid_base: gtsam.Pose2, model: LidarModel, ce
     hits, miss = _hits_by_range(model, cell_m), evidence_steps(model.p_miss)
     noise, margin = model.noise, model.margin_sigmas
     steps = weigh_beams(ends, kinds, box, (x_cells, y_cells), cell_m, noise, margin, hits, miss)
-    for pane in find_panes(scan):
-        x, y = laser.transformFrom(pane.points(0.5 * cell_m).T) / cell_m
-        rows, cols = np.floor(y).astype(int) - box[0], np.floor(x).astype(int) - box[1]
-        inside = (rows >= 0) & (rows < box[2]) & (cols >= 0) & (cols < box[3])
-        steps[rows[inside], cols[inside]] = evidence_steps(_P_PANE)
     return Board(steps, box[0], box[1])
 
 
