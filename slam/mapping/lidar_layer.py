@@ -125,8 +125,7 @@ def weigh_beams(
     range_m = np.hypot(*away.T) * cell_m
     share = 1.0 - margin_sigmas * noise.sigma_m(range_m) / np.maximum(range_m, 1e-6)
     short = laser_cells + np.where(met, np.maximum(0.0, share), 1.0)[:, None] * away
-    board = draw_lines(short, kinds, box, *laser_cells)
-    steps: Steps = board.astype(np.int16) * np.int16(miss_step)  # FREE is 1 and NOTHING 0
+    steps: Steps = draw_lines(short, kinds, box, *laser_cells, miss_step)
     cells = np.minimum(np.floor(ends[met, ::-1]).astype(np.intp) - box[:2], np.array(box[2:]) - 1)
     place = np.minimum((range_m[met] * _BINS_A_M).astype(np.intp), hit_steps.size - 1)
     np.maximum.at(steps, (cells[:, 0], cells[:, 1]), hit_steps[place])

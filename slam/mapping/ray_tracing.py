@@ -107,7 +107,9 @@ def _shoot(  # type: ignore[no-untyped-def]
     return row, col, math.floor(high_y) + 1 - row, math.floor(high_x) + 1 - col
 
 
-def draw_lines(ends: FloatArray, kinds: Evidence, box: Box, x_cells: float, y_cells: float) -> Evidence:
+def draw_lines(
+    ends: FloatArray, kinds: Evidence, box: Box, x_cells: float, y_cells: float, mark: int
+) -> NDArray[np.int16]:
     """The board of a scan: which cells of its box its beams pass, those of their ends included.
 
     Parameters
@@ -118,18 +120,20 @@ def draw_lines(ends: FloatArray, kinds: Evidence, box: Box, x_cells: float, y_ce
         From `beam_ends`.
     x_cells, y_cells
         The laser.
+    mark
+        What is put into the cells.
 
     Returns
     -------
-    (rows, cols) of FREE or NOTHING; row 0 at the lowest y.
+    (rows, cols), zero where no beam passes; row 0 at the lowest y.
     """
-    board = np.zeros((box[2], box[3]), np.uint8)
-    _draw(ends, kinds, box, x_cells, y_cells, board.reshape(-1))
+    board = np.zeros((box[2], box[3]), np.int16)
+    _draw(ends, kinds, box, x_cells, y_cells, mark, board.reshape(-1))
     return board
 
 
 @kernel(error_model="numpy")
-def _draw(ends, kinds, box, x_cells, y_cells, board):  # type: ignore[no-untyped-def]
+def _draw(ends, kinds, box, x_cells, y_cells, mark, board):  # type: ignore[no-untyped-def]
     """Draw the board of `draw_lines`, row after row: lines of cells, one a step along the longer axis."""
     first_row, first_col, rows, cols = box
     # A place a hair below a border may be rounded onto it when the corner is taken off.
@@ -158,9 +162,9 @@ def _draw(ends, kinds, box, x_cells, y_cells, board):  # type: ignore[no-untyped
         at = start * stride
         place = np.int64((minor + slope * offset) * _ONE)
         increment = np.int64(slope * _ONE)
-        board[math.floor(y) * cols + math.floor(x)] = FREE
+        board[math.floor(y) * cols + math.floor(x)] = mark
         for _ in range(1, steps):
             at += forward
-            board[np.uint64((place >> _FRACTION_BITS) * aside + at)] = FREE
+            board[np.uint64((place >> _FRACTION_BITS) * aside + at)] = mark
             place += increment
-        board[math.floor(end_y) * cols + math.floor(end_x)] = FREE
+        board[math.floor(end_y) * cols + math.floor(end_x)] = mark

@@ -3,7 +3,7 @@ import pytest
 
 from fusion.depth_model import RangeNoise
 from slam.mapping.lidar_layer import weigh_beams
-from slam.mapping.ray_tracing import FREE, HIT, beam_ends, draw_lines
+from slam.mapping.ray_tracing import HIT, beam_ends, draw_lines
 
 LETTERS = {0: ".", -1: "o", 2: "#"}
 
@@ -76,7 +76,7 @@ def test_random_lines_stay_near_the_true_one_and_are_connected():
         x, y, angle, reach = rng.uniform([-9, -9, -7, 0.1], [9, 9, 7, 40])
         ends, kinds, box = beam_ends(np.array([reach], dtype=np.float32), x, y, angle, 0.1, 1.0, 50.0, 3.0)
         np.testing.assert_allclose(ends[0], [x + reach * np.cos(angle), y + reach * np.sin(angle)], atol=1e-5)
-        board = draw_lines(ends, kinds, box, x, y)
+        board = draw_lines(ends, kinds, box, x, y, -3)
         rows, cols = np.nonzero(board)
         centres = np.column_stack([cols + box[1] + 0.5 - x, rows + box[0] + 0.5 - y])
         across = np.abs(centres @ [-np.sin(angle), np.cos(angle)])
@@ -84,7 +84,7 @@ def test_random_lines_stay_near_the_true_one_and_are_connected():
         # One cell a step along the longer axis; the last step may be cut short by the border of a cell.
         assert max(board.shape) - 1 <= len(rows) <= max(board.shape)
         assert kinds[0] == HIT
-        assert board[int(np.floor(ends[0, 1])) - box[0], int(np.floor(ends[0, 0])) - box[1]] == FREE
+        assert board[int(np.floor(ends[0, 1])) - box[0], int(np.floor(ends[0, 0])) - box[1]] == -3
 
 
 def test_places_a_hair_below_a_border_stay_on_the_board():
