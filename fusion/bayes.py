@@ -1,4 +1,4 @@
-"""Bayes fusion of two occupancy grids: Li2020 Eq. (7)-(10) and Table 3.
+"""Bayes fusion of two occupancy grids: Li2020 Eq. (7)-(10), Table 3, and a rule of greater care.
 
 Evidence is kept as log-odds, log(p / (1 - p)): there Eq. (8) and Eq. (10) are sums, so that their order
 means nothing. 0 is unknown.
@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 States: TypeAlias = NDArray[np.int8]
-Rule: TypeAlias = Literal["corrected", "printed"]
+Rule: TypeAlias = Literal["cautious", "corrected", "printed"]
+RULES: tuple[Rule, ...] = ("cautious", "corrected", "printed")
 
 # The values of nav2's occupancy grid.
 OCCUPIED, FREE, UNKNOWN = 100, 0, -1
@@ -22,7 +23,12 @@ OCCUPIED, FREE, UNKNOWN = 100, 0, -1
 STEPS_A_UNIT = 1024
 
 # Rows are the lidar's states, columns the camera's, both in the order occupied, empty, uncertain.
-_TABLE_3: dict[Rule, States] = {
+_RULES: dict[Rule, States] = {
+    # Not of Li2020: what the lidar alone calls empty is empty at its own height, and nobody knows what stands
+    # below or above.
+    "cautious": np.array(
+        [[OCCUPIED, OCCUPIED, OCCUPIED], [OCCUPIED, FREE, UNKNOWN], [OCCUPIED, FREE, UNKNOWN]], dtype=np.int8
+    ),
     # The last row is printed the other way round, which contradicts Li2020's own Fig. 13.
     "corrected": np.array(
         [[OCCUPIED, OCCUPIED, OCCUPIED], [OCCUPIED, FREE, FREE], [OCCUPIED, FREE, UNKNOWN]], dtype=np.int8
@@ -55,7 +61,7 @@ def evidence_steps(probability: float) -> int:
 
 
 def decide(lidar: States, camera: States, rule: Rule = "corrected") -> States:
-    """Li2020 Table 3: what the robot must not hit, from each sensor's own decision.
+    """What the robot must not hit, from each sensor's own decision (Li2020 Table 3).
 
     Table 3 and Eq. (10) disagree where one sensor sees what the other looks over: 0.9 and 0.1 fuse to 0.5,
     but a low box stays a box.
@@ -65,16 +71,18 @@ def decide(lidar: States, camera: States, rule: Rule = "corrected") -> States:
     lidar, camera
         `OCCUPIED`, `FREE` or `UNKNOWN`, of one shape. A sensor that is missing is unknown everywhere.
     rule
-        ``corrected``, or ``printed`` as the paper has it, with the last row the other way round.
+        ``corrected``, or ``printed`` as the paper has it, with the last row the other way round. Li2020 has
+        the lidar free what the camera did not see; ``cautious`` leaves that unknown, since a lidar looks at
+        one height only, and is else as ``corrected``. It is for maps that a camera helped to make.
 
     Raises
     ------
     ValueError
         Where the rule has another name.
     """
-    if rule not in _TABLE_3:
-        raise ValueError(f"rule is {rule!r}; it must be {' or '.join(_TABLE_3)}")
-    decided: States = _TABLE_3[rule][_index(lidar), _index(camera)]
+    if rule not in _RULES:
+        raise ValueError(f"rule is {rule!r}; it must be {', '.join(RULES[:-1])} or {RULES[-1]}")
+    decided: States = _RULES[rule][_index(lidar), _index(camera)]
     return decided
 
 

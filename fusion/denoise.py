@@ -1,7 +1,8 @@
 """Each sensor repairs the other: Xu2024 Eq. (6)-(8), 2.3.2, at the sensors' own resolution.
 
 Pairs are matched by where they lie and not by their index: each curve is carried into the other's frame.
-Holes are filled from the other sensor, or between neighbours where both have one. Where both have a reading
+Few holes among readings are filled from the other sensor, or between neighbours where both have one; of wider
+ones half would be wrong (glass, which both look through), and stay. Where both have a reading
 and they differ by more than eps, the paper does not say who is wrong. Here it is the one whose reading its
 own neighbours do not support; where both are consistent, the difference is real (a low cupboard before a
 wall) and both readings are kept. The lidar's nearer readings give way only where they fly at an edge.
@@ -20,7 +21,7 @@ from fusion.homography import Model, fit
 from fusion.image_view import ImageView, view_at_height, view_of_row
 from fusion.panorama import Depths, as_images
 from fusion.registration import Registration
-from fusion.repair import Provenance, ProvenanceArray, calm, repair_lidar
+from fusion.repair import Provenance, ProvenanceArray, among_readings, calm, repair_lidar
 from fusion.repair_pixels import repair_image
 from fusion.rig import RigEstimate
 from fusion.similarity import Grade
@@ -31,7 +32,6 @@ _MOST_RESIDUAL = 0.05  # of the range, as it counts for E
 _BURR_RAD = math.radians(1.4)  # longest run of readings that can be a burr
 _CAMERA_BURR_RAD = math.radians(2.2)  # side of a square of pixels: light by a detour comes in patches
 _LONE_RAD = math.radians(0.3)  # single readings of a camera
-_GAP_RAD = math.radians(2.0)  # longest hole in both that is interpolated
 _LIDAR_SLACK, _CAMERA_SLACK = 0.04, 0.01  # noise of the difference of two neighbours, as a share of the range
 _SMOOTH_BEAMS = 4
 
@@ -95,7 +95,7 @@ def denoise(
 
     Examples
     --------
-    Ten beams of a lidar meet glass, and a camera sees what is there.
+    A beam of a lidar comes back from nowhere, and a camera sees what is there.
 
     >>> import fusion, numpy as np
     >>> def ranges_m(bearings):  # of the walls of a room of 6 m by 4 m, from a place in it
@@ -106,11 +106,11 @@ def denoise(
     >>> depth_m = ranges_m(np.arctan(slopes) + 0.9) * np.cos(np.arctan(slopes))  # looks 0.9 rad to the left
     >>> depth = fusion.DepthImage(np.tile(depth_m, (120, 1)).astype(np.float32), camera)
     >>> true_m = ranges_m(beams)
-    >>> seen_m = np.where(abs(beams - 0.9) < 0.04, np.inf, true_m)
+    >>> seen_m = np.where(abs(beams - 0.9) < 0.004, np.inf, true_m)
     >>> scan = fusion.LidarCurve(seen_m, -np.pi, 2 * np.pi / 721)
     >>> repaired = fusion.denoise(scan, depth, fusion.register(scan, depth))
     >>> int((repaired.lidar_source == fusion.Provenance.FILLED).sum())
-    9
+    1
     >>> bool(np.abs(repaired.ranges_m - true_m).max() < 0.05)
     True
     """
@@ -182,14 +182,16 @@ def _repair(
         noise.append(rough)
     mean, eps, typical = eps_of(own, other, eps_over_e)
     share = max(eps, LEAST_EPS_SHARE)
-    burr, gap = max(1, round(_BURR_RAD / step)), max(1, round(_GAP_RAD / step))
+    burr = max(1, round(_BURR_RAD / step))
     clean = without_bumps(own, step, 1, burr, _LIDAR_SLACK)
     steady = smooth(clean, step, _SMOOTH_BEAMS, _LIDAR_SLACK)
     mine, theirs = roughness(clean, steady), max([rough for rough in noise if rough >= 0.0], default=math.nan)
     trust = mine**2 / max(mine**2 + theirs**2, 1e-12) if np.isfinite(mine + theirs) else 0.0
-    repaired, source = repair_lidar(own, other, share, burr, gap, trust)
+    sure = among_readings(own, 2 * burr)
+    repaired, source = repair_lidar(own, other, sure, share, burr, trust)
     calm(repaired, steady, source, mine)
     untouched = _unchanged(scan, images)
+    steady[~sure] = np.nan
     for camera, (view, matrix) in seen.items():
         depth, marks = untouched.depth_m[camera], untouched.depth_source[camera]
         range_max_m = images[camera].range_max_m
@@ -269,6 +271,7 @@ def _repair_image(
         range_max_m,
         eps_share,
         (round((_CAMERA_BURR_RAD / step) ** 2), max(1, round((_LONE_RAD / step) ** 2))),
+        max(1, round(_LONE_RAD / step)),
     )
 
 

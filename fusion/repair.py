@@ -25,6 +25,7 @@ class Provenance(IntEnum):
 MEASURED, FILLED, INTERPOLATED, HOLE, AVERAGED = (np.uint8(kind) for kind in Provenance)
 
 ProvenanceArray = NDArray[np.uint8]
+BoolArray = NDArray[np.bool_]
 
 _JUTS, _LEAST_JUT_M = 3.0, 0.05
 _BESIDE, _BESIDE_SLOPE = 3, 0.06  # beams that must lie nearer to the surface, and what noise and slant add
@@ -33,16 +34,27 @@ _MOST_MEAN_M = 0.05  # a mean of two sensors moves no reading farther
 _LEAST_APART_M, _APART_EPS, _FAR_M = 0.03, 0.8, 2.5  # see `_apart_m`
 _RIM_M, _RIM_EPS = 0.05, 2.0  # step between two samples of one surface that the camera sees
 _THIN_SAMPLES = 5  # widest surface of which both rims are compared
+_CONTINUES_SHARE = 0.06  # step from a reading to what fills the hole beside it
 _FLAT_SAMPLES, _FLAT_SHARE = 4, 0.03  # readings on either side of a lone hole, and how near to one line
+
+
+def among_readings(own: Float32Array, around: int) -> BoolArray:
+    """(N,) beams around which, so many on either side, there are at most two holes.
+
+    Glass loses many beams, and those that come back went through it: there neither the neighbours nor the
+    camera, which looks through as well, tell where it is.
+    """
+    holes = np.convolve(np.isnan(own), np.ones(2 * around + 1), "full")[around : around + own.size]
+    return np.asarray(holes < 2.5)
 
 
 @kernel
 def repair_lidar(
     own: Float32Array,
     other: Float32Array,
+    sure: BoolArray,
     eps_share: float,
     burr_samples: int,
-    gap_samples: int,
     trust_other: float,
 ) -> tuple[Float32Array, ProvenanceArray]:
     """Repair a lidar curve by what the camera sees of it: Xu2024 Eq. (6) and (7).
@@ -53,13 +65,13 @@ def repair_lidar(
         (N,) ``nan`` invalid.
     other
         (N,) the camera's, carried to the lidar's bearings, without what the camera itself contradicts.
+    sure
+        (N,) from `among_readings`: other holes stay.
     eps_share
         Residual as a share of the range beyond which a pair is noise.
     burr_samples
         Longest run of disagreeing readings that can be a burr: what is longer is consistent with itself,
         and the difference is real.
-    gap_samples
-        Longest gap in both that is interpolated.
     trust_other
         Weight of the camera in the mean of two readings that agree, 0..1.
 
@@ -73,15 +85,15 @@ def repair_lidar(
     for i in range(count):
         if np.isnan(own[i]):
             source[i] = HOLE
-            if not np.isnan(other[i]):
+            if sure[i] and _continues(own, i, other[i]):
                 result[i], source[i] = other[i], FILLED
         elif abs(own[i] - other[i]) <= min(eps_share * own[i], _MOST_MEAN_M / max(trust_other, 1e-3)):
             result[i] = own[i] + trust_other * (other[i] - own[i])
             source[i] = AVERAGED
     _drop_bumps(own, other, eps_share, burr_samples, result, source)
     _drop_veil(own, other, eps_share, result, source)
-    _bridge(result, other, source, gap_samples, eps_share)
-    _bridge_lone(result, source)
+    _bridge(result, other, sure, source, eps_share)
+    _bridge_lone(result, sure, source)
     return result, source
 
 
@@ -224,11 +236,21 @@ def _agrees(own: Float32Array, other: Float32Array, i: int, eps_share: float) ->
 
 
 @kernel
+def _continues(own: Float32Array, i: int, range_m: float) -> bool:
+    """Whether the readings on both sides of a hole of one or two beams are about as far; false for nan."""
+    if not 0 < i < own.size - 1:
+        return False
+    left = own[i - 1] if not np.isnan(own[i - 1]) else own[max(0, i - 2)]
+    right = own[i + 1] if not np.isnan(own[i + 1]) else own[min(own.size - 1, i + 2)]
+    return max(abs(left - range_m), abs(right - range_m)) <= _CONTINUES_SHARE * range_m
+
+
+@kernel
 def _bridge(
     result: Float32Array,
     other: Float32Array,
+    sure: BoolArray,
     source: ProvenanceArray,
-    gap_samples: int,
     eps_share: float,
 ) -> None:
     """Interpolate short gaps, which both have, between readings that both have, of one surface; in place."""
@@ -237,7 +259,7 @@ def _bridge(
         if source[i] == HOLE:
             continue
         confirmed = _agrees(result, other, i, eps_share) and _agrees(result, other, before, eps_share)
-        if 0 <= before < i - 1 and i - before - 1 <= gap_samples and confirmed:
+        if 0 <= before < i - 1 and confirmed and sure[i - 1]:
             slack = 0.03 + eps_share * min(result[i], result[before])
             if abs(result[i] - result[before]) <= slack:
                 for k in range(before + 1, i):
@@ -248,10 +270,10 @@ def _bridge(
 
 
 @kernel
-def _bridge_lone(result: Float32Array, source: ProvenanceArray) -> None:
+def _bridge_lone(result: Float32Array, sure: BoolArray, source: ProvenanceArray) -> None:
     """Interpolate single holes in both where the readings on either side lie on one line; in place."""
     for i in range(_FLAT_SAMPLES, result.size - _FLAT_SAMPLES):
-        if source[i] != HOLE:
+        if source[i] != HOLE or not sure[i]:
             continue
         left, right = _line_at(result, source, i, -1), _line_at(result, source, i, 1)
         if abs(left - right) <= _FLAT_SHARE * min(left, right):  # false for nan

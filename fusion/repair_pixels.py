@@ -60,12 +60,13 @@ def repair_columns(
     islands: Islands,
     eps_share: float,
     most_pixels: tuple[int, int],
-    fill_holes: bool,
+    fill_columns: int,
 ) -> ProvenanceArray:
-    """Which columns of a depth curve to fill from the lidar: Xu2024 Eq. (6) and (8).
+    """Which columns of a depth curve to fill from the lidar, or to drop: Xu2024 Eq. (6) and (8).
 
-    A hole is filled unless what the camera sees on both sides of it is nearer than the lidar's surface: then
-    something stands before it. A reading that disagrees is the camera's fault only where the image itself
+    Only a few columns between two that agree are filled. Wider holes have causes that the lidar does not see:
+    a thing nearer than the camera measures, or glass, which both look through; of those half were wrong by
+    more than 0.1 m. A reading that disagrees is the camera's fault only where the image itself
     does not support it (ours): beside a column that agrees, it hangs together with no more than a few pixels,
     above and below too. A patch behind the lidar's surface is light by a detour, a tiny one flies at an edge.
     What belongs to more is seen by the camera alone, and is kept: a table's top, the wall over a box.
@@ -80,16 +81,18 @@ def repair_columns(
         As for `island_size`.
     most_pixels
         Of a burr behind the lidar's surface, and of one before it.
-    fill_holes
-        False: burrs only.
+    fill_columns
+        Widest run that is filled; 0: burrs are dropped only.
+
+    Returns
+    -------
+    (W,) `FILLED` where the lidar's reading is to be taken, `HOLE` where a burr is to be dropped.
     """
     count = measured.size
     source = np.zeros(count, np.uint8)
-    agrees, hidden = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
+    agrees = np.zeros(count, np.bool_)
     for i in range(count):
-        if np.isnan(measured[i]):
-            source[i] = HOLE
-        elif pixel[i] >= 0:
+        if pixel[i] >= 0:
             agrees[i] = abs(measured[i] - predicted[i]) <= eps_share * predicted[i]
     first = 0
     while first < count:
@@ -101,19 +104,17 @@ def repair_columns(
             if pixel[last + 1] < 0 and not np.isnan(predicted[last + 1]):
                 break
             last += 1
-        confirmed = (first > 0 and agrees[first - 1]) or (last + 1 < count and agrees[last + 1])
-        if fill_holes and not confirmed:
-            _mark_hidden(measured, predicted, first, last, eps_share, hidden)
+        left, right = first > 0 and agrees[first - 1], last + 1 < count and agrees[last + 1]
+        kind = FILLED if left and right and last - first < fill_columns else HOLE
         for i in range(first, last + 1):
-            if pixel[i] < 0:
+            if pixel[i] < 0 or not (left or right):
                 continue
             if np.isnan(measured[i]):
-                if fill_holes and (confirmed or not hidden[i]):
-                    source[i] = FILLED
-            elif confirmed:
+                source[i] = kind
+            else:
                 most = most_pixels[0] if measured[i] > predicted[i] else most_pixels[1]
                 if island_size(pixel[i], islands, _HANG_SHARE * eps_share) <= most:
-                    source[i] = FILLED
+                    source[i] = kind
         first = last + 1
     return source
 
@@ -167,30 +168,6 @@ def _hang(near: float, far: float, slack_share: float) -> bool:
 
 
 @kernel
-def _mark_hidden(
-    measured: Float32Array,
-    predicted: Float32Array,
-    first: int,
-    last: int,
-    eps_share: float,
-    hidden: NDArray[np.bool_],
-) -> None:
-    """Mark the holes of a run whose nearest readings on both sides, in the run, stand before the lidar's."""
-    nearest = np.inf
-    for i in range(first, last + 1):
-        if np.isnan(measured[i]):
-            hidden[i] = nearest < predicted[i] * (1.0 - eps_share)
-        else:
-            nearest = measured[i]
-    nearest = np.inf
-    for i in range(last, first - 1, -1):
-        if np.isnan(measured[i]):
-            hidden[i] = hidden[i] and nearest < predicted[i] * (1.0 - eps_share)
-        else:
-            nearest = measured[i]
-
-
-@kernel
 def repair_image(
     image: Float32Array,
     image_source: ProvenanceArray,
@@ -201,6 +178,7 @@ def repair_image(
     range_max_m: float,
     eps_share: float,
     most_pixels: tuple[int, int],
+    fill_columns: int,
 ) -> None:
     """Repair the pixels that look at the lidar's surfaces, height by height, in place: Xu2024 Eq. (8).
 
@@ -216,7 +194,7 @@ def repair_image(
     heights_m, sharp
         (K,) heights, and where the moved ranges are looked at too, for readings that fly: a hole is filled
         from the nearest beam alone.
-    most_pixels
+    most_pixels, fill_columns
         As for `repair_columns`; moved ranges tell no more than what flies.
     """
     depth, source = image.ravel(), image_source.ravel()
@@ -228,9 +206,12 @@ def repair_image(
                 depth, lookup[0], lookup[1], lookup[2], predicted, heights_m[k], range_max_m
             )
             most = most_pixels if side == 0 else (most_pixels[1], most_pixels[1])
-            kinds = repair_columns(measured, predicted, pixel, islands, eps_share, most, side == 0)
+            widest = fill_columns if side == 0 else 0
+            kinds = repair_columns(measured, predicted, pixel, islands, eps_share, most, widest)
             for col in range(predicted.size):
-                if kinds[col] == FILLED and pixel[col] >= 0:
+                if kinds[col] == HOLE:
+                    depth[pixel[col]], source[pixel[col]] = 0.0, HOLE
+                elif kinds[col] == FILLED:
                     value = predicted[col] / scale[col]
                     if value <= range_max_m:
                         depth[pixel[col]], source[pixel[col]] = value, FILLED

@@ -59,7 +59,6 @@ class LocalizationConfig(StrictModel):
     gate_sigmas: float = Field(
         default=4.0, gt=0, description="a match farther from the prediction is not believed"
     )
-    lag_nodes: int = Field(default=10, ge=2, description="scans in the fixed-lag smoother")
     lost_nats: float = Field(default=12.0, gt=0, description="evidence against the pose that means lost")
     lost_after_s: float = Field(default=1.0, ge=0, description="and the least time that it must last")
     dead_reckoning_m: float = Field(

@@ -337,6 +337,8 @@ class LayersConfig(StrictModel):
     )
     climb_m: float = Field(default=0.03, ge=0, description="highest step that the robot drives over")
     depth_max_m: float = Field(default=3.5, gt=0, description="farther depth readings mark nothing")
-    rule: Literal["corrected", "printed"] = Field(
-        default="corrected", description="Li2020 Table 3: with its two swapped cells put right, or as printed"
+    rule: Literal["cautious", "corrected", "printed"] = Field(
+        default="cautious",
+        description="what is free: seen free by cameras at all heights of the robot; or, as Li2020 Table 3, "
+        "by the lidar at its own height too (its two swapped cells put right, or as printed)",
     )

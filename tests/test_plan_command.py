@@ -20,6 +20,7 @@ def test_plan_draws_a_path_of_a_folder_its_map_and_a_yaml(tmp_path):
         done = run(tmp_path, str(place), "--from", "-0.5,-1.5", "--to", "4,-1.5")
         assert done.exit_code == 0, done.output
         assert "from obstacles" in done.output
+        assert "A map." in done.output  # what the map says of how it was made
         assert (tmp_path / "plan.png").read_bytes().startswith(b"\x89PNG")
 
 

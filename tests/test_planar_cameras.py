@@ -213,6 +213,39 @@ def test_one_answer_to_which_map(drive: list[tuple[int, Measurement]], tmp_path:
     saved.close()
 
 
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "hit_probability=0.9",
+        "miss_probability=0.3",
+        "hit_range_m=1.5",
+        "clear_range_m=0.5",
+        "resolution_m=0.1",
+    ],
+)
+def test_a_setting_of_the_grid_reaches_every_map(
+    drive: list[tuple[int, Measurement]], tmp_path: Path, setting: str
+) -> None:
+    """The lidar's beams in front of a wall that is not there: some give no return."""
+
+    def in_the_open(n: int, one: Measurement) -> Measurement | None:
+        if isinstance(one, LaserScan):
+            return replace(one, ranges_m=np.where(np.arange(181) % 5 == 0, np.inf, one.ranges_m).astype("f4"))
+        return one if n % 5 == 0 or not isinstance(one, RgbdFrame) else None
+
+    pictures = []
+    for name, overrides in (("as it is", ()), ("changed", (f"grid.{setting}",))):
+        folder = tmp_path / name
+        folder.mkdir()
+        config = load_config(None, ["dense_map.enabled=false", *overrides])
+        result = run(drive[:60], in_the_open, *overrides)
+        save_run(folder, result, layers_of(result, config))
+        paths = [folder / "map.pgm", *sorted((folder / "layers").glob("*.pgm"))]
+        pictures.append({path.stem: path.read_bytes() for path in paths})
+    same = {name for name, picture in pictures[0].items() if pictures[1][name] == picture}
+    assert same <= {"depth"}, "the depth layer alone asks no beam"
+
+
 def test_without_a_depth_layer_the_map_is_the_lidars(drive: list[tuple[int, Measurement]]) -> None:
     result = run(drive, whole, "sensors.rgbd=false")
     for settings in ([], ["layers.enabled=false"]):

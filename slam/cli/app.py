@@ -137,5 +137,6 @@ def _before_any_command(
     """Set up what is told before any command."""
     logging.basicConfig(format="%(message)s")
     logging.getLogger().setLevel(logging.WARNING)
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it warns of a home that cannot be written to
     _verbosity["quiet"] = False
     _set_verbosity(verbose, quiet)

@@ -11,7 +11,7 @@ from slam.cli.app import command, folder_of, say
 from slam.cli.map_log import map_log
 from slam.cli.simulate import simulate_into
 
-_ROOMS, _DURATION_S = 3, 30.0
+_ROOMS, _DURATION_S = 3, 25.0
 
 
 @command()

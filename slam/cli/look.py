@@ -96,6 +96,7 @@ def plan(
             f"no way from {start} to {goal} for a robot of radius {radius:g} m; try a smaller --radius"
         )
     write_bytes(out, plan_picture(grid.values, space, path))
+    print(grid.what or f"{map_} does not tell how it was made")
     print(f"{path.length_m:.2f} m, at least {path.clearance_m:.2f} m from obstacles; wrote {out}")
 
 

@@ -54,7 +54,7 @@ def progress_bar(unit: str = "scans and frames", first: str = "") -> Iterator[Sh
     first
         Told once the work has begun; a command that is refused says why, and nothing else.
     """
-    begun = iter([first] if first else [])
+    begun = iter([first] if first and not is_quiet() else [])
 
     def tell_first(progress: Progress) -> None:
         for line in begun:

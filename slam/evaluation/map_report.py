@@ -18,7 +18,7 @@ from slam.config import Config, dump_config
 from slam.datasets.dataset import Dataset, ReadReport
 from slam.errors import ScanweaveError
 from slam.evaluation.cloud_picture import cloud_from_above
-from slam.evaluation.report import LoopRow, MapPicture, ReportData
+from slam.evaluation.report import LIDAR_HEIGHT_GREY, LoopRow, MapPicture, ReportData
 from slam.evaluation.report_cameras import CameraRow
 from slam.evaluation.truth_comparison import TruthComparison, compare_with_truth
 from slam.graph.loop_closure import LoopCandidate
@@ -146,7 +146,9 @@ def report_data(
 def _map_picture(grid: OccupancyGrid | None, layers: LayeredMap | None) -> MapPicture | None:
     """The map to drive by."""
     if layers is not None:
-        return _picture(layers.states("decision"), layers)
+        drawn = _picture(layers.states("decision"), layers)
+        drawn.image[::-1][layers.free_at_lidar_height()] = LIDAR_HEIGHT_GREY
+        return drawn
     return None if grid is None else _picture(grid.states(), grid)
 
 

@@ -29,6 +29,7 @@ from slam.storage.files import replacing
 # Beyond this many rows the accepted loops are folded too, so that the page stays readable.
 _MAX_OPEN_ROWS = 40
 
+_FREE_GREY, LIDAR_HEIGHT_GREY = 254, 232
 _MAP_LEGEND = "The map to drive by: black is what the robot must not hit, white is free, grey is unknown."
 _LAYER_LEGENDS = {
     "lidar": "The lidar alone, at its own height (layers/lidar.yaml).",
@@ -73,8 +74,8 @@ class MapPicture:
     Attributes
     ----------
     image
-        (rows, cols) grey values as in a nav2 map.pgm: 254 free, 0 occupied, 205 unknown. Row 0 is the
-        top of the picture, the largest y.
+        (rows, cols) grey values as in a nav2 map.pgm: 254 free, 0 occupied, 205 unknown; and
+        `LIDAR_HEIGHT_GREY`, free at the height of the lidar only. Row 0 is the top, the largest y.
     resolution_m
         Side of a pixel.
     origin_xy
@@ -255,7 +256,22 @@ def _map(data: ReportData) -> str:
         return section("Trajectory from above and from the side", above + side_view(data.trajectory_m))
     if picture is None:
         return section("Trajectory", above)
-    return section("Map", paragraph(_MAP_LEGEND) + above + _layers(data.layers, picture))
+    return section("Map", paragraph(_map_legend(picture)) + above + _layers(data.layers, picture))
+
+
+def _map_legend(picture: MapPicture) -> str:
+    """What the greys mean, and how much of the floor is free; of what only the lidar saw free, how much."""
+    free_m2, lidar_m2 = (
+        picture.resolution_m**2 * np.count_nonzero(picture.image == grey)
+        for grey in (_FREE_GREY, LIDAR_HEIGHT_GREY)
+    )
+    if not lidar_m2:
+        return f"{_MAP_LEGEND} Free: {free_m2:.1f} m²."
+    return (
+        f"{_MAP_LEGEND} Light grey is free at the height of the lidar only, no camera saw all heights of the "
+        f"robot there; layers.rule tells whether it may drive there. Free: {free_m2:.1f} m²; at the height "
+        f"of the lidar only: {lidar_m2:.1f} m²."
+    )
 
 
 def _layers(layers: Mapping[str, MapPicture], decision: MapPicture) -> str:

@@ -192,7 +192,7 @@ class CameraLocalizer:
     def _begin(self, place: Measured, now: _Seen) -> tuple[RecoveredPose, ...]:
         """Track a place; the way up to it becomes known."""
         self._state = State.TRACKING
-        self._smoother = PoseSmoother(place, self._config.lag_nodes)
+        self._smoother = PoseSmoother(place)
         self._loss.reset()
         recovered = []
         for stamp_s, at in self._untold[:-1]:

@@ -113,7 +113,7 @@ class CloudLocalizer:
         """Begin to track a hypothesis; the way up to here becomes known."""
         self._state = State.TRACKING
         covariance = np.diag(_FOUND_SIGMAS**2) if winner.motion is None else winner.motion.covariance
-        self._smoother = PoseSmoother(Measured(winner.pose, covariance), self._config.lag_nodes)
+        self._smoother = PoseSmoother(Measured(winner.pose, covariance))
         self._loss.reset()
         self._set.clear()
         recovered = tuple(

@@ -158,7 +158,7 @@ class PlanarLocalizer:
         self._state = State.TRACKING
         covariance = np.diag(_FOUND_SIGMAS**2) if winner.motion is None else winner.motion.covariance
         found = Measured(pose2_from_row(winner.pose), covariance)
-        self._smoother = PoseSmoother(found, self._config.lag_nodes)
+        self._smoother = PoseSmoother(found)
         self._loss.reset()
         self._set.clear()
         recovered = tuple(

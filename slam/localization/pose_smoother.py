@@ -14,6 +14,8 @@ from slam.measurements import Pose
 
 # A position is right while it is off by less than this.
 _RIGHT_M = 0.25
+# Only the newest pose is told, and a longer lag tells it with the same bits.
+_LAG_NODES = 2.0
 
 
 class PoseSmoother:
@@ -23,13 +25,11 @@ class PoseSmoother:
     ----------
     first
         Pose in the map, covariance in the base frame.
-    lag_nodes
-        Poses that may still change.
     """
 
-    def __init__(self, first: Measured, lag_nodes: int) -> None:
+    def __init__(self, first: Measured) -> None:
         # Time counts nodes: stamps of a log may run backward.
-        self._smoother = gtsam.IncrementalFixedLagSmoother(float(lag_nodes), gtsam.ISAM2Params())
+        self._smoother = gtsam.IncrementalFixedLagSmoother(_LAG_NODES, gtsam.ISAM2Params())
         self._newest = 0
         self._planar = isinstance(first.pose, gtsam.Pose2)
         self.newest = self._update([self._seen(first)], first.pose)

@@ -20,7 +20,6 @@ from fusion.height_band import (
     HeightBand,
     LensDistortion,
     back_project,
-    count_in_cells,
     obstacle_points,
     pixel_rays,
     to_frame,
@@ -28,7 +27,7 @@ from fusion.height_band import (
 from slam.errors import ConfigError
 from slam.mapping.evidence_tiles import Board
 from slam.mapping.occupancy_grid import Steps
-from slam.mapping.view_coverage import MAX_BINS, heights_seen, view_box
+from slam.mapping.view_coverage import MAX_BINS, free_heights, heights_seen, view_box
 from slam.measurements import CameraIntrinsics, Float32Array, FloatArray, RgbdFrame
 
 Rays: TypeAlias = FloatArray
@@ -75,6 +74,11 @@ class DepthModel:
     least_points: int = 3
     pixel_stride: int = 2
 
+    @property
+    def bins(self) -> int:
+        """Heights of the band that are told apart."""
+        return min(MAX_BINS, max(1, math.ceil((self.band.high_m - self.band.low_m) / _BIN_M)))
+
     def __post_init__(self) -> None:
         """Refuse a model that would mark what it clears.
 
@@ -105,7 +109,11 @@ def depth_board(
     cell_m: float,
     distortion: LensDistortion | None = None,
 ) -> Board | None:
-    """The evidence of one depth image; None where it has no reading within reach.
+    """The evidence of one depth image, height by height; None where it has no reading within reach.
+
+    Each cell has the floor and `DepthModel.bins` heights above it. What is seen through is freed there, and
+    what is met is marked there: many images together tell of all heights of a cell, and of those where
+    somebody stood, which a later ray passes.
 
     Parameters
     ----------
@@ -131,27 +139,27 @@ def depth_board(
         return None
     matrix = np.ascontiguousarray(T_grid_camera, dtype=np.float64)
     box = view_box(depth_m, rays32, matrix, model.depth_max_m, cell_m)
-    bins = min(MAX_BINS, max(1, math.ceil((model.band.high_m - model.band.low_m) / _BIN_M)))
+    bins = model.bins
     noise = (model.noise.floor_m, model.noise.share, model.noise.per_m)
     band_m = (model.band.low_m, model.band.high_m)
     mask = heights_seen(
         *(depth_m, rays32, matrix, box, cell_m, model.depth_max_m, band_m, bins, noise),
         *(model.margin_sigmas, _FREE_STRIDES),
     )
-    every_height = np.uint32((1 << (bins + 1)) - 1)
-    steps = np.where(mask == every_height, np.int16(evidence_steps(model.p_miss)), np.int16(0))
+    steps = np.zeros((*mask.shape, bins + 1), dtype=np.int16)
+    free_heights(mask, steps, evidence_steps(model.p_miss))
     every = (slice(None, None, model.pixel_stride),) * 2
-    cells = _hit_cells(depth_m[every], rays[every], matrix, model, cell_m)
-    rows, cols = cells[:, 1] - box[0], cells[:, 0] - box[1]
+    cells, heights = _hit_voxels(depth_m[every], rays[every], matrix, model, cell_m)
     centres_m = (cells + 0.5) * cell_m - matrix[:2, 3]
-    steps[rows, cols] = _hits_by_range(model, cell_m)[_place(np.hypot(*centres_m.T))]
+    hits = _hits_by_range(model, cell_m)[_place(np.hypot(*centres_m.T))]
+    steps[cells[:, 1] - box[0], cells[:, 0] - box[1], heights] = hits
     return Board(steps, box[0], box[1])
 
 
-def _hit_cells(
+def _hit_voxels(
     depth_m: Float32Array, rays: Rays, T_grid_camera: FloatArray, model: DepthModel, cell_m: float
-) -> NDArray[np.int64]:
-    """(M, 2) column and row of the cells with enough points of an obstacle."""
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(M, 2) columns and rows, (M,) heights from 1 above the floor, where a cell holds enough points."""
     usable = np.where((depth_m >= model.depth_min_m) & (depth_m <= model.depth_max_m), depth_m, 0.0)
     points = back_project(usable, rays)
     # How far noise along the ray lifts a point.
@@ -165,8 +173,15 @@ def _hit_cells(
         least_neighbours=model.least_neighbours,
         voxel_m=model.voxel_m,
     )
-    cells, counts = count_in_cells(left, cell_m)
-    return cells[counts >= model.least_points]
+    cells = np.floor(left[:, :2] / cell_m).astype(np.int64)
+    if not len(cells):
+        return cells, np.zeros(0, dtype=np.int64)
+    first, last = cells.min(axis=0), cells.max(axis=0)
+    place = (cells - first) @ np.array([1, last[0] - first[0] + 1])
+    held = (np.bincount(place) >= model.least_points)[place]
+    low_m, high_m = model.band.low_m, model.band.high_m
+    heights = ((left[:, 2] - low_m) / (high_m - low_m) * model.bins).astype(np.int64)
+    return cells[held], 1 + np.clip(heights[held], 0, model.bins - 1)
 
 
 _BINS_A_M = 20

@@ -6,6 +6,7 @@ boards come, or in which partial maps are merged, changes nothing.
 
 from __future__ import annotations
 
+import math
 import shutil
 import tempfile
 import weakref
@@ -25,11 +26,14 @@ from slam.mapping.ray_tracing import Box
 Tile: TypeAlias = NDArray[np.int32]
 
 SIDE = 256
-TILE_BYTES = SIDE * SIDE * 4
+TILE_BYTES = 4 * SIDE * SIDE
 
 
 class Board(NamedTuple):
-    """What one reading says about a rectangle of cells: steps of evidence, its first row and column."""
+    """What one reading says about a rectangle of cells: steps of evidence, its first row and column.
+
+    The steps are (rows, cols), or (rows, cols, heights) where the heights of a cell are told apart.
+    """
 
     steps: Steps
     row: int
@@ -37,7 +41,7 @@ class Board(NamedTuple):
 
     def box(self) -> Box:
         """First row, first col, rows, cols."""
-        return self.row, self.col, *self.steps.shape
+        return self.row, self.col, self.steps.shape[0], self.steps.shape[1]
 
 
 class EvidenceTiles:
@@ -47,10 +51,15 @@ class EvidenceTiles:
     ----------
     memory_mb
         Tiles beyond this (10^6 bytes) wait in a temporary folder, which goes with this object.
+    heights
+        How many heights of a cell are told apart; a board that does not counts for all of them.
     """
 
-    def __init__(self, memory_mb: float = 128.0) -> None:
+    def __init__(self, memory_mb: float = 128.0, heights: int = 1) -> None:
         self._held: OrderedDict[tuple[int, int], Tile] = OrderedDict()
+        # A tile takes about the same memory however many heights there are.
+        self._side = max(1, math.isqrt(SIDE * SIDE // heights))
+        self._shape = (self._side, self._side, heights)
         self._most = max(4, int(memory_mb * 1e6 / TILE_BYTES))
         self._spilled: set[tuple[int, int]] = set()
         self._folder: Path | None = None
@@ -59,12 +68,13 @@ class EvidenceTiles:
     def add(self, board: Board) -> None:
         """Li2020 Eq. (8) for every cell of a board."""
         box = board.box()
-        for key, tile_part, board_part in _parts(box):
+        steps = board.steps if board.steps.ndim == 3 else board.steps[:, :, None]
+        for key, tile_part, board_part in _parts(box, self._side):
             # Boards are mostly empty at their rims: no tile for nothing.
-            if self._holds(key) or board.steps[board_part].any():
+            if self._holds(key) or steps[board_part].any():
                 corners = [part.start for part in (*tile_part, *board_part)]
-                rows, cols = board.steps[board_part].shape
-                _add(self._tile(key), board.steps, *corners, rows, cols)
+                rows, cols = steps[board_part].shape[:2]
+                _add(self._tile(key), steps, *corners, rows, cols)
         self.used = box if self.used is None else union(self.used, box)
 
     def merge(self, other: EvidenceTiles) -> None:
@@ -77,11 +87,14 @@ class EvidenceTiles:
         self.used = other.used if self.used is None else union(self.used, other.used)
 
     def clipped(self, box: Box, low: int, high: int) -> Steps:
-        """(rows, cols) of the sums in a box, between two bounds."""
+        """(rows, cols) of the sums in a box, between two bounds: of each cell its height likeliest taken.
+
+        Nothing is known of a height that nothing told of: a cell is free where all of them are.
+        """
         steps = np.zeros(box[2:], dtype=np.int16)
-        for key, tile_part, part in _parts(box):
+        for key, tile_part, part in _parts(box, self._side):
             if self._holds(key):
-                steps[part] = np.clip(self._tile(key)[tile_part], low, high)
+                steps[part] = np.clip(self._tile(key)[tile_part].max(axis=2), low, high)
         return steps
 
     def _holds(self, key: tuple[int, int]) -> bool:
@@ -92,7 +105,7 @@ class EvidenceTiles:
         """A tile, from memory, from disk, or new; now the last one used."""
         tile = self._held.get(key)
         if tile is None:
-            tile = self._load(key) if key in self._spilled else np.zeros((SIDE, SIDE), dtype=np.int32)
+            tile = self._load(key) if key in self._spilled else np.zeros(self._shape, dtype=np.int32)
             self._held[key] = tile
             if len(self._held) > self._most:
                 self._spill(*self._held.popitem(last=False))
@@ -118,7 +131,7 @@ class EvidenceTiles:
         """Take a tile back from disk."""
         self._spilled.discard(key)
         try:
-            return np.fromfile(self._path(key), dtype=np.int32).reshape(SIDE, SIDE)
+            return np.fromfile(self._path(key), dtype=np.int32).reshape(self._shape)
         except (OSError, ValueError) as error:
             raise ScanweaveError(f"a tile of the map is gone from {self._folder}; run again") from error
 
@@ -137,19 +150,22 @@ def union(a: Box, b: Box) -> Box:
 def _add(sums, steps, row, col, first_row, first_col, rows, cols):  # type: ignore[no-untyped-def]
     """Add a part of the steps to a part of the sums in place; numpy would go by way of a copy.
 
-    Whole arrays and corners: parts of arrays would be other types, and another compilation each.
+    One height of steps counts for all. Whole arrays and corners: parts of arrays would be other types, and
+    another compilation each.
     """
+    a_height = 1 if steps.shape[2] > 1 else 0
     for i in range(rows):
         for j in range(cols):
-            sums[row + i, col + j] += steps[first_row + i, first_col + j]
+            for height in range(sums.shape[2]):
+                sums[row + i, col + j, height] += steps[first_row + i, first_col + j, height * a_height]
 
 
-def _parts(box: Box) -> Iterator[tuple[tuple[int, int], tuple[slice, slice], tuple[slice, slice]]]:
+def _parts(box: Box, side: int) -> Iterator[tuple[tuple[int, int], tuple[slice, slice], tuple[slice, slice]]]:
     """The tiles that a box meets: key, the part of the tile, and the part of the box."""
     row, col, rows, cols = box
-    for i in range(row // SIDE, (row + rows - 1) // SIDE + 1):
-        for j in range(col // SIDE, (col + cols - 1) // SIDE + 1):
-            top, left = max(row, i * SIDE), max(col, j * SIDE)
-            bottom, right = min(row + rows, (i + 1) * SIDE), min(col + cols, (j + 1) * SIDE)
-            tile = (slice(top - i * SIDE, bottom - i * SIDE), slice(left - j * SIDE, right - j * SIDE))
+    for i in range(row // side, (row + rows - 1) // side + 1):
+        for j in range(col // side, (col + cols - 1) // side + 1):
+            top, left = max(row, i * side), max(col, j * side)
+            bottom, right = min(row + rows, (i + 1) * side), min(col + cols, (j + 1) * side)
+            tile = (slice(top - i * side, bottom - i * side), slice(left - j * side, right - j * side))
             yield (i, j), tile, (slice(top - row, bottom - row), slice(left - col, right - col))

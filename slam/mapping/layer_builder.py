@@ -111,9 +111,10 @@ class LayerBuilder:
         if board is not None:
             self._check_room(board.box())
             name = "lidar" if isinstance(reading, LaserScan) else "depth"
-            tiles = self._tiles.setdefault(name, EvidenceTiles(self._settings.memory_mb))
-            tiles.add(board)
             settings = self._settings
+            heights = board.steps.shape[2] if board.steps.ndim == 3 else 1
+            tiles = self._tiles.setdefault(name, EvidenceTiles(settings.memory_mb, heights))
+            tiles.add(board)
             footprint = footprint_board(
                 self._axes.between(under), settings.robot_radius_m, settings.resolution_m
             )

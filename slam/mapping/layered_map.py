@@ -14,6 +14,7 @@ from slam.errors import ConfigError, ScanweaveError
 from slam.mapping.evidence_tiles import union
 from slam.mapping.occupancy_grid import OccupancyGrid, StateArray, Steps, Thresholds
 from slam.mapping.ray_tracing import Box
+from slam.measurements import BoolArray
 
 LayerName: TypeAlias = Literal["lidar", "depth", "fused", "decision"]
 
@@ -30,19 +31,19 @@ class DecisionRule:
     Attributes
     ----------
     rule
-        Li2020 Table 3, ``corrected`` or ``printed``.
+        Of `fusion.bayes.decide`; where one sensor gave nothing, the other decides alone.
     lidar, depth, fused
         Li2020 Eq. (9) for each layer.
     """
 
-    rule: bayes.Rule = "corrected"
+    rule: bayes.Rule = "cautious"
     lidar: Thresholds = field(default_factory=Thresholds)
     depth: Thresholds = field(default_factory=Thresholds)
     fused: Thresholds = field(default_factory=Thresholds)
 
     def __post_init__(self) -> None:
-        if self.rule not in ("corrected", "printed"):
-            raise ConfigError(f"rule is {self.rule!r}; it must be corrected or printed")
+        if self.rule not in bayes.RULES:
+            raise ConfigError(f"rule is {self.rule!r}; it must be {', '.join(bayes.RULES)}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,21 +124,36 @@ class LayeredMap:
         return OccupancyGrid(steps, self.resolution_m, self.T_map_grid)
 
     def states(self, name: LayerName) -> StateArray:
-        """(rows, cols) of 100, 0 and -1: a layer by its own thresholds, or the decision by Table 3.
+        """(rows, cols) of 100, 0 and -1: a layer by its own thresholds, or what they decide together.
 
         The decision is what the robot must not hit.
         """
         states = np.empty(self.shape, dtype=np.int8)
         rule = self.rule
+        # Where no camera helped, the lidar's height is all that there is.
+        table: bayes.Rule = "corrected" if self.depth is None else rule.rule
         for part in _blocks(self.shape[0]):
             if name == "decision":
                 lidar = rule.lidar.states(self._steps("lidar", part))
                 depth = rule.depth.states(self._steps("depth", part))
-                states[part] = bayes.decide(lidar, depth, rule.rule)
+                states[part] = bayes.decide(lidar, depth, table)
             else:
                 own: Thresholds = getattr(rule, name)
                 states[part] = own.states(self._steps(name, part))
         return states
+
+    def free_at_lidar_height(self) -> BoolArray:
+        """(rows, cols) cells that the lidar calls free and no camera saw at all heights of the robot.
+
+        Unknown in a ``cautious`` decision. Nothing where no camera helped.
+        """
+        free = np.zeros(self.shape, dtype=np.bool_)
+        if self.lidar is not None and self.depth is not None:
+            for part in _blocks(self.shape[0]):
+                lidar = self.rule.lidar.states(self._steps("lidar", part))
+                depth = self.rule.depth.states(self._steps("depth", part))
+                free[part] = (lidar == bayes.FREE) & (depth == bayes.UNKNOWN)
+        return free
 
     def percent(self) -> StateArray:
         """(rows, cols) fused probability in percent, -1 where it is one half, which is unknown."""

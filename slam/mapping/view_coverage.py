@@ -123,6 +123,20 @@ def heights_seen(
     return mask
 
 
+@kernel
+def free_heights(mask: HeightMask, board: NDArray[np.int16], steps: int) -> None:
+    """Put ``steps`` of evidence into the heights of (rows, cols, heights) that were seen through."""
+    for row in range(board.shape[0]):
+        for col in range(board.shape[1]):
+            seen = mask[row, col]
+            height = 0
+            while seen:
+                if seen & 1:
+                    board[row, col, height] = steps
+                seen >>= 1
+                height += 1
+
+
 @kernel(error_model="numpy")
 def _follow(
     mask: HeightMask,

@@ -22,8 +22,8 @@ _LIBRARIES = ("scanweave", "gtsam", "numpy", "numba", "scipy", "kiss-icp", "open
 # Images are known by name and size; anything else by its content.
 _IMAGES = frozenset({".png", ".jpg", ".jpeg", ".pgm", ".ppm"})
 _BLOCK = 1 << 20
-# Sections that earlier versions had: what they decided is in the map.
-_RETIRED = frozenset({"bundle"})
+# Sections and settings that earlier versions had: what they decided is in the map.
+_RETIRED = frozenset({"bundle", "localization.lag_nodes"})
 # What a run leaves in the folder of its log where it is told to write there.
 _OUTPUTS = frozenset(
     {f"{MAP_NAME}{ending}" for ending in ("", "-wal", "-shm", "-journal")}
@@ -71,9 +71,7 @@ class MapIdentity:
             Where a row is missing, or the configuration is that of another version.
         """
         try:
-            settings = json.loads(meta["config"])
-            known = {name: value for name, value in settings.items() if name not in _RETIRED}
-            config = Config.model_validate_json(json.dumps(known))
+            config = Config.model_validate_json(json.dumps(_without_retired(json.loads(meta["config"]))))
             versions = json.loads(meta["versions"])
             return cls(config, meta["log_name"], meta["log_fingerprint"], versions)
         except KeyError as error:
@@ -100,6 +98,17 @@ class MapIdentity:
             if self.versions.get(name) != now.versions.get(name):
                 return f"it was begun with {name} {self.versions.get(name)}, not {now.versions.get(name)}"
         return None
+
+
+def _without_retired(settings: Any, prefix: str = "") -> Any:
+    """Settings as this version knows them."""
+    if not isinstance(settings, dict):
+        return settings
+    return {
+        name: _without_retired(value, f"{prefix}{name}.")
+        for name, value in settings.items()
+        if f"{prefix}{name}" not in _RETIRED
+    }
 
 
 def identity_of(log: Path, config: Config) -> MapIdentity:

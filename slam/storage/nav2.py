@@ -43,12 +43,15 @@ class Nav2Map:
         The lower-left corner of cell (0, 0).
     mode
         How pixels were understood.
+    what
+        The comment on the yaml's first line, if there is one.
     """
 
     values: StateArray
     resolution_m: float
     T_map_grid: gtsam.Pose2
     mode: Mode = "trinary"
+    what: str = ""
 
 
 def write_nav2_map(
@@ -143,7 +146,9 @@ def read_nav2_map(path: Path) -> Nav2Map:
     resolution_m = _number(fields, "resolution", path)
     if not resolution_m > 0.0:
         raise MapFileError(f"{path}: resolution is {resolution_m:g} m, it must be positive")
-    return Nav2Map(np.ascontiguousarray(values[::-1]), resolution_m, _origin(fields, path), mode)
+    what = path.read_text(encoding="utf-8").splitlines()[0]
+    what = what.removeprefix("# ") if what.startswith("#") else ""
+    return Nav2Map(np.ascontiguousarray(values[::-1]), resolution_m, _origin(fields, path), mode, what)
 
 
 def _occupancy(

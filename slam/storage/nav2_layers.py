@@ -18,7 +18,7 @@ _WHAT: dict[LayerName, str] = {
     "lidar": "What the lidar alone saw, at its own height; the map to drive by is ../map.yaml.",
     "depth": "What the cameras alone saw within the robot's height; the map to drive by is ../map.yaml.",
     "fused": "Lidar and cameras as one probability (Li2020 Eq. (10)); the map to drive by is ../map.yaml.",
-    "decision": "What the robot must not hit, by lidar or cameras (Li2020 Table 3): the same as ../map.yaml.",
+    "decision": "What the robot must not hit, by lidar or cameras (by layers.rule): the same as ../map.yaml.",
 }
 _RAW = "Probability of being occupied by lidar and cameras, in percent; the map to drive by is ../map.yaml."
 
@@ -32,7 +32,8 @@ def write_driving_map(stem: Path, layers: LayeredMap) -> tuple[Path, Path]:
         Where a file cannot be written.
     """
     by = [name for name, grid in (("lidar", layers.lidar), ("cameras", layers.depth)) if grid is not None]
-    what = f"The map to drive by: what the robot must not hit, as seen by {' and '.join(by)}."
+    rule = f", by rule {layers.rule.rule} (layers.rule)" if len(by) > 1 else ""
+    what = f"The map to drive by: what the robot must not hit, as seen by {' and '.join(by)}{rule}."
     return write_nav2_map(stem, layers.states("decision"), layers.resolution_m, layers.T_map_grid, what)
 
 

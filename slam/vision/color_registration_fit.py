@@ -60,7 +60,7 @@ def estimate_registration(
     intrinsics_depth
         Of the depth camera.
     seed
-        Of the choice of matches and of RANSAC.
+        Of the choice of matches.
     """
     problem = gather_matches(pairs, intrinsics_depth, seed)
     count = problem.starts.size - 1

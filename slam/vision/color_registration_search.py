@@ -91,10 +91,7 @@ class Fit:
 
 def gather_matches(pairs: Sequence[FramePair], depth: CameraIntrinsics, seed: int) -> Problem:
     """All pairs that have a motion when colour is taken as registered."""
-    import cv2
-
     rng = np.random.default_rng(seed)
-    cv2.setRNGSeed(seed)
     cameras = camera_row(depth, depth, 0.0, 0.0)
     pixels_a, pixels_b = [np.empty((0, 2))], [np.empty((0, 2))]
     poses, used, inverse = [], [], [np.empty(0)]

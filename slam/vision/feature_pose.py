@@ -35,7 +35,6 @@ def pose_from_features(
     intrinsics: CameraIntrinsics,
     tolerance_px: float,
     least_inliers: int,
-    seed: int,
 ) -> FeaturePose | None:
     """Pose of a camera from known points and where it sees them; None where too few agree.
 
@@ -56,7 +55,6 @@ def pose_from_features(
     camera = np.array([[k.fx, 0.0, k.cx], [0.0, k.fy, k.cy], [0.0, 0.0, 1.0]])
     points = np.ascontiguousarray(points_reference, np.float64)
     observed = np.ascontiguousarray(pixels, np.float64)
-    cv2.setRNGSeed(seed)
     found, rotation, translation, inliers = cv2.solvePnPRansac(
         points,
         observed,

@@ -70,7 +70,6 @@ class FrameMatcher:
             frame.frame.intrinsics,
             self._config.ransac_px,
             self._config.least_inliers,
-            seed=0,
         )
         return None if found is None else found.T_reference_camera
 

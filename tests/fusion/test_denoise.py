@@ -72,11 +72,13 @@ def test_a_hole_of_the_lidar_is_filled_from_the_camera_and_others_stay():
     scan, image = pair()
     at = wall_beam(scan, image)
     ranges = scan.ranges_m.copy()
-    ranges[at - 6 : at + 7] = np.inf
+    ranges[at : at + 2] = np.inf
+    ranges[at + 30 : at + 43] = np.inf  # many together may be glass, which the camera looks through too
     ranges[3] = np.inf  # behind the camera's back
     result = fusion.denoise(with_ranges(scan, ranges), image, RIG)
-    assert (result.lidar_source[at - 6 : at + 7] == FILLED).all()
-    assert result.ranges_m[at - 6 : at + 7] == pytest.approx(scan.ranges_m[at - 6 : at + 7], abs=0.03)
+    assert (result.lidar_source[at : at + 2] == FILLED).all()
+    assert result.ranges_m[at : at + 2] == pytest.approx(scan.ranges_m[at : at + 2], abs=0.03)
+    assert (result.lidar_source[at + 30 : at + 43] == HOLE).all()
     assert result.ranges_m[3] == np.inf and result.lidar_source[3] == HOLE
 
 
@@ -149,18 +151,19 @@ def test_a_hole_of_the_camera_is_filled_from_the_lidar():
     row, on = lidar_rows(scan, image)
     depth = image.depth_m.copy()
     columns = np.arange(world.SHAPE[1])
-    hole = on & (columns > 90) & (columns < 120)
-    depth[:, hole] = 0.0
+    hole, wide = on & (columns > 80) & (columns % 6 == 0) & (columns < 130), on & (abs(columns - 45) < 8)
+    depth[:, hole | wide] = 0.0
     result = fusion.denoise(scan, fusion.DepthImage(depth, image.intrinsics), RIG)
     at = (row[hole], columns[hole])
-    assert hole.sum() > 10
+    assert hole.sum() > 3 and wide.sum() > 5
+    assert (result.depth_source[0][:, wide] == HOLE).all()  # a thing too near to be measured, or glass
     assert (result.depth_source[0][at] == FILLED).mean() > 0.9
     filled = result.depth_source[0][at] == FILLED
     assert np.median(np.abs(result.depth_m[0] - image.depth_m)[at][filled]) < 0.02
     assert (result.depth_source[0][0, hole] == HOLE).all()  # far above the lidar's plane
 
 
-def test_a_patch_of_the_camera_behind_the_wall_is_put_right():
+def test_a_patch_of_the_camera_behind_the_wall_goes():
     scan, image = pair()
     row, on = lidar_rows(scan, image)
     columns = np.arange(world.SHAPE[1])
@@ -171,9 +174,10 @@ def test_a_patch_of_the_camera_behind_the_wall_is_put_right():
     result = fusion.denoise(scan, fusion.DepthImage(depth, image.intrinsics), RIG)
     # The pixel of the true point looks at the same row after the repair.
     at = (row[patch], columns[patch])
-    repaired = result.depth_source[0][at] == FILLED
-    assert repaired.mean() >= 0.75  # the panorama may skip one of the image's columns
-    assert np.abs(result.depth_m[0] - image.depth_m)[at][repaired].max() < 0.05
+    gone = result.depth_source[0][at] != MEASURED
+    assert gone.mean() >= 0.75  # the panorama may skip one of the image's columns
+    filled = gone & (result.depth_m[0][at] > 0.0)
+    assert (np.abs(result.depth_m[0] - image.depth_m)[at][filled] < 0.05).all()
 
 
 def test_a_pair_below_the_grade_is_left_alone():
@@ -193,9 +197,9 @@ def test_rows_without_intrinsics_repair_each_other_as_published():
     columns = 0.5 * field - field / 180 * (np.arange(180) + 0.5)  # from left to right
     row = np.interp(columns, scan.bearings_rad(), scan.ranges_m).astype(np.float32)
     depth = np.tile(row, (40, 1))
-    depth[:, 100:106] = 0.0
+    depth[:, 102] = 0.0
     ranges = scan.ranges_m.copy()
-    hole = slice(205, 211)
+    hole = slice(207, 209)
     ranges[hole] = np.inf
     image = fusion.DepthImage(depth, field_of_view_rad=field)
     found = fusion.register(with_ranges(scan, ranges), image)
@@ -204,9 +208,9 @@ def test_rows_without_intrinsics_repair_each_other_as_published():
     assert (result.lidar_source[hole] == FILLED).all()
     assert result.ranges_m[hole] == pytest.approx(scan.ranges_m[hole], abs=0.05)
     at = round(found.v * 39 / (len(found.score_map) - 1))
-    assert (result.depth_source[0][at, 100:106] == FILLED).all()
-    assert result.depth_m[0][at, 100:106] == pytest.approx(row[100:106], abs=0.05)
-    assert (np.delete(result.depth_source[0], at, axis=0)[:, 100:106] == HOLE).all()
+    assert result.depth_source[0][at, 102] == FILLED
+    assert result.depth_m[0][at, 102] == pytest.approx(row[102], abs=0.05)
+    assert (np.delete(result.depth_source[0], at, axis=0)[:, 102] == HOLE).all()
 
 
 def test_an_image_turned_in_memory_is_repaired_too():
@@ -222,7 +226,7 @@ def test_an_image_turned_in_memory_is_repaired_too():
 def test_each_camera_gets_its_own_repair_though_both_hand_in_one_image():
     scan, image = pair()
     depth = image.depth_m.copy()
-    depth[:, 95:100] = 0.0
+    depth[:, 95] = 0.0
     image = fusion.DepthImage(depth, image.intrinsics)
     rig = dataclasses.replace(RIG, alignments=RIG.alignments * 2)
     result = fusion.denoise(scan, (image, image), rig)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import fusion
 from fusion.carry import smooth, without_bumps
-from fusion.repair import calm, repair_lidar
+from fusion.repair import among_readings, calm, repair_lidar
 
 MEASURED, FILLED, INTERPOLATED, HOLE, AVERAGED = fusion.Provenance
 EPS = 0.025
@@ -18,7 +18,7 @@ EPS = 0.025
 
 def repair(own, other, eps=EPS, burr=4, trust=0.5):
     own, other = (np.array(curve, dtype=np.float32) for curve in (own, other))
-    return repair_lidar(own, other, eps, burr, 6, trust)
+    return repair_lidar(own, other, among_readings(own, 2 * burr), eps, burr, trust)
 
 
 def edge(fore=1.2, back=3.0, at=20, count=40):
@@ -131,6 +131,20 @@ def test_wider_or_unsure_holes_of_both_stay(holes):
     own = wall()
     own[holes] = np.nan
     assert (repair(own, np.full(41, np.nan))[1][holes] == HOLE).all()
+
+
+def test_holes_are_filled_where_they_are_rare_and_stay_where_glass_may_be():
+    truth = wall()
+    for holes, filled in (([20], True), ([20, 21], True), ([20, 21, 22], False), ([14, 17, 20, 23], False)):
+        own = truth.copy()
+        own[holes] = np.nan
+        ranges, source = repair(own, truth)
+        assert (source[holes] == (FILLED if filled else HOLE)).all()
+        assert np.isnan(ranges[holes]).all() != filled
+    # What looks through is not where the wall beside the hole is, and fills nothing.
+    own, through = truth.copy(), truth.copy()
+    own[20], through[20] = np.nan, 1.2 * truth[20]
+    assert repair(own, through)[1][20] == INTERPOLATED  # by its own neighbours
 
 
 def test_a_lone_hole_at_a_jump_or_in_a_corner_stays():

@@ -12,7 +12,7 @@ from slam.localization.pose_smoother import PoseSmoother, squared_sigmas
 
 def test_straight_steps_are_a_kalman_filter() -> None:
     start, step, seen = np.diag([0.04, 0.05, 1e-8]), np.diag([0.01, 0.02, 1e-10]), np.diag([0.03, 0.06, 1e-6])
-    smoother = PoseSmoother(Measured(gtsam.Pose2(), start), 5)
+    smoother = PoseSmoother(Measured(gtsam.Pose2(), start))
     mean, variance = np.zeros(2), np.diag(start)[:2].copy()
     rng, ahead = np.random.default_rng(3), np.array([0.5, 0.0])
     for _ in range(20):
@@ -34,7 +34,7 @@ def test_straight_steps_are_a_kalman_filter() -> None:
 def test_dead_reckoning_grows_and_a_sight_of_the_map_ends_it(pose: gtsam.Pose2 | gtsam.Pose3) -> None:
     size = 3 if isinstance(pose, gtsam.Pose2) else 6
     sure = np.eye(size) * 1e-4
-    smoother = PoseSmoother(Measured(pose, sure), 4)
+    smoother = PoseSmoother(Measured(pose, sure))
     still = pose.between(pose)  # type: ignore[arg-type]
     sigmas = [smoother.sigma_m]
     for _ in range(6):
@@ -56,5 +56,5 @@ def test_distance_in_sigmas_counts_both_covariances() -> None:
 
 def test_trust_is_the_share_of_a_round_gaussian_within_a_quarter_metre() -> None:
     draws = np.hypot(*np.random.default_rng(0).normal(0.0, 0.2, (2, 200_000)))
-    smoother = PoseSmoother(Measured(gtsam.Pose2(), np.diag([0.04, 0.04, 0.01])), 5)
+    smoother = PoseSmoother(Measured(gtsam.Pose2(), np.diag([0.04, 0.04, 0.01])))
     assert smoother.trust == pytest.approx(np.mean(draws < 0.25), abs=0.005)

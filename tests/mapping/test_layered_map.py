@@ -95,9 +95,10 @@ def test_what_has_gone_fades_and_the_lidar_keeps_what_it_sees():
 
 
 def test_one_missing_sensor_is_unknown_and_the_map_stands():
-    only_lidar = build_layers([scan()], same_base(1), SETTINGS)
+    only_lidar = build_layers([scan(float(i)) for i in range(3)], same_base(3), SETTINGS)
     assert only_lidar.depth is None
     np.testing.assert_array_equal(only_lidar.states("decision"), only_lidar.states("lidar"))
+    assert (only_lidar.states("decision") == FREE).any() and not only_lidar.free_at_lidar_height().any()
     assert (only_lidar.states("depth") == UNKNOWN).all()
     only_depth = build_layers([frame()], same_base(1), SETTINGS)
     assert only_depth.lidar is None
@@ -166,7 +167,10 @@ def test_the_table_on_hand_drawn_grids(yaw):
     def picture(name, made=built):
         return ["".join(SIGN[int(cell)] for cell in row) for row in made.states(name)[::-1]]
 
-    assert picture("decision") == ["###", "#oo", "#o."]
+    assert picture("decision") == ["###", "#o.", "#o."]
+    assert (built.free_at_lidar_height() == (drawn("...", "..o", "...") < 0)).all()
+    corrected = replace(built, rule=DecisionRule("corrected"))
+    assert picture("decision", corrected) == ["###", "#oo", "#o."]
     printed = replace(built, rule=DecisionRule("printed"))
     assert picture("decision", printed) == ["###", "#oo", "o#."]
     # Eq. (10): what contradicts itself is uncertain.
@@ -185,12 +189,12 @@ def test_grids_of_different_sizes_are_laid_on_one_lattice(yaw):
 
     assert picture("lidar") == ["##..", "oo..", "....", "...."]
     assert picture("depth") == ["....", "...#", "...#", "...o"]
-    assert picture("decision") == ["##..", "oo.#", "...#", "...o"]
+    assert picture("decision") == ["##..", "...#", "...#", "...o"]
     assert built.grid("lidar").T_map_grid.equals(laid(drawn("#"), yaw, 3, -3).T_map_grid, 1e-12)
     for other in (laid(drawn("#"), yaw, 3.4, 0), laid(drawn("#"), yaw + 0.1, 3, 0)):
         with pytest.raises(ScanweaveError, match="do not lie on one lattice"):
             LayeredMap(built.lidar, other)
-    with pytest.raises(ConfigError, match="must be corrected or printed"):
+    with pytest.raises(ConfigError, match="must be cautious, corrected, printed"):
         DecisionRule("guessed")
 
 
@@ -244,7 +248,9 @@ def test_a_sensor_that_dies_half_way_leaves_the_other_to_map_on():
     scans, frames = [scan(float(i), 2.0) for i in range(3)], [frame(10.0 + i) for i in range(3)]
     far = gtsam.Pose2(20.0, 0.0, 0.0)
     built = build_layers([*scans, *frames], same_base(3) + [far] * 3, SETTINGS)
-    assert state(built, "decision", 1.0, 0.0) == FREE
+    assert state(built, "decision", 1.0, 0.0) == UNKNOWN  # no camera saw it
+    assert state(replace(built, rule=DecisionRule("corrected")), "decision", 1.0, 0.0) == FREE
+    assert built.free_at_lidar_height()[tuple(built.grid("fused").cells_of(np.array([[1.0, 0.0]]))[0])]
     assert state(built, "decision", 22.98, 0.0) == OCCUPIED
     assert state(built, "lidar", 22.98, 0.0) == UNKNOWN
 

@@ -32,7 +32,9 @@ def test_the_same_is_the_same(log: Path) -> None:
 def test_a_map_with_settings_of_an_earlier_version_is_read(log: Path) -> None:
     one = identity_of(log, Config())
     meta = one.to_meta()
-    meta["config"] = json.dumps({**json.loads(meta["config"]), "bundle": {"enabled": False}})
+    settings = json.loads(meta["config"])
+    settings["localization"]["lag_nodes"] = 10
+    meta["config"] = json.dumps({**settings, "bundle": {"enabled": False}})
     assert MapIdentity.from_meta(meta, log) == one
     with pytest.raises(ConfigError, match="unknown key 'bundle'"):
         load_config(None, ["bundle.enabled=true"])

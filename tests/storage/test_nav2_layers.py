@@ -53,7 +53,9 @@ def test_the_map_to_drive_by_is_the_decision_and_every_file_says_what_it_is(tmp_
     path, image_path = write_driving_map(tmp_path / "map", built())
     layers = write_layers(tmp_path / "layers", built())
     said = [yaml.read_text().splitlines()[0] for yaml in (path, *layers)]
-    assert said[0] == "# The map to drive by: what the robot must not hit, as seen by lidar and cameras."
+    told = "what the robot must not hit, as seen by lidar and cameras, by rule cautious (layers.rule)."
+    assert said[0] == f"# The map to drive by: {told}"
+    assert read_nav2_map(path).what == said[0].removeprefix("# ")
     assert len(set(said)) == len(said) and all("../map.yaml" in line for line in said[1:])
     assert image_path.read_bytes() == (tmp_path / "layers" / "decision.pgm").read_bytes()
     assert "image: fused_probability.pgm" in layers[-1].read_text()

@@ -1,0 +1,383 @@
+"""Tiny runs of every kind, in which each setting has something to decide, and what they come to."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, TypeVar
+
+import gtsam
+import numpy as np
+import pytest
+from cloud_world import look_on_the_way, way_round
+from flat_worlds import box, room, sweep
+from room_world import SMALL, T_BODY_CAMERA, blind, furnished, render, turning_walk
+
+from slam import run_outputs
+from slam.app.mapping import run_log
+from slam.config import Config, load_config
+from slam.datasets.dataset import ReadReport
+from slam.errors import ScanweaveError
+from slam.journal import Journal
+from slam.layer_outputs import layers_of
+from slam.localization.known_map import KnownMap
+from slam.localization.localizer import Localizer
+from slam.map_result import MapResult
+from slam.mapping.cloud_map import map_cloud
+from slam.matching.planar import compose
+from slam.measurements import LaserScan, Measurement, RgbdFrame, Trajectory, WheelOdometry, pose2_from_row
+from slam.pipeline import build_map
+from slam.storage.packing import pack
+
+T = TypeVar("T")
+
+
+class Differs(Exception):
+    """A run has come to another answer than the one that it is compared with."""
+
+
+class Course(Journal):
+    """Everything that a run comes to, as digests; beside another's it stops at the first that differs."""
+
+    def __init__(self, other: Course | None = None) -> None:
+        super().__init__()
+        self.digests: list[bytes] = []
+        self._other = other
+
+    def ask(self, question: str, key: float, compute: Callable[[], T]) -> T:
+        answer = compute()
+        self.note(question, float(key), answer)
+        return answer
+
+    def note(self, *what: Any) -> None:
+        """One more thing."""
+        self.digests.append(hashlib.blake2b(pack(list(what)), digest_size=8).digest())
+        if self._other is not None:
+            before = self._other.digests[: len(self.digests)]
+            if before[-1] != self.digests[-1] or len(before) < len(self.digests):
+                raise Differs
+
+
+Run = Callable[[Config, Course], None]
+
+
+def differs(run: Run, config: Config, baseline: Course) -> bool:
+    """Whether a run comes to something else than another has."""
+    course = Course(baseline)
+    try:
+        run(config, course)
+    except Differs:
+        return True
+    except ScanweaveError:  # a setting that leaves nothing to map
+        return True
+    return len(course.digests) != len(baseline.digests)
+
+
+@contextmanager
+def read_fields(section: type) -> Iterator[set[str]]:
+    """The fields of a section that are read during the block."""
+    found: set[str] = set()
+
+    def reading(self: Any, name: str) -> Any:
+        if name in section.model_fields:  # type: ignore[attr-defined]
+            found.add(name)
+        return object.__getattribute__(self, name)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(section, "__getattribute__", reading)
+        yield found
+
+
+@dataclass
+class Log:
+    """Measurements in memory."""
+
+    measurements: Sequence[Measurement]
+    name: str = "in memory"
+    path: Path = Path()
+    report: ReadReport = field(default_factory=ReadReport)
+
+    def __iter__(self) -> Iterator[Measurement]:
+        return iter(self.measurements)
+
+    def groundtruth(self) -> Trajectory | None:
+        return None
+
+
+def mapped(log: Log, config: Config, course: Course) -> MapResult:
+    """A log, mapped, and everything that came of it noted."""
+    result = build_map(log, config, journal=course)  # type: ignore[arg-type]
+    course.note(result.trajectory)
+    for edge, kept in zip(result.graph.edges, result.edges_kept, strict=True):
+        course.note(edge.kind.value, edge.T_source_target, edge.covariance, bool(kept), bool(edge.trusted))
+    for loop in result.loops:
+        course.note(loop)
+    course.note(*result.warnings, *result.notes)
+    course.note(*[sweep.ranges_m for sweep in result.keyframe_scans if sweep is not None])
+    course.note(0 if result.fused is None else len(result.fused.examples))
+    layers = layers_of(result, config)
+    if layers is not None:
+        course.note(layers.states("decision"), layers.T_map_grid, layers.resolution_m)
+        course.note(*[grid.steps for grid in (layers.lidar, layers.depth) if grid is not None])
+    return result
+
+
+_ROUND_WALLS = np.concatenate(
+    [
+        box(-3, -2.5, 3.5, 2.5),
+        box(1.9, 1.2, 3.5, 2.5),
+        box(-1.0, -0.6, 0.4, 0.4),
+        box(-3, -2.5, -2.2, -1.4),
+    ]
+)
+
+
+@cache
+def planar_log() -> Log:
+    """Once round the block in a room and on: the lidar is blind, wheels slip and jump, somebody pushes."""
+    rng, found, wheels = np.random.default_rng(3), list[Measurement](), np.array([5.0, 1.0, -2.0])
+
+    def on_the_round(angle: float) -> np.ndarray[Any, Any]:
+        return np.array([-0.3 + 2.0 * math.cos(angle), 1.45 * math.sin(angle), 0.0])
+
+    last = None
+    for n in range(92):
+        pose, ahead = (on_the_round(2.0 * math.pi * n / 76.0 + phase) for phase in (2.4, 2.5))
+        pose[2] = math.atan2(*(ahead - pose)[1::-1])
+        if n >= 72:
+            pose = compose(pose, np.array([-0.25, 0.15, 0.45]))  # pushed while its wheels stood still
+        if last is not None:
+            step = gtsam.Pose2() if n == 72 else gtsam.Pose2(*last).between(gtsam.Pose2(*pose))
+            slip = np.array([step.x() * 1.02, step.y(), step.theta() * 1.01])
+            slip *= [1.4 if 30 <= n < 36 else 1.0, 1.0, 1.25 if 50 <= n < 54 else 1.0]
+            slip += [4.0 if n == 20 else 0.0, 0.0, 2.5 if n == 24 else 0.0]
+            wheels = compose(wheels, slip)
+        last, stamp_s = pose, 100.0 + 0.2 * n
+        seen = sweep(_ROUND_WALLS, pose, beams=121, fov_rad=4.7, sigma_m=0.01, seed=rng, stamp_s=stamp_s)
+        lost = (rng.random(seen.ranges_m.size) < 0.05) | (60 <= n < 64)
+        ranges_m = np.where(lost, np.float32(np.inf), seen.ranges_m)
+        ranges_m[rng.random(ranges_m.size) < 0.04] *= np.float32(0.7)
+        ranges_m[:2] = 0.05
+        found += [WheelOdometry(stamp_s, pose2_from_row(wheels)), replace(seen, ranges_m=ranges_m)]
+    return Log(found)
+
+
+def planar(config: Config, course: Course) -> None:
+    """A lidar on wheels."""
+    mapped(planar_log(), config, course)
+
+
+_MOUNT = gtsam.Pose3(gtsam.Rot3.Ry(0.1), np.array([0.1, 0.0, 1.1])) * T_BODY_CAMERA
+_FURNISHED_WALLS = np.concatenate(
+    [box(-2.5, -2.0, 2.5, 2.0), box(1.6, 0.4, 2.5, 1.5), box(-2.5, -2.0, -1.7, -1.1)]
+)
+
+
+@cache
+def fused_log() -> Log:
+    """Wheels, scans and a camera on a floor that is not quite even; the lidar is silent for a while."""
+    rng, found = np.random.default_rng(0), list[Measurement]()
+    pose, wheels = np.array([0.3, -0.7, 0.2]), np.array([5.0, 1.0, -2.0])
+    for n in range(28):
+        stamp_s = 100.0 + 0.1 * n
+        nod = gtsam.Rot3.Ypr(pose[2], 0.02 * math.sin(2.0 * n), 0.0)
+        body = gtsam.Pose3(nod, np.array([pose[0], pose[1], 0.0]))
+        frame = render(
+            furnished(), body * _MOUNT, SMALL, stamp_s - 0.01, noise=(0.001, 0.0012), seed=n, smooth=False,
+            T_base_camera=_MOUNT,
+        )  # fmt: skip
+        found += [frame, WheelOdometry(stamp_s, pose2_from_row(wheels))]
+        if not 12 <= n < 20:
+            seen = sweep(_FURNISHED_WALLS, pose, beams=181, fov_rad=math.pi, sigma_m=0.01, seed=rng)
+            found.append(replace(seen, stamp_s=stamp_s))
+        pose = compose(pose, np.array([0.05, 0.0, 0.09]))
+        wheels = compose(wheels, np.array([0.052, 0.0, 0.093]))
+    return Log(found)
+
+
+def fused(config: Config, course: Course) -> None:
+    """A lidar and a camera on wheels."""
+    mapped(fused_log(), config, course)
+
+
+@cache
+def spatial_log() -> Log:
+    """A camera in the hand goes round in a room; it is swung once, and covered for a moment."""
+    walk = turning_walk(70, turns=1.25)
+    poses = [walk[n] for n in [*range(0, 44, 2), *range(47, 69, 2)]]
+    frames = [
+        render(furnished(), pose, SMALL, n / 10.0, noise=(0.001, 0.0012), seed=n, smooth=False)
+        for n, pose in enumerate(poses)
+    ]
+    return Log([blind(frame) if n in (24, 25) else frame for n, frame in enumerate(frames)])
+
+
+def spatial(config: Config, course: Course) -> None:
+    """A camera in the hand."""
+    mapped(spatial_log(), config, course)
+
+
+@cache
+def cloud_log() -> Log:
+    """A 3D lidar goes once round in a room with pillars, on wheels that are a little off; it grows noisy."""
+    found, poses, rng = list[Measurement](), way_round(22), np.random.default_rng(0)
+    for n, pose in enumerate(poses):
+        twist = gtsam.Pose3.Logmap(pose.between(poses[min(n + 1, len(poses) - 1)])) / 0.1
+        seen = look_on_the_way(pose, twist, 0.1 * n, seed=n)
+        points, times_s = seen.points_lidar[::6], seen.times_s
+        assert times_s is not None
+        sigma_m = 0.02 if n > 18 else 0.0
+        points = (points + sigma_m * rng.standard_normal(points.shape)).astype(np.float32)
+        odom = gtsam.Pose2(1.03 * pose.x(), 0.98 * pose.y(), pose.rotation().yaw())
+        found += [WheelOdometry(0.1 * n, odom), replace(seen, points_lidar=points, times_s=times_s[::6])]
+    return Log(found)
+
+
+def clouds(config: Config, course: Course) -> None:
+    """A 3D lidar on wheels, until it is back where it began."""
+    mapped(cloud_log(), config, course)
+
+
+def first_clouds(config: Config, course: Course) -> None:
+    """The beginning of it, and the cloud of the map."""
+    result = mapped(Log(cloud_log().measurements[:16]), config, course)
+    assert result.clouds is not None
+    cloud = map_cloud(result.clouds.clouds, result.clouds.poses, config.cloud_map.voxel_m)
+    course.note(cloud.points_map)
+
+
+@cache
+def _result(run: Callable[[], Log], *settings: str) -> MapResult:
+    """The map that files are written of, or in which a robot is found."""
+    return build_map(run(), load_config(None, settings))  # type: ignore[arg-type]
+
+
+def files(config: Config, course: Course) -> None:
+    """What is written of a camera's keyframes and of a 3D lidar's; of the surface what it is asked for."""
+
+    class Asked(Exception):
+        pass
+
+    def asked(_frames: object, _poses: object, settings: Any) -> None:
+        course.note(settings.voxel_size_m, settings.depth_min_m, settings.depth_max_m)
+        raise Asked
+
+    cameras, lidar = _result(spatial_log, *BASES["spatial"]), _result(cloud_log, *BASES["clouds"])
+    assert cameras.dense is not None
+    with TemporaryDirectory() as name, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run_outputs, "fuse_keyframes", asked)
+        folder = Path(name)
+        with suppress(Asked):
+            run_outputs.save_dense(folder, cameras, config.dense_map)
+        written = run_outputs.save_clouds(folder, lidar, config.cloud_map, config.dense_map)
+        course.note(*[path.name for path in written], *[path.read_bytes() for path in written])
+
+
+def localized(known: KnownMap, measurements: Sequence[Measurement], config: Config, course: Course) -> None:
+    """A drive in a known map; every word of the localiser noted."""
+    localizer = Localizer(known, config)
+    for measurement in measurements:
+        output = localizer.add(measurement)
+        if output is not None:
+            told = [output.state.value, output.confidence, output.support, output.pose, output.covariance]
+            course.note(*told, *[past.pose for past in output.recovered])
+
+
+def _with_ranges(part: Sequence[Measurement], ranges_m: Any) -> list[Measurement]:
+    """A part of a log in which the lidar sees something else."""
+    return [
+        replace(seen, ranges_m=np.full_like(seen.ranges_m, ranges_m)) if isinstance(seen, LaserScan) else seen
+        for seen in part
+    ]
+
+
+def in_plan(config: Config, course: Course) -> None:
+    """A lidar in another room, in its own, blind while its wheels slip, in the other again, and back."""
+    known = KnownMap.of_result(_result(planar_log, *BASES["planar"]))
+    log = planar_log().measurements
+    other = sweep(room(), [0.3, 0.2, 0.3], beams=121, fov_rad=4.7).ranges_m
+    elsewhere, blind_there = _with_ranges(log[96:120], other), _with_ranges(log[60:66], np.inf)
+    localized(known, [*log[4:60], *blind_there, *log[66:96], *elsewhere, *log[120:170]], config, course)
+
+
+def in_room(config: Config, course: Course) -> None:
+    """A 3D lidar in its room, carried off once."""
+    known = KnownMap.of_result(_result(cloud_log, *BASES["clouds"]))
+    log = cloud_log().measurements
+    localized(known, [*log[2:28], *log[36:46]], config, course)
+
+
+def by_looks(config: Config, course: Course) -> None:
+    """A camera in the map of a lidar and a camera; the lidar sees something else."""
+    known = KnownMap.of_result(_result(fused_log, *BASES["fused"]))
+    localized(known, fused_log().measurements[20:50], config, course)
+
+
+def frames_alone(config: Config, course: Course) -> None:
+    """A camera in the map of a camera."""
+    known = KnownMap.of_result(_result(spatial_log, *BASES["spatial"]))
+    localized(
+        known, [one for one in spatial_log().measurements if isinstance(one, RgbdFrame)], config, course
+    )
+
+
+def from_a_file(config: Config, course: Course) -> None:
+    """A log that is opened by its path."""
+    with TemporaryDirectory() as name:
+        path = Path(name) / "scans.log"
+        path.write_text("FLASER 4 1 1 1 1 0 0 0 0 0 0 1 host 1\n")
+        saved = run_log(path, config, out=path.with_name("map")).map
+        course.note(saved.keyframe_poses)
+        saved.close()
+
+
+_CAMERA = ("rgbd.registration=given", "rgbd.features=300", "rgbd.points=1500")
+# What makes each run short, and gives its settings something to decide.
+BASES: dict[str, tuple[str, ...]] = {
+    "planar": (
+        "loops.least_path_m=4",
+        "loops.every_m=0.4",
+        "keyframes.distance_m=0.15",
+        "loops.submap_half_keyframes=4",
+    ),
+    "fused": (*_CAMERA, "fusion.least_pairs=3", "keyframes.distance_m=0.1"),
+    "spatial": (*_CAMERA, "rgbd_odometry.least_inliers=8", "rgbd_odometry.lost_after=3"),
+    "clouds": (
+        "cloud_loops.least_path_voxels=12",
+        "cloud_loops.every_voxels=1",
+        "cloud_odometry.voxel_m=0.25",
+        "cloud_odometry.local_map_keyframes=6",
+    ),
+    "first_clouds": ("cloud_odometry.voxel_m=0.25", "cloud_odometry.local_map_keyframes=4"),
+    "in_plan": ("localization.station_m=0.1", "localization.search_threads=1"),
+    "in_room": (
+        "cloud_odometry.voxel_m=0.25",
+        "localization.search_threads=1",
+        "localization.sure_probability=0.8",
+    ),
+    "by_looks": _CAMERA,
+    "frames_alone": (*_CAMERA, "rgbd_odometry.least_inliers=8"),
+    "files": ("dense_map.octomap=true",),
+}
+RUNS: dict[str, Run] = {
+    run.__name__: run
+    for run in (
+        planar,
+        fused,
+        spatial,
+        clouds,
+        first_clouds,
+        in_plan,
+        in_room,
+        by_looks,
+        frames_alone,
+        from_a_file,
+        files,
+    )
+}

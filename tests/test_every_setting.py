@@ -1,0 +1,221 @@
+"""Every setting that exists changes what a run comes to: none is forgotten, and none is read in vain.
+
+Each is changed in a tiny run that has something to decide by it (`setting_runs`), up to the first answer that
+differs. A new setting fails here until it reaches something.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from functools import cache
+from typing import Any, Literal, get_args, get_origin
+
+import pytest
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+from setting_runs import BASES, RUNS, Course, differs, read_fields
+
+from slam.config import Config, load_config
+
+# The run that has something to decide by the settings of a section, and the settings that want another.
+RUN_OF_SECTION = {
+    **dict.fromkeys(("scan", "match", "lidar_odometry", "prediction", "wheels"), "planar"),
+    **dict.fromkeys(("keyframes", "loops", "graph", "grid"), "planar"),
+    **dict.fromkeys(("sensors", "fusion", "layers"), "fused"),
+    **dict.fromkeys(("", "rgbd", "rgbd_odometry", "visual_loops"), "spatial"),
+    **dict.fromkeys(("cloud_odometry", "cloud_map"), "first_clouds"),
+    "cloud_loops": "clouds",
+    "dense_map": "files",
+    "localization": "in_plan",
+    "cloud_localization": "in_room",
+}
+RUN_OF = {
+    "sensors.topics": "from_a_file",
+    "cloud_map.enabled": "files",
+    "localization.looks_nats": "by_looks",
+    "visual_loops.least_features": "frames_alone",
+}
+# What else must be set for a setting to matter.
+BESIDE: dict[str, tuple[str, ...]] = {
+    "rgbd_odometry.ransac_px": ("rgbd_odometry.method=features",),
+    "cloud_odometry.keyframe_voxels": ("cloud_odometry.keyframe_angle_rad=3",),
+    "cloud_loops.greatest_residual_ratio": ("cloud_odometry.minimal_residual_m=0.001",),
+    "cloud_loops.places_cached": ("cloud_loops.half_keyframes=20",),
+    "localization.station_rad": ("localization.station_m=5",),
+    "localization.search_back_m": ("localization.search_every_m=0.1",),
+    "localization.lost_after_s": ("localization.dead_reckoning_m=100",),
+    "lidar_odometry.search_half_width_m": ("lidar_odometry.sure_inlier_share=1.0",),
+    "lidar_odometry.search_half_yaw_rad": ("lidar_odometry.sure_inlier_share=1.0",),
+    "lidar_odometry.search_least_score": ("lidar_odometry.sure_inlier_share=1.0",),
+    "lidar_odometry.kiss_voxel_m": ("lidar_odometry.method=kiss_icp",),
+    "lidar_odometry.kiss_map_radius_m": ("lidar_odometry.method=kiss_icp",),
+    "lidar_odometry.kiss_correspondence_m": ("lidar_odometry.method=kiss_icp",),
+    "lidar_odometry.kiss_kernel_m": ("lidar_odometry.method=kiss_icp",),
+    "lidar_odometry.kiss_points_a_voxel": ("lidar_odometry.method=kiss_icp",),
+    "prediction.velocity_floor_m": ("lidar_odometry.use_wheel_odometry=false",),
+    "prediction.velocity_floor_rad": ("lidar_odometry.use_wheel_odometry=false",),
+    "prediction.velocity_share": ("lidar_odometry.use_wheel_odometry=false",),
+    "loops.field_cell_m": ("loops.least_half_width_m=0.001", "loops.least_half_yaw_rad=0.001"),
+    "loops.field_sigma_m": ("loops.least_half_width_m=0.001", "loops.least_half_yaw_rad=0.001"),
+    "loops.points": ("loops.least_half_width_m=0.001", "loops.least_half_yaw_rad=0.001"),
+    "loops.least_score": ("loops.least_half_width_m=0.001", "loops.least_half_yaw_rad=0.001"),
+    "loops.misses_until_wide": ("loops.least_inlier_share=1.0",),
+    "loops.wide_half_width_m": ("loops.least_inlier_share=1.0",),
+    "loops.wide_half_yaw_rad": ("loops.least_inlier_share=1.0",),
+    "loops.candidates": ("loops.submap_half_m=0.3",),
+    "graph.loose_share": ("graph.sure_inlier_share=1.0",),
+    "rgbd_odometry.keyframe_parallax": (
+        "rgbd_odometry.keyframe_angle_rad=3",
+        "rgbd_odometry.keyframe_overlap=0.01",
+    ),
+    "rgbd_odometry.keyframe_overlap": ("rgbd_odometry.keyframe_angle_rad=3",),
+    "cloud_odometry.scale_share": ("cloud_odometry.voxel_m=null",),
+    "cloud_odometry.least_voxel_m": ("cloud_odometry.voxel_m=null",),
+    "cloud_odometry.greatest_voxel_m": ("cloud_odometry.voxel_m=null",),
+    "cloud_odometry.degenerate_sigma_m": ("cloud_odometry.degenerate_share=0.29",),
+    "cloud_loops.by_looks": ("cloud_loops.near=0",),
+    "cloud_loops.greatest_unlikeness": ("cloud_loops.near=0",),
+}
+# Values that matter in a run so small, where four times the default does not.
+VALUES: dict[str, Any] = {
+    "seed": 1,
+    "sensors.motion": "spatial",
+    "rgbd.registration": "auto",
+    "prediction.velocity_share": 0.0,
+    "prediction.memory_scans": 3.0,
+    "keyframes.angle_rad": 0.05,
+    "localization.sure_probability": 0.999,
+    "cloud_localization.tile_keyframes": 2,
+    "cloud_localization.reach_voxels": 2.0,
+    "cloud_localization.space_voxels": 5.0,
+    "cloud_localization.looks_apart_voxels": 0.5,
+    "cloud_localization.arrive_voxels": 1.0,
+    "cloud_localization.hypotheses": 1,
+    "visual_loops.least_features": 100,
+    "sensors.topics": ["/scan"],
+    "scan.range_min_m": 1.5,
+    "scan.range_max_m": 2.0,
+    "lidar_odometry.local_map_keyframes": 5,
+    "lidar_odometry.kiss_map_radius_m": 1.0,
+    "lidar_odometry.search_half_width_m": 0.01,
+    "lidar_odometry.search_half_yaw_rad": 0.01,
+    "lidar_odometry.search_least_score": 0.99,
+    "lidar_odometry.kiss_points_a_voxel": 1,
+    "wheels.swing_m_per_rad": 5.0,
+    "loops.greatest_half_width_m": 0.001,
+    "loops.greatest_half_yaw_rad": 0.001,
+    "loops.least_half_width_m": 0.01,
+    "loops.least_half_yaw_rad": 0.001,
+    "loops.misses_until_wide": 1,
+    "loops.candidates": 1,
+    "loops.submap_half_m": 1.0,
+    "loops.greatest_residual_m": 0.005,
+    "loops.least_score": 0.99,
+    "loops.points": 20,
+    "loops.inlier_probability": 0.001,
+    "grid.hit_probability": 0.9,
+    "grid.miss_probability": 0.3,
+    "grid.hit_range_m": 2.0,
+    "grid.clear_range_m": 1.0,
+    "grid.greatest_cells": 1,
+    "sensors.greatest_excess": 1.01,
+    "fusion.tolerance_s": 0.001,
+    "fusion.examples": 1,
+    "layers.depth_max_m": 1.5,
+    "rgbd.working_width": 80,
+    "rgbd.farthest_m": 1.5,
+    "rgbd_odometry.local_keyframes": 1,
+    "rgbd_odometry.views": 1,
+    "rgbd_odometry.feature_views": 1,
+    "rgbd_odometry.guided_radius": 0.01,
+    "rgbd_odometry.ransac_px": 0.5,
+    "rgbd_odometry.sure_inlier_share": 1.0,
+    "visual_loops.near": 0,
+    "visual_loops.by_looks": 0,
+    "visual_loops.least_overlap": 1.0,
+    "visual_loops.least_place_score": 0.5,
+    "visual_loops.keyframes_cached": 2,
+    "cloud_odometry.voxel_m": 0.5,
+    "cloud_odometry.range_min_m": 1.6,
+    "cloud_odometry.range_max_m": 4.0,
+    "cloud_odometry.keyframe_voxels": 20.0,
+    "cloud_odometry.points_a_voxel": 1,
+    "cloud_odometry.least_pairs": 3000,
+    "cloud_odometry.greatest_voxel_m": 0.15,
+    "cloud_odometry.local_map_keyframes": 2,
+    "cloud_loops.reach_voxels": 3.0,
+    "cloud_loops.near": 0,
+    "cloud_loops.by_looks": 0,
+    "cloud_loops.greatest_unlikeness": 0.001,
+    "cloud_loops.greatest_residual_ratio": 1.01,
+    "cloud_loops.places_cached": 1,
+    "cloud_map.plan_range_m": 3.0,
+    "localization.search_back_m": 0.05,
+    "localization.search_points": 20,
+    "localization.unknown_likelihood": 0.9,
+    "localization.search_least_score": 0.9,
+    "localization.search_keep_share": 0.2,
+    "localization.station_rad": 0.05,
+    "localization.window_m": 0.5,
+    "localization.gate_sigmas": 0.1,
+    "localization.dead_reckoning_m": 0.01,
+    "localization.hypotheses": 1,
+    "localization.least_inlier_share": 0.98,
+    "localization.tile_reach_m": 1.0,
+    "dense_map.octomap": False,
+}
+# Memory and threads: by design nothing that a run comes to depends on them, but they are read.
+WITHOUT_EFFECT = {
+    "loops.submaps_cached",
+    "localization.search_threads",
+    "localization.tiles_cached",
+    "cloud_localization.tiles_cached",
+}
+
+
+def settings() -> Iterator[tuple[str, FieldInfo]]:
+    """Dotted name and field of every setting."""
+    for name, field in Config.model_fields.items():
+        section = field.annotation
+        if isinstance(section, type) and issubclass(section, BaseModel):
+            yield from ((f"{name}.{key}", inner) for key, inner in section.model_fields.items())
+        else:
+            yield name, field
+
+
+@cache
+def baseline(run: str, settings: tuple[str, ...]) -> Course:
+    """What a run comes to as it is."""
+    course = Course()
+    RUNS[run](load_config(None, settings), course)
+    return course
+
+
+def other_value(name: str, field: FieldInfo) -> Any:
+    """Another value than the default."""
+    if name in VALUES:
+        return VALUES[name]
+    default = field.default
+    if isinstance(default, bool):
+        return not default
+    if get_origin(field.annotation) is Literal:
+        return next(value for value in get_args(field.annotation) if value != default)
+    most = min((getattr(limit, "le", getattr(limit, "lt", 1e9)) for limit in field.metadata), default=1e9)
+    return type(default)(min(4 * default, most))
+
+
+@pytest.mark.parametrize(("name", "field"), [pytest.param(*pair, id=pair[0]) for pair in settings()])
+def test_every_setting_reaches_something(name: str, field: FieldInfo) -> None:
+    section, _, key = name.rpartition(".")
+    assert section in RUN_OF_SECTION, "say which run has something to decide by this section"
+    run = RUN_OF.get(name, RUN_OF_SECTION[section])
+    base = (*BASES.get(run, ()), *BESIDE.get(name, ()))
+    changed = load_config(None, [*base, f"{name}={json.dumps(other_value(name, field))}"])
+    assert changed != load_config(None, base)
+    if name in WITHOUT_EFFECT:
+        with read_fields(type(getattr(changed, section))) as found:
+            assert not differs(RUNS[run], changed, baseline(run, base))
+        assert key in found
+    else:
+        assert differs(RUNS[run], changed, baseline(run, base)), "it changes nothing that this run comes to"

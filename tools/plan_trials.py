@@ -1,0 +1,112 @@
+"""What a robot would ask of a map to drive by: does a plan over it hit something, and where does it lead?
+
+    python tools/plan_trials.py DRIVE MAP [DRIVE MAP ...] [--set KEY=VALUE ...] [--json FILE]
+
+DRIVE is a folder of ``scanweave simulate --format folder``, MAP what ``scanweave map`` made of it. The layers
+are drawn anew from its keyframes, at their poses, with and without what lidar and cameras repaired of each
+other, and decided by both rules: a row each, the mean over the drives, then each row against the first by the
+median of the paired differences with the bootstrap interval of 95 % over homes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from plan_scores import PlanScorer
+
+from slam.comparison.product import StateGrid
+from slam.comparison.statistics import paired
+from slam.config import Config, load_config
+from slam.datasets import open_dataset
+from slam.finished_map import Map, open_map
+from slam.layer_outputs import depth_grid
+from slam.map_result import DenseKeyframes
+from slam.mapping.keyframe_grid import grid_of_keyframes
+from slam.mapping.layered_map import DecisionRule, LayeredMap
+from slam.measurements import LaserScan
+
+# What is better when it is small.
+_SMALLER = ("collide", "collide_hard", "danger", "false_occupied")
+_SHOWN = (*_SMALLER[:3], "reach", "reach_near", "false_occupied", "completeness", "f1")
+
+
+def main() -> None:
+    """Score every drive, and print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("pairs", nargs="+", type=Path, metavar="DRIVE MAP")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="of the layers")
+    parser.add_argument("--plans", type=int, default=200, help="a drive")
+    parser.add_argument("--radius", type=float, default=0.25, help="of the robot, metres")
+    parser.add_argument("--json", type=Path, help="gets the figures of every drive")
+    arguments = parser.parse_args()
+    if len(arguments.pairs) % 2:
+        parser.error("give a MAP for every DRIVE")
+    config = load_config(None, arguments.set)
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for drive, folder in zip(arguments.pairs[::2], arguments.pairs[1::2], strict=True):
+        scorer = PlanScorer(drive, arguments.radius, arguments.plans)
+        with closing(open_map(folder)) as saved:
+            for name, layers in variants(drive, saved, config):
+                states = StateGrid(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
+                found.setdefault(name, {})[drive.name] = scorer.score(states, saved.trajectory)
+        print(f"{drive.name} done", flush=True)
+    if arguments.json:
+        arguments.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    print(table(found))
+
+
+def variants(drive: Path, saved: Map, config: Config) -> Iterator[tuple[str, LayeredMap]]:
+    """Ways to make the map to drive by of one drive's keyframes."""
+    raw = raw_scans(drive, saved)
+    depth = depth_grid(DenseKeyframes(saved.frames, saved.frame_poses()), config)
+    for name, scans in (("no fusion", raw), ("fused scans", list(saved.keyframe_scans))):
+        lidar = grid_of_keyframes(scans, saved.keyframe_poses, config)
+        for rule in ("corrected", "cautious"):
+            yield f"{name}, {rule}", LayeredMap(lidar, depth, DecisionRule(rule))
+
+
+def raw_scans(drive: Path, saved: Map) -> list[LaserScan | None]:
+    """The scans of the map's keyframes as they were recorded."""
+    recorded = {reading.stamp_s: reading for reading in open_dataset(drive) if isinstance(reading, LaserScan)}
+    return [
+        None if scan is None else replace(scan, ranges_m=recorded[scan.stamp_s].ranges_m)
+        for scan in saved.keyframe_scans
+    ]
+
+
+def table(found: dict[str, dict[str, dict[str, float]]]) -> str:
+    """Means, and the median difference from the first row with its interval."""
+    lines = [f"| map to drive by | {' | '.join(_SHOWN)} |", "|---" * (len(_SHOWN) + 1) + "|"]
+    first = next(iter(found.values()))
+    for name, drives in found.items():
+        cells = [f"{np.nanmean([scores[key] for scores in drives.values()]):.3f}" for key in _SHOWN]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+        if drives is not first:
+            lines.append(
+                f"| minus the first | {' | '.join(_against(drives, first, key) for key in _SHOWN)} |"
+            )
+    return "\n".join(lines)
+
+
+def _against(drives: dict[str, dict[str, float]], first: dict[str, dict[str, float]], key: str) -> str:
+    """The median difference, its interval, and in how many drives it is better."""
+    values, reference = (
+        {(name, name, 0): scores[key] for name, scores in part.items()} for part in (drives, first)
+    )
+    told = paired(values, reference, smaller_is_better=key in _SMALLER)
+    if told is None:
+        return "-"
+    middle = told.difference
+    return f"{middle.median:+.3f} ({middle.low:+.3f} to {middle.high:+.3f}; {told.better}/{middle.count})"
+
+
+if __name__ == "__main__":
+    main()
