@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.kernel import kernel
+from fusion.kernel import ZERO, kernel
 
 _LEAST_NORMAL_COSINE = 0.8  # two surfaces turned further apart are not the same
 _NEAREST_M = 0.2
@@ -15,7 +16,6 @@ _TERMS = 19  # numbers kept of a point
 _BLOCK = 256  # points whose terms stay in the nearest cache
 
 
-@kernel(nogil=True)
 def surface_part(
     points: NDArray[Any],
     normals: NDArray[Any],
@@ -38,18 +38,45 @@ def surface_part(
     ``hessian`` squares the view's noisy normals, and so a flat wall seems to tell motion along itself. The
     product of both surfaces' normals, whose noise is independent, does not: that is the ``information``.
     """
-    fx, fy, cx, cy = camera
+    view = (T, inverse_depth, surface_normals, *camera)
+    limits = (gate_m, kernel, depth_floor_m, depth_share)
+    terms = np.empty((_TERMS, _BLOCK))
+    _surface_part(points, normals, *view, *limits, hessian, gradient, information, seen, residuals, terms)
+
+
+@kernel(nogil=True)
+def _surface_part(  # type: ignore[no-untyped-def]
+    points,
+    normals,
+    T,
+    inverse_depth,
+    surface_normals,
+    fx,
+    fy,
+    cx,
+    cy,
+    gate_m,
+    kernel,
+    depth_floor_m,
+    depth_share,
+    hessian,
+    gradient,
+    information,
+    seen,
+    residuals,
+    terms,
+):
+    """Add up the terms of blocks of points, in ``terms`` (19, block)."""
     inverse_fx, inverse_fy, inverse_kernel = 1.0 / fx, 1.0 / fy, 1.0 / kernel
     height, width = inverse_depth.shape
     r00, r01, r02, tx = T[0, 0], T[0, 1], T[0, 2], T[0, 3]
     r10, r11, r12, ty = T[1, 0], T[1, 1], T[1, 2], T[1, 3]
     r20, r21, r22, tz = T[2, 0], T[2, 1], T[2, 2], T[2, 3]
-    terms = np.empty((_TERMS, _BLOCK))
-    count = 0
+    count = ZERO
     for i in range(points.shape[0]):
         if count == _BLOCK:
             _add_up(terms, count, hessian, gradient, information)
-            count = 0
+            count = ZERO
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         z = r20 * px + r21 * py + r22 * pz + tz
         if z < _NEAREST_M:
@@ -57,8 +84,8 @@ def surface_part(
         x = r00 * px + r01 * py + r02 * pz + tx
         y = r10 * px + r11 * py + r12 * pz + ty
         inverse_z = 1.0 / z
-        u = int(np.floor(fx * x * inverse_z + cx + 0.5))
-        v = int(np.floor(fy * y * inverse_z + cy + 0.5))
+        u = math.floor(fx * x * inverse_z + cx + 0.5)
+        v = math.floor(fy * y * inverse_z + cy + 0.5)
         if u < 0 or v < 0 or u >= width or v >= height or inverse_depth[v, u] <= 0.0:
             continue
         seen[i] = 1
@@ -77,7 +104,8 @@ def surface_part(
         inverse_sigma = 1.0 / (depth_floor_m + depth_share * z * z)
         normalised = abs(r) * inverse_sigma
         residuals[i] = min(residuals[i], normalised)
-        weight = inverse_sigma / (1.0 + (normalised * inverse_kernel) ** 2)
+        share = normalised * inverse_kernel
+        weight = inverse_sigma / (1.0 + share * share)
         weight *= weight
         jx, jy, jz = py * mz - pz * my, pz * mx - px * mz, px * my - py * mx
         terms[0, count], terms[1, count], terms[2, count] = jx, jy, jz
@@ -121,7 +149,6 @@ def _dot(first: NDArray[Any], second: NDArray[Any]) -> float:
     return total
 
 
-@kernel(nogil=True)
 def feature_part(
     points: NDArray[Any],
     pixels: NDArray[Any],
@@ -134,40 +161,49 @@ def feature_part(
     residuals: NDArray[Any],
 ) -> None:
     """Add the reprojection terms, Yang2021 Eq. (5); ``T`` maps the odometry frame into the camera."""
-    fx, fy, cx, cy = camera
-    du = np.empty(6)
-    dv = np.empty(6)
+    slopes = np.zeros((2, 6))
+    _feature_part(points, pixels, sigma_px, T, *camera, kernel, slopes, hessian, gradient, residuals)
+
+
+@kernel(nogil=True)
+def _feature_part(  # type: ignore[no-untyped-def]
+    points, pixels, sigma_px, T, fx, fy, cx, cy, kernel, slopes, hessian, gradient, residuals
+):
+    """Add up, with room for the derivatives of both errors, (2, 6)."""
     for i in range(points.shape[0]):
-        x = T[0, 0] * points[i, 0] + T[0, 1] * points[i, 1] + T[0, 2] * points[i, 2] + T[0, 3]
-        y = T[1, 0] * points[i, 0] + T[1, 1] * points[i, 1] + T[1, 2] * points[i, 2] + T[1, 3]
-        z = T[2, 0] * points[i, 0] + T[2, 1] * points[i, 1] + T[2, 2] * points[i, 2] + T[2, 3]
-        residuals[i] = np.inf
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
+        y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
+        z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+        residuals[i] = math.inf
         if z < _NEAREST_M:
             continue
         eu = fx * x / z + cx - pixels[i, 0]
         ev = fy * y / z + cy - pixels[i, 1]
-        normalised = np.sqrt(0.5 * (eu * eu + ev * ev)) / sigma_px[i]
+        sigma = sigma_px[i]
+        normalised = math.sqrt(0.5 * (eu * eu + ev * ev)) / sigma
         residuals[i] = normalised
-        weight = 1.0 / (1.0 + (normalised / kernel) ** 2)
-        weight = weight * weight / (sigma_px[i] * sigma_px[i])
+        share = normalised / kernel
+        weight = 1.0 / (1.0 + share * share)
+        weight = weight * weight / (sigma * sigma)
         # Moving the camera by (w, v) moves the point by -w x p - v.
         gx = fx / z
         gy = fy / z
         hx = -fx * x / (z * z)
         hy = -fy * y / (z * z)
-        du[0] = hx * -y
-        du[1] = gx * -z + hx * x
-        du[2] = gx * y
-        du[3] = -gx
-        du[4] = 0.0
-        du[5] = -hx
-        dv[0] = gy * z + hy * -y
-        dv[1] = hy * x
-        dv[2] = gy * -x
-        dv[3] = 0.0
-        dv[4] = -gy
-        dv[5] = -hy
+        slopes[0, 0] = -hx * y
+        slopes[0, 1] = hx * x - gx * z
+        slopes[0, 2] = gx * y
+        slopes[0, 3] = -gx
+        slopes[0, 5] = -hx
+        slopes[1, 0] = gy * z - hy * y
+        slopes[1, 1] = hy * x
+        slopes[1, 2] = -gy * x
+        slopes[1, 4] = -gy
+        slopes[1, 5] = -hy
         for a in range(6):
-            gradient[a] -= weight * (du[a] * eu + dv[a] * ev)
+            du = slopes[0, a]
+            dv = slopes[1, a]
+            gradient[a] -= weight * (du * eu + dv * ev)
             for b in range(6):
-                hessian[a, b] += weight * (du[a] * du[b] + dv[a] * dv[b])
+                hessian[a, b] += weight * (du * slopes[0, b] + dv * slopes[1, b])

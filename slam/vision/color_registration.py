@@ -6,6 +6,7 @@ camera shows as a shift of its principal point. `color_registration_fit.py` esti
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import gtsam
@@ -156,7 +157,6 @@ def _check_size(depth_m: Float32Array, intrinsics: CameraIntrinsics) -> None:
         )
 
 
-@kernel
 def points_of_pixels(pixels_color: FloatArray, depth_m: Float32Array, cameras: FloatArray) -> FloatArray:
     """(N, 3) points in the colour frame of (N, 2) colour pixels; z is 0 where the ray meets no surface.
 
@@ -165,99 +165,99 @@ def points_of_pixels(pixels_color: FloatArray, depth_m: Float32Array, cameras: F
     cameras
         (10,) by `camera_row`.
     """
-    fx, fy, cx, cy, fx_depth, fy_depth, cx_depth, cy_depth, shift_x, shift_y = cameras
+    fx, fy, cx, cy, fx_depth, fy_depth, cx_depth, cy_depth, shift_x, shift_y = cameras.tolist()
+    rays = (pixels_color - (cx, cy)) / (fx, fy)
     # A point at depth z lies (along, down) / z pixels away from where its ray would at infinity.
     along, down = fx_depth * shift_x, fy_depth * shift_y
-    points = np.zeros((pixels_color.shape[0], 3))
-    for i in range(pixels_color.shape[0]):
-        x, y = (pixels_color[i, 0] - cx) / fx, (pixels_color[i, 1] - cy) / fy
-        z = _first_meeting(depth_m, fx_depth * x + cx_depth, fy_depth * y + cy_depth, along, down)
-        points[i, 0], points[i, 1], points[i, 2] = x * z, y * z, z
-    return points
+    reach = float(np.hypot(along, down))
+    starts = rays * (fx_depth, fy_depth) + (cx_depth, cy_depth)
+    z = np.zeros(len(rays))
+    _first_meetings(depth_m, starts, along, down, reach, math.ceil(reach / _NEAREST_M), z)
+    return np.column_stack([rays * z[:, None], z])
 
 
 @kernel
-def _first_meeting(depth_m: Float32Array, column: float, row: float, along: float, down: float) -> float:
-    """Depth at which the ray that starts (at infinity) in a depth pixel first meets the depth image; or 0."""
-    reach = np.hypot(along, down)
-    for step in range(int(np.ceil(reach / _NEAREST_M)), -1, -1):
-        inverse = step / reach if reach > 0.0 else 0.0
-        z = _nearest_reading(depth_m, column + along * inverse, row + down * inverse)
-        if z <= 0.0 or abs(reach / z - step) > _MEETING_PX:
-            continue
-        # The step was a whole pixel: once more at the depth that was met, unless that leads off the surface.
-        finer = _surface_reading(depth_m, column + along / z, row + down / z)
-        if finer > 0.0 and abs(reach / finer - reach / z) <= _MEETING_PX:
-            return finer
-        return z
-    return 0.0
-
-
-@kernel
-def _nearest_reading(depth_m: Float32Array, column: float, row: float) -> float:
-    """The reading of the nearest pixel; 0 outside."""
-    c, r = int(np.floor(column + 0.5)), int(np.floor(row + 0.5))
-    if c < 0 or r < 0 or c >= depth_m.shape[1] or r >= depth_m.shape[0]:
-        return 0.0
-    return float(depth_m[r, c])
-
-
-@kernel
-def _surface_reading(depth_m: Float32Array, column: float, row: float) -> float:
-    """Mean of the up to four readings around, by nearness; on a rim, the nearest of them."""
-    c, r = int(np.floor(column)), int(np.floor(row))
-    total, weights, nearest, farthest = 0.0, 0.0, np.inf, 0.0
-    for dr in range(2):
-        for dc in range(2):
-            if c + dc < 0 or r + dr < 0 or c + dc >= depth_m.shape[1] or r + dr >= depth_m.shape[0]:
+def _first_meetings(depth_m, starts, along, down, reach, steps, met):  # type: ignore[no-untyped-def]
+    """Depths (N,) at which rays that start (at infinity) in depth pixels first meet the depth image; or 0."""
+    height, width = depth_m.shape
+    for i in range(starts.shape[0]):
+        column = starts[i, 0]
+        row = starts[i, 1]
+        for step in range(steps, -1, -1):
+            inverse = step / reach if reach > 0.0 else 0.0
+            c = math.floor(column + along * inverse + 0.5)
+            r = math.floor(row + down * inverse + 0.5)
+            if c < 0 or r < 0 or c >= width or r >= height:
                 continue
-            z = depth_m[r + dr, c + dc]
-            weight = (1.0 - abs(column - c - dc)) * (1.0 - abs(row - r - dr))
-            if z <= 0.0 or weight <= 0.0:
+            z = np.float64(depth_m[r, c])
+            if z <= 0.0 or abs(reach / z - step) > _MEETING_PX:
                 continue
-            nearest, farthest = min(nearest, z), max(farthest, z)
-            total += weight * z
-            weights += weight
-    if weights == 0.0:
-        return 0.0
-    if farthest - nearest > _RIM_SHARE * nearest:
-        return nearest
-    return total / weights
+            # The step was a whole pixel: once more at the depth that was met, unless that leads off it.
+            finer = _surface_reading(depth_m, column + along / z, row + down / z)
+            met[i] = finer if finer > 0.0 and abs(reach / finer - reach / z) <= _MEETING_PX else z
+            break
 
 
-@kernel
+@kernel(inline="always")
+def _surface_reading(depth_m, column, row):  # type: ignore[no-untyped-def]
+    """Mean of the up to four readings around, by nearness; on a rim, the nearest of them; 0 without any."""
+    left = math.floor(column)
+    top = math.floor(row)
+    total = weights = farthest = 0.0
+    nearest = math.inf
+    for r in range(top, top + 2):
+        for c in range(left, left + 2):
+            if c < 0 or r < 0 or c >= depth_m.shape[1] or r >= depth_m.shape[0]:
+                continue
+            z = np.float64(depth_m[r, c])
+            weight = (1.0 - abs(column - c)) * (1.0 - abs(row - r))
+            if z > 0.0 and weight > 0.0:
+                nearest = min(nearest, z)
+                farthest = max(farthest, z)
+                total += weight * z
+                weights += weight
+    if farthest - nearest <= _RIM_SHARE * nearest and weights > 0.0:
+        nearest = total / weights
+    return nearest if weights > 0.0 else 0.0
+
+
 def _color_pixels(depth_m: Float32Array, cameras: FloatArray) -> tuple[Float32Array, Float32Array]:
     """(H, W) column and row in the colour image of each depth pixel; -1 without a reading."""
-    fx, fy, cx, cy, fx_depth, fy_depth, cx_depth, cy_depth, shift_x, shift_y = cameras
-    columns = np.full(depth_m.shape, -1.0, np.float32)
-    rows = np.full(depth_m.shape, -1.0, np.float32)
-    for r in range(depth_m.shape[0]):
-        for c in range(depth_m.shape[1]):
-            z = depth_m[r, c]
-            if z > 0.0:
-                columns[r, c] = ((c - cx_depth) / fx_depth - shift_x / z) * fx + cx
-                rows[r, c] = ((r - cy_depth) / fy_depth - shift_y / z) * fy + cy
-    return columns, rows
+    fx, fy, cx, cy, fx_depth, fy_depth, cx_depth, cy_depth, shift_x, shift_y = cameras.tolist()
+    height, width = depth_m.shape
+    known = depth_m > 0.0
+    z = np.where(known, depth_m, 1.0).astype(np.float64)
+    columns = ((np.arange(width) - cx_depth) / fx_depth - shift_x / z) * fx + cx
+    rows = ((np.arange(height)[:, None] - cy_depth) / fy_depth - shift_y / z) * fy + cy
+    return np.where(known, columns, -1.0).astype(np.float32), np.where(known, rows, -1.0).astype(np.float32)
 
 
-@kernel
 def _visible(
     columns: Float32Array, rows: Float32Array, depth_m: Float32Array, height: int, width: int
 ) -> BoolArray:
     """(H, W) whether the colour camera sees the point: a depth buffer with a pixel's width around each."""
-    buffer = np.full((height, width), np.inf, np.float32)
-    for r in range(depth_m.shape[0]):
-        for c in range(depth_m.shape[1]):
-            left, top = int(np.floor(columns[r, c])), int(np.floor(rows[r, c]))
-            if depth_m[r, c] <= 0.0 or left < 0 or top < 0 or left >= width - 1 or top >= height - 1:
-                continue
-            for dr in range(2):
-                for dc in range(2):
-                    buffer[top + dr, left + dc] = min(buffer[top + dr, left + dc], depth_m[r, c])
-    visible = np.zeros(depth_m.shape, np.bool_)
-    for r in range(depth_m.shape[0]):
-        for c in range(depth_m.shape[1]):
-            column, row = int(np.floor(columns[r, c] + 0.5)), int(np.floor(rows[r, c] + 0.5))
-            if depth_m[r, c] > 0.0 and 0 <= column < width and 0 <= row < height:
-                visible[r, c] = depth_m[r, c] <= (1.0 + _HIDING_SHARE) * buffer[row, column]
+    buffer, visible = np.full((height, width), np.inf, np.float32), np.zeros(depth_m.shape, np.bool_)
+    _buffer_depths(columns, rows, depth_m, buffer, visible)
     return visible
+
+
+@kernel
+def _buffer_depths(columns, rows, depth_m, buffer, visible):  # type: ignore[no-untyped-def]
+    """Draw the points into the buffer, then look at each once more."""
+    height, width = buffer.shape
+    for r in range(depth_m.shape[0]):
+        for c in range(depth_m.shape[1]):
+            z = depth_m[r, c]
+            left = math.floor(columns[r, c])
+            top = math.floor(rows[r, c])
+            if z > 0.0 and left >= 0 and top >= 0 and left < width - 1 and top < height - 1:
+                for y in range(top, top + 2):
+                    for x in range(left, left + 2):
+                        if z < buffer[y, x]:
+                            buffer[y, x] = z
+    for r in range(depth_m.shape[0]):
+        for c in range(depth_m.shape[1]):
+            x = math.floor(columns[r, c] + 0.5)
+            y = math.floor(rows[r, c] + 0.5)
+            if depth_m[r, c] > 0.0 and x >= 0 and y >= 0 and x < width and y < height:
+                visible[r, c] = depth_m[r, c] <= (1.0 + _HIDING_SHARE) * buffer[y, x]

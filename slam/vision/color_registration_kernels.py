@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.kernel import kernel
-from slam.measurements import FloatArray
+from slam.measurements import BoolArray, FloatArray
 
 IntArray: TypeAlias = NDArray[np.int64]
 
@@ -16,7 +16,6 @@ IntArray: TypeAlias = NDArray[np.int64]
 _DAMPING = 1e-6
 
 
-@kernel
 def settle_motions(
     points_a: FloatArray,
     points_b: FloatArray,
@@ -50,21 +49,66 @@ def settle_motions(
     poses
         (P, 3, 4) settled.
     """
-    settled = poses.copy()
-    for pair in range(starts.size - 1):
-        for _ in range(iterations):
-            hessian, gradient = np.zeros((6, 6)), np.zeros(6)
-            pose = settled[pair]
-            for i in range(starts[pair], starts[pair + 1]):
-                _add_forth(hessian, gradient, points_a[i], pixels_b[i], pose, camera, scale_px)
-                _add_back(hessian, gradient, points_b[i], pixels_a[i], pose, camera, scale_px)
-            for k in range(6):
-                hessian[k, k] += _DAMPING * (1.0 + hessian[k, k])
-            _move(pose, -np.linalg.solve(hessian, gradient))
+    points, pixels = np.stack([points_a, points_b]), np.stack([pixels_b, pixels_a])
+    settled, diagonal, row = poses.copy(), np.arange(6), np.empty(6)
+    for _ in range(iterations):
+        turns, shifts = settled[:, :, :3], settled[:, :, 3:]
+        back = turns.transpose(0, 2, 1)
+        there = np.stack([settled, np.concatenate([back, -back @ shifts], axis=2)])
+        # Turned into b, the derivatives by a point of b have the other sign.
+        into_b = np.stack([np.broadcast_to(np.eye(3), turns.shape), -turns])
+        sums = np.zeros((len(poses), 6, 7))
+        _add_up(points, pixels, starts, there, into_b, camera, scale_px * scale_px, row, sums)
+        hessians, gradients = sums[:, :, :6], sums[:, :, 6:]
+        hessians[:, diagonal, diagonal] += _DAMPING * (1.0 + hessians[:, diagonal, diagonal])
+        steps = np.asarray(np.linalg.solve(hessians, gradients)[:, :, 0], np.float64)
+        settled = _moved(settled, -steps)
     return settled
 
 
 @kernel
+def _add_up(points, pixels, starts, poses, into_b, camera, squared_scale, row, sums):  # type: ignore[no-untyped-def]
+    """Add the normal equations of each pair to ``sums``, (P, 6, 7): hessian and gradient.
+
+    The points (2, N, 3) of a and of b are taken by ``poses`` (2, P, 3, 4) into the other camera, where they
+    are seen at ``pixels`` (2, N, 2); the motion is turned and shifted in b: ``exp(v, w) T_b_a``.
+    """
+    for pair in range(starts.size - 1):
+        for i in range(starts[pair], starts[pair + 1]):
+            for side in range(2):
+                px, py, pz = points[side, i, 0], points[side, i, 1], points[side, i, 2]
+                T = poses[side, pair]
+                x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
+                y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
+                z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+                if pz <= 0.0 or z <= 0.0:
+                    continue
+                du = camera[0] * x / z + camera[2] - pixels[side, i, 0]
+                dv = camera[1] * y / z + camera[3] - pixels[side, i, 1]
+                # Geman and McClure.
+                share = squared_scale / (squared_scale + du * du + dv * dv)
+                miss, along = du, x
+                # What moves is the point in b.
+                if side == 0:
+                    px, py, pz = x, y, z
+                for axis in range(2):
+                    slope = camera[axis] / z
+                    depth = -slope * along / z
+                    a = into_b[side, pair, 0, axis] * slope + into_b[side, pair, 0, 2] * depth
+                    b = into_b[side, pair, 1, axis] * slope + into_b[side, pair, 1, 2] * depth
+                    c = into_b[side, pair, 2, axis] * slope + into_b[side, pair, 2, 2] * depth
+                    row[0], row[1], row[2] = a, b, c
+                    row[3] = py * c - pz * b
+                    row[4] = pz * a - px * c
+                    row[5] = px * b - py * a
+                    for j in range(6):
+                        weighted = share * share * row[j]
+                        for k in range(6):
+                            sums[pair, j, k] += weighted * row[k]
+                        sums[pair, j, 6] += weighted * miss
+                    miss, along = dv, y
+
+
 def squared_errors(
     points_a: FloatArray,
     points_b: FloatArray,
@@ -75,126 +119,49 @@ def squared_errors(
     camera: FloatArray,
 ) -> FloatArray:
     """(N, 2) squared reprojection errors in pixels, a seen in b and b seen in a; NaN without a point."""
+    seen = poses[np.repeat(np.arange(len(poses)), np.diff(starts))]
     errors = np.full((points_a.shape[0], 2), np.nan)
-    for pair in range(starts.size - 1):
-        pose = poses[pair]
-        for i in range(starts[pair], starts[pair + 1]):
-            x, y, z = _forth(pose, points_a[i])
-            if points_a[i, 2] > 0.0 and z > 0.0:
-                du, dv = _miss(x, y, z, pixels_b[i], camera)
-                errors[i, 0] = du * du + dv * dv
-            x, y, z = _back(pose, points_b[i])
-            if points_b[i, 2] > 0.0 and z > 0.0:
-                du, dv = _miss(x, y, z, pixels_a[i], camera)
-                errors[i, 1] = du * du + dv * dv
+    for side, (points, there, pixels) in enumerate(
+        ((points_a, _forth(seen, points_a), pixels_b), (points_b, _back(seen, points_b), pixels_a))
+    ):
+        met = _in_front(points, there)
+        errors[met, side] = (_misses(there, pixels, camera)[met] ** 2).sum(axis=1)
     return errors
 
 
-@kernel
-def _forth(pose: FloatArray, point: FloatArray) -> tuple[float, float, float]:
-    """A point of a in b."""
-    x = pose[0, 0] * point[0] + pose[0, 1] * point[1] + pose[0, 2] * point[2] + pose[0, 3]
-    y = pose[1, 0] * point[0] + pose[1, 1] * point[1] + pose[1, 2] * point[2] + pose[1, 3]
-    z = pose[2, 0] * point[0] + pose[2, 1] * point[1] + pose[2, 2] * point[2] + pose[2, 3]
-    return x, y, z
+def _forth(poses: FloatArray, points: FloatArray) -> FloatArray:
+    """(N, 3) points of a in b, each by its own pose."""
+    return (poses[:, :, :3] @ points[:, :, None])[:, :, 0] + poses[:, :, 3]
 
 
-@kernel
-def _back(pose: FloatArray, point: FloatArray) -> tuple[float, float, float]:
-    """A point of b in a."""
-    dx, dy, dz = point[0] - pose[0, 3], point[1] - pose[1, 3], point[2] - pose[2, 3]
-    x = pose[0, 0] * dx + pose[1, 0] * dy + pose[2, 0] * dz
-    y = pose[0, 1] * dx + pose[1, 1] * dy + pose[2, 1] * dz
-    z = pose[0, 2] * dx + pose[1, 2] * dy + pose[2, 2] * dz
-    return x, y, z
+def _back(poses: FloatArray, points: FloatArray) -> FloatArray:
+    """(N, 3) points of b in a, each by its own pose."""
+    return ((points - poses[:, :, 3])[:, None, :] @ poses[:, :, :3])[:, 0, :]
 
 
-@kernel
-def _miss(x: float, y: float, z: float, pixel: FloatArray, camera: FloatArray) -> tuple[float, float]:
-    """Where a point is projected to, less where it is seen."""
-    return camera[0] * x / z + camera[2] - pixel[0], camera[1] * y / z + camera[3] - pixel[1]
+def _in_front(points: FloatArray, there: FloatArray) -> BoolArray:
+    """(N,) whether there is a point, and the other camera could see it."""
+    return (points[:, 2] > 0.0) & (there[:, 2] > 0.0)
 
 
-@kernel
-def _add_forth(
-    hessian: FloatArray,
-    gradient: FloatArray,
-    point: FloatArray,
-    pixel: FloatArray,
-    pose: FloatArray,
-    camera: FloatArray,
-    scale_px: float,
-) -> None:
-    """One point of a seen in b; the motion is turned and shifted in b: ``exp(v, w) T_b_a``."""
-    x, y, z = _forth(pose, point)
-    if point[2] <= 0.0 or z <= 0.0:
-        return
-    du, dv = _miss(x, y, z, pixel, camera)
-    weight = _weight(du * du + dv * dv, scale_px)
-    _add_row(hessian, gradient, camera[0] / z, 0.0, -camera[0] * x / (z * z), x, y, z, du, weight)
-    _add_row(hessian, gradient, 0.0, camera[1] / z, -camera[1] * y / (z * z), x, y, z, dv, weight)
+def _misses(points: FloatArray, pixels: FloatArray, camera: FloatArray) -> FloatArray:
+    """(N, 2) where points are projected to, less where they are seen."""
+    return camera[:2] * points[:, :2] / _depths(points) + camera[2:4] - pixels
 
 
-@kernel
-def _add_back(
-    hessian: FloatArray,
-    gradient: FloatArray,
-    point: FloatArray,
-    pixel: FloatArray,
-    pose: FloatArray,
-    camera: FloatArray,
-    scale_px: float,
-) -> None:
-    """One point of b seen in a: its derivatives, turned into b, have the other sign."""
-    x, y, z = _back(pose, point)
-    if point[2] <= 0.0 or z <= 0.0:
-        return
-    du, dv = _miss(x, y, z, pixel, camera)
-    weight = _weight(du * du + dv * dv, scale_px)
-    for row in range(2):
-        side = camera[row] / z
-        depth = -side * (x if row == 0 else y) / z
-        a = -(pose[0, row] * side + pose[0, 2] * depth)
-        b = -(pose[1, row] * side + pose[1, 2] * depth)
-        c = -(pose[2, row] * side + pose[2, 2] * depth)
-        miss = du if row == 0 else dv
-        _add_row(hessian, gradient, a, b, c, point[0], point[1], point[2], miss, weight)
+def _depths(points: FloatArray) -> FloatArray:
+    """(N, 1) depths to divide by; what lies behind is not looked at."""
+    return np.where(points[:, 2:] > 0.0, points[:, 2:], 1.0)
 
 
-@kernel
-def _weight(squared: float, scale_px: float) -> float:
-    """Of Geman and McClure."""
-    share = scale_px * scale_px / (scale_px * scale_px + squared)
-    return share * share
-
-
-@kernel
-def _add_row(
-    hessian: FloatArray,
-    gradient: FloatArray,
-    a: float,
-    b: float,
-    c: float,
-    x: float,
-    y: float,
-    z: float,
-    miss: float,
-    weight: float,
-) -> None:
-    """One scalar error with derivative (a, b, c) by the point (x, y, z), which the motion moves."""
-    row = (a, b, c, y * c - z * b, z * a - x * c, x * b - y * a)
-    for j in range(6):
-        gradient[j] += weight * row[j] * miss
-        for k in range(6):
-            hessian[j, k] += weight * row[j] * row[k]
-
-
-@kernel
-def _move(pose: FloatArray, step: FloatArray) -> None:
-    """``pose`` becomes a turn by step[3:] and a shift by step[:3] after it; in place."""
-    angle = np.sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
-    axis = step[3:] / max(angle, 1e-12)
-    cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    turn = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
-    pose[:] = turn @ pose.copy()
-    pose[:, 3] += step[:3]
+def _moved(poses: FloatArray, steps: FloatArray) -> FloatArray:
+    """(P, 3, 4) poses turned by steps[:, 3:] and then shifted by steps[:, :3]."""
+    angles = np.linalg.norm(steps[:, 3:], axis=1)
+    cross = np.zeros((len(steps), 3, 3))
+    x, y, z = (steps[:, 3:] / np.maximum(angles, 1e-12)[:, None]).T
+    cross[:, 2, 1], cross[:, 0, 2], cross[:, 1, 0] = x, y, z
+    cross -= cross.transpose(0, 2, 1)
+    bent = (1.0 - np.cos(angles))[:, None, None] * (cross @ cross)
+    moved = (np.eye(3) + np.sin(angles)[:, None, None] * cross + bent) @ poses
+    moved[:, :, 3] += steps[:, :3]
+    return np.asarray(moved)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.kernel import kernel
+from fusion.kernel import NONE, ZERO, kernel
 from slam.measurements import FloatArray
 from slam.vision.features import Features, Matches
 
 _M1, _M2, _M4 = np.uint64(0x5555555555555555), np.uint64(0x3333333333333333), np.uint64(0x0F0F0F0F0F0F0F0F)
 _SPREAD = np.uint64(0x0101010101010101)
+_TOO_FAR = np.int64(257)  # more than there are bits
 
 
 def match_near(
@@ -52,6 +54,8 @@ def match_near(
         ratio,
         greatest_distance,
         target,
+        np.full(len(seen), -1, np.int64),
+        np.full(len(seen), _TOO_FAR),
     )
     first = np.flatnonzero(target >= 0)
     return Matches(first, target[first])
@@ -67,21 +71,23 @@ def _nearest(
     ratio: float,
     greatest: int,
     target: NDArray[Any],
+    owner: NDArray[Any],
+    owner_distance: NDArray[Any],
 ) -> None:
     """Number of the nearest feature seen, or -1; of several that claim one, only the nearest keeps it."""
-    owner = np.full(pixels.shape[0], -1, np.int64)
-    owner_distance = np.full(pixels.shape[0], 257, np.int64)
     for i in range(expected.shape[0]):
-        u, v = expected[i, 0], expected[i, 1]
-        if not (np.isfinite(u) and np.isfinite(v)):
+        u = expected[i, 0]
+        v = expected[i, 1]
+        if math.isnan(u + v):
             continue
-        best, second, chosen = 257, 257, -1
+        best = second = _TOO_FAR
+        chosen = NONE
         for j in range(pixels.shape[0]):
             du = pixels[j, 0] - u
             dv = pixels[j, 1] - v
             if du * du + dv * dv > radius_squared:
                 continue
-            distance = 0
+            distance = ZERO
             for w in range(4):
                 distance += _bits(known[i, w] ^ seen[j, w])
             if distance < best:

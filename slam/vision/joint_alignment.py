@@ -138,7 +138,7 @@ def align(
         Of the pixels in ``landmarks``.
     """
     # A few points lead near; all of them are asked for the last millimetres.
-    few = SurfacePoints(points.points[::_THINNED], points.normals[::_THINNED])
+    few = SurfacePoints(*(np.ascontiguousarray(rows[::_THINNED]) for rows in (points.points, points.normals)))
     coarse = _Work.of(few, landmarks)
     near, _ = _descend(coarse, views, intrinsics, guess, settings, settings.coarse_iterations, _NEAR, 4.0)
     fine = _Work.of(points, landmarks)

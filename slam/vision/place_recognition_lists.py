@@ -58,7 +58,10 @@ class WordLists:
     def scores(self, words: Words, rows: BitRows) -> FloatArray:
         """(K,) of all keyframes: mean nearness of (N, 4) descriptors to the nearest of their word."""
         file = (self._heads, self._fills, self._nexts, self._owners, self._rows)
-        return _scores(words, rows, self.keys, *file)
+        # What a keyframe's score last got, and for which descriptor.
+        scores, given, giver = np.zeros(self.keys), np.zeros(self.keys), np.full(self.keys, -1)
+        _add_scores(words, rows, *file, scores, given, giver)
+        return scores / max(len(words), 1)
 
 
 def _longer(array: NDArray[_Entry], length: int) -> NDArray[_Entry]:
@@ -96,31 +99,23 @@ def _append(
 
 
 @kernel
-def _scores(
-    words: Words,
-    rows: BitRows,
-    keys: int,
-    heads: Words,
-    fills: Words,
-    nexts: Words,
-    owners: Words,
-    entries: BitRows,
-) -> FloatArray:
+def _add_scores(words, rows, heads, fills, nexts, owners, entries, scores, given, giver):  # type: ignore[no-untyped-def]
     """Walk the list of each descriptor's word; only the nearest entry of a keyframe counts."""
-    scores = np.zeros(keys)
-    given, giver = np.zeros(keys), np.full(keys, -1)  # what a keyframe's score last got, and for which i
     for i in range(words.size):
         a, b, c, d = rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
-        block, fill = heads[words[i]], fills[words[i]]
+        block = heads[words[i]]
+        fill = fills[words[i]]
         while block >= 0:
             for place in range(fill):
                 bits = ones(a ^ entries[block, place, 0]) + ones(b ^ entries[block, place, 1])
                 bits += ones(c ^ entries[block, place, 2]) + ones(d ^ entries[block, place, 3])
                 if bits < _SAME_BITS:
-                    owner, nearness = owners[block, place], 1.0 - bits / _SAME_BITS
+                    owner = owners[block, place]
+                    nearness = 1.0 - bits / _SAME_BITS
                     known = given[owner] if giver[owner] == i else 0.0
                     if nearness > known:
                         scores[owner] += nearness - known
-                        given[owner], giver[owner] = nearness, i
-            block, fill = nexts[block], _BLOCK
-    return scores / max(words.size, 1)
+                        given[owner] = nearness
+                        giver[owner] = i
+            block = nexts[block]
+            fill = np.int32(_BLOCK)

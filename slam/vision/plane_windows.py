@@ -5,6 +5,7 @@ Sums of a whole row run over its pixels in the innermost loop, where vector inst
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,6 @@ _SAME_SURFACE = np.float32(0.04)  # relative difference of inverse depth to the 
 _N, _U, _UU, _V, _VV, _UV, _W, _WU, _WV = range(9)
 
 
-@kernel(nogil=True)
 def fit_planes(
     inverse: NDArray[Any],
     radius: int,
@@ -41,12 +41,21 @@ def fit_planes(
     smooth, normals
         (H, W) and (H, W, 3), left as they are where no plane is found.
     """
-    height, width = inverse.shape
-    span = width - 2 * radius
+    span = max(inverse.shape[1] - 2 * radius, 0)
     least = _LEAST_SHARE * (2 * radius + 1) ** 2
-    sums = np.empty((9, max(span, 0)), np.float32)
+    room = (np.empty((9, span), np.float32), np.empty((5, span), np.float32), np.empty(span, np.float32))
+    _fit_planes(inverse, radius, step, fx, fy, cx, cy, least, smooth, normals, *room)
+
+
+@kernel(nogil=True)
+def _fit_planes(  # type: ignore[no-untyped-def]
+    inverse, radius, step, fx, fy, cx, cy, least, smooth, normals, sums, line, gate
+):
+    """Fit the planes, with room for the sums of a row of windows, of a line of them, and for its limits."""
+    height = inverse.shape[0]
+    span = sums.shape[1]
     for v in range(radius, height - radius, step):
-        _sum_windows(inverse, v, radius, sums)
+        _sum_windows(inverse, v, radius, sums, line, gate)
         for first in range(0, span, step):
             u = first + radius
             n = float(sums[_N, first])
@@ -72,23 +81,23 @@ def fit_planes(
             nx = slope_u * fx
             ny = slope_v * fy
             nz = w0 - slope_u * (u - cx) - slope_v * (v - cy)
-            length = np.sqrt(nx * nx + ny * ny + nz * nz)
+            length = math.sqrt(nx * nx + ny * ny + nz * nz)
             smooth[v, u] = w0
             normals[v, u, 0] = -nx / length
             normals[v, u, 1] = -ny / length
             normals[v, u, 2] = -nz / length
 
 
-@kernel(nogil=True)
-def _sum_windows(inverse: NDArray[Any], v: int, radius: int, sums: NDArray[Any]) -> None:
+@kernel(nogil=True, inline="always")
+def _sum_windows(inverse, v, radius, sums, line, gate):  # type: ignore[no-untyped-def]
     """Sums (9, W - 2 radius) over the windows around row ``v`` of what is on their centres' surfaces."""
     span = sums.shape[1]
     centre = inverse[v, radius : radius + span]
-    gate = _SAME_SURFACE * centre
-    line = np.empty((5, span), np.float32)
-    sums[:] = 0.0
+    for i in range(span):
+        gate[i] = _SAME_SURFACE * centre[i]
+    _clear(sums)
     for dv in range(-radius, radius + 1):
-        line[:] = 0.0
+        _clear(line)
         for du in range(-radius, radius + 1):
             beside = inverse[v + dv, radius + du : radius + du + span]
             _count(beside, centre, gate, np.float32(du), line[_N], line[_U], line[_UU])
@@ -140,6 +149,14 @@ def _differ(
         counted = difference if on else np.float32(0.0)
         w[i] += counted
         wu[i] += counted * du
+
+
+@kernel(nogil=True)
+def _clear(sums: NDArray[Any]) -> None:
+    """Set to zero."""
+    for row in range(sums.shape[0]):
+        for i in range(sums.shape[1]):
+            sums[row, i] = 0.0
 
 
 @kernel(nogil=True)
