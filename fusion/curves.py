@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.kernel import kernel
+from fusion.kernel import ZERO, kernel
 
 Float32Array: TypeAlias = NDArray[np.float32]
 FloatArray: TypeAlias = NDArray[np.float64]
@@ -180,25 +180,33 @@ def resample(scan: LidarCurve, step_rad: float = SAMPLE_STEP_RAD) -> Curve:
     if aperture > 2.0 * math.pi + own:
         raise ValueError(f"the sweep has {math.degrees(aperture):.0f} degrees; more than one turn")
     count = math.floor(aperture / step_rad + 1e-6) + 1
-    return Curve(_medians(ranges, own / step_rad, count), start, step_rad)
+    medians, samples_a_beam = np.full(count, np.nan, np.float32), own / step_rad
+    held = np.empty(math.ceil(1.0 / samples_a_beam) + 3, np.float32)
+    _fill_medians(ranges, samples_a_beam, held, medians)
+    return Curve(medians, start, step_rad)
 
 
 @kernel
-def _medians(ranges: Float32Array, samples_a_beam: float, count: int) -> Float32Array:
-    """(count,) median of the valid beams within half a sample; without any, of the nearest beam alone."""
-    result = np.full(count, np.nan, np.float32)
-    held = np.empty(math.ceil(1.0 / samples_a_beam) + 3, np.float32)
-    for sample in range(count):
+def _fill_medians(ranges, samples_a_beam, held, medians):  # type: ignore[no-untyped-def]
+    """Medians of the valid beams within half a sample; without any, of the nearest beam alone.
+
+    ``held`` is room for the beams of a sample.
+    """
+    for sample in range(medians.size):
         low = max(0, math.ceil((sample - 0.5) / samples_a_beam))
         high = min(ranges.size - 1, math.ceil((sample + 0.5) / samples_a_beam) - 1)
         if high < low:
-            low = high = min(ranges.size - 1, int(sample / samples_a_beam + 0.5))
-        found = 0
+            low = high = min(ranges.size - 1, math.floor(sample / samples_a_beam + 0.5))
+        found = ZERO
         for beam in range(low, high + 1):
-            if not np.isnan(ranges[beam]):
-                held[found] = ranges[beam]
+            if not math.isnan(ranges[beam]):
+                # In order; numba takes a second to compile a sort.
+                place = found
+                while place > 0 and held[place - 1] > ranges[beam]:
+                    held[place] = held[place - 1]
+                    place -= 1
+                held[place] = ranges[beam]
                 found += 1
         if 2 * found >= high - low + 1 and found > 0:
             # The lower of two middle ones: a mean of two surfaces would be neither.
-            result[sample] = np.sort(held[:found])[(found - 1) // 2]
-    return result
+            medians[sample] = held[(found - 1) // 2]

@@ -16,6 +16,8 @@ from slam.matching.surfel_map import SurfelMap, nearest_surfel
 from slam.measurements import AnyFloatArray, BoolArray, FloatArray, row_from_pose2
 
 _UNKNOWN, _FREE, _NEAR_WALL, _WALL = 0, 1, 2, 3
+# What a beam counts as, after those that are explained.
+_CROSSING, _IN_FREE, _SILENT = (np.int64(n) for n in (1, 2, 3))
 # Probability below which a cell is surely free: some five beams passed it, not the one or two that a door let
 # through.
 _SURELY_FREE = 0.12
@@ -117,7 +119,9 @@ def check_beams(
         Where they end, base frame.
     """
     in_picture = between(space.frame, pose)
-    counts = _check(space, surfels, pose, in_picture, laser, points.points, points.normals)
+    counts = np.zeros(4, np.int64)
+    scan = points.points, points.normals
+    _count(space.cells, 1.0 / space.cell_m, *surfels, pose, in_picture, laser, *scan, counts)
     return BeamCounts(*counts.tolist())
 
 
@@ -136,63 +140,61 @@ def _surroundings(walls: NDArray[np.bool_], reach: float) -> NDArray[np.bool_]:
 
 
 @kernel
-def _check(space, surfels, pose, in_picture, laser, points, normals):  # type: ignore[no-untyped-def]
-    """Numbers of explained, crossing, in free and silent beams."""
-    counts = np.zeros(4, np.int64)
+def _count(  # type: ignore[no-untyped-def]
+    picture,
+    scale,
+    cells,
+    surfels,
+    origin_x,
+    origin_y,
+    cell_m,
+    pose,
+    in_picture,
+    laser,
+    points,
+    normals,
+    counts,
+):
+    """Add to the numbers of explained, crossing, in free and silent beams."""
     cos = math.cos(in_picture[2])
     sin = math.sin(in_picture[2])
-    scale = 1.0 / space.cell_m
     x0 = (cos * laser[0] - sin * laser[1] + in_picture[0]) * scale
     y0 = (sin * laser[0] + cos * laser[1] + in_picture[1]) * scale
+    map_cos = math.cos(pose[2])
+    map_sin = math.sin(pose[2])
     for i in range(points.shape[0]):
-        x1 = (cos * points[i, 0] - sin * points[i, 1] + in_picture[0]) * scale
-        y1 = (sin * points[i, 0] + cos * points[i, 1] + in_picture[1]) * scale
-        if _on_wall(surfels, pose, points[i], normals[i]):
-            counts[0] += 1
-        elif _crosses(space.cells, x0, y0, x1, y1, _END_M * scale):
-            counts[1] += 1
-        elif _cell(space.cells, x1, y1) == _FREE:
-            counts[2] += 1
-        else:
-            counts[3] += 1
-    return counts
-
-
-@kernel
-def _on_wall(surfels, pose, point, normal):  # type: ignore[no-untyped-def]
-    """Whether a point of the base frame lies on a surfel that faces as it does."""
-    cos = math.cos(pose[2])
-    sin = math.sin(pose[2])
-    x = cos * point[0] - sin * point[1] + pose[0]
-    y = sin * point[0] + cos * point[1] + pose[1]
-    nx = cos * normal[0] - sin * normal[1]
-    ny = sin * normal[0] + cos * normal[1]
-    k = nearest_surfel(
-        surfels.cells, surfels.surfels, surfels.origin_x, surfels.origin_y, surfels.cell_m, x, y, nx, ny
-    )
-    if k < 0:
-        return False
-    s = surfels.surfels[k]
-    return abs(s[2] * (x - s[0]) + s[3] * (y - s[1])) < _WALL_REACH_M
-
-
-@kernel
-def _crosses(cells, x0, y0, x1, y1, spare):  # type: ignore[no-untyped-def]
-    """Whether the way between two points, all but its last stretch, leads through a wall."""
-    length = math.hypot(x1 - x0, y1 - y0)
-    steps = int((length - spare) / _STEP_CELLS)
-    for n in range(steps):
-        share = n * _STEP_CELLS / length
-        if _cell(cells, x0 + share * (x1 - x0), y0 + share * (y1 - y0)) == _WALL:
-            return True
-    return False
-
-
-@kernel
-def _cell(cells, x, y):  # type: ignore[no-untyped-def]
-    """What a point is in; unknown beyond the picture."""
-    row = math.floor(y)
-    column = math.floor(x)
-    if 0 <= row < cells.shape[0] and 0 <= column < cells.shape[1]:
-        return cells[row, column]
-    return _UNKNOWN
+        bx = points[i, 0]
+        by = points[i, 1]
+        x = map_cos * bx - map_sin * by + pose[0]
+        y = map_sin * bx + map_cos * by + pose[1]
+        nx = map_cos * normals[i, 0] - map_sin * normals[i, 1]
+        ny = map_sin * normals[i, 0] + map_cos * normals[i, 1]
+        k = nearest_surfel(cells, surfels, origin_x, origin_y, cell_m, x, y, nx, ny)
+        if k >= 0:
+            away = surfels[k, 2] * (x - surfels[k, 0]) + surfels[k, 3] * (y - surfels[k, 1])
+            if abs(away) < _WALL_REACH_M:
+                counts[0] += 1
+                continue
+        x1 = (cos * bx - sin * by + in_picture[0]) * scale
+        y1 = (sin * bx + cos * by + in_picture[1]) * scale
+        length = math.hypot(x1 - x0, y1 - y0)
+        steps = max(math.floor((length - _END_M * scale) / _STEP_CELLS), 0)
+        # The way there, all but its last stretch, and then where it ends; unknown beyond the picture.
+        kind = _SILENT
+        for n in range(steps + 1):
+            x = x1
+            y = y1
+            if n < steps:
+                share = n * _STEP_CELLS / length
+                x = x0 + share * (x1 - x0)
+                y = y0 + share * (y1 - y0)
+            row = math.floor(y)
+            column = math.floor(x)
+            if 0 <= row < picture.shape[0] and 0 <= column < picture.shape[1]:
+                met = picture[row, column]
+                if n < steps and met == _WALL:
+                    kind = _CROSSING
+                    break
+                if n == steps and met == _FREE:
+                    kind = _IN_FREE
+        counts[kind] += 1

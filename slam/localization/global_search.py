@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fusion.kernel import kernel
+from fusion.kernel import NONE, ONE, ZERO, kernel
 from slam.localization.whole_map_field import WholeMapField
 from slam.matching.planar import wrap
 from slam.measurements import AnyFloatArray, FloatArray
@@ -24,6 +25,10 @@ _GLANCE = 16
 # Two poses nearer than this are one place.
 _APART_M = 0.5
 _APART_RAD = 0.3
+# Peaks that there is room for at first.
+_ROOM = 4096
+
+Pixels: TypeAlias = NDArray[np.int32]
 
 
 class Place(NamedTuple):
@@ -60,7 +65,7 @@ def search_everywhere(
     """
     reach_m = max(1.0, float(np.percentile(np.hypot(points[:, 0], points[:, 1]), 90)))
     turns = math.ceil(2.0 * math.pi * reach_m / field.cell_m)
-    yaws = np.arange(turns) * (2.0 * math.pi / turns)
+    yaws: FloatArray = np.arange(turns, dtype=np.float64) * (2.0 * math.pi / turns)
     columns, rows = _rotated_pixels(np.asarray(points, np.float64), yaws, field.cell_m)
     least = math.ceil(least_score * 255.0 * len(points))
     shares = [np.arange(first, turns, threads) for first in range(threads)]
@@ -105,22 +110,43 @@ def _apart(poses: FloatArray, most: int) -> list[int]:
     return chosen
 
 
-@kernel(nogil=True)
-def _rotated_pixels(points, yaws, cell_m):  # type: ignore[no-untyped-def]
+def _rotated_pixels(points: FloatArray, yaws: FloatArray, cell_m: float) -> tuple[Pixels, Pixels]:
     """Pixels from the robot's own to that of every point, for every yaw: (turns, M) columns and rows."""
-    columns = np.empty((yaws.size, points.shape[0]), np.int32)
-    rows = np.empty((yaws.size, points.shape[0]), np.int32)
-    for t in range(yaws.size):
-        cos = math.cos(yaws[t])
-        sin = math.sin(yaws[t])
-        for i in range(points.shape[0]):
-            columns[t, i] = math.floor((cos * points[i, 0] - sin * points[i, 1]) / cell_m + 0.5)
-            rows[t, i] = math.floor((sin * points[i, 0] + cos * points[i, 1]) / cell_m + 0.5)
-    return columns, rows
+    cos, sin = np.cos(yaws)[:, None], np.sin(yaws)[:, None]
+    x, y = points.T
+    columns, rows = cos * x - sin * y, sin * x + cos * y
+    return (
+        np.floor(columns / cell_m + 0.5).astype(np.int32),
+        np.floor(rows / cell_m + 0.5).astype(np.int32),
+    )
+
+
+def _search(
+    field: WholeMapField,
+    columns: Pixels,
+    rows: Pixels,
+    turns: NDArray[np.int64],
+    least: int,
+    keep_share: float,
+) -> NDArray[np.int64]:
+    """Peaks of some yaws: (n, 4) score sum, x, y, number of the yaw."""
+    top = len(field.table) - 1
+    floor = min(_PEAK_LEVEL, top)
+    # Of the widest blocks, most can hold anything: begin where there are at least some.
+    top = max(top - 2, floor)
+    bounds = np.empty(len(turns) * int(field.table[top, 4] * field.table[top, 5]), np.int64)
+    _bound_blocks(field, columns, rows, turns, top, least, bounds)
+    order = np.argsort(-bounds, kind="stable")
+    stack, inner = np.empty((4 * (top + 1), 4), np.int64), np.empty((4 * (floor + 1), 4), np.int64)
+    room = np.empty((_ROOM, 4), np.int64)
+    peaks, count = _search_blocks(
+        field, columns, rows, turns, top, floor, least, keep_share, bounds, order, stack, inner, room
+    )
+    return np.asarray(peaks[:count])
 
 
 @kernel(nogil=True)
-def _bound(field, k, columns, rows, x, y, bar):  # type: ignore[no-untyped-def]
+def _bound(field, k, columns, rows, turn, x, y, bar):  # type: ignore[no-untyped-def]
     """Upper bound of the score sum over robot pixels x..x+w-1, y..y+w-1, w = 2^k.
 
     -1 where the robot cannot stand in any of them, or the sum will not reach ``bar``.
@@ -132,12 +158,13 @@ def _bound(field, k, columns, rows, x, y, bar):  # type: ignore[no-untyped-def]
     start = table[k, 0]
     height = table[k, 1]
     stride = table[k, 2]
-    total = 0
-    for i in range(columns.size):
-        if i % _GLANCE == 0 and total + 255 * (columns.size - i) < bar:
+    count = columns.shape[1]
+    total = ZERO
+    for i in range(count):
+        if i % _GLANCE == 0 and total + 255 * (count - i) < bar:
             return -1
-        c = columns[i] + x + width - 1
-        r = rows[i] + y + width - 1
+        c = columns[turn, i] + x + width - 1
+        r = rows[turn, i] + y + width - 1
         if 0 <= c < stride and 0 <= r < height:
             total += field.buffer[start + r * stride + c]
         else:
@@ -146,30 +173,35 @@ def _bound(field, k, columns, rows, x, y, bar):  # type: ignore[no-untyped-def]
 
 
 @kernel(nogil=True)
-def _peak(field, columns, rows, x, y, level, bar, stack):  # type: ignore[no-untyped-def]
+def _peak(field, columns, rows, turn, x, y, level, bar, stack):  # type: ignore[no-untyped-def]
     """Best score sum of a block that is at least ``bar``, with its x and y; score -1 where there is none."""
-    best = -1
-    best_x = best_y = 0
+    best = NONE
+    best_x = best_y = ZERO
     stack[0, 0] = level
     stack[0, 1] = x
     stack[0, 2] = y
     stack[0, 3] = 1 << 60
-    depth = 1
+    depth = ONE
     while depth > 0:
         depth -= 1
-        k, x, y, bound = stack[depth]
+        bound = stack[depth, 3]
         if bound <= best:
             continue
-        if k == 0:
-            best, best_x, best_y = bound, x, y
+        if stack[depth, 0] == 0:
+            best = bound
+            best_x = stack[depth, 1]
+            best_y = stack[depth, 2]
             continue
-        depth = _push_children(field, columns, rows, k, x, y, max(bar, best + 1), stack, depth)
+        depth = _push_children(field, columns, rows, turn, max(bar, best + 1), stack, depth)
     return best, best_x, best_y
 
 
 @kernel(nogil=True)
-def _push_children(field, columns, rows, k, x, y, bar, stack, depth):  # type: ignore[no-untyped-def]
-    """Put the quarters of a block whose bound is at least ``bar`` on the stack, the best on top."""
+def _push_children(field, columns, rows, turn, bar, stack, depth):  # type: ignore[no-untyped-def]
+    """Put the quarters of the block at ``depth`` whose bound is at least ``bar`` there, the best on top."""
+    k = stack[depth, 0]
+    x = stack[depth, 1]
+    y = stack[depth, 2]
     half = 1 << (k - 1)
     first = depth
     for child in range(4):
@@ -177,7 +209,7 @@ def _push_children(field, columns, rows, k, x, y, bar, stack, depth):  # type: i
         low = y + (child >> 1) * half
         if left >= field.table[0, 5] or low >= field.table[0, 4]:
             continue
-        bound = _bound(field, k - 1, columns, rows, left, low, bar)
+        bound = _bound(field, k - 1, columns, rows, turn, left, low, bar)
         if bound < bar:
             continue
         place = depth
@@ -196,7 +228,7 @@ def _push_children(field, columns, rows, k, x, y, bar, stack, depth):  # type: i
 @kernel(nogil=True)
 def _kept(peaks, count, bar):  # type: ignore[no-untyped-def]
     """Drop peaks below the bar; where all stay, make room for as many again: the array and their number."""
-    kept = 0
+    kept = ZERO
     for n in range(count):
         if peaks[n, 0] >= bar:
             for m in range(4):
@@ -205,50 +237,54 @@ def _kept(peaks, count, bar):  # type: ignore[no-untyped-def]
     if kept < peaks.shape[0] // 2:
         return peaks, kept
     larger = np.empty((2 * peaks.shape[0], 4), np.int64)
-    larger[:kept] = peaks[:kept]
+    for n in range(kept):
+        for m in range(4):
+            larger[n, m] = peaks[n, m]
     return larger, kept
 
 
 @kernel(nogil=True)
-def _search(field, columns, rows, turns, least, keep_share):  # type: ignore[no-untyped-def]
-    """Peaks of some yaws: (n, 4) score sum, x, y, number of the yaw."""
-    top = field.table.shape[0] - 1
-    floor = min(_PEAK_LEVEL, top)
-    # Of the widest blocks, most can hold anything: begin where there are at least some.
-    top = max(top - 2, floor)
+def _bound_blocks(field, columns, rows, turns, top, least, bounds):  # type: ignore[no-untyped-def]
+    """Write the bound of every block of the top level for every yaw, yaw by yaw."""
+    across = field.table[top, 5]
+    node = ZERO
+    for n in range(turns.size):
+        for y in range(field.table[top, 4]):
+            for x in range(across):
+                bounds[node] = _bound(field, top, columns, rows, turns[n], x << top, y << top, least)
+                node += 1
+
+
+@kernel(nogil=True)
+def _search_blocks(  # type: ignore[no-untyped-def]
+    field, columns, rows, turns, top, floor, least, keep_share, bounds, order, stack, inner, peaks
+):
+    """Depth first through the blocks in the order of their bounds: the peaks, and how many there are."""
     across = field.table[top, 5]
     blocks = across * field.table[top, 4]
-    bounds = np.empty(turns.size * blocks, np.int64)
-    for n in range(turns.size):
-        for b in range(blocks):
-            x = (b % across) << top
-            y = (b // across) << top
-            bounds[n * blocks + b] = _bound(field, top, columns[turns[n]], rows[turns[n]], x, y, least)
-    order = np.argsort(-bounds, kind="mergesort")
-    best = 0
+    best = ZERO
     bar = least
-    peaks = np.empty((4096, 4), np.int64)
-    count = 0
-    stack = np.empty((4 * (top + 1), 4), np.int64)
-    inner = np.empty((4 * (floor + 1), 4), np.int64)
+    count = ZERO
     for node in order:
         if bounds[node] < bar:
             break
-        t = turns[node // blocks]
+        turn = turns[node // blocks]
         stack[0, 0] = top
         stack[0, 1] = (node % blocks % across) << top
         stack[0, 2] = (node % blocks // across) << top
         stack[0, 3] = bounds[node]
-        depth = 1
+        depth = ONE
         while depth > 0:
             depth -= 1
-            k, x, y, bound = stack[depth]
-            if bound < bar:
+            if stack[depth, 3] < bar:
                 continue
-            if k > floor:
-                depth = _push_children(field, columns[t], rows[t], k, x, y, bar, stack, depth)
+            if stack[depth, 0] > floor:
+                depth = _push_children(field, columns, rows, turn, bar, stack, depth)
                 continue
-            score, px, py = _peak(field, columns[t], rows[t], x, y, k, bar, inner)
+            level = stack[depth, 0]
+            score, x, y = _peak(
+                field, columns, rows, turn, stack[depth, 1], stack[depth, 2], level, bar, inner
+            )
             if score < bar:
                 continue
             if score > best:
@@ -257,8 +293,8 @@ def _search(field, columns, rows, turns, least, keep_share):  # type: ignore[no-
             if count == peaks.shape[0]:
                 peaks, count = _kept(peaks, count, bar)
             peaks[count, 0] = score
-            peaks[count, 1] = px
-            peaks[count, 2] = py
-            peaks[count, 3] = t
+            peaks[count, 1] = x
+            peaks[count, 2] = y
+            peaks[count, 3] = turn
             count += 1
-    return peaks[:count]
+    return peaks, count
