@@ -68,13 +68,21 @@ class EvidenceTiles:
     def add(self, board: Board) -> None:
         """Li2020 Eq. (8) for every cell of a board."""
         box = board.box()
+        heights = self._shape[2]
         steps = board.steps if board.steps.ndim == 3 else board.steps[:, :, None]
+        if steps.shape[2] < heights:
+            steps = np.repeat(steps, heights, axis=2)
+        # The heights of a cell lie side by side.
+        flat = steps.reshape(len(steps), -1)
         for key, tile_part, board_part in _parts(box, self._side):
             # Boards are mostly empty at their rims: no tile for nothing.
             if self._holds(key) or steps[board_part].any():
-                corners = [part.start for part in (*tile_part, *board_part)]
+                (row, col), (first_row, first_col) = (
+                    (part[0].start, heights * part[1].start) for part in (tile_part, board_part)
+                )
                 rows, cols = steps[board_part].shape[:2]
-                _add(self._tile(key), steps, *corners, rows, cols)
+                tile = self._tile(key).reshape(self._side, -1)
+                _add(tile, flat, row, col, first_row, first_col, rows, heights * cols)
         self.used = box if self.used is None else union(self.used, box)
 
     def merge(self, other: EvidenceTiles) -> None:
@@ -150,14 +158,13 @@ def union(a: Box, b: Box) -> Box:
 def _add(sums, steps, row, col, first_row, first_col, rows, cols):  # type: ignore[no-untyped-def]
     """Add a part of the steps to a part of the sums in place; numpy would go by way of a copy.
 
-    One height of steps counts for all. Whole arrays and corners: parts of arrays would be other types, and
-    another compilation each.
+    Whole arrays and corners: parts of arrays would be other types, and another compilation each. Numbers
+    without a sign cannot count from an array's end, and vector instructions take them.
     """
-    a_height = 1 if steps.shape[2] > 1 else 0
     for i in range(rows):
+        into, of = np.uint64(row + i), np.uint64(first_row + i)
         for j in range(cols):
-            for height in range(sums.shape[2]):
-                sums[row + i, col + j, height] += steps[first_row + i, first_col + j, height * a_height]
+            sums[into, np.uint64(col + j)] += steps[of, np.uint64(first_col + j)]
 
 
 def _parts(box: Box, side: int) -> Iterator[tuple[tuple[int, int], tuple[slice, slice], tuple[slice, slice]]]:
