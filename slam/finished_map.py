@@ -84,6 +84,11 @@ class Map:
         return f"Map({str(self.path)!r}, {sizes})"
 
     @property
+    def in_memory(self) -> bool:
+        """Whether it lies in a temporary folder that goes with it."""
+        return self._folder is not None
+
+    @property
     def planar(self) -> bool:
         """Whether the robot stays on a floor; in space the nodes are bases with clouds, or else cameras."""
         return isinstance(self.contents.node_poses[0], gtsam.Pose2)

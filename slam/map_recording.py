@@ -19,9 +19,8 @@ from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.matching.local_cloud import moved
 from slam.matching.planar import transform_points
-from slam.measurements import FloatArray, LaserScan, Measurement, PointCloud, Pose, row_from_pose2
+from slam.measurements import FloatArray, LaserScan, Measurement, PointCloud, Pose, RgbdFrame, row_from_pose2
 from slam.viewer import Viewer
-from slam.vision.prepared_frame import PreparedFrame
 
 _GRIDS = 10  # moments at which the growing grid is shown
 
@@ -48,9 +47,7 @@ def record_map(viewer: Viewer, result: MapResult, layers: LayeredMap | None, con
             viewer.grid(f"{name} layer", layers.states(name), layers.resolution_m, layers.T_map_grid)
 
 
-def record_localization(
-    viewer: Viewer, measurement: Measurement | PreparedFrame, output: LocalizerOutput
-) -> None:
+def record_localization(viewer: Viewer, measurement: Measurement, output: LocalizerOutput) -> None:
     """Show where a robot was found, and what it saw there."""
     viewer.at(output.stamp_s)
     viewer.figure("confidence", output.confidence)
@@ -61,9 +58,8 @@ def record_localization(
     elif isinstance(measurement, PointCloud) and isinstance(output.pose, gtsam.Pose3):
         T_map_lidar = output.pose.compose(measurement.T_base_lidar)
         viewer.scan(moved(measurement.points_lidar.astype(np.float64), T_map_lidar))
-    elif isinstance(measurement, PreparedFrame):
-        frame = measurement.frame
-        viewer.image(frame.sensor, frame.color, frame.depth_m)
+    elif isinstance(measurement, RgbdFrame):
+        viewer.image(measurement.sensor, measurement.color, measurement.depth_m)
 
 
 def _record_keyframes(

@@ -223,3 +223,16 @@ def test_a_map_is_shown_in_one_line(house: Path) -> None:
     assert shown.startswith(f"Map('{house}/map.db', sessions=1, keyframes={len(map_.keyframe_poses)}, ")
     assert "\n" not in shown and len(shown) < len(str(house)) + 100
     map_.close()
+
+
+@pytest.mark.parametrize("given", [[], [1.0], ["scan"], [None]])
+def test_what_is_no_measurement_is_named(given: list[object]) -> None:
+    with pytest.raises(slam.ScanweaveError, match=r"measurement|is a (float|str|NoneType)") as caught:
+        slam.build_map(given)  # type: ignore[arg-type]
+    assert "\n" not in str(caught.value)
+
+
+def test_a_map_in_memory_is_joined_elsewhere(another_day: SyntheticLog) -> None:
+    in_memory = slam.build_map(slam.open_dataset(another_day.log_path))
+    with pytest.raises(slam.ScanweaveError, match="lies in a temporary folder; say with --out"):
+        slam.join(in_memory, another_day.log_path)

@@ -13,7 +13,7 @@ from command_line import Scanweave, assert_one_line_error, log, mapped, scanweav
 from slam.errors import ScanweaveError
 from slam.localization.output import LocalizerOutput, State
 from slam.map_recording import record_localization
-from slam.measurements import LaserScan
+from slam.measurements import CameraIntrinsics, LaserScan, RgbdFrame
 from slam.simulation.synthetic_log import SyntheticLog
 from slam.viewer import NullViewer, RerunViewer, recording
 
@@ -48,6 +48,16 @@ def test_points_of_a_scan_lie_where_the_laser_stood() -> None:
     viewer.scan = shown.append  # type: ignore[method-assign]
     record_localization(viewer, scan, LocalizerOutput(0.0, State.TRACKING, pose, None, 1.0, (), 1.0))
     np.testing.assert_allclose(shown[0], [[10.0, 1.5], [8.0, 0.5]], atol=1e-9)
+
+
+def test_frames_of_a_localisation_are_shown() -> None:
+    lens = CameraIntrinsics(4.0, 4.0, 1.0, 1.0, 3, 2)
+    frame = RgbdFrame(0.0, np.zeros((2, 3, 3), np.uint8), np.ones((2, 3), np.float32), lens, sensor="left")
+    shown: list[str] = []
+    viewer = NullViewer()
+    viewer.image = lambda sensor, *images: shown.append(sensor)  # type: ignore[method-assign]
+    record_localization(viewer, frame, LocalizerOutput(0.0, State.SEARCHING, None, None, 0.0, (), 1.0))
+    assert shown == ["left"]
 
 
 def test_a_map_and_a_localisation_are_recorded(

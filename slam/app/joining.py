@@ -91,10 +91,9 @@ def join(
     (2, True)
     """
     _refuse_unfit(known, str(known.path))
-    if out is None and known.path.name != MAP_NAME:
-        raise MapFileError(
-            f"{known.path} is not named {MAP_NAME}; say with --out (out=) where the joined map goes"
-        )
+    if out is None and (known.in_memory or known.path.name != MAP_NAME):
+        why = "lies in a temporary folder" if known.in_memory else f"is not named {MAP_NAME}"
+        raise MapFileError(f"{known.path} {why}; say with --out (out=) where the joined map goes")
     if isinstance(log, str | Path):
         log = open_dataset(log, strict=strict, topics=config.sensors.topics if config else ())
     identity = identity_of(log.path, config or known.config)

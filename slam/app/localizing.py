@@ -114,8 +114,10 @@ def localize_log(
 def _registrations(known_map: KnownMap, log: Dataset, config: Config) -> dict[str, ColorRegistration] | None:
     """Where the map's colour camera sits: None where the map tells it, else as the log tells."""
     cameras = known_map.cameras
-    if cameras is None or cameras.registrations or config.rgbd.registration == "given":
-        return None if config.rgbd.registration != "given" else {}
+    if config.rgbd.registration == "given":
+        return {}
+    if cameras is None or cameras.registrations:
+        return None
     choice = SensorChoice.of(log, config.sensors)
     return registrations_of(used_measurements(log, config.sensors), choice.cameras, config)
 

@@ -34,11 +34,14 @@ class Measured:
         Raises
         ------
         DatasetError
-            There is none.
+            There is none, or something that is no measurement.
         """
         report = self.report = ReadReport()
         count = len(self._measurements) if isinstance(self._measurements, Sequence) else 0
         for number, measurement in enumerate(self._measurements, start=1):
+            if not isinstance(measurement, Measurement):
+                kind = type(measurement).__name__
+                raise DatasetError(f"number {number} is a {kind}; give scans, wheels, clouds or frames")
             report.observe(measurement, number)
             if count:
                 report.note_share(number / count)
@@ -53,6 +56,6 @@ class Measured:
     def fingerprint(self) -> str:
         """Digest of the stamps and sensors, by which a map tells what it was made of."""
         digest = hashlib.blake2b(digest_size=16)
-        for measurement in self._measurements:
+        for measurement in self:
             digest.update(f"{measurement.sensor}\0{measurement.stamp_s!r}\0".encode())
         return digest.hexdigest()
