@@ -95,9 +95,10 @@ def run_log(
     if out is None:
         return _in_memory(dataset, identity, on_progress)
     folder = Path(out)
-    if left_in(folder) is Left.FINISHED and not (resume or overwrite):
+    left = left_in(folder)
+    if left in (Left.FINISHED, Left.DAMAGED) and not (resume or overwrite):
         raise MapFileError(
-            f"{folder / MAP_NAME} is a finished map; --force (overwrite=True) replaces it, another --out "
+            f"{folder / MAP_NAME} is {left.value}; --force (overwrite=True) replaces it, another --out "
             "(out=) leaves it as it is"
         )
     return run_into(
