@@ -28,14 +28,15 @@ if TYPE_CHECKING:
     from slam.app.localizing import localize_log as localize_log
     from slam.app.mapping import build_map as build_map
     from slam.app.mapping import map_log as map_log
+    from slam.app.parts import check_loop as check_loop
+    from slam.app.parts import grid_of_scans as grid_of_scans
+    from slam.app.parts import match_scans as match_scans
     from slam.app.progress import Progress as Progress
     from slam.config import Config as Config
     from slam.config import load_config as load_config
     from slam.datasets import open_dataset as open_dataset
     from slam.errors import ScanweaveError as ScanweaveError
     from slam.evaluation.score import evaluate as evaluate
-    from slam.finished_map import Map as Map
-    from slam.finished_map import open_map
     from slam.graph.loop_closure import LoopCandidate as LoopCandidate
     from slam.graph.pose_graph import Edge as Edge
     from slam.graph.pose_graph import EdgeKind as EdgeKind
@@ -51,9 +52,8 @@ if TYPE_CHECKING:
     from slam.measurements import RgbdFrame as RgbdFrame
     from slam.measurements import Trajectory as Trajectory
     from slam.measurements import WheelOdometry as WheelOdometry
-    from slam.parts import check_loop as check_loop
-    from slam.parts import grid_of_scans as grid_of_scans
-    from slam.parts import match_scans as match_scans
+    from slam.outputs.finished_map import Map as Map
+    from slam.outputs.finished_map import open_map
 
     load_map = open_map
 
@@ -74,21 +74,21 @@ _HOMES = {
     "PoseGraph": ("slam.graph.pose_graph", "PoseGraph"),
     "Progress": ("slam.app.progress", "Progress"),
     "RgbdFrame": ("slam.measurements", "RgbdFrame"),
-    "Map": ("slam.finished_map", "Map"),
+    "Map": ("slam.outputs.finished_map", "Map"),
     "ScanweaveError": ("slam.errors", "ScanweaveError"),
     "State": ("slam.localization.output", "State"),
     "Trajectory": ("slam.measurements", "Trajectory"),
     "WheelOdometry": ("slam.measurements", "WheelOdometry"),
     "build_map": ("slam.app.mapping", "build_map"),
-    "check_loop": ("slam.parts", "check_loop"),
+    "check_loop": ("slam.app.parts", "check_loop"),
     "evaluate": ("slam.evaluation.score", "evaluate"),
-    "grid_of_scans": ("slam.parts", "grid_of_scans"),
+    "grid_of_scans": ("slam.app.parts", "grid_of_scans"),
     "join": ("slam.app.joining", "join"),
     "load_config": ("slam.config", "load_config"),
-    "load_map": ("slam.finished_map", "open_map"),
+    "load_map": ("slam.outputs.finished_map", "open_map"),
     "localize_log": ("slam.app.localizing", "localize_log"),
     "map_log": ("slam.app.mapping", "map_log"),
-    "match_scans": ("slam.parts", "match_scans"),
+    "match_scans": ("slam.app.parts", "match_scans"),
     "open_dataset": ("slam.datasets", "open_dataset"),
 }
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import gtsam
 import numpy as np
+import yaml
 
 from slam.measurements import FloatArray, PointCloud
 
@@ -19,6 +23,13 @@ PILLARS = np.array(
     ]
 )
 ELEVATIONS = np.radians(np.arange(-15.0, 16.0, 2.0))
+
+SMALL = (
+    "cloud_loops.least_path_voxels=20",
+    "cloud_loops.every_voxels=1",
+    "cloud_odometry.voxel_m=0.25",
+    "cloud_odometry.local_map_keyframes=6",
+)
 
 
 def cast(origin: FloatArray, directions: FloatArray, boxes: FloatArray = PILLARS) -> FloatArray:
@@ -85,3 +96,20 @@ def way_round(count: int) -> list[gtsam.Pose3]:
     """Once about the middle of the room, and back to where it began, looking ahead."""
     turns = np.linspace(0.0, 2.0 * np.pi, count)
     return [base(1.6 * np.cos(a), 0.4 + 1.4 * np.sin(a), a + 0.5 * np.pi) for a in turns]
+
+
+def write_log(folder: Path, clouds: Sequence[PointCloud], poses: Sequence[gtsam.Pose3] = ()) -> Path:
+    """A folder of clouds with its list of stamps, its mounting and the truth."""
+    (folder / "points").mkdir(parents=True)
+    mounting = {"translation_m": T_BASE_LIDAR.translation().tolist(), "quaternion_xyzw": [0.0, 0.0, 0.0, 1.0]}
+    (folder / "points" / "calibration.yaml").write_text(yaml.safe_dump({"T_base_lidar": mounting}))
+    for number, cloud in enumerate(clouds):
+        rows = np.column_stack([cloud.points_lidar, np.zeros(len(cloud.points_lidar))]).astype("<f4")
+        (folder / "points" / f"{number:06d}.bin").write_bytes(rows.tobytes())
+    (folder / "times.txt").write_text("".join(f"{cloud.stamp_s:.6f}\n" for cloud in clouds))
+    lines = []
+    for cloud, pose in zip(clouds, poses, strict=False):
+        q = pose.rotation().toQuaternion()
+        lines.append(" ".join(map(str, [cloud.stamp_s, *pose.translation(), q.x(), q.y(), q.z(), q.w()])))
+    (folder / "groundtruth.txt").write_text("\n".join(lines) + "\n")
+    return folder

@@ -11,11 +11,11 @@ import pytest
 
 from slam.config import load_config
 from slam.datasets import open_dataset
-from slam.map_result import MapResult
+from slam.mapper.map_result import MapResult
+from slam.mapper.pipeline import build_map
 from slam.matching.planar import between
 from slam.measurements import FloatArray, WheelOdometry
 from slam.measurements import row_from_pose2 as row_of
-from slam.pipeline import build_map
 from slam.simulation.synthetic_log import SyntheticLog, write_synthetic_log
 
 SCAN_STEP_M = 0.13  # the synthetic robot's greatest way between two scans

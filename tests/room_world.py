@@ -15,7 +15,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.config_stages import RgbdConfig
+from slam.config.stages import RgbdConfig
 from slam.measurements import CameraIntrinsics, FloatArray, RgbdFrame
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame
 

@@ -19,20 +19,20 @@ from cloud_world import look_on_the_way, way_round
 from flat_worlds import box, room, sweep
 from room_world import SMALL, T_BODY_CAMERA, blind, furnished, render, turning_walk
 
-from slam import run_outputs
 from slam.app.mapping import run_log
 from slam.config import Config, load_config
 from slam.datasets.dataset import ReadReport
 from slam.errors import ScanweaveError
-from slam.journal import Journal
-from slam.layer_outputs import layers_of
 from slam.localization.known_map import KnownMap
 from slam.localization.localizer import Localizer
-from slam.map_result import MapResult
+from slam.mapper.journal import Journal
+from slam.mapper.map_result import MapResult
+from slam.mapper.pipeline import build_map
 from slam.mapping.cloud_map import map_cloud
 from slam.matching.planar import compose
 from slam.measurements import LaserScan, Measurement, RgbdFrame, Trajectory, WheelOdometry, pose2_from_row
-from slam.pipeline import build_map
+from slam.outputs import run_outputs
+from slam.outputs.layer_outputs import layers_of
 from slam.storage.packing import pack
 
 T = TypeVar("T")

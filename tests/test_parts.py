@@ -10,7 +10,7 @@ import pytest
 from flat_worlds import box, corridor, room, sweep
 
 import slam
-from slam.config_stages import LoopConfig, MatchConfig
+from slam.config.stages import LoopConfig, MatchConfig
 from slam.graph.loop_closure import LoopCloser
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.matching.local_map import OrientedPoints

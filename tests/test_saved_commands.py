@@ -14,7 +14,7 @@ from room_world import LESS, furnished, render, turning_walk, write_tum_folder
 from scipy.spatial import cKDTree
 
 from slam.cli import main
-from slam.journal import Journal
+from slam.mapper.journal import Journal
 from slam.simulation.synthetic_log import SyntheticLog, write_synthetic_log
 from slam.storage.map_file import MapFile
 from slam.storage.ply import read_cloud_ply

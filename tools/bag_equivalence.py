@@ -17,9 +17,9 @@ import numpy as np
 
 from slam.config import load_config
 from slam.datasets import open_dataset
-from slam.map_result import MapResult
+from slam.mapper.map_result import MapResult
+from slam.mapper.pipeline import build_map
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.pipeline import build_map
 from slam.simulation.drive_faults import FAULT_PRESETS
 from slam.simulation.home import generate_home
 from slam.simulation.record import record_drive

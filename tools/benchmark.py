@@ -231,7 +231,7 @@ def profile_scans(log: Path, overrides: list[str]) -> dict[str, float]:
 
     from slam.config import load_config
     from slam.datasets import open_dataset
-    from slam.pipeline import build_map
+    from slam.mapper.pipeline import build_map
 
     result = build_map(open_dataset(log), load_config(None, overrides))
     seconds = result.scans.seconds[1:]

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import MapFileError
-from slam.finished_map import open_map
+from slam.outputs.finished_map import open_map
 from slam.storage.packing import pack
 
 # A map that takes longer than this to read hangs.

@@ -3,7 +3,7 @@
     python tools/false_loops.py [--data ../shared/data] [--log fr079] [--count 30] [--seeds 2] [--set k=v]
 
 The false loops carry the covariances of true ones and come through the door of the true ones,
-`slam.planar_mapper.PlanarMapper.add_loop`. Three kinds, each harder than the one before:
+`slam.mapper.planar_mapper.PlanarMapper.add_loop`. Three kinds, each harder than the one before:
 
 - ``random``: two keyframes far apart, a relative pose anywhere in the building;
 - ``alike``: two keyframes far apart, said to be nearly the same place, as where two rooms look alike;
@@ -29,10 +29,10 @@ from slam.config import Config, load_config
 from slam.datasets import open_dataset
 from slam.evaluation.relations import Relations, read_relations, score_relations
 from slam.graph.loop_closure import LoopCandidate
-from slam.map_result import MapResult
+from slam.mapper.map_result import MapResult
+from slam.mapper.planar_mapper import PlanarMapper as Mapper
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, LaserScan, MotionEstimate, WheelOdometry, pose2_from_row
-from slam.planar_mapper import PlanarMapper as Mapper
 
 KINDS = ("random", "alike", "runs")
 MOMENTS = ("end", "mapping")

@@ -18,8 +18,8 @@ import numpy as np
 from slam.config import load_config
 from slam.datasets import Dataset, open_dataset
 from slam.evaluation.trajectory_error import absolute_error
+from slam.mapper.pipeline import build_map
 from slam.measurements import LaserScan, Measurement, RgbdFrame
-from slam.pipeline import build_map
 
 _DEAD_S = 20.0
 _WRONG_TURN_RAD, _WRONG_SHIFT_M = np.radians(30.0), 0.3

@@ -90,7 +90,7 @@ def _attempt(arguments: list[str], patience_s: float, trials: Trials) -> None:
 def _finished(folder: Path) -> bool:
     """Whether the map was sealed, and nothing is beside it."""
     from slam.errors import MapFileError
-    from slam.finished_map import open_map
+    from slam.outputs.finished_map import open_map
 
     try:
         open_map(folder).close()

@@ -25,9 +25,9 @@ from slam.localization.localizer import Localizer
 from slam.localization.map_match import MapMatcher
 from slam.localization.output import LocalizerOutput, State
 from slam.localization.scan_view import ScanView, first_in_cells
+from slam.mapper.planar_mapper import PlanarMapper
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, LaserScan, Measurement, WheelOdometry, row_from_pose2
-from slam.planar_mapper import PlanarMapper
 
 RIGHT_M, RIGHT_RAD = 0.25, np.radians(5.0)
 MAPPED_SHARE = 0.6

@@ -16,9 +16,9 @@ from slam.comparison.product import StateGrid
 from slam.config import load_config
 from slam.datasets import open_dataset
 from slam.evaluation.trajectory_error import absolute_error
-from slam.layer_outputs import layers_of
+from slam.mapper.pipeline import build_map
 from slam.mapping.layered_map import LAYERS
-from slam.pipeline import build_map
+from slam.outputs.layer_outputs import layers_of
 
 
 def main() -> None:

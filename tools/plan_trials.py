@@ -24,12 +24,12 @@ from slam.comparison.product import StateGrid
 from slam.comparison.statistics import paired
 from slam.config import Config, load_config
 from slam.datasets import open_dataset
-from slam.finished_map import Map, open_map
-from slam.layer_outputs import depth_grid
-from slam.map_result import DenseKeyframes
+from slam.mapper.map_result import DenseKeyframes
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.mapping.layered_map import DecisionRule, LayeredMap
 from slam.measurements import LaserScan
+from slam.outputs.finished_map import Map, open_map
+from slam.outputs.layer_outputs import depth_grid
 
 # What is better when it is small.
 _SMALLER = ("collide", "collide_hard", "danger", "false_occupied")

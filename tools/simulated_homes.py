@@ -17,8 +17,8 @@ import numpy as np
 
 from slam.config import load_config
 from slam.evaluation.trajectory_error import absolute_error
+from slam.mapper.planar_mapper import PlanarMapper as Mapper
 from slam.measurements import Trajectory, row_from_pose2
-from slam.planar_mapper import PlanarMapper as Mapper
 from slam.simulation.drive import simulate_drive
 from slam.simulation.drive_faults import DriveFaults
 from slam.simulation.events import OdometryEvent, ScanEvent

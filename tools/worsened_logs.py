@@ -13,8 +13,8 @@ import numpy as np
 from slam.config import load_config
 from slam.datasets import open_dataset
 from slam.evaluation.relations import read_relations, score_relations
+from slam.mapper.planar_mapper import PlanarMapper as Mapper
 from slam.measurements import LaserScan, Measurement, WheelOdometry
-from slam.planar_mapper import PlanarMapper as Mapper
 
 KINDS = ("as recorded", "jumps", "frozen", "half", "noise", "short", "sparse", "narrow", "people")
 

@@ -12,7 +12,7 @@ from slam.config import Config
 from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
 from slam.errors import MapFileError, ScanweaveError
-from slam.finished_map import Map, open_map
+from slam.outputs.finished_map import Map, open_map
 from slam.sessions.connection import Connection, connect
 from slam.sessions.joined_files import move_into, only_one_in, write_joined
 from slam.storage.files import make_folder, write_bytes

@@ -12,15 +12,15 @@ from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
 from slam.errors import DatasetError
 from slam.evaluation.localization_report import write_localization_report
-from slam.finished_map import Map
 from slam.localization.drive_log import DriveLog
 from slam.localization.known_map import KnownMap
 from slam.localization.localizer import Localizer
-from slam.map_recording import record_localization
+from slam.mapper.sensor_choice import SensorChoice, used_measurements
 from slam.measurements import Trajectory
-from slam.sensor_choice import SensorChoice, used_measurements
+from slam.outputs.finished_map import Map
 from slam.storage.files import make_folder
-from slam.viewer import Viewer, recording
+from slam.viewer.map_recording import record_localization
+from slam.viewer.viewer import Viewer, recording
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.registration_pairs import registrations_of
 

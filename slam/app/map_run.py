@@ -15,19 +15,19 @@ from slam.datasets.dataset import Dataset
 from slam.errors import ScanweaveError
 from slam.evaluation.map_report import RunCost, beside_of, report_data
 from slam.evaluation.report import ReportData, write_report
-from slam.finished_map import NOTES, WARNINGS, Map, open_map
-from slam.journal import Journal
-from slam.layer_outputs import layers_of
-from slam.map_recording import record_map
-from slam.map_result import MapResult
+from slam.mapper.journal import Journal
+from slam.mapper.map_result import MapResult
+from slam.mapper.pipeline import build_map
 from slam.mapping.layered_map import LayeredMap
-from slam.pipeline import build_map
-from slam.run_outputs import contents_of, save_clouds, save_dense, save_run
+from slam.outputs.finished_map import NOTES, WARNINGS, Map, open_map
+from slam.outputs.layer_outputs import layers_of
+from slam.outputs.run_outputs import contents_of, save_clouds, save_dense, save_run
 from slam.storage.files import make_folder
 from slam.storage.map_contents import write_contents
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import MapIdentity
-from slam.viewer import recording
+from slam.viewer.map_recording import record_map
+from slam.viewer.viewer import recording
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,8 @@ from slam.config import Config
 from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
 from slam.errors import MapFileError
-from slam.finished_map import Map, open_map
 from slam.measurements import Measurement
+from slam.outputs.finished_map import Map, open_map
 from slam.storage.files import TemporaryFolder
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import MapIdentity, current_versions, identity_of

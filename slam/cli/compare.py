@@ -48,7 +48,7 @@ def compare(
     from slam.comparison.experiment import find_experiment
     from slam.comparison.recording import record_comparison
     from slam.comparison.store import ResultStore
-    from slam.viewer import recording
+    from slam.viewer.viewer import recording
 
     if workers is not None and scheduler is not None:
         raise typer.BadParameter("--workers is for this machine; a scheduler has workers of its own")

@@ -42,8 +42,8 @@ def localize(
     from slam.app.localizing import localize_log
     from slam.config import load_config
     from slam.errors import MapFileError
-    from slam.finished_map import open_map
     from slam.localization.drive_log import STATES
+    from slam.outputs.finished_map import open_map
     from slam.storage.map_file import MAP_NAME
 
     settings = load_config(config, [*(set_ or []), *topics_override(topics)])

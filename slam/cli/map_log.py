@@ -130,7 +130,7 @@ def map_into(
     """Map a log as one more session of a saved map, and tell of it."""
     started = time.perf_counter()
     from slam.app.joining import WORK, join
-    from slam.finished_map import open_map
+    from slam.outputs.finished_map import open_map
 
     known = open_map(map_)
     work = (out or known.path.parent) / WORK / "session"

@@ -39,7 +39,7 @@ def info(map_: MapArgument, as_json: JsonOption = False) -> None:
 @command()
 def check(map_: MapArgument) -> None:
     """Read everything in a map and compare it with its checksums."""
-    from slam.finished_map import open_map
+    from slam.outputs.finished_map import open_map
 
     saved = open_map(map_)
     saved.check()
@@ -64,7 +64,7 @@ def export(
     ],
 ) -> None:
     """Write a map in the format of another program: the same bytes as 'scanweave map' has written."""
-    from slam.finished_map import open_map
+    from slam.outputs.finished_map import open_map
 
     saved = open_map(map_)
     written = saved.export(format_.value, out)

@@ -14,7 +14,6 @@ from slam.comparison.product import AcceptedLoop, Product, StateGrid
 from slam.config import Config
 from slam.datasets import Dataset
 from slam.errors import DatasetError
-from slam.finished_map import Map
 from slam.measurements import (
     FloatArray,
     LaserScan,
@@ -24,7 +23,8 @@ from slam.measurements import (
     WheelOdometry,
     row_from_pose2,
 )
-from slam.open3d_library import load_open3d
+from slam.outputs.finished_map import Map
+from slam.vision.open3d_library import load_open3d
 
 _FARTHEST_DEPTH_M = 4.0
 

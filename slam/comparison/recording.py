@@ -12,7 +12,7 @@ from slam.comparison.perform import Row
 from slam.comparison.store import ResultStore
 from slam.measurements import pose2_from_row
 from slam.storage.tum import read_tum
-from slam.viewer import Viewer
+from slam.viewer.viewer import Viewer
 
 _MOST_ERRORS = 2000  # points of a curve
 

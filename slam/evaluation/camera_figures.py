@@ -18,8 +18,8 @@ from slam.evaluation.figure_parts import (
     thinned,
 )
 from slam.evaluation.truth_comparison import TruthComparison
+from slam.mapper.scan_record import ScanRecord
 from slam.measurements import BoolArray, FloatArray
-from slam.scan_record import ScanRecord
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -20,7 +20,7 @@ from slam.evaluation.figure_parts import (
     png_of,
 )
 from slam.evaluation.page_parts import image, paragraph, section, table
-from slam.keyframe_fusion import FusionPair, FusionSummary
+from slam.mapper.keyframe_fusion import FusionPair, FusionSummary
 from slam.measurements import BoolArray, FloatArray, LaserScan
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ import numpy as np
 
 from slam.config import Config
 from slam.errors import MapFileError, UnfinishedMapError
-from slam.finished_map import Map, open_map
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, StateArray
+from slam.outputs.finished_map import Map, open_map
 from slam.storage.map_file import MapFile, map_path
 from slam.storage.map_identity import MapIdentity
 from slam.storage.map_tables import CLOUDS, FRAMES

@@ -23,12 +23,12 @@ from slam.evaluation.report_cameras import CameraRow
 from slam.evaluation.truth_comparison import TruthComparison, compare_with_truth
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import EdgeKind
-from slam.map_result import MapResult
+from slam.mapper.map_result import MapResult
+from slam.mapper.scan_record import CameraRecord
 from slam.mapping.dense_map import ColoredCloud
 from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid, StateArray
 from slam.measurements import BoolArray
-from slam.scan_record import CameraRecord
 from slam.storage.ply import read_cloud_ply
 
 CLOUD_FILE = "cloud.ply"

@@ -22,7 +22,7 @@ from slam.evaluation.page_parts import folded, image, paragraph, section, table
 from slam.evaluation.report_cameras import CameraRow, camera_sections, cloud_section, side_view, truth_section
 from slam.evaluation.report_style import STYLE
 from slam.evaluation.truth_comparison import TruthComparison
-from slam.keyframe_fusion import FusionSummary
+from slam.mapper.keyframe_fusion import FusionSummary
 from slam.measurements import BoolArray, FloatArray
 from slam.storage.files import replacing
 

@@ -13,8 +13,8 @@ from slam.evaluation.cloud_picture import CloudPicture
 from slam.evaluation.page_parts import image, paragraph, section, table
 from slam.evaluation.report_figures import map_png
 from slam.evaluation.truth_comparison import TruthComparison
+from slam.mapper.scan_record import CameraRecord
 from slam.measurements import FloatArray
-from slam.scan_record import CameraRecord
 
 
 @dataclass(frozen=True, slots=True)

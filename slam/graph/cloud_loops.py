@@ -13,7 +13,7 @@ import gtsam
 import numpy as np
 
 from slam.answers import COMPUTED, Answers
-from slam.config_clouds import CloudLoopConfig, CloudOdometryConfig
+from slam.config.clouds import CloudLoopConfig, CloudOdometryConfig
 from slam.graph.anchored_steps import Bridge
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph

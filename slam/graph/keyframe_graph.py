@@ -9,7 +9,7 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 
-from slam.config_stages import GraphConfig
+from slam.config.stages import GraphConfig
 from slam.graph.loop_closure import LoopCandidate, judged
 from slam.graph.pose_graph import BatchResult, Edge, EdgeKind, PoseGraph
 from slam.graph.relative_uncertainty import UncertaintyGraph

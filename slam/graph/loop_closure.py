@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slam.answers import COMPUTED, Answers
-from slam.config_stages import LoopConfig, MatchConfig
+from slam.config.stages import LoopConfig, MatchConfig
 from slam.graph.pose_graph import Edge, EdgeKind
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.submaps import Submap, SubmapStore

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 
-from slam.config_stages import GraphConfig
+from slam.config.stages import GraphConfig
 from slam.graph.anchored_steps import Bridge
 from slam.graph.loop_closure import LoopCandidate, judged
 from slam.graph.pose_graph import BatchResult, Edge, EdgeKind, PoseGraph

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from slam.config_stages import LoopConfig, MatchConfig
+from slam.config.stages import LoopConfig, MatchConfig
 from slam.matching.correlative import LikelihoodField, build_field
 from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.planar import between

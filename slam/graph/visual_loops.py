@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 
 from slam.answers import COMPUTED, Answers
-from slam.config_stages import VisualLoopConfig
+from slam.config.stages import VisualLoopConfig
 from slam.graph.loop_closure import LoopCandidate
 from slam.vision.features import Descriptors
 from slam.vision.frame_matcher import FrameMatcher

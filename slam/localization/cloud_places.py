@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 
-from slam.config_localization import CloudLocalizationConfig
+from slam.config.localization import CloudLocalizationConfig
 from slam.localization.known_clouds import KnownClouds
 from slam.matching.cloud_points import thinned
 from slam.matching.scan_context import SECTORS, ContextBank, scan_context

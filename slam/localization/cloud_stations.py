@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from slam.config_localization import LocalizationConfig
+from slam.config.localization import LocalizationConfig
 from slam.localization.cloud_match import CloudView
 
 

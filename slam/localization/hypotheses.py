@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from slam.config_localization import LocalizationConfig
+from slam.config.localization import LocalizationConfig
 from slam.localization.evidence import Hypothesis, is_same_place, posterior, pruned
 from slam.localization.global_search import search_everywhere
 from slam.localization.known_map import Walls

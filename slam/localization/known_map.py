@@ -11,19 +11,19 @@ import numpy as np
 
 from slam.config import Config
 from slam.errors import MapFileError
-from slam.finished_map import Map
-from slam.keyframe_store import KeyframeSpool, TemporarySpool
 from slam.localization.beam_check import KnownSpace, known_space
 from slam.localization.known_clouds import KnownClouds
 from slam.localization.map_tiles import MapTiles
 from slam.localization.whole_map_field import WholeMapField, build_whole_map_field
-from slam.map_result import MapResult
+from slam.mapper.keyframe_store import KeyframeSpool, TemporarySpool
+from slam.mapper.map_result import MapResult
 from slam.mapping.cloud_keyframes import CloudKeyframes
 from slam.mapping.occupancy_grid import FREE, OccupancyGrid
 from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import transform_points
 from slam.matching.scan_points import ScanPoints, extract_points
 from slam.measurements import FloatArray, LaserScan
+from slam.outputs.finished_map import Map
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_frames import MapFrames
 from slam.vision.color_registration import ColorRegistration

@@ -8,7 +8,6 @@ import gtsam
 
 from slam.config import Config
 from slam.errors import MapFileError
-from slam.finished_map import Map
 from slam.localization.body import Body, PlanarBody, SpatialBody
 from slam.localization.camera_localizer import CameraLocalizer
 from slam.localization.cloud_localizer import CloudLocalizer
@@ -17,6 +16,7 @@ from slam.localization.output import LocalizerOutput
 from slam.localization.planar_localizer import PlanarLocalizer
 from slam.localization.visual_locator import VisualLocator
 from slam.measurements import LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
+from slam.outputs.finished_map import Map
 from slam.vision.camera_frame import T_BODY_CAMERA
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from slam.config_localization import LocalizationConfig
+from slam.config.localization import LocalizationConfig
 
 # One scan counts for so many nats at most: somebody may stand in front of the laser.
 _GREATEST_NATS = 2.0

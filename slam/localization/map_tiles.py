@@ -8,8 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from slam.config_localization import LocalizationConfig
-from slam.config_stages import MatchConfig
+from slam.config.localization import LocalizationConfig
+from slam.config.stages import MatchConfig
 from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.measurements import FloatArray
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.config_localization import LocalizationConfig
+from slam.config.localization import LocalizationConfig
 from slam.localization.scan_view import ScanView, cell_keys, first_in_cells
 from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import between, transform_points

@@ -6,8 +6,8 @@ import gtsam
 import numpy as np
 
 from slam.config import Config
-from slam.keyframe_store import KeyframeStore
 from slam.localization.known_map import KnownCameras
+from slam.mapper.keyframe_store import KeyframeStore
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.place_recognition import PlaceIndex
 from slam.vision.prepared_frame import PreparedFrame

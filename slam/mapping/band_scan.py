@@ -14,7 +14,7 @@ import gtsam
 import numpy as np
 
 from fusion.height_band import HeightBand
-from slam.config_clouds import CloudMapConfig
+from slam.config.clouds import CloudMapConfig
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray, LaserScan
 

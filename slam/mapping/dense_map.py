@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from slam.errors import ConfigError, ScanweaveError
 from slam.mapping.posed_frames import posed_frames
 from slam.measurements import BoolArray, CameraIntrinsics, Float32Array, RgbdFrame
-from slam.open3d_library import load_open3d
+from slam.vision.open3d_library import load_open3d
 
 Colors: TypeAlias = NDArray[np.uint8]
 Faces: TypeAlias = NDArray[np.int32]

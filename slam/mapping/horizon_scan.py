@@ -8,7 +8,7 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 
-from slam.config_clouds import CloudMapConfig
+from slam.config.clouds import CloudMapConfig
 from slam.measurements import Float32Array, FloatArray, LaserScan
 
 # Elevations within one bin are one ring; a ring has at least this share of the points of the fullest.

@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.config_clouds import CloudOdometryConfig
+from slam.config.clouds import CloudOdometryConfig
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray, MotionEstimate
 

@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 
 from fusion.height_band import thin_to_voxels
-from slam.config_clouds import CloudOdometryConfig
+from slam.config.clouds import CloudOdometryConfig
 from slam.measurements import FloatArray, PointCloud
 
 # Times that span less than the first are no turn, more than the second are by no clock of a lidar.

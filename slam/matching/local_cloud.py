@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import gtsam
 import numpy as np
 
-from slam.config_clouds import CloudOdometryConfig
+from slam.config.clouds import CloudOdometryConfig
 from slam.matching.cloud_alignment import CloudAlignment, agreement, align_cloud, motion_of
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray, MotionEstimate

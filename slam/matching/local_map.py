@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.config_stages import MatchConfig
+from slam.config.stages import MatchConfig
 from slam.matching.match_covariance import MatchNoise, weak_direction
 from slam.matching.object_evidence import object_evidence
 from slam.matching.planar import transform_into

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from slam.config_stages import LidarOdometryConfig, MatchConfig
+from slam.config.stages import LidarOdometryConfig, MatchConfig
 from slam.odometry.lidar_odometry import LidarOdometry
 from slam.odometry.surfel_odometry import SurfelOdometry
 

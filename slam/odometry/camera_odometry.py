@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 
 from slam.answers import COMPUTED, Answers
-from slam.config_stages import RgbdOdometryConfig
+from slam.config.stages import RgbdOdometryConfig
 from slam.measurements import FloatArray
 from slam.odometry.camera_track import CameraPose, CameraTrack
 from slam.odometry.rgbd_odometry import make_rgbd_odometry

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import gtsam
 import numpy as np
 
-from slam.config_clouds import CloudOdometryConfig
+from slam.config.clouds import CloudOdometryConfig
 from slam.matching.cloud_points import thinned
 from slam.matching.local_cloud import Aligned, LocalCloud, kiss_map, moved
 from slam.matching.plane_window import PlaneWindow

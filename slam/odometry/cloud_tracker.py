@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from slam.answers import COMPUTED, Answers
-from slam.config_clouds import CloudOdometryConfig
+from slam.config.clouds import CloudOdometryConfig
 from slam.matching.cloud_points import base_points, deskewed, voxel_of
 from slam.matching.planar import between
 from slam.measurements import FloatArray, MotionEstimate, PointCloud

@@ -12,7 +12,7 @@ from collections import deque
 
 import numpy as np
 
-from slam.config_stages import LidarOdometryConfig, MatchConfig
+from slam.config.stages import LidarOdometryConfig, MatchConfig
 from slam.matching.local_map import LocalMap, OrientedPoints, match_noise
 from slam.matching.match_covariance import motion_from_alignment
 from slam.matching.scan_points import ScanPoints

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slam.config_stages import MatchConfig, PredictionConfig
+from slam.config.stages import MatchConfig, PredictionConfig
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate, row_from_pose2

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import gtsam
 
-from slam.config_stages import RgbdOdometryConfig
+from slam.config.stages import RgbdOdometryConfig
 from slam.odometry.dense_odometry import DenseOdometry
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.prepared_frame import PreparedFrame

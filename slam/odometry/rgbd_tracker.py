@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 
 from slam.answers import COMPUTED, Answers
-from slam.config_stages import RgbdOdometryConfig
+from slam.config.stages import RgbdOdometryConfig
 from slam.odometry.rgbd_odometry import RgbdOdometry
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch, unlikeness

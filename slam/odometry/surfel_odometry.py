@@ -6,7 +6,7 @@ from collections import deque
 
 import numpy as np
 
-from slam.config_stages import LidarOdometryConfig, MatchConfig
+from slam.config.stages import LidarOdometryConfig, MatchConfig
 from slam.matching.correlative import build_field, search_window
 from slam.matching.local_map import LocalMap, OrientedPoints, match_noise
 from slam.matching.match_covariance import motion_from_alignment

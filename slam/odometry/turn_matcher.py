@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from slam.config_clouds import CloudOdometryConfig
+from slam.config.clouds import CloudOdometryConfig
 from slam.matching.cloud_points import base_points, deskewed
 from slam.measurements import FloatArray, MotionEstimate, PointCloud
 from slam.odometry.cloud_odometry import CloudOdometry

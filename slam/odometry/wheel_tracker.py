@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from slam.config_stages import WheelConfig
+from slam.config.stages import WheelConfig
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, WheelOdometry, row_from_pose2
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from slam.finished_map import Map
 from slam.graph.loop_closure import LoopCandidate
 from slam.localization.known_map import KnownMap, Walls
+from slam.outputs.finished_map import Map
 from slam.sessions.placing import Placing, place
 from slam.sessions.session_join import JoinedMap, join
 from slam.sessions.session_loops import KeyframeScans, find_loops

@@ -14,11 +14,11 @@ from pathlib import Path
 
 from slam.config import Config
 from slam.errors import MapFileError
-from slam.finished_map import NOTES, WARNINGS, Map, open_map
-from slam.layer_outputs import depth_grid
-from slam.map_result import DenseKeyframes
+from slam.mapper.map_result import DenseKeyframes
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import RgbdFrame, Trajectory
+from slam.outputs.finished_map import NOTES, WARNINGS, Map, open_map
+from slam.outputs.layer_outputs import depth_grid
 from slam.sessions.session_join import JoinedMap
 from slam.storage.files import make_folder
 from slam.storage.map_contents import DEPTH, write_contents

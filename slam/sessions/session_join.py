@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.config import Config
-from slam.finished_map import Map
-from slam.full_trajectory import spread_correction
 from slam.graph.loop_closure import LoopCandidate, judged
 from slam.graph.pose_graph import PoseGraph
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, Trajectory, pose2_from_row, row_from_pose2
+from slam.outputs.finished_map import Map
 from slam.sessions.placing import Placing
 from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor
+from slam.trajectory.spread import spread_correction
 
 Indices: TypeAlias = NDArray[np.int64]
 

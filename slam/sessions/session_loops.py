@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.config import Config
-from slam.finished_map import Map
 from slam.graph.loop_closure import LoopCandidate, LoopCloser
 from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import extract_points
 from slam.measurements import FloatArray, LaserScan
+from slam.outputs.finished_map import Map
 from slam.sessions.placing import Placing
 
 # How well a sighting tells where its surroundings are: sigmas there, and how they grow with the distance.

@@ -7,7 +7,7 @@ import math
 import gtsam
 import numpy as np
 
-from slam.config_stages import RgbdOdometryConfig
+from slam.config.stages import RgbdOdometryConfig
 from slam.measurements import CameraIntrinsics, FloatArray, MotionEstimate
 from slam.vision.feature_pose import pose_from_features
 from slam.vision.features import Features, Matches, match_features

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from slam.config_stages import RgbdConfig
+from slam.config.stages import RgbdConfig
 from slam.measurements import CameraIntrinsics, Float32Array, Measurement, RgbdFrame
 from slam.vision.color_registration import ColorRegistration, register_features
 from slam.vision.features import Features, extract_features, gray_of

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from slam.config import Config
-from slam.config_stages import RgbdOdometryConfig
+from slam.config.stages import RgbdOdometryConfig
 from slam.measurements import Measurement, RgbdFrame
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.color_registration_fit import FramePair, estimate_registration

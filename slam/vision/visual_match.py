@@ -9,7 +9,7 @@ from typing import cast
 import gtsam
 import numpy as np
 
-from slam.config_stages import RgbdOdometryConfig
+from slam.config.stages import RgbdOdometryConfig
 from slam.measurements import FloatArray, MotionEstimate
 from slam.vision.prepared_frame import PreparedFrame
 

@@ -27,7 +27,7 @@ from slam.comparison.store import ResultStore
 from slam.evaluation.truth_comparison import compare_with_truth
 from slam.measurements import FloatArray
 from slam.storage.tum import read_tum
-from slam.viewer import NullViewer
+from slam.viewer.viewer import NullViewer
 
 __all__ = ["scanweave"]
 

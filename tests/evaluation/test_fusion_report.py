@@ -21,11 +21,11 @@ from slam.evaluation.fusion_figures import examples_png, fusion_section, offsets
 from slam.evaluation.map_report import RunCost, report_data
 from slam.evaluation.report import write_report
 from slam.graph.pose_graph import PoseGraph
-from slam.keyframe_fusion import FusionPair, FusionSummary
-from slam.map_result import MapResult
+from slam.mapper.keyframe_fusion import FusionPair, FusionSummary
+from slam.mapper.map_result import MapResult
+from slam.mapper.planar_mapper import PlanarMapper
+from slam.mapper.scan_record import ScanRecord
 from slam.measurements import FloatArray, LaserScan, Trajectory
-from slam.planar_mapper import PlanarMapper
-from slam.scan_record import ScanRecord
 from slam.vision.color_registration import identity_registration
 
 RIG = RigEstimate(

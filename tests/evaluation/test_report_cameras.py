@@ -21,10 +21,10 @@ from slam.evaluation.report import write_report
 from slam.evaluation.truth_comparison import compare_with_truth
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, EdgeKind, PoseGraph
-from slam.map_result import MapResult
+from slam.mapper.map_result import MapResult
+from slam.mapper.scan_record import CameraRecord, ScanRecord
 from slam.mapping.dense_map import ColoredCloud
 from slam.measurements import CameraIntrinsics, FloatArray, LaserScan, Trajectory
-from slam.scan_record import CameraRecord, ScanRecord
 from slam.storage.ply import write_cloud_ply
 from slam.vision.color_registration import identity_registration
 from slam.vision.learned_camera import LearnedCamera

@@ -9,10 +9,10 @@ import pytest
 
 import fusion
 from fusion.curves import FORWARD
-from slam.config_stages import FusionConfig
-from slam.keyframe_fusion import KeyframeFusion
+from slam.config.stages import FusionConfig
+from slam.mapper.keyframe_fusion import KeyframeFusion
+from slam.mapper.robot_cameras import Picture
 from slam.measurements import CameraIntrinsics, LaserScan, RgbdFrame
-from slam.robot_cameras import Picture
 from slam.vision.prepared_frame import PreparedFrame
 
 OFFSET = (0.1, 0.02)

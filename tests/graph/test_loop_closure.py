@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from flat_worlds import corridor, points_at
 
-from slam.config_stages import LoopConfig, MatchConfig
+from slam.config.stages import LoopConfig, MatchConfig
 from slam.graph.loop_closure import LoopCandidate, LoopCloser
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.matching.local_map import OrientedPoints

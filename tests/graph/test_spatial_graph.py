@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from slam.config_stages import GraphConfig
+from slam.config.stages import GraphConfig
 from slam.graph.keyframe_graph import KeyframeGraph, Step
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import EdgeKind

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from flat_worlds import points_at, room
 
-from slam.config_stages import LoopConfig, MatchConfig
+from slam.config.stages import LoopConfig, MatchConfig
 from slam.graph.submaps import SubmapStore
 from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import compose, transform_points

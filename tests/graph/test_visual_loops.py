@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from room_world import MIDDLE, Room, blind, error_of, furnished, looking, prepared, render
 
-from slam.config_stages import RgbdOdometryConfig, VisualLoopConfig
+from slam.config.stages import RgbdOdometryConfig, VisualLoopConfig
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.visual_loops import VisualLoopCloser
 from slam.vision.frame_matcher import FrameMatcher

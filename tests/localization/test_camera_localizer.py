@@ -8,11 +8,11 @@ import pytest
 from room_world import SMALL, Room, blind, error_of, furnished, looking, prepared, render
 
 from slam.config import Config, load_config
-from slam.keyframe_store import TemporarySpool
 from slam.localization.known_map import KnownCameras, KnownMap
 from slam.localization.localizer import Localizer
 from slam.localization.output import LocalizerOutput, State
 from slam.localization.visual_locator import VisualLocator
+from slam.mapper.keyframe_store import TemporarySpool
 from slam.measurements import RgbdFrame
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualMatch

@@ -9,10 +9,9 @@ from pathlib import Path
 import gtsam
 import numpy as np
 import pytest
-from cloud_world import PILLARS, base, look
+from cloud_world import PILLARS, base, look, write_log
 from command_line import Scanweave, assert_one_line_error
 from command_line import scanweave as scanweave
-from test_cloud_mapper import write_log
 
 from slam.config import load_config
 from slam.datasets import open_dataset
@@ -20,8 +19,8 @@ from slam.errors import MapFileError
 from slam.localization.known_map import KnownMap
 from slam.localization.localizer import Localizer
 from slam.localization.output import LocalizerOutput, State
+from slam.mapper.pipeline import build_map
 from slam.measurements import FloatArray, PointCloud
-from slam.pipeline import build_map
 from slam.simulation.synthetic_log import write_synthetic_log
 from slam.storage.tum import read_tum
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cloud_world import PILLARS, ROOM, T_BASE_LIDAR, base, look
 
-from slam.config_clouds import CloudOdometryConfig
+from slam.config.clouds import CloudOdometryConfig
 from slam.localization.cloud_space import CloudSpace, cloud_space, judge_beams
 from slam.localization.plane_sides import SidedPlanes
 from slam.matching.cloud_points import base_points

@@ -15,11 +15,11 @@ from slam.localization.drive_log import DriveLog
 from slam.localization.known_map import KnownMap
 from slam.localization.localizer import Localizer
 from slam.localization.output import LocalizerOutput, State
-from slam.map_result import MapResult
+from slam.mapper.map_result import MapResult
+from slam.mapper.pipeline import build_map
+from slam.mapper.planar_mapper import PlanarMapper
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, LaserScan, Measurement, row_from_pose2
-from slam.pipeline import build_map
-from slam.planar_mapper import PlanarMapper
 from slam.simulation.synthetic_log import write_synthetic_log
 
 CONFIG = load_config()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from flat_worlds import points_at, room
 
-from slam.config_localization import LocalizationConfig
+from slam.config.localization import LocalizationConfig
 from slam.localization.evidence import Hypothesis, is_correction, is_same_place, pruned
 from slam.localization.loss_test import LossTest
 from slam.localization.scan_view import ScanView, first_in_cells

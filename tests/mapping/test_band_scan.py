@@ -8,7 +8,7 @@ import pytest
 from cloud_world import T_BASE_LIDAR, base, look
 
 from fusion.height_band import HeightBand
-from slam.config_clouds import CloudMapConfig, CloudOdometryConfig
+from slam.config.clouds import CloudMapConfig, CloudOdometryConfig
 from slam.mapping.band_scan import band_scan, ground_height
 from slam.mapping.cloud_keyframes import CloudKeyframes
 from slam.matching.cloud_points import base_points

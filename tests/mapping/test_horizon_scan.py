@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 from cloud_world import T_BASE_LIDAR, base, cast, look
 
-from slam.config_clouds import CloudMapConfig
+from slam.config.clouds import CloudMapConfig
 from slam.mapping.horizon_scan import horizon_scan, with_repairs
 from slam.measurements import FloatArray, LaserScan
 

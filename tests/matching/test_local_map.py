@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from flat_worlds import corridor, moved, points_at, room
 
-from slam.config_stages import MatchConfig
+from slam.config.stages import MatchConfig
 from slam.matching.local_map import LocalMap, OrientedPoints, match_noise
 from slam.matching.match_covariance import weak_direction
 from slam.matching.planar import between, compose

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from flat_worlds import box, corridor, moved, points_at, room
 
-from slam.config_stages import MatchConfig
+from slam.config.stages import MatchConfig
 from slam.matching.local_map import LocalMap, OrientedPoints, match_noise
 from slam.matching.match_covariance import MatchNoise, motion_from_alignment, weak_direction
 from slam.matching.planar import between, compose

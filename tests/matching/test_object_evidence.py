@@ -3,7 +3,7 @@
 import numpy as np
 from flat_worlds import box, corridor, moved, points_at, room
 
-from slam.config_stages import MatchConfig
+from slam.config.stages import MatchConfig
 from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.planar import compose
 from slam.measurements import FloatArray

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cloud_world import base, look
 
-from slam.config_clouds import CloudOdometryConfig
+from slam.config.clouds import CloudOdometryConfig
 from slam.matching.cloud_points import base_points
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.matching.plane_window import PlaneWindow

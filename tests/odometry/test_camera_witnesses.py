@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam.config_stages import MatchConfig, PredictionConfig, WheelConfig
+from slam.config.stages import MatchConfig, PredictionConfig, WheelConfig
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate, WheelOdometry, pose2_from_row

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from cloud_world import ELEVATIONS, T_BASE_LIDAR, base, look, look_on_the_way, way_round
 
-from slam.config_clouds import CloudOdometryConfig
+from slam.config.clouds import CloudOdometryConfig
 from slam.matching.cloud_alignment import align_cloud
 from slam.matching.cloud_points import at_middle_of_turn, base_points, turn_known, voxel_of
 from slam.matching.local_cloud import LocalCloud

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from flat_worlds import corridor, points_at, room
 
-from slam.config_stages import LidarOdometryConfig, MatchConfig
+from slam.config.stages import LidarOdometryConfig, MatchConfig
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, row_from_pose2

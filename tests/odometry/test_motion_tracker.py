@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from flat_worlds import corridor, moved, points_at, room
 
-from slam.config_stages import LidarOdometryConfig, MatchConfig, PredictionConfig, WheelConfig
+from slam.config.stages import LidarOdometryConfig, MatchConfig, PredictionConfig, WheelConfig
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate, WheelOdometry, pose2_from_row, row_from_pose2

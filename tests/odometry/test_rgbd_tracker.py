@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from room_world import SMALL, furnished, looking, prepared, render
 
-from slam.config_stages import RgbdOdometryConfig
+from slam.config.stages import RgbdOdometryConfig
 from slam.measurements import MotionEstimate
 from slam.odometry.camera_odometry import CameraOdometry, camera_step
 from slam.odometry.camera_track import CameraPose

@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from slam.config_stages import WheelConfig
+from slam.config.stages import WheelConfig
 from slam.measurements import FloatArray, WheelOdometry
 from slam.odometry.wheel_tracker import WheelTracker
 

@@ -13,9 +13,9 @@ import pytest
 from session_runs import Sessions, run, scanweave, sessions_in
 
 from slam.evaluation.trajectory_error import absolute_error
-from slam.finished_map import open_map
-from slam.journal import Journal
+from slam.mapper.journal import Journal
 from slam.measurements import Trajectory
+from slam.outputs.finished_map import open_map
 from slam.sessions.joined_files import only_one_in
 from slam.simulation.synthetic_log import write_synthetic_log
 from slam.storage.tum import read_tum

@@ -13,9 +13,9 @@ from box_world import box_frames
 from test_saved_map import IDENTITY, MOUNT, contents, features, forge
 
 from slam.errors import MapFileError
-from slam.finished_map import open_map
 from slam.mapping.cloud_packing import packed_cloud
 from slam.measurements import FloatArray, RgbdFrame
+from slam.outputs.finished_map import open_map
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_contents import write_contents
 from slam.storage.map_file import MapFile

@@ -15,11 +15,11 @@ from test_packing import same
 
 from slam.config import Config, load_config
 from slam.errors import MapFileError
-from slam.finished_map import open_map
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import LaserScan, MotionEstimate, Pose, RgbdFrame, Trajectory
+from slam.outputs.finished_map import open_map
 from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor, write_contents
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames

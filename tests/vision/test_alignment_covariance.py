@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from room_world import SMALL, error_of, furnished, looking, prepared, render
 
-from slam.config_stages import RgbdConfig, RgbdOdometryConfig
+from slam.config.stages import RgbdConfig, RgbdOdometryConfig
 from slam.measurements import FloatArray, RgbdFrame
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.joint_alignment import AlignmentSettings, Landmarks, View, align

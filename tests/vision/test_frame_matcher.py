@@ -22,7 +22,7 @@ from room_world import (
     render,
 )
 
-from slam.config_stages import RgbdOdometryConfig
+from slam.config.stages import RgbdOdometryConfig
 from slam.odometry.dense_odometry import DenseOdometry
 from slam.odometry.rgbd_odometry import RgbdOdometry, make_rgbd_odometry
 from slam.vision.frame_matcher import FrameMatcher

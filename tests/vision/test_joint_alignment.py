@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from room_world import SMALL, T_BODY_CAMERA, Room, dark, error_of, furnished, hall, looking, prepared, render
 
-from slam.config_stages import RgbdOdometryConfig
+from slam.config.stages import RgbdOdometryConfig
 from slam.measurements import FloatArray
 from slam.vision.alignment_kernels import feature_part, surface_part
 from slam.vision.joint_alignment import (

@@ -11,7 +11,7 @@ import pytest
 from room_world import LESS, MIDDLE, furnished, looking, prepared, render
 
 from slam.config import load_config
-from slam.config_stages import RgbdConfig
+from slam.config.stages import RgbdConfig
 from slam.measurements import Measurement, WheelOdometry
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame

@@ -1,0 +1,1 @@
+"""From measurements to a map: the main loop and what it feeds."""

@@ -1,0 +1,135 @@
+"""RGB-D cameras beside a 3D lidar: their pictures at its keyframes, and what fusion makes of its horizon.
+
+The lidar makes the way. A camera is placed by its own odometry and clock at each keyframe; where the lidar is
+lost, it tells the step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import gtsam
+
+from slam.config import Config
+from slam.mapper.journal import Journal
+from slam.mapper.keyframe_fusion import FusionSummary, KeyframeFusion
+from slam.mapper.keyframe_store import KeyframeStore, registration_notes
+from slam.mapper.map_result import DenseKeyframes
+from slam.mapper.robot_cameras import CameraMarks, RobotCameras
+from slam.mapper.scan_record import CameraRecord
+from slam.mapping.horizon_scan import horizon_scan, with_repairs
+from slam.measurements import FloatArray, LaserScan, WheelOdometry
+from slam.odometry.camera_odometry import camera_step
+from slam.odometry.cloud_tracker import TrackedCloud
+from slam.vision.color_registration import ColorRegistration
+from slam.vision.prepared_frame import PreparedFrame
+
+_RING = "horizon of the 3D lidar"
+
+
+class CloudCameras:
+    """The cameras of a run with a 3D lidar, as far as the log tells where they sit on the robot."""
+
+    def __init__(self, config: Config, journal: Journal) -> None:
+        self._config = config
+        self._cameras = RobotCameras(config.rgbd_odometry, config.sensors, answers=journal)
+        self._store = KeyframeStore(config.rgbd, config.visual_loops.keyframes_cached, journal.spool())
+        self._fusion = KeyframeFusion(config.fusion) if config.fusion.enabled else None
+        self._registrations: Mapping[str, ColorRegistration] = {}
+        self._nodes: list[int] = []
+        self._T_node_camera: list[gtsam.Pose3] = []
+        self._horizons: list[LaserScan | None] = []
+        self._marks: CameraMarks = {}
+
+    def note_registrations(self, registrations: Mapping[str, ColorRegistration]) -> None:
+        """Take down where colour cameras sit that are not registered to depth."""
+        self._registrations = registrations
+
+    def note_wheels(self, reading: WheelOdometry) -> None:
+        """Take a heading by which the cameras' clocks are compared."""
+        self._cameras.note_wheel_turn(reading.stamp_s, reading.T_odom_base.theta())
+
+    def note_cloud(self, stamp_s: float, tracked: TrackedCloud) -> None:
+        """Take the heading of a cloud that matched, for the same."""
+        if tracked.motion is not None:
+            self._cameras.note_scan_turn(stamp_s, tracked.pose.rotation().yaw())
+
+    def add(self, frame: PreparedFrame) -> None:
+        """Track a frame of any camera."""
+        self._cameras.add(frame)
+
+    def step(self, stamp_s: float) -> tuple[gtsam.Pose3, FloatArray] | None:
+        """Motion of the base since the last keyframe, and its (6, 6), by the first camera that knows it."""
+        now = self._cameras.marks(stamp_s)
+        for name, camera in self._cameras.cameras.items():
+            found = camera_step(self._marks.get(name), now.get(name))
+            if found is None or camera.T_base_camera is None:
+                continue
+            T_base_camera = camera.T_base_camera
+            adjoint = T_base_camera.AdjointMap()
+            motion = T_base_camera.compose(found[0]).compose(T_base_camera.inverse())
+            return motion, adjoint @ found[1] @ adjoint.T
+        return None
+
+    def add_keyframe(self, node: int, stamp_s: float, points: FloatArray, T_base_lidar: gtsam.Pose3) -> None:
+        """Take the newest frames for a keyframe of the lidar, whose points are (N, 3) in the base frame."""
+        self._marks = self._cameras.marks(stamp_s)
+        placed = self._cameras.placed_pictures(self._marks)
+        for picture in placed:
+            # Seen from the base at the node, so that who reads the image needs no other pose than the node's.
+            image = replace(picture.frame.frame, T_base_camera=picture.T_base_camera)
+            registration = self._registrations.get(image.sensor)
+            self._store.add_picture(replace(picture.frame, frame=image), registration, node)
+            self._nodes.append(node)
+            self._T_node_camera.append(picture.T_base_camera)
+        self._horizons.append(None)
+        if placed and self._fusion is not None:
+            ring = horizon_scan(points, stamp_s, T_base_lidar, self._config.cloud_map, _RING)
+            if ring is not None:
+                self._horizons[-1] = ring
+                self._fusion.add(node, ring, placed)
+
+    def repaired(
+        self, scans: Sequence[LaserScan | None], *, in_band: bool
+    ) -> tuple[list[LaserScan | None], FusionSummary | None]:
+        """The flat scans of all keyframes with what the fusion has found in the way.
+
+        Parameters
+        ----------
+        in_band
+            Whether what the lidar sees at its own height stands in the robot's way.
+        """
+        if self._fusion is None or not any(self._horizons):
+            return list(scans), None
+        mended, summary = self._fusion.repair(self._horizons)
+        if not in_band or not scans:
+            return list(scans), summary
+        return [
+            with_repairs(scan, ring, after) if scan and ring and after is not None else scan
+            for scan, ring, after in zip(scans, self._horizons, mended, strict=True)
+        ], summary
+
+    def dense(self, poses: Sequence[gtsam.Pose3]) -> DenseKeyframes | None:
+        """The frames with their poses, by those of the nodes; None without any."""
+        if not self._nodes:
+            return None
+        placed = zip(self._nodes, self._T_node_camera, strict=True)
+        return DenseKeyframes(self._store.images, [poses[node].compose(seen) for node, seen in placed])
+
+    def records(self) -> dict[str, CameraRecord]:
+        """What became of every camera's frames."""
+        return self._cameras.records(self._registrations)
+
+    def notes(self) -> list[str]:
+        """Registrations and clocks."""
+        return [*registration_notes(self._registrations), *self._cameras.notes()]
+
+    def warnings(self) -> list[str]:
+        """Cameras that failed, or could not be used."""
+        unplaced = [name for name, camera in self._cameras.cameras.items() if camera.T_base_camera is None]
+        lines = [
+            f"{name}: not used; beside a 3D lidar the log must tell where a camera sits on the robot"
+            for name in unplaced
+        ]
+        return [*lines, *self._cameras.warnings()]

@@ -1,0 +1,145 @@
+"""The journal of a run: every answer that took time, so that an interrupted run goes on where it was.
+
+A mapper is deterministic. Fed the same log again and given the answers that it got before, it comes to the
+same state, without the time that the answers took.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, TypeVar, cast
+
+from slam.errors import MapFileError
+from slam.mapper.mount_learner import LearnedMounting
+from slam.storage.map_clouds import MapClouds
+from slam.storage.map_file import MapFile
+from slam.storage.map_frames import MapFrames
+from slam.storage.map_tables import FRAMES, IMAGES, JOURNAL
+from slam.storage.packing import pack, unpack
+from slam.vision.color_registration import ColorRegistration
+
+T = TypeVar("T")
+
+_LENGTH = struct.Struct("<I")
+_ROW_BYTES = 1 << 18
+_REGISTRATIONS, _MOUNTINGS = "registrations", "mountings"
+
+
+class Journal:
+    """Answers to a run's questions, in their order; see `slam.answers.Answers`.
+
+    Parameters
+    ----------
+    file
+        Where they are kept, with what an interrupted run has left there; None to remember nothing.
+    """
+
+    def __init__(self, file: MapFile | None = None) -> None:
+        self._file = file
+        self._count = 0
+        self._waiting = bytearray()
+        self._first_waiting = 0
+        self._known: Iterator[tuple[str, float, Any]] = iter(())
+        if file is not None:
+            file.before_commit(self._flush)
+            self._known = self._read(file, file.count(JOURNAL))
+        self._next = next(self._known, None)
+
+    @property
+    def replaying(self) -> bool:
+        """Whether the next answer is known."""
+        return self._next is not None
+
+    def ask(self, question: str, key: float, compute: Callable[[], T]) -> T:
+        """The answer to a question: as it was, or else computed and remembered.
+
+        Raises
+        ------
+        MapFileError
+            Where the interrupted run asked something else at this place.
+        """
+        if self._next is not None:
+            return cast(T, self._replayed(question, key))
+        answer = compute()
+        if self._file is not None:
+            self._remember(question, key, answer)
+            self._file.commit_if_due()
+        return answer
+
+    def registrations(
+        self, compute: Callable[[], dict[str, ColorRegistration]]
+    ) -> dict[str, ColorRegistration]:
+        """Where colour cameras sit that are not registered to depth: the first question of a run."""
+        return dict(self.ask(_REGISTRATIONS, 0.0, lambda: list(compute().items())))
+
+    def mountings(self) -> dict[str, LearnedMounting]:
+        """Where cameras sit on the robot, learned by a first pass over the log; the second question."""
+        rows: list[tuple[str, Any, str]] = self.ask(_MOUNTINGS, 0.0, list)
+        return {name: LearnedMounting(pose, note) for name, pose, note in rows}
+
+    def begin_again(
+        self, registrations: Mapping[str, ColorRegistration], mountings: Mapping[str, LearnedMounting]
+    ) -> None:
+        """Forget all but what a first pass over the log has learned."""
+        if self._file is None:
+            return
+        self._waiting.clear()
+        self._count = self._first_waiting = 0
+        for table in (JOURNAL, FRAMES, IMAGES):
+            self._file.clear(table)
+        self._remember(_REGISTRATIONS, 0.0, list(registrations.items()))
+        rows = [(name, found.T_base_camera, found.note) for name, found in mountings.items()]
+        self._remember(_MOUNTINGS, 0.0, rows)
+        self._file.commit()
+
+    def spool(self) -> MapFrames | None:
+        """Where the camera keyframes of a pass go; None for a temporary place."""
+        return None if self._file is None else MapFrames(self._file, begun=True)
+
+    def cloud_spool(self) -> MapClouds | None:
+        """Where the clouds of keyframes go; None for a temporary place."""
+        return None if self._file is None else MapClouds(self._file, begun=True)
+
+    def _replayed(self, question: str, key: float) -> Any:
+        """The next known answer, if it is one to this question."""
+        assert self._next is not None and self._file is not None
+        asked, about, answer = self._next
+        if asked != question or (about != key and about == about):
+            raise MapFileError(
+                f"{self._file.path} cannot be resumed: its answer {self._count} is to "
+                f"'{asked}' about {about!r}, asked is '{question}' about {key!r}; "
+                "map anew, without --resume"
+            )
+        self._count += 1
+        self._first_waiting = self._count
+        self._next = next(self._known, None)
+        return answer
+
+    def _remember(self, question: str, key: float, answer: Any) -> None:
+        """Gather an answer for the next row."""
+        content = pack((question, float(key), answer))
+        self._waiting += _LENGTH.pack(len(content)) + content
+        self._count += 1
+        if len(self._waiting) > _ROW_BYTES:
+            self._flush()
+
+    def _flush(self) -> None:
+        """Write the answers that wait, as one row."""
+        if self._file is not None and self._waiting:
+            self._file.append(JOURNAL, self._first_waiting, bytes(self._waiting))
+            self._waiting.clear()
+            self._first_waiting = self._count
+
+    @staticmethod
+    def _read(file: MapFile, rows: int) -> Iterator[tuple[str, float, Any]]:
+        """The answers of the first rows, one row in memory at a time."""
+        for number in range(rows):
+            content = cast(bytes, file.row(JOURNAL, number)[1])
+            at = 0
+            while at < len(content):
+                with file.blaming(JOURNAL, number):
+                    (length,) = _LENGTH.unpack_from(content, at)
+                    question, key, answer = unpack(content[at + 4 : at + 4 + length])
+                at += 4 + length
+                yield question, key, answer

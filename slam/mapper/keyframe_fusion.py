@@ -1,0 +1,168 @@
+"""Each keyframe's scan and depth images repair each other, with no calibration between them (Xu2024)."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+import fusion
+from slam.config.stages import FusionConfig
+from slam.mapper.robot_cameras import Picture
+from slam.mapping.keyframe_images import KeyframeImages
+from slam.measurements import CameraIntrinsics, FloatArray, LaserScan, RgbdFrame
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class FusionPair:
+    """What one keyframe's registration told.
+
+    Attributes
+    ----------
+    stamp_s
+        Of the scan.
+    u, grade
+        Best offset along the lidar curve, and how far the pair can be trusted.
+    repaired
+        (5,) beams by `fusion.Provenance`; None where nothing was repaired.
+    """
+
+    stamp_s: float
+    u: int
+    grade: fusion.Grade
+    repaired: NDArray[np.int64] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FusionSummary:
+    """The fusion of a run.
+
+    Attributes
+    ----------
+    pairs
+        One a keyframe with scan and images.
+    estimate
+        What the whole drive tells of the rig; None where nothing could be told.
+    examples
+        Some keyframes' scans before and after: pairs of scans of the same beams.
+    note
+        In one line, for people.
+    """
+
+    pairs: list[FusionPair]
+    estimate: fusion.RigEstimate | None
+    examples: list[tuple[LaserScan, LaserScan]]
+    note: str
+
+
+class KeyframeFusion:
+    """Collects the pairs of a run, then repairs every scan by what all pairs together tell of the rig."""
+
+    def __init__(self, config: FusionConfig) -> None:
+        self._config = config
+        self._rig = fusion.Rig()
+        self._images = KeyframeImages()
+        self._pairs: list[FusionPair] = []
+        self._views: dict[int, tuple[range, tuple[FloatArray, ...]]] = {}
+        self._cameras = 0
+
+    def add(self, key: int, scan: LaserScan, pictures: Sequence[Picture]) -> None:
+        """Take the scan of a keyframe with the newest image of every camera."""
+        near = [p for p in pictures if abs(p.frame.stamp_s - scan.stamp_s) <= self._config.tolerance_s]
+        if not near or len(near) < self._cameras:
+            return  # a pair is compared by all cameras or not at all
+        if len(near) > self._cameras:
+            # Another camera has begun to see: pairs of fewer tell of another rig.
+            self._cameras, self._rig = len(near), fusion.Rig()
+            self._pairs.clear()
+            self._views.clear()
+        frames = [picture.frame.frame for picture in near]
+        turns = tuple(picture.T_base_camera.rotation().matrix() for picture in near)
+        try:
+            pair = fusion.register(_curve(scan), _depths(frames, turns))
+        except ValueError:
+            return  # nothing to compare: no reading in common
+        self._rig.add(pair)
+        first = len(self._images)
+        for frame in frames:
+            self._images.add(frame)
+        self._views[key] = (range(first, first + len(frames)), turns)
+        self._pairs.append(FusionPair(scan.stamp_s, pair.u, pair.grade))
+
+    def repair(
+        self, scans: Sequence[LaserScan | None]
+    ) -> tuple[list[LaserScan | None], FusionSummary | None]:
+        """The scans of all keyframes, repaired where the pairs are enough to tell the rig."""
+        if not self._pairs:
+            return list(scans), None
+        estimate = self._rig.estimate() if len(self._pairs) >= self._config.least_pairs else None
+        if estimate is None:
+            note = f"{len(self._pairs)} pairs of scan and image do not tell the rig: nothing was repaired"
+            return list(scans), FusionSummary(self._pairs, None, [], note)
+        repaired = list(scans)
+        pairs: list[FusionPair] = []
+        examples: list[tuple[LaserScan, LaserScan]] = []
+        every = max(1, len(self._views) // self._config.examples)
+        for number, (key, (numbers, turns)) in enumerate(self._views.items()):
+            scan = scans[key]
+            if scan is None:
+                continue
+            frames = [self._images.frame(image) for image in numbers]
+            try:
+                result = fusion.denoise(_curve(scan), _depths(frames, turns), estimate)
+            except ValueError as error:  # an image that is not like the others: the scan stays as it is
+                log.warning("keyframe %d was not repaired: %s", key, error)
+                pairs.append(self._pairs[number])
+                continue
+            counts = np.bincount(result.lidar_source, minlength=len(fusion.Provenance))
+            pairs.append(replace(self._pairs[number], repaired=counts if result.applied else None))
+            if result.applied:
+                after = _with_repairs(scan, result)
+                repaired[key] = after
+                if number % every == 0:
+                    examples.append((scan, after))
+        return repaired, FusionSummary(pairs, estimate, examples, _note(pairs, estimate))
+
+
+def _with_repairs(scan: LaserScan, result: fusion.Denoised) -> LaserScan:
+    """The scan with every beam that the repair gave another reading."""
+    touched = (result.lidar_source != fusion.Provenance.MEASURED) & (
+        result.lidar_source != fusion.Provenance.HOLE
+    )
+    return replace(scan, ranges_m=np.where(touched, result.ranges_m, scan.ranges_m).astype(np.float32))
+
+
+def _curve(scan: LaserScan) -> fusion.LidarCurve:
+    """A scan as fusion takes it."""
+    return fusion.LidarCurve(scan.ranges_m, scan.start_angle_rad, scan.step_rad, scan.range_max_m)
+
+
+def _depths(frames: Sequence[RgbdFrame], turns: Sequence[FloatArray]) -> list[fusion.DepthImage]:
+    """Depth images as fusion takes them: no position, only which way is up."""
+    return [
+        fusion.DepthImage(frame.depth_m, _intrinsics(frame.intrinsics), turn)
+        for frame, turn in zip(frames, turns, strict=True)
+    ]
+
+
+def _intrinsics(k: CameraIntrinsics) -> fusion.Intrinsics:
+    return fusion.Intrinsics(k.fx, k.fy, k.cx, k.cy)
+
+
+def _note(pairs: Sequence[FusionPair], estimate: fusion.RigEstimate) -> str:
+    """What was found and repaired."""
+    counts = np.sum([pair.repaired for pair in pairs if pair.repaired is not None], axis=0)
+    high = sum(pair.grade == fusion.Grade.HIGH for pair in pairs)
+    height = "" if estimate.height_m is None else f", lidar {-estimate.height_m:.2f} m below the camera"
+    filled = counts[fusion.Provenance.FILLED] if np.ndim(counts) else 0
+    interpolated = counts[fusion.Provenance.INTERPOLATED] if np.ndim(counts) else 0
+    drift = f"; the last pairs alone differ by {estimate.drift} samples" if estimate.drift else ""
+    return (
+        f"fusion of {len(pairs)} keyframes ({high} of high grade): u = {estimate.u}{height}; "
+        f"{filled:,} beams filled, {interpolated:,} interpolated{drift}"
+    )

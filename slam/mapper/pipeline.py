@@ -1,0 +1,100 @@
+"""The main loop: measurements -> keyframes -> graph -> loops -> optimised map."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from slam.config import Config
+from slam.datasets.dataset import Dataset
+from slam.errors import DatasetError
+from slam.mapper.cloud_mapper import CloudMapper
+from slam.mapper.journal import Journal
+from slam.mapper.map_result import MapResult
+from slam.mapper.planar_mapper import PlanarMapper
+from slam.mapper.protocol import Mapper
+from slam.mapper.sensor_choice import SensorChoice, used_measurements
+from slam.mapper.spatial_mapper import SpatialMapper
+from slam.measurements import LaserScan, Measurement, PointCloud, WheelOdometry
+from slam.vision.ahead import prepared_ahead
+from slam.vision.prepared_frame import FramePreparer, PreparedFrame
+from slam.vision.registration_pairs import registrations_of
+
+
+def build_map(
+    dataset: Dataset,
+    config: Config,
+    on_scan: Callable[[int], None] | None = None,
+    journal: Journal | None = None,
+) -> MapResult:
+    """Run the whole log through the mapper.
+
+    Parameters
+    ----------
+    dataset
+        The log.
+    config
+        The effective configuration.
+    on_scan
+        Called with the number of scans and frames so far, for a progress bar.
+    journal
+        Keeps what a run finds out, so that it can go on where it was interrupted; None keeps nothing.
+
+    Raises
+    ------
+    DatasetError
+        Where the log holds nothing that can be mapped.
+    """
+    choice = SensorChoice.of(dataset, config.sensors)
+    journal = journal or Journal()
+    registrations = journal.registrations(
+        lambda: registrations_of(used_measurements(dataset, config.sensors), choice.cameras, config)
+    )
+    mountings = journal.mountings()
+    prepare = None
+    if choice.cameras:
+        prepare = FramePreparer(config.rgbd, registrations, lambda: journal.replaying)
+    mapper: Mapper
+    if choice.cloud:
+        mapper = CloudMapper(config, journal)
+    elif choice.spatial:
+        mapper = SpatialMapper(config, journal)
+    else:
+        mapper = PlanarMapper(config, mountings, journal)
+    mapper.note_registrations(registrations)
+    _feed(mapper, dataset, config, prepare, on_scan)
+    if not mountings and (mountings := mapper.learned_mountings()):
+        # The way up to there was mapped without these cameras; now they are known from its beginning.
+        journal.begin_again(registrations, mountings)
+        mapper = PlanarMapper(config, mountings, journal)
+        mapper.note_registrations(registrations)
+        _feed(mapper, dataset, config, prepare, on_scan)
+    return mapper.finish()
+
+
+def _feed(
+    mapper: Mapper,
+    dataset: Dataset,
+    config: Config,
+    prepare: FramePreparer | None,
+    on_scan: Callable[[int], None] | None,
+) -> None:
+    """Hand the whole log to a mapper, frames prepared ahead."""
+    measurements: Iterable[Measurement | PreparedFrame] = used_measurements(dataset, config.sensors)
+    if prepare is not None:
+        measurements = prepared_ahead(used_measurements(dataset, config.sensors), prepare)
+    for measurement in measurements:
+        if isinstance(measurement, PreparedFrame):
+            mapper.add_frame(measurement)
+        elif isinstance(measurement, LaserScan):
+            mapper.add_scan(measurement)
+        elif isinstance(measurement, PointCloud):
+            mapper.add_cloud(measurement)
+        elif isinstance(measurement, WheelOdometry):
+            mapper.add_odometry(measurement)
+        if on_scan:
+            on_scan(mapper.scan_count)
+    if mapper.scan_count == 0:
+        raise DatasetError(
+            f"{dataset.name} holds no scan or frame that can be mapped; "
+            "see 'scanweave inspect' for what it holds"
+        )

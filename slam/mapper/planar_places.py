@@ -1,0 +1,131 @@
+"""What a camera saw at the keyframes of a planar graph: places to come back to, pictures for the map."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import gtsam
+
+from slam.config import Config
+from slam.graph.loop_closure import LoopCandidate
+from slam.graph.visual_loops import VisualLoopCloser
+from slam.mapper.journal import Journal
+from slam.mapper.keyframe_store import KeyframeStore
+from slam.mapper.map_result import DenseKeyframes
+from slam.mapper.robot_cameras import Picture
+from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
+from slam.vision.color_registration import ColorRegistration
+from slam.vision.frame_matcher import FrameMatcher
+from slam.vision.planar_motion import planar_motion
+from slam.vision.prepared_frame import PreparedFrame
+
+
+class _Places:
+    """The frames of the leading camera, by their order among themselves."""
+
+    def __init__(self, store: KeyframeStore) -> None:
+        self._store = store
+        self.keys: list[int] = []
+
+    def keyframe(self, place: int) -> PreparedFrame:
+        """See `slam.graph.visual_loops.Keyframes`."""
+        return self._store.keyframe(self.keys[place])
+
+    def touch(self, place: int) -> None:
+        """See `slam.graph.visual_loops.Keyframes`."""
+        self._store.touch(self.keys[place])
+
+
+class PlanarPlaces:
+    """Frames of a robot's cameras, each belonging to a node of the graph; the leading camera's are places."""
+
+    def __init__(self, config: Config, journal: Journal) -> None:
+        cached = config.visual_loops.keyframes_cached
+        self._store = KeyframeStore(config.rgbd, cached, journal.spool())
+        self._places = _Places(self._store)
+        matcher = FrameMatcher(config.rgbd_odometry)
+        self._closer = VisualLoopCloser(config.visual_loops, matcher, self._places, config.seed, journal)
+        self._greatest_excess = config.sensors.greatest_excess
+        self._nodes: list[int] = []
+        self._T_node_camera: list[gtsam.Pose3] = []
+
+    def add(
+        self,
+        node: int,
+        pictures: Sequence[Picture],
+        registrations: Mapping[str, ColorRegistration],
+        poses: FloatArray | None,
+    ) -> list[LoopCandidate]:
+        """Take the frames of the newest node, and try the places that the first of them may show.
+
+        Parameters
+        ----------
+        pictures
+            A frame of each camera, the leading one's first, and where they were taken, seen from the node.
+        registrations
+            Where colour cameras sit that are not registered to depth, by name.
+        poses
+            (n, 3) current estimates of all nodes; None to try nothing.
+
+        Returns
+        -------
+        Every candidate that was tried, its ends being nodes.
+        """
+        for rank, picture in enumerate(pictures):
+            # Seen from the base at the node, so that who reads the image needs no other pose than the node's.
+            image = replace(picture.frame.frame, T_base_camera=picture.T_base_camera)
+            frame = replace(picture.frame, frame=image)
+            registration = registrations.get(image.sensor)
+            self._nodes.append(node)
+            self._T_node_camera.append(picture.T_base_camera)
+            if rank == 0:
+                self._places.keys.append(self._store.add(frame, registration, node))
+                self._closer.add_keyframe(frame)
+            else:
+                self._store.add_picture(frame, registration, node)
+        if poses is None:
+            return []
+        keys = self._places.keys
+        tried = self._closer.close(len(keys) - 1, [self._camera_pose(key, poses) for key in keys])
+        return [self._of_nodes(candidate) for candidate in tried]
+
+    def dense(self, poses: FloatArray) -> DenseKeyframes | None:
+        """The frames with their optimised poses; None without any."""
+        if not self._nodes:
+            return None
+        return DenseKeyframes(
+            self._store.images, [self._camera_pose(key, poses) for key in range(len(self._nodes))]
+        )
+
+    def _camera_pose(self, key: int, poses: FloatArray) -> gtsam.Pose3:
+        """``T_map_camera`` of a frame."""
+        return gtsam.Pose3(pose2_from_row(poses[self._nodes[key]])).compose(self._T_node_camera[key])
+
+    def _of_nodes(self, candidate: LoopCandidate) -> LoopCandidate:
+        """A candidate between frames as one between nodes, projected to the plane."""
+        place, key = self._places.keys[candidate.place], self._places.keys[candidate.keyframe]
+        candidate = replace(candidate, place=self._nodes[place], keyframe=self._nodes[key])
+        motion = candidate.motion
+        if motion is None or not isinstance(motion.T_reference_base, gtsam.Pose3):
+            return candidate
+        planar = planar_motion(
+            motion.T_reference_base,
+            motion.covariance,
+            self._T_node_camera[key],
+            self._T_node_camera[place],
+        )
+        measured = MotionEstimate(
+            T_reference_base=pose2_from_row(planar.motion),
+            covariance=planar.covariance,
+            inlier_share=motion.inlier_share,
+            fit=motion.fit,
+            residual_m=motion.residual_m,
+            converged=motion.converged,
+            degenerate=False,
+            weak_direction=planar.motion * 0.0,
+        )
+        candidate = replace(candidate, motion=measured)
+        if candidate.accepted and planar.excess > self._greatest_excess:
+            return candidate.refused("it would lift the robot off the floor")
+        return candidate

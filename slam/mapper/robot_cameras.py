@@ -1,0 +1,277 @@
+"""The RGB-D cameras of a robot on a floor: where each was at a moment, and how the robot moved by it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import gtsam
+
+from slam.answers import COMPUTED, Answers
+from slam.config.stages import RgbdOdometryConfig, SensorsConfig
+from slam.graph.keyframe_graph import Step
+from slam.mapper.mount_learner import KeyframeStep, LearnedMounting, MountLearner
+from slam.mapper.scan_record import CameraRecord, ScanRecorder
+from slam.measurements import FloatArray
+from slam.odometry.camera_clock import CameraClock, ClockLearner, YawRates
+from slam.odometry.camera_odometry import CameraOdometry, camera_step
+from slam.odometry.camera_track import CameraPose
+from slam.vision.camera_frame import T_BODY_CAMERA
+from slam.vision.color_registration import ColorRegistration
+from slam.vision.learned_camera import LearnedCamera
+from slam.vision.planar_motion import PlanarMotion, planar_motion
+from slam.vision.prepared_frame import PreparedFrame
+
+# Where every camera was at one moment; None for one that did not know.
+CameraMarks = Mapping[str, CameraPose | None]
+
+
+@dataclass(slots=True)
+class RobotCamera:
+    """One camera: its odometry, its mounting and clock, what became of its frames, and its refusals."""
+
+    odometry: CameraOdometry
+    T_base_camera: gtsam.Pose3 | None
+    newest: PreparedFrame | None = None
+    newest_pose: gtsam.Pose3 | None = None
+    learner: MountLearner | None = None
+    clocks: ClockLearner = field(default_factory=ClockLearner)
+    record: ScanRecorder = field(default_factory=ScanRecorder)
+    steps: int = 0
+    refused_steps: int = 0
+
+    @property
+    def clock(self) -> CameraClock:
+        """The clock as far as it is known."""
+        return self.clocks.clock
+
+    def at(self, stamp_s: float) -> CameraPose | None:
+        """Where the camera was when the robot's clock showed a stamp."""
+        return self.odometry.track.at(stamp_s + self.clock.offset_s, self.clock.sigma_s)
+
+    def note_turn(self) -> None:
+        """Take down how fast the newest frames say that the robot turned."""
+        motion = self.odometry.track.newest_motion()
+        if motion is None or self.T_base_camera is None:
+            return
+        stamp_s, twist = motion
+        self.clocks.rates.add_rate(stamp_s, float(self.T_base_camera.rotation().rotate(twist[:3])[2]))
+
+
+@dataclass(frozen=True, slots=True)
+class CameraStep:
+    """Motion of a camera between two moments: as measured, and of the robot where the mounting is known."""
+
+    camera: str
+    motion: gtsam.Pose3
+    covariance: FloatArray
+    planar: PlanarMotion | None
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A camera's newest frame, and where it was taken, seen from the base at some moment."""
+
+    frame: PreparedFrame
+    T_base_camera: gtsam.Pose3
+
+
+@dataclass(slots=True)
+class RobotCameras:
+    """All cameras by name."""
+
+    config: RgbdOdometryConfig
+    sensors: SensorsConfig
+    mountings: Mapping[str, LearnedMounting] = field(default_factory=dict)
+    cameras: dict[str, RobotCamera] = field(default_factory=dict)
+    scan_turns: YawRates = field(default_factory=YawRates)
+    wheel_turns: YawRates = field(default_factory=YawRates)
+    answers: Answers = COMPUTED
+
+    def add(self, frame: PreparedFrame) -> None:
+        """Track a frame of any camera."""
+        started = time.perf_counter()
+        name = frame.frame.sensor
+        if name not in self.cameras:
+            mounting = frame.frame.T_base_camera
+            learn = mounting is None or self.sensors.mounting == "estimate"
+            if name in self.mountings:
+                mounting, learn = self.mountings[name].T_base_camera, False
+            self.cameras[name] = RobotCamera(
+                CameraOdometry(self.config, self.answers),
+                None if learn else mounting,
+                learner=MountLearner(mounting) if learn else None,
+            )
+        camera = self.cameras[name]
+        tracked = camera.odometry.add(frame)
+        camera.newest, camera.newest_pose = frame, tracked.pose
+        camera.note_turn()
+        camera.clocks.learn(self._turns())
+        motion = None if tracked.match is None else tracked.match.motion
+        camera.record.add(frame.stamp_s, motion, time.perf_counter() - started, tracked.match)
+
+    def note_scan_turn(self, stamp_s: float, yaw_rad: float) -> None:
+        """Take a heading that a scan told."""
+        self.scan_turns.add(stamp_s, yaw_rad)
+
+    def note_wheel_turn(self, stamp_s: float, yaw_rad: float) -> None:
+        """Take a heading that the wheels told."""
+        self.wheel_turns.add(stamp_s, yaw_rad)
+
+    def _turns(self) -> YawRates:
+        """The rates of the robot's own clock: the lidar's where there is one, else the wheels'."""
+        return self.scan_turns if len(self.scan_turns) else self.wheel_turns
+
+    def settle_clocks(self) -> None:
+        """Estimate every clock from the whole run."""
+        for camera in self.cameras.values():
+            camera.clocks.learn(self._turns(), final=True)
+
+    def robot_stamp_s(self, frame: PreparedFrame) -> float:
+        """What the robot's clock showed when a frame was taken."""
+        camera = self.cameras.get(frame.frame.sensor)
+        return frame.stamp_s if camera is None else frame.stamp_s - camera.clock.offset_s
+
+    def marks(self, stamp_s: float) -> CameraMarks:
+        """Where every camera was at a stamp of the robot's clock."""
+        return {name: camera.at(stamp_s) for name, camera in self.cameras.items()}
+
+    def leads(self, name: str, stamp_s: float) -> bool:
+        """Whether a camera is the first that knows where it is; the first of all where none does."""
+        knowing = [
+            other
+            for other, camera in self.cameras.items()
+            if camera.T_base_camera is not None and camera.at(stamp_s) is not None
+        ]
+        return name == (knowing or list(self.cameras))[0]
+
+    def placed_pictures(self, marks: CameraMarks) -> list[Picture]:
+        """The newest frame of every camera with a known mounting, the first such camera's first.
+
+        One that is lost is left out; where the first is, all are.
+        """
+        names = [name for name, camera in self.cameras.items() if camera.T_base_camera is not None]
+        found = [self._placed(name, marks) for name in names]
+        return [picture for picture in found if picture is not None] if found and found[0] else []
+
+    def _placed(self, name: str, marks: CameraMarks) -> Picture | None:
+        """The newest frame of a camera with a known mounting; None where it is lost."""
+        camera, mark = self.cameras[name], marks.get(name)
+        if mark is None or camera.newest is None or camera.newest_pose is None:
+            return None
+        assert camera.T_base_camera is not None
+        since = mark.pose.between(camera.newest_pose)
+        return Picture(camera.newest, camera.T_base_camera.compose(since))
+
+    def pictures(self, marks: CameraMarks) -> list[Picture]:
+        """The newest frame of every camera; one that is lost or not yet placed is taken as it stands."""
+        found = []
+        for name in sorted(self.cameras):
+            camera = self.cameras[name]
+            if camera.newest is None:
+                continue
+            mounting = T_BODY_CAMERA if camera.T_base_camera is None else camera.T_base_camera
+            mark = marks.get(name)
+            if mark is not None and camera.newest_pose is not None:
+                mounting = mounting.compose(mark.pose.between(camera.newest_pose))
+            found.append(Picture(camera.newest, mounting))
+        return found
+
+    def steps(self, before: CameraMarks, after: CameraMarks) -> list[CameraStep]:
+        """Motion between two moments by every camera that knows it and stays in the plane."""
+        found = []
+        for name, camera in self.cameras.items():
+            step = camera_step(before.get(name), after.get(name))
+            if step is None:
+                continue
+            planar = None
+            if camera.T_base_camera is not None:
+                planar = planar_motion(*step, camera.T_base_camera)
+                camera.steps += 1
+                if planar.excess > self.sensors.greatest_excess:
+                    camera.refused_steps += 1
+                    continue
+            found.append(CameraStep(name, *step, planar))
+        return found
+
+    def is_learned(self, name: str) -> bool:
+        """Whether a camera's mounting is not given but learned."""
+        return self.cameras[name].learner is not None
+
+    def learn(self, source: int, target: int, steps: list[CameraStep], base: Step | None) -> None:
+        """Take motions between two keyframes of cameras whose mounting is not given."""
+        for step in steps:
+            camera = self.cameras[step.camera]
+            if camera.learner is not None:
+                camera.learner.add(KeyframeStep(source, target, step.motion, step.covariance), base)
+                camera.T_base_camera = camera.learner.T_base_camera
+
+    def learned_mountings(self) -> dict[str, LearnedMounting]:
+        """The mountings that all motions together have told."""
+        found = {}
+        for name, camera in self.cameras.items():
+            if camera.learner is None:
+                continue
+            camera.learner.estimate()
+            if camera.learner.T_base_camera is not None:
+                found[name] = LearnedMounting(camera.learner.T_base_camera, camera.learner.note(name))
+        return found
+
+    def learned_steps(self) -> list[tuple[int, int, PlanarMotion]]:
+        """All motions between keyframes of cameras whose mounting was learned, by its last estimate."""
+        found = []
+        for camera in self.cameras.values():
+            if camera.learner is None:
+                continue
+            camera.learner.estimate()
+            camera.T_base_camera = camera.learner.T_base_camera
+            if camera.T_base_camera is None:
+                continue
+            for step in camera.learner.steps:
+                planar = planar_motion(step.motion, step.covariance, camera.T_base_camera)
+                if planar.excess <= self.sensors.greatest_excess:
+                    found.append((step.source, step.target, planar))
+        return found
+
+    def records(self, registrations: Mapping[str, ColorRegistration]) -> dict[str, CameraRecord]:
+        """What became of every camera's frames, for the report."""
+        return {
+            name: CameraRecord(
+                camera.record.finish(),
+                camera.steps,
+                camera.refused_steps,
+                LearnedCamera(
+                    registrations.get(name),
+                    camera.T_base_camera,
+                    camera.learner is not None or name in self.mountings,
+                    camera.clock.offset_s,
+                    camera.clock.sigma_s,
+                ),
+            )
+            for name, camera in self.cameras.items()
+        }
+
+    def notes(self) -> list[str]:
+        """The mountings and the clocks that were learned."""
+        cameras = self.cameras.items()
+        learning = [camera.learner.note(name) for name, camera in cameras if camera.learner is not None]
+        clocks = [
+            f"{name}: its clock is {1e3 * camera.clock.offset_s:+.0f} +- {1e3 * camera.clock.sigma_s:.0f} ms "
+            f"against the {'lidar' if len(self.scan_turns) else 'wheels'}'s"
+            for name, camera in cameras
+            if camera.clock.known
+        ]
+        return [mounting.note for mounting in self.mountings.values()] + learning + clocks
+
+    def warnings(self) -> list[str]:
+        """What a person should know, one line a camera that failed often."""
+        lines = []
+        for name, camera in self.cameras.items():
+            lost, frames = camera.odometry.lost_frames, camera.odometry.frames
+            if lost > 0.01 * frames:
+                lines.append(f"{name}: {lost:,} of {frames:,} frames matched nothing")
+            if camera.refused_steps > 0.01 * camera.steps:
+                refused = f"{camera.refused_steps:,} of {camera.steps:,}"
+                lines.append(f"{name}: {refused} motions left the floor and were refused")
+        return lines

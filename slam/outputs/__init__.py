@@ -1,0 +1,1 @@
+"""A finished map, and the files of it."""

@@ -1,0 +1,358 @@
+"""A finished map, read back: poses, scans, clouds, camera keyframes, factors, loops, trajectory, grids."""
+
+from __future__ import annotations
+
+import json
+import logging
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import gtsam
+import numpy as np
+
+from slam.config import Config
+from slam.errors import MapFileError, ScanweaveError
+from slam.graph.loop_closure import LoopCandidate
+from slam.mapper.map_result import DenseKeyframes, MappedClouds
+from slam.mapping.keyframe_grid import layers_of_grids
+from slam.mapping.layered_map import LayeredMap
+from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.measurements import FloatArray, LaserScan, Pose, Trajectory
+from slam.outputs.run_outputs import save_cloud, save_cloud_octomap, save_g2o, save_octomap, save_surface
+from slam.storage.files import TemporaryFolder, make_folder, replacing
+from slam.storage.map_clouds import MapClouds
+from slam.storage.map_contents import DEPTH, OCCUPANCY, MapContents, SavedFactor, read_contents
+from slam.storage.map_file import MAP_NAME, MapFile
+from slam.storage.map_frames import MapFrames
+from slam.storage.map_identity import MapIdentity
+from slam.storage.map_sessions import MapSession, sessions_of
+from slam.storage.map_tables import FRAMES
+from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers
+from slam.storage.tum import write_tum
+
+log = logging.getLogger(__name__)
+
+# What the run told people, as rows of the file.
+NOTES, WARNINGS = "notes", "warnings"
+_OWN_NAMES = {"tum": "trajectory.tum", "g2o": "graph.g2o"}
+
+
+@dataclass(frozen=True, slots=True)
+class Map:
+    """A finished map; images and clouds are read when they are asked for.
+
+    Attributes
+    ----------
+    path
+        Of the file.
+    identity
+        What decided it.
+    sessions
+        The logs that it was made of.
+    contents
+        Everything but the camera keyframes and the clouds.
+    frames
+        The camera keyframes.
+    clouds
+        The clouds of the nodes; none where no 3D lidar made the map.
+    digest
+        Of everything; equal for equal maps.
+    notes, warnings
+        What the mapping run found out, and what a person should know before trusting the map: a line each.
+    """
+
+    path: Path
+    identity: MapIdentity
+    sessions: Sequence[MapSession]
+    contents: MapContents
+    frames: MapFrames
+    clouds: MapClouds
+    digest: str
+    notes: Sequence[str]
+    warnings: Sequence[str]
+    _file: MapFile = field(repr=False)
+    _folder: TemporaryFolder | None = field(default=None, repr=False)
+
+    def __repr__(self) -> str:
+        sizes = (
+            f"sessions={len(self.sessions)}, keyframes={len(self.contents.node_poses)}, "
+            f"poses={len(self.trajectory)}, loops={len(self.loops)}, frames={len(self.frames)}, "
+            f"clouds={len(self.clouds)}"
+        )
+        return f"Map({str(self.path)!r}, {sizes})"
+
+    @property
+    def in_memory(self) -> bool:
+        """Whether it lies in a temporary folder that goes with it."""
+        return self._folder is not None
+
+    @property
+    def planar(self) -> bool:
+        """Whether the robot stays on a floor; in space the nodes are bases with clouds, or else cameras."""
+        return isinstance(self.contents.node_poses[0], gtsam.Pose2)
+
+    @property
+    def config(self) -> Config:
+        """The effective configuration."""
+        return self.identity.config
+
+    @property
+    def keyframe_poses(self) -> FloatArray:
+        """(K, 3) x, y, yaw of the nodes, map frame."""
+        return np.array([[pose.x(), pose.y(), _yaw(pose)] for pose in self.contents.node_poses])
+
+    @property
+    def keyframe_scans(self) -> Sequence[LaserScan | None]:
+        """K sweeps, repaired where they were."""
+        return self.contents.scans
+
+    @property
+    def grid(self) -> OccupancyGrid | None:
+        """The lidar's grid, which other scans are matched to; None of cameras alone."""
+        return self.contents.grids.get(OCCUPANCY)
+
+    @property
+    def layers(self) -> LayeredMap | None:
+        """The map to drive by and its layers, those of the run that saved it; None of a camera in space."""
+        return layers_of_grids(self.grid, self.contents.grids.get(DEPTH), self.config)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """A pose for every reading of the log."""
+        return self.contents.trajectory
+
+    @property
+    def factors(self) -> Sequence[SavedFactor]:
+        """The edges of the graph."""
+        return self.contents.factors
+
+    @property
+    def loops(self) -> Sequence[LoopCandidate]:
+        """Every loop candidate with its verdict."""
+        return self.contents.loops
+
+    def frame_poses(self) -> list[gtsam.Pose3]:
+        """``T_map_camera`` of every camera keyframe."""
+        return self.frames.poses(self.contents.node_poses, bases=len(self.clouds) > 0)
+
+    def check(self) -> None:
+        """Read everything, images and clouds too.
+
+        Raises
+        ------
+        MapFileError
+            With the first fault, in one line that names table and row.
+        """
+        self._file.check_pages()
+        for index in range(len(self.frames)):
+            self.frames.features(index)
+            self.frames.frame(index)
+        for key in range(len(self.clouds)):
+            self.clouds.points(key)
+            self.clouds.T_base_lidar(key)
+
+    def export(self, format_: str, out: Path | str) -> list[Path]:
+        """Write the map in another program's format.
+
+        Parameters
+        ----------
+        format_
+            nav2 (the map to drive by), tum, g2o, ply or bt.
+        out
+            The file, or a folder (what is one, or has no ending) for the usual names. Of nav2 it is the yaml,
+            of ply the mesh of the images or, without any, the cloud of the 3D lidar; what belongs to them
+            goes beside.
+
+        Returns
+        -------
+        What was written.
+
+        Raises
+        ------
+        ScanweaveError
+            Where the map does not hold what the format needs, or a file cannot be written.
+        """
+        seen = len(self.frames) + len(self.clouds) > 0
+        lacking = ""
+        if format_ == "nav2" and self.layers is None:
+            lacking = "grid"
+        elif format_ in ("ply", "bt") and not seen:
+            lacking = "image or cloud"
+        if lacking:
+            raise ScanweaveError(f"{self.path} holds no {lacking}, so there is nothing to write as {format_}")
+        out = Path(out)
+        if out.is_dir() or not out.suffix:
+            make_folder(out)
+            ply = "mesh.ply" if len(self.frames) else "cloud.ply"
+            out = out / {"nav2": MAP_YAML, "ply": ply, "bt": "map.bt", **_OWN_NAMES}[format_]
+        if format_ == "nav2":
+            assert self.layers is not None
+            return list(write_driving_map(out.with_suffix(""), self.layers))
+        if format_ == "ply":
+            return self._export_ply(out)
+        if format_ == "bt":
+            self._export_octomap(out)
+        elif format_ == "tum":
+            write_tum(out, self.trajectory)
+        else:
+            save_g2o(out, self.contents)
+        return [out]
+
+    def write_files(self, folder: Path) -> list[Path]:
+        """Write the files for other programs that ``scanweave map`` writes; errors as in `export`."""
+        formats = ["tum", "g2o"]
+        layers, dense = self.layers, self.config.dense_map
+        if layers is not None:
+            formats.append("nav2")
+        if len(self.frames) + len(self.clouds) and dense.enabled:
+            formats += ["ply", "bt"] if dense.octomap else ["ply"]
+        written = [path for name in formats for path in self.export(name, folder)]
+        return written if layers is None else written + write_layers(folder / "layers", layers)
+
+    def save(self, folder: Path | str, *, overwrite: bool = False) -> list[Path]:
+        """Write the map into a folder: ``map.db``, and the files for other programs.
+
+        Parameters
+        ----------
+        folder
+            Made where it is missing.
+        overwrite
+            Replace another map in the folder.
+
+        Returns
+        -------
+        What was written.
+
+        Raises
+        ------
+        ScanweaveError
+            Where the folder holds another map and is not to be replaced, or a file cannot be written.
+
+        Examples
+        --------
+        >>> import slam
+        >>> from pathlib import Path
+        >>> from slam.simulation.synthetic_log import write_synthetic_log
+        >>> house = slam.map_log(write_synthetic_log(Path("monday"), duration_s=12.0).log_path)
+        >>> sorted(path.name for path in house.save("house"))[:3]
+        ['graph.g2o', 'map.db', 'map.pgm']
+        >>> slam.load_map("house").digest == house.digest
+        True
+        >>> house.close()
+        """
+        folder = Path(folder)
+        target = folder / MAP_NAME
+        if target.exists() and not overwrite and not (target.samefile(self.path)):
+            raise MapFileError(f"{target} is another map; overwrite=True replaces it")
+        make_folder(folder)
+        if not (target.exists() and target.samefile(self.path)):
+            with replacing(target) as temporary:
+                shutil.copyfile(self.path, temporary)
+        return [target, *self.write_files(folder)]
+
+    def _export_ply(self, out: Path) -> list[Path]:
+        """The coloured surface of the images, and the cloud of the 3D lidar."""
+        written, cloud = list[Path](), out
+        if len(self.frames):
+            written, missing = save_surface(out, self._dense(), self.config.dense_map)
+            for fault in missing:
+                log.warning("%s", fault)
+            cloud = out.with_name("lidar.ply" if out.name == "mesh.ply" else f"{out.stem}-lidar.ply")
+        if len(self.clouds):
+            save_cloud(cloud, self._mapped_clouds(), self.config.cloud_map)
+            written.append(cloud)
+        return written
+
+    def _export_octomap(self, out: Path) -> None:
+        """The octree of the 3D lidar, or else of the images."""
+        if len(self.clouds):
+            save_cloud_octomap(out, self._mapped_clouds(), self.config.cloud_map, self.config.dense_map)
+        else:
+            save_octomap(out, self._dense(), self.config.dense_map)
+
+    def _dense(self) -> DenseKeyframes:
+        """The camera keyframes with their poses."""
+        return DenseKeyframes(self.frames, self.frame_poses())
+
+    def _mapped_clouds(self) -> MappedClouds:
+        """The clouds, whose nodes are the bases."""
+        nodes = [pose for pose in self.contents.node_poses if isinstance(pose, gtsam.Pose3)]
+        return MappedClouds(self.clouds, nodes, self.clouds.T_base_lidar(len(nodes) - 1))
+
+    def close(self) -> None:
+        """Close the file; no image or cloud can be read afterwards, and a map in memory is gone."""
+        self._file.close()
+        if self._folder is not None:
+            self._folder.remove()
+
+
+def open_map(path: Path | str, kept_in: TemporaryFolder | None = None) -> Map:
+    """Open a finished map: a folder that ``scanweave map`` has made, or its ``map.db``.
+
+    Parameters
+    ----------
+    kept_in
+        A temporary folder that holds it, and lives as long as the map.
+
+    Raises
+    ------
+    MapFileError
+        Where there is none, it is not finished, damaged, or of a newer version.
+
+    Examples
+    --------
+    >>> import slam
+    >>> from slam.simulation.synthetic_log import write_synthetic_log
+    >>> slam.map_log(write_synthetic_log("monday", duration_s=10.0).log_path, out="house").close()
+    >>> house = slam.load_map("house")
+    >>> house.planar, len(house.keyframe_scans) == len(house.keyframe_poses)
+    (True, True)
+    >>> house.close()
+    """
+    file = MapFile.read(Path(path))
+    try:
+        meta = file.meta()
+        identity = MapIdentity.from_meta(meta, file.path)
+        contents = read_contents(file)
+        sessions = sessions_of(meta, len(contents.node_poses), len(contents.trajectory))
+        frames, clouds = MapFrames(file), MapClouds(file)
+        nodes = contents.node_poses
+        in_space = sum(isinstance(pose, gtsam.Pose3) for pose in nodes)
+        if len(clouds) and not len(clouds) == len(nodes) == in_space:
+            raise MapFileError(
+                f"{file.path} holds {len(clouds)} clouds for {len(nodes)} nodes, {in_space} of them in "
+                "space; make the map anew"
+            )
+        for index in range(len(frames)):
+            with file.blaming(FRAMES, index):
+                head = frames.head(index)
+                if not 0 <= head.node < len(contents.node_poses):
+                    raise MapFileError("it belongs to no node")
+                if len(clouds) and head.T_base_camera is None:
+                    raise MapFileError("it does not tell where the camera was on the robot")
+    except BaseException:
+        file.close()
+        raise
+    digest = file.content_digest()
+    notes, warnings = (_lines(meta, key, file.path) for key in (NOTES, WARNINGS))
+    return Map(
+        file.path, identity, sessions, contents, frames, clouds, digest, notes, warnings, file, kept_in
+    )
+
+
+def _lines(meta: Mapping[str, str], key: str, path: Path) -> list[str]:
+    """Lines of text from a row of the file; none in a map of an older version."""
+    try:
+        lines = json.loads(meta.get(key, "[]"))
+    except ValueError as error:
+        raise MapFileError(f"{path} tells no {key} ({error}); make the map anew") from error
+    if not isinstance(lines, list) or not all(isinstance(line, str) for line in lines):
+        raise MapFileError(f"{path} tells no {key}; make the map anew")
+    return lines
+
+
+def _yaw(pose: Pose) -> float:
+    """Heading of a pose in the map's plane."""
+    return pose.theta() if isinstance(pose, gtsam.Pose2) else pose.rotation().yaw()

@@ -1,0 +1,1 @@
+"""Trajectories: a pose for every reading."""

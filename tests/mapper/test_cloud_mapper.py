@@ -1,0 +1,151 @@
+"""A 3D lidar end to end: once round a room with pillars, its files, its mishaps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from cloud_world import ELEVATIONS, PILLARS, ROOM, SMALL, T_BASE_LIDAR, look, way_round, write_log
+
+from slam.config import load_config
+from slam.datasets import open_dataset
+from slam.errors import DatasetError
+from slam.evaluation.trajectory_error import absolute_error
+from slam.graph.cloud_loops import CloudLoopCloser
+from slam.graph.pose_graph import EdgeKind
+from slam.mapper.map_result import MapResult
+from slam.mapper.pipeline import build_map
+from slam.mapper.sensor_choice import SensorChoice
+from slam.mapping.cloud_keyframes import CloudKeyframes
+from slam.measurements import LaserScan, Measurement, PointCloud, WheelOdometry
+from slam.outputs.layer_outputs import layers_of
+from slam.outputs.run_outputs import save_clouds, save_run
+from slam.storage.ply import read_cloud_ply
+
+COUNT = 36
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    poses = way_round(COUNT)
+    clouds = [look(pose, 0.1 * number, seed=number) for number, pose in enumerate(poses)]
+    return write_log(tmp_path_factory.mktemp("room") / "log", clouds, poses)
+
+
+@pytest.fixture(scope="module")
+def mapped(log: Path) -> MapResult:
+    return build_map(open_dataset(log), load_config(None, SMALL))
+
+
+def test_once_round_the_room(mapped: MapResult, log: Path) -> None:
+    truth = open_dataset(log).groundtruth()
+    assert truth is not None
+    assert len(mapped.trajectory) == COUNT
+    assert absolute_error(mapped.trajectory, truth).translation_m.rmse < 0.02
+    assert np.abs(mapped.trajectory.positions_m[:, 2]).max() < 0.02
+    assert not mapped.warnings
+
+
+def test_the_way_back_closes_a_loop(mapped: MapResult) -> None:
+    assert all(bool(loop.reason) != loop.accepted for loop in mapped.loops)
+    assert any(loop.accepted and loop.place < 5 < loop.keyframe for loop in mapped.loops)
+    kinds = {edge.kind for edge in mapped.graph.edges}
+    assert kinds == {EdgeKind.LIDAR, EdgeKind.LOOP}
+
+
+def test_the_plan_shows_what_stands_in_the_way(mapped: MapResult) -> None:
+    """Pillars and walls are obstacles, the floor between them is free."""
+    grid = mapped.grid
+    assert grid is not None
+    start = way_round(COUNT)[0]
+
+    def occupied(x: float, y: float) -> bool:
+        place = start.inverse().transformFrom(np.array([x, y, 0.0]))
+        column, row = (np.array([place[0], place[1]]) - grid.T_map_grid.translation()) / grid.resolution_m
+        rows, columns = (slice(max(int(n) - 1, 0), int(n) + 2) for n in (row, column))
+        return bool((grid.log_odds[rows, columns] > 0.0).any())
+
+    for box in PILLARS:
+        faces = [(box[0, side], box[1].mean()) for side in (0, 1)]
+        assert any(occupied(*face) for face in faces)
+    assert occupied(ROOM[0, 1], 0.5)
+    assert not any(occupied(x, y) for x, y in [(0.0, 0.4), (1.6, 0.4), (0.5, -2.0), (-0.5, 2.5)])
+
+
+def test_the_files(mapped: MapResult, log: Path, tmp_path: Path) -> None:
+    config = load_config(None, SMALL)
+    names = {path.name for path in save_run(tmp_path, mapped, layers_of(mapped, config))}
+    assert names == {"trajectory.tum", "graph.g2o", "map.yaml", "map.pgm"}
+    written = save_clouds(tmp_path, mapped, config.cloud_map, config.dense_map)
+    cloud = read_cloud_ply(written[0])
+    inside = way_round(COUNT)[0].matrix()
+    points = cloud.points_map @ inside[:3, :3].T + inside[:3, 3]
+    off = np.minimum(np.abs(points - ROOM[:, 0]), np.abs(points - ROOM[:, 1])).min(axis=1)
+    assert np.median(off) < 0.03
+    assert np.all(points > ROOM[:, 0] - 0.3)
+    assert np.all(points < ROOM[:, 1] + 0.3)
+    np.testing.assert_allclose(np.linalg.norm(cloud.normals_map, axis=1), 1.0, atol=1e-3)
+
+
+def test_no_loops_where_none_are_wanted(log: Path) -> None:
+    result = build_map(open_dataset(log), load_config(None, [*SMALL, "cloud_loops.enabled=false"]))
+    assert not result.loops
+
+
+def test_a_place_too_far_to_be_the_same_is_not_tried() -> None:
+    """There and nowhere near: identical clouds, 40 m apart, all steps sure."""
+    config, kept = load_config(None, SMALL), CloudKeyframes()
+    closer = CloudLoopCloser(config.cloud_loops, config.cloud_odometry, 0.25, kept)
+    points = look(gtsam.Pose3()).points_lidar.astype(np.float64)
+    poses = [gtsam.Pose3(gtsam.Rot3(), np.array([4.0 * n, 0.0, 0.0])) for n in range(11)]
+    for key, pose in enumerate(poses):
+        kept.add(float(key), points, T_BASE_LIDAR)
+        covariance = None if key == 0 else np.eye(6) * 1e-6
+        closer.add_keyframe(points, pose, 4.0 * key, covariance, 0.01)
+        tried = closer.close(key, poses[: key + 1])
+    assert not tried
+
+
+def test_an_unknown_mounting_finds_the_ground_by_sight(tmp_path: Path) -> None:
+    clouds = [look(pose, 0.1 * number, seed=number) for number, pose in enumerate(way_round(COUNT)[:4])]
+    folder = write_log(tmp_path / "log", clouds)
+    (folder / "points" / "calibration.yaml").unlink()
+    result = build_map(open_dataset(folder), load_config(None, SMALL))
+    assert any("ground: -0.70 m" in note or "ground: -0.69 m" in note for note in result.notes)
+    assert result.grid is not None
+
+
+@pytest.mark.parametrize(
+    ("clouds", "fault"),
+    [
+        (
+            [PointCloud(0.1 * n, np.ones((5, 3), np.float32)) for n in range(3)],
+            "none of 3 clouds has 60 usable",
+        ),
+        (
+            [look(gtsam.Pose3(), 0.1 * n, seed=n, elevations=ELEVATIONS[7:8]) for n in range(21)],
+            "none of 21 clouds matched",
+        ),
+    ],
+    ids=["five points", "one ring"],
+)
+def test_what_cannot_be_mapped_is_told(tmp_path: Path, clouds: list[PointCloud], fault: str) -> None:
+    with pytest.raises(DatasetError, match=fault):
+        build_map(open_dataset(write_log(tmp_path / "log", clouds)), load_config(None, SMALL))
+
+
+def test_clouds_choose_the_mapper() -> None:
+    cloud, scan = look(gtsam.Pose3()), LaserScan(0.0, np.ones(3, np.float32), 0.0, 0.1, 10.0)
+    wheels = WheelOdometry(0.0, gtsam.Pose2())
+    settings = load_config().sensors
+
+    def choice(*log: Measurement, **changes: object) -> SensorChoice:
+        return SensorChoice.of(log, settings.model_copy(update=changes))
+
+    assert choice(cloud, wheels).cloud
+    assert not choice(cloud, scan).cloud
+    assert choice(cloud, scan, motion="spatial").cloud
+    assert not choice(cloud, wheels, lidar=False).cloud
+    assert not choice(cloud, wheels, motion="planar").cloud

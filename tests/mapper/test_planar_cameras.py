@@ -1,0 +1,291 @@
+"""A robot with wheels, a lidar and a camera in one room: each may fail, and the others carry on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from flat_worlds import box, sweep
+from room_world import LESS, T_BODY_CAMERA, blind, furnished, render
+from typer.testing import CliRunner
+
+from slam.cli import app
+from slam.config import load_config
+from slam.datasets.dataset import ReadReport
+from slam.evaluation.map_info import map_info
+from slam.graph.pose_graph import EdgeKind
+from slam.mapper.map_result import MapResult
+from slam.mapper.pipeline import build_map
+from slam.mapping.occupancy_grid import OCCUPIED
+from slam.matching.planar import between, compose
+from slam.measurements import (
+    FloatArray,
+    LaserScan,
+    Measurement,
+    RgbdFrame,
+    Trajectory,
+    WheelOdometry,
+    pose2_from_row,
+)
+from slam.outputs.finished_map import open_map
+from slam.outputs.layer_outputs import layers_of
+from slam.outputs.run_outputs import contents_of, save_run
+from slam.storage.map_contents import write_contents
+from slam.storage.map_file import MapFile
+from slam.storage.map_identity import MapIdentity
+from slam.storage.nav2 import read_nav2_map
+from slam.storage.nav2_layers import write_layers
+
+# The room at the height of the lidar.
+WALLS = np.concatenate([box(-2.5, -2.0, 2.5, 2.0), box(1.6, 0.4, 2.5, 1.5), box(-2.5, -2.0, -1.7, -1.1)])
+MOUNT = gtsam.Pose3(gtsam.Rot3.Ry(0.1), np.array([0.1, 0.0, 1.1])) * T_BODY_CAMERA
+COUNT = 50
+STEP = np.array([0.03, 0.0, 0.05])
+SLIP = np.array([0.045, 0.0, 0.02])
+GAP = range(15, 35)
+
+Edit = Callable[[int, Measurement], Measurement | None]
+
+
+def truth() -> FloatArray:
+    poses = [np.array([0.3, -0.7, 0.2])]
+    for _ in range(COUNT - 1):
+        poses.append(compose(poses[-1], STEP))
+    return np.array(poses)
+
+
+@dataclass
+class Log:
+    """Measurements in memory."""
+
+    measurements: list[Measurement]
+    name: str = "in memory"
+    report: ReadReport = field(default_factory=ReadReport)
+
+    def __iter__(self) -> Iterator[Measurement]:
+        return iter(self.measurements)
+
+    def groundtruth(self) -> Trajectory | None:
+        return None
+
+
+@pytest.fixture(scope="module")
+def drive() -> list[tuple[int, Measurement]]:
+    """Wheels that slip in the middle; a scan and 10 ms before it a frame, ten times a second."""
+    rng = np.random.default_rng(0)
+    found: list[tuple[int, Measurement]] = []
+    wheels = np.array([5.0, 1.0, -2.0])
+    for n, pose in enumerate(truth()):
+        stamp_s = 100.0 + 0.1 * n
+        on_floor = gtsam.Pose3(gtsam.Rot3.Rz(pose[2]), np.array([pose[0], pose[1], 0.0]))
+        frame = render(
+            furnished(), on_floor * MOUNT, LESS, stamp_s - 0.01, noise=(0.001, 0.0012), seed=n, smooth=False,
+            T_base_camera=MOUNT,
+        )  # fmt: skip
+        wheels = compose(wheels, SLIP if n in GAP else STEP)
+        found += [
+            (n, frame),
+            (n, WheelOdometry(stamp_s, pose2_from_row(wheels))),
+            (n, sweep(WALLS, pose, beams=181, fov_rad=math.pi, sigma_m=0.01, seed=rng, stamp_s=stamp_s)),
+        ]
+    return found
+
+
+def run(drive: list[tuple[int, Measurement]], edit: Edit, *overrides: str) -> MapResult:
+    measurements = [edit(n, measurement) for n, measurement in drive]
+    kept = Log([measurement for measurement in measurements if measurement is not None])
+    return build_map(kept, load_config(None, ["dense_map.enabled=false", *overrides]))  # type: ignore[arg-type]
+
+
+def worst(result: MapResult) -> float:
+    """Greatest distance of a reading's pose from its truth, both seen from the first."""
+    poses, true = result.trajectory.to_planar(), truth()
+    at = np.rint((result.trajectory.stamps_s - 100.0) / 0.1).astype(int)
+    return max(
+        math.hypot(*(between(poses[0], pose) - between(true[at[0]], true[n]))[:2])
+        for n, pose in zip(at, poses, strict=True)
+    )
+
+
+def kinds(result: MapResult) -> set[EdgeKind]:
+    return {edge.kind for edge in result.graph.edges} - {EdgeKind.LOOP}
+
+
+def no_lidar(n: int, measurement: Measurement) -> Measurement | None:
+    """The lidar is silent in the gap."""
+    return None if n in GAP and isinstance(measurement, LaserScan) else measurement
+
+
+def dead_camera(n: int, measurement: Measurement) -> Measurement | None:
+    """The camera is black in the gap."""
+    return blind(measurement) if n in GAP and isinstance(measurement, RgbdFrame) else measurement
+
+
+def whole(n: int, measurement: Measurement) -> Measurement | None:
+    return measurement
+
+
+def test_all_sensors_hold_one_graph(drive: list[tuple[int, Measurement]]) -> None:
+    result = run(drive, whole)
+    assert worst(result) < 0.02
+    assert kinds(result) >= {EdgeKind.LIDAR, EdgeKind.RGBD, EdgeKind.WHEEL}
+    assert result.grid is not None
+
+
+def test_the_camera_bridges_a_silent_lidar(drive: list[tuple[int, Measurement]]) -> None:
+    """Two seconds, while the wheels slip half as far again: without the camera that is seen."""
+    bridged = run(drive, no_lidar)
+    assert worst(bridged) < 0.05
+    assert worst(run(drive, no_lidar, "sensors.rgbd=false")) > 2.0 * worst(bridged)
+    assert any(scan is None for scan in bridged.keyframe_scans)
+    assert any(scan is not None for scan in bridged.keyframe_scans)
+
+
+def test_the_lidar_bridges_a_dead_camera(drive: list[tuple[int, Measurement]]) -> None:
+    result = run(drive, dead_camera)
+    assert worst(result) < 0.03
+    assert any("matched nothing" in note for note in result.warnings)
+
+
+def test_the_camera_alone_on_wheels(drive: list[tuple[int, Measurement]]) -> None:
+    result = run(drive, whole, "sensors.lidar=false")
+    assert worst(result) < 0.06
+    assert EdgeKind.LIDAR not in kinds(result)
+    assert result.trajectory.positions_m[:, 2].max() == 0.0
+
+
+def test_a_vehicle_may_be_taken_for_a_camera(drive: list[tuple[int, Measurement]]) -> None:
+    """In space only the frames get poses, of the base, and these stay on its floor."""
+    result = run(drive, whole, "sensors.motion=spatial")
+    assert len(result.trajectory) == COUNT
+    assert worst(result) < 0.05
+    assert np.abs(result.trajectory.positions_m[:, 2]).max() < 0.05
+
+
+def test_the_lidar_is_matched_from_the_first_keyframe(drive: list[tuple[int, Measurement]]) -> None:
+    """A frame that comes just before the first scan does not begin the map without it."""
+    result = run(drive, whole)
+    assert result.keyframe_scans[0] is not None
+    assert (0, EdgeKind.LIDAR) in {(edge.source, edge.kind) for edge in result.graph.edges}
+
+
+def test_the_layers_show_what_each_sensor_saw(drive: list[tuple[int, Measurement]], tmp_path: Path) -> None:
+    config = load_config(None, ["dense_map.enabled=false"])
+    result = run(drive, whole)
+    both = layers_of(result, config)
+    assert both is not None
+    written = {path.stem for path in write_layers(tmp_path, both)}
+    assert written == {"lidar", "depth", "fused", "decision", "fused_probability"}
+    saved = contents_of(result, both).grids
+    assert saved == {"occupancy": both.lidar, "depth layer": both.depth}
+    assert both.lidar is result.grid  # drawn once
+    alone = layers_of(run(drive, whole, "sensors.lidar=false"), config)
+    assert alone is not None and alone.lidar is None and alone.depth is not None
+    assert alone.names == ("depth", "fused", "decision")
+
+
+def test_one_answer_to_which_map(drive: list[tuple[int, Measurement]], tmp_path: Path) -> None:
+    """What a robot loads, what is exported of the saved map, and the decision are one; the lidar's stays."""
+    config = load_config(None, ["dense_map.enabled=false", "layers.robot_height_m=1.0"])
+    result = run(drive, whole)
+    layers = layers_of(result, config)
+    assert layers is not None
+    save_run(tmp_path, result, layers)
+    loaded = read_nav2_map(tmp_path / "map.yaml")
+    decision = read_nav2_map(tmp_path / "layers" / "decision.yaml")
+    np.testing.assert_array_equal(loaded.values, layers.states("decision"))
+    np.testing.assert_array_equal(loaded.values, decision.values)
+    # Not the lidar's, which looks over what is low.
+    more = (loaded.values == OCCUPIED) & (layers.states("lidar") != OCCUPIED)
+    assert np.count_nonzero(more) > 10
+    file = MapFile.create(tmp_path / "map.db")
+    for key, value in MapIdentity(config, "log", "0", {}).to_meta().items():
+        file.add_meta(key, value)
+    write_contents(file, contents_of(result, layers))
+    file.seal()
+    saved = open_map(tmp_path)
+    for path in saved.export("nav2", tmp_path / "exported"):
+        assert path.read_bytes() == (tmp_path / path.name).read_bytes(), path.name
+    assert saved.grid is not None and result.grid is not None
+    np.testing.assert_array_equal(saved.grid.steps, result.grid.steps)
+    saved.close()
+    told = map_info(tmp_path)["grids"]
+    assert set(told) == {"occupancy", "depth layer", "decision"}
+    assert told["decision"]["occupied_m2"] > told["occupancy"]["occupied_m2"]
+    ends = ["--from", "0,0", "--to", "0.2,0", "--radius", "0.05", "--out", str(tmp_path / "way.png")]
+    planned = CliRunner().invoke(app, ["plan", str(tmp_path), *ends])
+    assert planned.exit_code == 0 and "from obstacles" in planned.output, planned.output
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "hit_probability=0.9",
+        "miss_probability=0.3",
+        "hit_range_m=1.5",
+        "clear_range_m=0.5",
+        "resolution_m=0.1",
+    ],
+)
+def test_a_setting_of_the_grid_reaches_every_map(
+    drive: list[tuple[int, Measurement]], tmp_path: Path, setting: str
+) -> None:
+    """The lidar's beams in front of a wall that is not there: some give no return."""
+
+    def in_the_open(n: int, one: Measurement) -> Measurement | None:
+        if isinstance(one, LaserScan):
+            return replace(one, ranges_m=np.where(np.arange(181) % 5 == 0, np.inf, one.ranges_m).astype("f4"))
+        return one if n % 5 == 0 or not isinstance(one, RgbdFrame) else None
+
+    pictures = []
+    for name, overrides in (("as it is", ()), ("changed", (f"grid.{setting}",))):
+        folder = tmp_path / name
+        folder.mkdir()
+        config = load_config(None, ["dense_map.enabled=false", *overrides])
+        result = run(drive[:60], in_the_open, *overrides)
+        save_run(folder, result, layers_of(result, config))
+        paths = [folder / "map.pgm", *sorted((folder / "layers").glob("*.pgm"))]
+        pictures.append({path.stem: path.read_bytes() for path in paths})
+    same = {name for name, picture in pictures[0].items() if pictures[1][name] == picture}
+    assert same <= {"depth"}, "the depth layer alone asks no beam"
+
+
+def test_without_a_depth_layer_the_map_is_the_lidars(drive: list[tuple[int, Measurement]]) -> None:
+    result = run(drive, whole, "sensors.rgbd=false")
+    for settings in ([], ["layers.enabled=false"]):
+        alone = layers_of(result, load_config(None, settings))
+        assert alone is not None and alone.depth is None and alone.names == ()
+        np.testing.assert_array_equal(alone.states("decision"), alone.states("lidar"))
+    seen = run(drive, whole)
+    alone = layers_of(seen, load_config(None, ["layers.climb_m=0.8"]))
+    assert alone is not None and alone.depth is None
+    assert "the map is the lidar's alone: layers.climb_m = 0.8" in seen.warnings[-1]
+    assert "make the step lower" in seen.warnings[-1]
+
+
+def test_the_map_shows_what_every_camera_saw(drive: list[tuple[int, Measurement]]) -> None:
+    """The first camera's frame of each keyframe, then the others', but for one that is lost."""
+    doubled: list[tuple[int, Measurement]] = []
+    for n, measurement in drive[:90]:
+        doubled.append((n, measurement))
+        if isinstance(measurement, RgbdFrame):
+            other = replace(measurement, sensor="other")
+            doubled.append((n, blind(other) if n >= 20 else other))
+    dense = run(doubled, whole).dense
+    assert dense is not None
+    frames = list(dense.frames)
+    seen = [(round(10.0 * (frame.stamp_s - 100.0)), frame.sensor) for frame in frames]
+    assert all((n, "other") in seen for n, name in seen if name != "other" and n < 20)
+    assert all(n < 20 for n, name in seen if name == "other")
+    first = dict(reversed(seen))
+    assert "other" not in first.values()
+    places = {key: pose.translation() for key, pose in zip(seen, dense.poses, strict=True)}
+    pairs = [(places[n, "other"], places[n, first[n]]) for n, name in seen if name == "other"]
+    assert len(pairs) >= 4
+    for one, another in pairs:
+        np.testing.assert_allclose(one, another, atol=0.01)

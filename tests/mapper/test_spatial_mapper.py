@@ -1,0 +1,233 @@
+"""A hand-held camera end to end: a rendered round through a room, its mishaps, and real frames."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from room_world import LESS, Room, blind, furnished, render, turning_walk, write_tum_folder
+
+from slam.config import Config, load_config
+from slam.config.stages import DenseMapConfig
+from slam.datasets import open_dataset
+from slam.errors import DatasetError
+from slam.evaluation.trajectory_error import absolute_error
+from slam.graph.pose_graph import EdgeKind
+from slam.mapper.map_result import MapResult
+from slam.mapper.pipeline import build_map
+from slam.measurements import RgbdFrame
+from slam.outputs.layer_outputs import layers_of
+from slam.outputs.run_outputs import save_dense, save_run
+from slam.storage.ply import read_cloud_ply
+
+REDKITCHEN = Path(__file__).parents[3] / "shared" / "data" / "rgbd" / "redkitchen"
+RATE_HZ = 15.0
+COUNT = 60
+NOISE = (0.001, 0.0012)
+
+
+def walk() -> list[gtsam.Pose3]:
+    return turning_walk(COUNT)
+
+
+def images(room: Room) -> list[RgbdFrame]:
+    return [
+        render(room, pose, LESS, stamp_s=n / RATE_HZ, noise=NOISE, seed=n, smooth=False)
+        for n, pose in enumerate(walk())
+    ]
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[RgbdFrame]:
+    return images(furnished())
+
+
+@pytest.fixture(scope="module")
+def log(frames: list[RgbdFrame], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_tum_folder(tmp_path_factory.mktemp("room") / "log", frames, walk())
+
+
+def run(path: Path, *overrides: str) -> MapResult:
+    return build_map(open_dataset(path), load_config(None, ["dense_map.enabled=false", *overrides]))
+
+
+def ate_m(result: MapResult, path: Path) -> float:
+    truth = open_dataset(path).groundtruth()
+    assert truth is not None
+    return absolute_error(result.trajectory, truth).translation_m.rmse
+
+
+@pytest.fixture(scope="module")
+def mapped(log: Path) -> MapResult:
+    return run(log)
+
+
+def test_a_round_through_the_room(mapped: MapResult, log: Path) -> None:
+    assert ate_m(mapped, log) < 0.01
+    np.testing.assert_allclose(mapped.trajectory.stamps_s, np.arange(COUNT) / RATE_HZ, atol=1e-5)
+    assert np.isfinite(mapped.trajectory.positions_m).all()
+    np.testing.assert_allclose(np.linalg.norm(mapped.trajectory.quaternions_xyzw, axis=1), 1.0, atol=1e-9)
+
+
+def test_the_map_begins_as_the_camera_looks(mapped: MapResult) -> None:
+    """x along the first view, z up: the first walk goes about, at one height."""
+    np.testing.assert_allclose(mapped.trajectory.positions_m[0], np.zeros(3), atol=1e-6)
+    heights = mapped.trajectory.positions_m[:, 2]
+    truth = np.array([pose.z() for pose in walk()])
+    np.testing.assert_allclose(heights, truth - truth[0], atol=0.01)
+
+
+def test_loops_close_at_the_return(mapped: MapResult) -> None:
+    assert all(bool(loop.reason) != loop.accepted for loop in mapped.loops)
+    numbers = mapped.keyframe_numbers
+    home = [
+        loop for loop in mapped.loops if loop.accepted and numbers[loop.keyframe] - numbers[loop.place] > 40
+    ]
+    assert home
+    kinds = {edge.kind for edge in mapped.graph.edges}
+    assert kinds == {EdgeKind.RGBD, EdgeKind.LOOP}
+
+
+def test_keyframes_lie_on_the_trajectory(mapped: MapResult) -> None:
+    assert mapped.dense is not None
+    assert len(mapped.dense.poses) == len(mapped.keyframe_numbers) == len(mapped.keyframe_poses)
+    at = mapped.trajectory.positions_m[mapped.keyframe_numbers]
+    np.testing.assert_allclose(at[:, :2], mapped.keyframe_poses[:, :2], atol=1e-9)
+    stamps = [frame.stamp_s for frame in mapped.dense.frames]
+    np.testing.assert_allclose(stamps, mapped.trajectory.stamps_s[mapped.keyframe_numbers])
+    assert mapped.grid is None
+
+
+def test_the_same_log_and_seed_give_the_same_bytes(mapped: MapResult, log: Path, tmp_path: Path) -> None:
+    folders = [tmp_path / "one", tmp_path / "two"]
+    for folder, result in zip(folders, (mapped, run(log)), strict=True):
+        folder.mkdir()
+        save_run(folder, result, layers_of(result, Config()))
+        save_dense(folder, result, DenseMapConfig())
+    names, others = ({path.name for path in folder.iterdir()} for folder in folders)
+    assert names == others >= {"trajectory.tum", "graph.g2o", "cloud.ply"}
+    for name in names:
+        one, two = ((folder / name).read_bytes() for folder in folders)
+        assert one == two, name
+
+
+def test_without_open3d_there_is_the_cloud_and_one_line_about_the_mesh(
+    mapped: MapResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    written, missing = save_dense(tmp_path, mapped, DenseMapConfig())
+    assert written == [tmp_path / "cloud.ply"] == list(tmp_path.iterdir())
+    (line,) = missing
+    assert "No mesh.ply" in line and "apt-get install" in line and "\n" not in line
+    cloud = read_cloud_ply(written[0])
+    assert len(cloud.points_map) > 5000
+    # The room's walls: most normals are level, floor's and ceiling's upright.
+    axes = np.abs(cloud.normals_map).max(axis=1)
+    assert np.isfinite(axes).all()
+
+
+@pytest.mark.parametrize("method", ["features", pytest.param("dense", marks=pytest.mark.open3d)])
+def test_the_other_methods(method: str, frames: list[RgbdFrame], tmp_path: Path) -> None:
+    """The first third of the round; they drift more."""
+    path = write_tum_folder(tmp_path / "log", frames[:20], walk()[:20])
+    result = run(path, f"rgbd_odometry.method={method}", "visual_loops.enabled=false")
+    assert ate_m(result, path) < 0.05
+    assert result.loops == []
+
+
+@pytest.mark.parametrize("name", ["no loops", "a moved room"])
+def test_variants(name: str, log: Path, tmp_path: Path) -> None:
+    if name == "no loops":
+        assert ate_m(run(log, "visual_loops.enabled=false"), log) < 0.03
+        return
+    # The same room and walk elsewhere: the map does not know where the world begins.
+    elsewhere = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.5, -0.3, 2.0), np.array([70.0, -40.0, 9.0]))
+    room = furnished()
+    moved = Room(room.inside, room.outside, frame=elsewhere)
+    poses = [elsewhere * pose for pose in walk()][:20]
+    seen = [render(moved, pose, LESS, stamp_s=n / RATE_HZ, smooth=False) for n, pose in enumerate(poses)]
+    path = write_tum_folder(tmp_path / "log", seen, poses)
+    assert ate_m(run(path), path) < 0.01
+
+
+def edited(frames: list[RgbdFrame], path: Path, edit: Callable[[int, RgbdFrame], RgbdFrame | None]) -> Path:
+    """The log with each frame replaced, or left out."""
+    found = [(edit(n, frame), pose) for n, (frame, pose) in enumerate(zip(frames, walk(), strict=False))]
+    kept = [(frame, pose) for frame, pose in found if frame is not None]
+    return write_tum_folder(path, [frame for frame, _ in kept], [pose for _, pose in kept])
+
+
+class TestMishaps:
+    @pytest.mark.parametrize(("first", "count"), [(30, 3), (30, 14), (0, 4)])
+    def test_a_dead_camera(self, first: int, count: int, frames: list[RgbdFrame], tmp_path: Path) -> None:
+        """Black frames without depth for a moment, for long, and at the beginning: every frame has a pose."""
+        path = edited(
+            frames, tmp_path / "log", lambda n, frame: blind(frame) if first <= n < first + count else frame
+        )
+        result = run(path)
+        assert len(result.trajectory) == COUNT
+        assert np.isfinite(result.trajectory.positions_m).all()
+        unmatched = np.flatnonzero(np.isnan(result.scans.inlier_shares))
+        assert set(range(max(first, 1), first + count)) <= set(unmatched.tolist())
+        assumed = [edge for edge in result.graph.edges if edge.kind is EdgeKind.ASSUMED]
+        assert bool(assumed) == (count > 10 or first == 0)
+
+    def test_after_a_short_death_the_map_is_whole(self, frames: list[RgbdFrame], tmp_path: Path) -> None:
+        """Two black frames: those that were seen lie where they were, across the gap too."""
+        path = edited(frames, tmp_path / "log", lambda n, frame: blind(frame) if 30 <= n < 32 else frame)
+        result = run(path)
+        alive = np.r_[0:30, 32:COUNT]
+        off = result.trajectory.positions_m - np.array(
+            [pose.translation() - walk()[0].translation() for pose in walk()]
+        )
+        assert np.linalg.norm(off[alive], axis=1).max() < 0.02
+
+    @pytest.mark.parametrize("missing", [2, 5])
+    def test_a_gap_in_time(self, missing: int, frames: list[RgbdFrame], tmp_path: Path) -> None:
+        """Bridged where enough is still in sight; else what comes after is sound in itself."""
+        gap = range(20, 20 + missing)
+        path = edited(frames[:40], tmp_path / "log", lambda n, frame: None if n in gap else frame)
+        result = run(path)
+        estimate, truth = result.trajectory, open_dataset(path).groundtruth()
+        assert truth is not None
+        assert len(estimate) == 40 - missing
+        steps = [np.linalg.norm(np.diff(t.positions_m, axis=0), axis=1) for t in (estimate, truth)]
+        sound = np.abs(steps[0] - steps[1]) < 0.01
+        assert sound[:19].all()
+        assert sound.all() or (missing == 5 and sound[-5:].all())
+
+    def test_only_dead_frames(self, frames: list[RgbdFrame], tmp_path: Path) -> None:
+        """Nothing to map from, and still an answer: it stays where it was."""
+        path = edited(frames, tmp_path / "log", lambda n, frame: blind(frame) if n < 15 else None)
+        result = run(path)
+        assert np.abs(result.trajectory.positions_m).max() < 1e-6
+
+    def test_one_frame(self, frames: list[RgbdFrame], tmp_path: Path) -> None:
+        path = edited(frames, tmp_path / "log", lambda n, frame: frame if n == 0 else None)
+        result = run(path)
+        assert len(result.trajectory) == 1
+        assert result.keyframe_numbers.tolist() == [0]
+
+
+def test_without_its_camera_there_is_nothing_to_map(log: Path) -> None:
+    with pytest.raises(DatasetError, match="no scan or frame"):
+        run(log, "sensors.rgbd=false")
+
+
+@pytest.mark.skipif(not REDKITCHEN.is_dir(), reason=f"no real frames in {REDKITCHEN}")
+def test_the_red_kitchen(tmp_path: Path) -> None:
+    """Two seconds of a real Kinect."""
+    folder = tmp_path / "redkitchen"
+    folder.mkdir()
+    for file in sorted(REDKITCHEN.iterdir()):
+        number = file.name[6:12]
+        if not number.isdigit() or int(number) < 60:
+            (folder / file.name).symlink_to(file)
+    result = run(folder, "rgbd.registration=given")
+    assert len(result.trajectory) == 60
+    assert not np.isnan(result.scans.inlier_shares[1:]).any()
+    assert ate_m(result, folder) < 0.02
