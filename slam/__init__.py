@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from slam.localization.localizer import Localizer as Localizer
     from slam.localization.output import LocalizerOutput as LocalizerOutput
     from slam.localization.output import State as State
+    from slam.mapper.protocol import register_sensor as register_sensor
     from slam.mapping.occupancy_grid import OccupancyGrid as OccupancyGrid
     from slam.measurements import CameraIntrinsics as CameraIntrinsics
     from slam.measurements import LaserScan as LaserScan
@@ -89,6 +90,7 @@ _HOMES = {
     "localize_log": ("slam.app.localizing", "localize_log"),
     "map_log": ("slam.app.mapping", "map_log"),
     "match_scans": ("slam.app.parts", "match_scans"),
+    "register_sensor": ("slam.mapper.protocol", "register_sensor"),
     "open_dataset": ("slam.datasets", "open_dataset"),
 }
 

@@ -255,3 +255,8 @@ def row_from_pose2(pose: Pose) -> FloatArray:
     """x, y, yaw of a Pose2, (3,)."""
     assert isinstance(pose, gtsam.Pose2)
     return np.array([pose.x(), pose.y(), pose.theta()])
+
+
+def spatial(pose: Pose) -> gtsam.Pose3:
+    """A pose in space; one of the plane at z = 0."""
+    return pose if isinstance(pose, gtsam.Pose3) else gtsam.Pose3(pose)

@@ -3,7 +3,7 @@
     python tools/false_loops.py [--data ../shared/data] [--log fr079] [--count 30] [--seeds 2] [--set k=v]
 
 The false loops carry the covariances of true ones and come through the door of the true ones,
-`slam.mapper.planar_mapper.PlanarMapper.add_loop`. Three kinds, each harder than the one before:
+`slam.mapper.mapper.Mapper.add_loop`. Three kinds, each harder than the one before:
 
 - ``random``: two keyframes far apart, a relative pose anywhere in the building;
 - ``alike``: two keyframes far apart, said to be nearly the same place, as where two rooms look alike;
@@ -29,10 +29,11 @@ from slam.config import Config, load_config
 from slam.datasets import open_dataset
 from slam.evaluation.relations import Relations, read_relations, score_relations
 from slam.graph.loop_closure import LoopCandidate
+from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.map_result import MapResult
-from slam.mapper.planar_mapper import PlanarMapper as Mapper
+from slam.mapper.mapper import Mapper
 from slam.matching.planar import between, compose
-from slam.measurements import FloatArray, LaserScan, MotionEstimate, WheelOdometry, pose2_from_row
+from slam.measurements import FloatArray, LaserScan, MotionEstimate, pose2_from_row
 
 KINDS = ("random", "alike", "runs")
 MOMENTS = ("end", "mapping")
@@ -115,13 +116,11 @@ def map_log(
     log: Path, config: Config, false: list[LoopCandidate], come_at: NDArray[np.int64] | None
 ) -> MapResult:
     """Map a log with false loops, each added after the scan ``come_at[keyframe]``, or all at the end."""
-    mapper = Mapper(config)
+    mapper = Mapper(config, PlanarRobot(config))
     waiting = sorted(false, key=lambda loop: loop.keyframe, reverse=True)
     for measurement in open_dataset(log):
-        if isinstance(measurement, WheelOdometry):
-            mapper.add_odometry(measurement)
-        elif isinstance(measurement, LaserScan):
-            mapper.add_scan(measurement)
+        mapper.add(measurement)
+        if isinstance(measurement, LaserScan):
             while come_at is not None and waiting and come_at[waiting[-1].keyframe] < mapper.scan_count:
                 mapper.add_loop(waiting.pop())
     while waiting:

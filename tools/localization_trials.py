@@ -25,7 +25,8 @@ from slam.localization.localizer import Localizer
 from slam.localization.map_match import MapMatcher
 from slam.localization.output import LocalizerOutput, State
 from slam.localization.scan_view import ScanView, first_in_cells
-from slam.mapper.planar_mapper import PlanarMapper
+from slam.mapper.lidar2d import PlanarRobot
+from slam.mapper.mapper import Mapper
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, LaserScan, Measurement, WheelOdometry, row_from_pose2
 
@@ -103,12 +104,10 @@ def build_case(path: str, share: str, config: Config) -> Case:
 
 def mapped_run(log: Iterable[Measurement], config: Config):  # type: ignore[no-untyped-def]
     """The map of a log."""
-    mapper = PlanarMapper(config)
+    mapper = Mapper(config, PlanarRobot(config))
     for measurement in log:
-        if isinstance(measurement, LaserScan):
-            mapper.add_scan(measurement)
-        elif isinstance(measurement, WheelOdometry):
-            mapper.add_odometry(measurement)
+        if isinstance(measurement, LaserScan | WheelOdometry):
+            mapper.add(measurement)
     return mapper.finish()
 
 

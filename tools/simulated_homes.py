@@ -17,7 +17,8 @@ import numpy as np
 
 from slam.config import load_config
 from slam.evaluation.trajectory_error import absolute_error
-from slam.mapper.planar_mapper import PlanarMapper as Mapper
+from slam.mapper.lidar2d import PlanarRobot
+from slam.mapper.mapper import Mapper
 from slam.measurements import Trajectory, row_from_pose2
 from slam.simulation.drive import simulate_drive
 from slam.simulation.drive_faults import DriveFaults
@@ -68,17 +69,18 @@ def run(rig_name: str, home_seed: int, seed: int, arguments: argparse.Namespace)
     """One home, one drive: scores by name."""
     rig = dataclasses.replace(RIGS[rig_name], cameras=())
     home = generate_home(home_seed, arguments.kind)
-    mapper = Mapper(load_config(None, arguments.set))
+    config = load_config(None, arguments.set)
+    mapper = Mapper(config, PlanarRobot(config))
     stamps, truth, wheels, found = [], [], [], []
     last_wheels = np.zeros(3)
     faults = DriveFaults(person=arguments.person)
     for event in simulate_drive(home, rig, seed, faults, arguments.duration):
         if isinstance(event, OdometryEvent):
-            mapper.add_odometry(event.reading)
+            mapper.add(event.reading)
             last_wheels = row_from_pose2(event.reading.T_odom_base)
             found.append(False)
         elif isinstance(event, ScanEvent):
-            mapper.add_scan(event.scan)
+            mapper.add(event.scan)
             stamps.append(event.scan.stamp_s)
             truth.append(row_from_pose2(event.T_map_base))
             wheels.append(last_wheels)

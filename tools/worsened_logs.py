@@ -13,7 +13,8 @@ import numpy as np
 from slam.config import load_config
 from slam.datasets import open_dataset
 from slam.evaluation.relations import read_relations, score_relations
-from slam.mapper.planar_mapper import PlanarMapper as Mapper
+from slam.mapper.lidar2d import PlanarRobot
+from slam.mapper.mapper import Mapper
 from slam.measurements import LaserScan, Measurement, WheelOdometry
 
 KINDS = ("as recorded", "jumps", "frozen", "half", "noise", "short", "sparse", "narrow", "people")
@@ -31,12 +32,10 @@ def main() -> None:
     for log in arguments.log or ["fr079", "intel"]:
         folder = arguments.data / "lidar2d" / log
         for kind in arguments.kind or KINDS:
-            mapper = Mapper(load_config(None, arguments.set))
+            config = load_config(None, arguments.set)
+            mapper = Mapper(config, PlanarRobot(config))
             for measurement in worsened(folder / f"{log}.log.gz", kind, np.random.default_rng(1)):
-                if isinstance(measurement, WheelOdometry):
-                    mapper.add_odometry(measurement)
-                else:
-                    mapper.add_scan(measurement)
+                mapper.add(measurement)
             result = mapper.finish()
             score = score_relations(result.trajectory, read_relations(folder / f"{log}.relations")).all
             accepted = sum(loop.accepted for loop in result.loops)

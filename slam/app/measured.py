@@ -8,6 +8,7 @@ from pathlib import Path
 
 from slam.datasets.dataset import ReadReport
 from slam.errors import DatasetError
+from slam.mapper.protocol import SENSORS
 from slam.measurements import Measurement, Trajectory
 
 
@@ -39,7 +40,7 @@ class Measured:
         report = self.report = ReadReport()
         count = len(self._measurements) if isinstance(self._measurements, Sequence) else 0
         for number, measurement in enumerate(self._measurements, start=1):
-            if not isinstance(measurement, Measurement):
+            if not isinstance(measurement, Measurement) and type(measurement) not in SENSORS:
                 kind = type(measurement).__name__
                 raise DatasetError(f"number {number} is a {kind}; give scans, wheels, clouds or frames")
             report.observe(measurement, number)

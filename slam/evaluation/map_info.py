@@ -31,8 +31,8 @@ def map_info(path: Path) -> dict[str, Any]:
     except UnfinishedMapError:
         return _begun(map_path(path))
     trajectory, identity = saved.trajectory, saved.identity
-    kinds = Counter(factor.edge.kind.value for factor in saved.factors if factor.kept)
-    refused = Counter(factor.edge.kind.value for factor in saved.factors if not factor.kept)
+    kinds = Counter(str(factor.edge.kind) for factor in saved.factors if factor.kept)
+    refused = Counter(str(factor.edge.kind) for factor in saved.factors if not factor.kept)
     return {
         "map": str(saved.path),
         "size_mb": round(saved.path.stat().st_size / 1e6, 3),

@@ -7,30 +7,10 @@ guess, and what is sure is the way from the last keyframe that was surely placed
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import gtsam
 
+from slam.graph.pose_graph import Edge, EdgeKind
 from slam.measurements import FloatArray, MotionEstimate
-
-
-@dataclass(frozen=True, slots=True)
-class Bridge:
-    """A motion between two keyframes that do not follow each other.
-
-    Attributes
-    ----------
-    source
-        The earlier keyframe.
-    T_source_target
-        Pose of the newest keyframe in its frame.
-    covariance
-        (6, 6), GTSAM's tangent of the newest.
-    """
-
-    source: int
-    T_source_target: gtsam.Pose3
-    covariance: FloatArray
 
 
 class AnchoredSteps:
@@ -53,7 +33,7 @@ class AnchoredSteps:
 
     def add(
         self, key: int, step: gtsam.Pose3, pose: gtsam.Pose3, motion: MotionEstimate
-    ) -> tuple[FloatArray, Bridge | None]:
+    ) -> tuple[FloatArray, Edge | None]:
         """Take the next keyframe.
 
         Parameters
@@ -67,7 +47,7 @@ class AnchoredSteps:
 
         Returns
         -------
-        Covariance (6, 6) of the step; and a bridge where the last keyframe was unsure and this one is not.
+        Covariance (6, 6) of the step; and an edge past the last keyframe where only that was unsure.
         """
         covariance, bridge = motion.covariance, None
         sure = motion.converged and not motion.degenerate
@@ -77,7 +57,9 @@ class AnchoredSteps:
             covariance = covariance + carried @ self._unsure @ carried.T
             if sure and key - anchor <= self._reach:
                 # The unsure keyframes between are in the local map, too.
-                bridge = Bridge(anchor, T_odom_anchor.between(pose), (key - anchor) ** 2 * motion.covariance)
+                between = T_odom_anchor.between(pose)
+                spread = (key - anchor) ** 2 * motion.covariance
+                bridge = Edge(anchor, key, between, spread, EdgeKind.LIDAR, trusted=True)
         if sure:
             self._sure, self._unsure = (key, pose), None
         else:

@@ -14,18 +14,15 @@ import numpy as np
 
 from slam.answers import COMPUTED, Answers
 from slam.config.clouds import CloudLoopConfig, CloudOdometryConfig
-from slam.graph.anchored_steps import Bridge
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.matching.cloud_points import thinned
 from slam.matching.local_cloud import Aligned, LocalCloud, moved
 from slam.matching.scan_context import ring_key, scan_context, unlikeness
-from slam.measurements import Float32Array, FloatArray
+from slam.measurements import Float32Array, FloatArray, Pose, spatial
 
 log = logging.getLogger(__name__)
 
-# x, y and yaw of GTSAM's tangent in space.
-_PLANAR = np.ix_([3, 4, 2], [3, 4, 2])
 # How far a scan context reaches, in voxels, and how many places of similar rings are compared whole.
 _LOOKS_REACH = 80.0
 _SIMILAR_RINGS = 10
@@ -77,7 +74,6 @@ class CloudLoopCloser:
         self._poses: list[gtsam.Pose3] = []
         self._travelled_m: list[float] = []
         self._residuals_m: list[float] = []
-        self._uncertainty = UncertaintyGraph()
         self._last_attempt_m, self._last_loop_m = -math.inf, 0.0
         self._cache: OrderedDict[int, LocalCloud] = OrderedDict()
 
@@ -86,7 +82,6 @@ class CloudLoopCloser:
         points: FloatArray,
         pose: gtsam.Pose3,
         travelled_m: float,
-        covariance: FloatArray | None,
         residual_m: float,
     ) -> None:
         """Remember the next keyframe.
@@ -99,27 +94,19 @@ class CloudLoopCloser:
             ``T_odom_base``.
         travelled_m
             Way from the start.
-        covariance
-            (6, 6) of the step from the last keyframe; None for the first.
         residual_m
             Of its match; NaN where there was none.
         """
         self._contexts.append(scan_context(points, _LOOKS_REACH * self._voxel_m))
         self._rings.append(ring_key(self._contexts[-1]))
-        key = len(self._poses)
-        self._uncertainty.add_node()
-        if covariance is not None:
-            self._join(key - 1, key, self._poses[-1].between(pose), covariance)
         self._poses.append(pose)
         self._travelled_m.append(travelled_m)
         if np.isfinite(residual_m):
             self._residuals_m = [*self._residuals_m[1 - _USUAL_RESIDUALS :], residual_m]
 
-    def add_bridge(self, bridge: Bridge) -> None:
-        """Learn of a sure motion to the newest keyframe from one before the last."""
-        self._join(bridge.source, len(self._poses) - 1, bridge.T_source_target, bridge.covariance)
-
-    def close(self, key: int, poses: Sequence[gtsam.Pose3]) -> list[LoopCandidate]:
+    def close(
+        self, key: int, poses: Sequence[Pose], rows: FloatArray, uncertainty: UncertaintyGraph
+    ) -> list[LoopCandidate]:
         """Try the places that a keyframe may have come back to.
 
         Parameters
@@ -128,6 +115,10 @@ class CloudLoopCloser:
             The newest keyframe.
         poses
             Current estimates of all keyframes, ``T_map_base``.
+        rows
+            (n, 3) the same seen from above.
+        uncertainty
+            Gives the relative covariance between the keyframe and the places.
 
         Returns
         -------
@@ -139,33 +130,26 @@ class CloudLoopCloser:
             return []
         self._last_attempt_m = way_m
         tried: list[LoopCandidate] = []
-        for guess in self._propose(key, poses):
+        for guess in self._propose(key, poses, rows, uncertainty):
             if tried and tried[-1].accepted:
                 break  # where the robot is, is known
             candidate = self._verify(key, guess)
-            if candidate.accepted and candidate.motion is not None:
-                motion = candidate.motion
-                assert isinstance(motion.T_reference_base, gtsam.Pose3)
-                self._join(guess.place, key, motion.T_reference_base, motion.covariance)
+            if candidate.accepted:
                 self._last_loop_m = way_m
             tried.append(candidate)
         return tried
 
-    def _join(self, source: int, target: int, step: gtsam.Pose3, covariance: FloatArray) -> None:
-        """Let the uncertainty know of an edge, as seen from above."""
-        relative = np.array([step.x(), step.y(), step.rotation().yaw()])
-        self._uncertainty.add_edge(source, target, relative, covariance[_PLANAR])
-
-    def _propose(self, key: int, poses: Sequence[gtsam.Pose3]) -> list[_Guess]:
+    def _propose(
+        self, key: int, poses: Sequence[Pose], rows: FloatArray, uncertainty: UncertaintyGraph
+    ) -> list[_Guess]:
         """Places within the uncertainty: the nearest of each pass, then those that look the same."""
         config, voxel_m = self._config, self._voxel_m
         ways = np.array(self._travelled_m[: key + 1])
         places = np.flatnonzero(ways[key] - ways[:key] > config.least_path_voxels * voxel_m)
         if not places.size:
             return []
-        planar = np.array([[pose.x(), pose.y(), pose.rotation().yaw()] for pose in poses])
-        distances = np.hypot(*(planar[places, :2] - planar[key, :2]).T)
-        covariances = self._uncertainty.relative_covariances(key, places, planar)
+        distances = np.hypot(*(rows[places, :2] - rows[key, :2]).T)
+        covariances = uncertainty.relative_covariances(key, places, rows)
         sigmas = np.sqrt(np.maximum(np.linalg.eigvalsh(covariances[:, :2, :2])[:, -1], 0.0))
         sigmas += config.drift_share * (ways[key] - self._last_loop_m)
         reach_m = config.reach_voxels * voxel_m
@@ -182,7 +166,8 @@ class CloudLoopCloser:
         for n in np.argsort(distances, kind="stable"):
             place = int(places[n])
             if len(chosen) < config.near and apart(place):
-                chosen.append(_Guess(place, poses[place].between(poses[key]), float(sigmas[n]), 1.0, False))
+                T_place_base = spatial(poses[place]).between(spatial(poses[key]))
+                chosen.append(_Guess(place, T_place_base, float(sigmas[n]), 1.0, False))
         rings = np.array([self._rings[place] for place in places])
         likeness = np.linalg.norm(rings - self._rings[key], axis=1)
         for n in np.argsort(likeness, kind="stable")[:_SIMILAR_RINGS]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
 
 import gtsam
 import numpy as np
@@ -13,140 +11,95 @@ from slam.config.stages import GraphConfig
 from slam.graph.loop_closure import LoopCandidate, judged
 from slam.graph.pose_graph import BatchResult, Edge, EdgeKind, PoseGraph
 from slam.graph.relative_uncertainty import UncertaintyGraph
-from slam.graph.wheel_judge import outvoted_cameras
-from slam.matching.planar import compose
-from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
+from slam.measurements import FloatArray, Pose
 
-
-class Step(NamedTuple):
-    """Motion (3,) from one keyframe to the next, its covariance (3, 3), and the camera that measured it."""
-
-    motion: FloatArray
-    covariance: FloatArray
-    camera: str = ""
+# x, y and yaw of GTSAM's tangent in space.
+_PLANAR = np.ix_([3, 4, 2], [3, 4, 2])
 
 
 class KeyframeGraph:
-    """Keyframes 0..n-1 of a planar robot, the first at the origin."""
+    """Keyframes 0..n-1, in the plane or in space as the first one's pose says.
 
-    def __init__(self, config: GraphConfig) -> None:
-        self.graph = PoseGraph(gtsam.Pose2())
+    Attributes
+    ----------
+    graph
+        Nodes and edges.
+    uncertainty
+        How unsure keyframes are of each other, seen from above.
+    loops
+        Every loop candidate so far, with its verdict.
+    """
+
+    def __init__(self, origin: Pose, config: GraphConfig) -> None:
+        self.graph = PoseGraph(origin)
         self.uncertainty = UncertaintyGraph()
         self.loops: list[LoopCandidate] = []
         self._config = config
-        self._poses = np.zeros((64, 3))
-        self._camera_edges: dict[tuple[int, str], int] = {}
+        self._planar = isinstance(origin, gtsam.Pose2)
+        self._poses: list[Pose] = []
+        self._rows = np.zeros((64, 3))
         self._loop_waits = False
-        self.uncertainty.add_node()
+        self._append(origin)
 
     def __len__(self) -> int:
         return len(self.graph)
 
-    def poses(self) -> FloatArray:
-        """(n, 3) current estimates, x, y, yaw in the map."""
-        return self._poses[: len(self.graph)]
+    def poses(self) -> Sequence[Pose]:
+        """Current estimates, ``T_map_keyframe``."""
+        return self._poses
 
-    def add_keyframe(
-        self,
-        step: FloatArray,
-        match: Step | None,
-        wheels: Step | None,
-        cameras: Sequence[Step] = (),
-        *,
-        match_doubtful: bool = False,
-    ) -> int:
+    def rows(self) -> FloatArray:
+        """(n, 3) current estimates seen from above, x, y, yaw in the map."""
+        return self._rows[: len(self.graph)]
+
+    def add_keyframe(self, step: Pose, edges: Iterable[Edge] = ()) -> int:
         """Add the next keyframe and return its number.
 
         Parameters
         ----------
         step
-            (3,) best knowledge of the motion from the last keyframe: the first guess.
-        match
-            What the lidar measured; None where it matched nothing.
-        wheels
-            What the wheels measured; None where there are none or they jumped.
-        cameras
-            What each camera measured.
-        match_doubtful
-            Whether the loops may overrule the match.
+            Best knowledge of the motion from the last keyframe: the first guess.
+        edges
+            What was measured of it. Where no trusted edge joins it to the last keyframe, the step holds it,
+            as unsure as what nothing measured.
         """
-        pose = compose(self.poses()[-1], step)
-        key = self.graph.add_node(pose2_from_row(pose))
-        self.uncertainty.add_node()
-        if key == self._poses.shape[0]:
-            self._poses = np.concatenate([self._poses, np.zeros_like(self._poses)])
-        self._poses[key] = pose
-        if match is not None:
-            self._add_step(key, match, EdgeKind.LIDAR, trusted=not match_doubtful)
-        if match is not None and match_doubtful:
-            # It may be wrong as a loop may be: a loose twin holds the chain where it is refused. Not so for
-            # a sure match, or a handful of false loops that agree with each other could break the chain.
-            best = cameras[0].motion if cameras else step
-            loose = Step(best, match.covariance + self.unmeasured(self._config.loose_share))
-            self._add_step(key, loose, EdgeKind.ASSUMED, trusted=True)
-        if wheels is not None:
-            self._add_step(key, wheels, EdgeKind.WHEEL, trusted=match is None)
-        for camera in cameras:
-            self._camera_edges[key, camera.camera] = len(self.graph.edges)
-            self._add_step(key, camera, EdgeKind.RGBD, trusted=False)
-        if match is None and wheels is None:
-            # Someone who walks before the camera takes it along: it may be overruled, and then this holds.
-            share = self._config.loose_share if cameras else 1.0
-            self._add_step(key, Step(step, self.unmeasured(share)), EdgeKind.ASSUMED, trusted=True)
+        # GTSAM has no type for a pose of the plane or of space.
+        pose = self._poses[-1].compose(step)  # type: ignore[arg-type]
+        key = self.graph.add_node(pose)
+        self._append(pose)
+        held = False
+        for edge in edges:
+            self.add_edge(edge)
+            held = held or (edge.trusted and edge.source == key - 1)
+        if not held:
+            covariance = unmeasured(self._config, planar=self._planar)
+            self.add_edge(Edge(key - 1, key, step, covariance, EdgeKind.ASSUMED, trusted=True))
         return key
 
-    def add_bridge(self, source: int, match: Step, *, doubtful: bool) -> None:
-        """A match to the newest keyframe from an older one, past keyframes that matched nothing.
-
-        Where it is not doubtful it holds the chain, which is loose between: false loops may not break it.
-        """
-        target = len(self.graph) - 1
-        motion = pose2_from_row(match.motion)
-        self._add_edge(Edge(source, target, motion, match.covariance, EdgeKind.LIDAR, trusted=not doubtful))
-
-    def add_camera_step(self, source: int, target: int, step: Step) -> None:
-        """A camera's motion between two keyframes that are there, learned of later."""
-        self._add_edge(
-            Edge(source, target, pose2_from_row(step.motion), step.covariance, EdgeKind.RGBD, trusted=False)
-        )
-
-    def camera_steps(self) -> dict[int, set[str]]:
-        """Keyframes, and the cameras that told the step to each when it was new."""
-        found: dict[int, set[str]] = {}
-        for key, camera in self._camera_edges:
-            found.setdefault(key, set()).add(camera)
-        return found
-
-    def replace_camera_step(self, key: int, step: Step) -> None:
-        """What a camera says now of the step to a keyframe, before the final optimisation."""
-        number = self._camera_edges[key, step.camera]
-        edge = self.graph.edges[number]
-        self.graph.edges[number] = replace(
-            edge, T_source_target=pose2_from_row(step.motion), covariance=step.covariance
-        )
-
-    def judge_cameras(self) -> int:
-        """Let steps of cameras that match and wheels contradict tell little, at the end: how many."""
-        outvoted = outvoted_cameras(self.graph.edges)
-        for number, edge in outvoted.items():
-            self.graph.edges[number] = edge
-        return len(outvoted)
+    def add_edge(self, edge: Edge) -> None:
+        """Take a motion between two keyframes that are there."""
+        self.graph.add_edge(edge)
+        T, covariance = edge.T_source_target, edge.covariance
+        if isinstance(T, gtsam.Pose3):
+            covariance = covariance[_PLANAR]
+        self.uncertainty.add_edge(edge.source, edge.target, np.array(row_of(T)), covariance)
 
     def add_loop(self, candidate: LoopCandidate) -> None:
         """Take a loop candidate: into the graph if it was accepted, into the report in any case."""
         if candidate.accepted and candidate.motion is not None:
             self._loop_waits = True
-            self._add_edge(candidate.edge(len(self.loops)))
+            self.add_edge(candidate.edge(len(self.loops)))
         self.loops.append(candidate)
 
     def update(self) -> None:
-        """Now and then, and only when a loop waits, let iSAM2 spread the corrections.
+        """Let iSAM2 spread what loops have corrected, if one waits; in the plane only now and then.
 
         Without a new loop the chain alone, which the estimates already follow, is the answer.
         """
-        if self._loop_waits and (len(self) - 1) % self._config.incremental_every == 0:
+        every = self._config.incremental_every if self._planar else 1
+        if self._loop_waits and (len(self) - 1) % every == 0:
             self.graph.update()
-            self._poses[: len(self)] = self.graph.planar_poses()
+            self._read_poses()
             self._loop_waits = False
 
     def optimize(self, inlier_probability: float) -> BatchResult:
@@ -154,22 +107,32 @@ class KeyframeGraph:
         self.graph.update()
         outcome = self.graph.optimize(inlier_probability)
         self.loops = judged(self.loops, self.graph.edges, outcome.kept)
-        self._poses[: len(self)] = self.graph.planar_poses()
+        self._read_poses()
         return outcome
 
-    def unmeasured(self, share: float) -> FloatArray:
-        """Covariance (3, 3) of a step that nothing measured, its sigmas scaled by a share."""
-        config = self._config
-        sigmas = share * np.array([config.lost_sigma_m, config.lost_sigma_m, config.lost_sigma_rad])
-        return np.diag(sigmas**2)
+    def _append(self, pose: Pose) -> None:
+        """Take the estimate of a new keyframe."""
+        self.uncertainty.add_node()
+        self._poses.append(pose)
+        if len(self._poses) > len(self._rows):
+            self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
+        self._rows[len(self._poses) - 1] = row_of(pose)
 
-    def _add_step(self, key: int, step: Step, kind: EdgeKind, *, trusted: bool) -> None:
-        """An edge from the keyframe before ``key`` to it."""
-        self._add_edge(Edge(key - 1, key, pose2_from_row(step.motion), step.covariance, kind, trusted))
+    def _read_poses(self) -> None:
+        """Take over what the solver has found."""
+        self._poses = [self.graph.pose(key) for key in range(len(self))]
+        self._rows[: len(self)] = [row_of(pose) for pose in self._poses]
 
-    def _add_edge(self, edge: Edge) -> None:
-        """Into the graph, and into the map of relative uncertainties."""
-        self.graph.add_edge(edge)
-        self.uncertainty.add_edge(
-            edge.source, edge.target, row_from_pose2(edge.T_source_target), edge.covariance
-        )
+
+def unmeasured(config: GraphConfig, share: float = 1.0, *, planar: bool) -> FloatArray:
+    """Covariance (d, d) of a step that nothing measured, GTSAM's order, its sigmas scaled by a share."""
+    metres, radians = share * config.lost_sigma_m, share * config.lost_sigma_rad
+    sigmas = [metres, metres, radians] if planar else [radians] * 3 + [metres] * 3
+    return np.diag(np.square(sigmas))
+
+
+def row_of(pose: Pose) -> list[float]:
+    """x, y, yaw of a pose."""
+    if isinstance(pose, gtsam.Pose2):
+        return [pose.x(), pose.y(), pose.theta()]
+    return [pose.x(), pose.y(), pose.rotation().yaw()]

@@ -46,7 +46,7 @@ class Edge:
     covariance
         (d, d), GTSAM's tangent order, in the target's frame.
     kind
-        Where it comes from.
+        Where it comes from: an `EdgeKind`, or the name of a sensor that a program has registered.
     trusted
         Part of the chain that holds the graph together; others may be refused as outliers.
     loop
@@ -57,7 +57,7 @@ class Edge:
     target: int
     T_source_target: Pose
     covariance: FloatArray
-    kind: EdgeKind
+    kind: str
     trusted: bool
     loop: int | None = None
 

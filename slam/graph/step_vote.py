@@ -4,16 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
-from slam.graph.keyframe_graph import Step
 from slam.matching.planar import between
+from slam.measurements import FloatArray
 
 # Squared sigmas of three degrees of freedom, 99.9 %.
 _CONTRADICTION = 16.0
 # Wheels take a side where it is nearer to them by so many squared sigmas.
 _TAKES_SIDES = 1.0
+
+
+class Step(NamedTuple):
+    """Motion (3,) from one keyframe to the next, its covariance (3, 3), and the camera that measured it."""
+
+    motion: FloatArray
+    covariance: FloatArray
+    camera: str = ""
 
 
 def vote(match: Step | None, wheels: Step | None, cameras: Sequence[Step]) -> tuple[bool, list[Step]]:

@@ -7,19 +7,19 @@ lost, it tells the step.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import gtsam
 
 from slam.config import Config
+from slam.mapper.camera_keyframes import CameraKeyframes
 from slam.mapper.journal import Journal
 from slam.mapper.keyframe_fusion import FusionSummary, KeyframeFusion
-from slam.mapper.keyframe_store import KeyframeStore, registration_notes
+from slam.mapper.keyframe_store import registration_notes
 from slam.mapper.map_result import DenseKeyframes
 from slam.mapper.robot_cameras import CameraMarks, RobotCameras
 from slam.mapper.scan_record import CameraRecord
 from slam.mapping.horizon_scan import horizon_scan, with_repairs
-from slam.measurements import FloatArray, LaserScan, WheelOdometry
+from slam.measurements import FloatArray, LaserScan, Pose, WheelOdometry
 from slam.odometry.camera_odometry import camera_step
 from slam.odometry.cloud_tracker import TrackedCloud
 from slam.vision.color_registration import ColorRegistration
@@ -31,20 +31,15 @@ _RING = "horizon of the 3D lidar"
 class CloudCameras:
     """The cameras of a run with a 3D lidar, as far as the log tells where they sit on the robot."""
 
-    def __init__(self, config: Config, journal: Journal) -> None:
-        self._config = config
+    def __init__(
+        self, config: Config, journal: Journal, registrations: Mapping[str, ColorRegistration]
+    ) -> None:
+        self._config, self._registrations = config, registrations
         self._cameras = RobotCameras(config.rgbd_odometry, config.sensors, answers=journal)
-        self._store = KeyframeStore(config.rgbd, config.visual_loops.keyframes_cached, journal.spool())
+        self._keyframes = CameraKeyframes(config, journal, registrations)
         self._fusion = KeyframeFusion(config.fusion) if config.fusion.enabled else None
-        self._registrations: Mapping[str, ColorRegistration] = {}
-        self._nodes: list[int] = []
-        self._T_node_camera: list[gtsam.Pose3] = []
         self._horizons: list[LaserScan | None] = []
         self._marks: CameraMarks = {}
-
-    def note_registrations(self, registrations: Mapping[str, ColorRegistration]) -> None:
-        """Take down where colour cameras sit that are not registered to depth."""
-        self._registrations = registrations
 
     def note_wheels(self, reading: WheelOdometry) -> None:
         """Take a heading by which the cameras' clocks are compared."""
@@ -76,13 +71,7 @@ class CloudCameras:
         """Take the newest frames for a keyframe of the lidar, whose points are (N, 3) in the base frame."""
         self._marks = self._cameras.marks(stamp_s)
         placed = self._cameras.placed_pictures(self._marks)
-        for picture in placed:
-            # Seen from the base at the node, so that who reads the image needs no other pose than the node's.
-            image = replace(picture.frame.frame, T_base_camera=picture.T_base_camera)
-            registration = self._registrations.get(image.sensor)
-            self._store.add_picture(replace(picture.frame, frame=image), registration, node)
-            self._nodes.append(node)
-            self._T_node_camera.append(picture.T_base_camera)
+        self._keyframes.add(node, placed, places=False)
         self._horizons.append(None)
         if placed and self._fusion is not None:
             ring = horizon_scan(points, stamp_s, T_base_lidar, self._config.cloud_map, _RING)
@@ -110,12 +99,9 @@ class CloudCameras:
             for scan, ring, after in zip(scans, self._horizons, mended, strict=True)
         ], summary
 
-    def dense(self, poses: Sequence[gtsam.Pose3]) -> DenseKeyframes | None:
+    def dense(self, poses: Sequence[Pose]) -> DenseKeyframes | None:
         """The frames with their poses, by those of the nodes; None without any."""
-        if not self._nodes:
-            return None
-        placed = zip(self._nodes, self._T_node_camera, strict=True)
-        return DenseKeyframes(self._store.images, [poses[node].compose(seen) for node, seen in placed])
+        return self._keyframes.dense(poses)
 
     def records(self) -> dict[str, CameraRecord]:
         """What became of every camera's frames."""

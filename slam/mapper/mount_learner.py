@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from slam.graph.extrinsics import ExtrinsicsResult, MotionPair, estimate_extrinsics
-from slam.graph.keyframe_graph import Step
+from slam.graph.step_vote import Step
 from slam.measurements import FloatArray, pose2_from_row
 from slam.vision.camera_frame import T_BODY_CAMERA
 

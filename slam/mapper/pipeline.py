@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 from slam.config import Config
 from slam.datasets.dataset import Dataset
 from slam.errors import DatasetError
-from slam.mapper.cloud_mapper import CloudMapper
 from slam.mapper.journal import Journal
+from slam.mapper.lidar2d import PlanarRobot
+from slam.mapper.lidar3d import CloudLidar
 from slam.mapper.map_result import MapResult
-from slam.mapper.planar_mapper import PlanarMapper
-from slam.mapper.protocol import Mapper
+from slam.mapper.mapper import Mapper
+from slam.mapper.mount_learner import LearnedMounting
+from slam.mapper.protocol import FrontEnd
+from slam.mapper.rgbd import FreeCamera
 from slam.mapper.sensor_choice import SensorChoice, used_measurements
-from slam.mapper.spatial_mapper import SpatialMapper
-from slam.measurements import LaserScan, Measurement, PointCloud, WheelOdometry
+from slam.measurements import Measurement
 from slam.vision.ahead import prepared_ahead
+from slam.vision.color_registration import ColorRegistration
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame
 from slam.vision.registration_pairs import registrations_of
 
@@ -53,22 +56,29 @@ def build_map(
     prepare = None
     if choice.cameras:
         prepare = FramePreparer(config.rgbd, registrations, lambda: journal.replaying)
-    mapper: Mapper
-    if choice.cloud:
-        mapper = CloudMapper(config, journal)
-    elif choice.spatial:
-        mapper = SpatialMapper(config, journal)
-    else:
-        mapper = PlanarMapper(config, mountings, journal)
-    mapper.note_registrations(registrations)
+    mapper = Mapper(config, _front_end(choice, config, journal, registrations, mountings))
     _feed(mapper, dataset, config, prepare, on_scan)
     if not mountings and (mountings := mapper.learned_mountings()):
         # The way up to there was mapped without these cameras; now they are known from its beginning.
         journal.begin_again(registrations, mountings)
-        mapper = PlanarMapper(config, mountings, journal)
-        mapper.note_registrations(registrations)
+        mapper = Mapper(config, PlanarRobot(config, journal, registrations, mountings))
         _feed(mapper, dataset, config, prepare, on_scan)
     return mapper.finish()
+
+
+def _front_end(
+    choice: SensorChoice,
+    config: Config,
+    journal: Journal,
+    registrations: Mapping[str, ColorRegistration],
+    mountings: Mapping[str, LearnedMounting],
+) -> FrontEnd:
+    """The sensor that leads."""
+    if choice.cloud:
+        return CloudLidar(config, journal, registrations)
+    if choice.spatial:
+        return FreeCamera(config, journal, registrations)
+    return PlanarRobot(config, journal, registrations, mountings)
 
 
 def _feed(
@@ -83,14 +93,7 @@ def _feed(
     if prepare is not None:
         measurements = prepared_ahead(used_measurements(dataset, config.sensors), prepare)
     for measurement in measurements:
-        if isinstance(measurement, PreparedFrame):
-            mapper.add_frame(measurement)
-        elif isinstance(measurement, LaserScan):
-            mapper.add_scan(measurement)
-        elif isinstance(measurement, PointCloud):
-            mapper.add_cloud(measurement)
-        elif isinstance(measurement, WheelOdometry):
-            mapper.add_odometry(measurement)
+        mapper.add(measurement)
         if on_scan:
             on_scan(mapper.scan_count)
     if mapper.scan_count == 0:

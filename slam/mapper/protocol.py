@@ -1,49 +1,159 @@
-"""What the main loop feeds."""
+"""What the main loop knows of sensors: one leads and says where the robot is, others stand beside it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Protocol
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
-from slam.mapper.map_result import MapResult
+from slam.config import Config
+from slam.graph.keyframe_graph import KeyframeGraph
+from slam.graph.loop_closure import LoopCandidate
+from slam.graph.pose_graph import Edge
+from slam.mapper.keyframe_fusion import FusionSummary
+from slam.mapper.map_result import DenseKeyframes, MappedClouds
 from slam.mapper.mount_learner import LearnedMounting
-from slam.measurements import LaserScan, PointCloud, WheelOdometry
-from slam.vision.color_registration import ColorRegistration
-from slam.vision.prepared_frame import PreparedFrame
+from slam.mapper.scan_record import CameraRecord, ScanRecord
+from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.measurements import LaserScan, MotionEstimate, Pose
+from slam.trajectory.readings import Readings
+from slam.vision.visual_match import VisualMatch
 
 
-class Mapper(Protocol):
-    """State of a run: measurements in log order, then the result."""
+@dataclass(frozen=True, slots=True)
+class Tracked:
+    """A moment at which it is known where the robot is.
 
-    @property
-    def scan_count(self) -> int:
-        """Scans and frames so far that were given a pose."""
+    Attributes
+    ----------
+    stamp_s
+        As the log has it.
+    motion
+        The match that told it; None where nothing matched, and for the first.
+    new_keyframe
+        Whether the robot has moved on enough.
+    match
+        Of a camera's frame: the whole match.
+    """
+
+    stamp_s: float
+    motion: MotionEstimate | None
+    new_keyframe: bool
+    match: VisualMatch | None = None
+
+
+@dataclass(slots=True)
+class Products:
+    """What a front end makes of the keyframes' final poses; see `slam.mapper.map_result.MapResult`."""
+
+    scans: list[LaserScan | None] = field(default_factory=list)
+    measured_scans: list[LaserScan | None] = field(default_factory=list)
+    grid: OccupancyGrid | None = None
+    dense: DenseKeyframes | None = None
+    fused: FusionSummary | None = None
+    clouds: MappedClouds | None = None
+    cameras: Mapping[str, CameraRecord] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+class FrontEnd(Protocol):
+    """The sensor that leads, with those that it asks for help.
+
+    Attributes
+    ----------
+    readings
+        Of the log so far, with their poses in the odometry frame.
+    """
+
+    readings: Readings
+
+    def observe(self, measurement: Any) -> Tracked | None:
+        """Take the next measurement; where the robot is then, if it tells that."""
         ...
 
-    def note_registrations(self, registrations: Mapping[str, ColorRegistration]) -> None:
-        """Take down where colour cameras sit that are not registered to depth."""
+    def origin(self) -> Pose:
+        """Pose of the first node in the map, Pose2 or Pose3, once a first moment was tracked."""
+        ...
+
+    def step(self, key: int) -> tuple[Pose, Sequence[Edge]]:
+        """Motion from the last keyframe to the newest moment, to be keyframe ``key``, and its edges."""
+        ...
+
+    def recognise(self, key: int, graph: KeyframeGraph) -> Iterable[LoopCandidate]:
+        """Remember keyframe ``key``, and try the places that it may have come back to."""
+        ...
+
+    def refuse(self) -> None:
+        """Raise a `slam.errors.DatasetError` where all that was seen is no map."""
+        ...
+
+    def settle(self, graph: KeyframeGraph) -> None:
+        """Say anew what the whole run has shown, before the final optimisation."""
+        ...
+
+    def bases(self, poses: Sequence[Pose]) -> Sequence[Pose]:
+        """``T_map_base`` of every node, by the nodes' poses."""
+        ...
+
+    def products(self, graph: KeyframeGraph, scans: ScanRecord) -> Products:
+        """What is made of the final poses, and of the scores of every scan or frame."""
         ...
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:
         """Where cameras sit that the log does not tell, as far as this run has shown."""
         ...
 
-    def add_odometry(self, reading: WheelOdometry) -> None:
-        """Take a wheel odometry reading."""
+
+class Sensor(Protocol):
+    """A sensor beside the one that leads: it adds what it knows to the graph, and may be overruled."""
+
+    def observe(self, measurement: Any) -> None:
+        """Take the next measurement of its kind."""
         ...
 
-    def add_scan(self, scan: LaserScan) -> None:
-        """Take a lidar scan."""
+    def factors(self, key: int, stamp_s: float) -> Iterable[Edge]:
+        """What it knows of a new keyframe and those before it."""
         ...
 
-    def add_cloud(self, cloud: PointCloud) -> None:
-        """Take a turn of a 3D lidar."""
+    def notes(self) -> list[str]:
+        """One line each, for people."""
         ...
 
-    def add_frame(self, frame: PreparedFrame) -> None:
-        """Take an RGB-D frame."""
-        ...
 
-    def finish(self) -> MapResult:
-        """Optimise everything and hand on what was made."""
-        ...
+SENSORS: dict[type, Callable[[Config], Sensor]] = {}
+
+
+def register_sensor(kind: type, make: Callable[[Config], Sensor]) -> None:
+    """Let measurements of another kind reach a sensor of one's own.
+
+    Parameters
+    ----------
+    kind
+        Type of its measurements, which have ``stamp_s`` (seconds) and ``sensor`` (a name).
+    make
+        Given the configuration, the sensor of a new run: ``observe(measurement)`` takes what comes,
+        ``factors(key, stamp_s)`` gives `slam.Edge`s when keyframe ``key`` is made, ``notes()`` what people
+        should know.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> import slam
+    >>> @dataclass
+    ... class Bump:
+    ...     stamp_s: float
+    ...     sensor: str = "bumper"
+    >>> class Bumper:
+    ...     def __init__(self, config):
+    ...         self.bumps = 0
+    ...     def observe(self, measurement):
+    ...         self.bumps += 1
+    ...     def factors(self, key, stamp_s):
+    ...         return []
+    ...     def notes(self):
+    ...         return [f"{self.bumps} bumps"]
+    >>> slam.register_sensor(Bump, Bumper)
+    """
+    SENSORS[kind] = make

@@ -10,7 +10,7 @@ import gtsam
 
 from slam.answers import COMPUTED, Answers
 from slam.config.stages import RgbdOdometryConfig, SensorsConfig
-from slam.graph.keyframe_graph import Step
+from slam.graph.step_vote import Step
 from slam.mapper.mount_learner import KeyframeStep, LearnedMounting, MountLearner
 from slam.mapper.scan_record import CameraRecord, ScanRecorder
 from slam.measurements import FloatArray

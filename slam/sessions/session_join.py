@@ -18,6 +18,7 @@ from slam.measurements import FloatArray, Trajectory, pose2_from_row, row_from_p
 from slam.outputs.finished_map import Map
 from slam.sessions.placing import Placing
 from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor
+from slam.trajectory.poses import Poses
 from slam.trajectory.spread import spread_correction
 
 Indices: TypeAlias = NDArray[np.int64]
@@ -160,7 +161,8 @@ def _joined_trajectory(maps: Sequence[Map], poses: FloatArray) -> Trajectory:
         readings, kept = _readings_of(keyframe_stamps_s[nodes], stamps_s[part])
         corrections = zip(poses[nodes][kept], before[nodes][kept], planar[part][readings], strict=True)
         corrected = [compose(after, between(old, reading)) for after, old, reading in corrections]
-        carried.append(spread_correction(planar[part], readings, np.array(corrected)))
+        motion, anchors = Poses.planar(planar[part]), Poses.planar(np.array(corrected))
+        carried.append(spread_correction(motion, readings, anchors).trajectory(stamps_s[part]).to_planar())
     return Trajectory.from_planar(stamps_s, np.concatenate(carried))
 
 

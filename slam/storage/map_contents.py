@@ -27,6 +27,7 @@ T = TypeVar("T")
 # The grids of lidar and depth camera; what they decide together follows from them.
 OCCUPANCY, DEPTH = "occupancy", "depth layer"
 _STRETCH = 4096
+_LONGEST_NAME = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +96,7 @@ def write_contents(file: MapFile, contents: MapContents) -> None:
     for factor in contents.factors:
         edge = factor.edge
         ends = (edge.source, edge.target, int(edge.trusted), int(factor.kept), edge.loop)
-        file.append(FACTORS, edge.kind.value, *ends, pack(edge.T_source_target), pack(edge.covariance))
+        file.append(FACTORS, str(edge.kind), *ends, pack(edge.T_source_target), pack(edge.covariance))
     for loop in contents.loops:
         verdict = (loop.place, loop.keyframe, int(loop.accepted))
         file.append(LOOPS, *verdict, float(loop.score), loop.reason, pack(loop))
@@ -183,9 +184,13 @@ def _factor(row: tuple[Any, ...], poses: Sequence[Pose], loops: int) -> SavedFac
     measured, spread = _of(type(poses[0]), unpack(motion)), _of(np.ndarray, unpack(covariance))
     dimension = 3 if isinstance(measured, gtsam.Pose2) else 6
     _require(spread.shape == (dimension, dimension), "its covariance has another size")
-    return SavedFactor(
-        Edge(source, target, measured, spread, EdgeKind(kind), bool(trusted), loop), bool(kept)
-    )
+    return SavedFactor(Edge(source, target, measured, spread, _kind(kind), bool(trusted), loop), bool(kept))
+
+
+def _kind(name: str) -> str:
+    """Where an edge comes from."""
+    _require(isinstance(name, str) and 0 < len(name) < _LONGEST_NAME, "its kind is no name")
+    return EdgeKind(name) if name in set(EdgeKind) else name
 
 
 def _stretch(row: tuple[Any, ...]) -> Trajectory:

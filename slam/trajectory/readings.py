@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Sequence
 
+import gtsam
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from slam.measurements import FloatArray, Trajectory
+from slam.measurements import FloatArray, Pose, Trajectory, spatial
+from slam.trajectory.poses import Poses
 from slam.trajectory.spread import spread_correction, steadied
+
+# Of a covariance in GTSAM's order, the variances of position and rotation along x, y, z; -1 for none.
+_PLANAR, _SPATIAL = [0, 1, -1, -1, -1, 2], [3, 4, 5, 0, 1, 2]
 
 
 class Readings:
@@ -16,45 +23,53 @@ class Readings:
 
     def __init__(self) -> None:
         self._stamps_s = array("d")
+        self._told_s = array("d")
         self._wheel_poses = array("d")
         self._scan_readings = array("q")
         self._scan_poses = array("d")
         self._scan_variances = array("d")
-        self._scan_sure = array("b")
+        self._scan_trusted = array("b")
         self._keyframe_scans = array("q")
 
     @property
     def scan_count(self) -> int:
-        """Scans so far."""
+        """Scans, clouds or frames so far that were given a pose."""
         return len(self._scan_readings)
 
-    def add_wheel(self, stamp_s: float, pose: FloatArray | None) -> None:
+    def add_wheel(self, stamp_s: float, pose: FloatArray | None, told_s: float | None = None) -> None:
         """A reading with the wheels' pose (3,), odom frame; None where there is none."""
         self._stamps_s.append(stamp_s)
+        self._told_s.append(stamp_s if told_s is None else told_s)
         self._wheel_poses.extend((np.nan,) * 3 if pose is None else pose)
 
     def add_scan(
         self,
         stamp_s: float,
-        pose: FloatArray,
-        wheel_pose: FloatArray | None,
+        pose: Pose,
+        wheel_pose: FloatArray | None = None,
         *,
-        variances: FloatArray | None = None,
-        sure: bool = True,
+        covariance: FloatArray | None = None,
+        trusted: bool = True,
+        told_s: float | None = None,
     ) -> None:
-        """A scan with its pose (3,) in the odometry frame; one that is not sure is no anchor for others.
+        """A scan with its pose in the odometry frame; one that is not trusted is no anchor for others.
 
         Parameters
         ----------
-        variances
-            (3,) of the pose against the scans around it, along the base's axes; None where nothing measured
-            it.
+        covariance
+            (d, d) of the pose against the scans around it, GTSAM's order; None where nothing measured it.
+        told_s
+            The stamp that the log has, where that is another than the pose's own.
         """
-        self._scan_variances.extend((np.nan,) * 3 if variances is None else variances)
+        variances = np.full(6, np.nan)
+        if covariance is not None:
+            order = _PLANAR if len(covariance) == 3 else _SPATIAL
+            variances = np.append(np.diag(covariance), 0.0)[order]
+        self._scan_variances.extend(variances)
         self._scan_readings.append(len(self._stamps_s))
-        self._scan_sure.append(sure)
-        self._scan_poses.extend(pose)
-        self.add_wheel(stamp_s, wheel_pose)
+        self._scan_trusted.append(trusted)
+        self._scan_poses.extend(spatial(pose).matrix()[:3].ravel())
+        self.add_wheel(stamp_s, wheel_pose, told_s)
 
     def mark_keyframe(self) -> None:
         """The newest scan is a keyframe."""
@@ -62,54 +77,76 @@ class Readings:
 
     def keyframe_scans(self) -> NDArray[np.int64]:
         """(K,) scan number of each keyframe."""
-        return np.array(self._keyframe_scans)
+        return np.array(self._keyframe_scans, dtype=np.int64)
 
-    def trajectory(self, keyframe_poses: FloatArray) -> Trajectory:
+    def trajectory(self, keyframe_poses: Sequence[Pose]) -> Trajectory:
         """A pose for every reading.
 
         Parameters
         ----------
         keyframe_poses
-            (K, 3) optimised poses, map frame, K > 0.
+            (K,) optimised poses, map frame, K > 0.
         """
-        stamps = np.array(self._stamps_s)
-        wheel_poses = np.array(self._wheel_poses).reshape(-1, 3)
-        known = np.flatnonzero(~np.isnan(wheel_poses[:, 0]))
+        stamps_s = np.array(self._stamps_s)
+        wheels = np.array(self._wheel_poses).reshape(-1, 3)
+        known = np.flatnonzero(~np.isnan(wheels[:, 0]))
         if known.size:
             # Only what came before the first odometry reading is unknown: the wheels had not turned yet.
-            wheel_poses[: known[0]] = wheel_poses[known[0]]
-        scan_poses = self._scans_of(keyframe_poses, wheel_poses if known.size else None)
-        sure = np.array(self._scan_sure, dtype=np.bool_)
-        sure[self.keyframe_scans()] = True
-        scans, scan_poses = np.array(self._scan_readings)[sure], scan_poses[sure]
-        if not known.size:
-            wheel_poses = self._motion_without_wheels(stamps, scans, scan_poses)
-        return Trajectory.from_planar(stamps, spread_correction(wheel_poses, scans, scan_poses))
+            wheels[: known[0]] = wheels[known[0]]
+        motion = Poses.planar(wheels) if known.size else None
+        poses = self._scans_of(Poses.of(keyframe_poses), motion)
+        trusted = np.array(self._scan_trusted, dtype=np.bool_)
+        trusted[self.keyframe_scans()] = True
+        scans, poses = np.array(self._scan_readings)[trusted], poses[trusted]
+        if motion is None:
+            motion = _motion_without_wheels(stamps_s, scans, poses)
+        found = spread_correction(motion, scans, poses).trajectory(stamps_s)
+        return at_stamps(found, np.array(self._told_s))
 
-    def _scans_of(self, keyframe_poses: FloatArray, wheel_poses: FloatArray | None) -> FloatArray:
-        """(S, 3) poses of the scans: as matched between keyframes, noise taken out by the wheels' way."""
+    def _scans_of(self, keyframe_poses: Poses, wheels: Poses | None) -> Poses:
+        """Poses of the scans: as matched between keyframes, noise taken out by the wheels' motion."""
         keyframes = self.keyframe_scans()
-        matched = spread_correction(np.array(self._scan_poses).reshape(-1, 3), keyframes, keyframe_poses)
-        if wheel_poses is None:
+        rows = np.array(self._scan_poses).reshape(-1, 3, 4)
+        odometry = Poses(rows[:, :, 3], Rotation.from_matrix(rows[:, :, :3]))
+        matched = spread_correction(odometry, keyframes, keyframe_poses)
+        if wheels is None:
             return matched
-        bridged = spread_correction(wheel_poses[np.array(self._scan_readings)], keyframes, keyframe_poses)
-        return steadied(matched, bridged, np.array(self._scan_variances).reshape(-1, 3), keyframes)
+        bridged = spread_correction(wheels[np.array(self._scan_readings)], keyframes, keyframe_poses)
+        return steadied(matched, bridged, np.array(self._scan_variances).reshape(-1, 6), keyframes)
 
-    @staticmethod
-    def _motion_without_wheels(
-        stamps: FloatArray, scans: NDArray[np.int64], scan_poses: FloatArray
-    ) -> FloatArray:
-        """Motion that only tells how far between two scans, in time, each reading lies."""
-        motion = np.zeros((stamps.size, 3))
-        before = np.clip(np.searchsorted(scans, np.arange(stamps.size), side="right") - 1, 0, scans.size - 1)
-        after = np.clip(before + 1, 0, scans.size - 1)
-        span = stamps[scans[after]] - stamps[scans[before]]
-        share = np.zeros(stamps.size)
-        known = span > 0.0
-        share[known] = ((stamps - stamps[scans[before]])[known] / span[known]).clip(0.0, 1.0)
-        turn = (scan_poses[after, 2] - scan_poses[before, 2] + np.pi) % (2.0 * np.pi) - np.pi
-        motion[:, :2] = scan_poses[before, :2] + share[:, None] * (
-            scan_poses[after, :2] - scan_poses[before, :2]
-        )
-        motion[:, 2] = scan_poses[before, 2] + share * turn
-        return motion
+
+def at_stamps(trajectory: Trajectory, stamps_s: FloatArray) -> Trajectory:
+    """A pose for each of other stamps (N,), in the order of the trajectory's own and near them.
+
+    The motion to the pose before, or for the first to the one after, is taken as even.
+    """
+    own_s = trajectory.stamps_s
+    if len(own_s) < 2 or np.array_equal(own_s, stamps_s):
+        return Trajectory(stamps_s, trajectory.positions_m, trajectory.quaternions_xyzw)
+    left = np.maximum(np.arange(len(own_s)) - 1, 0)
+    step_s = own_s[left + 1] - own_s[left]
+    share = np.where(np.arange(len(own_s)) > 0, 1.0, 0.0)
+    np.divide(stamps_s - own_s[left], step_s, out=share, where=step_s > 0.0)
+    poses = [
+        gtsam.Pose3(gtsam.Rot3.Quaternion(w, x, y, z), position)
+        for (x, y, z, w), position in zip(trajectory.quaternions_xyzw, trajectory.positions_m, strict=True)
+    ]
+    moved = [
+        poses[n].slerp(float(part), poses[n + 1])
+        for n, part in zip(left, np.clip(share, -1.0, 2.0), strict=True)
+    ]
+    return Poses.of(moved).trajectory(stamps_s)
+
+
+def _motion_without_wheels(stamps_s: FloatArray, scans: NDArray[np.int64], poses: Poses) -> Poses:
+    """Motion that only tells how far between two scans, in time, each reading lies."""
+    numbers = np.arange(stamps_s.size)
+    before = np.clip(np.searchsorted(scans, numbers, side="right") - 1, 0, scans.size - 1)
+    after = np.clip(before + 1, 0, scans.size - 1)
+    span = stamps_s[scans[after]] - stamps_s[scans[before]]
+    share = np.zeros((stamps_s.size, 1))
+    known = span > 0.0
+    share[known, 0] = ((stamps_s - stamps_s[scans[before]])[known] / span[known]).clip(0.0, 1.0)
+    first, last = poses[before], poses[after]
+    turn = (last.rotations * first.rotations.inv()).as_rotvec()
+    return first.moved(share * np.hstack([last.positions_m - first.positions_m, turn]))

@@ -1,89 +1,92 @@
-"""A pose for every reading: motion between anchors from the odometry, the correction spread over the way."""
+"""A pose for every reading: motion between anchors by the odometry, the correction spread over the path."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slam.measurements import FloatArray
+from slam.trajectory.poses import Poses
 
-# Scans on either side by which it is judged how far a way and the matches disagree.
+# Scans on either side by which it is judged how far wheels and matches disagree.
 _AROUND = 10
-# A radian of turn counts as this much way when a correction is spread; standing still counts a little.
+# A radian of turn counts as this much path when a correction is spread; standing still counts a little.
 _TURN_M_PER_RAD = 0.3
 _STILL_M = 1e-6
 
 
-def spread_correction(motion: FloatArray, anchors: NDArray[np.int64], anchor_poses: FloatArray) -> FloatArray:
+def spread_correction(motion: Poses, anchors: NDArray[np.int64], anchor_poses: Poses) -> Poses:
     """Carry corrected anchor poses over to all poses of a drifting trajectory.
 
     Parameters
     ----------
     motion
-        (N, 3) x, y, yaw of every reading in the drifting frame, in log order.
+        N poses of every reading in the drifting frame, in log order.
     anchors
         (M,) increasing numbers of the readings whose map pose is known, M > 0.
     anchor_poses
-        (M, 3) their poses in the map.
+        M of them, in the map.
 
     Returns
     -------
-    (N, 3) in the map frame. Between two anchors the drifting motion starts at the first; what it misses
-    the second by is added in proportion to the way. Before the first and after the last anchor the
-    motion is attached rigidly.
+    N poses in the map. Between two anchors the drifting motion starts at the first; what it misses the
+    second by is added in proportion to the path. Before the first and after the last anchor the motion is
+    attached rigidly.
     """
     numbers = np.arange(len(motion))
     # The anchor at or before each reading; the first for those ahead of it.
     before = np.maximum(np.searchsorted(anchors, numbers, side="right") - 1, 0)
-    poses = _composed(anchor_poses[before], _between(motion[anchors[before]], motion))
+    poses = anchor_poses[before].compose(motion[anchors[before]].between(motion))
+    if len(anchors) < 2:
+        return poses
     start, stop = anchors[:-1], anchors[1:]
-    missed = anchor_poses[1:] - _composed(anchor_poses[:-1], _between(motion[start], motion[stop]))
-    missed[:, 2] = _wrapped(missed[:, 2])
-    way = np.concatenate([[0.0], np.cumsum(_ways(motion))])
+    reached = anchor_poses[:-1].compose(motion[start].between(motion[stop]))
+    turned = anchor_poses[1:].rotations * reached.rotations.inv()
+    missed = np.hstack([anchor_poses[1:].positions_m - reached.positions_m, turned.as_rotvec()])
+    path = np.concatenate([[0.0], np.cumsum(_path_lengths(motion))])
     inside = (numbers > anchors[0]) & (numbers < anchors[-1])
     gap = before[inside]
-    share = (way[inside] - way[start[gap]]) / (way[stop] - way[start])[gap]
-    poses[inside] += share[:, None] * missed[gap]
-    return poses
+    share = np.zeros((len(motion), 1))
+    share[inside, 0] = (path[inside] - path[start[gap]]) / (path[stop] - path[start])[gap]
+    return poses.moved(share * missed[np.minimum(before, len(missed) - 1)])
 
 
-def steadied(
-    matched: FloatArray, bridged: FloatArray, variances: FloatArray, anchors: NDArray[np.int64]
-) -> FloatArray:
-    """Take the noise of matches out of the poses between anchors, by a way that is smoother.
+def steadied(matched: Poses, bridged: Poses, variances: FloatArray, anchors: NDArray[np.int64]) -> Poses:
+    """Take the noise of matches out of the poses between anchors, by a motion that is smoother.
 
-    Where matches and way disagree, around a scan, by no more than the matches' noise, the way is as good and
-    the difference is noise; where they disagree by more, the way is wrong by the rest: Wiener's share of the
-    difference is kept, in each direction.
+    Where matches and motion disagree, around a scan, by no more than the matches' noise, the motion is as
+    good and the difference is noise; where they disagree by more, the motion is wrong by the rest: Wiener's
+    share of the difference is kept, in each direction.
 
     Parameters
     ----------
     matched, bridged
-        (S, 3) poses of the scans, and where the way from anchor to anchor passes; the same at the anchors.
+        S poses of the scans, and where the motion from anchor to anchor passes; the same at the anchors.
     variances
-        (S, 3) of the matches, x and y along the base's axes, yaw; nan where unknown: such a pose stays.
+        (S, 6) of the matches' position and rotation, along the base's axes; nan where unknown: such a pose
+        stays.
     anchors
         (M,) increasing numbers of the scans whose pose is known.
 
     Returns
     -------
-    (S, 3); at the anchors, and before the first and after the last, as matched.
+    S poses; at the anchors, and before the first and after the last, as matched.
     """
     numbers = np.arange(len(matched))
     within = (numbers >= anchors[0]) & (numbers <= anchors[-1])
     free = np.ones(len(matched))
     free[anchors] = 0.0
-    off = _between(bridged, matched)
+    off = bridged.between(matched).offsets()
     counted = (free * within)[:, None]
     squares = _around(counted * off * off)
     noise = variances * _around(counted)
     steady = within & (free > 0.0) & ~np.isnan(variances[:, 0])
-    kept = np.zeros_like(off)
-    np.divide(noise, squares, out=kept, where=squares > noise)
-    kept = np.where(squares > noise, off * (1.0 - kept), 0.0)
-    return np.where(steady[:, None], _composed(bridged, kept), matched)
+    share = np.zeros_like(off)
+    np.divide(noise, squares, out=share, where=squares > noise)
+    kept = np.where(squares > noise, off * (1.0 - share), 0.0)
+    kept[~steady] = 0.0
+    still = Poses.planar(np.zeros((len(matched), 3)))
+    return bridged.compose(still.moved(kept)).where(steady, matched)
 
 
 def _around(rows: FloatArray) -> FloatArray:
@@ -95,31 +98,8 @@ def _around(rows: FloatArray) -> FloatArray:
     return total
 
 
-def _composed(a: FloatArray, b: FloatArray) -> FloatArray:
-    """T_a * T_b, row by row, (N, 3)."""
-    cos, sin = np.cos(a[:, 2]), np.sin(a[:, 2])
-    return np.column_stack(
-        [
-            a[:, 0] + cos * b[:, 0] - sin * b[:, 1],
-            a[:, 1] + sin * b[:, 0] + cos * b[:, 1],
-            _wrapped(a[:, 2] + b[:, 2]),
-        ]
-    )
-
-
-def _between(a: FloatArray, b: FloatArray) -> FloatArray:
-    """inverse(T_a) * T_b, row by row, (N, 3)."""
-    cos, sin = np.cos(a[:, 2]), np.sin(a[:, 2])
-    dx, dy = b[:, 0] - a[:, 0], b[:, 1] - a[:, 1]
-    return np.column_stack([cos * dx + sin * dy, -sin * dx + cos * dy, _wrapped(b[:, 2] - a[:, 2])])
-
-
-def _wrapped(angles_rad: FloatArray) -> FloatArray:
-    """The same angles in [-pi, pi)."""
-    return angles_rad - 2.0 * math.pi * np.floor((angles_rad + math.pi) / (2.0 * math.pi))
-
-
-def _ways(motion: FloatArray) -> FloatArray:
-    """(N - 1,) way from each pose to the next, turns included."""
-    steps = np.diff(motion, axis=0)
-    return np.hypot(steps[:, 0], steps[:, 1]) + _TURN_M_PER_RAD * np.abs(_wrapped(steps[:, 2])) + _STILL_M
+def _path_lengths(motion: Poses) -> FloatArray:
+    """(N - 1,) from each pose to the next, turns included."""
+    steps = np.linalg.norm(np.diff(motion.positions_m, axis=0), axis=1)
+    turns_rad = (motion.rotations[:-1].inv() * motion.rotations[1:]).magnitude()
+    return steps + _TURN_M_PER_RAD * turns_rad + _STILL_M

@@ -22,8 +22,9 @@ from slam.evaluation.map_report import RunCost, report_data
 from slam.evaluation.report import write_report
 from slam.graph.pose_graph import PoseGraph
 from slam.mapper.keyframe_fusion import FusionPair, FusionSummary
+from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.map_result import MapResult
-from slam.mapper.planar_mapper import PlanarMapper
+from slam.mapper.mapper import Mapper
 from slam.mapper.scan_record import ScanRecord
 from slam.measurements import FloatArray, LaserScan, Trajectory
 from slam.vision.color_registration import identity_registration
@@ -185,17 +186,16 @@ def test_of_many_examples_six_are_shown() -> None:
 def test_what_became_of_every_camera_of_a_robot_is_told() -> None:
     """Eight frames of one camera, of which the last two see nothing; two of another."""
     mount = gtsam.Pose3(T_BODY_CAMERA.rotation(), np.array([0.1, 0.0, 1.1]))
-    mapper = PlanarMapper(Config())
     refused = identity_registration(LESS, "no clear gain")
-    mapper.note_registrations({"left": refused})
+    mapper = Mapper(Config(), PlanarRobot(Config(), registrations={"left": refused}))
     for number in range(8):
         pose, stamp_s = np.array([-0.5 + 0.03 * number, -0.7, 0.2]), 100.0 + 0.1 * number
         on_floor = gtsam.Pose3(gtsam.Rot3.Rz(pose[2]), np.array([pose[0], pose[1], 0.0]))
         seen = render(furnished(), on_floor * mount, LESS, stamp_s - 0.01, T_base_camera=mount, smooth=False)
-        mapper.add_frame(prepared(replace(blind(seen) if number > 5 else seen, sensor="left")))
+        mapper.add(prepared(replace(blind(seen) if number > 5 else seen, sensor="left")))
         if number < 2:
-            mapper.add_frame(prepared(replace(seen, sensor="right")))
-        mapper.add_scan(sweep(box(-2.5, -2.0, 2.5, 2.0), pose, beams=181, fov_rad=math.pi, stamp_s=stamp_s))
+            mapper.add(prepared(replace(seen, sensor="right")))
+        mapper.add(sweep(box(-2.5, -2.0, 2.5, 2.0), pose, beams=181, fov_rad=math.pi, stamp_s=stamp_s))
     cameras = mapper.finish().cameras
     assert list(cameras) == ["left", "right"]
     left, right = cameras["left"], cameras["right"]

@@ -1,4 +1,4 @@
-"""Camera keyframes in space, and camera edges on the floor: chains, loops, and what GNC refuses."""
+"""Camera keyframes in space: chains, loops, and what GNC refuses."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from slam.config.stages import GraphConfig
-from slam.graph.keyframe_graph import KeyframeGraph, Step
+from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate
-from slam.graph.pose_graph import EdgeKind
-from slam.graph.spatial_graph import SpatialGraph
-from slam.measurements import FloatArray, MotionEstimate
+from slam.graph.pose_graph import Edge, EdgeKind
+from slam.measurements import MotionEstimate
 
 SIDES = 12
 # A regular walk that turns once around and climbs nothing.
@@ -36,14 +35,21 @@ def truth(origin: gtsam.Pose3, count: int) -> list[gtsam.Pose3]:
     return poses
 
 
-def walked(origin: gtsam.Pose3, drift: gtsam.Pose3 = DRIFT) -> SpatialGraph:
-    graph = SpatialGraph(origin, GraphConfig())
+def walked(origin: gtsam.Pose3, drift: gtsam.Pose3 = DRIFT) -> KeyframeGraph:
+    graph = KeyframeGraph(origin, GraphConfig())
     for n in range(SIDES):
-        assert graph.add_keyframe(STEP * drift, COVARIANCE) == n + 1
+        assert step(graph, STEP * drift) == n + 1
     return graph
 
 
-def worst_m(graph: SpatialGraph, origin: gtsam.Pose3) -> float:
+def step(graph: KeyframeGraph, motion: gtsam.Pose3) -> int:
+    """The next keyframe, by a camera."""
+    key = len(graph)
+    edge = Edge(key - 1, key, motion, COVARIANCE, EdgeKind.RGBD, trusted=True)
+    return graph.add_keyframe(motion, [edge])
+
+
+def worst_m(graph: KeyframeGraph, origin: gtsam.Pose3) -> float:
     """Greatest distance of a keyframe from its truth."""
     pairs = zip(graph.poses(), truth(origin, SIDES), strict=True)
     return max(float(np.linalg.norm(pose.translation() - true.translation())) for pose, true in pairs)
@@ -92,7 +98,7 @@ def test_the_chain_goes_on_from_the_corrected_poses() -> None:
     graph.add_loop(loop(0, SIDES, true[0].between(true[-1])))
     graph.update()
     last = graph.poses()[-1]
-    graph.add_keyframe(STEP, COVARIANCE)
+    step(graph, STEP)
     assert graph.poses()[-1].equals(last * STEP, 1e-9)
 
 
@@ -122,9 +128,12 @@ def test_a_refused_candidate_is_told_but_no_edge() -> None:
 
 def test_a_step_that_nothing_measured_yields_to_a_loop() -> None:
     """A camera that was covered for a while: the guess is half a metre off, the loop says where it is."""
-    graph = SpatialGraph(ORIGINS[0], GraphConfig())
+    graph = KeyframeGraph(ORIGINS[0], GraphConfig())
     for n in range(4):
-        graph.add_keyframe(STEP, COVARIANCE if n != 2 else None)
+        if n == 2:
+            graph.add_keyframe(STEP)
+        else:
+            step(graph, STEP)
     assert graph.graph.edges[2].kind is EdgeKind.ASSUMED
     assert {edge.kind for edge in graph.graph.edges} == {EdgeKind.RGBD, EdgeKind.ASSUMED}
     moved = STEP * STEP * STEP * gtsam.Pose3(gtsam.Rot3(), np.array([0.5, 0.0, 0.0])) * STEP
@@ -133,81 +142,3 @@ def test_a_step_that_nothing_measured_yields_to_a_loop() -> None:
     assert graph.loops[0].accepted
     assert np.linalg.norm(graph.poses()[4].translation() - moved.translation()) < 0.03
     assert np.linalg.norm(graph.poses()[2].translation() - (STEP * STEP).translation()) < 0.03
-
-
-SURE = np.eye(3) * 0.01**2
-AHEAD = np.array([0.2, 0.0, 0.05])
-
-
-def told(motion: FloatArray = AHEAD, covariance: FloatArray = SURE) -> Step:
-    return Step(motion, covariance)
-
-
-class TestCamerasOnTheFloor:
-    """What a planar keyframe is held by, as sensors come and go."""
-
-    @pytest.mark.parametrize(
-        ("match", "wheels", "cameras", "doubtful", "kinds"),
-        [
-            (True, True, 0, False, ["LIDAR+", "WHEEL-"]),
-            (True, True, 2, False, ["LIDAR+", "WHEEL-", "RGBD-", "RGBD-"]),
-            (True, False, 1, True, ["LIDAR-", "ASSUMED+", "RGBD-"]),
-            (False, True, 1, True, ["WHEEL+", "RGBD-"]),
-            (False, False, 1, True, ["RGBD-", "ASSUMED+"]),
-            (False, False, 0, True, ["ASSUMED+"]),
-        ],
-    )
-    def test_something_trusted_always_holds_the_chain(
-        self, match: bool, wheels: bool, cameras: int, doubtful: bool, kinds: list[str]
-    ) -> None:
-        graph = KeyframeGraph(GraphConfig())
-        graph.add_keyframe(
-            AHEAD,
-            told() if match else None,
-            told() if wheels else None,
-            [told()] * cameras,
-            match_doubtful=doubtful,
-        )
-        edges = graph.graph.edges
-        assert [f"{edge.kind.name}{'+' if edge.trusted else '-'}" for edge in edges] == kinds
-        outcome = graph.optimize(0.99)
-        assert outcome.kept.all()
-        np.testing.assert_allclose(graph.poses(), [np.zeros(3), AHEAD], atol=1e-6)
-
-    def test_a_wrong_camera_is_refused(self) -> None:
-        graph = KeyframeGraph(GraphConfig())
-        for _ in range(5):
-            wrong = told(AHEAD + np.array([0.5, 0.0, 0.0]))
-            graph.add_keyframe(AHEAD, told(), told(AHEAD, SURE * 9.0), [wrong])
-        outcome = graph.optimize(0.99)
-        kinds = [edge.kind for edge in graph.graph.edges]
-        assert [kind for kind, kept in zip(kinds, outcome.kept, strict=True) if not kept] == [
-            EdgeKind.RGBD
-        ] * 5
-
-    def test_a_lidar_that_follows_a_person_is_refused(self) -> None:
-        """Two cameras and the wheels against a match that was contradicted."""
-        graph = KeyframeGraph(GraphConfig())
-        for n in range(6):
-            lidar = AHEAD if n != 3 else AHEAD + np.array([-0.6, 0.4, 0.3])
-            graph.add_keyframe(
-                lidar, told(lidar), told(AHEAD, SURE * 4.0), [told(), told()], match_doubtful=n == 3
-            )
-        graph.optimize(0.99)
-        expected = gtsam.Pose2()
-        for _ in range(6):
-            expected = expected.compose(gtsam.Pose2(*AHEAD))
-        np.testing.assert_allclose(
-            graph.poses()[-1], [expected.x(), expected.y(), expected.theta()], atol=0.03
-        )
-
-    def test_a_step_learned_later_joins_its_ends(self) -> None:
-        graph = KeyframeGraph(GraphConfig())
-        for _ in range(3):
-            graph.add_keyframe(AHEAD, told(covariance=SURE * 100.0), None)
-        graph.add_camera_step(1, 2, told(AHEAD + np.array([0.04, 0.0, 0.0]), SURE * 0.01))
-        edge = graph.graph.edges[-1]
-        assert (edge.source, edge.target, edge.kind, edge.trusted) == (1, 2, EdgeKind.RGBD, False)
-        graph.optimize(0.99)
-        step = gtsam.Pose2(*graph.poses()[1]).between(gtsam.Pose2(*graph.poses()[2]))
-        assert step.x() == pytest.approx(0.24, abs=1e-3)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam.graph.keyframe_graph import Step
-from slam.graph.step_vote import agree, vote
+from slam.graph.step_vote import Step, agree, vote
 
 SURE = np.diag([0.005, 0.005, 0.003]) ** 2
 VAGUE = np.diag([0.1, 0.1, 0.05]) ** 2

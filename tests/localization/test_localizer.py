@@ -15,9 +15,10 @@ from slam.localization.drive_log import DriveLog
 from slam.localization.known_map import KnownMap
 from slam.localization.localizer import Localizer
 from slam.localization.output import LocalizerOutput, State
+from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.map_result import MapResult
+from slam.mapper.mapper import Mapper
 from slam.mapper.pipeline import build_map
-from slam.mapper.planar_mapper import PlanarMapper
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, LaserScan, Measurement, row_from_pose2
 from slam.simulation.synthetic_log import write_synthetic_log
@@ -181,7 +182,7 @@ def room_drive(stamps: FloatArray, seed: int) -> list[LaserScan]:
 
 def mapped_room(stamps: FloatArray) -> MapResult:
     """The map of a drive through it."""
-    mapper = PlanarMapper(CONFIG)
+    mapper = Mapper(CONFIG, PlanarRobot(CONFIG))
     for scan in room_drive(stamps, seed=0):
-        mapper.add_scan(scan)
+        mapper.add(scan)
     return mapper.finish()

@@ -10,11 +10,13 @@ import pytest
 from cloud_world import ELEVATIONS, PILLARS, ROOM, SMALL, T_BASE_LIDAR, look, way_round, write_log
 
 from slam.config import load_config
+from slam.config.stages import GraphConfig
 from slam.datasets import open_dataset
 from slam.errors import DatasetError
 from slam.evaluation.trajectory_error import absolute_error
 from slam.graph.cloud_loops import CloudLoopCloser
-from slam.graph.pose_graph import EdgeKind
+from slam.graph.keyframe_graph import KeyframeGraph
+from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.mapper.sensor_choice import SensorChoice
@@ -99,12 +101,14 @@ def test_a_place_too_far_to_be_the_same_is_not_tried() -> None:
     config, kept = load_config(None, SMALL), CloudKeyframes()
     closer = CloudLoopCloser(config.cloud_loops, config.cloud_odometry, 0.25, kept)
     points = look(gtsam.Pose3()).points_lidar.astype(np.float64)
-    poses = [gtsam.Pose3(gtsam.Rot3(), np.array([4.0 * n, 0.0, 0.0])) for n in range(11)]
-    for key, pose in enumerate(poses):
+    graph = KeyframeGraph(gtsam.Pose3(), GraphConfig())
+    step = gtsam.Pose3(gtsam.Rot3(), np.array([4.0, 0.0, 0.0]))
+    for key in range(11):
+        if key:
+            graph.add_keyframe(step, [Edge(key - 1, key, step, np.eye(6) * 1e-6, EdgeKind.LIDAR, True)])
         kept.add(float(key), points, T_BASE_LIDAR)
-        covariance = None if key == 0 else np.eye(6) * 1e-6
-        closer.add_keyframe(points, pose, 4.0 * key, covariance, 0.01)
-        tried = closer.close(key, poses[: key + 1])
+        closer.add_keyframe(points, gtsam.Pose3(graph.poses()[-1]), 4.0 * key, 0.01)
+        tried = closer.close(key, graph.poses(), graph.rows(), graph.uncertainty)
     assert not tried
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 
-from slam.graph.keyframe_graph import Step
+from slam.graph.step_vote import Step
 from slam.mapper.mount_learner import KeyframeStep, MountLearner
 from slam.vision.camera_frame import T_BODY_CAMERA
 

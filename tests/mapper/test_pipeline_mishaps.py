@@ -29,11 +29,12 @@ from slam.datasets import open_dataset
 from slam.errors import DatasetError
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import EdgeKind
+from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.map_result import MapResult
-from slam.mapper.planar_mapper import PlanarMapper as Mapper
+from slam.mapper.mapper import Mapper
 from slam.mapping.occupancy_grid import OCCUPIED
 from slam.matching.planar import between, compose
-from slam.measurements import FloatArray, LaserScan, MotionEstimate, pose2_from_row
+from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
 from slam.outputs.layer_outputs import layers_of
 from slam.outputs.run_outputs import save_run
 from slam.simulation.synthetic_log import SyntheticLog
@@ -211,12 +212,9 @@ class TestMishaps:
 def bent(
     long_log: SyntheticLog, mapped: MapResult, request: pytest.FixtureRequest
 ) -> tuple[MapResult, list[LoopCandidate]]:
-    mapper = Mapper(load_config())
+    mapper = Mapper(load_config(), PlanarRobot(load_config()))
     for measurement in open_dataset(long_log.log_path):
-        if isinstance(measurement, LaserScan):
-            mapper.add_scan(measurement)
-        else:
-            mapper.add_odometry(measurement)
+        mapper.add(measurement)
     model = next(loop.motion for loop in mapped.loops if loop.accepted and loop.motion)
     false = list(_false_loops(mapped.keyframe_poses, model, request.param))
     for loop in false:

@@ -19,9 +19,9 @@ from slam.datasets import open_dataset
 from slam.datasets.dataset import ReadReport
 from slam.errors import MapFileError
 from slam.mapper.journal import Journal
+from slam.mapper.mapper import Mapper
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.pipeline import build_map
-from slam.mapper.planar_mapper import PlanarMapper
 from slam.matching.planar import compose
 from slam.measurements import LaserScan, Measurement, RgbdFrame, WheelOdometry, pose2_from_row
 from slam.odometry.surfel_odometry import SurfelOdometry
@@ -151,11 +151,11 @@ class TestTheSameMap:
         passes: list[int] = []
         learned = {"camera": LearnedMounting(MOUNT, "as it is")}
 
-        def learned_mountings(mapper: PlanarMapper) -> dict[str, LearnedMounting]:
+        def learned_mountings(mapper: Mapper) -> dict[str, LearnedMounting]:
             passes.append(mapper.scan_count)
             return learned
 
-        monkeypatch.setattr(PlanarMapper, "learned_mountings", learned_mountings)
+        monkeypatch.setattr(Mapper, "learned_mountings", learned_mountings)
         log, counted = Log(drive, tmp_path), 0
         config = load_config(None, ["dense_map.enabled=false"])
         (tmp_path / "log").write_text("the same")

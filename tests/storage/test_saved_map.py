@@ -198,7 +198,7 @@ class TestRefused:
         [
             (FACTORS, 1, {"source": 5}, "its ends are no nodes"),
             (FACTORS, 4, {"loop": 2}, "its loop is none"),
-            (FACTORS, 2, {"kind": "guess"}, "guess"),
+            (FACTORS, 2, {"kind": ""}, "kind is no name"),
             (FACTORS, 2, {"motion": MOTION3}, "Pose3 where a Pose2 belongs"),
             (FACTORS, 2, {"covariance": pack(np.eye(6))}, "covariance has another size"),
             (FACTORS, 2, {"covariance": b"\x80\x04."}, "not packed values"),

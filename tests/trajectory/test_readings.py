@@ -2,12 +2,24 @@
 
 import math
 
+import gtsam
 import numpy as np
 import pytest
 
 from slam.matching.planar import between, compose
-from slam.measurements import FloatArray
+from slam.measurements import FloatArray, pose2_from_row
 from slam.trajectory.readings import Readings
+
+
+def scan(
+    readings: Readings, stamp_s: float, pose: FloatArray, wheels: FloatArray | None, *, trusted: bool = True
+) -> None:
+    readings.add_scan(stamp_s, pose2_from_row(pose), wheels, trusted=trusted)
+
+
+def found(readings: Readings, keyframes: FloatArray) -> FloatArray:
+    """(N, 3) the poses of all readings."""
+    return readings.trajectory([pose2_from_row(pose) for pose in keyframes]).to_planar()
 
 
 def row(x: float, y: float = 0.0, yaw: float = 0.0) -> FloatArray:
@@ -18,13 +30,13 @@ def test_it_counts_scans_and_keyframes() -> None:
     readings = Readings()
     readings.add_wheel(0.5, row(0.0))
     for n in range(4):
-        readings.add_scan(1.0 + n, row(n), row(n))
+        scan(readings, 1.0 + n, row(n), row(n))
         if n in (0, 2):
             readings.mark_keyframe()
         readings.add_wheel(1.5 + n, row(n + 0.5))
     assert readings.scan_count == 4
     np.testing.assert_array_equal(readings.keyframe_scans(), [0, 2])
-    trajectory = readings.trajectory(np.array([row(0), row(2)]))
+    trajectory = readings.trajectory([gtsam.Pose2(), gtsam.Pose2(2.0, 0.0, 0.0)])
     np.testing.assert_array_equal(trajectory.stamps_s, [0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5])
 
 
@@ -38,13 +50,13 @@ def test_wheels_carry_the_poses_between_scans(frame: tuple[float, ...]) -> None:
     for n in range(25):
         wheels = compose(odom, row(x[n]))
         if n % 4 == 2:
-            readings.add_scan(0.1 * n, row(1.1 * x[n]), wheels)
+            scan(readings, 0.1 * n, row(1.1 * x[n]), wheels)
             if n % 8 == 2:
                 readings.mark_keyframe()
         else:
             readings.add_wheel(0.1 * n, wheels)
     truth = np.array([compose(np.array(frame), row(1.1 * value)) for value in x])
-    poses = readings.trajectory(truth[2::8]).to_planar()
+    poses = found(readings, truth[2::8])
     np.testing.assert_allclose(poses[2:23, :2], truth[2:23, :2], atol=1e-5)
     np.testing.assert_allclose(np.cos(poses[:, 2] - frame[2]), 1.0, atol=1e-9)
     # Before the first and after the last scan only the wheels speak.
@@ -56,28 +68,28 @@ def test_scans_that_are_no_keyframe_share_the_correction() -> None:
     """Scan matching drifted by 0.4 m over four steps; the optimisation takes it back: 0.1 m a step."""
     readings = Readings()
     for n in range(5):
-        readings.add_scan(float(n), row(1.1 * n), None)
+        scan(readings, float(n), row(1.1 * n), None)
         if n in (0, 4):
             readings.mark_keyframe()
-    poses = readings.trajectory(np.array([row(0), row(4)])).to_planar()
+    poses = found(readings, np.array([row(0), row(4)]))
     np.testing.assert_allclose(poses[:, 0], [0, 1, 2, 3, 4], atol=1e-5)
 
 
 def test_without_wheels_readings_interpolate_in_time() -> None:
     readings = Readings()
-    for stamp_s, scan in [
+    for stamp_s, seen in [
         (0.0, row(0.0, 1.0, 3.0)),
         (1.0, None),
         (1.5, None),
         (2.0, row(4.0, 1.0, -3.0)),
         (9.0, None),
     ]:
-        if scan is None:
+        if seen is None:
             readings.add_wheel(stamp_s, None)
         else:
-            readings.add_scan(stamp_s, scan, None)
+            scan(readings, stamp_s, seen, None)
             readings.mark_keyframe()
-    poses = readings.trajectory(np.array([row(0.0, 1.0, 3.0), row(4.0, 1.0, -3.0)])).to_planar()
+    poses = found(readings, np.array([row(0.0, 1.0, 3.0), row(4.0, 1.0, -3.0)]))
     np.testing.assert_allclose(poses[:, 0], [0.0, 2.0, 3.0, 4.0, 4.0], atol=1e-9)
     # The short way round through pi.
     turned = np.remainder(poses[:, 2] - 3.0, 2 * math.pi)
@@ -90,12 +102,12 @@ def test_readings_before_the_first_scan_have_its_pose(wheels: bool) -> None:
     """With wheels that come late, too: before their first reading they had not turned."""
     readings = Readings()
     readings.add_wheel(0.0, None)
-    readings.add_scan(1.0, row(0.0), None)
+    scan(readings, 1.0, row(0.0), None)
     readings.mark_keyframe()
     readings.add_wheel(2.0, row(7.0) if wheels else None)
-    readings.add_scan(3.0, row(1.0), row(8.0) if wheels else None)
+    scan(readings, 3.0, row(1.0), row(8.0) if wheels else None)
     readings.mark_keyframe()
-    poses = readings.trajectory(np.array([row(5.0, 5.0), row(6.0, 5.0)])).to_planar()
+    poses = found(readings, np.array([row(5.0, 5.0), row(6.0, 5.0)]))
     np.testing.assert_allclose(poses[[0, 1, 3]], [[5, 5, 0], [5, 5, 0], [6, 5, 0]], atol=1e-5)
     assert 5.0 - 1e-5 <= poses[2, 0] <= 6.0
 
@@ -110,11 +122,11 @@ def test_stamps_in_any_order_survive(stamps_s: list[float], wheels: bool) -> Non
     for n, stamp_s in enumerate(stamps_s):
         wheel_pose = row(n) if wheels else None
         if n % 2 == 0:
-            readings.add_scan(stamp_s, row(n), wheel_pose)
+            scan(readings, stamp_s, row(n), wheel_pose)
             readings.mark_keyframe()
         else:
             readings.add_wheel(stamp_s, wheel_pose)
-    trajectory = readings.trajectory(np.array([row(0), row(2), row(4)]))
+    trajectory = readings.trajectory([gtsam.Pose2(float(x), 0.0, 0.0) for x in (0, 2, 4)])
     np.testing.assert_array_equal(trajectory.stamps_s, stamps_s)
     x = trajectory.to_planar()[:, 0]
     np.testing.assert_allclose(x[::2], [0, 2, 4], atol=1e-9)
@@ -126,10 +138,9 @@ def test_stamps_in_any_order_survive(stamps_s: list[float], wheels: bool) -> Non
 
 def test_a_single_scan() -> None:
     readings = Readings()
-    readings.add_scan(3.0, row(0.0), None)
+    scan(readings, 3.0, row(0.0), None)
     readings.mark_keyframe()
-    trajectory = readings.trajectory(np.array([row(1.0, 2.0, 0.5)]))
-    np.testing.assert_allclose(trajectory.to_planar(), [[1.0, 2.0, 0.5]])
+    np.testing.assert_allclose(found(readings, np.array([row(1.0, 2.0, 0.5)])), [[1.0, 2.0, 0.5]])
 
 
 @pytest.mark.parametrize("wheels", [False, True])
@@ -138,10 +149,10 @@ def test_a_scan_that_is_not_sure_is_no_anchor(wheels: bool) -> None:
     readings = Readings()
     for n in range(5):
         pose = row(n, 3.0 if n == 2 else 0.0)
-        readings.add_scan(float(n), pose, row(n) if wheels else None, sure=n != 2)
+        scan(readings, float(n), pose, row(n) if wheels else None, trusted=n != 2)
         if n in (0, 4):
             readings.mark_keyframe()
-    poses = readings.trajectory(np.array([row(0), row(4)])).to_planar()
+    poses = found(readings, np.array([row(0), row(4)]))
     np.testing.assert_allclose(poses[:, 1], 0.0, atol=1e-6)
     np.testing.assert_allclose(poses[2, 0], 2.0, atol=0.5)
     assert len(poses) == 5
@@ -150,10 +161,10 @@ def test_a_scan_that_is_not_sure_is_no_anchor(wheels: bool) -> None:
 def test_where_no_scan_is_sure_the_first_anchors_all() -> None:
     readings = Readings()
     for n in range(3):
-        readings.add_scan(float(n), row(0.1 * n), row(n), sure=False)
+        scan(readings, float(n), row(0.1 * n), row(n), trusted=False)
         if n == 0:
             readings.mark_keyframe()
-    poses = readings.trajectory(np.array([row(5.0)])).to_planar()
+    poses = found(readings, np.array([row(5.0)]))
     np.testing.assert_allclose(poses[:, 0], [5.0, 6.0, 7.0], atol=1e-9)
 
 
@@ -161,8 +172,8 @@ def test_a_keyframe_is_an_anchor_though_its_match_was_in_doubt() -> None:
     """Cameras and loops have mended it: the reading at its stamp is where the keyframe is."""
     readings = Readings()
     for n in range(5):
-        readings.add_scan(float(n), row(n), row(0.9 * n), sure=n != 2)
+        scan(readings, float(n), row(n), row(0.9 * n), trusted=n != 2)
         if n % 2 == 0:
             readings.mark_keyframe()
     keyframes = np.array([row(0.0), row(2.0, 0.3), row(4.0)])
-    np.testing.assert_allclose(readings.trajectory(keyframes).to_planar()[[0, 2, 4]], keyframes, atol=1e-9)
+    np.testing.assert_allclose(found(readings, keyframes)[[0, 2, 4]], keyframes, atol=1e-9)

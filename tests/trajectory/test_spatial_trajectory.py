@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 
 from slam.measurements import Trajectory
-from slam.trajectory.frame_poses import FramePoses, at_stamps
+from slam.trajectory.readings import Readings, at_stamps
 
 TWIST = np.array([0.05, 0.0, 0.7, 1.5, 0.1, -0.2])
 
 
 def along(stamps_s: np.ndarray) -> Trajectory:
-    frames = FramePoses()
+    frames = Readings()
     for stamp_s in stamps_s:
-        frames.add(float(stamp_s), gtsam.Pose3.Expmap(TWIST * stamp_s))
+        frames.add_scan(float(stamp_s), gtsam.Pose3.Expmap(TWIST * stamp_s))
     frames.mark_keyframe()
     last = gtsam.Pose3.Expmap(TWIST * stamps_s[-1])
-    return frames.trajectory([last], gtsam.Pose3())
+    return frames.trajectory([last])
 
 
 @pytest.mark.parametrize("shift_s", [0.05, -0.05])
@@ -38,3 +38,62 @@ def test_stamps_that_stand_still_or_are_too_few_move_nothing() -> None:
     assert np.isfinite(told.positions_m).all()
     one = along(np.array([0.05]))
     np.testing.assert_array_equal(at_stamps(one, np.array([0.0])).positions_m, one.positions_m)
+
+
+STEP = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.02, -0.03, 0.05), np.array([0.1, 0.02, -0.01]))
+MOUNT = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.4, 0.2, -1.0), np.array([0.1, 0.2, 0.3]))
+
+
+def drifting(count: int, keyframes: tuple[int, ...]) -> tuple[Readings, list[gtsam.Pose3]]:
+    """Frames 0.1 s apart on a curve, some of them keyframes; their odometry poses."""
+    frames, pose, poses = Readings(), gtsam.Pose3(), []
+    for n in range(count):
+        frames.add_scan(0.1 * n, pose)
+        if n in keyframes:
+            frames.mark_keyframe()
+        poses.append(pose)
+        pose = pose * STEP
+    return frames, poses
+
+
+def matrices(frames: Readings, keyframe_poses: list[gtsam.Pose3]) -> list[gtsam.Pose3]:
+    found = frames.trajectory(keyframe_poses)
+    return [
+        gtsam.Pose3(gtsam.Rot3.Quaternion(q[3], q[0], q[1], q[2]), p)
+        for p, q in zip(found.positions_m, found.quaternions_xyzw, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("T_map_odom", [gtsam.Pose3(), MOUNT])
+def test_one_correction_moves_all_alike(T_map_odom: gtsam.Pose3) -> None:
+    frames, poses = drifting(10, (0, 4, 7))
+    assert frames.keyframe_scans().tolist() == [0, 4, 7]
+    found = matrices(frames, [T_map_odom * poses[n] for n in (0, 4, 7)])
+    for pose, odometry in zip(found, poses, strict=True):
+        assert pose.equals(T_map_odom * odometry, 1e-9)
+    np.testing.assert_allclose(frames.trajectory(poses[:3]).stamps_s, 0.1 * np.arange(10))
+
+
+def test_a_correction_fades_in_between_two_keyframes() -> None:
+    """The second keyframe is 8 cm further along: half way it is 4 cm, and behind it stays 8 cm."""
+    frames, poses = drifting(10, (0, 8))
+    aside = gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.08, 0.0]))
+    found = matrices(frames, [poses[0], aside * poses[8]])
+    off = [
+        pose.translation()[1] - odometry.translation()[1] for pose, odometry in zip(found, poses, strict=True)
+    ]
+    np.testing.assert_allclose(off, [0.01 * n for n in range(9)] + [0.08], atol=1e-9)
+
+
+def test_keyframes_get_their_own_poses() -> None:
+    frames, poses = drifting(10, (0, 3, 9))
+    turned = [pose * gtsam.Pose3.Expmap(0.02 * n * np.arange(6.0)) for n, pose in enumerate(poses)]
+    found = matrices(frames, [turned[n] for n in (0, 3, 9)])
+    for n in (0, 3, 9):
+        assert found[n].equals(turned[n], 1e-9)
+
+
+def test_one_frame_is_a_trajectory() -> None:
+    frames, poses = drifting(1, (0,))
+    assert frames.scan_count == 1
+    assert matrices(frames, [MOUNT])[0].equals(MOUNT * poses[0], 1e-9)

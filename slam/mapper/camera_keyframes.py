@@ -1,4 +1,4 @@
-"""What a camera saw at the keyframes of a planar graph: places to come back to, pictures for the map."""
+"""What cameras saw at the keyframes of a lidar: pictures for the map, places to come back to."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from slam.mapper.journal import Journal
 from slam.mapper.keyframe_store import KeyframeStore
 from slam.mapper.map_result import DenseKeyframes
 from slam.mapper.robot_cameras import Picture
-from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
+from slam.measurements import MotionEstimate, Pose, pose2_from_row, spatial
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.planar_motion import planar_motion
@@ -37,70 +37,72 @@ class _Places:
         self._store.touch(self.keys[place])
 
 
-class PlanarPlaces:
-    """Frames of a robot's cameras, each belonging to a node of the graph; the leading camera's are places."""
+class CameraKeyframes:
+    """Frames of a robot's cameras, each belonging to a node of the graph; the leading camera's are places.
 
-    def __init__(self, config: Config, journal: Journal) -> None:
+    Parameters
+    ----------
+    registrations
+        Where colour cameras sit that are not registered to depth, by name.
+    """
+
+    def __init__(
+        self, config: Config, journal: Journal, registrations: Mapping[str, ColorRegistration]
+    ) -> None:
         cached = config.visual_loops.keyframes_cached
         self._store = KeyframeStore(config.rgbd, cached, journal.spool())
         self._places = _Places(self._store)
         matcher = FrameMatcher(config.rgbd_odometry)
         self._closer = VisualLoopCloser(config.visual_loops, matcher, self._places, config.seed, journal)
+        self._registrations = registrations
         self._greatest_excess = config.sensors.greatest_excess
         self._nodes: list[int] = []
         self._T_node_camera: list[gtsam.Pose3] = []
 
-    def add(
-        self,
-        node: int,
-        pictures: Sequence[Picture],
-        registrations: Mapping[str, ColorRegistration],
-        poses: FloatArray | None,
-    ) -> list[LoopCandidate]:
-        """Take the frames of the newest node, and try the places that the first of them may show.
+    def add(self, node: int, pictures: Sequence[Picture], *, places: bool) -> None:
+        """Take the frames of the newest node.
 
         Parameters
         ----------
         pictures
             A frame of each camera, the leading one's first, and where they were taken, seen from the node.
-        registrations
-            Where colour cameras sit that are not registered to depth, by name.
-        poses
-            (n, 3) current estimates of all nodes; None to try nothing.
-
-        Returns
-        -------
-        Every candidate that was tried, its ends being nodes.
+        places
+            Whether the first of them may be recognised later.
         """
         for rank, picture in enumerate(pictures):
             # Seen from the base at the node, so that who reads the image needs no other pose than the node's.
             image = replace(picture.frame.frame, T_base_camera=picture.T_base_camera)
             frame = replace(picture.frame, frame=image)
-            registration = registrations.get(image.sensor)
+            registration = self._registrations.get(image.sensor)
             self._nodes.append(node)
             self._T_node_camera.append(picture.T_base_camera)
-            if rank == 0:
+            if places and rank == 0:
                 self._places.keys.append(self._store.add(frame, registration, node))
                 self._closer.add_keyframe(frame)
             else:
                 self._store.add_picture(frame, registration, node)
-        if poses is None:
-            return []
+
+    def close(self, poses: Sequence[Pose]) -> list[LoopCandidate]:
+        """Try the places that the newest frame may show, by the current estimates of all nodes.
+
+        Returns
+        -------
+        Every candidate that was tried, its ends being nodes.
+        """
         keys = self._places.keys
         tried = self._closer.close(len(keys) - 1, [self._camera_pose(key, poses) for key in keys])
         return [self._of_nodes(candidate) for candidate in tried]
 
-    def dense(self, poses: FloatArray) -> DenseKeyframes | None:
-        """The frames with their optimised poses; None without any."""
+    def dense(self, poses: Sequence[Pose]) -> DenseKeyframes | None:
+        """The frames with their poses, by those of the nodes; None without any."""
         if not self._nodes:
             return None
-        return DenseKeyframes(
-            self._store.images, [self._camera_pose(key, poses) for key in range(len(self._nodes))]
-        )
+        placed = [self._camera_pose(key, poses) for key in range(len(self._nodes))]
+        return DenseKeyframes(self._store.images, placed)
 
-    def _camera_pose(self, key: int, poses: FloatArray) -> gtsam.Pose3:
+    def _camera_pose(self, key: int, poses: Sequence[Pose]) -> gtsam.Pose3:
         """``T_map_camera`` of a frame."""
-        return gtsam.Pose3(pose2_from_row(poses[self._nodes[key]])).compose(self._T_node_camera[key])
+        return spatial(poses[self._nodes[key]]).compose(self._T_node_camera[key])
 
     def _of_nodes(self, candidate: LoopCandidate) -> LoopCandidate:
         """A candidate between frames as one between nodes, projected to the plane."""

@@ -1,0 +1,211 @@
+"""A robot on a floor: a 2D lidar leads, wheels predict, cameras see what it misses; SE(2)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from slam.config import Config
+from slam.errors import ScanweaveError
+from slam.graph.keyframe_graph import KeyframeGraph
+from slam.graph.loop_closure import LoopCandidate, LoopCloser
+from slam.graph.pose_graph import Edge
+from slam.mapper.camera_keyframes import CameraKeyframes
+from slam.mapper.journal import Journal
+from slam.mapper.keyframe_fusion import KeyframeFusion
+from slam.mapper.keyframe_store import registration_notes
+from slam.mapper.mount_learner import LearnedMounting
+from slam.mapper.planar_chain import PlanarChain
+from slam.mapper.protocol import Products, Tracked
+from slam.mapper.robot_cameras import CameraMarks, RobotCameras
+from slam.mapper.scan_record import ScanRecord
+from slam.mapping.keyframe_grid import grid_of_keyframes
+from slam.matching.local_map import OrientedPoints
+from slam.matching.planar import between
+from slam.matching.scan_points import ScanPoints, extract_points
+from slam.measurements import LaserScan, Pose, WheelOdometry, pose2_from_row, row_from_pose2
+from slam.odometry import make_lidar_odometry
+from slam.odometry.motion_tracker import MotionTracker, TrackedScan
+from slam.odometry.remembered_odometry import RememberedOdometry
+from slam.odometry.wheel_tracker import WheelTracker
+from slam.trajectory.readings import Readings
+from slam.vision.color_registration import ColorRegistration
+from slam.vision.planar_motion import agreed_motion
+from slam.vision.prepared_frame import PreparedFrame
+
+
+@dataclass(frozen=True, slots=True)
+class _Moment:
+    """The newest moment: its scan and points, None where a camera carries the robot on, and its pose."""
+
+    stamp_s: float
+    scan: LaserScan | None
+    points: ScanPoints | None
+    tracked: TrackedScan
+    marks: CameraMarks
+
+
+class PlanarRobot:
+    """Scans, wheels and cameras of a robot on a floor; see `slam.mapper.protocol.FrontEnd`."""
+
+    def __init__(
+        self,
+        config: Config,
+        journal: Journal | None = None,
+        registrations: Mapping[str, ColorRegistration] | None = None,
+        mountings: Mapping[str, LearnedMounting] | None = None,
+    ) -> None:
+        self.readings = Readings()
+        journal, registrations = journal or Journal(), registrations or {}
+        self._config, self._registrations = config, registrations
+        self._wheels = WheelTracker(config.wheels) if config.lidar_odometry.use_wheel_odometry else None
+        odometry = RememberedOdometry(make_lidar_odometry(config.lidar_odometry, config.match), journal)
+        self._tracker = MotionTracker(odometry, self._wheels, config.prediction, config.match)
+        self._cameras = RobotCameras(config.rgbd_odometry, config.sensors, mountings or {}, answers=journal)
+        self._chain = PlanarChain(config, self._tracker, self._wheels, self._cameras)
+        self._closer = LoopCloser(config.loops, config.match, journal)
+        self._pictures = CameraKeyframes(config, journal, registrations)
+        self._fusion = KeyframeFusion(config.fusion) if config.fusion.enabled else None
+        self._marks: CameraMarks = {}
+        self._scan_stamp_s = -np.inf
+        self._newest: _Moment | None = None
+        self._seen = OrientedPoints.none()
+        self._keyframe_scans: list[LaserScan | None] = []
+        self._travelled_m = 0.0
+        self._outvoted = 0
+
+    def observe(self, measurement: Any) -> Tracked | None:
+        """Take the next measurement; where the robot is then, if it tells that."""
+        if isinstance(measurement, LaserScan):
+            settings = self._config.scan
+            limits = settings.range_min_m, settings.range_max_m
+            points = extract_points(measurement, *limits, settings.neighbours)
+            self._scan_stamp_s = measurement.stamp_s
+            return self._track(measurement.stamp_s, measurement, points)
+        if isinstance(measurement, PreparedFrame):
+            return self._add_frame(measurement)
+        if isinstance(measurement, WheelOdometry):
+            self._add_wheels(measurement)
+        return None
+
+    def origin(self) -> Pose:
+        """The map begins where the robot does."""
+        return gtsam.Pose2()
+
+    def step(self, key: int) -> tuple[Pose, Sequence[Edge]]:
+        """Motion from the last keyframe to the newest moment, and its edges."""
+        moment = self._newest
+        assert moment is not None
+        points = moment.points
+        self._seen = OrientedPoints.none() if points is None else OrientedPoints.from_scan(points)
+        blind = not len(self._seen)
+        step, edges = self._chain.add(key, moment.stamp_s, moment.tracked, moment.marks, blind=blind)
+        self._travelled_m += float(np.hypot(step[0], step[1]))
+        return pose2_from_row(step), edges
+
+    def recognise(self, key: int, graph: KeyframeGraph) -> list[LoopCandidate]:
+        """Remember a keyframe, and try the places that it may have come back to."""
+        moment = self._newest
+        assert moment is not None
+        if moment.points is not None:
+            self._tracker.add_keyframe(moment.points, moment.tracked)
+        self._closer.add_keyframe(self._seen, moment.tracked.pose, self._travelled_m)
+        self._keyframe_scans.append(moment.scan)
+        if self._fusion is not None and moment.scan is not None:
+            self._fusion.add(key, moment.scan, self._cameras.pictures(moment.marks))
+        tried = self._closer.close(key, graph.rows(), graph.uncertainty)
+        if pictures := self._cameras.placed_pictures(moment.marks):
+            self._pictures.add(key, pictures, places=True)
+            if moment.scan is None:
+                tried += self._pictures.close(graph.poses())
+        return tried
+
+    def refuse(self) -> None:
+        """Whatever a scan sees is a map."""
+
+    def settle(self, graph: KeyframeGraph) -> None:
+        """Say anew how cameras moved, as the whole run tells their clocks and mountings."""
+        self._outvoted = self._chain.settle(graph)
+
+    def bases(self, poses: Sequence[Pose]) -> Sequence[Pose]:
+        """The nodes are the bases."""
+        return poses
+
+    def products(self, graph: KeyframeGraph, scans: ScanRecord) -> Products:
+        """The repaired scans, and the grid that they draw."""
+        clock = [time.perf_counter()]
+        made = Products(self._keyframe_scans, list(self._keyframe_scans))
+        made.notes = [*registration_notes(self._registrations), *self._cameras.notes()]
+        if self._outvoted:
+            made.notes.append(f"{self._outvoted:,} motions by cameras contradicted match and wheels")
+        if self._fusion is not None:
+            made.scans, made.fused = self._fusion.repair(self._keyframe_scans)
+            made.notes += [] if made.fused is None else [made.fused.note]
+        clock.append(time.perf_counter())
+        try:
+            made.grid = grid_of_keyframes(made.scans, graph.rows(), self._config)
+        except ScanweaveError as error:  # a map that would not fit in memory
+            made.warnings.append(f"No grid was built: {error}")
+        clock.append(time.perf_counter())
+        made.seconds = dict(zip(("fusion", "occupancy grid"), np.diff(clock).tolist(), strict=True))
+        made.warnings += self._cameras.warnings()
+        made.dense = self._pictures.dense(graph.poses())
+        made.cameras = self._cameras.records(self._registrations)
+        return made
+
+    def learned_mountings(self) -> dict[str, LearnedMounting]:
+        """Where cameras sit that the log does not tell, as far as this run has shown."""
+        return self._cameras.learned_mountings()
+
+    def _add_wheels(self, reading: WheelOdometry) -> None:
+        """Take a wheel odometry reading: a guess for the next scan, and a reading that wants a pose."""
+        if self._wheels is None:
+            self.readings.add_wheel(reading.stamp_s, None)
+            return
+        self._cameras.note_wheel_turn(reading.stamp_s, reading.T_odom_base.theta())
+        self._wheels.add(reading)
+        self.readings.add_wheel(reading.stamp_s, row_from_pose2(reading.T_odom_base))
+
+    def _add_frame(self, frame: PreparedFrame) -> Tracked | None:
+        """Track a frame; where no scan has come for a while, the leading camera carries the robot on."""
+        self._cameras.add(frame)
+        if self._config.sensors.lidar and np.isneginf(self._scan_stamp_s):
+            # The lidar is about to begin: without a scan the first keyframe would leave it nothing to match.
+            self._scan_stamp_s = frame.stamp_s
+        stamp_s = self._cameras.robot_stamp_s(frame)
+        silent = stamp_s - self._scan_stamp_s > self._config.sensors.lidar_silent_s
+        if silent and self._cameras.leads(frame.frame.sensor, stamp_s):
+            return self._track(stamp_s, None, None)
+        return None
+
+    def _track(self, stamp_s: float, scan: LaserScan | None, points: ScanPoints | None) -> Tracked:
+        """Pose of a moment."""
+        marks = self._cameras.marks(stamp_s)
+        steps = [step.planar for step in self._cameras.steps(self._marks, marks) if step.planar is not None]
+        agreed = agreed_motion(steps)
+        tracked = self._tracker.track(points, stamp_s, agreed)
+        if scan is not None and tracked.sure:
+            self._cameras.note_scan_turn(stamp_s, tracked.pose[2])
+        self._marks = marks
+        self._newest = _Moment(stamp_s, scan, points, tracked, marks)
+        self.readings.add_scan(
+            stamp_s,
+            pose2_from_row(tracked.pose),
+            tracked.wheel_pose,
+            covariance=None if tracked.motion is None else tracked.motion.covariance,
+            trusted=tracked.sure if scan is not None else agreed is not None,
+        )
+        return Tracked(stamp_s, tracked.motion, self._moved_on(tracked))
+
+    def _moved_on(self, tracked: TrackedScan) -> bool:
+        """Whether a scan is far enough from the last keyframe to be the next."""
+        last, limits = self._chain.last, self._config.keyframes
+        if last is None:
+            return True
+        step = between(last.pose, tracked.pose)
+        return bool(np.hypot(step[0], step[1]) > limits.distance_m or abs(step[2]) > limits.angle_rad)

@@ -1,0 +1,213 @@
+"""A 3D lidar: clouds give pose and map in SE(3), wheels predict; the plan is cut by height.
+
+Cameras beside it see what it passes: the map's colours and depth layer, see `slam.mapper.cloud_cameras`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from fusion.height_band import HeightBand
+from slam.config import Config
+from slam.errors import DatasetError, ScanweaveError
+from slam.graph.anchored_steps import AnchoredSteps
+from slam.graph.cloud_loops import CloudLoopCloser
+from slam.graph.keyframe_graph import KeyframeGraph
+from slam.graph.loop_closure import LoopCandidate
+from slam.graph.pose_graph import Edge, EdgeKind
+from slam.mapper.cloud_cameras import CloudCameras
+from slam.mapper.journal import Journal
+from slam.mapper.map_result import MappedClouds
+from slam.mapper.mount_learner import LearnedMounting
+from slam.mapper.protocol import Products, Tracked
+from slam.mapper.scan_record import ScanRecord
+from slam.mapping.band_scan import band_scan, ground_of
+from slam.mapping.cloud_keyframes import CloudKeyframes, CloudSpool
+from slam.mapping.keyframe_grid import grid_of_keyframes
+from slam.matching.cloud_points import at_middle_of_turn, thinned
+from slam.measurements import FloatArray, PointCloud, Pose, WheelOdometry, spatial
+from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
+from slam.odometry.wheel_tracker import WheelTracker
+from slam.trajectory.readings import Readings
+from slam.vision.color_registration import ColorRegistration
+from slam.vision.prepared_frame import PreparedFrame
+
+# A kept cloud is as fine as the map, and four times as fine as the matching.
+_KEPT_SHARE = 0.25
+# So many scans of which none matched are no log of a 3D lidar.
+_HOPELESS = 20
+# A larger share of doubtful matches is worth a warning.
+_MOST_DOUBTFUL = 0.02
+
+
+class CloudLidar:
+    """Clouds, wheels and cameras of a robot in space; see `slam.mapper.protocol.FrontEnd`."""
+
+    def __init__(
+        self, config: Config, journal: Journal, registrations: Mapping[str, ColorRegistration]
+    ) -> None:
+        self.readings = Readings()
+        self._config, self._journal = config, journal
+        settings = config.cloud_odometry
+        self._wheels = WheelTracker(config.wheels) if settings.use_wheel_odometry else None
+        self._tracker = CloudTracker(settings, self._wheels, journal)
+        spool = journal.cloud_spool()
+        self._clouds: CloudSpool = CloudKeyframes() if spool is None else spool
+        self._cameras = CloudCameras(config, journal, registrations)
+        self._closer: CloudLoopCloser | None = None
+        self._steps = AnchoredSteps(settings.local_map_keyframes)
+        self._newest: TrackedCloud | None = None
+        self._last: gtsam.Pose3 | None = None
+        self._travelled_m = 0.0
+        self._stamps_s: list[float] = []
+        self._stamp_s = 0.0
+        self._T_base_lidar = gtsam.Pose3()
+        self._matched, self._doubtful = 0, 0
+
+    def observe(self, measurement: Any) -> Tracked | None:
+        """Take the next measurement; where the robot is then, if it tells that."""
+        if isinstance(measurement, PointCloud):
+            return self._track(measurement)
+        if isinstance(measurement, PreparedFrame):
+            self._cameras.add(measurement)
+        elif isinstance(measurement, WheelOdometry) and self._wheels is not None:
+            self._cameras.note_wheels(measurement)
+            self._wheels.add(measurement)
+        return None
+
+    def origin(self) -> Pose:
+        """The map begins where the robot does."""
+        return gtsam.Pose3()
+
+    def step(self, key: int) -> tuple[Pose, Sequence[Edge]]:
+        """Motion from the last keyframe to the newest cloud, and its edges."""
+        tracked = self._newest
+        assert tracked is not None
+        motion, edges, step = tracked.motion, list[Edge](), gtsam.Pose3()
+        if self._last is not None:
+            step = self._last.between(tracked.pose)
+            if motion is not None:
+                covariance, bridge = self._steps.add(key, step, tracked.pose, motion)
+                edges.append(Edge(key - 1, key, step, covariance, EdgeKind.LIDAR, trusted=True))
+                edges += [] if bridge is None else [bridge]
+            elif (seen := self._cameras.step(self._stamp_s)) is not None:
+                step, covariance = seen
+                edges.append(Edge(key - 1, key, step, covariance, EdgeKind.RGBD, trusted=True))
+            self._travelled_m += float(np.linalg.norm(step.translation()))
+        if motion is None:
+            self._steps.begin(key, tracked.pose)
+        self._last = tracked.pose
+        return step, edges
+
+    def recognise(self, key: int, graph: KeyframeGraph) -> list[LoopCandidate]:
+        """Remember a keyframe, and try the places that it may have come back to."""
+        tracked = self._newest
+        assert tracked is not None
+        if self._closer is None:
+            settings, voxel_m = self._config.cloud_odometry, self._tracker.voxel_m
+            self._closer = CloudLoopCloser(
+                self._config.cloud_loops, settings, voxel_m, self._clouds, self._journal
+            )
+        self._stamps_s.append(self._stamp_s)
+        self._tracker.add_keyframe(tracked)
+        kept_m = min(_KEPT_SHARE * self._tracker.voxel_m, self._config.cloud_map.voxel_m)
+        self._clouds.add(self._stamp_s, thinned(tracked.points, kept_m), self._T_base_lidar)
+        self._cameras.add_keyframe(key, self._stamp_s, tracked.points, self._T_base_lidar)
+        residual_m = np.nan if tracked.motion is None else tracked.motion.residual_m
+        self._closer.add_keyframe(tracked.points, tracked.pose, self._travelled_m, residual_m)
+        return self._closer.close(key, graph.poses(), graph.rows(), graph.uncertainty)
+
+    def refuse(self) -> None:
+        """Refuse what is no map."""
+        clouds = self.readings.scan_count
+        if not self._stamps_s:
+            raise DatasetError(
+                f"none of {clouds:,} clouds has {self._config.cloud_odometry.least_pairs} usable "
+                "points; look at cloud_odometry.range_min_m and range_max_m, and at 'scanweave inspect'"
+            )
+        if not self._matched and clouds >= _HOPELESS:
+            raise DatasetError(
+                f"none of {clouds:,} clouds matched another; planes need several rings, "
+                "and points dense enough for cloud_odometry.voxel_m"
+            )
+
+    def settle(self, graph: KeyframeGraph) -> None:
+        """Every step was settled when it was made."""
+
+    def bases(self, poses: Sequence[Pose]) -> Sequence[Pose]:
+        """The nodes are the bases."""
+        return poses
+
+    def products(self, graph: KeyframeGraph, scans: ScanRecord) -> Products:
+        """The cloud, and the plan of what stands in the robot's way."""
+        started = time.perf_counter()
+        made = Products(
+            dense=self._cameras.dense(graph.poses()),
+            cameras=self._cameras.records(),
+            notes=[f"3D lidar: voxels of {self._tracker.voxel_m:.2f} m"],
+        )
+        ground_m = self._draw_plan(made, graph.rows())
+        bases = [spatial(pose) for pose in graph.poses()]
+        made.clouds = MappedClouds(self._clouds, bases, self._T_base_lidar, ground_m)
+        made.warnings += [*self._doubts(), *self._cameras.warnings()]
+        made.notes += self._cameras.notes()
+        made.seconds = {"grid": time.perf_counter() - started}
+        return made
+
+    def learned_mountings(self) -> dict[str, LearnedMounting]:
+        """None: the log must tell where a camera sits."""
+        return {}
+
+    def _track(self, cloud: PointCloud) -> Tracked:
+        """Pose of a cloud."""
+        told_s = cloud.stamp_s
+        cloud = at_middle_of_turn(cloud, self._config.cloud_odometry)
+        tracked = self._tracker.track(cloud)
+        self._newest, self._stamp_s = tracked, cloud.stamp_s
+        self._matched += tracked.motion is not None
+        self._doubtful += tracked.motion is not None and not tracked.motion.converged
+        self._cameras.note_cloud(cloud.stamp_s, tracked)
+        if tracked.new_keyframe:
+            self._T_base_lidar = cloud.T_base_lidar
+        self.readings.add_scan(cloud.stamp_s, tracked.pose, told_s=told_s)
+        return Tracked(told_s, tracked.motion, tracked.new_keyframe)
+
+    def _doubts(self) -> list[str]:
+        """A warning where clouds fitted the map only in part."""
+        if self._doubtful <= _MOST_DOUBTFUL * self._matched:
+            return []
+        return [
+            f"{self._doubtful:,} of {self._matched:,} clouds fit only in part; their motions count as unsure"
+        ]
+
+    def _draw_plan(self, made: Products, poses: FloatArray) -> float:
+        """The flat scan of each keyframe and the grid of them, poses (n, 3); the ground's height."""
+        settings, layers = self._config.cloud_map, self._config.layers
+        lidar_m = float(self._T_base_lidar.z())
+        thickness_m = self._config.cloud_odometry.thickness_m
+        ground = ground_of(self._clouds, self._T_base_lidar, self._tracker.voxel_m, thickness_m)
+        if ground is None:
+            made.warnings.append("No grid was built: no ground was seen, and no mounting tells its height")
+            return 0.0
+        source = "the mounting" if ground.by_mounting else "sight"
+        made.notes.append(f"ground: {ground.height_m:+.2f} m in the base frame, by {source}")
+        try:
+            if layers.climb_m >= layers.robot_height_m:
+                raise DatasetError("layers.climb_m leaves no height to layers.robot_height_m; make it lower")
+            band = HeightBand(0.0, layers.robot_height_m, layers.climb_m)
+            made.measured_scans = [
+                band_scan(points, stamp_s, self._T_base_lidar, band, ground.height_m, settings)
+                for points, stamp_s in zip(self._clouds, self._stamps_s, strict=True)
+            ]
+            in_band = layers.climb_m < lidar_m - ground.height_m < layers.robot_height_m
+            made.scans, made.fused = self._cameras.repaired(made.measured_scans, in_band=in_band)
+            made.notes += [] if made.fused is None else [made.fused.note]
+            made.grid = grid_of_keyframes(made.scans, poses, self._config)
+        except ScanweaveError as error:
+            made.warnings.append(f"No grid was built: {error}")
+        return ground.height_m

@@ -1,0 +1,135 @@
+"""The main loop's state: measurements -> front end -> factors -> keyframe graph -> loops -> map."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from slam.config import Config
+from slam.errors import DatasetError
+from slam.graph.keyframe_graph import KeyframeGraph, row_of
+from slam.graph.loop_closure import LoopCandidate
+from slam.graph.pose_graph import Edge
+from slam.mapper.map_result import MapResult
+from slam.mapper.mount_learner import LearnedMounting
+from slam.mapper.protocol import SENSORS, FrontEnd, Sensor, Tracked
+from slam.mapper.scan_record import ScanRecorder
+
+
+class Mapper:
+    """State of a run: feed measurements in log order, then finish.
+
+    Parameters
+    ----------
+    front_end
+        What tells where the robot is, and makes the map: `slam.mapper.lidar2d.PlanarRobot`,
+        `slam.mapper.lidar3d.CloudLidar` or `slam.mapper.rgbd.FreeCamera`.
+    """
+
+    def __init__(self, config: Config, front_end: FrontEnd) -> None:
+        self._config, self._front_end = config, front_end
+        self._sensors: dict[type, Sensor] = {}
+        self._graph: KeyframeGraph | None = None
+        self._record = ScanRecorder()
+
+    @property
+    def scan_count(self) -> int:
+        """Scans, clouds or frames so far that were given a pose."""
+        return self._front_end.readings.scan_count
+
+    def learned_mountings(self) -> dict[str, LearnedMounting]:
+        """Where cameras sit that the log does not tell, as far as this run has shown."""
+        return self._front_end.learned_mountings()
+
+    def add(self, measurement: Any) -> None:
+        """Take the next measurement; where the robot has moved on, add a keyframe and close loops."""
+        started = time.perf_counter()
+        kind = type(measurement)
+        if kind in SENSORS:
+            if kind not in self._sensors:
+                self._sensors[kind] = SENSORS[kind](self._config)
+            self._sensors[kind].observe(measurement)
+            return
+        tracked = self._front_end.observe(measurement)
+        if tracked is None:
+            return
+        if tracked.new_keyframe:
+            self._add_keyframe(tracked)
+        self._record.add(tracked.stamp_s, tracked.motion, time.perf_counter() - started, tracked.match)
+
+    def add_loop(self, candidate: LoopCandidate) -> None:
+        """Take a loop candidate: into the graph if it was accepted, into the report in any case."""
+        self._keyframes.add_loop(candidate)
+
+    def finish(self) -> MapResult:
+        """Optimise everything, give every reading its pose, and make the map.
+
+        Raises
+        ------
+        DatasetError
+            Where nothing could be mapped.
+        """
+        self._front_end.refuse()
+        graph, front_end = self._keyframes, self._front_end
+        clock = [time.perf_counter()]
+        front_end.settle(graph)
+        outcome = graph.optimize(self._config.loops.inlier_probability)
+        clock.append(time.perf_counter())
+        bases = front_end.bases(graph.poses())
+        trajectory = front_end.readings.trajectory(bases)
+        clock.append(time.perf_counter())
+        scans = self._record.finish()
+        made = front_end.products(graph, scans)
+        return MapResult(
+            trajectory=trajectory,
+            keyframe_poses=np.array([row_of(pose) for pose in bases]),
+            keyframe_numbers=front_end.readings.keyframe_scans(),
+            measured_scans=made.measured_scans,
+            keyframe_scans=made.scans,
+            graph=graph.graph,
+            edges_kept=outcome.kept,
+            loops=graph.loops,
+            scans=scans,
+            grid=made.grid,
+            stage_seconds={
+                "scans": float(scans.seconds.sum()),
+                "final optimisation": clock[1] - clock[0],
+                "full trajectory": clock[2] - clock[1],
+                **made.seconds,
+            },
+            warnings=made.warnings,
+            notes=[*made.notes, *(note for sensor in self._sensors.values() for note in sensor.notes())],
+            dense=made.dense,
+            fused=made.fused,
+            cameras=made.cameras,
+            clouds=made.clouds,
+        )
+
+    @property
+    def _keyframes(self) -> KeyframeGraph:
+        """The graph, once there is a keyframe."""
+        if self._graph is None:
+            raise DatasetError("nothing in the log can be mapped; see 'scanweave inspect' for what it holds")
+        return self._graph
+
+    def _add_keyframe(self, tracked: Tracked) -> None:
+        """Grow the graph by the newest moment, and close loops."""
+        front_end, key = self._front_end, 0
+        if self._graph is None:
+            self._graph = KeyframeGraph(front_end.origin(), self._config.graph)
+            front_end.step(key)
+            self._factors(key, tracked.stamp_s)
+        else:
+            key = len(self._graph)
+            step, edges = front_end.step(key)
+            self._graph.add_keyframe(step, [*edges, *self._factors(key, tracked.stamp_s)])
+        front_end.readings.mark_keyframe()
+        for candidate in front_end.recognise(key, self._graph):
+            self._graph.add_loop(candidate)
+        self._graph.update()
+
+    def _factors(self, key: int, stamp_s: float) -> list[Edge]:
+        """What the sensors beside the front end know of a new keyframe."""
+        return [edge for sensor in self._sensors.values() for edge in sensor.factors(key, stamp_s)]

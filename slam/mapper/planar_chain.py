@@ -1,0 +1,213 @@
+"""What holds a keyframe of a planar robot to the one before: whom of lidar, wheels and cameras to believe."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from slam.config import Config
+from slam.config.stages import GraphConfig
+from slam.graph.keyframe_graph import KeyframeGraph, unmeasured
+from slam.graph.pose_graph import Edge, EdgeKind
+from slam.graph.step_vote import Step, agree, vote
+from slam.graph.wheel_judge import outvoted_cameras
+from slam.mapper.robot_cameras import CameraMarks, CameraStep, RobotCameras
+from slam.matching.planar import between, compose
+from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
+from slam.odometry.motion_tracker import MotionTracker, TrackedScan
+from slam.odometry.wheel_tracker import WheelTracker
+
+# A keyframe that matched nothing was guessed to this share of a step that nothing measured. A match is made
+# to those before it while no more guessed ones than this have joined the local map.
+_GUESS_SHARE = 0.1
+_MOST_GUESSED = 5
+# Where the wheels are farther from that by more squared sigmas than three degrees of freedom have on average,
+# it was rather made to the guessed one itself.
+_WHEELS_AGREE = 3.0
+
+
+class PlanarChain:
+    """The steps from keyframe to keyframe, and what is still to be settled about them."""
+
+    def __init__(
+        self, config: Config, tracker: MotionTracker, wheels: WheelTracker | None, cameras: RobotCameras
+    ) -> None:
+        self._config, self._tracker, self._wheels, self._cameras = config, tracker, wheels, cameras
+        self._last: TrackedScan | None = None
+        self._matched: tuple[int, TrackedScan | None] = (0, None)
+        self._guessed = 0
+        self._guess_steps: list[Step] = []
+        self._marks: CameraMarks = {}
+        self._stamps_s: list[float] = []
+        self._camera_doubts: list[tuple[float, FloatArray]] = []
+        # Keyframe and camera of every edge by a camera so far, in their order.
+        self._camera_edges: list[tuple[int, str]] = []
+
+    @property
+    def last(self) -> TrackedScan | None:
+        """The newest keyframe."""
+        return self._last
+
+    def add(
+        self, key: int, stamp_s: float, tracked: TrackedScan, marks: CameraMarks, *, blind: bool
+    ) -> tuple[FloatArray, list[Edge]]:
+        """Take the next keyframe.
+
+        Parameters
+        ----------
+        marks
+            Where every camera was.
+        blind
+            Whether it has no point of a lidar.
+
+        Returns
+        -------
+        (3,) the motion since the last one, and the edges to it.
+        """
+        step, edges, cameras = np.zeros(3), list[Edge](), list[Step]()
+        if self._last is not None:
+            step, edges, cameras = self._step(key, stamp_s, self._last, tracked, marks)
+        self._stamps_s.append(stamp_s)
+        self._camera_doubts.append((self._tracker.camera_doubt, tracked.dispute))
+        self._marks, self._last = marks, tracked
+        if tracked.motion is not None or key == 0:
+            self._matched, self._guessed = (key, tracked), 0
+        else:
+            self._guessed += not blind
+            self._guess_steps = cameras
+        return step, edges
+
+    def settle(self, graph: KeyframeGraph) -> int:
+        """At the end: say anew how each camera moved, and how many of its steps match and wheels outvote."""
+        self._cameras.settle_clocks()
+        told = [n for n, edge in enumerate(graph.graph.edges) if edge.kind is EdgeKind.RGBD]
+        for (key, name), number in zip(self._camera_edges, told, strict=True):
+            before, after = (self._cameras.marks(self._stamps_s[n]) for n in (key - 1, key))
+            for step in self._camera_steps(self._cameras.steps(before, after), *self._camera_doubts[key]):
+                if step.camera == name:
+                    graph.graph.edges[number] = _camera_edge(key - 1, key, step)
+        for source, target, motion in self._cameras.learned_steps():
+            graph.add_edge(_camera_edge(source, target, Step(motion.motion, motion.covariance)))
+        outvoted = outvoted_cameras(graph.graph.edges)
+        for number, edge in outvoted.items():
+            graph.graph.edges[number] = edge
+        return len(outvoted)
+
+    def _step(
+        self, key: int, stamp_s: float, last: TrackedScan, tracked: TrackedScan, marks: CameraMarks
+    ) -> tuple[FloatArray, list[Edge], list[Step]]:
+        """Motion from the last keyframe, the edges, and the cameras that were believed."""
+        step = between(last.pose, tracked.pose)
+        match = None
+        if tracked.motion is not None:
+            matched = row_from_pose2(tracked.motion.T_reference_base)
+            match = Step(between(last.pose, matched), tracked.motion.covariance + tracked.dispute)
+        wheels = self._wheel_step(last, tracked, stamp_s - self._stamps_s[-1])
+        bridge = None
+        guessed = last is not self._matched[1]
+        if match is not None and guessed and not (self._guess_steps and agree(self._guess_steps)):
+            match, bridge = self._past_a_guess(match, last, tracked, stamp_s)
+        moved = self._cameras.steps(self._marks, marks)
+        cameras = self._camera_steps(moved, self._tracker.camera_doubt, tracked.dispute)
+        outvoted, cameras = vote(match, wheels, cameras)
+        doubtful = outvoted or self._doubtful(tracked)
+        edges = edges_of(key, step, match, wheels, cameras, self._config.graph, match_doubtful=doubtful)
+        if bridge is not None:
+            # It holds the chain, which is loose between: false loops may not break it.
+            edges.append(_edge(self._matched[0], key, bridge, EdgeKind.LIDAR, trusted=not doubtful))
+        self._camera_edges += [(key, camera.camera) for camera in cameras]
+        self._cameras.learn(key - 1, key, moved, wheels if doubtful else match)
+        return step, edges, cameras
+
+    def _past_a_guess(
+        self, match: Step, last: TrackedScan, tracked: TrackedScan, stamp_s: float
+    ) -> tuple[Step, Step | None]:
+        """A match where the last keyframe matched nothing: from there, and from the last that matched.
+
+        The guess was by the wheels, or by cameras that contradict each other. The match was made to keyframes
+        of before, and to the last one only as well as that was guessed. Where cameras hold the chain no more
+        is needed; where scans of guessed keyframes are most of the local map nobody knows to which.
+        """
+        key, matched = self._matched
+        assert matched is not None
+        guess = unmeasured(self._config.graph, _GUESS_SHARE, planar=True)
+        unsure = Step(match.motion, match.covariance + guess)
+        if self._guess_steps or self._guessed > _MOST_GUESSED:
+            return unsure, None
+        bridge = Step(between(matched.pose, compose(last.pose, match.motion)), match.covariance)
+        wheels = self._wheel_step(matched, tracked, stamp_s - self._stamps_s[key])
+        return unsure, bridge if wheels is None or agree([bridge, wheels], _WHEELS_AGREE) else None
+
+    def _camera_steps(self, moved: list[CameraStep], doubt: float, dispute: FloatArray) -> list[Step]:
+        """The steps of cameras whose mounting is given; learned ones wait for its last estimate."""
+        return [
+            Step(step.planar.motion, step.planar.covariance * doubt + dispute, step.camera)
+            for step in moved
+            if step.planar is not None and not self._cameras.is_learned(step.camera)
+        ]
+
+    def _doubtful(self, tracked: TrackedScan) -> bool:
+        """Whether a match was contradicted, or too few points agree with it."""
+        least = self._config.graph.sure_inlier_share
+        return bool(tracked.motion is None or tracked.dispute.any() or tracked.motion.inlier_share < least)
+
+    def _wheel_step(self, last: TrackedScan, tracked: TrackedScan, elapsed_s: float) -> Step | None:
+        """Motion between two keyframes by the wheels; None without wheels or where they jumped."""
+        if self._wheels is None or last.wheel_pose is None or tracked.wheel_pose is None:
+            return None
+        motion = between(last.wheel_pose, tracked.wheel_pose)
+        if not self._wheels.plausible(motion, elapsed_s):
+            return None
+        return Step(motion, self._wheels.covariance(motion) * self._tracker.wheel_doubt + tracked.dispute)
+
+
+def edges_of(
+    key: int,
+    step: FloatArray,
+    match: Step | None,
+    wheels: Step | None,
+    cameras: Sequence[Step],
+    config: GraphConfig,
+    *,
+    match_doubtful: bool = False,
+) -> list[Edge]:
+    """The edges from the keyframe before to a keyframe, something trusted among them.
+
+    Parameters
+    ----------
+    step
+        (3,) best knowledge of the motion.
+    match, wheels, cameras
+        What was measured; None where a sensor told nothing.
+    match_doubtful
+        Whether the loops may overrule the match.
+    """
+    edges = []
+    if match is not None:
+        edges.append(_edge(key - 1, key, match, EdgeKind.LIDAR, trusted=not match_doubtful))
+    if match is not None and match_doubtful:
+        # It may be wrong as a loop may be: a loose twin holds the chain where it is refused. Not so for
+        # a sure match, or a handful of false loops that agree with each other could break the chain.
+        best = cameras[0].motion if cameras else step
+        loose = Step(best, match.covariance + unmeasured(config, config.loose_share, planar=True))
+        edges.append(_edge(key - 1, key, loose, EdgeKind.ASSUMED, trusted=True))
+    if wheels is not None:
+        edges.append(_edge(key - 1, key, wheels, EdgeKind.WHEEL, trusted=match is None))
+    edges += [_camera_edge(key - 1, key, camera) for camera in cameras]
+    if match is None and wheels is None:
+        # Someone who walks before the camera takes it along: it may be overruled, and then this holds.
+        share = config.loose_share if cameras else 1.0
+        assumed = Step(step, unmeasured(config, share, planar=True))
+        edges.append(_edge(key - 1, key, assumed, EdgeKind.ASSUMED, trusted=True))
+    return edges
+
+
+def _edge(source: int, target: int, step: Step, kind: EdgeKind, *, trusted: bool) -> Edge:
+    """A step as an edge."""
+    return Edge(source, target, pose2_from_row(step.motion), step.covariance, kind, trusted)
+
+
+def _camera_edge(source: int, target: int, step: Step) -> Edge:
+    """A camera's step as an edge, which may be refused."""
+    return _edge(source, target, step, EdgeKind.RGBD, trusted=False)

@@ -1,0 +1,125 @@
+"""An RGB-D camera alone that moves freely: frames give pose, loops and map; SE(3)."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import gtsam
+
+from slam.config import Config
+from slam.graph.keyframe_graph import KeyframeGraph
+from slam.graph.loop_closure import LoopCandidate
+from slam.graph.pose_graph import Edge, EdgeKind
+from slam.graph.visual_loops import VisualLoopCloser
+from slam.mapper.journal import Journal
+from slam.mapper.keyframe_store import KeyframeStore, registration_notes
+from slam.mapper.map_result import DenseKeyframes
+from slam.mapper.mount_learner import LearnedMounting
+from slam.mapper.protocol import Products, Tracked
+from slam.mapper.scan_record import CameraRecord, ScanRecord
+from slam.measurements import Pose, spatial
+from slam.odometry.rgbd_odometry import make_rgbd_odometry
+from slam.odometry.rgbd_tracker import RgbdTracker, TrackedFrame
+from slam.trajectory.readings import Readings
+from slam.vision.camera_frame import T_BODY_CAMERA
+from slam.vision.color_registration import ColorRegistration
+from slam.vision.frame_matcher import FrameMatcher
+from slam.vision.learned_camera import LearnedCamera
+from slam.vision.prepared_frame import PreparedFrame
+
+
+class FreeCamera:
+    """Frames of one camera; see `slam.mapper.protocol.FrontEnd`.
+
+    The nodes are camera poses. The map frame is that of the first base pose; without a known mounting the
+    base is the camera itself, and the map frame its body: x along the first view, z up in the first image.
+    """
+
+    def __init__(
+        self, config: Config, journal: Journal, registrations: Mapping[str, ColorRegistration]
+    ) -> None:
+        self.readings = Readings()
+        self._registrations = registrations
+        self._tracker = RgbdTracker(make_rgbd_odometry(config.rgbd_odometry), config.rgbd_odometry, journal)
+        cached = config.visual_loops.keyframes_cached
+        self._store = KeyframeStore(config.rgbd, cached, journal.spool())
+        matcher = FrameMatcher(config.rgbd_odometry)
+        self._closer = VisualLoopCloser(config.visual_loops, matcher, self._store, config.seed, journal)
+        self._last: gtsam.Pose3 | None = None
+        self._newest: tuple[PreparedFrame, TrackedFrame] | None = None
+        self._T_base_camera: gtsam.Pose3 | None = None
+        self._T_camera_base = gtsam.Pose3()
+        self._camera: str | None = None
+        self._unused: Counter[str] = Counter()
+
+    def observe(self, measurement: Any) -> Tracked | None:
+        """Take the next measurement; where the camera is then, if it tells that."""
+        if not isinstance(measurement, PreparedFrame):
+            return None
+        frame = measurement.frame
+        if self._camera is None:
+            self._camera, self._T_base_camera = frame.sensor, frame.T_base_camera
+            if self._T_base_camera is not None:
+                self._T_camera_base = self._T_base_camera.inverse()
+        if frame.sensor != self._camera:
+            self._unused[frame.sensor] += 1
+            return None
+        tracked = self._tracker.track(measurement)
+        self._newest = measurement, tracked
+        self.readings.add_scan(measurement.stamp_s, tracked.pose.compose(self._T_camera_base))
+        motion = None if tracked.match is None else tracked.match.motion
+        return Tracked(measurement.stamp_s, motion, tracked.new_keyframe, tracked.match)
+
+    def origin(self) -> Pose:
+        """Where the camera is when the map begins."""
+        return T_BODY_CAMERA if self._T_base_camera is None else self._T_base_camera
+
+    def step(self, key: int) -> tuple[Pose, Sequence[Edge]]:
+        """Motion from the last keyframe to the newest frame, and its edge."""
+        assert self._newest is not None
+        tracked = self._newest[1]
+        step = gtsam.Pose3() if self._last is None else self._last.between(tracked.pose)
+        self._last = tracked.pose
+        if tracked.match is None or key == 0:
+            return step, []
+        covariance = tracked.match.motion.covariance
+        return step, [Edge(key - 1, key, step, covariance, EdgeKind.RGBD, trusted=True)]
+
+    def recognise(self, key: int, graph: KeyframeGraph) -> list[LoopCandidate]:
+        """Remember a keyframe, and try the places that it may have come back to."""
+        assert self._newest is not None
+        frame, tracked = self._newest
+        self._tracker.add_keyframe(frame, tracked)
+        self._closer.add_keyframe(frame, adrift=tracked.restarted)
+        self._store.add(frame, self._registrations.get(frame.frame.sensor))
+        return self._closer.close(key, [spatial(pose) for pose in graph.poses()])
+
+    def refuse(self) -> None:
+        """Whatever a camera sees is a map."""
+
+    def settle(self, graph: KeyframeGraph) -> None:
+        """Every step was settled when it was made."""
+
+    def bases(self, poses: Sequence[Pose]) -> Sequence[Pose]:
+        """The bases that carry the camera."""
+        return [spatial(pose).compose(self._T_camera_base) for pose in poses]
+
+    def products(self, graph: KeyframeGraph, scans: ScanRecord) -> Products:
+        """The images of the keyframes."""
+        assert self._camera is not None
+        learned = LearnedCamera(self._registrations.get(self._camera), self._T_base_camera)
+        return Products(
+            dense=DenseKeyframes(self._store.images, [spatial(pose) for pose in graph.poses()]),
+            cameras={self._camera: CameraRecord(scans, learned=learned)},
+            notes=registration_notes(self._registrations),
+            warnings=[
+                f"{name}: {count:,} frames were not used; in space only the first camera, {self._camera}, is"
+                for name, count in self._unused.items()
+            ],
+        )
+
+    def learned_mountings(self) -> dict[str, LearnedMounting]:
+        """None: a camera alone is its own base."""
+        return {}

@@ -1,0 +1,78 @@
+"""Many rigid motions at once, of the plane or of space: what a trajectory is computed with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from slam.measurements import FloatArray, Pose, Trajectory, spatial
+
+
+@dataclass(frozen=True, slots=True)
+class Poses:
+    """N poses; those of the plane lie in it.
+
+    Attributes
+    ----------
+    positions_m
+        (N, 3).
+    rotations
+        N of them.
+    """
+
+    positions_m: FloatArray
+    rotations: Rotation
+
+    def __len__(self) -> int:
+        return len(self.positions_m)
+
+    def __getitem__(self, chosen: slice | NDArray[Any]) -> Poses:
+        return Poses(self.positions_m[chosen], self.rotations[chosen])
+
+    @classmethod
+    def planar(cls, rows: FloatArray) -> Poses:
+        """Of (N, 3) rows of x, y, yaw."""
+        positions, turns = np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
+        positions[:, :2], turns[:, 2] = rows[:, :2], rows[:, 2]
+        return cls(positions, Rotation.from_rotvec(turns))
+
+    @classmethod
+    def of(cls, poses: Sequence[Pose]) -> Poses:
+        """Of GTSAM's, one at least."""
+        matrices = np.array([spatial(pose).matrix() for pose in poses])
+        return cls(matrices[:, :3, 3], Rotation.from_matrix(matrices[:, :3, :3]))
+
+    def compose(self, other: Poses) -> Poses:
+        """``self * other``, one by one."""
+        return Poses(
+            self.positions_m + self.rotations.apply(other.positions_m), self.rotations * other.rotations
+        )
+
+    def between(self, other: Poses) -> Poses:
+        """``inverse(self) * other``, one by one."""
+        back = self.rotations.inv()
+        return Poses(back.apply(other.positions_m - self.positions_m), back * other.rotations)
+
+    def offsets(self) -> FloatArray:
+        """(N, 6) positions and rotation vectors."""
+        return np.hstack([self.positions_m, self.rotations.as_rotvec()])
+
+    def moved(self, offsets: FloatArray) -> Poses:
+        """Each with (N, 6) added: to the position, and as a rotation vector, both in the fixed frame."""
+        turned = Rotation.from_rotvec(offsets[:, 3:]) * self.rotations
+        return Poses(self.positions_m + offsets[:, :3], turned)
+
+    def where(self, chosen: NDArray[np.bool_], other: Poses) -> Poses:
+        """These where ``chosen`` (N,), else the other's."""
+        quaternions = np.where(chosen[:, None], self.rotations.as_quat(), other.rotations.as_quat())
+        positions = np.where(chosen[:, None], self.positions_m, other.positions_m)
+        return Poses(positions, Rotation.from_quat(quaternions))
+
+    def trajectory(self, stamps_s: FloatArray) -> Trajectory:
+        """With (N,) stamps."""
+        return Trajectory(stamps_s, self.positions_m, self.rotations.as_quat(canonical=True))

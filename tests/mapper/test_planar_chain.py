@@ -1,0 +1,101 @@
+"""What holds a planar keyframe to the one before, as sensors come and go, and what the graph makes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+import pytest
+
+from slam.config.stages import GraphConfig
+from slam.graph.keyframe_graph import KeyframeGraph
+from slam.graph.pose_graph import Edge, EdgeKind
+from slam.graph.step_vote import Step
+from slam.mapper.planar_chain import edges_of
+from slam.measurements import FloatArray, pose2_from_row
+
+CONFIG = GraphConfig()
+SURE = np.eye(3) * 0.01**2
+AHEAD = np.array([0.2, 0.0, 0.05])
+
+
+def told(motion: FloatArray = AHEAD, covariance: FloatArray = SURE) -> Step:
+    return Step(motion, covariance)
+
+
+def add(
+    graph: KeyframeGraph,
+    step: FloatArray,
+    match: Step | None,
+    wheels: Step | None,
+    cameras: Sequence[Step] = (),
+    *,
+    doubtful: bool = False,
+) -> None:
+    """The next keyframe."""
+    edges = edges_of(len(graph), step, match, wheels, cameras, CONFIG, match_doubtful=doubtful)
+    graph.add_keyframe(pose2_from_row(step), edges)
+
+
+class TestCamerasOnTheFloor:
+    """What a planar keyframe is held by, as sensors come and go."""
+
+    @pytest.mark.parametrize(
+        ("match", "wheels", "cameras", "doubtful", "kinds"),
+        [
+            (True, True, 0, False, ["LIDAR+", "WHEEL-"]),
+            (True, True, 2, False, ["LIDAR+", "WHEEL-", "RGBD-", "RGBD-"]),
+            (True, False, 1, True, ["LIDAR-", "ASSUMED+", "RGBD-"]),
+            (False, True, 1, True, ["WHEEL+", "RGBD-"]),
+            (False, False, 1, True, ["RGBD-", "ASSUMED+"]),
+            (False, False, 0, True, ["ASSUMED+"]),
+        ],
+    )
+    def test_something_trusted_always_holds_the_chain(
+        self, match: bool, wheels: bool, cameras: int, doubtful: bool, kinds: list[str]
+    ) -> None:
+        graph = KeyframeGraph(gtsam.Pose2(), CONFIG)
+        seen = told() if match else None
+        add(graph, AHEAD, seen, told() if wheels else None, [told()] * cameras, doubtful=doubtful)
+        edges = graph.graph.edges
+        assert [f"{edge.kind.name}{'+' if edge.trusted else '-'}" for edge in edges] == kinds
+        outcome = graph.optimize(0.99)
+        assert outcome.kept.all()
+        np.testing.assert_allclose(graph.rows(), [np.zeros(3), AHEAD], atol=1e-6)
+
+    def test_a_wrong_camera_is_refused(self) -> None:
+        graph = KeyframeGraph(gtsam.Pose2(), CONFIG)
+        for _ in range(5):
+            wrong = told(AHEAD + np.array([0.5, 0.0, 0.0]))
+            add(graph, AHEAD, told(), told(AHEAD, SURE * 9.0), [wrong])
+        outcome = graph.optimize(0.99)
+        kinds = [edge.kind for edge in graph.graph.edges]
+        assert [kind for kind, kept in zip(kinds, outcome.kept, strict=True) if not kept] == [
+            EdgeKind.RGBD
+        ] * 5
+
+    def test_a_lidar_that_follows_a_person_is_refused(self) -> None:
+        """Two cameras and the wheels against a match that was contradicted."""
+        graph = KeyframeGraph(gtsam.Pose2(), CONFIG)
+        for n in range(6):
+            lidar = AHEAD if n != 3 else AHEAD + np.array([-0.6, 0.4, 0.3])
+            wheels, cameras = told(AHEAD, SURE * 4.0), [told(), told()]
+            add(graph, lidar, told(lidar), wheels, cameras, doubtful=n == 3)
+        graph.optimize(0.99)
+        expected = gtsam.Pose2()
+        for _ in range(6):
+            expected = expected.compose(gtsam.Pose2(*AHEAD))
+        np.testing.assert_allclose(
+            graph.rows()[-1], [expected.x(), expected.y(), expected.theta()], atol=0.03
+        )
+
+    def test_a_step_learned_later_joins_its_ends(self) -> None:
+        graph = KeyframeGraph(gtsam.Pose2(), CONFIG)
+        for _ in range(3):
+            add(graph, AHEAD, told(covariance=SURE * 100.0), None)
+        later = gtsam.Pose2(0.24, 0.0, 0.05)
+        graph.add_edge(Edge(1, 2, later, SURE * 0.01, EdgeKind.RGBD, trusted=False))
+        graph.optimize(0.99)
+        step = pose2_from_row(graph.rows()[1]).between(pose2_from_row(graph.rows()[2]))
+        assert step.x() == pytest.approx(0.24, abs=1e-3)
