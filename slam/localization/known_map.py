@@ -15,9 +15,7 @@ from slam.localization.beam_check import KnownSpace, known_space
 from slam.localization.known_clouds import KnownClouds
 from slam.localization.map_tiles import MapTiles
 from slam.localization.whole_map_field import WholeMapField, build_whole_map_field
-from slam.mapper.keyframe_store import KeyframeSpool, TemporarySpool
 from slam.mapper.map_result import MapResult
-from slam.mapping.cloud_keyframes import CloudKeyframes
 from slam.mapping.occupancy_grid import FREE, OccupancyGrid
 from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import transform_points
@@ -45,7 +43,7 @@ class KnownCameras:
         What the mapping run learned of cameras, by their names.
     """
 
-    frames: KeyframeSpool
+    frames: MapFrames
     poses: Sequence[gtsam.Pose3]
     learned: Mapping[str, LearnedCamera] = field(default_factory=dict)
 
@@ -104,12 +102,12 @@ class KnownMap:
         """The map that a run has just made."""
         dense = result.dense
         cameras = None
-        if dense is not None and isinstance(dense.frames, TemporarySpool | MapFrames) and dense.poses:
+        if dense is not None and isinstance(dense.frames, MapFrames) and dense.poses:
             learned = {name: record.learned for name, record in result.cameras.items()}
             cameras = KnownCameras(dense.frames, dense.poses, learned)
         planar = isinstance(result.graph.pose(0), gtsam.Pose2)
         clouds, mapped = None, result.clouds
-        if mapped is not None and isinstance(mapped.clouds, CloudKeyframes | MapClouds):
+        if mapped is not None and isinstance(mapped.clouds, MapClouds):
             clouds = KnownClouds(mapped.clouds, mapped.poses, mapped.T_base_lidar)
         return cls(result.keyframe_poses, result.keyframe_scans, result.grid, planar, cameras, clouds)
 

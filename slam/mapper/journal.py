@@ -93,13 +93,13 @@ class Journal:
         self._remember(_MOUNTINGS, 0.0, rows)
         self._file.commit()
 
-    def spool(self) -> MapFrames | None:
-        """Where the camera keyframes of a pass go; None for a temporary place."""
-        return None if self._file is None else MapFrames(self._file, begun=True)
+    def spool(self) -> MapFrames:
+        """Where the camera keyframes of a pass go; a temporary map where nothing is kept."""
+        return MapFrames(self._file or MapFile.temporary(), begun=True)
 
-    def cloud_spool(self) -> MapClouds | None:
-        """Where the clouds of keyframes go; None for a temporary place."""
-        return None if self._file is None else MapClouds(self._file, begun=True)
+    def cloud_spool(self) -> MapClouds:
+        """Where the clouds of keyframes go; a temporary map where nothing is kept."""
+        return MapClouds(self._file or MapFile.temporary(), begun=True)
 
     def _replayed(self, question: str, key: float) -> Any:
         """The next known answer, if it is one to this question."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import tempfile
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -11,8 +13,9 @@ from numpy.typing import NDArray
 
 import fusion
 from slam.config.stages import FusionConfig
+from slam.errors import ScanweaveError
 from slam.mapper.robot_cameras import Picture
-from slam.mapping.keyframe_images import KeyframeImages
+from slam.mapping.image_packing import depth_steps_per_m, packed_depth, unpacked_depth
 from slam.measurements import CameraIntrinsics, FloatArray, LaserScan, RgbdFrame
 
 log = logging.getLogger(__name__)
@@ -60,13 +63,48 @@ class FusionSummary:
     note: str
 
 
+class _DepthSpool:
+    """Depth images of keyframes in a temporary file that goes with it; memory holds their places."""
+
+    def __init__(self) -> None:
+        self._file = tempfile.TemporaryFile(prefix="scanweave-depth-")  # noqa: SIM115 - lives as long as this
+        weakref.finalize(self, self._file.close)
+        self._places: list[tuple[int, int, float, CameraIntrinsics]] = []
+        self._end = 0
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def add(self, frame: RgbdFrame) -> None:
+        """Keep the next image."""
+        steps_per_m = depth_steps_per_m(frame)
+        content = packed_depth(frame.depth_m, steps_per_m)
+        try:
+            self._file.seek(self._end)
+            self._file.write(content)
+        except OSError as error:
+            raise ScanweaveError(
+                f"cannot keep a depth image in {tempfile.gettempdir()}: {error.strerror}; free some space, "
+                "or set TMPDIR"
+            ) from error
+        self._places.append((self._end, len(content), steps_per_m, frame.intrinsics))
+        self._end += len(content)
+
+    def depth(self, index: int, T_level_camera: FloatArray) -> fusion.DepthImage:
+        """An image as fusion takes it."""
+        start, size, steps_per_m, camera = self._places[index]
+        self._file.seek(start)
+        depth_m = unpacked_depth(self._file.read(size), steps_per_m, camera)
+        return fusion.DepthImage(depth_m, _intrinsics(camera), T_level_camera)
+
+
 class KeyframeFusion:
     """Collects the pairs of a run, then repairs every scan by what all pairs together tell of the rig."""
 
     def __init__(self, config: FusionConfig) -> None:
         self._config = config
         self._rig = fusion.Rig()
-        self._images = KeyframeImages()
+        self._images = _DepthSpool()
         self._pairs: list[FusionPair] = []
         self._views: dict[int, tuple[range, tuple[FloatArray, ...]]] = {}
         self._cameras = 0
@@ -112,9 +150,9 @@ class KeyframeFusion:
             scan = scans[key]
             if scan is None:
                 continue
-            frames = [self._images.frame(image) for image in numbers]
+            depths = [self._images.depth(image, turn) for image, turn in zip(numbers, turns, strict=True)]
             try:
-                result = fusion.denoise(_curve(scan), _depths(frames, turns), estimate)
+                result = fusion.denoise(_curve(scan), depths, estimate)
             except ValueError as error:  # an image that is not like the others: the scan stays as it is
                 log.warning("keyframe %d was not repaired: %s", key, error)
                 pairs.append(self._pairs[number])

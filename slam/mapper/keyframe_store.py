@@ -3,65 +3,16 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
 from slam.config.stages import RgbdConfig
-from slam.mapping.keyframe_images import KeyframeImages
-from slam.measurements import RgbdFrame
+from slam.storage.map_file import MapFile
+from slam.storage.map_frames import MapFrames
 from slam.vision.color_registration import ColorRegistration, register_color
-from slam.vision.features import Features
 from slam.vision.prepared_frame import PreparedFrame, prepared_with
-
-
-class KeyframeSpool(Protocol):
-    """Where images and features lie while a log is mapped: in the map, or in a temporary folder."""
-
-    def __len__(self) -> int: ...
-
-    def __iter__(self) -> Iterator[RgbdFrame]: ...
-
-    def add(self, frame: RgbdFrame, node: int, features: Features) -> int:
-        """Keep the next frame, taken at a node of the graph; its index."""
-        ...
-
-    def frame(self, index: int) -> RgbdFrame:
-        """A frame, nearly as it was added."""
-        ...
-
-    def features(self, index: int) -> Features:
-        """The features of a frame, exactly."""
-        ...
-
-
-class TemporarySpool:
-    """Images in a temporary folder, features in memory; both go with it."""
-
-    def __init__(self) -> None:
-        self._images = KeyframeImages()
-        self._features: list[Features] = []
-
-    def __len__(self) -> int:
-        return len(self._features)
-
-    def __iter__(self) -> Iterator[RgbdFrame]:
-        return iter(self._images)
-
-    def add(self, frame: RgbdFrame, node: int, features: Features) -> int:
-        """Keep the next frame; its index."""
-        self._features.append(features)
-        return self._images.add(frame)
-
-    def frame(self, index: int) -> RgbdFrame:
-        """A frame, nearly as it was added."""
-        return self._images.frame(index)
-
-    def features(self, index: int) -> Features:
-        """The features of a frame, exactly."""
-        return self._features[index]
 
 
 class KeyframeStore:
@@ -74,11 +25,11 @@ class KeyframeStore:
     cached
         Keyframes that are kept whole.
     spool
-        Where the images go; a temporary folder by default.
+        Where the images go; a temporary map by default.
     """
 
-    def __init__(self, config: RgbdConfig, cached: int, spool: KeyframeSpool | None = None) -> None:
-        self.images = TemporarySpool() if spool is None else spool
+    def __init__(self, config: RgbdConfig, cached: int, spool: MapFrames | None = None) -> None:
+        self.images = MapFrames(MapFile.temporary()) if spool is None else spool
         self._config = config
         self._cached = cached
         # None: what `touch` has asked for, and nobody has looked at yet.

@@ -27,7 +27,6 @@ from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.protocol import Products, Tracked
 from slam.mapper.scan_record import ScanRecord
 from slam.mapping.band_scan import band_scan, ground_of
-from slam.mapping.cloud_keyframes import CloudKeyframes, CloudSpool
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.matching.cloud_points import at_middle_of_turn, thinned
 from slam.measurements import FloatArray, PointCloud, Pose, WheelOdometry, spatial
@@ -56,8 +55,7 @@ class CloudLidar:
         settings = config.cloud_odometry
         self._wheels = WheelTracker(config.wheels) if settings.use_wheel_odometry else None
         self._tracker = CloudTracker(settings, self._wheels, journal)
-        spool = journal.cloud_spool()
-        self._clouds: CloudSpool = CloudKeyframes() if spool is None else spool
+        self._clouds = journal.cloud_spool()
         self._cameras = CloudCameras(config, journal, registrations)
         self._closer: CloudLoopCloser | None = None
         self._steps = AnchoredSteps(settings.local_map_keyframes)

@@ -64,15 +64,29 @@ def unpacked_images(
     """
     import cv2
 
-    size = (camera.width, camera.height)
-    for found in (_jpeg_size(color), _png_size(depth)):
-        if found != size:
-            raise ValueError(f"an image of {found} pixels, the camera has {size}")
+    _check_size(_jpeg_size(color), camera)
     rgb = cv2.imdecode(np.frombuffer(color, np.uint8), cv2.IMREAD_COLOR_RGB)
-    steps = cv2.imdecode(np.frombuffer(depth, np.uint8), cv2.IMREAD_UNCHANGED)
-    if rgb is None or steps is None or steps.dtype != np.uint16 or steps.ndim != 2:
+    if rgb is None:
         raise ValueError("an image that cannot be decoded")
-    return np.asarray(rgb, np.uint8), steps.astype(np.float32) / np.float32(steps_per_m)
+    return np.asarray(rgb, np.uint8), unpacked_depth(depth, steps_per_m, camera)
+
+
+def unpacked_depth(depth: bytes, steps_per_m: float, camera: CameraIntrinsics) -> Float32Array:
+    """Depth (H, W) in metres; errors as in `unpacked_images`."""
+    import cv2
+
+    _check_size(_png_size(depth), camera)
+    steps = cv2.imdecode(np.frombuffer(depth, np.uint8), cv2.IMREAD_UNCHANGED)
+    if steps is None or steps.dtype != np.uint16 or steps.ndim != 2:
+        raise ValueError("an image that cannot be decoded")
+    return steps.astype(np.float32) / np.float32(steps_per_m)
+
+
+def _check_size(found: tuple[int, int] | None, camera: CameraIntrinsics) -> None:
+    """Refuse an image that is not of the camera."""
+    size = (camera.width, camera.height)
+    if found != size:
+        raise ValueError(f"an image of {found} pixels, the camera has {size}")
 
 
 def _png_size(content: bytes) -> tuple[int, int] | None:

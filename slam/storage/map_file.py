@@ -6,11 +6,13 @@ import hashlib
 import json
 import sqlite3
 import time
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from slam.errors import MapFileError, UnfinishedMapError
+from slam.storage.files import TemporaryFolder
 from slam.storage.map_connection import begin, beside, check_kind, plain, reader, refuse_in_use, told, writer
 from slam.storage.map_tables import JOURNAL, META, TABLES, Table, Value
 
@@ -47,6 +49,12 @@ def is_tidy(path: Path) -> bool:
         return stream.read(1) == _NO_WAL
 
 
+def _forget(connection: sqlite3.Connection, folder: TemporaryFolder) -> None:
+    """Leave nothing of a temporary map."""
+    connection.close()
+    folder.remove()
+
+
 class MapFile:
     """An open map; every fault of the file is a `MapFileError` of one line that names table and row.
 
@@ -71,6 +79,14 @@ class MapFile:
             file = cls(path, writer(path))
             begin(file._connection)
             file._counts = dict.fromkeys((table.name for table in TABLES), 0)
+        return file
+
+    @classmethod
+    def temporary(cls) -> MapFile:
+        """An empty map in a temporary folder that goes with it: for what nobody saves."""
+        folder = TemporaryFolder()
+        file = cls.create(folder.path / MAP_NAME)
+        weakref.finalize(file, _forget, file._connection, folder)
         return file
 
     @classmethod

@@ -12,8 +12,9 @@ from slam.localization.known_map import KnownCameras, KnownMap
 from slam.localization.localizer import Localizer
 from slam.localization.output import LocalizerOutput, State
 from slam.localization.visual_locator import VisualLocator
-from slam.mapper.keyframe_store import TemporarySpool
 from slam.measurements import RgbdFrame
+from slam.storage.map_file import MapFile
+from slam.storage.map_frames import MapFrames
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualMatch
 
@@ -32,7 +33,7 @@ def walk(
 @pytest.fixture(scope="module")
 def known_map() -> KnownMap:
     """Keyframes all round."""
-    spool, poses = TemporarySpool(), []
+    spool, poses = MapFrames(MapFile.temporary()), []
     for n in range(21):
         pose = looking(0.1, 0.0, 1.3, 0.3 * n)
         frame = prepared(render(ROOM, pose))

@@ -20,10 +20,11 @@ from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.mapper.sensor_choice import SensorChoice
-from slam.mapping.cloud_keyframes import CloudKeyframes
 from slam.measurements import LaserScan, Measurement, PointCloud, WheelOdometry
 from slam.outputs.layer_outputs import layers_of
 from slam.outputs.run_outputs import save_clouds, save_run
+from slam.storage.map_clouds import MapClouds
+from slam.storage.map_file import MapFile
 from slam.storage.ply import read_cloud_ply
 
 COUNT = 36
@@ -98,7 +99,7 @@ def test_no_loops_where_none_are_wanted(log: Path) -> None:
 
 def test_a_place_too_far_to_be_the_same_is_not_tried() -> None:
     """There and nowhere near: identical clouds, 40 m apart, all steps sure."""
-    config, kept = load_config(None, SMALL), CloudKeyframes()
+    config, kept = load_config(None, SMALL), MapClouds(MapFile.temporary())
     closer = CloudLoopCloser(config.cloud_loops, config.cloud_odometry, 0.25, kept)
     points = look(gtsam.Pose3()).points_lidar.astype(np.float64)
     graph = KeyframeGraph(gtsam.Pose3(), GraphConfig())

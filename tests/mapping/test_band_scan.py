@@ -10,7 +10,6 @@ from cloud_world import T_BASE_LIDAR, base, look
 from fusion.height_band import HeightBand
 from slam.config.clouds import CloudMapConfig, CloudOdometryConfig
 from slam.mapping.band_scan import band_scan, ground_height
-from slam.mapping.cloud_keyframes import CloudKeyframes
 from slam.matching.cloud_points import base_points
 from slam.measurements import FloatArray
 
@@ -65,13 +64,3 @@ def test_the_ground_is_found(shift_m: float) -> None:
 def test_no_ground_where_nothing_is_level() -> None:
     assert ground_height([bar(2.0, -0.5, 1.0)], 0.7, 0.2, 0.06) is None
     assert ground_height([], 0.7, 0.2, 0.06) is None
-
-
-def test_clouds_come_back_as_they_were() -> None:
-    kept, rng = CloudKeyframes(), np.random.default_rng(0)
-    clouds = [np.round(rng.normal(size=(count, 3)), 3) for count in (5, 0, 300)]
-    assert [kept.add(0.1, cloud, T_BASE_LIDAR) for cloud in clouds] == [0, 1, 2]
-    np.testing.assert_allclose(kept.points(2), clouds[2], atol=1e-12)
-    for _ in range(2):
-        for found, cloud in zip(kept, clouds, strict=True):
-            np.testing.assert_allclose(found, cloud, atol=1e-12)

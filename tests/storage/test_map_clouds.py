@@ -127,3 +127,13 @@ def test_a_map_older_than_clouds_is_read(tmp_path: Path) -> None:
     assert len(saved.clouds) == 0 and len(saved.keyframe_poses) == 5
     assert saved.digest != digest
     saved.close()
+
+
+def test_clouds_come_back_as_they_were() -> None:
+    kept, rng = MapClouds(MapFile.temporary()), np.random.default_rng(0)
+    clouds = [np.round(rng.normal(size=(count, 3)), 3) for count in (5, 0, 300)]
+    assert [kept.add(0.1, cloud, MOUNT) for cloud in clouds] == [0, 1, 2]
+    np.testing.assert_allclose(kept.points(2), clouds[2], atol=1e-12)
+    for _ in range(2):
+        for found, cloud in zip(kept, clouds, strict=True):
+            np.testing.assert_allclose(found, cloud, atol=1e-12)
