@@ -13,6 +13,7 @@ from flat_worlds import box
 from memory_drives import mapped_drive, scans_along, steps_of, way, worst_m
 from numpy.typing import ArrayLike
 
+from slam.matching.planar import compose
 from slam.measurements import FloatArray, LaserScan
 
 AHEAD = np.array([1.0, 0.0, 0.0])
@@ -107,3 +108,29 @@ class TestSlippingWheels:
         for n in range(first, first + self.LITTLE):
             seen[n] = seeing(seen[n], range_m, half_fov_rad)
         assert worst_m(mapped_drive(seen, wheels), truth) < 0.03
+
+
+@pytest.mark.parametrize("step_m", [0.03, 0.06])
+def test_wheels_that_lose_their_sign_are_believed_no_more(step_m: float) -> None:
+    """They were exact for 60 scans, and the lidar sees the hall all along."""
+    steps = np.tile(step_m * AHEAD, (120, 1))
+    by_wheels = steps * np.where(np.arange(120) < 60, 1.0, -1.0)[:, None]
+    truth = way((-6.0, 0.0, 0.0), list(steps))
+    result = mapped_drive(scans_along(truth, [hall()] * len(truth)), way(ODOM, list(by_wheels)))
+    assert worst_m(result, truth) < 0.02
+
+
+@pytest.mark.parametrize("axle_m", [0.1, 0.2])
+def test_wheels_that_proved_exact_on_the_straight_may_swing_in_a_turn(axle_m: float) -> None:
+    """The base sits beside the axle: turns on the spot take it aside, which the wheels do not tell."""
+    straight, turn = [0.03 * AHEAD] * 10, 0.1
+    steps, by_wheels = straight * 6, straight * 6
+    axle = np.array([0.0, axle_m, 0.0])
+    for sign in (1, -1) * 3:
+        spin = np.array([0.0, 0.0, sign * turn])
+        steps += [compose(compose(-axle, spin), axle)] * 10 + straight
+        by_wheels += [spin] * 10 + straight
+    truth = way((-6.0, 0.0, 0.0), steps)
+    scans = scans_along(truth, [hall()] * len(truth))
+    ahead = [scan if n <= 60 else seeing(scan, 30.0, 0.5) for n, scan in enumerate(scans)]
+    assert worst_m(mapped_drive(ahead, way(ODOM, by_wheels)), truth) < 0.04
