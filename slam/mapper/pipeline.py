@@ -15,6 +15,7 @@ from slam.mapper.protocol import Mapper
 from slam.mapper.sensor_choice import SensorChoice, used_measurements
 from slam.mapper.spatial_mapper import SpatialMapper
 from slam.measurements import LaserScan, Measurement, PointCloud, WheelOdometry
+from slam.odometry import STANDARD, Odometries
 from slam.vision.ahead import prepared_ahead
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame
 from slam.vision.registration_pairs import registrations_of
@@ -25,6 +26,7 @@ def build_map(
     config: Config,
     on_scan: Callable[[int], None] | None = None,
     journal: Journal | None = None,
+    odometries: Odometries = STANDARD,
 ) -> MapResult:
     """Run the whole log through the mapper.
 
@@ -38,6 +40,8 @@ def build_map(
         Called with the number of scans and frames so far, for a progress bar.
     journal
         Keeps what a run finds out, so that it can go on where it was interrupted; None keeps nothing.
+    odometries
+        What makes the odometries; `slam.comparison.methods` has others.
 
     Raises
     ------
@@ -57,15 +61,15 @@ def build_map(
     if choice.cloud:
         mapper = CloudMapper(config, journal)
     elif choice.spatial:
-        mapper = SpatialMapper(config, journal)
+        mapper = SpatialMapper(config, journal, odometries)
     else:
-        mapper = PlanarMapper(config, mountings, journal)
+        mapper = PlanarMapper(config, mountings, journal, odometries)
     mapper.note_registrations(registrations)
     _feed(mapper, dataset, config, prepare, on_scan)
     if not mountings and (mountings := mapper.learned_mountings()):
         # The way up to there was mapped without these cameras; now they are known from its beginning.
         journal.begin_again(registrations, mountings)
-        mapper = PlanarMapper(config, mountings, journal)
+        mapper = PlanarMapper(config, mountings, journal, odometries)
         mapper.note_registrations(registrations)
         _feed(mapper, dataset, config, prepare, on_scan)
     return mapper.finish()

@@ -26,7 +26,7 @@ from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints, extract_points
 from slam.measurements import FloatArray, LaserScan, PointCloud, WheelOdometry, row_from_pose2
-from slam.odometry import make_lidar_odometry
+from slam.odometry import STANDARD, Odometries
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
 from slam.odometry.remembered_odometry import RememberedOdometry
 from slam.odometry.wheel_tracker import WheelTracker
@@ -52,12 +52,13 @@ class PlanarMapper:
         config: Config,
         mountings: Mapping[str, LearnedMounting] | None = None,
         journal: Journal | None = None,
+        odometries: Odometries = STANDARD,
     ) -> None:
         journal = journal or Journal()
         self._config = config
         self._wheels = WheelTracker(config.wheels) if config.lidar_odometry.use_wheel_odometry else None
         self._tracker = MotionTracker(
-            RememberedOdometry(make_lidar_odometry(config.lidar_odometry, config.match), journal),
+            RememberedOdometry(odometries.lidar(config), journal),
             self._wheels,
             config.prediction,
             config.match,

@@ -18,7 +18,7 @@ from slam.mapper.map_result import DenseKeyframes, MapResult
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.scan_record import CameraRecord, ScanRecorder
 from slam.measurements import LaserScan, PointCloud, WheelOdometry
-from slam.odometry.rgbd_odometry import make_rgbd_odometry
+from slam.odometry import STANDARD, Odometries
 from slam.odometry.rgbd_tracker import RgbdTracker, TrackedFrame
 from slam.trajectory.frame_poses import FramePoses
 from slam.vision.camera_frame import T_BODY_CAMERA
@@ -35,11 +35,13 @@ class SpatialMapper:
     the map frame its body: x along the first view, z up in the first image.
     """
 
-    def __init__(self, config: Config, journal: Journal | None = None) -> None:
+    def __init__(
+        self, config: Config, journal: Journal | None = None, odometries: Odometries = STANDARD
+    ) -> None:
         journal = journal or Journal()
         self._config = config
         matcher = FrameMatcher(config.rgbd_odometry)
-        self._tracker = RgbdTracker(make_rgbd_odometry(config.rgbd_odometry), config.rgbd_odometry, journal)
+        self._tracker = RgbdTracker(odometries.rgbd(config), config.rgbd_odometry, journal)
         cached = config.visual_loops.keyframes_cached
         self._store = KeyframeStore(config.rgbd, cached, journal.spool())
         self._closer = VisualLoopCloser(config.visual_loops, matcher, self._store, config.seed, journal)
