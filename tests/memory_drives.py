@@ -16,6 +16,7 @@ from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, LaserScan, Measurement, Trajectory, WheelOdometry, pose2_from_row
+from slam.odometry import STANDARD, Odometries
 
 SCAN_S = 0.1
 START_S = 100.0
@@ -70,20 +71,25 @@ def scans_along(
     ]
 
 
-def mapped_drive(scans: Sequence[LaserScan], wheels: FloatArray | None, *overrides: str) -> MapResult:
+def mapped_drive(
+    scans: Sequence[LaserScan],
+    wheels: FloatArray | None,
+    *overrides: str,
+    odometries: Odometries = STANDARD,
+) -> MapResult:
     """The map of scans and of the wheels' poses (N, 3) at their stamps."""
     measurements: list[Measurement] = []
     for n, scan in enumerate(scans):
         if wheels is not None:
             measurements.append(wheels_at(n, wheels[n]))
         measurements.append(scan)
-    return mapped(measurements, *overrides)
+    return mapped(measurements, *overrides, odometries=odometries)
 
 
-def mapped(measurements: list[Measurement], *overrides: str) -> MapResult:
+def mapped(measurements: list[Measurement], *overrides: str, odometries: Odometries = STANDARD) -> MapResult:
     """The map of measurements in their order."""
     config = load_config(None, ["dense_map.enabled=false", *overrides])
-    return build_map(MemoryLog(measurements), config)
+    return build_map(MemoryLog(measurements), config, odometries=odometries)
 
 
 def errors(result: MapResult, truth: FloatArray) -> FloatArray:

@@ -54,7 +54,7 @@ class TestMap:
         ("arguments", "shown"),
         [
             (["--no-odometry"], "use_wheel_odometry: false"),
-            (["--set", "lidar_odometry.method=kiss_icp"], "method: kiss_icp"),
+            (["--set", "layers.rule=printed"], "rule: printed"),
             (["--no-loops"], "enabled: false"),
             (["--set", "grid.resolution_m=0.2", "-s", "seed=7"], "resolution_m: 0.2"),
         ],
@@ -174,7 +174,7 @@ class TestBadInput:
             ("grid.resolutoin_m=0.1", ["unknown key", "grid.resolution_m"]),
             ("grid.resolution_m=-1", ["grid.resolution_m", "greater than 0"]),
             ("grid.resolution_m=wide", ["grid.resolution_m", "wide"]),
-            ("lidar_odometry.method=magic", ["lidar_odometry.method", "surfel"]),
+            ("layers.rule=magic", ["layers.rule", "cautious"]),
             ("grid", ["section.field=value"]),
         ],
     )

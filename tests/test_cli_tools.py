@@ -117,7 +117,7 @@ class TestEvaluate:
 
 class TestConfig:
     def test_it_reads_back_as_what_it_is(self, scanweave: Scanweave, tmp_path: Path) -> None:
-        settings = ["grid.resolution_m=0.1", "lidar_odometry.method=kiss_icp", "loops.enabled=false"]
+        settings = ["grid.resolution_m=0.1", "layers.rule=printed", "loops.enabled=false"]
         outcome = scanweave("config", *(part for setting in settings for part in ("--set", setting)))
         assert (outcome.code, outcome.err) == (0, "")
         (tmp_path / "effective.yaml").write_text(outcome.out)

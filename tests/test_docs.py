@@ -137,6 +137,15 @@ def test_public_names_and_files_of_the_text_exist(page: Path) -> None:
         assert (REPO / name).is_file(), f"{page.name}: {name}"
 
 
+def test_every_source_that_the_code_names_is_in_the_bibliography() -> None:
+    entries = re.split(r"\n- ", (REPO / "docs" / "bibliography.md").read_text("utf-8"))
+    cited = re.compile(r"\b([A-Z][a-z]+)(?: et al\.| and [A-Z][a-z]+)? ?((?:19|20)\d\d)\b")
+    for file in [path for room in ("slam", "fusion") for path in sorted((REPO / room).rglob("*.py"))]:
+        for name, year in cited.findall(file.read_text("utf-8")):
+            known = any(name in entry and year in entry for entry in entries)
+            assert known or name == "Before", f"{file.name}: {name} {year}"
+
+
 @every_page
 def test_tools_have_the_options_that_are_shown(page: Path) -> None:
     spans = [*INLINE.findall(prose(page)), *blocks(page)]

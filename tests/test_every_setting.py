@@ -38,7 +38,7 @@ RUN_OF = {
 }
 # What else must be set for a setting to matter.
 BESIDE: dict[str, tuple[str, ...]] = {
-    "rgbd_odometry.ransac_px": ("rgbd_odometry.method=features",),
+    "rgbd_odometry.ransac_px": ("rgbd_odometry.correlated_points=1e9",),
     "cloud_odometry.keyframe_voxels": ("cloud_odometry.keyframe_angle_rad=3",),
     "cloud_loops.greatest_residual_ratio": ("cloud_odometry.minimal_residual_m=0.001",),
     "cloud_loops.places_cached": ("cloud_loops.half_keyframes=20",),
@@ -48,11 +48,6 @@ BESIDE: dict[str, tuple[str, ...]] = {
     "lidar_odometry.search_half_width_m": ("lidar_odometry.sure_inlier_share=1.0",),
     "lidar_odometry.search_half_yaw_rad": ("lidar_odometry.sure_inlier_share=1.0",),
     "lidar_odometry.search_least_score": ("lidar_odometry.sure_inlier_share=1.0",),
-    "lidar_odometry.kiss_voxel_m": ("lidar_odometry.method=kiss_icp",),
-    "lidar_odometry.kiss_map_radius_m": ("lidar_odometry.method=kiss_icp",),
-    "lidar_odometry.kiss_correspondence_m": ("lidar_odometry.method=kiss_icp",),
-    "lidar_odometry.kiss_kernel_m": ("lidar_odometry.method=kiss_icp",),
-    "lidar_odometry.kiss_points_a_voxel": ("lidar_odometry.method=kiss_icp",),
     "prediction.velocity_floor_m": ("lidar_odometry.use_wheel_odometry=false",),
     "prediction.velocity_floor_rad": ("lidar_odometry.use_wheel_odometry=false",),
     "prediction.velocity_share": ("lidar_odometry.use_wheel_odometry=false",),
@@ -97,11 +92,9 @@ VALUES: dict[str, Any] = {
     "scan.range_min_m": 1.5,
     "scan.range_max_m": 2.0,
     "lidar_odometry.local_map_keyframes": 5,
-    "lidar_odometry.kiss_map_radius_m": 1.0,
     "lidar_odometry.search_half_width_m": 0.01,
     "lidar_odometry.search_half_yaw_rad": 0.01,
     "lidar_odometry.search_least_score": 0.99,
-    "lidar_odometry.kiss_points_a_voxel": 1,
     "wheels.swing_m_per_rad": 5.0,
     "loops.greatest_half_width_m": 0.001,
     "loops.greatest_half_yaw_rad": 0.001,

@@ -37,7 +37,6 @@ FIGURES = REPO / "docs" / "figures.md"
 VARIANTS: dict[str, tuple[list[str], set[str] | None]] = {
     "default": ([], None),
     "no odometry": (["--no-odometry"], {"fr079"}),
-    "KISS-ICP": (["--set", "lidar_odometry.method=kiss_icp"], None),
     "no loops": (["--no-loops"], None),
 }
 WHEELS = "wheels alone"

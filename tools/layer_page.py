@@ -9,27 +9,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from slam.evaluation.figure_parts import figure_of, png_of
-from slam.evaluation.page_parts import image
+from slam.evaluation.pages import parts, write_page
 
-_STYLE = (
-    "body{font:15px/1.5 sans-serif;max-width:1080px;margin:2em auto;padding:0 1em}"
-    "table{border-collapse:collapse;margin:1em 0}"
-    "td,th{border:1px solid #ccc;padding:3px 9px;text-align:right}"
-    "td:first-child,th:first-child{text-align:left}"
-    "img{max-width:100%}.note{background:#fff6d8;padding:.6em 1em}"
-)
 _GREY = {100: 0, 0: 254, -1: 178}
 
 
-def write_page(path: Path, title: str, parts: Sequence[str]) -> None:
-    """Write the page under a temporary name and rename it."""
-    page = f"<!doctype html><meta charset=utf-8><title>{title}</title><style>{_STYLE}</style><h1>{title}</h1>"
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(page + "\n".join(parts), encoding="utf-8")
-    temporary.replace(path)
+def write_parts(path: Path, title: str, pieces: Sequence[str]) -> None:
+    """A page of pieces of HTML."""
+    write_page(path, "page.html", title=title, kind="experiment", content=Markup("\n".join(pieces)))
+
+
+def section(title: str, *content: str) -> str:
+    """A titled part of the page; the content is HTML."""
+    return str(parts().section(title, caller=lambda: Markup("".join(content))))
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table of texts."""
+    return str(parts().table(head, rows))
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -50,7 +51,7 @@ def grids(pictures: Sequence[tuple[str, NDArray[np.int8]]], description: str) ->
         axes.set_xticks([])
         axes.set_yticks([])
     figure.tight_layout()
-    return image(png_of(figure), description)
+    return str(parts().image(png_of(figure), description))
 
 
 def _plain(value: Any) -> Any:

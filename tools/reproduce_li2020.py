@@ -14,14 +14,14 @@ from typing import Any
 import gtsam
 import numpy as np
 from layer_homes import obstacles_found, on_truth, score_home
-from layer_page import grids, write_json, write_page
+from layer_page import grids, section, table, write_json, write_parts
 from layer_rigs import layer_settings
 from li2020_scene import draw_scene, readings
 
 from fusion import bayes
 from fusion.height_band import HeightBand
 from slam.evaluation.figure_parts import figure_of, png_of
-from slam.evaluation.page_parts import image, paragraph, section, table
+from slam.evaluation.pages import parts
 from slam.mapping.camera_points import camera_cloud
 from slam.mapping.dense_map import ColoredCloud, DenseMapSettings
 from slam.mapping.layer_builder import build_layers
@@ -58,8 +58,8 @@ def main() -> None:
     }
     write_json(arguments.out / "details.json", details)
     scene_3d = write_3d(arguments.out, 0)
-    parts = page(runs, results, scene_3d) + homes_part(details["homes"])
-    write_page(arguments.out / "index.html", "Li2020: one map of lidar and Kinect", parts)
+    pieces = page(runs, results, scene_3d) + homes_part(details["homes"])
+    write_parts(arguments.out / "index.html", "Li2020: one map of lidar and Kinect", pieces)
     print(json.dumps({"seeds": results["seeds"], "right": results["right"]}))
 
 
@@ -175,8 +175,8 @@ def page(runs: list[dict[str, Any]], results: dict[str, Any], scene_3d: bytes) -
         section("Layers: black occupied, white free, grey unknown", "".join(pictures)),
         section(
             "The scene in 3D, as of Fig. 13",
-            paragraph("The camera's points in colour, the lidar's ends in red; also scene.ply and scene.bt.")
-            + image(scene_3d, "coloured points of the scene"),
+            "<p>The camera's points in colour, the lidar's ends in red; also scene.ply and scene.bt.</p>",
+            parts().image(scene_3d, "coloured points of the scene"),
         ),
     ]
 
@@ -195,7 +195,7 @@ def homes_part(homes: list[dict[str, Any]]) -> list[str]:
         "is by its rule the union of what each sensor has decided; union: where either ever ended."
     )
     head = ["home", *names, "low obstacles missed"]
-    return [section("Furnished homes: F1 of occupied cells", paragraph(note) + table(head, rows))]
+    return [section("Furnished homes: F1 of occupied cells", f"<p>{note}</p>", table(head, rows))]
 
 
 def _ids(ids: list[int]) -> str:

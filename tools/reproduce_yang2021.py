@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from layer_page import grids, write_json, write_page
+from layer_page import grids, section, table, write_json, write_parts
 from layer_rigs import layer_settings
 from yang2021_room import POSE_SIGMA_M, POSE_SIGMA_RAD, Run, drive
 from yang2021_score import (
@@ -29,7 +29,6 @@ from yang2021_score import (
 from fusion.camera_tilt import camera_tilt
 from fusion.curves import Intrinsics
 from fusion.height_band import HeightBand, back_project, pixel_rays
-from slam.evaluation.page_parts import section, table
 from slam.mapping.layer_builder import LayerSettings, build_layers
 from slam.mapping.layered_map import DecisionRule
 from slam.mapping.occupancy_grid import Thresholds
@@ -57,7 +56,7 @@ def main() -> None:
         {key: value for key, value in run.items() if key not in ("states", "ransac_map")} for run in runs
     ]
     write_json(arguments.out / "details.json", plain)
-    write_page(
+    write_parts(
         arguments.out / "index.html", "Yang2021: a grid without a fit of the ground", page(runs, results)
     )
     print(json.dumps(json.loads((arguments.out / "results.json").read_text())))

@@ -2,34 +2,26 @@
 
 from __future__ import annotations
 
-import base64
-import html
 import io
 import math
+from html import escape
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from layer_page import table, write_parts
 from xu2024_drive import DriveResult
 
 import fusion
 from fusion.panorama import join
-
-_STYLE = (
-    "body{font:15px/1.5 sans-serif;max-width:1080px;margin:2em auto;padding:0 1em}"
-    "table{border-collapse:collapse;margin:1em 0}"
-    "td,th{border:1px solid #ccc;padding:3px 9px;text-align:right}"
-    "td:first-child,th:first-child{text-align:left}"
-    "img{max-width:100%}.note{background:#fff6d8;padding:.6em 1em}"
-)
+from slam.evaluation.pages import parts
 
 
 def write_page(
     path: Path, drives: list[DriveResult], results: dict[str, Any], details: dict[str, Any]
 ) -> None:
-    """Write the page under a temporary name and rename it."""
-    parts = [
-        "<h1>Xu2024: lidar curves and depth images repair each other</h1>",
+    """Write the page."""
+    pieces = [
         _source_note(results["source"]),
         _homes_note(drives),
         "<h2>Figures against the goals</h2>",
@@ -39,22 +31,19 @@ def write_page(
     ]
     for drive in drives:
         if drive.pictures:
-            parts += _pictures(drive)
-    parts += ["<h2>Fig. 6: recall against eps</h2>", _recall(details)]
-    parts += ["<h2>By rig</h2>", _rigs(details), "<h2>Which model repairs better</h2>", _models(details)]
-    parts += ["<h2>Maps by home</h2>", _maps(details)]
+            pieces += _pictures(drive)
+    pieces += ["<h2>Fig. 6: recall against eps</h2>", _recall(details)]
+    pieces += ["<h2>By rig</h2>", _rigs(details), "<h2>Which model repairs better</h2>", _models(details)]
+    pieces += ["<h2>Maps by home</h2>", _maps(details)]
     if details["half_real"]:
-        parts += [
+        pieces += [
             "<h2>Half real: a real Kinect, a virtual lidar</h2>",
             "<p class=note>The lidar here is virtual: a curve cast through the mesh of all frames (7-Scenes "
             "RedKitchen), 0.25 m below the camera, with 1 % of noise. The depth is a real Kinect's."
             "</p>",
-            _rows(["", "value"], [[name, _number(value)] for name, value in details["half_real"].items()]),
+            table(["", "value"], [[name, _number(value)] for name, value in details["half_real"].items()]),
         ]
-    page = f"<!doctype html><meta charset=utf-8><title>Xu2024</title><style>{_STYLE}</style>{''.join(parts)}"
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(page, encoding="utf-8")
-    temporary.replace(path)
+    write_parts(path, "Xu2024: lidar curves and depth images repair each other", pieces)
 
 
 def _source_note(source: str) -> str:
@@ -86,12 +75,12 @@ def _goals(results: dict[str, Any]) -> str:
     rows = []
     for group in ("registration", "repair", "map"):
         rows += [[f"{group}.{name}", _number(value)] for name, value in results[group].items()]
-    return _rows(["figure", "value"], rows)
+    return table(["figure", "value"], rows)
 
 
 def _table_1(drives: list[DriveResult]) -> list[str]:
     """Grades by room: all drives of a home together, as published (rows, PCC) and ours."""
-    parts = []
+    pieces = []
     first_home = min(drive.home for drive in drives)
     for kind, title in (
         ("rows", "image rows, PCC, as published"),
@@ -106,17 +95,17 @@ def _table_1(drives: list[DriveResult]) -> list[str]:
             counts = [sum(d.grades[kind][(room, g.name)] for d in own) for g in fusion.Grade]
             share = f"{100.0 * counts[2] / max(sum(counts), 1):.1f} %"
             rows.append([f"{rig}, {room}", *map(str, counts), share])
-        parts += [f"<h3>{title}</h3>", _rows(["room (first home)", "low", "middle", "high", "high"], rows)]
-    return parts
+        pieces += [f"<h3>{title}</h3>", table(["room (first home)", "low", "middle", "high", "high"], rows)]
+    return pieces
 
 
 def _pictures(drive: DriveResult) -> list[str]:
     """Fig. 4, 7 and 9 of one drive."""
-    parts = [f"<h2>{html.escape(drive.rig)}</h2>", "<h3>Fig. 4: score maps over (u, v), and the curves</h3>"]
-    parts += [_fig_4(drive.pictures), "<h3>Fig. 7: before and after</h3>", _fig_7(drive.pictures)]
+    pieces = [f"<h2>{escape(drive.rig)}</h2>", "<h3>Fig. 4: score maps over (u, v), and the curves</h3>"]
+    pieces += [_fig_4(drive.pictures), "<h3>Fig. 7: before and after</h3>", _fig_7(drive.pictures)]
     if "states" in drive.pictures:
-        parts += ["<h3>Fig. 9: the map before and after</h3>", _fig_9(drive.pictures["states"])]
-    return parts
+        pieces += ["<h3>Fig. 9: the map before and after</h3>", _fig_9(drive.pictures["states"])]
+    return pieces
 
 
 def _fig_4(pictures: dict[str, Any]) -> str:
@@ -232,7 +221,7 @@ def _rigs(details: dict[str, Any]) -> str:
     for name in first["medians"]:
         if not name.startswith(("homography", "magsac", "rig_", "rigid")):
             rows.append([f"median {name}", *(_number(found["medians"][name]) for found in rigs.values())])
-    return _rows(["", *rigs], rows)
+    return table(["", *rigs], rows)
 
 
 def _models(details: dict[str, Any]) -> str:
@@ -249,7 +238,7 @@ def _models(details: dict[str, Any]) -> str:
     heads = [
         f"{side} {kind}" for side in ("lidar", "depth") for kind in ("holes", "burrs", "worse", "error m")
     ]
-    return _rows(["by one pair alone, high grade", *heads], rows)
+    return table(["by one pair alone, high grade", *heads], rows)
 
 
 def _maps(details: dict[str, Any]) -> str:
@@ -259,14 +248,7 @@ def _maps(details: dict[str, Any]) -> str:
     for rig, found in details["rigs"].items():
         for home, scores in found["map_by_home"].items():
             rows.append([f"{rig}, home {home}", *(_number(scores[key]) for key in keys)])
-    return _rows(["", *(key.replace("_", " ") for key in keys)], rows)
-
-
-def _rows(head: list[str], rows: list[list[str]]) -> str:
-    """An HTML table."""
-    lines = ["<tr>" + "".join(f"<th>{html.escape(cell)}</th>" for cell in head) + "</tr>"]
-    lines += ["<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows]
-    return f"<table>{''.join(lines)}</table>"
+    return table(["", *(key.replace("_", " ") for key in keys)], rows)
 
 
 def _number(value: float | None) -> str:
@@ -286,4 +268,4 @@ def _inline(figure: Any) -> str:
     """The figure as a PNG inside the page."""
     held = io.BytesIO()
     figure.savefig(held, format="png", dpi=80)
-    return f'<img src="data:image/png;base64,{base64.b64encode(held.getvalue()).decode("ascii")}">'
+    return str(parts().image(held.getvalue(), "figure", "plot"))

@@ -56,7 +56,7 @@ def _end_with_parent() -> None:
 
 def _measured(run: Run, folder: Path) -> dict[str, Any]:
     """Make the trajectory, score it, and leave it with its maps in the folder."""
-    from slam.comparison.methods import STOCK, WITHOUT_IMAGES, scanweave
+    from slam.comparison.methods import ODOMETRIES, STOCK, WITHOUT_IMAGES, by_odometry, scanweave
     from slam.comparison.product import Product
     from slam.config import Config
     from slam.datasets import open_dataset
@@ -69,6 +69,8 @@ def _measured(run: Run, folder: Path) -> dict[str, Any]:
         return _scored(run, Product(read_tum(Path(run.trajectory))), folder)
     if run.method == SCANWEAVE:
         product, cost = _timed(lambda: scanweave(dataset, config))
+    elif run.method in ODOMETRIES:
+        product, cost = _timed(lambda: by_odometry(dataset, config, ODOMETRIES[run.method]))
     else:
         product, cost = _timed(lambda: STOCK[run.method](dataset))
     measured = _scored(run, product, folder)

@@ -12,6 +12,7 @@ import re
 import shutil
 import zipfile
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -53,7 +54,7 @@ def _zipped(label: str, errors: Path, trajectory: Path) -> bytes:
     with np.load(errors, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
     errors_m, stamps_s = arrays["errors_m"], arrays["stamps_s"]
-    statistics = ErrorStatistics.of(errors_m).to_dict() | {"sse": float(np.square(errors_m).sum())}
+    statistics = asdict(ErrorStatistics.of(errors_m)) | {"sse": float(np.square(errors_m).sum())}
     info = {
         "title": "APE w.r.t. translation part (m)\n(with SE(3) Umeyama alignment)",
         "label": "APE (m)",

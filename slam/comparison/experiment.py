@@ -20,7 +20,17 @@ _READY = Path(slam.__file__).parent / "presets" / "experiments"
 
 Value: TypeAlias = bool | int | float | str | list[Any] | None
 Baseline: TypeAlias = Literal[
-    "wheels", "scan_matching", "no_loops", "no_fusion", "lidar_only", "rgbd_only", "kiss_icp", "open3d"
+    "wheels",
+    "scan_matching",
+    "no_loops",
+    "no_fusion",
+    "lidar_only",
+    "rgbd_only",
+    "kiss_icp",
+    "open3d",
+    "kiss_matching",
+    "features",
+    "dense",
 ]
 
 
@@ -160,6 +170,9 @@ def baseline_name(baseline: Baseline) -> str:
         "kiss_icp": "KISS-ICP stock",
         "open3d": "Open3D stock",
         "rgbd_only": "RGB-D only",
+        "kiss_matching": "KISS-ICP matching",
+        "features": "features only",
+        "dense": "Open3D dense",
     }
     return shown.get(baseline, baseline.replace("_", " "))
 

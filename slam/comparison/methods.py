@@ -1,8 +1,8 @@
-"""The ways from a log to a trajectory that are compared: ours, and stock odometries as they come."""
+"""The ways from a log to a trajectory that are compared: ours, ours by another's odometry, and stock ones."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from typing import Any
 
@@ -10,10 +10,14 @@ import gtsam
 import numpy as np
 
 from slam.app.mapping import map_log
+from slam.comparison.dense_odometry import DenseOdometry
+from slam.comparison.kiss_odometry import KissOdometry
 from slam.comparison.product import AcceptedLoop, Product, StateGrid
 from slam.config import Config
 from slam.datasets import Dataset
 from slam.errors import DatasetError
+from slam.graph.loop_closure import LoopCandidate
+from slam.mapper.pipeline import build_map
 from slam.measurements import (
     FloatArray,
     LaserScan,
@@ -23,7 +27,7 @@ from slam.measurements import (
     WheelOdometry,
     row_from_pose2,
 )
-from slam.outputs.finished_map import Map
+from slam.odometry import Odometries
 from slam.vision.open3d_library import load_open3d
 
 _FARTHEST_DEPTH_M = 4.0
@@ -40,11 +44,25 @@ def scanweave(dataset: Dataset, config: Config) -> Product:
             trajectory=made.trajectory,
             plane=None if grid is None else StateGrid(grid.states(), grid.resolution_m, grid.T_map_grid),
             decision=decision,
-            loops=_accepted(made) if made.planar else None,
+            loops=_accepted(made.loops, made.contents.stamps_s) if made.planar else None,
             keyframe_stamps_s=made.contents.stamps_s,
             loops_tried=len(made.loops),
             warnings=tuple(made.warnings),
         )
+
+
+def by_odometry(dataset: Dataset, config: Config, odometries: Odometries) -> Product:
+    """Our mapper with the odometry of others: a yardstick of ours."""
+    result = build_map(dataset, config, odometries=odometries)
+    grid, stamps_s = result.grid, result.scans.stamps_s[result.keyframe_numbers]
+    return Product(
+        trajectory=result.trajectory,
+        plane=None if grid is None else StateGrid(grid.states(), grid.resolution_m, grid.T_map_grid),
+        loops=None if grid is None else _accepted(result.loops, stamps_s),
+        keyframe_stamps_s=stamps_s,
+        loops_tried=len(result.loops),
+        warnings=tuple(result.warnings),
+    )
 
 
 def wheels(dataset: Dataset) -> Product:
@@ -130,6 +148,8 @@ def open3d(dataset: Dataset) -> Product:
     return Product(_trajectory(stamps, poses), warnings=warnings)
 
 
+# Odometries of others in our mapper, by their name in a run.
+ODOMETRIES = {"kiss_matching": Odometries(lidar=KissOdometry), "dense": Odometries(rgbd=DenseOdometry)}
 # Methods that need no configuration, by their name in a run; and those of them that look at no image.
 STOCK: dict[str, Callable[[Dataset], Product]] = {"wheels": wheels, "kiss_icp": kiss_icp, "open3d": open3d}
 WITHOUT_IMAGES = frozenset({"wheels", "kiss_icp"})
@@ -143,16 +163,15 @@ def _cloud(reading: LaserScan | PointCloud) -> tuple[gtsam.Pose3, FloatArray]:
     return gtsam.Pose3(reading.T_base_laser), np.column_stack([points, np.zeros(len(points))])
 
 
-def _accepted(made: Map) -> list[AcceptedLoop]:
-    """The accepted loops of a robot on a floor, by the stamps of their keyframes."""
-    stamps = made.contents.stamps_s
+def _accepted(loops: Sequence[LoopCandidate], stamps: FloatArray) -> list[AcceptedLoop]:
+    """The accepted loops of a robot on a floor, by the stamps (K,) of the keyframes."""
     return [
         AcceptedLoop(
             float(stamps[loop.place]),
             float(stamps[loop.keyframe]),
             row_from_pose2(loop.motion.T_reference_base),
         )
-        for loop in made.loops
+        for loop in loops
         if loop.accepted and loop.motion is not None
     ]
 

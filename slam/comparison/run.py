@@ -7,6 +7,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 SCANWEAVE = "scanweave"
+# Our mapper with an odometry of others, see `slam.comparison.methods.ODOMETRIES`.
+OTHER_ODOMETRY = frozenset({"kiss_matching", "dense"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,8 +22,8 @@ class Run:
     configuration
         Name in the tables.
     method
-        ``scanweave``, a baseline of its own (``wheels``, ``kiss_icp``, ``open3d``), ``external`` or
-        ``command``.
+        ``scanweave``, a baseline of its own (``wheels``, ``kiss_icp``, ``open3d``), one of
+        `OTHER_ODOMETRY`, ``external`` or ``command``.
     dataset, group, log, relations, groundtruth
         As in `slam.comparison.runs.Source`; empty where there is none.
     seed

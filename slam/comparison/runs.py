@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from slam.comparison.dense_odometry import POINTS_IGNORED
 from slam.comparison.drives import Drive, drives_of
 from slam.comparison.experiment import (
     Baseline,
@@ -18,7 +19,7 @@ from slam.comparison.experiment import (
     baseline_name,
     swept_overrides,
 )
-from slam.comparison.run import SCANWEAVE, Run
+from slam.comparison.run import OTHER_ODOMETRY, SCANWEAVE, Run
 from slam.config import Config, load_config
 from slam.errors import DatasetError, MapFileError
 from slam.storage.map_identity import current_versions, fingerprint_of
@@ -35,6 +36,9 @@ _OVERRIDES: dict[Baseline, dict[str, Value]] = {
     "no_fusion": {"fusion.enabled": False},
     "lidar_only": {"sensors.rgbd": False},
     "rgbd_only": {"sensors.lidar": False},
+    "kiss_matching": {},
+    "dense": {},
+    "features": {"rgbd_odometry.correlated_points": POINTS_IGNORED},
 }
 
 
@@ -133,13 +137,11 @@ def _existing(path: Path) -> Path:
 
 def _runs(experiment: Experiment, sources: Sequence[Source], data: Path) -> Iterator[Run]:
     """All runs without their keys; what no seed decides is run once a data set."""
-    for configuration, config in _configs(experiment):
+    for configuration, method, config in _configs(experiment):
         for source in sources:
             for seed in experiment.seeds:
                 seeded = config.model_copy(update={"seed": seed})
-                yield _run(
-                    experiment, configuration, SCANWEAVE, source, seed, config=seeded.model_dump_json()
-                )
+                yield _run(experiment, configuration, method, source, seed, config=seeded.model_dump_json())
     for baseline in experiment.baselines:
         if baseline not in _OVERRIDES:
             for source in sources:
@@ -159,14 +161,16 @@ def _runs(experiment: Experiment, sources: Sequence[Source], data: Path) -> Iter
             )
 
 
-def _configs(experiment: Experiment) -> Iterator[tuple[str, Config]]:
-    """Name and effective configuration of every configuration of ours."""
+def _configs(experiment: Experiment) -> Iterator[tuple[str, str, Config]]:
+    """Name, method and effective configuration of every configuration of ours."""
     for configuration in experiment.configurations:
         for name, overrides in swept_overrides(configuration):
-            yield name, _config(configuration.preset, {**experiment.common, **overrides})
+            yield name, SCANWEAVE, _config(configuration.preset, {**experiment.common, **overrides})
     for baseline in experiment.baselines:
         if baseline in _OVERRIDES:
-            yield baseline_name(baseline), _config(None, {**experiment.common, **_OVERRIDES[baseline]})
+            method = baseline if baseline in OTHER_ODOMETRY else SCANWEAVE
+            config = _config(None, {**experiment.common, **_OVERRIDES[baseline]})
+            yield baseline_name(baseline), method, config
 
 
 def _config(preset: str | None, overrides: dict[str, Value]) -> Config:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -16,48 +16,43 @@ from slam.comparison.product import StateArray
 from slam.comparison.runs import Plan, Source
 from slam.comparison.store import ResultStore
 from slam.errors import EvaluationError
-from slam.evaluation.page_parts import folded, image, section
 from slam.evaluation.trajectory_error import associate, umeyama
 from slam.measurements import FloatArray
 from slam.storage.tum import read_tum
 
-# Beyond this many data sets their pictures are folded, so that the page stays readable.
-_MOST_OPEN = 4
+# What it shows, PNG, and its class in the style sheet.
+Picture: TypeAlias = tuple[str, bytes, str]
 _ALIGN_WITHIN_S = 0.1
 
 
-def scene_sections(plan: Plan, rows: Sequence[Row], store: ResultStore) -> Iterator[str]:
-    """A section a data set; of several seeds the first is shown."""
+def scenes(plan: Plan, rows: Sequence[Row], store: ResultStore) -> Iterator[tuple[str, list[Picture]]]:
+    """The pictures of every data set by its name; of several seeds the first is shown."""
     for source in plan.sources:
         shown: dict[str, Row] = {}
         for row in rows:
             if row["dataset"] == source.name and row["status"] == "ok":
                 shown.setdefault(row["configuration"], row)
-        if not shown:
-            continue
         folders = {name: store.of(row["key"]) for name, row in shown.items()}
-        content = "".join(_pictures(source, folders, plan.reference))
-        if content:
-            many = len(plan.sources) > _MOST_OPEN
-            yield section(source.name, folded("show", content) if many else content)
+        if pictures := list(_pictures(source, folders, plan.reference)):
+            yield source.name, pictures
 
 
-def _pictures(source: Source, folders: dict[str, Path], reference: str) -> Iterator[str]:
+def _pictures(source: Source, folders: dict[str, Path], reference: str) -> Iterator[Picture]:
     """The pictures of one data set."""
     errors = {name: found for name, folder in folders.items() if (found := _arrays(folder / ERRORS))}
     if errors:
         ways = {name: _in_truth(found, "positions_m") for name, found in errors.items()}
         truth = max((_in_truth(found, "true_positions_m") for found in errors.values()), key=len)
-        yield image(trajectories_png(ways, truth), f"ways on {source.name} over the true one", "plot")
+        yield f"ways on {source.name} over the true one", trajectories_png(ways, truth), "plot"
         over_time = {name: (found["stamps_s"], found["errors_m"]) for name, found in errors.items()}
-        yield image(errors_png(over_time), f"error over time on {source.name}", "plot")
+        yield f"error over time on {source.name}", errors_png(over_time), "plot"
     elif ways := _aligned_ways(folders, reference):
-        yield image(trajectories_png(ways, None), f"ways on {source.name}", "plot")
+        yield f"ways on {source.name}", trajectories_png(ways, None), "plot"
     maps = {name: known for name, folder in folders.items() if (known := _map(folder / MAPS))}
     if maps:
         if (truth_map := _true_map(source)) is not None:
             maps = {"truth": truth_map, **maps}
-        yield image(maps_png(maps), f"maps of {source.name} side by side", "map")
+        yield f"maps of {source.name} side by side", maps_png(maps), "map"
 
 
 def _arrays(path: Path) -> dict[str, Any] | None:

@@ -73,9 +73,6 @@ class MatchConfig(StrictModel):
 class LidarOdometryConfig(StrictModel):
     """Scan to local map matching."""
 
-    method: Literal["surfel", "kiss_icp"] = Field(
-        default="surfel", description="surfel: point-to-line on surfels; kiss_icp: KISS-ICP's registration"
-    )
     use_wheel_odometry: bool = Field(
         default=True, description="take the first guess from the wheels; otherwise from constant velocity"
     )
@@ -89,11 +86,6 @@ class LidarOdometryConfig(StrictModel):
     search_half_width_m: float = Field(default=0.6, gt=0, description="window of the search for a lost scan")
     search_half_yaw_rad: float = Field(default=0.6, gt=0, description="window of the search for a lost scan")
     search_least_score: float = Field(default=0.4, gt=0, lt=1, description="least score of that search")
-    kiss_voxel_m: float = Field(default=0.2, gt=0, description="voxel of KISS-ICP's local map")
-    kiss_map_radius_m: float = Field(default=60.0, gt=0, description="KISS-ICP forgets what is farther")
-    kiss_correspondence_m: float = Field(default=0.3, gt=0, description="KISS-ICP's greatest pair distance")
-    kiss_kernel_m: float = Field(default=0.1, gt=0, description="KISS-ICP's robust kernel")
-    kiss_points_a_voxel: int = Field(default=10, ge=1, description="points KISS-ICP keeps a voxel")
 
 
 class PredictionConfig(StrictModel):
@@ -228,11 +220,6 @@ class RgbdConfig(StrictModel):
 class RgbdOdometryConfig(StrictModel):
     """Frame to keyframe matching of RGB-D images."""
 
-    method: Literal["joint", "features", "dense"] = Field(
-        default="joint",
-        description="joint: surfaces and features in one least squares; features: ORB + PnP "
-        "(Yang2021 Eq. (1)-(6)); dense: Open3D's multi-scale odometry",
-    )
     local_keyframes: int = Field(default=30, ge=1, description="newest keyframes that make the local map")
     views: int = Field(default=5, ge=1, description="keyframes a frame is matched against at once")
     feature_views: int = Field(default=2, ge=1, description="of them, those whose features are matched too")

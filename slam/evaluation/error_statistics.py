@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,7 +31,3 @@ class ErrorStatistics:
             min=float(np.min(errors)),
             max=float(np.max(errors)),
         )
-
-    def to_dict(self) -> dict[str, float]:
-        """For JSON."""
-        return asdict(self)

@@ -19,7 +19,7 @@ from slam.evaluation.figure_parts import (
     plain,
     png_of,
 )
-from slam.evaluation.page_parts import image, paragraph, section, table
+from slam.evaluation.pages import render
 from slam.mapper.keyframe_fusion import FusionPair, FusionSummary
 from slam.measurements import BoolArray, FloatArray, LaserScan
 
@@ -37,24 +37,18 @@ Examples = Sequence[tuple[LaserScan, LaserScan]]
 
 
 def fusion_section(fused: FusionSummary) -> str:
-    """What the pairs told of the rig, and what was repaired."""
-    told = paragraph(fused.note)
-    if not fused.pairs:
-        return section("Fusion of lidar and depth (Xu2024)", told)
-    grades = table(("grade", "pairs", "share", "from the rig's u, samples (median)"), _grade_rows(fused))
-    content = told + grades + image(offsets_png(fused), "u of every pair over time", "plot")
+    """What the pairs told of the rig, and what was repaired, as HTML."""
     repaired = [pair for pair in fused.pairs if pair.repaired is not None]
-    if repaired:
-        counted = f"{len(repaired):,} of {len(fused.pairs):,} pairs were repaired."
-        content += paragraph(counted) + image(repairs_png(repaired), "share of beams repaired", "plot")
     shown = _spread(fused.examples)
-    if shown:
-        legend = (
-            "Scans from above, metres from the lidar (cross). Before: readings that will be replaced are "
-            "red. After: new readings where the lidar had none are orange, other readings than before blue."
-        )
-        content += paragraph(legend) + image(examples_png(shown), "scans before and after", "plot")
-    return section("Fusion of lidar and depth (Xu2024)", content)
+    return render(
+        "fusion.html",
+        fused=fused,
+        grades=_grade_rows(fused) if fused.pairs else [],
+        offsets_png=offsets_png(fused) if fused.pairs else None,
+        repaired=len(repaired),
+        repairs_png=repairs_png(repaired) if repaired else None,
+        examples_png=examples_png(shown) if fused.pairs and shown else None,
+    )
 
 
 def offsets_png(fused: FusionSummary) -> bytes:

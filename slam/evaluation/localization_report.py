@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from html import escape
 from pathlib import Path
 
 import numpy as np
 
 from slam.evaluation import report_figures
 from slam.evaluation.figure_parts import BLUE, GREY, ORANGE, RED, figure_of, plain, png_of
-from slam.evaluation.page_parts import folded, image, paragraph, section, table
-from slam.evaluation.report_style import STYLE
+from slam.evaluation.pages import write_page
 from slam.localization.drive_log import STATES, DriveLog
 from slam.localization.output import State
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
 from slam.measurements import FloatArray
-from slam.storage.files import replacing
 
 _COLORS: Mapping[State, str] = {State.SEARCHING: GREY, State.TRACKING: BLUE, State.LOST: RED}
 
@@ -40,19 +37,17 @@ def write_localization_report(
     MapFileError
         Where the folder is missing, not writable or full; an older report then stays as it was.
     """
-    page = [
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Scanweave: {escape(title)}'
-        f"</title>\n<style>{STYLE}</style></head>\n<body><main>\n"
-        f"<h1><small>Scanweave localisation</small>{escape(title)}</h1>\n",
-        section("What was known", table(("measurements", "share"), _shares(drive))),
-        section("Way in the map", image(_map_png(drive, grid), "the tracked way over the map")),
-        section("State, confidence and support over time", image(_time_png(drive), "over time", "plot")),
-        section("Cost", paragraph(_cost(drive))),
-        section("Reader's report", folded("show", table(("what", "count"), notes))),
-        "</main></body></html>\n",
-    ]
-    with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
-        file.writelines(page)
+    write_page(
+        path,
+        "localization.html",
+        title=title,
+        kind="localisation",
+        shares=_shares(drive),
+        map_png=_map_png(drive, grid),
+        time_png=_time_png(drive),
+        cost=_cost(drive),
+        notes=notes,
+    )
 
 
 def _shares(drive: DriveLog) -> list[tuple[str, str]]:

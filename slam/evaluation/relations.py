@@ -6,7 +6,7 @@ The score needs no global reference frame, so that one early error does not spoi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -51,14 +51,6 @@ class RelationGroupScore:
     translation_m: ErrorStatistics
     rotation_rad: ErrorStatistics
 
-    def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return {
-            "used": self.used,
-            "translation_m": self.translation_m.to_dict(),
-            "rotation_rad": self.rotation_rad.to_dict(),
-        }
-
 
 @dataclass(frozen=True, slots=True)
 class RelationScore:
@@ -87,12 +79,8 @@ class RelationScore:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON: the figures over all relations on top, the two groups below."""
-        return {
-            **self.all.to_dict(),
-            "skipped": self.skipped,
-            "short": self.short.to_dict() if self.short else None,
-            "long": self.long.to_dict() if self.long else None,
-        }
+        groups = asdict(self)
+        return {**groups.pop("all"), **groups}
 
 
 def read_relations(path: Path) -> Relations:

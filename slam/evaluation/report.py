@@ -5,29 +5,28 @@ Everything is passed in as plain arrays and texts, so the report draws any run a
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slam.evaluation import report_figures
+from slam.evaluation.camera_figures import side_png, tracking_png, truth_png
 from slam.evaluation.cloud_picture import CloudPicture
 from slam.evaluation.fusion_figures import fusion_section
-from slam.evaluation.page_parts import folded, image, paragraph, section, table
-from slam.evaluation.report_cameras import CameraRow, camera_sections, cloud_section, side_view, truth_section
-from slam.evaluation.report_style import STYLE
+from slam.evaluation.pages import write_page
+from slam.evaluation.report_cameras import CameraRow
 from slam.evaluation.truth_comparison import TruthComparison
 from slam.mapper.keyframe_fusion import FusionSummary
 from slam.measurements import BoolArray, FloatArray
-from slam.storage.files import replacing
 
 # Beyond this many rows the accepted loops are folded too, so that the page stays readable.
-_MAX_OPEN_ROWS = 40
+_MOST_OPEN_ROWS = 40
 
 _FREE_GREY, LIDAR_HEIGHT_GREY = 254, 232
 _MAP_LEGEND = "The map to drive by: black is what the robot must not hit, white is free, grey is unknown."
@@ -170,39 +169,33 @@ def write_report(path: Path, data: ReportData) -> None:
     MapFileError
         Where the folder is missing, not writable or full; an older report then stays as it was.
     """
-    with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
-        file.writelines(_page(data))
-
-
-def _page(data: ReportData) -> Iterator[str]:
-    """The page in pieces, from the head down."""
-    name = escape(data.log_name)
-    yield (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Scanweave: {name}</title>\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<style>{STYLE}</style></head>\n<body><main>\n<h1><small>Scanweave report</small>{name}</h1>\n"
+    accepted = [_score_cells(loop) for loop in data.loops if loop.accepted]
+    refused = [(*_score_cells(loop), loop.reason) for loop in data.loops if not loop.accepted]
+    write_page(
+        path,
+        "map.html",
+        title=data.log_name,
+        kind="report",
+        data=data,
+        headline=_headline(data),
+        fusion=fusion_section(data.fused) if data.fused is not None else "",
+        camera_rows=[camera.cells() for camera in data.cameras],
+        registrations=[(camera.name, camera.registration) for camera in data.cameras],
+        tracking=[(camera.name, tracking_png(camera.record.frames)) for camera in data.cameras],
+        truth_deg=0.0 if data.truth is None else math.degrees(data.truth.error.rotation_rad.rmse),
+        accepted=accepted,
+        refused=refused,
+        most_open=_MOST_OPEN_ROWS,
+        reasons=[(why, f"{count:,}") for why, count in Counter(row[-1] for row in refused).most_common()],
+        degenerate=int(np.count_nonzero(data.degenerate)),
+        longest_s=max(data.stage_times_s.values(), default=0.0) or 1.0,
+        versions=list(data.versions.items()),
+        **_map(data),
+        **_plots(data),
     )
-    yield _headline(data)
-    yield _warnings(data.warnings)
-    yield _map(data)
-    yield cloud_section(data.cloud) if data.cloud is not None else ""
-    yield truth_section(data.truth, spatial=data.spatial) if data.truth is not None else ""
-    yield from camera_sections(data.cameras)
-    yield fusion_section(data.fused) if data.fused is not None else ""
-    yield _scores(data)
-    yield from _loops(data.loops)
-    yield '<div class="columns">\n'
-    yield section(
-        "Reader's report", table(("what", "count"), data.reader_notes) or "<p>Nothing to report.</p>"
-    )
-    yield section("Time by stage", _stages(data.stage_times_s) or "<p>No stage was timed.</p>")
-    yield "</div>\n"
-    yield section("Effective configuration", folded("show", f"<pre>{escape(data.effective_config)}</pre>"))
-    yield section("Versions", table(("library", "version"), data.versions.items()) or "<p>Not recorded.</p>")
-    yield "</main></body></html>\n"
 
 
-def _headline(data: ReportData) -> str:
+def _headline(data: ReportData) -> list[tuple[str, str]]:
     """The run in a few numbers."""
     accepted = sum(loop.accepted for loop in data.loops)
     scan_ms = f"{1000.0 * float(np.median(data.scan_times_s)):.2f} ms" if data.scan_times_s.size else "–"
@@ -221,8 +214,7 @@ def _headline(data: ReportData) -> str:
     ]
     if data.truth is not None:
         facts.append(("RMSE against the truth", f"{data.truth.error.translation_m.rmse:.3f} m"))
-    cells = "".join(f"<div><dt>{what}</dt><dd>{value}</dd></div>" for what, value in facts)
-    return f'<dl class="facts">{cells}</dl>\n'
+    return facts
 
 
 def _duration(seconds: float) -> str:
@@ -231,32 +223,26 @@ def _duration(seconds: float) -> str:
     return f"{minutes} min {rest:02d} s" if minutes else f"{seconds:.1f} s"
 
 
-def _warnings(warnings: Sequence[str]) -> str:
-    """The warnings, above everything that they may put in doubt."""
-    if not warnings:
-        return ""
-    lines = "".join(f"<li>{escape(warning)}</li>" for warning in warnings)
-    return f'<section class="warnings"><h2>Warnings</h2><ul>{lines}</ul></section>\n'
-
-
-def _map(data: ReportData) -> str:
-    """The map with trajectory and accepted loops drawn in."""
+def _map(data: ReportData) -> dict[str, Any]:
+    """The map with trajectory and accepted loops drawn in, and what it was made of."""
     accepted = [(*loop.xy_from, *loop.xy_to) for loop in data.loops if loop.accepted]
-    loops_xyxy = np.asarray(accepted, dtype=np.float64).reshape(-1, 4)
     picture = data.map_picture
-    png = report_figures.map_png(
-        data.trajectory_m[:, :2],
-        loops_xyxy,
-        image=None if picture is None else picture.image,
-        resolution_m=1.0 if picture is None else picture.resolution_m,
-        origin_xy=(0.0, 0.0) if picture is None else picture.origin_xy,
-    )
-    above = image(png, "map with trajectory and accepted loops")
-    if data.spatial and len(data.trajectory_m):
-        return section("Trajectory from above and from the side", above + side_view(data.trajectory_m))
-    if picture is None:
-        return section("Trajectory", above)
-    return section("Map", paragraph(_map_legend(picture)) + above + _layers(data.layers, picture))
+    from_side = data.spatial and len(data.trajectory_m) > 0
+    title = "Trajectory from above and from the side" if from_side else "Trajectory"
+    shows_map = picture is not None and not from_side
+    return {
+        "map_title": "Map" if shows_map else title,
+        "map_legend": _map_legend(picture) if shows_map and picture is not None else "",
+        "map_png": report_figures.map_png(
+            data.trajectory_m[:, :2],
+            np.asarray(accepted, dtype=np.float64).reshape(-1, 4),
+            image=None if picture is None else picture.image,
+            resolution_m=1.0 if picture is None else picture.resolution_m,
+            origin_xy=(0.0, 0.0) if picture is None else picture.origin_xy,
+        ),
+        "side_png": side_png(data.trajectory_m) if from_side else None,
+        "layers": _layers(data.layers, picture) if shows_map and picture is not None else [],
+    }
 
 
 def _map_legend(picture: MapPicture) -> str:
@@ -274,54 +260,36 @@ def _map_legend(picture: MapPicture) -> str:
     )
 
 
-def _layers(layers: Mapping[str, MapPicture], decision: MapPicture) -> str:
-    """What the map was made of, in small."""
-    if not layers:
-        return ""
+def _layers(layers: Mapping[str, MapPicture], decision: MapPicture) -> list[tuple[str, str, bytes]]:
+    """Name, legend and small picture of what the map was made of."""
     window = report_figures.known_window(decision.image)
-    figures = "".join(
-        f"<figure>{image(report_figures.small_map_png(layer.image[window]), f'{name} layer')}"
-        f"<figcaption>{escape(_LAYER_LEGENDS[name])}</figcaption></figure>\n"
+    return [
+        (name, _LAYER_LEGENDS[name], report_figures.small_map_png(layer.image[window]))
         for name, layer in layers.items()
-    )
-    return f'<div class="layers">{figures}</div>\n'
+    ]
 
 
-def _scores(data: ReportData) -> str:
-    """How well the scans fitted, and what each of them cost; how frames fitted is told by camera."""
-    times = image(
-        report_figures.times_png(data.scan_times_s, data.unit), f"time a {data.unit}", css_class="plot"
-    )
-    if data.unit == "frame":
-        return section("Time a frame", times)
-    png = report_figures.scores_png(
-        data.keyframe_stamps_s, data.inlier_share, data.residual_m, data.degenerate
-    )
-    degenerate = int(np.count_nonzero(data.degenerate))
-    count = data.degenerate.size
-    share = f"{degenerate:,} of {count:,} matches left a direction undetermined; " if count else ""
-    text = f"<p>{share}such a direction is inflated in the graph, not trusted.</p>" if degenerate else ""
-    plots = image(png, "match scores over the log", css_class="plot")
-    return section("Scan matching", text + plots + times)
-
-
-def _loops(loops: Sequence[LoopRow]) -> Iterator[str]:
-    """Every candidate: accepted ones in sight, refused ones folded, with their reasons counted."""
-    accepted = [loop for loop in loops if loop.accepted]
-    refused = [loop for loop in loops if not loop.accepted]
-    yield f"<section><h2>Loops</h2><p>{len(accepted):,} accepted, {len(refused):,} refused.</p>\n"
-    if accepted:
-        rows = (_score_cells(loop) for loop in accepted)
-        all_rows = table(("from", "to", "apart", "score", "threshold"), rows, css_class="numbers")
-        many = len(accepted) > _MAX_OPEN_ROWS
-        yield folded(f"show the {len(accepted):,} accepted loops", all_rows) if many else all_rows
-    if refused:
-        reasons = Counter(loop.reason for loop in refused).most_common()
-        yield table(("refused because", "loops"), ((reason, f"{count:,}") for reason, count in reasons))
-        rows = ((*_score_cells(loop), loop.reason) for loop in refused)
-        all_rows = table(("from", "to", "apart", "score", "threshold", "reason"), rows, css_class="numbers")
-        yield folded(f"show the {len(refused):,} refused loops", all_rows)
-    yield "</section>\n"
+def _plots(data: ReportData) -> dict[str, bytes | None]:
+    """How well the scans fitted (how frames fitted is told by camera), what each cost; cloud and truth."""
+    cloud, scores = data.cloud, None
+    if data.unit == "scan":
+        scores = report_figures.scores_png(
+            data.keyframe_stamps_s, data.inlier_share, data.residual_m, data.degenerate
+        )
+    return {
+        "scores_png": scores,
+        "times_png": report_figures.times_png(data.scan_times_s, data.unit),
+        "truth_png": None if data.truth is None else truth_png(data.truth, spatial=data.spatial),
+        "cloud_png": None
+        if cloud is None
+        else report_figures.map_png(
+            cloud.path_xy,
+            np.empty((0, 4)),
+            image=cloud.image,
+            resolution_m=cloud.resolution_m,
+            origin_xy=cloud.origin_xy,
+        ),
+    }
 
 
 def _score_cells(loop: LoopRow) -> tuple[str, ...]:
@@ -329,14 +297,3 @@ def _score_cells(loop: LoopRow) -> tuple[str, ...]:
     apart_m = float(np.hypot(loop.xy_from[0] - loop.xy_to[0], loop.xy_from[1] - loop.xy_to[1]))
     numbers = (f"{value:.3f}" if np.isfinite(value) else "–" for value in (loop.score, loop.threshold))
     return (str(loop.from_keyframe), str(loop.to_keyframe), f"{apart_m:.2f} m", *numbers)
-
-
-def _stages(times_s: Mapping[str, float]) -> str:
-    """Stage times with a bar each, relative to the longest."""
-    longest = max(times_s.values(), default=0.0) or 1.0
-    rows = "".join(
-        f'<tr><td>{escape(stage)}</td><td>{seconds:,.2f} s</td><td class="bar">'
-        f'<i style="width:{100.0 * max(seconds, 0.0) / longest:.1f}%"></i></td></tr>'
-        for stage, seconds in times_s.items()
-    )
-    return f'<table class="bars"><tbody>{rows}</tbody></table>' if rows else ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +76,7 @@ def evaluate(
     relative = relative_error(poses, truth, delta=delta_m, unit="metres", max_difference_s=limit_s)
     return {
         "ate": absolute_error(poses, truth, max_difference_s=limit_s).to_dict(),
-        "rpe": None if relative is None else relative.to_dict(),
+        "rpe": None if relative is None else asdict(relative),
     }
 
 

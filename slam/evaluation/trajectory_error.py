@@ -5,10 +5,11 @@ J. Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 20
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from slam.errors import EvaluationError
 from slam.evaluation.association import nearest_indices
@@ -49,13 +50,7 @@ class AbsoluteError:
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {
-            "count": self.count,
-            "alignment": self.alignment,
-            "T_reference_map": self.T_reference_map.tolist(),
-            "translation_m": self.translation_m.to_dict(),
-            "rotation_rad": self.rotation_rad.to_dict(),
-        }
+        return asdict(self) | {"T_reference_map": self.T_reference_map.tolist()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,16 +72,6 @@ class RelativeError:
     unit: DeltaUnit
     translation_m: ErrorStatistics
     rotation_rad: ErrorStatistics
-
-    def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return {
-            "count": self.count,
-            "delta": self.delta,
-            "unit": self.unit,
-            "translation_m": self.translation_m.to_dict(),
-            "rotation_rad": self.rotation_rad.to_dict(),
-        }
 
 
 def associate(
@@ -135,16 +120,16 @@ def absolute_error(
     T_reference_map = np.eye(4)
     if alignment == "se3":
         T_reference_map = umeyama(estimate.positions_m, truth.positions_m)
-    rotation = T_reference_map[:3, :3]
-    positions = estimate.positions_m @ rotation.T + T_reference_map[:3, 3]
-    rotations = rotation @ _rotation_matrices(estimate.quaternions_xyzw)
-    difference = rotations.transpose(0, 2, 1) @ _rotation_matrices(truth.quaternions_xyzw)
+    rotation = Rotation.from_matrix(T_reference_map[:3, :3])
+    positions = rotation.apply(estimate.positions_m) + T_reference_map[:3, 3]
+    turned = rotation * Rotation.from_quat(estimate.quaternions_xyzw)
+    difference = turned.inv() * Rotation.from_quat(truth.quaternions_xyzw)
     return AbsoluteError(
         count=len(estimate),
         alignment=alignment,
         T_reference_map=T_reference_map,
         translation_m=ErrorStatistics.of(np.linalg.norm(positions - truth.positions_m, axis=1)),
-        rotation_rad=ErrorStatistics.of(_rotation_angles(difference)),
+        rotation_rad=ErrorStatistics.of(np.asarray(difference.magnitude())),
     )
 
 
@@ -188,7 +173,7 @@ def relative_error(
         delta=float(delta),
         unit=unit,
         translation_m=ErrorStatistics.of(np.linalg.norm(moved - moved_truth, axis=1)),
-        rotation_rad=ErrorStatistics.of(_rotation_angles(turned_truth.transpose(0, 2, 1) @ turned)),
+        rotation_rad=ErrorStatistics.of(np.asarray((turned_truth.inv() * turned).magnitude())),
     )
 
 
@@ -252,34 +237,9 @@ def _pairs_by_path(positions_m: FloatArray, delta_m: float, all_pairs: bool) -> 
     return np.array(starts, dtype=np.intp), np.array(ends, dtype=np.intp)
 
 
-def _motions(trajectory: Trajectory, starts: Any, ends: Any) -> tuple[FloatArray, FloatArray]:
-    """inverse(start) * end: translations (N, 3) and rotations (N, 3, 3)."""
-    rotations = _rotation_matrices(trajectory.quaternions_xyzw)
-    back = rotations[starts].transpose(0, 2, 1)
+def _motions(trajectory: Trajectory, starts: Any, ends: Any) -> tuple[FloatArray, Rotation]:
+    """inverse(start) * end: translations (N, 3) and N rotations."""
+    rotations = Rotation.from_quat(trajectory.quaternions_xyzw)
+    back = rotations[starts].inv()
     moved = trajectory.positions_m[ends] - trajectory.positions_m[starts]
-    return np.einsum("nij,nj->ni", back, moved), back @ rotations[ends]
-
-
-def _rotation_matrices(quaternions_xyzw: FloatArray) -> FloatArray:
-    """(N, 3, 3) from (N, 4), brought to unit length."""
-    x, y, z, w = (quaternions_xyzw / np.linalg.norm(quaternions_xyzw, axis=1, keepdims=True)).T
-    rows = [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-        [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-    ]
-    return np.array(rows).transpose(2, 0, 1)
-
-
-def _rotation_angles(rotations: FloatArray) -> FloatArray:
-    """Angles in [0, pi] of (N, 3, 3) rotations, exact near zero and near a half turn."""
-    skew = np.stack(
-        [
-            rotations[:, 2, 1] - rotations[:, 1, 2],
-            rotations[:, 0, 2] - rotations[:, 2, 0],
-            rotations[:, 1, 0] - rotations[:, 0, 1],
-        ],
-        axis=1,
-    )
-    angles: FloatArray = np.arctan2(np.linalg.norm(skew, axis=1), np.trace(rotations, axis1=1, axis2=2) - 1.0)
-    return angles
+    return back.apply(moved), back * rotations[ends]

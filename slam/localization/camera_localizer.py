@@ -16,8 +16,8 @@ from slam.localization.output import LocalizerOutput, PoseHypothesis, RecoveredP
 from slam.localization.pose_smoother import PoseSmoother, squared_sigmas
 from slam.localization.visual_locator import VisualLocator
 from slam.measurements import FloatArray, Pose
-from slam.odometry.rgbd_odometry import make_rgbd_odometry
 from slam.odometry.rgbd_tracker import RgbdTracker
+from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualMatch
 
@@ -61,7 +61,7 @@ class CameraLocalizer:
         self._config = config.localization
         self._gate = config.localization.gate_sigmas**2
         self._depth_share = config.rgbd_odometry.keyframe_parallax
-        self._odometry = RgbdTracker(make_rgbd_odometry(config.rgbd_odometry), config.rgbd_odometry)
+        self._odometry = RgbdTracker(FrameMatcher(config.rgbd_odometry), config.rgbd_odometry)
         self._segment = 0
         self._loss = LossTest(config.localization)
         self._state = State.SEARCHING

@@ -11,8 +11,8 @@ from slam.config import Config
 from slam.localization.scan_view import ScanView
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, WheelOdometry
-from slam.odometry import make_lidar_odometry
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
+from slam.odometry.surfel_odometry import SurfelOdometry
 from slam.odometry.wheel_tracker import WheelTracker
 
 # So many scans in a row that match nothing cut the thread: wheels do not tell that a robot is carried.
@@ -101,7 +101,7 @@ class ScanOdometry:
     def _new_tracker(self) -> MotionTracker:
         """A new odometry frame."""
         config = self._config
-        odometry = make_lidar_odometry(config.lidar_odometry, config.match)
+        odometry = SurfelOdometry(config.lidar_odometry, config.match)
         return MotionTracker(odometry, self._wheels, config.prediction, config.match)
 
     def _is_cut(self, last: TrackedScan, tracked: TrackedScan, elapsed_s: float) -> bool:

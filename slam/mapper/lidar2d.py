@@ -29,7 +29,7 @@ from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import between
 from slam.matching.scan_points import ScanPoints, extract_points
 from slam.measurements import LaserScan, Pose, WheelOdometry, pose2_from_row, row_from_pose2
-from slam.odometry import make_lidar_odometry
+from slam.odometry import STANDARD, Odometries
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
 from slam.odometry.remembered_odometry import RememberedOdometry
 from slam.odometry.wheel_tracker import WheelTracker
@@ -59,12 +59,13 @@ class PlanarRobot:
         journal: Journal | None = None,
         registrations: Mapping[str, ColorRegistration] | None = None,
         mountings: Mapping[str, LearnedMounting] | None = None,
+        odometries: Odometries = STANDARD,
     ) -> None:
         self.readings = Readings()
         journal, registrations = journal or Journal(), registrations or {}
         self._config, self._registrations = config, registrations
         self._wheels = WheelTracker(config.wheels) if config.lidar_odometry.use_wheel_odometry else None
-        odometry = RememberedOdometry(make_lidar_odometry(config.lidar_odometry, config.match), journal)
+        odometry = RememberedOdometry(odometries.lidar(config), journal)
         self._tracker = MotionTracker(odometry, self._wheels, config.prediction, config.match)
         self._cameras = RobotCameras(config.rgbd_odometry, config.sensors, mountings or {}, answers=journal)
         self._chain = PlanarChain(config, self._tracker, self._wheels, self._cameras)

@@ -17,6 +17,7 @@ from slam.mapper.protocol import FrontEnd
 from slam.mapper.rgbd import FreeCamera
 from slam.mapper.sensor_choice import SensorChoice, used_measurements
 from slam.measurements import Measurement
+from slam.odometry import STANDARD, Odometries
 from slam.vision.ahead import prepared_ahead
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame
@@ -28,6 +29,7 @@ def build_map(
     config: Config,
     on_scan: Callable[[int], None] | None = None,
     journal: Journal | None = None,
+    odometries: Odometries = STANDARD,
 ) -> MapResult:
     """Run the whole log through the mapper.
 
@@ -41,6 +43,8 @@ def build_map(
         Called with the number of scans and frames so far, for a progress bar.
     journal
         Keeps what a run finds out, so that it can go on where it was interrupted; None keeps nothing.
+    odometries
+        What makes the odometries; `slam.comparison.methods` has others.
 
     Raises
     ------
@@ -56,12 +60,12 @@ def build_map(
     prepare = None
     if choice.cameras:
         prepare = FramePreparer(config.rgbd, registrations, lambda: journal.replaying)
-    mapper = Mapper(config, _front_end(choice, config, journal, registrations, mountings))
+    mapper = Mapper(config, _front_end(choice, config, journal, registrations, mountings, odometries))
     _feed(mapper, dataset, config, prepare, on_scan)
     if not mountings and (mountings := mapper.learned_mountings()):
         # The way up to there was mapped without these cameras; now they are known from its beginning.
         journal.begin_again(registrations, mountings)
-        mapper = Mapper(config, PlanarRobot(config, journal, registrations, mountings))
+        mapper = Mapper(config, PlanarRobot(config, journal, registrations, mountings, odometries))
         _feed(mapper, dataset, config, prepare, on_scan)
     return mapper.finish()
 
@@ -72,13 +76,14 @@ def _front_end(
     journal: Journal,
     registrations: Mapping[str, ColorRegistration],
     mountings: Mapping[str, LearnedMounting],
+    odometries: Odometries,
 ) -> FrontEnd:
     """The sensor that leads."""
     if choice.cloud:
         return CloudLidar(config, journal, registrations)
     if choice.spatial:
-        return FreeCamera(config, journal, registrations)
-    return PlanarRobot(config, journal, registrations, mountings)
+        return FreeCamera(config, journal, registrations, odometries)
+    return PlanarRobot(config, journal, registrations, mountings, odometries)
 
 
 def _feed(

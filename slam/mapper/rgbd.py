@@ -20,7 +20,7 @@ from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.protocol import Products, Tracked
 from slam.mapper.scan_record import CameraRecord, ScanRecord
 from slam.measurements import Pose, spatial
-from slam.odometry.rgbd_odometry import make_rgbd_odometry
+from slam.odometry import STANDARD, Odometries
 from slam.odometry.rgbd_tracker import RgbdTracker, TrackedFrame
 from slam.trajectory.readings import Readings
 from slam.vision.camera_frame import T_BODY_CAMERA
@@ -38,11 +38,15 @@ class FreeCamera:
     """
 
     def __init__(
-        self, config: Config, journal: Journal, registrations: Mapping[str, ColorRegistration]
+        self,
+        config: Config,
+        journal: Journal,
+        registrations: Mapping[str, ColorRegistration],
+        odometries: Odometries = STANDARD,
     ) -> None:
         self.readings = Readings()
         self._registrations = registrations
-        self._tracker = RgbdTracker(make_rgbd_odometry(config.rgbd_odometry), config.rgbd_odometry, journal)
+        self._tracker = RgbdTracker(odometries.rgbd(config), config.rgbd_odometry, journal)
         cached = config.visual_loops.keyframes_cached
         self._store = KeyframeStore(config.rgbd, cached, journal.spool())
         matcher = FrameMatcher(config.rgbd_odometry)

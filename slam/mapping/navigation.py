@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
 import math
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -10,17 +9,19 @@ from typing import TypeAlias
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
+from scipy import ndimage, sparse
+from scipy.sparse import csgraph
 
-from fusion.kernel import kernel
 from slam.errors import ScanweaveError
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, StateArray
 from slam.measurements import BoolArray, FloatArray
 
 Labels: TypeAlias = NDArray[np.int32]
+CellNumbers: TypeAlias = NDArray[np.int64]
 Cell: TypeAlias = tuple[int, int]
 
 _EDGES = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]])
+_NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))  # the other four are these, walked backward
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +135,14 @@ def shortest_path(
     start, goal = _free_cell(space, start_xy, "start"), _free_cell(space, goal_xy, "goal")
     if space.region[start] != space.region[goal]:
         return None
-    cells = _search(space.allowed, start[0], start[1], goal[0], goal[1])
+    here = space.region == space.region[start]
+    nodes = np.where(here, np.cumsum(here).reshape(here.shape) - 1, -1)
+    ends = int(nodes[start]), int(nodes[goal])
+    graph = step_graph(nodes, np.ones(nodes.shape))
+    before = csgraph.dijkstra(graph, indices=[ends[0]], return_predecessors=True)[1]
+    way = chain(before[0], *ends)
+    assert way is not None  # of one region
+    cells = np.argwhere(here)[way]
     points = space.middle_of(cells)
     length_m = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
     return Path(points, length_m, float(clearance[cells[:, 0], cells[:, 1]].min()))
@@ -154,55 +162,42 @@ def _free_cell(space: FreeSpace, xy: tuple[float, float], what: str) -> Cell:
     return row, col
 
 
-@kernel
-def _search(
-    allowed: BoolArray, start_row: int, start_col: int, goal_row: int, goal_col: int
-) -> NDArray[np.int64]:
-    """A* from start to goal, (N, 2) rows and columns; (0, 2) where no way leads."""
-    rows, cols = allowed.shape
-    start, goal = start_row * cols + start_col, goal_row * cols + goal_col
-    cost = np.full(rows * cols, np.inf, np.float32)
-    before = np.full(rows * cols, -1, np.int32)
-    done = np.zeros(rows * cols, np.bool_)
-    cost[start] = 0.0
-    queue = [(0.0, start)]
-    while len(queue) > 0:
-        _, cell = heapq.heappop(queue)
-        if done[cell]:
-            continue
-        done[cell] = True
-        if cell == goal:
-            break
-        row, col = cell // cols, cell % cols
-        for down in range(-1, 2):
-            for right in range(-1, 2):
-                r, c = row + down, col + right
-                if (down == 0 and right == 0) or r < 0 or c < 0 or r >= rows or c >= cols:
-                    continue
-                # No step over a corner: the robot would cut it, and the cells hang together by edges only.
-                if not (allowed[r, c] and allowed[row, c] and allowed[r, col]):
-                    continue
-                found = cost[cell] + (math.sqrt(2.0) if down != 0 and right != 0 else 1.0)
-                at = r * cols + c
-                if found < cost[at]:
-                    cost[at], before[at] = found, cell
-                    far, near = abs(r - goal_row), abs(c - goal_col)
-                    ahead = max(far, near) + (math.sqrt(2.0) - 1.0) * min(far, near)
-                    heapq.heappush(queue, (found + ahead, at))
-    return _chain(before, start, goal, cols)
+def step_graph(nodes: CellNumbers, price: FloatArray, *, over_corners: bool = False) -> sparse.csr_array:
+    """Costs of the steps between neighbouring cells, symmetric, (nodes, nodes).
+
+    Parameters
+    ----------
+    nodes
+        (rows, cols) number of each cell where the robot's centre may be, -1 elsewhere.
+    price
+        (rows, cols) cost of crossing a cell, edge to edge.
+    over_corners
+        Whether a diagonal step may have a cell beside it where the centre may not be.
+    """
+    rows, columns = nodes.shape
+    starts, ends, costs = [], [], []
+    for down, right in _NEIGHBOURS:
+        left, shift = max(0, -right), max(0, right)
+        here = (slice(0, rows - down), slice(left, columns - shift))
+        there = (slice(down, rows), slice(left + right, columns - shift + right))
+        free = (nodes[here] >= 0) & (nodes[there] >= 0)
+        if not over_corners:
+            free &= (nodes[here[0], there[1]] >= 0) & (nodes[there[0], here[1]] >= 0)
+        starts.append(nodes[here][free])
+        ends.append(nodes[there][free])
+        costs.append(0.5 * math.hypot(down, right) * (price[here] + price[there])[free])
+    count = int(nodes.max(initial=-1)) + 1
+    start, end, cost = np.concatenate(starts), np.concatenate(ends), np.concatenate(costs)
+    both_ways = (np.concatenate([start, end]), np.concatenate([end, start]))
+    return sparse.csr_array((np.concatenate([cost, cost]), both_ways), shape=(count, count))
 
 
-@kernel
-def _chain(before: Labels, start: int, goal: int, cols: int) -> NDArray[np.int64]:
-    """The cells from start to goal."""
-    count, cell = 1, goal
-    while cell != start and cell >= 0:
-        cell = before[cell]
-        count += 1
-    cells = np.empty((count if cell == start else 0, 2), np.int64)
-    if cell == start:
-        cell = goal
-        for place in range(count - 1, -1, -1):
-            cells[place, 0], cells[place, 1] = cell // cols, cell % cols
-            cell = before[cell]
-    return cells
+def chain(before: NDArray[np.integer], start: int, end: int) -> CellNumbers | None:
+    """The nodes from start to end by `csgraph`'s predecessors (nodes,); None where no way leads."""
+    found = [end]
+    while found[-1] != start:
+        previous = int(before[found[-1]])
+        if previous < 0:
+            return None
+        found.append(previous)
+    return np.array(found[::-1], dtype=np.int64)

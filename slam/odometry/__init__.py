@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from slam.config.stages import LidarOdometryConfig, MatchConfig
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from slam.config import Config
 from slam.odometry.lidar_odometry import LidarOdometry
+from slam.odometry.rgbd_odometry import RgbdOdometry
 from slam.odometry.surfel_odometry import SurfelOdometry
+from slam.vision.frame_matcher import FrameMatcher
 
 
-def make_lidar_odometry(config: LidarOdometryConfig, match: MatchConfig) -> LidarOdometry:
-    """The odometry that the configuration names."""
-    if config.method == "kiss_icp":
-        from slam.odometry.kiss_odometry import KissOdometry
+@dataclass(frozen=True)
+class Odometries:
+    """What makes the odometries of a run; a comparison puts other methods in their place."""
 
-        return KissOdometry(config, match)
-    return SurfelOdometry(config, match)
+    lidar: Callable[[Config], LidarOdometry] = lambda config: SurfelOdometry(
+        config.lidar_odometry, config.match
+    )
+    rgbd: Callable[[Config], RgbdOdometry] = lambda config: FrameMatcher(config.rgbd_odometry)
+
+
+STANDARD = Odometries()

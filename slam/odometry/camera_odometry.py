@@ -9,8 +9,8 @@ from slam.answers import COMPUTED, Answers
 from slam.config.stages import RgbdOdometryConfig
 from slam.measurements import FloatArray
 from slam.odometry.camera_track import CameraPose, CameraTrack
-from slam.odometry.rgbd_odometry import make_rgbd_odometry
 from slam.odometry.rgbd_tracker import RgbdTracker, TrackedFrame
+from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.prepared_frame import PreparedFrame
 
 
@@ -18,7 +18,7 @@ class CameraOdometry:
     """Tracks a camera's frames and remembers where they were taken."""
 
     def __init__(self, config: RgbdOdometryConfig, answers: Answers = COMPUTED) -> None:
-        self._tracker = RgbdTracker(make_rgbd_odometry(config), config, answers)
+        self._tracker = RgbdTracker(FrameMatcher(config), config, answers)
         self._segment = 0
         self.track = CameraTrack()
         self.lost_frames = 0

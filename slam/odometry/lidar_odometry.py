@@ -1,4 +1,4 @@
-"""What every lidar odometry offers, and the choice among them."""
+"""What every lidar odometry offers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every RGB-D odometry offers, and the choice among them."""
+"""What every RGB-D odometry offers."""
 
 from __future__ import annotations
 
@@ -6,9 +6,6 @@ from typing import Protocol
 
 import gtsam
 
-from slam.config.stages import RgbdOdometryConfig
-from slam.odometry.dense_odometry import DenseOdometry
-from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch
 
@@ -29,10 +26,3 @@ class RgbdOdometry(Protocol):
             Expected ``T_odom_camera``.
         """
         ...
-
-
-def make_rgbd_odometry(config: RgbdOdometryConfig) -> RgbdOdometry:
-    """The odometry that the configuration names."""
-    if config.method == "dense":
-        return DenseOdometry(config)
-    return FrameMatcher(config, use_surfaces=config.method == "joint")

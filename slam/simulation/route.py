@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
+from slam.mapping.navigation import chain, step_graph
 from slam.measurements import BoolArray, FloatArray
 
 IntArray = NDArray[np.int64]
 
-_NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))  # the other four are these, walked backward
 _FEAR = 12.0  # how many times dearer a metre along a wall is than one in the open
 _SMOOTHING_M = 0.15
 
@@ -89,26 +89,9 @@ def floor_map(
     nodes = np.full(free.shape, -1, dtype=np.int64)
     nodes[free] = np.arange(np.count_nonzero(free))
     short = np.clip(preferred_m - clearance, 0.0, None) / (preferred_m - required_m)
-    graph = _step_costs(nodes, resolution_m * (1.0 + _FEAR * np.square(short)))
+    price = resolution_m * (1.0 + _FEAR * np.square(short))
+    graph = step_graph(nodes, price, over_corners=True)
     return FloorMap(clearance, resolution_m, origin_xy, required_m, preferred_m, nodes, graph)
-
-
-def _step_costs(nodes: IntArray, price: FloatArray) -> sparse.csr_array:
-    """Costs of the steps between neighbouring free cells, symmetric; ``price`` is that of crossing a cell."""
-    rows, columns = nodes.shape
-    starts, ends, costs = [], [], []
-    for down, right in _NEIGHBOURS:
-        left, shift = max(0, -right), max(0, right)
-        here = (slice(0, rows - down), slice(left, columns - shift))
-        there = (slice(down, rows), slice(left + right, columns - shift + right))
-        both = (nodes[here] >= 0) & (nodes[there] >= 0)
-        starts.append(nodes[here][both])
-        ends.append(nodes[there][both])
-        costs.append(0.5 * np.hypot(down, right) * (price[here] + price[there])[both])
-    count = int(nodes.max(initial=-1)) + 1
-    start, end, cost = np.concatenate(starts), np.concatenate(ends), np.concatenate(costs)
-    both_ways = (np.concatenate([start, end]), np.concatenate([end, start]))
-    return sparse.csr_array((np.concatenate([cost, cost]), both_ways), shape=(count, count))
 
 
 def cheapest_ways(floor: FloorMap, stops: Sequence[int]) -> tuple[FloatArray, list[list[IntArray | None]]]:
@@ -129,19 +112,8 @@ def cheapest_ways(floor: FloorMap, stops: Sequence[int]) -> tuple[FloatArray, li
     costs, before = csgraph.dijkstra(floor.graph, indices=list(stops), return_predecessors=True)
     ways: list[list[IntArray | None]] = []
     for index, start in enumerate(stops):
-        ways.append([_way(before[index], start, end) for end in stops])
+        ways.append([chain(before[index], start, end) for end in stops])
     return costs[:, list(stops)], ways
-
-
-def _way(before: IntArray, start: int, end: int) -> IntArray | None:
-    """The chain of predecessors, turned round."""
-    chain = [end]
-    while chain[-1] != start:
-        previous = int(before[chain[-1]])
-        if previous < 0:
-            return None
-        chain.append(previous)
-    return np.array(chain[::-1], dtype=np.int64)
 
 
 def smooth_path(floor: FloorMap, points_m: FloatArray, spacing_m: float) -> FloatArray:

@@ -23,7 +23,11 @@ _LIBRARIES = ("scanweave", "gtsam", "numpy", "numba", "scipy", "kiss-icp", "open
 _IMAGES = frozenset({".png", ".jpg", ".jpeg", ".pgm", ".ppm"})
 _BLOCK = 1 << 20
 # Sections and settings that earlier versions had: what they decided is in the map.
-_RETIRED = frozenset({"bundle", "localization.lag_nodes"})
+_RETIRED = frozenset(
+    {"bundle", "localization.lag_nodes", "lidar_odometry.method", "rgbd_odometry.method"}
+    | {f"lidar_odometry.kiss_{name}" for name in ("voxel_m", "map_radius_m", "correspondence_m", "kernel_m")}
+    | {"lidar_odometry.kiss_points_a_voxel"}
+)
 # What a run leaves in the folder of its log where it is told to write there.
 _OUTPUTS = frozenset(
     {f"{MAP_NAME}{ending}" for ending in ("", "-wal", "-shm", "-journal")}

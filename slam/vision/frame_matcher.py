@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import gtsam
 import numpy as np
 
@@ -21,11 +19,10 @@ _POINTS_A_FEATURE = 10.0
 
 
 class FrameMatcher:
-    """Stateless but for its settings; without surfaces it is Yang2021's ORB odometry, Eq. (1)-(6)."""
+    """Stateless but for its settings."""
 
-    def __init__(self, config: RgbdOdometryConfig, *, use_surfaces: bool = True) -> None:
+    def __init__(self, config: RgbdOdometryConfig) -> None:
         self._config = config
-        self._use_surfaces = use_surfaces
         self._settings = AlignmentSettings(
             iterations=config.iterations,
             coarse_iterations=config.coarse_iterations,
@@ -33,7 +30,7 @@ class FrameMatcher:
             gate_m=config.gate_m,
             depth_floor_m=config.depth_floor_m,
             depth_share=config.depth_share,
-            correlated_points=config.correlated_points if use_surfaces else math.inf,
+            correlated_points=config.correlated_points,
             correlated_features=config.correlated_features,
         )
 
@@ -122,11 +119,8 @@ class FrameMatcher:
 
     def _share(self, alignment: JointAlignment) -> float:
         """Agreeing readings over all that met a partner."""
-        agree = _POINTS_A_FEATURE * alignment.feature_count
-        met = _POINTS_A_FEATURE * alignment.feature_pairs
-        if self._use_surfaces:
-            agree += alignment.point_count
-            met += alignment.point_pairs
+        agree = _POINTS_A_FEATURE * alignment.feature_count + alignment.point_count
+        met = _POINTS_A_FEATURE * alignment.feature_pairs + alignment.point_pairs
         return agree / met if met > 0.0 else 0.0
 
     def _judge(self, alignment: JointAlignment) -> VisualMatch | None:

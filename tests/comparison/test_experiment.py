@@ -34,7 +34,7 @@ def test_data_sets_times_configurations_times_seeds(tmp_path: Path) -> None:
                 {"name": "one", "overrides": {"loops.enabled": False}},
                 {"name": "swept", "sweep": {"grid.resolution_m": [0.05, 0.1], "loops.reach_m": [2, 3.5]}},
             ],
-            "baselines": ["wheels", "no_loops"],
+            "baselines": ["wheels", "no_loops", "kiss_matching"],
             "common": {"keyframes.distance_m": 0.3},
             "seeds": [3, 4],
         },
@@ -42,6 +42,8 @@ def test_data_sets_times_configurations_times_seeds(tmp_path: Path) -> None:
     ours = [run for run in made.runs if run.method == "scanweave"]
     assert len(ours) == (1 + 4 + 1) * 2 * 2
     assert len([run for run in made.runs if run.method == "wheels"]) == 2  # no seed decides it
+    by_kiss = [run for run in made.runs if run.method == "kiss_matching"]
+    assert len(by_kiss) == 2 * 2 and all('"distance_m":0.3' in run.config for run in by_kiss)
     assert len({run.key for run in made.runs}) == len(made.runs)
     assert {run.dataset for run in made.runs} == {"a", "second"}
     configs = {(run.configuration, run.seed): json.loads(run.config) for run in ours}

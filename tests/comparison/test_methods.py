@@ -9,10 +9,13 @@ import gtsam
 import numpy as np
 import pytest
 
-from slam.comparison.methods import kiss_icp, open3d, wheels
-from slam.datasets import ReadReport
+from slam.comparison.methods import ODOMETRIES, by_odometry, kiss_icp, open3d, wheels
+from slam.comparison.run import OTHER_ODOMETRY
+from slam.config import Config
+from slam.datasets import ReadReport, open_dataset
 from slam.errors import DatasetError
 from slam.measurements import CameraIntrinsics, LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
+from slam.simulation.synthetic_log import write_synthetic_log
 
 MOUNT = gtsam.Pose2(0.3, 0.1, np.pi / 2.0)
 STEP_M = 0.05
@@ -92,3 +95,11 @@ def test_a_log_without_its_sensor_is_named(
 ) -> None:
     with pytest.raises(DatasetError, match=f"drawn holds no .*'{method.__name__}'"):
         method(Drawn([]))
+
+
+def test_our_mapper_runs_by_the_odometry_of_others(tmp_path: Path) -> None:
+    """It closes loops and draws a plan as ever; only the motion is told by another."""
+    assert set(ODOMETRIES) == OTHER_ODOMETRY
+    log = write_synthetic_log(tmp_path, seed=1, duration_s=10.0)
+    made = by_odometry(open_dataset(log.log_path), Config(), ODOMETRIES["kiss_matching"])
+    assert made.plane is not None and made.loops is not None and len(made.keyframe_stamps_s) > 5

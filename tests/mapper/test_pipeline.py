@@ -20,12 +20,14 @@ from pipeline_runs import (
     wheel_rows,
 )
 
+from slam.comparison.methods import ODOMETRIES
 from slam.config import Config
 from slam.datasets import open_dataset
 from slam.evaluation.relations import RelationGroupScore, read_relations, score_relations
 from slam.evaluation.trajectory_error import absolute_error
 from slam.graph.pose_graph import EdgeKind
 from slam.mapper.map_result import MapResult
+from slam.mapper.pipeline import build_map
 from slam.mapping.occupancy_grid import FREE, OCCUPIED
 from slam.matching.planar import between
 from slam.measurements import row_from_pose2 as row_of
@@ -118,7 +120,7 @@ class TestSynthetic:
         assert errors_m(result, long_log.truth.to_planar()).max() < 0.05
 
     def test_kiss_icp(self, long_log: SyntheticLog) -> None:
-        result = run(long_log.log_path, "lidar_odometry.method=kiss_icp")
+        result = build_map(open_dataset(long_log.log_path), Config(), odometries=ODOMETRIES["kiss_matching"])
         assert errors_m(result, long_log.truth.to_planar()).max() < 0.1
         # It is another method, not the default one under another name.
         assert (

@@ -123,9 +123,6 @@ class TestTheSameMap:
     def test_lidar(self, lidar_log: Log, tmp_path: Path) -> None:
         assert_resumes(lidar_log, tmp_path, 1, 100, 100, 250)
 
-    def test_lidar_by_kiss_icp(self, lidar_log: Log, tmp_path: Path) -> None:
-        assert_resumes(lidar_log, tmp_path, 150, settings=("lidar_odometry.method=kiss_icp",))
-
     def test_lidar_and_camera(self, drive: list[Measurement], tmp_path: Path) -> None:
         few = (
             "keyframes.distance_m=0.05",

@@ -13,8 +13,10 @@ import pytest
 from flat_worlds import box, moved
 from memory_drives import errors, mapped_drive, scans_along, way, worst_m
 
+from slam.comparison.methods import ODOMETRIES
 from slam.mapper.map_result import MapResult
 from slam.measurements import FloatArray, LaserScan
+from slam.odometry import STANDARD, Odometries
 
 ODOM = (5.0, 1.0, -2.0)  # where the wheels' frame happens to begin
 BEAMS = 361
@@ -130,16 +132,16 @@ class TestWheelsThatHadLostTheirSign:
     BEFORE, GAP, AFTER = 50, 12, 30
 
     @pytest.mark.parametrize(
-        ("method", "step_m", "turn_rad"),
+        ("odometries", "step_m", "turn_rad"),
         [
-            ("surfel", 0.12, 1.2),
-            ("surfel", 0.12, 1.6),
-            ("surfel", 0.15, 1.6),
-            ("kiss_icp", 0.12, 1.2),
-            ("kiss_icp", 0.12, 1.6),
+            (STANDARD, 0.12, 1.2),
+            (STANDARD, 0.12, 1.6),
+            (STANDARD, 0.15, 1.6),
+            (ODOMETRIES["kiss_matching"], 0.12, 1.2),
+            (ODOMETRIES["kiss_matching"], 0.12, 1.6),
         ],
     )
-    def test_the_wheels_tell_the_gap(self, method: str, step_m: float, turn_rad: float) -> None:
+    def test_the_wheels_tell_the_gap(self, odometries: Odometries, step_m: float, turn_rad: float) -> None:
         steps = np.tile([step_m, 0.0, 0.0], (self.BEFORE + self.GAP + self.AFTER, 1))
         steps[self.BEFORE : self.BEFORE + self.GAP, 2] = turn_rad / self.GAP
         by_wheels = steps.copy()
@@ -148,5 +150,5 @@ class TestWheelsThatHadLostTheirSign:
         scans = seen_along(truth, 2.5)
         for n in range(self.BEFORE + 1, self.BEFORE + self.GAP):
             scans[n] = nothing(scans[n])
-        result = mapped_drive(scans, way(ODOM, list(by_wheels)), f"lidar_odometry.method={method}")
+        result = mapped_drive(scans, way(ODOM, list(by_wheels)), odometries=odometries)
         assert worst_m(result, truth) < 0.1

@@ -1,4 +1,4 @@
-"""Dense RGB-D odometry by Open3D's multi-scale method (Park 2017), started from a guess or from ORB + PnP."""
+"""Dense RGB-D odometry by Open3D's multi-scale method (Park 2017), started from ORB (Yang2021) or a guess."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from slam.config.stages import RgbdOdometryConfig
+from slam.config import Config
 from slam.measurements import FloatArray, MotionEstimate
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.open3d_library import load_open3d
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch, covariance_of
 
+# So many surface points count as one reading that features alone decide: `rgbd_odometry.correlated_points`.
+POINTS_IGNORED = 1e9
 _ITERATIONS = (6, 4, 3)  # a level, coarse to fine
 _INTENSITY_SCALE = 0.1  # of the Huber kernel on brightness, 0..1
 # Open3D has rotation first as GTSAM has, but it counts every pixel as an independent reading of 1 m^-2.
@@ -25,9 +27,10 @@ _REACH_RAD, _REACH_M = 0.07, 0.13
 class DenseOdometry:
     """The nearest keyframe against the frame, surfaces and brightness; features alone where that fails."""
 
-    def __init__(self, config: RgbdOdometryConfig) -> None:
-        self._config = config
-        self._by_features = FrameMatcher(config, use_surfaces=False)
+    def __init__(self, config: Config) -> None:
+        self._config = config.rgbd_odometry
+        by_features = {"correlated_points": POINTS_IGNORED}
+        self._by_features = FrameMatcher(self._config.model_copy(update=by_features))
 
     def match(
         self, frame: PreparedFrame, local: list[VisualKeyframe], guess: gtsam.Pose3

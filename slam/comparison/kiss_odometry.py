@@ -1,4 +1,4 @@
-"""Lidar odometry on KISS-ICP's registration (Vizzo 2023), its map updated by keyframes only.
+"""Planar lidar odometry on KISS-ICP's registration (Vizzo 2023), its map updated by keyframes only.
 
 The stock pipeline updates its map with every scan and takes no guess; from its low-level parts, with a
 guess and keyframe-only updates, it is far more accurate on planar scans. Covariance and degeneracy are
@@ -12,13 +12,17 @@ from collections import deque
 
 import numpy as np
 
-from slam.config.stages import LidarOdometryConfig, MatchConfig
+from slam.config import Config
 from slam.matching.local_map import LocalMap, OrientedPoints, match_noise
 from slam.matching.match_covariance import motion_from_alignment
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import AnyFloatArray, FloatArray, MotionEstimate
 from slam.odometry.lidar_odometry import Guess
 
+# Of the voxel map: side of a voxel, what is forgotten, and points a voxel; of the pairs: how far apart, and
+# the scale of the robust kernel. KISS-ICP's defaults are for streets.
+_VOXEL_M, _MAP_RADIUS_M, _POINTS_A_VOXEL = 0.2, 60.0, 10
+_CORRESPONDENCE_M, _KERNEL_M = 0.3, 0.1
 _LEAST_POINTS = 10
 _ITERATIONS = 100
 _CONVERGED = 1e-5
@@ -27,22 +31,20 @@ _CONVERGED = 1e-5
 class KissOdometry:
     """Point-to-point registration against a voxel map of the keyframes."""
 
-    def __init__(self, config: LidarOdometryConfig, match: MatchConfig) -> None:
+    def __init__(self, config: Config) -> None:
         from kiss_icp.mapping import VoxelHashMap
         from kiss_icp.registration import Registration
 
-        self._config = config
-        self._match = match
-        self._noise = match_noise(match)
+        self._config = config.lidar_odometry
+        self._match = config.match
+        self._noise = match_noise(config.match)
         self._map = VoxelHashMap(
-            voxel_size=config.kiss_voxel_m,
-            max_distance=config.kiss_map_radius_m,
-            max_points_per_voxel=config.kiss_points_a_voxel,
+            voxel_size=_VOXEL_M, max_distance=_MAP_RADIUS_M, max_points_per_voxel=_POINTS_A_VOXEL
         )
         self._registration = Registration(
             max_num_iterations=_ITERATIONS, convergence_criterion=_CONVERGED, max_num_threads=1
         )
-        self._keyframes: deque[OrientedPoints] = deque(maxlen=config.local_map_keyframes)
+        self._keyframes: deque[OrientedPoints] = deque(maxlen=self._config.local_map_keyframes)
         self._local_map: LocalMap | None = None
 
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:
@@ -89,8 +91,8 @@ class KissOdometry:
             points=_lifted(points.points_base),
             voxel_map=self._map,
             initial_guess=_matrix(guess),
-            max_correspondance_distance=self._config.kiss_correspondence_m,
-            kernel=self._config.kiss_kernel_m,
+            max_correspondance_distance=_CORRESPONDENCE_M,
+            kernel=_KERNEL_M,
         )
         return np.array([matrix[0, 3], matrix[1, 3], math.atan2(matrix[1, 0], matrix[0, 0])])
 

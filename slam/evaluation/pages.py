@@ -1,0 +1,52 @@
+"""Pages of one file that ask nothing of the network, from the templates beside this file.
+
+`parts` are the pieces of ``templates/parts.html`` as functions that give HTML.
+"""
+
+from __future__ import annotations
+
+import base64
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from slam.storage.files import replacing
+
+
+def write_page(path: Path, template: str, **values: Any) -> None:
+    """Fill a template in; every text is escaped, a picture is bytes of PNG.
+
+    Raises
+    ------
+    MapFileError
+        Where the folder is missing, not writable or full; an older page then stays as it was.
+    """
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+        file.writelines(_environment().get_template(template).generate(**values))
+
+
+def render(template: str, **values: Any) -> Markup:
+    """A template filled in, as a piece of a page."""
+    return Markup(_environment().get_template(template).render(**values))
+
+
+def parts() -> Any:
+    """The pieces of a page, by name: ``parts().table(head, rows)``."""
+    return _environment().get_template("parts.html").module
+
+
+@cache
+def _environment() -> Environment:
+    """Templates that escape what they are given, and fail on what they are not given."""
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent / "templates"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
+    environment.filters["base64"] = lambda png: base64.b64encode(png).decode("ascii")
+    return environment
