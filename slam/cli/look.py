@@ -27,10 +27,11 @@ def inspect(
 ) -> None:
     """Tell what is in a log: sensors, rates, gaps, clock steps, dropped records."""
     from slam.datasets import open_dataset
-    from slam.datasets.inspection import inspect_dataset, render_inspection
+    from slam.datasets.inspection import inspect_dataset
+    from slam.evaluation.pages import inspection_text
 
     inspection = inspect_dataset(open_dataset(log, strict=strict, topics=topics_of(topics)))
-    print(json.dumps(inspection.to_dict(), indent=2) if as_json else render_inspection(inspection))
+    print(json.dumps(inspection.to_dict(), indent=2) if as_json else inspection_text(inspection))
 
 
 @command()

@@ -9,9 +9,9 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 
 from slam.datasets.dataset import Dataset, Tally
-from slam.datasets.inspection_bag import BagSummary, bag_lines, bag_summary
-from slam.datasets.inspection_camera import CameraFigures, CameraSummary, camera_lines
-from slam.datasets.inspection_cloud import CloudFigures, CloudSummary, cloud_lines
+from slam.datasets.inspection_bag import BagSummary, bag_summary
+from slam.datasets.inspection_camera import CameraFigures, CameraSummary
+from slam.datasets.inspection_cloud import CloudFigures, CloudSummary
 from slam.measurements import LaserScan, PointCloud, RgbdFrame, WheelOdometry
 
 _SAMPLES_KEPT = 4096  # intervals kept for a median; more are thinned evenly
@@ -272,85 +272,3 @@ class _Stream:
             mount_y_m=scan.T_base_laser.y(),
             mount_yaw_rad=scan.T_base_laser.theta(),
         )
-
-
-def render_inspection(inspection: Inspection) -> str:
-    """The inspection as plain text for people, angles in degrees."""
-    lines = [
-        f"{inspection.name}  ({inspection.path})",
-        f"  duration {inspection.duration_s:.1f} s from stamp {inspection.first_stamp_s:.3f} s",
-    ]
-    for sensor in inspection.sensors:
-        lines += _sensor_lines(sensor)
-    jumps = inspection.odometry_jumps
-    lines.append(f"  odometry jumps: {_jump_text(jumps)}")
-    lines.append(f"  records: {_counts(inspection.records)}")
-    if inspection.ignored:
-        lines.append(f"  not used: {_counts(inspection.ignored)}")
-    if inspection.bag:
-        lines += bag_lines(inspection.bag)
-    lines += _tally_lines("dropped", inspection.dropped) or ["  dropped: none"]
-    lines += _tally_lines("note", inspection.notes)
-    return "\n".join(lines)
-
-
-def _sensor_lines(sensor: SensorSummary) -> list[str]:
-    """The paragraph of one sensor."""
-    rate = "rate unknown" if sensor.rate_hz is None else f"{sensor.rate_hz:.2f} Hz (median)"
-    lines = [f"  {sensor.sensor}: {sensor.count} readings, {rate}"]
-    if laser := sensor.laser:
-        beams = _span(laser.beams_min, laser.beams_max)
-        first, last, step, yaw = (
-            math.degrees(angle)
-            for angle in (laser.first_angle_rad, laser.last_angle_rad, laser.step_rad, laser.mount_yaw_rad)
-        )
-        longest = "none" if laser.longest_return_m is None else f"{laser.longest_return_m:.2f} m"
-        lines += [
-            f"    {beams} beams from {first:.2f} to {last:.2f} degrees, step {step:.3f}",
-            f"    maximum range {laser.range_max_m:.2f} m, longest return {longest}",
-            f"    no return {laser.no_return_share:.2%}, invalid {laser.invalid_share:.2%}",
-            f"    mounted at x {laser.mount_x_m:.3f} m, y {laser.mount_y_m:.3f} m, yaw {yaw:.1f} degrees",
-        ]
-    if odometry := sensor.odometry:
-        turned = math.degrees(odometry.rotation_rad)
-        lines.append(f"    path {odometry.path_m:.1f} m, turned {turned:.0f} degrees in all")
-    if sensor.camera:
-        lines += camera_lines(sensor.camera)
-    if sensor.cloud:
-        lines += cloud_lines(sensor.cloud)
-    lines.append(
-        f"    longest gap {sensor.longest_gap_s:.2f} s, {sensor.longest_gap_at_s:.1f} s into the log"
-    )
-    if sensor.clock_steps_backward:
-        lines.append(
-            f"    clock ran backward {sensor.clock_steps_backward} times, at most by "
-            f"{sensor.largest_clock_step_s:.3f} s; the order of the file is kept"
-        )
-    return lines
-
-
-def _span(low: int, high: int) -> str:
-    """One number, or two that differ."""
-    return f"{low}" if low == high else f"{low} to {high}"
-
-
-def _counts(counts: dict[str, int]) -> str:
-    """Counts by name, largest first."""
-    ordered = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
-    return ", ".join(f"{count} {name}" for name, count in ordered) or "none"
-
-
-def _jump_text(jumps: Tally) -> str:
-    """Jumps of the odometry in words."""
-    if not jumps.count:
-        return "none"
-    return f"{jumps.count}, {jumps.largest:.2f} m at most, first at line {jumps.lines[0]}"
-
-
-def _tally_lines(title: str, tallies: dict[str, Tally]) -> list[str]:
-    """One line a reason."""
-    return [
-        f"  {title}: {tally.count} x {text} (line {', '.join(map(str, tally.lines))}"
-        f"{', ...' if tally.count > len(tally.lines) else ''})"
-        for text, tally in tallies.items()
-    ]

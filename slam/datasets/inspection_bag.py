@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from slam.datasets.bags.dataset import BagDataset
 from slam.datasets.dataset import Dataset
 
-_TELLING_S = 0.02  # medians that are nearer to each other than that tell nothing
-
 
 @dataclass(frozen=True, slots=True)
 class TopicSummary:
@@ -82,30 +80,3 @@ def bag_summary(dataset: Dataset) -> BagSummary | None:
         del offsets[reference.topic]
     name = reference.topic if reference else ""
     return BagSummary(topics, name, offsets, figures.base, tuple(figures.tree.lines()))
-
-
-def bag_lines(bag: BagSummary) -> list[str]:
-    """The summary as lines for people."""
-    lines = ["  topics of the bag, by the recorder's clock:"]
-    for topic in bag.topics:
-        rate = "rate unknown" if topic.rate_hz is None else f"{topic.rate_hz:.2f} Hz"
-        late = "" if topic.late_s is None else f", {_lateness(topic.late_s)} its stamp (median)"
-        kind = topic.kind.rpartition("/")[2]
-        gap = f"longest gap {topic.longest_gap_s:.2f} s at {topic.longest_gap_at_s:.1f} s"
-        lines.append(f"    {topic.topic} ({kind}): {topic.count} messages, {rate}, {gap}{late}")
-    far = {name: ahead_s for name, ahead_s in bag.clock_offsets_s.items() if abs(ahead_s) > _TELLING_S}
-    for name, ahead_s in far.items():
-        side = "ahead of" if ahead_s > 0.0 else "behind"
-        lines.append(
-            f"    clock: {name} is stamped {abs(ahead_s):.3f} s {side} {bag.reference}, "
-            "if both arrive equally fast"
-        )
-    if bag.frames:
-        lines.append(f"  frames, the robot's is {bag.base or 'not told'}:")
-        lines += [f"    {line}" for line in bag.frames]
-    return lines
-
-
-def _lateness(late_s: float) -> str:
-    """A time before or after, in words."""
-    return f"{abs(late_s):.3f} s {'before' if late_s < -0.0005 else 'after'}"

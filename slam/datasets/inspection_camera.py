@@ -84,25 +84,6 @@ class CameraFigures:
         )
 
 
-def camera_lines(camera: CameraSummary) -> list[str]:
-    """The summary as lines for people, angles in degrees."""
-    depth = "no valid depth"
-    if camera.depth_min_m is not None and camera.depth_max_m is not None:
-        depth = f"depth {camera.depth_min_m:.2f} to {camera.depth_max_m:.2f} m"
-    mount = "mounting not told"
-    if camera.mount_m is not None and camera.mount_rpy_rad is not None:
-        x, y, z = camera.mount_m
-        roll, pitch, yaw = (round(math.degrees(angle), 1) + 0.0 for angle in camera.mount_rpy_rad)
-        mount = f"mounted at x {x:.3f} m, y {y:.3f} m, z {z:.3f} m"
-        mount += f", yaw {yaw:.1f}, pitch {pitch:.1f}, roll {roll:.1f} degrees"
-    return [
-        f"    {camera.width} x {camera.height}, fx {camera.fx:.2f}, fy {camera.fy:.2f}, "
-        f"cx {camera.cx:.2f}, cy {camera.cy:.2f}",
-        f"    {depth}, {camera.valid_depth_share:.1%} of the pixels valid",
-        f"    {mount}",
-    ]
-
-
 def _body_rpy_rad(T_base_camera: gtsam.Pose3) -> tuple[float, float, float]:
     """Roll, pitch and yaw of the body whose x axis is the optical z, y the left and z the up of the image."""
     optical = gtsam.Rot3(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))

@@ -74,18 +74,3 @@ class CloudFigures:
             mount_m=(mount.x(), mount.y(), mount.z()),
             mount_rpy_rad=(roll, pitch, yaw),
         )
-
-
-def cloud_lines(cloud: CloudSummary) -> list[str]:
-    """The summary as lines for people, angles in degrees."""
-    count = f"{cloud.points_min}"
-    if cloud.points_min != cloud.points_max:
-        count += f" to {cloud.points_max}"
-    x, y, z = cloud.mount_m
-    roll, pitch, yaw = (round(math.degrees(angle), 1) + 0.0 for angle in cloud.mount_rpy_rad)
-    turn = "points without times" if cloud.turn_s is None else f"a turn takes {cloud.turn_s:.4f} s"
-    return [
-        f"    {count} points, {cloud.nearest_m:.2f} to {cloud.farthest_m:.2f} m, {turn}",
-        f"    mounted at x {x:.3f} m, y {y:.3f} m, z {z:.3f} m, "
-        f"yaw {yaw:.1f}, pitch {pitch:.1f}, roll {roll:.1f} degrees",
-    ]

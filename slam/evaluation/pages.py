@@ -1,4 +1,4 @@
-"""Pages of one file that ask nothing of the network, from the templates beside this file.
+"""Pages of one file that ask nothing of the network, and texts, from the templates beside this file.
 
 `parts` are the pieces of ``templates/parts.html`` as functions that give HTML.
 """
@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import base64
+import math
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,10 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from slam.datasets.inspection import Inspection
 from slam.storage.files import replacing
+
+_TELLING_S = 0.02  # medians of two clocks that are nearer to each other than that tell nothing
 
 
 def write_page(path: Path, template: str, **values: Any) -> None:
@@ -33,6 +37,11 @@ def render(template: str, **values: Any) -> Markup:
     return Markup(_environment().get_template(template).render(**values))
 
 
+def inspection_text(log: Inspection) -> str:
+    """What a log holds, as plain text."""
+    return str(render("inspection.txt", log=log, telling_s=_TELLING_S)).rstrip("\n")
+
+
 def parts() -> Any:
     """The pieces of a page, by name: ``parts().table(head, rows)``."""
     return _environment().get_template("parts.html").module
@@ -43,10 +52,12 @@ def _environment() -> Environment:
     """Templates that escape what they are given, and fail on what they are not given."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent / "templates"),
-        autoescape=True,
+        autoescape=lambda name: name is None or not name.endswith(".txt"),
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
+    # No minus zero.
+    environment.filters["degrees"] = lambda angle, decimals=9: round(math.degrees(angle), decimals) + 0.0
     environment.filters["base64"] = lambda png: base64.b64encode(png).decode("ascii")
     return environment

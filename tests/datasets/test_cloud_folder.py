@@ -16,8 +16,9 @@ from rgbd_files import dropped, read
 from slam.datasets import open_dataset
 from slam.datasets.cloud_files import DAMAGED, MISSING, NO_POINTS
 from slam.datasets.clouds_over_time import UNPAIRED, WITHOUT_CLOUD
-from slam.datasets.inspection import inspect_dataset, render_inspection
+from slam.datasets.inspection import inspect_dataset
 from slam.errors import DatasetError
+from slam.evaluation.pages import inspection_text
 from slam.measurements import PointCloud, WheelOdometry
 
 POINTS = np.array([[1, 2, 3], [4, 5, 6], [0, 0, 0], [np.nan, 1, 1], [7, 8, 9]], np.float32)
@@ -129,7 +130,7 @@ def test_clouds_of_a_robot_come_between_its_readings_with_the_wheels_beside_them
     assert [round(m.stamp_s, 2) for m in found] == [1.0, 1.05, 1.05, 1.1, 1.2, 1.3]
     assert isinstance(found[1], WheelOdometry) and found[1].T_odom_base.x() == pytest.approx(0.05)
     assert isinstance(found[2], PointCloud) and found[2].T_base_lidar.z() == pytest.approx(0.7)
-    text = render_inspection(inspect_dataset(dataset))
+    text = inspection_text(inspect_dataset(dataset))
     assert "3 points, 3.74 to" in text and "mounted at x 0.100 m, y 0.000 m, z 0.700 m" in text
 
 

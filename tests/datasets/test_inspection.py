@@ -17,8 +17,9 @@ from typer.testing import CliRunner
 
 from slam.cli import app
 from slam.datasets import ReadReport, open_dataset
-from slam.datasets.inspection import inspect_dataset, render_inspection
+from slam.datasets.inspection import inspect_dataset
 from slam.errors import EvaluationError
+from slam.evaluation.pages import inspection_text
 from slam.evaluation.score import evaluate
 from slam.measurements import CameraIntrinsics, LaserScan, Measurement, RgbdFrame, WheelOdometry
 
@@ -92,14 +93,14 @@ def test_a_single_reading_has_no_rate_and_is_valid_json() -> None:
     assert stream.laser is not None
     assert stream.laser.longest_return_m is None
     assert json.loads(json.dumps(found.to_dict(), allow_nan=False))["duration_s"] == 0.0
-    assert "rate unknown" in render_inspection(found)
+    assert "rate unknown" in inspection_text(found)
 
 
 def test_damage_is_told_with_reason_and_line(tmp_path: Path) -> None:
     path = tmp_path / "a.log"
     path.write_text("ODOM 0 0 0 0 0 0 1 h 0\nFLASER 9 1 2\nSYNC x\nODOM 0 0 nan 0 0 0 2 h 0\n")
     found = inspect_dataset(open_dataset(path))
-    text = render_inspection(found)
+    text = inspection_text(found)
     assert "1 x wrong number of values (line 2)" in text
     assert "1 x pose not finite" in text
     assert "not used: 1 SYNC" in text
@@ -140,7 +141,7 @@ def test_real_logs(log: str, path_m: float, duration_s: float) -> None:
     assert odometry.path_m == pytest.approx(path_m, abs=0.1)
     assert found.duration_s == pytest.approx(duration_s, abs=0.1)
     assert not found.dropped
-    assert ("backward 785 times" in render_inspection(found)) == (log == "intel")
+    assert ("backward 785 times" in inspection_text(found)) == (log == "intel")
 
 
 def frame(stamp_s: float, depth_m: float, mount: gtsam.Pose3 | None) -> RgbdFrame:
@@ -166,7 +167,7 @@ def test_a_camera_is_told_with_its_depth_and_mounting() -> None:
     assert (camera.depth_min_m, camera.depth_max_m) == (1.5, 3.5)
     assert camera.mount_m == pytest.approx((0.1, 0.2, 0.9))
     assert camera.mount_rpy_rad == pytest.approx((0.0, 0.1, math.pi / 2))
-    text = render_inspection(found)
+    text = inspection_text(found)
     assert "depth 1.50 to 3.50 m, 50.0% of the pixels valid" in text
     assert "yaw 90.0, pitch 5.7, roll 0.0 degrees" in text
     json.dumps(found.to_dict(), allow_nan=False)
@@ -175,8 +176,8 @@ def test_a_camera_is_told_with_its_depth_and_mounting() -> None:
 def test_a_camera_without_mounting_and_without_depth_is_told_so() -> None:
     empty = dataclasses.replace(frame(1.0, 0.0, None), depth_m=np.zeros((48, 64), np.float32))
     found = inspect_dataset(Listed([empty]))
-    assert "mounting not told" in render_inspection(found)
-    assert "no valid depth, 0.0%" in render_inspection(found)
+    assert "mounting not told" in inspection_text(found)
+    assert "no valid depth, 0.0%" in inspection_text(found)
     json.dumps(found.to_dict(), allow_nan=False)
 
 

@@ -14,8 +14,9 @@ from slam.cli.app import topics_of, topics_override
 from slam.config import load_config
 from slam.datasets import open_dataset
 from slam.datasets.bags.topics import AmbiguousError, choose
-from slam.datasets.inspection import inspect_dataset, render_inspection
+from slam.datasets.inspection import inspect_dataset
 from slam.errors import DatasetError
+from slam.evaluation.pages import inspection_text
 
 IMAGE = "sensor_msgs/msg/Image"
 REALSENSE = {
@@ -122,7 +123,7 @@ def test_inspect_tells_rates_gaps_clocks_and_frames(tmp_path: Path) -> None:
     assert by_name["/scan"].longest_gap_s == pytest.approx(0.6)
     assert inspection.bag.reference == "/odom"
     assert inspection.bag.clock_offsets_s["/scan"] == pytest.approx(0.3, abs=1e-6)
-    text = render_inspection(inspection)
+    text = inspection_text(inspection)
     assert "/scan is stamped 0.300 s ahead of /odom" in text
     assert "frames, the robot's is base_link:\n    base_link\n      laser\n" in text
 
