@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import ast
-import copy
 import os
 import shutil
 import subprocess
@@ -51,15 +50,14 @@ def mutants_of(path: Path, text: str) -> list[Mutant]:
     tree, found = ast.parse(text), []
     nodes = list(ast.walk(tree))
     untouched = {id(inner) for node in nodes for part in _untouched(node) for inner in ast.walk(part)}
-    for number, node in enumerate(nodes):
-        for change in range(0 if id(node) in untouched else len(_changes(node))):
-            broken = copy.deepcopy(tree)
-            twin = list(ast.walk(broken))[number]
-            _changes(twin)[change]()
-            source = ast.unparse(ast.fix_missing_locations(broken))
-            found.append(
-                Mutant(path, getattr(node, "lineno", 0), f"{_told(node)}  ->  {_told(twin)}", source)
-            )
+    for node in nodes:
+        for apply in [] if id(node) in untouched else _changes(node):
+            before, whole = _told(node), dict(vars(node))
+            apply()
+            change = f"{before}  ->  {_told(node)}"
+            source = ast.unparse(ast.fix_missing_locations(tree))
+            vars(node).update(whole)
+            found.append(Mutant(path, getattr(node, "lineno", 0), change, source))
     return found
 
 
