@@ -24,10 +24,13 @@ from pathlib import Path
 import numpy as np
 
 COPIED = ("slam", "fusion", "tests", "tools", "configs", "pyproject.toml")
-# What tells of a room besides the tests of its files: whom the mapper believes.
-BESIDE = dict.fromkeys(
-    ("slam/odometry", "slam/graph", "slam/mapper"), "tests/mapper/test_whom_to_believe*.py"
-)
+# What tells of a room besides the tests of its files.
+_BELIEVED = ("tests/mapper/test_whom_to_believe*.py",)
+BESIDE = {
+    "slam/odometry": _BELIEVED,
+    "slam/graph": _BELIEVED,
+    "slam/mapper": (*_BELIEVED, "tests/mapper/test_planar_*.py", "tests/mapper/test_pipeline_*.py"),
+}
 _SWAPS: dict[type[ast.AST], type[ast.AST]] = {
     ast.Lt: ast.GtE, ast.GtE: ast.Lt, ast.Gt: ast.LtE, ast.LtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
     ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
@@ -112,7 +115,7 @@ def files_that_test(path: Path, tree: Path) -> list[str]:
     named = sorted((tree / "tests").rglob(f"test_{path.stem}*.py"))
     room = sorted((tree / "tests" / path.parent.name).glob("test_*.py"))
     importing = [test for test in room if f"{module} import" in test.read_text()]
-    beside = sorted(tree.glob(BESIDE[str(path.parent)])) if str(path.parent) in BESIDE else []
+    beside = [test for glob in BESIDE.get(str(path.parent), ()) for test in sorted(tree.glob(glob))]
     return list(dict.fromkeys(str(test.relative_to(tree)) for test in (*named, *importing, *beside)))
 
 
