@@ -1,0 +1,281 @@
+"""Keyframes of a robot on a floor: what holds the chain, what may be refused, and what bridges a gap.
+
+All through public methods, and by where the keyframes come to lie.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.config.stages import GraphConfig
+from slam.graph.keyframe_graph import KeyframeGraph, Step
+from slam.graph.loop_closure import LoopCandidate
+from slam.graph.pose_graph import EdgeKind
+from slam.matching.planar import between, compose
+from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
+
+AHEAD = np.array([0.2, 0.0, 0.05])
+SURE = np.diag([0.005, 0.005, 0.002]) ** 2
+ROUGH = np.diag([0.07, 0.07, 0.04]) ** 2
+WRONG = np.array([0.15, -0.1, 0.1])
+PROBABILITY = 0.99
+
+
+def step(motion: FloatArray = AHEAD, covariance: FloatArray = SURE, camera: str = "front") -> Step:
+    return Step(motion, covariance, camera)
+
+
+def beside(x_m: float, y_m: float, yaw_rad: float) -> FloatArray:
+    """A motion that is off by so much."""
+    return AHEAD + np.array([x_m, y_m, yaw_rad])
+
+
+def astray(motion: FloatArray = AHEAD) -> FloatArray:
+    return compose(motion, WRONG)
+
+
+def truth(count: int) -> FloatArray:
+    """(count + 1, 3) keyframes that each go one step ahead."""
+    poses = [np.zeros(3)]
+    for _ in range(count):
+        poses.append(compose(poses[-1], AHEAD))
+    return np.array(poses)
+
+
+def loop(place: int, keyframe: int, motion: FloatArray, *, accepted: bool = True) -> LoopCandidate:
+    estimate = MotionEstimate(pose2_from_row(motion), SURE, 0.9, 0.9, 0.01, True, False, np.zeros(3))
+    return LoopCandidate(place, keyframe, 0.3, 0.1, 0.9, estimate, accepted, "" if accepted else "too few")
+
+
+def true_loop(place: int, keyframe: int) -> LoopCandidate:
+    poses = truth(keyframe)
+    return loop(place, keyframe, between(poses[place], poses[keyframe]))
+
+
+def chain(count: int, graph: KeyframeGraph | None = None) -> KeyframeGraph:
+    """Keyframes that match and wheels tell, the wheels as roughly as they are."""
+    graph = graph or KeyframeGraph(GraphConfig())
+    for _ in range(count):
+        graph.add_keyframe(AHEAD, step(), step(covariance=ROUGH))
+    return graph
+
+
+def worst(graph: KeyframeGraph) -> float:
+    """Greatest error of a keyframe's x, y or yaw."""
+    poses = graph.poses()
+    return float(max(np.abs(between(*pair)).max() for pair in zip(truth(len(poses) - 1), poses, strict=True)))
+
+
+def refused(graph: KeyframeGraph) -> list[EdgeKind]:
+    """Optimise; the kinds of the edges that were not kept."""
+    kept = graph.optimize(PROBABILITY).kept
+    return [edge.kind for edge, keep in zip(graph.graph.edges, kept, strict=True) if not keep]
+
+
+class TestNewKeyframe:
+    def test_the_first_is_the_origin(self) -> None:
+        graph = KeyframeGraph(GraphConfig())
+        assert len(graph) == 1 and graph.loops == []
+        np.testing.assert_array_equal(graph.poses(), np.zeros((1, 3)))
+
+    def test_each_follows_the_last_by_the_best_knowledge(self) -> None:
+        """More of them than the first guess at how many there will be."""
+        graph = KeyframeGraph(GraphConfig())
+        for n in range(150):
+            assert graph.add_keyframe(AHEAD, step(astray()), step(astray(), ROUGH)) == n + 1
+        assert len(graph) == 151
+        np.testing.assert_allclose(graph.poses(), truth(150), atol=1e-9)
+
+    def test_an_update_without_a_loop_leaves_the_poses(self) -> None:
+        graph = KeyframeGraph(GraphConfig(incremental_every=1))
+        graph.add_keyframe(AHEAD, step(astray()), None)
+        before = graph.poses().copy()
+        graph.update()
+        np.testing.assert_array_equal(graph.poses(), before)
+
+    def test_match_and_wheels_are_averaged_by_their_covariances(self) -> None:
+        graph = KeyframeGraph(GraphConfig())
+        graph.add_keyframe(AHEAD, step(covariance=SURE), step(beside(0.01, 0, 0), 3.0 * SURE))
+        assert refused(graph) == []
+        np.testing.assert_allclose(graph.poses()[1], beside(0.0025, 0, 0), atol=1e-6)
+
+    @pytest.mark.parametrize("share", [1.0, 0.1])
+    def test_what_nothing_measured_is_as_unsure_as_the_settings_say(self, share: float) -> None:
+        graph = KeyframeGraph(GraphConfig(lost_sigma_m=2.0, lost_sigma_rad=0.4))
+        np.testing.assert_allclose(
+            np.sqrt(np.diag(graph.unmeasured(share))), share * np.array([2.0, 2.0, 0.4])
+        )
+
+
+class TestWhoIsRefused:
+    """One sensor is far off at one keyframe of a chain, and a loop or the others say so."""
+
+    def test_wheels_against_a_match(self) -> None:
+        graph = chain(4)
+        graph.add_keyframe(AHEAD, step(), step(astray(), SURE))
+        assert refused(graph) == [EdgeKind.WHEEL]
+        assert worst(graph) < 1e-3
+
+    def test_a_camera_against_a_match(self) -> None:
+        graph = chain(4)
+        graph.add_keyframe(AHEAD, step(), None, [step(astray())])
+        assert refused(graph) == [EdgeKind.RGBD]
+        assert worst(graph) < 1e-3
+
+    def test_a_camera_against_wheels_where_nothing_matched(self) -> None:
+        graph = chain(4)
+        graph.add_keyframe(AHEAD, None, step(covariance=SURE), [step(astray())])
+        assert refused(graph) == [EdgeKind.RGBD]
+        assert worst(graph) < 1e-3
+
+    def test_no_loop_breaks_a_match_that_is_sure(self) -> None:
+        graph = chain(5)
+        graph.add_loop(loop(0, 5, astray(truth(5)[5])))
+        assert refused(graph) == [EdgeKind.LOOP]
+        assert not graph.loops[0].accepted
+        assert worst(graph) < 1e-3
+
+    def test_loops_overrule_a_doubtful_match(self) -> None:
+        graph = chain(2)
+        graph.add_keyframe(astray(), step(astray()), None, match_doubtful=True)
+        chain(2, graph)
+        for place in (0, 1):
+            graph.add_loop(true_loop(place, 5))
+        assert refused(graph) == [EdgeKind.LIDAR]
+        assert all(candidate.accepted for candidate in graph.loops)
+        assert worst(graph) < 0.01
+
+    def test_a_doubtful_match_that_nobody_contradicts_stays(self) -> None:
+        graph = chain(2)
+        graph.add_keyframe(AHEAD, step(), None, match_doubtful=True)
+        graph.add_loop(true_loop(0, 3))
+        assert refused(graph) == []
+        assert worst(graph) < 1e-3
+
+    def test_where_a_doubtful_match_falls_the_camera_tells_the_way(self) -> None:
+        """The match was a person's who walked ahead: what is left holds loosely where the camera says."""
+        graph = chain(3)
+        graph.add_keyframe(
+            astray(), step(astray()), step(covariance=4.0 * SURE), [step(), step(camera="back")],
+            match_doubtful=True,
+        )  # fmt: skip
+        assert EdgeKind.LIDAR in refused(graph)
+        assert worst(graph) < 0.02
+
+    def test_without_match_and_wheels_cameras_may_be_overruled(self) -> None:
+        graph = chain(2)
+        graph.add_keyframe(astray(), None, None, [step(astray())])
+        chain(2, graph)
+        for place in (0, 1):
+            graph.add_loop(true_loop(place, 5))
+        assert refused(graph) == [EdgeKind.RGBD]
+        assert worst(graph) < 0.01
+
+    def test_what_nothing_measured_yields_to_a_loop(self) -> None:
+        graph = chain(2)
+        graph.add_keyframe(astray(), None, None)
+        graph.add_loop(true_loop(0, 3))
+        assert refused(graph) == []
+        assert worst(graph) < 0.01
+
+
+class TestBridge:
+    """Keyframes 3 and 4 were guessed by wheels that drifted; a match joins 5 to 2."""
+
+    def drifted(self, bridge: FloatArray, *, doubtful: bool) -> KeyframeGraph:
+        graph = chain(2)
+        drift = beside(0.03, 0.0, 0.02)
+        for _ in range(2):
+            graph.add_keyframe(drift, None, step(drift, ROUGH))
+        graph.add_keyframe(AHEAD, step(covariance=graph.unmeasured(0.1)), step(drift, ROUGH))
+        graph.add_bridge(2, step(bridge), doubtful=doubtful)
+        return graph
+
+    def test_it_is_as_exact_as_the_match(self) -> None:
+        graph = self.drifted(truth(3)[3], doubtful=False)
+        assert refused(graph) == []
+        np.testing.assert_allclose(graph.poses()[5], truth(5)[5], atol=0.005)
+
+    @pytest.mark.parametrize("doubtful", [False, True])
+    def test_a_wrong_loop_does_not_break_it_unless_it_is_doubtful(self, doubtful: bool) -> None:
+        """Two false loops that agree with each other; the chain between is loose, and may bend to them."""
+        graph = self.drifted(truth(3)[3], doubtful=doubtful)
+        for place in (0, 1):
+            graph.add_loop(loop(place, 5, astray(between(truth(5)[place], truth(5)[5]))))
+        assert refused(graph) == ([EdgeKind.LIDAR] if doubtful else [EdgeKind.LOOP] * 2)
+
+    def test_a_wrong_one_that_is_doubtful_yields_to_loops(self) -> None:
+        graph = self.drifted(astray(truth(3)[3]), doubtful=True)
+        for place in (0, 1):
+            graph.add_loop(true_loop(place, 5))
+        assert refused(graph) == [EdgeKind.LIDAR]
+        assert worst(graph) < 0.05
+
+
+class TestCamerasAnew:
+    """What a camera says at the end of a run replaces what it said."""
+
+    def test_steps_are_told_by_keyframe_and_camera(self) -> None:
+        graph = chain(1)
+        graph.add_keyframe(AHEAD, step(), None, [step(), step(camera="back")])
+        graph.add_keyframe(AHEAD, step(), None, [step(camera="back")])
+        assert graph.camera_steps() == {2: {"front", "back"}, 3: {"back"}}
+
+    def test_a_step_is_replaced_and_nothing_else(self) -> None:
+        graph = chain(1)
+        graph.add_keyframe(AHEAD, step(), None, [step(astray()), step(camera="back")])
+        graph.add_keyframe(AHEAD, step(), None, [step()])
+        graph.replace_camera_step(2, step(covariance=4.0 * SURE))
+        assert refused(graph) == []
+        told = [edge for edge in graph.graph.edges if edge.kind is EdgeKind.RGBD]
+        assert [(edge.source, edge.target) for edge in told] == [(1, 2), (1, 2), (2, 3)]
+        np.testing.assert_array_equal([edge.covariance[0, 0] / SURE[0, 0] for edge in told], [4, 1, 1])
+
+    def test_wheels_that_proved_exact_stand_by_the_match(self) -> None:
+        """Surer than the match, a camera would take the keyframe along."""
+        graph = KeyframeGraph(GraphConfig())
+        for n in range(60):
+            lied = beside(0.03, 0.0, 0.0) if n == 30 else AHEAD
+            graph.add_keyframe(AHEAD, step(), step(covariance=ROUGH), [step(lied, 0.04 * SURE)])
+        assert graph.judge_cameras() == 1
+        graph.optimize(PROBABILITY)
+        assert worst(graph) < 0.005
+
+
+class TestLoops:
+    def test_update_waits_for_a_loop_and_its_turn(self) -> None:
+        graph = KeyframeGraph(GraphConfig(incremental_every=5))
+        drift = beside(0.0, 0.0, 0.01)
+        for _ in range(4):
+            graph.add_keyframe(drift, step(drift, ROUGH), None)
+        graph.add_loop(true_loop(0, 4))
+        guessed = graph.poses().copy()
+        graph.update()
+        np.testing.assert_array_equal(graph.poses(), guessed)
+        graph.add_keyframe(drift, step(drift, ROUGH), None)
+        graph.update()
+        assert np.abs(graph.poses()[4] - truth(4)[4]).max() < 0.3 * np.abs(guessed[4] - truth(4)[4]).max()
+        graph.add_keyframe(AHEAD, step(), None)
+        np.testing.assert_allclose(graph.poses()[6], compose(graph.poses()[5], AHEAD), atol=1e-9)
+
+    def test_a_refused_candidate_is_reported_and_no_edge(self) -> None:
+        graph = chain(3)
+        edges = len(graph.graph.edges)
+        graph.add_loop(loop(0, 3, astray(), accepted=False))
+        assert len(graph.graph.edges) == edges
+        graph.optimize(PROBABILITY)
+        assert [(one.accepted, one.reason) for one in graph.loops] == [(False, "too few")]
+        assert worst(graph) < 1e-3
+
+    def test_a_loop_makes_the_relative_uncertainty_smaller(self) -> None:
+        """It decides where the next loops are sought."""
+        traces = []
+        for candidates in ([], [true_loop(0, 6)]):
+            graph = chain(6)
+            for candidate in candidates:
+                graph.add_loop(candidate)
+            covariances = graph.uncertainty.relative_covariances(6, np.array([0, 5]), graph.poses())
+            traces.append(np.trace(covariances, axis1=1, axis2=2))
+        assert traces[1][0] < 0.5 * traces[0][0]
+        assert traces[1][1] == pytest.approx(traces[0][1])
