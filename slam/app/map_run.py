@@ -13,8 +13,8 @@ from slam.app.progress import OnProgress, Progress
 from slam.config import Config
 from slam.datasets.dataset import Dataset
 from slam.errors import ScanweaveError
-from slam.evaluation.map_report import RunCost, beside_of, report_data
-from slam.evaluation.report import ReportData, write_report
+from slam.evaluation.map_report import ReportData, RunCost, beside_of
+from slam.evaluation.report import write_report
 from slam.mapper.journal import Journal
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
@@ -105,7 +105,7 @@ def run_into(
         if report:
             cost = RunCost(time.perf_counter() - started, time.process_time())
             beside = beside_of(dataset, result, files, missing)
-            data = report_data(identity.log_name, dataset.report, result, config, cost, beside, layers)
+            data = ReportData(identity.log_name, dataset.report, result, config, cost, beside, layers)
             write_report(folder / "report.html", data)
             written.append(folder / "report.html")
         record_map(viewer, result, layers, config)

@@ -34,7 +34,7 @@ def demo(
         simulate_into(log, home, RIGS["xu2024"], seed, FAULT_PRESETS["usual"], _DURATION_S, ("folder",))
     # The coloured surface is left out: the maps of the floor are what the demo is about.
     run = map_log(log, out, load_config(overrides=["dense_map.enabled=false"]), force=True)
-    assert run.report is not None and run.report.truth is not None
+    assert run.report is not None and run.report.beside.truth is not None
     say(f"open {out / 'report.html'} to look at it")
-    error_m = run.report.truth.error.translation_m.rmse
+    error_m = run.report.beside.truth.error.translation_m.rmse
     say(f"score: {100.0 * error_m:.1f} cm from the truth (ATE RMSE) over {run.report.path_length_m:.1f} m")

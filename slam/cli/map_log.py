@@ -117,8 +117,8 @@ def map_log(
         say(f"{run.map.path} is finished already; there is nothing to resume")
         return run
     _tell(run, f", {time.perf_counter() - started:.1f} s")
-    if run.report.truth is not None:
-        rmse = run.report.truth.error.translation_m.rmse
+    if run.report.beside.truth is not None:
+        rmse = run.report.beside.truth.error.translation_m.rmse
         say(f"{rmse:.4f} m RMSE against the ground truth, rigidly aligned")
     say("wrote " + ", ".join(str(path) for path in run.written))
     return run
@@ -184,9 +184,10 @@ def _tell(run: MapRun, took: str, of: str = "") -> None:
         print(f"warning: {warning}", file=sys.stderr)
     for note in run.map.notes:
         say(note)
-    accepted = sum(loop.accepted for loop in report.loops)
+    result = report.result
+    accepted = sum(loop.accepted for loop in result.loops)
     say(
-        f"{of}{report.scans} {report.unit}s, {len(report.keyframe_stamps_s)} keyframes, "
-        f"{report.path_length_m:.1f} m, {accepted} of {len(report.loops)} loops accepted, "
+        f"{of}{result.scans.stamps_s.size} {report.unit}s, {len(result.keyframe_numbers)} keyframes, "
+        f"{report.path_length_m:.1f} m, {accepted} of {len(result.loops)} loops accepted, "
         f"{run.dropped} records dropped{took}"
     )

@@ -55,10 +55,6 @@ class Tally:
         if len(self.lines) < _LINES_KEPT:
             self.lines.append(line)
 
-    def to_dict(self) -> dict[str, object]:
-        """Plain types for JSON."""
-        return {"count": self.count, "first_lines": list(self.lines), "largest": self.largest}
-
 
 @dataclass(slots=True)
 class ReadReport:
@@ -146,20 +142,6 @@ class ReadReport:
         too_far = distance_m > JUMP_SLACK_M + JUMP_SPEED_M_S * elapsed_s
         if too_far or turn_rad > JUMP_SLACK_RAD + JUMP_TURN_RAD_S * elapsed_s:
             self.odometry_jumps.add(line, distance_m)
-
-    def to_dict(self) -> dict[str, object]:
-        """Plain types for JSON."""
-        return {
-            "lines": self.line_count,
-            "measurements": self.measurement_count,
-            "records": dict(self.records),
-            "ignored": dict(self.ignored),
-            "dropped": {reason: tally.to_dict() for reason, tally in self.dropped.items()},
-            "notes": {text: tally.to_dict() for text, tally in self.notes.items()},
-            "backward_steps": {sensor: tally.to_dict() for sensor, tally in self.backward_steps.items()},
-            "odometry_jumps": self.odometry_jumps.to_dict(),
-            "invalid_ranges": self.invalid_ranges,
-        }
 
 
 def _tally(tallies: dict[str, Tally], key: str) -> Tally:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.evaluation.report_figures import MapPicture
 from slam.mapping.dense_map import ColoredCloud
 from slam.measurements import BoolArray, FloatArray
 
@@ -21,31 +20,9 @@ _LEAST_SHARE = 0.02
 _FACING_DOWN = -0.3
 
 
-@dataclass(frozen=True, slots=True)
-class CloudPicture:
-    """What is seen from above.
-
-    Attributes
-    ----------
-    image
-        (rows, columns, 3) RGB, row 0 at the largest y.
-    resolution_m
-        Side of a pixel.
-    origin_xy
-        Outer corner of the lower-left pixel, metres.
-    path_xy
-        (N, 2) the trajectory in the same frame.
-    """
-
-    image: NDArray[np.uint8]
-    resolution_m: float
-    origin_xy: tuple[float, float]
-    path_xy: FloatArray
-
-
 def cloud_from_above(
     cloud: ColoredCloud, positions_m: FloatArray, *, pixel_m: float, level: bool
-) -> CloudPicture | None:
+) -> tuple[MapPicture, FloatArray] | None:
     """Look down on a cloud; of points in one pixel the highest is seen, ceilings are looked through.
 
     Parameters
@@ -62,7 +39,7 @@ def cloud_from_above(
 
     Returns
     -------
-    None where there is nothing to see.
+    The picture, and the trajectory (N, 2) in its frame; None where there is nothing to see.
     """
     points = cloud.points_map.astype(np.float64)
     if not len(points):
@@ -86,7 +63,7 @@ def cloud_from_above(
     at = rows - 1 - cells[order, 1], cells[order, 0]
     image[at], painted[at] = colors[order], True
     _close_gaps(image, painted)
-    return CloudPicture(image, resolution_m, (float(low[0]), float(low[1])), path_xy)
+    return MapPicture(image, resolution_m, (float(low[0]), float(low[1]))), path_xy
 
 
 def _close_gaps(image: NDArray[np.uint8], painted: BoolArray) -> None:

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.evaluation import report_figures
 from slam.evaluation.figure_parts import BLUE, GREY, ORANGE, RED, figure_of, plain, png_of
 from slam.evaluation.pages import write_page
+from slam.evaluation.report_figures import MapPicture, map_png
 from slam.localization.drive_log import STATES, DriveLog
 from slam.localization.output import State
-from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
+from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray
 
 _COLORS: Mapping[State, str] = {State.SEARCHING: GREY, State.TRACKING: BLUE, State.LOST: RED}
@@ -71,20 +71,8 @@ def _cost(drive: DriveLog) -> str:
 
 def _map_png(drive: DriveLog, grid: OccupancyGrid | None) -> bytes:
     """The trajectory over the grid."""
-    way = drive.trajectory().positions_m[:, :2]
-    if grid is None:
-        return report_figures.map_png(
-            way, np.zeros((0, 4)), image=None, resolution_m=1.0, origin_xy=(0.0, 0.0)
-        )
-    states = grid.states()
-    grey = np.full(states.shape, 205, np.uint8)
-    grey[states == FREE] = 254
-    grey[states == OCCUPIED] = 0
-    corner = (grid.T_map_grid.x(), grid.T_map_grid.y())
-    picture = np.ascontiguousarray(grey[::-1])
-    return report_figures.map_png(
-        way, np.zeros((0, 4)), image=picture, resolution_m=grid.resolution_m, origin_xy=corner
-    )
+    picture = None if grid is None else MapPicture.of(grid.states(), grid.resolution_m, grid.T_map_grid)
+    return map_png(drive.trajectory().positions_m[:, :2], np.zeros((0, 4)), picture)
 
 
 def _time_png(drive: DriveLog) -> bytes:

@@ -1,4 +1,4 @@
-"""From a finished map to what the report page shows."""
+"""What a run has come to, as its report tells of it."""
 
 from __future__ import annotations
 
@@ -14,12 +14,10 @@ from typing import Literal
 import gtsam
 import numpy as np
 
-from slam.config import Config, dump_config
+from slam.config import Config
 from slam.datasets.dataset import Dataset, ReadReport
 from slam.errors import ScanweaveError
-from slam.evaluation.cloud_picture import cloud_from_above
-from slam.evaluation.report import LIDAR_HEIGHT_GREY, LoopRow, MapPicture, ReportData
-from slam.evaluation.report_cameras import CameraRow
+from slam.evaluation.report_figures import MapPicture
 from slam.evaluation.truth_comparison import TruthComparison, compare_with_truth
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import EdgeKind
@@ -27,7 +25,6 @@ from slam.mapper.map_result import MapResult
 from slam.mapper.scan_record import CameraRecord
 from slam.mapping.dense_map import ColoredCloud
 from slam.mapping.layered_map import LayeredMap
-from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid, StateArray
 from slam.measurements import BoolArray
 from slam.storage.ply import read_cloud_ply
 
@@ -35,6 +32,8 @@ CLOUD_FILE = "cloud.ply"
 _LIBRARIES = ("scanweave", "gtsam", "numpy", "numba", "kiss-icp", "open3d-cpu", "opencv-python-headless")
 # More unmatched scans than this share deserve a line at the top of the page.
 _UNMATCHED_SHARE = 0.01
+# What is free at the height of the lidar only.
+LIDAR_HEIGHT_GREY = 232
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,100 +89,96 @@ def beside_of(
     return Beside(truth, cloud, tuple(lines))
 
 
-def report_data(
-    log_name: str,
-    reading: ReadReport,
-    result: MapResult,
-    config: Config,
-    cost: RunCost,
-    beside: Beside | None = None,
-    layers: LayeredMap | None = None,
-) -> ReportData:
-    """Gather the report of a run; without layers its map is the lidar's grid, where there is one."""
-    beside = beside or Beside()
-    keyframes = result.keyframe_numbers
-    scans = result.scans
-    trajectory = result.trajectory
-    spatial = isinstance(result.graph.pose(0), gtsam.Pose3)
-    cloud = None
-    if beside.cloud is not None:
-        pixel_m = config.dense_map.voxel_m
-        cloud = cloud_from_above(beside.cloud, trajectory.positions_m, pixel_m=pixel_m, level=spatial)
-    return ReportData(
-        log_name=log_name,
-        scans=scans.stamps_s.size,
-        path_length_m=float(np.linalg.norm(np.diff(trajectory.positions_m, axis=0), axis=1).sum()),
-        duration_s=float(np.ptp(trajectory.stamps_s)),
-        cpu_s=cost.cpu_s,
-        wall_s=cost.wall_s,
-        peak_memory_mb=cost.peak_memory_mb(),
-        trajectory_m=trajectory.positions_m,
-        keyframe_stamps_s=scans.stamps_s[keyframes],
-        inlier_share=scans.inlier_shares[keyframes],
-        residual_m=scans.residuals_m[keyframes],
-        degenerate=scans.degenerate[keyframes] > 0.0,
-        scan_times_s=scans.seconds,
-        map_picture=_map_picture(result.grid, layers),
-        layers=_layer_pictures(layers),
-        loops=[_loop_row(loop, result, config) for loop in result.loops],
-        reader_notes=_reader_notes(reading) + _edge_notes(result) + [("note", note) for note in result.notes],
-        stage_times_s=result.stage_seconds,
-        warnings=[*result.warnings, *_warnings(result), *beside.warnings],
-        effective_config=dump_config(config),
-        versions={name: found for name in _LIBRARIES if (found := _version(name))},
-        unit=_unit(result),
-        spatial=spatial,
-        cameras=[
-            CameraRow(name, record, _registration_text(record, config))
-            for name, record in result.cameras.items()
-        ],
-        truth=beside.truth,
-        cloud=cloud,
-        fused=result.fused,
-    )
+@dataclass(frozen=True, slots=True)
+class ReportData:
+    """A run, as its report tells of it.
 
+    Attributes
+    ----------
+    reading
+        What the reader has met.
+    beside
+        What can be shown beside the map.
+    layers
+        The map to drive by and what it was made of; without them the map is the lidar's grid, where there is
+        one.
+    """
 
-def _map_picture(grid: OccupancyGrid | None, layers: LayeredMap | None) -> MapPicture | None:
-    """The map to drive by."""
-    if layers is not None:
-        drawn = _picture(layers.states("decision"), layers)
-        drawn.image[::-1][layers.free_at_lidar_height()] = LIDAR_HEIGHT_GREY
-        return drawn
-    return None if grid is None else _picture(grid.states(), grid)
+    log_name: str
+    reading: ReadReport
+    result: MapResult
+    config: Config
+    cost: RunCost
+    beside: Beside = Beside()
+    layers: LayeredMap | None = None
 
+    @property
+    def unit(self) -> Literal["scan", "frame"]:
+        """What the map was made of: ``frame`` where there were only cameras."""
+        return "scan" if any(scan is not None for scan in self.result.keyframe_scans) else "frame"
 
-def _layer_pictures(layers: LayeredMap | None) -> dict[str, MapPicture]:
-    """What the map was made of: all but the decision, which is the map itself."""
-    names = () if layers is None else layers.names[:-1]
-    return {name: _picture(layers.states(name), layers) for name in names if layers is not None}
+    @property
+    def spatial(self) -> bool:
+        """Whether the trajectory leaves the floor."""
+        return isinstance(self.result.graph.pose(0), gtsam.Pose3)
 
+    @property
+    def path_length_m(self) -> float:
+        """Travel."""
+        return float(np.linalg.norm(np.diff(self.result.trajectory.positions_m, axis=0), axis=1).sum())
 
-def _picture(states: StateArray, grid: OccupancyGrid | LayeredMap) -> MapPicture:
-    """States in nav2's grey values, top row first."""
-    image = np.full(states.shape, 205, np.uint8)
-    image[states == FREE] = 254
-    image[states == OCCUPIED] = 0
-    return MapPicture(
-        np.ascontiguousarray(image[::-1]), grid.resolution_m, (grid.T_map_grid.x(), grid.T_map_grid.y())
-    )
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last stamp."""
+        stamps_s = self.result.trajectory.stamps_s
+        return float(np.ptp(stamps_s)) if stamps_s.size else 0.0
 
+    @property
+    def warnings(self) -> list[str]:
+        """What a person should know before trusting the map, one line each."""
+        return [*self.result.warnings, *_warnings(self), *self.beside.warnings]
 
-def _loop_row(loop: LoopCandidate, result: MapResult, config: Config) -> LoopRow:
-    """One candidate for the table; its score is the share of points that fit, where it got so far."""
-    source, place = result.keyframe_poses[loop.keyframe], result.keyframe_poses[loop.place]
-    # A camera finds a place by its looks: only a lidar searches a window.
-    by_scans = config.loops if result.clouds is None else config.cloud_loops
-    limits = by_scans if loop.half_width_m > 0.0 else config.visual_loops
-    return LoopRow(
-        from_keyframe=loop.keyframe,
-        to_keyframe=loop.place,
-        xy_from=(float(source[0]), float(source[1])),
-        xy_to=(float(place[0]), float(place[1])),
-        score=float("nan") if loop.motion is None else loop.motion.inlier_share,
-        threshold=limits.least_inlier_share,
-        accepted=loop.accepted,
-        reason=loop.reason,
-    )
+    @property
+    def notes(self) -> list[tuple[str, str]]:
+        """What the reader met, what the graph is made of, what was found out: what, and how much."""
+        found = [("note", note) for note in self.result.notes]
+        return _reader_notes(self.reading) + _edge_notes(self.result) + found
+
+    @property
+    def map_picture(self) -> MapPicture | None:
+        """The map to drive by, what only the lidar saw free in a grey of its own."""
+        layers, grid = self.layers, self.result.grid
+        if layers is not None:
+            drawn = MapPicture.of(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
+            drawn.image[::-1][layers.free_at_lidar_height()] = LIDAR_HEIGHT_GREY
+            return drawn
+        return None if grid is None else MapPicture.of(grid.states(), grid.resolution_m, grid.T_map_grid)
+
+    def layer_pictures(self) -> dict[str, MapPicture]:
+        """What the map was made of: all but the decision, which is the map itself."""
+        layers = self.layers
+        if layers is None:
+            return {}
+        return {
+            name: MapPicture.of(layers.states(name), layers.resolution_m, layers.T_map_grid)
+            for name in layers.names[:-1]
+        }
+
+    def least_inlier_share(self, loop: LoopCandidate) -> float:
+        """Share of readings that must agree for a loop to be accepted."""
+        # A camera finds a place by its looks: only a lidar searches a window.
+        by_scans = self.config.loops if self.result.clouds is None else self.config.cloud_loops
+        return (by_scans if loop.half_width_m > 0.0 else self.config.visual_loops).least_inlier_share
+
+    def registrations(self) -> list[tuple[str, str]]:
+        """Of every camera: whether its colour is registered to its depth, in a line with the reason."""
+        cameras = self.result.cameras
+        return [(name, _registration_text(record, self.config)) for name, record in cameras.items()]
+
+    @staticmethod
+    def versions() -> list[tuple[str, str]]:
+        """Version by library."""
+        return [(name, found) for name in _LIBRARIES if (found := _version(name))]
 
 
 def _reader_notes(reading: ReadReport) -> list[tuple[str, str]]:
@@ -211,11 +206,6 @@ def _edge_notes(result: MapResult) -> list[tuple[str, str]]:
     ]
 
 
-def _unit(result: MapResult) -> Literal["scan", "frame"]:
-    """What the map was made of."""
-    return "scan" if any(scan is not None for scan in result.keyframe_scans) else "frame"
-
-
 def _registration_text(record: CameraRecord, config: Config) -> str:
     """Whether a camera's colour is registered to its depth, and by what evidence."""
     registration = record.learned.registration
@@ -226,12 +216,13 @@ def _registration_text(record: CameraRecord, config: Config) -> str:
     return f"registered by the log itself: {reason}" if registration.accepted else reason
 
 
-def _warnings(result: MapResult) -> list[str]:
-    """What a person should know before trusting the map."""
-    lines = []
-    scans = result.scans
-    unit, count = _unit(result), scans.stamps_s.size
-    carried = _carried_by_cameras(result)
+def _warnings(data: ReportData) -> list[str]:
+    """What the scores of the scans or frames give cause for."""
+    lines = list[str]()
+    scans, unit = data.result.scans, data.unit
+    count, carried = scans.stamps_s.size, _carried_by_cameras(data.result)
+    if not count:
+        return lines
     lost = int(np.count_nonzero(scans.unmatched & ~carried))
     if lost > _UNMATCHED_SHARE * count:
         lines.append(f"{lost:,} of {count:,} {unit}s matched nothing; their motion is dead reckoning.")

@@ -2,46 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from slam.mapper.scan_record import CameraRecord
 from slam.measurements import FloatArray
 
 
-@dataclass(frozen=True, slots=True)
-class CameraRow:
-    """A camera and what became of its frames.
-
-    Attributes
-    ----------
-    registration
-        Whether its colour is registered to its depth, in one line with the reason.
-    """
-
-    name: str
-    record: CameraRecord
-    registration: str
-
-    def cells(self) -> tuple[str, ...]:
-        """The numbers of the camera as text; what was never measured is a dash."""
-        record, frames = self.record, self.record.frames
-        medians = [
-            (frames.overlaps, "{:.2f}"),
-            (frames.feature_counts, "{:.0f}"),
-            (frames.residuals_px, "{:.2f}"),
-            (1000.0 * frames.residuals_m, "{:.1f}"),
-        ]
-        return (
-            self.name,
-            f"{frames.stamps_s.size:,}",
-            f"{np.count_nonzero(frames.unmatched):,}",
-            f"{np.count_nonzero(frames.degenerate):,}",
-            f"{record.motions:,}" if record.motions else "–",
-            f"{record.refused_motions:,}" if record.motions else "–",
-            *(_median(values, style) for values, style in medians),
-        )
+def camera_cells(name: str, record: CameraRecord) -> tuple[str, ...]:
+    """The numbers of a camera as text; what was never measured is a dash."""
+    frames = record.frames
+    medians = [
+        (frames.overlaps, "{:.2f}"),
+        (frames.feature_counts, "{:.0f}"),
+        (frames.residuals_px, "{:.2f}"),
+        (1000.0 * frames.residuals_m, "{:.1f}"),
+    ]
+    return (
+        name,
+        f"{frames.stamps_s.size:,}",
+        f"{np.count_nonzero(frames.unmatched):,}",
+        f"{np.count_nonzero(frames.degenerate):,}",
+        f"{record.motions:,}" if record.motions else "–",
+        f"{record.refused_motions:,}" if record.motions else "–",
+        *(_median(values, style) for values, style in medians),
+    )
 
 
 def _median(values: FloatArray, style: str) -> str:

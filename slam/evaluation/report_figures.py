@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +21,7 @@ from slam.evaluation.figure_parts import (
     png_of,
     thinned,
 )
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, StateArray
 from slam.measurements import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -30,18 +33,39 @@ if TYPE_CHECKING:
 _LONG_SIDE_PX, _MIN_SIDE_PX = 1000, 320
 _LEFT_PX, _RIGHT_PX, _BOTTOM_PX, _TOP_PX = 60, 12, 45, 28
 _SMALL_SIDE_PX = 480
-_UNKNOWN_GREY = 205  # of nav2
+_UNKNOWN_GREY, FREE_GREY = 205, 254  # of nav2
 _MARGIN_CELLS = 8  # of what is shown around all that is known
 
 
-def map_png(
-    trajectory_xy: FloatArray,
-    loops_xyxy: FloatArray,
-    *,
-    image: NDArray[np.uint8] | None,
-    resolution_m: float,
-    origin_xy: tuple[float, float],
-) -> bytes:
+@dataclass(frozen=True, slots=True)
+class MapPicture:
+    """A map as a picture.
+
+    Attributes
+    ----------
+    image
+        (rows, cols) grey values as in a nav2 map.pgm: 254 free, 0 occupied, 205 unknown; or (rows, cols, 3)
+        RGB. Row 0 is the top, the largest y.
+    resolution_m
+        Side of a pixel.
+    origin_xy
+        Outer corner of the lower-left pixel in the map frame, metres.
+    """
+
+    image: NDArray[np.uint8]
+    resolution_m: float
+    origin_xy: tuple[float, float]
+
+    @classmethod
+    def of(cls, states: StateArray, resolution_m: float, T_map_grid: gtsam.Pose2) -> MapPicture:
+        """States (row 0 at the lowest y) in grey."""
+        image = np.full(states.shape, _UNKNOWN_GREY, np.uint8)
+        image[states == FREE] = FREE_GREY
+        image[states == OCCUPIED] = 0
+        return cls(np.ascontiguousarray(image[::-1]), resolution_m, (T_map_grid.x(), T_map_grid.y()))
+
+
+def map_png(trajectory_xy: FloatArray, loops_xyxy: FloatArray, picture: MapPicture | None) -> bytes:
     """Draw the map with trajectory and loops.
 
     Parameters
@@ -50,19 +74,16 @@ def map_png(
         (N, 2) positions in the map frame, metres.
     loops_xyxy
         (L, 4) both ends of each accepted loop.
-    image
-        (rows, cols) grey or (rows, cols, 3) RGB picture, row 0 at the largest y; None leaves the ground
-        white. A grey picture is cut to what is known.
-    resolution_m, origin_xy
-        Side of a pixel and outer corner of the lower-left one.
+    picture
+        The ground; None leaves it white. A grey picture is cut to what is known.
     """
-    if image is not None and image.size:
-        low = np.array(origin_xy, dtype=np.float64)
+    image = None
+    if picture is not None and picture.image.size:
+        image, low = picture.image, np.array(picture.origin_xy, dtype=np.float64)
         if image.ndim == 2:
-            image, low = _cropped(image, resolution_m, origin_xy)
-        high = low + resolution_m * np.array(image.shape[1::-1])
+            image, low = _cropped(picture)
+        high = low + picture.resolution_m * np.array(image.shape[1::-1])
     else:
-        image = None
         low, high = _bounds(trajectory_xy)
     figure, axes, ground = _map_axes(image, low, high)
     if len(loops_xyxy):
@@ -201,13 +222,11 @@ def _bounds(trajectory_xy: FloatArray) -> tuple[FloatArray, FloatArray]:
     return low - margin_m, high + margin_m
 
 
-def _cropped(
-    image: NDArray[np.uint8], resolution_m: float, origin_xy: tuple[float, float]
-) -> tuple[NDArray[np.uint8], FloatArray]:
+def _cropped(picture: MapPicture) -> tuple[NDArray[np.uint8], FloatArray]:
     """The picture without its unknown margin, and the new lower-left corner."""
-    rows, columns = known_window(image)
-    corner = np.array(origin_xy) + resolution_m * np.array([columns.start, image.shape[0] - rows.stop])
-    return image[rows, columns], corner
+    rows, columns = known_window(picture.image)
+    shift = np.array([columns.start, picture.image.shape[0] - rows.stop])
+    return picture.image[rows, columns], np.array(picture.origin_xy) + picture.resolution_m * shift
 
 
 def _resized(image: NDArray[np.uint8], rows: int, columns: int) -> NDArray[np.uint8]:

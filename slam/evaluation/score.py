@@ -73,7 +73,7 @@ def evaluate(
     assert groundtruth is not None
     truth = _truth(groundtruth)
     limit_s = _TOLERANCE_S if tolerance_s is None else tolerance_s
-    relative = relative_error(poses, truth, delta=delta_m, unit="metres", max_difference_s=limit_s)
+    relative = relative_error(poses, truth, delta_m=delta_m, max_difference_s=limit_s)
     return {
         "ate": absolute_error(poses, truth, max_difference_s=limit_s).to_dict(),
         "rpe": None if relative is None else asdict(relative),

@@ -6,7 +6,7 @@ J. Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 20
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,12 +16,8 @@ from slam.evaluation.association import nearest_indices
 from slam.evaluation.error_statistics import ErrorStatistics
 from slam.measurements import FloatArray, Trajectory
 
-Alignment: TypeAlias = Literal["se3", "none"]
-DeltaUnit: TypeAlias = Literal["frames", "metres"]
-
 # evo's own limits; the figures are to agree with it.
 DEFAULT_MAX_DIFFERENCE_S = 0.01
-_ALL_PAIRS_TOLERANCE = 0.1
 # Of the greatest spread: what is less is rounding, and the points lie on a line.
 _OPEN_SHARE = 1e-12
 
@@ -34,19 +30,19 @@ class AbsoluteError:
     ----------
     count
         Pairs of poses compared.
-    alignment
-        ``se3`` (rigid, without scale) or ``none``.
     T_reference_map
         (4, 4) what the alignment applied to the trajectory.
     translation_m, rotation_rad
         Distance, and angle of the rotation between the two poses.
+    alignment
+        ``se3``: rigid, without scale.
     """
 
     count: int
-    alignment: Alignment
     T_reference_map: FloatArray
     translation_m: ErrorStatistics
     rotation_rad: ErrorStatistics
+    alignment: str = "se3"
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -55,7 +51,7 @@ class AbsoluteError:
 
 @dataclass(frozen=True, slots=True)
 class RelativeError:
-    """RPE: how far the motions over a fixed distance or number of poses are from the reference's.
+    """RPE: how far the motions over a fixed distance are from the reference's.
 
     Attributes
     ----------
@@ -69,9 +65,9 @@ class RelativeError:
 
     count: int
     delta: float
-    unit: DeltaUnit
     translation_m: ErrorStatistics
     rotation_rad: ErrorStatistics
+    unit: str = "metres"
 
 
 def associate(
@@ -103,13 +99,9 @@ def associate(
 
 
 def absolute_error(
-    trajectory: Trajectory,
-    reference: Trajectory,
-    *,
-    alignment: Alignment = "se3",
-    max_difference_s: float = DEFAULT_MAX_DIFFERENCE_S,
+    trajectory: Trajectory, reference: Trajectory, *, max_difference_s: float = DEFAULT_MAX_DIFFERENCE_S
 ) -> AbsoluteError:
-    """Absolute trajectory error of associated poses, after a rigid alignment without scale by default.
+    """Absolute trajectory error of associated poses after a rigid alignment without scale.
 
     Raises
     ------
@@ -117,16 +109,13 @@ def absolute_error(
         Where no poses can be associated, or they lie on a line, which leaves the alignment's roll open.
     """
     estimate, truth = associate(trajectory, reference, max_difference_s)
-    T_reference_map = np.eye(4)
-    if alignment == "se3":
-        T_reference_map = umeyama(estimate.positions_m, truth.positions_m)
+    T_reference_map = umeyama(estimate.positions_m, truth.positions_m)
     rotation = Rotation.from_matrix(T_reference_map[:3, :3])
     positions = rotation.apply(estimate.positions_m) + T_reference_map[:3, 3]
     turned = rotation * Rotation.from_quat(estimate.quaternions_xyzw)
     difference = turned.inv() * Rotation.from_quat(truth.quaternions_xyzw)
     return AbsoluteError(
         count=len(estimate),
-        alignment=alignment,
         T_reference_map=T_reference_map,
         translation_m=ErrorStatistics.of(np.linalg.norm(positions - truth.positions_m, axis=1)),
         rotation_rad=ErrorStatistics.of(np.asarray(difference.magnitude())),
@@ -137,15 +126,10 @@ def relative_error(
     trajectory: Trajectory,
     reference: Trajectory,
     *,
-    delta: float = 1.0,
-    unit: DeltaUnit = "frames",
-    all_pairs: bool = False,
+    delta_m: float = 1.0,
     max_difference_s: float = DEFAULT_MAX_DIFFERENCE_S,
 ) -> RelativeError | None:
-    """Relative pose error over motions of ``delta`` frames or metres of the trajectory's own path.
-
-    Consecutive motions by default; ``all_pairs`` starts one at every pose (in metres: where the path meets
-    ``delta`` within a tenth of it).
+    """Relative pose error over consecutive motions of ``delta_m`` of the trajectory's own path.
 
     Returns
     -------
@@ -154,15 +138,12 @@ def relative_error(
     Raises
     ------
     EvaluationError
-        Where no poses can be associated, or ``delta`` is not positive (or not whole, in frames).
+        Where no poses can be associated, or ``delta_m`` is not positive.
     """
-    if not delta > 0.0 or (unit == "frames" and delta != int(delta)):
-        raise EvaluationError(f"delta must be positive, and whole in frames; it is {delta:g} {unit}")
+    if not delta_m > 0.0:
+        raise EvaluationError(f"delta must be positive; it is {delta_m:g} m")
     estimate, truth = associate(trajectory, reference, max_difference_s)
-    if unit == "frames":
-        starts, ends = _pairs_by_frames(len(estimate), int(delta), all_pairs)
-    else:
-        starts, ends = _pairs_by_path(estimate.positions_m, delta, all_pairs)
+    starts, ends = _pairs_by_path(estimate.positions_m, delta_m)
     if not len(starts):
         return None
     moved, turned = _motions(estimate, starts, ends)
@@ -170,8 +151,7 @@ def relative_error(
     # E = inverse(reference motion) * estimated motion: its translation is the difference of both, turned.
     return RelativeError(
         count=len(starts),
-        delta=float(delta),
-        unit=unit,
+        delta=float(delta_m),
         translation_m=ErrorStatistics.of(np.linalg.norm(moved - moved_truth, axis=1)),
         rotation_rad=ErrorStatistics.of(np.asarray((turned_truth.inv() * turned).magnitude())),
     )
@@ -192,7 +172,7 @@ def umeyama(points: FloatArray, targets: FloatArray) -> FloatArray:
     left, singular, right = np.linalg.svd(covariance)
     if np.count_nonzero(singular > _OPEN_SHARE * singular[0]) < 2:
         raise EvaluationError(
-            f"{len(points)} associated poses in one place or on one line leave the alignment open; use none"
+            f"{len(points)} associated poses in one place or on one line leave the alignment open"
         )
     # Umeyama 1991 Eq. (43): keep a rotation from becoming a reflection.
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
@@ -209,32 +189,16 @@ def _take(trajectory: Trajectory, indices: Any) -> Trajectory:
     )
 
 
-def _pairs_by_frames(count: int, delta: int, all_pairs: bool) -> tuple[Any, Any]:
-    """Start and end indices ``delta`` poses apart."""
-    starts = np.arange(0, count - delta, 1 if all_pairs else delta)
-    return starts, starts + delta
-
-
-def _pairs_by_path(positions_m: FloatArray, delta_m: float, all_pairs: bool) -> tuple[Any, Any]:
+def _pairs_by_path(positions_m: FloatArray, delta_m: float) -> tuple[Any, Any]:
     """Start and end indices ``delta_m`` of path apart."""
     steps = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
-    if not all_pairs:
-        marks, travelled = [0], 0.0
-        for index, step in enumerate(steps.tolist(), start=1):
-            travelled += step
-            if travelled >= delta_m:
-                marks.append(index)
-                travelled = 0.0
-        return np.array(marks[:-1], dtype=np.intp), np.array(marks[1:], dtype=np.intp)
-    path = np.concatenate([[0.0], np.cumsum(steps)])
-    starts, ends = [], []
-    for start in range(path.size - 1):
-        misses = np.abs(path[start + 1 :] - path[start] - delta_m)
-        end = int(np.argmin(misses))
-        if misses[end] <= _ALL_PAIRS_TOLERANCE * delta_m:
-            starts.append(start)
-            ends.append(start + 1 + end)
-    return np.array(starts, dtype=np.intp), np.array(ends, dtype=np.intp)
+    marks, travelled = [0], 0.0
+    for index, step in enumerate(steps.tolist(), start=1):
+        travelled += step
+        if travelled >= delta_m:
+            marks.append(index)
+            travelled = 0.0
+    return np.array(marks[:-1], dtype=np.intp), np.array(marks[1:], dtype=np.intp)
 
 
 def _motions(trajectory: Trajectory, starts: Any, ends: Any) -> tuple[FloatArray, Rotation]:

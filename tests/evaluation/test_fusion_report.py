@@ -18,7 +18,7 @@ from fusion import Grade, Provenance, RigEstimate
 from slam.config import Config
 from slam.datasets.dataset import ReadReport
 from slam.evaluation.fusion_figures import examples_png, fusion_section, offsets_png, repairs_png
-from slam.evaluation.map_report import RunCost, report_data
+from slam.evaluation.map_report import ReportData, RunCost
 from slam.evaluation.report import write_report
 from slam.graph.pose_graph import PoseGraph
 from slam.mapper.keyframe_fusion import FusionPair, FusionSummary
@@ -85,9 +85,7 @@ def page(fused: FusionSummary | None, folder: Path) -> str:
         warnings=[],
         fused=fused,
     )
-    write_report(
-        folder / "report.html", report_data("log", ReadReport(), result, Config(), RunCost(1.0, 1.0))
-    )
+    write_report(folder / "report.html", ReportData("log", ReadReport(), result, Config(), RunCost(1.0, 1.0)))
     return (folder / "report.html").read_text(encoding="utf-8")
 
 

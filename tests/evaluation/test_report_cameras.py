@@ -16,7 +16,7 @@ from slam.datasets.dataset import ReadReport
 from slam.errors import DatasetError
 from slam.evaluation.camera_figures import tracking_png
 from slam.evaluation.cloud_picture import cloud_from_above
-from slam.evaluation.map_report import Beside, RunCost, beside_of, report_data
+from slam.evaluation.map_report import Beside, ReportData, RunCost, beside_of
 from slam.evaluation.report import write_report
 from slam.evaluation.truth_comparison import compare_with_truth
 from slam.graph.loop_closure import LoopCandidate
@@ -88,11 +88,11 @@ def result(
     )
 
 
-def report(run: MapResult, beside: Beside | None = None):
-    return report_data("log", ReadReport(), run, Config(), RunCost(1.0, 1.0), beside)
+def report(run: MapResult, beside: Beside = Beside()) -> ReportData:  # noqa: B008
+    return ReportData("log", ReadReport(), run, Config(), RunCost(1.0, 1.0), beside)
 
 
-def page(run: MapResult, folder: Path, beside: Beside | None = None) -> str:
+def page(run: MapResult, folder: Path, beside: Beside = Beside()) -> str:  # noqa: B008
     write_report(folder / "report.html", report(run, beside))
     return (folder / "report.html").read_text(encoding="utf-8")
 
@@ -149,9 +149,11 @@ def test_a_loop_is_held_against_the_limit_of_its_sensor() -> None:
     by_camera = LoopCandidate(0, 2, 0.0, 0.0, 1.0, None, False, "too little fits")
     by_lidar = replace(by_camera, half_width_m=0.5)
     config = Config()
-    rows = report(replace(result(), loops=[by_camera, by_lidar])).loops
+    data = report(result())
     limits = [config.visual_loops.least_inlier_share, config.loops.least_inlier_share]
-    assert [row.threshold for row in rows] == limits and limits[0] != limits[1]
+    assert [data.least_inlier_share(loop) for loop in (by_camera, by_lidar)] == limits and limits[
+        0
+    ] != limits[1]
 
 
 def test_the_path_of_a_camera_is_measured_in_space() -> None:
@@ -254,11 +256,13 @@ PATH = np.array([[0.2, 0.2, 1.0], [1.0, 1.0, 1.0]])
 
 
 def test_the_highest_surface_is_seen_and_the_ceiling_looked_through() -> None:
-    picture = cloud_from_above(room(), PATH, pixel_m=0.02, level=False)
-    assert picture is not None and picture.image.shape[:2] == (100, 100)
+    seen = cloud_from_above(room(), PATH, pixel_m=0.02, level=False)
+    assert seen is not None
+    picture, path_xy = seen
+    assert picture.image.shape[:2] == (100, 100)
     assert (picture.image[5:30, 70:95] == GREEN).all()  # row 0 is the largest y
     assert (picture.image[40:95, 5:95] == RED).all()
-    np.testing.assert_array_equal(picture.path_xy, PATH[:, :2])
+    np.testing.assert_array_equal(path_xy, PATH[:, :2])
 
 
 def test_a_tilted_cloud_is_levelled_with_its_path() -> None:
@@ -269,21 +273,22 @@ def test_a_tilted_cloud_is_levelled_with_its_path() -> None:
         level.colors,
         (level.normals_map @ turn.T).astype(np.float32),
     )
-    picture = cloud_from_above(tilted, PATH @ turn.T, pixel_m=0.02, level=True)
-    assert picture is not None
+    seen = cloud_from_above(tilted, PATH @ turn.T, pixel_m=0.02, level=True)
+    assert seen is not None
+    picture, path_xy = seen
     counts = [int((picture.image == color).all(axis=2).sum()) for color in (GREEN, RED, BLUE)]
     assert counts[0] == pytest.approx(35**2, rel=0.05) and counts[2] == 0
     assert counts[1] == pytest.approx(100**2 - 35**2, rel=0.05)
-    step = picture.path_xy[1] - picture.path_xy[0]
+    step = path_xy[1] - path_xy[0]
     assert np.linalg.norm(step) == pytest.approx(0.8 * np.sqrt(2.0), abs=1e-3)
 
 
 def test_a_picture_of_the_cloud_has_a_bounded_size_and_ignores_strays() -> None:
     far = room()
     far.points_map[0] = [0.0, 5000.0, 0.0]
-    picture = cloud_from_above(far, PATH, pixel_m=0.0001, level=False)
-    assert picture is not None and max(picture.image.shape) <= 1001
-    assert picture.resolution_m < 0.003
+    seen = cloud_from_above(far, PATH, pixel_m=0.0001, level=False)
+    assert seen is not None and max(seen[0].image.shape) <= 1001
+    assert seen[0].resolution_m < 0.003
 
 
 def test_nothing_to_see_is_no_picture() -> None:
