@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import islice
+from typing import TypeAlias
 
 import numpy as np
 
@@ -15,6 +17,8 @@ from slam.vision.color_registration_fit import FramePair, estimate_registration
 from slam.vision.features import Features, extract_features, gray_of, match_features
 
 log = logging.getLogger(__name__)
+
+Seen: TypeAlias = tuple[RgbdFrame, Features]
 
 _EVERY_S = 0.2
 _LONGEST_S = 40.0
@@ -56,7 +60,7 @@ class _Collector:
     def __init__(self, config: Config) -> None:
         self._config = config
         self._pairs: list[FramePair] = []
-        self._anchor: tuple[RgbdFrame, Features] | None = None
+        self._anchors: list[Seen] = []
         self._looked_s = -np.inf
 
     @property
@@ -70,32 +74,42 @@ class _Collector:
             return
         self._looked_s = frame.stamp_s
         features = extract_features(gray_of(frame), frame.depth_m, self._config.rgbd.features)
-        pair, motion = None, np.inf
-        if self._anchor is not None:
-            pair, motion = _pair(*self._anchor, frame, features, self._config.rgbd_odometry)
+        seen, pair, motion = (frame, features), None, np.inf
+        if self._anchors:
+            pair, motion = _pair(self._anchors[-1], seen, self._config.rgbd_odometry)
         if pair is not None:
             self._pairs.append(pair)
         if pair is not None or motion > _GREATEST_MOTION:
-            self._anchor = frame, features
+            self._anchors.append(seen)
+            del self._anchors[:-_PAIRS]
 
     def registration(self, seed: int) -> ColorRegistration | None:
         """The estimate, which may be that colour is registered; None without a frame."""
-        if self._anchor is None:
+        if not self._anchors:
             return None
-        registration = estimate_registration(self._pairs, self._anchor[0].intrinsics, seed)
-        log.info("%s: %s", self._anchor[0].sensor, registration.reason)
+        pairs = [*self._pairs, *islice(self._farther_pairs(), _PAIRS - len(self._pairs))]
+        frame, _ = self._anchors[0]
+        registration = estimate_registration(pairs, frame.intrinsics, seed)
+        log.info("%s: %s", frame.sensor, registration.reason)
         return registration
 
+    def _farther_pairs(self) -> Iterator[FramePair]:
+        """Pairs of anchors with others between: what a short log tells beyond its few steps."""
+        for gap in range(2, len(self._anchors)):
+            for before, after in zip(self._anchors, self._anchors[gap:], strict=False):
+                pair, _ = _pair(before, after, self._config.rgbd_odometry)
+                if pair is not None:
+                    yield pair
 
-def _pair(
-    before: RgbdFrame, known: Features, frame: RgbdFrame, features: Features, config: RgbdOdometryConfig
-) -> tuple[FramePair | None, float]:
+
+def _pair(before: Seen, after: Seen, config: RgbdOdometryConfig) -> tuple[FramePair | None, float]:
     """The matched pair, None where the motion between is too small or too large; and the motion."""
+    (frame_a, known), (frame_b, features) = before, after
     matches = match_features(known.descriptors, features.descriptors, config.match_ratio, config.match_bits)
     if len(matches) < _LEAST_MATCHES:
         return None, np.inf
     a, b = known.pixels[matches.first], features.pixels[matches.second]
-    motion = float(np.median(np.linalg.norm(a - b, axis=1))) / frame.intrinsics.width
+    motion = float(np.median(np.linalg.norm(a - b, axis=1))) / frame_b.intrinsics.width
     if not _LEAST_MOTION <= motion <= _GREATEST_MOTION:
         return None, motion
-    return FramePair(a, b, before.depth_m, frame.depth_m), motion
+    return FramePair(a, b, frame_a.depth_m, frame_b.depth_m), motion
