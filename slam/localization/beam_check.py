@@ -7,17 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from fusion.kernel import kernel
+from slam.localization.beams import FREE, NEAR, UNKNOWN, WALL, follow, looked_up
 from slam.mapping.occupancy_grid import OCCUPIED, OccupancyGrid
 from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import between, transform_points
 from slam.matching.surfel_map import SurfelMap, nearest_surfel
 from slam.measurements import AnyFloatArray, BoolArray, FloatArray, row_from_pose2
 
-_UNKNOWN, _FREE, _NEAR_WALL, _WALL = 0, 1, 2, 3
-# What a beam counts as, after those that are explained.
-_CROSSING, _IN_FREE, _SILENT = (np.int64(n) for n in (1, 2, 3))
 # Probability below which a cell is surely free: some five beams passed it, not the one or two that a door let
 # through.
 _SURELY_FREE = 0.12
@@ -27,7 +26,6 @@ _WALL_REACH_M = 0.1
 _CLEAR_M = 0.2
 # The last stretch of a beam may lie in the wall it ends in, at a small angle and with a little error.
 _END_M = 0.4
-_STEP_CELLS = 0.7
 
 
 class KnownSpace(NamedTuple):
@@ -36,9 +34,9 @@ class KnownSpace(NamedTuple):
     Attributes
     ----------
     cells
-        (rows, columns) 0 unknown, 1 free, 2 within reach of a wall, 3 wall.
+        (columns, rows, 1), see `slam.localization.beams`.
     clear
-        (rows, columns) whether a cell is free, and no wall is anywhere near it.
+        (columns, rows) whether a cell is free, and no wall is anywhere near it.
     frame
         (3,) x, y, yaw of the lower-left corner of cell (0, 0) in the map.
     cell_m
@@ -74,14 +72,15 @@ class BeamCounts(NamedTuple):
 
 def known_space(grid: OccupancyGrid) -> KnownSpace:
     """Prepare a grid for `check_beams`."""
-    states = grid.states()
-    cells = np.full(states.shape, _UNKNOWN, np.uint8)
-    cells[grid.probabilities() < _SURELY_FREE] = _FREE
-    walls = states == OCCUPIED
-    cells[_surroundings(walls, _WALL_REACH_M / grid.resolution_m)] = _NEAR_WALL
-    cells[walls] = _WALL
-    clear = (cells == _FREE) & ~_surroundings(walls, _CLEAR_M / grid.resolution_m)
-    return KnownSpace(cells, clear, row_from_pose2(grid.T_map_grid), grid.resolution_m)
+    walls = grid.states().T == OCCUPIED
+    distance_m = grid.resolution_m * np.asarray(ndimage.distance_transform_edt(~walls))
+    if not walls.any():
+        distance_m[:] = np.inf
+    cells = np.where(grid.probabilities().T < _SURELY_FREE, FREE, UNKNOWN).astype(np.uint8)
+    cells[distance_m <= _WALL_REACH_M] = NEAR
+    cells[walls] = WALL
+    clear = (cells == FREE) & (distance_m > _CLEAR_M)
+    return KnownSpace(cells[:, :, None], clear, row_from_pose2(grid.T_map_grid), grid.resolution_m)
 
 
 def in_clear_space(space: KnownSpace, pose: FloatArray, points: AnyFloatArray) -> BoolArray:
@@ -93,11 +92,7 @@ def in_clear_space(space: KnownSpace, pose: FloatArray, points: AnyFloatArray) -
         (3,) x, y, yaw of the base in the map, good to some decimetres.
     """
     cells = np.floor(transform_points(points, between(space.frame, pose)) / space.cell_m).astype(np.int64)
-    columns, rows = cells.T
-    inside = (rows >= 0) & (rows < space.clear.shape[0]) & (columns >= 0) & (columns < space.clear.shape[1])
-    found = np.zeros(len(points), np.bool_)
-    found[inside] = space.clear[rows[inside], columns[inside]]
-    return found
+    return looked_up(space.clear, cells, outside=False)
 
 
 def check_beams(
@@ -118,83 +113,27 @@ def check_beams(
     points
         Where they end, base frame.
     """
-    in_picture = between(space.frame, pose)
-    counts = np.zeros(4, np.int64)
-    scan = points.points, points.normals
-    _count(space.cells, 1.0 / space.cell_m, *surfels, pose, in_picture, laser, *scan, counts)
-    return BeamCounts(*counts.tolist())
-
-
-def _surroundings(walls: NDArray[np.bool_], reach: float) -> NDArray[np.bool_]:
-    """All cells within so many cells of a wall."""
-    near = walls.copy()
-    whole = int(reach)
-    rows, columns = walls.shape
-    for dr in range(-whole, whole + 1):
-        for dc in range(-whole, whole + 1):
-            if 0 < math.hypot(dr, dc) <= reach:
-                near[max(dr, 0) : rows + dr, max(dc, 0) : columns + dc] |= walls[
-                    max(-dr, 0) : rows - dr, max(-dc, 0) : columns - dc
-                ]
-    return near
+    explained = np.zeros(len(points), np.bool_)
+    _explain(*surfels, pose, points.points, points.normals, explained)
+    rest = np.vstack([laser, points.points[~explained]])
+    in_picture = transform_points(rest, between(space.frame, pose)) / space.cell_m
+    lifted = np.column_stack([in_picture, np.full(len(rest), 0.5)])
+    met = follow(space.cells, lifted[0], lifted[1:], _END_M / space.cell_m)
+    against = np.bincount(met, minlength=WALL + 1)
+    return BeamCounts(int(explained.sum()), int(against[WALL]), int(against[FREE]), int(against[UNKNOWN]))
 
 
 @kernel
-def _count(  # type: ignore[no-untyped-def]
-    picture,
-    scale,
-    cells,
-    surfels,
-    origin_x,
-    origin_y,
-    cell_m,
-    pose,
-    in_picture,
-    laser,
-    points,
-    normals,
-    counts,
-):
-    """Add to the numbers of explained, crossing, in free and silent beams."""
-    cos = math.cos(in_picture[2])
-    sin = math.sin(in_picture[2])
-    x0 = (cos * laser[0] - sin * laser[1] + in_picture[0]) * scale
-    y0 = (sin * laser[0] + cos * laser[1] + in_picture[1]) * scale
-    map_cos = math.cos(pose[2])
-    map_sin = math.sin(pose[2])
+def _explain(cells, surfels, origin_x, origin_y, cell_m, pose, points, normals, explained):  # type: ignore[no-untyped-def]
+    """Tell which points lie on a surfel that faces the same way."""
+    cos = math.cos(pose[2])
+    sin = math.sin(pose[2])
     for i in range(points.shape[0]):
-        bx = points[i, 0]
-        by = points[i, 1]
-        x = map_cos * bx - map_sin * by + pose[0]
-        y = map_sin * bx + map_cos * by + pose[1]
-        nx = map_cos * normals[i, 0] - map_sin * normals[i, 1]
-        ny = map_sin * normals[i, 0] + map_cos * normals[i, 1]
+        x = cos * points[i, 0] - sin * points[i, 1] + pose[0]
+        y = sin * points[i, 0] + cos * points[i, 1] + pose[1]
+        nx = cos * normals[i, 0] - sin * normals[i, 1]
+        ny = sin * normals[i, 0] + cos * normals[i, 1]
         k = nearest_surfel(cells, surfels, origin_x, origin_y, cell_m, x, y, nx, ny)
         if k >= 0:
             away = surfels[k, 2] * (x - surfels[k, 0]) + surfels[k, 3] * (y - surfels[k, 1])
-            if abs(away) < _WALL_REACH_M:
-                counts[0] += 1
-                continue
-        x1 = (cos * bx - sin * by + in_picture[0]) * scale
-        y1 = (sin * bx + cos * by + in_picture[1]) * scale
-        length = math.hypot(x1 - x0, y1 - y0)
-        steps = max(math.floor((length - _END_M * scale) / _STEP_CELLS), 0)
-        # The way there, all but its last stretch, and then where it ends; unknown beyond the picture.
-        kind = _SILENT
-        for n in range(steps + 1):
-            x = x1
-            y = y1
-            if n < steps:
-                share = n * _STEP_CELLS / length
-                x = x0 + share * (x1 - x0)
-                y = y0 + share * (y1 - y0)
-            row = math.floor(y)
-            column = math.floor(x)
-            if 0 <= row < picture.shape[0] and 0 <= column < picture.shape[1]:
-                met = picture[row, column]
-                if n < steps and met == _WALL:
-                    kind = _CROSSING
-                    break
-                if n == steps and met == _FREE:
-                    kind = _IN_FREE
-        counts[kind] += 1
+            explained[i] = abs(away) < _WALL_REACH_M

@@ -11,7 +11,7 @@ from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import BoolArray, FloatArray
 
 # One beam through a door, or a point on an edge, is no view of a wall.
-_LEAST_SEEN = 3
+LEAST_SEEN = 3
 # Of a plane whose normal is nearer to level than this: a wall, not a floor.
 _LEVEL = 0.5
 
@@ -55,7 +55,7 @@ class SidedPlanes:
             ahead = np.einsum("ij,ij->i", lidar - cloud[pairs.found], pairs.normals) > 0.0
             for side in (0, 1):
                 seen[side] += np.bincount(pairs.planes[ahead == side], minlength=len(planes))
-        self._seen = seen >= _LEAST_SEEN
+        self._seen = seen >= LEAST_SEEN
 
     def judge(self, lidar: FloatArray, points: FloatArray, reach_m: float) -> OnPlanes:
         """See `OnPlanes`; of points (N, 3) seen from a lidar (3,), map frame.

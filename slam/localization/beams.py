@@ -1,0 +1,102 @@
+"""Beams through a picture of cells (x, y, z) of which it is known what was free and what was wall."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.kernel import kernel
+from slam.measurements import BoolArray, FloatArray
+
+# What a cell is: of NEAR, within reach of a surface, it is not known whether something small moved it there.
+UNKNOWN, FREE, NEAR, WALL = 0, 1, 2, 3
+# A beam that is in a wall for so many steps on end is not one that grazes its edge.
+_THROUGH, _STEP_CELLS = 2, 0.4
+
+
+def follow(
+    cells: NDArray[np.uint8], origin: FloatArray, ends: FloatArray, end_cells: float
+) -> NDArray[np.uint8]:
+    """What (N,) beams meet: FREE where one ends in free space, WALL where it passes a wall, else UNKNOWN.
+
+    Parameters
+    ----------
+    origin, ends
+        (3,) and (N, 3), in cells.
+    end_cells
+        The last stretch of a beam: it lies in the wall that it meets, and grazes what is beside that.
+    """
+    found = np.zeros(len(ends), np.uint8)
+    _follow(cells.ravel(), cells.shape, origin, ends, end_cells, found)
+    return found
+
+
+def count_passes(passes: NDArray[np.uint16], origin: FloatArray, ends: FloatArray, end_cells: float) -> None:
+    """Add the beams through each cell, all but their last stretch; see `follow`."""
+    _count_passes(passes.ravel(), passes.shape, origin, ends, end_cells)
+
+
+def looked_up(picture: BoolArray, cells: NDArray[np.int64], *, outside: bool) -> BoolArray:
+    """What a picture tells of (N, 2) rows and columns, which may lie outside of it."""
+    inside = ((cells >= 0) & (cells < picture.shape)).all(axis=1)
+    found = np.full(len(cells), outside)
+    found[inside] = picture[cells[inside, 0], cells[inside, 1]]
+    return found
+
+
+@kernel
+def _follow(cells, shape, origin, ends, end_cells, found):  # type: ignore[no-untyped-def]
+    """See `follow`."""
+    for i in range(ends.shape[0]):
+        if _at(cells, shape, origin, ends, i, 1.0) == FREE:
+            found[i] = FREE
+            continue
+        length = _length(origin, ends, i)
+        inside = 0
+        for n in range(int((length - end_cells) / _STEP_CELLS)):
+            inside = inside + 1 if _at(cells, shape, origin, ends, i, n * _STEP_CELLS / length) == WALL else 0
+            if inside == _THROUGH:
+                found[i] = WALL
+                break
+
+
+@kernel
+def _count_passes(passes, shape, origin, ends, end_cells):  # type: ignore[no-untyped-def]
+    """See `count_passes`."""
+    for i in range(ends.shape[0]):
+        length = _length(origin, ends, i)
+        last = -1
+        for n in range(int((length - end_cells) / _STEP_CELLS)):
+            cell = _index(shape, origin, ends, i, n * _STEP_CELLS / length)
+            if cell < 0:
+                break
+            if cell != last and passes[cell] < 65535:
+                passes[cell] += 1
+            last = cell
+
+
+@kernel
+def _length(origin, ends, i):  # type: ignore[no-untyped-def]
+    """Length of a beam, in cells."""
+    x = ends[i, 0] - origin[0]
+    y = ends[i, 1] - origin[1]
+    z = ends[i, 2] - origin[2]
+    return np.sqrt(x * x + y * y + z * z)
+
+
+@kernel
+def _index(shape, origin, ends, i, share):  # type: ignore[no-untyped-def]
+    """Number of the cell at a share of a beam; -1 beyond the picture."""
+    x = int(np.floor(origin[0] + share * (ends[i, 0] - origin[0])))
+    y = int(np.floor(origin[1] + share * (ends[i, 1] - origin[1])))
+    z = int(np.floor(origin[2] + share * (ends[i, 2] - origin[2])))
+    if 0 <= x < shape[0] and 0 <= y < shape[1] and 0 <= z < shape[2]:
+        return (x * shape[1] + y) * shape[2] + z
+    return -1
+
+
+@kernel
+def _at(cells, shape, origin, ends, i, share):  # type: ignore[no-untyped-def]
+    """What the cell at a share of a beam is; unknown beyond the picture."""
+    cell = _index(shape, origin, ends, i, share)
+    return cells[cell] if cell >= 0 else UNKNOWN
