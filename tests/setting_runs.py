@@ -313,12 +313,6 @@ def in_room(config: Config, course: Course) -> None:
     localized(known, [*log[2:28], *log[36:46]], config, course)
 
 
-def by_looks(config: Config, course: Course) -> None:
-    """A camera in the map of a lidar and a camera; the lidar sees something else."""
-    known = KnownMap.of_result(_result(fused_log, *BASES["fused"]))
-    localized(known, fused_log().measurements[20:50], config, course)
-
-
 def frames_alone(config: Config, course: Course) -> None:
     """A camera in the map of a camera."""
     known = KnownMap.of_result(_result(spatial_log, *BASES["spatial"]))
@@ -355,13 +349,12 @@ BASES: dict[str, tuple[str, ...]] = {
         "cloud_odometry.local_map_keyframes=6",
     ),
     "first_clouds": ("cloud_odometry.voxel_m=0.25", "cloud_odometry.local_map_keyframes=4"),
-    "in_plan": ("localization.station_m=0.1", "localization.search_threads=1"),
+    "in_plan": ("localization.keyframe_m=0.1", "localization.search_threads=1"),
     "in_room": (
         "cloud_odometry.voxel_m=0.25",
         "localization.search_threads=1",
         "localization.sure_probability=0.8",
     ),
-    "by_looks": _CAMERA,
     "frames_alone": (*_CAMERA, "rgbd_odometry.least_inliers=8"),
     "files": ("dense_map.octomap=true",),
 }
@@ -375,7 +368,6 @@ RUNS: dict[str, Run] = {
         first_clouds,
         in_plan,
         in_room,
-        by_looks,
         frames_alone,
         from_a_file,
         files,

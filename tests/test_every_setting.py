@@ -33,7 +33,6 @@ RUN_OF_SECTION = {
 RUN_OF = {
     "sensors.topics": "from_a_file",
     "cloud_map.enabled": "files",
-    "localization.looks_nats": "by_looks",
     "visual_loops.least_features": "frames_alone",
 }
 # What else must be set for a setting to matter.
@@ -42,8 +41,7 @@ BESIDE: dict[str, tuple[str, ...]] = {
     "cloud_odometry.keyframe_voxels": ("cloud_odometry.keyframe_angle_rad=3",),
     "cloud_loops.greatest_residual_ratio": ("cloud_odometry.minimal_residual_m=0.001",),
     "cloud_loops.places_cached": ("cloud_loops.half_keyframes=20",),
-    "localization.station_rad": ("localization.station_m=5",),
-    "localization.search_back_m": ("localization.search_every_m=0.1",),
+    "localization.keyframe_rad": ("localization.keyframe_m=5",),
     "localization.lost_after_s": ("localization.dead_reckoning_m=100",),
     "lidar_odometry.search_half_width_m": ("lidar_odometry.sure_inlier_share=1.0",),
     "lidar_odometry.search_half_yaw_rad": ("lidar_odometry.sure_inlier_share=1.0",),
@@ -81,12 +79,8 @@ VALUES: dict[str, Any] = {
     "prediction.memory_scans": 3.0,
     "keyframes.angle_rad": 0.05,
     "localization.sure_probability": 0.999,
-    "cloud_localization.tile_keyframes": 2,
     "cloud_localization.reach_voxels": 2.0,
-    "cloud_localization.space_voxels": 5.0,
-    "cloud_localization.looks_apart_voxels": 0.5,
-    "cloud_localization.arrive_voxels": 1.0,
-    "cloud_localization.hypotheses": 1,
+    "cloud_localization.new_share": 0.01,
     "visual_loops.least_features": 100,
     "sensors.topics": ["/scan"],
     "scan.range_min_m": 1.5,
@@ -144,18 +138,14 @@ VALUES: dict[str, Any] = {
     "cloud_loops.greatest_residual_ratio": 1.01,
     "cloud_loops.places_cached": 1,
     "cloud_map.plan_range_m": 3.0,
-    "localization.search_back_m": 0.05,
-    "localization.search_points": 20,
-    "localization.unknown_likelihood": 0.9,
     "localization.search_least_score": 0.9,
     "localization.search_keep_share": 0.2,
-    "localization.station_rad": 0.05,
+    "localization.keyframe_rad": 0.05,
     "localization.window_m": 0.5,
     "localization.gate_sigmas": 0.1,
     "localization.dead_reckoning_m": 0.01,
     "localization.hypotheses": 1,
     "localization.least_inlier_share": 0.98,
-    "localization.tile_reach_m": 1.0,
     "dense_map.octomap": False,
 }
 # Memory and threads: by design nothing that a run comes to depends on them, but they are read.
@@ -163,7 +153,6 @@ WITHOUT_EFFECT = {
     "loops.submaps_cached",
     "localization.search_threads",
     "localization.tiles_cached",
-    "cloud_localization.tiles_cached",
 }
 
 

@@ -19,16 +19,23 @@ import numpy as np
 
 from slam.config import Config, load_config
 from slam.datasets import open_dataset
-from slam.localization.global_search import search_everywhere
+from slam.localization.global_search import search_map
 from slam.localization.known_map import KnownMap, Walls
 from slam.localization.localizer import Localizer
-from slam.localization.map_match import MapMatcher
 from slam.localization.output import LocalizerOutput, State
+from slam.localization.planar_sensor import PlanarSensor
 from slam.localization.scan_view import ScanView, first_in_cells
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.mapper import Mapper
 from slam.matching.planar import between, compose
-from slam.measurements import FloatArray, LaserScan, Measurement, WheelOdometry, row_from_pose2
+from slam.measurements import (
+    FloatArray,
+    LaserScan,
+    Measurement,
+    WheelOdometry,
+    pose2_from_row,
+    row_from_pose2,
+)
 
 RIGHT_M, RIGHT_RAD = 0.25, np.radians(5.0)
 MAPPED_SHARE = 0.6
@@ -92,12 +99,12 @@ def build_case(path: str, share: str, config: Config) -> Case:
         near = int(np.argmin(np.hypot(*(whole[:split, :2] - whole[n, :2]).T) + 0.5 * turned))
         truth[n] = compose(begun[near], between(whole[near], whole[n]))
     known_map = KnownMap.of_result(part)
-    matcher = MapMatcher(Walls(known_map, config), config)
+    sensor = PlanarSensor(Walls(known_map, config), config)
     mapped = np.zeros(len(log))
     for n in range(split, len(log)):
         scan = log[n]
         if isinstance(scan, LaserScan):
-            motion = matcher.align(ScanView.of(scan, config), truth[n])
+            motion = sensor.align(ScanView.of(scan, config), pose2_from_row(truth[n]))
             mapped[n] = 0.0 if motion is None else motion.inlier_share
     return Case(Path(path).name, log, split, known_map, truth, whole, mapped, config)
 
@@ -152,16 +159,9 @@ def search_trial(case: Case, rng: np.random.Generator) -> None:
         scan = case.log[n]
         assert isinstance(scan, LaserScan)
         points = ScanView.of(scan, case.config).points.points_base
-        points = points[first_in_cells(points, settings.news_cell_m)[0]]
+        points = points[first_in_cells(points, settings.novel_cell_m)[0]]
         began, cpu = time.perf_counter(), time.process_time()
-        search_everywhere(
-            walls.field,
-            points,
-            settings.search_least_score,
-            settings.search_keep_share,
-            settings.hypotheses,
-            settings.search_threads,
-        )
+        search_map(walls.field, points, settings, settings.hypotheses)
         walls_s.append(time.perf_counter() - began)
         cpu_s.append(time.process_time() - cpu)
     print(

@@ -1,4 +1,8 @@
-"""Where in a map of clouds a scan may have been taken, by looks: scan contexts."""
+"""Where in a map of clouds a scan may have been taken: by appearance, and by the plan.
+
+Scan contexts know only places near the mapped path. A room that looks the same from its other half must not
+be found there and nowhere else, so the plan has its say as well; it tells no height, which the keyframes do.
+"""
 
 from __future__ import annotations
 
@@ -8,64 +12,113 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 
-from slam.config.localization import CloudLocalizationConfig
-from slam.localization.known_clouds import KnownClouds
+from fusion.height_band import HeightBand
+from slam.config import Config
+from slam.localization.global_search import search_map
+from slam.localization.known_clouds import SIGHT, TILE, KnownClouds
+from slam.localization.scan_view import first_in_cells
+from slam.localization.whole_map_field import WholeMapField
+from slam.mapping.band_scan import band_scan, ground_of
 from slam.matching.cloud_points import thinned
 from slam.matching.scan_context import SECTORS, ContextBank, scan_context
+from slam.matching.scan_points import extract_points
 from slam.measurements import Float32Array, FloatArray
 
-# How far a scan context reaches, in voxels.
-_LOOKS_REACH = 80.0
-# Of two guesses nearer in heading an alignment makes the same.
+# An alignment makes the same of guesses in one tile, nearer than this in heading.
 _SAME_RAD = 0.5
-# Where else than at the robot a place may have been seen from, in units of `looks_beside_voxels`.
-_BESIDE = np.array([(x, y, 0.0) for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
 
 
 class CloudPlaces:
-    """The scan contexts of all keyframes of a map."""
+    """The scan contexts of all keyframes of a map, and its plan.
 
-    def __init__(self, known: KnownClouds, voxel_m: float, config: CloudLocalizationConfig) -> None:
-        self._poses = known.poses
-        self._voxel_m, self._config = voxel_m, config
-        clouds = (thinned(known.clouds.points(key), voxel_m) for key in range(len(known.clouds)))
-        self._bank = ContextBank([self._context(points) for points in clouds])
+    Parameters
+    ----------
+    field
+        Of the plan; None where the map has none.
+    known
+        The clouds that it was made of.
+    voxel_m
+        Side of their voxels.
+    """
+
+    def __init__(
+        self, field: WholeMapField | None, known: KnownClouds, voxel_m: float, config: Config
+    ) -> None:
+        self._field, self._known, self._config = field, known, config
+        self._apart_m = 0.5 * TILE * voxel_m
+        self._reach_m = SIGHT * config.cloud_localization.reach_voxels * voxel_m
+        keys = range(len(known.clouds))
+        self._bank = ContextBank([self._context(thinned(known.clouds.points(key), voxel_m)) for key in keys])
+        self._positions = np.array([pose.translation() for pose in known.poses])
+        clouds, thickness_m = (known.clouds.points(key) for key in keys), config.cloud_odometry.thickness_m
+        ground = None if field is None else ground_of(clouds, known.T_base_lidar, voxel_m, thickness_m)
+        self._ground_m = None if ground is None else ground.height_m
 
     def propose(self, points: FloatArray) -> list[gtsam.Pose3]:
-        """``T_map_base`` of places that look as a thinned scan (N, 3), base frame, does; the likest first.
+        """``T_map_base`` of places like that of a thinned scan (N, 3), base frame, by the plan first."""
+        return self._apart([*self._by_plan(points), *self._by_appearance(points)])
 
-        A context changes with the place that it is seen from, and the robot may be beside the way that was
+    def _by_appearance(self, points: FloatArray) -> list[gtsam.Pose3]:
+        """The likest first.
+
+        A context changes with the place that it is seen from, and the robot may be beside the path that was
         mapped: the scan is looked at from beside the robot as well.
         """
-        beside_m = _BESIDE * self._config.looks_beside_voxels * self._voxel_m
+        steps_m = np.array([-self._apart_m, 0.0, self._apart_m])
+        beside_m = np.array([(x, y, 0.0) for x in steps_m for y in steps_m])
         unlike = np.array([self._bank.unlikeness(self._context(points - offset)) for offset in beside_m])
         turns, least = unlike.argmin(axis=2), unlike.min(axis=2)
         chosen: list[gtsam.Pose3] = []
         for flat in np.argsort(least, axis=None, kind="stable").tolist():
-            if len(chosen) == self._config.looks:
+            if len(chosen) == self._config.cloud_localization.places:
                 break
-            side, key = divmod(flat, len(self._poses))
+            side, key = divmod(flat, len(self._known.poses))
             turn = gtsam.Rot3.Yaw(2.0 * math.pi * float(turns[side, key]) / SECTORS)
             # The lidar of the keyframe stands where the offset is.
-            pose = self._poses[key].compose(gtsam.Pose3(turn, -turn.rotate(beside_m[side])))
-            if not any(self._same(pose, other) for other in chosen):
-                chosen.append(pose)
+            pose = self._known.poses[key].compose(gtsam.Pose3(turn, -turn.rotate(beside_m[side])))
+            chosen = self._apart([*chosen, pose])
         return chosen
 
-    def apart(self, guesses: Sequence[gtsam.Pose3]) -> list[gtsam.Pose3]:
-        """Those of poses that are not the same as an earlier one."""
-        kept: list[gtsam.Pose3] = []
-        for guess in guesses:
-            if not any(self._same(guess, other) for other in kept):
-                kept.append(guess)
-        return kept
+    def _by_plan(self, points: FloatArray) -> list[gtsam.Pose3]:
+        """The best first, each at the height of the nearest keyframe."""
+        seen = self._flat(points)
+        if self._field is None or not len(seen):
+            return []
+        most = self._config.cloud_localization.places
+        found = search_map(self._field, seen, self._config.localization, most)
+        return [self._lifted(place.pose) for place in found]
+
+    def _lifted(self, pose: FloatArray) -> gtsam.Pose3:
+        """A pose (3,) of the plan at the height of the nearest keyframe."""
+        nearest = int(np.hypot(*(self._positions[:, :2] - pose[:2]).T).argmin())
+        at = np.array([pose[0], pose[1], self._positions[nearest, 2]])
+        return gtsam.Pose3(gtsam.Rot3.Yaw(float(pose[2])), at)
+
+    def _flat(self, points: FloatArray) -> FloatArray:
+        """(M, 2) what a flat lidar would see of a scan, one point a cell."""
+        layers, limits = self._config.layers, self._config.scan
+        if self._ground_m is None or layers.climb_m >= layers.robot_height_m:
+            return np.zeros((0, 2))
+        band = HeightBand(0.0, layers.robot_height_m, layers.climb_m)
+        # A thinned scan has no second point in a cell.
+        config = self._config.cloud_map.model_copy(update={"least_points": 1})
+        scan = band_scan(points, 0.0, self._known.T_base_lidar, band, self._ground_m, config)
+        flat = extract_points(scan, limits.range_min_m, limits.range_max_m, limits.neighbours).points_base
+        cell_m = self._config.localization.novel_cell_m
+        return np.asarray(flat[first_in_cells(flat, cell_m)[0]], np.float64)
 
     def _context(self, points: FloatArray) -> Float32Array:
         """The scan context of a thinned cloud (N, 3)."""
-        return scan_context(points, _LOOKS_REACH * self._voxel_m)
+        return scan_context(points, self._reach_m)
 
-    def _same(self, one: gtsam.Pose3, other: gtsam.Pose3) -> bool:
-        """Whether an alignment from one finds the same as from the other."""
-        step = one.between(other)
-        near = float(np.linalg.norm(step.translation())) < self._config.looks_apart_voxels * self._voxel_m
-        return near and abs(step.rotation().yaw()) < _SAME_RAD
+    def _apart(self, guesses: Sequence[gtsam.Pose3]) -> list[gtsam.Pose3]:
+        """Those of poses from which an alignment does not find the same as from an earlier one."""
+        kept: list[gtsam.Pose3] = []
+        for guess in guesses:
+            steps = [guess.between(other) for other in kept]
+            if not any(
+                np.linalg.norm(step.translation()) < self._apart_m and abs(step.rotation().yaw()) < _SAME_RAD
+                for step in steps
+            ):
+                kept.append(guess)
+        return kept

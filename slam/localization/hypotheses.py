@@ -1,156 +1,187 @@
-"""Where the robot may be: poses carried along with the odometry, each weighed by all that was seen."""
+"""Where the robot may be: poses that move with the odometry, each weighed by all that was seen."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import Generic
 
 import numpy as np
 
 from slam.config.localization import LocalizationConfig
-from slam.localization.evidence import Hypothesis, is_same_place, posterior, pruned
-from slam.localization.global_search import search_everywhere
-from slam.localization.known_map import Walls
-from slam.localization.map_match import MapMatcher
-from slam.localization.scan_view import ScanView, first_in_cells
-from slam.localization.stations import Station, StationLog
-from slam.matching.planar import between, compose
-from slam.measurements import FloatArray, row_from_pose2
+from slam.localization.poses import apart, between, composed, same_place
+from slam.localization.sensor import Keyframe, N, Sensor, V
+from slam.measurements import FloatArray, MotionEstimate, Pose
 
 
-class HypothesisSet:
+@dataclass(slots=True)
+class Hypothesis:
+    """A pose that may be the robot's.
+
+    Attributes
+    ----------
+    pose
+        ``T_map_base`` at the newest keyframe.
+    evidence
+        Nats by keyframe, oldest first, as many as there are keyframes.
+    motion
+        The alignment of the newest keyframe; None where there was nothing to align to.
+    prior
+        Nats in favour before anything was seen.
+    """
+
+    pose: Pose
+    evidence: list[float]
+    motion: MotionEstimate | None
+    prior: float = 0.0
+
+    def total(self, kidnap_nats: float) -> float:
+        """Evidence of the path, or of its end alone if the robot was kidnapped in between."""
+        whole = best = 0.0
+        for nats in reversed(self.evidence):
+            whole += nats
+            best = max(best, whole)
+        return self.prior + max(whole, best - kidnap_nats)
+
+
+def correction(
+    sensor: Sensor[V, N], view: V, expected: Pose, config: LocalizationConfig
+) -> MotionEstimate | None:
+    """An alignment near an expected pose; None where too little agrees, or that has found another place."""
+    motion = sensor.align(view, expected)
+    if motion is None or motion.inlier_share < config.least_inlier_share:
+        return None
+    return motion if same_place(expected, motion.T_reference_base) else None
+
+
+class KeyframeLog(Generic[V, N]):
+    """The localisation keyframes of the last stretch of the path, in the odometry frame."""
+
+    def __init__(self, sensor: Sensor[V, N], window_m: float) -> None:
+        self._sensor, self._window_m = sensor, window_m
+        self.keyframes: list[Keyframe[N]] = []
+
+    def due(self, view: V, pose: Pose) -> bool:
+        """Whether a reading at ``T_odom_base`` should be weighed."""
+        return self._sensor.sees_anew(view, self.keyframes[-1].pose if self.keyframes else None, pose)
+
+    def add(self, view: V, pose: Pose) -> int:
+        """Take a reading at ``T_odom_base`` for a keyframe; how many of the oldest were dropped for it."""
+        travelled_m = 0.0
+        if self.keyframes:
+            newest = self.keyframes[-1]
+            travelled_m = newest.travelled_m + apart(newest.pose, pose)[0]
+        kept = [one for one in self.keyframes if travelled_m - one.travelled_m <= self._window_m]
+        dropped = len(self.keyframes) - len(kept)
+        self.keyframes = [*kept, Keyframe(pose, travelled_m, self._sensor.novel(view, pose, kept))]
+        return dropped
+
+
+class HypothesisSet(Generic[V, N]):
     """All hypotheses, and how likely each is."""
 
-    def __init__(self, walls: Walls, matcher: MapMatcher, config: LocalizationConfig) -> None:
-        self._walls = walls
-        self._matcher = matcher
-        self._config = config
-        self._odometry_pose = np.zeros(3)
-        self._log = StationLog(config)
-        self.members: list[Hypothesis[FloatArray]] = []
-        self.clear()
+    def __init__(self, sensor: Sensor[V, N], config: LocalizationConfig) -> None:
+        self._sensor, self._config = sensor, config
+        self._log = KeyframeLog(sensor, config.window_m)
+        self._view: V | None = None
+        self.members: list[Hypothesis] = []
+        self._search_at_m = 0.0
 
     def clear(self) -> None:
         """Begin anew: nothing is known."""
-        self._log.clear()
+        self._log.keyframes.clear()
         self.members.clear()
         self._search_at_m = 0.0
-        self._searches = 0
 
-    def due(self, pose: FloatArray) -> bool:
-        """Whether a scan at a pose (3,) in the odometry frame should be weighed."""
-        return self._log.due(pose)
+    def due(self, view: V, pose: Pose) -> bool:
+        """Whether a reading at ``T_odom_base`` should be weighed."""
+        return self._log.due(view, pose)
 
-    def add_station(self, view: ScanView, pose: FloatArray, carried: FloatArray | None) -> None:
-        """Carry all hypotheses to a scan, weigh them by its news, and look for new ones.
+    def add_keyframe(self, view: V, pose: Pose, dead_reckoned: Pose | None) -> None:
+        """Move all hypotheses on to a reading, weigh them by what it sees anew, and look for new ones.
 
         Parameters
         ----------
         pose
-            (3,) in the odometry frame.
-        carried
-            (3,) in the map by dead reckoning from the last pose that was tracked; None where there is none.
+            ``T_odom_base``.
+        dead_reckoned
+            ``T_map_base`` by odometry from the last pose that was tracked; None where there is none.
         """
+        last = self._log.keyframes[-1].pose if self._log.keyframes else None
         dropped = self._log.add(view, pose)
-        station = self._log.stations[-1]
-        for member in self.members:
-            del member.evidence[:dropped]
-            predicted = compose(member.pose, between(self._odometry_pose, pose))
-            self._settle(member, station, predicted)
-        self._odometry_pose = pose
-        if len(self._log.stations) == 1 and carried is not None:
-            member = Hypothesis(carried, [], None, self._config.carried_nats)
-            self._settle(member, station, carried)
-            self.members.append(member)
-        if station.way_m >= self._search_at_m:
-            self._search_at_m = station.way_m + self._config.search_every_m
-            self._search()
+        newest, self._view = self._log.keyframes[-1], view
+        if last is not None:
+            step = between(last, pose)
+            for member in self.members:
+                del member.evidence[:dropped]
+                self._settle(member, composed(member.pose, step))
+        elif dead_reckoned is not None:
+            self._take_in(dead_reckoned, self._config.nowhere_nats)
+        if newest.travelled_m >= self._search_at_m:
+            self._search_at_m = newest.travelled_m + self._sensor.search_every_m
+            for found in self._sensor.propose(view, self._log.keyframes):
+                self._take_in(found, 0.0)
         self._prune()
 
-    def propose(self, pose: FloatArray, odometry_pose: FloatArray) -> None:
-        """Take in a pose (3,) in the map that something else has found.
-
-        Parameters
-        ----------
-        odometry_pose
-            (3,) of the robot at that moment, in the odometry frame.
-        """
-        if not self._log.stations:
-            return
-        station = self._log.stations[-1]
-        self._take_in(compose(pose, between(odometry_pose, station.pose)), self._config.looks_nats)
-        self._prune()
+    def propose(self, pose: Pose, odometry_pose: Pose) -> None:
+        """Take in ``T_map_base`` that another sensor has found, and ``T_odom_base`` at that moment."""
+        if self._log.keyframes:
+            step = between(odometry_pose, self._log.keyframes[-1].pose)
+            self._take_in(composed(pose, step), self._config.nowhere_nats)
+            self._prune()
 
     def probabilities(self) -> FloatArray:
         """Posterior of each hypothesis; what is left to one is that of being nowhere in the map."""
-        config = self._config
-        totals = np.array([member.total(config.kidnap_nats) for member in self.members])
-        return posterior(totals, config.nowhere_nats)
+        totals = np.array([member.total(self._config.nowhere_nats) for member in self.members])
+        nowhere_nats = self._config.nowhere_nats
+        greatest = max(nowhere_nats, totals.max(initial=-math.inf))
+        weights = np.exp(totals - greatest)
+        return np.asarray(weights / (weights.sum() + math.exp(nowhere_nats - greatest)))
 
-    def winner(self) -> Hypothesis[FloatArray] | None:
-        """The hypothesis that is sure; None while there is none."""
+    def winner(self) -> Hypothesis | None:
+        """The hypothesis that is confident; None while there is none."""
         probabilities = self.probabilities()
-        if not self.members or probabilities.max() < self._config.sure_probability:
+        if not self.members or len(self._log.keyframes) < self._sensor.least_keyframes:
             return None
-        return self.members[int(probabilities.argmax())]
+        best = int(probabilities.argmax())
+        return self.members[best] if probabilities[best] >= self._config.sure_probability else None
 
-    def _settle(self, member: Hypothesis[FloatArray], station: Station, predicted: FloatArray) -> None:
-        """Align a hypothesis to the map near its predicted pose, and weigh the station's news."""
-        member.pose, member.motion = predicted, None
-        motion = self._matcher.correct(station.view, predicted)
-        if motion is not None:
-            member.pose, member.motion = row_from_pose2(motion.T_reference_base), motion
-        member.evidence.append(self._matcher.weigh(member.pose, station.view.laser, station.news))
+    def _settle(self, member: Hypothesis, predicted: Pose) -> None:
+        """Align a hypothesis to the map near its predicted pose, and weigh what the keyframe sees anew."""
+        assert self._view is not None
+        member.motion = correction(self._sensor, self._view, predicted, self._config)
+        member.pose = predicted if member.motion is None else member.motion.T_reference_base
+        novel = self._log.keyframes[-1].novel
+        member.evidence.append(self._weighed(member.pose, novel, member.motion))
 
-    def _search(self) -> None:
-        """Look everywhere for what was seen of late, and take in what is not yet among the hypotheses.
+    def _weighed(self, pose: Pose, novel: N, motion: MotionEstimate | None) -> float:
+        """What a keyframe says for a pose, nats: it alone makes none hopeless that must agree with others."""
+        most = self._config.lost_nats / self._sensor.least_keyframes
+        return min(max(self._sensor.weigh(pose, novel, motion), -most), most)
 
-        By turns for all of the last way, which is rarer, and for the newest scan, which no drift has bent.
-        """
-        config = self._config
-        self._searches += 1
-        points = self._log.recent_points(config.search_back_m if self._searches % 2 else 0.0)
-        points = points[first_in_cells(points, config.news_cell_m)[0]]
-        points = points[:: max(1, -(-len(points) // config.search_points))]
-        if len(points) == 0:
-            return
-        places = search_everywhere(
-            self._walls.field,
-            points,
-            config.search_least_score,
-            config.search_keep_share,
-            config.hypotheses,
-            config.search_threads,
-        )
-        for place in places:
-            self._take_in(place.pose, 0.0)
-
-    def _take_in(self, pose: FloatArray, prior: float) -> None:
-        """Weigh a pose (3,) at the newest station by all stations, unless it is known already."""
-        stations = self._log.stations
+    def _take_in(self, pose: Pose, prior: float) -> None:
+        """Weigh a pose at the newest keyframe by all of them, unless it is known already."""
+        *before, newest = self._log.keyframes
         member = Hypothesis(pose, [], None, prior)
-        self._settle(member, stations[-1], pose)
+        self._settle(member, pose)
         for other in self.members:
-            if _same(member.pose, other.pose):
+            if same_place(member.pose, other.pose):
                 other.prior = max(other.prior, prior)
                 return
-        way = [
-            self._matcher.weigh(
-                compose(member.pose, between(stations[-1].pose, station.pose)),
-                station.view.laser,
-                station.news,
-            )
-            for station in stations[:-1]
-        ]
-        member.evidence = way + member.evidence
+        path = [0.0] * len(before)
+        for n in range(max(len(before) - self._sensor.weighs_back, 0), len(before)):
+            at = composed(member.pose, between(newest.pose, before[n].pose))
+            path[n] = self._weighed(at, before[n].novel, None)
+        member.evidence = path + member.evidence
         self.members.append(member)
 
     def _prune(self) -> None:
-        """Drop what is no longer worth carrying."""
-        config = self._config
-        self.members = pruned(self.members, config.hypotheses, config.kidnap_nats, _same)
-
-
-def _same(one: FloatArray, other: FloatArray) -> bool:
-    """Whether two poses (3,) are one place."""
-    step = between(one, other)
-    return is_same_place(math.hypot(step[0], step[1]), abs(float(step[2])))
+        """Keep the likeliest, without another's double, the hopeless, and what is beyond the number."""
+        totals = [member.total(self._config.nowhere_nats) for member in self.members]
+        kept: list[Hypothesis] = []
+        for n in sorted(range(len(totals)), key=lambda n: -totals[n]):
+            if len(kept) == self._config.hypotheses or totals[n] < max(totals) - self._config.lost_nats:
+                break
+            if not any(same_place(self.members[n].pose, other.pose) for other in kept):
+                kept.append(self.members[n])
+        self.members = kept

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,10 +19,12 @@ from slam.matching.local_cloud import LocalCloud, moved
 from slam.matching.plane_voxels import PlaneVoxels, VoxelMoments, voxel_moments
 from slam.measurements import FloatArray
 
-# Clouds by which it is found how much of a cloud agrees with its own map.
-_OWN = 3
-# Keyframes kept in memory beside the tiles.
-_FRAMES_KEPT = 128
+# Side of a tile, in voxels: what its one map serves. The nearest keyframes make it.
+TILE, _TILE_KEYFRAMES = 16.0, 24
+# A place is first aligned with voxels so many times as large.
+COARSENESS = 3.0
+# How far a place is described by what is seen from it, as a part of how far there is a map to match to.
+SIGHT = 2.0
 
 
 class Clouds(Protocol):
@@ -99,33 +100,23 @@ class CloudTiles:
 
     def __init__(self, known: KnownClouds, config: Config) -> None:
         self.known = known
-        self._settings = config.cloud_localization
+        self._reach_voxels = config.cloud_localization.reach_voxels
         first = next(
             (points for key in range(len(known.clouds)) if len(points := known.clouds.points(key))), None
         )
         if first is None:
             raise MapFileError("the map's clouds hold no point: nothing can be localised in it")
         self.voxel_m = voxel_of(first, config.cloud_odometry)
+        self._thickness_m = 0.5 * config.cloud_odometry.thickness_m
         # The two faces of a thin wall are no plane together.
-        self._odometry = config.cloud_odometry.model_copy(update={"thickness_m": self._settings.thickness_m})
+        self._odometry = config.cloud_odometry.model_copy(update={"thickness_m": self._thickness_m})
         self._positions = np.array([pose.translation() for pose in known.poses])
-        self._frame = lru_cache(_FRAMES_KEPT)(self._read)
-        self._cache: OrderedDict[tuple[int, ...], CloudTile] = OrderedDict()
+        self._frame = lru_cache(self._read)
+        self._tile = lru_cache(config.localization.tiles_cached)(self._made)
 
     def around(self, pose: gtsam.Pose3) -> CloudTile | None:
         """The tile that ``T_map_base`` stands in; None far from every keyframe."""
-        side_m = self._settings.tile_voxels * self.voxel_m
-        key = tuple(np.floor(np.asarray(pose.translation()) / side_m).astype(np.int64).tolist())
-        if key in self._cache:
-            self._cache.move_to_end(key)
-            return self._cache[key]
-        tile = self._made((np.array(key) + 0.5) * side_m)
-        if tile is None:
-            return None
-        self._cache[key] = tile
-        if len(self._cache) > self._settings.tiles_cached:
-            self._cache.popitem(last=False)
-        return tile
+        return self._tile(*np.floor(pose.translation() / (TILE * self.voxel_m)).astype(np.int64).tolist())
 
     def _read(self, key: int) -> _Keyframe:
         """A keyframe, as dense as its planes need."""
@@ -133,26 +124,27 @@ class CloudTiles:
         placed = moved(points, self.known.poses[key])
         return _Keyframe(points, thinned(placed, self.voxel_m), voxel_moments(placed, self.voxel_m))
 
-    def _made(self, middle: FloatArray) -> CloudTile | None:
-        """The tile of the keyframes nearest to a place (3,)."""
-        settings, voxel_m = self._settings, self.voxel_m
+    def _made(self, x: int, y: int, z: int) -> CloudTile | None:
+        """The tile of those numbers, of the keyframes nearest to its middle."""
+        voxel_m, reach_m = self.voxel_m, self._reach_voxels * self.voxel_m
+        middle = (np.array([x, y, z]) + 0.5) * TILE * voxel_m
         distances = np.linalg.norm(self._positions - middle, axis=1)
-        nearest = np.argsort(distances, kind="stable")[: settings.tile_keyframes]
-        members = nearest[distances[nearest] <= settings.reach_voxels * voxel_m].tolist()
+        nearest = np.argsort(distances, kind="stable")[:_TILE_KEYFRAMES]
+        members = nearest[distances[nearest] <= reach_m].tolist()
         if not members:
             return None
         poses = [self.known.poses[k] for k in members]
         frames = [self._frame(k) for k in members]
-        merged = PlaneVoxels.merged([frame.moments for frame in frames], voxel_m, settings.thickness_m)
+        merged = PlaneVoxels.merged([frame.moments for frame in frames], voxel_m, self._thickness_m)
         local = LocalCloud.of_planes(merged, voxel_m, self._odometry)
         own = [
             local.agreement(thinned(frame.points, voxel_m), pose)
-            for frame, pose in zip(frames[:_OWN], poses[:_OWN], strict=True)
+            for frame, pose in zip(frames, poses, strict=True)
         ]
         clouds = [frame.placed for frame in frames]
-        wide_m = settings.coarseness * voxel_m
+        wide_m = COARSENESS * voxel_m
         coarse = LocalCloud.of(thinned(np.vstack(clouds), 0.5 * wide_m), wide_m, self._odometry)
         lidars = np.array([pose.compose(self.known.T_base_lidar).translation() for pose in poses])
         planes = SidedPlanes(merged, lidars, clouds)
-        space = cloud_space(lidars, clouds, planes, voxel_m, settings.space_voxels * voxel_m)
+        space = cloud_space(lidars, clouds, planes, voxel_m, SIGHT * reach_m)
         return CloudTile(local, coarse, planes, space, float(np.median(own)))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import gtsam
 import numpy as np
@@ -12,20 +13,23 @@ import numpy as np
 from slam.config import Config
 from slam.errors import MapFileError
 from slam.localization.beam_check import KnownSpace, known_space
+from slam.localization.beams import looked_up
 from slam.localization.known_clouds import KnownClouds
-from slam.localization.map_tiles import MapTiles
 from slam.localization.whole_map_field import WholeMapField, build_whole_map_field
 from slam.mapper.map_result import MapResult
 from slam.mapping.occupancy_grid import FREE, OccupancyGrid
-from slam.matching.local_map import OrientedPoints
+from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.planar import transform_points
 from slam.matching.scan_points import ScanPoints, extract_points
-from slam.measurements import FloatArray, LaserScan
+from slam.measurements import BoolArray, FloatArray, LaserScan
 from slam.outputs.finished_map import Map
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_frames import MapFrames
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.learned_camera import LearnedCamera
+
+# Side of a tile of the map, and how far from its middle the keyframes are that make it.
+_TILE_M, _TILE_REACH_M = 4.0, 10.0
 
 
 @dataclass(frozen=True)
@@ -143,6 +147,7 @@ class Walls:
             raise MapFileError("the map holds no lidar scan: a scan cannot be localised in it")
         self.map = known_map
         self._config = config
+        self._tile = lru_cache(config.localization.tiles_cached)(self._made)
         settings = config.scan
         self._poses = np.array(
             [
@@ -156,6 +161,7 @@ class Walls:
             for scan in known_map.keyframe_scans
             if scan is not None
         ]
+        self._oriented = [OrientedPoints.from_scan(points) for points in self._scans]
 
     @cached_property
     def grid(self) -> OccupancyGrid:
@@ -163,11 +169,16 @@ class Walls:
         assert self.map.grid is not None
         return self.map.grid
 
-    @cached_property
-    def tiles(self) -> MapTiles:
-        """Local maps to match to."""
-        scans = [OrientedPoints.from_scan(points) for points in self._scans]
-        return MapTiles(self._poses, scans, self._config.localization, self._config.match)
+    def tile(self, pose: FloatArray) -> LocalMap:
+        """The local map around a pose (3,), to match to: without points far from every keyframe."""
+        return self._tile(math.floor(pose[0] / _TILE_M), math.floor(pose[1] / _TILE_M))
+
+    def _made(self, column: int, row: int) -> LocalMap:
+        """A tile, of the keyframes near its middle: what is seen from there, as it was seen."""
+        middle = (np.array([column, row]) + 0.5) * _TILE_M
+        near = np.hypot(*(self._poses[:, :2] - middle).T) <= _TILE_REACH_M
+        parts = [self._oriented[k].moved(self._poses[k]) for k in np.flatnonzero(near).tolist()]
+        return LocalMap.build(parts or [OrientedPoints.none()], self._config.match)
 
     @cached_property
     def space(self) -> KnownSpace:
@@ -178,17 +189,16 @@ class Walls:
     def field(self) -> WholeMapField:
         """The whole map for the global search."""
         settings = self._config.localization
+        free = self.grid.states() == FREE
         points = np.concatenate(
-            [self._standing(points, pose) for points, pose in zip(self._scans, self._poses, strict=True)]
+            [
+                self._standing(points, pose, free)
+                for points, pose in zip(self._scans, self._poses, strict=True)
+            ]
         )
-        return build_whole_map_field(
-            points, self.grid, settings.field_cell_m, settings.field_sigma_m, settings.unknown_likelihood
-        )
+        return build_whole_map_field(points, self.grid, settings.field_cell_m)
 
-    def _standing(self, points: ScanPoints, pose: FloatArray) -> FloatArray:
+    def _standing(self, points: ScanPoints, pose: FloatArray, free: BoolArray) -> FloatArray:
         """Points of a keyframe in the map, but for those where other scans saw free space: people."""
         placed = transform_points(points.points_base, pose)
-        cells = self.grid.cells_of(placed)
-        inside = ((cells >= 0) & (cells < self.grid.shape)).all(axis=1)
-        placed, cells = placed[inside], cells[inside]
-        return placed[self.grid.states()[cells[:, 0], cells[:, 1]] != FREE]
+        return placed[~looked_up(free, self.grid.cells_of(placed), outside=True)]

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-
-import gtsam
+from typing import Any
 
 from slam.config import Config
 from slam.errors import MapFileError
-from slam.localization.body import Body, PlanarBody, SpatialBody
-from slam.localization.camera_localizer import CameraLocalizer
-from slam.localization.cloud_localizer import CloudLocalizer
+from slam.localization.camera_sensor import CameraSensor
+from slam.localization.cloud_sensor import CloudSensor
 from slam.localization.known_map import KnownMap, Walls
+from slam.localization.machine import StateMachine
 from slam.localization.output import LocalizerOutput
-from slam.localization.planar_localizer import PlanarLocalizer
+from slam.localization.planar_sensor import PlanarSensor
+from slam.localization.poses import Measured
 from slam.localization.visual_locator import VisualLocator
-from slam.measurements import LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
+from slam.measurements import Measurement, RgbdFrame
 from slam.outputs.finished_map import Map
-from slam.vision.camera_frame import T_BODY_CAMERA
 from slam.vision.color_registration import ColorRegistration
-from slam.vision.prepared_frame import FramePreparer, PreparedFrame
+from slam.vision.prepared_frame import PreparedFrame
 
 
 class Localizer:
@@ -65,34 +64,19 @@ class Localizer:
     ) -> None:
         if isinstance(known_map, Map):
             known_map = KnownMap.of_saved(known_map)
-        self._config = config or Config()
-        sensors = self._config.sensors
-        self._clouds: CloudLocalizer | None = None
-        if known_map.clouds is not None:
-            if not sensors.lidar:
-                raise MapFileError(
-                    "the map is of a 3D lidar, and sensors.lidar is off: nothing can be localised"
-                )
-            field = Walls(known_map, self._config).field if known_map.has_walls else None
-            self._clouds = CloudLocalizer(known_map.clouds, field, self._config)
-        planar = sensors.lidar and known_map.has_walls and self._clouds is None
-        self._scans = PlanarLocalizer(known_map, self._config) if planar else None
-        self._map = known_map
+        config = config or Config()
+        self._lidar = self._lidar_of(known_map, config)
         self._locator: VisualLocator | None = None
-        if sensors.rgbd and known_map.cameras is not None and self._clouds is None:
-            self._locator = VisualLocator(known_map.cameras, self._config)
-        if self._scans is None and self._locator is None and self._clouds is None:
+        if config.sensors.rgbd and known_map.cameras is not None and known_map.clouds is None:
+            self._locator = VisualLocator(known_map.cameras, known_map.planar, config, registrations)
+        self._camera: StateMachine[Any, Any] | None = None
+        if self._lidar is None and self._locator is not None:
+            self._camera = StateMachine(CameraSensor(self._locator, config), config.localization)
+        if self._lidar is None and self._camera is None:
             raise MapFileError(
                 "the map holds neither scans nor camera keyframes for the sensors that are switched on; "
                 "see 'scanweave info' for what it holds"
             )
-        self._frames: CameraLocalizer | None = None
-        self._body: Body | None = None
-        self._sensor = known_map.cameras.sensor if self._locator and known_map.cameras else ""
-        if registrations is None and known_map.cameras is not None:
-            registrations = known_map.cameras.registrations
-        self._prepare = FramePreparer(self._config.rgbd, registrations or {})
-        self._scanned = False
 
     def add(self, measurement: Measurement | PreparedFrame) -> LocalizerOutput | None:
         """Take the next measurement.
@@ -101,42 +85,39 @@ class Localizer:
         -------
         What is known after a scan or frame; None after one that is only kept (wheels), or not used.
         """
-        if isinstance(measurement, WheelOdometry):
-            for localizer in (self._scans, self._clouds):
-                if localizer is not None:
-                    localizer.add_odometry(measurement)
-            return None
-        if isinstance(measurement, LaserScan):
-            self._scanned = True
-            return None if self._scans is None else self._scans.add_scan(measurement)
-        if isinstance(measurement, PointCloud):
-            return None if self._clouds is None else self._clouds.add_cloud(measurement)
-        return self._add_frame(measurement)
+        if self._lidar is None:
+            assert self._camera is not None
+            return self._camera.add(measurement)
+        if self._locator is not None and isinstance(measurement, RgbdFrame | PreparedFrame):
+            frame = self._locator.view(measurement)
+            if frame is not None and self._lidar.wants_help():
+                self._help(self._lidar, self._locator, frame)
+        return self._lidar.add(measurement)
 
-    def _add_frame(self, measurement: RgbdFrame | PreparedFrame) -> LocalizerOutput | None:
-        """A frame of the map's camera; others are not used."""
-        frame = measurement if isinstance(measurement, PreparedFrame) else self._prepare(measurement)
-        if self._locator is None or not isinstance(frame, PreparedFrame):
+    @staticmethod
+    def _lidar_of(known_map: KnownMap, config: Config) -> StateMachine[Any, Any] | None:
+        """What localises by the lidar; None where the map or the configuration has none."""
+        sensor: PlanarSensor | CloudSensor
+        if known_map.clouds is not None:
+            if not config.sensors.lidar:
+                raise MapFileError(
+                    "the map is of a 3D lidar, and sensors.lidar is off: nothing can be localised"
+                )
+            field = Walls(known_map, config).field if known_map.has_walls else None
+            sensor = CloudSensor(known_map.clouds, field, config)
+        elif known_map.has_walls and config.sensors.lidar:
+            sensor = PlanarSensor(Walls(known_map, config), config)
+        else:
             return None
-        if frame.frame.sensor != self._sensor:
-            return None
-        if self._body is None:
-            self._body = self._body_of(frame.frame)
-        if self._scans is not None:
-            if self._scanned:
-                self._scans.add_frame(frame, self._locator, self._body)
-            return None
-        if self._frames is None:
-            self._frames = CameraLocalizer(self._locator, self._body, self._config)
-        return self._frames.add_frame(frame)
+        return StateMachine(sensor, config.localization)
 
-    def _body_of(self, frame: RgbdFrame) -> Body:
-        """What carries the camera; where the log does not tell its mounting, the map does."""
-        cameras = self._map.cameras
-        mounting = frame.T_base_camera
-        if mounting is None and cameras is not None:
-            mounting = cameras.T_base_camera
-        if self._map.planar:
-            T_base_camera = T_BODY_CAMERA if mounting is None else mounting
-            return PlanarBody(T_base_camera, self._config.sensors.greatest_excess)
-        return SpatialBody(gtsam.Pose3() if mounting is None else mounting)
+    @staticmethod
+    def _help(lidar: StateMachine[Any, Any], locator: VisualLocator, frame: PreparedFrame) -> None:
+        """Let a frame help: it proposes places while one is sought, and holds the pose that is tracked."""
+        if lidar.tracked is None:
+            for place in locator.anywhere(frame):
+                lidar.propose(place.T_reference_base)
+            return
+        motion = locator.near(frame, lidar.tracked.pose)
+        if motion is not None:
+            lidar.confirm(Measured(motion.T_reference_base, motion.covariance))

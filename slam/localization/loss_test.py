@@ -6,12 +6,8 @@ import math
 
 from slam.config.localization import LocalizationConfig
 
-# One scan counts for so many nats at most: somebody may stand in front of the laser.
+# One reading counts for so many nats at most: somebody may stand in front of the sensor.
 _GREATEST_NATS = 2.0
-# Beyond this a probability is 0.
-_MOST_NATS = 50.0
-# What a pose that was right a moment ago has in its favour against the newest scan.
-_MOMENT_NATS = 3.0
 
 
 class LossTest:
@@ -20,6 +16,7 @@ class LossTest:
     def __init__(self, config: LocalizationConfig) -> None:
         self._bound = config.lost_nats
         self._lost_after_s = config.lost_after_s
+        self._moment_nats = config.nowhere_nats
         self.reset()
 
     @property
@@ -29,8 +26,21 @@ class LossTest:
 
     @property
     def confidence(self) -> float:
-        """Probability of the pose; one scan that contradicts it is enough to doubt, though not to be lost."""
-        return 1.0 / (1.0 + math.exp(-max(min(self._log_odds, self._newest + _MOMENT_NATS), -_MOST_NATS)))
+        """Probability of the pose; one reading that contradicts it is enough to doubt, though not to be lost.
+
+        A pose that was right a moment ago has a prior in its favour against the newest reading.
+        """
+        return 0.5 + 0.5 * math.tanh(0.5 * self._balance)
+
+    @property
+    def doubted(self) -> bool:
+        """Whether the pose is rather wrong than right."""
+        return self._balance < 0.0
+
+    @property
+    def _balance(self) -> float:
+        """Nats for the pose."""
+        return min(self._log_odds, self._newest + self._moment_nats)
 
     def reset(self) -> None:
         """The pose has just been found."""
@@ -40,7 +50,7 @@ class LossTest:
         self._stamp_s = math.nan
 
     def add(self, stamp_s: float, evidence: float) -> None:
-        """Take the evidence of a scan for the pose, nats."""
+        """Take the evidence of a reading for the pose, nats."""
         self._stamp_s, self._newest = stamp_s, evidence
         self._log_odds = min(
             self._bound, self._log_odds + min(max(evidence, -_GREATEST_NATS), _GREATEST_NATS)

@@ -9,11 +9,9 @@ from typing import SupportsFloat, SupportsIndex, SupportsInt
 import gtsam
 import numpy as np
 
-from slam.localization.body import Measured, composed
+from slam.localization.poses import SAME_M, Measured, composed
 from slam.measurements import Pose
 
-# A position is right while it is off by less than this.
-_RIGHT_M = 0.25
 # Only the newest pose is told, and a longer lag tells it with the same bits.
 _LAG_NODES = 2.0
 
@@ -44,13 +42,7 @@ class PoseSmoother:
     @property
     def trust(self) -> float:
         """Probability that the newest position is right, by its standard deviation (Rayleigh)."""
-        return 1.0 - math.exp(-0.5 * (_RIGHT_M / self.sigma_m) ** 2)
-
-    def predict(self, step: Measured) -> Measured:
-        """The pose after a step, which is not yet taken."""
-        adjoint = step.pose.inverse().AdjointMap()
-        covariance = adjoint @ self.newest.covariance @ adjoint.T + step.covariance
-        return Measured(composed(self.newest.pose, step.pose), covariance)
+        return 1.0 - math.exp(-0.5 * (SAME_M / self.sigma_m) ** 2)
 
     def add(self, step: Measured, seen: Sequence[Measured]) -> None:
         """Take a step, and what was measured of the pose in the map after it."""
@@ -82,13 +74,6 @@ class PoseSmoother:
             self._smoother.calculateEstimatePose2 if self._planar else self._smoother.calculateEstimatePose3
         )
         return Measured(estimate(self._newest), np.array(self._smoother.marginalCovariance(self._newest)))
-
-
-def squared_sigmas(expected: Measured, found: Measured) -> float:
-    """Squared distance of a measured pose from an expected one, in the standard deviations of both."""
-    step = composed(expected.pose.inverse(), found.pose)
-    offset = gtsam.Pose2.Logmap(step) if isinstance(step, gtsam.Pose2) else gtsam.Pose3.Logmap(step)
-    return float(offset @ np.linalg.solve(expected.covariance + found.covariance, offset))
 
 
 def _between(before: int, after: int, step: Measured) -> gtsam.NonlinearFactor:

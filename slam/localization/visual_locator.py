@@ -1,31 +1,55 @@
-"""Where in a known map a camera is: keyframes that look the same or should be in sight, verified."""
+"""Where in a known map a body with a camera is, by keyframes that look the same or should be in sight."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
 
 import gtsam
 import numpy as np
 
 from slam.config import Config
 from slam.localization.known_map import KnownCameras
+from slam.localization.poses import Measured
 from slam.mapper.keyframe_store import KeyframeStore
+from slam.measurements import FloatArray, Measurement, MotionEstimate, Pose, RgbdFrame, pose2_from_row
+from slam.vision.camera_frame import T_BODY_CAMERA
+from slam.vision.color_registration import ColorRegistration
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.place_recognition import PlaceIndex
-from slam.vision.prepared_frame import PreparedFrame
+from slam.vision.planar_motion import planar_motion
+from slam.vision.prepared_frame import FramePreparer, PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch, unlikeness
 
 
 class VisualLocator:
-    """The camera keyframes of a map, by looks and by place.
+    """The camera keyframes of a map, by appearance and by place, and what carries the camera.
 
     Parameters
     ----------
     cameras
         The keyframes.
+    planar
+        Whether the body stays on a floor.
     config
         The effective configuration; the bounds on a match are those of visual loops.
+    registrations
+        Where colour cameras sit beside their depth cameras, by the cameras' names; None takes what the
+        mapping run has learned.
     """
 
-    def __init__(self, cameras: KnownCameras, config: Config) -> None:
+    def __init__(
+        self,
+        cameras: KnownCameras,
+        planar: bool,
+        config: Config,
+        registrations: Mapping[str, ColorRegistration] | None = None,
+    ) -> None:
+        self.origin: Pose = gtsam.Pose2() if planar else gtsam.Pose3()
+        self._cameras, self._greatest_excess = cameras, config.sensors.greatest_excess
+        self._T_base_camera: gtsam.Pose3 | None = None
+        learned = cameras.registrations if registrations is None else registrations
+        self._prepare = FramePreparer(config.rgbd, learned)
         self._poses = cameras.poses
         self._positions = np.array([pose.translation() for pose in cameras.poses]).reshape(-1, 3)
         self._axes = np.array([pose.rotation().matrix()[:, 2] for pose in cameras.poses]).reshape(-1, 3)
@@ -37,33 +61,71 @@ class VisualLocator:
         for key in range(len(cameras.poses)):
             self._index.add(cameras.frames.features(key).descriptors)
 
-    def anywhere(self, frame: PreparedFrame) -> list[VisualMatch]:
-        """Every place that the frame may show, none guessed: ``T_map_camera`` each, verified."""
+    def view(self, measurement: Measurement | PreparedFrame) -> PreparedFrame | None:
+        """A frame of the map's camera, prepared once; None of anything else."""
+        prepared = self._prepare(measurement) if isinstance(measurement, RgbdFrame) else measurement
+        if not isinstance(prepared, PreparedFrame) or prepared.frame.sensor != self._cameras.sensor:
+            return None
+        if self._T_base_camera is None:
+            # Where the log does not tell the mounting, the map does.
+            mounting = prepared.frame.T_base_camera or self._cameras.T_base_camera
+            none = T_BODY_CAMERA if isinstance(self.origin, gtsam.Pose2) else gtsam.Pose3()
+            self._T_base_camera = mounting or none
+        return prepared
+
+    def anywhere(self, frame: PreparedFrame) -> list[MotionEstimate]:
+        """Every place that the frame may show, none guessed: ``T_map_base`` each, verified."""
         found = []
-        looks = self._index.query(frame.features.descriptors, len(self._index), self._loops.by_looks)
-        for place in looks:
+        alike = self._index.query(frame.features.descriptors, len(self._index), self._loops.by_looks)
+        for place in alike:
             match = self._matcher.match_anywhere(frame, [self._keyframe(place.key)])
-            if match is not None and self._is_sure(match):
-                found.append(match)
-        return found
+            found.append(self._believed(match))
+        return [motion for motion in found if motion is not None]
 
-    def near(self, frame: PreparedFrame, guess: gtsam.Pose3) -> VisualMatch | None:
-        """``T_map_camera`` from a guess; None where no keyframe sees the same, or it does not fit."""
-        local = [self._keyframe(key) for key in self._alike(frame, guess)]
-        match = self._matcher.match(frame, local, guess) if local else None
-        return match if match is not None and self._is_sure(match) else None
+    def near(self, frame: PreparedFrame, guess: Pose) -> MotionEstimate | None:
+        """``T_map_base`` from a guess; None where no keyframe sees the same, or it does not fit."""
+        camera = self._camera_of(guess)
+        local = [self._keyframe(key) for key in self._alike(frame.median_depth_m, camera)]
+        return self._believed(self._matcher.match(frame, local, camera)) if local else None
 
-    def should_see(self, frame: PreparedFrame, guess: gtsam.Pose3) -> bool:
-        """Whether a camera at the guess would see what a keyframe saw."""
-        return bool(self._alike(frame, guess))
+    def should_see(self, depth_m: float, guess: Pose) -> bool:
+        """Whether a camera of the body at ``T_map_base`` would see what a keyframe saw, so far away."""
+        return bool(self._alike(depth_m, self._camera_of(guess)))
 
-    def _alike(self, frame: PreparedFrame, guess: gtsam.Pose3) -> list[int]:
+    def step(self, motion: gtsam.Pose3, covariance: FloatArray) -> Measured | None:
+        """Motion of the body by its camera's; None where it cannot move so."""
+        return self._of_body(motion, covariance, self._mounting)
+
+    @property
+    def _mounting(self) -> gtsam.Pose3:
+        """``T_base_camera``."""
+        assert self._T_base_camera is not None, "no frame yet"
+        return self._T_base_camera
+
+    def _of_body(self, motion: gtsam.Pose3, covariance: FloatArray, T_a_b: gtsam.Pose3) -> Measured | None:
+        """``T_a_base`` by ``T_b_camera``; on a floor projected to it, and None where that leaves it."""
+        mounting = self._mounting
+        if isinstance(self.origin, gtsam.Pose2):
+            planar = planar_motion(motion, covariance, mounting, T_a_b)
+            if planar.excess > self._greatest_excess:
+                return None
+            return Measured(pose2_from_row(planar.motion), planar.covariance)
+        adjoint = mounting.AdjointMap()
+        moved = T_a_b.compose(motion).compose(mounting.inverse())
+        return Measured(moved, adjoint @ covariance @ adjoint.T)
+
+    def _camera_of(self, pose: Pose) -> gtsam.Pose3:
+        """``T_map_camera`` where the body stands at a pose."""
+        spatial = gtsam.Pose3(pose) if isinstance(pose, gtsam.Pose2) else pose
+        return spatial.compose(self._mounting)
+
+    def _alike(self, depth_m: float, guess: gtsam.Pose3) -> list[int]:
         """Keyframes whose cameras see most nearly the same as one at the guess, best first."""
-        far = np.linalg.norm(self._positions - guess.translation(), axis=1) / frame.median_depth_m
+        far = np.linalg.norm(self._positions - guess.translation(), axis=1) / depth_m
         facing = self._axes @ guess.rotation().matrix()[:, 2]
         limit = self._loops.near_unlikeness
         possible = np.flatnonzero((far < limit) & (facing > 0.5)).tolist()
-        scores = {key: unlikeness(self._poses[key], guess, frame.median_depth_m) for key in possible}
+        scores = {key: unlikeness(self._poses[key], guess, depth_m) for key in possible}
         near = sorted((key for key in possible if scores[key] < limit), key=lambda key: scores[key])
         return near[: self._views]
 
@@ -71,10 +133,13 @@ class VisualLocator:
         """A keyframe with its images, where it stands in the map."""
         return VisualKeyframe(self._store.keyframe(key), self._poses[key])
 
-    def _is_sure(self, match: VisualMatch) -> bool:
-        """Whether a match is one of features, not of any corner of walls."""
-        return (
-            match.feature_count >= self._loops.least_features
-            and match.motion.inlier_share >= self._loops.least_inlier_share
-            and not match.motion.degenerate
-        )
+    def _believed(self, match: VisualMatch | None) -> MotionEstimate | None:
+        """``T_map_base`` by a match, if it is one of features, not of any corner of walls."""
+        if match is None or match.motion.degenerate or match.feature_count < self._loops.least_features:
+            return None
+        if match.motion.inlier_share < self._loops.least_inlier_share:
+            return None
+        base = self._of_body(match.pose, match.motion.covariance, gtsam.Pose3())
+        if base is None:
+            return None
+        return replace(match.motion, T_reference_base=base.pose, covariance=base.covariance)

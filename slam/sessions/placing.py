@@ -16,10 +16,10 @@ import numpy as np
 from slam.config import Config
 from slam.localization.hypotheses import HypothesisSet
 from slam.localization.known_map import KnownMap, Walls
-from slam.localization.map_match import MapMatcher
+from slam.localization.planar_sensor import PlanarSensor
 from slam.localization.scan_view import ScanView
 from slam.matching.planar import between, compose
-from slam.measurements import FloatArray
+from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
 from slam.sessions.whole_way import Followed, Sighting, follow
 
 # Two proposals are one where they put each other's keyframe within this; maps bend over their length.
@@ -112,24 +112,29 @@ def _proposals(known: Walls, session: Walls, config: Config) -> list[Sighting]:
 
 def _stretches(walls: Walls, way: KnownMap, config: Config) -> Iterator[tuple[int, FloatArray, float]]:
     """Stretch by stretch of a way: a keyframe of it, (3,) where it may be between walls, and the evidence."""
-    hypotheses = HypothesisSet(walls, MapMatcher(walls, config), config.localization)
-    kidnap_nats = config.localization.kidnap_nats
+    hypotheses = HypothesisSet(PlanarSensor(walls, config), config.localization)
+    kidnap_nats = config.localization.nowhere_nats
     poses = way.keyframe_poses
     way_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
     apart_m = way_m[-1] / _MOST_STRETCHES
     begin_m = 0.0
     likeliest: list[tuple[int, FloatArray, float]] = []
     for key, scan in enumerate(way.keyframe_scans):
-        if scan is None or way_m[key] < begin_m or not hypotheses.due(poses[key]):
+        if scan is None or way_m[key] < begin_m:
             continue
-        hypotheses.add_station(ScanView.of(scan, config), poses[key], None)
+        view, pose = ScanView.of(scan, config), pose2_from_row(poses[key])
+        if not hypotheses.due(view, pose):
+            continue
+        hypotheses.add_keyframe(view, pose, None)
         members = sorted(hypotheses.members, key=lambda member: -member.total(kidnap_nats))
-        now = [(key, member.pose, member.total(kidnap_nats)) for member in members[:_PROPOSED]]
+        now = [
+            (key, row_from_pose2(member.pose), member.total(kidnap_nats)) for member in members[:_PROPOSED]
+        ]
         if now and (not likeliest or now[0][2] > likeliest[0][2]):
             likeliest = now
         winner = hypotheses.winner()
         if winner is not None:
-            likeliest = [(key, winner.pose, winner.total(kidnap_nats))]
+            likeliest = [(key, row_from_pose2(winner.pose), winner.total(kidnap_nats))]
         if winner is not None or way_m[key] > begin_m + _STRETCH_M:
             yield from likeliest
             likeliest = []

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from slam.config import Config
+from slam.localization.hypotheses import KeyframeLog, correction
 from slam.localization.known_map import KnownMap, Walls
-from slam.localization.map_match import MapMatcher
+from slam.localization.planar_sensor import PlanarSensor
 from slam.localization.scan_view import ScanView
-from slam.localization.stations import StationLog
 from slam.matching.planar import between, compose
-from slam.measurements import FloatArray, row_from_pose2
+from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
 
-# Longer than any way.
-_ENDLESS_M = 1e9
 _ORIGIN = np.zeros(3)
 
 
@@ -55,23 +54,25 @@ def follow(walls: Walls, session: KnownMap, start: Sighting, config: Config) -> 
 
     The evidence is that over the best of the wrong places; every surface is weighed once.
     """
-    matcher = MapMatcher(walls, config)
-    log = StationLog(config.localization.model_copy(update={"window_m": _ENDLESS_M}))
+    sensor = PlanarSensor(walls, config)
+    log = KeyframeLog(sensor, math.inf)
     scans, poses = session.keyframe_scans, session.keyframe_poses
     anchors, total = [], 0.0
     for way in (range(start.keyframe, len(scans)), range(start.keyframe - 1, -1, -1)):
         last, at = start.keyframe, start.pose
         for key in way:
             scan = scans[key]
-            if scan is None or not log.due(poses[key]):
+            if scan is None:
                 continue
-            view = ScanView.of(scan, config)
+            view, pose = ScanView.of(scan, config), pose2_from_row(poses[key])
+            if not log.due(view, pose):
+                continue
             at, last = compose(at, between(poses[last], poses[key])), key
-            motion = matcher.correct(view, at)
+            motion = correction(sensor, view, pose2_from_row(at), config.localization)
             if motion is not None:
                 at = row_from_pose2(motion.T_reference_base)
-            log.add(view, poses[key])
-            nats = matcher.weigh(at, view.laser, log.stations[-1].news)
+            log.add(view, pose)
+            nats = sensor.weigh(pose2_from_row(at), log.keyframes[-1].novel)
             total += nats
             if motion is not None:
                 anchors.append(Sighting(key, at, compose(at, between(poses[key], _ORIGIN)), nats))

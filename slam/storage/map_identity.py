@@ -23,11 +23,23 @@ _LIBRARIES = ("scanweave", "gtsam", "numpy", "numba", "scipy", "kiss-icp", "open
 _IMAGES = frozenset({".png", ".jpg", ".jpeg", ".pgm", ".ppm"})
 _BLOCK = 1 << 20
 # Sections and settings that earlier versions had: what they decided is in the map.
+# fmt: off
 _RETIRED = frozenset(
-    {"bundle", "localization.lag_nodes", "lidar_odometry.method", "rgbd_odometry.method"}
+    {"bundle", "lidar_odometry.method", "rgbd_odometry.method"}
     | {f"lidar_odometry.kiss_{name}" for name in ("voxel_m", "map_radius_m", "correspondence_m", "kernel_m")}
     | {"lidar_odometry.kiss_points_a_voxel"}
+    | {f"localization.{name}" for name in (
+        "lag_nodes", "field_sigma_m", "unknown_likelihood", "search_back_m", "search_points", "tile_m",
+        "tile_reach_m", "station_m", "station_rad", "news_cell_m", "kidnap_nats", "carried_nats",
+        "looks_nats",
+    )}
+    | {f"cloud_localization.{name}" for name in (
+        "tile_voxels", "tile_keyframes", "space_voxels", "tiles_cached", "thickness_m", "looks",
+        "looks_apart_voxels", "looks_beside_voxels", "coarseness", "arrive_voxels", "refined", "hypotheses",
+        "on_plane_voxels", "least_stations", "map_sigma_m", "map_sigma_rad",
+    )}
 )
+# fmt: on
 # What a run leaves in the folder of its log where it is told to write there.
 _OUTPUTS = frozenset(
     {f"{MAP_NAME}{ending}" for ending in ("", "-wal", "-shm", "-journal")}

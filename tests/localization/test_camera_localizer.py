@@ -11,12 +11,12 @@ from slam.config import Config, load_config
 from slam.localization.known_map import KnownCameras, KnownMap
 from slam.localization.localizer import Localizer
 from slam.localization.output import LocalizerOutput, State
+from slam.localization.poses import composed
 from slam.localization.visual_locator import VisualLocator
-from slam.measurements import RgbdFrame
+from slam.measurements import MotionEstimate, RgbdFrame
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
 from slam.vision.prepared_frame import PreparedFrame
-from slam.vision.visual_match import VisualMatch
 
 ROOM = furnished()
 CONFIG = load_config(None, ["rgbd_odometry.least_inliers=8", "visual_loops.least_features=10"])
@@ -104,10 +104,10 @@ def test_a_place_found_beside_the_right_one_does_not_lock_out_what_is_seen_next(
     anywhere = VisualLocator.anywhere
     beside = gtsam.Pose3(gtsam.Rot3(), np.array([0.06, 0.0, 0.0]))
 
-    def off(locator: VisualLocator, frame: PreparedFrame) -> list[VisualMatch]:
+    def off(locator: VisualLocator, frame: PreparedFrame) -> list[MotionEstimate]:
         return [
-            replace(match, motion=replace(match.motion, T_reference_base=match.pose.compose(beside)))
-            for match in anywhere(locator, frame)
+            replace(motion, T_reference_base=composed(motion.T_reference_base, beside))
+            for motion in anywhere(locator, frame)
         ]
 
     monkeypatch.setattr(VisualLocator, "anywhere", off)

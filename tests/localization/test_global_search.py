@@ -13,14 +13,13 @@ from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.matching.planar import between, compose, transform_points
 from slam.measurements import FloatArray
 
-CELL_M, SIGMA_M, UNKNOWN = 0.1, 0.15, 0.25
+CELL_M = 0.1
 
 
 def scores_of(field: WholeMapField, points: FloatArray) -> FloatArray:
     """Score sum of every robot pixel and yaw, (turns, rows, columns); -1 where none may stand."""
-    rows, columns = field.table[0, 1:3]
-    picture = field.buffer[: rows * columns].reshape(rows, columns).astype(int)
-    standing = field.standing[: rows * columns].reshape(rows, columns) > 0
+    picture, standing = field.levels[0].astype(int), field.standing[0]
+    rows, columns = picture.shape
     reach_m = max(1.0, float(np.percentile(np.hypot(*points.T), 90)))
     turns = math.ceil(2.0 * math.pi * reach_m / CELL_M)
     margin = 60
@@ -42,7 +41,7 @@ def small_world(seed: int) -> tuple[WholeMapField, FloatArray]:
     grid = OccupancyGrid.of_log_odds(
         rng.choice(np.array([-2.0, 0.0, 2.0], np.float32), (50, 47)), 0.1, gtsam.Pose2(-2.5, -2.4, 0.0)
     )
-    return build_whole_map_field(walls, grid, CELL_M, SIGMA_M, UNKNOWN), rng.uniform(-1.5, 1.5, (9, 2))
+    return build_whole_map_field(walls, grid, CELL_M), rng.uniform(-1.5, 1.5, (9, 2))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -108,7 +107,7 @@ def test_a_room_that_looks_the_same_turned_round_is_told_twice() -> None:
             for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)
         ]
     )
-    field = build_whole_map_field(walls, None, CELL_M, SIGMA_M, UNKNOWN)
+    field = build_whole_map_field(walls, None, CELL_M)
     truth = np.array([1.5, 1.0, 0.4])
     points = transform_points(walls, between(truth, np.zeros(3)))
     found = search_everywhere(field, points, 0.8, 0.97, 10)
@@ -124,7 +123,7 @@ def test_finds_a_furnished_room_wherever_its_frame_is(frame: tuple[float, ...]) 
     base = np.array(frame)
     home, away = np.array([0.3, -0.2, 0.1]), np.array([-0.8, 0.5, 2.5])
     seen = transform_points(points_at(room(), home, beams=721).points_base, compose(base, home))
-    field = build_whole_map_field(seen, None, CELL_M, SIGMA_M, UNKNOWN)
+    field = build_whole_map_field(seen, None, CELL_M)
     scan = points_at(room(), away).points_base[::3]
     best = search_everywhere(field, scan, 0.4, 0.9, 5)[0]
     error = between(compose(base, away), best.pose)

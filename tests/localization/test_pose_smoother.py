@@ -6,8 +6,8 @@ import gtsam
 import numpy as np
 import pytest
 
-from slam.localization.body import Measured
-from slam.localization.pose_smoother import PoseSmoother, squared_sigmas
+from slam.localization.pose_smoother import PoseSmoother
+from slam.localization.poses import Measured, after, apart, between, composed, same_place, squared_mahalanobis
 
 
 def test_straight_steps_are_a_kalman_filter() -> None:
@@ -38,7 +38,7 @@ def test_dead_reckoning_grows_and_a_sight_of_the_map_ends_it(pose: gtsam.Pose2 |
     still = pose.between(pose)  # type: ignore[arg-type]
     sigmas = [smoother.sigma_m]
     for _ in range(6):
-        predicted = smoother.predict(Measured(still, sure))
+        predicted = after(smoother.newest, Measured(still, sure))
         smoother.add(Measured(still, sure), [])
         np.testing.assert_allclose(smoother.newest.covariance, predicted.covariance, rtol=1e-6, atol=1e-9)
         sigmas.append(smoother.sigma_m)
@@ -51,10 +51,18 @@ def test_dead_reckoning_grows_and_a_sight_of_the_map_ends_it(pose: gtsam.Pose2 |
 def test_distance_in_sigmas_counts_both_covariances() -> None:
     one = Measured(gtsam.Pose2(0.0, 0.0, 0.0), np.diag([0.09, 1.0, 1.0]))
     other = Measured(gtsam.Pose2(1.0, 0.0, 0.0), np.diag([0.16, 1.0, 1.0]))
-    assert squared_sigmas(one, other) == pytest.approx(4.0)
+    assert squared_mahalanobis(one, other) == pytest.approx(4.0)
 
 
-def test_trust_is_the_share_of_a_round_gaussian_within_a_quarter_metre() -> None:
+def test_trust_is_the_share_of_a_round_gaussian_within_the_same_place() -> None:
     draws = np.hypot(*np.random.default_rng(0).normal(0.0, 0.2, (2, 200_000)))
     smoother = PoseSmoother(Measured(gtsam.Pose2(), np.diag([0.04, 0.04, 0.01])))
-    assert smoother.trust == pytest.approx(np.mean(draws < 0.25), abs=0.005)
+    assert smoother.trust == pytest.approx(np.mean(draws < 0.3), abs=0.005)
+
+
+@pytest.mark.parametrize("turned", [gtsam.Pose2(1.0, -2.0, 3.0), gtsam.Pose3(gtsam.Pose2(1.0, -2.0, 3.0))])
+def test_steps_lead_back_and_tell_metres_and_radians(turned: gtsam.Pose2 | gtsam.Pose3) -> None:
+    origin = between(turned, turned)
+    assert between(origin, composed(turned, between(turned, origin))).equals(origin, 1e-9)  # type: ignore[arg-type]
+    assert apart(origin, turned) == pytest.approx((math.sqrt(5.0), 3.0))
+    assert same_place(turned, turned) and not same_place(origin, turned)

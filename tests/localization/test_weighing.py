@@ -1,20 +1,35 @@
-"""Evidence: a surface counts once, doubt comes quickly, and a robot that is carried off is believed so."""
+"""Evidence: a surface counts once, doubt comes quickly, and a robot may be kidnapped."""
 
 import math
 
+import gtsam
 import numpy as np
 import pytest
-from flat_worlds import points_at, room
+from flat_worlds import points_at, room, sweep
 
+from slam.config import Config
 from slam.config.localization import LocalizationConfig
-from slam.localization.evidence import Hypothesis, is_correction, is_same_place, pruned
+from slam.localization.hypotheses import Hypothesis, HypothesisSet, KeyframeLog
+from slam.localization.known_map import KnownMap, Walls
 from slam.localization.loss_test import LossTest
+from slam.localization.planar_sensor import NovelSurfaces, PlanarSensor
+from slam.localization.poses import same_place
 from slam.localization.scan_view import ScanView, first_in_cells
-from slam.localization.stations import StationLog
+from slam.mapper.lidar2d import PlanarRobot
+from slam.mapper.mapper import Mapper
 from slam.matching.local_map import OrientedPoints
-from slam.measurements import FloatArray
+from slam.measurements import FloatArray, MotionEstimate, Pose
 
 CONFIG = LocalizationConfig()
+ORIGIN = gtsam.Pose2()
+
+
+@pytest.fixture(scope="module")
+def sensor() -> PlanarSensor:
+    """In a map of one scan."""
+    mapper = Mapper(Config(), PlanarRobot(Config()))
+    mapper.add(sweep(room(), [0.0, 0.0, 0.0], beams=121, fov_rad=4.7))
+    return PlanarSensor(Walls(KnownMap.of_result(mapper.finish()), Config()), Config())
 
 
 def view_from(pose: FloatArray, stamp_s: float = 0.0) -> ScanView:
@@ -22,40 +37,39 @@ def view_from(pose: FloatArray, stamp_s: float = 0.0) -> ScanView:
     return ScanView(stamp_s, points, OrientedPoints.from_scan(points), np.zeros(2))
 
 
-def test_a_surface_is_news_only_once() -> None:
-    log = StationLog(CONFIG)
-    log.add(view_from(np.zeros(3)), np.zeros(3))
-    first = len(log.stations[0].news)
+def test_a_surface_is_novel_only_once(sensor: PlanarSensor) -> None:
+    log: KeyframeLog[ScanView, NovelSurfaces] = KeyframeLog(sensor, CONFIG.window_m)
+    log.add(view_from(np.zeros(3)), ORIGIN)
+    first = len(log.keyframes[0].novel.points)
     assert first > 30
     for n in range(1, 6):
         pose = np.array([0.05 * n, 0.0, 0.1 * n])
-        log.add(view_from(pose), pose)
-    assert sum(len(station.news) for station in log.stations[1:]) < 0.1 * first
+        log.add(view_from(pose), gtsam.Pose2(*pose))
+    assert sum(len(keyframe.novel.points) for keyframe in log.keyframes[1:]) < 0.1 * first
 
 
-def test_what_has_left_the_window_is_news_again() -> None:
-    config = LocalizationConfig(window_m=2.0)
-    log = StationLog(config)
+def test_what_has_left_the_window_is_novel_again(sensor: PlanarSensor) -> None:
+    log: KeyframeLog[ScanView, NovelSurfaces] = KeyframeLog(sensor, 2.0)
     view = view_from(np.zeros(3))
-    log.add(view, np.zeros(3))
-    first = len(log.stations[0].news)
+    log.add(view, ORIGIN)
+    first = len(log.keyframes[0].novel.points)
     # The odometry drives away and back while the laser sees the same from the same place.
-    far = np.array([1.5, 0.0, 0.0])
     empty = ScanView(
         0.0, view.only(np.zeros(len(view.points), bool)).points, OrientedPoints.none(), view.laser
     )
-    assert log.add(empty, far) == 0
-    assert log.add(view, np.zeros(3)) == 1
-    assert len(log.stations[-1].news) == first
+    assert log.add(empty, gtsam.Pose2(1.5, 0.0, 0.0)) == 0
+    assert log.add(view, ORIGIN) == 1
+    assert len(log.keyframes[-1].novel.points) == first
 
 
-def test_stations_are_due_by_travel_or_turn() -> None:
-    log = StationLog(CONFIG)
-    assert log.due(np.zeros(3))
-    log.add(view_from(np.zeros(3)), np.zeros(3))
-    assert not log.due(np.array([0.9 * CONFIG.station_m, 0.0, 0.0]))
-    assert log.due(np.array([1.1 * CONFIG.station_m, 0.0, 0.0]))
-    assert log.due(np.array([0.0, 0.0, -1.1 * CONFIG.station_rad]))
+def test_keyframes_are_due_by_travel_or_turn(sensor: PlanarSensor) -> None:
+    log: KeyframeLog[ScanView, NovelSurfaces] = KeyframeLog(sensor, CONFIG.window_m)
+    view = view_from(np.zeros(3))
+    assert log.due(view, ORIGIN)
+    log.add(view, ORIGIN)
+    assert not log.due(view, gtsam.Pose2(0.9 * CONFIG.keyframe_m, 0.0, 0.0))
+    assert log.due(view, gtsam.Pose2(1.1 * CONFIG.keyframe_m, 0.0, 0.0))
+    assert log.due(view, gtsam.Pose2(0.0, 0.0, -1.1 * CONFIG.keyframe_rad))
 
 
 def test_cells_keep_their_first_point() -> None:
@@ -69,28 +83,72 @@ def test_cells_keep_their_first_point() -> None:
     ("evidence", "expected"),
     [
         ([2.0, 3.0], 5.0),
-        ([-5.0, 4.0, 4.0], 5.0),  # all the way 3, its end alone 8 less the 3 for being carried off
+        ([-5.0, 4.0, 4.0], 5.0),  # all the path 3, its end alone 8 less the 3 for being kidnapped
         ([-1.0, 4.0], 3.0),
         ([], 0.0),
     ],
 )
-def test_the_end_of_the_way_may_count_alone_at_a_price(evidence: list[float], expected: float) -> None:
-    assert Hypothesis(np.zeros(3), evidence, None).total(kidnap_nats=3.0) == pytest.approx(expected)
-    assert Hypothesis(np.zeros(3), evidence, None, 1.5).total(3.0) == pytest.approx(expected + 1.5)
+def test_the_end_of_the_path_may_count_alone_at_a_price(evidence: list[float], expected: float) -> None:
+    assert Hypothesis(ORIGIN, evidence, None).total(kidnap_nats=3.0) == pytest.approx(expected)
+    assert Hypothesis(ORIGIN, evidence, None, 1.5).total(3.0) == pytest.approx(expected + 1.5)
+
+
+class Places:
+    """A sensor on a line that proposes places, and says of each pose what it is told to."""
+
+    search_every_m, weighs_back, least_keyframes = 1e9, 9, 1
+
+    def __init__(self, nats: dict[float, float], moved_m: float = 0.0) -> None:
+        self._nats, self._moved_m = nats, moved_m
+
+    def observe(self, measurement: object, known: Pose | None) -> None:
+        return None
+
+    def sees_anew(self, view: int, before: Pose | None, pose: Pose) -> bool:
+        return True
+
+    def novel(self, view: int, pose: Pose, before: object) -> None:
+        return None
+
+    def align(self, view: int, guess: Pose) -> MotionEstimate:
+        moved = gtsam.Pose2(guess.x() + self._moved_m, 0.0, 0.0)
+        return MotionEstimate(moved, np.eye(3), 1.0, 1.0, 0.01, True, False, np.zeros(3))
+
+    def weigh(self, pose: Pose, novel: None, motion: MotionEstimate | None) -> float:
+        return self._nats.get(round(pose.x(), 2), 0.0)
+
+    def propose(self, view: int, keyframes: object) -> list[Pose]:
+        return [gtsam.Pose2(x, 0.0, 0.0) for x in self._nats]
 
 
 def test_doubles_the_hopeless_and_too_many_are_dropped() -> None:
-    members = [
-        Hypothesis(np.array([x, 0.0, 0.0]), [nats], None) for x, nats in ((0, 1), (1, 9), (1.1, 8), (5, -7))
-    ]
+    nats = {0.0: 1.0, 1.0: 9.0, 1.1: 8.0, 5.0: -7.0}
     for most, kept in ((9, [1.0, 0.0]), (1, [1.0])):
-        left = pruned(members, most, 30.0, lambda one, other: is_same_place(abs(one[0] - other[0]), 0.0))
-        assert [member.pose[0] for member in left] == kept
+        config = LocalizationConfig(hypotheses=most)
+        hypotheses: HypothesisSet[int, None] = HypothesisSet(Places(nats), config)
+        hypotheses.add_keyframe(0, ORIGIN, None)
+        assert [member.pose.x() for member in hypotheses.members] == kept
 
 
-def test_an_alignment_that_moves_far_is_another_place() -> None:
-    assert is_correction(0.29, 0.14)
-    assert not is_correction(0.31, 0.0) and not is_correction(0.0, 0.16)
+@pytest.mark.parametrize(("moved_m", "found"), [(0.29, 2.29), (0.31, 2.0)])
+def test_an_alignment_that_moves_far_is_another_place(moved_m: float, found: float) -> None:
+    hypotheses: HypothesisSet[int, None] = HypothesisSet(Places({2.0: 0.0}, moved_m), CONFIG)
+    hypotheses.add_keyframe(0, ORIGIN, None)
+    assert hypotheses.members[0].pose.x() == pytest.approx(found)
+    assert same_place(ORIGIN, gtsam.Pose2(0.0, 0.0, 0.14))
+    assert not same_place(ORIGIN, gtsam.Pose2(0.0, 0.0, 0.16))
+
+
+def test_hypotheses_move_with_the_odometry_and_one_reading_is_not_all() -> None:
+    sensor = Places({0.0: 50.0, 1.0: 50.0})
+    hypotheses: HypothesisSet[int, None] = HypothesisSet(sensor, CONFIG)
+    sensor.least_keyframes = 3
+    hypotheses.add_keyframe(0, ORIGIN, gtsam.Pose2(7.0, 0.0, 0.0))
+    assert hypotheses.winner() is None, "two places are alike"
+    assert hypotheses.probabilities().sum() < 0.9, "and it may be neither"
+    hypotheses.add_keyframe(0, gtsam.Pose2(1.0, 0.0, 0.0), None)
+    best = hypotheses.members[0]
+    assert best.pose.x() == pytest.approx(1.0) and best.evidence == [CONFIG.lost_nats / 3] * 2
 
 
 def test_a_contradicted_pose_is_lost_and_a_passer_by_is_not_enough() -> None:

@@ -1,0 +1,107 @@
+"""A camera alone in a known map: its keyframes in sight, its own odometry in between."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import gtsam
+import numpy as np
+
+from slam.config import Config
+from slam.localization.poses import Measured, apart, composed, diagonal
+from slam.localization.sensor import Keyframe, Observation
+from slam.localization.visual_locator import VisualLocator
+from slam.measurements import FloatArray, MotionEstimate, Pose
+from slam.odometry.rgbd_tracker import RgbdTracker
+from slam.vision.frame_matcher import FrameMatcher
+from slam.vision.prepared_frame import PreparedFrame
+
+# Evidence of a frame against a pose where it should have matched, nats: often it does not all the same.
+_UNMATCHED_NATS = -0.5
+
+
+class _Tracked(NamedTuple):
+    """``T_odom_camera`` of a frame, (6, 6) against the frames before; no motion leads between segments."""
+
+    pose: gtsam.Pose3
+    covariance: FloatArray
+    segment: int
+
+
+class CameraSensor:
+    """A `Sensor`; of a keyframe it keeps the median depth, m. It looks for the place in every keyframe."""
+
+    search_every_m = 0.0
+    # No image is kept to ask what it says of a new pose.
+    weighs_back = 0
+    least_keyframes = 2
+
+    def __init__(self, locator: VisualLocator, config: Config) -> None:
+        self._locator = locator
+        self._odometry = RgbdTracker(FrameMatcher(config.rgbd_odometry), config.rgbd_odometry)
+        self._anew = 0.5 * config.rgbd_odometry.keyframe_parallax
+        guessed = config.prediction.velocity_floor_m, config.prediction.velocity_floor_rad
+        self._guess = Measured(locator.origin, diagonal(locator.origin, *guessed))
+        self._matched_nats = config.localization.lost_nats / self.least_keyframes
+        self._last: _Tracked | None = None
+        self._pose: Pose | None = None
+        self._segment = 0
+
+    def observe(self, measurement: Any, known: Pose | None) -> Observation[PreparedFrame] | None:
+        """See `Sensor`; takes frames of the map's camera."""
+        frame = self._locator.view(measurement)
+        if frame is None:
+            return None
+        now = self._tracked(frame)
+        moved = self._moved(self._last, now)
+        self._last = now
+        if moved is None or self._pose is None:
+            self._pose = None if now is None else self._locator.origin
+        else:
+            self._pose = composed(self._pose, moved.pose)
+        return Observation(frame.stamp_s, frame, self._pose, moved or self._guess, moved is None)
+
+    def sees_anew(self, view: PreparedFrame, before: Pose | None, pose: Pose) -> bool:
+        """See `Sensor`."""
+        if before is None:
+            return True
+        apart_m, turned_rad = apart(before, pose)
+        return float(np.hypot(apart_m / view.median_depth_m, turned_rad)) > self._anew
+
+    def novel(self, view: PreparedFrame, pose: Pose, before: Sequence[Keyframe[float]] | None) -> float:
+        """See `Sensor`."""
+        return view.median_depth_m
+
+    def align(self, view: PreparedFrame, guess: Pose) -> MotionEstimate | None:
+        """See `Sensor`."""
+        return self._locator.near(view, guess)
+
+    def weigh(self, pose: Pose, novel: float, motion: MotionEstimate | None) -> float:
+        """See `Sensor`."""
+        if motion is not None:
+            return self._matched_nats
+        return _UNMATCHED_NATS if self._locator.should_see(novel, pose) else 0.0
+
+    def propose(self, view: PreparedFrame, keyframes: Sequence[Keyframe[float]]) -> list[Pose]:
+        """See `Sensor`."""
+        return [motion.T_reference_base for motion in self._locator.anywhere(view)]
+
+    def _tracked(self, frame: PreparedFrame) -> _Tracked | None:
+        """Where the odometry saw the camera; None where it is lost."""
+        tracked = self._odometry.track(frame)
+        self._segment += tracked.restarted
+        if tracked.new_keyframe:
+            self._odometry.add_keyframe(frame, tracked)
+        if tracked.match is not None:
+            return _Tracked(tracked.pose, tracked.match.motion.covariance, self._segment)
+        # The beginning of a segment is its origin, and exact.
+        return _Tracked(tracked.pose, np.zeros((6, 6)), self._segment) if tracked.new_keyframe else None
+
+    def _moved(self, before: _Tracked | None, after: _Tracked | None) -> Measured | None:
+        """Motion of the body between two frames; None where the odometry does not know."""
+        if before is None or after is None or before.segment != after.segment:
+            return None
+        motion = before.pose.between(after.pose)
+        adjoint = motion.inverse().AdjointMap()
+        return self._locator.step(motion, adjoint @ before.covariance @ adjoint.T + after.covariance)

@@ -1,0 +1,155 @@
+"""A 3D lidar in a known map of clouds: aligned to their planes, and its beams weighed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from slam.config import Config
+from slam.localization.cloud_places import CloudPlaces
+from slam.localization.cloud_space import BeamVerdicts, judge_beams
+from slam.localization.known_clouds import COARSENESS, CloudTiles, KnownClouds
+from slam.localization.odometry import CloudOdometry
+from slam.localization.scan_view import cell_keys
+from slam.localization.sensor import Keyframe, Observation, moved_on
+from slam.localization.whole_map_field import WholeMapField
+from slam.matching.cloud_points import at_middle_of_turn, thinned
+from slam.matching.local_cloud import Aligned, moved
+from slam.measurements import FloatArray, MotionEstimate, PointCloud, Pose, WheelOdometry
+
+# Shares of explained, in-free and crossing beams at true poses, and at wrong ones that fit best: see
+# tools/learn_match_likelihoods.py.
+_EXPLAINED_NATS = math.log(0.40 / 0.20)
+_IN_FREE_NATS = math.log(0.01 / 0.06)
+_CROSSING_NATS = math.log(0.03 / 0.18)
+# Beams that are followed: more tell the same.
+_MOST_BEAMS = 6000
+# A point so near to a plane, in voxels, is explained by it.
+_ON_PLANE = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class CloudView:
+    """One cloud, prepared once.
+
+    Attributes
+    ----------
+    points
+        (N, 3) thinned to the map's voxels, base frame.
+    lidar
+        (3,) where the beams begin, base frame.
+    novel_share
+        Part of what it sees that the keyframes before it did not see alike.
+    """
+
+    points: FloatArray
+    lidar: FloatArray
+    novel_share: float = 1.0
+
+
+class CloudSensor:
+    """A `Sensor`; stateless but for its odometry and the tiles of the map that it keeps.
+
+    Parameters
+    ----------
+    known
+        The clouds of the map.
+    field
+        Of its plan; None where it has none.
+    """
+
+    # Those before cost time, and drift bends the path.
+    weighs_back = 5
+    least_keyframes = 3
+
+    def __init__(self, known: KnownClouds, field: WholeMapField | None, config: Config) -> None:
+        self._tiles, self._odometry = CloudTiles(known, config), CloudOdometry(config)
+        self._config, self._general, self._settings = config, config.localization, config.cloud_localization
+        self.voxel_m = self._tiles.voxel_m
+        self._places = CloudPlaces(field, known, self.voxel_m, config)
+        self.search_every_m = self._general.search_every_m
+
+    def observe(self, measurement: Any, known: Pose | None) -> Observation[CloudView] | None:
+        """See `Sensor`; takes clouds, which are told at the middle of their turn, and wheel readings."""
+        if isinstance(measurement, WheelOdometry):
+            self._odometry.add_wheels(measurement)
+        if not isinstance(measurement, PointCloud):
+            return None
+        cloud = at_middle_of_turn(measurement, self._config.cloud_odometry)
+        points, step = self._odometry.add(cloud)
+        view = CloudView(thinned(points, self.voxel_m), np.asarray(cloud.T_base_lidar.translation()))
+        return Observation(cloud.stamp_s, view, step.pose, step.moved, step.moved is None)
+
+    def sees_anew(self, view: CloudView, before: Pose | None, pose: Pose) -> bool:
+        """See `Sensor`."""
+        return len(view.points) > 0 and moved_on(before, pose, self._general)
+
+    def novel(self, view: CloudView, pose: Pose, before: Sequence[Keyframe[CloudView]] | None) -> CloudView:
+        """See `Sensor`."""
+        return view if before is None else replace(view, novel_share=self._settings.new_share)
+
+    def align(self, view: CloudView, guess: Pose) -> MotionEstimate | None:
+        """See `Sensor`."""
+        aligned, agreement = self._aligned(view, guess)
+        if aligned is None or agreement < self._settings.least_agreement:
+            return None
+        # Where only a part is known, that part is seen at its edges.
+        doubt = 1.0 / min(agreement, 1.0) ** 2
+        return replace(aligned.motion, covariance=doubt * aligned.motion.covariance)
+
+    def weigh(self, pose: Pose, novel: CloudView, motion: MotionEstimate | None = None) -> float:
+        """See `Sensor`. The beams of a column, one over the other, count as one: walls are upright."""
+        points, verdicts = self.judged(pose, novel)
+        said = np.any(verdicts, axis=0)
+        if not said.any():
+            return 0.0
+        nats = float(np.array([_EXPLAINED_NATS, _IN_FREE_NATS, _CROSSING_NATS]) @ np.sum(verdicts, axis=1))
+        cells = np.floor(points[said, :2] / self._general.novel_cell_m).astype(np.int64)
+        columns = len(np.unique(cell_keys(cells)))
+        return novel.novel_share * nats / float(said.sum()) * columns / self._general.correlated_cells
+
+    def judged(self, pose: Pose, view: CloudView) -> tuple[FloatArray, BeamVerdicts]:
+        """Some points of a cloud, (N, 3), base frame, and what their beams say of ``T_map_base``."""
+        assert isinstance(pose, gtsam.Pose3)
+        points = view.points[:: max(1, -(-len(view.points) // _MOST_BEAMS))]
+        tile = self._tiles.around(pose)
+        if tile is None:
+            return points, BeamVerdicts(*np.zeros((3, len(points)), np.bool_))
+        lidar = np.asarray(pose.transformFrom(view.lidar))
+        reach_m = _ON_PLANE * self.voxel_m
+        return points, judge_beams(tile.space, tile.planes, lidar, moved(points, pose), reach_m)
+
+    def propose(self, view: CloudView, keyframes: Sequence[Keyframe[CloudView]]) -> list[gtsam.Pose3]:
+        """See `Sensor`: places that look alike, by scan context or by plan, and fit best."""
+        scan = thinned(view.points, COARSENESS * self.voxel_m)
+        arrived: list[tuple[float, gtsam.Pose3]] = []
+        for guess in self._places.propose(view.points):
+            tile = self._tiles.around(guess)
+            if tile is None:
+                continue
+            aligned = tile.coarse.align(scan, guess)
+            pose = guess if aligned is None else aligned.found.pose
+            arrived.append((self.weigh(pose, view), pose))
+        arrived.sort(key=lambda place: -place[0])
+        found = []
+        for _, pose in arrived[: self._settings.places]:
+            exact, _ = self._aligned(view, pose)
+            found.append(pose if exact is None else exact.found.pose)
+        return found
+
+    def _aligned(self, view: CloudView, guess: Pose) -> tuple[Aligned | None, float]:
+        """An alignment, and what share of the cloud agrees, where that of the map's own clouds is 1."""
+        assert isinstance(guess, gtsam.Pose3)
+        tile = self._tiles.around(guess)
+        if tile is None or not len(view.points):
+            return None, 0.0
+        lidar = np.asarray(guess.transformFrom(view.lidar))
+        known = ~tile.planes.judge(lidar, moved(view.points, guess), 0.0).strange
+        aligned = tile.local.refine(view.points[known], guess)
+        share = 0.0 if aligned is None else aligned.found.agreement * float(np.mean(known))
+        return aligned, share / max(tile.agreement, 1e-3)

@@ -1,0 +1,178 @@
+"""The state machine of localisation, whatever the sensor: search, track, lose, find again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Generic
+
+import numpy as np
+
+from slam.config.localization import LocalizationConfig
+from slam.localization.hypotheses import Hypothesis, HypothesisSet
+from slam.localization.loss_test import LossTest
+from slam.localization.output import LocalizerOutput, PoseHypothesis, RecoveredPose, State
+from slam.localization.pose_smoother import PoseSmoother
+from slam.localization.poses import (
+    SAME_M,
+    SAME_RAD,
+    Measured,
+    after,
+    between,
+    composed,
+    diagonal,
+    squared_mahalanobis,
+)
+from slam.localization.sensor import N, Observation, Sensor, V, moved_on
+from slam.measurements import MotionEstimate, Pose
+
+
+class StateMachine(Generic[V, N]):
+    """State of one drive in a known map; feed the readings of its sensor in the order of the log."""
+
+    def __init__(self, sensor: Sensor[V, N], config: LocalizationConfig) -> None:
+        self._sensor, self._config = sensor, config
+        self._hypotheses = HypothesisSet(sensor, config)
+        self._loss = LossTest(config)
+        self._state = State.SEARCHING
+        self._smoother: PoseSmoother | None = None
+        self._unknown: list[tuple[float, Pose]] = []
+        self._odometry_pose: Pose | None = None
+        self._helped_at: Pose | None = None
+
+    @property
+    def tracked(self) -> Measured | None:
+        """``T_map_base``, while it is tracked."""
+        if self._state is not State.TRACKING or self._smoother is None:
+            return None
+        return self._smoother.newest
+
+    def add(self, measurement: Any) -> LocalizerOutput | None:
+        """Take a reading; what is known after it, None where the sensor only keeps it or does not use it."""
+        known = self.tracked
+        observed = self._sensor.observe(measurement, None if known is None else known.pose)
+        if observed is None:
+            return None
+        self._odometry_pose = observed.pose
+        if observed.restarted:
+            self._forget()
+            self._helped_at = None
+        if observed.moved is None and self._smoother is not None:
+            # Not even dead reckoning leads on from the last pose.
+            self._smoother, self._state = None, State.LOST
+        recovered: Sequence[RecoveredPose] = ()
+        if self._state is State.TRACKING:
+            support = self._track(observed)
+        else:
+            support, recovered = self._search(observed)
+        return self._output(observed.stamp_s, support, recovered)
+
+    def wants_help(self) -> bool:
+        """Whether the robot has moved on since another sensor helped: that is as much as it can tell anew."""
+        if self._odometry_pose is None or not moved_on(self._helped_at, self._odometry_pose, self._config):
+            return False
+        self._helped_at = self._odometry_pose
+        return True
+
+    def confirm(self, seen: Measured) -> None:
+        """Take where another sensor sees the tracked pose, if it may be there: the map may differ for it."""
+        seen = self._in_map(seen)
+        if self._smoother is not None and self._may_be(self._smoother.newest, seen):
+            self._smoother.add_seen(seen)
+
+    def propose(self, pose: Pose) -> None:
+        """Take ``T_map_base`` that another sensor has found while the pose is sought."""
+        if self._odometry_pose is not None:
+            self._hypotheses.propose(pose, self._odometry_pose)
+
+    def _track(self, observed: Observation[V]) -> float:
+        """Predict, align to the map, judge: the share of the reading that the map explains."""
+        assert self._smoother is not None and observed.moved is not None
+        predicted = after(self._smoother.newest, observed.moved)
+        motion = self._sensor.align(observed.view, predicted.pose)
+        believed = self._believed(motion, predicted)
+        self._smoother.add(observed.moved, [] if believed is None else [_measured(believed)])
+        pose = self._smoother.newest.pose
+        novel = self._sensor.novel(observed.view, between(pose, pose), None)
+        self._loss.add(observed.stamp_s, self._sensor.weigh(pose, novel, believed))
+        if self._loss.lost or self._smoother.sigma_m > self._config.dead_reckoning_m:
+            self._state = State.LOST
+            self._forget()
+        return math.nan if motion is None else motion.inlier_share
+
+    def _believed(self, motion: MotionEstimate | None, predicted: Measured) -> MotionEstimate | None:
+        """An alignment, if enough of the reading agrees with it and it is where it may be."""
+        if motion is None or motion.inlier_share < self._config.least_inlier_share:
+            return None
+        return motion if self._may_be(predicted, _measured(motion)) else None
+
+    def _may_be(self, expected: Measured, found: Measured) -> bool:
+        """Gating."""
+        return squared_mahalanobis(expected, found) <= self._config.gate_sigmas**2
+
+    def _search(self, observed: Observation[V]) -> tuple[float, Sequence[RecoveredPose]]:
+        """Weigh all hypotheses; where one wins, begin to track it."""
+        if self._smoother is not None and observed.moved is not None:
+            self._smoother.add(observed.moved, [])
+        if observed.pose is None:
+            return math.nan, ()
+        self._unknown.append((observed.stamp_s, observed.pose))
+        if not self._hypotheses.due(observed.view, observed.pose):
+            return math.nan, ()
+        dead_reckoned = None if self._smoother is None else self._smoother.newest.pose
+        self._hypotheses.add_keyframe(observed.view, observed.pose, dead_reckoned)
+        winner = self._hypotheses.winner()
+        return (math.nan, ()) if winner is None else self._found(winner, observed.pose)
+
+    def _found(self, winner: Hypothesis, odometry_pose: Pose) -> tuple[float, Sequence[RecoveredPose]]:
+        """Begin to track a hypothesis; the path up to here becomes known."""
+        self._state, motion = State.TRACKING, winner.motion
+        # Where nothing could be aligned, it is the same place by three sigmas.
+        unaligned = Measured(winner.pose, diagonal(winner.pose, SAME_M / 3.0, SAME_RAD / 3.0))
+        self._smoother = PoseSmoother(unaligned if motion is None else _measured(motion))
+        self._loss.reset()
+        recovered = [
+            RecoveredPose(stamp_s, composed(winner.pose, between(odometry_pose, pose)))
+            for stamp_s, pose in self._unknown[:-1]
+        ]
+        self._forget()
+        return math.nan if motion is None else motion.inlier_share, recovered
+
+    def _in_map(self, known: Measured) -> Measured:
+        """A pose with what the map itself is off by there."""
+        bent = diagonal(known.pose, self._config.map_sigma_m, self._config.map_sigma_rad)
+        return Measured(known.pose, known.covariance + bent)
+
+    def _forget(self) -> None:
+        """What the odometry held together is held together no more, or needs no more to be."""
+        self._hypotheses.clear()
+        self._unknown.clear()
+
+    def _output(self, stamp_s: float, support: float, recovered: Sequence[RecoveredPose]) -> LocalizerOutput:
+        """What is known after a reading; a pose that the newest one speaks against counts as lost."""
+        probabilities = self._hypotheses.probabilities()
+        known = None if self._smoother is None else self._smoother.newest
+        state, confidence = self._state, float(probabilities.max(initial=0.0))
+        if self._smoother is not None and state is State.TRACKING:
+            confidence = self._loss.confidence * self._smoother.trust
+            state = State.LOST if self._loss.doubted else state
+        pose, covariance = (None, None) if known is None else self._in_map(known)
+        members = self._hypotheses.members
+        return LocalizerOutput(
+            stamp_s=stamp_s,
+            state=state,
+            pose=pose,
+            covariance=covariance,
+            confidence=confidence,
+            hypotheses=tuple(
+                PoseHypothesis(members[n].pose, float(probabilities[n]))
+                for n in np.argsort(-probabilities, kind="stable").tolist()
+            ),
+            support=support,
+            recovered=tuple(recovered),
+        )
+
+
+def _measured(motion: MotionEstimate) -> Measured:
+    """Where an alignment puts the robot."""
+    return Measured(motion.T_reference_base, motion.covariance)

@@ -1,0 +1,173 @@
+"""The robot's motion while it is localised, by its lidar and wheels alone, and when that thread is cut."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from slam.config import Config
+from slam.localization.poses import Measured, composed, diagonal, squared_mahalanobis
+from slam.localization.scan_view import ScanView
+from slam.matching.planar import between
+from slam.measurements import FloatArray, PointCloud, Pose, WheelOdometry, pose2_from_row, row_from_pose2
+from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
+from slam.odometry.motion_tracker import MotionTracker, TrackedScan
+from slam.odometry.surfel_odometry import SurfelOdometry
+from slam.odometry.wheel_tracker import WheelTracker
+
+# So many readings in a row that match nothing cut the thread: wheels do not tell that a robot is kidnapped.
+_LOST_READINGS = 3
+# A longer time between two readings is a gap in which anything may have happened.
+_GAP_S = 5.0
+
+
+class OdometryStep(NamedTuple):
+    """Where a reading was taken, by odometry.
+
+    Attributes
+    ----------
+    pose
+        ``T_odom_base``; the odometry frame begins anew where nobody knows the motion.
+    moved
+        Motion since the last reading; None where nobody knows it.
+    """
+
+    pose: Pose
+    moved: Measured | None
+
+
+class ScanOdometry:
+    """Scan to recent scans, with wheels where there are any."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._wheels = WheelTracker(config.wheels) if config.lidar_odometry.use_wheel_odometry else None
+        self._tracker = self._new_tracker()
+        self._last: TrackedScan | None = None
+        self._keyframe: TrackedScan | None = None
+        self._unmatched = 0
+        self._stamp_s = 0.0
+        self._step = np.zeros(3)
+
+    def add_wheels(self, reading: WheelOdometry) -> None:
+        """Take a wheel reading."""
+        if self._wheels is not None:
+            self._wheels.add(reading)
+
+    def expected_step(self, stamp_s: float) -> Measured:
+        """Motion from the last scan to one at a stamp, before it is matched.
+
+        By the wheels; as before, where they say nothing.
+        """
+        step, step_s = self._step, stamp_s - self._stamp_s
+        if self._wheels is not None and self._last is not None and self._last.wheel_pose is not None:
+            now = self._wheels.pose_at(stamp_s)
+            turned = None if now is None else between(self._last.wheel_pose, now)
+            if turned is not None and self._wheels.plausible(turned, step_s):
+                covariance = self._wheels.covariance(turned) * self._tracker.wheel_doubt
+                return Measured(pose2_from_row(turned), covariance)
+        config = self._config.prediction
+        sigma_m = config.velocity_floor_m + config.velocity_share * math.hypot(step[0], step[1])
+        sigma_rad = config.velocity_floor_rad + config.velocity_share * abs(float(step[2]))
+        return Measured(pose2_from_row(step), np.diag([sigma_m**2, sigma_m**2, sigma_rad**2]))
+
+    def add(self, view: ScanView) -> OdometryStep:
+        """Take a scan."""
+        expected = self.expected_step(view.stamp_s)
+        tracked = self._tracker.track(view.points, view.stamp_s)
+        last, elapsed_s = self._last, view.stamp_s - self._stamp_s
+        self._stamp_s = view.stamp_s
+        if last is not None and self._is_cut(last, tracked, elapsed_s):
+            self._tracker, self._keyframe, self._unmatched = self._new_tracker(), None, 0
+            tracked, last = self._tracker.track(view.points, view.stamp_s), None
+        self._last = tracked
+        moved = None if last is None else self._fused(between(last.pose, tracked.pose), tracked, expected)
+        self._step = np.zeros(3) if moved is None else row_from_pose2(moved.pose)
+        if self._moved_on(tracked):
+            self._tracker.add_keyframe(view.points, tracked)
+            self._keyframe = tracked
+        return OdometryStep(pose2_from_row(tracked.pose), moved)
+
+    def _new_tracker(self) -> MotionTracker:
+        """A new odometry frame."""
+        config = self._config
+        odometry = SurfelOdometry(config.lidar_odometry, config.match)
+        return MotionTracker(odometry, self._wheels, config.prediction, config.match)
+
+    def _is_cut(self, last: TrackedScan, tracked: TrackedScan, elapsed_s: float) -> bool:
+        """Whether nothing tells how the robot moved."""
+        if tracked.motion is not None:
+            self._unmatched = 0
+            return False
+        self._unmatched += 1
+        if self._wheels is None or last.wheel_pose is None or tracked.wheel_pose is None:
+            return True
+        plausible = self._wheels.plausible(between(last.wheel_pose, tracked.wheel_pose), elapsed_s)
+        return not plausible or elapsed_s > _GAP_S or self._unmatched >= _LOST_READINGS
+
+    def _fused(self, row: FloatArray, tracked: TrackedScan, expected: Measured) -> Measured:
+        """A step (3,) by match and expectation, by their covariances: wheels tell how long a corridor is."""
+        if tracked.motion is None:
+            return expected
+        matched = Measured(pose2_from_row(row), tracked.motion.covariance + tracked.dispute)
+        if squared_mahalanobis(matched, expected) > self._config.localization.gate_sigmas**2:
+            return matched
+        gain = matched.covariance @ np.linalg.inv(matched.covariance + expected.covariance)
+        correction = pose2_from_row(gain @ between(row, row_from_pose2(expected.pose)))
+        return Measured(composed(matched.pose, correction), matched.covariance - gain @ matched.covariance)
+
+    def _moved_on(self, tracked: TrackedScan) -> bool:
+        """Whether a scan is far enough from the last keyframe to join the local map."""
+        if self._keyframe is None:
+            return True
+        step = between(self._keyframe.pose, tracked.pose)
+        limits = self._config.keyframes
+        return bool(math.hypot(step[0], step[1]) > limits.distance_m or abs(step[2]) > limits.angle_rad)
+
+
+class CloudOdometry:
+    """Cloud to recent clouds."""
+
+    def __init__(self, config: Config) -> None:
+        self._config, self._guess = config.cloud_odometry, config.prediction
+        self._wheels = WheelTracker(config.wheels) if self._config.use_wheel_odometry else None
+        self._tracker = CloudTracker(self._config, self._wheels)
+        self._last: TrackedCloud | None = None
+        self._unmatched = 0
+        self._stamp_s = 0.0
+
+    def add_wheels(self, reading: WheelOdometry) -> None:
+        """Take a wheel reading."""
+        if self._wheels is not None:
+            self._wheels.add(reading)
+
+    def add(self, cloud: PointCloud) -> tuple[FloatArray, OdometryStep]:
+        """Take a cloud: its usable points (N, 3), base frame, deskewed, and where it was taken."""
+        last, elapsed_s = self._last, cloud.stamp_s - self._stamp_s
+        self._stamp_s = cloud.stamp_s
+        gap = last is not None and not 0.0 <= elapsed_s <= _GAP_S
+        tracked = None if gap else self._tracker.track(cloud)
+        if tracked is not None:
+            first = last is None or tracked.motion is not None
+            self._unmatched = 0 if first else self._unmatched + 1
+        if tracked is None or self._unmatched >= _LOST_READINGS:
+            self._tracker, self._unmatched, last = CloudTracker(self._config, self._wheels), 0, None
+            tracked = self._tracker.track(cloud)
+        if tracked.new_keyframe:
+            self._tracker.add_keyframe(tracked)
+        self._last = tracked
+        return tracked.points, OdometryStep(tracked.pose, None if last is None else self._step(last, tracked))
+
+    def _step(self, last: TrackedCloud, tracked: TrackedCloud) -> Measured:
+        """Motion between two clouds, each matched to the same recent ones; or as good as a guess."""
+        step = last.pose.between(tracked.pose)
+        if tracked.motion is None:
+            sigmas = self._guess.velocity_floor_m, self._guess.velocity_floor_rad
+            return Measured(step, diagonal(step, *sigmas))
+        before = np.zeros((6, 6))
+        if last.motion is not None:
+            adjoint = step.inverse().AdjointMap()
+            before = adjoint @ last.motion.covariance @ adjoint.T
+        return Measured(step, np.asarray(before + tracked.motion.covariance))

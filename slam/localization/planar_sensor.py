@@ -1,0 +1,149 @@
+"""A planar lidar in the walls of a known map: aligned to them, and its beams weighed."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slam.config import Config
+from slam.localization.beam_check import BeamCounts, check_beams, in_clear_space
+from slam.localization.global_search import search_map
+from slam.localization.known_map import Walls
+from slam.localization.odometry import ScanOdometry
+from slam.localization.poses import between
+from slam.localization.scan_view import ScanView, cell_keys, first_in_cells
+from slam.localization.sensor import Keyframe, Observation, moved_on
+from slam.matching.local_map import OrientedPoints, match_noise
+from slam.matching.match_covariance import motion_from_alignment
+from slam.matching.planar import compose, transform_points
+from slam.measurements import (
+    FloatArray,
+    LaserScan,
+    MotionEstimate,
+    Pose,
+    WheelOdometry,
+    pose2_from_row,
+    row_from_pose2,
+)
+
+_LEAST_POINTS = 10
+# Shares of explained, crossing and in-free beams at the true pose, and at the best of all wrong poses. A
+# silent beam says nothing: where the map is incomplete, true poses have as many of them as wrong ones. See
+# tools/learn_match_likelihoods.py.
+_EXPLAINED_NATS = math.log(0.93 / 0.57)
+_CROSSING_NATS = math.log(0.02 / 0.17)
+_IN_FREE_NATS = math.log(0.02 / 0.12)
+_AROUND = np.array([(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1)], np.int64)
+
+
+class NovelSurfaces(NamedTuple):
+    """What a scan sees for the first time: no surface is weighed twice.
+
+    Attributes
+    ----------
+    points
+        On those surfaces, one a cell, base frame.
+    laser
+        (2,) where the beams begin, base frame.
+    keys
+        The cells of the surfaces, odometry frame.
+    """
+
+    points: OrientedPoints
+    laser: FloatArray
+    keys: frozenset[int]
+
+
+class PlanarSensor:
+    """A `Sensor`; stateless but for its odometry and the tiles of the map that it keeps."""
+
+    def __init__(self, walls: Walls, config: Config) -> None:
+        self._walls, self._config, self._settings = walls, config, config.localization
+        self._noise = match_noise(config.match)
+        self._odometry = ScanOdometry(config)
+        self._searches = 0
+        self.search_every_m = self._settings.search_every_m
+        self.weighs_back, self.least_keyframes = sys.maxsize, 1
+
+    def observe(self, measurement: Any, known: Pose | None) -> Observation[ScanView] | None:
+        """See `Sensor`; takes scans and wheel readings."""
+        if isinstance(measurement, WheelOdometry):
+            self._odometry.add_wheels(measurement)
+        if not isinstance(measurement, LaserScan):
+            return None
+        view = ScanView.of(measurement, self._config)
+        step = self._odometry.add(self._without_strangers(view, known))
+        return Observation(view.stamp_s, view, step.pose, step.moved, step.moved is None)
+
+    def sees_anew(self, view: ScanView, before: Pose | None, pose: Pose) -> bool:
+        """See `Sensor`."""
+        return moved_on(before, pose, self._settings)
+
+    def novel(
+        self, view: ScanView, pose: Pose, before: Sequence[Keyframe[NovelSurfaces]] | None
+    ) -> NovelSurfaces:
+        """See `Sensor`."""
+        points = transform_points(view.oriented.points, row_from_pose2(pose))
+        first, cells = first_in_cells(points, self._settings.novel_cell_m)
+        seen: frozenset[int] = frozenset().union(*(one.novel.keys for one in before or ()))
+        # A cell beside a known one may be the same surface, a little off.
+        beside = (cells[:, None, :] + _AROUND).reshape(-1, 2)
+        known = np.array([key in seen for key in cell_keys(beside).tolist()], np.bool_)
+        new = ~known.reshape(-1, len(_AROUND)).any(axis=1)
+        return NovelSurfaces(view.where(first[new]), view.laser, frozenset(cell_keys(cells).tolist()) - seen)
+
+    def align(self, view: ScanView, guess: Pose) -> MotionEstimate | None:
+        """See `Sensor`."""
+        row = row_from_pose2(guess)
+        tile = self._walls.tile(row)
+        if len(view.oriented) < _LEAST_POINTS or len(tile.fine.surfels) < _LEAST_POINTS:
+            return None
+        motion = motion_from_alignment(tile.align(view.oriented, row), self._noise)
+        return motion if motion.inlier_share > 0.0 else None
+
+    def weigh(self, pose: Pose, novel: NovelSurfaces, motion: MotionEstimate | None = None) -> float:
+        """See `Sensor`."""
+        beams = self.counted(pose, novel)
+        against = _CROSSING_NATS * beams.crossing + _IN_FREE_NATS * beams.in_free
+        return (_EXPLAINED_NATS * beams.explained + against) / self._settings.correlated_cells
+
+    def counted(self, pose: Pose, novel: NovelSurfaces) -> BeamCounts:
+        """What the beams of a scan say of ``T_map_base``."""
+        row = row_from_pose2(pose)
+        return check_beams(self._walls.space, self._walls.tile(row).fine, row, novel.laser, novel.points)
+
+    def propose(self, view: ScanView, keyframes: Sequence[Keyframe[NovelSurfaces]]) -> list[Pose]:
+        """See `Sensor`.
+
+        By turns for all of the last path, which is rarer, and for the newest scan, which no drift has bent.
+        """
+        settings, newest = self._settings, keyframes[-1]
+        self._searches += 1
+        points = [view.points.points_base.astype(np.float64)]
+        if self._searches % 2:
+            points += [
+                transform_points(one.novel.points.points, row_from_pose2(between(newest.pose, one.pose)))
+                for one in keyframes[:-1]
+                if newest.travelled_m - one.travelled_m < settings.window_m / 3.0
+            ]
+        seen = np.concatenate(points)
+        seen = seen[first_in_cells(seen, settings.novel_cell_m)[0]]
+        found = search_map(self._walls.field, seen, settings, settings.hypotheses)
+        return [pose2_from_row(place.pose) for place in found]
+
+    def _without_strangers(self, view: ScanView, known: Pose | None) -> ScanView:
+        """A scan without what stands in the midst of known free space, if the pose is tracked: people.
+
+        A scan that would lose much of itself is left whole: rather the pose is wrong.
+        """
+        if known is None:
+            return view
+        pose = compose(row_from_pose2(known), row_from_pose2(self._odometry.expected_step(view.stamp_s).pose))
+        keep = ~in_clear_space(self._walls.space, pose, view.points.points_base)
+        return (
+            view.only(keep) if not keep.all() and keep.mean() >= self._settings.least_inlier_share else view
+        )

@@ -1,0 +1,70 @@
+"""Poses with their uncertainty, in the plane and in space alike."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import gtsam
+import numpy as np
+
+from slam.measurements import FloatArray, Pose
+
+# Poses nearer than this are one place, metres and radians: an alignment from either finds the same.
+SAME_M, SAME_RAD = 0.3, 0.15
+
+
+class Measured(NamedTuple):
+    """A pose or a motion with its covariance (d, d), GTSAM's order, in the frame after it."""
+
+    pose: Pose
+    covariance: FloatArray
+
+
+def composed(T_a_b: Pose, T_b_c: Pose) -> Pose:
+    """``T_a_c``; both in the plane, or both in space."""
+    if isinstance(T_a_b, gtsam.Pose2) and isinstance(T_b_c, gtsam.Pose2):
+        return T_a_b.compose(T_b_c)
+    assert isinstance(T_a_b, gtsam.Pose3) and isinstance(T_b_c, gtsam.Pose3)
+    return T_a_b.compose(T_b_c)
+
+
+def between(T_a_b: Pose, T_a_c: Pose) -> Pose:
+    """``T_b_c``; both in the plane, or both in space."""
+    return composed(T_a_b.inverse(), T_a_c)
+
+
+def after(known: Measured, step: Measured) -> Measured:
+    """A pose after a motion."""
+    adjoint = step.pose.inverse().AdjointMap()
+    covariance = adjoint @ known.covariance @ adjoint.T + step.covariance
+    return Measured(composed(known.pose, step.pose), covariance)
+
+
+def apart(one: Pose, other: Pose) -> tuple[float, float]:
+    """Metres and radians between two poses."""
+    step = between(one, other)
+    if isinstance(step, gtsam.Pose2):
+        return float(np.hypot(step.x(), step.y())), abs(step.theta())
+    turned_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(step.rotation())))
+    return float(np.linalg.norm(step.translation())), turned_rad
+
+
+def same_place(one: Pose, other: Pose) -> bool:
+    """Whether two poses are one place."""
+    apart_m, turned_rad = apart(one, other)
+    return apart_m < SAME_M and turned_rad < SAME_RAD
+
+
+def squared_mahalanobis(expected: Measured, found: Measured) -> float:
+    """Squared Mahalanobis distance of a measured pose from an expected one, by the covariances of both."""
+    step = between(expected.pose, found.pose)
+    offset = gtsam.Pose2.Logmap(step) if isinstance(step, gtsam.Pose2) else gtsam.Pose3.Logmap(step)
+    return float(offset @ np.linalg.solve(expected.covariance + found.covariance, offset))
+
+
+def diagonal(like: Pose, sigma_m: float, sigma_rad: float) -> FloatArray:
+    """(d, d) covariance of a pose as ``like``, by one sigma of positions and one of angles."""
+    metres, radians = sigma_m**2, sigma_rad**2
+    if isinstance(like, gtsam.Pose2):
+        return np.diag([metres, metres, radians])
+    return np.diag([radians] * 3 + [metres] * 3)
