@@ -1,0 +1,59 @@
+"""Where the colour camera sits, from a second or two of a log: rendered frames, and a real Kinect's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from room_world import MIDDLE, furnished, looking, render
+
+from slam.config import load_config
+from slam.datasets import open_dataset
+from slam.measurements import Measurement, RgbdFrame
+from slam.vision.color_registration import register_features
+from slam.vision.registration_pairs import registrations_of
+
+REDKITCHEN = Path(__file__).parents[3] / "shared" / "data" / "rgbd" / "redkitchen"
+T_DEPTH_COLOR = gtsam.Pose3(gtsam.Rot3(), np.array([0.025, 0.0, 0.0]))
+WIDE = replace(MIDDLE, fx=0.85 * MIDDLE.fx, fy=0.85 * MIDDLE.fy)
+# Seven steps from frame to frame are too few to judge by.
+SHORT = 8
+
+
+def frame(number: int, *, beside: bool) -> RgbdFrame:
+    """One of a turning camera's frames, 0.2 s apart."""
+    pose = looking(0.08 * number - 0.5, 0.05 * number, 1.3, 0.08 * number, 0.02 * number)
+    found = render(furnished(), pose, MIDDLE, stamp_s=0.21 * number, smooth=False)
+    if not beside:
+        return found
+    return replace(found, color=render(furnished(), pose * T_DEPTH_COLOR, WIDE, smooth=False).color)
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_a_short_log_tells_where_its_colour_camera_sits(beside: bool) -> None:
+    frames = [frame(number, beside=beside) for number in range(SHORT)]
+    found = registrations_of(frames, ["camera"], load_config(None))["camera"]
+    assert found.accepted == beside, found.reason
+    if beside:
+        assert found.intrinsics_color.fx == pytest.approx(0.85 * MIDDLE.fx, rel=0.02)
+        # At 2 m, where most of the room is: a shift and a moved principal point look much the same.
+        wall = np.full((MIDDLE.height, MIDDLE.width), 2.0, dtype=np.float32)
+        truth = replace(found, intrinsics_color=WIDE, T_depth_color=T_DEPTH_COLOR)
+        pixels = np.random.default_rng(0).uniform(60.0, 180.0, (100, 2))
+        off_px = register_features(pixels, wall, found)[0] - register_features(pixels, wall, truth)[0]
+        assert np.sqrt((off_px**2).sum(axis=1).mean()) < 3.0
+
+
+@pytest.mark.skipif(not REDKITCHEN.is_dir(), reason=f"REAL LOG ABSENT, not tested: {REDKITCHEN}")
+@pytest.mark.parametrize("first", [100, 150, 300])
+def test_fifty_frames_of_a_kinect_tell_that_its_colour_is_not_registered(first: int) -> None:
+    frames: Iterator[Measurement] = (one for one in open_dataset(REDKITCHEN) if isinstance(one, RgbdFrame))
+    (found,) = registrations_of(islice(frames, first, first + 50), ["camera"], load_config(None)).values()
+    assert found.accepted, found.reason
+    # 529 px by the whole log, 585 if colour were registered.
+    assert found.intrinsics_color.fx == pytest.approx(529.0, abs=14.0)
