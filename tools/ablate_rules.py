@@ -27,6 +27,7 @@ import gtsam
 import numpy as np
 from worsened_logs import worsened
 
+from slam.comparison.methods import ODOMETRIES
 from slam.config import load_config
 from slam.datasets import open_dataset
 from slam.evaluation.relations import read_relations, score_relations
@@ -35,13 +36,14 @@ from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.mapper import Mapper
 from slam.mapper.pipeline import build_map
 from slam.measurements import LaserScan, Measurement, MotionEstimate, RgbdFrame, Trajectory, row_from_pose2
+from slam.odometry import STANDARD, Odometries
 from slam.odometry.camera_odometry import CameraOdometry
 from slam.odometry.rgbd_tracker import TrackedFrame
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualMatch
 
 _QUICK = ["dense_map.enabled=false", "layers.enabled=false", "fusion.enabled=false"]
-_LOGS = ("fr079", "intel", "intel kiss_icp", "intel jumps")
+_LOGS = ("fr079", "intel", "intel kiss_matching", "intel jumps")
 _KINDS = ("logs", "fused", "lying", "lidar", "blind")
 _LATER_SCANS = (0, 7, 14)
 _BLIND_S = (15.0, 18.0)
@@ -156,9 +158,8 @@ def _runs(options: argparse.Namespace) -> Iterator[tuple[str, Callable[[list[str
 def _log_error_m(folder: Path, run: str, overrides: list[str]) -> float:
     """Mean translation error of a real log's relations."""
     name, kind = (*run.split(), "as recorded")[:2]
-    if kind == "kiss_icp":
-        overrides, kind = [*overrides, "lidar_odometry.method=kiss_icp"], "as recorded"
-    trajectory = _mapped(_log(folder / name / f"{name}.log.gz", kind), overrides)
+    log = _log(folder / name / f"{name}.log.gz", "as recorded" if kind in ODOMETRIES else kind)
+    trajectory = _mapped(log, overrides, ODOMETRIES.get(kind, STANDARD))
     relations = read_relations(folder / name / f"{name}.relations")
     return float(score_relations(trajectory, relations).all.translation_m.mean)
 
@@ -177,10 +178,12 @@ def _drive_error_m(drive: Path, source: Path | int, kind: str, overrides: list[s
     return float(absolute_error(trajectory, open_dataset(drive).groundtruth()).translation_m.rmse)
 
 
-def _mapped(measurements: Iterable[Any], overrides: list[str]) -> Trajectory:
+def _mapped(
+    measurements: Iterable[Any], overrides: list[str], odometries: Odometries = STANDARD
+) -> Trajectory:
     """The trajectory of a run; no grid is drawn."""
     config = load_config(None, [*_QUICK, *overrides])
-    mapper = Mapper(config, PlanarRobot(config))
+    mapper = Mapper(config, PlanarRobot(config, odometries=odometries))
     for measurement in measurements:
         mapper.add(measurement)
     with patch("slam.mapper.lidar2d.grid_of_keyframes", lambda *_: None):
