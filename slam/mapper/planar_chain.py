@@ -105,9 +105,7 @@ class PlanarChain:
         moved = self._cameras.steps(self._marks, marks)
         by_camera = self._camera_steps(moved)
         cameras = list(by_camera.values())
-        # Whom to believe of a match and a camera that contradicts it, loops and the other edges decide.
-        contradicted = match is not None and not all(match.agrees(camera) for camera in cameras)
-        doubtful = contradicted or self._doubtful(tracked)
+        doubtful = self._doubtful(tracked)
         edges = edges_of(key, step, match, wheels, cameras, self._config.graph, match_doubtful=doubtful)
         if bridge is not None:
             # It holds the chain, which is loose between: false loops may not break it.
@@ -189,8 +187,7 @@ def edges_of(
     if match is not None and match_doubtful:
         # It may be wrong as a loop may be: a loose twin holds the chain where it is refused. Not so for
         # a sure match, or a handful of false loops that agree with each other could break the chain.
-        best = cameras[0].pose if cameras else step
-        loose = Motion(best, match.covariance + unmeasured(config, config.loose_share, planar=True))
+        loose = Motion(step, match.covariance + unmeasured(config, config.loose_share, planar=True))
         edges.append(_edge(key - 1, key, loose, EdgeKind.ASSUMED, trusted=True))
     if wheels is not None:
         edges.append(_edge(key - 1, key, wheels, EdgeKind.WHEEL, trusted=match is None))

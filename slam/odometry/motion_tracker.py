@@ -245,32 +245,40 @@ class MotionTracker:
         if log_odds <= 0.0 and not disputed:
             self._recent.clear()  # the wheels have slipped: their way until now tells nothing
             self._judge(motion)
+        elif log_odds > 0.0 and held is None:
+            guesses.insert(0, prediction)  # it is the pose
+            return None, _UNDISPUTED
         elif log_odds > 0.0 and any(prediction is one for one in self._by_window):
             self._follow_the_wheels()
-        best = held if log_odds > 0.0 else motion
+        best = motion if log_odds <= 0.0 or held is None else held
         if not disputed:
             return best, _UNDISPUTED
-        offset = between(*(row_from_pose2(estimate.T_reference_base) for estimate in (motion, held)))
+        rival = prediction.pose if held is None else row_from_pose2(held.T_reference_base)
+        offset = between(row_from_pose2(motion.T_reference_base), rival)
         return best, np.outer(offset, offset)
 
     def _rivals(
         self, points: ScanPoints, motion: MotionEstimate, contesting: list[Motion], asked: list[Motion]
-    ) -> list[tuple[float, MotionEstimate, Motion]]:
+    ) -> list[tuple[float, MotionEstimate | None, Motion]]:
         """Log-odds against a match, and the scan held at it, of every prediction that the match contradicts.
 
         Predictions are asked without the match's covariance: a wrong match does not know that it is. Only
         those that start at the same pose are asked. Constant velocity is an expectation, no measurement: it
-        contests nothing.
+        contests nothing. A camera needs no scan: it tells the turn too, and whoever walks ahead turns with
+        the robot.
         """
         matched, rivals = row_from_pose2(motion.T_reference_base), []
         for prediction in contesting:
-            held = None if prediction.holds(matched) else self._odometry.match_near(points, prediction.pose)
-            if held is not None:
-                said = [
-                    _log_likelihood(asked, row_from_pose2(estimate.T_reference_base))
-                    for estimate in (held, motion)
-                ]
-                rivals.append((said[0] - said[1] - self._evidence(points, motion, held), held, prediction))
+            if prediction.holds(matched):
+                continue
+            pose, held = prediction.pose, None
+            if not any(prediction is camera for camera in self._by_camera.guesses):
+                held = self._odometry.match_near(points, pose)
+                if held is None:
+                    continue
+                pose = row_from_pose2(held.T_reference_base)
+            said = _log_likelihood(asked, pose) - _log_likelihood(asked, matched)
+            rivals.append((said - self._evidence(points, motion, pose), held, prediction))
         return rivals
 
     def _follow_the_wheels(self) -> None:
@@ -281,12 +289,11 @@ class MotionTracker:
                 pose = compose(begun.pose, between(begun.wheel_pose, tracked.wheel_pose))
                 self._recent[n] = stamp_s, replace(tracked, pose=pose, dispute=begun.dispute)
 
-    def _evidence(self, points: ScanPoints, motion: MotionEstimate, held: MotionEstimate) -> float:
-        """Log-likelihood of a match over a held one: about the difference of their Geman-McClure costs."""
+    def _evidence(self, points: ScanPoints, motion: MotionEstimate, pose: FloatArray) -> float:
+        """Log-likelihood of a match over a pose (3,): about the difference of their Geman-McClure costs."""
         residual_m = max(motion.residual_m, self._noise.minimal_residual_m)
         scale = 0.5 * (self._noise.fine_kernel_m / residual_m) ** 2 / self._noise.correlated_beams
-        poses = (row_from_pose2(estimate.T_reference_base) for estimate in (motion, held))
-        objects = scale * self._odometry.evidence(points, *poses)
+        objects = scale * self._odometry.evidence(points, row_from_pose2(motion.T_reference_base), pose)
         return float(np.clip(objects, -_MOST_AN_OBJECT, _MOST_AN_OBJECT).sum())
 
     def _fused(self, motion: MotionEstimate) -> FloatArray:
