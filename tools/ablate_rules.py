@@ -64,10 +64,8 @@ RULES: dict[str, tuple[str | tuple[str, Any], ...]] = {
     "one surprise is bounded": ((f"{_TRACKER}._GREATEST_SURPRISE", _INF),),
     "other guesses and search": ("lidar_odometry.sure_inlier_share=0.01",),
     "least inlier share": ("lidar_odometry.least_inlier_share=0.01",),
-    "predictions contest a match": (
-        (f"{_TRACKER}.MotionTracker._likeliest", lambda _, points, motion, guesses: (motion, None)),
-    ),
-    "so do the wheels over 1 s": ((f"{_TRACKER}.MotionTracker._by_window", lambda *_: None),),
+    "predictions contest a match": ((f"{_TRACKER}.MotionTracker._rivals", lambda *_: []),),
+    "so do the wheels over 1 s": ((f"{_TRACKER}.MotionTracker._predict_by_window", lambda *_: []),),
     "a lost contest rewrites that second": (
         (f"{_TRACKER}.MotionTracker._follow_the_wheels", lambda *_: None),
     ),

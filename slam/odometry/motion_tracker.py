@@ -3,8 +3,8 @@
 Cameras, wheels and constant velocity predict where a scan was taken, the lidar's match says where. Each
 prediction has the covariance that it claims, times what the matches of late have shown. A match that a
 camera or the wheels contradict must be likelier than the pose that they predict: by what the objects of the
-scan say, and by all predictions, whose tails are heavy (Student's t with three degrees of freedom). The
-likelier of both is taken; where neither is by far, the match is disputed.
+scan say, and by all predictions, whose tails are heavy (Student's t with three degrees of freedom). A match
+must be likelier by far; where neither is, what is taken is disputed.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ class TrackedScan:
     wheel_pose
         (3,) pose by the wheels alone at the scan's stamp, odom frame; None without wheels.
     dispute
-        (3, 3) covariance on top of the match's where match and prediction contradict each other and neither
-        is likelier by far; zero otherwise.
+        (3, 3) covariance on top of the match's where wheels contradicted it and neither is likelier by far;
+        zero otherwise.
     """
 
     pose: FloatArray
@@ -241,21 +241,19 @@ class MotionTracker:
             self._judge(motion)
             return motion, _UNDISPUTED
         log_odds, held, prediction = max(rivals, key=lambda rival: rival[0])
-        disputed = abs(log_odds) <= self._config.disputed_within
-        if log_odds <= 0.0 and not disputed:
+        if log_odds < -self._config.disputed_within:
             self._recent.clear()  # the wheels have slipped: their way until now tells nothing
             self._judge(motion)
-        elif log_odds > 0.0 and held is None:
+            return motion, _UNDISPUTED
+        if held is None:
             guesses.insert(0, prediction)  # it is the pose
             return None, _UNDISPUTED
-        elif log_odds > 0.0 and any(prediction is one for one in self._by_window):
+        if any(prediction is one for one in self._by_window):
             self._follow_the_wheels()
-        best = motion if log_odds <= 0.0 or held is None else held
-        if not disputed:
-            return best, _UNDISPUTED
-        rival = prediction.pose if held is None else row_from_pose2(held.T_reference_base)
-        offset = between(row_from_pose2(motion.T_reference_base), rival)
-        return best, np.outer(offset, offset)
+        if log_odds > self._config.disputed_within:
+            return held, _UNDISPUTED
+        offset = between(*(row_from_pose2(estimate.T_reference_base) for estimate in (motion, held)))
+        return held, np.outer(offset, offset)
 
     def _rivals(
         self, points: ScanPoints, motion: MotionEstimate, contesting: list[Motion], asked: list[Motion]
