@@ -15,9 +15,9 @@ import numpy as np
 from slam.config import Config
 from slam.matching.local_map import LocalMap, OrientedPoints, match_noise
 from slam.matching.match_covariance import motion_from_alignment
+from slam.matching.motion import Motion
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import AnyFloatArray, FloatArray, MotionEstimate
-from slam.odometry.lidar_odometry import Guess
 
 # Of the voxel map: side of a voxel, what is forgotten, and points a voxel; of the pairs: how far apart, and
 # the scale of the robust kernel. KISS-ICP's defaults are for streets.
@@ -54,7 +54,7 @@ class KissOdometry:
         self._keyframes.append(OrientedPoints.from_scan(points).moved(pose))
         self._local_map = LocalMap.build(list(self._keyframes), self._match)
 
-    def match(self, points: ScanPoints, guesses: list[Guess]) -> MotionEstimate | None:
+    def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
         """Register from each guess until one is sure; the surfels judge how well it fits."""
         scan = OrientedPoints.from_scan(points)
         if self._local_map is None or len(scan) < _LEAST_POINTS or self._map.empty():

@@ -26,6 +26,7 @@ from slam.mapper.robot_cameras import CameraMarks, RobotCameras
 from slam.mapper.scan_record import ScanRecord
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.matching.local_map import OrientedPoints
+from slam.matching.motion import Motion
 from slam.matching.planar import between
 from slam.matching.scan_points import ScanPoints, extract_points
 from slam.measurements import LaserScan, Pose, WheelOdometry, pose2_from_row, row_from_pose2
@@ -35,7 +36,6 @@ from slam.odometry.remembered_odometry import RememberedOdometry
 from slam.odometry.wheel_tracker import WheelTracker
 from slam.trajectory.readings import Readings
 from slam.vision.color_registration import ColorRegistration
-from slam.vision.planar_motion import agreed_motion
 from slam.vision.prepared_frame import PreparedFrame
 
 
@@ -78,7 +78,6 @@ class PlanarRobot:
         self._seen = OrientedPoints.none()
         self._keyframe_scans: list[LaserScan | None] = []
         self._travelled_m = 0.0
-        self._outvoted = 0
 
     def observe(self, measurement: Any) -> Tracked | None:
         """Take the next measurement; where the robot is then, if it tells that."""
@@ -131,7 +130,7 @@ class PlanarRobot:
 
     def settle(self, graph: KeyframeGraph) -> None:
         """Say anew how cameras moved, as the whole run tells their clocks and mountings."""
-        self._outvoted = self._chain.settle(graph)
+        self._chain.settle(graph)
 
     def bases(self, poses: Sequence[Pose]) -> Sequence[Pose]:
         """The nodes are the bases."""
@@ -142,8 +141,6 @@ class PlanarRobot:
         clock = [time.perf_counter()]
         made = Products(self._keyframe_scans, list(self._keyframe_scans))
         made.notes = [*registration_notes(self._registrations), *self._cameras.notes()]
-        if self._outvoted:
-            made.notes.append(f"{self._outvoted:,} motions by cameras contradicted match and wheels")
         if self._fusion is not None:
             made.scans, made.fused = self._fusion.repair(self._keyframe_scans)
             made.notes += [] if made.fused is None else [made.fused.note]
@@ -188,8 +185,8 @@ class PlanarRobot:
         """Pose of a moment."""
         marks = self._cameras.marks(stamp_s)
         steps = [step.planar for step in self._cameras.steps(self._marks, marks) if step.planar is not None]
-        agreed = agreed_motion(steps)
-        tracked = self._tracker.track(points, stamp_s, agreed)
+        cameras = [Motion(step.motion, step.covariance) for step in steps]
+        tracked = self._tracker.track(points, stamp_s, cameras)
         if scan is not None and tracked.sure:
             self._cameras.note_scan_turn(stamp_s, tracked.pose[2])
         self._marks = marks
@@ -199,7 +196,7 @@ class PlanarRobot:
             pose2_from_row(tracked.pose),
             tracked.wheel_pose,
             covariance=None if tracked.motion is None else tracked.motion.covariance,
-            trusted=tracked.sure if scan is not None else agreed is not None,
+            trusted=tracked.sure if scan is not None else bool(cameras),
         )
         return Tracked(stamp_s, tracked.motion, self._moved_on(tracked))
 

@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from slam.graph.extrinsics import ExtrinsicsResult, MotionPair, estimate_extrinsics
-from slam.graph.step_vote import Step
+from slam.matching.motion import Motion
 from slam.measurements import FloatArray, pose2_from_row
 from slam.vision.camera_frame import T_BODY_CAMERA
 
@@ -63,13 +63,13 @@ class MountLearner:
         """The mounting, once it is sure; None before."""
         return self.result.T_base_camera if self.result is not None and _sure(self.result) else None
 
-    def add(self, step: KeyframeStep, base: Step | None) -> None:
+    def add(self, step: KeyframeStep, base: Motion | None) -> None:
         """Take a motion between keyframes, with that of the base where lidar or wheels measured it."""
         self.steps.append(step)
         if base is None:
             return
         self._pairs.append(
-            MotionPair(pose2_from_row(base.motion), base.covariance, step.motion, step.covariance)
+            MotionPair(pose2_from_row(base.pose), base.covariance, step.motion, step.covariance)
         )
         if len(self._pairs) % _EVERY == 0:
             self.estimate()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -10,9 +11,8 @@ from slam.config import Config
 from slam.config.stages import GraphConfig
 from slam.graph.keyframe_graph import KeyframeGraph, unmeasured
 from slam.graph.pose_graph import Edge, EdgeKind
-from slam.graph.step_vote import Step, agree, vote
-from slam.graph.wheel_judge import outvoted_cameras
 from slam.mapper.robot_cameras import CameraMarks, CameraStep, RobotCameras
+from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
@@ -22,9 +22,9 @@ from slam.odometry.wheel_tracker import WheelTracker
 # to those before it while no more guessed ones than this have joined the local map.
 _GUESS_SHARE = 0.1
 _MOST_GUESSED = 5
-# Where the wheels are farther from that by more squared sigmas than three degrees of freedom have on average,
-# it was rather made to the guessed one itself.
-_WHEELS_AGREE = 3.0
+# Of three degrees of freedom. A match past such a keyframe may hold the chain where the wheels are no farther
+# from it than wheels are on average: the gate lets half a radian pass, and a false bridge folds the map.
+_EXPECTED_SQUARES = 3.0
 
 
 class PlanarChain:
@@ -37,10 +37,9 @@ class PlanarChain:
         self._last: TrackedScan | None = None
         self._matched: tuple[int, TrackedScan | None] = (0, None)
         self._guessed = 0
-        self._guess_steps: list[Step] = []
+        self._guess_steps: list[Motion] = []
         self._marks: CameraMarks = {}
         self._stamps_s: list[float] = []
-        self._camera_doubts: list[tuple[float, FloatArray]] = []
         # Keyframe and camera of every edge by a camera so far, in their order.
         self._camera_edges: list[tuple[int, str]] = []
 
@@ -65,11 +64,10 @@ class PlanarChain:
         -------
         (3,) the motion since the last one, and the edges to it.
         """
-        step, edges, cameras = np.zeros(3), list[Edge](), list[Step]()
+        step, edges, cameras = np.zeros(3), list[Edge](), list[Motion]()
         if self._last is not None:
             step, edges, cameras = self._step(key, stamp_s, self._last, tracked, marks)
         self._stamps_s.append(stamp_s)
-        self._camera_doubts.append((self._tracker.camera_doubt, tracked.dispute))
         self._marks, self._last = marks, tracked
         if tracked.motion is not None or key == 0:
             self._matched, self._guessed = (key, tracked), 0
@@ -78,96 +76,96 @@ class PlanarChain:
             self._guess_steps = cameras
         return step, edges
 
-    def settle(self, graph: KeyframeGraph) -> int:
-        """At the end: say anew how each camera moved, and how many of its steps match and wheels outvote."""
+    def settle(self, graph: KeyframeGraph) -> None:
+        """At the end: say anew how each camera moved, as the whole run tells its clock and mounting."""
         self._cameras.settle_clocks()
         told = [n for n, edge in enumerate(graph.graph.edges) if edge.kind is EdgeKind.RGBD]
         for (key, name), number in zip(self._camera_edges, told, strict=True):
             before, after = (self._cameras.marks(self._stamps_s[n]) for n in (key - 1, key))
-            for step in self._camera_steps(self._cameras.steps(before, after), *self._camera_doubts[key]):
-                if step.camera == name:
-                    graph.graph.edges[number] = _camera_edge(key - 1, key, step)
+            step = self._camera_steps(self._cameras.steps(before, after)).get(name)
+            if step is not None:
+                graph.graph.edges[number] = _camera_edge(key - 1, key, step)
         for source, target, motion in self._cameras.learned_steps():
-            graph.add_edge(_camera_edge(source, target, Step(motion.motion, motion.covariance)))
-        outvoted = outvoted_cameras(graph.graph.edges)
-        for number, edge in outvoted.items():
-            graph.graph.edges[number] = edge
-        return len(outvoted)
+            graph.add_edge(_camera_edge(source, target, Motion(motion.motion, motion.covariance)))
 
     def _step(
         self, key: int, stamp_s: float, last: TrackedScan, tracked: TrackedScan, marks: CameraMarks
-    ) -> tuple[FloatArray, list[Edge], list[Step]]:
-        """Motion from the last keyframe, the edges, and the cameras that were believed."""
+    ) -> tuple[FloatArray, list[Edge], list[Motion]]:
+        """Motion from the last keyframe, the edges, and what the cameras say."""
         step = between(last.pose, tracked.pose)
         match = None
         if tracked.motion is not None:
             matched = row_from_pose2(tracked.motion.T_reference_base)
-            match = Step(between(last.pose, matched), tracked.motion.covariance + tracked.dispute)
+            match = Motion(between(last.pose, matched), tracked.motion.covariance + tracked.dispute)
         wheels = self._wheel_step(last, tracked, stamp_s - self._stamps_s[-1])
         bridge = None
         guessed = last is not self._matched[1]
-        if match is not None and guessed and not (self._guess_steps and agree(self._guess_steps)):
+        if match is not None and guessed and not (self._guess_steps and _agree(self._guess_steps)):
             match, bridge = self._past_a_guess(match, last, tracked, stamp_s)
         moved = self._cameras.steps(self._marks, marks)
-        cameras = self._camera_steps(moved, self._tracker.camera_doubt, tracked.dispute)
-        outvoted, cameras = vote(match, wheels, cameras)
-        doubtful = outvoted or self._doubtful(tracked)
+        by_camera = self._camera_steps(moved)
+        cameras = list(by_camera.values())
+        doubtful = self._doubtful(tracked)
         edges = edges_of(key, step, match, wheels, cameras, self._config.graph, match_doubtful=doubtful)
         if bridge is not None:
             # It holds the chain, which is loose between: false loops may not break it.
             edges.append(_edge(self._matched[0], key, bridge, EdgeKind.LIDAR, trusted=not doubtful))
-        self._camera_edges += [(key, camera.camera) for camera in cameras]
+        self._camera_edges += [(key, name) for name in by_camera]
         self._cameras.learn(key - 1, key, moved, wheels if doubtful else match)
         return step, edges, cameras
 
     def _past_a_guess(
-        self, match: Step, last: TrackedScan, tracked: TrackedScan, stamp_s: float
-    ) -> tuple[Step, Step | None]:
+        self, match: Motion, last: TrackedScan, tracked: TrackedScan, stamp_s: float
+    ) -> tuple[Motion, Motion | None]:
         """A match where the last keyframe matched nothing: from there, and from the last that matched.
 
         The guess was by the wheels, or by cameras that contradict each other. The match was made to keyframes
-        of before, and to the last one only as well as that was guessed. Where cameras hold the chain no more
-        is needed; where scans of guessed keyframes are most of the local map nobody knows to which.
+        of before, and to the last one only as well as that was guessed. Where the wheels are far from that,
+        or scans of guessed keyframes are most of the local map, it was rather made to those. Where cameras
+        hold the chain no more is needed.
         """
         key, matched = self._matched
         assert matched is not None
         guess = unmeasured(self._config.graph, _GUESS_SHARE, planar=True)
-        unsure = Step(match.motion, match.covariance + guess)
+        unsure = Motion(match.pose, match.covariance + guess)
         if self._guess_steps or self._guessed > _MOST_GUESSED:
             return unsure, None
-        bridge = Step(between(matched.pose, compose(last.pose, match.motion)), match.covariance)
+        bridge = Motion(between(matched.pose, compose(last.pose, match.pose)), match.covariance)
         wheels = self._wheel_step(matched, tracked, stamp_s - self._stamps_s[key])
-        return unsure, bridge if wheels is None or agree([bridge, wheels], _WHEELS_AGREE) else None
+        if wheels is not None:
+            squares = bridge.widened(wheels.covariance).squared_mahalanobis(wheels.pose)
+            return unsure, bridge if squares <= _EXPECTED_SQUARES else None
+        return unsure, bridge
 
-    def _camera_steps(self, moved: list[CameraStep], doubt: float, dispute: FloatArray) -> list[Step]:
-        """The steps of cameras whose mounting is given; learned ones wait for its last estimate."""
-        return [
-            Step(step.planar.motion, step.planar.covariance * doubt + dispute, step.camera)
+    def _camera_steps(self, moved: list[CameraStep]) -> dict[str, Motion]:
+        """What cameras say whose mounting is given, by name; learned ones wait for its last estimate."""
+        return {
+            step.camera: Motion(step.planar.motion, step.planar.covariance)
             for step in moved
             if step.planar is not None and not self._cameras.is_learned(step.camera)
-        ]
+        }
 
     def _doubtful(self, tracked: TrackedScan) -> bool:
         """Whether a match was contradicted, or too few points agree with it."""
         least = self._config.graph.sure_inlier_share
         return bool(tracked.motion is None or tracked.dispute.any() or tracked.motion.inlier_share < least)
 
-    def _wheel_step(self, last: TrackedScan, tracked: TrackedScan, elapsed_s: float) -> Step | None:
+    def _wheel_step(self, last: TrackedScan, tracked: TrackedScan, elapsed_s: float) -> Motion | None:
         """Motion between two keyframes by the wheels; None without wheels or where they jumped."""
         if self._wheels is None or last.wheel_pose is None or tracked.wheel_pose is None:
             return None
         motion = between(last.wheel_pose, tracked.wheel_pose)
         if not self._wheels.plausible(motion, elapsed_s):
             return None
-        return Step(motion, self._wheels.covariance(motion) * self._tracker.wheel_doubt + tracked.dispute)
+        return Motion(motion, self._wheels.covariance(motion) * self._tracker.wheel_doubt)
 
 
 def edges_of(
     key: int,
     step: FloatArray,
-    match: Step | None,
-    wheels: Step | None,
-    cameras: Sequence[Step],
+    match: Motion | None,
+    wheels: Motion | None,
+    cameras: Sequence[Motion],
     config: GraphConfig,
     *,
     match_doubtful: bool = False,
@@ -189,8 +187,7 @@ def edges_of(
     if match is not None and match_doubtful:
         # It may be wrong as a loop may be: a loose twin holds the chain where it is refused. Not so for
         # a sure match, or a handful of false loops that agree with each other could break the chain.
-        best = cameras[0].motion if cameras else step
-        loose = Step(best, match.covariance + unmeasured(config, config.loose_share, planar=True))
+        loose = Motion(step, match.covariance + unmeasured(config, config.loose_share, planar=True))
         edges.append(_edge(key - 1, key, loose, EdgeKind.ASSUMED, trusted=True))
     if wheels is not None:
         edges.append(_edge(key - 1, key, wheels, EdgeKind.WHEEL, trusted=match is None))
@@ -198,16 +195,21 @@ def edges_of(
     if match is None and wheels is None:
         # Someone who walks before the camera takes it along: it may be overruled, and then this holds.
         share = config.loose_share if cameras else 1.0
-        assumed = Step(step, unmeasured(config, share, planar=True))
+        assumed = Motion(step, unmeasured(config, share, planar=True))
         edges.append(_edge(key - 1, key, assumed, EdgeKind.ASSUMED, trusted=True))
     return edges
 
 
-def _edge(source: int, target: int, step: Step, kind: EdgeKind, *, trusted: bool) -> Edge:
+def _edge(source: int, target: int, step: Motion, kind: EdgeKind, *, trusted: bool) -> Edge:
     """A step as an edge."""
-    return Edge(source, target, pose2_from_row(step.motion), step.covariance, kind, trusted)
+    return Edge(source, target, pose2_from_row(step.pose), step.covariance, kind, trusted)
 
 
-def _camera_edge(source: int, target: int, step: Step) -> Edge:
+def _camera_edge(source: int, target: int, step: Motion) -> Edge:
     """A camera's step as an edge, which may be refused."""
     return _edge(source, target, step, EdgeKind.RGBD, trusted=False)
+
+
+def _agree(steps: Sequence[Motion]) -> bool:
+    """Whether no two of some motions contradict each other."""
+    return all(one.agrees(other) for one, other in combinations(steps, 2))

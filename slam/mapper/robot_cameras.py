@@ -10,9 +10,9 @@ import gtsam
 
 from slam.answers import COMPUTED, Answers
 from slam.config.stages import RgbdOdometryConfig, SensorsConfig
-from slam.graph.step_vote import Step
 from slam.mapper.mount_learner import KeyframeStep, LearnedMounting, MountLearner
 from slam.mapper.scan_record import CameraRecord, ScanRecorder
+from slam.matching.motion import Motion
 from slam.measurements import FloatArray
 from slam.odometry.camera_clock import CameraClock, ClockLearner, YawRates
 from slam.odometry.camera_odometry import CameraOdometry, camera_step
@@ -199,7 +199,7 @@ class RobotCameras:
         """Whether a camera's mounting is not given but learned."""
         return self.cameras[name].learner is not None
 
-    def learn(self, source: int, target: int, steps: list[CameraStep], base: Step | None) -> None:
+    def learn(self, source: int, target: int, steps: list[CameraStep], base: Motion | None) -> None:
         """Take motions between two keyframes of cameras whose mounting is not given."""
         for step in steps:
             camera = self.cameras[step.camera]

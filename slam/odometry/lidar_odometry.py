@@ -2,33 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
 
+from slam.matching.motion import Motion
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate
-
-
-@dataclass(frozen=True, slots=True)
-class Guess:
-    """Where a scan may have been taken.
-
-    Attributes
-    ----------
-    pose
-        (3,) x, y, yaw in the odometry frame.
-    covariance
-        (3, 3) in the guess's own frame.
-    """
-
-    pose: FloatArray
-    covariance: FloatArray
 
 
 class LidarOdometry(Protocol):
     """Scan to local map matching in an odometry frame that drifts slowly and never jumps back."""
 
-    def match(self, points: ScanPoints, guesses: list[Guess]) -> MotionEstimate | None:
+    def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
         """Pose of the scan's base in the odometry frame, or None where nothing fits.
 
         Parameters

@@ -1,38 +1,35 @@
 """Scan by scan motion: predictors that must prove themselves, and the lidar match that judges them.
 
-Neither the wheels nor a match is sure alone. Each predictor (wheels, constant velocity) is scored by the
-matches; the better one starts the next match, and a match that contradicts it wildly must fit much better
-than the scan does at the predicted pose.
+Cameras, wheels and constant velocity predict where a scan was taken, the lidar's match says where. Each
+prediction has the covariance that it claims, times what the matches of late have shown. A match that a
+camera or the wheels contradict must be likelier than the pose that they predict: by what the objects of the
+scan say, and by all predictions, whose tails are heavy (Student's t with three degrees of freedom). A match
+must be likelier by far; where neither is, what is taken is disputed.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from slam.config.stages import MatchConfig, PredictionConfig
+from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate, row_from_pose2
-from slam.odometry.lidar_odometry import Guess, LidarOdometry
+from slam.odometry.lidar_odometry import LidarOdometry
 from slam.odometry.wheel_tracker import WheelTracker
-from slam.vision.planar_motion import WitnessedMotion
 
 # A velocity is carried over at most this many times the step that it was measured over.
 _GREATEST_STRETCH = 3.0
 # One wild step says no more about a predictor than this many times its variance.
 _GREATEST_SURPRISE = 10.0
-# Wheels whose doubt is this much greater than constant velocity's are no longer asked first.
-_WHEELS_LOSE_AT = 3.0
 # What scan and camera differ by though both are right: x, y, yaw.
-_CAMERA_FLOOR = np.array([0.01, 0.01, 0.008])
-# Squared sigmas up to which a match and a camera tell the same (three degrees of freedom, 99.9 %).
-_AGREE = 16.0
-# So many that agree with each other are believed against a match.
-_WITNESSES = 2
+_CAMERA_FLOOR = np.diag([0.01, 0.01, 0.008]) ** 2
 # An object of a scan is one witness: however many beams it catches, it says no more than this (nats).
 _MOST_AN_OBJECT = 5.0
 # Wheels that did well of late are taken to be surer of the way, but not of the turn, than they claim: a slip
@@ -42,6 +39,7 @@ _LEAST_SHARE = 0.02
 _WINDOW_S = 1.0
 # Only a match that this share of the points agrees with may judge a predictor.
 _JUDGE_INLIER_SHARE = 0.8
+_UNDISPUTED = np.zeros((3, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +55,8 @@ class TrackedScan:
     wheel_pose
         (3,) pose by the wheels alone at the scan's stamp, odom frame; None without wheels.
     dispute
-        (3, 3) covariance that match and wheels both get on top where they contradict each other and the
-        scan does not say clearly who is right; zero otherwise.
+        (3, 3) covariance on top of the match's where wheels contradicted it and neither is likelier by far;
+        zero otherwise.
     """
 
     pose: FloatArray
@@ -88,36 +86,31 @@ class _Predictor:
         self._least_share = least_share
         self._share = 1.0
         self.doubt = 1.0
-        self.guess: Guess | None = None
+        self.guesses: list[Motion] = []
 
-    def predict(
-        self, pose: FloatArray, covariance: FloatArray, dispute: FloatArray, swing_m: float = 0.0
-    ) -> None:
-        """Expect a pose (3,) with a covariance (3, 3) as claimed, rescaled by what was learned so far.
+    def predict(self, pose: FloatArray, covariance: FloatArray, swing_m: float = 0.0) -> None:
+        """Expect a pose (3,) with a covariance (3, 3) as claimed, rescaled by what was learned so far."""
+        self.guesses.append(self.rescaled(pose, covariance, swing_m))
 
-        The dispute (3, 3) about the pose that it starts from comes on top, rescaled too: who proved exact
-        is believed through a dispute too, or whoever walks ahead would win at the next scan.
-        """
-        self.guess = self.rescaled(pose, covariance + dispute, swing_m)
-
-    def rescaled(self, pose: FloatArray, covariance: FloatArray, swing_m: float = 0.0) -> Guess:
+    def rescaled(self, pose: FloatArray, covariance: FloatArray, swing_m: float = 0.0) -> Motion:
         """A pose (3,) with a covariance (3, 3) as claimed, rescaled by what was learned so far.
 
         ``swing_m`` is a sigma of the way that whoever proved exact on the straight has all the same.
         """
         scale = np.sqrt(self.doubt * np.array([self._share, self._share, 1.0]))
         swing = np.diag([swing_m**2, swing_m**2, 0.0])
-        return Guess(pose, covariance * np.outer(scale, scale) + swing)
+        return Motion(pose, covariance * np.outer(scale, scale) + swing)
 
     def judge(self, pose: FloatArray) -> None:
-        """Learn from where the scan was really taken: the mean of the normalised squared error."""
-        if self.guess is None:
+        """Learn from where the scan was taken: the mean of the first guess's normalised squared error."""
+        if not self.guesses:
             return
-        squares = self.doubt * _squared_sigmas(self.guess, pose) / 3.0
+        guess = self.guesses[0]
+        squares = self.doubt * guess.squared_mahalanobis(pose) / 3.0
         average = self.doubt + self._rate * (min(squares, _GREATEST_SURPRISE * self.doubt) - self.doubt)
         self.doubt = max(1.0, average)
-        way = between(self.guess.pose, pose)[:2]
-        squares = self._share * float(way @ np.linalg.solve(self.guess.covariance[:2, :2], way)) / 2.0
+        way = between(guess.pose, pose)[:2]
+        squares = self._share * float(way @ np.linalg.solve(guess.covariance[:2, :2], way)) / 2.0
         average = self._share + self._rate * (min(squares, _GREATEST_SURPRISE * self._share) - self._share)
         self._share = min(max(self._least_share, average), 1.0)
 
@@ -139,9 +132,8 @@ class MotionTracker:
         self._by_wheels = _Predictor(config.memory_scans, _LEAST_SHARE)
         self._by_velocity = _Predictor(config.memory_scans)
         self._by_camera = _Predictor(config.memory_scans)
-        self._witnesses = 0
         self._recent: deque[tuple[float, TrackedScan]] = deque()
-        self._window_guess: Guess | None = None
+        self._by_window: list[Motion] = []
         self._last: TrackedScan | None = None
         self._stamp_s = 0.0
         self._velocity_step = np.zeros(3)
@@ -152,31 +144,24 @@ class MotionTracker:
         """Factor on the wheels' variance, 1 or more, that the matches of late ask for."""
         return self._by_wheels.doubt
 
-    @property
-    def camera_doubt(self) -> float:
-        """Factor on the cameras' variance, 1 or more, that the matches of late ask for."""
-        return self._by_camera.doubt
-
-    def track(
-        self, points: ScanPoints | None, stamp_s: float, camera: WitnessedMotion | None = None
-    ) -> TrackedScan:
+    def track(self, points: ScanPoints | None, stamp_s: float, cameras: Sequence[Motion] = ()) -> TrackedScan:
         """Pose of the next scan; the first one is the origin of the odometry frame.
 
         Parameters
         ----------
         points
             None where there is no scan: the best prediction is the pose then.
-        camera
-            Motion since the last scan as a camera measured it.
+        cameras
+            Motion since the last scan as each camera measured it.
         """
         wheel_pose = self._wheels.pose_at(stamp_s) if self._wheels else None
         if self._last is None:
-            tracked = TrackedScan(np.zeros(3), None, wheel_pose, np.zeros((3, 3)))
+            tracked = TrackedScan(np.zeros(3), None, wheel_pose, _UNDISPUTED)
         else:
             step_s = stamp_s - self._stamp_s
-            guesses = self._predict(self._last, wheel_pose, camera, step_s)
-            self._window_guess = self._by_window(stamp_s, wheel_pose)
-            motion, dispute = None, np.zeros((3, 3))
+            guesses = self._predict(self._last, wheel_pose, cameras, step_s)
+            self._by_window = self._predict_by_window(stamp_s, wheel_pose)
+            motion, dispute = None, _UNDISPUTED
             if points is not None:
                 motion, dispute = self._match(points, guesses)
             pose = guesses[0].pose if motion is None else self._fused(motion)
@@ -193,49 +178,48 @@ class MotionTracker:
         self._odometry.add_keyframe(points, tracked.pose)
 
     def _predict(
-        self, last: TrackedScan, wheel_pose: FloatArray | None, camera: WitnessedMotion | None, step_s: float
-    ) -> list[Guess]:
-        """By camera, by wheels, if a robot can move so, and by constant velocity, while they prove it."""
-        self._by_camera.guess = self._by_wheels.guess = None
-        if camera is not None:
-            covariance = camera.covariance + np.diag(_CAMERA_FLOOR**2)
-            self._by_camera.predict(compose(last.pose, camera.motion), covariance, last.dispute)
-            self._witnesses = camera.witnesses
+        self, last: TrackedScan, wheel_pose: FloatArray | None, cameras: Sequence[Motion], step_s: float
+    ) -> list[Motion]:
+        """By cameras, by wheels, if a robot can move so, and by constant velocity: the surest first.
+
+        A dispute about the pose that they start from comes on top of what they claim, and is rescaled too:
+        who proved exact is believed through a dispute, or whoever walks ahead would win at the next scan.
+        """
+        predictors = (self._by_camera, self._by_wheels, self._by_velocity)
+        for predictor in predictors:
+            predictor.guesses = []
+        for camera in sorted(cameras, key=lambda camera: float(np.trace(camera.covariance))):
+            covariance = camera.covariance + _CAMERA_FLOOR + last.dispute
+            self._by_camera.predict(compose(last.pose, camera.pose), covariance)
         if self._wheels is not None and wheel_pose is not None and last.wheel_pose is not None:
             step = between(last.wheel_pose, wheel_pose)
             if self._wheels.plausible(step, step_s):
-                covariance = self._wheels.covariance(step)
-                swing_m = self._wheels.swing_m(step)
-                self._by_wheels.predict(compose(last.pose, step), covariance, last.dispute, swing_m)
+                covariance = self._wheels.covariance(step) + last.dispute
+                self._by_wheels.predict(compose(last.pose, step), covariance, self._wheels.swing_m(step))
         stretch = 1.0
         if step_s > 0.0 and self._velocity_step_s > 0.0:
             stretch = min(step_s / self._velocity_step_s, _GREATEST_STRETCH)
         step = self._velocity_step * stretch
-        covariance = self._velocity_covariance(step)
-        self._by_velocity.predict(compose(last.pose, step), covariance, last.dispute)
-        predictors = [self._by_wheels, self._by_velocity]
-        if self._by_wheels.doubt > _WHEELS_LOSE_AT * self._by_velocity.doubt:
-            predictors.reverse()
-        # A camera outdoes the others until it contradicts the matches for long.
-        first = self._by_camera.doubt <= _WHEELS_LOSE_AT * predictors[0].doubt
-        predictors.insert(0 if first else len(predictors), self._by_camera)
-        return [predictor.guess for predictor in predictors if predictor.guess is not None]
+        self._by_velocity.predict(compose(last.pose, step), self._velocity_covariance(step) + last.dispute)
+        guesses = [guess for predictor in predictors for guess in predictor.guesses]
+        return sorted(guesses, key=lambda guess: float(np.linalg.det(guess.covariance)))
 
-    def _by_window(self, stamp_s: float, wheel_pose: FloatArray | None) -> Guess | None:
-        """Where the wheels say that the robot went since a while ago; None where they do not tell."""
+    def _predict_by_window(self, stamp_s: float, wheel_pose: FloatArray | None) -> list[Motion]:
+        """Where the wheels say that the robot went since a while ago; nothing where they do not tell."""
         while self._recent and stamp_s - self._recent[0][0] > _WINDOW_S:
             self._recent.popleft()
         if self._wheels is None or wheel_pose is None or len(self._recent) < 2:
-            return None
+            return []
         begun_s, begun = self._recent[0]
         if begun.wheel_pose is None:
-            return None
+            return []
         step = between(begun.wheel_pose, wheel_pose)
         # Wheels that report no motion at all stand still or are dead.
         if not step.any() or not self._wheels.plausible(step, stamp_s - begun_s):
-            return None
+            return []
         covariance = self._wheels.covariance(step) + begun.dispute
-        return self._by_wheels.rescaled(compose(begun.pose, step), covariance, self._wheels.swing_m(step))
+        swing_m = self._wheels.swing_m(step)
+        return [self._by_wheels.rescaled(compose(begun.pose, step), covariance, swing_m)]
 
     def _velocity_covariance(self, step: FloatArray) -> FloatArray:
         """Covariance (3, 3) of a step (3,) that repeats the last one."""
@@ -244,41 +228,56 @@ class MotionTracker:
         sigma_rad = config.velocity_floor_rad + config.velocity_share * abs(float(step[2]))
         return np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])
 
-    def _match(self, points: ScanPoints, guesses: list[Guess]) -> tuple[MotionEstimate | None, FloatArray]:
-        """Match, judge the predictors by it, settle a contradiction: the match and the dispute."""
-        config = self._config
+    def _match(self, points: ScanPoints, guesses: list[Motion]) -> tuple[MotionEstimate | None, FloatArray]:
+        """Match, settle a contradiction, judge the predictors: what was measured, and the dispute."""
         motion = self._odometry.match(points, guesses)
-        if motion is not None and self._outvoted(motion):
-            return None, np.zeros((3, 3))
-        contradicted = None if motion is None else self._contradicted(guesses[0], motion)
-        if motion is None or contradicted is None:
+        if motion is None:
+            return None, _UNDISPUTED
+        rivals = [
+            *self._rivals(points, motion, [*self._by_camera.guesses, *self._by_wheels.guesses], guesses),
+            *self._rivals(points, motion, self._by_window, self._by_window),
+        ]
+        if not rivals:
             self._judge(motion)
-            return motion, np.zeros((3, 3))
-        for guess in guesses[1:]:
-            other = self._odometry.match(points, [guess])
-            if other is not None and other.fit > motion.fit:
-                motion = other
-        held = self._odometry.match_near(points, contradicted.pose)
-        if self._contradicted(guesses[0], motion) is None or held is None:
-            self._judge(motion)
-            return motion, np.zeros((3, 3))
-        # Log-likelihood ratio: what the scan says for the match, what a heavy tail (Student's t with three
-        # degrees of freedom) says for the prediction.
-        for_match = self._evidence(points, motion, held)
-        for_prediction = sum(
-            2.0 * math.log1p(_squared_sigmas(guess, row_from_pose2(motion.T_reference_base)) / 3.0)
-            for guess in [contradicted, *guesses[1:]]
-        )
-        if for_match - for_prediction > config.disputed_within:
+            return motion, _UNDISPUTED
+        log_odds, held, prediction = max(rivals, key=lambda rival: rival[0])
+        if log_odds < -self._config.disputed_within:
             self._recent.clear()  # the wheels have slipped: their way until now tells nothing
             self._judge(motion)
-            return motion, np.zeros((3, 3))
-        offset = between(row_from_pose2(motion.T_reference_base), row_from_pose2(held.T_reference_base))
-        if for_prediction <= for_match:
-            return motion, np.outer(offset, offset)
-        if contradicted is self._window_guess:
+            return motion, _UNDISPUTED
+        if held is None:
+            guesses.insert(0, prediction)  # it is the pose
+            return None, _UNDISPUTED
+        if any(prediction is one for one in self._by_window):
             self._follow_the_wheels()
+        if log_odds > self._config.disputed_within:
+            return held, _UNDISPUTED
+        offset = between(*(row_from_pose2(estimate.T_reference_base) for estimate in (motion, held)))
         return held, np.outer(offset, offset)
+
+    def _rivals(
+        self, points: ScanPoints, motion: MotionEstimate, contesting: list[Motion], asked: list[Motion]
+    ) -> list[tuple[float, MotionEstimate | None, Motion]]:
+        """Log-odds against a match, and the scan held at it, of every prediction that the match contradicts.
+
+        Predictions are asked without the match's covariance: a wrong match does not know that it is. Only
+        those that start at the same pose are asked. Constant velocity is an expectation, no measurement: it
+        contests nothing. A camera needs no scan: it tells the turn too, and whoever walks ahead turns with
+        the robot.
+        """
+        matched, rivals = row_from_pose2(motion.T_reference_base), []
+        for prediction in contesting:
+            if prediction.holds(matched):
+                continue
+            pose, held = prediction.pose, None
+            if not any(prediction is camera for camera in self._by_camera.guesses):
+                held = self._odometry.match_near(points, pose)
+                if held is None:
+                    continue
+                pose = row_from_pose2(held.T_reference_base)
+            said = _log_likelihood(asked, pose) - _log_likelihood(asked, matched)
+            rivals.append((said - self._evidence(points, motion, pose), held, prediction))
+        return rivals
 
     def _follow_the_wheels(self) -> None:
         """Take it that the last while went as the wheels say: what led the matches astray leads on."""
@@ -288,49 +287,21 @@ class MotionTracker:
                 pose = compose(begun.pose, between(begun.wheel_pose, tracked.wheel_pose))
                 self._recent[n] = stamp_s, replace(tracked, pose=pose, dispute=begun.dispute)
 
-    def _contradicted(self, guess: Guess, motion: MotionEstimate) -> Guess | None:
-        """The best guess, or else the wheels' over the last while, if a match contradicts it."""
-        for one in (guess, self._window_guess):
-            if one is not None and self._sigmas(one, motion) > self._config.surprise_sigmas:
-                return one
-        return None
-
-    def _outvoted(self, motion: MotionEstimate) -> bool:
-        """Whether two witnesses (two cameras, or a camera and the wheels) agree and contradict the match.
-
-        A lidar that sees little but the person who walks before it matches that person very well.
-        """
-        camera, wheels = self._by_camera.guess, self._by_wheels.guess
-        surprise = self._config.surprise_sigmas
-        if camera is None or self._sigmas(camera, motion) <= surprise:
-            return False
-        # Wheels too unsure to contradict the match are no witness against it.
-        agree = (
-            wheels is not None
-            and _apart(camera, wheels) <= surprise
-            and self._sigmas(wheels, motion) > surprise
-        )
-        return self._witnesses + agree >= _WITNESSES
-
-    def _evidence(self, points: ScanPoints, motion: MotionEstimate, held: MotionEstimate) -> float:
-        """Log-likelihood of a match over a held one: about the difference of their Geman-McClure costs."""
+    def _evidence(self, points: ScanPoints, motion: MotionEstimate, pose: FloatArray) -> float:
+        """Log-likelihood of a match over a pose (3,): about the difference of their Geman-McClure costs."""
         residual_m = max(motion.residual_m, self._noise.minimal_residual_m)
         scale = 0.5 * (self._noise.fine_kernel_m / residual_m) ** 2 / self._noise.correlated_beams
-        poses = (row_from_pose2(estimate.T_reference_base) for estimate in (motion, held))
-        objects = scale * self._odometry.evidence(points, *poses)
+        objects = scale * self._odometry.evidence(points, row_from_pose2(motion.T_reference_base), pose)
         return float(np.clip(objects, -_MOST_AN_OBJECT, _MOST_AN_OBJECT).sum())
 
     def _fused(self, motion: MotionEstimate) -> FloatArray:
-        """Match and camera, each by its covariance: a corridor is as long as it looks."""
-        matched = row_from_pose2(motion.T_reference_base)
-        guess = self._by_camera.guess
-        if guess is None:
-            return matched
-        offset = between(matched, guess.pose)
-        gain = motion.covariance @ np.linalg.inv(motion.covariance + guess.covariance)
-        if offset @ np.linalg.solve(motion.covariance + guess.covariance, offset) > _AGREE:
-            return matched
-        return compose(matched, gain @ offset)
+        """Match and surest camera, each by its covariance: a corridor is as long as it looks."""
+        matched = Motion(row_from_pose2(motion.T_reference_base), motion.covariance)
+        if not self._by_camera.guesses or not matched.agrees(self._by_camera.guesses[0]):
+            return matched.pose
+        camera = self._by_camera.guesses[0]
+        gain = matched.covariance @ np.linalg.inv(matched.covariance + camera.covariance)
+        return compose(matched.pose, gain @ between(matched.pose, camera.pose))
 
     def _judge(self, motion: MotionEstimate | None) -> None:
         """Let a match that is sure score the predictors."""
@@ -340,19 +311,7 @@ class MotionTracker:
             self._by_wheels.judge(pose)
             self._by_velocity.judge(pose)
 
-    @staticmethod
-    def _sigmas(guess: Guess, motion: MotionEstimate) -> float:
-        """Distance of a match from a prediction in its standard deviations."""
-        return math.sqrt(_squared_sigmas(guess, row_from_pose2(motion.T_reference_base)))
 
-
-def _apart(one: Guess, other: Guess) -> float:
-    """Distance of two guesses in their common standard deviations."""
-    offset = between(one.pose, other.pose)
-    return math.sqrt(float(offset @ np.linalg.solve(one.covariance + other.covariance, offset)))
-
-
-def _squared_sigmas(guess: Guess, pose: FloatArray) -> float:
-    """Squared Mahalanobis distance of a pose (3,) from a guess."""
-    offset = between(guess.pose, pose)
-    return float(offset @ np.linalg.solve(guess.covariance, offset))
+def _log_likelihood(predictions: Sequence[Motion], pose: FloatArray) -> float:
+    """Of a pose (3,) by all predictions, a heavy tail each: Student's t with three degrees of freedom."""
+    return -sum(2.0 * math.log1p(guess.squared_mahalanobis(pose) / 3.0) for guess in predictions)

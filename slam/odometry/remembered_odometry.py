@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from slam.answers import Answers
+from slam.matching.motion import Motion
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate
-from slam.odometry.lidar_odometry import Guess, LidarOdometry
+from slam.odometry.lidar_odometry import LidarOdometry
 
 
 class RememberedOdometry:
@@ -15,7 +16,7 @@ class RememberedOdometry:
         self._odometry = odometry
         self._answers = answers
 
-    def match(self, points: ScanPoints, guesses: list[Guess]) -> MotionEstimate | None:
+    def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
         """Pose of the scan's base in the odometry frame, or None where nothing fits."""
         return self._answers.ask(
             "scan", float(guesses[0].pose[0]), lambda: self._odometry.match(points, guesses)

@@ -10,10 +10,10 @@ from slam.config.stages import LidarOdometryConfig, MatchConfig
 from slam.matching.correlative import build_field, search_window
 from slam.matching.local_map import LocalMap, OrientedPoints, match_noise
 from slam.matching.match_covariance import motion_from_alignment
+from slam.matching.motion import Motion
 from slam.matching.point_to_line import Alignment
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate
-from slam.odometry.lidar_odometry import Guess
 
 _SEARCH_CELL_M = 0.05
 _SEARCH_SIGMA_M = 0.1
@@ -37,7 +37,7 @@ class SurfelOdometry:
         self._keyframes.append(OrientedPoints.from_scan(points).moved(pose))
         self._local_map = None
 
-    def match(self, points: ScanPoints, guesses: list[Guess]) -> MotionEstimate | None:
+    def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
         """Align from the first guess; from the others and by search where that is not sure."""
         local_map = self._known()
         scan = OrientedPoints.from_scan(points)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -14,11 +13,6 @@ _IN_PLANE = np.array([3, 4, 2])  # x, y, yaw in GTSAM's order of a Pose3
 _OUT_OF_PLANE = np.array([0, 1, 5])  # roll, pitch, z
 # A floor is not flat and a robot sways: so much leaves the plane without being an error.
 _SWAY = np.array([0.01, 0.01, 0.01])  # radians, radians, metres
-# What two cameras differ by though both are right, x, y, yaw: their clocks and mountings.
-_SLACK = np.array([0.01, 0.01, 0.005])
-# Squared sigmas of three degrees of freedom, 99.9 %.
-_AGREE = 16.0
-_HARMLESS = 2.0  # mean square of the normalised motion out of the plane
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,10 +21,8 @@ class PlanarMotion:
 
     Attributes
     ----------
-    motion
-        (3,) x, y, yaw.
-    covariance
-        (3, 3), inflated where the motion leaves the plane by more than its covariance allows.
+    motion, covariance
+        (3,) x, y, yaw and (3, 3), in the plane.
     excess
         Mean square of roll, pitch and height change in their standard deviations: about 1 for a robot.
     """
@@ -67,48 +59,5 @@ def planar_motion(
     outside = np.array([roll, pitch, motion.z()])
     spread = of_base[np.ix_(_OUT_OF_PLANE, _OUT_OF_PLANE)] + np.diag(_SWAY**2)
     excess = float(outside @ np.linalg.solve(spread, outside)) / 3.0
-    inflation = max(1.0, excess / _HARMLESS)
-    return PlanarMotion(
-        motion=np.array([motion.x(), motion.y(), yaw]),
-        covariance=of_base[np.ix_(_IN_PLANE, _IN_PLANE)] * inflation,
-        excess=excess,
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class WitnessedMotion:
-    """Motion that some cameras tell together.
-
-    Attributes
-    ----------
-    motion, covariance
-        (3,) x, y, yaw and (3, 3).
-    witnesses
-        Cameras that tell it.
-    """
-
-    motion: FloatArray
-    covariance: FloatArray
-    witnesses: int
-
-
-def agreed_motion(motions: Sequence[PlanarMotion]) -> WitnessedMotion | None:
-    """The motion that most cameras tell, the surest of them where they are as many; None without any.
-
-    Its covariance is that of the surest: cameras on one robot share their errors of time and mounting.
-    """
-    if not motions:
-        return None
-    support = [[_squares(one, other) < _AGREE for other in motions] for one in motions]
-    counts = np.sum(support, axis=1)
-    variances = [float(np.trace(motion.covariance)) for motion in motions]
-    best = min(range(len(motions)), key=lambda n: (-counts[n], variances[n]))
-    return WitnessedMotion(motions[best].motion, motions[best].covariance, int(counts[best]))
-
-
-def _squares(one: PlanarMotion, other: PlanarMotion) -> float:
-    """Squared distance of two motions in their common standard deviations."""
-    offset = one.motion - other.motion
-    offset[2] = np.remainder(offset[2] + np.pi, 2.0 * np.pi) - np.pi
-    spread = one.covariance + other.covariance + np.diag(_SLACK**2)
-    return float(offset @ np.linalg.solve(spread, offset))
+    in_plane = np.array([motion.x(), motion.y(), yaw])
+    return PlanarMotion(in_plane, of_base[np.ix_(_IN_PLANE, _IN_PLANE)], excess)

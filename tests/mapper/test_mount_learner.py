@@ -5,8 +5,8 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 
-from slam.graph.step_vote import Step
 from slam.mapper.mount_learner import KeyframeStep, MountLearner
+from slam.matching.motion import Motion
 from slam.vision.camera_frame import T_BODY_CAMERA
 
 MOUNT = gtsam.Pose3(gtsam.Rot3.Ypr(0.3, 0.1, 0.0), np.array([0.2, -0.05, 0.7])).compose(T_BODY_CAMERA)
@@ -23,7 +23,7 @@ def drive(learner: MountLearner, steps: int, turn_rad: float, seed: int = 0) -> 
         camera = MOUNT.inverse().compose(gtsam.Pose3(base)).compose(MOUNT)
         noisy = camera.retract(CAMERA_SIGMAS * rng.standard_normal(6))
         step = KeyframeStep(number, number + 1, noisy, np.diag(CAMERA_SIGMAS**2))
-        learner.add(step, Step(motion + SIGMAS * rng.standard_normal(3), np.diag(SIGMAS**2)))
+        learner.add(step, Motion(motion + SIGMAS * rng.standard_normal(3), np.diag(SIGMAS**2)))
 
 
 def test_a_mounting_that_nobody_told_is_learned() -> None:

@@ -11,8 +11,8 @@ import pytest
 from slam.config.stages import GraphConfig
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.pose_graph import Edge, EdgeKind
-from slam.graph.step_vote import Step
 from slam.mapper.planar_chain import edges_of
+from slam.matching.motion import Motion
 from slam.measurements import FloatArray, pose2_from_row
 
 CONFIG = GraphConfig()
@@ -20,16 +20,16 @@ SURE = np.eye(3) * 0.01**2
 AHEAD = np.array([0.2, 0.0, 0.05])
 
 
-def told(motion: FloatArray = AHEAD, covariance: FloatArray = SURE) -> Step:
-    return Step(motion, covariance)
+def told(motion: FloatArray = AHEAD, covariance: FloatArray = SURE) -> Motion:
+    return Motion(motion, covariance)
 
 
 def add(
     graph: KeyframeGraph,
     step: FloatArray,
-    match: Step | None,
-    wheels: Step | None,
-    cameras: Sequence[Step] = (),
+    match: Motion | None,
+    wheels: Motion | None,
+    cameras: Sequence[Motion] = (),
     *,
     doubtful: bool = False,
 ) -> None:

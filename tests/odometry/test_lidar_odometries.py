@@ -9,11 +9,12 @@ from flat_worlds import corridor, points_at, room
 from slam.comparison.methods import ODOMETRIES
 from slam.config import Config
 from slam.config.stages import LidarOdometryConfig
+from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, row_from_pose2
 from slam.odometry import STANDARD
-from slam.odometry.lidar_odometry import Guess, LidarOdometry
+from slam.odometry.lidar_odometry import LidarOdometry
 from slam.simulation.floor_plan import walls
 from slam.simulation.synthetic_log import SyntheticLogConfig, drive_tour
 
@@ -27,8 +28,8 @@ def make(method: str, **settings: object) -> LidarOdometry:
     return odometries.lidar(Config(lidar_odometry=LidarOdometryConfig(**settings)))
 
 
-def guess_at(pose: FloatArray) -> Guess:
-    return Guess(pose, np.diag([0.05, 0.05, 0.05]) ** 2)
+def guess_at(pose: FloatArray) -> Motion:
+    return Motion(pose, np.diag([0.05, 0.05, 0.05]) ** 2)
 
 
 def at_home(method: str, **settings: object) -> LidarOdometry:

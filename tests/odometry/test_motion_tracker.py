@@ -9,10 +9,10 @@ import pytest
 from flat_worlds import corridor, moved, points_at, room
 
 from slam.config.stages import LidarOdometryConfig, MatchConfig, PredictionConfig, WheelConfig
+from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate, WheelOdometry, pose2_from_row, row_from_pose2
-from slam.odometry.lidar_odometry import Guess
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
 from slam.odometry.surfel_odometry import SurfelOdometry
 from slam.odometry.wheel_tracker import WheelTracker
@@ -34,13 +34,13 @@ class ScriptedOdometry:
     """Answers as told: the truth's match, or none; near a pose, a fit that the test chooses."""
 
     def __init__(self) -> None:
-        self.answer: Callable[[list[Guess]], MotionEstimate | None] = lambda guesses: None
+        self.answer: Callable[[list[Motion]], MotionEstimate | None] = lambda guesses: None
         self.near_fit: float | None = 0.0
         self.match_fit = 0.0
         self.objects = 20
-        self.asked: list[list[Guess]] = []
+        self.asked: list[list[Motion]] = []
 
-    def match(self, points: ScanPoints, guesses: list[Guess]) -> MotionEstimate | None:
+    def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
         self.asked.append(guesses)
         motion = self.answer(guesses)
         self.match_fit = 0.0 if motion is None else motion.fit
@@ -215,20 +215,28 @@ class TestContradiction:
         assert tracked.dispute.any()
 
     def test_the_prediction_wins_where_it_fits_as_well(self) -> None:
-        tracked, by_match, by_wheels = self.contradict(match_fit=0.95, near_fit=0.95)
+        tracked, _, by_wheels = self.contradict(match_fit=0.95, near_fit=0.95)
         np.testing.assert_allclose(tracked.pose, by_wheels, atol=1e-9)
         assert tracked.motion is not None
-        # Both pay: the dispute spans the way from one to the other.
+        np.testing.assert_array_equal(tracked.dispute, np.zeros((3, 3)))
+
+    def test_a_dispute_spans_the_way_from_one_to_the_other(self) -> None:
+        tracked, by_match, by_wheels = self.contradict(match_fit=0.95, near_fit=self.even_fit())
         offset = between(by_match, by_wheels)
         np.testing.assert_allclose(tracked.dispute, np.outer(offset, offset), atol=1e-9)
 
+    def even_fit(self) -> float:
+        """A fit at the prediction that leaves it open who is right."""
+        fits = np.linspace(0.05, 0.95, 60)
+        return float(next(fit for fit in fits if self.contradict(0.95, float(fit))[0].dispute.any()))
+
     def test_the_better_the_prediction_fits_the_less_the_match_counts(self) -> None:
-        """As the fit at the prediction rises: the match alone, a dispute the match wins, one it loses."""
+        """As the fit at the prediction rises: the match alone, a dispute that it loses, the prediction alone."""
         verdicts = []
         for near_fit in np.linspace(0.05, 0.95, 60):
             tracked, by_match, _ = self.contradict(match_fit=0.95, near_fit=float(near_fit))
             verdicts.append((bool(np.allclose(tracked.pose, by_match)), bool(tracked.dispute.any())))
-        order = [(True, False), (True, True), (False, True)]
+        order = [(True, False), (False, True), (False, False)]
         assert [verdict for verdict in order if verdict in verdicts] == order
         ranks = [order.index(verdict) for verdict in verdicts]
         assert ranks == sorted(ranks)
@@ -244,7 +252,7 @@ class TestContradiction:
             run.scan()
         by_match = compose(run.true_pose, self.ASIDE)
         run.odometry.answer = lambda guesses: motion_at(by_match, fit=0.95)
-        run.odometry.near_fit = 0.95
+        run.odometry.near_fit = self.even_fit()
         run.scan()
         run.scan()
         guesses = [asked for asked in run.odometry.asked if len(asked) == 2][-1]

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from room_world import T_BODY_CAMERA
 
-from slam.measurements import FloatArray
-from slam.vision.planar_motion import PlanarMotion, agreed_motion, planar_motion
+from slam.vision.planar_motion import planar_motion
 
 SURE = np.diag([1e-6, 1e-6, 1e-6, 1e-5, 1e-5, 1e-5])
 MOUNTINGS = [
@@ -63,58 +62,13 @@ def test_the_covariance_is_that_of_samples(mounting: gtsam.Pose3) -> None:
     ids=["roll", "pitch", "lift"],
 )  # fmt: skip
 @pytest.mark.parametrize("mounting", MOUNTINGS)
-def test_what_leaves_the_floor_costs_trust(leaves: gtsam.Pose3, mounting: gtsam.Pose3) -> None:
+def test_what_leaves_the_floor_is_told(leaves: gtsam.Pose3, mounting: gtsam.Pose3) -> None:
     base = on_floor(0.2, 0.0, 0.1)
-    flat = planar_motion(of_camera(base, mounting), SURE, mounting)
     tilted = planar_motion(of_camera(base * leaves, mounting), SURE, mounting)
     assert tilted.excess > 16.0
-    np.testing.assert_allclose(tilted.covariance, flat.covariance * tilted.excess / 2.0, rtol=1e-9)
 
 
-def test_a_little_sway_costs_nothing() -> None:
+def test_a_little_sway_is_harmless() -> None:
     sway = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.008, -0.008, 0.0), np.array([0.0, 0.0, 0.008]))
-    flat = planar_motion(of_camera(on_floor(0.2, 0, 0.1), MOUNTINGS[1]), SURE, MOUNTINGS[1])
     found = planar_motion(of_camera(on_floor(0.2, 0, 0.1) * sway, MOUNTINGS[1]), SURE, MOUNTINGS[1])
     assert found.excess < 2.0
-    np.testing.assert_allclose(found.covariance, flat.covariance)
-
-
-def told(x: float, y: float = 0.0, yaw: float = 0.0, sigma: float = 0.005) -> PlanarMotion:
-    covariance: FloatArray = np.eye(3) * sigma**2
-    return PlanarMotion(np.array([x, y, yaw]), covariance, 1.0)
-
-
-class TestAgreed:
-    def test_none_tells_nothing(self) -> None:
-        assert agreed_motion([]) is None
-
-    def test_one_stands_alone(self) -> None:
-        found = agreed_motion([told(0.1)])
-        assert found is not None
-        assert found.witnesses == 1
-        np.testing.assert_array_equal(found.motion, [0.1, 0.0, 0.0])
-
-    @pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
-    def test_two_outvote_a_third_that_is_surer(self, order: tuple[int, ...]) -> None:
-        cameras = [told(0.1, sigma=0.01), told(0.105, sigma=0.005), told(0.5, sigma=0.001)]
-        found = agreed_motion([cameras[n] for n in order])
-        assert found is not None
-        assert found.witnesses == 2
-        np.testing.assert_array_equal(found.motion, [0.105, 0.0, 0.0])
-        np.testing.assert_array_equal(found.covariance, np.eye(3) * 0.005**2)
-
-    def test_of_two_that_differ_the_surer(self) -> None:
-        found = agreed_motion([told(0.1, sigma=0.01), told(0.6, sigma=0.004)])
-        assert found is not None
-        assert found.witnesses == 1
-        assert found.motion[0] == 0.6
-
-    def test_a_turn_by_half_is_one_turn_either_way(self) -> None:
-        found = agreed_motion([told(0.0, yaw=np.pi - 0.001), told(0.0, yaw=-np.pi + 0.001)])
-        assert found is not None
-        assert found.witnesses == 2
-
-    def test_what_is_agreed_upon_is_not_altered(self) -> None:
-        cameras = [told(0.0, yaw=np.pi - 0.001), told(0.0, yaw=-np.pi + 0.001)]
-        agreed_motion(cameras)
-        assert cameras[0].motion[2] == np.pi - 0.001
