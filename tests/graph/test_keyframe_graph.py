@@ -15,9 +15,8 @@ from slam.config.stages import GraphConfig
 from slam.graph.keyframe_graph import KeyframeGraph, unmeasured
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, EdgeKind
-from slam.graph.step_vote import Step
-from slam.graph.wheel_judge import outvoted_cameras
 from slam.mapper.planar_chain import edges_of
+from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
 
@@ -28,8 +27,8 @@ WRONG = np.array([0.15, -0.1, 0.1])
 PROBABILITY = 0.99
 
 
-def step(motion: FloatArray = AHEAD, covariance: FloatArray = SURE, camera: str = "front") -> Step:
-    return Step(motion, covariance, camera)
+def step(motion: FloatArray = AHEAD, covariance: FloatArray = SURE) -> Motion:
+    return Motion(motion, covariance)
 
 
 def beside(x_m: float, y_m: float, yaw_rad: float) -> FloatArray:
@@ -45,9 +44,9 @@ def empty(config: GraphConfig | None = None) -> KeyframeGraph:
 def follow(
     graph: KeyframeGraph,
     motion: FloatArray,
-    match: Step | None,
-    wheels: Step | None,
-    cameras: Sequence[Step] = (),
+    match: Motion | None,
+    wheels: Motion | None,
+    cameras: Sequence[Motion] = (),
     *,
     match_doubtful: bool = False,
 ) -> int:
@@ -191,7 +190,7 @@ class TestWhoIsRefused:
         """The match was a person's who walked ahead: what is left holds loosely where the camera says."""
         graph = chain(3)
         follow(
-            graph, astray(), step(astray()), step(covariance=4.0 * SURE), [step(), step(camera="back")],
+            graph, astray(), step(astray()), step(covariance=4.0 * SURE), [step(), step()],
             match_doubtful=True,
         )  # fmt: skip
         assert EdgeKind.LIDAR in refused(graph)
@@ -245,21 +244,6 @@ class TestBridge:
             graph.add_loop(true_loop(place, 5))
         assert refused(graph) == [EdgeKind.LIDAR]
         assert worst(graph) < 0.05
-
-
-class TestTheEndOfARun:
-    def test_wheels_that_proved_exact_stand_by_the_match(self) -> None:
-        """Surer than the match, a camera would take the keyframe along."""
-        graph = empty()
-        for n in range(60):
-            lied = beside(0.03, 0.0, 0.0) if n == 30 else AHEAD
-            follow(graph, AHEAD, step(), step(covariance=ROUGH), [step(lied, 0.04 * SURE)])
-        told = outvoted_cameras(graph.graph.edges)
-        assert len(told) == 1
-        for number, edge in told.items():
-            graph.graph.edges[number] = edge
-        graph.optimize(PROBABILITY)
-        assert worst(graph) < 0.005
 
 
 class TestLoops:

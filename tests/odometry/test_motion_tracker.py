@@ -231,7 +231,7 @@ class TestContradiction:
         return float(next(fit for fit in fits if self.contradict(0.95, float(fit))[0].dispute.any()))
 
     def test_the_better_the_prediction_fits_the_less_the_match_counts(self) -> None:
-        """As the fit at the prediction rises: the match alone, a dispute that it loses, the prediction alone."""
+        """As the fit at the prediction rises: the match, a dispute that it loses, the prediction."""
         verdicts = []
         for near_fit in np.linspace(0.05, 0.95, 60):
             tracked, by_match, _ = self.contradict(match_fit=0.95, near_fit=float(near_fit))
