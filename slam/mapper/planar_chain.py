@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
+from itertools import combinations, groupby
 
 import numpy as np
 
@@ -80,11 +80,13 @@ class PlanarChain:
         """At the end: say anew how each camera moved, as the whole run tells its clock and mounting."""
         self._cameras.settle_clocks()
         told = [n for n, edge in enumerate(graph.graph.edges) if edge.kind is EdgeKind.RGBD]
-        for (key, name), number in zip(self._camera_edges, told, strict=True):
+        of_key = groupby(zip(self._camera_edges, told, strict=True), key=lambda edge: edge[0][0])
+        for key, edges in of_key:
             before, after = (self._cameras.marks(self._stamps_s[n]) for n in (key - 1, key))
-            step = self._camera_steps(self._cameras.steps(before, after)).get(name)
-            if step is not None:
-                graph.graph.edges[number] = _camera_edge(key - 1, key, step)
+            steps = self._camera_steps(self._cameras.steps(before, after))
+            for (_, name), number in edges:
+                if name in steps:
+                    graph.graph.edges[number] = _camera_edge(key - 1, key, steps[name])
         for source, target, motion in self._cameras.learned_steps():
             graph.add_edge(_camera_edge(source, target, Motion(motion.motion, motion.covariance)))
 
