@@ -10,19 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.measurements import BoolArray, CameraIntrinsics, Float32Array, FloatArray, RgbdFrame
+from slam.vision.plane_windows import SAME_SURFACE
 
 if TYPE_CHECKING:
     import cv2
 
 Descriptors: TypeAlias = NDArray[np.uint8]
 
-# ORB's pyramid: a keypoint of level n is located as exactly as a pixel of that level.
-_LEVELS = 8
-_LEVEL_SCALE = 1.2
 # Lower than the usual 20, for dim rooms and blurred images.
 _FAST_THRESHOLD = 12
-# A feature on the rim of an object takes the depth of the nearer side: what lies within this share of it.
-_RIM_SHARE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +91,8 @@ def extract_features(gray: NDArray[np.uint8], depth_m: Float32Array, count: int)
     count
         Keypoints at most.
     """
-    keypoints, descriptors = _orb(count).detectAndCompute(gray, None)
+    detector = _orb(count)
+    keypoints, descriptors = detector.detectAndCompute(gray, None)
     if descriptors is None or not keypoints:
         return Features(
             np.zeros((0, 2), np.float32),
@@ -105,7 +102,8 @@ def extract_features(gray: NDArray[np.uint8], depth_m: Float32Array, count: int)
         )
     pixels = np.array([point.pt for point in keypoints], np.float32)
     levels = np.array([point.octave for point in keypoints])
-    sigma_px = (_LEVEL_SCALE**levels).astype(np.float32)
+    # ORB's pyramid: a keypoint of level n is located as exactly as a pixel of that level.
+    sigma_px = (detector.getScaleFactor() ** levels).astype(np.float32)
     return Features(pixels, np.asarray(descriptors, np.uint8), sigma_px, depth_at(depth_m, pixels))
 
 
@@ -118,7 +116,7 @@ def depth_at(depth_m: Float32Array, pixels: Float32Array) -> Float32Array:
     around = np.where(around > 0.0, around, np.inf)
     nearest = around.min(axis=1)
     known = np.isfinite(nearest)
-    same = around <= (nearest * (1.0 + _RIM_SHARE))[:, None]
+    same = around <= (nearest * (1.0 + float(SAME_SURFACE)))[:, None]
     total = np.where(same & known[:, None], around, 0.0).sum(axis=1)
     # A lone speck is noise, not a surface.
     solid = known & (same.sum(axis=1) >= 3)
@@ -159,6 +157,4 @@ def _orb(count: int) -> cv2.ORB:
     """The detector; making one costs more than using it on a small image."""
     import cv2
 
-    return cv2.ORB.create(
-        nfeatures=count, scaleFactor=_LEVEL_SCALE, nlevels=_LEVELS, fastThreshold=_FAST_THRESHOLD
-    )
+    return cv2.ORB.create(nfeatures=count, fastThreshold=_FAST_THRESHOLD)
