@@ -315,7 +315,7 @@ class MotionTracker:
     def _evidence(self, points: ScanPoints, motion: MotionEstimate, held: MotionEstimate) -> float:
         """Log-likelihood of a match over a held one: about the difference of their Geman-McClure costs."""
         residual_m = max(motion.residual_m, self._noise.minimal_residual_m)
-        scale = 0.5 * (self._noise.fine_kernel_m / residual_m) ** 2 / self._noise.correlated_beams
+        scale = 0.5 * (0.5 * self._noise.cell_m / residual_m) ** 2 / self._noise.correlated_beams
         poses = (row_from_pose2(estimate.T_reference_base) for estimate in (motion, held))
         objects = scale * self._odometry.evidence(points, *poses)
         return float(np.clip(objects, -_MOST_AN_OBJECT, _MOST_AN_OBJECT).sum())

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.measurements import BoolArray, CameraIntrinsics, Float32Array, FloatArray, RgbdFrame
-from slam.vision.plane_windows import SAME_SURFACE
 
 if TYPE_CHECKING:
     import cv2
@@ -19,6 +18,8 @@ Descriptors: TypeAlias = NDArray[np.uint8]
 
 # Lower than the usual 20, for dim rooms and blurred images.
 _FAST_THRESHOLD = 12
+# A feature on the rim of an object takes the depth of the nearer side: what lies within this share of it.
+_RIM_SHARE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +117,7 @@ def depth_at(depth_m: Float32Array, pixels: Float32Array) -> Float32Array:
     around = np.where(around > 0.0, around, np.inf)
     nearest = around.min(axis=1)
     known = np.isfinite(nearest)
-    same = around <= (nearest * (1.0 + float(SAME_SURFACE)))[:, None]
+    same = around <= (nearest * (1.0 + _RIM_SHARE))[:, None]
     total = np.where(same & known[:, None], around, 0.0).sum(axis=1)
     # A lone speck is noise, not a surface.
     solid = known & (same.sum(axis=1) >= 3)

@@ -8,17 +8,11 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from slam.measurements import FloatArray
+from fusion.estimation import gate
+from slam.measurements import IN_PLANE, FloatArray
 
-_IN_PLANE = np.array([3, 4, 2])  # x, y, yaw in GTSAM's order of a Pose3
-_OUT_OF_PLANE = np.array([0, 1, 5])  # roll, pitch, z
-# A floor is not flat and a robot sways: so much leaves the plane without being an error.
-_SWAY = np.array([0.01, 0.01, 0.01])  # radians, radians, metres
 # What two cameras differ by though both are right, x, y, yaw: their clocks and mountings.
 _SLACK = np.array([0.01, 0.01, 0.005])
-# Squared sigmas of three degrees of freedom, 99.9 %.
-_AGREE = 16.0
-_HARMLESS = 2.0  # mean square of the normalised motion out of the plane
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +32,11 @@ class PlanarMotion:
     motion: FloatArray
     covariance: FloatArray
     excess: float
+
+    @property
+    def leaves_the_floor(self) -> bool:
+        """Whether even the inflated covariance does not explain the motion."""
+        return self.excess > gate(3)
 
 
 def planar_motion(
@@ -64,13 +63,15 @@ def planar_motion(
     adjoint = T_base_camera.AdjointMap()
     of_base = adjoint @ covariance @ adjoint.T
     roll, pitch, yaw = motion.rotation().roll(), motion.rotation().pitch(), motion.rotation().yaw()
+    out_of_plane = [0, 1, 5]  # roll, pitch, z in GTSAM's order of a Pose3
     outside = np.array([roll, pitch, motion.z()])
-    spread = of_base[np.ix_(_OUT_OF_PLANE, _OUT_OF_PLANE)] + np.diag(_SWAY**2)
+    # A floor is not flat and a robot sways: so much, too, leaves the plane without being an error.
+    spread = of_base[np.ix_(out_of_plane, out_of_plane)] + _SLACK[0] ** 2 * np.eye(3)
     excess = float(outside @ np.linalg.solve(spread, outside)) / 3.0
-    inflation = max(1.0, excess / _HARMLESS)
+    inflation = max(1.0, 0.5 * excess)
     return PlanarMotion(
         motion=np.array([motion.x(), motion.y(), yaw]),
-        covariance=of_base[np.ix_(_IN_PLANE, _IN_PLANE)] * inflation,
+        covariance=of_base[np.ix_(IN_PLANE, IN_PLANE)] * inflation,
         excess=excess,
     )
 
@@ -99,7 +100,7 @@ def agreed_motion(motions: Sequence[PlanarMotion]) -> WitnessedMotion | None:
     """
     if not motions:
         return None
-    support = [[_squares(one, other) < _AGREE for other in motions] for one in motions]
+    support = [[_squares(one, other) <= gate(3) for other in motions] for one in motions]
     counts = np.sum(support, axis=1)
     variances = [float(np.trace(motion.covariance)) for motion in motions]
     best = min(range(len(motions)), key=lambda n: (-counts[n], variances[n]))
