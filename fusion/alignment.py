@@ -15,14 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.curves import Curve, FloatArray
+from fusion.curves import BESIDE, EDGE_M, Curve, FloatArray
+from fusion.estimation import FEWEST, ROUNDS, SETTLED
 from fusion.kernel import kernel
 
-_ROUNDS = 12
-_WIDE_M, _NARROW_M = 0.3, 0.06  # a residual beyond counts little; from the first round to the last
-_NORMAL_REACH = 3  # samples to each side that make a line
-_FEWEST = 20
-_STILL = 1e-5
+_NARROW_M = 0.06  # a residual beyond counts little in the last round
 
 
 @dataclass(frozen=True)
@@ -77,15 +74,15 @@ def align(
     points, normals, pair = points[usable], normals[usable], pair[usable]
     motion = np.array([*offset_xy, yaw_rad])
     result = np.zeros((5, 3))
-    for turn in range(_ROUNDS):
-        width = max(_NARROW_M, _WIDE_M * 0.6**turn)
+    for turn in range(ROUNDS):
+        width = max(_NARROW_M, 2.0 * EDGE_M * 0.6**turn)
         result = _normal_equations(lidar, start, step, points, normals, pair, motion, width)
         information = result[:3]
-        if result[4, 0] < _FEWEST or np.linalg.cond(information) > 1e8:
+        if result[4, 0] < FEWEST or np.linalg.cond(information) > 1e8:
             return None
         change = -np.linalg.solve(information, result[3])
         motion = motion + change
-        if width == _NARROW_M and np.abs(change).max() < _STILL:
+        if width == _NARROW_M and np.abs(change).max() < SETTLED:
             break
     variance = result[4, 2] / max(result[4, 0] - 3.0, 1.0)
     covariance = variance * np.linalg.inv(result[:3])
@@ -105,7 +102,7 @@ def _normals(points: FloatArray) -> FloatArray:
     normals = np.full((count, 2), np.nan)
     for i in range(count):
         n, sx, sy, sxx, sxy, syy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for j in range(max(0, i - _NORMAL_REACH), min(count, i + _NORMAL_REACH + 1)):
+        for j in range(max(0, i - BESIDE), min(count, i + BESIDE + 1)):
             x, y = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
             if x * x + y * y < 0.09:  # also false for nan
                 n += 1
@@ -148,7 +145,7 @@ def _normal_equations(
         if low < 0 or low + 1 >= lidar.shape[1]:
             continue
         near, far = lidar[pair[k], low], lidar[pair[k], low + 1]
-        if not abs(near - far) < 0.15:  # an edge, or a hole
+        if not abs(near - far) < EDGE_M:  # an edge, or a hole
             continue
         reach = near + (at - low) * (far - near)
         nx, ny = c * normals[k, 0] - s * normals[k, 1], s * normals[k, 0] + c * normals[k, 1]

@@ -7,6 +7,7 @@ means nothing. 0 is unknown.
 from __future__ import annotations
 
 import math
+from enum import IntEnum
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -16,8 +17,16 @@ States: TypeAlias = NDArray[np.int8]
 Rule: TypeAlias = Literal["cautious", "corrected", "printed"]
 RULES: tuple[Rule, ...] = ("cautious", "corrected", "printed")
 
-# The values of nav2's occupancy grid.
-OCCUPIED, FREE, UNKNOWN = 100, 0, -1
+
+class _State(IntEnum):
+    """The values of nav2's occupancy grid."""
+
+    OCCUPIED = 100
+    FREE = 0
+    UNKNOWN = -1
+
+
+OCCUPIED, FREE, UNKNOWN = (int(state) for state in _State)
 
 # A step of evidence: sums of whole steps are exact, and the same in any order.
 STEPS_A_UNIT = 1024

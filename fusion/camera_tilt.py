@@ -14,12 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from fusion.curves import FORWARD, STEEPEST, FloatArray
+from fusion.estimation import ROUNDS, median_to_sigma
 
 _POINTS_A_FRAME = 1500
 _DRAWS = 600
-_STEEPEST_RAD = math.radians(65.0)
-_REFINEMENTS = 6
 
 
 @dataclass(frozen=True)
@@ -55,8 +54,7 @@ class CameraTilt:
         pitch = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
         c, s = math.cos(self.roll_rad), math.sin(self.roll_rad)
         roll = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-        optical = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-        return np.asarray(pitch @ roll @ optical)
+        return np.asarray(pitch @ roll @ FORWARD)
 
 
 def camera_tilt(
@@ -98,7 +96,7 @@ def camera_tilt(
             best, best_score = plane, score
     if best is None:
         return None
-    for _ in range(_REFINEMENTS):
+    for _ in range(ROUNDS):
         near = np.abs(points @ best[:3] + best[3]) < slack
         if np.count_nonzero(near) < 3:
             return None
@@ -117,7 +115,7 @@ def _plane_through(three: FloatArray) -> FloatArray | None:
     if height < 0.0:
         normal, height = -normal, -height
     # Up is against the image's y: the floor lies under the camera, however it is tilted.
-    if -normal[1] < math.cos(_STEEPEST_RAD) or height < 0.05:
+    if -normal[1] < math.cos(math.atan(STEEPEST)) or height < 0.05:
         return None
     return np.append(normal, height)
 
@@ -148,7 +146,7 @@ def _tilt(points: FloatArray, owner: NDArray[np.intp], slack: FloatArray, plane:
         height_m=height,
         pitch_rad=math.asin(float(np.clip(-up[2], -1.0, 1.0))),
         roll_rad=math.atan2(-float(up[0]), -float(up[1])),
-        spread_m=float(1.4826 * np.median(np.abs(over[near]))),
+        spread_m=float(median_to_sigma() * np.median(np.abs(over[near]))),
         frame_share=float(np.mean(seen > 0.02 * total)),
         share_below=float(np.mean(over < -2.0 * slack)),
     )

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.curves import Float32Array, FloatArray
+from fusion.curves import SLACK_M, Float32Array, FloatArray
 from fusion.kernel import kernel
 
 _STEEP = 6.0  # a surface seen at more than 80 degrees from its normal is an edge
@@ -67,7 +67,7 @@ def carry(
             continue
         if i + 1 < ranges.size and not np.isnan(reach[i + 1]):
             wide = abs(bearing[i + 1] - bearing[i])
-            slack = 0.03 + slack_share * min(reach[i], reach[i + 1])
+            slack = SLACK_M + slack_share * min(reach[i], reach[i + 1])
             if wide * other_step < 4.0 * step and joined(reach[i], reach[i + 1], step, slack):
                 _draw(seen, bearing[i], bearing[i + 1], reach[i], reach[i + 1])
                 continue
@@ -117,7 +117,7 @@ def smooth(ranges: Float32Array, step: float, reach: int, slack_share: float) ->
         spread = n * sxx - sx * sx
         if n >= 3.0 and spread > 0.0:
             fitted = (sy * sxx - sx * sxy) / spread
-            if fitted > 0.0 and abs(1.0 / fitted - ranges[i]) < 0.03 + 3.0 * slack_share * ranges[i]:
+            if fitted > 0.0 and abs(1.0 / fitted - ranges[i]) < SLACK_M + 3.0 * slack_share * ranges[i]:
                 result[i] = 1.0 / fitted
     return result
 
@@ -125,7 +125,7 @@ def smooth(ranges: Float32Array, step: float, reach: int, slack_share: float) ->
 @kernel
 def _same(ranges: Float32Array, i: int, j: int, step: float, slack_share: float) -> bool:
     """Whether two neighbours are of one surface."""
-    return joined(ranges[i], ranges[j], step, 0.03 + slack_share * min(ranges[i], ranges[j]))
+    return joined(ranges[i], ranges[j], step, SLACK_M + slack_share * min(ranges[i], ranges[j]))
 
 
 @kernel
@@ -154,7 +154,7 @@ def without_bumps(
             if not drop and before >= 0 and after >= 0 and after - before <= 2 * bump:
                 # Behind the line of its neighbours: light that came by a detour.
                 level = 0.5 * (ranges[before] + ranges[after])
-                drop = joined(ranges[before], ranges[after], step * (after - before), 0.03) and (
+                drop = joined(ranges[before], ranges[after], step * (after - before), SLACK_M) and (
                     ranges[first] > level
                 )
             if drop:

@@ -24,7 +24,13 @@ BoolArray: TypeAlias = NDArray[np.bool_]
 IntArray: TypeAlias = NDArray[np.int32]
 
 SAMPLE_STEP_RAD = math.radians(1.0)  # Xu2024, 3.2.1: 180 samples of 180 degrees, 240 of 240
+HEIGHT_STEP_M = 0.02  # between the heights that are told apart
 CAMERA_REACH_M = 6.0  # a structured-light camera's readings beyond are mostly noise
+STEEPEST = 2.0  # slope: beyond, a camera looks at the floor before the robot's feet
+SLACK_M = 0.04  # what the readings of one surface may differ by at any range
+EDGE_M = 0.15  # neighbouring samples farther apart are of two surfaces
+NEAR_SAMPLES = 2  # what is this near is the same place
+BESIDE = 4  # samples to each side of one that make a surface
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion.carry import carry, smooth, without_bumps
-from fusion.curves import Curve, DepthImage, Float32Array, FloatArray, LidarCurve
-from fusion.homography import Model, fit
+from fusion.curves import BESIDE, Curve, DepthImage, Float32Array, FloatArray, LidarCurve
+from fusion.estimation import gate
+from fusion.homography import EPS_OVER_E, Model, fit
 from fusion.image_view import ImageView, view_at_height, view_of_row
 from fusion.panorama import Depths, as_images
 from fusion.registration import Registration
@@ -26,14 +27,11 @@ from fusion.repair_pixels import repair_image
 from fusion.rig import RigEstimate
 from fusion.similarity import Grade
 
-EPS_OVER_E = 2.0**0.25  # the middle of Xu2024's best range, E to sqrt(2) E
 LEAST_EPS_SHARE = 0.025  # of the range: below, the lidar's own noise would be called burrs
-_MOST_RESIDUAL = 0.05  # of the range, as it counts for E
 _BURR_RAD = math.radians(1.4)  # longest run of readings that can be a burr
 _CAMERA_BURR_RAD = math.radians(2.2)  # side of a square of pixels: light by a detour comes in patches
 _LONE_RAD = math.radians(0.3)  # single readings of a camera
 _LIDAR_SLACK, _CAMERA_SLACK = 0.04, 0.01  # noise of the difference of two neighbours, as a share of the range
-_SMOOTH_BEAMS = 4
 
 
 @dataclass(frozen=True)
@@ -184,12 +182,12 @@ def _repair(
     share = max(eps, LEAST_EPS_SHARE)
     burr = max(1, round(_BURR_RAD / step))
     clean = without_bumps(own, step, 1, burr, _LIDAR_SLACK)
-    steady = smooth(clean, step, _SMOOTH_BEAMS, _LIDAR_SLACK)
+    steady = smooth(clean, step, BESIDE, _LIDAR_SLACK)
     mine, theirs = roughness(clean, steady), max([rough for rough in noise if rough >= 0.0], default=math.nan)
     trust = mine**2 / max(mine**2 + theirs**2, 1e-12) if np.isfinite(mine + theirs) else 0.0
     sure = among_readings(own, 2 * burr)
     repaired, source = repair_lidar(own, other, sure, share, burr, trust)
-    calm(repaired, steady, source, mine)
+    calm(repaired, steady, source, math.sqrt(gate()) * mine)
     untouched = _unchanged(scan, images)
     steady[~sure] = np.nan
     for camera, (view, matrix) in seen.items():
@@ -223,7 +221,7 @@ def eps_of(own: Float32Array, other: Float32Array, eps_over_e: float) -> tuple[f
     if not both.any():
         return math.nan, 0.0, math.nan
     apart = np.abs(own[both] - other[both]) / own[both]
-    mean = float(np.minimum(apart, _MOST_RESIDUAL).mean())
+    mean = float(np.minimum(apart, 2.0 * LEAST_EPS_SHARE).mean())
     return mean, eps_over_e * mean, float(own[both].mean())
 
 
@@ -234,7 +232,7 @@ def _seen_by_lidar(
     lone, bump = round(_LONE_RAD / piece.step_rad), round(_BURR_RAD / piece.step_rad)
     clean = without_bumps(piece.ranges_m, piece.step_rad, max(1, lone), max(2, bump), _CAMERA_SLACK)
     carried: Float32Array = carry(clean, piece.start_angle_rad, piece.step_rad, matrix, beams, _CAMERA_SLACK)
-    return carried, roughness(clean, smooth(clean, piece.step_rad, _SMOOTH_BEAMS, _CAMERA_SLACK))
+    return carried, roughness(clean, smooth(clean, piece.step_rad, BESIDE, _CAMERA_SLACK))
 
 
 def roughness(ranges: Float32Array, steady: Float32Array) -> float:

@@ -47,9 +47,7 @@ def share_in_cell(range_m: Array, noise: RangeNoise, cell_m: float) -> Array:
     return np.array([math.erf(value) for value in np.ravel(reach)]).reshape(np.shape(range_m))
 
 
-def hit_evidence(
-    noise: RangeNoise, p_hit: float, cell_m: float, range_max_m: float, bins_a_m: int = 20
-) -> NDArray[np.int16]:
+def hit_evidence(noise: RangeNoise, p_hit: float, cell_m: float, range_max_m: float) -> NDArray[np.int16]:
     """Evidence of a hit by range, Ps of Li2020 Eq. (8) as log-odds.
 
     ``p_hit`` is for a range without noise; with noise only a share of it is meant for this cell.
@@ -60,12 +58,12 @@ def hit_evidence(
         Above 0.5.
     cell_m
         Side of a cell.
-    range_max_m, bins_a_m
-        Length and fineness of the table.
+    range_max_m
+        Length of the table.
 
     Returns
     -------
-    (N,) steps of log-odds (`fusion.bayes.STEPS_A_UNIT`) for ranges from i / bins_a_m on.
+    (N,) steps of log-odds (`fusion.bayes.STEPS_A_UNIT`) for ranges from i cells on.
 
     Raises
     ------
@@ -74,6 +72,6 @@ def hit_evidence(
     """
     if not 0.5 < p_hit < 1.0:
         raise ValueError(f"p_hit is {p_hit}; it must be above 0.5 and below 1")
-    middle_m = (np.arange(math.ceil(range_max_m * bins_a_m) + 1) + 0.5) / bins_a_m
+    middle_m = (np.arange(math.ceil(range_max_m / cell_m) + 1) + 0.5) * cell_m
     probability = 0.5 + (p_hit - 0.5) * share_in_cell(middle_m, noise, cell_m)
     return np.array([evidence_steps(float(p)) for p in probability], dtype=np.int16)

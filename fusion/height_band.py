@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.curves import Intrinsics
+from fusion.estimation import ROUNDS
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-
-_UNDISTORT_STEPS = 12
 
 
 @dataclass(frozen=True)
@@ -157,7 +156,7 @@ def pixel_rays(
     if distortion is None:
         return seen
     ray = seen.copy()
-    for _ in range(_UNDISTORT_STEPS):
+    for _ in range(ROUNDS):
         ray = ray + seen - distort(ray, distortion)
     return ray
 

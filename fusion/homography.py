@@ -12,15 +12,14 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from fusion.curves import BoolArray, FloatArray
+from fusion.estimation import ROUNDS
 
 Model: TypeAlias = Literal["homography", "magsac", "rigid"]
 
 DRAWS = 84  # Xu2024, 3.2.2: 4 / c^n tries make 97.5 % sure at an inlier share c = 0.6 and n = 6
 SAMPLE = 6
-EPS_OVER_E = math.sqrt(math.sqrt(2.0))  # the middle of the paper's best range, E to sqrt(2) E
-_RIGID_SAMPLE = 2
+EPS_OVER_E = 2.0**0.25  # the middle of the paper's best range, E to sqrt(2) E
 _LEAST_AREA = 1e-4  # of the points' smaller spread over the larger: less is a line
-_REFINEMENTS = 5
 
 
 @dataclass(frozen=True)
@@ -157,7 +156,7 @@ def _ransac(
     eps_over_e: float,
 ) -> FloatArray | None:
     """The draw whose pairs agree most, then fitted to all that agree with it."""
-    size = SAMPLE if model == "homography" else _RIGID_SAMPLE
+    size = SAMPLE if model == "homography" else 2
     best: tuple[float, FloatArray] | None = None
     for _ in range(DRAWS):
         chosen = rng.choice(len(source), size, replace=False)
@@ -170,7 +169,7 @@ def _ransac(
     if best is None:
         return None
     matrix = best[1]
-    for _ in range(_REFINEMENTS):
+    for _ in range(ROUNDS):
         residual = residuals(matrix, source, target)
         agree = residual <= eps_over_e * min(float(residual.mean()), 3.0 * float(np.median(residual)))
         again = _solve(source[agree], target[agree], model) if agree.sum() >= SAMPLE else None

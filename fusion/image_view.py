@@ -6,11 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion.curves import BoolArray, Curve, DepthImage, Float32Array, FloatArray, IntArray, masked
+from fusion.curves import (
+    HEIGHT_STEP_M,
+    BoolArray,
+    Curve,
+    DepthImage,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    masked,
+)
 from fusion.native_slice import native_slice, native_step_rad
 from fusion.panorama import lookup_of, yaw_of
 
-BAND_M = 0.02  # beyond the heights that are as good: walls are upright
 MOST_ROWS = 121
 
 
@@ -46,11 +54,12 @@ class ImageView:
         """
         if self.low_m == self.high_m == self.best_m == 0.0 and self.slopes.size == 2:
             return np.zeros(1), np.ones(1, dtype=bool)
-        low, high = self.low_m - BAND_M, self.high_m + BAND_M
+        # A step beyond the heights that are as good: walls are upright.
+        low, high = self.low_m - HEIGHT_STEP_M, self.high_m + HEIGHT_STEP_M
         fall = float(self.slopes[0] - self.slopes[1])
         rows = min(MOST_ROWS, 2 + int(np.ceil((high - low) / (nearest_m * fall))))
         heights = np.linspace(low, high, rows)
-        return heights, np.abs(heights - self.best_m) <= 2.0 * BAND_M
+        return heights, np.abs(heights - self.best_m) <= 2.0 * HEIGHT_STEP_M
 
 
 def view_at_height(image: DepthImage, best_m: float, low_m: float, high_m: float) -> ImageView:

@@ -19,9 +19,9 @@ from fusion.curves import Curve, Float32Array, FloatArray
 from fusion.kernel import kernel
 
 OFFSETS_M = (-0.2, -0.1, 0.0, 0.1, 0.2)  # ranges of the camera less those of the lidar: sensors of one robot
-SIGMA_M, SIGMA_SHARE = 0.04, 0.02  # noise of both sensors, and half a step of the offsets
-_SAME_SHARE = 0.6  # of the samples that see the same surface, where curves belong together
-_ELSEWHERE_PER_M = 0.4  # density of the difference of two unrelated ranges, about zero
+SIGMA_SHARE = 0.02  # noise of both sensors, and half a step of the offsets: of the range and two metres more
+SAME_SHARE = 0.6  # of the samples that see the same surface, where curves belong together
+ELSEWHERE_PER_M = 0.4  # density of the difference of two unrelated ranges, about zero
 
 
 def sample_weights(curve_m: Float32Array) -> tuple[Float32Array, Float32Array, np.float32]:
@@ -33,11 +33,11 @@ def sample_weights(curve_m: Float32Array) -> tuple[Float32Array, Float32Array, n
     the lidar has nothing; and the log ratio of a mismatch.
     """
     valid = np.isfinite(curve_m)
-    sigma = SIGMA_M + SIGMA_SHARE * np.where(valid, curve_m, 1.0)
-    peak = np.log(_SAME_SHARE / (sigma * math.sqrt(2.0 * math.pi)) / _ELSEWHERE_PER_M)
+    sigma = SIGMA_SHARE * (2.0 + np.where(valid, curve_m, 1.0))
+    peak = np.log(SAME_SHARE / (sigma * math.sqrt(2.0 * math.pi)) / ELSEWHERE_PER_M)
     weight = np.where(valid, peak, 0.0).astype(np.float32)
     sharpness = np.where(valid, 1.0 / (math.sqrt(2.0) * sigma), 0.0).astype(np.float32)
-    return weight, sharpness, np.float32(math.log(1.0 - _SAME_SHARE))
+    return weight, sharpness, np.float32(math.log(1.0 - SAME_SHARE))
 
 
 def log_ratio_map(candidates_m: Float32Array, curve_m: Float32Array) -> Float32Array:

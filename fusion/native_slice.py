@@ -8,13 +8,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.curves import Curve, DepthImage, Float32Array, IntArray
+from fusion.curves import EDGE_M, HEIGHT_STEP_M, Curve, DepthImage, Float32Array, IntArray
 from fusion.kernel import kernel
 from fusion.panorama import lookup_of, yaw_of
 
-_SLACK_M = 0.01  # beyond half a pixel: noise, and a height that is known in steps of 2 cm
 _NEAREST_M = 0.25
-_SAME_SURFACE_M = 0.1
 
 
 def native_step_rad(image: DepthImage) -> float:
@@ -74,9 +72,10 @@ def _slice(
                 continue
             reach = value * range_of_depth[row, col]
             off = abs(slope * reach - height_m)
-            if off > 0.5 * fall * reach + _SLACK_M:
+            # Beyond half a pixel: noise, and a height that is known in steps.
+            if off > 0.5 * (fall * reach + HEIGHT_STEP_M):
                 continue
-            nearer = reach < best[col] - _SAME_SURFACE_M
-            if np.isnan(best[col]) or nearer or (off < error[col] and reach < best[col] + _SAME_SURFACE_M):
+            nearer = reach < best[col] - EDGE_M
+            if np.isnan(best[col]) or nearer or (off < error[col] and reach < best[col] + EDGE_M):
                 best[col], error[col] = reach, off
     return best

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from fusion.curves import (
     SAMPLE_STEP_RAD,
+    STEEPEST,
     Curve,
     DepthImage,
     Float32Array,
@@ -28,8 +29,6 @@ from fusion.curves import (
     masked,
 )
 from fusion.kernel import kernel
-
-_STEEPEST = 2.0  # slope: beyond, a camera looks at the floor before the robot's feet
 
 
 @dataclass(frozen=True)
@@ -140,8 +139,8 @@ def _lookup(
     slopes = rays[:, 2] / np.hypot(rays[:, 0], rays[:, 1])
     first, last = math.ceil(bearings.min() / step_rad), math.floor(bearings.max() / step_rad)
     fall = 1.0 / max(fx, fy)
-    top = math.floor(min(slopes.max(), _STEEPEST) / fall)
-    bottom = math.ceil(max(slopes.min(), -_STEEPEST) / fall)
+    top = math.floor(min(slopes.max(), STEEPEST) / fall)
+    bottom = math.ceil(max(slopes.min(), -STEEPEST) / fall)
     columns = np.arange(first, last + 1) * step_rad
     rows = np.arange(top, bottom - 1, -1) * fall
     across, up = np.meshgrid(columns, rows)

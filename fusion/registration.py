@@ -13,16 +13,24 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from fusion.curves import SAMPLE_STEP_RAD, Curve, Float32Array, FloatArray, LidarCurve, resample
+from fusion.curves import (
+    HEIGHT_STEP_M,
+    NEAR_SAMPLES,
+    SAMPLE_STEP_RAD,
+    Curve,
+    Float32Array,
+    FloatArray,
+    LidarCurve,
+    resample,
+)
 from fusion.likelihood import log_ratio_map
 from fusion.panorama import CurveStack, Depths, as_images, height_slices, join, row_curves
 from fusion.similarity import Grade, Similarity, grade_of, masked_sums, pearson, similarity_map
 
 Measure: TypeAlias = Similarity | Literal["likelihood"]
 
-HEIGHTS_M = np.arange(-1.2, 0.401, 0.02)  # of the lidar's plane above the camera
+HEIGHTS_M = HEIGHT_STEP_M * np.arange(-60.0, 21.0)  # of the lidar's plane above the camera
 ROWS = 160  # Xu2024, 3.2.1: v <= 160
-NEAR_SAMPLES = 2  # offsets this near count as the same place
 SURE = 0.9  # share of the belief within them, for a high grade
 _SOFTNESS = 0.1  # neighbouring samples see one surface: their evidence counts for a tenth
 

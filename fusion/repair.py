@@ -8,7 +8,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.curves import Float32Array
+from fusion.curves import BESIDE, EDGE_M, NEAR_SAMPLES, SLACK_M, Float32Array
 from fusion.kernel import kernel
 
 
@@ -27,15 +27,8 @@ MEASURED, FILLED, INTERPOLATED, HOLE, AVERAGED = (np.uint8(kind) for kind in Pro
 ProvenanceArray = NDArray[np.uint8]
 BoolArray = NDArray[np.bool_]
 
-_JUTS, _LEAST_JUT_M = 3.0, 0.05
-_BESIDE, _BESIDE_SLOPE = 3, 0.06  # beams that must lie nearer to the surface, and what noise and slant add
-_NEAR_SAMPLES = 2  # readings of the other sensor this far aside may still be of the same surface
-_MOST_MEAN_M = 0.05  # a mean of two sensors moves no reading farther
-_LEAST_APART_M, _APART_EPS, _FAR_M = 0.03, 0.8, 2.5  # see `_apart_m`
-_RIM_M, _RIM_EPS = 0.05, 2.0  # step between two samples of one surface that the camera sees
-_THIN_SAMPLES = 5  # widest surface of which both rims are compared
-_CONTINUES_SHARE = 0.06  # step from a reading to what fills the hole beside it
-_FLAT_SAMPLES, _FLAT_SHARE = 4, 0.03  # readings on either side of a lone hole, and how near to one line
+_SLANT_SHARE = 0.06  # what noise and slant add to a surface over a few readings
+_FAR_M = 2.5  # farther out a lidar's noise grows faster than the range
 
 
 def among_readings(own: Float32Array, around: int) -> BoolArray:
@@ -87,35 +80,35 @@ def repair_lidar(
             source[i] = HOLE
             if sure[i] and _continues(own, i, other[i]):
                 result[i], source[i] = other[i], FILLED
-        elif abs(own[i] - other[i]) <= min(eps_share * own[i], _MOST_MEAN_M / max(trust_other, 1e-3)):
+        elif abs(own[i] - other[i]) <= min(eps_share * own[i], SLACK_M / max(trust_other, 1e-3)):
             result[i] = own[i] + trust_other * (other[i] - own[i])
             source[i] = AVERAGED
     _drop_bumps(own, other, eps_share, burr_samples, result, source)
     _drop_veil(own, other, eps_share, result, source)
     _bridge(result, other, sure, source, eps_share)
-    _bridge_lone(result, sure, source)
+    _bridge_lone(result, sure, source, eps_share)
     return result, source
 
 
 @kernel
-def calm(ranges: Float32Array, steady: Float32Array, source: ProvenanceArray, noise_share: float) -> None:
+def calm(ranges: Float32Array, steady: Float32Array, source: ProvenanceArray, jut_share: float) -> None:
     """Put readings behind their own surface back on to it, where the other sensor has no say.
 
     Readings before it are kept: they may be a thin thing.
 
-    ``steady`` is the curve on the lines of its neighbours; only what is off by more than `_JUTS` times the
-    noise is replaced, so that a mean is never put in the place of a good reading. In place.
+    ``steady`` is the curve on the lines of its neighbours; only what is off by more than ``jut_share``
+    of its range is replaced, so that a mean is never put in the place of a good reading. In place.
     """
     own = ranges.copy()
     for i in range(1, own.size - 1):
         jut = own[i] - steady[i]
-        if source[i] != MEASURED or not jut > max(_LEAST_JUT_M, _JUTS * noise_share * own[i]):
+        if source[i] != MEASURED or not jut > max(SLACK_M, jut_share * own[i]):
             continue
         # Two in a row may be what is seen past an edge, and so may the last one before a jump; where its
         # neighbours jut too there is a corner.
         alone = max(own[i - 1] - steady[i - 1], own[i + 1] - steady[i + 1]) < 0.5 * jut
-        for j in range(max(0, i - _BESIDE), min(own.size, i + _BESIDE + 1)):
-            alone = alone and (j == i or abs(own[j] - steady[i]) < 0.7 * jut + _BESIDE_SLOPE * own[i])
+        for j in range(max(0, i - BESIDE), min(own.size, i + BESIDE + 1)):
+            alone = alone and (j == i or abs(own[j] - steady[i]) < 0.7 * jut + _SLANT_SHARE * own[i])
         if alone:
             ranges[i], source[i] = steady[i], INTERPOLATED
 
@@ -140,7 +133,7 @@ def _drop_bumps(
             last += 1
         if last - first < burr_samples and last + 1 < own.size:
             left, right = own[first - 1], own[last + 1]
-            one = abs(left - right) <= 0.1 + 2.0 * eps_share * min(left, right)  # false for nan
+            one = abs(left - right) <= EDGE_M + 2.0 * eps_share * min(left, right)  # false for nan
             if one and (
                 _agrees(own, other, first - 1, eps_share) or _agrees(own, other, last + 1, eps_share)
             ):
@@ -169,7 +162,7 @@ def _drop_veil(
             continue
         if not _odd(own, other, i, eps_share):
             continue
-        rim = _RIM_M + _RIM_EPS * eps_share * other[i]
+        rim = SLACK_M + 2.0 * eps_share * other[i]
         left = abs(other[i - 1] - other[i]) <= rim
         right = abs(other[i + 1] - other[i]) <= rim
         sure = (left and _agrees(own, other, i - 1, eps_share)) or (
@@ -184,7 +177,7 @@ def _drop_veil(
 @kernel
 def _apart_m(range_m: float, eps_share: float) -> float:
     """What two readings of one surface may differ by: a lidar's noise grows faster than the range far out."""
-    return max(_LEAST_APART_M, _APART_EPS * eps_share * range_m * max(1.0, range_m / _FAR_M))
+    return max(SLACK_M, eps_share * range_m * max(1.0, range_m / _FAR_M))
 
 
 @kernel
@@ -210,9 +203,9 @@ def _moved(
     Sample i is its last on one side; ``inward`` is the step to the others.
     """
     j = i
-    while 0 < j < own.size - 1 and abs(j - i) <= _THIN_SAMPLES and abs(other[j + inward] - other[j]) <= rim_m:
+    while 0 < j < own.size - 1 and abs(j - i) <= BESIDE and abs(other[j + inward] - other[j]) <= rim_m:
         j += inward
-    if not (0 < j < own.size - 1 and abs(j - i) <= _THIN_SAMPLES):
+    if not (0 < j < own.size - 1 and abs(j - i) <= BESIDE):
         return False
     beyond = own[j + inward]
     return _agrees(own, other, j, eps_share) and abs(beyond - other[j]) <= 1.5 * eps_share * other[j]
@@ -223,7 +216,7 @@ def _odd(own: Float32Array, other: Float32Array, i: int, eps_share: float) -> bo
     """Both have a reading, and none of the other's nearby is where this one is."""
     if np.isnan(own[i]) or np.isnan(other[i]):
         return False
-    for j in range(max(0, i - _NEAR_SAMPLES), min(own.size, i + _NEAR_SAMPLES + 1)):
+    for j in range(max(0, i - NEAR_SAMPLES), min(own.size, i + NEAR_SAMPLES + 1)):
         if abs(own[i] - other[j]) <= eps_share * own[i]:
             return False
     return True
@@ -242,7 +235,7 @@ def _continues(own: Float32Array, i: int, range_m: float) -> bool:
         return False
     left = own[i - 1] if not np.isnan(own[i - 1]) else own[max(0, i - 2)]
     right = own[i + 1] if not np.isnan(own[i + 1]) else own[min(own.size - 1, i + 2)]
-    return max(abs(left - range_m), abs(right - range_m)) <= _CONTINUES_SHARE * range_m
+    return max(abs(left - range_m), abs(right - range_m)) <= _SLANT_SHARE * range_m
 
 
 @kernel
@@ -260,7 +253,7 @@ def _bridge(
             continue
         confirmed = _agrees(result, other, i, eps_share) and _agrees(result, other, before, eps_share)
         if 0 <= before < i - 1 and confirmed and sure[i - 1]:
-            slack = 0.03 + eps_share * min(result[i], result[before])
+            slack = SLACK_M + eps_share * min(result[i], result[before])
             if abs(result[i] - result[before]) <= slack:
                 for k in range(before + 1, i):
                     share = (k - before) / (i - before)
@@ -270,28 +263,28 @@ def _bridge(
 
 
 @kernel
-def _bridge_lone(result: Float32Array, sure: BoolArray, source: ProvenanceArray) -> None:
+def _bridge_lone(result: Float32Array, sure: BoolArray, source: ProvenanceArray, eps_share: float) -> None:
     """Interpolate single holes in both where the readings on either side lie on one line; in place."""
-    for i in range(_FLAT_SAMPLES, result.size - _FLAT_SAMPLES):
+    for i in range(BESIDE, result.size - BESIDE):
         if source[i] != HOLE or not sure[i]:
             continue
-        left, right = _line_at(result, source, i, -1), _line_at(result, source, i, 1)
-        if abs(left - right) <= _FLAT_SHARE * min(left, right):  # false for nan
+        left, right = _line_at(result, source, i, -1, eps_share), _line_at(result, source, i, 1, eps_share)
+        if abs(left - right) <= eps_share * min(left, right):  # false for nan
             result[i], source[i] = 2.0 / (1.0 / left + 1.0 / right), INTERPOLATED
 
 
 @kernel
-def _line_at(ranges: Float32Array, source: ProvenanceArray, i: int, step: int) -> float:
+def _line_at(ranges: Float32Array, source: ProvenanceArray, i: int, step: int, eps_share: float) -> float:
     """Range at a sample of the line through those next to it on one side; ``nan`` where they make none."""
-    n, sx, sy, sxx, sxy = float(_FLAT_SAMPLES), 0.0, 0.0, 0.0, 0.0
-    for k in range(1, _FLAT_SAMPLES + 1):
+    n, sx, sy, sxx, sxy = float(BESIDE), 0.0, 0.0, 0.0, 0.0
+    for k in range(1, BESIDE + 1):
         if source[i + k * step] == HOLE:
             return np.nan
         y = 1.0 / ranges[i + k * step]  # a straight wall is straight in one over the range
         sx, sy, sxx, sxy = sx + k, sy + y, sxx + k * k, sxy + k * y
     slope = (n * sxy - sx * sy) / (n * sxx - sx * sx)
     start = (sy - slope * sx) / n
-    for k in range(1, _FLAT_SAMPLES + 1):
-        if not abs((start + slope * k) * ranges[i + k * step] - 1.0) <= _FLAT_SHARE:
+    for k in range(1, BESIDE + 1):
+        if not abs((start + slope * k) * ranges[i + k * step] - 1.0) <= eps_share:
             return np.nan
     return 1.0 / start if start > 0.0 else np.nan

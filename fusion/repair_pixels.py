@@ -9,13 +9,11 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.curves import Float32Array, FloatArray, IntArray
+from fusion.curves import HEIGHT_STEP_M, Float32Array, FloatArray, IntArray
 from fusion.kernel import kernel
 from fusion.repair import FILLED, HOLE, ProvenanceArray
 
 Islands: TypeAlias = tuple[Float32Array, IntArray, IntArray]
-
-_STEP_M, _HANG_SHARE = 0.01, 0.4  # step between neighbours of one surface: and this share of eps
 
 
 @kernel
@@ -113,7 +111,7 @@ def repair_columns(
                 source[i] = kind
             else:
                 most = most_pixels[0] if measured[i] > predicted[i] else most_pixels[1]
-                if island_size(pixel[i], islands, _HANG_SHARE * eps_share) <= most:
+                if island_size(pixel[i], islands, 0.5 * eps_share) <= most:
                     source[i] = kind
         first = last + 1
     return source
@@ -164,7 +162,7 @@ def island_size(at: int, islands: Islands, slack_share: float) -> int:
 @kernel
 def _hang(near: float, far: float, slack_share: float) -> bool:
     """Whether two neighbours may be of one surface; false for a hole."""
-    return near > 0.0 and far > 0.0 and abs(near - far) <= _STEP_M + slack_share * min(near, far)
+    return near > 0.0 and far > 0.0 and abs(near - far) <= 0.5 * HEIGHT_STEP_M + slack_share * min(near, far)
 
 
 @kernel

@@ -14,12 +14,9 @@ import numpy as np
 
 from fusion.alignment import Alignment, align
 from fusion.curves import Float32Array
-from fusion.likelihood import log_ratios_at
+from fusion.likelihood import OFFSETS_M, log_ratios_at
 from fusion.registration import Registration
-from fusion.rig_height import HeightContest
-
-_OFFSETS_M = np.arange(-0.4, 0.401, 0.05)  # of the camera before the lidar
-_LEAST_COVER = 0.1  # of the best covered height: what the camera hardly sees cannot win
+from fusion.rig_height import LEAST_COVER, HeightContest
 
 
 @dataclass(frozen=True)
@@ -147,18 +144,19 @@ class Rig:
         assert self._sum is not None
         if self._last[-1].stacks[0].heights_m is None:
             return int(np.argmax(self._sum[:, column])), 0.0
-        ratio = np.zeros((_OFFSETS_M.size, len(self._sum)))
+        offsets_m = np.linspace(2.0 * OFFSETS_M[0], 2.0 * OFFSETS_M[-1], 17)  # of the camera before the lidar
+        ratio = np.zeros((offsets_m.size, len(self._sum)))
         count = np.zeros(len(self._sum))
         for pair in self._last:
             for stack in pair.stacks:
                 gained, seen = log_ratios_at(
-                    stack.ranges_m, stack.bearings_rad(), pair.curve, yaw_rad, _OFFSETS_M
+                    stack.ranges_m, stack.bearings_rad(), pair.curve, yaw_rad, offsets_m
                 )
                 ratio += gained
                 count += seen
-        mean = ratio / np.maximum(count, max(_LEAST_COVER * count.max(), 1.0))
+        mean = ratio / np.maximum(count, max(LEAST_COVER * count.max(), 1.0))
         offset, v = np.unravel_index(np.argmax(mean), mean.shape)
-        return int(v), float(_OFFSETS_M[offset])
+        return int(v), float(offsets_m[offset])
 
     def _height(self, alignments: tuple[Alignment | None, ...]) -> tuple[int, int, int]:
         """The height that wins once the motion between the sensors is known, and its equals around it."""

@@ -11,14 +11,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.curves import Curve, Float32Array, FloatArray
+from fusion.curves import EDGE_M, Curve, Float32Array, FloatArray
 from fusion.kernel import kernel
+from fusion.likelihood import ELSEWHERE_PER_M, SAME_SHARE, SIGMA_SHARE
 from fusion.panorama import CurveStack
 
-_LEAST_COVER = 0.1  # of the samples of the best covered height
-_SIGMA_M, _SIGMA_SHARE = 0.01, 0.015
-_SAME_SHARE, _ELSEWHERE_PER_M = 0.6, 0.4
-_EDGE_M = 0.15
+LEAST_COVER = 0.1  # of the samples of the best covered height: what the camera hardly sees cannot win
 _AS_GOOD = 0.12  # nats a sample: less is no difference between two heights
 _MOST_STEPS = 4
 
@@ -54,7 +52,7 @@ class HeightContest:
         seen = np.diag(self._shared)
         laplacian = np.diag(self._shared.sum(axis=1)) - self._shared
         values = np.linalg.lstsq(laplacian + 1e-6 * np.eye(seen.size), self._gain.sum(axis=1), rcond=None)[0]
-        values = np.where(seen > _LEAST_COVER * seen.max(), values, -np.inf)
+        values = np.where(seen > LEAST_COVER * seen.max(), values, -np.inf)
         best = int(np.argmax(values))
         near = values >= values[best] - _AS_GOOD
         first = last = best
@@ -91,12 +89,14 @@ def log_ratios(
                 continue
             near, far, share = lidar[low], lidar[low + 1], at - low
             expected = near if share < 0.5 else far
-            if abs(near - far) < _EDGE_M:
+            if abs(near - far) < EDGE_M:
                 expected = near + share * (far - near)
             if np.isnan(expected):
                 continue
-            sigma = _SIGMA_M + _SIGMA_SHARE * expected
+            sigma = SIGMA_SHARE * (0.5 + expected)
             apart = (np.hypot(x, y) - expected) / sigma
-            same = _SAME_SHARE * np.exp(-0.5 * apart * apart) / (2.5 * sigma * _ELSEWHERE_PER_M)
-            result[v, w] = np.log(same + 1.0 - _SAME_SHARE)
+            same = (
+                SAME_SHARE * np.exp(-0.5 * apart * apart) / (np.sqrt(2.0 * np.pi) * sigma * ELSEWHERE_PER_M)
+            )
+            result[v, w] = np.log(same + 1.0 - SAME_SHARE)
     return result

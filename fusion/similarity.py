@@ -13,14 +13,14 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from fusion.curves import Float32Array
+from fusion.estimation import FEWEST, TINY
 
 Similarity: TypeAlias = Literal["pcc", "inv_cos", "inv_euler"]
 SIMILARITIES: tuple[Similarity, ...] = ("pcc", "inv_cos", "inv_euler")
 
 LOW_MAX, MIDDLE_MAX = 0.3, 0.6  # Xu2024, Table 1
-FEWEST_SAMPLES = 12
 LEAST_OVERLAP = 0.3
-_TINY = np.float32(1e-6)
+_TINY = np.float32(TINY)
 
 
 class Grade(IntEnum):
@@ -111,7 +111,7 @@ def masked_sums(candidates_m: Float32Array, curve_m: Float32Array) -> Sums:
 
 def enough(sums: Sums) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     """(V, U) where a candidate and a window share enough samples to be compared."""
-    return sums.n >= max(FEWEST_SAMPLES, LEAST_OVERLAP * sums.width)
+    return sums.n >= max(FEWEST, LEAST_OVERLAP * sums.width)
 
 
 def pearson(sums: Sums) -> Float32Array:

@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.curves import FloatArray
+from fusion.estimation import FEWEST
+from fusion.similarity import MIDDLE_MAX
 
 IntPairs = NDArray[np.int64]
 
 _STEP_S = 0.01
 _PEAK_STEPS = 12
-_FEWEST = 20
 _LEAST_TURN_RAD_S = 0.02  # standard deviation of a yaw rate: below, the robot hardly turns
-_SIGNIFICANT = 0.5  # correlation at the best offset
 
 
 @dataclass(frozen=True)
@@ -132,10 +132,10 @@ def clock_offset(
     for stamps in (first_s, second_s):
         if np.any(np.diff(stamps) <= 0.0):
             raise ValueError("stamps must rise; sort them and drop doubles")
-    if min(first_s.size, second_s.size) < _FEWEST:
+    if min(first_s.size, second_s.size) < FEWEST:
         return None
     low, high = max(first_s[0], second_s[0]) + most_s, min(first_s[-1], second_s[-1]) - most_s
-    if high - low < _FEWEST * _STEP_S:
+    if high - low < FEWEST * _STEP_S:
         return None
     times = np.arange(low, high, _STEP_S)
     rate = np.interp(times, first_s, first_yaw_rate)
@@ -145,7 +145,7 @@ def clock_offset(
         return None
     correlation = _correlations(rate, moved)
     best = int(np.argmax(correlation))
-    if not 0 < best < shifts.size - 1 or correlation[best] < _SIGNIFICANT:
+    if not 0 < best < shifts.size - 1 or correlation[best] < MIDDLE_MAX:
         return None
     # A parabola through the whole peak: single samples of it are rough with interpolated noise.
     low_k, high_k = max(0, best - _PEAK_STEPS), min(shifts.size, best + _PEAK_STEPS + 1)

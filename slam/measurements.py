@@ -42,6 +42,10 @@ def _shown(value: Any) -> str:
     return repr(value.item() if isinstance(value, np.generic) else value)
 
 
+# x, y and yaw in GTSAM's order of a tangent in space: roll, pitch, yaw, x, y, z.
+IN_PLANE = [3, 4, 2]
+
+
 @dataclass(frozen=True, slots=True)
 class LaserScan:
     """One sweep of a 2D lidar.

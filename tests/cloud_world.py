@@ -26,9 +26,9 @@ ELEVATIONS = np.radians(np.arange(-15.0, 16.0, 2.0))
 
 SMALL = (
     "cloud_loops.least_path_voxels=20",
-    "cloud_loops.every_voxels=1",
+    "cloud_loops.reach_voxels=3",
     "cloud_odometry.voxel_m=0.25",
-    "cloud_odometry.local_map_keyframes=6",
+    "match.local_map_keyframes=6",
 )
 
 

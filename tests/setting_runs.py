@@ -248,7 +248,7 @@ def first_clouds(config: Config, course: Course) -> None:
     """The beginning of it, and the cloud of the map."""
     result = mapped(Log(cloud_log().measurements[:16]), config, course)
     assert result.clouds is not None
-    cloud = map_cloud(result.clouds.clouds, result.clouds.poses, config.cloud_map.voxel_m)
+    cloud = map_cloud(result.clouds.clouds, result.clouds.poses, config.grid.resolution_m)
     course.note(cloud.points_map)
 
 
@@ -274,8 +274,8 @@ def files(config: Config, course: Course) -> None:
         patch.setattr(run_outputs, "fuse_keyframes", asked)
         folder = Path(name)
         with suppress(Asked):
-            run_outputs.save_dense(folder, cameras, config.dense_map)
-        written = run_outputs.save_clouds(folder, lidar, config.cloud_map, config.dense_map)
+            run_outputs.save_dense(folder, cameras, config)
+        written = run_outputs.save_clouds(folder, lidar, config)
         course.note(*[path.name for path in written], *[path.read_bytes() for path in written])
 
 
@@ -338,17 +338,17 @@ BASES: dict[str, tuple[str, ...]] = {
         "loops.least_path_m=4",
         "loops.every_m=0.4",
         "keyframes.distance_m=0.15",
-        "loops.submap_half_keyframes=4",
+        "loops.half_keyframes=4",
     ),
     "fused": (*_CAMERA, "fusion.least_pairs=3", "keyframes.distance_m=0.1"),
-    "spatial": (*_CAMERA, "rgbd_odometry.least_inliers=8", "rgbd_odometry.lost_after=3"),
+    "spatial": (*_CAMERA, "rgbd_odometry.least_inliers=8", "match.lost_after=3"),
     "clouds": (
         "cloud_loops.least_path_voxels=12",
-        "cloud_loops.every_voxels=1",
+        "cloud_loops.reach_voxels=3",
         "cloud_odometry.voxel_m=0.25",
-        "cloud_odometry.local_map_keyframes=6",
+        "match.local_map_keyframes=6",
     ),
-    "first_clouds": ("cloud_odometry.voxel_m=0.25", "cloud_odometry.local_map_keyframes=4"),
+    "first_clouds": ("cloud_odometry.voxel_m=0.25", "match.local_map_keyframes=4"),
     "in_plan": ("localization.keyframe_m=0.1", "localization.search_threads=1"),
     "in_room": (
         "cloud_odometry.voxel_m=0.25",

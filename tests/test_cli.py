@@ -53,7 +53,7 @@ class TestMap:
     @pytest.mark.parametrize(
         ("arguments", "shown"),
         [
-            (["--no-odometry"], "use_wheel_odometry: false"),
+            (["--no-odometry"], "wheels: false"),
             (["--set", "layers.rule=printed"], "rule: printed"),
             (["--no-loops"], "enabled: false"),
             (["--set", "grid.resolution_m=0.2", "-s", "seed=7"], "resolution_m: 0.2"),

@@ -48,7 +48,7 @@ def camera_map(tmp_path_factory: pytest.TempPathFactory) -> Path:
     walk = turning_walk(60)[:7]
     frames = [render(furnished(), pose, LESS, stamp_s=n / 15.0) for n, pose in enumerate(walk)]
     log = write_tum_folder(folder / "log", frames, walk)
-    settings = ("dense_map.voxel_m=0.05", "rgbd_odometry.keyframe_angle_rad=0.05", "rgbd.registration=given")
+    settings = ("dense_map.voxel_m=0.05", "keyframes.angle_rad=0.05", "rgbd.registration=given")
     return mapped(log, folder / "out", *[part for setting in settings for part in ("--set", setting)])
 
 
@@ -193,7 +193,7 @@ class TestResume:
         ("settings", "said"),
         [
             (["--set", "seed=4"], "begun with seed=3, not 4"),
-            (["--set", "seed=3", "--no-loops"], "begun with visual_loops.enabled=True, not False"),
+            (["--set", "seed=3", "--no-loops"], "begun with loops.enabled=True, not False"),
         ],
     )
     def test_other_settings(

@@ -169,7 +169,7 @@ def scanweave() -> list[str]:
 def as_settings(arguments: list[str]) -> list[str]:
     """The settings that options of ``scanweave map`` stand for."""
     stands_for = {
-        "--no-odometry": "lidar_odometry.use_wheel_odometry=false",
+        "--no-odometry": "sensors.wheels=false",
         "--no-loops": "loops.enabled=false",
     }
     return [stands_for.get(argument, argument) for argument in arguments]

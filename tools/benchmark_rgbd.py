@@ -32,7 +32,7 @@ OURS: dict[str, list[str]] = {
     "Scanweave": [],
     "Scanweave, no coloured map": ["dense_map.enabled=false"],
     "Scanweave, features only": ["rgbd_odometry.correlated_points=1e9"],
-    "Scanweave, no loops": ["visual_loops.enabled=false"],
+    "Scanweave, no loops": ["loops.enabled=false"],
     "Scanweave, colour taken as registered": ["rgbd.registration=given"],
 }
 OTHERS = (

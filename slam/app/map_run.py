@@ -126,9 +126,9 @@ def _exports(
     """
     files, missing = save_run(folder, result, layers), list[str]()
     try:
-        surface, missing = save_dense(folder, result, config.dense_map)
+        surface, missing = save_dense(folder, result, config)
         files += surface
-        files += save_clouds(folder, result, config.cloud_map, config.dense_map)
+        files += save_clouds(folder, result, config)
     except ScanweaveError as error:
         missing.append(f"No coloured surface was written: {error}")
     return files, missing

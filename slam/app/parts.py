@@ -17,7 +17,7 @@ from slam.graph.loop_closure import LoopCandidate, search_place
 from slam.graph.submaps import Submap
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.matching.local_map import LocalMap, OrientedPoints, match_noise
+from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.match_covariance import motion_from_alignment
 from slam.matching.scan_points import extract_points, orient_points
 from slam.measurements import AnyFloatArray, FloatArray, LaserScan, MotionEstimate
@@ -81,7 +81,7 @@ def match_scans(
     config = config or Config()
     local_map = _local_map(reference, reference_poses, config)
     alignment = local_map.align(_oriented(scan, config), _rows(guess, (3,), "the guess"))
-    return motion_from_alignment(alignment, match_noise(config.match))
+    return motion_from_alignment(alignment, config.match)
 
 
 def check_loop(
@@ -110,8 +110,8 @@ def check_loop(
     place_poses
         (K, 3) poses of K scans of the place, see `match_scans`.
     half_width_m, half_yaw_rad
-        Half size of the searched window, in x and y, and in yaw. None takes ``loops.wide_half_width_m`` and
-        ``loops.wide_half_yaw_rad`` of the configuration.
+        Half size of the searched window, in x and y, and in yaw. None takes ``0.5 * loops.reach_m`` and
+        ``config.match.search_half_yaw_rad`` of the configuration.
     config
         `Config.loops`, `Config.scan` and `Config.match` are used; None for the defaults.
 
@@ -146,8 +146,8 @@ def check_loop(
     """
     config = config or Config()
     loops = config.loops
-    width = loops.wide_half_width_m if half_width_m is None else float(half_width_m)
-    yaw = loops.wide_half_yaw_rad if half_yaw_rad is None else float(half_yaw_rad)
+    width = 0.5 * loops.reach_m if half_width_m is None else float(half_width_m)
+    yaw = config.match.search_half_yaw_rad if half_yaw_rad is None else float(half_yaw_rad)
     if not (0.0 <= width < np.inf and 0.0 <= yaw <= np.pi):
         raise ScanweaveError(
             f"a window of half_width_m={width:g} half_yaw_rad={yaw:g} cannot be searched: give finite sizes "
@@ -156,11 +156,11 @@ def check_loop(
     local_map = _local_map(place, place_poses, config)
     return search_place(
         LoopCandidate(0, 1, width, yaw, 1.0, None, False, ""),
-        Submap(lambda: local_map, loops),
+        Submap(lambda: local_map, config.match.cell_m),
         _oriented(scan, config),
         _rows(guess, (3,), "the guess"),
         loops,
-        match_noise(config.match),
+        config.match,
     )
 
 

@@ -63,9 +63,9 @@ def map_command(
     """Map a log: trajectory, graph, grid, report, and all of it in map.db."""
     overrides = [*(set_ or []), *topics_override(topics)]
     if no_odometry:
-        overrides += [f"{stage}.use_wheel_odometry=false" for stage in ("lidar_odometry", "cloud_odometry")]
+        overrides.append("sensors.wheels=false")
     if no_loops:
-        overrides += [f"{stage}.enabled=false" for stage in ("loops", "visual_loops", "cloud_loops")]
+        overrides.append("loops.enabled=false")
     if no_fusion:
         overrides.append("fusion.enabled=false")
     if into is not None and record is not None:

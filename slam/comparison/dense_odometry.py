@@ -28,9 +28,9 @@ class DenseOdometry:
     """The nearest keyframe against the frame, surfaces and brightness; features alone where that fails."""
 
     def __init__(self, config: Config) -> None:
-        self._config = config.rgbd_odometry
-        by_features = {"correlated_points": POINTS_IGNORED}
-        self._by_features = FrameMatcher(self._config.model_copy(update=by_features))
+        self._match, self._config = config.match, config.rgbd_odometry
+        features = self._config.model_copy(update={"correlated_points": POINTS_IGNORED})
+        self._by_features = FrameMatcher(config.model_copy(update={"rgbd_odometry": features}))
 
     def match(
         self, frame: PreparedFrame, local: list[VisualKeyframe], guess: gtsam.Pose3
@@ -92,7 +92,7 @@ class DenseOdometry:
         # Open3D's matrix is of a motion of the target's frame; the covariance is wanted in the camera's.
         adjoint = T_keyframe_camera.AdjointMap()
         scaled = adjoint.T @ information @ adjoint / (config.correlated_points * variance)
-        covariance, weak = covariance_of(scaled, fitness, config)
+        covariance, weak = covariance_of(scaled, fitness, self._match)
         motion = MotionEstimate(
             T_reference_base=keyframe.pose.compose(T_keyframe_camera),
             covariance=covariance,

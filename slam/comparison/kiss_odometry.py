@@ -13,7 +13,7 @@ from collections import deque
 import numpy as np
 
 from slam.config import Config
-from slam.matching.local_map import LocalMap, OrientedPoints, match_noise
+from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.match_covariance import motion_from_alignment
 from slam.matching.motion import Motion
 from slam.matching.scan_points import ScanPoints
@@ -35,16 +35,14 @@ class KissOdometry:
         from kiss_icp.mapping import VoxelHashMap
         from kiss_icp.registration import Registration
 
-        self._config = config.lidar_odometry
         self._match = config.match
-        self._noise = match_noise(config.match)
         self._map = VoxelHashMap(
             voxel_size=_VOXEL_M, max_distance=_MAP_RADIUS_M, max_points_per_voxel=_POINTS_A_VOXEL
         )
         self._registration = Registration(
             max_num_iterations=_ITERATIONS, convergence_criterion=_CONVERGED, max_num_threads=1
         )
-        self._keyframes: deque[OrientedPoints] = deque(maxlen=self._config.local_map_keyframes)
+        self._keyframes: deque[OrientedPoints] = deque(maxlen=config.match.local_map_keyframes)
         self._local_map: LocalMap | None = None
 
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:
@@ -65,18 +63,18 @@ class KissOdometry:
             judged = self._local_map.judge(scan, pose)
             if best is None or judged.inlier_share > best.inlier_share:
                 best = judged
-            if best.inlier_share >= self._config.sure_inlier_share:
+            if best.inlier_share >= self._match.sure_inlier_share:
                 break
-        if best is None or best.inlier_share < self._config.least_inlier_share:
+        if best is None or best.inlier_share < self._match.least_inlier_share:
             return None
-        return motion_from_alignment(best, self._noise)
+        return motion_from_alignment(best, self._match)
 
     def match_near(self, points: ScanPoints, pose: FloatArray) -> MotionEstimate | None:
         """How well the scan fits at ``pose`` (3,); KISS-ICP cannot be held there while it aligns."""
         scan = OrientedPoints.from_scan(points)
         if self._local_map is None or len(scan) < _LEAST_POINTS:
             return None
-        return motion_from_alignment(self._local_map.judge(scan, pose), self._noise)
+        return motion_from_alignment(self._local_map.judge(scan, pose), self._match)
 
     def evidence(self, points: ScanPoints, pose: FloatArray, other: FloatArray) -> FloatArray:
         """What every object in a scan says for a pose (3,) against another one, in points; (K,)."""

@@ -25,12 +25,12 @@ from slam.errors import DatasetError, MapFileError
 from slam.storage.map_identity import current_versions, fingerprint_of
 
 # A baseline is a configuration of ours, or a method of its own.
-_NO_LOOPS: dict[str, Value] = {"loops.enabled": False, "visual_loops.enabled": False}
+_NO_LOOPS: dict[str, Value] = {"loops.enabled": False}
 _OVERRIDES: dict[Baseline, dict[str, Value]] = {
     "scan_matching": {
         **_NO_LOOPS,
         "sensors.rgbd": False,
-        "lidar_odometry.use_wheel_odometry": False,
+        "sensors.wheels": False,
     },
     "no_loops": _NO_LOOPS,
     "no_fusion": {"fusion.enabled": False},

@@ -26,7 +26,6 @@ from slam.config.stages import (
     GridConfig,
     KeyframeConfig,
     LayersConfig,
-    LidarOdometryConfig,
     LoopConfig,
     MatchConfig,
     PredictionConfig,
@@ -53,7 +52,6 @@ class Config(StrictModel):
     sensors: SensorsConfig = SensorsConfig()
     scan: ScanConfig = ScanConfig()
     match: MatchConfig = MatchConfig()
-    lidar_odometry: LidarOdometryConfig = LidarOdometryConfig()
     prediction: PredictionConfig = PredictionConfig()
     wheels: WheelConfig = WheelConfig()
     rgbd: RgbdConfig = RgbdConfig()

@@ -18,15 +18,13 @@ class SensorsConfig(StrictModel):
 
     lidar: bool = Field(default=True, description="use the lidar where there is one")
     rgbd: bool = Field(default=True, description="use the RGB-D cameras where there are any")
+    wheels: bool = Field(
+        default=True, description="take the first guess from the wheels; otherwise from constant velocity"
+    )
     mounting: Literal["given", "estimate"] = Field(
         default="given",
         description="given: cameras sit where the log says; estimate: find out, starting there; a log that "
         "does not say is always estimated",
-    )
-    greatest_excess: float = Field(
-        default=16.0,
-        gt=1,
-        description="mean square, in sigmas, of a camera's motion off the floor",
     )
     lidar_silent_s: float = Field(
         default=0.5, gt=0, description="time without a scan after which cameras carry on alone"
@@ -51,13 +49,23 @@ class ScanConfig(StrictModel):
 
 
 class MatchConfig(StrictModel):
-    """Point-to-line alignment and the covariance taken from it."""
+    """Alignment of scans, clouds and images to a local map, and the covariance taken from it."""
 
-    coarse_cell_m: float = Field(default=0.3, gt=0, description="surfel cell of the first alignment")
-    fine_cell_m: float = Field(default=0.1, gt=0, description="surfel cell of the last alignment")
-    coarse_kernel_m: float = Field(default=0.1, gt=0, description="robust kernel of the first alignment")
-    fine_kernel_m: float = Field(default=0.05, gt=0, description="robust kernel of the last alignment")
-    iterations: int = Field(default=10, ge=1, description="Gauss-Newton steps an alignment")
+    cell_m: float = Field(default=0.1, gt=0, description="surfel cell of a scan's last alignment")
+    iterations: int = Field(default=10, ge=3, description="Gauss-Newton steps an alignment")
+    local_map_keyframes: int = Field(default=30, ge=1, description="newest keyframes that make the local map")
+    sure_inlier_share: float = Field(
+        default=0.7, gt=0, le=1, description="below this share of agreeing readings another guess is tried"
+    )
+    least_inlier_share: float = Field(
+        default=0.4, gt=0, le=1, description="below this share the match is refused and odometry carries on"
+    )
+    lost_after: int = Field(default=10, ge=1, description="unmatched readings until tracking starts anew")
+    search_half_yaw_rad: float = Field(
+        default=0.6, gt=0, le=3.15, description="window of a search for the pose"
+    )
+    search_points: int = Field(default=120, ge=10, description="scan points in a search for the pose")
+    search_least_score: float = Field(default=0.5, gt=0, lt=1, description="its least mean likelihood")
     correlated_beams: int = Field(
         default=25, ge=1, description="beams up to this far apart may share their errors in the map"
     )
@@ -69,23 +77,20 @@ class MatchConfig(StrictModel):
     )
     degenerate_sigma_m: float = Field(default=0.5, gt=0, description="sigma given to a weak axis")
 
+    @property
+    def coarse_cell_m(self) -> float:
+        """Surfel cell of a scan's first alignment, and so how far off its guess may be."""
+        return 3.0 * self.cell_m
 
-class LidarOdometryConfig(StrictModel):
-    """Scan to local map matching."""
+    @property
+    def search_half_width_m(self) -> float:
+        """Window of a search for the pose where the first alignment has not found it."""
+        return 2.0 * self.coarse_cell_m
 
-    use_wheel_odometry: bool = Field(
-        default=True, description="take the first guess from the wheels; otherwise from constant velocity"
-    )
-    local_map_keyframes: int = Field(default=30, ge=1, description="newest keyframes that make the local map")
-    sure_inlier_share: float = Field(
-        default=0.7, gt=0, le=1, description="below this share the other guesses and a search are tried"
-    )
-    least_inlier_share: float = Field(
-        default=0.4, gt=0, le=1, description="below this share the match is refused and odometry carries on"
-    )
-    search_half_width_m: float = Field(default=0.6, gt=0, description="window of the search for a lost scan")
-    search_half_yaw_rad: float = Field(default=0.6, gt=0, description="window of the search for a lost scan")
-    search_least_score: float = Field(default=0.4, gt=0, lt=1, description="least score of that search")
+    @property
+    def coarse_iterations(self) -> int:
+        """How many of an image's first steps have wide gates."""
+        return self.iterations // 3
 
 
 class PredictionConfig(StrictModel):
@@ -130,7 +135,7 @@ class KeyframeConfig(StrictModel):
 
 
 class LoopConfig(StrictModel):
-    """Loop closure: candidates, verification, acceptance."""
+    """Loop closure by scans, clouds and images: candidates, verification, acceptance."""
 
     enabled: bool = Field(default=True, description="close loops at all")
     caution: float = Field(
@@ -143,24 +148,17 @@ class LoopConfig(StrictModel):
     reach_m: float = Field(default=3.0, gt=0, description="distance at which two keyframes see the same")
     sigmas: float = Field(default=3.0, gt=0, description="search window in standard deviations")
     greatest_half_width_m: float = Field(default=10.0, gt=0, description="limit of the window")
-    greatest_half_yaw_rad: float = Field(default=1.6, gt=0, le=3.15, description="limit of the window")
-    least_half_width_m: float = Field(default=0.3, gt=0, description="below this no search is needed")
-    least_half_yaw_rad: float = Field(default=0.15, gt=0, description="below this no search is needed")
     misses_until_wide: int = Field(
         default=4, ge=1, description="attempts without a loop in known surroundings until the window widens"
     )
-    wide_half_width_m: float = Field(default=1.5, gt=0, description="the widened window")
-    wide_half_yaw_rad: float = Field(default=0.35, gt=0, le=3.15, description="the widened window")
-    candidates: int = Field(default=3, ge=1, description="places tried an attempt")
-    submap_half_keyframes: int = Field(default=8, ge=1, description="keyframes a side in a place's local map")
-    submap_half_m: float = Field(default=4.0, gt=0, description="travel a side in a place's local map")
-    submaps_cached: int = Field(default=32, ge=1, description="local maps kept in memory")
-    field_cell_m: float = Field(default=0.05, gt=0, description="cell of the search's likelihood field")
-    field_sigma_m: float = Field(default=0.1, gt=0, description="blur of the search's likelihood field")
-    points: int = Field(default=120, ge=10, description="scan points in the search")
-    least_score: float = Field(default=0.55, gt=0, lt=1, description="least mean likelihood")
-    least_inlier_share: float = Field(default=0.5, gt=0, le=1, description="least share of matched points")
-    greatest_residual_m: float = Field(default=0.04, gt=0, description="greatest residual of a true loop")
+    near: int = Field(default=3, ge=0, description="places tried because they should be near")
+    by_looks: int = Field(default=2, ge=0, description="places tried because they look the same")
+    half_keyframes: int = Field(default=8, ge=1, description="keyframes a side in a place's local map")
+    least_overlap: float = Field(default=0.3, gt=0, le=1, description="least share that is seen by both")
+    least_inlier_share: float = Field(
+        default=0.6, gt=0, le=1, description="least share of agreeing readings, of those"
+    )
+    greatest_residual_m: float = Field(default=0.04, gt=0, description="greatest residual of scans")
     inlier_probability: float = Field(
         default=0.99, gt=0, lt=1, description="GNC: a true loop passes the chi-square gate with this"
     )
@@ -188,9 +186,6 @@ class GridConfig(StrictModel):
         gt=0,
         lt=0.5,
         description="p of a cell that a beam passes: it says little of a thin leg in it",
-    )
-    hit_range_m: float = Field(
-        default=40.0, gt=0, le=10_000, description="a return from farther marks nothing"
     )
     clear_range_m: float = Field(
         default=8.0,
@@ -220,7 +215,6 @@ class RgbdConfig(StrictModel):
 class RgbdOdometryConfig(StrictModel):
     """Frame to keyframe matching of RGB-D images."""
 
-    local_keyframes: int = Field(default=30, ge=1, description="newest keyframes that make the local map")
     views: int = Field(default=5, ge=1, description="keyframes a frame is matched against at once")
     feature_views: int = Field(default=2, ge=1, description="of them, those whose features are matched too")
     match_ratio: float = Field(default=0.8, gt=0, le=1, description="Lowe's ratio of descriptor distances")
@@ -228,13 +222,12 @@ class RgbdOdometryConfig(StrictModel):
     guided_radius: float = Field(
         default=0.05, gt=0, le=1, description="distance to where a feature is expected, in image widths"
     )
-    ransac_px: float = Field(default=3.0, gt=0, description="reprojection error within which PnP agrees")
     least_inliers: int = Field(
         default=15, ge=6, description="features that must agree for PnP to be believed"
     )
-    iterations: int = Field(default=12, ge=2, description="Gauss-Newton steps an alignment")
-    coarse_iterations: int = Field(default=4, ge=0, description="the first of them, with wide gates")
-    kernel_sigmas: float = Field(default=3.0, gt=0, description="scale of the robust kernel")
+    kernel_sigmas: float = Field(
+        default=3.0, gt=0, description="scale of the robust kernel, and error within which PnP agrees"
+    )
     gate_m: float = Field(default=0.05, gt=0, description="distance up to which surfaces are partners")
     depth_floor_m: float = Field(default=0.001, gt=0, description="sigma of a near depth reading")
     depth_share: float = Field(default=0.0012, ge=0, description="sigma of depth a square metre of distance")
@@ -242,63 +235,39 @@ class RgbdOdometryConfig(StrictModel):
         default=60.0, ge=1, description="surface points that count as one reading"
     )
     correlated_features: float = Field(default=2.0, ge=1, description="features that count as one reading")
-    least_inlier_share: float = Field(
-        default=0.4, gt=0, le=1, description="below this share of agreeing readings a match is refused"
-    )
-    sure_inlier_share: float = Field(
-        default=0.55, gt=0, le=1, description="below this share PnP without a guess is tried too"
-    )
-    least_overlap: float = Field(default=0.2, gt=0, le=1, description="share of the image that must be known")
     least_points: int = Field(
         default=300, ge=1, description="surface points that must agree where too few features do"
-    )
-    floor_m: float = Field(default=0.001, gt=0, description="no match is surer than this")
-    floor_rad: float = Field(default=0.0007, gt=0, description="no match is surer than this")
-    degenerate_sigma_m: float = Field(
-        default=0.1, gt=0, description="a direction less sure than this is called degenerate"
     )
     keyframe_parallax: float = Field(
         default=0.12, gt=0, description="travel over median depth that makes a keyframe"
     )
-    keyframe_angle_rad: float = Field(default=0.2, gt=0, le=3.15, description="turn that makes a keyframe")
     keyframe_overlap: float = Field(
         default=0.6, gt=0, le=1, description="share of the image known, below which a keyframe is made"
     )
-    lost_after: int = Field(default=10, ge=1, description="unmatched frames until tracking starts anew")
 
 
 class VisualLoopConfig(StrictModel):
     """Loop closure by the camera: known places, near and by their looks."""
 
-    enabled: bool = Field(default=True, description="close loops by the camera at all")
     least_gap: int = Field(default=2, ge=1, description="keyframes between the two ends")
-    near: int = Field(default=4, ge=0, description="places tried because they should see the same")
     near_unlikeness: float = Field(
         default=0.8, gt=0, description="travel in median depths plus turn in radians up to which they should"
     )
-    by_looks: int = Field(default=2, ge=0, description="places tried because they look the same")
     least_place_score: float = Field(
         default=0.02, gt=0, le=1, description="least likeness, relative to that of two neighbouring keyframes"
-    )
-    least_inlier_share: float = Field(default=0.6, gt=0, le=1, description="least share of agreeing readings")
-    least_overlap: float = Field(
-        default=0.3, gt=0, le=1, description="least share of the image that is shared"
     )
     least_features: int = Field(
         default=25, ge=6, description="features that must agree where looks alone propose the place"
     )
-    keyframes_cached: int = Field(default=40, ge=2, description="keyframes whose surfaces are kept in memory")
 
 
 class DenseMapConfig(StrictModel):
-    """The coloured map of the camera keyframes."""
+    """Surfaces: the coloured map of the camera keyframes, the cloud of a 3D lidar."""
 
     enabled: bool = Field(default=True, description="write a mesh and a point cloud")
     voxel_m: float = Field(default=0.015, gt=0, description="side of a voxel of the signed distance field")
     nearest_m: float = Field(default=0.3, ge=0, description="nearer depth readings are left out")
-    farthest_m: float = Field(default=4.0, gt=0, description="farther depth readings are left out")
     octomap: bool = Field(default=False, description="write an OctoMap too; wants scanweave[octomap]")
-    octomap_cell_m: float = Field(default=0.05, gt=0, description="side of its smallest cell")
 
 
 class FusionConfig(StrictModel):
@@ -309,7 +278,6 @@ class FusionConfig(StrictModel):
     least_pairs: int = Field(
         default=50, ge=1, description="pairs that must be summed before the rig is believed"
     )
-    examples: int = Field(default=6, ge=1, description="keyframes that the report shows before and after")
 
 
 class LayersConfig(StrictModel):
@@ -323,7 +291,9 @@ class LayersConfig(StrictModel):
         description="of a disc around the base that the robot covers: nothing stands there",
     )
     climb_m: float = Field(default=0.03, ge=0, description="highest step that the robot drives over")
-    depth_max_m: float = Field(default=3.5, gt=0, description="farther depth readings mark nothing")
+    depth_max_m: float = Field(
+        default=3.5, gt=0, description="farther depth readings mark nothing, in no map"
+    )
     rule: Literal["cautious", "corrected", "printed"] = Field(
         default="cautious",
         description="what is free: seen free by cameras at all heights of the robot; or, as Li2020 Table 3, "

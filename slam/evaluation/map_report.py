@@ -19,7 +19,6 @@ from slam.datasets.dataset import Dataset, ReadReport
 from slam.errors import ScanweaveError
 from slam.evaluation.report_figures import MapPicture
 from slam.evaluation.truth_comparison import TruthComparison, compare_with_truth
-from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.mapper.scan_record import CameraRecord
@@ -163,12 +162,6 @@ class ReportData:
             name: MapPicture.of(layers.states(name), layers.resolution_m, layers.T_map_grid)
             for name in layers.names[:-1]
         }
-
-    def least_inlier_share(self, loop: LoopCandidate) -> float:
-        """Share of readings that must agree for a loop to be accepted."""
-        # A camera finds a place by its looks: only a lidar searches a window.
-        by_scans = self.config.loops if self.result.clouds is None else self.config.cloud_loops
-        return (by_scans if loop.half_width_m > 0.0 else self.config.visual_loops).least_inlier_share
 
     def registrations(self) -> list[tuple[str, str]]:
         """Of every camera: whether its colour is registered to its depth, in a line with the reason."""

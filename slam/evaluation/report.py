@@ -159,4 +159,4 @@ def _score_cells(loop: LoopCandidate, data: ReportData) -> tuple[str, ...]:
     x, y = (data.result.keyframe_poses[loop.keyframe] - data.result.keyframe_poses[loop.place])[:2]
     score = "–" if loop.motion is None else f"{loop.motion.inlier_share:.3f}"
     apart = f"{math.hypot(x, y):.2f} m"
-    return str(loop.keyframe), str(loop.place), apart, score, f"{data.least_inlier_share(loop):.3f}"
+    return str(loop.keyframe), str(loop.place), apart, score, f"{data.config.loops.least_inlier_share:.3f}"

@@ -13,22 +13,18 @@ import gtsam
 import numpy as np
 
 from slam.answers import COMPUTED, Answers
-from slam.config.clouds import CloudLoopConfig, CloudOdometryConfig
+from slam.config import Config
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.matching.cloud_points import thinned
-from slam.matching.local_cloud import Aligned, LocalCloud, moved
+from slam.matching.local_cloud import REACH, Aligned, LocalCloud, moved
 from slam.matching.scan_context import ring_key, scan_context, unlikeness
 from slam.measurements import Float32Array, FloatArray, Pose, spatial
 
 log = logging.getLogger(__name__)
 
-# How far a scan context reaches, in voxels, and how many places of similar rings are compared whole.
-_LOOKS_REACH = 80.0
+# How many places of similar rings are compared whole.
 _SIMILAR_RINGS = 10
-_USUAL_RESIDUALS = 200
-# A guess this good needs no wide kernel.
-_NEAR_REACH = 5.0
 
 
 class Clouds(Protocol):
@@ -61,13 +57,13 @@ class CloudLoopCloser:
 
     def __init__(
         self,
-        config: CloudLoopConfig,
-        odometry: CloudOdometryConfig,
+        config: Config,
         voxel_m: float,
         clouds: Clouds,
         answers: Answers = COMPUTED,
     ) -> None:
-        self._config, self._odometry, self._voxel_m = config, odometry, voxel_m
+        self._config, self._voxel_m = config, voxel_m
+        self._loops, self._reach_m = config.loops, config.cloud_loops.reach_voxels * voxel_m
         self._clouds, self._answers = clouds, answers
         self._contexts: list[Float32Array] = []
         self._rings: list[FloatArray] = []
@@ -97,12 +93,12 @@ class CloudLoopCloser:
         residual_m
             Of its match; NaN where there was none.
         """
-        self._contexts.append(scan_context(points, _LOOKS_REACH * self._voxel_m))
+        self._contexts.append(scan_context(points, self._voxel_m))
         self._rings.append(ring_key(self._contexts[-1]))
         self._poses.append(pose)
         self._travelled_m.append(travelled_m)
         if np.isfinite(residual_m):
-            self._residuals_m = [*self._residuals_m[1 - _USUAL_RESIDUALS :], residual_m]
+            self._residuals_m.append(residual_m)
 
     def close(
         self, key: int, poses: Sequence[Pose], rows: FloatArray, uncertainty: UncertaintyGraph
@@ -125,8 +121,7 @@ class CloudLoopCloser:
         Every candidate that was tried, accepted or refused.
         """
         way_m = self._travelled_m[key]
-        config = self._config
-        if not config.enabled or way_m - self._last_attempt_m < config.every_voxels * self._voxel_m:
+        if not self._loops.enabled or way_m - self._last_attempt_m < self._reach_m:
             return []
         self._last_attempt_m = way_m
         tried: list[LoopCandidate] = []
@@ -143,17 +138,17 @@ class CloudLoopCloser:
         self, key: int, poses: Sequence[Pose], rows: FloatArray, uncertainty: UncertaintyGraph
     ) -> list[_Guess]:
         """Places within the uncertainty: the nearest of each pass, then those that look the same."""
-        config, voxel_m = self._config, self._voxel_m
+        loops, config = self._loops, self._config.cloud_loops
         ways = np.array(self._travelled_m[: key + 1])
-        places = np.flatnonzero(ways[key] - ways[:key] > config.least_path_voxels * voxel_m)
+        places = np.flatnonzero(ways[key] - ways[:key] > config.least_path_voxels * self._voxel_m)
         if not places.size:
             return []
         distances = np.hypot(*(rows[places, :2] - rows[key, :2]).T)
         covariances = uncertainty.relative_covariances(key, places, rows)
         sigmas = np.sqrt(np.maximum(np.linalg.eigvalsh(covariances[:, :2, :2])[:, -1], 0.0))
         sigmas += config.drift_share * (ways[key] - self._last_loop_m)
-        reach_m = config.reach_voxels * voxel_m
-        possible = distances <= reach_m + config.sigmas * sigmas
+        reach_m = self._reach_m
+        possible = distances <= reach_m + loops.sigmas * sigmas
         if not possible.any():
             return []
         places, distances, sigmas = places[possible], distances[possible], sigmas[possible]
@@ -165,14 +160,14 @@ class CloudLoopCloser:
 
         for n in np.argsort(distances, kind="stable"):
             place = int(places[n])
-            if len(chosen) < config.near and apart(place):
+            if len(chosen) < loops.near and apart(place):
                 T_place_base = spatial(poses[place]).between(spatial(poses[key]))
                 chosen.append(_Guess(place, T_place_base, float(sigmas[n]), 1.0, False))
         rings = np.array([self._rings[place] for place in places])
         likeness = np.linalg.norm(rings - self._rings[key], axis=1)
         for n in np.argsort(likeness, kind="stable")[:_SIMILAR_RINGS]:
             place = int(places[n])
-            if len(chosen) >= config.near + config.by_looks or not apart(place):
+            if len(chosen) >= loops.near + loops.by_looks or not apart(place):
                 continue
             found, yaw = unlikeness(self._contexts[place], self._contexts[key])
             if found <= config.greatest_unlikeness:
@@ -199,11 +194,11 @@ class CloudLoopCloser:
 
     def _match(self, key: int, guess: _Guess, local: LocalCloud) -> LoopCandidate:
         """Register and judge."""
-        width_m = self._config.sigmas * guess.sigma_m + 2.0 * self._voxel_m
+        width_m = self._loops.sigmas * guess.sigma_m + 2.0 * self._voxel_m
         candidate = LoopCandidate(guess.place, key, width_m, 0.0, guess.score, None, False, "")
         scan = thinned(self._clouds.points(key), self._voxel_m)
-        near = not guess.by_looks and width_m <= _NEAR_REACH * self._voxel_m
-        reach_m = None if near else max(width_m, _NEAR_REACH * self._voxel_m)
+        near = not guess.by_looks and width_m <= REACH * self._voxel_m
+        reach_m = None if near else max(width_m, REACH * self._voxel_m)
         aligned = local.align(scan, guess.T_place_base, reach_m)
         if aligned is None:
             return candidate.refused("too little fits")
@@ -213,17 +208,17 @@ class CloudLoopCloser:
 
     def _judge(self, candidate: LoopCandidate, guess: _Guess, aligned: Aligned) -> LoopCandidate:
         """Accept or refuse a registration."""
-        config, motion = self._config, aligned.motion
-        motion = replace(motion, covariance=motion.covariance * config.caution)
+        loops, motion = self._loops, aligned.motion
+        motion = replace(motion, covariance=motion.covariance * loops.caution)
         candidate = replace(candidate, motion=motion)
         usual_m = float(np.median(self._residuals_m)) if self._residuals_m else math.inf
-        usual_m = max(usual_m, self._odometry.minimal_residual_m)
+        usual_m = max(usual_m, self._config.match.minimal_residual_m)
         moved_m = float(np.linalg.norm(guess.T_place_base.between(aligned.found.pose).translation()))
-        if aligned.found.overlap < config.least_overlap:
+        if aligned.found.overlap < loops.least_overlap:
             return candidate.refused("too little is seen by both")
-        if motion.inlier_share < config.least_inlier_share:
+        if motion.inlier_share < loops.least_inlier_share:
             return candidate.refused("too few points fit")
-        if motion.residual_m > config.greatest_residual_ratio * usual_m:
+        if motion.residual_m > self._config.cloud_loops.greatest_residual_ratio * usual_m:
             return candidate.refused("residual too large")
         if moved_m > candidate.half_width_m:
             return candidate.refused("refinement left the window")
@@ -236,7 +231,7 @@ class CloudLoopCloser:
         if key in self._cache:
             self._cache.move_to_end(key)
             return self._cache[key]
-        half = self._config.half_keyframes
+        half = self._loops.half_keyframes
         members = range(max(0, key - half), min(len(self._poses), key + half + 1))
         parts = [
             moved(
@@ -244,8 +239,8 @@ class CloudLoopCloser:
             )
             for k in members
         ]
-        local = LocalCloud.of(np.vstack(parts), self._voxel_m, self._odometry)
+        local = LocalCloud.of(np.vstack(parts), self._voxel_m, self._config)
         self._cache[key] = local
-        if len(self._cache) > self._config.places_cached:
+        if len(self._cache) > half:
             self._cache.popitem(last=False)
         return local

@@ -14,21 +14,19 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from fusion.curves import FORWARD
+from fusion.estimation import SETTLED
 from slam.errors import GraphError
-from slam.graph.hand_eye import FORWARD_MOUNT, Fit, Motions, refine, search
-from slam.measurements import BoolArray, FloatArray, Pose
+from slam.graph.hand_eye import Fit, Motions, refine, search
+from slam.measurements import IN_PLANE, BoolArray, FloatArray, Pose
 
 # GTSAM's order, seen from the base.
 _NAMES = ("roll", "pitch", "yaw", "x", "y", "height")
-# Sigma of what nothing tells, and of what is held while the rest is solved, in units of the vague sigmas.
-_UNKNOWN, _HELD = 100.0, 1e-3
+# Sigma of what nothing tells, in units of the vague sigmas.
+_UNKNOWN = 100.0
 # An axis is called unobservable when this share of it lies in the space that nothing tells.
 _UNTOLD_SHARE = 0.05
 _SETTLED = 0.01
-_GAUGE_SIGMA = 1e-4
-# x, y, theta of a planar twist in GTSAM's spatial one.
-_PLANAR = [3, 4, 2]
-_LIFT = np.eye(6)[:, _PLANAR]
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +127,7 @@ def estimate_extrinsics(
     """
     settings = settings or ExtrinsicsSettings()
     _check(pairs, start)
-    nominal = start or gtsam.Pose3(gtsam.Rot3(FORWARD_MOUNT), np.zeros(3))
+    nominal = start or gtsam.Pose3(gtsam.Rot3(FORWARD), np.zeros(3))
     vague = np.repeat([settings.vague_sigma_rad, settings.vague_sigma_m], 3)
     if not pairs:
         axes = _base_axes(nominal)
@@ -146,7 +144,7 @@ def estimate_extrinsics(
     mount = _restored(fit, nominal, untold, vague)
     agreeing = [pair for pair, keep in zip(pairs, fit.inliers, strict=True) if keep]
     # What is held keeps its place; covariances of axes scaled by the vague sigmas, seen from the base.
-    holding = _HELD**2 * untold + _UNKNOWN**2 * (np.eye(6) - untold)
+    holding = (10 * SETTLED) ** 2 * untold + _UNKNOWN**2 * (np.eye(6) - untold)
     mount, covariance = _solve_graph(agreeing, mount, _from_base(mount, holding, vague), fit.scale, settings)
     covariance = covariance + _from_base(mount, _UNKNOWN**2 * untold, vague)
     return _result(fit, mount, covariance, untold, vague)
@@ -190,7 +188,7 @@ def _step_error(
         twist: FloatArray = gtsam.Pose3.Logmap(to_camera.compose(predicted))
         if jacobians is not None:
             by_step = gtsam.Pose3.LogmapDerivative(twist)
-            by_end = by_step @ to_mount.AdjointMap() @ (_LIFT if planar else np.eye(6))
+            by_end = by_step @ to_mount.AdjointMap() @ (np.eye(6)[:, IN_PLANE] if planar else np.eye(6))
             jacobians[0] = -by_end @ step.inverse().AdjointMap()
             jacobians[1] = by_end
             jacobians[2] = by_step @ (np.eye(6) - predicted.inverse().AdjointMap())
@@ -219,7 +217,7 @@ def _solve_graph(
     back = mount.inverse().AdjointMap()
     swing = back @ _out_of_plane(settings) @ back.T if planar else np.zeros((6, 6))
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    graph.add(prior(0, pose, gtsam.noiseModel.Isotropic.Sigma(3 if planar else 6, _GAUGE_SIGMA)))
+    graph.add(prior(0, pose, gtsam.noiseModel.Isotropic.Sigma(3 if planar else 6, SETTLED)))
     graph.add(gtsam.PriorFactorPose3(mount_key, mount, gtsam.noiseModel.Gaussian.Covariance(holding)))
     values.insert(mount_key, mount)
     values.insert(0, pose)
@@ -296,7 +294,8 @@ def _motions(pairs: Sequence[MotionPair], settings: ExtrinsicsSettings) -> Motio
     for pair in pairs:
         if isinstance(pair.base_step, gtsam.Pose2):
             base.append(gtsam.Pose3(pair.base_step).matrix())
-            base_covariances.append(_LIFT @ pair.base_covariance @ _LIFT.T + _out_of_plane(settings))
+            lift = np.eye(6)[:, IN_PLANE]
+            base_covariances.append(lift @ pair.base_covariance @ lift.T + _out_of_plane(settings))
         else:
             base.append(pair.base_step.matrix())
             base_covariances.append(pair.base_covariance)

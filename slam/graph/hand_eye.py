@@ -7,27 +7,20 @@ Gauss-Newton on all pairs at once. Twists are in GTSAM's order, rotation first, 
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from fusion.estimation import FEWEST, ROUNDS, gate
 from slam.measurements import BoolArray, FloatArray
 
-# The usual mount of an optical frame: z forward, x right, y down.
-FORWARD_MOUNT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 # How far a camera may sit from the base, for the weights of the search only.
 _SEARCH_LEVER_M = 0.3
-_SEARCH_ROUNDS = 12
-_REFINING_ROUNDS = 20
 _LONGEST_TURN_RAD = 0.6
 _LONGEST_SHIFT_M = 1.0
-# Below this many sigmas a motion is noise: it must not pass for excitation.
-_SIGNIFICANT_SIGMAS = 3.0
 # No sensor is ten times better than its stated noise: keeps a perfect simulation solvable.
 _LEAST_SCALE = 0.1
-_FEW_PAIRS = 10
-# A seed that costs this much more than the best, in squared sigmas, is as good; the earlier one is taken.
-_EQUAL_COST = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +52,10 @@ class Motions:
         variances = np.diagonal(self.covariance_base, axis1=1, axis2=2)
         angles = np.linalg.norm(_rotation_vectors(self.R_base), axis=1)
         lengths = np.linalg.norm(self.t_base, axis=1)
-        turning: BoolArray = angles > _SIGNIFICANT_SIGMAS * np.sqrt(variances[:, :3].max(axis=1))
-        moving: BoolArray = lengths > _SIGNIFICANT_SIGMAS * np.sqrt(variances[:, 3:].max(axis=1))
+        # A motion that may be noise must not pass for excitation.
+        sigmas = math.sqrt(gate())
+        turning: BoolArray = angles > sigmas * np.sqrt(variances[:, :3].max(axis=1))
+        moving: BoolArray = lengths > sigmas * np.sqrt(variances[:, 3:].max(axis=1))
         return turning, moving
 
 
@@ -145,15 +140,15 @@ def search(motions: Motions, R_start: FloatArray, t_start: FloatArray) -> tuple[
     """
     R, t = _seeds(R_start, t_start)
     weights = _search_weights(motions)
-    gate = _chi_square(0.01)
-    for _ in range(_SEARCH_ROUNDS):
+    for _ in range(ROUNDS):
         errors, jacobians = linearise(motions, R, t)
         weighted = jacobians * weights[..., None]
         information = np.einsum("snki,snkj->sij", weighted, jacobians)
         R, t, _ = _moved(R, t, information, np.einsum("snki,snk->si", weighted, errors))
     errors, _ = linearise(motions, R, t)
-    cost = np.minimum(np.einsum("snk,nk->sn", errors**2, weights), gate).sum(axis=1)
-    best = int(np.flatnonzero(cost <= cost.min() + _EQUAL_COST)[0])
+    cost = np.minimum(np.einsum("snk,nk->sn", errors**2, weights), gate(6)).sum(axis=1)
+    # A seed that costs little more than the best is as good; the earlier one is taken.
+    best = int(np.flatnonzero(cost <= cost.min() + gate())[0])
     return R[best], t[best]
 
 
@@ -163,15 +158,15 @@ def refine(motions: Motions, R: FloatArray, t: FloatArray, inlier_probability: f
     The loss is as wide as the median of the residuals asks: wide from a bad start, narrow at the end, as
     graduated non-convexity does by a schedule (Yang 2020, Sec. IV).
     """
-    gate = _chi_square(1.0 - inlier_probability)
+    limit = gate(6, inlier_probability)
     step = np.full(6, np.inf)
-    for _ in range(_REFINING_ROUNDS):
+    for _ in range(ROUNDS):
         errors, jacobians = linearise(motions, R, t)
         precisions = np.linalg.inv(covariances(motions, R, t))
         distances = np.einsum("ni,nij,nj->n", errors, precisions, errors)
         # Stated noise may be too small, and then the median tells.
-        spread = max(float(np.median(distances)) / _chi_square(0.5), 1.0)
-        bend = spread * gate
+        spread = max(float(np.median(distances)) / gate(6, 0.5), 1.0)
+        bend = spread * limit
         weighted = np.einsum("n,nki,nkl->nil", (bend / (distances + bend)) ** 2, jacobians, precisions)
         information = np.einsum("nil,nlj->ij", weighted, jacobians)
         gradient = np.einsum("nil,nl->i", weighted, errors)
@@ -186,7 +181,7 @@ def refine(motions: Motions, R: FloatArray, t: FloatArray, inlier_probability: f
     left_over = max(6 * int(inliers.sum()) - 6, 1)
     scale = float(np.sqrt(distances[inliers].sum() / left_over))
     # Few pairs tell little of their own noise.
-    least = _LEAST_SCALE if inliers.sum() >= _FEW_PAIRS else 1.0
+    least = _LEAST_SCALE if inliers.sum() >= FEWEST else 1.0
     return Fit(
         R=R,
         t=t,
@@ -241,13 +236,6 @@ def _rotation_vectors(matrices: FloatArray) -> FloatArray:
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(matrices).as_rotvec())
-
-
-def _chi_square(exceeded: float) -> float:
-    """What chi squared of six degrees exceeds with that probability."""
-    from scipy.special import chdtri
-
-    return float(chdtri(6, exceeded))
 
 
 def _cross(vectors: FloatArray) -> FloatArray:

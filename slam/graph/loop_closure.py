@@ -9,20 +9,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fusion.estimation import FEWEST
 from slam.answers import COMPUTED, Answers
 from slam.config.stages import LoopConfig, MatchConfig
 from slam.graph.pose_graph import Edge, EdgeKind
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.submaps import Submap, SubmapStore
 from slam.matching.correlative import search_window
-from slam.matching.local_map import OrientedPoints, match_noise
-from slam.matching.match_covariance import MatchNoise, motion_from_alignment
+from slam.matching.local_map import OrientedPoints
+from slam.matching.match_covariance import motion_from_alignment
 from slam.matching.planar import between
 from slam.measurements import FloatArray, MotionEstimate, one_line, row_from_pose2
 
 log = logging.getLogger(__name__)
-
-_LEAST_POINTS = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,9 +95,8 @@ class LoopCloser:
     """Proposes and verifies loops for the newest keyframe."""
 
     def __init__(self, config: LoopConfig, match: MatchConfig, answers: Answers = COMPUTED) -> None:
-        self._config = config
+        self._config, self._match = config, match
         self._answers = answers
-        self._noise = match_noise(match)
         self._submaps = SubmapStore(config, match)
         self._last_attempt_m = -math.inf
         self._misses = 0
@@ -129,7 +127,7 @@ class LoopCloser:
         if not self._config.enabled or travelled - self._last_attempt_m < self._config.every_m:
             return []
         self._last_attempt_m = travelled
-        if len(self._submaps.scan(key)) < _LEAST_POINTS:
+        if len(self._submaps.scan(key)) < FEWEST:
             return []
         tried = []
         for place, covariance in self._propose(key, poses, uncertainty):
@@ -151,10 +149,10 @@ class LoopCloser:
         config = self._config
         sigma_m = float(_position_sigmas(covariance[None])[0])
         width = min(config.sigmas * sigma_m, config.greatest_half_width_m)
-        yaw = min(config.sigmas * math.sqrt(float(covariance[2, 2])), config.greatest_half_yaw_rad)
+        yaw = min(config.sigmas * math.sqrt(float(covariance[2, 2])), math.pi)
         if self._misses >= config.misses_until_wide:
             # Known places all around and none fits: the estimate may be further off than it believes.
-            width, yaw = max(width, config.wide_half_width_m), max(yaw, config.wide_half_yaw_rad)
+            width, yaw = max(width, 0.5 * config.reach_m), max(yaw, self._match.search_half_yaw_rad)
         begun = LoopCandidate(place, key, width, yaw, 1.0, None, False, "")
         # Asked for in any case: what the cache holds must not depend on where the answer comes from.
         submap = self._submaps.submap(place)
@@ -162,7 +160,7 @@ class LoopCloser:
         candidate = self._answers.ask(
             "loop",
             float(guess[0]),
-            lambda: search_place(begun, submap, scan, guess, self._config, self._noise),
+            lambda: search_place(begun, submap, scan, guess, self._config, self._match),
         )
         _report(candidate)
         return candidate
@@ -173,7 +171,7 @@ class LoopCloser:
         """Places that may see the same as the keyframe, nearest first, with the relative covariance."""
         config = self._config
         travelled = self._submaps.travelled_m(key)
-        places = np.arange(0, key, config.submap_half_keyframes)
+        places = np.arange(0, key, config.half_keyframes)
         places = places[[travelled - self._submaps.travelled_m(p) > config.least_path_m for p in places]]
         distance = np.hypot(*(poses[places, :2] - poses[key, :2]).T)
         places = places[distance <= config.reach_m + config.greatest_half_width_m]
@@ -184,13 +182,13 @@ class LoopCloser:
         slack = np.minimum(config.sigmas * _position_sigmas(covariances), config.greatest_half_width_m)
         chosen: list[tuple[int, FloatArray]] = []
         for n in np.argsort(distance):
-            if len(chosen) == config.candidates:
+            if len(chosen) == config.near:
                 break
             if distance[n] > config.reach_m + slack[n]:
                 continue
             way = self._submaps.travelled_m(places[n])
             # Two places on one pass by the same spot tell the same: take the nearest of each pass.
-            if all(abs(way - self._submaps.travelled_m(p)) > 2.0 * config.submap_half_m for p, _ in chosen):
+            if all(abs(way - self._submaps.travelled_m(p)) > config.least_path_m for p, _ in chosen):
                 chosen.append((int(places[n]), covariances[n]))
         return chosen
 
@@ -201,7 +199,7 @@ def search_place(
     scan: OrientedPoints,
     guess: FloatArray,
     config: LoopConfig,
-    noise: MatchNoise,
+    match: MatchConfig,
 ) -> LoopCandidate:
     """Search a candidate's window about a guess, refine what is found, and judge it.
 
@@ -217,35 +215,35 @@ def search_place(
         (3,) expected pose of the base in the frame of the place.
     """
     width, yaw = candidate.half_width_m, candidate.half_yaw_rad
-    if len(submap.local_map.points) < _LEAST_POINTS:
+    if len(submap.local_map.points) < FEWEST:
         return candidate.refused("the place has too few points")
-    if len(scan) < _LEAST_POINTS:
+    if len(scan) < FEWEST:
         return candidate.refused("the scan has too few points")
-    if width > config.least_half_width_m or yaw > config.least_half_yaw_rad:
+    basin_m = match.coarse_cell_m
+    if width > basin_m or yaw * config.reach_m > basin_m:
         found = search_window(
-            submap.field, scan.thinned(config.points), guess, width, yaw, config.least_score
+            submap.field, scan.thinned(match.search_points), guess, width, yaw, match.search_least_score
         )
         candidate = replace(candidate, score=found.score)
         if not found.found:
             return candidate.refused("no pose in the window scores enough")
         guess = found.pose
-    motion = motion_from_alignment(submap.local_map.align(scan, guess), noise)
+    motion = motion_from_alignment(submap.local_map.align(scan, guess), match)
     motion = replace(motion, covariance=motion.covariance * config.caution)
-    return _judge(replace(candidate, motion=motion), motion, guess, config)
+    return _judge(replace(candidate, motion=motion), motion, guess, config, basin_m)
 
 
 def _judge(
-    candidate: LoopCandidate, motion: MotionEstimate, guess: FloatArray, config: LoopConfig
+    candidate: LoopCandidate, motion: MotionEstimate, guess: FloatArray, config: LoopConfig, basin_m: float
 ) -> LoopCandidate:
     """Accept or refuse a refined match."""
     moved = between(guess, row_from_pose2(motion.T_reference_base))
     moved_m = math.hypot(moved[0], moved[1])
-    limit_m = max(candidate.half_width_m, config.least_half_width_m) + config.least_half_width_m
     if motion.inlier_share < config.least_inlier_share:
         return candidate.refused("too few points fit")
     if motion.residual_m > config.greatest_residual_m:
         return candidate.refused("residual too large")
-    if moved_m > limit_m:
+    if moved_m > basin_m:
         return candidate.refused("refinement left the window")
     return replace(candidate, accepted=True)
 

@@ -17,8 +17,6 @@ from slam.measurements import FloatArray
 
 # A yaw error is worth its lever arm: how far from a node its surroundings are matched.
 _LEVER_M = 5.0
-# Where the nine elements of a symmetric matrix are in its upper triangle.
-_WHOLE = [0, 1, 2, 1, 3, 4, 2, 4, 5]
 
 
 class UncertaintyGraph:
@@ -70,7 +68,8 @@ class UncertaintyGraph:
         queue = np.empty(self._edges + 1), np.empty(self._edges + 1, np.int64)
         _follow(start, wanted, poses, self._heads, self._next, *edges, distance, seen, *queue)
         seen[np.isinf(distance)] = np.inf
-        return seen[targets][:, _WHOLE].reshape(-1, 3, 3)
+        # Where the nine elements of a symmetric matrix are in its upper triangle.
+        return seen[targets][:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
 
     def _append(self, source: int, target: int, cost: float, covariance: FloatArray) -> None:
         """One direction of an edge, covariance in the target's frame."""

@@ -19,9 +19,9 @@ from slam.measurements import FloatArray
 class Submap:
     """The surroundings of one keyframe, in its frame; made when first looked at."""
 
-    def __init__(self, build: Callable[[], LocalMap], config: LoopConfig) -> None:
+    def __init__(self, build: Callable[[], LocalMap], cell_m: float) -> None:
         self._build = build
-        self._config = config
+        self._cell_m = cell_m
 
     @cached_property
     def local_map(self) -> LocalMap:
@@ -31,9 +31,7 @@ class Submap:
     @cached_property
     def field(self) -> LikelihoodField:
         """Likelihood field of the local map."""
-        return build_field(
-            self.local_map.points.points, self._config.field_cell_m, self._config.field_sigma_m
-        )
+        return build_field(self.local_map.points.points, 0.5 * self._cell_m, self._cell_m)
 
 
 class SubmapStore:
@@ -43,7 +41,8 @@ class SubmapStore:
     """
 
     def __init__(self, loop: LoopConfig, match: MatchConfig) -> None:
-        self._loop = loop
+        # What comes later on the way may come back here, and is no part of this place.
+        self._half, self._half_m = loop.half_keyframes, 0.5 * loop.least_path_m
         self._match = match
         self._scans: list[OrientedPoints] = []
         self._poses: list[FloatArray] = []
@@ -74,16 +73,17 @@ class SubmapStore:
         if key in self._cache:
             self._cache.move_to_end(key)
             return self._cache[key]
-        half = self._loop.submap_half_keyframes
+        half = self._half
         members = [
             k
             for k in range(max(0, key - half), min(len(self._scans), key + half + 1))
             if self._sessions[k] == self._sessions[key]
-            and abs(self._travelled_m[k] - self._travelled_m[key]) <= self._loop.submap_half_m
+            and abs(self._travelled_m[k] - self._travelled_m[key]) <= self._half_m
         ]
-        submap = Submap(lambda: self._local_map(key, members), self._loop)
+        submap = Submap(lambda: self._local_map(key, members), self._match.cell_m)
         self._cache[key] = submap
-        if len(self._cache) > self._loop.submaps_cached:
+        # The places along two of them: what the next attempts look at.
+        if len(self._cache) > 4 * half:
             self._cache.popitem(last=False)
         return submap
 

@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 
 from slam.answers import COMPUTED, Answers
-from slam.config.stages import VisualLoopConfig
+from slam.config import Config
 from slam.graph.loop_closure import LoopCandidate
 from slam.vision.features import Descriptors
 from slam.vision.frame_matcher import FrameMatcher
@@ -19,10 +19,6 @@ from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch, unlikeness
 
 log = logging.getLogger(__name__)
-
-# Any corner of three walls fits any other: without features a match may only confirm what was expected, to
-# within so much unlikeness.
-_CONFIRMED = 0.1
 
 
 class Keyframes(Protocol):
@@ -42,17 +38,17 @@ class VisualLoopCloser:
 
     def __init__(
         self,
-        config: VisualLoopConfig,
+        config: Config,
         matcher: FrameMatcher,
         keyframes: Keyframes,
-        seed: int,
         answers: Answers = COMPUTED,
     ) -> None:
-        self._config = config
+        self._loops, self._config = config.loops, config.visual_loops
+        self._confirmed = config.rgbd_odometry.keyframe_parallax
         self._matcher = matcher
         self._keyframes = keyframes
         self._answers = answers
-        self._places = PlaceIndex(seed=seed)
+        self._places = PlaceIndex(config.seed)
         self._depths_m: list[float] = []
         self._segments: list[int] = []
         self._newest: Descriptors | None = None
@@ -88,7 +84,7 @@ class VisualLoopCloser:
         Every candidate that was tried, accepted or refused.
         """
         config = self._config
-        if not config.enabled or key < config.least_gap:
+        if not self._loops.enabled or key < config.least_gap:
             return []
         near = self._near(key, poses)
         looks = self._answers.ask("looks", float(key), lambda: self._by_looks(key))
@@ -107,7 +103,7 @@ class VisualLoopCloser:
         scores = np.array([unlikeness(poses[p], poses[key], self._depths_m[p]) for p in places])
         chosen: list[int] = []
         for n in np.argsort(scores, kind="stable"):
-            if len(chosen) == config.near or scores[n] > config.near_unlikeness:
+            if len(chosen) == self._loops.near or scores[n] > config.near_unlikeness:
                 break
             if all(abs(places[n] - other) >= config.least_gap for other in chosen):
                 chosen.append(places[n])
@@ -125,7 +121,7 @@ class VisualLoopCloser:
         config = self._config
         if self._newest is None:
             return []
-        matches = self._places.query(self._newest, key - config.least_gap + 1, config.by_looks)
+        matches = self._places.query(self._newest, key - config.least_gap + 1, self._loops.by_looks)
         return [(m.key, m.relative_score) for m in matches if m.relative_score >= config.least_place_score]
 
     def _verify(self, place: int, key: int, guess: gtsam.Pose3 | None, score: float) -> LoopCandidate:
@@ -154,12 +150,13 @@ class VisualLoopCloser:
             match = self._matcher.match(frame, local, guess)
             if match is None:
                 return candidate.refused("too little fits")
-        if match.motion.inlier_share < config.least_inlier_share:
+        if match.motion.inlier_share < self._loops.least_inlier_share:
             return candidate.refused("too few readings fit")
-        if match.overlap < config.least_overlap and match.feature_count < config.least_features:
+        if match.overlap < self._loops.least_overlap and match.feature_count < config.least_features:
             return candidate.refused("too little is seen by both")
         moved = 0.0 if guess is None else unlikeness(guess, match.pose, frame.median_depth_m)
-        if moved > _CONFIRMED and match.feature_count < config.least_features:
+        # Any corner of three walls fits any other: without features a match may only confirm a guess.
+        if moved > self._confirmed and match.feature_count < config.least_features:
             return candidate.refused("shape alone leads elsewhere")
         if match.motion.degenerate:
             return candidate.refused("a direction is not determined")

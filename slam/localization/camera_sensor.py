@@ -39,7 +39,7 @@ class CameraSensor:
 
     def __init__(self, locator: VisualLocator, config: Config) -> None:
         self._locator = locator
-        self._odometry = RgbdTracker(FrameMatcher(config.rgbd_odometry), config.rgbd_odometry)
+        self._odometry = RgbdTracker(FrameMatcher(config), config)
         self._anew = 0.5 * config.rgbd_odometry.keyframe_parallax
         guessed = config.prediction.velocity_floor_m, config.prediction.velocity_floor_rad
         self._guess = Measured(locator.origin, diagonal(locator.origin, *guessed))

@@ -15,7 +15,7 @@ import numpy as np
 from fusion.height_band import HeightBand
 from slam.config import Config
 from slam.localization.global_search import search_map
-from slam.localization.known_clouds import SIGHT, TILE, KnownClouds
+from slam.localization.known_clouds import TILE, KnownClouds
 from slam.localization.scan_view import first_in_cells
 from slam.localization.whole_map_field import WholeMapField
 from slam.mapping.band_scan import band_scan, ground_of
@@ -46,7 +46,7 @@ class CloudPlaces:
     ) -> None:
         self._field, self._known, self._config = field, known, config
         self._apart_m = 0.5 * TILE * voxel_m
-        self._reach_m = SIGHT * config.cloud_localization.reach_voxels * voxel_m
+        self._voxel_m = voxel_m
         keys = range(len(known.clouds))
         self._bank = ContextBank([self._context(thinned(known.clouds.points(key), voxel_m)) for key in keys])
         self._positions = np.array([pose.translation() for pose in known.poses])
@@ -109,7 +109,7 @@ class CloudPlaces:
 
     def _context(self, points: FloatArray) -> Float32Array:
         """The scan context of a thinned cloud (N, 3)."""
-        return scan_context(points, self._reach_m)
+        return scan_context(points, self._voxel_m)
 
     def _apart(self, guesses: Sequence[gtsam.Pose3]) -> list[gtsam.Pose3]:
         """Those of poses from which an alignment does not find the same as from an earlier one."""

@@ -109,7 +109,8 @@ class CloudTiles:
         self.voxel_m = voxel_of(first, config.cloud_odometry)
         self._thickness_m = 0.5 * config.cloud_odometry.thickness_m
         # The two faces of a thin wall are no plane together.
-        self._odometry = config.cloud_odometry.model_copy(update={"thickness_m": self._thickness_m})
+        thin = config.cloud_odometry.model_copy(update={"thickness_m": self._thickness_m})
+        self._config = config.model_copy(update={"cloud_odometry": thin})
         self._positions = np.array([pose.translation() for pose in known.poses])
         self._frame = lru_cache(self._read)
         self._tile = lru_cache(config.localization.tiles_cached)(self._made)
@@ -136,14 +137,14 @@ class CloudTiles:
         poses = [self.known.poses[k] for k in members]
         frames = [self._frame(k) for k in members]
         merged = PlaneVoxels.merged([frame.moments for frame in frames], voxel_m, self._thickness_m)
-        local = LocalCloud.of_planes(merged, voxel_m, self._odometry)
+        local = LocalCloud.of_planes(merged, voxel_m, self._config)
         own = [
             local.agreement(thinned(frame.points, voxel_m), pose)
             for frame, pose in zip(frames, poses, strict=True)
         ]
         clouds = [frame.placed for frame in frames]
         wide_m = COARSENESS * voxel_m
-        coarse = LocalCloud.of(thinned(np.vstack(clouds), 0.5 * wide_m), wide_m, self._odometry)
+        coarse = LocalCloud.of(thinned(np.vstack(clouds), 0.5 * wide_m), wide_m, self._config)
         lidars = np.array([pose.compose(self.known.T_base_lidar).translation() for pose in poses])
         planes = SidedPlanes(merged, lidars, clouds)
         space = cloud_space(lidars, clouds, planes, voxel_m, SIGHT * reach_m)

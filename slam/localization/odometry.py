@@ -43,7 +43,7 @@ class ScanOdometry:
 
     def __init__(self, config: Config) -> None:
         self._config = config
-        self._wheels = WheelTracker(config.wheels) if config.lidar_odometry.use_wheel_odometry else None
+        self._wheels = WheelTracker(config.wheels) if config.sensors.wheels else None
         self._tracker = self._new_tracker()
         self._last: TrackedScan | None = None
         self._keyframe: TrackedScan | None = None
@@ -93,7 +93,7 @@ class ScanOdometry:
     def _new_tracker(self) -> MotionTracker:
         """A new odometry frame."""
         config = self._config
-        odometry = SurfelOdometry(config.lidar_odometry, config.match)
+        odometry = SurfelOdometry(config)
         return MotionTracker(odometry, self._wheels, config.prediction, config.match)
 
     def _is_cut(self, last: TrackedScan, tracked: TrackedScan, elapsed_s: float) -> bool:
@@ -131,8 +131,8 @@ class CloudOdometry:
     """Cloud to recent clouds."""
 
     def __init__(self, config: Config) -> None:
-        self._config, self._guess = config.cloud_odometry, config.prediction
-        self._wheels = WheelTracker(config.wheels) if self._config.use_wheel_odometry else None
+        self._config, self._guess = config, config.prediction
+        self._wheels = WheelTracker(config.wheels) if config.sensors.wheels else None
         self._tracker = CloudTracker(self._config, self._wheels)
         self._last: TrackedCloud | None = None
         self._unmatched = 0

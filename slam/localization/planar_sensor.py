@@ -17,7 +17,7 @@ from slam.localization.odometry import ScanOdometry
 from slam.localization.poses import between
 from slam.localization.scan_view import ScanView, cell_keys, first_in_cells
 from slam.localization.sensor import Keyframe, Observation, moved_on
-from slam.matching.local_map import OrientedPoints, match_noise
+from slam.matching.local_map import OrientedPoints
 from slam.matching.match_covariance import motion_from_alignment
 from slam.matching.planar import compose, transform_points
 from slam.measurements import (
@@ -64,7 +64,7 @@ class PlanarSensor:
 
     def __init__(self, walls: Walls, config: Config) -> None:
         self._walls, self._config, self._settings = walls, config, config.localization
-        self._noise = match_noise(config.match)
+        self._noise = config.match
         self._odometry = ScanOdometry(config)
         self._searches = 0
         self.search_every_m = self._settings.search_every_m

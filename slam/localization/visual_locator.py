@@ -46,18 +46,18 @@ class VisualLocator:
         registrations: Mapping[str, ColorRegistration] | None = None,
     ) -> None:
         self.origin: Pose = gtsam.Pose2() if planar else gtsam.Pose3()
-        self._cameras, self._greatest_excess = cameras, config.sensors.greatest_excess
+        self._cameras = cameras
         self._T_base_camera: gtsam.Pose3 | None = None
         learned = cameras.registrations if registrations is None else registrations
         self._prepare = FramePreparer(config.rgbd, learned)
         self._poses = cameras.poses
         self._positions = np.array([pose.translation() for pose in cameras.poses]).reshape(-1, 3)
         self._axes = np.array([pose.rotation().matrix()[:, 2] for pose in cameras.poses]).reshape(-1, 3)
-        self._store = KeyframeStore(config.rgbd, config.visual_loops.keyframes_cached, cameras.frames)
-        self._matcher = FrameMatcher(config.rgbd_odometry)
-        self._loops = config.visual_loops
+        self._store = KeyframeStore(config.rgbd, config.match.local_map_keyframes, cameras.frames)
+        self._matcher = FrameMatcher(config)
+        self._loops, self._images = config.loops, config.visual_loops
         self._views = config.rgbd_odometry.views
-        self._index = PlaceIndex(seed=config.seed)
+        self._index = PlaceIndex(config.seed)
         for key in range(len(cameras.poses)):
             self._index.add(cameras.frames.features(key).descriptors)
 
@@ -107,7 +107,7 @@ class VisualLocator:
         mounting = self._mounting
         if isinstance(self.origin, gtsam.Pose2):
             planar = planar_motion(motion, covariance, mounting, T_a_b)
-            if planar.excess > self._greatest_excess:
+            if planar.leaves_the_floor:
                 return None
             return Measured(pose2_from_row(planar.motion), planar.covariance)
         adjoint = mounting.AdjointMap()
@@ -123,7 +123,7 @@ class VisualLocator:
         """Keyframes whose cameras see most nearly the same as one at the guess, best first."""
         far = np.linalg.norm(self._positions - guess.translation(), axis=1) / depth_m
         facing = self._axes @ guess.rotation().matrix()[:, 2]
-        limit = self._loops.near_unlikeness
+        limit = self._images.near_unlikeness
         possible = np.flatnonzero((far < limit) & (facing > 0.5)).tolist()
         scores = {key: unlikeness(self._poses[key], guess, depth_m) for key in possible}
         near = sorted((key for key in possible if scores[key] < limit), key=lambda key: scores[key])
@@ -135,7 +135,7 @@ class VisualLocator:
 
     def _believed(self, match: VisualMatch | None) -> MotionEstimate | None:
         """``T_map_base`` by a match, if it is one of features, not of any corner of walls."""
-        if match is None or match.motion.degenerate or match.feature_count < self._loops.least_features:
+        if match is None or match.motion.degenerate or match.feature_count < self._images.least_features:
             return None
         if match.motion.inlier_share < self._loops.least_inlier_share:
             return None

@@ -49,13 +49,10 @@ class CameraKeyframes:
     def __init__(
         self, config: Config, journal: Journal, registrations: Mapping[str, ColorRegistration]
     ) -> None:
-        cached = config.visual_loops.keyframes_cached
-        self._store = KeyframeStore(config.rgbd, cached, journal.spool())
+        self._store = KeyframeStore(config.rgbd, config.match.local_map_keyframes, journal.spool())
         self._places = _Places(self._store)
-        matcher = FrameMatcher(config.rgbd_odometry)
-        self._closer = VisualLoopCloser(config.visual_loops, matcher, self._places, config.seed, journal)
+        self._closer = VisualLoopCloser(config, FrameMatcher(config), self._places, journal)
         self._registrations = registrations
-        self._greatest_excess = config.sensors.greatest_excess
         self._nodes: list[int] = []
         self._T_node_camera: list[gtsam.Pose3] = []
 
@@ -128,6 +125,6 @@ class CameraKeyframes:
             weak_direction=planar.motion * 0.0,
         )
         candidate = replace(candidate, motion=measured)
-        if candidate.accepted and planar.excess > self._greatest_excess:
+        if candidate.accepted and planar.leaves_the_floor:
             return candidate.refused("it would lift the robot off the floor")
         return candidate

@@ -35,7 +35,7 @@ class CloudCameras:
         self, config: Config, journal: Journal, registrations: Mapping[str, ColorRegistration]
     ) -> None:
         self._config, self._registrations = config, registrations
-        self._cameras = RobotCameras(config.rgbd_odometry, config.sensors, answers=journal)
+        self._cameras = RobotCameras(config, answers=journal)
         self._keyframes = CameraKeyframes(config, journal, registrations)
         self._fusion = KeyframeFusion(config.fusion) if config.fusion.enabled else None
         self._horizons: list[LaserScan | None] = []

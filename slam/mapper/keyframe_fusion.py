@@ -52,7 +52,7 @@ class FusionSummary:
     estimate
         What the whole drive tells of the rig; None where nothing could be told.
     examples
-        Some keyframes' scans before and after: pairs of scans of the same beams.
+        The repaired scans before and after: pairs of scans of the same beams.
     note
         In one line, for people.
     """
@@ -145,7 +145,6 @@ class KeyframeFusion:
         repaired = list(scans)
         pairs: list[FusionPair] = []
         examples: list[tuple[LaserScan, LaserScan]] = []
-        every = max(1, len(self._views) // self._config.examples)
         for number, (key, (numbers, turns)) in enumerate(self._views.items()):
             scan = scans[key]
             if scan is None:
@@ -162,8 +161,7 @@ class KeyframeFusion:
             if result.applied:
                 after = _with_repairs(scan, result)
                 repaired[key] = after
-                if number % every == 0:
-                    examples.append((scan, after))
+                examples.append((scan, after))
         return repaired, FusionSummary(pairs, estimate, examples, _note(pairs, estimate))
 
 

@@ -64,10 +64,10 @@ class PlanarRobot:
         self.readings = Readings()
         journal, registrations = journal or Journal(), registrations or {}
         self._config, self._registrations = config, registrations
-        self._wheels = WheelTracker(config.wheels) if config.lidar_odometry.use_wheel_odometry else None
+        self._wheels = WheelTracker(config.wheels) if config.sensors.wheels else None
         odometry = RememberedOdometry(odometries.lidar(config), journal)
         self._tracker = MotionTracker(odometry, self._wheels, config.prediction, config.match)
-        self._cameras = RobotCameras(config.rgbd_odometry, config.sensors, mountings or {}, answers=journal)
+        self._cameras = RobotCameras(config, mountings or {}, answers=journal)
         self._chain = PlanarChain(config, self._tracker, self._wheels, self._cameras)
         self._closer = LoopCloser(config.loops, config.match, journal)
         self._pictures = CameraKeyframes(config, journal, registrations)

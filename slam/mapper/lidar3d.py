@@ -52,13 +52,12 @@ class CloudLidar:
     ) -> None:
         self.readings = Readings()
         self._config, self._journal = config, journal
-        settings = config.cloud_odometry
-        self._wheels = WheelTracker(config.wheels) if settings.use_wheel_odometry else None
-        self._tracker = CloudTracker(settings, self._wheels, journal)
+        self._wheels = WheelTracker(config.wheels) if config.sensors.wheels else None
+        self._tracker = CloudTracker(config, self._wheels, journal)
         self._clouds = journal.cloud_spool()
         self._cameras = CloudCameras(config, journal, registrations)
         self._closer: CloudLoopCloser | None = None
-        self._steps = AnchoredSteps(settings.local_map_keyframes)
+        self._steps = AnchoredSteps(config.match.local_map_keyframes)
         self._newest: TrackedCloud | None = None
         self._last: gtsam.Pose3 | None = None
         self._travelled_m = 0.0
@@ -107,13 +106,10 @@ class CloudLidar:
         tracked = self._newest
         assert tracked is not None
         if self._closer is None:
-            settings, voxel_m = self._config.cloud_odometry, self._tracker.voxel_m
-            self._closer = CloudLoopCloser(
-                self._config.cloud_loops, settings, voxel_m, self._clouds, self._journal
-            )
+            self._closer = CloudLoopCloser(self._config, self._tracker.voxel_m, self._clouds, self._journal)
         self._stamps_s.append(self._stamp_s)
         self._tracker.add_keyframe(tracked)
-        kept_m = min(_KEPT_SHARE * self._tracker.voxel_m, self._config.cloud_map.voxel_m)
+        kept_m = min(_KEPT_SHARE * self._tracker.voxel_m, self._config.grid.resolution_m)
         self._clouds.add(self._stamp_s, thinned(tracked.points, kept_m), self._T_base_lidar)
         self._cameras.add_keyframe(key, self._stamp_s, tracked.points, self._T_base_lidar)
         residual_m = np.nan if tracked.motion is None else tracked.motion.residual_m

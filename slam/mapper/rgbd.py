@@ -46,11 +46,9 @@ class FreeCamera:
     ) -> None:
         self.readings = Readings()
         self._registrations = registrations
-        self._tracker = RgbdTracker(odometries.rgbd(config), config.rgbd_odometry, journal)
-        cached = config.visual_loops.keyframes_cached
-        self._store = KeyframeStore(config.rgbd, cached, journal.spool())
-        matcher = FrameMatcher(config.rgbd_odometry)
-        self._closer = VisualLoopCloser(config.visual_loops, matcher, self._store, config.seed, journal)
+        self._tracker = RgbdTracker(odometries.rgbd(config), config, journal)
+        self._store = KeyframeStore(config.rgbd, config.match.local_map_keyframes, journal.spool())
+        self._closer = VisualLoopCloser(config, FrameMatcher(config), self._store, journal)
         self._last: gtsam.Pose3 | None = None
         self._newest: tuple[PreparedFrame, TrackedFrame] | None = None
         self._T_base_camera: gtsam.Pose3 | None = None

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import gtsam
 
 from slam.answers import COMPUTED, Answers
-from slam.config.stages import RgbdOdometryConfig, SensorsConfig
+from slam.config import Config
 from slam.mapper.mount_learner import KeyframeStep, LearnedMounting, MountLearner
 from slam.mapper.scan_record import CameraRecord, ScanRecorder
 from slam.matching.motion import Motion
@@ -81,8 +81,7 @@ class Picture:
 class RobotCameras:
     """All cameras by name."""
 
-    config: RgbdOdometryConfig
-    sensors: SensorsConfig
+    config: Config
     mountings: Mapping[str, LearnedMounting] = field(default_factory=dict)
     cameras: dict[str, RobotCamera] = field(default_factory=dict)
     scan_turns: YawRates = field(default_factory=YawRates)
@@ -95,7 +94,7 @@ class RobotCameras:
         name = frame.frame.sensor
         if name not in self.cameras:
             mounting = frame.frame.T_base_camera
-            learn = mounting is None or self.sensors.mounting == "estimate"
+            learn = mounting is None or self.config.sensors.mounting == "estimate"
             if name in self.mountings:
                 mounting, learn = self.mountings[name].T_base_camera, False
             self.cameras[name] = RobotCamera(
@@ -189,7 +188,7 @@ class RobotCameras:
             if camera.T_base_camera is not None:
                 planar = planar_motion(*step, camera.T_base_camera)
                 camera.steps += 1
-                if planar.excess > self.sensors.greatest_excess:
+                if planar.leaves_the_floor:
                     camera.refused_steps += 1
                     continue
             found.append(CameraStep(name, *step, planar))
@@ -230,7 +229,7 @@ class RobotCameras:
                 continue
             for step in camera.learner.steps:
                 planar = planar_motion(step.motion, step.covariance, camera.T_base_camera)
-                if planar.excess <= self.sensors.greatest_excess:
+                if not planar.leaves_the_floor:
                     found.append((step.source, step.target, planar))
         return found
 

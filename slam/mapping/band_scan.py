@@ -13,20 +13,16 @@ from itertools import islice
 import gtsam
 import numpy as np
 
+from fusion.estimation import FEWEST, gate
 from fusion.height_band import HeightBand
 from slam.config.clouds import CloudMapConfig
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray, LaserScan
 
-# Heights are noisy by so many sigmas at most, or thousands of floor points would stand in the way.
-_SIGMAS = 3.0
 _LEVEL_COS = 0.97
-_GROUND_BIN_M = 0.05
-# A level with this share of the points of the strongest may be the ground; a few are reflections under it.
-_GROUND_SHARE = 0.2
+# A level with this share of the points of the fullest is one; a few points are noise or reflections.
+LEVEL_SHARE = 0.2
 _CELL_M = 0.05
-# Keyframes by which the ground is found, and how far from the base it may be seen before that is told.
-_GROUND_KEYFRAMES, _GROUND_SLACK_M = 20, 0.1
 
 
 def band_scan(
@@ -55,7 +51,8 @@ def band_scan(
     origin = T_base_lidar.translation()
     offset = points - np.array([origin[0], origin[1], ground_m])
     distance = np.hypot(offset[:, 0], offset[:, 1])
-    margin_m = _SIGMAS * (config.ground_sigma_m + config.ground_share * distance)
+    # By so many sigmas heights are noisy at most, or thousands of floor points would stand in the way.
+    margin_m = math.sqrt(gate()) * config.ground_share * (2.0 + distance)
     stops = band.holds(offset[:, 2], margin_m) & (distance < config.plan_range_m)
     distance, offset = distance[stops], offset[stops]
     step_rad = 2.0 * math.pi / config.bearings
@@ -109,10 +106,10 @@ def ground_of(
     -------
     None where it is not seen, and no mounting tells it.
     """
-    first = islice(clouds, _GROUND_KEYFRAMES)
+    first = islice(clouds, FEWEST)
     seen_m = ground_height(first, float(T_base_lidar.z()), voxel_m, thickness_m)
     mounted = not T_base_lidar.equals(gtsam.Pose3(), 1e-6)
-    if mounted and (seen_m is None or abs(seen_m) < _GROUND_SLACK_M):
+    if mounted and (seen_m is None or abs(seen_m) < 2.0 * _CELL_M):
         return Ground(0.0, by_mounting=True)
     return None if seen_m is None else Ground(seen_m, by_mounting=False)
 
@@ -144,8 +141,8 @@ def ground_height(
     below = np.concatenate(heights) if heights else np.zeros(0)
     if not len(below):
         return None
-    bins = np.floor(below / _GROUND_BIN_M).astype(np.int64)
+    bins = np.floor(below / _CELL_M).astype(np.int64)
     found, counts = np.unique(bins, return_counts=True)
-    lowest = int(found[np.flatnonzero(counts >= _GROUND_SHARE * counts.max())[0]])
-    near = np.abs(below - (lowest + 0.5) * _GROUND_BIN_M) <= 1.5 * _GROUND_BIN_M
+    lowest = int(found[np.flatnonzero(counts >= LEVEL_SHARE * counts.max())[0]])
+    near = np.abs(below - (lowest + 0.5) * _CELL_M) <= 1.5 * _CELL_M
     return float(np.median(below[near]))

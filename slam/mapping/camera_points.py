@@ -9,16 +9,11 @@ import numpy as np
 
 from fusion.curves import Intrinsics
 from fusion.height_band import back_project, pixel_rays, to_frame
-from slam.mapping.cloud_map import plane_normals
+from slam.mapping.cloud_map import BATCH, plane_normals
 from slam.mapping.dense_map import ColoredCloud, DenseMapSettings
 from slam.mapping.posed_frames import posed_frames
 from slam.matching.plane_voxels import VoxelMoments, added, summed, voxel_keys
 from slam.measurements import FloatArray, RgbdFrame
-
-# What frames saw is added to the map so many at a time.
-_BATCH = 16
-# Of a voxel: views, place, colour, and the way to the camera.
-_COLUMNS = 10
 
 
 def camera_cloud(
@@ -31,10 +26,11 @@ def camera_cloud(
     ScanweaveError
         Where a pose is not finite, there are more or fewer poses than frames, or the memory limit is met.
     """
-    seen = [VoxelMoments(np.empty(0, np.int64), np.empty((0, _COLUMNS)))]
+    # Of a voxel: views, place, colour, and the way to the camera.
+    seen = [VoxelMoments(np.empty(0, np.int64), np.empty((0, 10)))]
     for frame, T_map_camera in posed_frames(frames, poses):
         seen.append(_seen(frame, T_map_camera.matrix(), settings))
-        if len(seen) > _BATCH:
+        if len(seen) > BATCH:
             seen = [added(seen)]
             if seen[0].sums.nbytes > 1e6 * settings.memory_limit_mb:
                 raise settings.too_large()

@@ -7,16 +7,16 @@ from collections.abc import Iterable, Sequence
 import gtsam
 import numpy as np
 
+from fusion.estimation import FEWEST
 from fusion.height_band import thin_to_voxels
 from slam.errors import ScanweaveError
 from slam.mapping.dense_map import ColoredCloud, Colors
 from slam.matching.local_cloud import moved
 from slam.measurements import FloatArray
 
-# Clouds are thinned together by so many, so that no more than these and the map are held.
-_BATCH = 32
+# What keyframes saw is thinned together by so many, so that no more than these and the map are held.
+BATCH = 32
 _NORMAL_VOXELS = 4.0
-_NEIGHBOURS = 20
 _CHUNK = 1 << 14  # points whose neighbours are held at a time
 # Blue, green, yellow, red from the lowest to the highest usual height.
 _RAMP = np.array([[40, 60, 160], [40, 160, 120], [230, 210, 60], [200, 60, 40]], dtype=np.float64)
@@ -44,7 +44,7 @@ def map_cloud(clouds: Iterable[FloatArray], poses: Sequence[gtsam.Pose3], voxel_
         if not np.isfinite(pose.matrix()).all():
             raise ScanweaveError(f"pose {number} of {len(poses)} keyframes is not finite; see the report")
         waiting.append(moved(points, pose))
-        if len(waiting) == _BATCH:
+        if len(waiting) == BATCH:
             batches.append(thin_to_voxels(np.vstack(waiting), voxel_m))
             waiting = []
     gathered = [*batches, *waiting]
@@ -68,7 +68,7 @@ def plane_normals(points: FloatArray, voxel_m: float) -> FloatArray:
     padded = np.vstack([points, np.zeros(3)])
     for start in range(0, len(points), _CHUNK):
         chunk = slice(start, start + _CHUNK)
-        near = tree.query(points[chunk], _NEIGHBOURS, distance_upper_bound=_NORMAL_VOXELS * voxel_m)[1]
+        near = tree.query(points[chunk], FEWEST, distance_upper_bound=_NORMAL_VOXELS * voxel_m)[1]
         there = np.asarray(near < len(points))
         offsets = (padded[near] - points[chunk, None]) * there[..., None]
         count = np.count_nonzero(there, axis=1)

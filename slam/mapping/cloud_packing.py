@@ -11,9 +11,7 @@ from slam.errors import ScanweaveError
 from slam.measurements import FloatArray
 
 STEP_M = 0.001  # a thirtieth of a 3D lidar's noise; coarser only for a cloud that reaches beyond 500 km
-_MOST_STEPS = 2**29
 _HEAD = struct.Struct("<dI")
-_BYTES_A_POINT = 12
 # zlib packs a run of equal bytes to a thousandth; more is a lie about the length.
 _GREATEST_RATIO = 1040
 
@@ -29,7 +27,7 @@ def packed_cloud(points: FloatArray) -> bytes:
     reach_m = float(np.abs(points).max(initial=0.0))
     if not np.isfinite(reach_m):
         raise ScanweaveError(f"a cloud holds a point at {reach_m}; only finite points can be kept")
-    step_m = max(STEP_M, reach_m / _MOST_STEPS)
+    step_m = max(STEP_M, reach_m / 2**29)
     steps = np.rint(points / step_m).astype(np.int32).reshape(-1, 3)
     ways = np.diff(steps, axis=0, prepend=np.zeros((1, 3), np.int32))
     # The sign goes to the lowest bit: upper bytes of short ways are all zero, whichever way they go.
@@ -49,7 +47,7 @@ def unpacked_cloud(content: bytes) -> FloatArray:
     if len(content) < _HEAD.size:
         raise ValueError("a cloud that ends too soon")
     step_m, count = _HEAD.unpack_from(content)
-    size = _BYTES_A_POINT * count
+    size = 3 * np.dtype(np.int32).itemsize * count
     if not 0.0 < step_m < np.inf or size > _GREATEST_RATIO * len(content):
         raise ValueError(f"{len(content)} bytes cannot hold {count} points in steps of {step_m:g} m")
     unpacker = zlib.decompressobj()

@@ -29,7 +29,6 @@ TRUNCATION_VOXELS = 4.0
 # Whole-number colours are not used: their running mean is cut off at every update and darkens.
 BLOCK_BYTES = BLOCK_SIDE**3 * (5 * 4 + 4 * 4)
 FIRST_BLOCKS = 2000
-GROWTH = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +198,7 @@ class _Volume:
         if needed > self._most_blocks:
             raise self._settings.too_large()
         if needed > blocks.capacity():
-            blocks.reserve(min(max(needed, int(GROWTH * blocks.capacity())), self._most_blocks))
+            blocks.reserve(min(max(needed, 3 * blocks.capacity() // 2), self._most_blocks))
 
     def mesh(self) -> ColoredMesh:
         """The zero crossing as triangles."""

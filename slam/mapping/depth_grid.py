@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.bayes import evidence_steps
-from fusion.curves import Intrinsics
+from fusion.curves import HEIGHT_STEP_M, Intrinsics
 from fusion.depth_model import RangeNoise, hit_evidence
 from fusion.height_band import (
     HeightBand,
@@ -32,7 +32,6 @@ from slam.measurements import CameraIntrinsics, Float32Array, FloatArray, RgbdFr
 
 Rays: TypeAlias = FloatArray
 
-_BIN_M = 0.04  # heights of the band that are told apart
 _FREE_STRIDES = (2, 4)
 
 
@@ -77,7 +76,7 @@ class DepthModel:
     @property
     def bins(self) -> int:
         """Heights of the band that are told apart."""
-        return min(MAX_BINS, max(1, math.ceil((self.band.high_m - self.band.low_m) / _BIN_M)))
+        return min(MAX_BINS, max(1, math.ceil((self.band.high_m - self.band.low_m) / (2.0 * HEIGHT_STEP_M))))
 
     def __post_init__(self) -> None:
         """Refuse a model that would mark what it clears.
@@ -151,7 +150,7 @@ def depth_board(
     every = (slice(None, None, model.pixel_stride),) * 2
     cells, heights = _hit_voxels(depth_m[every], rays[every], matrix, model, cell_m)
     centres_m = (cells + 0.5) * cell_m - matrix[:2, 3]
-    hits = _hits_by_range(model, cell_m)[_place(np.hypot(*centres_m.T))]
+    hits = _hits_by_range(model, cell_m)[_place(np.hypot(*centres_m.T), cell_m)]
     steps[cells[:, 1] - box[0], cells[:, 0] - box[1], heights] = hits
     return Board(steps, box[0], box[1])
 
@@ -184,18 +183,15 @@ def _hit_voxels(
     return cells[held], 1 + np.clip(heights[held], 0, model.bins - 1)
 
 
-_BINS_A_M = 20
-
-
-def _place(range_m: FloatArray) -> NDArray[np.intp]:
+def _place(range_m: FloatArray, cell_m: float) -> NDArray[np.intp]:
     """Where a range is found in the table of `_hits_by_range`."""
-    return np.asarray(range_m * _BINS_A_M).astype(np.intp)
+    return np.asarray(range_m / cell_m).astype(np.intp)
 
 
 @lru_cache(maxsize=8)
 def _hits_by_range(model: DepthModel, cell_m: float) -> Steps:
     """Evidence of a hit, long enough for the corners of the view."""
-    return hit_evidence(model.noise, model.p_hit, cell_m, 3.0 * model.depth_max_m + cell_m, _BINS_A_M)
+    return hit_evidence(model.noise, model.p_hit, cell_m, 3.0 * model.depth_max_m + cell_m)
 
 
 @lru_cache(maxsize=8)

@@ -26,7 +26,7 @@ from slam.mapping.ray_tracing import Box
 Tile: TypeAlias = NDArray[np.int32]
 
 SIDE = 256
-TILE_BYTES = 4 * SIDE * SIDE
+TILE_BYTES = SIDE * SIDE * np.dtype(np.int32).itemsize
 
 
 class Board(NamedTuple):

@@ -9,11 +9,11 @@ import gtsam
 import numpy as np
 
 from slam.config.clouds import CloudMapConfig
+from slam.mapping.band_scan import LEVEL_SHARE
 from slam.measurements import Float32Array, FloatArray, LaserScan
 
-# Elevations within one bin are one ring; a ring has at least this share of the points of the fullest.
+# Elevations within one bin are one ring.
 _BIN_RAD = math.radians(0.25)
-_RING_SHARE = 0.3
 # A ring farther from the horizon leaves the height at which it began.
 _STEEPEST_RAD = math.radians(5.0)
 
@@ -42,7 +42,7 @@ def horizon_scan(
     if not near.any():
         return None
     found, counts = np.unique(bins[near], return_counts=True)
-    rings = found[counts >= _RING_SHARE * counts.max()]
+    rings = found[counts >= LEVEL_SHARE * counts.max()]
     ring = int(rings[np.argmin(np.abs(rings))])
     on_ring = np.abs(elevation - ring * _BIN_RAD) <= _BIN_RAD
     step_rad = 2.0 * math.pi / config.bearings

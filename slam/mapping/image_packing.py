@@ -12,7 +12,7 @@ from slam.measurements import CameraIntrinsics, ColorImage, Float32Array, RgbdFr
 
 JPEG_QUALITY = 95
 STEPS_PER_M = 5000.0  # 0.2 mm, as in TUM's logs; coarser only for a frame that reaches beyond 13.1 m
-MAX_STEPS = 65535
+MAX_STEPS = np.iinfo(np.uint16).max
 _PNG_HEAD = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
 
 

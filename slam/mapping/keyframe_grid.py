@@ -23,7 +23,7 @@ def layer_settings(config: Config, depth: DepthModel | None = None) -> LayerSett
         lidar=LidarModel(
             p_hit=grid.hit_probability,
             p_miss=grid.miss_probability,
-            max_hit_range_m=grid.hit_range_m,
+            max_hit_range_m=config.scan.range_max_m,
             max_clear_range_m=grid.clear_range_m,
         ),
         depth=depth or DepthModel(),

@@ -11,7 +11,7 @@ import numpy as np
 
 from fusion import bayes
 from slam.errors import ConfigError, ScanweaveError
-from slam.mapping.evidence_tiles import union
+from slam.mapping.evidence_tiles import SIDE, union
 from slam.mapping.occupancy_grid import OccupancyGrid, StateArray, Steps, Thresholds
 from slam.mapping.ray_tracing import Box
 from slam.measurements import BoolArray
@@ -19,7 +19,6 @@ from slam.measurements import BoolArray
 LayerName: TypeAlias = Literal["lidar", "depth", "fused", "decision"]
 
 LAYERS: tuple[LayerName, ...] = ("lidar", "depth", "fused", "decision")
-_ROWS_AT_ONCE = 256
 # Of a cell, by which corners may be off the lattice: what reading and writing of poses may round.
 _OFF_LATTICE = 1e-3
 
@@ -200,4 +199,4 @@ def _box(grid: OccupancyGrid) -> Box:
 
 def _blocks(rows: int) -> Iterator[slice]:
     """Rows in pieces that are small against the map."""
-    return (slice(first, min(first + _ROWS_AT_ONCE, rows)) for first in range(0, rows, _ROWS_AT_ONCE))
+    return (slice(first, min(first + SIDE, rows)) for first in range(0, rows, SIDE))

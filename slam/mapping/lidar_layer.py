@@ -16,8 +16,6 @@ from slam.mapping.occupancy_grid import Steps
 from slam.mapping.ray_tracing import HIT, Box, Evidence, beam_ends, draw_lines
 from slam.measurements import FloatArray, LaserScan
 
-_BINS_A_M = 10
-
 
 @dataclass(frozen=True, slots=True)
 class LidarModel:
@@ -127,7 +125,7 @@ def weigh_beams(
     short = laser_cells + np.where(met, np.maximum(0.0, share), 1.0)[:, None] * away
     steps: Steps = draw_lines(short, kinds, box, *laser_cells, miss_step)
     cells = np.minimum(np.floor(ends[met, ::-1]).astype(np.intp) - box[:2], np.array(box[2:]) - 1)
-    place = np.minimum((range_m[met] * _BINS_A_M).astype(np.intp), hit_steps.size - 1)
+    place = np.minimum((range_m[met] / cell_m).astype(np.intp), hit_steps.size - 1)
     np.maximum.at(steps, (cells[:, 0], cells[:, 1]), hit_steps[place])
     return steps
 
@@ -135,4 +133,4 @@ def weigh_beams(
 @lru_cache(maxsize=8)
 def _hits_by_range(model: LidarModel, cell_m: float) -> Steps:
     """Evidence of a hit by range."""
-    return hit_evidence(model.noise, model.p_hit, cell_m, min(model.max_hit_range_m, 200.0), _BINS_A_M)
+    return hit_evidence(model.noise, model.p_hit, cell_m, min(model.max_hit_range_m, 200.0))

@@ -20,7 +20,6 @@ Labels: TypeAlias = NDArray[np.int32]
 CellNumbers: TypeAlias = NDArray[np.int64]
 Cell: TypeAlias = tuple[int, int]
 
-_EDGES = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]])
 _NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))  # the other four are these, walked backward
 
 
@@ -111,7 +110,7 @@ def free_space(
     if not 0.0 <= radius_m < math.inf:
         raise ScanweaveError(f"robot radius is {radius_m:g} m; it must be 0 or more")
     allowed = inflate(states, resolution_m, radius_m) == FREE
-    region, _ = ndimage.label(allowed, structure=_EDGES)
+    region, _ = ndimage.label(allowed)
     return FreeSpace(np.asarray(allowed), np.asarray(region, dtype=np.int32), resolution_m, T_map_grid)
 
 

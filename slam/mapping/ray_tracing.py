@@ -9,25 +9,32 @@ Positions are in cells on an endless lattice: cell (row, col) spans [col, col + 
 from __future__ import annotations
 
 import math
+from enum import IntEnum
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation import TINY
 from fusion.kernel import kernel
 from slam.measurements import Float32Array, FloatArray
 
 Evidence: TypeAlias = NDArray[np.uint8]
 Box: TypeAlias = tuple[int, int, int, int]
 
-NOTHING = np.uint8(0)
-FREE = np.uint8(1)
-HIT = np.uint8(2)
+
+class _Kind(IntEnum):
+    """What a beam says of where it ends."""
+
+    NOTHING = 0
+    FREE = 1
+    HIT = 2
+
+
+NOTHING, FREE, HIT = (np.uint8(kind) for kind in _Kind)
 
 # Lines are followed in fixed point: an addition and a shift a cell, no rounding call.
 _FRACTION_BITS = 32
-_ONE = float(1 << _FRACTION_BITS)
-_HAIR = 1e-9
 
 
 def beam_ends(
@@ -137,7 +144,7 @@ def _draw(ends, kinds, box, x_cells, y_cells, mark, board):  # type: ignore[no-u
     """Draw the board of `draw_lines`, row after row: lines of cells, one a step along the longer axis."""
     first_row, first_col, rows, cols = box
     # A place a hair below a border may be rounded onto it when the corner is taken off.
-    last_x, last_y = cols - _HAIR, rows - _HAIR
+    last_x, last_y = cols - TINY, rows - TINY
     x, y = min(x_cells - first_col, last_x), min(y_cells - first_row, last_y)
     for beam in range(kinds.size):
         if kinds[beam] == NOTHING:
@@ -160,8 +167,8 @@ def _draw(ends, kinds, box, x_cells, y_cells, mark, board):  # type: ignore[no-u
             offset = start + 1.5 - major
             forward = stride
         at = start * stride
-        place = np.int64((minor + slope * offset) * _ONE)
-        increment = np.int64(slope * _ONE)
+        place = np.int64((minor + slope * offset) * 2.0**_FRACTION_BITS)
+        increment = np.int64(slope * 2.0**_FRACTION_BITS)
         board[math.floor(y) * cols + math.floor(x)] = mark
         for _ in range(1, steps):
             at += forward

@@ -20,7 +20,6 @@ HeightMask: TypeAlias = NDArray[np.uint32]
 Box: TypeAlias = tuple[int, int, int, int]
 
 MAX_BINS = 30
-FLOOR_BIT = np.uint32(1)
 
 
 @kernel
@@ -94,7 +93,7 @@ def heights_seen(
 
     Returns
     -------
-    (rows, cols) with `FLOOR_BIT` where the floor was seen, and one bit a height above it.
+    (rows, cols) with the lowest bit where the floor was seen, and one bit a height above it.
     """
     mask = np.zeros((box[2], box[3]), np.uint32)
     low, high = band_m
@@ -115,7 +114,7 @@ def heights_seen(
             if depth <= reach_m and end_z <= low and end_z >= -low - 4.0 * sigma * abs(dz):
                 at_row, at_col = int(camera_y + depth * dy), int(camera_x + depth * dx)
                 if at_row < box[2] and at_col < box[3]:
-                    mask[at_row, at_col] |= FLOOR_BIT
+                    mask[at_row, at_col] |= np.uint32(1)
             if row % strides[0] == 0 and col % strides[1] == 0:
                 end = min(depth - margin_sigmas * sigma, reach_m)
                 if end > 0.0:

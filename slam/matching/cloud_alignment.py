@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.config.clouds import CloudOdometryConfig
+from fusion.estimation import SETTLED, TINY, gate, median_to_sigma
+from slam.config import Config
+from slam.matching.match_covariance import LEAST_EIGENVALUE
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray, MotionEstimate
 
-# The scale of the robust kernel, in standard deviations of the residuals.
-_KERNEL_SIGMAS = 3.0
 _LEAST_KERNEL_M = 0.02
-_MAD = 1.4826
-# Points change their planes on the way: below this share of the widest kernel a step is that.
-_CONVERGED = 1e-3
-# An edge ends at two keyframes, and the one that it starts from was itself matched as well as this one.
-_ENDS = 2.0
-_LEAST_EIGENVALUE = 1e-2
 # A point this share of the widest kernel from its plane lies on it.
 _ON_PLANE = 0.2
 
@@ -97,10 +92,10 @@ def align_cloud(
         if found is None:
             return None
         hessian, gradient = found.hessian, found.gradient
-        damping = np.diag(np.maximum(np.diag(hessian), _LEAST_EIGENVALUE)) * 1e-6
+        damping = np.diag(np.maximum(np.diag(hessian), LEAST_EIGENVALUE)) * TINY
         step = -np.linalg.solve(hessian + damping, gradient)
         pose = pose.compose(gtsam.Pose3.Expmap(step))
-        if np.abs(step).max() < _CONVERGED * kernel_m:
+        if np.abs(step).max() < SETTLED:
             converged = True
             break
     found = _linearise(points, planes, pose, kernel_m)
@@ -130,7 +125,7 @@ def agreement(points: FloatArray, planes: PlaneVoxels, pose: gtsam.Pose3, kernel
     return 0.0 if found is None else found.agreement(kernel_m, len(points))
 
 
-def motion_of(alignment: CloudAlignment, config: CloudOdometryConfig, guess: gtsam.Pose3) -> MotionEstimate:
+def motion_of(alignment: CloudAlignment, config: Config, guess: gtsam.Pose3) -> MotionEstimate:
     """Wrap an alignment as a measured motion with its covariance.
 
     The covariance is H^-1 S H^-1 with the spread S of the gradient, in which the points of a plane share
@@ -143,22 +138,24 @@ def motion_of(alignment: CloudAlignment, config: CloudOdometryConfig, guess: gts
     lever_m = max(alignment.lever_m, 1e-3)
     units = np.array([1.0 / lever_m] * 3 + [1.0] * 3)
     values, vectors = np.linalg.eigh(units[:, None] * alignment.hessian * units)
-    weak = vectors[:, values < config.degenerate_share * max(alignment.weight, 1.0)]
-    scale = max(alignment.residual_m, config.minimal_residual_m) if np.isfinite(alignment.residual_m) else 1.0
+    weak = vectors[:, values < 0.5 * config.match.degenerate_share * max(alignment.weight, 1.0)]
+    least_m = config.match.minimal_residual_m
+    scale = max(alignment.residual_m, least_m) if np.isfinite(alignment.residual_m) else 1.0
     # Points that fit nothing are a doubt about all the others.
     doubt = 1.0 / max(alignment.inlier_share, 0.1) ** 2
-    root = units[:, None] * (vectors / np.sqrt(np.maximum(values, _LEAST_EIGENVALUE)))
+    root = units[:, None] * (vectors / np.sqrt(np.maximum(values, LEAST_EIGENVALUE)))
     # How many times the spread is that of independent residuals, by direction.
     shared, directions = np.linalg.eigh(root.T @ alignment.spread @ root / scale**2)
-    widened = root @ directions * np.sqrt(np.maximum(shared, config.correlated_points))
-    covariance = _ENDS * doubt * scale**2 * (widened @ widened.T)
-    covariance += np.diag([config.floor_rad**2] * 3 + [config.floor_m**2] * 3)
+    widened = root @ directions * np.sqrt(np.maximum(shared, config.cloud_odometry.correlated_points))
+    # An edge ends at two keyframes, and the one that it starts from was itself matched as well as this one.
+    covariance = 2.0 * doubt * scale**2 * (widened @ widened.T)
+    covariance += np.diag([config.match.floor_rad**2] * 3 + [config.match.floor_m**2] * 3)
     pose, weakest = alignment.pose, np.zeros(6)
     if weak.shape[1]:
         away = gtsam.Pose3.Logmap(pose.between(guess)) / units
         pose = pose.compose(gtsam.Pose3.Expmap(units * (weak @ (weak.T @ away))))
         open_ = units[:, None] * weak
-        covariance += config.degenerate_sigma_m**2 * (open_ @ open_.T)
+        covariance += config.match.degenerate_sigma_m**2 * (open_ @ open_.T)
         weakest = open_[:, 0] / np.linalg.norm(open_[:, 0])
     return MotionEstimate(
         T_reference_base=pose,
@@ -205,8 +202,8 @@ def _linearise(points: FloatArray, planes: PlaneVoxels, pose: gtsam.Pose3, kerne
     if int(pairs.found.sum()) < 6:
         return None
     residuals = np.einsum("ij,ij->i", points_map[pairs.found] - pairs.centers, pairs.normals)
-    spread = _MAD * float(np.median(np.abs(residuals)))
-    kernel_m = float(np.clip(_KERNEL_SIGMAS * spread, _LEAST_KERNEL_M, kernel_m))
+    spread = median_to_sigma() * float(np.median(np.abs(residuals)))
+    kernel_m = float(np.clip(math.sqrt(gate()) * spread, _LEAST_KERNEL_M, kernel_m))
     weights = 1.0 / (1.0 + (residuals / kernel_m) ** 2)
     weights[np.abs(residuals) > 2.0 * kernel_m] = 0.0
     normals_base = pairs.normals @ rotation

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 import gtsam
 import numpy as np
 
-from slam.config.clouds import CloudOdometryConfig
+from fusion.estimation import FEWEST, SETTLED
+from slam.config import Config
 from slam.matching.cloud_alignment import CloudAlignment, agreement, align_cloud, motion_of
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray, MotionEstimate
@@ -23,17 +24,15 @@ from slam.measurements import FloatArray, MotionEstimate
 if TYPE_CHECKING:
     from kiss_icp.mapping import VoxelHashMap
 
+# Points of a voxel that KISS-ICP keeps, as its authors do (Vizzo 2023).
+KISS_POINTS_A_VOXEL = 20
 _KISS_ITERATIONS = 50
-_KISS_CONVERGED = 1e-3
-# In voxels: KISS-ICP's greatest pair distance and its kernel, and the kernel of the planes.
-_REACH, _KERNEL, _PLANE_KERNEL = 5.0, 1.0, 1.0
-_LEAST_POINTS = 30
+# In voxels: how far a pose may be off that KISS-ICP is to find. All kernels are a voxel wide.
+REACH = 5.0
 # Points that find the way: what follows takes them all.
-_ARRIVING_POINTS, _SEARCHED_POINTS = 3000, 1500
+_ARRIVING_POINTS = 3000
 # Points that know nothing of the planes lie evenly within the kernel; so many voxels RMS are nearly that.
 _CHANCE = 0.45
-# Planes alone are believed within so many voxels of the guess, where this share of the points agrees.
-_NEAR, _SURE_SHARE = 1.0, 0.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,20 +63,18 @@ class LocalCloud:
         Side of a voxel.
     """
 
-    def __init__(
-        self, points: VoxelHashMap, planes: PlaneVoxels, voxel_m: float, config: CloudOdometryConfig
-    ) -> None:
+    def __init__(self, points: VoxelHashMap, planes: PlaneVoxels, voxel_m: float, config: Config) -> None:
         self._points, self.planes = points, planes
         self._config, self._voxel_m = config, voxel_m
 
     @classmethod
-    def of(cls, points: FloatArray, voxel_m: float, config: CloudOdometryConfig) -> LocalCloud:
+    def of(cls, points: FloatArray, voxel_m: float, config: Config) -> LocalCloud:
         """The map of a cloud (N, 3)."""
-        planes = PlaneVoxels.build(points, voxel_m, config.thickness_m)
+        planes = PlaneVoxels.build(points, voxel_m, config.cloud_odometry.thickness_m)
         return cls(kiss_map(points, voxel_m, config), planes, voxel_m, config)
 
     @classmethod
-    def of_planes(cls, planes: PlaneVoxels, voxel_m: float, config: CloudOdometryConfig) -> LocalCloud:
+    def of_planes(cls, planes: PlaneVoxels, voxel_m: float, config: Config) -> LocalCloud:
         """A map of planes, to which nothing arrives from afar."""
         return cls(kiss_map(np.zeros((0, 3)), voxel_m, config), planes, voxel_m, config)
 
@@ -99,25 +96,25 @@ class LocalCloud:
         least_agreement
             Share of points on planes with which planes alone are believed.
         """
-        if len(scan) < _LEAST_POINTS or not len(self.planes):
+        if len(scan) < FEWEST or not len(self.planes):
             return None
         found = self._by_planes(scan, guess) if reach_m is None else None
         near = found is not None and self._is_near(found, guess) and found.agreement >= least_agreement
         if not near:
-            start = self._arrive(scan, guess, _REACH * self._voxel_m if reach_m is None else reach_m)
+            start = self._arrive(scan, guess, REACH * self._voxel_m if reach_m is None else reach_m)
             found = self._by_planes(scan, start)
         return self._aligned(found, guess, near=near)
 
     def refine(self, scan: FloatArray, guess: gtsam.Pose3) -> Aligned | None:
         """The same from a guess that is right within a voxel, by the planes alone."""
-        if len(scan) < _LEAST_POINTS or not len(self.planes):
+        if len(scan) < FEWEST or not len(self.planes):
             return None
         found = self._by_planes(scan, guess)
         return self._aligned(found, guess, near=found is not None and self._is_near(found, guess))
 
     def _aligned(self, found: CloudAlignment | None, guess: gtsam.Pose3, *, near: bool) -> Aligned | None:
         """An alignment, if enough points fit better than by chance."""
-        if found is None or found.pair_count < self._config.least_pairs:
+        if found is None or found.pair_count < self._config.cloud_odometry.least_pairs:
             return None
         if not found.residual_m < _CHANCE * self._voxel_m:
             return None
@@ -128,45 +125,45 @@ class LocalCloud:
 
         KISS-ICP holds on to where it starts along a street of flat walls, since rings travel with the lidar.
         """
-        part = _part(scan, _SEARCHED_POINTS)
+        part = _part(scan, _ARRIVING_POINTS // 2)
         found = [self._by_planes(part, start) for start in starts]
         best = max(found, key=lambda one: 0.0 if one is None else one.agreement)
         return starts[0] if best is None else best.pose
 
     def agreement(self, scan: FloatArray, pose: gtsam.Pose3) -> float:
         """Share of a thinned scan (N, 3), base frame, that lies on planes from ``T_map_base``."""
-        return agreement(scan, self.planes, pose, _PLANE_KERNEL * self._voxel_m)
+        return agreement(scan, self.planes, pose, self._voxel_m)
 
     def _by_planes(self, scan: FloatArray, start: gtsam.Pose3) -> CloudAlignment | None:
         """The point-to-plane alignment."""
-        return align_cloud(scan, self.planes, start, self._config.iterations, _PLANE_KERNEL * self._voxel_m)
+        return align_cloud(scan, self.planes, start, self._config.match.iterations, self._voxel_m)
 
     def _is_near(self, found: CloudAlignment, guess: gtsam.Pose3) -> bool:
         """Whether an alignment settled where it was expected."""
         moved_m = np.abs(gtsam.Pose3.Logmap(guess.between(found.pose))) * ([found.lever_m] * 3 + [1.0] * 3)
-        sure = found.converged and found.inlier_share >= _SURE_SHARE
-        return bool(sure and moved_m.max() <= _NEAR * self._voxel_m)
+        sure = found.converged and found.inlier_share >= self._config.match.sure_inlier_share
+        return bool(sure and moved_m.max() <= self._voxel_m)
 
     def _arrive(self, scan: FloatArray, guess: gtsam.Pose3, reach_m: float) -> gtsam.Pose3:
         """KISS-ICP's registration of a part of the scan; the guess itself where it breaks down."""
         from kiss_icp.registration import Registration
 
-        registration = Registration(_KISS_ITERATIONS, _KISS_CONVERGED, max_num_threads=1)
+        registration = Registration(_KISS_ITERATIONS, SETTLED, max_num_threads=1)
         matrix = registration.align_points_to_map(
             points=_part(scan, _ARRIVING_POINTS),
             voxel_map=self._points,
             initial_guess=guess.matrix(),
             max_correspondance_distance=reach_m,
-            kernel=_KERNEL * self._voxel_m,
+            kernel=self._voxel_m,
         )
         return gtsam.Pose3(matrix) if np.isfinite(matrix).all() else guess
 
 
-def kiss_map(points: FloatArray, voxel_m: float, config: CloudOdometryConfig) -> VoxelHashMap:
+def kiss_map(points: FloatArray, voxel_m: float, config: Config) -> VoxelHashMap:
     """KISS-ICP's map of a cloud (N, 3)."""
     from kiss_icp.mapping import VoxelHashMap
 
-    made = VoxelHashMap(voxel_m, config.range_max_m, config.points_a_voxel)
+    made = VoxelHashMap(voxel_m, config.cloud_odometry.range_max_m, KISS_POINTS_A_VOXEL)
     if len(points):
         made.add_points(points)
     return made

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fusion.estimation import TINY
 from slam.config.stages import MatchConfig
-from slam.matching.match_covariance import MatchNoise, weak_direction
+from slam.matching.match_covariance import weak_direction
 from slam.matching.object_evidence import object_evidence
 from slam.matching.planar import transform_into
 from slam.matching.point_to_line import Alignment, align
@@ -16,11 +17,8 @@ from slam.matching.score_spread import score_spread
 from slam.matching.surfel_map import SurfelMap, build_surfel_map
 from slam.measurements import Float32Array, FloatArray
 
-# Weight of the guess, in points: far below any wall, enough to hold what no point determines.
-_LOOSE = np.eye(3)
 # Enough to hold a direction that the points determine badly against their noise.
 _HELD_POINTS = 300.0
-_PINNED = np.eye(3) * 1e12
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +72,7 @@ class LocalMap:
         return cls(
             points,
             build_surfel_map(points.points, points.normals, config.coarse_cell_m),
-            build_surfel_map(points.points, points.normals, config.fine_cell_m),
+            build_surfel_map(points.points, points.normals, config.cell_m),
             config,
         )
 
@@ -84,11 +82,13 @@ class LocalMap:
         Where the scan leaves a direction open (a corridor), the guess keeps it: the noise of the normals
         would otherwise decide (solution remapping, Zhang 2016).
         """
-        result = self._align(scan, guess, _LOOSE)
+        # In points: far below any wall, enough to hold what no point determines.
+        loose = np.eye(3)
+        result = self._align(scan, guess, loose)
         weak = weak_direction(result, self.config.degenerate_share)
         if weak is None:
             return result
-        return self._align(scan, guess, _LOOSE + _HELD_POINTS * np.outer(weak, weak))
+        return self._align(scan, guess, loose + _HELD_POINTS * np.outer(weak, weak))
 
     def align_held(self, scan: OrientedPoints, guess: FloatArray) -> Alignment:
         """Align a scan that must stay near its guess in every direction."""
@@ -97,13 +97,13 @@ class LocalMap:
     def judge(self, scan: OrientedPoints, pose: FloatArray) -> Alignment:
         """Hessian, residual and inlier share of a scan (base frame) at a pose (3,), without moving it."""
         judged = align(
-            scan.points, scan.normals, pose, pose, self.fine, self.config.fine_kernel_m, 1, _PINNED
+            scan.points, scan.normals, pose, pose, self.fine, 0.5 * self.config.cell_m, 1, np.eye(3) / TINY
         )
         return self._with_spread(scan, judged._replace(pose=pose, converged=True))
 
     def evidence(self, scan: OrientedPoints, pose: FloatArray, other: FloatArray) -> FloatArray:
         """What every object of a scan (base frame) says for a pose (3,) against another."""
-        return object_evidence(scan.points, scan.normals, pose, other, self.fine, self.config.fine_kernel_m)
+        return object_evidence(scan.points, scan.normals, pose, other, self.fine, 0.5 * self.config.cell_m)
 
     def _align(self, scan: OrientedPoints, guess: FloatArray, prior: FloatArray) -> Alignment:
         """Coarse, then fine, both tied to the same guess."""
@@ -114,7 +114,7 @@ class LocalMap:
             guess,
             guess,
             self.coarse,
-            config.coarse_kernel_m,
+            config.cell_m,
             config.iterations,
             prior,
         )
@@ -124,7 +124,7 @@ class LocalMap:
             coarse.pose,
             guess,
             self.fine,
-            config.fine_kernel_m,
+            0.5 * config.cell_m,
             config.iterations,
             prior,
         )
@@ -138,18 +138,7 @@ class LocalMap:
             scan.normals,
             alignment.pose,
             self.fine,
-            config.fine_kernel_m,
+            0.5 * config.cell_m,
             config.correlated_beams,
         )
         return alignment._replace(spread=spread)
-
-
-def match_noise(config: MatchConfig) -> MatchNoise:
-    """The part of the configuration that the covariance needs."""
-    return MatchNoise(
-        floor_m=config.floor_m,
-        floor_rad=config.floor_rad,
-        degenerate_share=config.degenerate_share,
-        degenerate_sigma_m=config.degenerate_sigma_m,
-        minimal_residual_m=config.minimal_residual_m,
-    )

@@ -3,45 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
+from fusion.estimation import TINY
+from slam.config.stages import MatchConfig
 from slam.matching.point_to_line import Alignment
 from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
 
-# An edge ends at two keyframes, and the one that it starts from was itself matched as well as this one.
-_ENDS = 2.0
-_HARDLY_ANY = np.eye(3) * 1e-9
-_ROUNDING = 1e-9
-_DIAGONAL = np.diag_indices(3)
+# In points: no direction is infinitely uncertain.
+LEAST_EIGENVALUE = 0.01
 
 
-@dataclass(frozen=True, slots=True)
-class MatchNoise:
-    """What turns a Hessian into a covariance.
-
-    Attributes
-    ----------
-    floor_m, floor_rad
-        Standard deviations that no match falls below (timing, quantisation, discretisation).
-    degenerate_share
-        A translation direction is degenerate where its information, after the rotation is taken out,
-        is below this share of the information of all points together.
-    degenerate_sigma_m
-        Standard deviation given to a degenerate direction.
-    minimal_residual_m
-        Range resolution of the sensors: a smaller residual is luck.
-    """
-
-    floor_m: float
-    floor_rad: float
-    degenerate_share: float
-    degenerate_sigma_m: float
-    minimal_residual_m: float
-
-
-def motion_from_alignment(alignment: Alignment, noise: MatchNoise) -> MotionEstimate:
+def motion_from_alignment(alignment: Alignment, noise: MatchConfig) -> MotionEstimate:
     """Wrap an alignment as a measured motion with its covariance.
 
     The covariance is H^-1 S H^-1 with the spread S of the gradient, in which neighbouring beams share their
@@ -55,8 +29,9 @@ def motion_from_alignment(alignment: Alignment, noise: MatchNoise) -> MotionEsti
     )
     # Points that fit nothing are a doubt about all the others.
     doubt = 1.0 / max(alignment.inlier_share, 0.1) ** 2
-    covariance = _ENDS * doubt * scale**2 * _correlated_inverse(alignment)
-    covariance[_DIAGONAL] += (noise.floor_m**2, noise.floor_m**2, noise.floor_rad**2)
+    # An edge ends at two keyframes, and the one that it starts from was itself matched as well as this one.
+    covariance = 2.0 * doubt * scale**2 * _correlated_inverse(alignment)
+    covariance += np.diag([noise.floor_m**2, noise.floor_m**2, noise.floor_rad**2])
     if weak is not None:
         covariance += noise.degenerate_sigma_m**2 * np.outer(weak, weak)
     return MotionEstimate(
@@ -79,11 +54,11 @@ def weak_direction(alignment: Alignment, degenerate_share: float) -> FloatArray 
     """
     # Less than one point's worth determines nothing.
     least = degenerate_share * max(alignment.weight, 1.0)
-    xx, xy, xt, _, yy, yt, _, _, tt = (alignment.hessian + _HARDLY_ANY).ravel().tolist()
+    xx, xy, xt, _, yy, yt, _, _, tt = (alignment.hessian + TINY * np.eye(3)).ravel().tolist()
     xx, xy, yy = xx - xt * xt / tt, xy - xt * yt / tt, yy - yt * yt / tt
     lower = 0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), xy)
     # Clearly determined, as nearly always: rounding leaves no doubt of that.
-    if lower - _ROUNDING * (xx + yy) > least:
+    if lower - TINY * (xx + yy) > least:
         return None
     eigenvalues, eigenvectors = np.linalg.eigh(np.array([[xx, xy], [xy, yy]]))
     if eigenvalues[0] >= least:
@@ -98,7 +73,7 @@ def _correlated_inverse(alignment: Alignment) -> FloatArray:
     Residuals that seem to share less than nothing do so by chance.
     """
     eigenvalues, eigenvectors = np.linalg.eigh(alignment.hessian)
-    root = eigenvectors / np.sqrt(np.maximum(eigenvalues, 0.01))
+    root = eigenvectors / np.sqrt(np.maximum(eigenvalues, LEAST_EIGENVALUE))
     if alignment.spread is None or not 0.0 < alignment.residual_m < np.inf:
         return np.asarray(root @ root.T, dtype=np.float64)
     whitened = root.T @ alignment.spread @ root / alignment.residual_m**2

@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
 
+from fusion.estimation import gate
 from slam.matching.planar import between
 from slam.measurements import FloatArray
 
 # The one gate wherever motions are compared: two that are true agree with this probability (chi-square, three
 # degrees of freedom).
 _AGREEMENT = 0.97
-_GATE = float(chdtri(3, 1.0 - _AGREEMENT))
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +37,7 @@ class Motion:
 
     def holds(self, pose: FloatArray) -> bool:
         """Whether a pose (3,) passes the gate, however unsure it may be itself."""
-        return self.squared_mahalanobis(pose) <= _GATE
+        return self.squared_mahalanobis(pose) <= gate(3, _AGREEMENT)
 
     def agrees(self, other: Motion) -> bool:
         """Whether another motion passes the gate, by both their covariances."""

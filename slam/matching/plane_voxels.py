@@ -16,8 +16,6 @@ from slam.measurements import BoolArray, FloatArray
 
 # Three axes make a key.
 _AXIS_BITS = 21
-_HALF_AXIS = 1 << (_AXIS_BITS - 1)
-_ROWS, _COLUMNS = np.triu_indices(3)
 _LEAST_POINTS = 6
 # A ring of the lidar alone is a line: its second extent is noise, which tells no plane.
 _LEAST_EXTENT = 0.12
@@ -149,7 +147,8 @@ def _moments(points: FloatArray, size_m: float) -> VoxelMoments:
     keys, ordered = keys[order], points[order]
     # About the corner of its voxel a moment loses no digits.
     local = ordered - np.floor(ordered / size_m) * size_m
-    rows = np.column_stack([np.ones(len(local)), local, local[:, _ROWS] * local[:, _COLUMNS]])
+    row, column = np.triu_indices(3)
+    rows = np.column_stack([np.ones(len(local)), local, local[:, row] * local[:, column]])
     return summed(keys, rows)
 
 
@@ -180,15 +179,16 @@ def fitted(
     if not flat.any():
         return flat, centers, normals
     means = sums[flat, 1:4] / sums[flat, :1]
-    spread = sums[flat, 4:] / sums[flat, :1] - means[:, _ROWS] * means[:, _COLUMNS]
+    row, column = np.triu_indices(3)
+    spread = sums[flat, 4:] / sums[flat, :1] - means[:, row] * means[:, column]
     covariances = np.empty((len(means), 3, 3))
-    covariances[:, _ROWS, _COLUMNS] = spread
-    covariances[:, _COLUMNS, _ROWS] = spread
+    covariances[:, row, column] = spread
+    covariances[:, column, row] = spread
     values, vectors = np.linalg.eigh(covariances)
     axes = np.stack([keys >> 2 * _AXIS_BITS, keys >> _AXIS_BITS, keys], axis=1)[flat] & (
         (1 << _AXIS_BITS) - 1
     )
-    centers[flat] = means + (axes - _HALF_AXIS) * size_m
+    centers[flat] = means + (axes - (1 << _AXIS_BITS - 1)) * size_m
     normals[flat] = vectors[:, :, 0]
     flat[flat] = (
         (values[:, 0] < thickness_m**2)
@@ -200,5 +200,5 @@ def fitted(
 
 def voxel_keys(points: FloatArray, size_m: float) -> NDArray[np.int64]:
     """One integer for the voxel of each point."""
-    whole = np.floor(points / size_m).astype(np.int64) + _HALF_AXIS
+    whole = np.floor(points / size_m).astype(np.int64) + (1 << _AXIS_BITS - 1)
     return (whole[:, 0] << 2 * _AXIS_BITS) | (whole[:, 1] << _AXIS_BITS) | whole[:, 2]

@@ -11,15 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fusion.estimation import SETTLED, TINY
 from fusion.kernel import kernel
 from slam.matching.surfel_map import SurfelMap, nearest_surfel
 from slam.measurements import AnyFloatArray, FloatArray
-
-_SETTLED_M = 1e-4
-_SETTLED_RAD = 1e-4
-_REGULARISATION = 1e-6
-_NO_PRIOR = np.zeros((3, 3))
-_NO_TERMS = np.empty((0, 5))
 
 
 class Alignment(NamedTuple):
@@ -87,7 +82,7 @@ def align(
         in units of points.
     """
     pose, hessian, weight, squares, inliers, converged = _align(
-        points, normals, start, guess, *surfel_map, kernel_m, iterations, prior, _NO_TERMS
+        points, normals, start, guess, *surfel_map, kernel_m, iterations, prior, np.empty((0, 5))
     )
     residual_m = math.sqrt(squares / weight) if weight > 0.0 else math.inf
     count = max(len(points), 1)
@@ -111,7 +106,7 @@ def terms_at(
     bend of its cost, the second derivative by the residual.
     """
     terms = np.zeros((points.shape[0], 5))
-    _align(points, normals, pose, pose, *surfel_map, kernel_m, 0, _NO_PRIOR, terms)
+    _align(points, normals, pose, pose, *surfel_map, kernel_m, 0, np.zeros((3, 3)), terms)
     return terms
 
 
@@ -197,12 +192,12 @@ def _align(  # type: ignore[no-untyped-def]
         g1 = g1 + p01 * ahead + p11 * left + p12 * turned
         g2 = g2 + p02 * ahead + p12 * left + p22 * turned
         # Cholesky; LAPACK compiles ten times longer.
-        l00 = math.sqrt(max(h00 + p00 + _REGULARISATION, _REGULARISATION))
+        l00 = math.sqrt(max(h00 + p00 + TINY, TINY))
         l10 = (h01 + p01) / l00
         l20 = (h02 + p02) / l00
-        l11 = math.sqrt(max(h11 + p11 + _REGULARISATION - l10 * l10, _REGULARISATION))
+        l11 = math.sqrt(max(h11 + p11 + TINY - l10 * l10, TINY))
         l21 = (h12 + p12 - l20 * l10) / l11
-        l22 = math.sqrt(max(h22 + p22 + _REGULARISATION - l20 * l20 - l21 * l21, _REGULARISATION))
+        l22 = math.sqrt(max(h22 + p22 + TINY - l20 * l20 - l21 * l21, TINY))
         s0 = g0 / l00
         s1 = (g1 - l10 * s0) / l11
         s2 = (g2 - l20 * s0 - l21 * s1) / l22 / l22
@@ -211,7 +206,7 @@ def _align(  # type: ignore[no-untyped-def]
         px -= cos * s0 - sin * s1
         py -= sin * s0 + cos * s1
         yaw -= s2
-        if math.hypot(s0, s1) < _SETTLED_M and abs(s2) < _SETTLED_RAD:
+        if math.hypot(s0, s1) < SETTLED and abs(s2) < SETTLED:
             converged = True
             break
     hessian = (h00, h01, h02, h01, h11, h12, h02, h12, h22)

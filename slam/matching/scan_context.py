@@ -13,24 +13,25 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation import TINY
 from slam.measurements import Float32Array, FloatArray
 
 RINGS, SECTORS = 20, 60
 _LOWEST_PERCENT = 2.0
 # Neighbouring sectors also tell where between two shifts the best lies.
-_TINY = 1e-9
 
 
-def scan_context(points: FloatArray, reach_m: float) -> Float32Array:
+def scan_context(points: FloatArray, voxel_m: float) -> Float32Array:
     """(RINGS, SECTORS) greatest height in each part of the surroundings, 0 where nothing is.
 
     Parameters
     ----------
     points
         (N, 3), z up.
-    reach_m
-        Radius of the outermost ring.
+    voxel_m
+        Side of a voxel; a ring is four of them wide.
     """
+    reach_m = 4 * RINGS * voxel_m
     context = np.zeros((RINGS, SECTORS), dtype=np.float32)
     distance = np.hypot(points[:, 0], points[:, 1])
     near = distance < reach_m
@@ -99,7 +100,7 @@ def ring_key(context: Float32Array) -> FloatArray:
 def _unit_columns(context: Float32Array) -> FloatArray:
     """Each sector as a unit vector."""
     values = context.astype(np.float64)
-    return np.asarray(values / np.maximum(np.linalg.norm(values, axis=0), _TINY))
+    return np.asarray(values / np.maximum(np.linalg.norm(values, axis=0), TINY))
 
 
 def _seen(context: Float32Array) -> FloatArray:

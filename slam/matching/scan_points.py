@@ -12,8 +12,7 @@ from fusion.kernel import kernel
 from slam.measurements import Float32Array, FloatArray, LaserScan
 
 # A surface patch is a line when its thickness is below this: floor [m2] plus share of its length squared.
-_LINE_THICKNESS_FLOOR_M2 = 0.02**2
-_LINE_THICKNESS_SHARE = 0.02
+_LINE_THICKNESS = 0.02
 # A line whose direction is less sure than this is fitted again over more neighbours.
 _GREATEST_NORMAL_SIGMA_RAD = 0.06
 
@@ -153,7 +152,7 @@ def _line_normals(points, usable, step_rad, neighbours, onward, normals):  # typ
             spread = math.sqrt(apart * apart + 4.0 * cxy * cxy)
             long_axis = 0.5 * (cxx + cyy + spread)
             short_axis = max(0.5 * (cxx + cyy - spread), 0.0)
-            thickest = _LINE_THICKNESS_FLOOR_M2 + _LINE_THICKNESS_SHARE * long_axis
+            thickest = _LINE_THICKNESS**2 + _LINE_THICKNESS * long_axis
             sigma_rad = math.inf
             if members > 2.5 and long_axis >= 1e-6 and short_axis <= thickest:
                 sigma_rad = math.sqrt(short_axis / (long_axis * members))

@@ -16,10 +16,8 @@ from slam.vision.frame_matcher import FrameMatcher
 class Odometries:
     """What makes the odometries of a run; a comparison puts other methods in their place."""
 
-    lidar: Callable[[Config], LidarOdometry] = lambda config: SurfelOdometry(
-        config.lidar_odometry, config.match
-    )
-    rgbd: Callable[[Config], RgbdOdometry] = lambda config: FrameMatcher(config.rgbd_odometry)
+    lidar: Callable[[Config], LidarOdometry] = SurfelOdometry
+    rgbd: Callable[[Config], RgbdOdometry] = FrameMatcher
 
 
 STANDARD = Odometries()

@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 
 from slam.answers import COMPUTED, Answers
-from slam.config.stages import RgbdOdometryConfig
+from slam.config import Config
 from slam.measurements import FloatArray
 from slam.odometry.camera_track import CameraPose, CameraTrack
 from slam.odometry.rgbd_tracker import RgbdTracker, TrackedFrame
@@ -17,7 +17,7 @@ from slam.vision.prepared_frame import PreparedFrame
 class CameraOdometry:
     """Tracks a camera's frames and remembers where they were taken."""
 
-    def __init__(self, config: RgbdOdometryConfig, answers: Answers = COMPUTED) -> None:
+    def __init__(self, config: Config, answers: Answers = COMPUTED) -> None:
         self._tracker = RgbdTracker(FrameMatcher(config), config, answers)
         self._segment = 0
         self.track = CameraTrack()

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import gtsam
 import numpy as np
 
-from slam.config.clouds import CloudOdometryConfig
+from slam.config import Config
 from slam.matching.cloud_points import thinned
-from slam.matching.local_cloud import Aligned, LocalCloud, kiss_map, moved
+from slam.matching.local_cloud import REACH, Aligned, LocalCloud, kiss_map, moved
 from slam.matching.plane_window import PlaneWindow
 from slam.measurements import FloatArray, MotionEstimate
 
@@ -25,8 +25,6 @@ _NEARLY, _HARDLY = 0.85, 0.4
 # How many points of a keyframe lie on the planes of those before it, as a share of those on its own too: by
 # so many keyframes, at least the one, and the other where none has told it yet.
 _KNOWN_KEYFRAMES, _LEAST_KNOWN, _FIRST_KNOWN = 10, 0.7, 0.8
-# How many voxels a robot may move between two scans without anything that tells its motion.
-_REACH = 5.0
 
 
 class CloudOdometry:
@@ -38,10 +36,10 @@ class CloudOdometry:
         Side of a voxel.
     """
 
-    def __init__(self, config: CloudOdometryConfig, voxel_m: float) -> None:
+    def __init__(self, config: Config, voxel_m: float) -> None:
         self._config, self._voxel_m = config, voxel_m
-        self._clouds: deque[FloatArray] = deque(maxlen=config.local_map_keyframes)
-        self._planes = PlaneWindow(voxel_m, config.thickness_m, config.local_map_keyframes)
+        self._clouds: deque[FloatArray] = deque(maxlen=config.match.local_map_keyframes)
+        self._planes = self._no_planes()
         self._points: VoxelHashMap | None = None
         self._grown = 0
         self._map: LocalCloud | None = None
@@ -51,9 +49,14 @@ class CloudOdometry:
     def restart(self) -> None:
         """Forget the local map."""
         self._clouds.clear()
-        self._planes = PlaneWindow(self._voxel_m, self._config.thickness_m, self._config.local_map_keyframes)
+        self._planes = self._no_planes()
         self._map = self._points = None
         self._known.clear()
+
+    def _no_planes(self) -> PlaneWindow:
+        """The planes of no keyframe."""
+        thickness_m = self._config.cloud_odometry.thickness_m
+        return PlaneWindow(self._voxel_m, thickness_m, self._config.match.local_map_keyframes)
 
     def add_keyframe(self, points: FloatArray, pose: gtsam.Pose3) -> None:
         """Take points (N, 3), base frame, at ``T_odom_base`` into the local map."""
@@ -64,7 +67,7 @@ class CloudOdometry:
         self._clouds.append(cloud)
         self._grown += 1
         # KISS-ICP's map forgets by distance only; now and then it is made anew of what is still in the map.
-        if self._points is None or self._grown * _RENEWED_SHARE >= self._config.local_map_keyframes:
+        if self._points is None or self._grown * _RENEWED_SHARE >= self._config.match.local_map_keyframes:
             self._points = kiss_map(np.vstack(self._clouds), self._voxel_m, self._config)
             self._grown = 0
         else:
@@ -107,7 +110,7 @@ class CloudOdometry:
             found.append(aligned)
         best = self._best(found)
         if before is not None and (best is None or best.found.agreement < self._usual):
-            found.append(self._map.align(scan, before, _REACH * self._voxel_m))
+            found.append(self._map.align(scan, before, REACH * self._voxel_m))
             found.append(self._map.align(scan, self._map.best_of(scan, self._around(before))))
             best = self._best(found)
         return None if best is None else self._motion(best, found)
@@ -127,7 +130,7 @@ class CloudOdometry:
 
     def _around(self, pose: gtsam.Pose3) -> list[gtsam.Pose3]:
         """Places ahead, behind and beside a pose."""
-        ways_m = self._voxel_m * np.arange(1.0, _REACH + 1.0)
+        ways_m = self._voxel_m * np.arange(1.0, REACH + 1.0)
         return [pose] + [
             pose.compose(gtsam.Pose3(gtsam.Rot3(), way_m * np.array(axis)))
             for way_m in ways_m
@@ -136,7 +139,7 @@ class CloudOdometry:
 
     def _best(self, found: Sequence[Aligned | None]) -> Aligned | None:
         """The match with most points on planes; None where none fits."""
-        least = self._config.least_inlier_share
+        least = self._config.match.least_inlier_share
         fitting = [one for one in found if one is not None and one.motion.inlier_share >= least]
         best = max(fitting, key=lambda one: one.found.agreement, default=None)
         return None if best is None or best.found.agreement < _HARDLY * self._expected else best

@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from slam.answers import COMPUTED, Answers
-from slam.config.clouds import CloudOdometryConfig
+from slam.config import Config
 from slam.matching.cloud_points import base_points, deskewed, voxel_of
 from slam.matching.planar import between
 from slam.measurements import FloatArray, MotionEstimate, PointCloud
@@ -17,8 +17,6 @@ from slam.odometry.cloud_odometry import CloudOdometry
 from slam.odometry.cloud_velocity import LONGEST_STEP_S, CloudVelocity
 from slam.odometry.turn_matcher import DeskewedCloud, TurnMatcher, pose_of
 from slam.odometry.wheel_tracker import WheelTracker
-
-_LOST_AFTER = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,10 +44,9 @@ class TrackedCloud:
 class CloudTracker:
     """State of the odometry."""
 
-    def __init__(
-        self, config: CloudOdometryConfig, wheels: WheelTracker | None, answers: Answers = COMPUTED
-    ) -> None:
+    def __init__(self, config: Config, wheels: WheelTracker | None, answers: Answers = COMPUTED) -> None:
         self._config, self._wheels, self._answers = config, wheels, answers
+        self._turns = config.cloud_odometry
         self._odometry: CloudOdometry | None = None
         self._matcher: TurnMatcher | None = None
         self._velocity = CloudVelocity()
@@ -67,8 +64,8 @@ class CloudTracker:
         expected = guesses[0] if guesses else before
         self._stamp_s = cloud.stamp_s
         twist = self._velocity.to(expected, cloud.stamp_s) if guesses else np.zeros(6)
-        seen = DeskewedCloud.of(cloud, twist, self._config)
-        if len(seen.points) < self._config.least_pairs:
+        seen = DeskewedCloud.of(cloud, twist, self._turns)
+        if len(seen.points) < self._turns.least_pairs:
             self._lost += 1
             return self._guessed(seen.points, expected, new_keyframe=False)
         if self._matcher is None:
@@ -79,13 +76,15 @@ class CloudTracker:
         )
         if motion is None:
             self._lost += 1
-            return self._guessed(seen.points, expected, new_keyframe=self._lost >= _LOST_AFTER)
+            return self._guessed(
+                seen.points, expected, new_keyframe=self._lost >= self._config.match.lost_after
+            )
         return self._matched(cloud, seen, motion)
 
     def add_keyframe(self, tracked: TrackedCloud) -> None:
         """Take a tracked cloud into the local map; of a lost one it is made anew."""
         assert self._odometry is not None
-        if self._lost >= _LOST_AFTER:
+        if self._lost >= self._config.match.lost_after:
             self._odometry.restart()
             self._lost = 0
             self._velocity.forget()
@@ -105,15 +104,19 @@ class CloudTracker:
                     shift = np.array([moved[0], moved[1], 0.0])
                     guesses.append(self._pose.compose(gtsam.Pose3(turn, shift)))
         # Nobody knows how long a robot that sees nothing goes on.
-        if self._velocity.known and 0.0 < step_s < LONGEST_STEP_S and self._lost < _LOST_AFTER:
+        if (
+            self._velocity.known
+            and 0.0 < step_s < LONGEST_STEP_S
+            and self._lost < self._config.match.lost_after
+        ):
             guesses.append(self._pose.compose(gtsam.Pose3.Expmap(self._velocity.twist * step_s)))
         return guesses
 
     def _begun(self, cloud: PointCloud, seen: DeskewedCloud) -> TrackedCloud:
         """The first cloud, by which all that comes is measured."""
-        self.voxel_m = voxel_of(seen.points, self._config)
+        self.voxel_m = voxel_of(seen.points, self._turns)
         self._odometry = CloudOdometry(self._config, self.voxel_m)
-        self._matcher = TurnMatcher(self._config, self._odometry, self._velocity, self.voxel_m)
+        self._matcher = TurnMatcher(self._turns, self._odometry, self._velocity, self.voxel_m)
         self._velocity.begin(cloud.stamp_s)
         return TrackedCloud(seen.points, self._pose, None, new_keyframe=True)
 
@@ -124,8 +127,8 @@ class CloudTracker:
         points = seen.points
         if motion.converged:
             self._velocity.learn(self._pose, cloud.stamp_s, seen.lever_m, motion)
-            if deskewed(cloud, self._config):
-                points = base_points(cloud, self._velocity.twist, self._config)
+            if deskewed(cloud, self._turns):
+                points = base_points(cloud, self._velocity.twist, self._turns)
         return TrackedCloud(points, self._pose, motion, self._moved_on(self._pose))
 
     def _guessed(self, points: FloatArray, pose: gtsam.Pose3, *, new_keyframe: bool) -> TrackedCloud:
@@ -138,6 +141,5 @@ class CloudTracker:
         step = self._keyframe.between(pose)
         turn_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(step.rotation())))
         way_m = float(np.linalg.norm(step.translation()))
-        return (
-            way_m > self._config.keyframe_voxels * self.voxel_m or turn_rad > self._config.keyframe_angle_rad
-        )
+        far = way_m > self._turns.keyframe_voxels * self.voxel_m
+        return far or turn_rad > self._config.keyframes.angle_rad

@@ -290,7 +290,7 @@ class MotionTracker:
     def _evidence(self, points: ScanPoints, motion: MotionEstimate, pose: FloatArray) -> float:
         """Log-likelihood of a match over a pose (3,): about the difference of their Geman-McClure costs."""
         residual_m = max(motion.residual_m, self._noise.minimal_residual_m)
-        scale = 0.5 * (self._noise.fine_kernel_m / residual_m) ** 2 / self._noise.correlated_beams
+        scale = 0.5 * (0.5 * self._noise.cell_m / residual_m) ** 2 / self._noise.correlated_beams
         objects = scale * self._odometry.evidence(points, row_from_pose2(motion.T_reference_base), pose)
         return float(np.clip(objects, -_MOST_AN_OBJECT, _MOST_AN_OBJECT).sum())
 

@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 
 from slam.answers import COMPUTED, Answers
-from slam.config.stages import RgbdOdometryConfig
+from slam.config import Config
 from slam.odometry.rgbd_odometry import RgbdOdometry
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch, unlikeness
@@ -42,9 +42,7 @@ class TrackedFrame:
 class RgbdTracker:
     """Predicts each frame's pose, matches it, and says when a keyframe is due."""
 
-    def __init__(
-        self, odometry: RgbdOdometry, config: RgbdOdometryConfig, answers: Answers = COMPUTED
-    ) -> None:
+    def __init__(self, odometry: RgbdOdometry, config: Config, answers: Answers = COMPUTED) -> None:
         self._odometry = odometry
         self._answers = answers
         self._config = config
@@ -78,7 +76,7 @@ class RgbdTracker:
         if tracked.restarted:
             self._local.clear()
         self._local.append(VisualKeyframe(frame, tracked.pose))
-        del self._local[: -self._config.local_keyframes]
+        del self._local[: -self._config.match.local_map_keyframes]
 
     def _velocity_step(self, step_s: float) -> gtsam.Pose3:
         """The last step again, for the time that has passed."""
@@ -95,7 +93,7 @@ class RgbdTracker:
             match = self._ask(frame, self._last.pose)
         if match is None or (self._lost and not self._found_again(match)):
             self._lost += 1
-            restart = self._lost >= self._config.lost_after
+            restart = self._lost >= self._config.match.lost_after
             pose = self._last.pose if self._last is not None else guess
             if restart:
                 self._lost = 0
@@ -112,25 +110,25 @@ class RgbdTracker:
 
     def _found_again(self, match: VisualMatch) -> bool:
         """Whether a match ends a loss: a wall may be another one, unless its texture or a corner tells."""
-        if match.feature_count >= self._config.least_inliers:
+        if match.feature_count >= self._config.rgbd_odometry.least_inliers:
             return True
         return match.motion.converged and not match.motion.degenerate
 
     def _most_alike(self, pose: gtsam.Pose3) -> list[VisualKeyframe]:
         """Keyframes of the local map whose cameras saw most nearly the same, best first."""
         scores = [unlikeness(keyframe.pose, pose, keyframe.frame.median_depth_m) for keyframe in self._local]
-        order = np.argsort(scores, kind="stable")[: self._config.views]
+        order = np.argsort(scores, kind="stable")[: self._config.rgbd_odometry.views]
         return [self._local[n] for n in order if n == order[0] or scores[n] < 1.0]
 
     def _moved_on(self, frame: PreparedFrame, pose: gtsam.Pose3, match: VisualMatch) -> bool:
         """Whether parallax, turn, or lost overlap ask for a keyframe."""
-        config = self._config
+        config = self._config.rgbd_odometry
         if match.overlap < config.keyframe_overlap:
             return True
         for keyframe in self._local:
             step = keyframe.pose.between(pose)
             parallax = float(np.linalg.norm(step.translation())) / keyframe.frame.median_depth_m
             turn = float(np.linalg.norm(gtsam.Rot3.Logmap(step.rotation())))
-            if parallax < config.keyframe_parallax and turn < config.keyframe_angle_rad:
+            if parallax < config.keyframe_parallax and turn < self._config.keyframes.angle_rad:
                 return False
         return True

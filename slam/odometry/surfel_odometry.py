@@ -6,18 +6,15 @@ from collections import deque
 
 import numpy as np
 
-from slam.config.stages import LidarOdometryConfig, MatchConfig
+from slam.config import Config
 from slam.matching.correlative import build_field, search_window
-from slam.matching.local_map import LocalMap, OrientedPoints, match_noise
+from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.match_covariance import motion_from_alignment
 from slam.matching.motion import Motion
 from slam.matching.point_to_line import Alignment
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate
 
-_SEARCH_CELL_M = 0.05
-_SEARCH_SIGMA_M = 0.1
-_SEARCH_POINTS = 120
 # Fewer oriented points than this determine no pose.
 _LEAST_POINTS = 10
 
@@ -25,11 +22,9 @@ _LEAST_POINTS = 10
 class SurfelOdometry:
     """Coarse and fine point-to-line alignment; a correlative search where the guesses fail."""
 
-    def __init__(self, config: LidarOdometryConfig, match: MatchConfig) -> None:
-        self._config = config
-        self._match = match
-        self._noise = match_noise(match)
-        self._keyframes: deque[OrientedPoints] = deque(maxlen=config.local_map_keyframes)
+    def __init__(self, config: Config) -> None:
+        self._match = config.match
+        self._keyframes: deque[OrientedPoints] = deque(maxlen=config.match.local_map_keyframes)
         self._local_map: LocalMap | None = None
 
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:
@@ -45,15 +40,15 @@ class SurfelOdometry:
             return None
         best = local_map.align(scan, guesses[0].pose)
         for guess in guesses[1:]:
-            if best.inlier_share >= self._config.sure_inlier_share:
+            if best.inlier_share >= self._match.sure_inlier_share:
                 break
             best = _surer(best, local_map.align(scan, guess.pose))
-        if best.inlier_share < self._config.sure_inlier_share:
+        if best.inlier_share < self._match.sure_inlier_share:
             for guess in guesses:
                 best = _surer(best, self._search(local_map, scan, guess.pose))
-        if best.inlier_share < self._config.least_inlier_share:
+        if best.inlier_share < self._match.least_inlier_share:
             return None
-        return motion_from_alignment(best, self._noise)
+        return motion_from_alignment(best, self._match)
 
     def match_near(self, points: ScanPoints, pose: FloatArray) -> MotionEstimate | None:
         """Align while held at ``pose`` (3,): the yaw is free, the position gives way by little."""
@@ -61,7 +56,7 @@ class SurfelOdometry:
         scan = OrientedPoints.from_scan(points)
         if local_map is None or len(scan) < _LEAST_POINTS:
             return None
-        return motion_from_alignment(local_map.align_held(scan, pose), self._noise)
+        return motion_from_alignment(local_map.align_held(scan, pose), self._match)
 
     def evidence(self, points: ScanPoints, pose: FloatArray, other: FloatArray) -> FloatArray:
         """What every object in a scan says for a pose (3,) against another one, in points; (K,)."""
@@ -80,14 +75,14 @@ class SurfelOdometry:
         """Branch and bound around a guess, then the same alignment as ever."""
         if len(local_map.points) == 0:
             return None
-        field = build_field(local_map.points.points, _SEARCH_CELL_M, _SEARCH_SIGMA_M)
+        match = self._match
         found = search_window(
-            field,
-            scan.thinned(_SEARCH_POINTS),
+            build_field(local_map.points.points, 0.5 * match.cell_m, match.cell_m),
+            scan.thinned(match.search_points),
             guess,
-            self._config.search_half_width_m,
-            self._config.search_half_yaw_rad,
-            self._config.search_least_score,
+            match.search_half_width_m,
+            match.search_half_yaw_rad,
+            match.search_least_score,
         )
         return local_map.align(scan, found.pose) if found.found else None
 

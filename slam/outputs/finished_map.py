@@ -256,21 +256,21 @@ class Map:
         """The coloured surface of the images, and the cloud of the 3D lidar."""
         written, cloud = list[Path](), out
         if len(self.frames):
-            written, missing = save_surface(out, self._dense(), self.config.dense_map)
+            written, missing = save_surface(out, self._dense(), self.config)
             for fault in missing:
                 log.warning("%s", fault)
             cloud = out.with_name("lidar.ply" if out.name == "mesh.ply" else f"{out.stem}-lidar.ply")
         if len(self.clouds):
-            save_cloud(cloud, self._mapped_clouds(), self.config.cloud_map)
+            save_cloud(cloud, self._mapped_clouds(), self.config)
             written.append(cloud)
         return written
 
     def _export_octomap(self, out: Path) -> None:
         """The octree of the 3D lidar, or else of the images."""
         if len(self.clouds):
-            save_cloud_octomap(out, self._mapped_clouds(), self.config.cloud_map, self.config.dense_map)
+            save_cloud_octomap(out, self._mapped_clouds(), self.config)
         else:
-            save_octomap(out, self._dense(), self.config.dense_map)
+            save_octomap(out, self._dense(), self.config)
 
     def _dense(self) -> DenseKeyframes:
         """The camera keyframes with their poses."""

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.config.clouds import CloudMapConfig
-from slam.config.stages import DenseMapConfig
+from slam.config import Config
 from slam.errors import LibraryError
 from slam.mapper.map_result import DenseKeyframes, MappedClouds, MapResult
 from slam.mapping.camera_points import camera_cloud
@@ -52,7 +51,7 @@ def save_run(folder: Path, result: MapResult, layers: LayeredMap | None) -> list
     return written
 
 
-def save_dense(folder: Path, result: MapResult, config: DenseMapConfig) -> tuple[list[Path], list[str]]:
+def save_dense(folder: Path, result: MapResult, config: Config) -> tuple[list[Path], list[str]]:
     """Write ``mesh.ply`` and ``cloud.ply`` of the camera keyframes, and ``map.bt`` where it is asked for.
 
     The octree is that of a 3D lidar where there is one, see `save_clouds`.
@@ -66,16 +65,16 @@ def save_dense(folder: Path, result: MapResult, config: DenseMapConfig) -> tuple
     ScanweaveError
         Where a file cannot be written, or a library that this needs is missing.
     """
-    if result.dense is None or not config.enabled:
+    if result.dense is None or not config.dense_map.enabled:
         return [], []
     written, missing = save_surface(folder / "mesh.ply", result.dense, config)
-    if config.octomap and result.clouds is None:
+    if config.dense_map.octomap and result.clouds is None:
         save_octomap(folder / "map.bt", result.dense, config)
         written.append(folder / "map.bt")
     return written, missing
 
 
-def save_clouds(folder: Path, result: MapResult, config: CloudMapConfig, dense: DenseMapConfig) -> list[Path]:
+def save_clouds(folder: Path, result: MapResult, config: Config) -> list[Path]:
     """Write the cloud of a 3D lidar's keyframes, and ``map.bt`` where it is asked for.
 
     The cloud is ``cloud.ply``; beside the coloured one of cameras ``lidar.ply``.
@@ -86,24 +85,22 @@ def save_clouds(folder: Path, result: MapResult, config: CloudMapConfig, dense: 
         Where a file cannot be written, or a library that this needs is missing.
     """
     mapped = result.clouds
-    if mapped is None or not (config.enabled and dense.enabled):
+    if mapped is None or not config.dense_map.enabled:
         return []
     written = [folder / ("cloud.ply" if result.dense is None else "lidar.ply")]
     save_cloud(written[0], mapped, config)
-    if dense.octomap:
+    if config.dense_map.octomap:
         written.append(folder / "map.bt")
-        save_cloud_octomap(written[1], mapped, config, dense)
+        save_cloud_octomap(written[1], mapped, config)
     return written
 
 
-def save_cloud(path: Path, mapped: MappedClouds, config: CloudMapConfig) -> None:
+def save_cloud(path: Path, mapped: MappedClouds, config: Config) -> None:
     """The cloud of a 3D lidar's keyframes."""
-    write_cloud_ply(path, map_cloud(mapped.clouds, mapped.poses, config.voxel_m))
+    write_cloud_ply(path, map_cloud(mapped.clouds, mapped.poses, config.grid.resolution_m))
 
 
-def save_cloud_octomap(
-    path: Path, mapped: MappedClouds, config: CloudMapConfig, dense: DenseMapConfig
-) -> None:
+def save_cloud_octomap(path: Path, mapped: MappedClouds, config: Config) -> None:
     """The octree of a 3D lidar's keyframes."""
     T_base_lidar = mapped.T_base_lidar
     T_lidar_base = T_base_lidar.inverse()
@@ -111,12 +108,10 @@ def save_cloud_octomap(
         (moved(points, T_lidar_base), T_map_base.compose(T_base_lidar))
         for points, T_map_base in zip(mapped.clouds, mapped.poses, strict=True)
     )
-    write_octree(path, views, dense.octomap_cell_m, config.plan_range_m)
+    write_octree(path, views, config.grid.resolution_m, config.cloud_map.plan_range_m)
 
 
-def save_surface(
-    path: Path, keyframes: DenseKeyframes, config: DenseMapConfig
-) -> tuple[list[Path], list[str]]:
+def save_surface(path: Path, keyframes: DenseKeyframes, config: Config) -> tuple[list[Path], list[str]]:
     """The coloured mesh of the camera keyframes, and their cloud beside it; nothing where they show none.
 
     Without Open3D there is no mesh, and the cloud is of the points as they were seen.
@@ -126,7 +121,9 @@ def save_surface(
     What was written, and what could not be had.
     """
     settings = DenseMapSettings(
-        voxel_size_m=config.voxel_m, depth_min_m=config.nearest_m, depth_max_m=config.farthest_m
+        voxel_size_m=config.dense_map.voxel_m,
+        depth_min_m=config.dense_map.nearest_m,
+        depth_max_m=config.layers.depth_max_m,
     )
     cloud_path = path.with_name("cloud.ply" if path.name == "mesh.ply" else f"{path.stem}-cloud.ply")
     written, missing = [], []
@@ -145,14 +142,14 @@ def save_surface(
     return written, missing
 
 
-def save_octomap(path: Path, keyframes: DenseKeyframes, config: DenseMapConfig) -> None:
+def save_octomap(path: Path, keyframes: DenseKeyframes, config: Config) -> None:
     """The octree of the camera keyframes."""
     write_octomap(
         path,
         keyframes.frames,
         keyframes.poses,
-        resolution_m=config.octomap_cell_m,
-        range_max_m=config.farthest_m,
+        resolution_m=config.grid.resolution_m,
+        range_max_m=config.layers.depth_max_m,
     )
 
 

@@ -16,11 +16,8 @@ from slam.sessions.placing import Placing, place
 from slam.sessions.session_join import JoinedMap, join
 from slam.sessions.session_loops import KeyframeScans, find_loops
 
-# Loops between two sessions: so many at least, and this share of them kept by the optimisation.
+# Loops between two sessions at least.
 _LEAST_LOOPS = 3
-_LEAST_KEPT_SHARE = 0.5
-# Real scans never repeat to the last digit: where so many are shared, one log is a part of the other.
-_MOST_SHARED = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +52,8 @@ def connect(known: Map, session: Map) -> Connection:
     """
     config = known.config
     shared = _shared_scans(known, session)
-    if shared > _MOST_SHARED * min(len(session.keyframe_scans), len(known.keyframe_scans)):
+    # Real scans never repeat to the last digit: where half are shared, one log is a part of the other.
+    if shared > 0.5 * min(len(session.keyframe_scans), len(known.keyframe_scans)):
         reason = f"{shared} of its {len(session.keyframe_scans)} keyframes are in the map already"
         return Connection(Placing(), (), None, reason)
     placing = place(
@@ -69,7 +67,7 @@ def connect(known: Map, session: Map) -> Connection:
         reason = f"only {accepted} of {len(loops)} scans match the map where they should, {_LEAST_LOOPS} must"
         return Connection(placing, loops, None, reason)
     joined = join(known, session, placing, loops, config)
-    if joined.loops_kept < max(_LEAST_LOOPS, _LEAST_KEPT_SHARE * joined.loops_between):
+    if joined.loops_kept < max(_LEAST_LOOPS, 0.5 * joined.loops_between):
         reason = (
             f"only {joined.loops_kept} of the {joined.loops_between} loops between them hold when both are "
             "optimised together"

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fusion.estimation import gate
 from slam.config import Config
 from slam.localization.hypotheses import HypothesisSet
 from slam.localization.known_map import KnownMap, Walls
@@ -22,17 +23,15 @@ from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
 from slam.sessions.whole_way import Followed, Sighting, follow
 
-# Two proposals are one where they put each other's keyframe within this; maps bend over their length.
-_SAME_M = 0.4
-_SAME_RAD = 0.1
-_BEND_RAD = 0.02
+# How well a sighting tells where its surroundings are, and maps bend over their length.
+SIGHT_SIGMA_M = 0.12
+SIGHT_SIGMA_RAD = 0.03
+BEND_RAD = 0.02
 # A stretch without a sure place ends after this; of a long session or map so many stretches are looked for.
 _STRETCH_M = 8.0
 _MOST_STRETCHES = 24
-# Proposals of a stretch that is not sure, and those that are followed.
-_PROPOSED = 3
+# Of all proposals, those that are followed.
 _FOLLOWED = 8
-_ORIGIN = np.zeros(3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,9 +101,9 @@ def _proposals(known: Walls, session: Walls, config: Config) -> list[Sighting]:
     """Where stretches of either may lie in the other, as keyframes of the session in the map."""
     poses, found = session.map.keyframe_poses, []
     for key, pose, nats in _stretches(known, session.map, config):
-        found.append(Sighting(key, pose, compose(pose, between(poses[key], _ORIGIN)), nats))
+        found.append(Sighting(key, pose, compose(pose, between(poses[key], np.zeros(3))), nats))
     for key, pose, nats in _stretches(session, known.map, config):
-        T_map_session = compose(known.map.keyframe_poses[key], between(pose, _ORIGIN))
+        T_map_session = compose(known.map.keyframe_poses[key], between(pose, np.zeros(3)))
         nearest = int(np.hypot(*(poses[:, :2] - pose[:2]).T).argmin())
         found.append(Sighting(nearest, compose(T_map_session, poses[nearest]), T_map_session, nats))
     return found
@@ -128,7 +127,8 @@ def _stretches(walls: Walls, way: KnownMap, config: Config) -> Iterator[tuple[in
         hypotheses.add_keyframe(view, pose, None)
         members = sorted(hypotheses.members, key=lambda member: -member.total(kidnap_nats))
         now = [
-            (key, row_from_pose2(member.pose), member.total(kidnap_nats)) for member in members[:_PROPOSED]
+            (key, row_from_pose2(member.pose), member.total(kidnap_nats))
+            for member in members[: config.loops.near]
         ]
         if now and (not likeliest or now[0][2] > likeliest[0][2]):
             likeliest = now
@@ -161,4 +161,6 @@ def _agree(one: Sighting, other: Sighting, poses: FloatArray) -> bool:
     """Whether one sighting puts the keyframe of another where that was found."""
     miss = between(compose(one.T_map_session, poses[other.keyframe]), other.pose)
     apart_m = math.dist(poses[one.keyframe, :2], poses[other.keyframe, :2])
-    return math.hypot(miss[0], miss[1]) <= _SAME_M + _BEND_RAD * apart_m and abs(miss[2]) <= _SAME_RAD
+    sigmas = math.sqrt(gate())
+    near = math.hypot(miss[0], miss[1]) <= sigmas * SIGHT_SIGMA_M + BEND_RAD * apart_m
+    return near and abs(miss[2]) <= sigmas * SIGHT_SIGMA_RAD

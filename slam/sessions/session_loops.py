@@ -15,12 +15,8 @@ from slam.matching.planar import between, compose
 from slam.matching.scan_points import extract_points
 from slam.measurements import FloatArray, LaserScan
 from slam.outputs.finished_map import Map
-from slam.sessions.placing import Placing
+from slam.sessions.placing import BEND_RAD, SIGHT_SIGMA_M, SIGHT_SIGMA_RAD, Placing
 
-# How well a sighting tells where its surroundings are: sigmas there, and how they grow with the distance.
-_SIGHT_SIGMA_M = 0.12
-_SIGHT_SIGMA_RAD = 0.03
-_BEND_RAD = 0.01
 # A quarter turn apart counts as a metre: a lidar does not see all around.
 _TURN_M_PER_RAD = 0.64
 
@@ -69,8 +65,8 @@ def find_loops(
         next_m = session_m[key] + config.loops.every_m
         T_map_session, distance_m = placing.nearest(session.poses[key], session.poses)
         expected = compose(T_map_session, session.poses[key])
-        sigma_m = _SIGHT_SIGMA_M + _BEND_RAD * distance_m
-        covariance = np.diag([sigma_m**2, sigma_m**2, _SIGHT_SIGMA_RAD**2])
+        sigma_m = SIGHT_SIGMA_M + BEND_RAD * distance_m
+        covariance = np.diag([sigma_m**2, sigma_m**2, SIGHT_SIGMA_RAD**2])
         for place in _places_near(known, expected, known_m, config):
             guess = between(known.poses[place], expected)
             tried.append(closer.verify(place, len(known) + key, guess, covariance))
@@ -86,13 +82,13 @@ def _places_near(
     distances = np.hypot(*(known.poses[:, :2] - expected[:2]).T)
     chosen: list[int] = []
     for place in np.argsort(distances + _TURN_M_PER_RAD * turns, kind="stable").tolist():
-        if len(chosen) == loops.candidates:
+        if len(chosen) == loops.near:
             return
         if distances[place] > loops.reach_m or known.scans[place] is None:
             continue
         if all(
             known.sessions[place] != known.sessions[other]
-            or abs(way_m[place] - way_m[other]) > 2.0 * loops.submap_half_m
+            or abs(way_m[place] - way_m[other]) > loops.least_path_m
             for other in chosen
         ):
             chosen.append(place)

@@ -16,8 +16,6 @@ from slam.localization.scan_view import ScanView
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
 
-_ORIGIN = np.zeros(3)
-
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
@@ -75,5 +73,5 @@ def follow(walls: Walls, session: KnownMap, start: Sighting, config: Config) -> 
             nats = sensor.weigh(pose2_from_row(at), log.keyframes[-1].novel)
             total += nats
             if motion is not None:
-                anchors.append(Sighting(key, at, compose(at, between(poses[key], _ORIGIN)), nats))
+                anchors.append(Sighting(key, at, compose(at, between(poses[key], np.zeros(3))), nats))
     return Followed(anchors, total)

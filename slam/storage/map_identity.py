@@ -23,23 +23,44 @@ _LIBRARIES = ("scanweave", "gtsam", "numpy", "numba", "scipy", "kiss-icp", "open
 _IMAGES = frozenset({".png", ".jpg", ".jpeg", ".pgm", ".ppm"})
 _BLOCK = 1 << 20
 # Sections and settings that earlier versions had: what they decided is in the map.
-# fmt: off
-_RETIRED = frozenset(
-    {"bundle", "lidar_odometry.method", "rgbd_odometry.method"}
-    | {f"lidar_odometry.kiss_{name}" for name in ("voxel_m", "map_radius_m", "correspondence_m", "kernel_m")}
-    | {"lidar_odometry.kiss_points_a_voxel"}
-    | {f"localization.{name}" for name in (
-        "lag_nodes", "field_sigma_m", "unknown_likelihood", "search_back_m", "search_points", "tile_m",
-        "tile_reach_m", "station_m", "station_rad", "news_cell_m", "kidnap_nats", "carried_nats",
-        "looks_nats",
-    )}
-    | {f"cloud_localization.{name}" for name in (
-        "tile_voxels", "tile_keyframes", "space_voxels", "tiles_cached", "thickness_m", "looks",
-        "looks_apart_voxels", "looks_beside_voxels", "coarseness", "arrive_voxels", "refined", "hypotheses",
-        "on_plane_voxels", "least_stations", "map_sigma_m", "map_sigma_rad",
-    )}
-)
-# fmt: on
+_RETIRED_BY_SECTION = {
+    "sensors": "greatest_excess",
+    "match": "coarse_cell_m fine_cell_m coarse_kernel_m fine_kernel_m",
+    "rgbd_odometry": (
+        "method local_keyframes iterations coarse_iterations least_inlier_share sure_inlier_share "
+        "least_overlap floor_m floor_rad degenerate_sigma_m keyframe_angle_rad lost_after ransac_px"
+    ),
+    "visual_loops": "enabled near by_looks least_inlier_share least_overlap keyframes_cached",
+    "loops": (
+        "greatest_half_yaw_rad least_half_width_m least_half_yaw_rad wide_half_width_m "
+        "wide_half_yaw_rad candidates submap_half_keyframes submap_half_m submaps_cached field_cell_m "
+        "field_sigma_m points least_score"
+    ),
+    "fusion": "examples",
+    "cloud_map": "enabled voxel_m ground_sigma_m",
+    "grid": "hit_range_m",
+    "dense_map": "octomap_cell_m farthest_m",
+    "cloud_odometry": (
+        "use_wheel_odometry local_map_keyframes keyframe_angle_rad points_a_voxel iterations "
+        "least_inlier_share floor_m floor_rad minimal_residual_m degenerate_share degenerate_sigma_m"
+    ),
+    "cloud_loops": (
+        "enabled caution every_voxels sigmas near by_looks half_keyframes places_cached least_overlap "
+        "least_inlier_share"
+    ),
+    "localization": (
+        "lag_nodes field_sigma_m unknown_likelihood search_back_m search_points tile_m tile_reach_m "
+        "station_m station_rad news_cell_m kidnap_nats carried_nats looks_nats"
+    ),
+    "cloud_localization": (
+        "tile_voxels tile_keyframes space_voxels tiles_cached thickness_m looks looks_apart_voxels "
+        "looks_beside_voxels coarseness arrive_voxels refined hypotheses on_plane_voxels least_stations "
+        "map_sigma_m map_sigma_rad"
+    ),
+}
+_RETIRED = frozenset({"bundle", "lidar_odometry"}) | {
+    f"{section}.{name}" for section, names in _RETIRED_BY_SECTION.items() for name in names.split()
+}
 # What a run leaves in the folder of its log where it is told to write there.
 _OUTPUTS = frozenset(
     {f"{MAP_NAME}{ending}" for ending in ("", "-wal", "-shm", "-journal")}

@@ -11,9 +11,6 @@ from numpy.typing import NDArray
 from fusion.kernel import ZERO, kernel
 
 _LEAST_NORMAL_COSINE = 0.8  # two surfaces turned further apart are not the same
-_NEAREST_M = 0.2
-_TERMS = 19  # numbers kept of a point
-_BLOCK = 256  # points whose terms stay in the nearest cache
 
 
 def surface_part(
@@ -40,7 +37,7 @@ def surface_part(
     """
     view = (T, inverse_depth, surface_normals, *camera)
     limits = (gate_m, kernel, depth_floor_m, depth_share)
-    terms = np.empty((_TERMS, _BLOCK))
+    terms = np.empty((19, 256))  # so many points' terms stay in the nearest cache
     _surface_part(points, normals, *view, *limits, hessian, gradient, information, seen, residuals, terms)
 
 
@@ -74,12 +71,12 @@ def _surface_part(  # type: ignore[no-untyped-def]
     r20, r21, r22, tz = T[2, 0], T[2, 1], T[2, 2], T[2, 3]
     count = ZERO
     for i in range(points.shape[0]):
-        if count == _BLOCK:
+        if count == terms.shape[1]:
             _add_up(terms, count, hessian, gradient, information)
             count = ZERO
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         z = r20 * px + r21 * py + r22 * pz + tz
-        if z < _NEAREST_M:
+        if z <= 0.0:
             continue
         x = r00 * px + r01 * py + r02 * pz + tx
         y = r10 * px + r11 * py + r12 * pz + ty
@@ -176,7 +173,7 @@ def _feature_part(  # type: ignore[no-untyped-def]
         y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
         z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
         residuals[i] = math.inf
-        if z < _NEAREST_M:
+        if z <= 0.0:
             continue
         eu = fx * x / z + cx - pixels[i, 0]
         ev = fy * y / z + cy - pixels[i, 1]

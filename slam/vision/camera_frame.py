@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import gtsam
 import numpy as np
 
+from fusion.curves import FORWARD
+
 # A body that looks along x, its z up; the optical frame has z forward, x right, y down.
-T_BODY_CAMERA = gtsam.Pose3(gtsam.Rot3.Ypr(-0.5 * math.pi, 0.0, -0.5 * math.pi), np.zeros(3))
+T_BODY_CAMERA = gtsam.Pose3(gtsam.Rot3(FORWARD), np.zeros(len(FORWARD)))

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
+from fusion.estimation import CONFIDENCE
 from slam.measurements import BoolArray, CameraIntrinsics, FloatArray
 
-_CONFIDENCE = 0.999
 _ROUNDS = 200
 
 
@@ -62,7 +62,7 @@ def pose_from_features(
         None,
         iterationsCount=_ROUNDS,
         reprojectionError=tolerance_px,
-        confidence=_CONFIDENCE,
+        confidence=CONFIDENCE,
     )
     if not found or inliers is None or len(inliers) < least_inliers:
         return None

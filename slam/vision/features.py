@@ -16,9 +16,6 @@ if TYPE_CHECKING:
 
 Descriptors: TypeAlias = NDArray[np.uint8]
 
-# ORB's pyramid: a keypoint of level n is located as exactly as a pixel of that level.
-_LEVELS = 8
-_LEVEL_SCALE = 1.2
 # Lower than the usual 20, for dim rooms and blurred images.
 _FAST_THRESHOLD = 12
 # A feature on the rim of an object takes the depth of the nearer side: what lies within this share of it.
@@ -95,7 +92,8 @@ def extract_features(gray: NDArray[np.uint8], depth_m: Float32Array, count: int)
     count
         Keypoints at most.
     """
-    keypoints, descriptors = _orb(count).detectAndCompute(gray, None)
+    detector = _orb(count)
+    keypoints, descriptors = detector.detectAndCompute(gray, None)
     if descriptors is None or not keypoints:
         return Features(
             np.zeros((0, 2), np.float32),
@@ -105,7 +103,8 @@ def extract_features(gray: NDArray[np.uint8], depth_m: Float32Array, count: int)
         )
     pixels = np.array([point.pt for point in keypoints], np.float32)
     levels = np.array([point.octave for point in keypoints])
-    sigma_px = (_LEVEL_SCALE**levels).astype(np.float32)
+    # ORB's pyramid: a keypoint of level n is located as exactly as a pixel of that level.
+    sigma_px = (detector.getScaleFactor() ** levels).astype(np.float32)
     return Features(pixels, np.asarray(descriptors, np.uint8), sigma_px, depth_at(depth_m, pixels))
 
 
@@ -159,6 +158,4 @@ def _orb(count: int) -> cv2.ORB:
     """The detector; making one costs more than using it on a small image."""
     import cv2
 
-    return cv2.ORB.create(
-        nfeatures=count, scaleFactor=_LEVEL_SCALE, nlevels=_LEVELS, fastThreshold=_FAST_THRESHOLD
-    )
+    return cv2.ORB.create(nfeatures=count, fastThreshold=_FAST_THRESHOLD)

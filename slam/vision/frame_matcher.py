@@ -5,7 +5,7 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 
-from slam.config.stages import RgbdOdometryConfig
+from slam.config import Config
 from slam.measurements import CameraIntrinsics, FloatArray, MotionEstimate
 from slam.vision.feature_pose import pose_from_features
 from slam.vision.features import Features, Matches, match_features
@@ -14,18 +14,17 @@ from slam.vision.joint_alignment import AlignmentSettings, JointAlignment, Landm
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch, covariance_of
 
-# A feature is a rarer and more telling reading than a point of a surface.
-_POINTS_A_FEATURE = 10.0
-
 
 class FrameMatcher:
     """Stateless but for its settings."""
 
-    def __init__(self, config: RgbdOdometryConfig) -> None:
-        self._config = config
+    def __init__(self, settings: Config) -> None:
+        self._match, self._config = settings.match, settings.rgbd_odometry
+        self._least_overlap = settings.loops.least_overlap
+        config, match = self._config, self._match
         self._settings = AlignmentSettings(
-            iterations=config.iterations,
-            coarse_iterations=config.coarse_iterations,
+            iterations=match.iterations,
+            coarse_iterations=match.coarse_iterations,
             kernel_sigmas=config.kernel_sigmas,
             gate_m=config.gate_m,
             depth_floor_m=config.depth_floor_m,
@@ -46,7 +45,7 @@ class FrameMatcher:
             # Features that are elsewhere speak against the guess; where they are expected they are not seen.
             landmarks = self._landmarks(frame, known)
         best = self._align(frame, local, landmarks, guess)
-        if self._share(best) < config.sure_inlier_share or not best.converged:
+        if self._share(best) < self._match.sure_inlier_share or not best.converged:
             landmarks = landmarks if anywhere else self._landmarks(frame, known)
             found = self._by_features(frame, landmarks)
             if found is not None:
@@ -65,7 +64,7 @@ class FrameMatcher:
             landmarks.points,
             landmarks.pixels,
             frame.frame.intrinsics,
-            self._config.ransac_px,
+            self._config.kernel_sigmas,  # a keypoint is located to a pixel
             self._config.least_inliers,
         )
         return None if found is None else found.T_reference_camera
@@ -119,19 +118,21 @@ class FrameMatcher:
 
     def _share(self, alignment: JointAlignment) -> float:
         """Agreeing readings over all that met a partner."""
-        agree = _POINTS_A_FEATURE * alignment.feature_count + alignment.point_count
-        met = _POINTS_A_FEATURE * alignment.feature_pairs + alignment.point_pairs
+        # A feature is a rarer and more telling reading than a point of a surface.
+        points = self._config.correlated_points / self._config.correlated_features
+        agree = points * alignment.feature_count + alignment.point_count
+        met = points * alignment.feature_pairs + alignment.point_pairs
         return agree / met if met > 0.0 else 0.0
 
     def _judge(self, alignment: JointAlignment) -> VisualMatch | None:
         """A measured motion, or None where too little agrees."""
         config = self._config
         share = self._share(alignment)
-        shape = alignment.overlap >= config.least_overlap and alignment.point_count >= config.least_points
+        shape = alignment.overlap >= self._least_overlap and alignment.point_count >= config.least_points
         enough = shape or alignment.feature_count >= config.least_inliers
-        if share < config.least_inlier_share or not enough:
+        if share < self._match.least_inlier_share or not enough:
             return None
-        covariance, weak = covariance_of(alignment.information, share, config)
+        covariance, weak = covariance_of(alignment.information, share, self._match)
         motion = MotionEstimate(
             T_reference_base=alignment.pose,
             covariance=covariance,

@@ -11,10 +11,7 @@ from numpy.typing import NDArray
 from fusion.kernel import NONE, ZERO, kernel
 from slam.measurements import FloatArray
 from slam.vision.features import Features, Matches
-
-_M1, _M2, _M4 = np.uint64(0x5555555555555555), np.uint64(0x3333333333333333), np.uint64(0x0F0F0F0F0F0F0F0F)
-_SPREAD = np.uint64(0x0101010101010101)
-_TOO_FAR = np.int64(257)  # more than there are bits
+from slam.vision.place_recognition_vocabulary import BITS, ones
 
 
 def match_near(
@@ -55,7 +52,7 @@ def match_near(
         greatest_distance,
         target,
         np.full(len(seen), -1, np.int64),
-        np.full(len(seen), _TOO_FAR),
+        np.full(len(seen), BITS + 1),
     )
     first = np.flatnonzero(target >= 0)
     return Matches(first, target[first])
@@ -80,7 +77,7 @@ def _nearest(
         v = expected[i, 1]
         if math.isnan(u + v):
             continue
-        best = second = _TOO_FAR
+        best = second = np.int64(BITS + 1)
         chosen = NONE
         for j in range(pixels.shape[0]):
             du = pixels[j, 0] - u
@@ -89,7 +86,7 @@ def _nearest(
                 continue
             distance = ZERO
             for w in range(4):
-                distance += _bits(known[i, w] ^ seen[j, w])
+                distance += ones(known[i, w] ^ seen[j, w])
             if distance < best:
                 second, best, chosen = best, distance, j
             elif distance < second:
@@ -101,12 +98,3 @@ def _nearest(
         owner[chosen] = i
         owner_distance[chosen] = best
         target[i] = chosen
-
-
-@kernel(nogil=True, inline="always")
-def _bits(word: Any) -> int:
-    """Number of ones in 64 bits."""
-    word = word - ((word >> np.uint64(1)) & _M1)
-    word = (word & _M2) + ((word >> np.uint64(2)) & _M2)
-    word = (word + (word >> np.uint64(4))) & _M4
-    return int((word * _SPREAD) >> np.uint64(56))

@@ -12,18 +12,12 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation import FEWEST, SETTLED, TINY, median_to_sigma
 from slam.measurements import CameraIntrinsics, FloatArray
 from slam.vision.alignment_kernels import feature_part, surface_part
 from slam.vision.surface import Surface, SurfacePoints
 
-# Sigma over the median of residuals: of a distance along one axis, and of the root mean square of two.
-_MEDIAN_TO_SIGMA_1D, _MEDIAN_TO_SIGMA_2D = 1.4826, 1.2011
-_LEAST_CURVATURE = 1e-9  # of the normal equations, in shares of their trace
-# Lengths of a step, radians and metres together: near enough to go on with all points, not worth another,
-# and short enough that the pose is where it will stay.
-_NEAR, _SETTLED, _SHORT = 2e-3, 1e-4, 1e-3
 _THINNED = 4
-_LEAST_READINGS = 12.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,13 +134,15 @@ def align(
     # A few points lead near; all of them are asked for the last millimetres.
     few = SurfacePoints(*(np.ascontiguousarray(rows[::_THINNED]) for rows in (points.points, points.normals)))
     coarse = _Work.of(few, landmarks)
-    near, _ = _descend(coarse, views, intrinsics, guess, settings, settings.coarse_iterations, _NEAR, 4.0)
+    near, _ = _descend(
+        coarse, views, intrinsics, guess, settings, settings.coarse_iterations, 10 * SETTLED, 4.0
+    )
     fine = _Work.of(points, landmarks)
     rounds = settings.iterations - settings.coarse_iterations
-    pose, step = _descend(fine, views, intrinsics, near, settings, rounds, _SETTLED, 1.0)
-    if step >= _SETTLED:
+    pose, step = _descend(fine, views, intrinsics, near, settings, rounds, SETTLED, 1.0)
+    if step >= SETTLED:
         fine.linearize(views, intrinsics, pose, settings, 1.0)
-    return fine.conclude(pose, settings, converged=step < _SHORT)
+    return fine.conclude(pose, settings, converged=step < 10 * SETTLED)
 
 
 def _descend(
@@ -163,7 +159,7 @@ def _descend(
     length = np.inf
     for _ in range(rounds):
         hessian, gradient = work.linearize(views, intrinsics, pose, settings, slack)
-        ridge = _LEAST_CURVATURE * float(np.trace(hessian))
+        ridge = TINY * float(np.trace(hessian))
         if ridge <= 0.0:
             return pose, np.inf
         # Where nothing tells a direction, as along a bare wall, the pose stays there and moves elsewhere.
@@ -254,8 +250,8 @@ class _Work:
         seen = self.seen > 0
         agreeing = self.point_residuals[self.point_residuals < settings.kernel_sigmas]
         matched = self.feature_residuals[self.feature_residuals < settings.kernel_sigmas]
-        point_scale = _robust_scale(agreeing, _MEDIAN_TO_SIGMA_1D)
-        feature_scale = _robust_scale(matched, _MEDIAN_TO_SIGMA_2D)
+        point_scale = _robust_scale(agreeing, 1)
+        feature_scale = _robust_scale(matched, 2)
         information = self.information[0] / (settings.correlated_points * point_scale**2)
         information += self.information[1] / (settings.correlated_features * feature_scale**2)
         depth = np.median(self.points.points[:, 2]) if len(self.points) else 1.0
@@ -276,8 +272,8 @@ class _Work:
         )
 
 
-def _robust_scale(residuals: FloatArray, median_to_sigma: float) -> float:
+def _robust_scale(residuals: FloatArray, degrees: int) -> float:
     """Sigma of normalised residuals; 1 where there are too few to tell."""
-    if residuals.size < _LEAST_READINGS:
+    if residuals.size < FEWEST:
         return 1.0
-    return max(float(median_to_sigma * np.median(residuals)), 0.1)
+    return max(float(median_to_sigma(degrees) * np.median(residuals)), 0.1)

@@ -1,6 +1,6 @@
 """The inverted file: for each word the descriptors that have it, keyframe after keyframe.
 
-A list is a chain of blocks, the newest first; all blocks lie in arrays that grow by half.
+A list is a chain of blocks, the newest first; all blocks lie in arrays that grow to the double.
 """
 
 from __future__ import annotations
@@ -16,8 +16,6 @@ from slam.vision.place_recognition_vocabulary import BitRows, Words, ones
 
 _Entry = TypeVar("_Entry", bound=np.generic)
 
-_BLOCK = 64
-_GROWTH = 1.5
 # Two descriptors of one point of the world differ in fewer bits than this; nearer ones count more.
 _SAME_BITS = 50
 
@@ -27,18 +25,19 @@ class WordLists:
 
     def __init__(self, words: int) -> None:
         self.keys = 0
+        block = 64
         self._heads = np.full(words, -1, dtype=np.int32)
-        self._fills = np.full(words, _BLOCK, dtype=np.int32)
+        self._fills = np.full(words, block, dtype=np.int32)
         self._blocks = 0
-        self._nexts = np.empty(64, dtype=np.int32)
-        self._owners = np.empty((64, _BLOCK), dtype=np.int32)
-        self._rows = np.empty((64, _BLOCK, 4), dtype=np.uint64)
+        self._nexts = np.empty(block, dtype=np.int32)
+        self._owners = np.empty((block, block), dtype=np.int32)
+        self._rows = np.empty((block, block, 4), dtype=np.uint64)
 
     def append(self, words: Words, rows: BitRows) -> None:
         """Take in the next keyframe: (N,) words of (N, 4) descriptors."""
         needed = self._blocks + len(words)
         if needed > len(self._nexts):
-            size = max(needed, int(_GROWTH * len(self._nexts)))
+            size = max(needed, 2 * len(self._nexts))
             self._nexts = _longer(self._nexts, size)
             self._owners = _longer(self._owners, size)
             self._rows = _longer(self._rows, size)
@@ -48,9 +47,10 @@ class WordLists:
 
     def everything(self) -> tuple[Words, BitRows]:
         """(N,) keys, ascending, and (N, 4) descriptors."""
-        used = np.ones((self._blocks, _BLOCK), dtype=np.bool_)
+        block = self._owners.shape[1]
+        used = np.ones((self._blocks, block), dtype=np.bool_)
         opened = self._heads >= 0
-        used[self._heads[opened]] = np.arange(_BLOCK) < self._fills[opened, None]
+        used[self._heads[opened]] = np.arange(block) < self._fills[opened, None]
         keys, rows = self._owners[: self._blocks][used], self._rows[: self._blocks][used]
         order = np.argsort(keys, kind="stable")
         return keys[order], rows[order]
@@ -86,7 +86,7 @@ def _append(
     """Write behind the newest entry of each word, in a new block where that one is full; blocks used."""
     for i in range(words.size):
         word = words[i]
-        if fills[word] == _BLOCK:
+        if fills[word] == owners.shape[1]:
             nexts[blocks] = heads[word]
             heads[word], fills[word] = blocks, 0
             blocks += 1
@@ -118,4 +118,4 @@ def _add_scores(words, rows, heads, fills, nexts, owners, entries, scores, given
                         given[owner] = nearness
                         giver[owner] = i
             block = nexts[block]
-            fill = np.int32(_BLOCK)
+            fill = np.int32(owners.shape[1])

@@ -12,16 +12,16 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation import ROUNDS
 from fusion.kernel import kernel
 
 Descriptors: TypeAlias = NDArray[np.uint8]
 Words: TypeAlias = NDArray[np.int32]
 BitRows: TypeAlias = NDArray[np.uint64]
 
-_ROUNDS = 8
 # A descriptor near the border of two branches finds its word in either.
 _PROBES = 2
-_BITS = 256
+BITS = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ def _k_majority(rows: BitRows, count: int, rng: np.random.Generator) -> tuple[Bi
     """Centres and the nearest centre of each row."""
     centres = rows[rng.permutation(len(rows))[:count]]
     nearest = nearest_rows(rows, centres)[0]
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         _majority(rows, nearest, centres)
         before, (nearest, _) = nearest, nearest_rows(rows, centres)
         if np.array_equal(before, nearest):
@@ -95,7 +95,7 @@ def _words(rows: BitRows, branches: BitRows, leaves: BitRows, starts: Words) -> 
     """Down the tree with as many probes as `_PROBES`."""
     words = np.zeros(len(rows), np.int32)
     for i in range(len(rows)):
-        best, skipped = _BITS + 1, -1
+        best, skipped = BITS + 1, -1
         for _ in range(_PROBES):
             branch = _nearest_but(rows[i], branches, skipped)
             word, distance = _nearest(rows[i], leaves, starts[branch], starts[branch + 1])
@@ -108,7 +108,7 @@ def _words(rows: BitRows, branches: BitRows, leaves: BitRows, starts: Words) -> 
 @kernel
 def _nearest(row: BitRows, centres: BitRows, start: int, stop: int) -> tuple[int, int]:
     """Index and distance of the nearest centre from start to stop; the first of equals."""
-    best, index = _BITS + 1, start
+    best, index = BITS + 1, start
     for j in range(start, stop):
         distance = _hamming(row, centres[j])
         if distance < best:
@@ -119,7 +119,7 @@ def _nearest(row: BitRows, centres: BitRows, start: int, stop: int) -> tuple[int
 @kernel
 def _nearest_but(row: BitRows, centres: BitRows, skipped: int) -> int:
     """Index of the nearest centre that is not the skipped one; the skipped one where it is alone."""
-    best, index = _BITS + 1, 0
+    best, index = BITS + 1, 0
     for j in range(len(centres)):
         distance = _hamming(row, centres[j])
         if distance < best and j != skipped:
@@ -146,7 +146,7 @@ def ones(x: np.uint64) -> int:
 @kernel
 def _majority(rows: BitRows, nearest: Words, centres: BitRows) -> None:
     """Each bit of a centre as most of its members have it; a centre without members stays. In place."""
-    set_bits = np.zeros((len(centres), _BITS), np.int32)
+    set_bits = np.zeros((len(centres), BITS), np.int32)
     members = np.zeros(len(centres), np.int32)
     for i in range(len(rows)):
         members[nearest[i]] += 1

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from slam.measurements import FloatArray
+from fusion.estimation import gate
+from slam.measurements import IN_PLANE, FloatArray
 
-_IN_PLANE = np.array([3, 4, 2])  # x, y, yaw in GTSAM's order of a Pose3
-_OUT_OF_PLANE = np.array([0, 1, 5])  # roll, pitch, z
 # A floor is not flat and a robot sways: so much leaves the plane without being an error.
-_SWAY = np.array([0.01, 0.01, 0.01])  # radians, radians, metres
+_SWAY = 0.01  # radians and metres
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +29,11 @@ class PlanarMotion:
     motion: FloatArray
     covariance: FloatArray
     excess: float
+
+    @property
+    def leaves_the_floor(self) -> bool:
+        """Whether its covariance does not explain that it leaves the plane."""
+        return self.excess > gate(3)
 
 
 def planar_motion(
@@ -56,8 +60,9 @@ def planar_motion(
     adjoint = T_base_camera.AdjointMap()
     of_base = adjoint @ covariance @ adjoint.T
     roll, pitch, yaw = motion.rotation().roll(), motion.rotation().pitch(), motion.rotation().yaw()
+    out_of_plane = [0, 1, 5]  # roll, pitch, z in GTSAM's order of a Pose3
     outside = np.array([roll, pitch, motion.z()])
-    spread = of_base[np.ix_(_OUT_OF_PLANE, _OUT_OF_PLANE)] + np.diag(_SWAY**2)
+    spread = of_base[np.ix_(out_of_plane, out_of_plane)] + _SWAY**2 * np.eye(3)
     excess = float(outside @ np.linalg.solve(spread, outside)) / 3.0
     in_plane = np.array([motion.x(), motion.y(), yaw])
-    return PlanarMotion(in_plane, of_base[np.ix_(_IN_PLANE, _IN_PLANE)], excess)
+    return PlanarMotion(in_plane, of_base[np.ix_(IN_PLANE, IN_PLANE)], excess)

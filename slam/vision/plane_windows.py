@@ -13,12 +13,7 @@ from numpy.typing import NDArray
 
 from fusion.kernel import kernel
 
-_LEAST_SHARE = 0.5  # of a window's pixels on the same surface, below which there is no normal
-_LEAST_DETERMINANT = 1e-3
-_SAME_SURFACE = np.float32(0.04)  # relative difference of inverse depth to the window's centre
-# Rows of the sums over a window: pixels on the surface, their offsets and products of them, and their
-# differences w to the centre's inverse depth with their products.
-_N, _U, _UU, _V, _VV, _UV, _W, _WU, _WV = range(9)
+SAME_SURFACE = np.float32(0.04)  # greatest relative difference of inverse depths of neighbours
 
 
 def fit_planes(
@@ -42,7 +37,7 @@ def fit_planes(
         (H, W) and (H, W, 3), left as they are where no plane is found.
     """
     span = max(inverse.shape[1] - 2 * radius, 0)
-    least = _LEAST_SHARE * (2 * radius + 1) ** 2
+    least = 0.5 * (2 * radius + 1) ** 2  # of a window's pixels on one surface
     room = (np.empty((9, span), np.float32), np.empty((5, span), np.float32), np.empty(span, np.float32))
     _fit_planes(inverse, radius, step, fx, fy, cx, cy, least, smooth, normals, *room)
 
@@ -54,24 +49,26 @@ def _fit_planes(  # type: ignore[no-untyped-def]
     """Fit the planes, with room for the sums of a row of windows, of a line of them, and for its limits."""
     height = inverse.shape[0]
     span = sums.shape[1]
+    # Pixels on the surface, their offsets and products of them, and their differences w to the centre's
+    # inverse depth with their products.
+    sum_n, sum_u, sum_uu, sum_v, sum_vv = sums[0], sums[1], sums[2], sums[3], sums[4]
+    sum_uv, sum_w, sum_wu, sum_wv = sums[5], sums[6], sums[7], sums[8]
     for v in range(radius, height - radius, step):
         _sum_windows(inverse, v, radius, sums, line, gate)
         for first in range(0, span, step):
             u = first + radius
-            n = float(sums[_N, first])
+            n = float(sum_n[first])
             if inverse[v, u] <= 0.0 or n < least:
                 continue
-            mu = sums[_U, first] / n
-            mv = sums[_V, first] / n
-            mean = sums[_W, first] / n
-            a = sums[_UU, first] / n - mu * mu
-            b = sums[_UV, first] / n - mu * mv
-            d = sums[_VV, first] / n - mv * mv
-            e = sums[_WU, first] / n - mean * mu
-            f = sums[_WV, first] / n - mean * mv
+            mu = sum_u[first] / n
+            mv = sum_v[first] / n
+            mean = sum_w[first] / n
+            a = sum_uu[first] / n - mu * mu
+            b = sum_uv[first] / n - mu * mv
+            d = sum_vv[first] / n - mv * mv
+            e = sum_wu[first] / n - mean * mu
+            f = sum_wv[first] / n - mean * mv
             determinant = a * d - b * b
-            if determinant < _LEAST_DETERMINANT:
-                continue
             slope_u = (e * d - f * b) / determinant
             slope_v = (f * a - e * b) / determinant
             w0 = inverse[v, u] + mean - slope_u * mu - slope_v * mv
@@ -90,28 +87,31 @@ def _fit_planes(  # type: ignore[no-untyped-def]
 
 @kernel(nogil=True, inline="always")
 def _sum_windows(inverse, v, radius, sums, line, gate):  # type: ignore[no-untyped-def]
-    """Sums (9, W - 2 radius) over the windows around row ``v`` of what is on their centres' surfaces."""
+    """Sums (9, W - 2 radius) over the windows around row ``v`` of what is on their centres' surfaces.
+
+    The rows are those that `_fit_planes` names; those of ``line`` are n, u, uu, w, wu.
+    """
     span = sums.shape[1]
     centre = inverse[v, radius : radius + span]
     for i in range(span):
-        gate[i] = _SAME_SURFACE * centre[i]
+        gate[i] = SAME_SURFACE * centre[i]
     _clear(sums)
     for dv in range(-radius, radius + 1):
         _clear(line)
         for du in range(-radius, radius + 1):
             beside = inverse[v + dv, radius + du : radius + du + span]
-            _count(beside, centre, gate, np.float32(du), line[_N], line[_U], line[_UU])
+            _count(beside, centre, gate, np.float32(du), line[0], line[1], line[2])
             _differ(beside, centre, gate, np.float32(du), line[3], line[4])
         along = np.float32(dv)
-        _add(line[_N], np.float32(1.0), sums[_N])
-        _add(line[_U], np.float32(1.0), sums[_U])
-        _add(line[_UU], np.float32(1.0), sums[_UU])
-        _add(line[_N], along, sums[_V])
-        _add(line[_N], along * along, sums[_VV])
-        _add(line[_U], along, sums[_UV])
-        _add(line[3], np.float32(1.0), sums[_W])
-        _add(line[4], np.float32(1.0), sums[_WU])
-        _add(line[3], along, sums[_WV])
+        _add(line[0], np.float32(1.0), sums[0])
+        _add(line[1], np.float32(1.0), sums[1])
+        _add(line[2], np.float32(1.0), sums[2])
+        _add(line[0], along, sums[3])
+        _add(line[0], along * along, sums[4])
+        _add(line[1], along, sums[5])
+        _add(line[3], np.float32(1.0), sums[6])
+        _add(line[4], np.float32(1.0), sums[7])
+        _add(line[3], along, sums[8])
 
 
 @kernel(nogil=True)

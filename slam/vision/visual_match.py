@@ -9,7 +9,7 @@ from typing import cast
 import gtsam
 import numpy as np
 
-from slam.config.stages import RgbdOdometryConfig
+from slam.config.stages import MatchConfig
 from slam.measurements import FloatArray, MotionEstimate
 from slam.vision.prepared_frame import PreparedFrame
 
@@ -50,25 +50,25 @@ class VisualMatch:
 
 
 def covariance_of(
-    information: FloatArray, inlier_share: float, config: RgbdOdometryConfig
+    information: FloatArray, inlier_share: float, config: MatchConfig
 ) -> tuple[FloatArray, FloatArray]:
     """Covariance (6, 6) of an alignment and its weak direction (6,), zero where all are determined.
 
-    A translation whose sigma exceeds the configured limit is degenerate: that direction gets the square of
-    ten times the limit on top.
+    A translation is degenerate whose sigma exceeds a fifth of what is given to a weak axis on top.
     """
     eigenvalues, eigenvectors = np.linalg.eigh(information)
-    least = 1.0 / (10.0 * config.degenerate_sigma_m) ** 2
+    least = 1.0 / config.degenerate_sigma_m**2
     covariance = (eigenvectors / np.maximum(eigenvalues, least)) @ eigenvectors.T
     # Readings that fit nothing are a doubt about all the others.
     covariance /= max(inlier_share, 0.1) ** 2
-    floor = [config.floor_rad**2] * 3 + [config.floor_m**2] * 3
+    # An image is taken at once, while a lidar turns: half of what a scan may be off by.
+    floor = 0.25 * np.repeat([config.floor_rad**2, config.floor_m**2], 3)
     covariance = 0.5 * (covariance + covariance.T) + np.diag(floor)
     variances, axes = np.linalg.eigh(covariance[3:, 3:])
     weak = np.zeros(6)
-    if variances[-1] > config.degenerate_sigma_m**2:
+    if variances[-1] > (config.degenerate_sigma_m / 5) ** 2:
         weak[3:] = axes[:, -1]
-        covariance += (10.0 * config.degenerate_sigma_m) ** 2 * np.outer(weak, weak)
+        covariance += config.degenerate_sigma_m**2 * np.outer(weak, weak)
     return covariance, weak
 
 

@@ -19,7 +19,6 @@ from slam.evaluation.cloud_picture import cloud_from_above
 from slam.evaluation.map_report import Beside, ReportData, RunCost, beside_of
 from slam.evaluation.report import write_report
 from slam.evaluation.truth_comparison import compare_with_truth
-from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, EdgeKind, PoseGraph
 from slam.mapper.map_result import MapResult
 from slam.mapper.scan_record import CameraRecord, ScanRecord
@@ -143,17 +142,6 @@ def test_a_registration_is_told_with_its_reason(tmp_path: Path) -> None:
     assert "registered by the log itself: 1.7 cm beside" in page(
         replace(result(), cameras={"left": found}), tmp_path
     )
-
-
-def test_a_loop_is_held_against_the_limit_of_its_sensor() -> None:
-    by_camera = LoopCandidate(0, 2, 0.0, 0.0, 1.0, None, False, "too little fits")
-    by_lidar = replace(by_camera, half_width_m=0.5)
-    config = Config()
-    data = report(result())
-    limits = [config.visual_loops.least_inlier_share, config.loops.least_inlier_share]
-    assert [data.least_inlier_share(loop) for loop in (by_camera, by_lidar)] == limits and limits[
-        0
-    ] != limits[1]
 
 
 def test_the_path_of_a_camera_is_measured_in_space() -> None:

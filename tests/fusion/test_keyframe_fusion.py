@@ -18,7 +18,7 @@ from slam.vision.prepared_frame import PreparedFrame
 OFFSET = (0.1, 0.02)
 CAMERA_M = 0.9
 BOXES = (*world.ROOM, world.CUPBOARD)
-CONFIG = FusionConfig(least_pairs=10, examples=2)
+CONFIG = FusionConfig(least_pairs=10)
 
 
 def scan_of(number, ranges_m=None, boxes=BOXES):

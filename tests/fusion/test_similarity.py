@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fusion.similarity import (
-    FEWEST_SAMPLES,
+    FEWEST,
     LEAST_OVERLAP,
     Grade,
     grade_of,
@@ -22,7 +22,7 @@ from fusion.similarity import (
 def plain(d, window):
     """PCC, InvCos, InvEuler of the samples that both have, as printed; None if they are too few."""
     both = np.isfinite(d) & np.isfinite(window)
-    if both.sum() < max(FEWEST_SAMPLES, LEAST_OVERLAP * d.size):
+    if both.sum() < max(FEWEST, LEAST_OVERLAP * d.size):
         return None
     a, b = d[both].astype(float), window[both].astype(float)
     cosine = 1.0 - a @ b / (np.linalg.norm(a) * np.linalg.norm(b))

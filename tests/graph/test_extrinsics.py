@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fusion.curves import FORWARD
 from slam.errors import GraphError
 from slam.graph.extrinsics import (
     ExtrinsicsResult,
@@ -16,13 +17,11 @@ from slam.graph.extrinsics import (
     camera_step_factor,
     estimate_extrinsics,
 )
-from slam.graph.hand_eye import FORWARD_MOUNT, Motions, covariances, linearise
+from slam.graph.hand_eye import Motions, covariances, linearise
 from slam.measurements import FloatArray, Pose
 
 # Rolled, pitched and turned from the usual mount, and off the centre.
-MOUNT = gtsam.Pose3(
-    gtsam.Rot3.RzRyRx(0.05, 0.3, 0.6) * gtsam.Rot3(FORWARD_MOUNT), np.array([0.12, -0.07, 0.9])
-)
+MOUNT = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.05, 0.3, 0.6) * gtsam.Rot3(FORWARD), np.array([0.12, -0.07, 0.9]))
 CAMERA_SIGMAS = np.array([np.radians(0.2)] * 3 + [0.005] * 3)
 PLANAR_SIGMAS = np.array([0.003, 0.003, np.radians(0.1)])
 SPATIAL_SIGMAS = np.array([np.radians(0.1)] * 3 + [0.003] * 3)

@@ -16,6 +16,7 @@ from slam.measurements import FloatArray, row_from_pose2
 from slam.simulation.floor_plan import TOUR_M, walls
 
 NOTHING = OrientedPoints(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32))
+MATCH = MatchConfig()
 STEP_SIGMAS = np.array([0.03, 0.03, 0.01])
 # The first round of the tour: along the corridor, through two rooms, and back to the first point.
 ROUND = TOUR_M[:6]
@@ -37,8 +38,13 @@ def round_trip(spacing_m: float = 0.25) -> FloatArray:
 class Drive:
     """Keyframes fed to a loop closer one by one, with a drift that the chain's covariances admit."""
 
-    def __init__(self, drift: tuple[float, ...] = (0.0, 0.0, 0.0), **settings: object) -> None:
-        self.closer = LoopCloser(LoopConfig(**settings), MatchConfig())
+    def __init__(
+        self,
+        drift: tuple[float, ...] = (0.0, 0.0, 0.0),
+        match: MatchConfig = MATCH,
+        **settings: object,
+    ) -> None:
+        self.closer = LoopCloser(LoopConfig(**settings), match)
         self.uncertainty = UncertaintyGraph()
         self.drift = np.array(drift)
         self.poses = np.zeros((0, 3))
@@ -114,7 +120,7 @@ def test_the_verdicts_are_told(drifted: tuple[Drive, list[LoopCandidate]]) -> No
         assert loop.half_width_m <= LoopConfig().greatest_half_width_m
         assert loop.motion is not None or not loop.accepted
     tried = {loop.keyframe for loop in loops}
-    assert max(sum(loop.keyframe == key for loop in loops) for key in tried) <= LoopConfig().candidates
+    assert max(sum(loop.keyframe == key for loop in loops) for key in tried) <= LoopConfig().near
 
 
 def test_no_loop_is_shorter_than_the_least_path(drifted: tuple[Drive, list[LoopCandidate]]) -> None:
@@ -163,7 +169,7 @@ def test_a_different_place_is_refused(caplog: pytest.LogCaptureFixture) -> None:
 def test_the_refinement_refuses_what_the_search_lets_pass() -> None:
     here = OrientedPoints.from_scan(points_at(walls(), (1.0, 4.0, 0.0)))
     elsewhere = OrientedPoints.from_scan(points_at(walls(), (9.5, 7.0, 0.5)))
-    loops = line_drive(Drive(least_score=0.01), here, elsewhere)
+    loops = line_drive(Drive(match=MatchConfig(search_least_score=0.01)), here, elsewhere)
     assert not any(loop.accepted for loop in loops)
     assert "too few points fit" in {loop.reason for loop in loops}
     loops = line_drive(Drive(greatest_residual_m=1e-6), here, here)
@@ -183,10 +189,10 @@ def test_a_scan_without_points_asks_nothing() -> None:
 
 
 def two_keyframes(
-    place: FloatArray, key: FloatArray, believed: FloatArray, **settings: float
+    place: FloatArray, key: FloatArray, believed: FloatArray, match: MatchConfig = MATCH
 ) -> LoopCandidate:
     """The loop between two sweeps that a sure edge joins, the second believed somewhere."""
-    closer = LoopCloser(LoopConfig(**settings), MatchConfig())
+    closer = LoopCloser(LoopConfig(), match)
     uncertainty = UncertaintyGraph()
     for n, truth in enumerate((place, key)):
         uncertainty.add_node()
@@ -211,7 +217,8 @@ def test_a_refinement_that_leaves_the_window_is_refused() -> None:
     place, key = np.array([1.0, 4.0, 0.0]), np.array([2.2, 4.1, 0.4])
     believed = compose(key, np.array([0.1, 0.05, 0.0]))
     assert two_keyframes(place, key, believed).accepted
-    assert two_keyframes(place, key, believed, least_half_width_m=0.02).reason == "refinement left the window"
+    fine = MatchConfig(cell_m=0.03)
+    assert two_keyframes(place, key, believed, fine).reason == "refinement left the window"
 
 
 def test_a_corridor_closes_with_its_direction_open() -> None:
@@ -229,12 +236,12 @@ def test_a_corridor_closes_with_its_direction_open() -> None:
 def test_a_lost_node_searches_no_farther_than_the_limit() -> None:
     """No path of edges: the covariance is infinite, the window is not."""
     scan = OrientedPoints.from_scan(points_at(walls(), (1.0, 4.0, 0.0)))
-    closer = LoopCloser(LoopConfig(greatest_half_width_m=1.0, greatest_half_yaw_rad=0.3), MatchConfig())
+    closer = LoopCloser(LoopConfig(greatest_half_width_m=1.0), MatchConfig())
     uncertainty = UncertaintyGraph()
     for n in range(2):
         uncertainty.add_node()
         closer.add_keyframe(scan, np.zeros(3), 20.0 * n)
     loops = closer.close(1, np.zeros((2, 3)), uncertainty)
     assert [loop.half_width_m for loop in loops] == [1.0]
-    assert loops[0].half_yaw_rad == 0.3
+    assert loops[0].half_yaw_rad == np.pi
     assert loops[0].accepted

@@ -27,14 +27,14 @@ def seen_x(store: SubmapStore, key: int) -> list[float]:
 
 
 def test_the_neighbours_by_number() -> None:
-    store = store_of(30, 0.1, submap_half_keyframes=2, submap_half_m=100.0)
+    store = store_of(30, 0.1, half_keyframes=2)
     np.testing.assert_allclose(seen_x(store, 10), [-0.2, -0.1, 0.0, 0.1, 0.2], atol=1e-6)
     np.testing.assert_allclose(seen_x(store, 0), [0.0, 0.1, 0.2], atol=1e-6)
     np.testing.assert_allclose(seen_x(store, 29), [-0.2, -0.1, 0.0], atol=1e-6)
 
 
 def test_the_neighbours_by_way() -> None:
-    store = store_of(30, 1.0, submap_half_keyframes=8, submap_half_m=2.5)
+    store = store_of(30, 1.0, half_keyframes=8, least_path_m=5.0)
     np.testing.assert_allclose(seen_x(store, 10), [-2.0, -1.0, 0.0, 1.0, 2.0], atol=1e-6)
 
 
@@ -63,17 +63,17 @@ def test_a_submap_is_in_the_places_frame() -> None:
 
 
 def test_the_cache_is_bounded_and_keeps_what_was_used_last() -> None:
-    store = store_of(60, submaps_cached=3)
-    first = [store.submap(key) for key in (0, 1, 2)]
+    store = store_of(60, half_keyframes=1)
+    first = [store.submap(key) for key in range(4)]
     assert store.submap(0) is first[0]
-    store.submap(3)  # 1 is now the one that was not used for longest
-    assert len(store._cache) == 3
+    store.submap(4)  # 1 is now the one that was not used for longest
+    assert len(store._cache) == 4
     assert store.submap(0) is first[0]
     assert store.submap(2) is first[2]
     assert store.submap(1) is not first[1]
     for key in range(60):
         store.submap(key)
-        assert len(store._cache) <= 3
+        assert len(store._cache) <= 4
 
 
 def test_the_field_is_drawn_once() -> None:

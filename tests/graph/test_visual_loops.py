@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from room_world import MIDDLE, Room, blind, error_of, furnished, looking, prepared, render
 
-from slam.config.stages import RgbdOdometryConfig, VisualLoopConfig
+from slam.config import load_config
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.visual_loops import VisualLoopCloser
 from slam.vision.frame_matcher import FrameMatcher
@@ -30,11 +30,11 @@ def views() -> list[PreparedFrame]:
 class Walk:
     """Keyframes with poses that the test believes."""
 
-    def __init__(self, **settings: float) -> None:
+    def __init__(self, *settings: str) -> None:
         self.frames: list[PreparedFrame] = []
         self.poses: list[gtsam.Pose3] = []
-        matcher = FrameMatcher(RgbdOdometryConfig())
-        self._closer = VisualLoopCloser(VisualLoopConfig(**settings), matcher, self, seed=0)  # type: ignore[arg-type]
+        config = load_config(None, settings)
+        self._closer = VisualLoopCloser(config, FrameMatcher(config), self)
 
     def keyframe(self, key: int) -> PreparedFrame:
         return self.frames[key]
@@ -71,7 +71,9 @@ def test_a_true_return_closes(poses: list[gtsam.Pose3], views: list[PreparedFram
 
 @pytest.mark.parametrize("poses", [TRUE, LOST], ids=["believed near", "by its looks"])
 def test_every_accepted_loop_is_true(poses: list[gtsam.Pose3], views: list[PreparedFrame]) -> None:
-    for loop in Walk(near_unlikeness=3.0, least_place_score=1e-6).through(views, poses):
+    for loop in Walk("visual_loops.near_unlikeness=3.0", "visual_loops.least_place_score=1e-6").through(
+        views, poses
+    ):
         assert loop.accepted == (loop.reason == "")
         if loop.accepted:
             assert loop.motion is not None
@@ -84,7 +86,7 @@ def test_another_scene_is_refused(
     believed: gtsam.Pose3, views: list[PreparedFrame], caplog: pytest.LogCaptureFixture
 ) -> None:
     stranger = prepared(render(STRANGE, looking(0.0, 0.0, 1.2, 0.9, 0.1), MIDDLE))
-    walk = Walk(least_place_score=1e-6)
+    walk = Walk("visual_loops.least_place_score=1e-6")
     walk.through(views[:-1], TRUE[:-1])
     with caplog.at_level(logging.INFO, logger="slam.graph.visual_loops"):
         loops = walk.add(stranger, believed)
@@ -102,14 +104,14 @@ def test_a_dead_camera_closes_nothing(views: list[PreparedFrame]) -> None:
 
 
 def test_neighbours_are_no_loop(views: list[PreparedFrame]) -> None:
-    walk = Walk(least_gap=3)
+    walk = Walk("visual_loops.least_gap=3")
     loops = walk.through([views[0], views[5], views[0]], [HOME, RETURN, HOME])
     assert loops == []
     assert {loop.place for loop in walk.add(views[5], RETURN)} == {0}
 
 
 def test_no_more_places_are_tried_than_asked(views: list[PreparedFrame]) -> None:
-    walk = Walk(near=2, by_looks=0)
+    walk = Walk("loops.near=2", "loops.by_looks=0")
     for n in range(12):
         found = walk.add(views[0] if n % 2 else views[5], HOME if n % 2 else RETURN)
         assert len(found) <= 2
@@ -118,12 +120,12 @@ def test_no_more_places_are_tried_than_asked(views: list[PreparedFrame]) -> None
 
 
 def test_disabled_means_none(views: list[PreparedFrame]) -> None:
-    assert Walk(enabled=False).through(views, TRUE) == []
+    assert Walk("loops.enabled=false").through(views, TRUE) == []
 
 
 def test_what_is_adrift_is_joined_by_its_looks_alone(views: list[PreparedFrame]) -> None:
     """After a loss nobody knows where the camera is: poses propose nothing until looks have told."""
-    walk = Walk(by_looks=0)
+    walk = Walk("loops.by_looks=0")
     walk.through(views[:-1], TRUE[:-1])
     assert walk.add(views[5], RETURN, adrift=True) == []
     walk = Walk()

@@ -24,7 +24,7 @@ from slam.measurements import FloatArray, PointCloud
 from slam.simulation.synthetic_log import write_synthetic_log
 from slam.storage.tum import read_tum
 
-SETTINGS = ("cloud_odometry.voxel_m=0.25", "cloud_map.enabled=false", "localization.search_threads=1")
+SETTINGS = ("cloud_odometry.voxel_m=0.25", "dense_map.enabled=false", "localization.search_threads=1")
 CONFIG = load_config(None, SETTINGS)
 # A wall with a door between the left room and the right one.
 ROOMS = np.concatenate(

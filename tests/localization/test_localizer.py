@@ -132,7 +132,7 @@ def mirrored(scan: LaserScan) -> LaserScan:
 
 def test_another_building_leads_to_no_pose(mapped: tuple[KnownMap, FloatArray], other: Drive) -> None:
     log = [mirrored(m) for m in other.log if isinstance(m, LaserScan)]
-    without_wheels = load_config(None, ["lidar_odometry.use_wheel_odometry=false"])
+    without_wheels = load_config(None, ["sensors.wheels=false"])
     outputs = list(follow(mapped[0], log[:140], without_wheels))
     assert all(output.state is State.SEARCHING and output.pose is None for output in outputs)
 

@@ -14,7 +14,6 @@ from room_world import LESS, Room, blind, furnished, render, turning_walk, write
 from slam.comparison.dense_odometry import POINTS_IGNORED
 from slam.comparison.methods import ODOMETRIES
 from slam.config import Config, load_config
-from slam.config.stages import DenseMapConfig
 from slam.datasets import open_dataset
 from slam.errors import DatasetError
 from slam.evaluation.trajectory_error import absolute_error
@@ -110,7 +109,7 @@ def test_the_same_log_and_seed_give_the_same_bytes(mapped: MapResult, log: Path,
     for folder, result in zip(folders, (mapped, run(log)), strict=True):
         folder.mkdir()
         save_run(folder, result, layers_of(result, Config()))
-        save_dense(folder, result, DenseMapConfig())
+        save_dense(folder, result, Config())
     names, others = ({path.name for path in folder.iterdir()} for folder in folders)
     assert names == others >= {"trajectory.tum", "graph.g2o", "cloud.ply"}
     for name in names:
@@ -122,7 +121,7 @@ def test_without_open3d_there_is_the_cloud_and_one_line_about_the_mesh(
     mapped: MapResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "open3d", None)
-    written, missing = save_dense(tmp_path, mapped, DenseMapConfig())
+    written, missing = save_dense(tmp_path, mapped, Config())
     assert written == [tmp_path / "cloud.ply"] == list(tmp_path.iterdir())
     (line,) = missing
     assert "No mesh.ply" in line and "apt-get install" in line and "\n" not in line
@@ -137,7 +136,7 @@ def test_without_open3d_there_is_the_cloud_and_one_line_about_the_mesh(
 def test_the_other_methods(method: str, frames: list[RgbdFrame], tmp_path: Path) -> None:
     """The first third of the round; they drift more."""
     path = write_tum_folder(tmp_path / "log", frames[:20], walk()[:20])
-    settings = ["visual_loops.enabled=false"]
+    settings = ["loops.enabled=false"]
     if method == "features":
         settings.append(f"rgbd_odometry.correlated_points={POINTS_IGNORED}")
     odometries = ODOMETRIES.get(method, STANDARD)
@@ -149,7 +148,7 @@ def test_the_other_methods(method: str, frames: list[RgbdFrame], tmp_path: Path)
 @pytest.mark.parametrize("name", ["no loops", "a moved room"])
 def test_variants(name: str, log: Path, tmp_path: Path) -> None:
     if name == "no loops":
-        assert ate_m(run(log, "visual_loops.enabled=false"), log) < 0.03
+        assert ate_m(run(log, "loops.enabled=false"), log) < 0.03
         return
     # The same room and walk elsewhere: the map does not know where the world begins.
     elsewhere = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.5, -0.3, 2.0), np.array([70.0, -40.0, 9.0]))

@@ -130,8 +130,8 @@ def test_saved_resumed_and_exported(log: Log, mapped: MapResult, tmp_path: Path)
     assert len(saved.frames) == len(saved.clouds) == len(mapped.dense.poses)
     for found, pose in zip(saved.frame_poses(), mapped.dense.poses, strict=True):
         np.testing.assert_allclose(found.matrix(), pose.matrix(), atol=1e-9)
-    written, _ = save_dense(tmp_path, mapped, config.dense_map)
-    written += save_clouds(tmp_path, mapped, config.cloud_map, config.dense_map)
+    written, _ = save_dense(tmp_path, mapped, config)
+    written += save_clouds(tmp_path, mapped, config)
     names = {path.name for path in written}
     assert names - {"mesh.ply"} == {"cloud.ply", "lidar.ply"}
     assert {path.name for path in saved.export("ply", tmp_path / "again")} == names

@@ -23,10 +23,10 @@ from tools.kill_trials import run_trials
 COUNT = 9
 SETTINGS = [
     part
-    for setting in (*SMALL, "cloud_loops.least_path_voxels=4", "cloud_map.voxel_m=0.1")
+    for setting in (*SMALL, "cloud_loops.least_path_voxels=4", "grid.resolution_m=0.1")
     for part in ("--set", setting)
 ]
-OCTOMAP = ["--set", "dense_map.octomap=true", "--set", "dense_map.octomap_cell_m=0.2"]
+OCTOMAP = ["--set", "dense_map.octomap=true", "--set", "grid.resolution_m=0.2"]
 
 
 @pytest.fixture(scope="module")

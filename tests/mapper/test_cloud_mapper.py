@@ -81,7 +81,7 @@ def test_the_files(mapped: MapResult, log: Path, tmp_path: Path) -> None:
     config = load_config(None, SMALL)
     names = {path.name for path in save_run(tmp_path, mapped, layers_of(mapped, config))}
     assert names == {"trajectory.tum", "graph.g2o", "map.yaml", "map.pgm"}
-    written = save_clouds(tmp_path, mapped, config.cloud_map, config.dense_map)
+    written = save_clouds(tmp_path, mapped, config)
     cloud = read_cloud_ply(written[0])
     inside = way_round(COUNT)[0].matrix()
     points = cloud.points_map @ inside[:3, :3].T + inside[:3, 3]
@@ -93,14 +93,14 @@ def test_the_files(mapped: MapResult, log: Path, tmp_path: Path) -> None:
 
 
 def test_no_loops_where_none_are_wanted(log: Path) -> None:
-    result = build_map(open_dataset(log), load_config(None, [*SMALL, "cloud_loops.enabled=false"]))
+    result = build_map(open_dataset(log), load_config(None, [*SMALL, "loops.enabled=false"]))
     assert not result.loops
 
 
 def test_a_place_too_far_to_be_the_same_is_not_tried() -> None:
     """There and nowhere near: identical clouds, 40 m apart, all steps sure."""
     config, kept = load_config(None, SMALL), MapClouds(MapFile.temporary())
-    closer = CloudLoopCloser(config.cloud_loops, config.cloud_odometry, 0.25, kept)
+    closer = CloudLoopCloser(config, 0.25, kept)
     points = look(gtsam.Pose3()).points_lidar.astype(np.float64)
     graph = KeyframeGraph(gtsam.Pose3(), GraphConfig())
     step = gtsam.Pose3(gtsam.Rot3(), np.array([4.0, 0.0, 0.0]))

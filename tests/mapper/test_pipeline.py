@@ -115,7 +115,7 @@ class TestSynthetic:
             assert one == two, name
 
     def test_without_wheels(self, long_log: SyntheticLog) -> None:
-        result = run(long_log.log_path, "lidar_odometry.use_wheel_odometry=false")
+        result = run(long_log.log_path, "sensors.wheels=false")
         assert EdgeKind.WHEEL not in {edge.kind for edge in result.graph.edges}
         assert errors_m(result, long_log.truth.to_planar()).max() < 0.05
 
@@ -192,7 +192,7 @@ class TestFiles:
     ("name", "overrides", "bound_m", "bound_deg", "relations"),
     [
         ("fr079", (), 0.034, 0.50, 1685),
-        ("fr079", ("lidar_odometry.use_wheel_odometry=false",), 0.045, 1.0, 1685),
+        ("fr079", ("sensors.wheels=false",), 0.045, 1.0, 1685),
         ("intel", (), 0.042, 1.0, 2984),
     ],
     ids=["fr079", "fr079-no-odometry", "intel"],

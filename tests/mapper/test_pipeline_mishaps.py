@@ -105,7 +105,7 @@ class TestMishaps:
         assert {edge.kind for edge in result.graph.edges} == {EdgeKind.WHEEL}
         assert np.isnan(result.scans.inlier_shares).all()
         assert result.grid is None or not (result.grid.states() == OCCUPIED).any()
-        still = run(log, "lidar_odometry.use_wheel_odometry=false")
+        still = run(log, "sensors.wheels=false")
         assert {edge.kind for edge in still.graph.edges} <= {EdgeKind.ASSUMED}
         assert len(still.trajectory) == len(result.trajectory)
 
@@ -133,7 +133,7 @@ class TestMishaps:
             yield with_stamp(fields, stamp(fields) - (8.0 if stamp(fields) > 1009.95 else 0.0))
 
         log = edited(short_log, tmp_path / "set_back.log", set_back)
-        result = run(log, f"lidar_odometry.use_wheel_odometry={wheels}")
+        result = run(log, f"sensors.wheels={wheels}")
         assert np.diff(result.trajectory.stamps_s).min() < -7.0
         errors = errors_m(result, short_log.truth.to_planar())
         assert errors[::2].max() < 0.03
@@ -145,7 +145,7 @@ class TestMishaps:
             yield with_stamp(fields, 2000.0 - stamp(fields))
 
         log = edited(short_log, tmp_path / "backward.log", backward)
-        result = run(log, f"lidar_odometry.use_wheel_odometry={wheels}")
+        result = run(log, f"sensors.wheels={wheels}")
         assert (np.diff(result.trajectory.stamps_s) <= 0.0).all()
         errors = errors_m(result, short_log.truth.to_planar())
         assert errors[::2].max() < 0.03

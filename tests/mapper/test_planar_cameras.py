@@ -227,7 +227,6 @@ def test_one_answer_to_which_map(drive: list[tuple[int, Measurement]], tmp_path:
     [
         "hit_probability=0.9",
         "miss_probability=0.3",
-        "hit_range_m=1.5",
         "clear_range_m=0.5",
         "resolution_m=0.1",
     ],

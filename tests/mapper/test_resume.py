@@ -133,7 +133,7 @@ class TestTheSameMap:
         assert_resumes(Log(drive, tmp_path), tmp_path, 9, 17, settings=few)
 
     def test_a_camera_alone(self, drive: list[Measurement], tmp_path: Path) -> None:
-        few = ("rgbd_odometry.keyframe_angle_rad=0.1", "visual_loops.keyframes_cached=2")
+        few = ("keyframes.angle_rad=0.1", "match.local_map_keyframes=2")
         assert_resumes(Log(only(drive, RgbdFrame), tmp_path), tmp_path, 9, 17, settings=few)
 
     @pytest.mark.parametrize("stops", [(12,), (MOMENTS + 12, MOMENTS + 18)])

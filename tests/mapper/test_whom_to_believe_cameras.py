@@ -28,7 +28,7 @@ MOUNTS = {
     "back": gtsam.Pose3(gtsam.Rot3.RzRyRx(0.0, 0.1, 2.5), np.array([-0.1, 0.0, 1.0])) * T_BODY_CAMERA,
 }
 BEFORE_SCAN_S = 0.01  # frames are taken so long before the scans
-NO_WHEELS = "lidar_odometry.use_wheel_odometry=false"
+NO_WHEELS = "sensors.wheels=false"
 # So that half of the scans are keyframes: a short run then tells as much as a long one.
 DENSE = ("keyframes.distance_m=0.07", "keyframes.angle_rad=0.08")
 

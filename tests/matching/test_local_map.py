@@ -8,7 +8,7 @@ import pytest
 from flat_worlds import corridor, moved, points_at, room
 
 from slam.config.stages import MatchConfig
-from slam.matching.local_map import LocalMap, OrientedPoints, match_noise
+from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.match_covariance import weak_direction
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
@@ -149,12 +149,6 @@ def test_maps_and_scans_of_nothing() -> None:
         np.testing.assert_allclose(result.pose, home, atol=1e-9)
         assert result.inlier_share == 0.0
     assert NOTHING.moved(home).points.shape == (0, 2)
-
-
-def test_the_noise_is_the_configurations() -> None:
-    noise = match_noise(MatchConfig(floor_m=0.5, degenerate_sigma_m=2.0))
-    assert (noise.floor_m, noise.degenerate_sigma_m) == (0.5, 2.0)
-    assert noise.floor_rad == CONFIG.floor_rad
 
 
 def test_results_know_their_frame() -> None:

@@ -2,22 +2,21 @@
 
 import itertools
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from flat_worlds import box, corridor, moved, points_at, room
 
 from slam.config.stages import MatchConfig
-from slam.matching.local_map import LocalMap, OrientedPoints, match_noise
-from slam.matching.match_covariance import MatchNoise, motion_from_alignment, weak_direction
+from slam.matching.local_map import LocalMap, OrientedPoints
+from slam.matching.match_covariance import motion_from_alignment, weak_direction
 from slam.matching.planar import between, compose
 from slam.matching.point_to_line import Alignment
 from slam.measurements import FloatArray, MotionEstimate, row_from_pose2
 
 CONFIG = MatchConfig()
 # The covariance as the theory gives it, without any of the caution that the configuration adds.
-BARE = replace(match_noise(CONFIG), floor_m=1e-6, floor_rad=1e-6, minimal_residual_m=1e-4)
+BARE = CONFIG.model_copy(update={"floor_m": 1e-6, "floor_rad": 1e-6, "minimal_residual_m": 1e-4})
 HOME = np.array([0.3, -0.2, 0.1])
 EXACT = 0  # instead of a number of noisy sweeps: the map is free of noise
 
@@ -35,7 +34,7 @@ def map_of(segments: FloatArray, pose: FloatArray, sweeps: int, sigma_m: float, 
 
 
 def match(
-    segments: FloatArray, pose: FloatArray, noise: MatchNoise, sigma_m: float = 0.0, seed: int = 0
+    segments: FloatArray, pose: FloatArray, noise: MatchConfig, sigma_m: float = 0.0, seed: int = 0
 ) -> MotionEstimate:
     """A sweep matched from the true pose to the map that another one gives."""
     rng = np.random.default_rng(seed)
@@ -44,7 +43,7 @@ def match(
     return motion_from_alignment(local_map.align(scan, pose), noise)
 
 
-def normalised_errors(sigma_m: float, sweeps: int, noise: MatchNoise, count: int) -> FloatArray:
+def normalised_errors(sigma_m: float, sweeps: int, noise: MatchConfig, count: int) -> FloatArray:
     """Squared Mahalanobis error over its degrees of freedom, of (count,) matches in the room."""
     rng = np.random.default_rng(7)
     errors = np.empty(count)
@@ -80,7 +79,7 @@ def test_the_default_covariance_is_not_overconfident(sigma_m: float, sweeps: int
     Where several noisy sweeps lie over each other, the nearest of them is nearer than the wall, and residuals
     look smaller than they are (measured 4.0 for eight sweeps of 3 cm).
     """
-    assert 0.05 < normalised_errors(sigma_m, sweeps, match_noise(CONFIG), 60).mean() < most
+    assert 0.05 < normalised_errors(sigma_m, sweeps, CONFIG, 60).mean() < most
 
 
 def test_errors_that_neighbouring_beams_share_widen_the_covariance() -> None:
@@ -120,7 +119,7 @@ def test_the_covariance_follows_the_noise() -> None:
 
 
 def test_no_match_is_surer_than_the_floors() -> None:
-    covariance = match(room(), HOME, replace(BARE, floor_m=0.2, floor_rad=0.1)).covariance
+    covariance = match(room(), HOME, BARE.model_copy(update={"floor_m": 0.2, "floor_rad": 0.1})).covariance
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), [0.2, 0.2, 0.1], rtol=1e-3)
 
 
@@ -128,7 +127,7 @@ def test_points_that_fit_nothing_are_a_doubt() -> None:
     local_map = map_of(room(), HOME, EXACT, 0.0, 0)
     sure = local_map.align(scan_at(room(), HOME), HOME)
     doubtful = sure._replace(inlier_share=0.5)
-    bare = replace(BARE, floor_m=1e-9, floor_rad=1e-9)
+    bare = BARE.model_copy(update={"floor_m": 1e-9, "floor_rad": 1e-9})
     ratio = motion_from_alignment(doubtful, bare).covariance / motion_from_alignment(sure, bare).covariance
     np.testing.assert_allclose(np.diag(ratio), (sure.inlier_share / 0.5) ** 2, rtol=0.02)
 
@@ -140,7 +139,7 @@ def test_a_corridor_leaves_its_own_direction_open(
     frame: tuple[float, ...], yaw: float, sigma_m: float
 ) -> None:
     pose = compose(np.array(frame), np.array([0.0, 0.2, yaw]))
-    motion = match(moved(corridor(), frame), pose, match_noise(CONFIG), sigma_m)
+    motion = match(moved(corridor(), frame), pose, CONFIG, sigma_m)
     assert motion.degenerate
     along = np.array([math.cos(yaw), -math.sin(yaw), 0.0])  # the corridor, seen from the base
     across = np.array([math.sin(yaw), math.cos(yaw), 0.0])
@@ -154,7 +153,7 @@ def test_a_corridor_leaves_its_own_direction_open(
 @pytest.mark.parametrize("sigma_m", [0.0, 0.01, 0.03])
 @pytest.mark.parametrize("yaw", [0.0, 0.6, -2.4])
 def test_a_room_is_not_degenerate(yaw: float, sigma_m: float) -> None:
-    motion = match(room(), np.array([0.3, -0.2, yaw]), match_noise(CONFIG), sigma_m)
+    motion = match(room(), np.array([0.3, -0.2, yaw]), CONFIG, sigma_m)
     assert not motion.degenerate
     np.testing.assert_array_equal(motion.weak_direction, np.zeros(3))
     assert np.sqrt(np.diag(motion.covariance)).max() < 0.05
@@ -162,15 +161,15 @@ def test_a_room_is_not_degenerate(yaw: float, sigma_m: float) -> None:
 
 def test_a_corridors_end_in_sight_closes_the_direction() -> None:
     """The flag is a share of the points: an end wall near by is enough, one far away is not."""
-    near = match(box(-5, -1, 200, 1), np.zeros(3), match_noise(CONFIG))
-    far = match(box(-29, -1, 200, 1), np.zeros(3), match_noise(CONFIG))
+    near = match(box(-5, -1, 200, 1), np.zeros(3), CONFIG)
+    far = match(box(-29, -1, 200, 1), np.zeros(3), CONFIG)
     assert not near.degenerate
     assert far.degenerate
 
 
 def test_a_single_wall_leaves_the_direction_along_it_open() -> None:
     wall = np.array([[-50.0, 2.0, 50.0, 2.0]])
-    motion = match(wall, np.array([0.0, 0.0, 0.3]), match_noise(CONFIG))
+    motion = match(wall, np.array([0.0, 0.0, 0.3]), CONFIG)
     assert motion.degenerate
     along = np.array([math.cos(0.3), -math.sin(0.3), 0.0])
     assert abs(motion.weak_direction @ along) > math.cos(math.radians(3.0))
@@ -180,8 +179,8 @@ def test_a_round_room_does_not_tell_the_heading() -> None:
     angles = np.linspace(0.0, 2.0 * math.pi, 361)
     corners = 3.0 * np.column_stack([np.cos(angles), np.sin(angles)])
     circle = np.hstack([corners[:-1], corners[1:]])
-    round_room = match(circle, np.zeros(3), match_noise(CONFIG))
-    square_room = match(room(), np.zeros(3), match_noise(CONFIG))
+    round_room = match(circle, np.zeros(3), CONFIG)
+    square_room = match(room(), np.zeros(3), CONFIG)
     assert round_room.covariance[2, 2] > 100.0 * square_room.covariance[2, 2]
     assert round_room.covariance[2, 2] > 0.03**2
     assert round_room.covariance[0, 0] < 0.05**2
@@ -191,7 +190,7 @@ def test_a_round_room_does_not_tell_the_heading() -> None:
 def test_no_information_is_no_infinite_doubt(residual_m: float) -> None:
     """A match of nothing: a finite, positive definite and huge covariance."""
     nothing = Alignment(np.zeros(3), np.zeros((3, 3)), 0.0, residual_m, 0.0, 0.0, False)
-    motion = motion_from_alignment(nothing, match_noise(CONFIG))
+    motion = motion_from_alignment(nothing, CONFIG)
     assert not motion.converged
     assert np.isfinite(motion.covariance).all()
     assert np.linalg.eigvalsh(motion.covariance)[0] > 1.0

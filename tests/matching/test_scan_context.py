@@ -13,7 +13,7 @@ from slam.matching.plane_window import PlaneWindow
 from slam.matching.scan_context import SECTORS, ContextBank, ring_key, scan_context, unlikeness
 from slam.measurements import Float32Array, FloatArray
 
-REACH_M = 8.0
+VOXEL_M = 0.1
 
 
 def points_at(x: float, y: float, yaw: float, seed: int = 0) -> FloatArray:
@@ -21,7 +21,7 @@ def points_at(x: float, y: float, yaw: float, seed: int = 0) -> FloatArray:
 
 
 def context_at(x: float, y: float, yaw: float, seed: int = 0) -> Float32Array:
-    return scan_context(points_at(x, y, yaw, seed), REACH_M)
+    return scan_context(points_at(x, y, yaw, seed), VOXEL_M)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -2.0, 3.0])
@@ -40,14 +40,14 @@ def test_another_place_looks_less_alike() -> None:
 
 
 def test_nothing_looks_like_nothing() -> None:
-    empty = scan_context(np.zeros((0, 3)), REACH_M)
+    empty = scan_context(np.zeros((0, 3)), VOXEL_M)
     assert not empty.any()
     assert unlikeness(empty, empty)[0] == 1.0
     assert unlikeness(context_at(0.5, 0.5, 0.0), empty)[0] == 1.0
 
 
 def test_a_bank_tells_what_the_pairs_tell() -> None:
-    empty = scan_context(np.zeros((0, 3)), REACH_M)
+    empty = scan_context(np.zeros((0, 3)), VOXEL_M)
     contexts = [context_at(0.5, 0.5, 0.0), context_at(-4.0, -3.0, 1.0), empty]
     here = context_at(0.6, 0.5, 1.0, seed=1)
     found = ContextBank(contexts).unlikeness(here)

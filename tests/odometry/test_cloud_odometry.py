@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from cloud_world import ELEVATIONS, T_BASE_LIDAR, base, look, look_on_the_way, way_round
 
+from slam.config import Config
 from slam.config.clouds import CloudOdometryConfig
 from slam.matching.cloud_alignment import align_cloud
 from slam.matching.cloud_points import at_middle_of_turn, base_points, turn_known, voxel_of
@@ -16,12 +17,13 @@ from slam.measurements import FloatArray, MotionEstimate, PointCloud
 from slam.odometry.cloud_odometry import CloudOdometry
 from slam.odometry.cloud_tracker import CloudTracker
 
-CONFIG = CloudOdometryConfig(voxel_m=0.2)
+CONFIG = Config(cloud_odometry=CloudOdometryConfig(voxel_m=0.2))
+TURNS = CONFIG.cloud_odometry
 STILL = np.zeros(6)
 
 
 def points_at(pose: gtsam.Pose3, seed: int = 0, **kwargs: object) -> FloatArray:
-    return base_points(look(pose, seed=seed, **kwargs), STILL, CONFIG)  # type: ignore[arg-type]
+    return base_points(look(pose, seed=seed, **kwargs), STILL, TURNS)  # type: ignore[arg-type]
 
 
 @pytest.fixture(scope="module")
@@ -174,7 +176,7 @@ def test_points_that_are_no_readings_are_left_out() -> None:
     cloud = look(gtsam.Pose3())
     points = np.vstack([cloud.points_lidar, [[np.nan] * 3, [np.inf, 0.0, 0.0], [0.1, 0.1, 0.1], [500, 0, 0]]])
     dirty = PointCloud(0.0, points.astype(np.float32), None, T_BASE_LIDAR)
-    np.testing.assert_array_equal(base_points(dirty, STILL, CONFIG), base_points(cloud, STILL, CONFIG))
+    np.testing.assert_array_equal(base_points(dirty, STILL, TURNS), base_points(cloud, STILL, TURNS))
 
 
 def test_a_turn_is_deskewed_by_the_times_of_its_points() -> None:
@@ -184,8 +186,8 @@ def test_a_turn_is_deskewed_by_the_times_of_its_points() -> None:
     seen = true_points - np.column_stack([2.0 * times_s, 0.0 * times_s, 0.0 * times_s])
     cloud = PointCloud(1.0, seen.astype(np.float32), times_s)
     twist = np.array([0.0, 0.0, 0.0, 2.0, 0.0, 0.0])
-    np.testing.assert_allclose(base_points(cloud, twist, CONFIG), true_points, atol=0.003)
-    off = CONFIG.model_copy(update={"deskew": False})
+    np.testing.assert_allclose(base_points(cloud, twist, TURNS), true_points, atol=0.003)
+    off = TURNS.model_copy(update={"deskew": False})
     np.testing.assert_allclose(base_points(cloud, twist, off), seen, atol=1e-5)
 
 
@@ -201,7 +203,7 @@ def test_the_voxel_follows_the_scene() -> None:
     free = CloudOdometryConfig()
     room, street = (points_at(gtsam.Pose3()) * scale for scale in (1.0, 5.0))
     assert voxel_of(street, free) == pytest.approx(min(5.0 * voxel_of(room, free), 0.6))
-    assert voxel_of(room, CONFIG) == 0.2
+    assert voxel_of(room, TURNS) == 0.2
 
 
 def test_a_drive_is_tracked_and_a_gap_is_told() -> None:
@@ -231,7 +233,7 @@ def test_a_robot_that_moves_while_the_lidar_turns_is_followed() -> None:
     for number in range(24):
         moving = number > 1
         twist = np.array([0.0, 0.0, 1.5 * (8 < number < 16), 2.0 * moving, 0.0, 0.0])
-        cloud = at_middle_of_turn(look_on_the_way(pose, twist, 0.1 * number, seed=number), CONFIG)
+        cloud = at_middle_of_turn(look_on_the_way(pose, twist, 0.1 * number, seed=number), TURNS)
         assert cloud.stamp_s == pytest.approx(0.1 * number + 0.05, abs=0.001)
         tracked = tracker.track(cloud)
         if tracked.new_keyframe:

@@ -7,8 +7,7 @@ import pytest
 from flat_worlds import corridor, points_at, room
 
 from slam.comparison.methods import ODOMETRIES
-from slam.config import Config
-from slam.config.stages import LidarOdometryConfig
+from slam.config import load_config
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
@@ -23,18 +22,17 @@ HOME = np.array([0.3, -0.2, 0.1])
 NOTHING = ScanPoints(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32))
 
 
-def make(method: str, **settings: object) -> LidarOdometry:
-    odometries = ODOMETRIES.get(method, STANDARD)
-    return odometries.lidar(Config(lidar_odometry=LidarOdometryConfig(**settings)))
+def make(method: str, *settings: str) -> LidarOdometry:
+    return ODOMETRIES.get(method, STANDARD).lidar(load_config(None, settings))
 
 
 def guess_at(pose: FloatArray) -> Motion:
     return Motion(pose, np.diag([0.05, 0.05, 0.05]) ** 2)
 
 
-def at_home(method: str, **settings: object) -> LidarOdometry:
+def at_home(method: str, *settings: str) -> LidarOdometry:
     """An odometry whose first keyframe was taken at HOME in the room."""
-    odometry = make(method, **settings)
+    odometry = make(method, *settings)
     odometry.add_keyframe(points_at(room(), HOME, beams=721), HOME)
     return odometry
 
@@ -134,7 +132,7 @@ def test_the_search_finds_a_scan_that_every_guess_misses() -> None:
     found = at_home("surfel").match(scan, [guess])
     assert found is not None
     np.testing.assert_allclose(row_from_pose2(found.T_reference_base), HOME, atol=0.01)
-    narrow = at_home("surfel", search_half_width_m=0.05, search_half_yaw_rad=0.05).match(scan, [guess])
+    narrow = at_home("surfel", "match.search_half_yaw_rad=0.05").match(scan, [guess])
     assert narrow is None or not np.allclose(row_from_pose2(narrow.T_reference_base), HOME, atol=0.05)
 
 
@@ -165,7 +163,7 @@ def test_a_corridor_is_flagged(method: str) -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_old_keyframes_leave_the_surfels(method: str) -> None:
     """A local map of two keyframes forgets the first room once two scans of another have come."""
-    odometry = at_home(method, local_map_keyframes=2)
+    odometry = at_home(method, "match.local_map_keyframes=2")
     scan = points_at(room(), HOME)
     assert odometry.match(scan, [guess_at(HOME)]) is not None
     for _ in range(2):

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from flat_worlds import corridor, moved, points_at, room
 
-from slam.config.stages import LidarOdometryConfig, MatchConfig, PredictionConfig, WheelConfig
+from slam.config import Config
+from slam.config.stages import MatchConfig, PredictionConfig, WheelConfig
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
@@ -334,7 +335,7 @@ def track_with_surfels(scans: list[ScanPoints], wheel_x_m: list[float]) -> list[
     """Each scan a keyframe, 0.1 s apart, the wheels driving along x."""
     match = MatchConfig()
     wheels = WheelTracker(WheelConfig())
-    odometry = SurfelOdometry(LidarOdometryConfig(), match)
+    odometry = SurfelOdometry(Config())
     tracker = MotionTracker(odometry, wheels, PredictionConfig(), match)
     tracked = []
     for n, (points, x) in enumerate(zip(scans, wheel_x_m, strict=True)):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from room_world import SMALL, furnished, looking, prepared, render
 
-from slam.config.stages import RgbdOdometryConfig
+from slam.config import Config, load_config
 from slam.measurements import MotionEstimate
 from slam.odometry.camera_odometry import CameraOdometry, camera_step
 from slam.odometry.camera_track import CameraPose
@@ -17,7 +17,7 @@ from slam.odometry.rgbd_tracker import RgbdTracker, TrackedFrame
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch
 
-CONFIG = RgbdOdometryConfig(lost_after=3, local_keyframes=4, views=2)
+CONFIG = load_config(None, ["match.lost_after=3", "match.local_map_keyframes=4", "rgbd_odometry.views=2"])
 STEP = gtsam.Pose3(gtsam.Rot3.Ry(0.02), np.array([0.03, 0.0, 0.0]))
 FAR = gtsam.Pose3(gtsam.Rot3.Ry(0.5), np.zeros(3))
 
@@ -41,7 +41,7 @@ def picture() -> PreparedFrame:
 class Run:
     """A tracker whose matcher answers as told; frames differ by their stamps alone."""
 
-    def __init__(self, picture: PreparedFrame, config: RgbdOdometryConfig = CONFIG) -> None:
+    def __init__(self, picture: PreparedFrame, config: Config = CONFIG) -> None:
         self.answer: Callable[[gtsam.Pose3], VisualMatch | None] = match_at
         self.guesses: list[gtsam.Pose3] = []
         self.local: list[list[VisualKeyframe]] = []
@@ -210,7 +210,7 @@ class Rendered:
     """`CameraOdometry` on real matches: a camera that steps aside."""
 
     def __init__(self) -> None:
-        self.odometry = CameraOdometry(RgbdOdometryConfig(lost_after=3))
+        self.odometry = CameraOdometry(load_config(None, ["match.lost_after=3"]))
         self.pose = looking(-0.3, 0.2, 1.5, -0.7, 0.35)
 
     def at(self, stamp_s: float) -> CameraPose | None:

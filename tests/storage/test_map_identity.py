@@ -34,7 +34,8 @@ def test_a_map_with_settings_of_an_earlier_version_is_read(log: Path) -> None:
     meta = one.to_meta()
     settings = json.loads(meta["config"])
     settings["localization"]["lag_nodes"] = 10
-    settings["lidar_odometry"] |= {"method": "kiss_icp", "kiss_voxel_m": 0.3}
+    settings["lidar_odometry"] = {"method": "kiss_icp", "kiss_voxel_m": 0.3}
+    settings["loops"] |= {"candidates": 5}
     meta["config"] = json.dumps({**settings, "bundle": {"enabled": False}})
     assert MapIdentity.from_meta(meta, log) == one
     with pytest.raises(ConfigError, match="unknown key 'bundle'"):

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from room_world import SMALL, error_of, furnished, looking, prepared, render
 
-from slam.config.stages import RgbdConfig, RgbdOdometryConfig
+from slam.config import Config
+from slam.config.stages import MatchConfig, RgbdConfig, RgbdOdometryConfig
 from slam.measurements import FloatArray, RgbdFrame
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.joint_alignment import AlignmentSettings, Landmarks, View, align
@@ -21,7 +22,7 @@ CORNER = looking(-0.3, 0.2, 1.5, -0.7, 0.35)
 # Neither floor nor ceiling is seen: only a cupboard's rim tells the height.
 LEVEL = looking(0.0, 0.0, 1.3, 0.3, 0.05)
 STEP = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.02, -0.03, 0.02), np.array([0.05, 0.03, 0.04]))
-ODOMETRY, IMAGES = RgbdOdometryConfig(), RgbdConfig()
+ODOMETRY, IMAGES, MATCH = RgbdOdometryConfig(), RgbdConfig(), MatchConfig()
 
 # Readings whose errors are independent share them only by the windows of the plane fits: at 160 columns each
 # reading is in about twelve. The default of 60 is for real cameras, whose neighbouring errors are alike.
@@ -32,7 +33,7 @@ def settings(correlated_points: float, correlated_features: float) -> AlignmentS
     c = ODOMETRY
     return AlignmentSettings(
         40,
-        c.coarse_iterations,
+        MATCH.coarse_iterations,
         c.kernel_sigmas,
         c.gate_m,
         c.depth_floor_m,
@@ -97,7 +98,7 @@ def test_features_are_as_sure_as_they_say() -> None:
 def test_a_match_claims_no_more_than_it_knows() -> None:
     """Both parts, floors and all, by the defaults: these are for a worse camera than this one."""
     images = [render(furnished(), pose) for pose in (CORNER, CORNER * STEP)]
-    matcher = FrameMatcher(ODOMETRY)
+    matcher = FrameMatcher(Config())
     found = []
     for trial in range(30):
         rng = np.random.default_rng(trial)

@@ -23,8 +23,7 @@ from room_world import (
 )
 
 from slam.comparison.dense_odometry import POINTS_IGNORED, DenseOdometry
-from slam.config import Config
-from slam.config.stages import RgbdOdometryConfig
+from slam.config import Config, load_config
 from slam.odometry.rgbd_odometry import RgbdOdometry
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.prepared_frame import PreparedFrame
@@ -32,8 +31,8 @@ from slam.vision.visual_match import VisualKeyframe, unlikeness
 
 PLACE = looking(-0.3, 0.2, 1.5, -0.7, 0.35)
 STEP = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.02, -0.03, 0.02), np.array([0.05, 0.03, 0.04]))
-CONFIG = RgbdOdometryConfig()
-NOISE = (CONFIG.depth_floor_m, CONFIG.depth_share)
+CONFIG = Config()
+NOISE = (CONFIG.rgbd_odometry.depth_floor_m, CONFIG.rgbd_odometry.depth_share)
 
 
 def seen(pose: gtsam.Pose3, room: Room | None = None, seed: int = 0) -> PreparedFrame:
@@ -59,8 +58,8 @@ def after() -> PreparedFrame:
 
 
 def methods() -> list[RgbdOdometry]:
-    features = CONFIG.model_copy(update={"correlated_points": POINTS_IGNORED})
-    return [FrameMatcher(CONFIG), FrameMatcher(features), DenseOdometry(Config())]
+    features = load_config(None, [f"rgbd_odometry.correlated_points={POINTS_IGNORED}"])
+    return [FrameMatcher(CONFIG), FrameMatcher(features), DenseOdometry(CONFIG)]
 
 
 every_method = pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from room_world import SMALL, T_BODY_CAMERA, Room, dark, error_of, furnished, hall, looking, prepared, render
 
-from slam.config.stages import RgbdOdometryConfig
+from slam.config.stages import MatchConfig, RgbdOdometryConfig
 from slam.measurements import FloatArray
 from slam.vision.alignment_kernels import feature_part, surface_part
 from slam.vision.joint_alignment import (
@@ -24,7 +24,7 @@ from slam.vision.visual_match import covariance_of
 
 CORNER = looking(-0.3, 0.2, 1.5, -0.7, 0.35)
 STEP = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.02, -0.03, 0.02), np.array([0.05, 0.03, 0.04]))
-DEFAULT = RgbdOdometryConfig()
+DEFAULT, MATCH = RgbdOdometryConfig(), MatchConfig()
 CAMERA = (SMALL.fx, SMALL.fy, SMALL.cx, SMALL.cy)
 ELSEWHERE = [gtsam.Pose3(), gtsam.Pose3(gtsam.Rot3.RzRyRx(0.7, -1.1, 2.0), np.array([30.0, -20.0, 5.0]))]
 
@@ -32,8 +32,8 @@ ELSEWHERE = [gtsam.Pose3(), gtsam.Pose3(gtsam.Rot3.RzRyRx(0.7, -1.1, 2.0), np.ar
 def settings(correlated_points: float = 60.0, correlated_features: float = 3.0) -> AlignmentSettings:
     c = DEFAULT
     return AlignmentSettings(
-        c.iterations,
-        c.coarse_iterations,
+        MATCH.iterations,
+        MATCH.coarse_iterations,
         c.kernel_sigmas,
         c.gate_m,
         c.depth_floor_m,
@@ -183,12 +183,12 @@ class TestWhatIsOpen:
         """Noisy normals must not seem to tell what the wall does not."""
         moved = self.FACING * STEP
         found = by_surfaces(hall(), self.FACING, moved, noise=noise)
-        covariance, weak = covariance_of(found.information, 1.0, DEFAULT)
+        covariance, weak = covariance_of(found.information, 1.0, MATCH)
         across = moved.rotation().matrix().T @ [1.0, 0.0, 0.0]
         assert abs(weak[3:] @ across) < 0.1
         sigmas = np.sqrt(np.diag(covariance))
         sideways = T_BODY_CAMERA.rotation().matrix().T @ [0.0, 0.0, 1.0]
-        assert math.sqrt(sideways @ covariance[3:, 3:] @ sideways) > DEFAULT.degenerate_sigma_m
+        assert math.sqrt(sideways @ covariance[3:, 3:] @ sideways) > 0.2 * MATCH.degenerate_sigma_m
         assert math.sqrt(across @ covariance[3:, 3:] @ across) < 0.02
         assert np.linalg.norm(weak) == pytest.approx(1.0)
         assert sigmas.max() > 0.5
@@ -200,7 +200,7 @@ class TestWhatIsOpen:
 
     def test_a_corner_leaves_nothing_open(self) -> None:
         found = by_surfaces(furnished(), CORNER, CORNER * STEP, noise=self.NOISE)
-        covariance, weak = covariance_of(found.information, 1.0, DEFAULT)
+        covariance, weak = covariance_of(found.information, 1.0, MATCH)
         assert not weak.any()
         assert np.sqrt(np.diag(covariance)).max() < 0.02
 
@@ -213,7 +213,7 @@ class TestWhatIsOpen:
         landmarks = Landmarks(points, on_wall.pixels, on_wall.sigma_px)
         views = [View(keyframe.surface, self.FACING)]
         found = align(frame.points, views, landmarks, SMALL, self.FACING, settings())
-        covariance, weak = covariance_of(found.information, 1.0, DEFAULT)
+        covariance, weak = covariance_of(found.information, 1.0, MATCH)
         assert not weak.any()
         assert np.sqrt(np.diag(covariance)[3:]).max() < 0.01
         assert np.abs(error_of(found.pose, moved)).max() < 0.005
@@ -221,7 +221,7 @@ class TestWhatIsOpen:
     def test_two_points_leave_much_open(self) -> None:
         landmarks = Landmarks(*(part[:2] for part in seen_points(CORNER)))
         found = align(NO_POINTS, [], landmarks, SMALL, CORNER, settings(math.inf))
-        covariance, weak = covariance_of(found.information, 1.0, DEFAULT)
+        covariance, weak = covariance_of(found.information, 1.0, MATCH)
         assert weak.any()
         assert np.isfinite(covariance).all()
         assert np.linalg.eigvalsh(covariance)[0] > 0.0
@@ -229,29 +229,29 @@ class TestWhatIsOpen:
 
 class TestCovarianceOf:
     def test_certainty_has_a_floor(self) -> None:
-        covariance, weak = covariance_of(np.eye(6) * 1e20, 1.0, DEFAULT)
-        expected = [DEFAULT.floor_rad**2] * 3 + [DEFAULT.floor_m**2] * 3
+        covariance, weak = covariance_of(np.eye(6) * 1e20, 1.0, MATCH)
+        expected = [0.25 * MATCH.floor_rad**2] * 3 + [0.25 * MATCH.floor_m**2] * 3
         np.testing.assert_allclose(covariance, np.diag(expected), atol=1e-12)
         assert not weak.any()
 
     def test_readings_that_disagree_cost_trust(self) -> None:
-        full, _ = covariance_of(np.eye(6) * 1e4, 1.0, DEFAULT)
-        half, _ = covariance_of(np.eye(6) * 1e4, 0.5, DEFAULT)
-        assert (np.diag(half)[3:] - DEFAULT.floor_m**2) / (
-            np.diag(full)[3:] - DEFAULT.floor_m**2
+        full, _ = covariance_of(np.eye(6) * 1e4, 1.0, MATCH)
+        half, _ = covariance_of(np.eye(6) * 1e4, 0.5, MATCH)
+        assert (np.diag(half)[3:] - 0.25 * MATCH.floor_m**2) / (
+            np.diag(full)[3:] - 0.25 * MATCH.floor_m**2
         ) == pytest.approx(4.0)
 
     @pytest.mark.parametrize("axis", range(3))
     def test_the_weak_axis_is_named_and_inflated(self, axis: int) -> None:
         information = np.eye(6) * 1e6
         information[3 + axis, 3 + axis] = 1.0 / 0.2**2
-        covariance, weak = covariance_of(information, 1.0, DEFAULT)
+        covariance, weak = covariance_of(information, 1.0, MATCH)
         assert abs(weak[3 + axis]) == pytest.approx(1.0)
-        assert covariance[3 + axis, 3 + axis] > (10.0 * DEFAULT.degenerate_sigma_m) ** 2
+        assert covariance[3 + axis, 3 + axis] > MATCH.degenerate_sigma_m**2
         assert np.delete(np.diag(covariance), 3 + axis).max() < 1e-5
 
     def test_no_information_is_wide_and_finite(self) -> None:
-        covariance, weak = covariance_of(np.zeros((6, 6)), 0.0, DEFAULT)
+        covariance, weak = covariance_of(np.zeros((6, 6)), 0.0, MATCH)
         assert np.isfinite(covariance).all()
         assert np.linalg.eigvalsh(covariance)[0] > 1.0
         assert weak.any()

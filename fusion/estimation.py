@@ -1,0 +1,43 @@
+"""What all estimates share: one gate, one robust scale, and when a sum is too small or a step too short."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+# A true pair is turned away once in a thousand times.
+CONFIDENCE = 0.999
+# Fewer readings are no statistic.
+FEWEST = 20
+# Rounds of an iteration that nearly always ends before, by a step shorter than this, metres or radians.
+ROUNDS, SETTLED = 20, 1e-4
+# What is smaller, in shares of what it is compared with, is rounding.
+TINY = 1e-9
+
+
+@cache
+def gate(degrees: int = 1, confidence: float = CONFIDENCE) -> float:
+    """Squared Mahalanobis distance beyond which a difference is no noise: a quantile of chi-square.
+
+    Parameters
+    ----------
+    degrees
+        Of freedom: how many numbers differ.
+    confidence
+        Share of true differences that lie within.
+    """
+    from scipy.special import chdtri  # here, for it takes longer to load than the rest of a short command
+
+    return float(chdtri(degrees, 1.0 - confidence))
+
+
+@cache
+def median_to_sigma(degrees: int = 1) -> float:
+    """Standard deviation over the median of normal residuals: 1.4826 for distances along one axis.
+
+    Parameters
+    ----------
+    degrees
+        Axes of which a residual is the root mean square.
+    """
+    return math.sqrt(degrees / gate(degrees, 0.5))
