@@ -10,8 +10,6 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 import pytest
-from slam.graph.step_vote import Step
-from slam.graph.wheel_judge import outvoted_cameras
 
 from slam.config.stages import GraphConfig
 from slam.graph.keyframe_graph import KeyframeGraph, unmeasured
