@@ -76,6 +76,7 @@ VALUES: dict[str, Any] = {
     "seed": 1,
     "sensors.motion": "spatial",
     "rgbd.registration": "auto",
+    "lidar_odometry.sure_inlier_share": 0.01,
     "prediction.velocity_share": 0.0,
     "prediction.memory_scans": 3.0,
     "keyframes.angle_rad": 0.05,

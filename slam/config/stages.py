@@ -100,9 +100,6 @@ class PredictionConfig(StrictModel):
     velocity_floor_rad: float = Field(default=0.05, gt=0, description="constant velocity: sigma of no turn")
     velocity_share: float = Field(default=0.5, ge=0, description="constant velocity: sigma a metre or radian")
     memory_scans: float = Field(default=30.0, ge=1, description="scans over which a predictor is judged")
-    surprise_sigmas: float = Field(
-        default=3.0, gt=0, description="beyond this the match contradicts the best prediction"
-    )
     disputed_within: float = Field(
         default=8.0, ge=0, description="log-likelihood ratio within which a contradiction is not decided"
     )
