@@ -20,7 +20,7 @@ house = slam.load_map(MAP)
 print(f"{house.path}: {len(house.keyframe_poses)} keyframes, {len(house.trajectory)} poses")
 
 # %% The localiser knows the map, and not where the robot is. Any key of `scanweave config` can be set.
-config = slam.load_config(overrides=["localization.sure_probability=0.99"])
+config = slam.load_config(overrides=["localization.confident_probability=0.99"])
 localizer = slam.Localizer(house, config)
 
 # %% Feed it what the sensors say, as it comes: from a log here, from a driver on a robot.

@@ -1,6 +1,6 @@
 """Each sensor repairs the other: Xu2024 Eq. (6)-(8), 2.3.2, at the sensors' own resolution.
 
-Pairs are matched by where they lie and not by their index: each curve is carried into the other's frame.
+Pairs are matched by where they lie and not by their index: each curve is reprojected into the other's frame.
 Few holes among readings are filled from the other sensor, or between neighbours where both have one; of wider
 ones half would be wrong (glass, which both look through), and stay. Where both have a reading
 and they differ by more than eps, the paper does not say who is wrong. Here it is the one whose reading its
@@ -15,15 +15,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion.carry import carry, smooth, without_bumps
 from fusion.curves import BESIDE, Curve, DepthImage, Float32Array, FloatArray, LidarCurve
 from fusion.estimation import gate
 from fusion.homography import EPS_OVER_E, Model, fit
 from fusion.image_view import ImageView, view_at_height, view_of_row
 from fusion.panorama import Depths, as_images
 from fusion.registration import Registration
-from fusion.repair import Provenance, ProvenanceArray, among_readings, calm, repair_lidar
+from fusion.repair import Provenance, ProvenanceArray, among_readings, repair_lidar, smooth_outliers
 from fusion.repair_pixels import repair_image
+from fusion.reprojection import reproject, smooth, without_bumps
 from fusion.rig import RigEstimate
 from fusion.similarity import Grade
 
@@ -175,8 +175,8 @@ def _repair(
     other = np.full(own.size, np.nan, dtype=np.float32)
     noise = []
     for view, matrix in seen.values():
-        carried, rough = _seen_by_lidar(view.curve, matrix, (start, step, own.size))
-        np.fmin(other, carried, out=other)
+        reprojected, rough = _seen_by_lidar(view.curve, matrix, (start, step, own.size))
+        np.fmin(other, reprojected, out=other)
         noise.append(rough)
     mean, eps, typical = eps_of(own, other, eps_over_e)
     share = max(eps, LEAST_EPS_SHARE)
@@ -185,11 +185,11 @@ def _repair(
     steady = smooth(clean, step, BESIDE, _LIDAR_SLACK)
     mine, theirs = roughness(clean, steady), max([rough for rough in noise if rough >= 0.0], default=math.nan)
     trust = mine**2 / max(mine**2 + theirs**2, 1e-12) if np.isfinite(mine + theirs) else 0.0
-    sure = among_readings(own, 2 * burr)
-    repaired, source = repair_lidar(own, other, sure, share, burr, trust)
-    calm(repaired, steady, source, math.sqrt(gate()) * mine)
+    confident = among_readings(own, 2 * burr)
+    repaired, source = repair_lidar(own, other, confident, share, burr, trust)
+    smooth_outliers(repaired, steady, source, math.sqrt(gate()) * mine)
     untouched = _unchanged(scan, images)
-    steady[~sure] = np.nan
+    steady[~confident] = np.nan
     for camera, (view, matrix) in seen.items():
         depth, marks = untouched.depth_m[camera], untouched.depth_source[camera]
         range_max_m = images[camera].range_max_m
@@ -231,8 +231,10 @@ def _seen_by_lidar(
     """A camera's curve, without what it contradicts itself, at the lidar's beams; and its noise."""
     lone, bump = round(_LONE_RAD / piece.step_rad), round(_BURR_RAD / piece.step_rad)
     clean = without_bumps(piece.ranges_m, piece.step_rad, max(1, lone), max(2, bump), _CAMERA_SLACK)
-    carried: Float32Array = carry(clean, piece.start_angle_rad, piece.step_rad, matrix, beams, _CAMERA_SLACK)
-    return carried, roughness(clean, smooth(clean, piece.step_rad, BESIDE, _CAMERA_SLACK))
+    reprojected: Float32Array = reproject(
+        clean, piece.start_angle_rad, piece.step_rad, matrix, beams, _CAMERA_SLACK
+    )
+    return reprojected, roughness(clean, smooth(clean, piece.step_rad, BESIDE, _CAMERA_SLACK))
 
 
 def roughness(ranges: Float32Array, steady: Float32Array) -> float:
@@ -254,7 +256,7 @@ def _repair_image(
     """Fill the pixels that look at the lidar's points, in place: Xu2024 Eq. (8)."""
     step = view.curve.step_rad
     columns = (view.curve.start_angle_rad, step, view.curve.ranges_m.size)
-    predicted = carry(lidar, beams[0], beams[1], np.linalg.inv(matrix), columns, _LIDAR_SLACK)
+    predicted = reproject(lidar, beams[0], beams[1], np.linalg.inv(matrix), columns, _LIDAR_SLACK)
     if not np.isfinite(predicted).any():
         return
     aside = max(1, round(0.5 * beams[1] / step))

@@ -31,7 +31,7 @@ Measure: TypeAlias = Similarity | Literal["likelihood"]
 
 HEIGHTS_M = HEIGHT_STEP_M * np.arange(-60.0, 21.0)  # of the lidar's plane above the camera
 ROWS = 160  # Xu2024, 3.2.1: v <= 160
-SURE = 0.9  # share of the belief within them, for a high grade
+CONFIDENT = 0.9  # share of the belief within them, for a high grade
 _SOFTNESS = 0.1  # neighbouring samples see one surface: their evidence counts for a tenth
 
 
@@ -120,7 +120,7 @@ def register(
 
     Examples
     --------
-    A camera that looks 0.9 rad to the left of the lidar's zero, and neither was told.
+    A camera that looks 0.9 rad to the left of the lidar's zero, and neither was reported.
 
     >>> import fusion, numpy as np
     >>> def ranges_m(bearings):  # of the walls of a room of 6 m by 4 m, from a place in it
@@ -163,7 +163,7 @@ def register_curves(curve: Curve, stacks: tuple[CurveStack, ...], measure: Measu
         pcc = float(scores[v, u]) if measure == "pcc" else float(pearson(sums)[v, u])
         confidence = 1.0
     grade = grade_of(pcc)
-    if grade == Grade.HIGH and confidence < SURE:
+    if grade == Grade.HIGH and confidence < CONFIDENT:
         grade = Grade.MIDDLE
     return Registration(
         u=u,

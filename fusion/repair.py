@@ -45,7 +45,7 @@ def among_readings(own: Float32Array, around: int) -> BoolArray:
 def repair_lidar(
     own: Float32Array,
     other: Float32Array,
-    sure: BoolArray,
+    confident: BoolArray,
     eps_share: float,
     burr_samples: int,
     trust_other: float,
@@ -57,8 +57,8 @@ def repair_lidar(
     own
         (N,) ``nan`` invalid.
     other
-        (N,) the camera's, carried to the lidar's bearings, without what the camera itself contradicts.
-    sure
+        (N,) the camera's, reprojected to the lidar's bearings, without what the camera itself contradicts.
+    confident
         (N,) from `among_readings`: other holes stay.
     eps_share
         Residual as a share of the range beyond which a pair is noise.
@@ -78,20 +78,22 @@ def repair_lidar(
     for i in range(count):
         if np.isnan(own[i]):
             source[i] = HOLE
-            if sure[i] and _continues(own, i, other[i]):
+            if confident[i] and _continues(own, i, other[i]):
                 result[i], source[i] = other[i], FILLED
         elif abs(own[i] - other[i]) <= min(eps_share * own[i], SLACK_M / max(trust_other, 1e-3)):
             result[i] = own[i] + trust_other * (other[i] - own[i])
             source[i] = AVERAGED
     _drop_bumps(own, other, eps_share, burr_samples, result, source)
     _drop_veil(own, other, eps_share, result, source)
-    _bridge(result, other, sure, source, eps_share)
-    _bridge_lone(result, sure, source, eps_share)
+    _bridge(result, other, confident, source, eps_share)
+    _bridge_lone(result, confident, source, eps_share)
     return result, source
 
 
 @kernel
-def calm(ranges: Float32Array, steady: Float32Array, source: ProvenanceArray, jut_share: float) -> None:
+def smooth_outliers(
+    ranges: Float32Array, steady: Float32Array, source: ProvenanceArray, jut_share: float
+) -> None:
     """Put readings behind their own surface back on to it, where the other sensor has no say.
 
     Readings before it are kept: they may be a thin thing.
@@ -154,7 +156,7 @@ def _drop_veil(
     """Replace single readings that hang in the air between a nearer surface and a farther one; in place.
 
     A beam on an edge returns a mean of both. A thin thing looks the same where it stands before neither, so
-    what replaces it must be sure: the other sensor sees none of it within two samples, and next to it both
+    what replaces it must be certain: the other sensor sees none of it within two samples, and next to it both
     see one surface that reaches over this beam. A thing before both of its neighbours is never touched.
     """
     for i in range(2, own.size - 2):
@@ -165,12 +167,12 @@ def _drop_veil(
         rim = SLACK_M + 2.0 * eps_share * other[i]
         left = abs(other[i - 1] - other[i]) <= rim
         right = abs(other[i + 1] - other[i]) <= rim
-        sure = (left and _agrees(own, other, i - 1, eps_share)) or (
+        confident = (left and _agrees(own, other, i - 1, eps_share)) or (
             right and _agrees(own, other, i + 1, eps_share)
         )
-        if sure and left != right:
-            sure = not _moved(own, other, i, -1 if left else 1, rim, eps_share)
-        if sure:
+        if confident and left != right:
+            confident = not _moved(own, other, i, -1 if left else 1, rim, eps_share)
+        if confident:
             result[i], source[i] = other[i], FILLED
 
 
@@ -242,7 +244,7 @@ def _continues(own: Float32Array, i: int, range_m: float) -> bool:
 def _bridge(
     result: Float32Array,
     other: Float32Array,
-    sure: BoolArray,
+    confident: BoolArray,
     source: ProvenanceArray,
     eps_share: float,
 ) -> None:
@@ -252,7 +254,7 @@ def _bridge(
         if source[i] == HOLE:
             continue
         confirmed = _agrees(result, other, i, eps_share) and _agrees(result, other, before, eps_share)
-        if 0 <= before < i - 1 and confirmed and sure[i - 1]:
+        if 0 <= before < i - 1 and confirmed and confident[i - 1]:
             slack = SLACK_M + eps_share * min(result[i], result[before])
             if abs(result[i] - result[before]) <= slack:
                 for k in range(before + 1, i):
@@ -263,10 +265,12 @@ def _bridge(
 
 
 @kernel
-def _bridge_lone(result: Float32Array, sure: BoolArray, source: ProvenanceArray, eps_share: float) -> None:
+def _bridge_lone(
+    result: Float32Array, confident: BoolArray, source: ProvenanceArray, eps_share: float
+) -> None:
     """Interpolate single holes in both where the readings on either side lie on one line; in place."""
     for i in range(BESIDE, result.size - BESIDE):
-        if source[i] != HOLE or not sure[i]:
+        if source[i] != HOLE or not confident[i]:
             continue
         left, right = _line_at(result, source, i, -1, eps_share), _line_at(result, source, i, 1, eps_share)
         if abs(left - right) <= eps_share * min(left, right):  # false for nan

@@ -72,7 +72,7 @@ def repair_columns(
     Parameters
     ----------
     measured, predicted
-        (W,) ranges of the camera, and of the lidar's surfaces, carried to the camera.
+        (W,) ranges of the camera, and of the lidar's surfaces, reprojected to the camera.
     pixel
         (W,) flat index of the pixel that looks at a prediction, -1 where none does.
     islands
@@ -187,8 +187,8 @@ def repair_image(
     lookup
         Pixels, factors and slopes of the panorama.
     shifted
-        (3, W) the lidar's ranges, carried to the panorama's columns; and moved by half a beam to either side:
-        at an edge a pixel may look past the surface that the beam next to it met.
+        (3, W) the lidar's ranges, reprojected to the panorama's columns; and moved by half a beam to either
+        side: at an edge a pixel may look past the surface that the beam next to it met.
     heights_m, sharp
         (K,) heights, and where the moved ranges are looked at too, for readings that fly: a hole is filled
         from the nearest beam alone.

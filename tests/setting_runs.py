@@ -25,7 +25,7 @@ from slam.datasets.dataset import ReadReport
 from slam.errors import ScanweaveError
 from slam.localization.known_map import KnownMap
 from slam.localization.localizer import Localizer
-from slam.mapper.journal import Journal
+from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.mapping.cloud_map import map_cloud
@@ -42,7 +42,7 @@ class Differs(Exception):
     """A run has come to another answer than the one that it is compared with."""
 
 
-class Course(Journal):
+class Course(Checkpoint):
     """Everything that a run comes to, as digests; beside another's it stops at the first that differs."""
 
     def __init__(self, other: Course | None = None) -> None:
@@ -50,7 +50,7 @@ class Course(Journal):
         self.digests: list[bytes] = []
         self._other = other
 
-    def ask(self, question: str, key: float, compute: Callable[[], T]) -> T:
+    def cached(self, question: str, key: float, compute: Callable[[], T]) -> T:
         answer = compute()
         self.note(question, float(key), answer)
         return answer
@@ -112,7 +112,7 @@ class Log:
 
 def mapped(log: Log, config: Config, course: Course) -> MapResult:
     """A log, mapped, and everything that came of it noted."""
-    result = build_map(log, config, journal=course)  # type: ignore[arg-type]
+    result = build_map(log, config, checkpoint=course)  # type: ignore[arg-type]
     course.note(result.trajectory)
     for edge, kept in zip(result.graph.edges, result.edges_kept, strict=True):
         course.note(edge.kind.value, edge.T_source_target, edge.covariance, bool(kept), bool(edge.trusted))
@@ -285,8 +285,8 @@ def localized(known: KnownMap, measurements: Sequence[Measurement], config: Conf
     for measurement in measurements:
         output = localizer.add(measurement)
         if output is not None:
-            told = [output.state.value, output.confidence, output.support, output.pose, output.covariance]
-            course.note(*told, *[past.pose for past in output.recovered])
+            reported = [output.state.value, output.confidence, output.support, output.pose, output.covariance]
+            course.note(*reported, *[past.pose for past in output.recovered])
 
 
 def _with_ranges(part: Sequence[Measurement], ranges_m: Any) -> list[Measurement]:
@@ -353,7 +353,7 @@ BASES: dict[str, tuple[str, ...]] = {
     "in_room": (
         "cloud_odometry.voxel_m=0.25",
         "localization.search_threads=1",
-        "localization.sure_probability=0.8",
+        "localization.confident_probability=0.8",
     ),
     "frames_alone": (*_CAMERA, "rgbd_odometry.least_inliers=8"),
     "files": ("dense_map.octomap=true",),

@@ -56,12 +56,12 @@ def test_measurements_are_fed_one_at_a_time(house: Path, another_day: SyntheticL
     map_ = slam.load_map(str(house))
     localizer = slam.Localizer(map_)
     outputs = [localizer.add(measurement) for measurement in slam.open_dataset(another_day.log_path)]
-    told = [output for output in outputs if output is not None]
-    assert len(told) == another_day.scan_count
-    assert told[-1].state is slam.State.TRACKING and told[-1].pose is not None
+    reported = [output for output in outputs if output is not None]
+    assert len(reported) == another_day.scan_count
+    assert reported[-1].state is slam.State.TRACKING and reported[-1].pose is not None
     # The map begins where the tour does, and so did this drive.
     x, y, _ = another_day.truth.to_planar()[-1] - another_day.truth.to_planar()[0]
-    assert np.hypot(told[-1].pose.x() - x, told[-1].pose.y() - y) < 0.1
+    assert np.hypot(reported[-1].pose.x() - x, reported[-1].pose.y() - y) < 0.1
     map_.close()
 
 
@@ -149,8 +149,8 @@ def test_a_log_and_its_measurements_make_the_same_map(another_day: SyntheticLog,
     for measurements in (gathered, (one for one in gathered)):  # a list, and what can be read only once
         house = slam.build_map(measurements)
         for name in ("stamps_s", "positions_m", "quaternions_xyzw"):
-            told, wanted = getattr(house.trajectory, name), getattr(expected.trajectory, name)
-            np.testing.assert_array_equal(told, wanted, strict=True)
+            reported, wanted = getattr(house.trajectory, name), getattr(expected.trajectory, name)
+            np.testing.assert_array_equal(reported, wanted, strict=True)
         assert house.grid is not None and expected.grid is not None
         np.testing.assert_array_equal(house.grid.states(), expected.grid.states())
         house.close()
@@ -173,18 +173,18 @@ def test_a_finished_map_is_replaced_only_where_that_is_said(
 
 @pytest.mark.parametrize("from_memory", [False, True])
 def test_progress_rises_to_the_whole(from_memory: bool, another_day: SyntheticLog, tmp_path: Path) -> None:
-    told: list[slam.Progress] = []
+    reported: list[slam.Progress] = []
     log = another_day.log_path
     if from_memory:
-        house = slam.build_map(list(slam.open_dataset(log)), on_progress=told.append)
+        house = slam.build_map(list(slam.open_dataset(log)), on_progress=reported.append)
     else:
-        house = slam.map_log(log, out=tmp_path, on_progress=told.append)
-    mapped = len(told)
-    slam.localize_log(house, log, on_progress=told.append)
+        house = slam.map_log(log, out=tmp_path, on_progress=reported.append)
+    mapped = len(reported)
+    slam.localize_log(house, log, on_progress=reported.append)
     house.close()
-    stages = [list(progress) for _, progress in itertools.groupby(told, lambda one: one.stage)]
+    stages = [list(progress) for _, progress in itertools.groupby(reported, lambda one: one.stage)]
     assert [stage[0].stage for stage in stages] == ["mapping", "writing", "localising"]
-    assert told[mapped - 1].stage == "writing"
+    assert reported[mapped - 1].stage == "writing"
     for stage in (stages[0], stages[2]):
         shares = [one.share for one in stage if one.share is not None]
         assert shares == sorted(shares) and shares[0] >= 0.0 and shares[-1] == 1.0

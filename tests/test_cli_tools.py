@@ -26,12 +26,12 @@ class TestInspect:
     def test_json(self, scanweave: Scanweave, log: SyntheticLog) -> None:
         outcome = scanweave("inspect", log.log_path, "--json")
         assert (outcome.code, outcome.err) == (0, "")
-        told = json.loads(outcome.out)
-        assert {sensor["sensor"]: sensor["count"] for sensor in told["sensors"]} == {
+        reported = json.loads(outcome.out)
+        assert {sensor["sensor"]: sensor["count"] for sensor in reported["sensors"]} == {
             "FLASER": log.scan_count,
             "odometry": log.odometry_count,
         }
-        assert told["duration_s"] == pytest.approx(12.0)
+        assert reported["duration_s"] == pytest.approx(12.0)
 
     def test_text(self, scanweave: Scanweave, log: SyntheticLog) -> None:
         outcome = scanweave("inspect", log.log_path)
@@ -143,7 +143,7 @@ def test_simulate_then_map_recovers_the_drive(scanweave: Scanweave, tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "reported"),
     [
         (("--rig", "nope"), "no rig 'nope'"),
         (("--format", "avi"), "formats are avi"),
@@ -151,11 +151,11 @@ def test_simulate_then_map_recovers_the_drive(scanweave: Scanweave, tmp_path: Pa
     ],
 )
 def test_simulate_tells_what_there_is(
-    scanweave: Scanweave, tmp_path: Path, options: tuple[str, str], told: str
+    scanweave: Scanweave, tmp_path: Path, options: tuple[str, str], reported: str
 ) -> None:
     outcome = scanweave("simulate", "-o", tmp_path / "drive", *options)
     assert outcome.code == 1
-    assert told in outcome.err
+    assert reported in outcome.err
     assert not (tmp_path / "drive").exists()
 
 
@@ -212,7 +212,7 @@ def test_an_interrupt_waits_for_the_scan_to_end(
 ) -> None:
     seen: list[int] = []
 
-    def build(dataset: object, settings: object, on_scan: Callable[[int], None], journal: object) -> None:
+    def build(dataset: object, settings: object, on_scan: Callable[[int], None], checkpoint: object) -> None:
         on_scan(1)
         signal.raise_signal(signal.SIGINT)
         seen.append(1)  # compiled code may run here, and gets to its end

@@ -28,10 +28,10 @@ def examples_of(name: str, found: object) -> list[doctest.DocTest]:
 @pytest.mark.parametrize(("name", "found"), PUBLIC, ids=[name for name, _ in PUBLIC])
 def test_the_examples(name: str, found: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)  # where the examples write
-    told: list[str] = []
+    reported: list[str] = []
     for test in examples_of(name, found):
-        doctest.DocTestRunner().run(test, out=told.append)
-    assert not told, "".join(told)
+        doctest.DocTestRunner().run(test, out=reported.append)
+    assert not reported, "".join(reported)
 
 
 @pytest.mark.parametrize(("name", "found"), PUBLIC, ids=[name for name, _ in PUBLIC])

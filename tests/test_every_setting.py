@@ -32,16 +32,16 @@ RUN_OF_SECTION = {
 }
 RUN_OF = {
     "match.lost_after": "spatial",
-    "loops.by_looks": "spatial",
+    "loops.by_appearance": "spatial",
     "loops.least_overlap": "spatial",
     "sensors.topics": "from_a_file",
     "visual_loops.least_features": "frames_alone",
 }
 # What else must be set for a setting to matter.
 BESIDE: dict[str, tuple[str, ...]] = {
-    "match.search_half_yaw_rad": ("match.sure_inlier_share=1.0",),
-    "match.search_points": ("match.sure_inlier_share=1.0",),
-    "match.search_least_score": ("match.sure_inlier_share=1.0",),
+    "match.search_half_yaw_rad": ("match.confident_inlier_share=1.0",),
+    "match.search_points": ("match.confident_inlier_share=1.0",),
+    "match.search_least_score": ("match.confident_inlier_share=1.0",),
     "loops.near": ("loops.least_path_m=1",),
     "loops.misses_until_wide": ("loops.least_inlier_share=1.0",),
     "cloud_odometry.keyframe_voxels": ("keyframes.angle_rad=3",),
@@ -51,7 +51,7 @@ BESIDE: dict[str, tuple[str, ...]] = {
     "prediction.velocity_floor_m": ("sensors.wheels=false",),
     "prediction.velocity_floor_rad": ("sensors.wheels=false",),
     "prediction.velocity_share": ("sensors.wheels=false",),
-    "graph.loose_share": ("graph.sure_inlier_share=1.0",),
+    "graph.loose_share": ("graph.confident_inlier_share=1.0",),
     "rgbd_odometry.keyframe_parallax": (
         "keyframes.angle_rad=3",
         "rgbd_odometry.keyframe_overlap=0.01",
@@ -60,7 +60,7 @@ BESIDE: dict[str, tuple[str, ...]] = {
     "cloud_odometry.scale_share": ("cloud_odometry.voxel_m=null",),
     "cloud_odometry.least_voxel_m": ("cloud_odometry.voxel_m=null",),
     "cloud_odometry.greatest_voxel_m": ("cloud_odometry.voxel_m=null",),
-    "cloud_loops.greatest_unlikeness": ("loops.near=0",),
+    "cloud_loops.greatest_dissimilarity": ("loops.near=0",),
 }
 # Values that matter in a run so small, where four times the default does not.
 VALUES: dict[str, Any] = {
@@ -71,16 +71,16 @@ VALUES: dict[str, Any] = {
     "match.lost_after": 2,
     "loops.near": 1,
     "loops.misses_until_wide": 1,
-    "loops.by_looks": 0,
+    "loops.by_appearance": 0,
     "loops.least_overlap": 1.0,
     "seed": 1,
     "sensors.motion": "spatial",
     "rgbd.registration": "auto",
-    "lidar_odometry.sure_inlier_share": 0.01,
+    "lidar_odometry.confident_inlier_share": 0.01,
     "prediction.velocity_share": 0.0,
     "prediction.memory_scans": 3.0,
     "keyframes.angle_rad": 0.05,
-    "localization.sure_probability": 0.999,
+    "localization.confident_probability": 0.999,
     "cloud_localization.reach_voxels": 2.0,
     "cloud_localization.new_share": 0.01,
     "visual_loops.least_features": 100,
@@ -110,7 +110,7 @@ VALUES: dict[str, Any] = {
     "cloud_odometry.least_pairs": 3000,
     "cloud_odometry.greatest_voxel_m": 0.15,
     "cloud_loops.reach_voxels": 12.0,
-    "cloud_loops.greatest_unlikeness": 0.001,
+    "cloud_loops.greatest_dissimilarity": 0.001,
     "cloud_loops.greatest_residual_ratio": 40.0,
     "cloud_map.plan_range_m": 3.0,
     "localization.search_least_score": 0.9,

@@ -75,7 +75,7 @@ class TestMatch:
         assert slam.match_scans(sweep(room(), (0, 0, 0)), np.zeros((0, 2))).inlier_share == 0.0
 
     @pytest.mark.parametrize(
-        ("arguments", "told"),
+        ("arguments", "reported"),
         [
             ((np.zeros((5, 3)), np.ones((5, 2))), r"a scan: an array of shape \(5, 3\), it must be \(5, 2\)"),
             ((np.full((5, 2), np.nan), np.ones((5, 2))), "a scan: 10 of 10 numbers are not finite"),
@@ -91,8 +91,8 @@ class TestMatch:
             (([], np.ones((5, 2))), "0 scans without poses make no place"),
         ],
     )
-    def test_what_is_no_scan_or_guess(self, arguments: tuple, told: str) -> None:  # type: ignore[type-arg]
-        with pytest.raises(slam.ScanweaveError, match=told):
+    def test_what_is_no_scan_or_guess(self, arguments: tuple, reported: str) -> None:  # type: ignore[type-arg]
+        with pytest.raises(slam.ScanweaveError, match=reported):
             slam.match_scans(*arguments)
 
     def test_a_pose_for_every_reference(self) -> None:

@@ -14,7 +14,7 @@ from room_world import LESS, furnished, render, turning_walk, write_tum_folder
 from scipy.spatial import cKDTree
 
 from slam.cli import main
-from slam.mapper.journal import Journal
+from slam.mapper.checkpoint import Checkpoint
 from slam.simulation.synthetic_log import SyntheticLog, write_synthetic_log
 from slam.storage.map_file import MapFile
 from slam.storage.ply import read_cloud_ply
@@ -59,14 +59,16 @@ def unfinished(log: SyntheticLog, lidar_map: Path, scanweave: Scanweave, tmp_pat
     class Stop(Exception):
         pass
 
-    def interrupted(journal: Journal, question: str, key: float, compute: Callable[[], object]) -> object:
-        if question == "scan" and journal._count > 30:
+    def interrupted(
+        checkpoint: Checkpoint, question: str, key: float, compute: Callable[[], object]
+    ) -> object:
+        if question == "scan" and checkpoint._count > 30:
             raise KeyboardInterrupt
-        return ask(journal, question, key, compute)
+        return cached(checkpoint, question, key, compute)
 
-    ask = Journal.ask
+    cached = Checkpoint.cached
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Journal, "ask", interrupted)
+        patch.setattr(Checkpoint, "cached", interrupted)
         outcome = scanweave("map", log.log_path, "-o", tmp_path / "out", "--set", "seed=3")
     assert outcome.code == 130
     assert "map.db is not finished; the same command with --resume" in outcome.err

@@ -3,7 +3,7 @@
     python tools/ablate_rules.py DRIVE... --cache FOLDER --out FILE [--rule TEXT...] [--kind KIND...]
 
 Kinds of runs are the real logs (`logs`: mean translation error of the SLAM benchmark's relations, metres),
-and simulated drives (ATE RMSE, metres) with everything (`fused`), with a camera whose mounting is told 20
+and simulated drives (ATE RMSE, metres) with everything (`fused`), with a camera whose mounting is reported 20
 degrees wrongly (`lying`), by lidar and wheels (`lidar`), and by these with a lidar that is blind for 3 s
 (`blind`); the last two are begun at three scans each, and how much that changes is noise. A camera's own
 odometry depends on none of the rules: it runs once a drive and is kept in the cache. Results are appended to
@@ -62,7 +62,7 @@ RULES: dict[str, tuple[str | tuple[str, Any], ...]] = {
     "exact wheels swing in turns": ("wheels.swing_m_per_rad=0.0",),
     "only sure matches judge": ((f"{_TRACKER}._JUDGE_INLIER_SHARE", 0.0),),
     "one surprise is bounded": ((f"{_TRACKER}._GREATEST_SURPRISE", _INF),),
-    "other guesses and search": ("lidar_odometry.sure_inlier_share=0.01",),
+    "other guesses and search": ("lidar_odometry.confident_inlier_share=0.01",),
     "least inlier share": ("lidar_odometry.least_inlier_share=0.01",),
     "predictions contest a match": ((f"{_TRACKER}.MotionTracker._rivals", lambda *_: []),),
     "so do the wheels over 1 s": ((f"{_TRACKER}.MotionTracker._predict_by_window", lambda *_: []),),
@@ -71,7 +71,7 @@ RULES: dict[str, tuple[str | tuple[str, Any], ...]] = {
     ),
     "an object is one witness": ((f"{_TRACKER}._MOST_AN_OBJECT", _INF),),
     "an undecided contest is a dispute": ("prediction.disputed_within=0.0",),
-    "cameras are 1 cm unsure": ((f"{_TRACKER}._CAMERA_FLOOR", np.eye(3) * 1e-12),),
+    "cameras are 1 cm uncertain": ((f"{_TRACKER}._CAMERA_FLOOR", np.eye(3) * 1e-12),),
     "match and camera are fused": (
         (f"{_TRACKER}.MotionTracker._fused", lambda _, motion: row_from_pose2(motion.T_reference_base)),
     ),
@@ -209,14 +209,14 @@ def _without_cameras(drive: Path, later_scans: int, kind: str) -> Iterator[Measu
 
 def record_cameras(drive: Path, out: Path) -> None:
     """Map a drive once and keep what its cameras' odometries said, in the order of the log."""
-    told: dict[tuple[str, float], tuple[Any, ...]] = {}
+    reported: dict[tuple[str, float], tuple[Any, ...]] = {}
     add = CameraOdometry.add
 
     def recorded(self: CameraOdometry, frame: PreparedFrame) -> TrackedFrame:
         tracked = add(self, frame)
         covariance = np.zeros((6, 6)) if tracked.match is None else tracked.match.motion.covariance
         flags = [tracked.match is not None, tracked.new_keyframe, tracked.restarted]
-        told[frame.frame.sensor, frame.stamp_s] = (flags, tracked.pose.matrix(), covariance)
+        reported[frame.frame.sensor, frame.stamp_s] = (flags, tracked.pose.matrix(), covariance)
         return tracked
 
     with patch.object(CameraOdometry, "add", recorded):
@@ -226,7 +226,7 @@ def record_cameras(drive: Path, out: Path) -> None:
         name, mount = "", np.eye(4)
         if isinstance(measurement, RgbdFrame) and measurement.T_base_camera is not None:
             name, mount = measurement.sensor, measurement.T_base_camera.matrix()
-            rows.append(told[name, measurement.stamp_s])
+            rows.append(reported[name, measurement.stamp_s])
         names.append(name)
         stamps.append(measurement.stamp_s)
         mounts.append(mount)
@@ -249,13 +249,13 @@ def _with_cameras(drive: Path, tracks: Path, *, lying: bool) -> Iterator[Any]:
     """All of a drive in the order of its log, frames with their answers in the place of their images."""
     rows = dict(np.load(tracks))
     rest = iter(_log(drive / "scans.log"))
-    answers = zip(rows["flags"], rows["poses"], rows["covariances"], strict=True)
+    result_cache = zip(rows["flags"], rows["poses"], rows["covariances"], strict=True)
     liar = next(name for name in rows["names"] if name)
     for name, stamp_s, mount in zip(rows["names"], rows["stamps"], rows["mounts"], strict=True):
         if not name:
             yield next(rest)
             continue
-        (matched, keyframe, restarted), matrix, covariance = next(answers)
+        (matched, keyframe, restarted), matrix, covariance = next(result_cache)
         T_base_camera, T_odom_camera = gtsam.Pose3(mount), gtsam.Pose3(matrix)
         if lying and name == liar:
             T_base_camera = T_base_camera.compose(gtsam.Pose3(gtsam.Rot3.Pitch(_LIE_RAD), np.zeros(3)))

@@ -87,10 +87,10 @@ def judged(found: Any, expected: tuple[list[str], list[str]], name: str) -> str:
     """What became of a damaged bag, in a few words; what must not be begins with BAD."""
     if isinstance(found, str):
         return found
-    readings, told = found
+    readings, reported = found
     if readings == expected[0]:
-        return "as it was" if told == expected[1] else "as it was, and told"
-    if told != expected[1]:
+        return "as it was" if reported == expected[1] else "as it was, and told"
+    if reported != expected[1]:
         return "a counted or noted skip"
     if len(readings) == len(expected[0]) and name not in _WITH_CHECKSUMS:
         return "changed in silence"
@@ -143,7 +143,7 @@ class _Reader:
         there.close()
 
     def read(self, path: Path) -> Any:
-        """Readings and whether something was told, or the outcome in words."""
+        """Readings and whether something was reported, or the outcome in words."""
         self._here.send(path)
         try:
             if self._here.poll(_PATIENCE_S):
@@ -169,7 +169,7 @@ def _serve(pipe: Connection) -> None:
         try:
             dataset = open_dataset(path)
             readings = [_digest(reading) for reading in dataset]
-            pipe.send((readings, _told(dataset)))
+            pipe.send((readings, _reported(dataset)))
         except DatasetError as error:
             pipe.send("an error in one line" if "\n" not in str(error) else "BAD: an error of several lines")
         except Exception as error:
@@ -179,10 +179,10 @@ def _serve(pipe: Connection) -> None:
 def _content(path: Path) -> tuple[list[str], list[str]]:
     """The readings of a bag, and what is told of it."""
     dataset = open_dataset(path)
-    return [_digest(reading) for reading in dataset], _told(dataset)
+    return [_digest(reading) for reading in dataset], _reported(dataset)
 
 
-def _told(dataset: Dataset) -> list[str]:
+def _reported(dataset: Dataset) -> list[str]:
     """What a reader tells of a bag: skips, topics that are not read, notes."""
     report = dataset.report
     return sorted([*report.dropped, *report.ignored, *report.notes])

@@ -79,10 +79,16 @@ def workers_up(folder: Path, count: int) -> Iterator[str]:
     from distributed import Client
 
     folder.mkdir(parents=True)
-    told = folder / "scheduler.json"
+    reported = folder / "scheduler.json"
     with ExitStack() as stack:
         for kind, own in [("scheduler", ["--port", "0"]), *([("worker", ["--nthreads", "1"])] * count)]:
-            command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", "--scheduler-file", str(told)]
+            command = [
+                sys.executable,
+                "-m",
+                f"distributed.cli.dask_{kind}",
+                "--scheduler-file",
+                str(reported),
+            ]
             process = subprocess.Popen(
                 [*command, "--no-dashboard", "--host", "127.0.0.1", *own],
                 cwd=folder,
@@ -91,9 +97,9 @@ def workers_up(folder: Path, count: int) -> Iterator[str]:
             )
             stack.callback(process.wait)
             stack.callback(process.terminate)
-        while not (told.is_file() and told.read_text()):
+        while not (reported.is_file() and reported.read_text()):
             time.sleep(0.05)
-        address: str = json.loads(told.read_text())["address"]
+        address: str = json.loads(reported.read_text())["address"]
         with Client(address, set_as_default=False) as client:
             client.wait_for_workers(count, timeout=120.0)
         yield address

@@ -141,9 +141,11 @@ def main() -> None:
     damages = damages_of(arguments.map.stat().st_size, arguments.trials, arguments.seed)
     outcomes = run_trials(arguments.map, damages)
     print(dict(Counter(outcomes.values())))
-    faults = {damage: told for damage, told in outcomes.items() if told not in ("refused", "harmless")}
-    for damage, told in faults.items():
-        print(damage, told)
+    faults = {
+        damage: reported for damage, reported in outcomes.items() if reported not in ("refused", "harmless")
+    }
+    for damage, reported in faults.items():
+        print(damage, reported)
     sys.exit(bool(faults))
 
 

@@ -158,7 +158,7 @@ def claimed_pose(kind: str, poses: FloatArray, place: int, rng: np.random.Genera
 
 
 def candidate(place: int, keyframe: int, pose: FloatArray, model: MotionEstimate) -> LoopCandidate:
-    """A false loop that looks as sure as the true one whose trust it borrows."""
+    """A false loop that looks as certain as the true one whose trust it borrows."""
     motion = replace(model, T_reference_base=pose2_from_row(pose))
     return LoopCandidate(place, keyframe, 1.0, 0.3, 1.0, motion, True, "")
 

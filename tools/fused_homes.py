@@ -33,7 +33,7 @@ _OVERRIDES = {
 
 
 class Altered:
-    """A drive with something wrong: dead sensors, or a mounting that is told wrongly."""
+    """A drive with something wrong: dead sensors, or a mounting that is reported wrongly."""
 
     def __init__(self, dataset: Dataset, variant: str) -> None:
         self._dataset = dataset

@@ -40,7 +40,7 @@ from slam.measurements import (
 RIGHT_M, RIGHT_RAD = 0.25, np.radians(5.0)
 MAPPED_SHARE = 0.6
 WITHIN_M = 10.0
-SURE = 0.5
+CONFIDENT = 0.5
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def scans_of(case: Case, *, room_m: float = WITHIN_M) -> list[int]:
     scans = [n for n in range(case.split, len(case.log)) if isinstance(case.log[n], LaserScan)]
     steps = np.hypot(*np.diff(case.truth[scans, :2], axis=0).T) * (case.mapped[scans[1:]] >= MAPPED_SHARE)
     left = np.concatenate([np.cumsum(steps[::-1])[::-1], [0.0]])
-    return [scan for scan, way_m in zip(scans, left, strict=True) if way_m >= room_m]
+    return [scan for scan, path_m in zip(scans, left, strict=True) if path_m >= room_m]
 
 
 def error_of(output: LocalizerOutput, truth: FloatArray) -> tuple[float, float]:
@@ -143,8 +143,8 @@ def error_of(output: LocalizerOutput, truth: FloatArray) -> tuple[float, float]:
 
 
 def wrong(output: LocalizerOutput, truth: FloatArray) -> bool:
-    """Whether a pose was told for sure and is wrong."""
-    if output.state is not State.TRACKING or output.confidence < SURE:
+    """Whether a pose was reported for sure and is wrong."""
+    if output.state is not State.TRACKING or output.confidence < CONFIDENT:
         return False
     error_m, error_rad = error_of(output, truth)
     return error_m > RIGHT_M or error_rad > RIGHT_RAD
@@ -172,27 +172,27 @@ def search_trial(case: Case, rng: np.random.Generator) -> None:
 
 def starts_trial(case: Case, count: int, rng: np.random.Generator) -> None:
     """Global localisation from random starts."""
-    found, sure_and_wrong = 0, 0
+    found, confident_and_wrong = 0, 0
     print("\n| start | first found after m | of them mapped | error m | degrees | wrong and sure |")
     print("|---|---|---|---|---|---|")
     for start in sorted(rng.choice(scans_of(case), count, replace=False)):
-        way_m, mapped_m, first, errors = run_from(case, int(start))
+        path_m, mapped_m, first, errors = run_from(case, int(start))
         good = first is not None and mapped_m <= WITHIN_M and first[0] <= RIGHT_M and first[1] <= RIGHT_RAD
         found += good
-        sure_and_wrong += errors
-        told = "never | | |" if first is None else f"{way_m:.1f} | {mapped_m:.1f} | {first[0]:.3f} |"
+        confident_and_wrong += errors
+        reported = "never | | |" if first is None else f"{path_m:.1f} | {mapped_m:.1f} | {first[0]:.3f} |"
         turn = "" if first is None else f"{np.degrees(first[1]):.2f}"
-        print(f"| {start} | {told} {turn} | {errors} |", flush=True)
+        print(f"| {start} | {reported} {turn} | {errors} |", flush=True)
     print(
         f"\nright within {WITHIN_M:g} m of mapped travel: {found} of {count}; "
-        f"wrong and sure: {sure_and_wrong}"
+        f"wrong and sure: {confident_and_wrong}"
     )
 
 
 def run_from(case: Case, start: int) -> tuple[float, float, tuple[float, float] | None, int]:
     """Travel and mapped travel until found, the error there, and wrong outputs in the 10 m after it."""
     localizer = Localizer(case.known_map, case.config)
-    way_m = mapped_m = 0.0
+    path_m = mapped_m = 0.0
     found: tuple[float, float, tuple[float, float]] | None = None
     errors, last = 0, case.truth[start]
     for n in range(start, len(case.log)):
@@ -201,14 +201,14 @@ def run_from(case: Case, start: int) -> tuple[float, float, tuple[float, float] 
             continue
         step_m = float(np.hypot(*(case.truth[n] - last)[:2]))
         last = case.truth[n]
-        way_m += step_m
+        path_m += step_m
         mapped_m += step_m * (case.mapped[n] >= MAPPED_SHARE)
         errors += wrong(output, case.truth[n])
         if found is None and output.state is State.TRACKING:
-            found = way_m, mapped_m, error_of(output, case.truth[n])
-        if (found is None and mapped_m > WITHIN_M) or (found is not None and way_m > found[0] + 10.0):
+            found = path_m, mapped_m, error_of(output, case.truth[n])
+        if (found is None and mapped_m > WITHIN_M) or (found is not None and path_m > found[0] + 10.0):
             break
-    return (way_m, mapped_m, None, errors) if found is None else (*found, errors)
+    return (path_m, mapped_m, None, errors) if found is None else (*found, errors)
 
 
 def tracking_trial(case: Case) -> None:
@@ -256,28 +256,28 @@ def teleport_trial(case: Case) -> None:
             break
         at = far[len(far) // 2]
     localizer = Localizer(case.known_map, case.config)
-    told, sure_and_wrong = [], 0
+    reported, confident_and_wrong = [], 0
     for piece in pieces:
-        way_m, found_m, last = 0.0, math.nan, piece[0]
+        path_m, found_m, last = 0.0, math.nan, piece[0]
         for n in piece:
             output = localizer.add(case.log[n])
             if output is None:
                 continue
-            way_m += float(np.hypot(*(case.truth[n] - case.truth[last])[:2]))
+            path_m += float(np.hypot(*(case.truth[n] - case.truth[last])[:2]))
             last = n
-            sure_and_wrong += wrong(output, case.truth[n])
+            confident_and_wrong += wrong(output, case.truth[n])
             right = output.state is State.TRACKING and error_of(output, case.truth[n])[0] <= RIGHT_M
             if math.isnan(found_m) and right:
-                found_m = way_m
-        told.append(f"{found_m:.1f} m")
-    print(f"\ncarried off {len(pieces) - 1} times: found after {', '.join(told)}", end="; ")
-    print(f"wrong and sure: {sure_and_wrong}")
+                found_m = path_m
+        reported.append(f"{found_m:.1f} m")
+    print(f"\ncarried off {len(pieces) - 1} times: found after {', '.join(reported)}", end="; ")
+    print(f"wrong and sure: {confident_and_wrong}")
 
 
-def piece_of(case: Case, start: int, way_m: float) -> list[int]:
+def piece_of(case: Case, start: int, path_m: float) -> list[int]:
     """Numbers of the readings from a start on, for so much travel."""
     steps = np.hypot(*np.diff(case.truth[start:, :2], axis=0).T)
-    return list(range(start, start + int(np.searchsorted(np.cumsum(steps), way_m))))
+    return list(range(start, start + int(np.searchsorted(np.cumsum(steps), path_m))))
 
 
 def stranger_trial(case: Case, other: Case) -> None:

@@ -55,16 +55,16 @@ def mutants_of(path: Path, text: str) -> list[Mutant]:
     untouched = {id(inner) for node in nodes for part in _untouched(node) for inner in ast.walk(part)}
     for node in nodes:
         for apply in [] if id(node) in untouched else _changes(node):
-            before, whole = _told(node), dict(vars(node))
+            before, whole = _reported(node), dict(vars(node))
             apply()
-            change = f"{before}  ->  {_told(node)}"
+            change = f"{before}  ->  {_reported(node)}"
             source = ast.unparse(ast.fix_missing_locations(tree))
             vars(node).update(whole)
             found.append(Mutant(path, getattr(node, "lineno", 0), change, source))
     return found
 
 
-def _told(node: ast.AST) -> str:
+def _reported(node: ast.AST) -> str:
     """A node in one line; of a function the first two statements."""
     if isinstance(node, ast.FunctionDef):
         return f"{node.name}: {ast.unparse(node.body[1])[:50]!r}"
@@ -186,10 +186,10 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=60, help="mutants to try")
     parser.add_argument("--seed", type=int, default=0, help="of the sample")
     parser.add_argument("--timeout-s", type=float, default=300.0, help="a mutant that takes longer is killed")
-    told = parser.parse_args()
+    reported = parser.parse_args()
     root = Path(__file__).resolve().parents[1]
-    mutants = sample(root, told.paths, told.count, told.seed)
-    alive = Counter(mutant.path for mutant in survivors(root, mutants, told.timeout_s))
+    mutants = sample(root, reported.paths, reported.count, reported.seed)
+    alive = Counter(mutant.path for mutant in survivors(root, mutants, reported.timeout_s))
     print(f"\n{'file':45s} mutants survived")
     for path, tried in Counter(mutant.path for mutant in mutants).items():
         print(f"{path!s:45s} {tried:7d} {alive[path]:8d}")

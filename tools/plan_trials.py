@@ -101,11 +101,11 @@ def _against(drives: dict[str, dict[str, float]], first: dict[str, dict[str, flo
     values, reference = (
         {(name, name, 0): scores[key] for name, scores in part.items()} for part in (drives, first)
     )
-    told = paired(values, reference, smaller_is_better=key in _SMALLER)
-    if told is None:
+    reported = paired(values, reference, smaller_is_better=key in _SMALLER)
+    if reported is None:
         return "-"
-    middle = told.difference
-    return f"{middle.median:+.3f} ({middle.low:+.3f} to {middle.high:+.3f}; {told.better}/{middle.count})"
+    middle = reported.difference
+    return f"{middle.median:+.3f} ({middle.low:+.3f} to {middle.high:+.3f}; {reported.better}/{middle.count})"
 
 
 if __name__ == "__main__":

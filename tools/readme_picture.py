@@ -110,7 +110,7 @@ def home_panels(work: Path) -> list[Panel]:
     truth = slam.open_dataset(drive).groundtruth()
     assert truth is not None
     compared = compare_with_truth(house.trajectory, truth)
-    way, true_way = compared.positions_m[:, :2], compared.true_positions_m[:, :2]
+    way, true_path = compared.positions_m[:, :2], compared.true_positions_m[:, :2]
     error_cm = 100.0 * compared.error.translation_m.rmse
     house.close()
     seen = window(lidar.values, decision.values)
@@ -122,7 +122,7 @@ def home_panels(work: Path) -> list[Panel]:
             f"What lidar and four depth cameras see (ATE {error_cm:.1f} cm)",
             both[seen],
             in_cells(way, decision, seen),
-            in_cells(true_way, decision, seen),
+            in_cells(true_path, decision, seen),
         ),
     ]
 

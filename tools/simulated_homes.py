@@ -52,7 +52,7 @@ def main() -> None:
                 row = run(rig, home, seed, arguments)
                 rows.append(row)
                 print(
-                    f"| {rig} | {home} | {seed} | {row['scans']} | {row['way_m']:.0f} | {row['ate_m']:.4f} "
+                    f"| {rig} | {home} | {seed} | {row['scans']} | {row['path_m']:.0f} | {row['ate_m']:.4f} "
                     f"| {row['max_m']:.4f} | {row['wheels_m']:.3f} | {row['loops']} of {row['tried']} |",
                     flush=True,
                 )
@@ -100,7 +100,7 @@ def run(rig_name: str, home_seed: int, seed: int, arguments: argparse.Namespace)
         "home": home_seed,
         "seed": seed,
         "scans": len(stamps),
-        "way_m": float(np.hypot(way[:, 0], way[:, 1]).sum()),
+        "path_m": float(np.hypot(way[:, 0], way[:, 1]).sum()),
         "ate_m": error.rmse,
         "max_m": error.max,
         "wheels_m": drift.rmse,

@@ -8,8 +8,8 @@ from xu2024_pairs import TruePair
 from xu2024_score import Tally, is_burr, is_hole, pixels_of_beams
 
 import fusion
-from fusion.carry import carry, smooth
 from fusion.native_slice import native_slice
+from fusion.reprojection import reproject, smooth
 from slam.simulation.faults import Fault
 
 EPS_OVER_E = np.round(
@@ -34,7 +34,7 @@ def score_recall(pair: TruePair, rig: fusion.RigEstimate, tally: Tally) -> None:
             continue
         piece = native_slice(image.depth, rig.height_m)
         beams = (pair.scan.start_angle_rad, pair.scan.step_rad, own.size)
-        other = carry(
+        other = reproject(
             piece.ranges_m, piece.start_angle_rad, piece.step_rad, alignment.T_laser_level, beams, 0.01
         )
         inside, row, col = pixels_of_beams(pair, image)

@@ -47,7 +47,7 @@ def occupied_points(built: LayeredMap) -> Points:
 
 
 def points_right(run: Run, occupied: Points, cell_m: float) -> list[bool]:
-    """For each observation point whether it was told right: occupied in its cell or beside it, or not."""
+    """For each observation point whether it was reported right: occupied in its cell or beside it, or not."""
 
     def marked(point: tuple[float, float]) -> bool:
         at = run.in_map(np.array([point]))[0]

@@ -15,7 +15,7 @@ from slam.datasets.dataset import Dataset
 from slam.errors import ScanweaveError
 from slam.evaluation.map_report import ReportData, RunCost, beside_of
 from slam.evaluation.report import write_report
-from slam.mapper.journal import Journal
+from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.mapping.layered_map import LayeredMap
@@ -95,7 +95,7 @@ def run_into(
         def on_reading(count: int) -> None:
             on_progress(Progress("mapping", count, dataset.report.share))
 
-        result = build_map(dataset, config, on_reading, Journal(file))
+        result = build_map(dataset, config, on_reading, Checkpoint(file))
         readings = result.scans.stamps_s.size
         on_progress(Progress("mapping", readings, 1.0))
         on_progress(Progress("writing", readings))

@@ -134,7 +134,7 @@ def _before_any_command(
     verbose: VerboseOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Set up what is told before any command."""
+    """Set up what is reported before any command."""
     logging.basicConfig(format="%(message)s")
     logging.getLogger().setLevel(logging.WARNING)
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it warns of a home that cannot be written to

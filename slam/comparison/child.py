@@ -125,10 +125,10 @@ def _scored(run: Run, product: Any, folder: Path) -> dict[str, Any]:
 
 def _command(run: Run, folder: Path) -> dict[str, Any]:
     """Run a program of the user's own, and take what it leaves."""
-    told = {"{out}": str(folder), "{python}": sys.executable}
+    reported = {"{out}": str(folder), "{python}": sys.executable}
     words = []
     for word in run.command:
-        for name, value in told.items():
+        for name, value in reported.items():
             word = word.replace(name, value)
         words.append(word)
     started = time.perf_counter()
@@ -148,12 +148,12 @@ def _command(run: Run, folder: Path) -> dict[str, Any]:
 
         measured = _scored(run, Product(read_tum(folder / TRAJECTORY)), folder)
     if run.figures:
-        measured["figures"] |= _told_figures(folder / run.figures)
+        measured["figures"] |= _reported_figures(folder / run.figures)
     measured["figures"] |= cost
     return measured
 
 
-def _told_figures(path: Path) -> dict[str, float]:
+def _reported_figures(path: Path) -> dict[str, float]:
     """Every number of a JSON file, nested keys joined by dots."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))

@@ -108,9 +108,9 @@ def _check_workers(client: Client, scheduler: str) -> None:
     own = current_versions()
     for address, found in codes.items():
         if found != own:
-            told = "no scanweave" if isinstance(found, Exception) else f"version {found.get('code')}"
+            reported = "no scanweave" if isinstance(found, Exception) else f"version {found.get('code')}"
             raise ScanweaveError(
-                f"worker {address} has {told}, here is {own['code']}; install the same on all of them"
+                f"worker {address} has {reported}, here is {own['code']}; install the same on all of them"
             )
 
 

@@ -84,12 +84,12 @@ def compare(
         with client_of(workers or os.cpu_count() or 1, scheduler) as client:
             done: list[Row] = []
 
-            def told(row: Row) -> None:
+            def reported(row: Row) -> None:
                 done.append(row)
                 if on_row:
                     on_row(row, len(done), len(todo))
 
-            run_all(client, todo, plan.sources, out, told)
+            run_all(client, todo, plan.sources, out, reported)
         store.sweep()
     rows = [row for run in plan.runs if (row := store.row(run.key)) is not None]
     return Comparison(plan, rows, len(todo), write_outputs(out, plan, rows))

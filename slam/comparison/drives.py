@@ -38,8 +38,8 @@ class Drive:
     @property
     def identity(self) -> str:
         """Hash of the drive and of the simulator's own code: another simulator, another drive."""
-        told = json.dumps([asdict(self), _simulator_digest()], sort_keys=True)
-        return hashlib.blake2b(told.encode(), digest_size=8).hexdigest()
+        reported = json.dumps([asdict(self), _simulator_digest()], sort_keys=True)
+        return hashlib.blake2b(reported.encode(), digest_size=8).hexdigest()
 
     @property
     def folder_name(self) -> str:

@@ -61,7 +61,7 @@ def _zipped(label: str, errors: Path, trajectory: Path) -> bytes:
         "ref_name": "ground truth",
         "est_name": label,
     }
-    told = {
+    reported = {
         "error_array": errors_m,
         "timestamps": stamps_s,
         "seconds_from_start": stamps_s - stamps_s[0],
@@ -75,7 +75,7 @@ def _zipped(label: str, errors: Path, trajectory: Path) -> bytes:
         for name, content in (
             ("info.json", json.dumps(info).encode()),
             ("stats.json", json.dumps(statistics).encode()),
-            *((f"{name}.npy", _npy(array)) for name, array in told.items()),
+            *((f"{name}.npy", _npy(array)) for name, array in reported.items()),
             ("estimate.tum", trajectory.read_bytes()),
         ):
             archive.writestr(zipfile.ZipInfo(name), content, zipfile.ZIP_DEFLATED)

@@ -143,7 +143,7 @@ def _ending(code: int, folder: Path) -> tuple[Status, str]:
             name = f"signal {-code}"
         return "killed", f"was ended by {name} from outside, or crashed; see its log"
     try:
-        told = json.loads((folder / FAILURE).read_text(encoding="utf-8"))
-        return "failed", " ".join(str(told["reason"]).split())
+        reported = json.loads((folder / FAILURE).read_text(encoding="utf-8"))
+        return "failed", " ".join(str(reported["reason"]).split())
     except (OSError, ValueError, KeyError):
         return "failed", f"ended with {code}; see its log"

@@ -53,7 +53,7 @@ class KissOdometry:
         self._local_map = LocalMap.build(list(self._keyframes), self._match)
 
     def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
-        """Register from each guess until one is sure; the surfels judge how well it fits."""
+        """Register from each guess until one is certain; the surfels judge how well it fits."""
         scan = OrientedPoints.from_scan(points)
         if self._local_map is None or len(scan) < _LEAST_POINTS or self._map.empty():
             return None
@@ -63,7 +63,7 @@ class KissOdometry:
             judged = self._local_map.judge(scan, pose)
             if best is None or judged.inlier_share > best.inlier_share:
                 best = judged
-            if best.inlier_share >= self._match.sure_inlier_share:
+            if best.inlier_share >= self._match.confident_inlier_share:
                 break
         if best is None or best.inlier_share < self._match.least_inlier_share:
             return None

@@ -26,13 +26,13 @@ def loop_scores(
     Recall is the share of revisiting keyframes (truly within 1 m of where the robot was 10 m of path before)
     that have a right loop from a keyframe less than 1 m of path away; absent without revisits.
     """
-    poses, told = _true_poses(truth, keyframe_stamps_s)
+    poses, reported = _true_poses(truth, keyframe_stamps_s)
     path_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
     right = np.array([_is_right(loop, truth) for loop in loops], dtype=bool)
     scores = {"loops": float(len(loops))}
     if len(loops):
         scores["loop_precision"] = float(right.mean())
-    revisits = np.flatnonzero(_revisits(poses, path_m) & told)
+    revisits = np.flatnonzero(_revisits(poses, path_m) & reported)
     if revisits.size:
         closed = np.array([loop.keyframe_stamp_s for loop, good in zip(loops, right, strict=True) if good])
         at_m = path_m[nearest_indices(keyframe_stamps_s, closed)] if closed.size else np.array([np.inf])
@@ -43,8 +43,8 @@ def loop_scores(
 
 def _is_right(loop: AcceptedLoop, truth: Trajectory) -> bool:
     """Whether a loop says what the truth says; one whose stamps the truth does not know is not."""
-    poses, told = _true_poses(truth, np.array([loop.place_stamp_s, loop.keyframe_stamp_s]))
-    if not told.all():
+    poses, reported = _true_poses(truth, np.array([loop.place_stamp_s, loop.keyframe_stamp_s]))
+    if not reported.all():
         return False
     (x, y, yaw), (x2, y2, yaw2) = poses
     c, s = np.cos(yaw), np.sin(yaw)

@@ -57,7 +57,7 @@ def map_scores(
     T_true_map
         (4, 4) rigid motion that brings the map onto the truth, as the trajectory's alignment gives it.
     true_xy
-        (N, 2) true way of the robot.
+        (N, 2) true path of the robot.
     """
     laid = on_truth(found, truth, T_true_map)
     wanted = to_be_seen(truth, true_xy)
@@ -100,12 +100,12 @@ def to_be_seen(truth: TrueGrid, true_xy: FloatArray) -> Cells:
     """
     cells = np.floor((true_xy - truth.origin_xy) / truth.resolution_m).astype(int)
     within = ((cells >= 0) & (cells < truth.occupied.shape[::-1])).all(axis=1)
-    way = np.zeros(truth.occupied.shape, dtype=bool)
-    way[cells[within, 1], cells[within, 0]] = True
+    driven_cells = np.zeros(truth.occupied.shape, dtype=bool)
+    driven_cells[cells[within, 1], cells[within, 0]] = True
     labels, _ = ndimage.label(~truth.occupied)
-    driven = np.unique(labels[way])
+    driven = np.unique(labels[driven_cells])
     floor = np.isin(labels, driven[driven > 0])
-    if not way.any():
-        return np.zeros_like(way)
-    near = ndimage.distance_transform_edt(~way) * truth.resolution_m <= REACH_M
+    if not driven_cells.any():
+        return np.zeros_like(driven_cells)
+    near = ndimage.distance_transform_edt(~driven_cells) * truth.resolution_m <= REACH_M
     return np.asarray(truth.occupied & ndimage.binary_dilation(floor, _AROUND) & near)

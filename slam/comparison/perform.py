@@ -62,9 +62,9 @@ def row_of(run: Row, outcome: Outcome, folder: Path | None) -> Row:
             measured = json.loads((folder / MEASURED).read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             status, reason = "failed", f"left no figures ({error})"
-    told = ("key", "dataset", "group", "configuration", "method", "seed")
+    reported = ("key", "dataset", "group", "configuration", "method", "seed")
     return {
-        **{name: run[name] for name in told},
+        **{name: run[name] for name in reported},
         "status": status,
         "reason": reason,
         "figures": measured["figures"],

@@ -21,12 +21,12 @@ COLORS = (BLUE, ORANGE, GREEN, RED, "#7a4fb5", "#0f8b8d", "#b5477a", "#8a6d1d", 
 _PANEL_PX, _MOST_COLUMNS = 250, 4
 
 
-def trajectories_png(ways_m: Mapping[str, FloatArray], truth_m: FloatArray | None) -> bytes:
+def trajectories_png(paths_m: Mapping[str, FloatArray], truth_m: FloatArray | None) -> bytes:
     """Draw (N, 2) ways over each other, the true one beneath.
 
     Parameters
     ----------
-    ways_m
+    paths_m
         By configuration, all in one frame.
     truth_m
         (N, 2); None where nobody knows, the first way then tells how far the picture reaches: one that got
@@ -37,11 +37,11 @@ def trajectories_png(ways_m: Mapping[str, FloatArray], truth_m: FloatArray | Non
     if truth_m is not None:
         xy = thinned(truth_m)
         axes.plot(xy[:, 0], xy[:, 1], color=GREY, linewidth=3.5, alpha=0.45, label="truth")
-    for color, (name, way) in zip(_colors(ways_m), ways_m.items(), strict=True):
-        xy = thinned(way)
+    for color, (name, path) in zip(_colors(paths_m), paths_m.items(), strict=True):
+        xy = thinned(path)
         axes.plot(xy[:, 0], xy[:, 1], color=color, linewidth=1.1, label=name)
     low, high = _reach(
-        truth_m if truth_m is not None else next(iter(ways_m.values())), 0.67 / 0.89 * 1000 / 620
+        truth_m if truth_m is not None else next(iter(paths_m.values())), 0.67 / 0.89 * 1000 / 620
     )
     axes.set(xlabel="x, m", ylabel="y, m", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     _legend_beside(figure, axes)
@@ -121,9 +121,9 @@ def maps_png(maps: Mapping[str, tuple[StateArray, float]]) -> bytes:
     return png_of(figure)
 
 
-def _reach(way_m: FloatArray, wide: float) -> tuple[FloatArray, FloatArray]:
+def _reach(path_m: FloatArray, wide: float) -> tuple[FloatArray, FloatArray]:
     """Lowest and highest corner of a picture of that width over height around a way, with room to spare."""
-    low, high = way_m.min(axis=0), way_m.max(axis=0)
+    low, high = path_m.min(axis=0), path_m.max(axis=0)
     size = high - low + 2.0 * max(float((high - low).max()) / 6.0, 0.5)
     size = np.maximum(size, [wide * size[1], size[0] / wide])  # the same scale on both axes
     return (low + high - size) / 2.0, (low + high + size) / 2.0

@@ -37,7 +37,7 @@ def record_comparison(viewer: Viewer, rows: Sequence[Row], store: ResultStore) -
             trajectory = read_tum(folder / TRAJECTORY)
             viewer.at(float(trajectory.stamps_s.max()))
             positions = trajectory.positions_m @ T_true_map[:3, :3].T + T_true_map[:3, 3]
-            viewer.way(name, positions)
+            viewer.polyline(name, positions)
         if (folder / MAPS).is_file():
             with np.load(folder / MAPS, allow_pickle=False) as maps:
                 which = "decision" if "decision" in maps.files else "plane"

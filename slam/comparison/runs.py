@@ -151,10 +151,11 @@ def _runs(experiment: Experiment, sources: Sequence[Source], data: Path) -> Iter
             file = data / external.trajectory.replace("{dataset}", source.name)
             yield _run(experiment, external.name, "external", source, 0, trajectory=str(file))
     for program in experiment.commands:
-        told = {"{data}": str(data.resolve())}
+        reported = {"{data}": str(data.resolve())}
         for on in sources if program.on_datasets else [None]:
             words = tuple(
-                _filled(word, told | ({"{dataset}": str(on.path)} if on else {})) for word in program.command
+                _filled(word, reported | ({"{dataset}": str(on.path)} if on else {}))
+                for word in program.command
             )
             yield _run(
                 experiment, program.name, "command", on, 0, command=words, figures=program.figures or ""
@@ -198,9 +199,9 @@ def _run(
     )
 
 
-def _filled(word: str, told: dict[str, str]) -> str:
+def _filled(word: str, reported: dict[str, str]) -> str:
     """A word of a command with its place holders filled in; {out} and {python} are known to the worker."""
-    for name, value in told.items():
+    for name, value in reported.items():
         word = word.replace(name, value)
     return word
 

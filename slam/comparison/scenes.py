@@ -41,13 +41,13 @@ def _pictures(source: Source, folders: dict[str, Path], reference: str) -> Itera
     """The pictures of one data set."""
     errors = {name: found for name, folder in folders.items() if (found := _arrays(folder / ERRORS))}
     if errors:
-        ways = {name: _in_truth(found, "positions_m") for name, found in errors.items()}
+        paths = {name: _in_truth(found, "positions_m") for name, found in errors.items()}
         truth = max((_in_truth(found, "true_positions_m") for found in errors.values()), key=len)
-        yield f"ways on {source.name} over the true one", trajectories_png(ways, truth), "plot"
+        yield f"paths on {source.name} over the true one", trajectories_png(paths, truth), "plot"
         over_time = {name: (found["stamps_s"], found["errors_m"]) for name, found in errors.items()}
         yield f"error over time on {source.name}", errors_png(over_time), "plot"
-    elif ways := _aligned_ways(folders, reference):
-        yield f"ways on {source.name}", trajectories_png(ways, None), "plot"
+    elif paths := _aligned_paths(folders, reference):
+        yield f"paths on {source.name}", trajectories_png(paths, None), "plot"
     maps = {name: known for name, folder in folders.items() if (known := _map(folder / MAPS))}
     if maps:
         if (truth_map := _true_map(source)) is not None:
@@ -69,22 +69,22 @@ def _in_truth(found: dict[str, Any], name: str) -> FloatArray:
     return np.asarray((positions @ T_true_map[:3, :3].T + T_true_map[:3, 3])[:, :2])
 
 
-def _aligned_ways(folders: dict[str, Path], reference: str) -> dict[str, FloatArray]:
+def _aligned_paths(folders: dict[str, Path], reference: str) -> dict[str, FloatArray]:
     """(N, 2) ways, the reference's first, each brought onto it as well as it can be."""
     found = {name: read_tum(path) for name, f in folders.items() if (path := f / TRAJECTORY).is_file()}
     if not found:
         return {}
     found = {name: found[name] for name in sorted(found, key=lambda name: name != reference)}
     base = next(iter(found.values()))
-    ways = {}
+    paths = {}
     for name, trajectory in found.items():
         try:
             own, others = associate(trajectory, base, _ALIGN_WITHIN_S)
             T = umeyama(own.positions_m, others.positions_m)
         except EvaluationError:
             T = np.eye(4)  # nothing in common: shown as it is
-        ways[name] = (trajectory.positions_m @ T[:3, :3].T + T[:3, 3])[:, :2]
-    return ways
+        paths[name] = (trajectory.positions_m @ T[:3, :3].T + T[:3, 3])[:, :2]
+    return paths
 
 
 def _map(path: Path) -> tuple[StateArray, float] | None:

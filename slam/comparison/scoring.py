@@ -129,7 +129,7 @@ def _grid_figures(product: Product, folder: Path, comparison: TruthComparison) -
 
 
 def _true_xy(comparison: TruthComparison) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """(N, 2) true way of the robot in the truth's frame."""
+    """(N, 2) true path of the robot in the truth's frame."""
     T = comparison.error.T_reference_map
     positions = comparison.true_positions_m @ T[:3, :3].T + T[:3, 3]
     return np.asarray(positions[:, :2])

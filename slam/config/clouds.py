@@ -42,14 +42,14 @@ class CloudLoopConfig(StrictModel):
         description="distance in voxels at which two keyframes see the same, and travel between two attempts",
     )
     least_path_voxels: float = Field(
-        default=60.0, gt=0, description="way round in voxels below which it is no loop"
+        default=60.0, gt=0, description="path round in voxels below which it is no loop"
     )
     drift_share: float = Field(
         default=0.01,
         ge=0,
-        description="sigma a metre of way since the last loop, on top of what the covariances tell",
+        description="sigma a metre travelled since the last loop, on top of what the covariances tell",
     )
-    greatest_unlikeness: float = Field(
+    greatest_dissimilarity: float = Field(
         default=0.3, gt=0, le=1, description="distance of scan contexts up to which places look the same"
     )
     greatest_residual_ratio: float = Field(

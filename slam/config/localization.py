@@ -33,7 +33,7 @@ class LocalizationConfig(StrictModel):
         ge=0,
         description="prior odds against a surprise: that the robot is nowhere in the map, or was kidnapped",
     )
-    sure_probability: float = Field(
+    confident_probability: float = Field(
         default=0.98, gt=0.5, lt=1, description="posterior at which a hypothesis wins"
     )
     least_inlier_share: float = Field(

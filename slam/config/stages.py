@@ -54,7 +54,7 @@ class MatchConfig(StrictModel):
     cell_m: float = Field(default=0.1, gt=0, description="surfel cell of a scan's last alignment")
     iterations: int = Field(default=10, ge=3, description="Gauss-Newton steps an alignment")
     local_map_keyframes: int = Field(default=30, ge=1, description="newest keyframes that make the local map")
-    sure_inlier_share: float = Field(
+    confident_inlier_share: float = Field(
         default=0.7, gt=0, le=1, description="below this share of agreeing readings another guess is tried"
     )
     least_inlier_share: float = Field(
@@ -69,8 +69,8 @@ class MatchConfig(StrictModel):
     correlated_beams: int = Field(
         default=25, ge=1, description="beams up to this far apart may share their errors in the map"
     )
-    floor_m: float = Field(default=0.002, gt=0, description="no match is surer than this")
-    floor_rad: float = Field(default=0.001, gt=0, description="no match is surer than this")
+    floor_m: float = Field(default=0.002, gt=0, description="no match is more certain than this")
+    floor_rad: float = Field(default=0.001, gt=0, description="no match is more certain than this")
     minimal_residual_m: float = Field(default=0.01, gt=0, description="a smaller residual is luck")
     degenerate_share: float = Field(
         default=0.02, gt=0, lt=0.5, description="share of the points' information below which an axis is weak"
@@ -116,7 +116,7 @@ class WheelConfig(StrictModel):
     swing_m_per_rad: float = Field(
         default=0.1,
         ge=0,
-        description="way sigma a radian turned, of wheels that proved exact on the straight",
+        description="sigma of the path a radian turned, of wheels that proved exact on the straight",
     )
     greatest_speed_m_s: float = Field(default=5.0, gt=0, description="a faster jump is not believed")
     greatest_turn_rad_s: float = Field(default=6.0, gt=0, description="a faster turn is not believed")
@@ -141,7 +141,7 @@ class LoopConfig(StrictModel):
         description="factor on a loop's covariance: places change, and nothing else holds a true loop",
     )
     every_m: float = Field(default=0.8, gt=0, description="travel between two attempts")
-    least_path_m: float = Field(default=10.0, gt=0, description="way round below which it is no loop")
+    least_path_m: float = Field(default=10.0, gt=0, description="path round below which it is no loop")
     reach_m: float = Field(default=3.0, gt=0, description="distance at which two keyframes see the same")
     sigmas: float = Field(default=3.0, gt=0, description="search window in standard deviations")
     greatest_half_width_m: float = Field(default=10.0, gt=0, description="limit of the window")
@@ -149,7 +149,7 @@ class LoopConfig(StrictModel):
         default=4, ge=1, description="attempts without a loop in known surroundings until the window widens"
     )
     near: int = Field(default=3, ge=0, description="places tried because they should be near")
-    by_looks: int = Field(default=2, ge=0, description="places tried because they look the same")
+    by_appearance: int = Field(default=2, ge=0, description="places tried because they look the same")
     half_keyframes: int = Field(default=8, ge=1, description="keyframes a side in a place's local map")
     least_overlap: float = Field(default=0.3, gt=0, le=1, description="least share that is seen by both")
     least_inlier_share: float = Field(
@@ -166,7 +166,7 @@ class GraphConfig(StrictModel):
 
     incremental_every: int = Field(default=20, ge=1, description="keyframes between two iSAM2 updates")
     lost_sigma_m: float = Field(default=1.0, gt=0, description="sigma of a step that nothing measured")
-    sure_inlier_share: float = Field(
+    confident_inlier_share: float = Field(
         default=0.8, ge=0, le=1, description="a match with fewer agreeing points may be overruled by loops"
     )
     loose_share: float = Field(default=0.3, gt=0, le=1, description="share of them where a match is refused")
@@ -244,17 +244,17 @@ class RgbdOdometryConfig(StrictModel):
 
 
 class VisualLoopConfig(StrictModel):
-    """Loop closure by the camera: known places, near and by their looks."""
+    """Loop closure by the camera: known places, near and by their appearance."""
 
     least_gap: int = Field(default=2, ge=1, description="keyframes between the two ends")
-    near_unlikeness: float = Field(
+    near_dissimilarity: float = Field(
         default=0.8, gt=0, description="travel in median depths plus turn in radians up to which they should"
     )
     least_place_score: float = Field(
         default=0.02, gt=0, le=1, description="least likeness, relative to that of two neighbouring keyframes"
     )
     least_features: int = Field(
-        default=25, ge=6, description="features that must agree where looks alone propose the place"
+        default=25, ge=6, description="features that must agree where appearance alone proposes the place"
     )
 
 

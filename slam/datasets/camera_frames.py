@@ -1,4 +1,4 @@
-"""Pairs of image files as frames: decoded ahead, checked against the first, never guessed."""
+"""Pairs of image files as frames: prefetched, checked against the first, never guessed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from slam.datasets.dataset import RecordFault
 from slam.datasets.frame_pairs import FramePair
 from slam.datasets.image_files import read_color, read_depth
 from slam.measurements import CameraIntrinsics, ColorImage, Float32Array, RgbdFrame
-from slam.vision.ahead import prepared_ahead
+from slam.vision.prefetch import prefetched
 
 SIZES_DIFFER = "colour and depth of different aspect"
 SIZE_CHANGED = "image size differs from the first frame's"
@@ -59,7 +59,7 @@ def read_frames(
 ) -> Generator[tuple[int, RgbdFrame], None, None]:
     """Frames in the order of the requests, each with the line of its colour image; faults are counted."""
     sizes: dict[str, CameraIntrinsics] = {}
-    for images in prepared_ahead(requests, _decode):
+    for images in prefetched(requests, _decode):
         camera, number = images.camera, images.pair.color.number
         account.report.line_count += 1
         try:
@@ -98,7 +98,7 @@ def _frame(images: _Images, sizes: dict[str, CameraIntrinsics]) -> RgbdFrame:
 
 
 def _decode(request: tuple[Camera, FramePair]) -> _Images:
-    """Both images, upright and of one size; runs on the thread that reads ahead."""
+    """Both images, upright and of one size; runs on the thread that prefetches."""
     camera, pair = request
     calibration = camera.calibration
     try:

@@ -69,10 +69,10 @@ def _fields(header: dict[str, list[str]]) -> list[tuple[str, str, int]]:
 
 def _count(header: dict[str, list[str]]) -> int:
     """How many points there are; told as columns times rows, as a number, or both."""
-    told = {key: header[key] for key in ("WIDTH", "HEIGHT", "POINTS") if key in header}
-    if not all(len(words) == 1 and words[0].isdecimal() for words in told.values()):
-        raise ValueError(f"{told} points"[:200])
-    numbers = {key: int(words[0]) for key, words in told.items()}
+    reported = {key: header[key] for key in ("WIDTH", "HEIGHT", "POINTS") if key in header}
+    if not all(len(words) == 1 and words[0].isdecimal() for words in reported.values()):
+        raise ValueError(f"{reported} points"[:200])
+    numbers = {key: int(words[0]) for key, words in reported.items()}
     count = numbers.get("POINTS", numbers.get("WIDTH", 0) * numbers.get("HEIGHT", 1))
     if count != numbers.get("WIDTH", count) * numbers.get("HEIGHT", 1):
         raise ValueError(f"{numbers} do not agree")

@@ -58,11 +58,11 @@ def map_info(path: Path) -> dict[str, Any]:
 def _extent(saved: Map) -> dict[str, float]:
     """Way and time of all sessions."""
     ends = np.cumsum([session.poses for session in saved.sessions])[:-1]
-    ways = np.split(saved.trajectory.positions_m, ends)
+    tracks = np.split(saved.trajectory.positions_m, ends)
     times = np.split(saved.trajectory.stamps_s, ends)
     return {
         "path_length_m": round(
-            sum(float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum()) for way in ways), 3
+            sum(float(np.linalg.norm(np.diff(track, axis=0), axis=1).sum()) for track in tracks), 3
         ),
         "duration_s": round(sum(float(np.ptp(stamps_s)) for stamps_s in times), 3),
     }

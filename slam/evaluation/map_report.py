@@ -221,7 +221,9 @@ def _warnings(data: ReportData) -> list[str]:
         lines.append(f"{lost:,} of {count:,} {unit}s matched nothing; their motion is dead reckoning.")
     helped = int(np.count_nonzero(scans.unmatched & carried))
     if unit == "scan" and helped > _UNMATCHED_SHARE * count:
-        lines.append(f"At {helped:,} of {count:,} moments the lidar told nothing; cameras told the motion.")
+        lines.append(
+            f"At {helped:,} of {count:,} moments the lidar reported nothing; cameras reported the motion."
+        )
     degenerate = float(scans.degenerate.mean())
     if degenerate > _UNMATCHED_SHARE:
         what = "corridors" if unit == "scan" else "flat or empty views"
@@ -232,18 +234,18 @@ def _warnings(data: ReportData) -> list[str]:
 
 
 def _carried_by_cameras(result: MapResult) -> BoolArray:
-    """(S,) whether a robot's cameras told the step between the keyframes around each moment.
+    """(S,) whether a robot's cameras reported the step between the keyframes around each moment.
 
     Where the frames themselves made the map, a lost one is lost.
     """
     count, keyframes = result.scans.stamps_s.size, result.keyframe_numbers
-    told = np.zeros(len(keyframes), dtype=np.bool_)
+    reported = np.zeros(len(keyframes), dtype=np.bool_)
     if isinstance(result.graph.pose(0), gtsam.Pose2):
         for edge, keep in zip(result.graph.edges, result.edges_kept, strict=True):
             if keep and edge.kind is EdgeKind.RGBD and edge.target == edge.source + 1:
-                told[edge.target] = True
+                reported[edge.target] = True
     # After the last keyframe the robot has hardly moved: what held before it holds on.
-    return told[np.minimum(np.searchsorted(keyframes, np.arange(count)), len(keyframes) - 1)]
+    return reported[np.minimum(np.searchsorted(keyframes, np.arange(count)), len(keyframes) - 1)]
 
 
 def _version(package: str) -> str:

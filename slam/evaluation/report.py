@@ -1,4 +1,4 @@
-"""One self-contained report.html a run: what came in, what was decided, how sure, at what cost."""
+"""One self-contained report.html a run: what came in, what was decided, how certain, at what cost."""
 
 from __future__ import annotations
 

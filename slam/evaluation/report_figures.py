@@ -103,8 +103,8 @@ def map_png(trajectory_xy: FloatArray, loops_xyxy: FloatArray, picture: MapPictu
 
 def known_window(image: NDArray[np.uint8]) -> tuple[slice, slice]:
     """Rows and columns of a grey picture that hold all that is known, with a margin; all where nothing is."""
-    told = image != _UNKNOWN_GREY
-    rows, columns = np.flatnonzero(told.any(axis=1)), np.flatnonzero(told.any(axis=0))
+    reported = image != _UNKNOWN_GREY
+    rows, columns = np.flatnonzero(reported.any(axis=1)), np.flatnonzero(reported.any(axis=0))
     if not rows.size:
         return slice(0, image.shape[0]), slice(0, image.shape[1])
     return (

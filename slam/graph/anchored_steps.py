@@ -1,8 +1,8 @@
 """Steps between keyframes that were matched to a local map, where one was not surely placed in it.
 
 A match tells where a keyframe is among those of the local map. The one before it may have been put there by a
-guess, wholly or in a direction that nothing determined; then the step between the two is no surer than the
-guess, and what is sure is the way from the last keyframe that was surely placed.
+guess, wholly or in a direction that nothing determined; then the step between the two is no more certain than
+the guess, and what is certain is the way from the last keyframe that was surely placed.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ class AnchoredSteps:
 
     def __init__(self, reach: int) -> None:
         self._reach = reach
-        self._sure = 0, gtsam.Pose3()
-        self._unsure: FloatArray | None = None
+        self._confident = 0, gtsam.Pose3()
+        self._uncertain: FloatArray | None = None
 
     def begin(self, key: int, pose: gtsam.Pose3) -> None:
-        """A keyframe at ``T_odom_base`` that begins a local map, and is sure in it."""
-        self._sure, self._unsure = (key, pose), None
+        """A keyframe at ``T_odom_base`` that begins a local map, and is certain in it."""
+        self._confident, self._uncertain = (key, pose), None
 
     def add(
         self, key: int, step: gtsam.Pose3, pose: gtsam.Pose3, motion: MotionEstimate
@@ -47,21 +47,21 @@ class AnchoredSteps:
 
         Returns
         -------
-        Covariance (6, 6) of the step; and an edge past the last keyframe where only that was unsure.
+        Covariance (6, 6) of the step; and an edge past the last keyframe where only that was uncertain.
         """
         covariance, bridge = motion.covariance, None
-        sure = motion.converged and not motion.degenerate
-        anchor, T_odom_anchor = self._sure
-        if self._unsure is not None:
+        confident = motion.converged and not motion.degenerate
+        anchor, T_odom_anchor = self._confident
+        if self._uncertain is not None:
             carried = step.inverse().AdjointMap()
-            covariance = covariance + carried @ self._unsure @ carried.T
-            if sure and key - anchor <= self._reach:
-                # The unsure keyframes between are in the local map, too.
+            covariance = covariance + carried @ self._uncertain @ carried.T
+            if confident and key - anchor <= self._reach:
+                # The uncertain keyframes between are in the local map, too.
                 between = T_odom_anchor.between(pose)
                 spread = (key - anchor) ** 2 * motion.covariance
                 bridge = Edge(anchor, key, between, spread, EdgeKind.LIDAR, trusted=True)
-        if sure:
-            self._sure, self._unsure = (key, pose), None
+        if confident:
+            self._confident, self._uncertain = (key, pose), None
         else:
-            self._unsure = motion.covariance
+            self._uncertain = motion.covariance
         return covariance, bridge

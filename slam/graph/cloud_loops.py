@@ -1,4 +1,4 @@
-"""Loop closure by clouds: places near by the estimate or by their looks, verified by registration."""
+"""Loop closure by clouds: places near by the estimate or by their appearance, verified by registration."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from typing import Protocol
 import gtsam
 import numpy as np
 
-from slam.answers import COMPUTED, Answers
 from slam.config import Config
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.matching.cloud_points import thinned
 from slam.matching.local_cloud import REACH, Aligned, LocalCloud, moved
-from slam.matching.scan_context import ring_key, scan_context, unlikeness
+from slam.matching.scan_context import dissimilarity, ring_key, scan_context
 from slam.measurements import Float32Array, FloatArray, Pose, spatial
+from slam.result_cache import COMPUTED, ResultCache
 
 log = logging.getLogger(__name__)
 
@@ -43,7 +43,7 @@ class _Guess:
     T_place_base: gtsam.Pose3
     sigma_m: float
     score: float
-    by_looks: bool
+    by_appearance: bool
 
 
 class CloudLoopCloser:
@@ -60,11 +60,11 @@ class CloudLoopCloser:
         config: Config,
         voxel_m: float,
         clouds: Clouds,
-        answers: Answers = COMPUTED,
+        result_cache: ResultCache = COMPUTED,
     ) -> None:
         self._config, self._voxel_m = config, voxel_m
         self._loops, self._reach_m = config.loops, config.cloud_loops.reach_voxels * voxel_m
-        self._clouds, self._answers = clouds, answers
+        self._clouds, self._result_cache = clouds, result_cache
         self._contexts: list[Float32Array] = []
         self._rings: list[FloatArray] = []
         self._poses: list[gtsam.Pose3] = []
@@ -120,17 +120,17 @@ class CloudLoopCloser:
         -------
         Every candidate that was tried, accepted or refused.
         """
-        way_m = self._travelled_m[key]
-        if not self._loops.enabled or way_m - self._last_attempt_m < self._reach_m:
+        path_m = self._travelled_m[key]
+        if not self._loops.enabled or path_m - self._last_attempt_m < self._reach_m:
             return []
-        self._last_attempt_m = way_m
+        self._last_attempt_m = path_m
         tried: list[LoopCandidate] = []
         for guess in self._propose(key, poses, rows, uncertainty):
             if tried and tried[-1].accepted:
                 break  # where the robot is, is known
             candidate = self._verify(key, guess)
             if candidate.accepted:
-                self._last_loop_m = way_m
+                self._last_loop_m = path_m
             tried.append(candidate)
         return tried
 
@@ -139,14 +139,14 @@ class CloudLoopCloser:
     ) -> list[_Guess]:
         """Places within the uncertainty: the nearest of each pass, then those that look the same."""
         loops, config = self._loops, self._config.cloud_loops
-        ways = np.array(self._travelled_m[: key + 1])
-        places = np.flatnonzero(ways[key] - ways[:key] > config.least_path_voxels * self._voxel_m)
+        travelled = np.array(self._travelled_m[: key + 1])
+        places = np.flatnonzero(travelled[key] - travelled[:key] > config.least_path_voxels * self._voxel_m)
         if not places.size:
             return []
         distances = np.hypot(*(rows[places, :2] - rows[key, :2]).T)
         covariances = uncertainty.relative_covariances(key, places, rows)
         sigmas = np.sqrt(np.maximum(np.linalg.eigvalsh(covariances[:, :2, :2])[:, -1], 0.0))
-        sigmas += config.drift_share * (ways[key] - self._last_loop_m)
+        sigmas += config.drift_share * (travelled[key] - self._last_loop_m)
         reach_m = self._reach_m
         possible = distances <= reach_m + loops.sigmas * sigmas
         if not possible.any():
@@ -156,7 +156,7 @@ class CloudLoopCloser:
 
         def apart(place: int) -> bool:
             """Two places on one pass tell the same."""
-            return all(abs(ways[place] - ways[other.place]) > reach_m for other in chosen)
+            return all(abs(travelled[place] - travelled[other.place]) > reach_m for other in chosen)
 
         for n in np.argsort(distances, kind="stable"):
             place = int(places[n])
@@ -167,10 +167,10 @@ class CloudLoopCloser:
         likeness = np.linalg.norm(rings - self._rings[key], axis=1)
         for n in np.argsort(likeness, kind="stable")[:_SIMILAR_RINGS]:
             place = int(places[n])
-            if len(chosen) >= loops.near + loops.by_looks or not apart(place):
+            if len(chosen) >= loops.near + loops.by_appearance or not apart(place):
                 continue
-            found, yaw = unlikeness(self._contexts[place], self._contexts[key])
-            if found <= config.greatest_unlikeness:
+            found, yaw = dissimilarity(self._contexts[place], self._contexts[key])
+            if found <= config.greatest_dissimilarity:
                 turned = gtsam.Pose3(gtsam.Rot3.Yaw(yaw), np.zeros(3))
                 chosen.append(_Guess(place, turned, float(sigmas[n]) + reach_m, 1.0 - found, True))
         return chosen
@@ -179,7 +179,7 @@ class CloudLoopCloser:
         """Register the keyframe to the place, and judge."""
         # Asked for in any case: what the cache holds must not depend on where the answer comes from.
         local = self._place(guess.place)
-        candidate = self._answers.ask(
+        candidate = self._result_cache.cached(
             "cloud loop", float(guess.T_place_base.x()), lambda: self._match(key, guess, local)
         )
         log.info(
@@ -197,7 +197,7 @@ class CloudLoopCloser:
         width_m = self._loops.sigmas * guess.sigma_m + 2.0 * self._voxel_m
         candidate = LoopCandidate(guess.place, key, width_m, 0.0, guess.score, None, False, "")
         scan = thinned(self._clouds.points(key), self._voxel_m)
-        near = not guess.by_looks and width_m <= REACH * self._voxel_m
+        near = not guess.by_appearance and width_m <= REACH * self._voxel_m
         reach_m = None if near else max(width_m, REACH * self._voxel_m)
         aligned = local.align(scan, guess.T_place_base, reach_m)
         if aligned is None:

@@ -85,7 +85,7 @@ class ExtrinsicsResult:
         (6, 6) in GTSAM's order, in the camera's frame; unobservable directions have a hundred times the sigma
         that counts as vague.
     unobservable
-        Among roll, pitch, yaw, x, y, height, seen from the base; ``("all",)`` where nothing is told.
+        Among roll, pitch, yaw, x, y, height, seen from the base; ``("all",)`` where nothing is reported.
     inliers
         (N,) pairs that agree.
     inlier_share
@@ -93,7 +93,7 @@ class ExtrinsicsResult:
     residual_rad, residual_m
         Root mean square of a coordinate of the agreeing camera steps, measured less predicted.
     converged
-        Whether the iteration settled on something that was told.
+        Whether the iteration settled on something that was reported.
     """
 
     T_base_camera: gtsam.Pose3

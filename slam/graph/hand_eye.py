@@ -68,7 +68,7 @@ class Fit:
     R, t
         Rotation (3, 3) and translation (3,) of ``T_base_camera``.
     information
-        (6, 6) in the camera's frame, from significant motions of the inliers; zero where nothing is told.
+        (6, 6) in the camera's frame, from significant motions of the inliers; zero where nothing is reported.
     errors
         (N, 6) camera motion as predicted less as measured.
     inliers

@@ -25,7 +25,7 @@ class KeyframeGraph:
     graph
         Nodes and edges.
     uncertainty
-        How unsure keyframes are of each other, seen from above.
+        How uncertain keyframes are of each other, seen from above.
     loops
         Every loop candidate so far, with its verdict.
     """
@@ -61,7 +61,7 @@ class KeyframeGraph:
             Best knowledge of the motion from the last keyframe: the first guess.
         edges
             What was measured of it. Where no trusted edge joins it to the last keyframe, the step holds it,
-            as unsure as what nothing measured.
+            as uncertain as what nothing measured.
         """
         # GTSAM has no type for a pose of the plane or of space.
         pose = self._poses[-1].compose(step)  # type: ignore[arg-type]

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fusion.estimation import FEWEST
-from slam.answers import COMPUTED, Answers
 from slam.config.stages import LoopConfig, MatchConfig
 from slam.graph.pose_graph import Edge, EdgeKind
 from slam.graph.relative_uncertainty import UncertaintyGraph
@@ -20,6 +19,7 @@ from slam.matching.local_map import OrientedPoints
 from slam.matching.match_covariance import motion_from_alignment
 from slam.matching.planar import between
 from slam.measurements import FloatArray, MotionEstimate, one_line, row_from_pose2
+from slam.result_cache import COMPUTED, ResultCache
 
 log = logging.getLogger(__name__)
 
@@ -94,9 +94,9 @@ def judged(
 class LoopCloser:
     """Proposes and verifies loops for the newest keyframe."""
 
-    def __init__(self, config: LoopConfig, match: MatchConfig, answers: Answers = COMPUTED) -> None:
+    def __init__(self, config: LoopConfig, match: MatchConfig, result_cache: ResultCache = COMPUTED) -> None:
         self._config, self._match = config, match
-        self._answers = answers
+        self._result_cache = result_cache
         self._submaps = SubmapStore(config, match)
         self._last_attempt_m = -math.inf
         self._misses = 0
@@ -157,7 +157,7 @@ class LoopCloser:
         # Asked for in any case: what the cache holds must not depend on where the answer comes from.
         submap = self._submaps.submap(place)
         scan = self._submaps.scan(key)
-        candidate = self._answers.ask(
+        candidate = self._result_cache.cached(
             "loop",
             float(guess[0]),
             lambda: search_place(begun, submap, scan, guess, self._config, self._match),
@@ -186,9 +186,9 @@ class LoopCloser:
                 break
             if distance[n] > config.reach_m + slack[n]:
                 continue
-            way = self._submaps.travelled_m(places[n])
+            at_m = self._submaps.travelled_m(places[n])
             # Two places on one pass by the same spot tell the same: take the nearest of each pass.
-            if all(abs(way - self._submaps.travelled_m(p)) > config.least_path_m for p, _ in chosen):
+            if all(abs(at_m - self._submaps.travelled_m(p)) > config.least_path_m for p, _ in chosen):
                 chosen.append((int(places[n]), covariances[n]))
         return chosen
 

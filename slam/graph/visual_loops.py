@@ -9,14 +9,14 @@ from typing import Protocol
 import gtsam
 import numpy as np
 
-from slam.answers import COMPUTED, Answers
 from slam.config import Config
 from slam.graph.loop_closure import LoopCandidate
+from slam.result_cache import COMPUTED, ResultCache
 from slam.vision.features import Descriptors
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.place_recognition import PlaceIndex
 from slam.vision.prepared_frame import PreparedFrame
-from slam.vision.visual_match import VisualKeyframe, VisualMatch, unlikeness
+from slam.vision.visual_match import VisualKeyframe, VisualMatch, dissimilarity
 
 log = logging.getLogger(__name__)
 
@@ -41,25 +41,25 @@ class VisualLoopCloser:
         config: Config,
         matcher: FrameMatcher,
         keyframes: Keyframes,
-        answers: Answers = COMPUTED,
+        result_cache: ResultCache = COMPUTED,
     ) -> None:
         self._loops, self._config = config.loops, config.visual_loops
         self._confirmed = config.rgbd_odometry.keyframe_parallax
         self._matcher = matcher
         self._keyframes = keyframes
-        self._answers = answers
+        self._result_cache = result_cache
         self._places = PlaceIndex(config.seed)
         self._depths_m: list[float] = []
         self._segments: list[int] = []
         self._newest: Descriptors | None = None
 
     def add_keyframe(self, frame: PreparedFrame, *, adrift: bool = False) -> None:
-        """Remember the looks of the next keyframe.
+        """Remember the appearance of the next keyframe.
 
         Parameters
         ----------
         adrift
-            Nothing measured the way to it: where it lies is known only when a loop by looks has told.
+            Nothing measured the way to it: where it lies is known only when a loop by appearance has told.
         """
         if self._newest is not None:
             # A place is asked for before it is added, so that its neighbour sets the scale.
@@ -87,9 +87,9 @@ class VisualLoopCloser:
         if not self._loops.enabled or key < config.least_gap:
             return []
         near = self._near(key, poses)
-        looks = self._answers.ask("looks", float(key), lambda: self._by_looks(key))
+        alike = self._result_cache.cached("looks", float(key), lambda: self._by_appearance(key))
         tried = [self._verify(place, key, poses[place].between(poses[key]), 1.0) for place in near]
-        tried += [self._verify(place, key, None, score) for place, score in looks if place not in near]
+        tried += [self._verify(place, key, None, score) for place, score in alike if place not in near]
         for candidate in tried:
             self._join(candidate)
             _report(candidate)
@@ -100,10 +100,10 @@ class VisualLoopCloser:
         config = self._config
         segment = self._segments[key]
         places = [p for p in range(key - config.least_gap + 1) if self._segments[p] == segment]
-        scores = np.array([unlikeness(poses[p], poses[key], self._depths_m[p]) for p in places])
+        scores = np.array([dissimilarity(poses[p], poses[key], self._depths_m[p]) for p in places])
         chosen: list[int] = []
         for n in np.argsort(scores, kind="stable"):
-            if len(chosen) == self._loops.near or scores[n] > config.near_unlikeness:
+            if len(chosen) == self._loops.near or scores[n] > config.near_dissimilarity:
                 break
             if all(abs(places[n] - other) >= config.least_gap for other in chosen):
                 chosen.append(places[n])
@@ -116,12 +116,12 @@ class VisualLoopCloser:
             low, high = min(ends), max(ends)
             self._segments = [low if segment == high else segment for segment in self._segments]
 
-    def _by_looks(self, key: int) -> list[tuple[int, float]]:
+    def _by_appearance(self, key: int) -> list[tuple[int, float]]:
         """Places that look the same, with their relative score."""
         config = self._config
         if self._newest is None:
             return []
-        matches = self._places.query(self._newest, key - config.least_gap + 1, self._loops.by_looks)
+        matches = self._places.query(self._newest, key - config.least_gap + 1, self._loops.by_appearance)
         return [(m.key, m.relative_score) for m in matches if m.relative_score >= config.least_place_score]
 
     def _verify(self, place: int, key: int, guess: gtsam.Pose3 | None, score: float) -> LoopCandidate:
@@ -129,7 +129,7 @@ class VisualLoopCloser:
         # What is kept in memory must not depend on where the answer comes from.
         self._keyframes.touch(key)
         self._keyframes.touch(place)
-        return self._answers.ask(
+        return self._result_cache.cached(
             "visual loop",
             score if guess is None else guess.x(),
             lambda: self._match(place, key, guess, score),
@@ -154,7 +154,7 @@ class VisualLoopCloser:
             return candidate.refused("too few readings fit")
         if match.overlap < self._loops.least_overlap and match.feature_count < config.least_features:
             return candidate.refused("too little is seen by both")
-        moved = 0.0 if guess is None else unlikeness(guess, match.pose, frame.median_depth_m)
+        moved = 0.0 if guess is None else dissimilarity(guess, match.pose, frame.median_depth_m)
         # Any corner of three walls fits any other: without features a match may only confirm a guess.
         if moved > self._confirmed and match.feature_count < config.least_features:
             return candidate.refused("shape alone leads elsewhere")

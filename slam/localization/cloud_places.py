@@ -66,7 +66,7 @@ class CloudPlaces:
         """
         steps_m = np.array([-self._apart_m, 0.0, self._apart_m])
         beside_m = np.array([(x, y, 0.0) for x in steps_m for y in steps_m])
-        unlike = np.array([self._bank.unlikeness(self._context(points - offset)) for offset in beside_m])
+        unlike = np.array([self._bank.dissimilarity(self._context(points - offset)) for offset in beside_m])
         turns, least = unlike.argmin(axis=2), unlike.min(axis=2)
         chosen: list[gtsam.Pose3] = []
         for flat in np.argsort(least, axis=None, kind="stable").tolist():

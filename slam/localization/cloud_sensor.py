@@ -75,7 +75,7 @@ class CloudSensor:
         self.search_every_m = self._general.search_every_m
 
     def observe(self, measurement: Any, known: Pose | None) -> Observation[CloudView] | None:
-        """See `Sensor`; takes clouds, which are told at the middle of their turn, and wheel readings."""
+        """See `Sensor`; takes clouds, which are reported at the middle of their turn, and wheel readings."""
         if isinstance(measurement, WheelOdometry):
             self._odometry.add_wheels(measurement)
         if not isinstance(measurement, PointCloud):

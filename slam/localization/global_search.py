@@ -1,6 +1,6 @@
 """Where in a whole map a set of points may have been seen from: branch and bound over every pose.
 
-Hess 2016 Sec. V-B over all of the map and all yaws; not the best pose alone is told, but every one that
+Hess 2016 Sec. V-B over all of the map and all yaws; not the best pose alone is reported, but every one that
 comes near it, for rooms are alike.
 """
 
@@ -72,7 +72,7 @@ def search_everywhere(
     least_score
         Poses below this mean likelihood are not looked for.
     keep_share
-        Poses with at least this share of the best score are told too.
+        Poses with at least this share of the best score are reported too.
     most
         How many places at most.
     threads

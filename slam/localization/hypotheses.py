@@ -144,7 +144,7 @@ class HypothesisSet(Generic[V, N]):
         if not self.members or len(self._log.keyframes) < self._sensor.least_keyframes:
             return None
         best = int(probabilities.argmax())
-        return self.members[best] if probabilities[best] >= self._config.sure_probability else None
+        return self.members[best] if probabilities[best] >= self._config.confident_probability else None
 
     def _settle(self, member: Hypothesis, predicted: Pose) -> None:
         """Align a hypothesis to the map near its predicted pose, and weigh what the keyframe sees anew."""

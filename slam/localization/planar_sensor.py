@@ -77,7 +77,7 @@ class PlanarSensor:
         if not isinstance(measurement, LaserScan):
             return None
         view = ScanView.of(measurement, self._config)
-        step = self._odometry.add(self._without_strangers(view, known))
+        step = self._odometry.add(self._without_dynamic_points(view, known))
         return Observation(view.stamp_s, view, step.pose, step.moved, step.moved is None)
 
     def sees_anew(self, view: ScanView, before: Pose | None, pose: Pose) -> bool:
@@ -136,7 +136,7 @@ class PlanarSensor:
         found = search_map(self._walls.field, seen, settings, settings.hypotheses)
         return [pose2_from_row(place.pose) for place in found]
 
-    def _without_strangers(self, view: ScanView, known: Pose | None) -> ScanView:
+    def _without_dynamic_points(self, view: ScanView, known: Pose | None) -> ScanView:
         """A scan without what stands in the midst of known free space, if the pose is tracked: people.
 
         A scan that would lose much of itself is left whole: rather the pose is wrong.

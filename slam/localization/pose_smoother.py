@@ -12,7 +12,7 @@ import numpy as np
 from slam.localization.poses import SAME_M, Measured, composed
 from slam.measurements import Pose
 
-# Only the newest pose is told, and a longer lag tells it with the same bits.
+# Only the newest pose is reported, and a longer lag tells it with the same bits.
 _LAG_NODES = 2.0
 
 

@@ -19,7 +19,7 @@ from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.place_recognition import PlaceIndex
 from slam.vision.planar_motion import planar_motion
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame
-from slam.vision.visual_match import VisualKeyframe, VisualMatch, unlikeness
+from slam.vision.visual_match import VisualKeyframe, VisualMatch, dissimilarity
 
 
 class VisualLocator:
@@ -76,7 +76,7 @@ class VisualLocator:
     def anywhere(self, frame: PreparedFrame) -> list[MotionEstimate]:
         """Every place that the frame may show, none guessed: ``T_map_base`` each, verified."""
         found = []
-        alike = self._index.query(frame.features.descriptors, len(self._index), self._loops.by_looks)
+        alike = self._index.query(frame.features.descriptors, len(self._index), self._loops.by_appearance)
         for place in alike:
             match = self._matcher.match_anywhere(frame, [self._keyframe(place.key)])
             found.append(self._believed(match))
@@ -123,9 +123,9 @@ class VisualLocator:
         """Keyframes whose cameras see most nearly the same as one at the guess, best first."""
         far = np.linalg.norm(self._positions - guess.translation(), axis=1) / depth_m
         facing = self._axes @ guess.rotation().matrix()[:, 2]
-        limit = self._images.near_unlikeness
+        limit = self._images.near_dissimilarity
         possible = np.flatnonzero((far < limit) & (facing > 0.5)).tolist()
-        scores = {key: unlikeness(self._poses[key], guess, depth_m) for key in possible}
+        scores = {key: dissimilarity(self._poses[key], guess, depth_m) for key in possible}
         near = sorted((key for key in possible if scores[key] < limit), key=lambda key: scores[key])
         return near[: self._views]
 

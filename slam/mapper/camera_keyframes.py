@@ -10,7 +10,7 @@ import gtsam
 from slam.config import Config
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.visual_loops import VisualLoopCloser
-from slam.mapper.journal import Journal
+from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.keyframe_store import KeyframeStore
 from slam.mapper.map_result import DenseKeyframes
 from slam.mapper.robot_cameras import Picture
@@ -47,11 +47,11 @@ class CameraKeyframes:
     """
 
     def __init__(
-        self, config: Config, journal: Journal, registrations: Mapping[str, ColorRegistration]
+        self, config: Config, checkpoint: Checkpoint, registrations: Mapping[str, ColorRegistration]
     ) -> None:
-        self._store = KeyframeStore(config.rgbd, config.match.local_map_keyframes, journal.spool())
+        self._store = KeyframeStore(config.rgbd, config.match.local_map_keyframes, checkpoint.spool())
         self._places = _Places(self._store)
-        self._closer = VisualLoopCloser(config, FrameMatcher(config), self._places, journal)
+        self._closer = VisualLoopCloser(config, FrameMatcher(config), self._places, checkpoint)
         self._registrations = registrations
         self._nodes: list[int] = []
         self._T_node_camera: list[gtsam.Pose3] = []

@@ -12,11 +12,11 @@ import gtsam
 
 from slam.config import Config
 from slam.mapper.camera_keyframes import CameraKeyframes
-from slam.mapper.journal import Journal
+from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.keyframe_fusion import FusionSummary, KeyframeFusion
 from slam.mapper.keyframe_store import registration_notes
 from slam.mapper.map_result import DenseKeyframes
-from slam.mapper.robot_cameras import CameraMarks, RobotCameras
+from slam.mapper.robot_cameras import CameraPoses, RobotCameras
 from slam.mapper.scan_record import CameraRecord
 from slam.mapping.horizon_scan import horizon_scan, with_repairs
 from slam.measurements import FloatArray, LaserScan, Pose, WheelOdometry
@@ -32,14 +32,14 @@ class CloudCameras:
     """The cameras of a run with a 3D lidar, as far as the log tells where they sit on the robot."""
 
     def __init__(
-        self, config: Config, journal: Journal, registrations: Mapping[str, ColorRegistration]
+        self, config: Config, checkpoint: Checkpoint, registrations: Mapping[str, ColorRegistration]
     ) -> None:
         self._config, self._registrations = config, registrations
-        self._cameras = RobotCameras(config, answers=journal)
-        self._keyframes = CameraKeyframes(config, journal, registrations)
+        self._cameras = RobotCameras(config, result_cache=checkpoint)
+        self._keyframes = CameraKeyframes(config, checkpoint, registrations)
         self._fusion = KeyframeFusion(config.fusion) if config.fusion.enabled else None
         self._horizons: list[LaserScan | None] = []
-        self._marks: CameraMarks = {}
+        self._camera_poses: CameraPoses = {}
 
     def note_wheels(self, reading: WheelOdometry) -> None:
         """Take a heading by which the cameras' clocks are compared."""
@@ -56,9 +56,9 @@ class CloudCameras:
 
     def step(self, stamp_s: float) -> tuple[gtsam.Pose3, FloatArray] | None:
         """Motion of the base since the last keyframe, and its (6, 6), by the first camera that knows it."""
-        now = self._cameras.marks(stamp_s)
+        now = self._cameras.camera_poses(stamp_s)
         for name, camera in self._cameras.cameras.items():
-            found = camera_step(self._marks.get(name), now.get(name))
+            found = camera_step(self._camera_poses.get(name), now.get(name))
             if found is None or camera.T_base_camera is None:
                 continue
             T_base_camera = camera.T_base_camera
@@ -69,8 +69,8 @@ class CloudCameras:
 
     def add_keyframe(self, node: int, stamp_s: float, points: FloatArray, T_base_lidar: gtsam.Pose3) -> None:
         """Take the newest frames for a keyframe of the lidar, whose points are (N, 3) in the base frame."""
-        self._marks = self._cameras.marks(stamp_s)
-        placed = self._cameras.placed_pictures(self._marks)
+        self._camera_poses = self._cameras.camera_poses(stamp_s)
+        placed = self._cameras.placed_pictures(self._camera_poses)
         self._keyframes.add(node, placed, places=False)
         self._horizons.append(None)
         if placed and self._fusion is not None:

@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class FusionPair:
-    """What one keyframe's registration told.
+    """What one keyframe's registration reported.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class FusionSummary:
     pairs
         One a keyframe with scan and images.
     estimate
-        What the whole drive tells of the rig; None where nothing could be told.
+        What the whole drive tells of the rig; None where nothing could be reported.
     examples
         The repaired scans before and after: pairs of scans of the same beams.
     note

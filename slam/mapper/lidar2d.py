@@ -16,13 +16,13 @@ from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate, LoopCloser
 from slam.graph.pose_graph import Edge
 from slam.mapper.camera_keyframes import CameraKeyframes
-from slam.mapper.journal import Journal
+from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.keyframe_fusion import KeyframeFusion
 from slam.mapper.keyframe_store import registration_notes
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.planar_chain import PlanarChain
 from slam.mapper.protocol import Products, Tracked
-from slam.mapper.robot_cameras import CameraMarks, RobotCameras
+from slam.mapper.robot_cameras import CameraPoses, RobotCameras
 from slam.mapper.scan_record import ScanRecord
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.matching.local_map import OrientedPoints
@@ -31,8 +31,8 @@ from slam.matching.planar import between
 from slam.matching.scan_points import ScanPoints, extract_points
 from slam.measurements import LaserScan, Pose, WheelOdometry, pose2_from_row, row_from_pose2
 from slam.odometry import STANDARD, Odometries
+from slam.odometry.cached_odometry import CachedOdometry
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
-from slam.odometry.remembered_odometry import RememberedOdometry
 from slam.odometry.wheel_tracker import WheelTracker
 from slam.trajectory.readings import Readings
 from slam.vision.color_registration import ColorRegistration
@@ -47,7 +47,7 @@ class _Moment:
     scan: LaserScan | None
     points: ScanPoints | None
     tracked: TrackedScan
-    marks: CameraMarks
+    camera_poses: CameraPoses
 
 
 class PlanarRobot:
@@ -56,23 +56,23 @@ class PlanarRobot:
     def __init__(
         self,
         config: Config,
-        journal: Journal | None = None,
+        checkpoint: Checkpoint | None = None,
         registrations: Mapping[str, ColorRegistration] | None = None,
         mountings: Mapping[str, LearnedMounting] | None = None,
         odometries: Odometries = STANDARD,
     ) -> None:
         self.readings = Readings()
-        journal, registrations = journal or Journal(), registrations or {}
+        checkpoint, registrations = checkpoint or Checkpoint(), registrations or {}
         self._config, self._registrations = config, registrations
         self._wheels = WheelTracker(config.wheels) if config.sensors.wheels else None
-        odometry = RememberedOdometry(odometries.lidar(config), journal)
+        odometry = CachedOdometry(odometries.lidar(config), checkpoint)
         self._tracker = MotionTracker(odometry, self._wheels, config.prediction, config.match)
-        self._cameras = RobotCameras(config, mountings or {}, answers=journal)
+        self._cameras = RobotCameras(config, mountings or {}, result_cache=checkpoint)
         self._chain = PlanarChain(config, self._tracker, self._wheels, self._cameras)
-        self._closer = LoopCloser(config.loops, config.match, journal)
-        self._pictures = CameraKeyframes(config, journal, registrations)
+        self._closer = LoopCloser(config.loops, config.match, checkpoint)
+        self._pictures = CameraKeyframes(config, checkpoint, registrations)
         self._fusion = KeyframeFusion(config.fusion) if config.fusion.enabled else None
-        self._marks: CameraMarks = {}
+        self._camera_poses: CameraPoses = {}
         self._scan_stamp_s = -np.inf
         self._newest: _Moment | None = None
         self._seen = OrientedPoints.none()
@@ -104,7 +104,7 @@ class PlanarRobot:
         points = moment.points
         self._seen = OrientedPoints.none() if points is None else OrientedPoints.from_scan(points)
         blind = not len(self._seen)
-        step, edges = self._chain.add(key, moment.stamp_s, moment.tracked, moment.marks, blind=blind)
+        step, edges = self._chain.add(key, moment.stamp_s, moment.tracked, moment.camera_poses, blind=blind)
         self._travelled_m += float(np.hypot(step[0], step[1]))
         return pose2_from_row(step), edges
 
@@ -117,9 +117,9 @@ class PlanarRobot:
         self._closer.add_keyframe(self._seen, moment.tracked.pose, self._travelled_m)
         self._keyframe_scans.append(moment.scan)
         if self._fusion is not None and moment.scan is not None:
-            self._fusion.add(key, moment.scan, self._cameras.pictures(moment.marks))
+            self._fusion.add(key, moment.scan, self._cameras.pictures(moment.camera_poses))
         tried = self._closer.close(key, graph.rows(), graph.uncertainty)
-        if pictures := self._cameras.placed_pictures(moment.marks):
+        if pictures := self._cameras.placed_pictures(moment.camera_poses):
             self._pictures.add(key, pictures, places=True)
             if moment.scan is None:
                 tried += self._pictures.close(graph.poses())
@@ -183,20 +183,24 @@ class PlanarRobot:
 
     def _track(self, stamp_s: float, scan: LaserScan | None, points: ScanPoints | None) -> Tracked:
         """Pose of a moment."""
-        marks = self._cameras.marks(stamp_s)
-        steps = [step.planar for step in self._cameras.steps(self._marks, marks) if step.planar is not None]
+        camera_poses = self._cameras.camera_poses(stamp_s)
+        steps = [
+            step.planar
+            for step in self._cameras.steps(self._camera_poses, camera_poses)
+            if step.planar is not None
+        ]
         cameras = [Motion(step.motion, step.covariance) for step in steps]
         tracked = self._tracker.track(points, stamp_s, cameras)
-        if scan is not None and tracked.sure:
+        if scan is not None and tracked.confident:
             self._cameras.note_scan_turn(stamp_s, tracked.pose[2])
-        self._marks = marks
-        self._newest = _Moment(stamp_s, scan, points, tracked, marks)
+        self._camera_poses = camera_poses
+        self._newest = _Moment(stamp_s, scan, points, tracked, camera_poses)
         self.readings.add_scan(
             stamp_s,
             pose2_from_row(tracked.pose),
             tracked.wheel_pose,
             covariance=None if tracked.motion is None else tracked.motion.covariance,
-            trusted=tracked.sure if scan is not None else bool(cameras),
+            trusted=tracked.confident if scan is not None else bool(cameras),
         )
         return Tracked(stamp_s, tracked.motion, self._moved_on(tracked))
 

@@ -20,8 +20,8 @@ from slam.graph.cloud_loops import CloudLoopCloser
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, EdgeKind
+from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.cloud_cameras import CloudCameras
-from slam.mapper.journal import Journal
 from slam.mapper.map_result import MappedClouds
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.protocol import Products, Tracked
@@ -48,14 +48,14 @@ class CloudLidar:
     """Clouds, wheels and cameras of a robot in space; see `slam.mapper.protocol.FrontEnd`."""
 
     def __init__(
-        self, config: Config, journal: Journal, registrations: Mapping[str, ColorRegistration]
+        self, config: Config, checkpoint: Checkpoint, registrations: Mapping[str, ColorRegistration]
     ) -> None:
         self.readings = Readings()
-        self._config, self._journal = config, journal
+        self._config, self._checkpoint = config, checkpoint
         self._wheels = WheelTracker(config.wheels) if config.sensors.wheels else None
-        self._tracker = CloudTracker(config, self._wheels, journal)
-        self._clouds = journal.cloud_spool()
-        self._cameras = CloudCameras(config, journal, registrations)
+        self._tracker = CloudTracker(config, self._wheels, checkpoint)
+        self._clouds = checkpoint.cloud_spool()
+        self._cameras = CloudCameras(config, checkpoint, registrations)
         self._closer: CloudLoopCloser | None = None
         self._steps = AnchoredSteps(config.match.local_map_keyframes)
         self._newest: TrackedCloud | None = None
@@ -106,7 +106,9 @@ class CloudLidar:
         tracked = self._newest
         assert tracked is not None
         if self._closer is None:
-            self._closer = CloudLoopCloser(self._config, self._tracker.voxel_m, self._clouds, self._journal)
+            self._closer = CloudLoopCloser(
+                self._config, self._tracker.voxel_m, self._clouds, self._checkpoint
+            )
         self._stamps_s.append(self._stamp_s)
         self._tracker.add_keyframe(tracked)
         kept_m = min(_KEPT_SHARE * self._tracker.voxel_m, self._config.grid.resolution_m)
@@ -176,7 +178,8 @@ class CloudLidar:
         if self._doubtful <= _MOST_DOUBTFUL * self._matched:
             return []
         return [
-            f"{self._doubtful:,} of {self._matched:,} clouds fit only in part; their motions count as unsure"
+            f"{self._doubtful:,} of {self._matched:,} clouds fit only in part; their motions count as "
+            f"uncertain"
         ]
 
     def _draw_plan(self, made: Products, poses: FloatArray) -> float:

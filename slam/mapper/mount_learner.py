@@ -16,8 +16,8 @@ from slam.vision.camera_frame import T_BODY_CAMERA
 _EVERY = 20  # pairs between two estimates
 _LEAST_PAIRS = 20
 _LEAST_INLIER_SHARE = 0.5
-_SURE_RAD = math.radians(1.0)
-_SURE_M = 0.03
+_CONFIDENT_RAD = math.radians(1.0)
+_CONFIDENT_M = 0.03
 _PLANAR = ("roll", "pitch", "yaw", "x", "y")
 
 
@@ -41,7 +41,7 @@ class LearnedMounting:
 
 @dataclass(slots=True)
 class MountLearner:
-    """Pairs of one camera, and the mounting as soon as it is sure.
+    """Pairs of one camera, and the mounting as soon as it is certain.
 
     Attributes
     ----------
@@ -60,8 +60,8 @@ class MountLearner:
 
     @property
     def T_base_camera(self) -> gtsam.Pose3 | None:
-        """The mounting, once it is sure; None before."""
-        return self.result.T_base_camera if self.result is not None and _sure(self.result) else None
+        """The mounting, once it is certain; None before."""
+        return self.result.T_base_camera if self.result is not None and _confident(self.result) else None
 
     def add(self, step: KeyframeStep, base: Motion | None) -> None:
         """Take a motion between keyframes, with that of the base where lidar or wheels measured it."""
@@ -92,10 +92,10 @@ class MountLearner:
         )
         if self.result.unobservable:
             text += f"; not observable: {', '.join(self.result.unobservable)}"
-        return text if _sure(self.result) else f"{text}; too unsure, its motions were not used"
+        return text if _confident(self.result) else f"{text}; too uncertain, its motions were not used"
 
 
-def _sure(result: ExtrinsicsResult) -> bool:
+def _confident(result: ExtrinsicsResult) -> bool:
     """Whether planar motion may rest on an estimate."""
     if not result.converged or result.inlier_share < _LEAST_INLIER_SHARE:
         return False
@@ -105,4 +105,4 @@ def _sure(result: ExtrinsicsResult) -> bool:
     # The covariance is in the camera's frame; limits are for the base's.
     turn = rotation @ result.covariance[:3, :3] @ rotation.T
     shift = rotation @ result.covariance[3:, 3:] @ rotation.T
-    return bool(turn[2, 2] < _SURE_RAD**2 and max(shift[0, 0], shift[1, 1]) < _SURE_M**2)
+    return bool(turn[2, 2] < _CONFIDENT_RAD**2 and max(shift[0, 0], shift[1, 1]) < _CONFIDENT_M**2)

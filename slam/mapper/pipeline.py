@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from slam.config import Config
 from slam.datasets.dataset import Dataset
 from slam.errors import DatasetError
-from slam.mapper.journal import Journal
+from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.lidar3d import CloudLidar
 from slam.mapper.map_result import MapResult
@@ -18,8 +18,8 @@ from slam.mapper.rgbd import FreeCamera
 from slam.mapper.sensor_choice import SensorChoice, used_measurements
 from slam.measurements import Measurement
 from slam.odometry import STANDARD, Odometries
-from slam.vision.ahead import prepared_ahead
 from slam.vision.color_registration import ColorRegistration
+from slam.vision.prefetch import prefetched
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame
 from slam.vision.registration_pairs import registrations_of
 
@@ -28,7 +28,7 @@ def build_map(
     dataset: Dataset,
     config: Config,
     on_scan: Callable[[int], None] | None = None,
-    journal: Journal | None = None,
+    checkpoint: Checkpoint | None = None,
     odometries: Odometries = STANDARD,
 ) -> MapResult:
     """Run the whole log through the mapper.
@@ -41,7 +41,7 @@ def build_map(
         The effective configuration.
     on_scan
         Called with the number of scans and frames so far, for a progress bar.
-    journal
+    checkpoint
         Keeps what a run finds out, so that it can go on where it was interrupted; None keeps nothing.
     odometries
         What makes the odometries; `slam.comparison.methods` has others.
@@ -52,20 +52,20 @@ def build_map(
         Where the log holds nothing that can be mapped.
     """
     choice = SensorChoice.of(dataset, config.sensors)
-    journal = journal or Journal()
-    registrations = journal.registrations(
+    checkpoint = checkpoint or Checkpoint()
+    registrations = checkpoint.registrations(
         lambda: registrations_of(used_measurements(dataset, config.sensors), choice.cameras, config)
     )
-    mountings = journal.mountings()
+    mountings = checkpoint.mountings()
     prepare = None
     if choice.cameras:
-        prepare = FramePreparer(config.rgbd, registrations, lambda: journal.replaying)
-    mapper = Mapper(config, _front_end(choice, config, journal, registrations, mountings, odometries))
+        prepare = FramePreparer(config.rgbd, registrations, lambda: checkpoint.replaying)
+    mapper = Mapper(config, _front_end(choice, config, checkpoint, registrations, mountings, odometries))
     _feed(mapper, dataset, config, prepare, on_scan)
     if not mountings and (mountings := mapper.learned_mountings()):
         # The way up to there was mapped without these cameras; now they are known from its beginning.
-        journal.begin_again(registrations, mountings)
-        mapper = Mapper(config, PlanarRobot(config, journal, registrations, mountings, odometries))
+        checkpoint.begin_again(registrations, mountings)
+        mapper = Mapper(config, PlanarRobot(config, checkpoint, registrations, mountings, odometries))
         _feed(mapper, dataset, config, prepare, on_scan)
     return mapper.finish()
 
@@ -73,17 +73,17 @@ def build_map(
 def _front_end(
     choice: SensorChoice,
     config: Config,
-    journal: Journal,
+    checkpoint: Checkpoint,
     registrations: Mapping[str, ColorRegistration],
     mountings: Mapping[str, LearnedMounting],
     odometries: Odometries,
 ) -> FrontEnd:
     """The sensor that leads."""
     if choice.cloud:
-        return CloudLidar(config, journal, registrations)
+        return CloudLidar(config, checkpoint, registrations)
     if choice.spatial:
-        return FreeCamera(config, journal, registrations, odometries)
-    return PlanarRobot(config, journal, registrations, mountings, odometries)
+        return FreeCamera(config, checkpoint, registrations, odometries)
+    return PlanarRobot(config, checkpoint, registrations, mountings, odometries)
 
 
 def _feed(
@@ -93,10 +93,10 @@ def _feed(
     prepare: FramePreparer | None,
     on_scan: Callable[[int], None] | None,
 ) -> None:
-    """Hand the whole log to a mapper, frames prepared ahead."""
+    """Hand the whole log to a mapper, frames prefetched."""
     measurements: Iterable[Measurement | PreparedFrame] = used_measurements(dataset, config.sensors)
     if prepare is not None:
-        measurements = prepared_ahead(used_measurements(dataset, config.sensors), prepare)
+        measurements = prefetched(used_measurements(dataset, config.sensors), prepare)
     for measurement in measurements:
         mapper.add(measurement)
         if on_scan:

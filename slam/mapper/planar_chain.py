@@ -11,7 +11,7 @@ from slam.config import Config
 from slam.config.stages import GraphConfig
 from slam.graph.keyframe_graph import KeyframeGraph, unmeasured
 from slam.graph.pose_graph import Edge, EdgeKind
-from slam.mapper.robot_cameras import CameraMarks, CameraStep, RobotCameras
+from slam.mapper.robot_cameras import CameraPoses, CameraStep, RobotCameras
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
@@ -38,7 +38,7 @@ class PlanarChain:
         self._matched: tuple[int, TrackedScan | None] = (0, None)
         self._guessed = 0
         self._guess_steps: list[Motion] = []
-        self._marks: CameraMarks = {}
+        self._camera_poses: CameraPoses = {}
         self._stamps_s: list[float] = []
         # Keyframe and camera of every edge by a camera so far, in their order.
         self._camera_edges: list[tuple[int, str]] = []
@@ -49,13 +49,13 @@ class PlanarChain:
         return self._last
 
     def add(
-        self, key: int, stamp_s: float, tracked: TrackedScan, marks: CameraMarks, *, blind: bool
+        self, key: int, stamp_s: float, tracked: TrackedScan, camera_poses: CameraPoses, *, blind: bool
     ) -> tuple[FloatArray, list[Edge]]:
         """Take the next keyframe.
 
         Parameters
         ----------
-        marks
+        camera_poses
             Where every camera was.
         blind
             Whether it has no point of a lidar.
@@ -66,9 +66,9 @@ class PlanarChain:
         """
         step, edges, cameras = np.zeros(3), list[Edge](), list[Motion]()
         if self._last is not None:
-            step, edges, cameras = self._step(key, stamp_s, self._last, tracked, marks)
+            step, edges, cameras = self._step(key, stamp_s, self._last, tracked, camera_poses)
         self._stamps_s.append(stamp_s)
-        self._marks, self._last = marks, tracked
+        self._camera_poses, self._last = camera_poses, tracked
         if tracked.motion is not None or key == 0:
             self._matched, self._guessed = (key, tracked), 0
         else:
@@ -79,10 +79,10 @@ class PlanarChain:
     def settle(self, graph: KeyframeGraph) -> None:
         """At the end: say anew how each camera moved, as the whole run tells its clock and mounting."""
         self._cameras.settle_clocks()
-        told = [n for n, edge in enumerate(graph.graph.edges) if edge.kind is EdgeKind.RGBD]
-        of_key = groupby(zip(self._camera_edges, told, strict=True), key=lambda edge: edge[0][0])
+        reported = [n for n, edge in enumerate(graph.graph.edges) if edge.kind is EdgeKind.RGBD]
+        of_key = groupby(zip(self._camera_edges, reported, strict=True), key=lambda edge: edge[0][0])
         for key, edges in of_key:
-            before, after = (self._cameras.marks(self._stamps_s[n]) for n in (key - 1, key))
+            before, after = (self._cameras.camera_poses(self._stamps_s[n]) for n in (key - 1, key))
             steps = self._camera_steps(self._cameras.steps(before, after))
             for (_, name), number in edges:
                 if name in steps:
@@ -91,7 +91,7 @@ class PlanarChain:
             graph.add_edge(_camera_edge(source, target, Motion(motion.motion, motion.covariance)))
 
     def _step(
-        self, key: int, stamp_s: float, last: TrackedScan, tracked: TrackedScan, marks: CameraMarks
+        self, key: int, stamp_s: float, last: TrackedScan, tracked: TrackedScan, camera_poses: CameraPoses
     ) -> tuple[FloatArray, list[Edge], list[Motion]]:
         """Motion from the last keyframe, the edges, and what the cameras say."""
         step = between(last.pose, tracked.pose)
@@ -104,7 +104,7 @@ class PlanarChain:
         guessed = last is not self._matched[1]
         if match is not None and guessed and not (self._guess_steps and _agree(self._guess_steps)):
             match, bridge = self._past_a_guess(match, last, tracked, stamp_s)
-        moved = self._cameras.steps(self._marks, marks)
+        moved = self._cameras.steps(self._camera_poses, camera_poses)
         by_camera = self._camera_steps(moved)
         cameras = list(by_camera.values())
         doubtful = self._doubtful(tracked)
@@ -129,15 +129,15 @@ class PlanarChain:
         key, matched = self._matched
         assert matched is not None
         guess = unmeasured(self._config.graph, _GUESS_SHARE, planar=True)
-        unsure = Motion(match.pose, match.covariance + guess)
+        uncertain = Motion(match.pose, match.covariance + guess)
         if self._guess_steps or self._guessed > _MOST_GUESSED:
-            return unsure, None
+            return uncertain, None
         bridge = Motion(between(matched.pose, compose(last.pose, match.pose)), match.covariance)
         wheels = self._wheel_step(matched, tracked, stamp_s - self._stamps_s[key])
         if wheels is not None:
             squares = bridge.widened(wheels.covariance).squared_mahalanobis(wheels.pose)
-            return unsure, bridge if squares <= _EXPECTED_SQUARES else None
-        return unsure, bridge
+            return uncertain, bridge if squares <= _EXPECTED_SQUARES else None
+        return uncertain, bridge
 
     def _camera_steps(self, moved: list[CameraStep]) -> dict[str, Motion]:
         """What cameras say whose mounting is given, by name; learned ones wait for its last estimate."""
@@ -149,7 +149,7 @@ class PlanarChain:
 
     def _doubtful(self, tracked: TrackedScan) -> bool:
         """Whether a match was contradicted, or too few points agree with it."""
-        least = self._config.graph.sure_inlier_share
+        least = self._config.graph.confident_inlier_share
         return bool(tracked.motion is None or tracked.dispute.any() or tracked.motion.inlier_share < least)
 
     def _wheel_step(self, last: TrackedScan, tracked: TrackedScan, elapsed_s: float) -> Motion | None:
@@ -187,8 +187,8 @@ def edges_of(
     if match is not None:
         edges.append(_edge(key - 1, key, match, EdgeKind.LIDAR, trusted=not match_doubtful))
     if match is not None and match_doubtful:
-        # It may be wrong as a loop may be: a loose twin holds the chain where it is refused. Not so for
-        # a sure match, or a handful of false loops that agree with each other could break the chain.
+        # It may be wrong as a loop may be: a second, loose edge holds the chain where it is refused. Not so
+        # for a certain match, or a handful of false loops that agree with each other could break the chain.
         loose = Motion(step, match.covariance + unmeasured(config, config.loose_share, planar=True))
         edges.append(_edge(key - 1, key, loose, EdgeKind.ASSUMED, trusted=True))
     if wheels is not None:

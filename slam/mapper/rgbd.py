@@ -13,7 +13,7 @@ from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, EdgeKind
 from slam.graph.visual_loops import VisualLoopCloser
-from slam.mapper.journal import Journal
+from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.keyframe_store import KeyframeStore, registration_notes
 from slam.mapper.map_result import DenseKeyframes
 from slam.mapper.mount_learner import LearnedMounting
@@ -40,15 +40,15 @@ class FreeCamera:
     def __init__(
         self,
         config: Config,
-        journal: Journal,
+        checkpoint: Checkpoint,
         registrations: Mapping[str, ColorRegistration],
         odometries: Odometries = STANDARD,
     ) -> None:
         self.readings = Readings()
         self._registrations = registrations
-        self._tracker = RgbdTracker(odometries.rgbd(config), config, journal)
-        self._store = KeyframeStore(config.rgbd, config.match.local_map_keyframes, journal.spool())
-        self._closer = VisualLoopCloser(config, FrameMatcher(config), self._store, journal)
+        self._tracker = RgbdTracker(odometries.rgbd(config), config, checkpoint)
+        self._store = KeyframeStore(config.rgbd, config.match.local_map_keyframes, checkpoint.spool())
+        self._closer = VisualLoopCloser(config, FrameMatcher(config), self._store, checkpoint)
         self._last: gtsam.Pose3 | None = None
         self._newest: tuple[PreparedFrame, TrackedFrame] | None = None
         self._T_base_camera: gtsam.Pose3 | None = None

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 
 import gtsam
 
-from slam.answers import COMPUTED, Answers
 from slam.config import Config
 from slam.mapper.mount_learner import KeyframeStep, LearnedMounting, MountLearner
 from slam.mapper.scan_record import CameraRecord, ScanRecorder
@@ -17,6 +16,7 @@ from slam.measurements import FloatArray
 from slam.odometry.camera_clock import CameraClock, ClockLearner, YawRates
 from slam.odometry.camera_odometry import CameraOdometry, camera_step
 from slam.odometry.camera_track import CameraPose
+from slam.result_cache import COMPUTED, ResultCache
 from slam.vision.camera_frame import T_BODY_CAMERA
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.learned_camera import LearnedCamera
@@ -24,7 +24,7 @@ from slam.vision.planar_motion import PlanarMotion, planar_motion
 from slam.vision.prepared_frame import PreparedFrame
 
 # Where every camera was at one moment; None for one that did not know.
-CameraMarks = Mapping[str, CameraPose | None]
+CameraPoses = Mapping[str, CameraPose | None]
 
 
 @dataclass(slots=True)
@@ -86,7 +86,7 @@ class RobotCameras:
     cameras: dict[str, RobotCamera] = field(default_factory=dict)
     scan_turns: YawRates = field(default_factory=YawRates)
     wheel_turns: YawRates = field(default_factory=YawRates)
-    answers: Answers = COMPUTED
+    result_cache: ResultCache = COMPUTED
 
     def add(self, frame: PreparedFrame) -> None:
         """Track a frame of any camera."""
@@ -98,7 +98,7 @@ class RobotCameras:
             if name in self.mountings:
                 mounting, learn = self.mountings[name].T_base_camera, False
             self.cameras[name] = RobotCamera(
-                CameraOdometry(self.config, self.answers),
+                CameraOdometry(self.config, self.result_cache),
                 None if learn else mounting,
                 learner=MountLearner(mounting) if learn else None,
             )
@@ -111,11 +111,11 @@ class RobotCameras:
         camera.record.add(frame.stamp_s, motion, time.perf_counter() - started, tracked.match)
 
     def note_scan_turn(self, stamp_s: float, yaw_rad: float) -> None:
-        """Take a heading that a scan told."""
+        """Take a heading that a scan reported."""
         self.scan_turns.add(stamp_s, yaw_rad)
 
     def note_wheel_turn(self, stamp_s: float, yaw_rad: float) -> None:
-        """Take a heading that the wheels told."""
+        """Take a heading that the wheels reported."""
         self.wheel_turns.add(stamp_s, yaw_rad)
 
     def _turns(self) -> YawRates:
@@ -132,7 +132,7 @@ class RobotCameras:
         camera = self.cameras.get(frame.frame.sensor)
         return frame.stamp_s if camera is None else frame.stamp_s - camera.clock.offset_s
 
-    def marks(self, stamp_s: float) -> CameraMarks:
+    def camera_poses(self, stamp_s: float) -> CameraPoses:
         """Where every camera was at a stamp of the robot's clock."""
         return {name: camera.at(stamp_s) for name, camera in self.cameras.items()}
 
@@ -145,25 +145,25 @@ class RobotCameras:
         ]
         return name == (knowing or list(self.cameras))[0]
 
-    def placed_pictures(self, marks: CameraMarks) -> list[Picture]:
+    def placed_pictures(self, camera_poses: CameraPoses) -> list[Picture]:
         """The newest frame of every camera with a known mounting, the first such camera's first.
 
         One that is lost is left out; where the first is, all are.
         """
         names = [name for name, camera in self.cameras.items() if camera.T_base_camera is not None]
-        found = [self._placed(name, marks) for name in names]
+        found = [self._placed(name, camera_poses) for name in names]
         return [picture for picture in found if picture is not None] if found and found[0] else []
 
-    def _placed(self, name: str, marks: CameraMarks) -> Picture | None:
+    def _placed(self, name: str, camera_poses: CameraPoses) -> Picture | None:
         """The newest frame of a camera with a known mounting; None where it is lost."""
-        camera, mark = self.cameras[name], marks.get(name)
-        if mark is None or camera.newest is None or camera.newest_pose is None:
+        camera, camera_pose = self.cameras[name], camera_poses.get(name)
+        if camera_pose is None or camera.newest is None or camera.newest_pose is None:
             return None
         assert camera.T_base_camera is not None
-        since = mark.pose.between(camera.newest_pose)
+        since = camera_pose.pose.between(camera.newest_pose)
         return Picture(camera.newest, camera.T_base_camera.compose(since))
 
-    def pictures(self, marks: CameraMarks) -> list[Picture]:
+    def pictures(self, camera_poses: CameraPoses) -> list[Picture]:
         """The newest frame of every camera; one that is lost or not yet placed is taken as it stands."""
         found = []
         for name in sorted(self.cameras):
@@ -171,13 +171,13 @@ class RobotCameras:
             if camera.newest is None:
                 continue
             mounting = T_BODY_CAMERA if camera.T_base_camera is None else camera.T_base_camera
-            mark = marks.get(name)
-            if mark is not None and camera.newest_pose is not None:
-                mounting = mounting.compose(mark.pose.between(camera.newest_pose))
+            camera_pose = camera_poses.get(name)
+            if camera_pose is not None and camera.newest_pose is not None:
+                mounting = mounting.compose(camera_pose.pose.between(camera.newest_pose))
             found.append(Picture(camera.newest, mounting))
         return found
 
-    def steps(self, before: CameraMarks, after: CameraMarks) -> list[CameraStep]:
+    def steps(self, before: CameraPoses, after: CameraPoses) -> list[CameraStep]:
         """Motion between two moments by every camera that knows it and stays in the plane."""
         found = []
         for name, camera in self.cameras.items():

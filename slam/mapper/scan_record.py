@@ -55,7 +55,8 @@ class CameraRecord:
     frames
         Every frame.
     motions, refused_motions
-        How many motions a robot's camera told, and how many of them were refused because they left the floor.
+        How many motions a robot's camera reported, and how many of them were refused because they left the
+        floor.
     learned
         Where the camera and its colour camera sit, and its clock.
     """

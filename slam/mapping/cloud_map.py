@@ -49,7 +49,7 @@ def map_cloud(clouds: Iterable[FloatArray], poses: Sequence[gtsam.Pose3], voxel_
             waiting = []
     gathered = [*batches, *waiting]
     points_map = thin_to_voxels(np.vstack(gathered), voxel_m) if gathered else np.zeros((0, 3))
-    normals = _towards_the_way(points_map, plane_normals(points_map, voxel_m), poses)
+    normals = _towards_the_path(points_map, plane_normals(points_map, voxel_m), poses)
     return ColoredCloud(points_map.astype(np.float32), _by_height(points_map), normals.astype(np.float32))
 
 
@@ -80,15 +80,15 @@ def plane_normals(points: FloatArray, voxel_m: float) -> FloatArray:
     return normals
 
 
-def _towards_the_way(points: FloatArray, normals: FloatArray, poses: Sequence[gtsam.Pose3]) -> FloatArray:
+def _towards_the_path(points: FloatArray, normals: FloatArray, poses: Sequence[gtsam.Pose3]) -> FloatArray:
     """Normals turned to the nearest keyframe, from where a surface was most likely seen."""
     from scipy.spatial import cKDTree
 
     if not len(points):
         return normals.reshape(0, 3)
-    way = np.array([pose.translation() for pose in poses])
-    nearest = cKDTree(way[:, :2]).query(points[:, :2])[1]
-    away = np.einsum("ij,ij->i", normals, way[nearest] - points) < 0.0
+    path = np.array([pose.translation() for pose in poses])
+    nearest = cKDTree(path[:, :2]).query(points[:, :2])[1]
+    away = np.einsum("ij,ij->i", normals, path[nearest] - points) < 0.0
     return np.where(away[:, None], -normals, normals)
 
 

@@ -29,9 +29,9 @@ def packed_cloud(points: FloatArray) -> bytes:
         raise ScanweaveError(f"a cloud holds a point at {reach_m}; only finite points can be kept")
     step_m = max(STEP_M, reach_m / 2**29)
     steps = np.rint(points / step_m).astype(np.int32).reshape(-1, 3)
-    ways = np.diff(steps, axis=0, prepend=np.zeros((1, 3), np.int32))
+    differences = np.diff(steps, axis=0, prepend=np.zeros((1, 3), np.int32))
     # The sign goes to the lowest bit: upper bytes of short ways are all zero, whichever way they go.
-    signless = ((ways << 1) ^ (ways >> 31)).astype("<i4")
+    signless = ((differences << 1) ^ (differences >> 31)).astype("<i4")
     planes = signless.T.copy().view(np.uint8).reshape(-1, 4).T
     return _HEAD.pack(step_m, len(steps)) + zlib.compress(planes.tobytes(), 1)
 
@@ -59,5 +59,5 @@ def unpacked_cloud(content: bytes) -> FloatArray:
         raise ValueError(f"a packed cloud that is not of {count} points")
     planes = np.frombuffer(plain, np.uint8).reshape(4, -1)
     signless = np.ascontiguousarray(planes.T).view("<i4").reshape(3, -1).T.astype(np.int32)
-    ways = ((signless >> 1) & 0x7FFFFFFF) ^ -(signless & 1)
-    return np.cumsum(ways, axis=0, dtype=np.int32) * step_m
+    differences = ((signless >> 1) & 0x7FFFFFFF) ^ -(signless & 1)
+    return np.cumsum(differences, axis=0, dtype=np.int32) * step_m

@@ -140,7 +140,7 @@ class LayerBuilder:
         Raises
         ------
         ScanweaveError
-            Where no reading told anything.
+            Where no reading reported anything.
         """
         return LayeredMap(self.grid("lidar"), self.grid("depth"), self._settings.rule)
 

@@ -139,9 +139,9 @@ def shortest_path(
     ends = int(nodes[start]), int(nodes[goal])
     graph = step_graph(nodes, np.ones(nodes.shape))
     before = csgraph.dijkstra(graph, indices=[ends[0]], return_predecessors=True)[1]
-    way = chain(before[0], *ends)
-    assert way is not None  # of one region
-    cells = np.argwhere(here)[way]
+    nodes_on_path = chain(before[0], *ends)
+    assert nodes_on_path is not None  # of one region
+    cells = np.argwhere(here)[nodes_on_path]
     points = space.middle_of(cells)
     length_m = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
     return Path(points, length_m, float(clearance[cells[:, 0], cells[:, 1]].min()))

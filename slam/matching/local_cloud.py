@@ -141,8 +141,8 @@ class LocalCloud:
     def _is_near(self, found: CloudAlignment, guess: gtsam.Pose3) -> bool:
         """Whether an alignment settled where it was expected."""
         moved_m = np.abs(gtsam.Pose3.Logmap(guess.between(found.pose))) * ([found.lever_m] * 3 + [1.0] * 3)
-        sure = found.converged and found.inlier_share >= self._config.match.sure_inlier_share
-        return bool(sure and moved_m.max() <= self._voxel_m)
+        confident = found.converged and found.inlier_share >= self._config.match.confident_inlier_share
+        return bool(confident and moved_m.max() <= self._voxel_m)
 
     def _arrive(self, scan: FloatArray, guess: gtsam.Pose3, reach_m: float) -> gtsam.Pose3:
         """KISS-ICP's registration of a part of the scan; the guess itself where it breaks down."""

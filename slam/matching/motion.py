@@ -36,7 +36,7 @@ class Motion:
         return float(innovation @ np.linalg.solve(self.covariance, innovation))
 
     def holds(self, pose: FloatArray) -> bool:
-        """Whether a pose (3,) passes the gate, however unsure it may be itself."""
+        """Whether a pose (3,) passes the gate, however uncertain it may be itself."""
         return self.squared_mahalanobis(pose) <= gate(3, _AGREEMENT)
 
     def agrees(self, other: Motion) -> bool:
@@ -44,5 +44,5 @@ class Motion:
         return self.widened(other.covariance).holds(other.pose)
 
     def widened(self, covariance: FloatArray) -> Motion:
-        """The same, unsure by another covariance (3, 3) on top."""
+        """The same, uncertain by another covariance (3, 3) on top."""
         return Motion(self.pose, self.covariance + covariance)

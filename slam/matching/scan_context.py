@@ -45,7 +45,7 @@ def scan_context(points: FloatArray, voxel_m: float) -> Float32Array:
     return context
 
 
-def unlikeness(one: Float32Array, other: Float32Array) -> tuple[float, float]:
+def dissimilarity(one: Float32Array, other: Float32Array) -> tuple[float, float]:
     """Distance of two contexts 0..1, least over all turns (Kim 2018 Eq. (6)-(7)), and that turn.
 
     Returns
@@ -82,8 +82,8 @@ class ContextBank:
         self._columns = np.array([_spectrum(_unit_columns(context)) for context in contexts])
         self._seen = np.array([np.fft.rfft(_seen(context)) for context in contexts])
 
-    def unlikeness(self, context: Float32Array) -> FloatArray:
-        """(K, SECTORS) distance 0..1 of a context to each, turned by so many sectors; see `unlikeness`."""
+    def dissimilarity(self, context: Float32Array) -> FloatArray:
+        """(K, SECTORS) distance 0..1 of a context to each, turned by so many sectors; see `dissimilarity`."""
         products = (self._columns * np.conj(_spectrum(_unit_columns(context)))).sum(axis=1)
         seen = _seen(context)
         counts = np.fft.irfft(self._seen * np.conj(np.fft.rfft(seen)), SECTORS).round()

@@ -13,7 +13,7 @@ from slam.measurements import Float32Array, FloatArray, LaserScan
 
 # A surface patch is a line when its thickness is below this: floor [m2] plus share of its length squared.
 _LINE_THICKNESS = 0.02
-# A line whose direction is less sure than this is fitted again over more neighbours.
+# A line whose direction is less certain than this is fitted again over more neighbours.
 _GREATEST_NORMAL_SIGMA_RAD = 0.06
 
 

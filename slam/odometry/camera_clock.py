@@ -17,12 +17,13 @@ _MOST_S = 0.25
 # The offset is estimated from stretches of this length, at most so many of them, evenly over the run.
 _STRETCH_S = 60.0
 _MOST_STRETCHES = 20
-# A stretch tells an offset where the rates are as alike as this, and the offset as sure as this.
+# A stretch tells an offset where the rates are as alike as this, and the offset as certain as this.
 _LEAST_CORRELATION = 0.9
 _GREATEST_SIGMA_S = 0.02
 # A rate that the robot did not turn with anywhere near, by more than this, is a wrong match.
 _SLACK_RAD_S = 0.2
-# No estimate is surer than the stamps themselves; and without one, clocks are taken to agree this well.
+# No estimate is more certain than the stamps themselves; and without one, clocks are taken to agree this
+# well.
 _JITTER_S = 0.003
 _UNKNOWN_S = 0.01
 # The offset is estimated when so much is recorded, and anew whenever the run has grown by this factor.

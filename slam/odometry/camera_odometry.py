@@ -5,11 +5,11 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 
-from slam.answers import COMPUTED, Answers
 from slam.config import Config
 from slam.measurements import FloatArray
 from slam.odometry.camera_track import CameraPose, CameraTrack
 from slam.odometry.rgbd_tracker import RgbdTracker, TrackedFrame
+from slam.result_cache import COMPUTED, ResultCache
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.prepared_frame import PreparedFrame
 
@@ -17,8 +17,8 @@ from slam.vision.prepared_frame import PreparedFrame
 class CameraOdometry:
     """Tracks a camera's frames and remembers where they were taken."""
 
-    def __init__(self, config: Config, answers: Answers = COMPUTED) -> None:
-        self._tracker = RgbdTracker(FrameMatcher(config), config, answers)
+    def __init__(self, config: Config, result_cache: ResultCache = COMPUTED) -> None:
+        self._tracker = RgbdTracker(FrameMatcher(config), config, result_cache)
         self._segment = 0
         self.track = CameraTrack()
         self.lost_frames = 0

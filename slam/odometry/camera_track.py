@@ -13,7 +13,7 @@ from slam.measurements import FloatArray
 
 # Between frames further apart than this, or so long after the newest one, a pose is not known.
 _LONGEST_GAP_S = 0.25
-# A pose carried on is unsure by this share of what it was carried, one between two frames by less.
+# A pose carried on is uncertain by this share of what it was carried, one between two frames by less.
 _EXTRAPOLATION_SHARE = 0.2
 _INTERPOLATION_SHARE = 0.05
 # Sigma of the speed of a camera that was matched but once: radians and metres a second.

@@ -96,7 +96,7 @@ class CloudOdometry:
 
         Returns
         -------
-        Not converged, and unsure by a voxel, where fewer points than usual lie on planes.
+        Not converged, and uncertain by a voxel, where fewer points than usual lie on planes.
         """
         if self._map is None:
             return None
@@ -130,10 +130,10 @@ class CloudOdometry:
 
     def _around(self, pose: gtsam.Pose3) -> list[gtsam.Pose3]:
         """Places ahead, behind and beside a pose."""
-        ways_m = self._voxel_m * np.arange(1.0, REACH + 1.0)
+        paths_m = self._voxel_m * np.arange(1.0, REACH + 1.0)
         return [pose] + [
-            pose.compose(gtsam.Pose3(gtsam.Rot3(), way_m * np.array(axis)))
-            for way_m in ways_m
+            pose.compose(gtsam.Pose3(gtsam.Rot3(), path_m * np.array(axis)))
+            for path_m in paths_m
             for axis in ([1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0])
         ]
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from slam.answers import COMPUTED, Answers
 from slam.config import Config
 from slam.matching.cloud_points import base_points, deskewed, voxel_of
 from slam.matching.planar import between
@@ -17,6 +16,7 @@ from slam.odometry.cloud_odometry import CloudOdometry
 from slam.odometry.cloud_velocity import LONGEST_STEP_S, CloudVelocity
 from slam.odometry.turn_matcher import DeskewedCloud, TurnMatcher, pose_of
 from slam.odometry.wheel_tracker import WheelTracker
+from slam.result_cache import COMPUTED, ResultCache
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +44,10 @@ class TrackedCloud:
 class CloudTracker:
     """State of the odometry."""
 
-    def __init__(self, config: Config, wheels: WheelTracker | None, answers: Answers = COMPUTED) -> None:
-        self._config, self._wheels, self._answers = config, wheels, answers
+    def __init__(
+        self, config: Config, wheels: WheelTracker | None, result_cache: ResultCache = COMPUTED
+    ) -> None:
+        self._config, self._wheels, self._result_cache = config, wheels, result_cache
         self._turns = config.cloud_odometry
         self._odometry: CloudOdometry | None = None
         self._matcher: TurnMatcher | None = None
@@ -71,7 +73,7 @@ class CloudTracker:
         if self._matcher is None:
             return self._begun(cloud, seen)
         matcher = self._matcher
-        motion = self._answers.ask(
+        motion = self._result_cache.cached(
             "cloud", float(expected.x()), lambda: matcher.match(cloud, seen, guesses, before)
         )
         if motion is None:
@@ -140,6 +142,6 @@ class CloudTracker:
         """Whether the last keyframe is far enough behind."""
         step = self._keyframe.between(pose)
         turn_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(step.rotation())))
-        way_m = float(np.linalg.norm(step.translation()))
-        far = way_m > self._turns.keyframe_voxels * self.voxel_m
+        path_m = float(np.linalg.norm(step.translation()))
+        far = path_m > self._turns.keyframe_voxels * self.voxel_m
         return far or turn_rad > self._config.keyframes.angle_rad

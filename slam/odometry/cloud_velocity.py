@@ -51,7 +51,7 @@ class CloudVelocity:
         return self._pose.compose(gtsam.Pose3.Expmap(twist * step_s))
 
     def learn(self, pose: gtsam.Pose3, stamp_s: float, lever_m: float, motion: MotionEstimate) -> None:
-        """Take a sure match.
+        """Take a certain match.
 
         In a direction that nothing determined the twist stays as it was when something last did: its noise
         would else lead on.

@@ -32,10 +32,10 @@ _GREATEST_SURPRISE = 10.0
 _CAMERA_FLOOR = np.diag([0.01, 0.01, 0.008]) ** 2
 # An object of a scan is one witness: however many beams it catches, it says no more than this (nats).
 _MOST_AN_OBJECT = 5.0
-# Wheels that did well of late are taken to be surer of the way, but not of the turn, than they claim: a slip
-# of time turns a robot that moves straight on. By no more than this share of the variance.
+# Wheels that did well of late are taken to be more certain of the way, but not of the turn, than they claim:
+# a slip of time turns a robot that moves straight on. By no more than this share of the variance.
 _LEAST_SHARE = 0.02
-# Matches that err a little at every scan, all the same way, contradict the wheels' way over this time.
+# Matches that err a little at every scan, all the same way, contradict the wheels' path over this time.
 _WINDOW_S = 1.0
 # Only a match that this share of the points agrees with may judge a predictor.
 _JUDGE_INLIER_SHARE = 0.8
@@ -65,7 +65,7 @@ class TrackedScan:
     dispute: FloatArray
 
     @property
-    def sure(self) -> bool:
+    def confident(self) -> bool:
         """Whether the lidar matched and nothing contradicts it; the first scan is the origin, and sure."""
         return not self.dispute.any() and (self.motion is not None or not self.pose.any())
 
@@ -78,7 +78,7 @@ class _Predictor:
     memory_scans
         Scans over which it is judged.
     least_share
-        Share of the claimed variance of the way that it may be taken to have; 1 to believe no less than all.
+        Share of the claimed variance of the path that it may be taken to have; 1 to believe no less than all.
     """
 
     def __init__(self, memory_scans: float, least_share: float = 1.0) -> None:
@@ -95,7 +95,7 @@ class _Predictor:
     def rescaled(self, pose: FloatArray, covariance: FloatArray, swing_m: float = 0.0) -> Motion:
         """A pose (3,) with a covariance (3, 3) as claimed, rescaled by what was learned so far.
 
-        ``swing_m`` is a sigma of the way that whoever proved exact on the straight has all the same.
+        ``swing_m`` is a sigma of the path that whoever proved exact on the straight has all the same.
         """
         scale = np.sqrt(self.doubt * np.array([self._share, self._share, 1.0]))
         swing = np.diag([swing_m**2, swing_m**2, 0.0])
@@ -109,8 +109,8 @@ class _Predictor:
         squares = self.doubt * guess.squared_mahalanobis(pose) / 3.0
         average = self.doubt + self._rate * (min(squares, _GREATEST_SURPRISE * self.doubt) - self.doubt)
         self.doubt = max(1.0, average)
-        way = between(guess.pose, pose)[:2]
-        squares = self._share * float(way @ np.linalg.solve(guess.covariance[:2, :2], way)) / 2.0
+        shift = between(guess.pose, pose)[:2]
+        squares = self._share * float(shift @ np.linalg.solve(guess.covariance[:2, :2], shift)) / 2.0
         average = self._share + self._rate * (min(squares, _GREATEST_SURPRISE * self._share) - self._share)
         self._share = min(max(self._least_share, average), 1.0)
 
@@ -180,7 +180,7 @@ class MotionTracker:
     def _predict(
         self, last: TrackedScan, wheel_pose: FloatArray | None, cameras: Sequence[Motion], step_s: float
     ) -> list[Motion]:
-        """By cameras, by wheels, if a robot can move so, and by constant velocity: the surest first.
+        """By cameras, by wheels, if a robot can move so, and by constant velocity: the most certain first.
 
         A dispute about the pose that they start from comes on top of what they claim, and is rescaled too:
         who proved exact is believed through a dispute, or whoever walks ahead would win at the next scan.
@@ -242,7 +242,7 @@ class MotionTracker:
             return motion, _UNDISPUTED
         log_odds, held, prediction = max(rivals, key=lambda rival: rival[0])
         if log_odds < -self._config.disputed_within:
-            self._recent.clear()  # the wheels have slipped: their way until now tells nothing
+            self._recent.clear()  # the wheels have slipped: their path until now tells nothing
             self._judge(motion)
             return motion, _UNDISPUTED
         if held is None:
@@ -295,7 +295,7 @@ class MotionTracker:
         return float(np.clip(objects, -_MOST_AN_OBJECT, _MOST_AN_OBJECT).sum())
 
     def _fused(self, motion: MotionEstimate) -> FloatArray:
-        """Match and surest camera, each by its covariance: a corridor is as long as it looks."""
+        """Match and most certain camera, each by its covariance: a corridor is as long as it looks."""
         matched = Motion(row_from_pose2(motion.T_reference_base), motion.covariance)
         if not self._by_camera.guesses or not matched.agrees(self._by_camera.guesses[0]):
             return matched.pose
@@ -304,7 +304,7 @@ class MotionTracker:
         return compose(matched.pose, gain @ between(matched.pose, camera.pose))
 
     def _judge(self, motion: MotionEstimate | None) -> None:
-        """Let a match that is sure score the predictors."""
+        """Let a match that is certain score the predictors."""
         if motion is not None and motion.inlier_share >= _JUDGE_INLIER_SHARE and not motion.degenerate:
             pose = row_from_pose2(motion.T_reference_base)
             self._by_camera.judge(pose)

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from slam.answers import COMPUTED, Answers
 from slam.config import Config
 from slam.odometry.rgbd_odometry import RgbdOdometry
+from slam.result_cache import COMPUTED, ResultCache
 from slam.vision.prepared_frame import PreparedFrame
-from slam.vision.visual_match import VisualKeyframe, VisualMatch, unlikeness
+from slam.vision.visual_match import VisualKeyframe, VisualMatch, dissimilarity
 
 # A velocity is carried over at most this many times the step that it was measured over.
 _GREATEST_STRETCH = 3.0
@@ -42,9 +42,9 @@ class TrackedFrame:
 class RgbdTracker:
     """Predicts each frame's pose, matches it, and says when a keyframe is due."""
 
-    def __init__(self, odometry: RgbdOdometry, config: Config, answers: Answers = COMPUTED) -> None:
+    def __init__(self, odometry: RgbdOdometry, config: Config, result_cache: ResultCache = COMPUTED) -> None:
         self._odometry = odometry
-        self._answers = answers
+        self._result_cache = result_cache
         self._config = config
         self._local: list[VisualKeyframe] = []
         self._last: TrackedFrame | None = None
@@ -87,10 +87,10 @@ class RgbdTracker:
 
     def _match(self, frame: PreparedFrame, guess: gtsam.Pose3) -> TrackedFrame:
         """Match to the most alike keyframes, or say that the frame is lost."""
-        match = self._ask(frame, guess)
+        match = self._cached(frame, guess)
         if match is None and self._last is not None:
             # A camera that was held still or shaken has not moved on with constant velocity.
-            match = self._ask(frame, self._last.pose)
+            match = self._cached(frame, self._last.pose)
         if match is None or (self._lost and not self._found_again(match)):
             self._lost += 1
             restart = self._lost >= self._config.match.lost_after
@@ -102,9 +102,9 @@ class RgbdTracker:
         pose = match.pose
         return TrackedFrame(pose, match, self._moved_on(frame, pose, match), restarted=False)
 
-    def _ask(self, frame: PreparedFrame, guess: gtsam.Pose3) -> VisualMatch | None:
+    def _cached(self, frame: PreparedFrame, guess: gtsam.Pose3) -> VisualMatch | None:
         """Match from a guess."""
-        return self._answers.ask(
+        return self._result_cache.cached(
             "frame", guess.x(), lambda: self._odometry.match(frame, self._most_alike(guess), guess)
         )
 
@@ -116,7 +116,9 @@ class RgbdTracker:
 
     def _most_alike(self, pose: gtsam.Pose3) -> list[VisualKeyframe]:
         """Keyframes of the local map whose cameras saw most nearly the same, best first."""
-        scores = [unlikeness(keyframe.pose, pose, keyframe.frame.median_depth_m) for keyframe in self._local]
+        scores = [
+            dissimilarity(keyframe.pose, pose, keyframe.frame.median_depth_m) for keyframe in self._local
+        ]
         order = np.argsort(scores, kind="stable")[: self._config.rgbd_odometry.views]
         return [self._local[n] for n in order if n == order[0] or scores[n] < 1.0]
 

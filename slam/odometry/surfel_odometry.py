@@ -33,19 +33,19 @@ class SurfelOdometry:
         self._local_map = None
 
     def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
-        """Align from the first guess; from the others and by search where that is not sure."""
+        """Align from the first guess; from the others and by search where that is not certain."""
         local_map = self._known()
         scan = OrientedPoints.from_scan(points)
         if local_map is None or len(scan) < _LEAST_POINTS:
             return None
         best = local_map.align(scan, guesses[0].pose)
         for guess in guesses[1:]:
-            if best.inlier_share >= self._match.sure_inlier_share:
+            if best.inlier_share >= self._match.confident_inlier_share:
                 break
-            best = _surer(best, local_map.align(scan, guess.pose))
-        if best.inlier_share < self._match.sure_inlier_share:
+            best = _more_confident(best, local_map.align(scan, guess.pose))
+        if best.inlier_share < self._match.confident_inlier_share:
             for guess in guesses:
-                best = _surer(best, self._search(local_map, scan, guess.pose))
+                best = _more_confident(best, self._search(local_map, scan, guess.pose))
         if best.inlier_share < self._match.least_inlier_share:
             return None
         return motion_from_alignment(best, self._match)
@@ -87,6 +87,6 @@ class SurfelOdometry:
         return local_map.align(scan, found.pose) if found.found else None
 
 
-def _surer(a: Alignment, b: Alignment | None) -> Alignment:
+def _more_confident(a: Alignment, b: Alignment | None) -> Alignment:
     """The alignment that more points agree with."""
     return a if b is None or b.inlier_share <= a.inlier_share else b

@@ -56,8 +56,8 @@ class WheelTracker:
     def covariance(self, step: FloatArray) -> FloatArray:
         """Covariance (3, 3) of a wheel motion ``step`` (3,): floor, and shares of way and turn."""
         config = self._config
-        way_m = math.hypot(step[0], step[1])
+        path_m = math.hypot(step[0], step[1])
         turn_rad = abs(float(step[2]))
-        sigma_m = config.floor_m + config.distance_share * way_m
-        sigma_rad = config.floor_rad + config.turn_share * turn_rad + config.turn_per_m_rad * way_m
+        sigma_m = config.floor_m + config.distance_share * path_m
+        sigma_rad = config.floor_rad + config.turn_share * turn_rad + config.turn_per_m_rad * path_m
         return np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])

@@ -59,7 +59,7 @@ def connect(known: Map, session: Map) -> Connection:
     placing = place(
         Walls(KnownMap.of_saved(known), config), Walls(KnownMap.of_saved(session), config), config
     )
-    if not placing.sure:
+    if not placing.confident:
         return Connection(placing, (), None, _unplaced(placing))
     loops = find_loops(KeyframeScans.of_saved(known), KeyframeScans.of_saved(session), placing, config)
     accepted = sum(loop.accepted for loop in loops)
@@ -88,7 +88,7 @@ def _shared_scans(known: Map, session: Map) -> int:
 
 
 def _unplaced(placing: Placing) -> str:
-    """Why a placing is not sure."""
+    """Why a placing is not certain."""
     if not placing.anchors:
         return "no place of it was recognised in the map"
     if placing.nats < placing.least_nats:

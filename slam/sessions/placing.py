@@ -21,13 +21,14 @@ from slam.localization.planar_sensor import PlanarSensor
 from slam.localization.scan_view import ScanView
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
-from slam.sessions.whole_way import Followed, Sighting, follow
+from slam.sessions.whole_path import Followed, Sighting, follow
 
 # How well a sighting tells where its surroundings are, and maps bend over their length.
 SIGHT_SIGMA_M = 0.12
 SIGHT_SIGMA_RAD = 0.03
 BEND_RAD = 0.02
-# A stretch without a sure place ends after this; of a long session or map so many stretches are looked for.
+# A stretch without a certain place ends after this; of a long session or map so many stretches are looked
+# for.
 _STRETCH_M = 8.0
 _MOST_STRETCHES = 24
 # Of all proposals, those that are followed.
@@ -41,13 +42,13 @@ class Placing:
     Attributes
     ----------
     anchors
-        Keyframes of the session along the likeliest way, where the walls of the map have confirmed it.
+        Keyframes of the session along the likeliest path, where the walls of the map have confirmed it.
     nats
-        Evidence for that way over the best of the wrong ones.
+        Evidence for that path over the best of the wrong ones.
     rival_nats
         That for the likeliest other place; minus infinity where there is none.
     least_nats, lead_nats
-        Evidence that it needs, and by how much that must exceed the rival's: what makes a localiser sure.
+        Evidence that it needs, and by how much that must exceed the rival's: what makes a localiser certain.
     """
 
     anchors: Sequence[Sighting] = ()
@@ -57,7 +58,7 @@ class Placing:
     lead_nats: float = math.inf
 
     @property
-    def sure(self) -> bool:
+    def confident(self) -> bool:
         """Whether there is evidence enough, and no other place like it."""
         return bool(self.anchors) and self.nats >= max(self.least_nats, self.rival_nats + self.lead_nats)
 
@@ -78,22 +79,22 @@ class Placing:
 def place(known: Walls, session: Walls, config: Config) -> Placing:
     """Find where a session lies in a map."""
     poses = session.map.keyframe_poses
-    ways: list[tuple[Sighting, Followed]] = []
+    paths: list[tuple[Sighting, Followed]] = []
     for proposal in _distinct(_proposals(known, session, config), poses)[:_FOLLOWED]:
-        way = follow(known, session.map, proposal, config)
-        ways.append((way.anchors[len(way.anchors) // 2] if way.anchors else proposal, way))
-    if not ways:
+        path = follow(known, session.map, proposal, config)
+        paths.append((path.anchors[len(path.anchors) // 2] if path.anchors else proposal, path))
+    if not paths:
         return Placing()
-    one, best = max(ways, key=lambda found: found[1].nats)
-    rivals = [way.nats for other, way in ways if not _agree(one, other, poses)]
+    one, best = max(paths, key=lambda found: found[1].nats)
+    rivals = [path.nats for other, path in paths if not _agree(one, other, poses)]
     settings = config.localization
-    sure_nats = math.log(settings.sure_probability / (1.0 - settings.sure_probability))
+    confident_nats = math.log(settings.confident_probability / (1.0 - settings.confident_probability))
     return Placing(
         best.anchors,
         best.nats,
         max(rivals, default=-math.inf),
-        settings.nowhere_nats + sure_nats,
-        sure_nats,
+        settings.nowhere_nats + confident_nats,
+        confident_nats,
     )
 
 
@@ -109,17 +110,17 @@ def _proposals(known: Walls, session: Walls, config: Config) -> list[Sighting]:
     return found
 
 
-def _stretches(walls: Walls, way: KnownMap, config: Config) -> Iterator[tuple[int, FloatArray, float]]:
+def _stretches(walls: Walls, path: KnownMap, config: Config) -> Iterator[tuple[int, FloatArray, float]]:
     """Stretch by stretch of a way: a keyframe of it, (3,) where it may be between walls, and the evidence."""
     hypotheses = HypothesisSet(PlanarSensor(walls, config), config.localization)
     kidnap_nats = config.localization.nowhere_nats
-    poses = way.keyframe_poses
-    way_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
-    apart_m = way_m[-1] / _MOST_STRETCHES
+    poses = path.keyframe_poses
+    path_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
+    apart_m = path_m[-1] / _MOST_STRETCHES
     begin_m = 0.0
     likeliest: list[tuple[int, FloatArray, float]] = []
-    for key, scan in enumerate(way.keyframe_scans):
-        if scan is None or way_m[key] < begin_m:
+    for key, scan in enumerate(path.keyframe_scans):
+        if scan is None or path_m[key] < begin_m:
             continue
         view, pose = ScanView.of(scan, config), pose2_from_row(poses[key])
         if not hypotheses.due(view, pose):
@@ -135,11 +136,11 @@ def _stretches(walls: Walls, way: KnownMap, config: Config) -> Iterator[tuple[in
         winner = hypotheses.winner()
         if winner is not None:
             likeliest = [(key, row_from_pose2(winner.pose), winner.total(kidnap_nats))]
-        if winner is not None or way_m[key] > begin_m + _STRETCH_M:
+        if winner is not None or path_m[key] > begin_m + _STRETCH_M:
             yield from likeliest
             likeliest = []
             hypotheses.clear()
-            begin_m = max(begin_m + apart_m, way_m[key])
+            begin_m = max(begin_m + apart_m, path_m[key])
     yield from likeliest
 
 

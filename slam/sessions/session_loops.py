@@ -38,7 +38,7 @@ class KeyframeScans:
     def __len__(self) -> int:
         return len(self.scans)
 
-    def way_m(self) -> FloatArray:
+    def path_m(self) -> FloatArray:
         """(K,) way from the first to each."""
         return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self.poses[:, :2], axis=0).T))])
 
@@ -53,9 +53,11 @@ def find_loops(
     Every candidate, its ``place`` a keyframe of the map, its ``keyframe`` numbered after those of the map.
     """
     closer = LoopCloser(config.loops, config.match)
-    known_m, session_m = known.way_m(), session.way_m()
-    for part, way_m, first in ((known, known_m, 0), (session, session_m, int(known.sessions[-1]) + 1)):
-        for scan, pose, travelled_m, number in zip(part.scans, part.poses, way_m, part.sessions, strict=True):
+    known_m, session_m = known.path_m(), session.path_m()
+    for part, path_m, first in ((known, known_m, 0), (session, session_m, int(known.sessions[-1]) + 1)):
+        for scan, pose, travelled_m, number in zip(
+            part.scans, part.poses, path_m, part.sessions, strict=True
+        ):
             closer.add_keyframe(_points(scan, config), pose, travelled_m, first + number)
     tried = []
     next_m = -np.inf
@@ -74,7 +76,7 @@ def find_loops(
 
 
 def _places_near(
-    known: KeyframeScans, expected: FloatArray, way_m: FloatArray, config: Config
+    known: KeyframeScans, expected: FloatArray, path_m: FloatArray, config: Config
 ) -> Iterator[int]:
     """Keyframes of the map around a pose (3,), the nearest of each pass first."""
     loops = config.loops
@@ -88,7 +90,7 @@ def _places_near(
             continue
         if all(
             known.sessions[place] != known.sessions[other]
-            or abs(way_m[place] - way_m[other]) > loops.least_path_m
+            or abs(path_m[place] - path_m[other]) > loops.least_path_m
             for other in chosen
         ):
             chosen.append(place)

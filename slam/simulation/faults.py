@@ -262,7 +262,7 @@ def _blinded(surfaces: Surfaces, config: FaultConfig, rng: np.random.Generator) 
 
 
 def _swallowed(surfaces: Surfaces, config: FaultConfig, rng: np.random.Generator) -> BoolArray | None:
-    """Dark surfaces, the farther and the more slanted the surer."""
+    """Dark surfaces, the farther and the more slanted the more certain."""
     dark = surfaces.material == Material.DARK
     if config.dark_range_m == 0.0 or not dark.any():
         return None

@@ -53,16 +53,16 @@ def plan_walk(home: Home, robot: Tour, seed: int) -> Walk:
     """
     # Begun half way, so that the person is not where the robot starts.
     try:
-        way = plan_tour(home, _RADIUS_M, _HEIGHT_M, seed, 1.5 * robot.duration_s + 60.0, _LIMITS)
+        path = plan_tour(home, _RADIUS_M, _HEIGHT_M, seed, 1.5 * robot.duration_s + 60.0, _LIMITS)
     except ConfigError as error:
         raise ConfigError(f"no room for a person: {error}; simulate without the person") from error
     count = math.ceil(robot.duration_s / _STEP_S) + 1
     robots = robot.poses_at(_STEP_S * np.arange(count, dtype=np.float64))[:, :2]
-    at_s = min(0.5 * way.lap_s, 0.3 * way.duration_s)
+    at_s = min(0.5 * path.lap_s, 0.3 * path.duration_s)
     positions = np.empty((count, 2))
     for index in range(count):
         choices = [at_s + _STEP_S, at_s, max(0.0, at_s - _STEP_S)]
-        places = way.poses_at(np.array(choices))[:, :2]
+        places = path.poses_at(np.array(choices))[:, :2]
         distances = np.linalg.norm(places - robots[index], axis=1)
         polite = np.flatnonzero(distances >= _POLITE_M)
         choice = int(polite[0]) if polite.size else int(np.argmax(distances))

@@ -94,7 +94,7 @@ def floor_map(
     return FloorMap(clearance, resolution_m, origin_xy, required_m, preferred_m, nodes, graph)
 
 
-def cheapest_ways(floor: FloorMap, stops: Sequence[int]) -> tuple[FloatArray, list[list[IntArray | None]]]:
+def cheapest_paths(floor: FloorMap, stops: Sequence[int]) -> tuple[FloatArray, list[list[IntArray | None]]]:
     """Cheapest ways between all pairs of stops.
 
     Parameters
@@ -110,10 +110,10 @@ def cheapest_ways(floor: FloorMap, stops: Sequence[int]) -> tuple[FloatArray, li
         The nodes of each way, both ends included.
     """
     costs, before = csgraph.dijkstra(floor.graph, indices=list(stops), return_predecessors=True)
-    ways: list[list[IntArray | None]] = []
+    paths: list[list[IntArray | None]] = []
     for index, start in enumerate(stops):
-        ways.append([chain(before[index], start, end) for end in stops])
-    return costs[:, list(stops)], ways
+        paths.append([chain(before[index], start, end) for end in stops])
+    return costs[:, list(stops)], paths
 
 
 def smooth_path(floor: FloorMap, points_m: FloatArray, spacing_m: float) -> FloatArray:

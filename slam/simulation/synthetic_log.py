@@ -211,13 +211,13 @@ def wheel_odometry(config: SyntheticLogConfig, poses: FloatArray, rng: np.random
     noise = config.wheel_sigma * np.sqrt(np.abs(travel)) * rng.standard_normal(travel.shape)
     scale = np.array([config.wheel_scale_left, config.wheel_scale_right])
     reported = travel * scale * (1.0 + config.slip_share * _slipping(config, len(travel), rng)) + noise
-    told_ahead = reported.mean(axis=1)
-    told_turn = (reported[:, 1] - reported[:, 0]) / config.wheel_base_m
-    yaw = np.concatenate([[0.0], np.cumsum(told_turn)])
-    heading = yaw[:-1] + 0.5 * told_turn
+    reported_ahead = reported.mean(axis=1)
+    reported_turn = (reported[:, 1] - reported[:, 0]) / config.wheel_base_m
+    yaw = np.concatenate([[0.0], np.cumsum(reported_turn)])
+    heading = yaw[:-1] + 0.5 * reported_turn
     odometry = np.zeros((len(poses), 3))
-    odometry[1:, 0] = np.cumsum(told_ahead * np.cos(heading))
-    odometry[1:, 1] = np.cumsum(told_ahead * np.sin(heading))
+    odometry[1:, 0] = np.cumsum(reported_ahead * np.cos(heading))
+    odometry[1:, 1] = np.cumsum(reported_ahead * np.sin(heading))
     odometry[:, 2] = np.arctan2(np.sin(yaw), np.cos(yaw))
     return odometry
 

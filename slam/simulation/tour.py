@@ -13,7 +13,7 @@ from scipy.sparse import csgraph
 from slam.errors import ConfigError
 from slam.measurements import BoolArray, FloatArray
 from slam.simulation.home_model import Home, Room
-from slam.simulation.route import FloorMap, cheapest_ways, floor_map, smooth_path
+from slam.simulation.route import FloorMap, cheapest_paths, floor_map, smooth_path
 from slam.simulation.steering import STEP_S, DriveLimits, advance, follow_path
 from slam.simulation.true_grid import true_grid
 
@@ -178,13 +178,13 @@ def _laps(home: Home, floor: FloorMap, rng: np.random.Generator) -> list[FloatAr
             log.warning("no way into room %s for a robot with %.2f m about it", room.name, floor.required_m)
         groups.append(list(range(len(stops), len(stops) + len(found))))
         stops += found
-    costs, ways = cheapest_ways(floor, stops)
+    costs, paths = cheapest_paths(floor, stops)
     laps: list[FloatArray] = []
     for last in range(len(groups), 0, -1):
         for stops_a_room in (2, 1):
             # With one stop a room there is none where the robot is already.
             order = _order(groups[2 - stops_a_room : last], stops_a_room, costs)
-            pieces = [ways[a][b] for a, b in itertools.pairwise([*order, 0])]
+            pieces = [paths[a][b] for a, b in itertools.pairwise([*order, 0])]
             nodes = np.concatenate([piece[:-1] for piece in pieces if piece is not None] + [[start]])
             if len(nodes) > 1:
                 laps.append(smooth_path(floor, centres[nodes], _SPACING_M))

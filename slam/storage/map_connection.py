@@ -102,7 +102,7 @@ def plain(text: object) -> str:
 
 
 @contextmanager
-def told(path: Path, done: str) -> Iterator[None]:
+def reported(path: Path, done: str) -> Iterator[None]:
     """Turn what SQLite and the disk say into one line."""
     try:
         yield

@@ -13,8 +13,17 @@ from pathlib import Path
 
 from slam.errors import MapFileError, UnfinishedMapError
 from slam.storage.files import TemporaryFolder
-from slam.storage.map_connection import begin, beside, check_kind, plain, reader, refuse_in_use, told, writer
-from slam.storage.map_tables import JOURNAL, META, TABLES, Table, Value
+from slam.storage.map_connection import (
+    begin,
+    beside,
+    check_kind,
+    plain,
+    reader,
+    refuse_in_use,
+    reported,
+    writer,
+)
+from slam.storage.map_tables import CHECKPOINT, META, TABLES, Table, Value
 
 MAP_NAME = "map.db"
 # A crash loses at most this and what one scan takes.
@@ -72,7 +81,7 @@ class MapFile:
     @classmethod
     def create(cls, path: Path) -> MapFile:
         """A new, empty map in the place of whatever is there, unless another process writes that."""
-        with told(path, "made"):
+        with reported(path, "made"):
             refuse_in_use(path)
             for stale in (path, *beside(path)):
                 stale.unlink(missing_ok=True)
@@ -100,7 +109,7 @@ class MapFile:
         """
         if not path.exists() or not path.stat().st_size:
             return None
-        with told(path, "opened"):
+        with reported(path, "opened"):
             file = cls(path, writer(path))
             try:
                 if not file._connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0]:
@@ -129,7 +138,7 @@ class MapFile:
             raise MapFileError(
                 f"no map at {path}; give a folder that 'scanweave map' has made, or its map.db"
             )
-        with told(path, "read"):
+        with reported(path, "read"):
             if any(left.exists() for left in beside(path)):
                 raise UnfinishedMapError(_unfinished(path))
             connection = reader(path)
@@ -162,7 +171,7 @@ class MapFile:
     def append(self, table: Table, *values: Value) -> int:
         """Write the next row; its number."""
         number = self._counts[table.name]
-        with told(self.path, "written"):
+        with reported(self.path, "written"):
             row = (number, table.checksum(number, values), *values)
             self._connection.execute(table.insert_sql, row)
         self._counts[table.name] = number + 1
@@ -197,7 +206,7 @@ class MapFile:
 
     def clear(self, table: Table) -> None:
         """Remove all rows of a table."""
-        with told(self.path, "written"):
+        with reported(self.path, "written"):
             self._connection.execute(f"DELETE FROM {table.name}")
         self._counts[table.name] = 0
 
@@ -214,7 +223,7 @@ class MapFile:
         """Make everything so far safe from a crash of the process."""
         for flush in self._before_commit:
             flush()
-        with told(self.path, "written"):
+        with reported(self.path, "written"):
             self._connection.execute("COMMIT")
             self._connection.execute("BEGIN")
         self._committed_at = time.monotonic()
@@ -222,14 +231,14 @@ class MapFile:
     def seal(self) -> None:
         """Say that the map is finished, with count and digest of every table, and leave one closed file."""
         self._before_commit.clear()
-        self.clear(JOURNAL)
+        self.clear(CHECKPOINT)
         self.add_meta(_SEAL, json.dumps(self._digests()))
         self.commit()
         self.compact()
 
     def compact(self) -> None:
         """Give back the room of what was removed, and leave nothing beside the file; it is closed then."""
-        with told(self.path, "finished"):
+        with reported(self.path, "finished"):
             run = self._connection.execute
             run("COMMIT")
             run("VACUUM")
@@ -259,7 +268,7 @@ class MapFile:
         MapFileError
             With the first fault.
         """
-        with told(self.path, "checked"):
+        with reported(self.path, "checked"):
             (verdict,) = self._connection.execute("PRAGMA integrity_check(1)").fetchone()
         if verdict != "ok":
             raise MapFileError(f"{self.path} is damaged: {plain(verdict)}")

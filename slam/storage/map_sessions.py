@@ -41,7 +41,7 @@ def sessions_of(meta: Mapping[str, str], keyframes: int, poses: int) -> list[Map
     Raises
     ------
     MapFileError
-        Where they are told, but do not make up the map.
+        Where they are reported, but do not make up the map.
     """
     if SESSIONS not in meta:
         return [MapSession(meta["log_name"], meta["log_fingerprint"], keyframes, poses)]

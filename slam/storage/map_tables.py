@@ -106,7 +106,7 @@ GRIDS: Final = Table(
     ),
 )
 # Answers of matchers and verifiers while a log is mapped; gone when the map is finished.
-JOURNAL: Final = Table("journal", (("first", "INTEGER"), ("answers", "BLOB")))
+CHECKPOINT: Final = Table("journal", (("first", "INTEGER"), ("answers", "BLOB")))
 
 # The cloud of each node, where a 3D lidar made the map.
 CLOUDS: Final = Table("clouds", (("stamp_s", "REAL"), ("lidar", "BLOB"), ("points", "BLOB")))
@@ -114,7 +114,19 @@ CLOUDS: Final = Table("clouds", (("stamp_s", "REAL"), ("lidar", "BLOB"), ("point
 # What the run learned of each camera, by its name: where it sits, its colour camera, its clock.
 CAMERAS: Final = Table("cameras", (("sensor", "TEXT"), ("learned", "BLOB")))
 
-TABLES: Final = (META, KEYFRAMES, FRAMES, IMAGES, FACTORS, LOOPS, TRAJECTORY, GRIDS, JOURNAL, CLOUDS, CAMERAS)
+TABLES: Final = (
+    META,
+    KEYFRAMES,
+    FRAMES,
+    IMAGES,
+    FACTORS,
+    LOOPS,
+    TRAJECTORY,
+    GRIDS,
+    CHECKPOINT,
+    CLOUDS,
+    CAMERAS,
+)
 
 
 def tables_of(version: int) -> tuple[Table, ...]:

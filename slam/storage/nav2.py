@@ -230,7 +230,7 @@ def _image_path(fields: dict[str, Any], path: Path) -> Path:
 
 
 def _mode(fields: dict[str, Any], path: Path) -> Mode:
-    """The mode; trinary where none is told."""
+    """The mode; trinary where none is reported."""
     mode = fields.get("mode", "trinary")
     if mode == "trinary" or mode == "scale" or mode == "raw":
         return mode

@@ -82,12 +82,12 @@ def _write_raw(stem: Path, percent: StateArray, trinary_yaml: Path) -> Path:
     image_path, yaml_path = stem.with_name(f"{stem.name}.pgm"), stem.with_name(f"{stem.name}.yaml")
     write_pgm(image_path, percent[::-1].view(np.uint8))
     lines = trinary_yaml.read_text(encoding="utf-8").splitlines()
-    told = {"image": image_path.name, "mode": "raw"}
-    write_lines(yaml_path, [f"# {_RAW}", *(_replaced(line, told) for line in lines[1:])])
+    reported = {"image": image_path.name, "mode": "raw"}
+    write_lines(yaml_path, [f"# {_RAW}", *(_replaced(line, reported) for line in lines[1:])])
     return yaml_path
 
 
-def _replaced(line: str, told: dict[str, str]) -> str:
+def _replaced(line: str, reported: dict[str, str]) -> str:
     """A line of the yaml, with another value where there is one."""
     key = line.split(":", 1)[0]
-    return f"{key}: {told[key]}" if key in told else line
+    return f"{key}: {reported[key]}" if key in reported else line

@@ -29,7 +29,7 @@ def record_map(viewer: Viewer, result: MapResult, layers: LayeredMap | None, con
     """Show a finished map."""
     poses = [result.graph.pose(node) for node in range(len(result.graph))]
     positions_m = np.array([_position(pose) for pose in poses]).reshape(-1, 3)
-    viewer.way("trajectory", result.trajectory.positions_m)
+    viewer.polyline("trajectory", result.trajectory.positions_m)
     for name, holds in (("graph", True), ("refused edges", False)):
         ends = [
             (positions_m[edge.source], positions_m[edge.target])

@@ -38,7 +38,7 @@ class Viewer(Protocol):
     def image(self, sensor: str, color: ColorImage, depth_m: Float32Array) -> None:
         """What a camera sees."""
 
-    def way(self, name: str, positions_m: FloatArray) -> None:
+    def polyline(self, name: str, positions_m: FloatArray) -> None:
         """(N, 2) or (N, 3) positions of a trajectory."""
 
     def edges(self, name: str, ends_m: FloatArray, *, holds: bool) -> None:
@@ -69,7 +69,7 @@ class NullViewer:
     def image(self, sensor: str, color: ColorImage, depth_m: Float32Array) -> None:
         """See `Viewer`."""
 
-    def way(self, name: str, positions_m: FloatArray) -> None:
+    def polyline(self, name: str, positions_m: FloatArray) -> None:
         """See `Viewer`."""
 
     def edges(self, name: str, ends_m: FloatArray, *, holds: bool) -> None:
@@ -116,7 +116,7 @@ class RerunViewer:
         depth_mm = np.clip(1000.0 * depth_m, 0, 65535).astype(np.uint16)
         self._log(f"cameras/{sensor}/depth", self._rr.DepthImage(depth_mm, meter=1000.0))
 
-    def way(self, name: str, positions_m: FloatArray) -> None:
+    def polyline(self, name: str, positions_m: FloatArray) -> None:
         """See `Viewer`."""
         color = _GREY if name == "truth" else _BLUE
         self._log(f"map/ways/{name}", self._rr.LineStrips3D([_lifted(positions_m)], colors=color))

@@ -45,7 +45,7 @@ class FrameMatcher:
             # Features that are elsewhere speak against the guess; where they are expected they are not seen.
             landmarks = self._landmarks(frame, known)
         best = self._align(frame, local, landmarks, guess)
-        if self._share(best) < self._match.sure_inlier_share or not best.converged:
+        if self._share(best) < self._match.confident_inlier_share or not best.converged:
             landmarks = landmarks if anywhere else self._landmarks(frame, known)
             found = self._by_features(frame, landmarks)
             if found is not None:

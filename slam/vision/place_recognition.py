@@ -65,7 +65,7 @@ class PlaceIndex:
     queried, kept
         How many descriptors of a query, and of a keyframe, are used: evenly spread over what is given.
     group
-        Candidates at most so many keys apart are one place, of which the best is told.
+        Candidates at most so many keys apart are one place, of which the best is reported.
     """
 
     def __init__(

@@ -72,7 +72,7 @@ def covariance_of(
     return covariance, weak
 
 
-def unlikeness(pose: gtsam.Pose3, other: gtsam.Pose3, depth_m: float) -> float:
+def dissimilarity(pose: gtsam.Pose3, other: gtsam.Pose3, depth_m: float) -> float:
     """How differently two cameras see: travel in depths of the scene and turn in radians, together."""
     step = pose.between(other)
     travel = float(np.linalg.norm(step.translation())) / depth_m

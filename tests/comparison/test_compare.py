@@ -63,9 +63,9 @@ def test_both_tables_hold_the_same_rows(tiny: Tiny) -> None:
     table = pq.read_table(tiny.out / "results.parquet").to_pylist()
     assert len(lines) == len(table) == 4
     assert len({line["key"] for line in lines}) == 4
-    for line, told in zip(lines, table, strict=True):
-        assert line["configuration"] == told["configuration"] and line["status"] == told["status"]
-        assert (float(line["ate_m"]) if line["ate_m"] else None) == told["ate_m"]
+    for line, reported in zip(lines, table, strict=True):
+        assert line["configuration"] == reported["configuration"] and line["status"] == reported["status"]
+        assert (float(line["ate_m"]) if line["ate_m"] else None) == reported["ate_m"]
 
 
 def test_evo_reads_what_is_written_for_it(tiny: Tiny) -> None:

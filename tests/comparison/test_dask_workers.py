@@ -26,12 +26,18 @@ _START_S = 120.0
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
     """Address of a scheduler on loopback, and its two workers."""
-    told = tmp_path / "scheduler.json"
+    reported = tmp_path / "scheduler.json"
     with ExitStack() as stack:
 
         def started(kind: str, *arguments: str) -> subprocess.Popen[bytes]:
             log = stack.enter_context((tmp_path / f"{kind}-{len(arguments)}.log").open("ab"))
-            command = [sys.executable, "-m", f"distributed.cli.dask_{kind}", "--scheduler-file", str(told)]
+            command = [
+                sys.executable,
+                "-m",
+                f"distributed.cli.dask_{kind}",
+                "--scheduler-file",
+                str(reported),
+            ]
             process = subprocess.Popen(
                 [*command, "--no-dashboard", *arguments], cwd=tmp_path, stdout=log, stderr=log
             )
@@ -43,16 +49,16 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]
         workers = [
             started("worker", "--no-nanny", "--nthreads", "1", "--host", "127.0.0.1") for _ in range(2)
         ]
-        yield _address(told), workers
+        yield _address(reported), workers
 
 
-def _address(told: Path) -> str:
+def _address(reported: Path) -> str:
     """The scheduler's address, once both workers are there."""
     from distributed import Client
 
     deadline_s = time.monotonic() + _START_S
     while time.monotonic() < deadline_s:
-        if told.is_file() and (text := told.read_text()):
+        if reported.is_file() and (text := reported.read_text()):
             address: str = json.loads(text)["address"]
             with Client(address, set_as_default=False) as client:
                 client.wait_for_workers(2, timeout=_START_S)

@@ -67,8 +67,8 @@ def test_libraries_are_told_to_use_one_thread(tmp_path: Path) -> None:
     limits = "{name: v for name, v in os.environ.items() if name.endswith('_NUM_THREADS')}"
     row = perform(command_run(f"{TELLS}; import os; print({limits})").to_dict(), str(tmp_path))
     assert row["status"] == "ok"
-    told = (ResultStore(tmp_path).of("k") / "log.txt").read_text()
-    assert all(f"'{name}_NUM_THREADS': '1'" in told for name in ("OMP", "OPENBLAS", "NUMBA", "MKL"))
+    reported = (ResultStore(tmp_path).of("k") / "log.txt").read_text()
+    assert all(f"'{name}_NUM_THREADS': '1'" in reported for name in ("OMP", "OPENBLAS", "NUMBA", "MKL"))
 
 
 def test_a_killed_worker_takes_its_run_with_it(tmp_path: Path) -> None:

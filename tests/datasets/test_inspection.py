@@ -176,7 +176,7 @@ def test_a_camera_is_told_with_its_depth_and_mounting() -> None:
 def test_a_camera_without_mounting_and_without_depth_is_told_so() -> None:
     empty = dataclasses.replace(frame(1.0, 0.0, None), depth_m=np.zeros((48, 64), np.float32))
     found = inspect_dataset(Listed([empty]))
-    assert "mounting not told" in inspection_text(found)
+    assert "mounting not reported" in inspection_text(found)
     assert "no valid depth, 0.0%" in inspection_text(found)
     json.dumps(found.to_dict(), allow_nan=False)
 

@@ -100,9 +100,9 @@ def painted(picture: FloatArray, color: tuple[int, int, int]) -> int:
 
 def test_a_run_with_fusion_tells_of_it(tmp_path: Path) -> None:
     html = page(summary(), tmp_path)
-    told = html[html.index("<h2>Fusion of lidar and depth (Xu2024)") :].split("</section>")[0]
-    assert "fusion of &lt;8&gt; keyframes" in told and "7 of 8 pairs were repaired." in told
-    assert told.count("<img") == 3
+    reported = html[html.index("<h2>Fusion of lidar and depth (Xu2024)") :].split("</section>")[0]
+    assert "fusion of &lt;8&gt; keyframes" in reported and "7 of 8 pairs were repaired." in reported
+    assert reported.count("<img") == 3
 
 
 def test_a_run_without_fusion_does_not(tmp_path: Path) -> None:
@@ -131,9 +131,9 @@ def test_pairs_have_the_colour_of_their_grade_at_the_height_of_their_u() -> None
     shown = summary()
     picture = pixels(offsets_png(shown))[30:-40]  # without legend and labels
     lone = np.argwhere(np.abs(picture - RED).max(axis=-1) < 30)
-    sure = np.argwhere(np.abs(picture - GREEN).max(axis=-1) < 30)
-    assert lone[:, 0].max() < sure[:, 0].min()  # u = 140 is above u = 91
-    assert lone[:, 1].min() > sure[:, 1].max()  # and came last
+    confident = np.argwhere(np.abs(picture - GREEN).max(axis=-1) < 30)
+    assert lone[:, 0].max() < confident[:, 0].min()  # u = 140 is above u = 91
+    assert lone[:, 1].min() > confident[:, 1].max()  # and came last
     without = pixels(offsets_png(replace(shown, pairs=shown.pairs[:-1])))[30:-40]
     assert painted(without, RED) == 0
 

@@ -114,7 +114,11 @@ def test_a_map_by_lidar_is_told_in_scans(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "keep", "expected"),
     [
-        (EdgeKind.RGBD, True, "At 30 of 100 moments the lidar told nothing; cameras told the motion."),
+        (
+            EdgeKind.RGBD,
+            True,
+            "At 30 of 100 moments the lidar reported nothing; cameras reported the motion.",
+        ),
         (EdgeKind.RGBD, False, "30 of 100 scans matched nothing; their motion is dead reckoning."),
         (EdgeKind.WHEEL, True, "30 of 100 scans matched nothing; their motion is dead reckoning."),
     ],
@@ -129,7 +133,7 @@ def test_only_the_steps_that_cameras_told_are_theirs() -> None:
     run.graph.edges[0] = replace(run.graph.edges[0], kind=EdgeKind.WHEEL)
     assert report(run).warnings == [
         "11 of 100 scans matched nothing; their motion is dead reckoning.",  # 30 to 40
-        "At 19 of 100 moments the lidar told nothing; cameras told the motion.",  # 41 to 59
+        "At 19 of 100 moments the lidar reported nothing; cameras reported the motion.",  # 41 to 59
     ]
 
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 import fusion
 from fusion.alignment import Alignment, planar
-from fusion.carry import carry, smooth, without_bumps
 from fusion.native_slice import native_slice
+from fusion.reprojection import reproject, smooth, without_bumps
 
 OFFSET = (0.1, 0.02)
 RIG = fusion.RigEstimate(
@@ -44,7 +44,7 @@ def seen_beams(scan, image):
     piece = native_slice(image, RIG.height_m)
     beams = (scan.start_angle_rad, scan.step_rad, scan.ranges_m.size)
     return np.isfinite(
-        carry(piece.ranges_m, piece.start_angle_rad, piece.step_rad, planar(*OFFSET, 0.0), beams, 0.01)
+        reproject(piece.ranges_m, piece.start_angle_rad, piece.step_rad, planar(*OFFSET, 0.0), beams, 0.01)
     )
 
 
@@ -260,8 +260,8 @@ def test_a_clockwise_sweep_is_repaired_the_same():
 def test_a_curve_carried_there_and_back_is_itself(x, y, yaw):
     scan = world.lidar(boxes=((3.0, -9.0, 3.2, 9.0, 2.5),))
     grid = (scan.start_angle_rad, scan.step_rad, scan.ranges_m.size)
-    there = carry(scan.valid_ranges_m(), grid[0], grid[1], planar(x, y, yaw), grid, 0.02)
-    back = carry(there, grid[0], grid[1], np.linalg.inv(planar(x, y, yaw)), grid, 0.02)
+    there = reproject(scan.valid_ranges_m(), grid[0], grid[1], planar(x, y, yaw), grid, 0.02)
+    back = reproject(there, grid[0], grid[1], np.linalg.inv(planar(x, y, yaw)), grid, 0.02)
     ahead = np.abs(scan.bearings_rad()) < 0.6
     assert back[ahead] == pytest.approx(scan.ranges_m[ahead], abs=0.01)
 

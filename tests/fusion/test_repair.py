@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fusion
-from fusion.carry import smooth, without_bumps
-from fusion.repair import among_readings, calm, repair_lidar
+from fusion.repair import among_readings, repair_lidar, smooth_outliers
+from fusion.reprojection import smooth, without_bumps
 
 MEASURED, FILLED, INTERPOLATED, HOLE, AVERAGED = fusion.Provenance
 EPS = 0.025
@@ -159,7 +159,7 @@ def test_a_lone_hole_at_a_jump_or_in_a_corner_stays():
 def calmed(ranges, step=0.006, noise=0.005):
     steady = smooth(without_bumps(ranges, step, 1, 4, 0.04), step, 4, 0.04)
     result, source = ranges.copy(), np.zeros(ranges.size, np.uint8)
-    calm(result, steady, source, 3.3 * noise)
+    smooth_outliers(result, steady, source, 3.3 * noise)
     return result, source
 
 

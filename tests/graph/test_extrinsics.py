@@ -1,4 +1,4 @@
-"""The camera's mount from two odometries: accuracy, bad pairs, wrong starts, and what cannot be told."""
+"""The camera's mount from two odometries: accuracy, bad pairs, wrong starts, and what cannot be reported."""
 
 from dataclasses import replace
 from functools import partial
@@ -36,10 +36,10 @@ def pair_of(
     spatial = gtsam.Pose3(step) if planar else step
     seen = mount.inverse() * spatial * mount
     seen = seen * gtsam.Pose3.Expmap(noise * CAMERA_SIGMAS * rng.normal(size=6))
-    told = step * type(step).Expmap(noise * sigmas * rng.normal(size=sigmas.size))
+    reported = step * type(step).Expmap(noise * sigmas * rng.normal(size=sigmas.size))
     if rng.random() < bad:
         seen = [gtsam.Pose3(), seen * gtsam.Pose3.Expmap(rng.normal(0.0, 0.3, 6))][rng.integers(2)]
-    return MotionPair(told, np.diag(sigmas**2), seen, np.diag(CAMERA_SIGMAS**2))
+    return MotionPair(reported, np.diag(sigmas**2), seen, np.diag(CAMERA_SIGMAS**2))
 
 
 def drive(rng: np.random.Generator, count: int = 150, turn_rad: float = 0.25) -> list[gtsam.Pose2]:
@@ -102,7 +102,7 @@ def test_without_noise_it_is_exact() -> None:
 @settings(max_examples=12, deadline=None)
 @given(st.tuples(*[st.floats(-3.1, 3.1)] * 3), st.tuples(*[st.floats(-1.0, 1.0)] * 3))
 def test_any_mount_in_space(turn: tuple[float, float, float], offset: tuple[float, float, float]) -> None:
-    """A hand-held rig turns about all axes: all six numbers are told, whatever they are."""
+    """A hand-held rig turns about all axes: all six numbers are reported, whatever they are."""
     mount = gtsam.Pose3(gtsam.Rot3.RzRyRx(*turn), np.array(offset))
     rng = np.random.default_rng(1)
     steps = [gtsam.Pose3.Expmap(rng.normal(0.0, 0.2, 6)) for _ in range(40)]

@@ -21,13 +21,13 @@ from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
 
 AHEAD = np.array([0.2, 0.0, 0.05])
-SURE = np.diag([0.005, 0.005, 0.002]) ** 2
+CONFIDENT = np.diag([0.005, 0.005, 0.002]) ** 2
 ROUGH = np.diag([0.07, 0.07, 0.04]) ** 2
 WRONG = np.array([0.15, -0.1, 0.1])
 PROBABILITY = 0.99
 
 
-def step(motion: FloatArray = AHEAD, covariance: FloatArray = SURE) -> Motion:
+def step(motion: FloatArray = AHEAD, covariance: FloatArray = CONFIDENT) -> Motion:
     return Motion(motion, covariance)
 
 
@@ -68,7 +68,7 @@ def truth(count: int) -> FloatArray:
 
 
 def loop(place: int, keyframe: int, motion: FloatArray, *, accepted: bool = True) -> LoopCandidate:
-    estimate = MotionEstimate(pose2_from_row(motion), SURE, 0.9, 0.9, 0.01, True, False, np.zeros(3))
+    estimate = MotionEstimate(pose2_from_row(motion), CONFIDENT, 0.9, 0.9, 0.01, True, False, np.zeros(3))
     return LoopCandidate(place, keyframe, 0.3, 0.1, 0.9, estimate, accepted, "" if accepted else "too few")
 
 
@@ -120,7 +120,7 @@ class TestNewKeyframe:
 
     def test_match_and_wheels_are_averaged_by_their_covariances(self) -> None:
         graph = empty()
-        follow(graph, AHEAD, step(covariance=SURE), step(beside(0.01, 0, 0), 3.0 * SURE))
+        follow(graph, AHEAD, step(covariance=CONFIDENT), step(beside(0.01, 0, 0), 3.0 * CONFIDENT))
         assert refused(graph) == []
         np.testing.assert_allclose(graph.rows()[1], beside(0.0025, 0, 0), atol=1e-6)
 
@@ -146,7 +146,7 @@ class TestWhoIsRefused:
 
     def test_wheels_against_a_match(self) -> None:
         graph = chain(4)
-        follow(graph, AHEAD, step(), step(astray(), SURE))
+        follow(graph, AHEAD, step(), step(astray(), CONFIDENT))
         assert refused(graph) == [EdgeKind.WHEEL]
         assert worst(graph) < 1e-3
 
@@ -158,7 +158,7 @@ class TestWhoIsRefused:
 
     def test_a_camera_against_wheels_where_nothing_matched(self) -> None:
         graph = chain(4)
-        follow(graph, AHEAD, None, step(covariance=SURE), [step(astray())])
+        follow(graph, AHEAD, None, step(covariance=CONFIDENT), [step(astray())])
         assert refused(graph) == [EdgeKind.RGBD]
         assert worst(graph) < 1e-3
 
@@ -190,7 +190,7 @@ class TestWhoIsRefused:
         """The match was a person's who walked ahead: what is left holds loosely where the camera says."""
         graph = chain(3)
         follow(
-            graph, astray(), step(astray()), step(covariance=4.0 * SURE), [step(), step()],
+            graph, astray(), step(astray()), step(covariance=4.0 * CONFIDENT), [step(), step()],
             match_doubtful=True,
         )  # fmt: skip
         assert EdgeKind.LIDAR in refused(graph)
@@ -222,7 +222,7 @@ class TestBridge:
         for _ in range(2):
             follow(graph, drift, None, step(drift, ROUGH))
         follow(graph, AHEAD, step(covariance=unmeasured(GraphConfig(), 0.1, planar=True)), step(drift, ROUGH))
-        graph.add_edge(Edge(2, 5, pose2_from_row(bridge), SURE, EdgeKind.LIDAR, trusted=not doubtful))
+        graph.add_edge(Edge(2, 5, pose2_from_row(bridge), CONFIDENT, EdgeKind.LIDAR, trusted=not doubtful))
         return graph
 
     def test_it_is_as_exact_as_the_match(self) -> None:

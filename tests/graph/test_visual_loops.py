@@ -54,7 +54,7 @@ class Walk:
 
 
 TRUE = [HOME, *AWAY, RETURN]
-# The same walk with a return that is believed two metres and half a turn off: only its looks can tell.
+# The same walk with a return that is believed two metres and half a turn off: only its appearance can tell.
 LOST = [*TRUE[:-1], gtsam.Pose3(gtsam.Rot3.Ry(1.6), np.array([2.0, 0.5, 1.0])) * RETURN]
 
 
@@ -71,7 +71,7 @@ def test_a_true_return_closes(poses: list[gtsam.Pose3], views: list[PreparedFram
 
 @pytest.mark.parametrize("poses", [TRUE, LOST], ids=["believed near", "by its looks"])
 def test_every_accepted_loop_is_true(poses: list[gtsam.Pose3], views: list[PreparedFrame]) -> None:
-    for loop in Walk("visual_loops.near_unlikeness=3.0", "visual_loops.least_place_score=1e-6").through(
+    for loop in Walk("visual_loops.near_dissimilarity=3.0", "visual_loops.least_place_score=1e-6").through(
         views, poses
     ):
         assert loop.accepted == (loop.reason == "")
@@ -111,7 +111,7 @@ def test_neighbours_are_no_loop(views: list[PreparedFrame]) -> None:
 
 
 def test_no_more_places_are_tried_than_asked(views: list[PreparedFrame]) -> None:
-    walk = Walk("loops.near=2", "loops.by_looks=0")
+    walk = Walk("loops.near=2", "loops.by_appearance=0")
     for n in range(12):
         found = walk.add(views[0] if n % 2 else views[5], HOME if n % 2 else RETURN)
         assert len(found) <= 2
@@ -125,7 +125,7 @@ def test_disabled_means_none(views: list[PreparedFrame]) -> None:
 
 def test_what_is_adrift_is_joined_by_its_looks_alone(views: list[PreparedFrame]) -> None:
     """After a loss nobody knows where the camera is: poses propose nothing until looks have told."""
-    walk = Walk("loops.by_looks=0")
+    walk = Walk("loops.by_appearance=0")
     walk.through(views[:-1], TRUE[:-1])
     assert walk.add(views[5], RETURN, adrift=True) == []
     walk = Walk()

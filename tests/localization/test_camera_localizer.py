@@ -1,4 +1,4 @@
-"""A camera in a furnished room: found by looks, followed by sight, lost when covered, found again."""
+"""A camera in a furnished room: found by appearance, followed by sight, lost when covered, found again."""
 
 from dataclasses import replace
 

@@ -135,7 +135,7 @@ def test_without_its_lidar_it_is_refused(known_map: KnownMap) -> None:
 
 
 def test_the_command(scanweave: Scanweave, log: Path, tmp_path: Path) -> None:
-    """Files as of a robot on a floor; the map stays as it is; what does not fit is told."""
+    """Files as of a robot on a floor; the map stays as it is; what does not fit is reported."""
     options = [part for setting in SETTINGS for part in ("--set", setting)]
     folder, out = tmp_path / "map", tmp_path / "out"
     assert scanweave("map", log, "-o", folder, *options).code == 0

@@ -1,4 +1,4 @@
-"""The search everywhere must be brute force over every pose, only faster; symmetry must be told."""
+"""The search everywhere must be brute force over every pose, only faster; symmetry must be reported."""
 
 import math
 

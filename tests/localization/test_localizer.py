@@ -120,9 +120,9 @@ def test_carried_off_and_found_again(mapped: tuple[KnownMap, FloatArray], other:
     assert before[-1].state is State.TRACKING and after[-1].state is State.TRACKING
     found = errors(outputs, other, mapped[1])
     assert found[-1, 0] < 0.05
-    told = [output for output in outputs if output.state is State.TRACKING]
-    sure = [row[0] for output, row in zip(told, found, strict=True) if output.confidence > 0.5]
-    assert max(sure) < 0.25
+    reported = [output for output in outputs if output.state is State.TRACKING]
+    confident = [row[0] for output, row in zip(reported, found, strict=True) if output.confidence > 0.5]
+    assert max(confident) < 0.25
 
 
 def mirrored(scan: LaserScan) -> LaserScan:

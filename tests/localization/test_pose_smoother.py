@@ -33,18 +33,18 @@ def test_straight_steps_are_a_kalman_filter() -> None:
 @pytest.mark.parametrize("pose", [gtsam.Pose2(1.0, 2.0, 0.3), gtsam.Pose3(gtsam.Pose2(1.0, 2.0, 0.3))])
 def test_dead_reckoning_grows_and_a_sight_of_the_map_ends_it(pose: gtsam.Pose2 | gtsam.Pose3) -> None:
     size = 3 if isinstance(pose, gtsam.Pose2) else 6
-    sure = np.eye(size) * 1e-4
-    smoother = PoseSmoother(Measured(pose, sure))
+    confident = np.eye(size) * 1e-4
+    smoother = PoseSmoother(Measured(pose, confident))
     still = pose.between(pose)  # type: ignore[arg-type]
     sigmas = [smoother.sigma_m]
     for _ in range(6):
-        predicted = after(smoother.newest, Measured(still, sure))
-        smoother.add(Measured(still, sure), [])
+        predicted = after(smoother.newest, Measured(still, confident))
+        smoother.add(Measured(still, confident), [])
         np.testing.assert_allclose(smoother.newest.covariance, predicted.covariance, rtol=1e-6, atol=1e-9)
         sigmas.append(smoother.sigma_m)
     assert np.all(np.diff(sigmas) > 0.0)
     assert sigmas[-1] == pytest.approx(0.01 * math.sqrt(7.0), rel=1e-3)
-    smoother.add_seen(Measured(pose, sure))
+    smoother.add_seen(Measured(pose, confident))
     assert smoother.sigma_m < 0.01
 
 

@@ -15,7 +15,7 @@ from command_line import Scanweave, assert_one_line_error
 from command_line import scanweave as scanweave
 
 from slam.cli import main
-from slam.mapper.journal import Journal
+from slam.mapper.checkpoint import Checkpoint
 from slam.matching.local_cloud import moved
 from slam.outputs.finished_map import open_map
 from tools.kill_trials import run_trials
@@ -85,20 +85,22 @@ def test_interrupted_and_resumed(
     scanweave: Scanweave, log: Path, mapped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """After some clouds are in the map, in the last commit or not: the same bytes in the end."""
-    ask, asked, stop_at = Journal.ask, 0, 0
+    cached, asked, stop_at = Checkpoint.cached, 0, 0
 
-    def interrupted(journal: Journal, question: str, key: float, compute: Callable[[], object]) -> object:
+    def interrupted(
+        checkpoint: Checkpoint, question: str, key: float, compute: Callable[[], object]
+    ) -> object:
         nonlocal asked
         asked += 1
         if asked == stop_at:
             raise KeyboardInterrupt
-        return ask(journal, question, key, compute)
+        return cached(checkpoint, question, key, compute)
 
     out = tmp_path / "out"
     for moment in (5, 9):
         asked, stop_at = 0, moment
         with monkeypatch.context() as patch:
-            patch.setattr(Journal, "ask", interrupted)
+            patch.setattr(Checkpoint, "cached", interrupted)
             outcome = scanweave("map", log, "-o", out, "--resume", *SETTINGS, *OCTOMAP)
         assert outcome.code == 130, outcome.err
     assert json.loads(scanweave("info", out, "--json").out)["clouds"] >= 2

@@ -214,9 +214,9 @@ def test_one_answer_to_which_map(drive: list[tuple[int, Measurement]], tmp_path:
     assert saved.grid is not None and result.grid is not None
     np.testing.assert_array_equal(saved.grid.steps, result.grid.steps)
     saved.close()
-    told = map_info(tmp_path)["grids"]
-    assert set(told) == {"occupancy", "depth layer", "decision"}
-    assert told["decision"]["occupied_m2"] > told["occupancy"]["occupied_m2"]
+    reported = map_info(tmp_path)["grids"]
+    assert set(reported) == {"occupancy", "depth layer", "decision"}
+    assert reported["decision"]["occupied_m2"] > reported["occupancy"]["occupied_m2"]
     ends = ["--from", "0,0", "--to", "0.2,0", "--radius", "0.05", "--out", str(tmp_path / "way.png")]
     planned = CliRunner().invoke(app, ["plan", str(tmp_path), *ends])
     assert planned.exit_code == 0 and "from obstacles" in planned.output, planned.output

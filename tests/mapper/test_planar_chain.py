@@ -16,11 +16,11 @@ from slam.matching.motion import Motion
 from slam.measurements import FloatArray, pose2_from_row
 
 CONFIG = GraphConfig()
-SURE = np.eye(3) * 0.01**2
+CONFIDENT = np.eye(3) * 0.01**2
 AHEAD = np.array([0.2, 0.0, 0.05])
 
 
-def told(motion: FloatArray = AHEAD, covariance: FloatArray = SURE) -> Motion:
+def reported(motion: FloatArray = AHEAD, covariance: FloatArray = CONFIDENT) -> Motion:
     return Motion(motion, covariance)
 
 
@@ -56,8 +56,8 @@ class TestCamerasOnTheFloor:
         self, match: bool, wheels: bool, cameras: int, doubtful: bool, kinds: list[str]
     ) -> None:
         graph = KeyframeGraph(gtsam.Pose2(), CONFIG)
-        seen = told() if match else None
-        add(graph, AHEAD, seen, told() if wheels else None, [told()] * cameras, doubtful=doubtful)
+        seen = reported() if match else None
+        add(graph, AHEAD, seen, reported() if wheels else None, [reported()] * cameras, doubtful=doubtful)
         edges = graph.graph.edges
         assert [f"{edge.kind.name}{'+' if edge.trusted else '-'}" for edge in edges] == kinds
         outcome = graph.optimize(0.99)
@@ -67,8 +67,8 @@ class TestCamerasOnTheFloor:
     def test_a_wrong_camera_is_refused(self) -> None:
         graph = KeyframeGraph(gtsam.Pose2(), CONFIG)
         for _ in range(5):
-            wrong = told(AHEAD + np.array([0.5, 0.0, 0.0]))
-            add(graph, AHEAD, told(), told(AHEAD, SURE * 9.0), [wrong])
+            wrong = reported(AHEAD + np.array([0.5, 0.0, 0.0]))
+            add(graph, AHEAD, reported(), reported(AHEAD, CONFIDENT * 9.0), [wrong])
         outcome = graph.optimize(0.99)
         kinds = [edge.kind for edge in graph.graph.edges]
         assert [kind for kind, kept in zip(kinds, outcome.kept, strict=True) if not kept] == [
@@ -80,8 +80,8 @@ class TestCamerasOnTheFloor:
         graph = KeyframeGraph(gtsam.Pose2(), CONFIG)
         for n in range(6):
             lidar = AHEAD if n != 3 else AHEAD + np.array([-0.6, 0.4, 0.3])
-            wheels, cameras = told(AHEAD, SURE * 4.0), [told(), told()]
-            add(graph, lidar, told(lidar), wheels, cameras, doubtful=n == 3)
+            wheels, cameras = reported(AHEAD, CONFIDENT * 4.0), [reported(), reported()]
+            add(graph, lidar, reported(lidar), wheels, cameras, doubtful=n == 3)
         graph.optimize(0.99)
         expected = gtsam.Pose2()
         for _ in range(6):
@@ -93,9 +93,9 @@ class TestCamerasOnTheFloor:
     def test_a_step_learned_later_joins_its_ends(self) -> None:
         graph = KeyframeGraph(gtsam.Pose2(), CONFIG)
         for _ in range(3):
-            add(graph, AHEAD, told(covariance=SURE * 100.0), None)
+            add(graph, AHEAD, reported(covariance=CONFIDENT * 100.0), None)
         later = gtsam.Pose2(0.24, 0.0, 0.05)
-        graph.add_edge(Edge(1, 2, later, SURE * 0.01, EdgeKind.RGBD, trusted=False))
+        graph.add_edge(Edge(1, 2, later, CONFIDENT * 0.01, EdgeKind.RGBD, trusted=False))
         graph.optimize(0.99)
         step = pose2_from_row(graph.rows()[1]).between(pose2_from_row(graph.rows()[2]))
         assert step.x() == pytest.approx(0.24, abs=1e-3)

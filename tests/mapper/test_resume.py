@@ -18,7 +18,7 @@ from slam.config import Config, load_config
 from slam.datasets import open_dataset
 from slam.datasets.dataset import ReadReport
 from slam.errors import MapFileError
-from slam.mapper.journal import Journal
+from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.mapper import Mapper
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.pipeline import build_map
@@ -30,7 +30,7 @@ from slam.simulation.synthetic_log import write_synthetic_log
 from slam.storage.map_contents import write_contents
 from slam.storage.map_file import MapFile
 from slam.storage.map_identity import identity_of
-from slam.storage.map_tables import FRAMES, JOURNAL
+from slam.storage.map_tables import CHECKPOINT, FRAMES
 from slam.vision.features import extract_features
 from tools.kill_trials import run_trials
 
@@ -95,7 +95,7 @@ def attempt(log: Log, config: Config, path: Path, stop_at: float = math.inf) -> 
             raise InterruptedHere
 
     try:
-        result = build_map(log, config, on_scan, Journal(file))  # type: ignore[arg-type]
+        result = build_map(log, config, on_scan, Checkpoint(file))  # type: ignore[arg-type]
     except InterruptedHere:
         file.commit()
         file.close()
@@ -168,7 +168,7 @@ class TestTheSameMap:
                     raise InterruptedHere
 
             with pytest.raises(InterruptedHere):
-                build_map(log, config, on_scan, Journal(file))  # type: ignore[arg-type]
+                build_map(log, config, on_scan, Checkpoint(file))  # type: ignore[arg-type]
             file.commit()
             file.close()
         before = len(passes)
@@ -189,9 +189,9 @@ def test_known_answers_are_not_computed_again(
 ) -> None:
     log, config = Log(drive, tmp_path), load_config(None, ["dense_map.enabled=false", "fusion.enabled=false"])
     file = MapFile.create(tmp_path / "map.db")
-    whole = build_map(log, config, None, Journal(file))  # type: ignore[arg-type]
+    whole = build_map(log, config, None, Checkpoint(file))  # type: ignore[arg-type]
     file.commit()
-    rows, frames = file.count(JOURNAL), file.count(FRAMES)
+    rows, frames = file.count(CHECKPOINT), file.count(FRAMES)
     file.close()
     assert rows > 0 and frames > 0
 
@@ -208,53 +208,59 @@ def test_known_answers_are_not_computed_again(
     )
     again = MapFile.resume(tmp_path / "map.db")
     assert again is not None
-    result = build_map(log, config, None, Journal(again))  # type: ignore[arg-type]
+    result = build_map(log, config, None, Checkpoint(again))  # type: ignore[arg-type]
     np.testing.assert_array_equal(result.trajectory.positions_m, whole.trajectory.positions_m)
-    assert (again.count(JOURNAL), again.count(FRAMES)) == (rows, frames)
+    assert (again.count(CHECKPOINT), again.count(FRAMES)) == (rows, frames)
     # Only those that became keyframes.
     assert len(asked) == frames < MOMENTS
     again.close()
 
 
 class TestOtherEvents:
-    """A journal that does not fit what happens now is noticed, not believed."""
+    """A checkpoint that does not fit what happens now is noticed, not believed."""
 
-    def journal(self, path: Path, told: Callable[[Journal], object]) -> Journal:
+    def checkpoint(self, path: Path, reported: Callable[[Checkpoint], object]) -> Checkpoint:
         file = MapFile.create(path)
-        told(Journal(file))
+        reported(Checkpoint(file))
         file.commit()
         file.close()
         begun = MapFile.resume(path)
         assert begun is not None
-        return Journal(begun)
+        return Checkpoint(begun)
 
     @pytest.mark.parametrize(("question", "key"), [("loop", 1.0), ("scan", np.nextafter(1.0, 2.0))])
     def test_another_question(self, tmp_path: Path, question: str, key: float) -> None:
-        journal = self.journal(tmp_path / "map.db", lambda journal: journal.ask("scan", 1.0, lambda: None))
-        assert journal.replaying
+        checkpoint = self.checkpoint(
+            tmp_path / "map.db", lambda checkpoint: checkpoint.cached("scan", 1.0, lambda: None)
+        )
+        assert checkpoint.replaying
         with pytest.raises(MapFileError, match=r"cannot be resumed.*map anew"):
-            journal.ask(question, key, lambda: None)
+            checkpoint.cached(question, key, lambda: None)
 
     def test_the_answers_come_back_in_their_order(self, tmp_path: Path) -> None:
-        answers = [None, 1.5, np.arange(70000.0), "text", [True, (2, b"")], gtsam.Pose2(1.0, 2.0, 3.0)]
-        journal = self.journal(
+        result_cache = [None, 1.5, np.arange(70000.0), "text", [True, (2, b"")], gtsam.Pose2(1.0, 2.0, 3.0)]
+        checkpoint = self.checkpoint(
             tmp_path / "map.db",
-            lambda journal: [journal.ask("scan", n, lambda a=a: a) for n, a in enumerate(answers)],
+            lambda checkpoint: [
+                checkpoint.cached("scan", n, lambda a=a: a) for n, a in enumerate(result_cache)
+            ],
         )
-        for n, answer in enumerate(answers):
-            found = journal.ask("scan", n, lambda: pytest.fail("computed"))
+        for n, answer in enumerate(result_cache):
+            found = checkpoint.cached("scan", n, lambda: pytest.fail("computed"))
             if isinstance(answer, np.ndarray):
                 np.testing.assert_array_equal(found, answer)
             elif isinstance(answer, gtsam.Pose2):
                 assert found.matrix().tobytes() == answer.matrix().tobytes()
             else:
                 assert found == answer and type(found) is type(answer)
-        assert not journal.replaying
-        assert journal.ask("scan", 9.0, lambda: "new") == "new"
+        assert not checkpoint.replaying
+        assert checkpoint.cached("scan", 9.0, lambda: "new") == "new"
 
     def test_a_key_that_is_no_number(self, tmp_path: Path) -> None:
-        journal = self.journal(tmp_path / "map.db", lambda journal: journal.ask("looks", math.nan, list))
-        assert journal.ask("looks", math.nan, lambda: pytest.fail("computed")) == []
+        checkpoint = self.checkpoint(
+            tmp_path / "map.db", lambda checkpoint: checkpoint.cached("looks", math.nan, list)
+        )
+        assert checkpoint.cached("looks", math.nan, lambda: pytest.fail("computed")) == []
 
     def test_another_frame(self, drive: list[Measurement], tmp_path: Path) -> None:
         log = Log(only(drive, RgbdFrame, LaserScan), tmp_path)
@@ -263,7 +269,7 @@ class TestOtherEvents:
         file = MapFile.resume(tmp_path / "map.db")
         assert file is not None
         frames = only(drive, RgbdFrame)
-        spool = Journal(file).spool()
+        spool = Checkpoint(file).spool()
         assert spool is not None and isinstance(frames[5], RgbdFrame)
         features = extract_features(np.zeros((40, 40), np.uint8), np.ones((40, 40), np.float32), 10)
         with pytest.raises(MapFileError, match=r"cannot be resumed.*frame of camera"):

@@ -1,4 +1,4 @@
-"""Is a match as sure as it says? Normalised errors over many seeds, and the corridor's open direction."""
+"""Is a match as certain as it says? Normalised errors over many seeds, and the corridor's open direction."""
 
 import itertools
 import math
@@ -125,11 +125,13 @@ def test_no_match_is_surer_than_the_floors() -> None:
 
 def test_points_that_fit_nothing_are_a_doubt() -> None:
     local_map = map_of(room(), HOME, EXACT, 0.0, 0)
-    sure = local_map.align(scan_at(room(), HOME), HOME)
-    doubtful = sure._replace(inlier_share=0.5)
+    confident = local_map.align(scan_at(room(), HOME), HOME)
+    doubtful = confident._replace(inlier_share=0.5)
     bare = BARE.model_copy(update={"floor_m": 1e-9, "floor_rad": 1e-9})
-    ratio = motion_from_alignment(doubtful, bare).covariance / motion_from_alignment(sure, bare).covariance
-    np.testing.assert_allclose(np.diag(ratio), (sure.inlier_share / 0.5) ** 2, rtol=0.02)
+    ratio = (
+        motion_from_alignment(doubtful, bare).covariance / motion_from_alignment(confident, bare).covariance
+    )
+    np.testing.assert_allclose(np.diag(ratio), (confident.inlier_share / 0.5) ** 2, rtol=0.02)
 
 
 @pytest.mark.parametrize("sigma_m", [0.0, 0.01])

@@ -29,7 +29,7 @@ def test_true_motions_pass_the_gate_with_its_probability() -> None:
 
 
 def test_a_motion_holds_less_than_agrees_with_it() -> None:
-    """Whoever is asked whether a pose is possible does not know how unsure that pose is."""
+    """Whoever is asked whether a pose is possible does not know how uncertain that pose is."""
     motion, off = Motion(np.zeros(3), COVARIANCE), np.array([0.07, 0.0, 0.0])
     assert not motion.holds(off)
     assert motion.agrees(Motion(off, COVARIANCE))

@@ -10,7 +10,7 @@ from slam.config.clouds import CloudOdometryConfig
 from slam.matching.cloud_points import base_points
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.matching.plane_window import PlaneWindow
-from slam.matching.scan_context import SECTORS, ContextBank, ring_key, scan_context, unlikeness
+from slam.matching.scan_context import SECTORS, ContextBank, dissimilarity, ring_key, scan_context
 from slam.measurements import Float32Array, FloatArray
 
 VOXEL_M = 0.1
@@ -26,7 +26,7 @@ def context_at(x: float, y: float, yaw: float, seed: int = 0) -> Float32Array:
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -2.0, 3.0])
 def test_a_turn_is_found(yaw: float) -> None:
-    found, turn = unlikeness(context_at(0.5, 0.5, 0.2), context_at(0.5, 0.5, 0.2 + yaw, seed=1))
+    found, turn = dissimilarity(context_at(0.5, 0.5, 0.2), context_at(0.5, 0.5, 0.2 + yaw, seed=1))
     assert found < 0.2
     assert abs(np.angle(np.exp(1j * (turn - yaw)))) < np.radians(6.5)
 
@@ -34,7 +34,7 @@ def test_a_turn_is_found(yaw: float) -> None:
 def test_another_place_looks_less_alike() -> None:
     here, there = context_at(0.5, 0.5, 0.0), context_at(-4.0, -3.0, 0.0)
     again = context_at(0.6, 0.5, 1.0, seed=1)
-    assert unlikeness(here, again)[0] < 0.5 * unlikeness(here, there)[0]
+    assert dissimilarity(here, again)[0] < 0.5 * dissimilarity(here, there)[0]
     keys = [ring_key(context) for context in (here, again, there)]
     assert np.linalg.norm(keys[0] - keys[1]) < np.linalg.norm(keys[0] - keys[2])
 
@@ -42,18 +42,18 @@ def test_another_place_looks_less_alike() -> None:
 def test_nothing_looks_like_nothing() -> None:
     empty = scan_context(np.zeros((0, 3)), VOXEL_M)
     assert not empty.any()
-    assert unlikeness(empty, empty)[0] == 1.0
-    assert unlikeness(context_at(0.5, 0.5, 0.0), empty)[0] == 1.0
+    assert dissimilarity(empty, empty)[0] == 1.0
+    assert dissimilarity(context_at(0.5, 0.5, 0.0), empty)[0] == 1.0
 
 
 def test_a_bank_tells_what_the_pairs_tell() -> None:
     empty = scan_context(np.zeros((0, 3)), VOXEL_M)
     contexts = [context_at(0.5, 0.5, 0.0), context_at(-4.0, -3.0, 1.0), empty]
     here = context_at(0.6, 0.5, 1.0, seed=1)
-    found = ContextBank(contexts).unlikeness(here)
+    found = ContextBank(contexts).dissimilarity(here)
     assert found.shape == (3, SECTORS)
     for context, row in zip(contexts, found, strict=True):
-        least, turn = unlikeness(context, here)
+        least, turn = dissimilarity(context, here)
         assert row.min() == pytest.approx(least, abs=1e-6)
         if least < 1.0:
             assert 2.0 * np.pi * row.argmin() / SECTORS == pytest.approx(turn % (2.0 * np.pi))

@@ -36,10 +36,10 @@ def test_a_pose_between_frames_is_surer_than_one_carried_on() -> None:
 
 def test_a_clock_that_is_not_sure_blurs_what_moves() -> None:
     track = at_constant_speed(np.arange(4) * 0.1)
-    sure, unsure = track.at(0.25, 0.0), track.at(0.25, 0.02)
-    assert sure is not None
-    assert unsure is not None
-    added = np.diag(unsure.covariance) - np.diag(sure.covariance)
+    confident, uncertain = track.at(0.25, 0.0), track.at(0.25, 0.02)
+    assert confident is not None
+    assert uncertain is not None
+    added = np.diag(uncertain.covariance) - np.diag(confident.covariance)
     np.testing.assert_allclose(added, (TWIST * 0.02) ** 2, atol=1e-12)
 
 

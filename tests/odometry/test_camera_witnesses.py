@@ -17,7 +17,7 @@ SOME = ScanPoints(np.zeros((250, 2), np.float32), np.zeros((250, 2), np.float32)
 STEP = np.array([0.1, 0.0, 0.02])
 # A person who walks ahead: what little the lidar sees comes along.
 WITH_THE_PERSON = np.array([-0.4, 0.3, 0.2])
-SURE = np.eye(3) * 1e-6
+CONFIDENT = np.eye(3) * 1e-6
 
 
 class Run:
@@ -66,7 +66,7 @@ class Run:
         self.wheel_pose = compose(self.wheel_pose, wheels)
         if self.wheels is not None:
             self.wheels.add(WheelOdometry(self.stamp_s, pose2_from_row(self.wheel_pose)))
-        seen = [] if camera is None else [Motion(camera, SURE)] * cameras
+        seen = [] if camera is None else [Motion(camera, CONFIDENT)] * cameras
         return self.tracker.track(points, self.stamp_s, seen)
 
 
@@ -131,7 +131,7 @@ def test_cameras_do_not_mind_a_match_that_agrees() -> None:
     run.lidar_offset = np.array([0.01, -0.01, 0.003])
     tracked = run.scan(STEP, 2)
     assert tracked.motion is not None
-    assert tracked.sure
+    assert tracked.confident
 
 
 def test_match_and_camera_are_averaged_by_their_covariances() -> None:

@@ -13,7 +13,7 @@ import pytest
 from session_runs import Sessions, run, scanweave, sessions_in
 
 from slam.evaluation.trajectory_error import absolute_error
-from slam.mapper.journal import Journal
+from slam.mapper.checkpoint import Checkpoint
 from slam.measurements import Trajectory
 from slam.outputs.finished_map import open_map
 from slam.sessions.joined_files import only_one_in
@@ -191,15 +191,17 @@ def test_an_interrupted_session_goes_on_to_the_same_map(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def interrupted(journal: Journal, question: str, key: float, compute: Callable[[], object]) -> object:
-        if question == "scan" and journal._count > 60:
+    def interrupted(
+        checkpoint: Checkpoint, question: str, key: float, compute: Callable[[], object]
+    ) -> object:
+        if question == "scan" and checkpoint._count > 60:
             raise KeyboardInterrupt
-        return ask(journal, question, key, compute)
+        return cached(checkpoint, question, key, compute)
 
-    ask = Journal.ask
+    cached = Checkpoint.cached
     before = contents_of(map_)
     with monkeypatch.context() as patch:
-        patch.setattr(Journal, "ask", interrupted)
+        patch.setattr(Checkpoint, "cached", interrupted)
         outcome = scanweave(capsys, "map", sessions.later_log, "--into", map_)
     assert outcome.code == 130 and "--resume goes on with it" in outcome.err
     assert {name: whole for name, whole in contents_of(map_).items() if "joining" not in name} == before

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam.simulation.route import cheapest_ways, floor_map, resample, smooth_path
+from slam.simulation.route import cheapest_paths, floor_map, resample, smooth_path
 
 ORIGIN = (-3.0, 5.0)
 
@@ -32,7 +32,7 @@ def test_the_way_leads_round_a_wall_and_through_the_middle_of_a_gap() -> None:
     blocked[20, 25:34] = False
     floor = floor_map(blocked, 0.05, ORIGIN, 0.1, 0.3)
     stops = [floor.node_near(np.array([-2.5, 5.4])), floor.node_near(np.array([-2.5, 6.6]))]
-    costs, ways = cheapest_ways(floor, stops)
+    costs, ways = cheapest_paths(floor, stops)
     assert costs[0, 1] == pytest.approx(costs[1, 0])
     way = ways[0][1]
     assert way is not None
@@ -53,7 +53,7 @@ def test_no_way_through_a_closed_wall() -> None:
     blocked[10] = True
     floor = floor_map(blocked, 0.1, ORIGIN, 0.1, 0.3)
     stops = [floor.node_near(np.array([-2.0, 5.4])), floor.node_near(np.array([-2.0, 6.6]))]
-    costs, ways = cheapest_ways(floor, stops)
+    costs, ways = cheapest_paths(floor, stops)
     assert np.isinf(costs[0, 1])
     assert ways[0][1] is None
 

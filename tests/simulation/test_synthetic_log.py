@@ -64,12 +64,12 @@ def test_perfect_wheels_tell_the_truth_and_real_ones_drift() -> None:
     perfect = SyntheticLogConfig(
         wheel_scale_left=1.0, wheel_scale_right=1.0, wheel_sigma=0.0, slips_per_s=0.0
     )
-    told = wheel_odometry(perfect, poses, np.random.default_rng(0))
-    in_map = rotated(told[:, :2], poses[0, 2], poses[0, :2])
+    reported = wheel_odometry(perfect, poses, np.random.default_rng(0))
+    in_map = rotated(reported[:, :2], poses[0, 2], poses[0, :2])
     # Arcs are taken as chords within one reading, so a little is lost.
     np.testing.assert_allclose(in_map, poses[:, :2], atol=0.02)
     drifted = wheel_odometry(CONFIG, poses, np.random.default_rng(0))
-    assert np.hypot(*(drifted[-1, :2] - told[-1, :2])) > 0.5
+    assert np.hypot(*(drifted[-1, :2] - reported[-1, :2])) > 0.5
 
 
 def test_the_reader_finds_what_was_written(tmp_path: Path) -> None:

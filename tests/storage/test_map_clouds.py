@@ -40,8 +40,8 @@ def write(path: Path, kept: list[FloatArray], frames: list[RgbdFrame] = [], *, p
         np.testing.assert_allclose(spool.points(number), points, atol=1e-9)
     for number, frame in enumerate(frames):
         images.add(frame, number, features())
-    told = contents(planar=planar)
-    write_contents(file, told if planar else replace(told, measured_scans=[], scans=[], grids={}))
+    reported = contents(planar=planar)
+    write_contents(file, reported if planar else replace(reported, measured_scans=[], scans=[], grids={}))
     file.seal()
     return path
 
@@ -108,7 +108,7 @@ def test_clouds_that_fit_no_nodes_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_map_older_than_clouds_is_read(tmp_path: Path) -> None:
-    """Schema 1 ended with the journal."""
+    """Schema 1 ended with the checkpoint."""
     path = tmp_path / "map.db"
     now = open_map(write(path, []))
     digest = now.digest

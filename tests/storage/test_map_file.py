@@ -9,7 +9,7 @@ import pytest
 
 from slam.errors import MapFileError
 from slam.storage.map_file import MapFile
-from slam.storage.map_tables import FACTORS, FRAMES, GRIDS, JOURNAL, META, SCHEMA_VERSION, TABLES
+from slam.storage.map_tables import CHECKPOINT, FACTORS, FRAMES, GRIDS, META, SCHEMA_VERSION, TABLES
 
 ROW = ("lidar match", 3, 4, 1, 0, None, b"motion", b"covariance")
 
@@ -58,7 +58,7 @@ class TestRows:
         assert [path.name for path in tmp_path.iterdir()] == ["map.db"]
         other = MapFile.create(tmp_path / "other.db")
         other.add_meta("log_name", "a log")
-        other.append(JOURNAL, 0, b"x" * 100_000)
+        other.append(CHECKPOINT, 0, b"x" * 100_000)
         for _ in range(3):
             other.append(FACTORS, *ROW)
             other.commit()  # how often is a matter of time

@@ -53,8 +53,8 @@ def test_the_map_to_drive_by_is_the_decision_and_every_file_says_what_it_is(tmp_
     path, image_path = write_driving_map(tmp_path / "map", built())
     layers = write_layers(tmp_path / "layers", built())
     said = [yaml.read_text().splitlines()[0] for yaml in (path, *layers)]
-    told = "what the robot must not hit, as seen by lidar and cameras, by rule cautious (layers.rule)."
-    assert said[0] == f"# The map to drive by: {told}"
+    reported = "what the robot must not hit, as seen by lidar and cameras, by rule cautious (layers.rule)."
+    assert said[0] == f"# The map to drive by: {reported}"
     assert read_nav2_map(path).what == said[0].removeprefix("# ")
     assert len(set(said)) == len(said) and all("../map.yaml" in line for line in said[1:])
     assert image_path.read_bytes() == (tmp_path / "layers" / "decision.pgm").read_bytes()

@@ -74,8 +74,8 @@ def test_octomaps_own_client_reads_the_file(written, tmp_path):
         pytest.skip("bt2vrml of octomap-tools is not installed")
     path = tmp_path / "box.bt"
     shutil.copy(written[0], path)
-    told = subprocess.run([client, str(path)], capture_output=True, text=True, check=True)
-    assert "error" not in (told.stdout + told.stderr).lower()
+    reported = subprocess.run([client, str(path)], capture_output=True, text=True, check=True)
+    assert "error" not in (reported.stdout + reported.stderr).lower()
     boxes = len(re.findall(r"Transform", path.with_suffix(".bt.wrl").read_text()))
     tree = read_back(path)
     assert boxes == sum(tree.isNodeOccupied(leaf) for leaf in tree.begin_leafs())
@@ -101,9 +101,9 @@ def test_thinned_rays_stay_where_they_were(tmp_path):
 
 def test_a_missing_extra_is_one_line_with_its_remedy(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "octomap", None)
-    with pytest.raises(ScanweaveError, match=r"pip install 'scanweave\[octomap\]'") as told:
+    with pytest.raises(ScanweaveError, match=r"pip install 'scanweave\[octomap\]'") as reported:
         write_octomap(tmp_path / "a.bt", box_frames(), camera_poses())
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(reported.value)
 
 
 def test_input_that_gives_no_map_is_refused(tmp_path):

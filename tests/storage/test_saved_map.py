@@ -106,20 +106,20 @@ def map_db(frames: list[RgbdFrame], tmp_path_factory: pytest.TempPathFactory) ->
 
 class TestReadBack:
     def test_everything(self, map_db: Path, frames: list[RgbdFrame]) -> None:
-        saved, told = open_map(map_db.parent), contents()
+        saved, reported = open_map(map_db.parent), contents()
         found = saved.contents
         assert saved.planar and saved.identity == IDENTITY and saved.config.seed == 7
         for name in ("node_poses", "measured_scans", "scans", "loops"):
-            assert same(getattr(found, name), getattr(told, name)), name
+            assert same(getattr(found, name), getattr(reported, name)), name
         for name in ("stamps_s", "readings", "trajectory"):
-            assert same(getattr(found, name), getattr(told, name)), name
-        for one, other in zip(saved.factors, told.factors, strict=True):
+            assert same(getattr(found, name), getattr(reported, name)), name
+        for one, other in zip(saved.factors, reported.factors, strict=True):
             assert same(one, other)
         assert saved.grid is not None
-        assert same(saved.grid.steps, told.grids[OCCUPANCY].steps)
-        assert same(saved.grid.T_map_grid, told.grids[OCCUPANCY].T_map_grid)
+        assert same(saved.grid.steps, reported.grids[OCCUPANCY].steps)
+        assert same(saved.grid.T_map_grid, reported.grids[OCCUPANCY].T_map_grid)
         np.testing.assert_array_equal(
-            saved.keyframe_poses, [[pose.x(), pose.y(), pose.theta()] for pose in told.node_poses]
+            saved.keyframe_poses, [[pose.x(), pose.y(), pose.theta()] for pose in reported.node_poses]
         )
         saved.check()
         saved.close()
@@ -142,12 +142,12 @@ class TestReadBack:
         saved.close()
 
     def test_a_camera_alone(self, tmp_path: Path) -> None:
-        told = replace(contents(planar=False), measured_scans=[], scans=[], grids={})
+        reported = replace(contents(planar=False), measured_scans=[], scans=[], grids={})
         frames = [replace(frame, T_base_camera=None) for frame in box_frames(count=3)]
-        saved = open_map(write(tmp_path / "map.db", told, frames))
+        saved = open_map(write(tmp_path / "map.db", reported, frames))
         assert not saved.planar and saved.grid is None
         assert list(saved.keyframe_scans) == [None] * 5
-        assert same(saved.frame_poses(), list(told.node_poses[::2]))
+        assert same(saved.frame_poses(), list(reported.node_poses[::2]))
         assert saved.frames.frame(0).T_base_camera is None
         np.testing.assert_allclose(saved.keyframe_poses[1], [0.3, 0.0, 0.4])
         saved.close()

@@ -24,18 +24,18 @@ def along(stamps_s: np.ndarray) -> Trajectory:
 @pytest.mark.parametrize("shift_s", [0.05, -0.05])
 def test_an_even_motion_is_carried_on(shift_s: float) -> None:
     stamps_s = np.arange(12) * 0.1
-    told = at_stamps(along(stamps_s + shift_s), stamps_s)
+    reported = at_stamps(along(stamps_s + shift_s), stamps_s)
     true = along(stamps_s)
-    np.testing.assert_allclose(told.stamps_s, stamps_s)
-    np.testing.assert_allclose(told.positions_m, true.positions_m, atol=1e-9)
-    turned = np.abs(np.sum(told.quaternions_xyzw * true.quaternions_xyzw, axis=1))
+    np.testing.assert_allclose(reported.stamps_s, stamps_s)
+    np.testing.assert_allclose(reported.positions_m, true.positions_m, atol=1e-9)
+    turned = np.abs(np.sum(reported.quaternions_xyzw * true.quaternions_xyzw, axis=1))
     np.testing.assert_allclose(turned, 1.0, atol=1e-12)
 
 
 def test_stamps_that_stand_still_or_are_too_few_move_nothing() -> None:
     stamps_s = np.array([0.05, 0.05, 0.15])
-    told = at_stamps(along(stamps_s), np.array([0.0, 0.0, 0.1]))
-    assert np.isfinite(told.positions_m).all()
+    reported = at_stamps(along(stamps_s), np.array([0.0, 0.0, 0.1]))
+    assert np.isfinite(reported.positions_m).all()
     one = along(np.array([0.05]))
     np.testing.assert_array_equal(at_stamps(one, np.array([0.0])).positions_m, one.positions_m)
 

@@ -1,4 +1,4 @@
-"""Whether alignments are as sure as they say: normalised squared errors over a hundred noisy trials."""
+"""Whether alignments are as certain as they say: normalised squared errors over a hundred noisy trials."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def squares(error: FloatArray, information: FloatArray) -> float:
     return float(error @ information @ error) / 6.0
 
 
-@pytest.mark.parametrize("place", [CORNER, LEVEL], ids=["all is told", "height is hardly told"])
+@pytest.mark.parametrize("place", [CORNER, LEVEL], ids=["all is reported", "height is hardly reported"])
 def test_surfaces_are_as_sure_as_they_say(place: gtsam.Pose3) -> None:
     images = [render(furnished(), pose) for pose in (place, place * STEP)]
     found = []

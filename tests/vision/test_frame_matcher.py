@@ -27,7 +27,7 @@ from slam.config import Config, load_config
 from slam.odometry.rgbd_odometry import RgbdOdometry
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.prepared_frame import PreparedFrame
-from slam.vision.visual_match import VisualKeyframe, unlikeness
+from slam.vision.visual_match import VisualKeyframe, dissimilarity
 
 PLACE = looking(-0.3, 0.2, 1.5, -0.7, 0.35)
 STEP = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.02, -0.03, 0.02), np.array([0.05, 0.03, 0.04]))
@@ -180,6 +180,6 @@ def test_features_that_all_disagree_count_against_the_match(
 
 
 @pytest.mark.parametrize(("turn", "way"), [(0.0, 0.0), (0.3, 0.0), (0.0, 1.0), (0.3, 1.0)])
-def test_unlikeness_counts_turn_and_travel(turn: float, way: float) -> None:
+def test_dissimilarity_counts_turn_and_travel(turn: float, way: float) -> None:
     other = T_BODY_CAMERA * gtsam.Pose3(gtsam.Rot3.Ry(turn), np.array([way, 0.0, 0.0]))
-    assert unlikeness(T_BODY_CAMERA, other, 2.0) == pytest.approx(np.hypot(turn, way / 2.0))
+    assert dissimilarity(T_BODY_CAMERA, other, 2.0) == pytest.approx(np.hypot(turn, way / 2.0))

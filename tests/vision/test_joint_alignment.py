@@ -173,7 +173,7 @@ def test_the_derivative_of_reprojection(seed: int) -> None:
 
 
 class TestWhatIsOpen:
-    """A flat wall: by its shape only the distance and two turns are told."""
+    """A flat wall: by its shape only the distance and two turns are reported."""
 
     FACING = looking(0.0, 0.0, 0.0, 0.1, 0.05)
     NOISE = (DEFAULT.depth_floor_m, DEFAULT.depth_share)
@@ -192,7 +192,7 @@ class TestWhatIsOpen:
         assert math.sqrt(across @ covariance[3:, 3:] @ across) < 0.02
         assert np.linalg.norm(weak) == pytest.approx(1.0)
         assert sigmas.max() > 0.5
-        # What is told is right all the same.
+        # What is reported is right all the same.
         error = found.pose.translation() - moved.translation()
         assert abs(error[0]) < 0.003
         axis = found.pose.rotation().matrix().T @ [1.0, 0.0, 0.0]

@@ -9,7 +9,7 @@ from room_world import T_BODY_CAMERA
 
 from slam.vision.planar_motion import planar_motion
 
-SURE = np.diag([1e-6, 1e-6, 1e-6, 1e-5, 1e-5, 1e-5])
+CONFIDENT = np.diag([1e-6, 1e-6, 1e-6, 1e-5, 1e-5, 1e-5])
 MOUNTINGS = [
     T_BODY_CAMERA,
     gtsam.Pose3(gtsam.Rot3.Rz(1.2), np.array([0.3, -0.2, 0.9])) * T_BODY_CAMERA,
@@ -31,7 +31,7 @@ def on_floor(x: float, y: float, yaw: float) -> gtsam.Pose3:
 def test_a_motion_on_the_floor_is_that_motion(
     mounting: gtsam.Pose3, motion: tuple[float, float, float]
 ) -> None:
-    found = planar_motion(of_camera(on_floor(*motion), mounting), SURE, mounting)
+    found = planar_motion(of_camera(on_floor(*motion), mounting), CONFIDENT, mounting)
     np.testing.assert_allclose(found.motion, motion, atol=1e-9)
     assert found.excess == pytest.approx(0.0, abs=1e-9)
 
@@ -64,11 +64,11 @@ def test_the_covariance_is_that_of_samples(mounting: gtsam.Pose3) -> None:
 @pytest.mark.parametrize("mounting", MOUNTINGS)
 def test_what_leaves_the_floor_is_told(leaves: gtsam.Pose3, mounting: gtsam.Pose3) -> None:
     base = on_floor(0.2, 0.0, 0.1)
-    tilted = planar_motion(of_camera(base * leaves, mounting), SURE, mounting)
+    tilted = planar_motion(of_camera(base * leaves, mounting), CONFIDENT, mounting)
     assert tilted.excess > 16.0
 
 
 def test_a_little_sway_is_harmless() -> None:
     sway = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.008, -0.008, 0.0), np.array([0.0, 0.0, 0.008]))
-    found = planar_motion(of_camera(on_floor(0.2, 0, 0.1) * sway, MOUNTINGS[1]), SURE, MOUNTINGS[1])
+    found = planar_motion(of_camera(on_floor(0.2, 0, 0.1) * sway, MOUNTINGS[1]), CONFIDENT, MOUNTINGS[1])
     assert found.excess < 2.0

@@ -34,7 +34,7 @@ def test_the_normal_of_a_slanted_plane_is_exact(slant: tuple[float, float], radi
 
 
 def test_noise_is_smoothed_as_the_window_says() -> None:
-    """49 readings: the middle of their plane is seven times as sure as one."""
+    """49 readings: the middle of their plane is seven times as certain as one."""
     rng = np.random.default_rng(0)
     inverse = 0.5 + 0.002 * rng.standard_normal((SMALL.height, SMALL.width))
     surface = surface_of((1.0 / inverse).astype(np.float32), SMALL, 3, 6.0)

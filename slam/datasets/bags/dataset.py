@@ -18,12 +18,12 @@ from slam.datasets.bags.layout import Layout, layout_of
 from slam.datasets.bags.pairing import ImagePair, PairStream, StampedImage
 from slam.datasets.bags.records import BagRecord
 from slam.datasets.bags.survey import Survey, survey_bag
+from slam.datasets.bags.time_merge import TimeMerge
 from slam.datasets.bags.topics import TRANSFORMS
-from slam.datasets.bags.weave import Weave
 from slam.datasets.dataset import ReadReport, RecordFault
 from slam.errors import DatasetError
 from slam.measurements import LaserScan, Measurement, RgbdFrame, Trajectory
-from slam.vision.ahead import prepared_ahead
+from slam.vision.prefetch import prefetched
 
 NO_FIELD = "message without a field of its type"
 
@@ -92,7 +92,7 @@ class BagDataset:
         account = Account(self.name, report, self._strict)
         for note in layout.notes:
             report.note(note, 1)
-        for done in prepared_ahead(_stream(bag, layout, account, self.figures), _decoded):
+        for done in prefetched(_stream(bag, layout, account, self.figures), _decoded):
             if done.fault is not None:
                 account.refuse(done.fault, done.where, done.number)
             elif done.measurement is not None:
@@ -126,7 +126,7 @@ def open_bag(path: Path, strict: bool, topics: tuple[str, ...] = ()) -> BagDatas
 
 def _stream(bag: Bag, layout: Layout, account: Account, figures: BagFigures) -> Iterator[_Done | _FrameToDo]:
     """The bag in order, images not decoded yet."""
-    weave: Weave[_FrameToDo] = Weave()
+    time_merge: TimeMerge[_FrameToDo] = TimeMerge()
     pairs = [PairStream(camera.sensor, camera.tolerance_s, account) for camera in layout.cameras]
     reader = _Reader(layout, Decoder(), account, figures)
     for record in bag.records(account):
@@ -134,24 +134,28 @@ def _stream(bag: Bag, layout: Layout, account: Account, figures: BagFigures) -> 
         for item in reader.read(record):
             if isinstance(item, StampedImage):
                 place, is_depth = layout.images[record.channel.topic]
-                _hand_on(weave, layout, place, pairs[place].add(item, is_depth=is_depth))
+                _hand_on(time_merge, layout, place, pairs[place].add(item, is_depth=is_depth))
             else:
-                weave.add_reading(record.number, item, now_s)
+                time_merge.add_reading(record.number, item, now_s)
         for place, pair_stream in enumerate(pairs):
-            _hand_on(weave, layout, place, pair_stream.settle(now_s))
-        yield from _as_done(weave.due(now_s))
+            _hand_on(time_merge, layout, place, pair_stream.settle(now_s))
+        yield from _as_done(time_merge.due(now_s))
     for place, pair_stream in enumerate(pairs):
-        _hand_on(weave, layout, place, pair_stream.rest())
-    yield from _as_done(weave.rest())
+        _hand_on(time_merge, layout, place, pair_stream.rest())
+    yield from _as_done(time_merge.rest())
     for pair_stream in pairs:
         pair_stream.tell()
 
 
-def _hand_on(weave: Weave[_FrameToDo], layout: Layout, place: int, pairs: Iterator[ImagePair]) -> None:
+def _hand_on(
+    time_merge: TimeMerge[_FrameToDo], layout: Layout, place: int, pairs: Iterator[ImagePair]
+) -> None:
     """Pairs of a camera as frames to come."""
     for pair in pairs:
         size, later_s = pair.color.size + pair.depth.size, max(pair.color.recorded_s, pair.depth.recorded_s)
-        weave.add_frame(place, pair.color.stamp_s, _FrameToDo(layout.cameras[place], pair), size, later_s)
+        time_merge.add_frame(
+            place, pair.color.stamp_s, _FrameToDo(layout.cameras[place], pair), size, later_s
+        )
 
 
 def _as_done(items: Iterator[tuple[int, Measurement] | _FrameToDo]) -> Iterator[_Done | _FrameToDo]:
@@ -161,7 +165,7 @@ def _as_done(items: Iterator[tuple[int, Measurement] | _FrameToDo]) -> Iterator[
 
 
 def _decoded(item: _Done | _FrameToDo) -> _Done:
-    """A frame's images decoded; runs on the thread that reads ahead."""
+    """A frame's images decoded; runs on the thread that prefetches."""
     if isinstance(item, _Done):
         return item
     number, where = item.pair.color.number, item.camera.sensor

@@ -139,7 +139,7 @@ def _listing(bag: Bag, survey: Survey, kinds: frozenset[str], topics: set[str] |
 
 
 def _mount(survey: Survey, layout: Layout, topic: str) -> gtsam.Pose3 | None:
-    """``T_base_sensor`` by tf, with a note where it cannot be told."""
+    """``T_base_sensor`` by tf, with a note where it cannot be reported."""
     frame = survey.frames.get(topic, "")
     if not layout.base:
         layout.notes.append(f"{topic}: no tf in the bag; its mounting is not known")

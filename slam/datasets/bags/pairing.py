@@ -38,7 +38,7 @@ class ImagePair:
 
 
 class PairStream:
-    """Pairs as soon as they are sure: at once for equal stamps, else the nearest after a short wait.
+    """Pairs as soon as they are certain: at once for equal stamps, else the nearest after a short wait.
 
     Parameters
     ----------

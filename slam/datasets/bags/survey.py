@@ -76,9 +76,9 @@ class Survey:
         if not infos <= set(self.lenses):
             return False
         base = self.base_frame()
-        told = any(channel.kind in TRANSFORMS for channel in self.channels.values())
+        reported = any(channel.kind in TRANSFORMS for channel in self.channels.values())
         mounted = [self.frames[topic] for topic in sensors if self.channels[topic].kind != ODOMETRY]
-        return not told or (
+        return not reported or (
             base is not None and all(self.tree.between(base, frame) is not None for frame in mounted)
         )
 

@@ -111,6 +111,6 @@ def test_a_file_that_only_begins_as_a_bag_is_told(tmp_path: Path, content: bytes
     for suffix in (".mcap", ".bag", ".db3"):
         path = tmp_path / f"short{suffix}"
         path.write_bytes(content)
-        with pytest.raises(DatasetError) as told:
+        with pytest.raises(DatasetError) as reported:
             list(open_dataset(path))
-        assert "\n" not in str(told.value)
+        assert "\n" not in str(reported.value)

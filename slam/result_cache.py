@@ -8,10 +8,10 @@ from typing import Final, Protocol, TypeVar
 T = TypeVar("T")
 
 
-class Answers(Protocol):
+class ResultCache(Protocol):
     """Asked for everything that takes time while a log is mapped, in an order that the log alone decides."""
 
-    def ask(self, question: str, key: float, compute: Callable[[], T]) -> T:
+    def cached(self, question: str, key: float, compute: Callable[[], T]) -> T:
         """The answer to a question.
 
         Parameters
@@ -29,9 +29,9 @@ class Answers(Protocol):
 class _Computed:
     """Nothing is remembered."""
 
-    def ask(self, question: str, key: float, compute: Callable[[], T]) -> T:
+    def cached(self, question: str, key: float, compute: Callable[[], T]) -> T:
         """Compute it."""
         return compute()
 
 
-COMPUTED: Final[Answers] = _Computed()
+COMPUTED: Final[ResultCache] = _Computed()

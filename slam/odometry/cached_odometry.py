@@ -1,34 +1,36 @@
-"""A lidar odometry whose answers an interrupted run may have left."""
+"""A lidar odometry whose results an interrupted run may have left."""
 
 from __future__ import annotations
 
-from slam.answers import Answers
 from slam.matching.motion import Motion
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate
 from slam.odometry.lidar_odometry import LidarOdometry
+from slam.result_cache import ResultCache
 
 
-class RememberedOdometry:
+class CachedOdometry:
     """See `slam.odometry.lidar_odometry.LidarOdometry`; the keyframes reach the odometry in any case."""
 
-    def __init__(self, odometry: LidarOdometry, answers: Answers) -> None:
+    def __init__(self, odometry: LidarOdometry, result_cache: ResultCache) -> None:
         self._odometry = odometry
-        self._answers = answers
+        self._result_cache = result_cache
 
     def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
         """Pose of the scan's base in the odometry frame, or None where nothing fits."""
-        return self._answers.ask(
+        return self._result_cache.cached(
             "scan", float(guesses[0].pose[0]), lambda: self._odometry.match(points, guesses)
         )
 
     def match_near(self, points: ScanPoints, pose: FloatArray) -> MotionEstimate | None:
         """The best pose of the scan that stays close to ``pose`` (3,), however badly it fits."""
-        return self._answers.ask("held scan", float(pose[0]), lambda: self._odometry.match_near(points, pose))
+        return self._result_cache.cached(
+            "held scan", float(pose[0]), lambda: self._odometry.match_near(points, pose)
+        )
 
     def evidence(self, points: ScanPoints, pose: FloatArray, other: FloatArray) -> FloatArray:
         """What every object in a scan says for a pose (3,) against another one, in points; (K,)."""
-        return self._answers.ask(
+        return self._result_cache.cached(
             "evidence", float(pose[0]), lambda: self._odometry.evidence(points, pose, other)
         )
 

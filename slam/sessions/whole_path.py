@@ -56,9 +56,9 @@ def follow(walls: Walls, session: KnownMap, start: Sighting, config: Config) -> 
     log = KeyframeLog(sensor, math.inf)
     scans, poses = session.keyframe_scans, session.keyframe_poses
     anchors, total = [], 0.0
-    for way in (range(start.keyframe, len(scans)), range(start.keyframe - 1, -1, -1)):
+    for direction in (range(start.keyframe, len(scans)), range(start.keyframe - 1, -1, -1)):
         last, at = start.keyframe, start.pose
-        for key in way:
+        for key in direction:
             scan = scans[key]
             if scan is None:
                 continue

@@ -21,7 +21,7 @@ def joined(near: float, far: float, angle: float, slack_m: float) -> bool:
 
 
 @kernel
-def carry(
+def reproject(
     ranges: Float32Array,
     start: float,
     step: float,

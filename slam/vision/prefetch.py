@@ -11,10 +11,10 @@ Item = TypeVar("Item")
 Prepared = TypeVar("Prepared")
 
 
-def prepared_ahead(
-    items: Iterable[Item], prepare: Callable[[Item], Prepared], ahead: int = 3
+def prefetched(
+    items: Iterable[Item], prepare: Callable[[Item], Prepared], most_waiting: int = 3
 ) -> Iterator[Prepared]:
-    """Results of ``prepare`` in the order of the items, up to ``ahead`` of them computed in advance.
+    """Results of ``prepare`` in the order of the items, up to ``most_waiting`` of them computed in advance.
 
     The order, and with it every result, is that of a plain loop. An error of ``prepare`` surfaces where its
     item's turn comes.
@@ -24,7 +24,7 @@ def prepared_ahead(
         try:
             for item in items:
                 waiting.append(pool.submit(prepare, item))
-                if len(waiting) > ahead:
+                if len(waiting) > most_waiting:
                     yield waiting.popleft().result()
             while waiting:
                 yield waiting.popleft().result()

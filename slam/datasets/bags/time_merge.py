@@ -34,7 +34,7 @@ class _Waiting(Generic[_Frame]):
     recorded_s: float
 
 
-class Weave(Generic[_Frame]):
+class TimeMerge(Generic[_Frame]):
     """Readings and frames go in as they are recorded, and come out in order."""
 
     def __init__(self) -> None:

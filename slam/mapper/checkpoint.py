@@ -1,4 +1,4 @@
-"""The journal of a run: every answer that took time, so that an interrupted run goes on where it was.
+"""The checkpoint of a run: every answer that took time, so that an interrupted run goes on where it was.
 
 A mapper is deterministic. Fed the same log again and given the answers that it got before, it comes to the
 same state, without the time that the answers took.
@@ -15,7 +15,7 @@ from slam.mapper.mount_learner import LearnedMounting
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
-from slam.storage.map_tables import FRAMES, IMAGES, JOURNAL
+from slam.storage.map_tables import CHECKPOINT, FRAMES, IMAGES
 from slam.storage.packing import pack, unpack
 from slam.vision.color_registration import ColorRegistration
 
@@ -26,8 +26,8 @@ _ROW_BYTES = 1 << 18
 _REGISTRATIONS, _MOUNTINGS = "registrations", "mountings"
 
 
-class Journal:
-    """Answers to a run's questions, in their order; see `slam.answers.Answers`.
+class Checkpoint:
+    """Answers to a run's questions, in their order; see `slam.result_cache.ResultCache`.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class Journal:
         self._known: Iterator[tuple[str, float, Any]] = iter(())
         if file is not None:
             file.before_commit(self._flush)
-            self._known = self._read(file, file.count(JOURNAL))
+            self._known = self._read(file, file.count(CHECKPOINT))
         self._next = next(self._known, None)
 
     @property
@@ -51,7 +51,7 @@ class Journal:
         """Whether the next answer is known."""
         return self._next is not None
 
-    def ask(self, question: str, key: float, compute: Callable[[], T]) -> T:
+    def cached(self, question: str, key: float, compute: Callable[[], T]) -> T:
         """The answer to a question: as it was, or else computed and remembered.
 
         Raises
@@ -71,11 +71,11 @@ class Journal:
         self, compute: Callable[[], dict[str, ColorRegistration]]
     ) -> dict[str, ColorRegistration]:
         """Where colour cameras sit that are not registered to depth: the first question of a run."""
-        return dict(self.ask(_REGISTRATIONS, 0.0, lambda: list(compute().items())))
+        return dict(self.cached(_REGISTRATIONS, 0.0, lambda: list(compute().items())))
 
     def mountings(self) -> dict[str, LearnedMounting]:
         """Where cameras sit on the robot, learned by a first pass over the log; the second question."""
-        rows: list[tuple[str, Any, str]] = self.ask(_MOUNTINGS, 0.0, list)
+        rows: list[tuple[str, Any, str]] = self.cached(_MOUNTINGS, 0.0, list)
         return {name: LearnedMounting(pose, note) for name, pose, note in rows}
 
     def begin_again(
@@ -86,7 +86,7 @@ class Journal:
             return
         self._waiting.clear()
         self._count = self._first_waiting = 0
-        for table in (JOURNAL, FRAMES, IMAGES):
+        for table in (CHECKPOINT, FRAMES, IMAGES):
             self._file.clear(table)
         self._remember(_REGISTRATIONS, 0.0, list(registrations.items()))
         rows = [(name, found.T_base_camera, found.note) for name, found in mountings.items()]
@@ -127,7 +127,7 @@ class Journal:
     def _flush(self) -> None:
         """Write the answers that wait, as one row."""
         if self._file is not None and self._waiting:
-            self._file.append(JOURNAL, self._first_waiting, bytes(self._waiting))
+            self._file.append(CHECKPOINT, self._first_waiting, bytes(self._waiting))
             self._waiting.clear()
             self._first_waiting = self._count
 
@@ -135,10 +135,10 @@ class Journal:
     def _read(file: MapFile, rows: int) -> Iterator[tuple[str, float, Any]]:
         """The answers of the first rows, one row in memory at a time."""
         for number in range(rows):
-            content = cast(bytes, file.row(JOURNAL, number)[1])
+            content = cast(bytes, file.row(CHECKPOINT, number)[1])
             at = 0
             while at < len(content):
-                with file.blaming(JOURNAL, number):
+                with file.blaming(CHECKPOINT, number):
                     (length,) = _LENGTH.unpack_from(content, at)
                     question, key, answer = unpack(content[at + 4 : at + 4 + length])
                 at += 4 + length

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from slam.vision.ahead import prepared_ahead
+from slam.vision.prefetch import prefetched
 
 
 def preparers() -> int:
@@ -21,10 +21,10 @@ def test_results_come_in_order_from_one_other_thread() -> None:
         names.add(threading.current_thread().name)
         return item * item
 
-    assert list(prepared_ahead(range(50), square)) == [n * n for n in range(50)]
+    assert list(prefetched(range(50), square)) == [n * n for n in range(50)]
     assert len(names) == 1
     assert threading.current_thread().name not in names
-    assert list(prepared_ahead([], abs)) == []
+    assert list(prefetched([], abs)) == []
     assert preparers() == 0
 
 
@@ -38,7 +38,7 @@ def test_no_more_is_taken_than_is_needed_soon(ahead: int) -> None:
             taken += 1
             yield taken
 
-    results = prepared_ahead(items(), lambda item: item, ahead)
+    results = prefetched(items(), lambda item: item, ahead)
     assert [next(results) for _ in range(5)] == [1, 2, 3, 4, 5]
     assert taken <= 5 + ahead
     del results
@@ -46,7 +46,7 @@ def test_no_more_is_taken_than_is_needed_soon(ahead: int) -> None:
 
 
 def test_an_error_comes_at_its_place() -> None:
-    results = prepared_ahead([1, 1, 0, 1], lambda item: 1 // item)
+    results = prefetched([1, 1, 0, 1], lambda item: 1 // item)
     assert [next(results), next(results)] == [1, 1]
     with pytest.raises(ZeroDivisionError):
         next(results)
