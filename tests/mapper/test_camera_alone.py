@@ -132,7 +132,7 @@ def test_without_open3d_there_is_the_cloud_and_one_line_about_the_mesh(
     assert np.isfinite(axes).all()
 
 
-@pytest.mark.parametrize("method", ["features", pytest.param("dense", camera_poses=pytest.mark.open3d)])
+@pytest.mark.parametrize("method", ["features", pytest.param("dense", marks=pytest.mark.open3d)])
 def test_the_other_methods(method: str, frames: list[RgbdFrame], tmp_path: Path) -> None:
     """The first third of the round; they drift more."""
     path = write_tum_folder(tmp_path / "log", frames[:20], walk()[:20])
