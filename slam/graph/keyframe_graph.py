@@ -11,10 +11,7 @@ from slam.config.stages import GraphConfig
 from slam.graph.loop_closure import LoopCandidate, judged
 from slam.graph.pose_graph import BatchResult, Edge, EdgeKind, PoseGraph
 from slam.graph.relative_uncertainty import UncertaintyGraph
-from slam.measurements import FloatArray, Pose
-
-# x, y and yaw of GTSAM's tangent in space.
-_PLANAR = np.ix_([3, 4, 2], [3, 4, 2])
+from slam.measurements import IN_PLANE, FloatArray, Pose
 
 
 class KeyframeGraph:
@@ -81,7 +78,7 @@ class KeyframeGraph:
         self.graph.add_edge(edge)
         T, covariance = edge.T_source_target, edge.covariance
         if isinstance(T, gtsam.Pose3):
-            covariance = covariance[_PLANAR]
+            covariance = covariance[np.ix_(IN_PLANE, IN_PLANE)]
         self.uncertainty.add_edge(edge.source, edge.target, np.array(row_of(T)), covariance)
 
     def add_loop(self, candidate: LoopCandidate) -> None:

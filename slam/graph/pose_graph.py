@@ -20,7 +20,6 @@ from slam.measurements import BoolArray, FloatArray, Pose
 _CAUCHY_SIGMAS = 1.0
 # Growth of GNC's control parameter a round: twice the library's pace, the same edges refused on real logs.
 _GNC_STEP = 2.0
-_WEIGHT_KEPT = 0.5
 
 
 class EdgeKind(StrEnum):
@@ -177,7 +176,7 @@ class PoseGraph:
         weights = np.ones(len(self.edges))
         if any(not edge.trusted for edge in self.edges):
             weights = self._gnc_weights(inlier_probability)
-        kept = weights > _WEIGHT_KEPT
+        kept = weights > 0.5
         graph = self._graph(edge for edge, keep in zip(self.edges, kept, strict=True) if keep)
         self._estimate = gtsam.LevenbergMarquardtOptimizer(graph, self._estimate).optimize()
         return BatchResult(float(graph.error(self._estimate)), kept)

@@ -29,8 +29,8 @@ from slam.measurements import (
     pose2_from_row,
     row_from_pose2,
 )
+from slam.odometry.surfel_odometry import LEAST_POINTS
 
-_LEAST_POINTS = 10
 # Shares of explained, crossing and in-free beams at the true pose, and at the best of all wrong poses. A
 # silent beam says nothing: where the map is incomplete, true poses have as many of them as wrong ones. With
 # what tools/learn_match_likelihoods.py learns in fr079 (0.95 to 0.72, 0.03 to 0.09, 0.02 to 0.19) places are
@@ -101,7 +101,7 @@ class PlanarSensor:
         """See `Sensor`."""
         row = row_from_pose2(guess)
         tile = self._walls.tile(row)
-        if len(view.oriented) < _LEAST_POINTS or len(tile.fine.surfels) < _LEAST_POINTS:
+        if len(view.oriented) < LEAST_POINTS or len(tile.fine.surfels) < LEAST_POINTS:
             return None
         motion = motion_from_alignment(tile.align(view.oriented, row), self._noise)
         return motion if motion.inlier_share > 0.0 else None

@@ -12,6 +12,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from fusion.estimation import FEWEST
 from fusion.height_band import HeightBand
 from slam.config import Config
 from slam.errors import DatasetError, ScanweaveError
@@ -38,8 +39,6 @@ from slam.vision.prepared_frame import PreparedFrame
 
 # A kept cloud is as fine as the map, and four times as fine as the matching.
 _KEPT_SHARE = 0.25
-# So many scans of which none matched are no log of a 3D lidar.
-_HOPELESS = 20
 # A larger share of doubtful matches is worth a warning.
 _MOST_DOUBTFUL = 0.02
 
@@ -126,7 +125,7 @@ class CloudLidar:
                 f"none of {clouds:,} clouds has {self._config.cloud_odometry.least_pairs} usable "
                 "points; look at cloud_odometry.range_min_m and range_max_m, and at 'scanweave inspect'"
             )
-        if not self._matched and clouds >= _HOPELESS:
+        if not self._matched and clouds >= FEWEST:
             raise DatasetError(
                 f"none of {clouds:,} clouds matched another; planes need several rings, "
                 "and points dense enough for cloud_odometry.voxel_m"

@@ -8,14 +8,12 @@ from dataclasses import dataclass, field
 import gtsam
 import numpy as np
 
+from fusion.estimation import FEWEST
 from slam.graph.extrinsics import ExtrinsicsResult, MotionPair, estimate_extrinsics
 from slam.matching.motion import Motion
 from slam.measurements import FloatArray, pose2_from_row
 from slam.vision.camera_frame import T_BODY_CAMERA
 
-_EVERY = 20  # pairs between two estimates
-_LEAST_PAIRS = 20
-_LEAST_INLIER_SHARE = 0.5
 _CONFIDENT_RAD = math.radians(1.0)
 _CONFIDENT_M = 0.03
 _PLANAR = ("roll", "pitch", "yaw", "x", "y")
@@ -71,12 +69,12 @@ class MountLearner:
         self._pairs.append(
             MotionPair(pose2_from_row(base.pose), base.covariance, step.motion, step.covariance)
         )
-        if len(self._pairs) % _EVERY == 0:
+        if len(self._pairs) % FEWEST == 0:
             self.estimate()
 
     def estimate(self) -> None:
         """Estimate anew from all pairs so far."""
-        if len(self._pairs) >= _LEAST_PAIRS:
+        if len(self._pairs) >= FEWEST:
             self.result = estimate_extrinsics(self._pairs, self.start)
 
     def note(self, camera: str) -> str:
@@ -97,7 +95,7 @@ class MountLearner:
 
 def _confident(result: ExtrinsicsResult) -> bool:
     """Whether planar motion may rest on an estimate."""
-    if not result.converged or result.inlier_share < _LEAST_INLIER_SHARE:
+    if not result.converged or result.inlier_share < 0.5:
         return False
     if any(direction in _PLANAR for direction in result.unobservable):
         return False

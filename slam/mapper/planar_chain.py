@@ -22,9 +22,6 @@ from slam.odometry.wheel_tracker import WheelTracker
 # to those before it while no more guessed ones than this have joined the local map.
 _GUESS_SHARE = 0.1
 _MOST_GUESSED = 5
-# Of three degrees of freedom. A match past such a keyframe may hold the chain where the wheels are no farther
-# from it than wheels are on average: the gate lets half a radian pass, and a false bridge folds the map.
-_EXPECTED_SQUARES = 3.0
 
 
 class PlanarChain:
@@ -136,7 +133,9 @@ class PlanarChain:
         wheels = self._wheel_step(matched, tracked, stamp_s - self._stamps_s[key])
         if wheels is not None:
             squares = bridge.widened(wheels.covariance).squared_mahalanobis(wheels.pose)
-            return uncertain, bridge if squares <= _EXPECTED_SQUARES else None
+            # No farther than wheels are on average, one for each degree of freedom: the gate lets half a
+            # radian pass, and a false bridge folds the map.
+            return uncertain, bridge if squares <= len(wheels.pose) else None
         return uncertain, bridge
 
     def _camera_steps(self, moved: list[CameraStep]) -> dict[str, Motion]:

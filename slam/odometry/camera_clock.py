@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from fusion.time_alignment import clock_offset
 from slam.measurements import FloatArray
+from slam.odometry.wheel_tracker import LONGEST_EXTRAPOLATION_S
 
-# No rate is told by readings further apart than this.
-_LONGEST_STEP_S = 0.5
 # Offsets of up to this are tried: more is no clock, but two logs.
 _MOST_S = 0.25
-# The offset is estimated from stretches of this length, at most so many of them, evenly over the run.
+# The offset is estimated from stretches of this length.
 _STRETCH_S = 60.0
-_MOST_STRETCHES = 20
 # A stretch tells an offset where the rates are as alike as this, and the offset as certain as this.
 _LEAST_CORRELATION = 0.9
 _GREATEST_SIGMA_S = 0.02
@@ -75,7 +74,7 @@ class YawRates:
     def add(self, stamp_s: float, yaw_rad: float) -> None:
         """Take a heading; a rate belongs to the middle between two of them."""
         step_s = stamp_s - self._stamp_s
-        if 0.0 < step_s < _LONGEST_STEP_S:
+        if 0.0 < step_s < LONGEST_EXTRAPOLATION_S:
             turn = np.remainder(yaw_rad - self._yaw_rad + np.pi, 2.0 * np.pi) - np.pi
             self.add_rate(stamp_s - 0.5 * step_s, float(turn) / step_s)
         self._stamp_s, self._yaw_rad = stamp_s, yaw_rad
@@ -122,8 +121,7 @@ class ClockLearner:
         stamps, _ = self.rates.between(-np.inf, np.inf)
         count = max(1, int((stamps[-1] - stamps[0]) / _STRETCH_S))
         edges = np.linspace(stamps[0], stamps[-1], count + 1)
-        chosen = np.unique(np.linspace(0, count - 1, min(count, _MOST_STRETCHES)).round().astype(int))
-        return [(float(edges[n]), float(edges[n + 1])) for n in chosen]
+        return list(pairwise(edges.tolist()))
 
     def _offset(self, robot: YawRates, first_s: float, last_s: float) -> tuple[float, float] | None:
         """Offset and sigma of one stretch; None where it does not tell."""

@@ -18,7 +18,6 @@ _EXTRAPOLATION_SHARE = 0.2
 _INTERPOLATION_SHARE = 0.05
 # Sigma of the speed of a camera that was matched but once: radians and metres a second.
 _UNKNOWN_SPEED = 0.5
-_ROW = 16  # rotation matrix, translation, and what fills up the 4 x 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +121,7 @@ class CameraTrack:
 
     def _pose(self, number: int) -> gtsam.Pose3:
         """``T_odom_camera`` at a frame."""
-        row = self._poses[_ROW * number : _ROW * (number + 1)]
+        row = self._poses[16 * number : 16 * (number + 1)]
         return gtsam.Pose3(np.array(row).reshape(4, 4))
 
     def _covariance(self, number: int) -> FloatArray:

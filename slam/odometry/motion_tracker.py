@@ -22,10 +22,9 @@ from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate, row_from_pose2
 from slam.odometry.lidar_odometry import LidarOdometry
+from slam.odometry.rgbd_tracker import GREATEST_STRETCH
 from slam.odometry.wheel_tracker import WheelTracker
 
-# A velocity is carried over at most this many times the step that it was measured over.
-_GREATEST_STRETCH = 3.0
 # One wild step says no more about a predictor than this many times its variance.
 _GREATEST_SURPRISE = 10.0
 # What scan and camera differ by though both are right: x, y, yaw.
@@ -39,7 +38,6 @@ _LEAST_SHARE = 0.02
 _WINDOW_S = 1.0
 # Only a match that this share of the points agrees with may judge a predictor.
 _JUDGE_INLIER_SHARE = 0.8
-_UNDISPUTED = np.zeros((3, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,12 +154,12 @@ class MotionTracker:
         """
         wheel_pose = self._wheels.pose_at(stamp_s) if self._wheels else None
         if self._last is None:
-            tracked = TrackedScan(np.zeros(3), None, wheel_pose, _UNDISPUTED)
+            tracked = TrackedScan(np.zeros(3), None, wheel_pose, np.zeros((3, 3)))
         else:
             step_s = stamp_s - self._stamp_s
             guesses = self._predict(self._last, wheel_pose, cameras, step_s)
             self._by_window = self._predict_by_window(stamp_s, wheel_pose)
-            motion, dispute = None, _UNDISPUTED
+            motion, dispute = None, np.zeros((3, 3))
             if points is not None:
                 motion, dispute = self._match(points, guesses)
             pose = guesses[0].pose if motion is None else self._fused(motion)
@@ -198,7 +196,7 @@ class MotionTracker:
                 self._by_wheels.predict(compose(last.pose, step), covariance, self._wheels.swing_m(step))
         stretch = 1.0
         if step_s > 0.0 and self._velocity_step_s > 0.0:
-            stretch = min(step_s / self._velocity_step_s, _GREATEST_STRETCH)
+            stretch = min(step_s / self._velocity_step_s, GREATEST_STRETCH)
         step = self._velocity_step * stretch
         self._by_velocity.predict(compose(last.pose, step), self._velocity_covariance(step) + last.dispute)
         guesses = [guess for predictor in predictors for guess in predictor.guesses]
@@ -232,26 +230,26 @@ class MotionTracker:
         """Match, settle a contradiction, judge the predictors: what was measured, and the dispute."""
         motion = self._odometry.match(points, guesses)
         if motion is None:
-            return None, _UNDISPUTED
+            return None, np.zeros((3, 3))
         rivals = [
             *self._rivals(points, motion, [*self._by_camera.guesses, *self._by_wheels.guesses], guesses),
             *self._rivals(points, motion, self._by_window, self._by_window),
         ]
         if not rivals:
             self._judge(motion)
-            return motion, _UNDISPUTED
+            return motion, np.zeros((3, 3))
         log_odds, held, prediction = max(rivals, key=lambda rival: rival[0])
         if log_odds < -self._config.disputed_within:
             self._recent.clear()  # the wheels have slipped: their path until now tells nothing
             self._judge(motion)
-            return motion, _UNDISPUTED
+            return motion, np.zeros((3, 3))
         if held is None:
             guesses.insert(0, prediction)  # it is the pose
-            return None, _UNDISPUTED
+            return None, np.zeros((3, 3))
         if any(prediction is one for one in self._by_window):
             self._follow_the_wheels()
         if log_odds > self._config.disputed_within:
-            return held, _UNDISPUTED
+            return held, np.zeros((3, 3))
         offset = between(*(row_from_pose2(estimate.T_reference_base) for estimate in (motion, held)))
         return held, np.outer(offset, offset)
 

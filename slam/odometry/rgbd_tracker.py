@@ -14,7 +14,7 @@ from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch, dissimilarity
 
 # A velocity is carried over at most this many times the step that it was measured over.
-_GREATEST_STRETCH = 3.0
+GREATEST_STRETCH = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ class RgbdTracker:
         """The last step again, for the time that has passed."""
         if step_s <= 0.0 or self._step_s <= 0.0:
             return gtsam.Pose3()
-        stretch = min(step_s / self._step_s, _GREATEST_STRETCH)
+        stretch = min(step_s / self._step_s, GREATEST_STRETCH)
         return gtsam.Pose3.Expmap(stretch * gtsam.Pose3.Logmap(self._step))
 
     def _match(self, frame: PreparedFrame, guess: gtsam.Pose3) -> TrackedFrame:

@@ -16,7 +16,7 @@ from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate
 
 # Fewer oriented points than this determine no pose.
-_LEAST_POINTS = 10
+LEAST_POINTS = 10
 
 
 class SurfelOdometry:
@@ -36,7 +36,7 @@ class SurfelOdometry:
         """Align from the first guess; from the others and by search where that is not certain."""
         local_map = self._known()
         scan = OrientedPoints.from_scan(points)
-        if local_map is None or len(scan) < _LEAST_POINTS:
+        if local_map is None or len(scan) < LEAST_POINTS:
             return None
         best = local_map.align(scan, guesses[0].pose)
         for guess in guesses[1:]:
@@ -54,7 +54,7 @@ class SurfelOdometry:
         """Align while held at ``pose`` (3,): the yaw is free, the position gives way by little."""
         local_map = self._known()
         scan = OrientedPoints.from_scan(points)
-        if local_map is None or len(scan) < _LEAST_POINTS:
+        if local_map is None or len(scan) < LEAST_POINTS:
             return None
         return motion_from_alignment(local_map.align_held(scan, pose), self._match)
 

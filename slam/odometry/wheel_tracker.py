@@ -11,7 +11,7 @@ from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, WheelOdometry, row_from_pose2
 
 # Beyond this the last reading is too old to be carried on by its own speed.
-_LONGEST_EXTRAPOLATION_S = 0.5
+LONGEST_EXTRAPOLATION_S = 0.5
 # Readings whose stamps coincide or run backward took a time that nobody knows.
 _SHORTEST_STEP_S = 0.05
 _UNKNOWN_STEP_S = 1.0
@@ -37,7 +37,7 @@ class WheelTracker:
     def pose_at(self, stamp_s: float) -> FloatArray | None:
         """Pose (3,) in the odom frame at a stamp at or shortly after the last reading; None before any."""
         ahead_s = stamp_s - self._stamp_s
-        if self._pose is None or self._twist is None or not 0.0 < ahead_s < _LONGEST_EXTRAPOLATION_S:
+        if self._pose is None or self._twist is None or not 0.0 < ahead_s < LONGEST_EXTRAPOLATION_S:
             return self._pose
         return compose(self._pose, self._twist * ahead_s)
 

@@ -14,9 +14,6 @@ from slam.measurements import FloatArray, Pose, Trajectory, spatial
 from slam.trajectory.poses import Poses
 from slam.trajectory.spread import spread_correction, steadied
 
-# Of a covariance in GTSAM's order, the variances of position and rotation along x, y, z; -1 for none.
-_PLANAR, _SPATIAL = [0, 1, -1, -1, -1, 2], [3, 4, 5, 0, 1, 2]
-
 
 class Readings:
     """Stamps and motion of every reading; numbers only, so that it stays small on a long log."""
@@ -63,7 +60,8 @@ class Readings:
         """
         variances = np.full(6, np.nan)
         if covariance is not None:
-            order = _PLANAR if len(covariance) == 3 else _SPATIAL
+            # Of position and rotation along x, y, z, from GTSAM's order; -1 for what a plane does not have.
+            order = [0, 1, -1, -1, -1, 2] if len(covariance) == 3 else [3, 4, 5, 0, 1, 2]
             variances = np.append(np.diag(covariance), 0.0)[order]
         self._scan_variances.extend(variances)
         self._scan_readings.append(len(self._stamps_s))

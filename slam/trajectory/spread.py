@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation import TINY
 from slam.measurements import FloatArray
 from slam.trajectory.poses import Poses
 
@@ -12,7 +13,6 @@ from slam.trajectory.poses import Poses
 _AROUND = 10
 # A radian of turn counts as this much path when a correction is spread; standing still counts a little.
 _TURN_M_PER_RAD = 0.3
-_STILL_M = 1e-6
 
 
 def spread_correction(motion: Poses, anchors: NDArray[np.int64], anchor_poses: Poses) -> Poses:
@@ -102,4 +102,4 @@ def _path_lengths(motion: Poses) -> FloatArray:
     """(N - 1,) from each pose to the next, turns included."""
     steps = np.linalg.norm(np.diff(motion.positions_m, axis=0), axis=1)
     turns_rad = (motion.rotations[:-1].inv() * motion.rotations[1:]).magnitude()
-    return steps + _TURN_M_PER_RAD * turns_rad + _STILL_M
+    return steps + _TURN_M_PER_RAD * turns_rad + TINY
