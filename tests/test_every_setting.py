@@ -31,6 +31,7 @@ RUN_OF_SECTION = {
     "cloud_localization": "in_room",
 }
 RUN_OF = {
+    "localization.search_every_m": "in_room",
     "match.lost_after": "spatial",
     "loops.by_appearance": "spatial",
     "loops.least_overlap": "spatial",
@@ -48,9 +49,6 @@ BESIDE: dict[str, tuple[str, ...]] = {
     "cloud_loops.greatest_residual_ratio": ("match.minimal_residual_m=0.001",),
     "localization.keyframe_rad": ("localization.keyframe_m=5",),
     "localization.lost_after_s": ("localization.dead_reckoning_m=100",),
-    "prediction.velocity_floor_m": ("sensors.wheels=false",),
-    "prediction.velocity_floor_rad": ("sensors.wheels=false",),
-    "prediction.velocity_share": ("sensors.wheels=false",),
     "graph.loose_share": ("graph.confident_inlier_share=1.0",),
     "rgbd_odometry.keyframe_parallax": (
         "keyframes.angle_rad=3",
@@ -64,6 +62,7 @@ BESIDE: dict[str, tuple[str, ...]] = {
 }
 # Values that matter in a run so small, where four times the default does not.
 VALUES: dict[str, Any] = {
+    "localization.search_every_m": 0.05,
     "match.local_map_keyframes": 5,
     "match.search_half_yaw_rad": 0.01,
     "match.search_points": 20,
@@ -76,7 +75,7 @@ VALUES: dict[str, Any] = {
     "seed": 1,
     "sensors.motion": "spatial",
     "rgbd.registration": "auto",
-    "lidar_odometry.confident_inlier_share": 0.01,
+    "match.confident_inlier_share": 0.01,
     "prediction.velocity_share": 0.0,
     "prediction.memory_scans": 3.0,
     "keyframes.angle_rad": 0.05,

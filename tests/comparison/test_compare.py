@@ -113,7 +113,7 @@ def test_a_recording_shows_every_result_beside_the_truth(tiny: Tiny) -> None:
     class Noting(NullViewer):
         shown: ClassVar[dict[str, object]] = {}
 
-        def way(self, name: str, positions_m: FloatArray) -> None:
+        def polyline(self, name: str, positions_m: FloatArray) -> None:
             self.shown[name] = positions_m
 
         def grid(self, name: str, states: object, resolution_m: float, T_map_grid: object) -> None:
