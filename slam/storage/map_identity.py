@@ -25,12 +25,13 @@ _BLOCK = 1 << 20
 # Sections and settings that earlier versions had: what they decided is in the map.
 _RETIRED_BY_SECTION = {
     "sensors": "greatest_excess",
+    "prediction": "surprise_sigmas",
     "match": "coarse_cell_m fine_cell_m coarse_kernel_m fine_kernel_m",
     "rgbd_odometry": (
-        "method local_keyframes iterations coarse_iterations least_inlier_share confident_inlier_share "
+        "method local_keyframes iterations coarse_iterations least_inlier_share sure_inlier_share "
         "least_overlap floor_m floor_rad degenerate_sigma_m keyframe_angle_rad lost_after ransac_px"
     ),
-    "visual_loops": "enabled near by_appearance least_inlier_share least_overlap keyframes_cached",
+    "visual_loops": "enabled near by_looks least_inlier_share least_overlap keyframes_cached",
     "loops": (
         "greatest_half_yaw_rad least_half_width_m least_half_yaw_rad wide_half_width_m "
         "wide_half_yaw_rad candidates submap_half_keyframes submap_half_m submaps_cached field_cell_m "
@@ -45,7 +46,7 @@ _RETIRED_BY_SECTION = {
         "least_inlier_share floor_m floor_rad minimal_residual_m degenerate_share degenerate_sigma_m"
     ),
     "cloud_loops": (
-        "enabled caution every_voxels sigmas near by_appearance half_keyframes places_cached least_overlap "
+        "enabled caution every_voxels sigmas near by_looks half_keyframes places_cached least_overlap "
         "least_inlier_share"
     ),
     "localization": (
