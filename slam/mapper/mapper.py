@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from slam.config import Config
-from slam.errors import DatasetError
+from slam.errors import DatasetError, GraphError
 from slam.graph.keyframe_graph import KeyframeGraph, row_of
 from slam.graph.loop_closure import LoopCandidate
-from slam.graph.pose_graph import Edge
+from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.protocol import SENSORS, FrontEnd, Sensor, Tracked
@@ -120,7 +120,8 @@ class Mapper:
         if self._graph is None:
             self._graph = KeyframeGraph(front_end.origin(), self._config.graph)
             front_end.step(key)
-            self._factors(key, tracked.stamp_s)
+            for edge in self._factors(key, tracked.stamp_s):
+                self._graph.add_edge(edge)
         else:
             key = len(self._graph)
             step, edges = front_end.step(key)
@@ -132,4 +133,10 @@ class Mapper:
 
     def _factors(self, key: int, stamp_s: float) -> list[Edge]:
         """What the sensors beside the front end know of a new keyframe."""
-        return [edge for sensor in self._sensors.values() for edge in sensor.factors(key, stamp_s)]
+        edges = [edge for sensor in self._sensors.values() for edge in sensor.factors(key, stamp_s)]
+        for edge in edges:
+            if edge.kind in set(EdgeKind):
+                raise GraphError(
+                    f"a registered sensor's edge is called '{edge.kind}'; give it a name of its own"
+                )
+        return edges

@@ -134,7 +134,8 @@ def register_sensor(kind: type, make: Callable[[Config], Sensor]) -> None:
         Type of its measurements, which have ``stamp_s`` (seconds) and ``sensor`` (a name).
     make
         Given the configuration, the sensor of a new run: ``observe(measurement)`` takes what comes,
-        ``factors(key, stamp_s)`` gives `slam.Edge`s when keyframe ``key`` is made, ``notes()`` what people
+        ``factors(key, stamp_s)`` gives `slam.Edge`s of a kind of its own when keyframe ``key`` is made, from
+        earlier ones (none for the first), ``notes()`` what people
         should know.
 
     Examples

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import gtsam
 import numpy as np
 import pytest
 from flat_worlds import box, sweep
+from memory_drives import MemoryLog
 from room_world import LESS, T_BODY_CAMERA, blind, furnished, render
 from typer.testing import CliRunner
 
 from slam.cli import app
 from slam.config import load_config
-from slam.datasets.dataset import ReadReport
 from slam.evaluation.map_info import map_info
 from slam.graph.pose_graph import EdgeKind
 from slam.mapper.map_result import MapResult
@@ -28,7 +28,6 @@ from slam.measurements import (
     LaserScan,
     Measurement,
     RgbdFrame,
-    Trajectory,
     WheelOdometry,
     pose2_from_row,
 )
@@ -59,21 +58,6 @@ def truth() -> FloatArray:
     return np.array(poses)
 
 
-@dataclass
-class Log:
-    """Measurements in memory."""
-
-    measurements: list[Measurement]
-    name: str = "in memory"
-    report: ReadReport = field(default_factory=ReadReport)
-
-    def __iter__(self) -> Iterator[Measurement]:
-        return iter(self.measurements)
-
-    def groundtruth(self) -> Trajectory | None:
-        return None
-
-
 @pytest.fixture(scope="module")
 def drive() -> list[tuple[int, Measurement]]:
     """Wheels that slip in the middle; a scan and 10 ms before it a frame, ten times a second."""
@@ -98,7 +82,7 @@ def drive() -> list[tuple[int, Measurement]]:
 
 def run(drive: list[tuple[int, Measurement]], edit: Edit, *overrides: str) -> MapResult:
     measurements = [edit(n, measurement) for n, measurement in drive]
-    kept = Log([measurement for measurement in measurements if measurement is not None])
+    kept = MemoryLog([measurement for measurement in measurements if measurement is not None])
     return build_map(kept, load_config(None, ["dense_map.enabled=false", *overrides]))  # type: ignore[arg-type]
 
 

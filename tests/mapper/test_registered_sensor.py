@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import gtsam
 import numpy as np
 import pytest
 from ceiling_compass import KIND, CeilingCompass, Heading
@@ -16,7 +18,8 @@ import slam
 from slam.app.mapping import run_log
 from slam.app.measured import Measured
 from slam.config import load_config
-from slam.errors import DatasetError
+from slam.errors import DatasetError, GraphError
+from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapper.protocol import SENSORS
 from slam.matching.planar import compose
 from slam.measurements import Measurement, WheelOdometry, pose2_from_row
@@ -79,3 +82,22 @@ def test_without_it_a_heading_is_no_measurement(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.delitem(SENSORS, Heading)
     with pytest.raises(DatasetError, match="is a Heading"):
         slam.build_map(drive(compass=True))
+
+
+@pytest.mark.parametrize(
+    ("made", "fault"),
+    [
+        (lambda key: [edge(0, key, EdgeKind.RGBD)] if key else [], "a name of its own"),
+        (lambda key: [edge(key - 1, key, KIND)], "the graph has nodes 0..0"),
+    ],
+)
+def test_an_edge_that_cannot_be_is_refused_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, made: Callable[[int], list[Edge]], fault: str
+) -> None:
+    monkeypatch.setattr(CeilingCompass, "factors", lambda self, key, stamp_s: made(key))
+    with pytest.raises(GraphError, match=fault):
+        slam.build_map(drive(compass=True))
+
+
+def edge(source: int, target: int, kind: str) -> Edge:
+    return Edge(source, target, gtsam.Pose2(), np.eye(3), kind, trusted=False)
