@@ -64,22 +64,26 @@ class KeyframeGraph:
         pose = self._poses[-1].compose(step)  # type: ignore[arg-type]
         key = self.graph.add_node(pose)
         self._append(pose)
-        held = False
-        for edge in edges:
-            self.add_edge(edge)
-            held = held or (edge.trusted and edge.source == key - 1)
-        if not held:
+        edges = list(edges)
+        if not any(edge.trusted and edge.source == key - 1 for edge in edges):
             covariance = unmeasured(self._config, planar=self._planar)
-            self.add_edge(Edge(key - 1, key, step, covariance, EdgeKind.ASSUMED, trusted=True))
+            edges.append(Edge(key - 1, key, step, covariance, EdgeKind.ASSUMED, trusted=True))
+        # What all of them together tell of the step, as if they were one.
+        information = np.zeros((3, 3))
+        for edge in edges:
+            if edge.source == key - 1:
+                self.graph.add_edge(edge)
+                information += np.linalg.inv(_in_plane(edge))
+            else:
+                self.add_edge(edge)
+        self.uncertainty.add_edge(key - 1, key, np.array(row_of(step)), np.linalg.inv(information))
         return key
 
     def add_edge(self, edge: Edge) -> None:
         """Take a motion between two keyframes that are there."""
         self.graph.add_edge(edge)
-        T, covariance = edge.T_source_target, edge.covariance
-        if isinstance(T, gtsam.Pose3):
-            covariance = covariance[np.ix_(IN_PLANE, IN_PLANE)]
-        self.uncertainty.add_edge(edge.source, edge.target, np.array(row_of(T)), covariance)
+        relative = np.array(row_of(edge.T_source_target))
+        self.uncertainty.add_edge(edge.source, edge.target, relative, _in_plane(edge))
 
     def add_loop(self, candidate: LoopCandidate) -> None:
         """Take a loop candidate: into the graph if it was accepted, into the report in any case."""
@@ -126,6 +130,13 @@ def unmeasured(config: GraphConfig, share: float = 1.0, *, planar: bool) -> Floa
     metres, radians = share * config.lost_sigma_m, share * config.lost_sigma_rad
     sigmas = [metres, metres, radians] if planar else [radians] * 3 + [metres] * 3
     return np.diag(np.square(sigmas))
+
+
+def _in_plane(edge: Edge) -> FloatArray:
+    """Covariance (3, 3) of x, y, yaw of an edge, in the target's frame."""
+    if isinstance(edge.T_source_target, gtsam.Pose3):
+        return edge.covariance[np.ix_(IN_PLANE, IN_PLANE)]
+    return edge.covariance
 
 
 def row_of(pose: Pose) -> list[float]:

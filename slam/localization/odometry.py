@@ -62,12 +62,10 @@ class ScanOdometry:
         By the wheels; as before, where they say nothing.
         """
         step, step_s = self._step, stamp_s - self._stamp_s
-        if self._wheels is not None and self._last is not None and self._last.wheel_pose is not None:
-            now = self._wheels.pose_at(stamp_s)
-            turned = None if now is None else between(self._last.wheel_pose, now)
-            if turned is not None and self._wheels.plausible(turned, step_s):
-                covariance = self._wheels.covariance(turned) * self._tracker.wheel_doubt
-                return Measured(pose2_from_row(turned), covariance)
+        if self._wheels is not None and self._last is not None:
+            moved = self._tracker.wheel_motion(self._last.wheels, self._wheels.moment(stamp_s), step_s)
+            if moved is not None:
+                return Measured(pose2_from_row(moved.pose), moved.covariance)
         config = self._config.prediction
         sigma_m = config.velocity_floor_m + config.velocity_share * math.hypot(step[0], step[1])
         sigma_rad = config.velocity_floor_rad + config.velocity_share * abs(float(step[2]))
@@ -102,10 +100,11 @@ class ScanOdometry:
             self._unmatched = 0
             return False
         self._unmatched += 1
-        if self._wheels is None or last.wheel_pose is None or tracked.wheel_pose is None:
-            return True
-        plausible = self._wheels.plausible(between(last.wheel_pose, tracked.wheel_pose), elapsed_s)
-        return not plausible or elapsed_s > _GAP_S or self._unmatched >= _LOST_READINGS
+        told = (
+            self._wheels is not None
+            and self._wheels.motion(last.wheels, tracked.wheels, elapsed_s) is not None
+        )
+        return not told or elapsed_s > _GAP_S or self._unmatched >= _LOST_READINGS
 
     def _fused(self, row: FloatArray, tracked: TrackedScan, expected: Measured) -> Measured:
         """A step (3,) by match and expectation, by their covariances: wheels tell how long a corridor is."""

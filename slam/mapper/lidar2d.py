@@ -29,7 +29,7 @@ from slam.matching.local_map import OrientedPoints
 from slam.matching.motion import Motion
 from slam.matching.planar import between
 from slam.matching.scan_points import ScanPoints, extract_points
-from slam.measurements import LaserScan, Pose, WheelOdometry, pose2_from_row, row_from_pose2
+from slam.measurements import LaserScan, Pose, WheelOdometry, pose2_from_row
 from slam.odometry import STANDARD, Odometries
 from slam.odometry.cached_odometry import CachedOdometry
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
@@ -166,8 +166,7 @@ class PlanarRobot:
             self.readings.add_wheel(reading.stamp_s, None)
             return
         self._cameras.note_wheel_turn(reading.stamp_s, reading.T_odom_base.theta())
-        self._wheels.add(reading)
-        self.readings.add_wheel(reading.stamp_s, row_from_pose2(reading.T_odom_base))
+        self.readings.add_wheel(reading.stamp_s, self._wheels.add(reading))
 
     def _add_frame(self, frame: PreparedFrame) -> Tracked | None:
         """Track a frame; where no scan has come for a while, the leading camera carries the robot on."""
@@ -198,7 +197,7 @@ class PlanarRobot:
         self.readings.add_scan(
             stamp_s,
             pose2_from_row(tracked.pose),
-            tracked.wheel_pose,
+            None if tracked.wheels is None else tracked.wheels.pose,
             covariance=None if tracked.motion is None else tracked.motion.covariance,
             trusted=tracked.confident if scan is not None else bool(cameras),
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from itertools import combinations, groupby
 
@@ -22,6 +23,8 @@ from slam.odometry.wheel_tracker import WheelTracker
 # to those before it while no more guessed ones than this have joined the local map.
 _GUESS_SHARE = 0.1
 _MOST_GUESSED = 5
+# Keyframes of a stretch that the wheels tell as a whole.
+_STRETCH = 20
 
 
 class PlanarChain:
@@ -33,6 +36,7 @@ class PlanarChain:
         self._config, self._tracker, self._wheels, self._cameras = config, tracker, wheels, cameras
         self._last: TrackedScan | None = None
         self._matched: tuple[int, TrackedScan | None] = (0, None)
+        self._stretch: tuple[int, TrackedScan | None] = (0, None)
         self._guessed = 0
         self._guess_steps: list[Motion] = []
         self._camera_poses: CameraPoses = {}
@@ -62,6 +66,8 @@ class PlanarChain:
         (3,) the motion since the last one, and the edges to it.
         """
         step, edges, cameras = np.zeros(3), list[Edge](), list[Motion]()
+        if self._last is None:
+            self._stretch = key, tracked
         if self._last is not None:
             step, edges, cameras = self._step(key, stamp_s, self._last, tracked, camera_poses)
         self._stamps_s.append(stamp_s)
@@ -96,7 +102,7 @@ class PlanarChain:
         if tracked.motion is not None:
             matched = row_from_pose2(tracked.motion.T_reference_base)
             match = Motion(between(last.pose, matched), tracked.motion.covariance + tracked.dispute)
-        wheels = self._wheel_step(last, tracked, stamp_s - self._stamps_s[-1])
+        wheels = self._tracker.wheel_motion(last.wheels, tracked.wheels, stamp_s - self._stamps_s[-1])
         bridge = None
         guessed = last is not self._matched[1]
         if match is not None and guessed and not (self._guess_steps and _agree(self._guess_steps)):
@@ -105,7 +111,11 @@ class PlanarChain:
         by_camera = self._camera_steps(moved)
         cameras = list(by_camera.values())
         doubtful = self._doubtful(tracked)
-        edges = edges_of(key, step, match, wheels, cameras, self._config.graph, match_doubtful=doubtful)
+        open_ = tracked.motion is not None and tracked.motion.degenerate
+        edges = edges_of(
+            key, step, match, wheels, cameras, self._config.graph, match_doubtful=doubtful, match_open=open_
+        )
+        edges += self._long_wheels(key, stamp_s, tracked)
         if bridge is not None:
             # It holds the chain, which is loose between: false loops may not break it.
             edges.append(_edge(self._matched[0], key, bridge, EdgeKind.LIDAR, trusted=not doubtful))
@@ -130,13 +140,24 @@ class PlanarChain:
         if self._guess_steps or self._guessed > _MOST_GUESSED:
             return uncertain, None
         bridge = Motion(between(matched.pose, compose(last.pose, match.pose)), match.covariance)
-        wheels = self._wheel_step(matched, tracked, stamp_s - self._stamps_s[key])
+        wheels = self._tracker.wheel_motion(matched.wheels, tracked.wheels, stamp_s - self._stamps_s[key])
         if wheels is not None:
             squares = bridge.widened(wheels.covariance).squared_mahalanobis(wheels.pose)
             # No farther than wheels are on average, one for each degree of freedom: the gate lets half a
             # radian pass, and a false bridge folds the map.
             return uncertain, bridge if squares <= len(wheels.pose) else None
         return uncertain, bridge
+
+    def _long_wheels(self, key: int, stamp_s: float, tracked: TrackedScan) -> list[Edge]:
+        """Every so often the wheels say how far a whole stretch went: no single wrong match can turn it."""
+        begun, anchor = self._stretch
+        if key - begun < _STRETCH:
+            return []
+        self._stretch = key, tracked
+        if anchor is None:
+            return []
+        wheels = self._tracker.wheel_motion(anchor.wheels, tracked.wheels, stamp_s - self._stamps_s[begun])
+        return [] if wheels is None else [_edge(begun, key, wheels, EdgeKind.WHEEL, trusted=False)]
 
     def _camera_steps(self, moved: list[CameraStep]) -> dict[str, Motion]:
         """What cameras say whose mounting is given, by name; learned ones wait for its last estimate."""
@@ -151,15 +172,6 @@ class PlanarChain:
         least = self._config.graph.confident_inlier_share
         return bool(tracked.motion is None or tracked.dispute.any() or tracked.motion.inlier_share < least)
 
-    def _wheel_step(self, last: TrackedScan, tracked: TrackedScan, elapsed_s: float) -> Motion | None:
-        """Motion between two keyframes by the wheels; None without wheels or where they jumped."""
-        if self._wheels is None or last.wheel_pose is None or tracked.wheel_pose is None:
-            return None
-        motion = between(last.wheel_pose, tracked.wheel_pose)
-        if not self._wheels.plausible(motion, elapsed_s):
-            return None
-        return Motion(motion, self._wheels.covariance(motion) * self._tracker.wheel_doubt)
-
 
 def edges_of(
     key: int,
@@ -170,6 +182,7 @@ def edges_of(
     config: GraphConfig,
     *,
     match_doubtful: bool = False,
+    match_open: bool = False,
 ) -> list[Edge]:
     """The edges from the keyframe before to a keyframe, something trusted among them.
 
@@ -190,10 +203,15 @@ def edges_of(
         # for a certain match, or a handful of false loops that agree with each other could break the chain.
         loose = Motion(step, match.covariance + unmeasured(config, config.loose_share, planar=True))
         edges.append(_edge(key - 1, key, loose, EdgeKind.ASSUMED, trusted=True))
-    if wheels is not None:
+    if wheels is not None and match_open:
+        # How far and how much it turned may be refused one without the other: a heading may jump.
+        far = wheels.widened(np.diag([0.0, 0.0, math.pi**2]))
+        turn = wheels.widened(np.diag([config.lost_sigma_m**2, config.lost_sigma_m**2, 0.0]))
+        edges += [_edge(key - 1, key, part, EdgeKind.WHEEL, trusted=False) for part in (far, turn)]
+    elif wheels is not None:
         edges.append(_edge(key - 1, key, wheels, EdgeKind.WHEEL, trusted=match is None))
     edges += [_camera_edge(key - 1, key, camera) for camera in cameras]
-    if match is None and wheels is None:
+    if wheels is None and (match is None or match_open):
         # Someone who walks before the camera takes it along: it may be overruled, and then this holds.
         share = config.loose_share if cameras else 1.0
         assumed = Motion(step, unmeasured(config, share, planar=True))

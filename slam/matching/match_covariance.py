@@ -13,6 +13,8 @@ from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
 
 # In points: no direction is infinitely uncertain.
 LEAST_EIGENVALUE = 0.01
+# Sigma of a direction that is not determined: no information, and a covariance still.
+_OPEN_M = 30.0
 
 
 def motion_from_alignment(alignment: Alignment, noise: MatchConfig) -> MotionEstimate:
@@ -20,8 +22,8 @@ def motion_from_alignment(alignment: Alignment, noise: MatchConfig) -> MotionEst
 
     The covariance is H^-1 S H^-1 with the spread S of the gradient, in which neighbouring beams share their
     errors as much as the residuals show (Newey and West 1987). With independent residuals that is s^2 H^-1
-    (Censi 2007 shows when this is right). A direction that the scan does not determine gets
-    ``degenerate_sigma_m`` squared on top.
+    (Censi 2007 shows when this is right). Of a direction that the scan does not determine nothing is said: it
+    gets a variance beside which that of whatever else measures it counts alone.
     """
     weak = weak_direction(alignment, noise.degenerate_share)
     scale = (
@@ -33,7 +35,7 @@ def motion_from_alignment(alignment: Alignment, noise: MatchConfig) -> MotionEst
     covariance = 2.0 * doubt * scale**2 * _correlated_inverse(alignment)
     covariance += np.diag([noise.floor_m**2, noise.floor_m**2, noise.floor_rad**2])
     if weak is not None:
-        covariance += noise.degenerate_sigma_m**2 * np.outer(weak, weak)
+        covariance += _OPEN_M**2 * np.outer(weak, weak)
     return MotionEstimate(
         T_reference_base=pose2_from_row(alignment.pose),
         covariance=covariance,

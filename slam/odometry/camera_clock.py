@@ -10,7 +10,7 @@ import numpy as np
 
 from fusion.time_alignment import clock_offset
 from slam.measurements import FloatArray
-from slam.odometry.wheel_tracker import LONGEST_EXTRAPOLATION_S
+from slam.odometry.wheel_gaps import LONGEST_EXTRAPOLATION_S
 
 # Offsets of up to this are tried: more is no clock, but two logs.
 _MOST_S = 0.25

@@ -23,7 +23,7 @@ from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate, row_from_pose2
 from slam.odometry.lidar_odometry import LidarOdometry
 from slam.odometry.rgbd_tracker import GREATEST_STRETCH
-from slam.odometry.wheel_tracker import WheelTracker
+from slam.odometry.wheel_tracker import WheelMoment, WheelTracker
 
 # One wild step says no more about a predictor than this many times its variance.
 _GREATEST_SURPRISE = 10.0
@@ -50,8 +50,8 @@ class TrackedScan:
         (3,) x, y, yaw of the base.
     motion
         The lidar match; None where nothing fitted and the pose is dead reckoning.
-    wheel_pose
-        (3,) pose by the wheels alone at the scan's stamp, odom frame; None without wheels.
+    wheels
+        Where the wheels alone say that the robot was; None without wheels.
     dispute
         (3, 3) covariance on top of the match's where wheels contradicted it and neither is likelier by far;
         zero otherwise.
@@ -59,8 +59,13 @@ class TrackedScan:
 
     pose: FloatArray
     motion: MotionEstimate | None
-    wheel_pose: FloatArray | None
+    wheels: WheelMoment | None
     dispute: FloatArray
+
+    @property
+    def determined(self) -> bool:
+        """Whether the lidar matched in all directions."""
+        return self.motion is not None and not self.motion.degenerate
 
     @property
     def confident(self) -> bool:
@@ -137,10 +142,14 @@ class MotionTracker:
         self._velocity_step = np.zeros(3)
         self._velocity_step_s = 0.0
 
-    @property
-    def wheel_doubt(self) -> float:
-        """Factor on the wheels' variance, 1 or more, that the matches of late ask for."""
-        return self._by_wheels.doubt
+    def wheel_motion(
+        self, begun: WheelMoment | None, ended: WheelMoment | None, elapsed_s: float
+    ) -> Motion | None:
+        """Motion by the wheels, as far as matches let them be believed; None where they tell nothing."""
+        step = None if self._wheels is None else self._wheels.motion(begun, ended, elapsed_s)
+        if self._wheels is None or step is None:
+            return None
+        return self._by_wheels.rescaled(step, self._wheels.covariance(step), self._wheels.swing_m(step))
 
     def track(self, points: ScanPoints | None, stamp_s: float, cameras: Sequence[Motion] = ()) -> TrackedScan:
         """Pose of the next scan; the first one is the origin of the odometry frame.
@@ -152,18 +161,18 @@ class MotionTracker:
         cameras
             Motion since the last scan as each camera measured it.
         """
-        wheel_pose = self._wheels.pose_at(stamp_s) if self._wheels else None
+        wheels = self._wheels.moment(stamp_s) if self._wheels else None
         if self._last is None:
-            tracked = TrackedScan(np.zeros(3), None, wheel_pose, np.zeros((3, 3)))
+            tracked = TrackedScan(np.zeros(3), None, wheels, np.zeros((3, 3)))
         else:
             step_s = stamp_s - self._stamp_s
-            guesses = self._predict(self._last, wheel_pose, cameras, step_s)
-            self._by_window = self._predict_by_window(stamp_s, wheel_pose)
+            guesses = self._predict(self._last, wheels, cameras, step_s)
+            self._by_window = self._predict_by_window(stamp_s, wheels)
             motion, dispute = None, np.zeros((3, 3))
             if points is not None:
                 motion, dispute = self._match(points, guesses)
             pose = guesses[0].pose if motion is None else self._fused(motion)
-            tracked = TrackedScan(pose, motion, wheel_pose, dispute)
+            tracked = TrackedScan(pose, motion, wheels, dispute)
             self._velocity_step = between(self._last.pose, pose)
             self._velocity_step_s = step_s
         self._last = tracked
@@ -176,7 +185,7 @@ class MotionTracker:
         self._odometry.add_keyframe(points, tracked.pose)
 
     def _predict(
-        self, last: TrackedScan, wheel_pose: FloatArray | None, cameras: Sequence[Motion], step_s: float
+        self, last: TrackedScan, wheels: WheelMoment | None, cameras: Sequence[Motion], step_s: float
     ) -> list[Motion]:
         """By cameras, by wheels, if a robot can move so, and by constant velocity: the most certain first.
 
@@ -189,31 +198,30 @@ class MotionTracker:
         for camera in sorted(cameras, key=lambda camera: float(np.trace(camera.covariance))):
             covariance = camera.covariance + _CAMERA_FLOOR + last.dispute
             self._by_camera.predict(compose(last.pose, camera.pose), covariance)
-        if self._wheels is not None and wheel_pose is not None and last.wheel_pose is not None:
-            step = between(last.wheel_pose, wheel_pose)
-            if self._wheels.plausible(step, step_s):
-                covariance = self._wheels.covariance(step) + last.dispute
-                self._by_wheels.predict(compose(last.pose, step), covariance, self._wheels.swing_m(step))
-        stretch = 1.0
+        step = None if self._wheels is None else self._wheels.motion(last.wheels, wheels, step_s)
+        if self._wheels is not None and step is not None:
+            covariance = self._wheels.covariance(step) + last.dispute
+            self._by_wheels.predict(compose(last.pose, step), covariance, self._wheels.swing_m(step))
+        longer = 1.0
         if step_s > 0.0 and self._velocity_step_s > 0.0:
-            stretch = min(step_s / self._velocity_step_s, GREATEST_STRETCH)
-        step = self._velocity_step * stretch
-        self._by_velocity.predict(compose(last.pose, step), self._velocity_covariance(step) + last.dispute)
+            longer = step_s / self._velocity_step_s
+        step = self._velocity_step * min(longer, GREATEST_STRETCH)
+        # What was expected of a short while says ever less of a longer one.
+        covariance = self._velocity_covariance(step) * max(longer, 1.0) ** 2
+        self._by_velocity.predict(compose(last.pose, step), covariance + last.dispute)
         guesses = [guess for predictor in predictors for guess in predictor.guesses]
         return sorted(guesses, key=lambda guess: float(np.linalg.det(guess.covariance)))
 
-    def _predict_by_window(self, stamp_s: float, wheel_pose: FloatArray | None) -> list[Motion]:
+    def _predict_by_window(self, stamp_s: float, wheels: WheelMoment | None) -> list[Motion]:
         """Where the wheels say that the robot went since a while ago; nothing where they do not tell."""
         while self._recent and stamp_s - self._recent[0][0] > _WINDOW_S:
             self._recent.popleft()
-        if self._wheels is None or wheel_pose is None or len(self._recent) < 2:
+        if self._wheels is None or len(self._recent) < 2:
             return []
         begun_s, begun = self._recent[0]
-        if begun.wheel_pose is None:
-            return []
-        step = between(begun.wheel_pose, wheel_pose)
+        step = self._wheels.motion(begun.wheels, wheels, stamp_s - begun_s)
         # Wheels that report no motion at all stand still or are dead.
-        if not step.any() or not self._wheels.plausible(step, stamp_s - begun_s):
+        if step is None or not step.any():
             return []
         covariance = self._wheels.covariance(step) + begun.dispute
         swing_m = self._wheels.swing_m(step)
@@ -270,9 +278,10 @@ class MotionTracker:
             pose, held = prediction.pose, None
             if not any(prediction is camera for camera in self._by_camera.guesses):
                 held = self._odometry.match_near(points, pose)
-                if held is None:
-                    continue
-                pose = row_from_pose2(held.T_reference_base)
+                if held is not None and held.inlier_share < self._noise.least_inlier_share:
+                    held = None
+                if held is not None:
+                    pose = row_from_pose2(held.T_reference_base)
             said = _log_likelihood(asked, pose) - _log_likelihood(asked, matched)
             rivals.append((said - self._evidence(points, motion, pose), held, prediction))
         return rivals
@@ -281,8 +290,8 @@ class MotionTracker:
         """Take it that the last while went as the wheels say: what led the matches astray leads on."""
         begun = self._recent[0][1]
         for n, (stamp_s, tracked) in enumerate(self._recent):
-            if begun.wheel_pose is not None and tracked.wheel_pose is not None:
-                pose = compose(begun.pose, between(begun.wheel_pose, tracked.wheel_pose))
+            if begun.wheels is not None and tracked.wheels is not None:
+                pose = compose(begun.pose, between(begun.wheels.pose, tracked.wheels.pose))
                 self._recent[n] = stamp_s, replace(tracked, pose=pose, dispute=begun.dispute)
 
     def _evidence(self, points: ScanPoints, motion: MotionEstimate, pose: FloatArray) -> float:
@@ -308,6 +317,10 @@ class MotionTracker:
             self._by_camera.judge(pose)
             self._by_wheels.judge(pose)
             self._by_velocity.judge(pose)
+            last = self._last
+            if self._wheels is not None and self._by_wheels.guesses and last is not None and last.determined:
+                guess = self._by_wheels.guesses[0].pose
+                self._wheels.learn_scale(between(last.pose, guess), between(last.pose, pose))
 
 
 def _log_likelihood(predictions: Sequence[Motion], pose: FloatArray) -> float:

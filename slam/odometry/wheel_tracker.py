@@ -3,18 +3,36 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from slam.config.stages import WheelConfig
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, WheelOdometry, row_from_pose2
+from slam.odometry.wheel_gaps import LONGEST_EXTRAPOLATION_S, WheelGaps
 
-# Beyond this the last reading is too old to be carried on by its own speed.
-LONGEST_EXTRAPOLATION_S = 0.5
 # Readings whose stamps coincide or run backward took a time that nobody knows.
 _SHORTEST_STEP_S = 0.05
 _UNKNOWN_STEP_S = 1.0
+# Tyres are not further from what they are taken for than this.
+_SCALE_SHARE = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class WheelMoment:
+    """Where the wheels say that the robot was.
+
+    Attributes
+    ----------
+    pose
+        (3,) in the odom frame.
+    stretch
+        Number of the stretch of readings without a gap; None in a gap.
+    """
+
+    pose: FloatArray
+    stretch: int | None
 
 
 class WheelTracker:
@@ -22,17 +40,50 @@ class WheelTracker:
 
     def __init__(self, config: WheelConfig) -> None:
         self._config = config
+        self._gaps = WheelGaps()
+        # Sums over steps; what they begin with holds the scale at one until some metres are known.
+        self._told_m2 = self._true_m2 = 1.0
+        self._scale = np.ones(3)
         self._stamp_s = math.nan
         self._pose: FloatArray | None = None
         self._twist: FloatArray | None = None
 
-    def add(self, reading: WheelOdometry) -> None:
-        """Take the next reading in the order of the log."""
-        pose = row_from_pose2(reading.T_odom_base)
+    def add(self, reading: WheelOdometry) -> FloatArray:
+        """Take the next reading in log order: its pose (3,) without jumps that no robot can make."""
         step_s = reading.stamp_s - self._stamp_s
+        possible = self.plausible(self._gaps.step(row_from_pose2(reading.T_odom_base)), step_s)
+        pose = row_from_pose2(self._gaps.add(reading, possible=possible).T_odom_base)
         self._twist = between(self._pose, pose) / step_s if self._pose is not None and step_s > 0.0 else None
         self._pose = pose
         self._stamp_s = reading.stamp_s
+        return pose
+
+    def moment(self, stamp_s: float) -> WheelMoment | None:
+        """Where the robot was at a stamp, see `pose_at`; None before any reading."""
+        pose = self.pose_at(stamp_s)
+        return None if pose is None else WheelMoment(pose, self._gaps.stretch_at(stamp_s))
+
+    def motion(
+        self, begun: WheelMoment | None, ended: WheelMoment | None, elapsed_s: float
+    ) -> FloatArray | None:
+        """Motion (3,) between two moments; None where the wheels do not tell, or no robot can move so."""
+        if begun is None or ended is None or begun.stretch is None or begun.stretch != ended.stretch:
+            return None
+        step = between(begun.pose, ended.pose) * self._scale
+        return step if self.plausible(step, elapsed_s) else None
+
+    def learn_scale(self, step: FloatArray, matched: FloatArray) -> None:
+        """Learn what a metre of the wheels is from a step (3,) as `motion` told it and as it was matched.
+
+        Least squares over all steps of which both tell much the same.
+        """
+        told, true = math.hypot(step[0], step[1]), float(np.hypot(matched[0], matched[1]))
+        if abs(true - told) > _SCALE_SHARE * told or step[:2] @ matched[:2] <= 0.0:
+            return
+        told /= self._scale[0]
+        self._told_m2 += told * told
+        self._true_m2 += told * true
+        self._scale[:2] = self._true_m2 / self._told_m2
 
     def pose_at(self, stamp_s: float) -> FloatArray | None:
         """Pose (3,) in the odom frame at a stamp at or shortly after the last reading; None before any."""
