@@ -144,7 +144,11 @@ class LoopConfig(StrictModel):
     least_path_m: float = Field(default=10.0, gt=0, description="path round below which it is no loop")
     reach_m: float = Field(default=3.0, gt=0, description="distance at which two keyframes see the same")
     sigmas: float = Field(default=3.0, gt=0, description="search window in standard deviations")
-    greatest_half_width_m: float = Field(default=10.0, gt=0, description="limit of the window")
+    greatest_half_width_m: float = Field(
+        default=3.0,
+        gt=0,
+        description="limit of the window; a place less certain is searched over the whole map",
+    )
     misses_until_wide: int = Field(
         default=4, ge=1, description="attempts without a loop in known surroundings until the window widens"
     )

@@ -76,7 +76,9 @@ class KeyframeGraph:
                 information += np.linalg.inv(_in_plane(edge))
             else:
                 self.add_edge(edge)
-        self.uncertainty.add_edge(key - 1, key, np.array(row_of(step)), np.linalg.inv(information))
+        self.uncertainty.add_edge(
+            key - 1, key, np.array(row_of(step)), np.linalg.inv(information).astype(np.float64)
+        )
         return key
 
     def add_edge(self, edge: Edge) -> None:

@@ -179,12 +179,13 @@ class LoopCloser:
             return []
         distance = np.hypot(*(poses[places, :2] - poses[key, :2]).T)
         covariances = uncertainty.relative_covariances(key, places, poses)
-        slack = np.minimum(config.sigmas * _position_sigmas(covariances), config.greatest_half_width_m)
+        # In a wider window more than one place may look the same: that is for the search over the whole map.
+        slack = config.sigmas * _position_sigmas(covariances)
         chosen: list[tuple[int, FloatArray]] = []
         for n in np.argsort(distance):
             if len(chosen) == config.near:
                 break
-            if distance[n] > config.reach_m + slack[n]:
+            if slack[n] > config.greatest_half_width_m or distance[n] > config.reach_m + slack[n]:
                 continue
             at_m = self._submaps.travelled_m(places[n])
             # Two places on one pass by the same spot tell the same: take the nearest of each pass.
@@ -245,9 +246,6 @@ def _judge(
         return candidate.refused("residual too large")
     if moved_m > basin_m:
         return candidate.refused("refinement left the window")
-    if motion.degenerate and candidate.half_width_m > config.reach_m:
-        # One corridor looks like another: it confirms a place that is nearly known, and finds none.
-        return candidate.refused("an open direction, and too uncertain a place")
     return replace(candidate, accepted=True)
 
 

@@ -112,8 +112,17 @@ class PlanarChain:
         cameras = list(by_camera.values())
         doubtful = self._doubtful(tracked)
         open_ = tracked.motion is not None and tracked.motion.degenerate
+        longer = max(stamp_s - self._stamps_s[-1], 1.0)
         edges = edges_of(
-            key, step, match, wheels, cameras, self._config.graph, match_doubtful=doubtful, match_open=open_
+            key,
+            step,
+            match,
+            wheels,
+            cameras,
+            self._config.graph,
+            longer,
+            match_doubtful=doubtful,
+            match_open=open_,
         )
         edges += self._long_wheels(key, stamp_s, tracked)
         if bridge is not None:
@@ -180,6 +189,7 @@ def edges_of(
     wheels: Motion | None,
     cameras: Sequence[Motion],
     config: GraphConfig,
+    longer: float = 1.0,
     *,
     match_doubtful: bool = False,
     match_open: bool = False,
@@ -192,8 +202,12 @@ def edges_of(
         (3,) best knowledge of the motion.
     match, wheels, cameras
         What was measured; None where a sensor told nothing.
+    longer
+        How many times as uncertain as in a second is what nothing measured.
     match_doubtful
         Whether the loops may overrule the match.
+    match_open
+        Whether it leaves a direction open.
     """
     edges = []
     if match is not None:
@@ -201,7 +215,7 @@ def edges_of(
     if match is not None and match_doubtful:
         # It may be wrong as a loop may be: a second, loose edge holds the chain where it is refused. Not so
         # for a certain match, or a handful of false loops that agree with each other could break the chain.
-        loose = Motion(step, match.covariance + unmeasured(config, config.loose_share, planar=True))
+        loose = Motion(step, match.covariance + unmeasured(config, longer * config.loose_share, planar=True))
         edges.append(_edge(key - 1, key, loose, EdgeKind.ASSUMED, trusted=True))
     if wheels is not None and match_open:
         # How far and how much it turned may be refused one without the other: a heading may jump.
@@ -214,7 +228,7 @@ def edges_of(
     if wheels is None and (match is None or match_open):
         # Someone who walks before the camera takes it along: it may be overruled, and then this holds.
         share = config.loose_share if cameras else 1.0
-        assumed = Motion(step, unmeasured(config, share, planar=True))
+        assumed = Motion(step, unmeasured(config, longer * share, planar=True))
         edges.append(_edge(key - 1, key, assumed, EdgeKind.ASSUMED, trusted=True))
     return edges
 

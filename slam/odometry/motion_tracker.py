@@ -91,18 +91,14 @@ class _Predictor:
         self.doubt = 1.0
         self.guesses: list[Motion] = []
 
-    def predict(self, pose: FloatArray, covariance: FloatArray, swing_m: float = 0.0) -> None:
+    def predict(self, pose: FloatArray, covariance: FloatArray) -> None:
         """Expect a pose (3,) with a covariance (3, 3) as claimed, rescaled by what was learned so far."""
-        self.guesses.append(self.rescaled(pose, covariance, swing_m))
+        self.guesses.append(self.rescaled(pose, covariance))
 
-    def rescaled(self, pose: FloatArray, covariance: FloatArray, swing_m: float = 0.0) -> Motion:
-        """A pose (3,) with a covariance (3, 3) as claimed, rescaled by what was learned so far.
-
-        ``swing_m`` is a sigma of the path that whoever proved exact on the straight has all the same.
-        """
+    def rescaled(self, pose: FloatArray, covariance: FloatArray) -> Motion:
+        """A pose (3,) with a covariance (3, 3) as claimed, rescaled by what was learned so far."""
         scale = np.sqrt(self.doubt * np.array([self._share, self._share, 1.0]))
-        swing = np.diag([swing_m**2, swing_m**2, 0.0])
-        return Motion(pose, covariance * np.outer(scale, scale) + swing)
+        return Motion(pose, covariance * np.outer(scale, scale))
 
     def judge(self, pose: FloatArray) -> None:
         """Learn from where the scan was taken: the mean of the first guess's normalised squared error."""
@@ -143,13 +139,21 @@ class MotionTracker:
         self._velocity_step_s = 0.0
 
     def wheel_motion(
-        self, begun: WheelMoment | None, ended: WheelMoment | None, elapsed_s: float
+        self,
+        begun: WheelMoment | None,
+        ended: WheelMoment | None,
+        elapsed_s: float,
+        dispute: FloatArray | None = None,
     ) -> Motion | None:
-        """Motion by the wheels, as far as matches let them be believed; None where they tell nothing."""
+        """Motion by the wheels, as far as matches let them be believed; None where they tell nothing.
+
+        ``dispute`` (3, 3) comes on top of what they claim, and is rescaled too.
+        """
         step = None if self._wheels is None else self._wheels.motion(begun, ended, elapsed_s)
-        if self._wheels is None or step is None:
+        if self._wheels is None or step is None or begun is None or ended is None:
             return None
-        return self._by_wheels.rescaled(step, self._wheels.covariance(step), self._wheels.swing_m(step))
+        claimed = self._wheels.covariance(step) + (0.0 if dispute is None else dispute)
+        return self._by_wheels.rescaled(step, claimed).widened(self._wheels.on_top(step, begun, ended))
 
     def track(self, points: ScanPoints | None, stamp_s: float, cameras: Sequence[Motion] = ()) -> TrackedScan:
         """Pose of the next scan; the first one is the origin of the odometry frame.
@@ -198,10 +202,9 @@ class MotionTracker:
         for camera in sorted(cameras, key=lambda camera: float(np.trace(camera.covariance))):
             covariance = camera.covariance + _CAMERA_FLOOR + last.dispute
             self._by_camera.predict(compose(last.pose, camera.pose), covariance)
-        step = None if self._wheels is None else self._wheels.motion(last.wheels, wheels, step_s)
-        if self._wheels is not None and step is not None:
-            covariance = self._wheels.covariance(step) + last.dispute
-            self._by_wheels.predict(compose(last.pose, step), covariance, self._wheels.swing_m(step))
+        moved = self.wheel_motion(last.wheels, wheels, step_s, last.dispute)
+        if moved is not None:
+            self._by_wheels.guesses = [Motion(compose(last.pose, moved.pose), moved.covariance)]
         longer = 1.0
         if step_s > 0.0 and self._velocity_step_s > 0.0:
             longer = step_s / self._velocity_step_s
@@ -216,16 +219,14 @@ class MotionTracker:
         """Where the wheels say that the robot went since a while ago; nothing where they do not tell."""
         while self._recent and stamp_s - self._recent[0][0] > _WINDOW_S:
             self._recent.popleft()
-        if self._wheels is None or len(self._recent) < 2:
+        if len(self._recent) < 2:
             return []
         begun_s, begun = self._recent[0]
-        step = self._wheels.motion(begun.wheels, wheels, stamp_s - begun_s)
+        moved = self.wheel_motion(begun.wheels, wheels, stamp_s - begun_s, begun.dispute)
         # Wheels that report no motion at all stand still or are dead.
-        if step is None or not step.any():
+        if moved is None or not moved.pose.any():
             return []
-        covariance = self._wheels.covariance(step) + begun.dispute
-        swing_m = self._wheels.swing_m(step)
-        return [self._by_wheels.rescaled(compose(begun.pose, step), covariance, swing_m)]
+        return [Motion(compose(begun.pose, moved.pose), moved.covariance)]
 
     def _velocity_covariance(self, step: FloatArray) -> FloatArray:
         """Covariance (3, 3) of a step (3,) that repeats the last one."""

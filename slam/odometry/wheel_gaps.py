@@ -20,11 +20,15 @@ _MEMORY = 20.0
 
 
 class WheelGaps:
-    """Joins readings to one motion, and knows across which of them nothing is told.
+    """Joins readings to one motion, and knows how much of it nothing has told.
 
-    A jump that no robot can make is left out: the robot went on as before for this one reading. Where
-    readings stay away while the robot moves, and it has not moved by them afterwards, the way between is not
-    known.
+    A jump that no robot can make is left out: the robot went on as before for this one reading. So it did
+    where readings stay away while it moves, and it has not moved by them afterwards; that way is a guess.
+
+    Attributes
+    ----------
+    guessed_m
+        Way so far that is a guess.
     """
 
     def __init__(self) -> None:
@@ -33,7 +37,7 @@ class WheelGaps:
         self._pose = np.zeros(3)
         self._twist = np.zeros(3)
         self._period_s = 0.0
-        self._stretch = 0
+        self.guessed_m = 0.0
 
     def add(self, reading: WheelOdometry, *, possible: bool) -> WheelOdometry:
         """Take the next reading; the same without what came before it that cannot be.
@@ -51,8 +55,9 @@ class WheelGaps:
             step = between(self._told, told)
             if not possible:
                 step = self._twist * max(step_s, 0.0)
-            elif self._is_gap(step_s) and self._moves() and np.abs(step).max() < _NO_MOTION:
-                self._stretch += 1
+            elif self.in_gap(step_s) and np.abs(step).max() < _NO_MOTION:
+                step = self._twist * step_s
+                self.guessed_m += math.hypot(step[0], step[1])
             self._pose = compose(self._pose, step)
             if step_s > 0.0:
                 self._twist = step / step_s
@@ -60,18 +65,11 @@ class WheelGaps:
         self._told, self._stamp_s = told, reading.stamp_s
         return WheelOdometry(reading.stamp_s, pose2_from_row(self._pose))
 
-    def stretch_at(self, stamp_s: float) -> int | None:
-        """Number of the stretch without a gap that a stamp lies in; None in a gap while the robot moves."""
-        return None if self._is_gap(stamp_s - self._stamp_s) and self._moves() else self._stretch
-
     def step(self, told: FloatArray) -> FloatArray:
         """(3,) motion from the last reading to a pose (3,) of the wheels' own frame; zero before any."""
         return np.zeros(3) if self._told is None else between(self._told, told)
 
-    def _is_gap(self, step_s: float) -> bool:
-        """Whether readings use to come much faster than this."""
-        return step_s > max(LONGEST_EXTRAPOLATION_S, _GAP_PERIODS * self._period_s)
-
-    def _moves(self) -> bool:
-        """Whether the robot was on its way at the last reading."""
-        return bool(np.abs(self._twist).max() > _NO_MOTION)
+    def in_gap(self, since_s: float) -> bool:
+        """Whether the last reading is older than readings use to be, and the robot was on its way."""
+        moves = bool(np.abs(self._twist).max() > _NO_MOTION)
+        return moves and since_s > max(LONGEST_EXTRAPOLATION_S, _GAP_PERIODS * self._period_s)

@@ -17,6 +17,8 @@ _SHORTEST_STEP_S = 0.05
 _UNKNOWN_STEP_S = 1.0
 # Tyres are not further from what they are taken for than this.
 _SCALE_SHARE = 0.2
+# Sigma of a robot's turn over a metre that nobody saw, radians.
+_TURN_PER_M = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,12 +29,12 @@ class WheelMoment:
     ----------
     pose
         (3,) in the odom frame.
-    stretch
-        Number of the stretch of readings without a gap; None in a gap.
+    guessed_m
+        Way until there that no reading tells.
     """
 
     pose: FloatArray
-    stretch: int | None
+    guessed_m: float
 
 
 class WheelTracker:
@@ -61,16 +63,32 @@ class WheelTracker:
     def moment(self, stamp_s: float) -> WheelMoment | None:
         """Where the robot was at a stamp, see `pose_at`; None before any reading."""
         pose = self.pose_at(stamp_s)
-        return None if pose is None else WheelMoment(pose, self._gaps.stretch_at(stamp_s))
+        if pose is None:
+            return None
+        guessed_m, since_s = self._gaps.guessed_m, stamp_s - self._stamp_s
+        if self._twist is not None and self._gaps.in_gap(since_s):
+            guess = self._twist * since_s
+            pose, guessed_m = compose(pose, guess), guessed_m + math.hypot(guess[0], guess[1])
+        return WheelMoment(pose, guessed_m)
 
     def motion(
         self, begun: WheelMoment | None, ended: WheelMoment | None, elapsed_s: float
     ) -> FloatArray | None:
         """Motion (3,) between two moments; None where the wheels do not tell, or no robot can move so."""
-        if begun is None or ended is None or begun.stretch is None or begun.stretch != ended.stretch:
+        if begun is None or ended is None:
             return None
         step = between(begun.pose, ended.pose) * self._scale
         return step if self.plausible(step, elapsed_s) else None
+
+    def on_top(self, step: FloatArray, begun: WheelMoment, ended: WheelMoment) -> FloatArray:
+        """Covariance (3, 3) of a motion (3,) that no experience with the wheels makes smaller.
+
+        The base may sit beside the axle by more than the log tells, so a turn swings it aside. What was guessed
+        may be wrong by all of it, and the robot may have turned there.
+        """
+        guessed_m = abs(ended.guessed_m - begun.guessed_m)
+        metres2 = (self._config.swing_m_per_rad * step[2]) ** 2 + guessed_m**2
+        return np.diag([metres2, metres2, (_TURN_PER_M * guessed_m) ** 2])
 
     def learn_scale(self, step: FloatArray, matched: FloatArray) -> None:
         """Learn what a metre of the wheels is from a step (3,) as `motion` told it and as it was matched.
@@ -99,10 +117,6 @@ class WheelTracker:
             math.hypot(step[0], step[1]) <= self._config.greatest_speed_m_s * time_s + self._config.floor_m
             and abs(step[2]) <= self._config.greatest_turn_rad_s * time_s + self._config.floor_rad
         )
-
-    def swing_m(self, step: FloatArray) -> float:
-        """Sigma of the way that a turn adds: the base may sit beside the axle by more than the log tells."""
-        return self._config.swing_m_per_rad * abs(float(step[2]))
 
     def covariance(self, step: FloatArray) -> FloatArray:
         """Covariance (3, 3) of a wheel motion ``step`` (3,): floor, and shares of way and turn."""
