@@ -246,6 +246,9 @@ def _judge(
         return candidate.refused("residual too large")
     if moved_m > basin_m:
         return candidate.refused("refinement left the window")
+    if motion.degenerate and candidate.half_width_m >= 0.5 * config.reach_m:
+        # One corridor looks like another: it confirms a place that is nearly known, and finds none.
+        return candidate.refused("an open direction, and too uncertain a place")
     return replace(candidate, accepted=True)
 
 
