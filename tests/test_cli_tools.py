@@ -148,6 +148,8 @@ def test_simulate_then_map_recovers_the_drive(scanweave: Scanweave, tmp_path: Pa
         (("--rig", "nope"), "no rig 'nope'"),
         (("--format", "avi"), "formats are avi"),
         (("--faults", "x"), "no fault preset 'x'"),
+        (("--campus", "--faults", "harsh"), "no fault preset 'harsh'; there are none, usual"),
+        (("--campus", "--office"), "leave out --rig, --office"),
     ],
 )
 def test_simulate_tells_what_there_is(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,6 +18,8 @@ if TYPE_CHECKING:
     from slam.simulation.record import DriveSummary
     from slam.simulation.rigs import Rig
 
+_RIG = "xu2024"
+
 
 @command()
 def simulate(
@@ -25,20 +29,27 @@ def simulate(
     rig: Annotated[
         str,
         typer.Option(help="which robot; a wrong name lists them"),
-    ] = "xu2024",
-    home: Annotated[int, typer.Option(min=0, help="which home: the seed of its plan and furniture")] = 1,
+    ] = _RIG,
+    home: Annotated[int, typer.Option(min=0, help="which home or campus: the seed of its plan")] = 1,
     seed: Annotated[int, typer.Option(min=0, help="which drive: the seed of tour, noise and faults")] = 0,
     office: Annotated[bool, typer.Option("--office", help="an office instead of a home")] = False,
+    campus: Annotated[
+        bool, typer.Option("--campus", help="two kilometres of corridors, a SICK lidar, bad wheels; no --rig")
+    ] = False,
     duration: Annotated[
-        float | None, typer.Option(min=1.0, help="seconds; one tour through all rooms if not given")
+        float | None, typer.Option(min=1.0, help="seconds; one tour, or the campus' whole way, if not given")
     ] = None,
-    faults: Annotated[str, typer.Option(help="clocks, losses, people: none, usual or harsh")] = "usual",
+    faults: Annotated[
+        str, typer.Option(help="none, usual or, in a home, harsh: clocks, losses, people")
+    ] = "usual",
     formats: Annotated[
         list[str] | None, typer.Option("--format", help="folder (CARMEN + TUM) or mcap; both if not given")
     ] = None,
 ) -> None:
-    """Drive a simulated robot through a furnished home and record its sensors with the truth."""
+    """Drive a simulated robot through a home or a campus and record its sensors with the truth."""
     from slam.errors import ConfigError
+    from slam.simulation.campus import record_campus
+    from slam.simulation.campus_wheels import CAMPUS_FAULTS
     from slam.simulation.drive_faults import FAULT_PRESETS
     from slam.simulation.home import generate_home
     from slam.simulation.record import FORMATS
@@ -46,8 +57,16 @@ def simulate(
 
     if rig not in RIGS:
         raise ConfigError(f"no rig '{rig}'; there are {', '.join(sorted(RIGS))}")
-    if faults not in FAULT_PRESETS:
-        raise ConfigError(f"no fault preset '{faults}'; there are {', '.join(FAULT_PRESETS)}")
+    if campus and (office or formats or rig != _RIG):
+        raise ConfigError("--campus has its own robot and format; leave out --rig, --office and --format")
+    presets = CAMPUS_FAULTS if campus else FAULT_PRESETS
+    if faults not in presets:
+        raise ConfigError(f"no fault preset '{faults}'; there are {', '.join(presets)}")
+    if campus:
+        with _seconds_shown() as on_progress:
+            drive = record_campus(home, seed, out, CAMPUS_FAULTS[faults], duration, on_progress)
+        say(f"{drive.text}\nwrote {out}")
+        return
     summary = simulate_into(
         out,
         generate_home(home, "office" if office else "home"),
@@ -72,12 +91,16 @@ def simulate_into(
     formats: tuple[str, ...],
 ) -> DriveSummary:
     """Record a drive, and show how far it is."""
-    from slam.app.progress import Progress
     from slam.simulation.record import record_drive
 
-    with progress_bar("s driven") as show:
-
-        def on_progress(done_s: float, all_s: float) -> None:
-            show(Progress("simulating", int(done_s), done_s / all_s))
-
+    with _seconds_shown() as on_progress:
         return record_drive(home, rig, seed, out, faults, duration_s, on_progress, formats=formats)
+
+
+@contextmanager
+def _seconds_shown() -> Iterator[Callable[[float, float], None]]:
+    """A bar of the seconds driven; what is yielded takes those done and those in all."""
+    from slam.app.progress import Progress
+
+    with progress_bar("s driven") as show:
+        yield lambda done_s, all_s: show(Progress("simulating", int(done_s), done_s / all_s))

@@ -107,7 +107,7 @@ def record_drive(
     unknown = sorted(set(formats) - set(FORMATS))
     if unknown or not formats:
         raise ConfigError(f"formats are {', '.join(formats) or 'none'}; give any of {', '.join(FORMATS)}")
-    with _appearing_whole(Path(out_dir)) as folder:
+    with appearing_whole(Path(out_dir)) as folder:
         drive = prepare_drive(home, rig, seed, faults, duration_s)
         counts: Counter[str] = Counter(odometry=0, **dict.fromkeys(drive.schedules, 0))
         with ExitStack() as stack:
@@ -195,7 +195,7 @@ def truth_bands_m(rig: Rig) -> dict[str, tuple[float, float]]:
 
 
 @contextmanager
-def _appearing_whole(out_dir: Path) -> Iterator[Path]:
+def appearing_whole(out_dir: Path) -> Iterator[Path]:
     """A folder under a temporary name, renamed at the end; removed when anything goes wrong."""
     if out_dir.exists() and (not out_dir.is_dir() or any(out_dir.iterdir())):
         raise DatasetError(f"{out_dir} exists and is not an empty folder; give another name or remove it")

@@ -1,0 +1,143 @@
+"""What goes wrong on a drive through a campus, and wheels that are grossly wrong now and then."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+
+from slam.measurements import BoolArray, FloatArray, pose2_from_row
+from slam.simulation.campus_drive import travelled_m
+from slam.simulation.wheel_odometry import WheelModel, wheel_readings
+
+RATE_HZ = 10.0
+_BASE_M = 0.45
+_KINDS, _SHARES = ("heading", "position", "standstill"), (0.55, 0.25, 0.2)
+
+
+@dataclass(frozen=True, slots=True)
+class CampusFaults:
+    """What goes wrong; the defaults are a drive with little but the noise of lidar and wheels.
+
+    Attributes
+    ----------
+    gaps
+        How often the lidar is silent, 5 to 28 s each.
+    gross_errors
+        How often the wheels are wrong at once: by a heading (10 to 180 degrees), by a position (0.5 to 3 m),
+        or for a stretch (2 to 8 s) that they neither count nor tell.
+    largest_lag_s
+        The lidar's stamps are late by this at most, by a third of it at least. The wheels' clock is right.
+    largest_scale
+        The wheels' common error of scale at most, a third of it at least.
+    wheels
+        Their small errors: unequal radii, noise, slip.
+    encounters_per_m
+        How often somebody walks by.
+    """
+
+    gaps: int = 0
+    gross_errors: int = 0
+    largest_lag_s: float = 0.0
+    largest_scale: float = 0.0
+    wheels: WheelModel = field(
+        default_factory=lambda: WheelModel(RATE_HZ, _BASE_M, 0.0, 0.0, noise=0.001, slips_per_s=0.0)
+    )
+    encounters_per_m: float = 0.0
+
+
+CAMPUS_FAULTS = {
+    "none": CampusFaults(),
+    "usual": CampusFaults(
+        gaps=30,
+        gross_errors=40,
+        largest_lag_s=0.15,
+        largest_scale=0.03,
+        wheels=WheelModel(RATE_HZ, _BASE_M, 3e-4, 0.01, noise=0.002, slips_per_s=0.005, slip_share=0.1),
+        encounters_per_m=0.025,
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class GrossError:
+    """Something that the wheels get wrong at once.
+
+    Attributes
+    ----------
+    kind
+        ``heading``, ``position`` or ``standstill``.
+    first, last
+        Readings: a jump falls between the one before and this one, a standstill is from the one to the other.
+    size
+        Radians, metres or seconds.
+    """
+
+    kind: str
+    first: int
+    last: int
+    size: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CampusWheels:
+    """What the wheels say.
+
+    Attributes
+    ----------
+    poses_xyt
+        (N, 3) at each reading, odom frame.
+    onward_xyt
+        (N, 3) counted motion to the next reading, seen from this one; a jump is not part of it.
+    told
+        (N,) whether the reading reaches the log.
+    errors
+        In the order of time.
+    """
+
+    poses_xyt: FloatArray
+    onward_xyt: FloatArray
+    told: BoolArray
+    errors: tuple[GrossError, ...]
+
+    def at(self, time_s: float) -> gtsam.Pose2:
+        """``T_odom_base`` at a time since the beginning: the reading before, moved on as the wheels count."""
+        index = min(int(time_s * RATE_HZ + 1e-9), len(self.poses_xyt) - 1)
+        share = time_s * RATE_HZ - index
+        return pose2_from_row(self.poses_xyt[index]) * pose2_from_row(share * self.onward_xyt[index])
+
+
+def campus_wheels(faults: CampusFaults, poses_xyt: FloatArray, rng: np.random.Generator) -> CampusWheels:
+    """What the wheels make of true poses (N, 3) at their readings."""
+    scale = 1.0 + rng.choice([-1.0, 1.0]) * faults.largest_scale * rng.uniform(1.0 / 3.0, 1.0)
+    rows = wheel_readings(faults.wheels, poses_xyt * [scale, scale, 1.0], rng).poses_xyt
+    # The plane as complex numbers: e^(i yaw) turns.
+    place, yaw = rows[:, 0] + 1j * rows[:, 1], np.unwrap(rows[:, 2])
+    moved, turned = np.diff(place) * np.exp(-1j * yaw[:-1]), np.diff(yaw)
+    jumped, swung = np.zeros_like(moved), np.zeros_like(turned)
+    told = np.ones(len(rows), dtype=np.bool_)
+    driven_m, errors = travelled_m(poses_xyt), []
+    for at_m in np.sort(rng.uniform(0.0, driven_m[-1], faults.gross_errors)):
+        index = last = int(np.searchsorted(driven_m[1:-1], at_m))
+        kind, sign = str(rng.choice(_KINDS, p=_SHARES)), rng.choice([-1.0, 1.0])
+        if kind == "heading":
+            size = math.radians(rng.uniform(10.0, 180.0))
+            swung[index] += sign * size
+        elif kind == "position":
+            size = rng.uniform(0.5, 3.0)
+            jumped[index] += size * np.exp(1j * rng.uniform(-math.pi, math.pi))
+        else:
+            last = min(index + round(rng.uniform(2.0, 8.0) * RATE_HZ), len(moved) - 1)
+            size = (last - index) / RATE_HZ
+            moved[index:last] = turned[index:last] = 0.0
+            told[index + 1 : last] = False
+        errors.append(GrossError(kind, index + 1, last + 1 if last == index else last, size))
+    yaw = np.concatenate([[0.0], np.cumsum(turned + swung)])
+    place = np.cumsum(np.exp(1j * yaw[:-1]) * (moved + np.exp(1j * turned) * jumped))
+    told_xyt = np.column_stack(
+        [np.append(0.0, place.real), np.append(0.0, place.imag), np.angle(np.exp(1j * yaw))]
+    )
+    onward = np.column_stack([moved.real, moved.imag, turned])
+    return CampusWheels(told_xyt, np.append(onward, np.zeros((1, 3)), axis=0), told, tuple(errors))
