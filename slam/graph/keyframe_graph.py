@@ -95,8 +95,7 @@ class KeyframeGraph:
         """
         every = self._config.incremental_every if self._planar else 1
         if self._loop_waits and (len(self) - 1) % every == 0:
-            self.graph.update()
-            self._read_poses()
+            self._read_poses(self.graph.update())
             self._loop_waits = False
 
     def optimize(self, inlier_probability: float) -> BatchResult:
@@ -104,7 +103,7 @@ class KeyframeGraph:
         self.graph.update()
         outcome = self.graph.optimize(inlier_probability)
         self.loops = judged(self.loops, self.graph.edges, outcome.kept)
-        self._read_poses()
+        self._read_poses(0)
         return outcome
 
     def _append(self, pose: Pose) -> None:
@@ -115,10 +114,10 @@ class KeyframeGraph:
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
         self._rows[len(self._poses) - 1] = row_of(pose)
 
-    def _read_poses(self) -> None:
-        """Take over what the solver has found."""
-        self._poses = [self.graph.pose(key) for key in range(len(self))]
-        self._rows[: len(self)] = [row_of(pose) for pose in self._poses]
+    def _read_poses(self, first: int) -> None:
+        """Take over what the solver has found, from a node on."""
+        self._poses[first:] = [self.graph.pose(key) for key in range(first, len(self))]
+        self._rows[first : len(self)] = [row_of(pose) for pose in self._poses[first:]]
 
 
 def unmeasured(config: GraphConfig, share: float = 1.0, *, planar: bool) -> FloatArray:
