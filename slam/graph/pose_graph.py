@@ -128,7 +128,8 @@ class PoseGraph:
         self._pending_values = gtsam.Values()
         self._estimate = gtsam.Values()
         self._isam: gtsam.ISAM2 | None = None
-        self._held = 0
+        # Nodes that updates leave where they are, and where the last one has put the others.
+        self._held, self._moved = 0, gtsam.Values()
         self._count = 0
         self.add_node(origin)
         self._pending.add(self._prior())
@@ -171,7 +172,8 @@ class PoseGraph:
             self._isam = gtsam.ISAM2()
         try:
             self._isam.update(self._pending, self._pending_values)
-            self._estimate.update(self._isam.calculateEstimate())
+            self._moved = self._isam.calculateEstimate()
+            self._estimate.update(self._moved)
         except RuntimeError:  # an indeterminate system: edges that nothing measured, in space
             self._start_anew(held=0)
             return 0
@@ -194,7 +196,8 @@ class PoseGraph:
         graph.add(self._prior())
         for edge in self.edges:
             graph.add(_between(edge, _noise(edge)))
-        self._estimate = _solved(graph, self._estimate)
+        # A few steps bring a map that was solved before up to date.
+        self._estimate = _solved(graph, self._estimate, most_steps=3 if held else 100)
         self._isam, self._held = None, held
         self._pending = gtsam.NonlinearFactorGraph() if held else graph
         self._pending_values = gtsam.Values() if held else gtsam.Values(self._estimate)
@@ -234,9 +237,10 @@ class PoseGraph:
         """Estimated pose of a node of an SE(3) graph."""
         return self._estimate.atPose3(key)
 
-    def planar_poses(self) -> FloatArray:
-        """(n, 3) x, y, yaw of all nodes of an SE(2) graph."""
-        rows: FloatArray = gtsam.utilities.extractPose2(self._estimate)
+    def planar_poses(self, first: int = 0) -> FloatArray:
+        """(n, 3) x, y, yaw of all nodes of an SE(2) graph, or from the first that an update has moved."""
+        estimate = self._moved if first else self._estimate
+        rows: FloatArray = gtsam.utilities.extractPose2(estimate)
         return rows.reshape(-1, 3)
 
     def _gnc_weights(self, inlier_probability: float) -> FloatArray:
