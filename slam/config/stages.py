@@ -195,7 +195,7 @@ class GridConfig(StrictModel):
         description="a beam without return clears so far: black things return nothing too",
     )
     greatest_cells: int = Field(
-        default=64_000_000, ge=1, description="limit of the map's size, against a lost pose"
+        default=64_000_000, ge=1, description="of a map; a larger one gets larger cells"
     )
 
 

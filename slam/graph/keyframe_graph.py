@@ -33,7 +33,9 @@ class KeyframeGraph:
         self.loops: list[LoopCandidate] = []
         self._config = config
         self._planar = isinstance(origin, gtsam.Pose2)
+        # Of the poses as objects, how many are as the graph has them.
         self._poses: list[Pose] = []
+        self._known = 0
         self._rows = np.zeros((64, 3))
         self._loop_waits = False
         self._append(origin)
@@ -43,6 +45,8 @@ class KeyframeGraph:
 
     def poses(self) -> Sequence[Pose]:
         """Current estimates, ``T_map_keyframe``."""
+        self._poses[self._known :] = [self.graph.pose(key) for key in range(self._known, len(self))]
+        self._known = len(self)
         return self._poses
 
     def rows(self) -> FloatArray:
@@ -61,7 +65,7 @@ class KeyframeGraph:
             as uncertain as what nothing measured.
         """
         # GTSAM has no type for a pose of the plane or of space.
-        pose = self._poses[-1].compose(step)  # type: ignore[arg-type]
+        pose = self.graph.pose(len(self) - 1).compose(step)  # type: ignore[arg-type]
         key = self.graph.add_node(pose)
         self._append(pose)
         edges = list(edges)
@@ -101,8 +105,7 @@ class KeyframeGraph:
         """
         every = self._config.incremental_every if self._planar else 1
         if self._loop_waits and (len(self) - 1) % every == 0:
-            self.graph.update()
-            self._read_poses()
+            self._read_poses(self.graph.update())
             self._loop_waits = False
 
     def optimize(self, inlier_probability: float) -> BatchResult:
@@ -110,21 +113,25 @@ class KeyframeGraph:
         self.graph.update()
         outcome = self.graph.optimize(inlier_probability)
         self.loops = judged(self.loops, self.graph.edges, outcome.kept)
-        self._read_poses()
+        self._read_poses(0)
         return outcome
 
     def _append(self, pose: Pose) -> None:
         """Take the estimate of a new keyframe."""
         self.uncertainty.add_node()
-        self._poses.append(pose)
-        if len(self._poses) > len(self._rows):
+        if len(self) > len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
-        self._rows[len(self._poses) - 1] = row_of(pose)
+        self._rows[len(self) - 1] = row_of(pose)
 
-    def _read_poses(self) -> None:
-        """Take over what the solver has found."""
-        self._poses = [self.graph.pose(key) for key in range(len(self))]
-        self._rows[: len(self)] = [row_of(pose) for pose in self._poses]
+    def _read_poses(self, first: int) -> None:
+        """Take over what the solver has found, from a node on."""
+        self._known = min(self._known, first)
+        rows = (
+            self.graph.planar_poses(first)
+            if self._planar
+            else [row_of(pose) for pose in self.poses()[first:]]
+        )
+        self._rows[first : len(self)] = rows
 
 
 def unmeasured(config: GraphConfig, share: float = 1.0, *, planar: bool) -> FloatArray:

@@ -6,20 +6,26 @@ least squares (Yang 2020) decides which loops and wheel steps are true. SE(2) an
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import gtsam
 import numpy as np
 
+from fusion.estimation import TINY, gate
 from slam.errors import GraphError
 from slam.measurements import BoolArray, FloatArray, Pose
 
 # Scale of the Cauchy kernel on uncertain edges while mapping, in standard deviations.
 _CAUCHY_SIGMAS = 1.0
-# Growth of GNC's control parameter a round: twice the library's pace, the same edges refused on real logs.
-_GNC_STEP = 2.0
+# Of GNC: growth of its control parameter a round, twice the library's pace, and its end: only edges within a
+# hundredth of the gate are undecided then. Real logs refuse the same edges.
+_GNC_STEP, _GREATEST_CONTROL = 2.0, 100.0
+# Nodes that iSAM2 moves at least before all are solved at once, and how many such solutions a map may cost
+# while it doubles or so: the last ones cost as much as all before.
+_NODES_A_WINDOW, _WINDOWS_A_MAP = 3000, 8
 
 
 class EdgeKind(StrEnum):
@@ -59,6 +65,15 @@ class Edge:
     kind: str
     trusted: bool
     loop: int | None = None
+
+    def turned(self) -> Edge:
+        """The same, seen from its target."""
+        adjoint = self.T_source_target.AdjointMap()
+        covariance = adjoint @ self.covariance @ adjoint.T
+        back = self.T_source_target.inverse()
+        return replace(
+            self, source=self.target, target=self.source, T_source_target=back, covariance=covariance
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +128,8 @@ class PoseGraph:
         self._pending_values = gtsam.Values()
         self._estimate = gtsam.Values()
         self._isam: gtsam.ISAM2 | None = None
+        # Nodes that updates leave where they are, and where the last one has put the others.
+        self._held, self._moved = 0, gtsam.Values()
         self._count = 0
         self.add_node(origin)
         self._pending.add(self._prior())
@@ -140,30 +157,50 @@ class PoseGraph:
         """
         self._check(edge)
         self.edges.append(edge)
-        self._pending.add(_between(edge, _noise(edge)))
+        self._pend(edge)
 
-    def update(self) -> None:
-        """Bring the estimate up to date with iSAM2; where its Gauss-Newton step fails, by a damped solver."""
+    def update(self) -> int:
+        """Bring the estimate up to date with iSAM2; the first node that may have moved.
+
+        What iSAM2 costs grows with how often a place was passed. So after many nodes everything is solved at
+        once, and from then on held: newer nodes alone move, until they are many again.
+        """
+        if self._count - self._held > max(_NODES_A_WINDOW, self._held // _WINDOWS_A_MAP):
+            self._start_anew(held=self._count)
+            return 0
         if self._isam is None:
             self._isam = gtsam.ISAM2()
         try:
             self._isam.update(self._pending, self._pending_values)
-            self._estimate = self._isam.calculateEstimate()
+            self._moved = self._isam.calculateEstimate()
+            self._estimate.update(self._moved)
         except RuntimeError:  # an indeterminate system: edges that nothing measured, in space
-            self._start_anew()
-            return
+            self._start_anew(held=0)
+            return 0
         self._pending = gtsam.NonlinearFactorGraph()
         self._pending_values = gtsam.Values()
+        return self._held
 
-    def _start_anew(self) -> None:
-        """Solve everything with damping, and let the next update begin a new iSAM2 from there."""
-        self._isam = None
-        self._pending = gtsam.NonlinearFactorGraph()
-        self._pending.add(self._prior())
-        for edge in self.edges:
+    def _pend(self, edge: Edge) -> None:
+        """Let the next update know of an edge; nodes that are held are where they are."""
+        if min(edge.source, edge.target) >= self._held:
             self._pending.add(_between(edge, _noise(edge)))
-        self._estimate = gtsam.LevenbergMarquardtOptimizer(self._pending, self._estimate).optimize()
-        self._pending_values = gtsam.Values(self._estimate)
+        elif max(edge.source, edge.target) >= self._held:
+            edge = edge if edge.target >= self._held else edge.turned()
+            place = self.pose(edge.source).compose(edge.T_source_target)  # type: ignore[arg-type]
+            self._pending.add(_prior(edge.target, place, _noise(edge)))
+
+    def _start_anew(self, held: int) -> None:
+        """Solve everything with damping, and begin a new iSAM2 with the nodes that are not held."""
+        graph = gtsam.NonlinearFactorGraph()
+        graph.add(self._prior())
+        for edge in self.edges:
+            graph.add(_between(edge, _noise(edge)))
+        # A few steps bring a map that was solved before up to date.
+        self._estimate = _solved(graph, self._estimate, most_steps=3 if held else 100)
+        self._isam, self._held = None, held
+        self._pending = gtsam.NonlinearFactorGraph() if held else graph
+        self._pending_values = gtsam.Values() if held else gtsam.Values(self._estimate)
 
     def optimize(self, inlier_probability: float = 0.99) -> BatchResult:
         """Solve the whole graph anew: GNC-TLS over the untrusted edges, then plain least squares.
@@ -173,12 +210,9 @@ class PoseGraph:
         inlier_probability
             Chi-square probability at which a true edge passes the gate.
         """
-        weights = np.ones(len(self.edges))
-        if any(not edge.trusted for edge in self.edges):
-            weights = self._gnc_weights(inlier_probability)
-        kept = weights > 0.5
+        kept = self._gnc_weights(inlier_probability) > 0.5
         graph = self._graph(edge for edge, keep in zip(self.edges, kept, strict=True) if keep)
-        self._estimate = gtsam.LevenbergMarquardtOptimizer(graph, self._estimate).optimize()
+        self._estimate = _solved(graph, self._estimate)
         return BatchResult(float(graph.error(self._estimate)), kept)
 
     def initialize(self) -> None:
@@ -203,22 +237,42 @@ class PoseGraph:
         """Estimated pose of a node of an SE(3) graph."""
         return self._estimate.atPose3(key)
 
-    def planar_poses(self) -> FloatArray:
-        """(n, 3) x, y, yaw of all nodes of an SE(2) graph."""
-        rows: FloatArray = gtsam.utilities.extractPose2(self._estimate)
+    def planar_poses(self, first: int = 0) -> FloatArray:
+        """(n, 3) x, y, yaw of all nodes of an SE(2) graph, or from the first that an update has moved."""
+        estimate = self._moved if first else self._estimate
+        rows: FloatArray = gtsam.utilities.extractPose2(estimate)
         return rows.reshape(-1, 3)
 
     def _gnc_weights(self, inlier_probability: float) -> FloatArray:
-        """Weight of every edge, 0..1, after GNC-TLS with the trusted edges as known inliers."""
-        parameters = gtsam.GncLMParams(gtsam.LevenbergMarquardtParams())
-        parameters.setLossType(gtsam.GncLossType.TLS)
-        parameters.setLambdaStep(_GNC_STEP)
-        # Factor 0 is the prior.
-        parameters.setKnownInliers([0, *(k + 1 for k, edge in enumerate(self.edges) if edge.trusted)])
-        optimizer = gtsam.GncLMOptimizer(self._graph(self.edges), self._estimate, parameters)
-        optimizer.setInlierCostThresholdsAtProbability(inlier_probability)
-        self._estimate = optimizer.optimize()
-        weights: FloatArray = np.asarray(optimizer.getWeights())[1:]
+        """Weight of every edge, 0..1, after GNC-TLS with the trusted edges as known inliers.
+
+        As Yang 2020, Sec. IV-B, but a round makes one step from where the last one ended; GTSAM goes back
+        to the first estimate, and solves to the end, each time.
+        """
+        graph, weights = self._graph(self.edges), np.ones(len(self.edges))
+        # Factor 0 is the prior. A factor's error is half its squared residual, and so is the limit.
+        factors = {k: graph.at(k + 1) for k, edge in enumerate(self.edges) if not edge.trusted}
+        limit = 0.5 * gate(self._dimension, inlier_probability)
+        worst = max((factor.error(self._estimate) for factor in factors.values()), default=0.0)
+        # Remark 5: where the surrogate cost begins to be convex.
+        control = limit / (2.0 * worst - limit) if 2.0 * worst > limit else math.inf
+        if control < math.inf:
+            self._estimate = _solved(graph, self._estimate)
+        while control < _GREATEST_CONTROL:
+            for k, factor in factors.items():
+                # Eq. (14).
+                share = limit * control * (control + 1.0) / max(factor.error(self._estimate), TINY)
+                weight = min(max(math.sqrt(share) - control, 0.0), 1.0)
+                if weight != weights[k]:
+                    weights[k] = weight
+                    # Next to nothing, for GTSAM knows no weight of zero.
+                    covariance = self.edges[k].covariance / max(weight, TINY)
+                    noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
+                    graph.replace(k + 1, _between(self.edges[k], noise))
+            self._estimate = _solved(graph, self._estimate, most_steps=1)
+            if ((weights == 0.0) | (weights == 1.0)).all():
+                break
+            control *= _GNC_STEP
         return weights
 
     def _graph(self, edges: Iterable[Edge]) -> gtsam.NonlinearFactorGraph:
@@ -231,10 +285,7 @@ class PoseGraph:
 
     def _prior(self) -> gtsam.NonlinearFactor:
         """Hold node 0: the gauge, not a measurement."""
-        noise = gtsam.noiseModel.Isotropic.Sigma(self._dimension, 1e-4)
-        if isinstance(self._origin, gtsam.Pose2):
-            return gtsam.PriorFactorPose2(0, self._origin, noise)
-        return gtsam.PriorFactorPose3(0, self._origin, noise)
+        return _prior(0, self._origin, gtsam.noiseModel.Isotropic.Sigma(self._dimension, 1e-4))
 
     def _check(self, edge: Edge) -> None:
         """Refuse what GTSAM would take silently."""
@@ -265,6 +316,20 @@ def _between(edge: Edge, noise: gtsam.noiseModel.Base) -> gtsam.NonlinearFactor:
     if isinstance(edge.T_source_target, gtsam.Pose2):
         return gtsam.BetweenFactorPose2(edge.source, edge.target, edge.T_source_target, noise)
     return gtsam.BetweenFactorPose3(edge.source, edge.target, edge.T_source_target, noise)
+
+
+def _prior(node: int, pose: Pose, noise: gtsam.noiseModel.Base) -> gtsam.NonlinearFactor:
+    """The factor of a node that is known to lie somewhere."""
+    if isinstance(pose, gtsam.Pose2):
+        return gtsam.PriorFactorPose2(node, pose, noise)
+    return gtsam.PriorFactorPose3(node, pose, noise)
+
+
+def _solved(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values, most_steps: int = 100) -> gtsam.Values:
+    """Least squares by damped steps; as many as GTSAM takes, or fewer."""
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(most_steps)
+    return gtsam.LevenbergMarquardtOptimizer(graph, start, parameters).optimize()
 
 
 def _check_finite(pose: Pose) -> None:

@@ -1,7 +1,8 @@
 """How uncertain is the pose of one node seen from all others: Dijkstra projection (Olson 2008, Sec. IV).
 
 The least uncertain path of edges from a node bounds the relative covariance from above, without inverting
-the graph. It tells loop closure where to look, and how far.
+the graph. It tells loop closure where to look, and how far. Every so many nodes in a row share an anchor,
+the more the longer the log: paths lead from anchor to anchor, so that a search costs the same in large maps.
 """
 
 from __future__ import annotations
@@ -12,11 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.kernel import ONE, ZERO, kernel
-from slam.matching.planar import adjoint, rotate_covariance
 from slam.measurements import FloatArray
 
 # A yaw error is worth its lever arm: how far from a node its surroundings are matched.
 _LEVER_M = 5.0
+# What a search may visit; where the anchors are more, each second one is given up.
+_MOST_ANCHORS = 4096
+
+
+# An uncertain motion is a row: pose of its end in the frame of its beginning (3), its covariance in the end's
+# frame (9), and the cost by which paths are compared (1).
+_POSE, _COVARIANCE, _COST = slice(3), slice(3, 12), 12
 
 
 class UncertaintyGraph:
@@ -24,24 +31,45 @@ class UncertaintyGraph:
 
     def __init__(self) -> None:
         self._count = 0
+        # Nodes to an anchor, and from its anchor to each node.
+        self._stride = 1
+        self._inside = np.zeros((64, 13))
+        self._ends = np.zeros((256, 2), np.int64)
+        self._steps = np.zeros((256, 13))
+        self._edges = 0
         self._heads = np.full(64, -1, np.int64)
         self._next = np.full(256, -1, np.int64)
-        self._targets = np.zeros(256, np.int64)
-        self._costs = np.zeros(256)
-        self._covariances = np.zeros((256, 3, 3))
-        self._edges = 0
 
     def add_node(self) -> None:
         """Add the next node."""
+        node = self._count
         self._count += 1
-        if self._count > self._heads.size:
+        if self._count > len(self._inside):
+            self._inside = np.concatenate([self._inside, np.zeros_like(self._inside)])
+        # Until an edge tells how it lies to its anchor.
+        self._inside[node, _COST] = math.inf if node % self._stride else 0.0
+        if node // self._stride == _MOST_ANCHORS:
+            self._thin()
+        if node // self._stride >= self._heads.size:
             self._heads = np.concatenate([self._heads, np.full_like(self._heads, -1)])
 
     def add_edge(self, source: int, target: int, relative: FloatArray, covariance: FloatArray) -> None:
         """Join two nodes; ``relative`` (3,) and ``covariance`` (3, 3) as in ``pose_graph.Edge``."""
-        cost = float(covariance[0, 0] + covariance[1, 1] + _LEVER_M**2 * covariance[2, 2])
-        self._append(source, target, cost, covariance)
-        self._append(target, source, cost, rotate_covariance(adjoint(relative), covariance))
+        cost = covariance[0, 0] + covariance[1, 1] + _LEVER_M**2 * covariance[2, 2]
+        step = np.concatenate([relative, covariance.ravel(), [cost]])[None]
+        # Anchors themselves, in small maps all nodes, need no way there.
+        if self._inside[source, _COST]:
+            step = _then(self._inside[[source]], step)
+        if source // self._stride == target // self._stride:
+            if step[0, _COST] < self._inside[target, _COST]:
+                self._inside[target] = step[0]
+            return
+        if self._inside[target, _COST]:
+            step = _then(step, _back(self._inside[[target]]))
+        if np.isfinite(step[0, _COST]):
+            ends = source // self._stride, target // self._stride
+            self._append(ends, step[0])
+            self._append(ends[::-1], _back(step)[0])
 
     def relative_covariances(self, start: int, targets: NDArray[np.int64], poses: FloatArray) -> FloatArray:
         """Covariance of ``inverse(pose_target) * pose_start`` in the start's frame, one a target.
@@ -59,37 +87,111 @@ class UncertaintyGraph:
         -------
         (m, 3, 3); infinite where no path leads.
         """
-        distance = np.full(self._count, np.inf)
-        seen = np.zeros((self._count, 6))
-        wanted = np.zeros(self._count, np.bool_)
-        wanted[targets] = True
-        edges = self._targets, self._costs, self._covariances.reshape(-1, 9)
+        anchors = np.ascontiguousarray(poses[: self._count : self._stride])
+        distance = np.full(len(anchors), np.inf)
+        seen = np.zeros((len(anchors), 6))
+        wanted = np.zeros(len(anchors), np.bool_)
+        wanted[targets // self._stride] = True
         # An edge is put into the queue once at most, from its source.
         queue = np.empty(self._edges + 1), np.empty(self._edges + 1, np.int64)
-        _follow(start, wanted, poses, self._heads, self._next, *edges, distance, seen, *queue)
-        seen[np.isinf(distance)] = np.inf
+        first = start // self._stride
+        _follow(
+            first, wanted, anchors, self._heads, self._next, self._ends, self._steps, distance, seen, *queue
+        )
         # Where the nine elements of a symmetric matrix are in its upper triangle.
-        return seen[targets][:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+        found = seen[targets // self._stride][:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+        own, others = self._inside[[start]], self._inside[targets]
+        away = _compose(_inverse(poses[[start]]), poses[targets])
+        found = _moved(found, _inverse(own[:, _POSE])) + _covariance(own) + _moved(_covariance(others), away)
+        found[targets == start] = 0.0
+        found[np.isinf(distance[targets // self._stride] + own[:, _COST] + others[:, _COST])] = np.inf
+        return found
 
-    def _append(self, source: int, target: int, cost: float, covariance: FloatArray) -> None:
-        """One direction of an edge, covariance in the target's frame."""
+    def _append(self, ends: tuple[int, int], step: FloatArray) -> None:
+        """One direction of an edge between two anchors."""
         k = self._edges
         if k == self._next.size:
             self._next = np.concatenate([self._next, np.full_like(self._next, -1)])
-            self._targets = np.concatenate([self._targets, np.zeros_like(self._targets)])
-            self._costs = np.concatenate([self._costs, np.zeros_like(self._costs)])
-            self._covariances = np.concatenate([self._covariances, np.zeros_like(self._covariances)])
-        self._next[k] = self._heads[source]
-        self._heads[source] = k
-        self._targets[k] = target
-        self._costs[k] = cost
-        self._covariances[k] = covariance
+            self._ends = np.concatenate([self._ends, np.zeros_like(self._ends)])
+            self._steps = np.concatenate([self._steps, np.zeros_like(self._steps)])
+        self._next[k] = self._heads[ends[0]]
+        self._heads[ends[0]] = k
+        self._ends[k] = ends
+        self._steps[k] = step
         self._edges += 1
+
+    def _thin(self) -> None:
+        """Give up each second anchor: what led to it leads by way of the one before."""
+        ends, steps = self._ends[: self._edges], self._steps[: self._edges]
+        order = np.argsort(steps[:, _COST], kind="stable")
+        # From each anchor that stays to the next one: by the edge of least cost.
+        aside = np.zeros((2 * (_MOST_ANCHORS // 2 + 1), 13))
+        aside[1::2, _COST] = np.inf
+        for k in order[(ends[order, 1] - ends[order, 0] == 1) & (ends[order, 1] % 2 == 1)][::-1]:
+            aside[ends[k, 1]] = steps[k]
+        anchors = np.arange(self._count) // self._stride
+        self._inside[: self._count] = _then(aside[anchors], self._inside[: self._count])
+        steps = _then(_then(aside[ends[:, 0]], steps), _back(aside[ends[:, 1]]))
+        self._stride *= 2
+        ends = ends // 2
+        order = np.argsort(steps[:, _COST], kind="stable")
+        order = order[(ends[order, 0] != ends[order, 1]) & np.isfinite(steps[order, _COST])]
+        # Of edges between the same two the least uncertain.
+        _, first = np.unique(ends[order], axis=0, return_index=True)
+        kept = order[first]
+        self._edges = 0
+        self._heads[:] = -1
+        for pair, k in zip(ends[kept].tolist(), kept, strict=True):
+            self._append(pair, steps[k])
+
+
+def _then(a: FloatArray, b: FloatArray) -> FloatArray:
+    """(N, 13) motions, one after the other."""
+    back = _inverse(b[:, _POSE])
+    covariance = _moved(_covariance(a), back) + _covariance(b)
+    pose = _compose(a[:, _POSE], b[:, _POSE])
+    return np.hstack([pose, covariance.reshape(-1, 9), a[:, _COST:] + b[:, _COST:]])
+
+
+def _back(a: FloatArray) -> FloatArray:
+    """(N, 13) motions from their ends to their beginnings."""
+    covariance = _moved(_covariance(a), a[:, _POSE])
+    return np.hstack([_inverse(a[:, _POSE]), covariance.reshape(-1, 9), a[:, _COST:]])
+
+
+def _covariance(a: FloatArray) -> FloatArray:
+    """(N, 3, 3) of motions."""
+    return a[:, _COVARIANCE].reshape(-1, 3, 3)
+
+
+def _compose(a: FloatArray, b: FloatArray) -> FloatArray:
+    """(N, 3) poses after poses; one may stand for all."""
+    cos, sin = np.cos(a[:, 2]), np.sin(a[:, 2])
+    x = a[:, 0] + cos * b[:, 0] - sin * b[:, 1]
+    y = a[:, 1] + sin * b[:, 0] + cos * b[:, 1]
+    return np.stack([x, y, a[:, 2] + b[:, 2]], axis=1)
+
+
+def _inverse(a: FloatArray) -> FloatArray:
+    """(N, 3) poses the other way round."""
+    cos, sin = np.cos(a[:, 2]), np.sin(a[:, 2])
+    return np.stack([-cos * a[:, 0] - sin * a[:, 1], sin * a[:, 0] - cos * a[:, 1], -a[:, 2]], axis=1)
+
+
+def _moved(covariance: FloatArray, T_a_b: FloatArray) -> FloatArray:
+    """(N, 3, 3) covariances in the tangent space of b, seen in that of a: Ad C Ad^T, GTSAM's order."""
+    adjoint = np.zeros((len(T_a_b), 3, 3))
+    cos, sin = np.cos(T_a_b[:, 2]), np.sin(T_a_b[:, 2])
+    adjoint[:, 0, 0], adjoint[:, 0, 1], adjoint[:, 0, 2] = cos, -sin, T_a_b[:, 1]
+    adjoint[:, 1, 0], adjoint[:, 1, 1], adjoint[:, 1, 2] = sin, cos, -T_a_b[:, 0]
+    adjoint[:, 2, 2] = 1.0
+    moved: FloatArray = adjoint @ covariance @ adjoint.transpose(0, 2, 1)
+    return moved
 
 
 @kernel
 def _follow(  # type: ignore[no-untyped-def]
-    start, wanted, poses, heads, following, ends, costs, covariances, distance, seen, queued, queued_nodes
+    start, wanted, poses, heads, following, ends, steps, distance, seen, queued, queued_nodes
 ):
     """Dijkstra until all wanted nodes are reached; what is reached is seen by the sum of its path's edges.
 
@@ -134,8 +236,8 @@ def _follow(  # type: ignore[no-untyped-def]
         missing -= wanted[node]
         k = heads[node]
         while k >= 0:
-            end = ends[k]
-            cost = reached + costs[k]
+            end = ends[k, 1]
+            cost = reached + steps[k, 12]
             if cost < distance[end]:
                 distance[end] = cost
                 at = length
@@ -157,13 +259,13 @@ def _follow(  # type: ignore[no-untyped-def]
                 yaw = poses[end, 2] - poses[start, 2]
                 c = math.cos(yaw)
                 s = math.sin(yaw)
-                tt = covariances[k, 8]
-                xt = c * covariances[k, 2] - s * covariances[k, 5]
-                yt = s * covariances[k, 2] + c * covariances[k, 5]
-                xx = c * covariances[k, 0] - s * covariances[k, 1]
-                xy = c * covariances[k, 1] - s * covariances[k, 4]
-                yx = s * covariances[k, 0] + c * covariances[k, 1]
-                yy = s * covariances[k, 1] + c * covariances[k, 4]
+                tt = steps[k, 11]
+                xt = c * steps[k, 5] - s * steps[k, 8]
+                yt = s * steps[k, 5] + c * steps[k, 8]
+                xx = c * steps[k, 3] - s * steps[k, 4]
+                xy = c * steps[k, 4] - s * steps[k, 7]
+                yx = s * steps[k, 3] + c * steps[k, 4]
+                yy = s * steps[k, 4] + c * steps[k, 7]
                 seen[end, 0] = seen[node, 0] + c * xx - s * xy + y * (2.0 * xt + y * tt)
                 seen[end, 1] = seen[node, 1] + s * xx + c * xy + y * yt - x * (xt + y * tt)
                 seen[end, 2] = seen[node, 2] + xt + y * tt

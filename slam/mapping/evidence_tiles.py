@@ -105,6 +105,20 @@ class EvidenceTiles:
                 steps[part] = np.clip(self._tile(key)[tile_part].max(axis=2), low, high)
         return steps
 
+    def coarse(self, box: Box, low: int, high: int, side: int) -> Steps:
+        """`clipped` in cells of ``side`` times ``side`` of the lattice's, each as its likeliest one.
+
+        So what is free or unknown in part is not free, and every obstacle stays. The box begins and ends with
+        such cells; one row of tiles is in memory at a time.
+        """
+        row, col, rows, cols = box
+        steps = np.empty((rows // side, cols // side), dtype=np.int16)
+        for first in range(0, rows, SIDE * side):
+            part = self.clipped((row + first, col, min(SIDE * side, rows - first), cols), low, high)
+            blocks = part.reshape(len(part) // side, side, cols // side, side)
+            steps[first // side : first // side + len(blocks)] = blocks.max(axis=(1, 3))
+        return steps
+
     def _holds(self, key: tuple[int, int]) -> bool:
         """Whether the tile is there, in memory or on disk."""
         return key in self._held or key in self._spilled

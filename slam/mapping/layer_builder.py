@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
 from typing import TypeAlias
 
 import gtsam
@@ -29,6 +30,8 @@ from slam.measurements import FloatArray, LaserScan, Pose, RgbdFrame, row_from_p
 Reading: TypeAlias = LaserScan | RgbdFrame
 
 _MAX_POSITION_M = 1e6
+# A map too large for its cells gets larger ones: so many of them in one at most.
+_MOST_CELLS_IN_ONE = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +57,7 @@ class LayerSettings:
     memory_mb
         Memory for the tiles of each layer while building, 10^6 bytes; the rest waits on disk.
     max_cells
-        Largest map; a guard against a lost pose.
+        Of a finished grid; a larger map gets larger cells.
     """
 
     resolution_m: float = 0.05
@@ -98,7 +101,7 @@ class LayerBuilder:
         Raises
         ------
         ScanweaveError
-            Where the pose is not finite or too far away, the map would be too large, or a frame does not
+            Where the pose is not finite or too far away, the map would be far too large, or a frame does not
             tell where its camera sits; the map is as it was then.
         """
         if not (np.abs(T_map_base.matrix()) < _MAX_POSITION_M).all():
@@ -124,15 +127,23 @@ class LayerBuilder:
         return True
 
     def grid(self, name: str) -> OccupancyGrid | None:
-        """The grid of ``lidar`` or ``depth`` so far, clamped; None where it told nothing."""
+        """The grid of ``lidar`` or ``depth`` so far, clamped; None where it told nothing.
+
+        Where it would have too many cells, they are larger, by a whole number.
+        """
         tiles, settings = self._tiles.get(name), self._settings
         if tiles is None or tiles.used is None:
             return None
-        row, col = tiles.used[:2]
         low, high = bayes.evidence_steps(settings.p_min), bayes.evidence_steps(settings.p_max)
+        rows, cols = self._extent()[2:]
+        side = math.ceil(math.sqrt(rows * cols / settings.max_cells))
+        row, col, rows, cols = tiles.used
+        row_to, col_to = -(-(row + rows) // side) * side, -(-(col + cols) // side) * side
+        row, col = row // side * side, col // side * side
+        box = (row, col, row_to - row, col_to - col)
+        steps = tiles.coarse(box, low, high, side) if side > 1 else tiles.clipped(box, low, high)
         corner = gtsam.Pose2(col * settings.resolution_m, row * settings.resolution_m, 0.0)
-        steps = tiles.clipped(tiles.used, low, high)
-        return OccupancyGrid(steps, settings.resolution_m, self._axes.compose(corner))
+        return OccupancyGrid(steps, side * settings.resolution_m, self._axes.compose(corner))
 
     def finish(self) -> LayeredMap:
         """The map so far.
@@ -166,16 +177,19 @@ class LayerBuilder:
         return np.asarray(T_grid_camera.matrix())
 
     def _check_room(self, box: Box) -> None:
-        """Refuse to grow over the limit."""
-        for tiles in self._tiles.values():
-            if tiles.used is not None:
-                box = union(box, tiles.used)
-        rows, cols = box[2:]
-        if rows * cols > self._settings.max_cells:
+        """Refuse to grow to what only a lost pose can mean."""
+        rows, cols = self._extent(box)[2:]
+        if rows * cols > _MOST_CELLS_IN_ONE * self._settings.max_cells:
             raise ScanweaveError(
                 f"the map would have {rows} x {cols} cells of {self._settings.resolution_m:g} m, the limit "
-                f"is {self._settings.max_cells}: choose a coarser resolution, or look for a lost pose"
+                f"is {_MOST_CELLS_IN_ONE} x {self._settings.max_cells}: choose a coarser resolution, or look "
+                "for a lost pose"
             )
+
+    def _extent(self, *boxes: Box) -> Box:
+        """What holds all layers so far, and other boxes."""
+        used = [tiles.used for tiles in self._tiles.values() if tiles.used is not None]
+        return reduce(union, [*used, *boxes])
 
 
 def build_layers(

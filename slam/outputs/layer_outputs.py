@@ -23,15 +23,23 @@ def layers_of(result: MapResult, config: Config) -> LayeredMap | None:
     The lidar's is the run's grid, the depth layer is drawn from the camera keyframes. Where it cannot be
     drawn, the run gets a warning and the lidar's stands alone.
     """
-    depth = None
+    grid, settled = result.grid, config
+    if grid is not None and grid.resolution_m > config.grid.resolution_m:
+        result.warnings.append(
+            f"The map is so large that its cells are {grid.resolution_m:g} m wide; for cells of "
+            f"{config.grid.resolution_m:g} m raise grid.greatest_cells = {config.grid.greatest_cells}"
+        )
+        cells = config.grid.model_copy(update={"resolution_m": grid.resolution_m})
+        settled = config.model_copy(update={"grid": cells})
     planar = isinstance(result.graph.pose(0), gtsam.Pose2)
     if result.dense is not None and (planar or (result.clouds is not None and result.grid is not None)):
         ground_m = None if planar or result.clouds is None else result.clouds.ground_m
         try:
-            depth = depth_grid(result.dense, config, ground_m)
+            depth = depth_grid(result.dense, settled, ground_m)
+            return layers_of_grids(grid, depth, config)
         except ScanweaveError as error:
             result.warnings.append(f"No depth layer was drawn, the map is the lidar's alone: {error}")
-    return layers_of_grids(result.grid, depth, config)
+    return layers_of_grids(grid, None, config)
 
 
 def depth_grid(dense: DenseKeyframes, config: Config, ground_m: float | None = None) -> OccupancyGrid | None:

@@ -86,13 +86,13 @@ def write_nav2_map(
         pixel_of[np.uint8(state % 256)] = pixel
     if states.dtype != np.int8:
         states = np.clip(states, UNKNOWN - 1, OCCUPIED + 1).astype(np.int8)  # a state too large is still none
-    image = pixel_of[np.ascontiguousarray(states).view(np.uint8)]
-    if states.ndim != 2 or not states.size or (image == _NO_PIXEL).any():
+    values = np.ascontiguousarray(states).view(np.uint8)
+    if states.ndim != 2 or not states.size or any((pixel_of[row] == _NO_PIXEL).any() for row in values):
         raise MapFileError(
             f"cannot write {yaml_path}: needs a grid of 100, 0 and -1, got shape {states.shape}"
         )
     # The image first: whoever sees the new yaml finds its image.
-    write_pgm(image_path, image[::-1])
+    write_pgm(image_path, values[::-1], pixel_of)
     origin = ", ".join(_decimal(value) for value in (T_map_grid.x(), T_map_grid.y(), T_map_grid.theta()))
     write_lines(
         yaml_path,

@@ -81,7 +81,9 @@ def unpack(content: bytes) -> Any:
 
 def pack_small(value: Any) -> bytes:
     """The bytes of a value, compressed."""
-    content = pack(value)
+    # A grid is large: no copies that need not be.
+    content = bytearray()
+    _pack(value, content)
     return _I8.pack(len(content)) + zlib.compress(content, 1)
 
 
@@ -141,7 +143,7 @@ def _pack_array(array: np.ndarray[Any, Any], out: bytearray) -> None:
     fortran = array.flags.f_contiguous and not array.flags.c_contiguous
     head = bytes([_DTYPE_NUMBER[array.dtype], fortran, array.ndim])
     out += b"a" + head + struct.pack(f"<{array.ndim}I", *array.shape)
-    out += array.tobytes("F" if fortran else "C")
+    out += np.ascontiguousarray(array.T if fortran else array).reshape(-1).view(np.uint8).data
 
 
 def _unpack(content: bytes, at: int, depth: int) -> tuple[Any, int]:

@@ -20,8 +20,13 @@ _GAP = rb"(?:\s|#[^\r\n]*[\r\n])+"
 _HEADER = re.compile(rb"(P[25])" + _GAP + rb"(\d+)" + _GAP + rb"(\d+)" + _GAP + rb"(\d+)\s")
 
 
-def write_pgm(path: Path, image: GreyImage) -> None:
+def write_pgm(path: Path, image: GreyImage, pixel_of: GreyImage | None = None) -> None:
     """Write a (rows, cols) image, row 0 on top, as binary PGM (P5), whole or not at all.
+
+    Parameters
+    ----------
+    pixel_of
+        (256,) what is written for each value; None for the value itself.
 
     Raises
     ------
@@ -33,7 +38,8 @@ def write_pgm(path: Path, image: GreyImage) -> None:
         file.write(b"P5\n%d %d\n255\n" % (cols, rows))
         # A large map is not held a second time.
         for first in range(0, rows, _ROWS_AT_ONCE):
-            file.write(image[first : first + _ROWS_AT_ONCE].astype(np.uint8).tobytes())
+            part = image[first : first + _ROWS_AT_ONCE].astype(np.uint8, copy=False)
+            file.write((part if pixel_of is None else pixel_of[part]).tobytes())
 
 
 def read_pgm(path: Path) -> GreyImage:

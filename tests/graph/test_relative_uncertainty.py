@@ -4,6 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
+from slam.graph import relative_uncertainty
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, pose2_from_row
@@ -69,9 +70,11 @@ def test_on_a_chain_it_is_exact(seed: int, start: int) -> None:
         np.testing.assert_allclose(covariance, twin.exact(start, int(target)), rtol=1e-5, atol=1e-8)
 
 
+@pytest.mark.parametrize("anchors", [4096, 16, 8])
 @pytest.mark.parametrize("seed", range(4))
-def test_with_loops_it_is_an_upper_bound(seed: int) -> None:
+def test_with_loops_it_is_an_upper_bound(seed: int, anchors: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Any path alone says less than the whole graph: the difference has no negative eigenvalue."""
+    monkeypatch.setattr(relative_uncertainty, "_MOST_ANCHORS", anchors)
     rng = np.random.default_rng(seed)
     twin = Twin(walk(rng, 30))
     for n in range(29):
@@ -80,6 +83,7 @@ def test_with_loops_it_is_an_upper_bound(seed: int) -> None:
         a, b = rng.choice(30, 2, replace=False)
         twin.join(int(a), int(b), random_covariance(rng))
     targets = np.arange(29)
+    twin.join(28, 29, random_covariance(rng))  # grown by now: a second one between two that share an anchor
     found = twin.bound.relative_covariances(29, targets, twin.poses)
     shares = []
     for target in targets:
@@ -154,3 +158,59 @@ def test_a_graph_that_outgrows_its_first_arrays() -> None:
         graph.add_edge(n - 1, n, np.array([0.1, 0.0, 0.0]), np.diag([1e-4, 1e-4, 0.0]) + 1e-12 * np.eye(3))
     found = graph.relative_covariances(699, np.array([0, 350]), poses)
     np.testing.assert_allclose(found[:, 0, 0], [699e-4, 349e-4], rtol=1e-6)
+
+
+def drive(keyframes: int, laps: int) -> tuple[UncertaintyGraph, FloatArray]:
+    """Laps of a square, each lap joined to the one before at every tenth node."""
+    lap = keyframes // laps
+    turn = 2.0 * np.pi * (np.arange(keyframes) % lap) / lap
+    poses = np.column_stack([20.0 * np.cos(turn), 20.0 * np.sin(turn), turn])
+    graph = UncertaintyGraph()
+    for n in range(keyframes):
+        graph.add_node()
+        if n:
+            graph.add_edge(n - 1, n, between(poses[n - 1], poses[n]), 1e-6 * np.eye(3))
+        if n >= lap and n % 10 == 0:
+            graph.add_edge(n - lap, n, between(poses[n - lap], poses[n]), 1e-5 * np.eye(3))
+    return graph, poses
+
+
+def test_a_search_visits_no_more_in_a_log_of_many_laps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every lap is another hundred nodes that the places wanted lie among."""
+    visited = []
+
+    def counting(*arrays: object) -> None:
+        follow(*arrays)
+        visited.append(int(np.isfinite(arrays[7]).sum()))
+
+    follow = relative_uncertainty._follow
+    monkeypatch.setattr(relative_uncertainty, "_follow", counting)
+    monkeypatch.setattr(relative_uncertainty, "_MOST_ANCHORS", 256)
+    sigmas_m = []
+    for laps in (2, 20, 80):
+        graph, poses = drive(100 * laps, laps)
+        targets = np.arange(50, len(poses) - 100, 100)
+        found = graph.relative_covariances(len(poses) - 1, targets, poses)
+        sigmas_m.append(np.sqrt(found[-1, 0, 0]))
+    assert max(visited) <= 256 and visited[0] > 100
+    # Paths by way of anchors are a little longer.
+    assert sigmas_m[2] < 1.6 * sigmas_m[0]
+
+
+@pytest.mark.parametrize("anchors", [4, 10, 32])
+def test_anchors_make_a_chain_no_more_uncertain_than_the_way_back_to_them(
+    anchors: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(relative_uncertainty, "_MOST_ANCHORS", anchors)
+    poses = np.zeros((70, 3))
+    graph = UncertaintyGraph()
+    for n in range(70):
+        graph.add_node()
+        if n:
+            graph.add_edge(n - 1, n, np.zeros(3), np.eye(3))
+    targets = np.arange(69)
+    steps = graph.relative_covariances(69, targets, poses)[:, 0, 0]
+    stride = next(2**k for k in range(8) if anchors * 2**k >= 70)
+    assert (steps >= 69 - targets).all()
+    apart = targets // stride != 69 // stride
+    assert (steps[apart] < 69 - targets[apart] + 2 * stride).all()

@@ -224,7 +224,7 @@ def test_a_far_hit_weighs_less_and_bad_input_is_refused():
     with pytest.raises(ScanweaveError, match="where it sits"):
         builder.add(replace(frame(), T_base_camera=None), gtsam.Pose2())
     with pytest.raises(ScanweaveError, match="the limit"):
-        LayerBuilder(replace(SETTINGS, max_cells=1000)).add(scan(), gtsam.Pose2())
+        LayerBuilder(replace(SETTINGS, max_cells=4)).add(scan(), gtsam.Pose2())
     with pytest.raises(ScanweaveError, match="1 keyframes for 2 poses"):
         build_layers([scan()], same_base(2), SETTINGS)
     with pytest.raises(ScanweaveError, match="more keyframes"):

@@ -152,14 +152,14 @@ def test_returns_beyond_a_sensors_range_or_the_models_are_no_returns():
     assert picture(build_grid([(replace(scan, range_max_m=1.0), pose)])) == ["oo"]
 
 
-def test_growing_keeps_what_was_there_and_costs_no_more_cells_than_allowed():
+def test_growing_keeps_what_was_there_until_only_a_lost_pose_can_explain_it():
     builder = LayerBuilder(replace(SETTINGS, max_cells=110))
     builder.add(*scan_at([0.5, 0.5, 0.0], [1.0]))
     before = builder.grid("lidar")
     with pytest.raises(
-        ScanweaveError, match=r"cells of 1 m, the limit is 110: choose a coarser resolution"
+        ScanweaveError, match=r"cells of 1 m, the limit is 256 x 110: choose a coarser resolution"
     ) as caught:
-        builder.add(*scan_at([30.5, 30.5, 0.0], [1.0], stamp=1.0))
+        builder.add(*scan_at([300.5, 300.5, 0.0], [1.0], stamp=1.0))
     assert "\n" not in str(caught.value)
     assert np.array_equal(builder.grid("lidar").steps, before.steps)
     builder.add(*scan_at([-8.5, -8.5, 0.0], [1.0], stamp=2.0))
@@ -167,6 +167,26 @@ def test_growing_keeps_what_was_there_and_costs_no_more_cells_than_allowed():
     assert grid.shape == (10, 11)
     assert np.array_equal(grid.steps[9:, 9:], before.steps)
     assert np.array_equal(grid.steps[:1, :2], before.steps)
+
+
+@pytest.mark.parametrize(("most", "side"), [(10_000, 1), (2_500, 2), (1_100, 3), (300, 6)])
+def test_a_map_of_too_many_cells_gets_larger_ones_as_the_likeliest_in_them(most: int, side: int):
+    """What the fine grid calls occupied is so in the coarse one, and only what is free throughout is free."""
+    rng = np.random.default_rng(2)
+    whole, small = LayerBuilder(SETTINGS), LayerBuilder(replace(SETTINGS, max_cells=most))
+    for n in range(60):
+        reading = scan_at([*rng.uniform(-40.0, 40.0, 2), 0.0], rng.uniform(1.0, 8.0, 5), stamp=float(n))
+        assert whole.add(*reading) and small.add(*reading)
+    fine, coarse = whole.grid("lidar"), small.grid("lidar")
+    assert coarse.resolution_m == side * fine.resolution_m and coarse.steps.size <= 1.2 * most
+    corner = np.rint([fine.T_map_grid.y(), fine.T_map_grid.x()]).astype(int)
+    expected = np.full(coarse.shape, -(2**15), dtype=np.int16)
+    placed = np.zeros((side * coarse.shape[0], side * coarse.shape[1]), dtype=np.int16)
+    top, left = corner - np.rint([coarse.T_map_grid.y(), coarse.T_map_grid.x()]).astype(int)
+    placed[top : top + fine.shape[0], left : left + fine.shape[1]] = fine.steps
+    for row, col in np.ndindex(coarse.shape):
+        expected[row, col] = placed[side * row : side * row + side, side * col : side * col + side].max()
+    np.testing.assert_array_equal(coarse.steps, expected)
 
 
 def test_what_cannot_be_mapped_is_refused():
