@@ -36,6 +36,7 @@ class KeyframeGraph:
         self._poses: list[Pose] = []
         self._rows = np.zeros((64, 3))
         self._loop_waits = False
+        self._optimized = False
         self._append(origin)
 
     def __len__(self) -> int:
@@ -101,7 +102,9 @@ class KeyframeGraph:
 
     def optimize(self, inlier_probability: float) -> BatchResult:
         """Solve everything anew; a loop that disagrees with the others is marked as refused."""
-        self.graph.update()
+        if not self._optimized:
+            self.graph.update()
+            self._optimized = True
         outcome = self.graph.optimize(inlier_probability)
         self.loops = judged(self.loops, self.graph.edges, outcome.kept)
         self._read_poses()
@@ -109,6 +112,7 @@ class KeyframeGraph:
 
     def _append(self, pose: Pose) -> None:
         """Take the estimate of a new keyframe."""
+        self._optimized = False
         self.uncertainty.add_node()
         self._poses.append(pose)
         if len(self._poses) > len(self._rows):

@@ -1,21 +1,23 @@
 """Loops over the whole map: a stretch of the way is recognised wherever the estimate takes it to be.
 
-What `slam.graph.loop_closure` closes while mapping lies within the uncertainty of the estimate. Where the chain is
-bent, places are found by their appearance instead, and believed only in sets: claims that agree with each other
-along the way (`slam.graph.consistent_sets`), and that together weigh more than the chain that they contradict.
+What `slam.graph.loop_closure` closes while mapping lies within the uncertainty of the estimate. Where the
+chain is bent, places are found by their appearance instead, and believed only in sets: claims that agree with
+each other along the way (`slam.graph.consistent_sets`), that what lies around them confirms
+(`slam.graph.claim_trial`), and that together weigh more than what they contradict.
 """
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from fusion.estimation import gate
 from slam.config.stages import LoopConfig, MatchConfig
-from slam.graph.consistent_sets import Claim, consistent, largest_sets
-from slam.graph.loop_closure import LoopCandidate, LoopCloser
+from slam.graph.claim_trial import ClaimTrial
+from slam.graph.consistent_sets import ClaimSets, Known, claimed
+from slam.graph.loop_closure import LoopCandidate, LoopCloser, position_sigmas
 from slam.graph.pose_graph import Edge
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.stretches import Stretches
@@ -23,8 +25,6 @@ from slam.matching.motion import Motion
 from slam.matching.planar import between
 from slam.measurements import BoolArray, FloatArray, row_from_pose2
 from slam.result_cache import COMPUTED, ResultCache
-
-log = logging.getLogger(__name__)
 
 
 class PlaceSearch:
@@ -37,9 +37,14 @@ class PlaceSearch:
         match: MatchConfig,
         result_cache: ResultCache = COMPUTED,
     ) -> None:
-        self._closer, self._submaps = closer, closer.submaps
-        self._config, self._match, self._result_cache = config, match, result_cache
-        self._sets: list[list[LoopCandidate]] | None = None
+        self._closer, self._submaps, self._result_cache = closer, closer.submaps, result_cache
+        self._config, self._match = config, match
+        # The gate of GNC, and the way over which claims may support each other.
+        self._gate, self._reach_m = gate(3, config.inlier_probability), 2.0 * config.least_path_m
+        self._stretches: Stretches | None = None
+        self._sets: ClaimSets | None = None
+        self._trial: ClaimTrial | None = None
+        self._tried: set[tuple[int, int]] = set()
 
     def search(
         self, poses: FloatArray, edges: Sequence[Edge], kept: BoolArray, loops: Sequence[LoopCandidate]
@@ -57,124 +62,131 @@ class PlaceSearch:
         """
         if not self._config.enabled or len(poses) < 2:
             return []
-        if self._sets is None:
-            chain = graph_of(len(poses), (edge for edge in edges if edge.loop is None))
-            found = self._claims(loops)
-            self._sets = [s for s in self._grouped(found, chain) if self._long_enough(s)]
-        return self._believed(poses, graph_of(len(poses), np.array(edges, object)[kept]))
+        held = [edge for edge, keep in zip(edges, kept, strict=True) if keep]
+        if self._stretches is None or self._sets is None:
+            self._stretches = Stretches(self._submaps, self._config, self._match)
+            chain = graph_of(len(poses), (edge for edge in held if edge.loop is None))
+            self._sets = ClaimSets(self._submaps, chain, self._reach_m)
+            self._trial = ClaimTrial(self._closer, self._stretches, self._sets, self._config, self._reach_m)
+        known = graph_of(len(poses), held)
+        for number in self._stretches.untied(loops):
+            for place in self._stretches.alike(number, self._possible(number, poses, known)):
+                if (place, number) not in self._tried:
+                    self._tried.add((place, number))
+                    self._verify(self._stretches, place, number)
+        return self._believed(poses, known)
 
-    def _claims(self, loops: Sequence[LoopCandidate]) -> list[LoopCandidate]:
-        """Whatever untied stretches look like, verified."""
-        stretches = Stretches(self._submaps, self._config, self._match)
+    def _possible(self, number: int, poses: FloatArray, known: UncertaintyGraph) -> BoolArray:
+        """(K,) the stretches to which a set, as long as can be, could move one.
+
+        What is as certain as places are wide is tried while mapping.
+        """
+        stretches = self._stretches
+        assert stretches is not None
+        key = int(stretches.keys[number])
+        sigmas_m = position_sigmas(known.relative_covariances(key, stretches.keys, poses))
+        most_m = math.sqrt(self._gate * self._reach_m / stretches.spacing_m) * sigmas_m
+        apart_m = np.hypot(*(poses[stretches.keys, :2] - poses[key, :2]).T)
+        window_m = math.sqrt(2.0) * stretches.window_m
+        return np.asarray((most_m > self._config.reach_m) & (apart_m <= window_m + most_m))
+
+    def _verify(self, stretches: Stretches, place: int, number: int) -> None:
+        """Search the pose of a stretch at another, and take down what is found as a claim."""
+
+        def pose() -> list[float]:
+            found = stretches.search(place, number)
+            return found.pose.tolist() if found.found else []
+
+        found = self._result_cache.cached("place", float(number), pose)
+        if not found:
+            return
         sigma = self._match.coarse_cell_m / self._config.sigmas
-        covariance = np.diag([sigma, sigma, sigma / self._config.reach_m]) ** 2
-        claims = []
-        for number in stretches.untied(loops):
-            for place in stretches.alike(number):
-                found = self._result_cache.cached(
-                    "place",
-                    float(number),
-                    lambda place=place, number=number: self._pose(stretches, place, number),
-                )
-                if not found:
-                    continue
-                keys = int(stretches.keys[place]), int(stretches.keys[number])
-                candidate = self._closer.verify(*keys, np.array(found), covariance)
-                if candidate.accepted and candidate.motion is not None and not candidate.motion.degenerate:
-                    claims.append(candidate)
-        return claims
+        covariance = np.diag(np.square([sigma, sigma, sigma / self._config.reach_m]))
+        ends = int(stretches.keys[place]), int(stretches.keys[number])
+        candidate = self._closer.verify(*ends, np.array(found), covariance)
+        if candidate.accepted and candidate.motion is not None and not candidate.motion.degenerate:
+            assert self._sets is not None
+            self._sets.add(candidate)
 
-    @staticmethod
-    def _pose(stretches: Stretches, place: int, number: int) -> list[float]:
-        found = stretches.search(place, number)
-        return found.pose.tolist() if found.found else []
-
-    def _grouped(self, found: Sequence[LoopCandidate], chain: UncertaintyGraph) -> list[list[LoopCandidate]]:
-        """Consistent sets."""
-        way_m, reach = self._submaps.travelled_m, 3.0 * self._config.least_path_m
-        poses = np.array([self._submaps.pose(key) for key in range(len(self._submaps))])
-        ways: dict[tuple[int, int], Motion] = {}
-
-        def way(a: int, b: int) -> Motion:
-            if (a, b) not in ways:
-                covariance = (
-                    chain.relative_covariances(b, np.array([a]), poses)[0] if a != b else np.zeros((3, 3))
-                )
-                ways[a, b] = Motion(between(poses[a], poses[b]), covariance)
-            return ways[a, b]
-
-        agree = np.zeros((len(found), len(found)), np.bool_)
-        for i, one in enumerate(found):
-            for j, other in enumerate(found[:i]):
-                if (
-                    one.keyframe == other.keyframe
-                    or max(
-                        abs(way_m(one.keyframe) - way_m(other.keyframe)),
-                        abs(way_m(one.place) - way_m(other.place)),
-                    )
-                    > reach
-                ):
-                    continue
-                agree[i, j] = agree[j, i] = consistent(
-                    _claim(one), _claim(other), way(one.place, other.place), way(one.keyframe, other.keyframe)
-                )
-        return [[found[k] for k in members] for members in largest_sets(agree)]
-
-    def _long_enough(self, members: Sequence[LoopCandidate]) -> bool:
-        way_m = [self._submaps.travelled_m(one.keyframe) for one in members]
-        return max(way_m) - min(way_m) >= 2.0 * self._config.reach_m
-
-    def _believed(self, poses: FloatArray, uncertainty: UncertaintyGraph) -> list[LoopCandidate]:
+    def _believed(self, poses: FloatArray, known: UncertaintyGraph) -> list[LoopCandidate]:
         """The sets that weigh more than what contradicts them, the weightiest of each neighbourhood."""
-        gains = np.array([self._gain(s, poses, uncertainty) for s in self._sets])
-        near_m = 3.0 * self._config.least_path_m
-        taken: list[int] = []
+        sets, trial, stretches = self._sets, self._trial, self._stretches
+        assert sets is not None and trial is not None and stretches is not None
+        seen = _Known(poses, known)
+        found = [one for one in sets.largest() if np.ptp(self._ways(one)) >= 2.0 * self._config.reach_m]
+        costs = np.array([self._cost(one, seen) for one in found])
+        gains = self._gate * np.array([len(one) for one in found]) - costs
+        taken: list[list[LoopCandidate]] = []
         for n in np.argsort(-gains, kind="stable").tolist():
             if gains[n] <= 0.0:
                 break
-            if all(self._apart_m(self._sets[n], self._sets[m]) > near_m for m in taken):
-                taken.append(n)
-        believed = [one for n in taken for one in self._sets[n]]
-        self._sets = [s for n, s in enumerate(self._sets) if n not in taken]
+            if any(_apart_m(self._ways(found[n]), self._ways(one)) <= self._reach_m for one in taken):
+                continue
+            if any(
+                2.0 * gains[m] > gains[n] and m != n and sets.contradict(found[n], found[m], seen)
+                for m in range(len(found))
+            ):
+                continue
+            more, refused = trial.hold(found[n])
+            net = len(found[n]) + len(more) - refused
+            # As long as a loop must be, and heavier than what it bends.
+            if net * stretches.spacing_m >= self._config.least_path_m and net * self._gate > costs[n]:
+                taken.append([*found[n], *more])
+        believed = [one for members in taken for one in members]
+        sets.remove(believed)
         return believed
 
-    def _gain(
-        self, members: Sequence[LoopCandidate], poses: FloatArray, uncertainty: UncertaintyGraph
-    ) -> float:
-        """What GNC's cost loses by keeping all of a set rather than refusing it: in squared sigmas."""
-        squares = []
-        for one in members:
-            covariance = uncertainty.relative_covariances(one.keyframe, np.array([one.place]), poses)[0]
-            if not np.isfinite(covariance).all():
-                squares.append(0.0)
-                continue
-            claim = _claim(one).motion
-            expected = Motion(between(poses[one.place], poses[one.keyframe]), covariance)
-            squares.append(expected.widened(claim.covariance).squared_mahalanobis(claim.pose))
-        return len(members) * gate(3, self._config.inlier_probability) - float(np.median(squares))
+    def _cost(self, members: Sequence[LoopCandidate], known: Known) -> float:
+        """How much of GNC's cost the bend is that a set asks of what is known, in squared sigmas.
 
-    def _apart_m(self, one: Sequence[LoopCandidate], other: Sequence[LoopCandidate]) -> float:
-        """Way between the keyframes of two sets."""
-        ways = [np.array([self._submaps.travelled_m(c.keyframe) for c in s]) for s in (one, other)]
-        return float(max(ways[0].min() - ways[1].max(), ways[1].min() - ways[0].max()))
+        Infinite where nothing can be learned: what is known is as certain as a search would be.
+        """
+        expected = [known(one.place, one.keyframe) for one in members]
+        sigmas_m = self._config.sigmas * position_sigmas(np.array([way.covariance for way in expected]))
+        if np.median(sigmas_m) < self._match.coarse_cell_m:
+            return math.inf
+        if not np.isfinite(sigmas_m).all():
+            return 0.0
+        claims = [claimed(one) for one in members]
+        squares = [
+            way.widened(claim.covariance).squared_mahalanobis(claim.pose)
+            for way, claim in zip(expected, claims, strict=True)
+        ]
+        return float(np.median(squares))
+
+    def _ways(self, members: Iterable[LoopCandidate]) -> FloatArray:
+        """Way from the start to the keyframes of a set."""
+        return np.array([self._submaps.travelled_m(one.keyframe) for one in members])
 
 
-def graph_of(nodes: int, edges) -> UncertaintyGraph:
-    """How uncertain nodes are of each other by some edges alone."""
+class _Known:
+    """What an estimate says of the way from a keyframe to another."""
+
+    def __init__(self, poses: FloatArray, graph: UncertaintyGraph) -> None:
+        self._poses, self._graph = poses, graph
+
+    def __call__(self, start: int, end: int) -> Motion:
+        """The pose of the end seen from the start; its covariance is infinite where nothing joins them."""
+        covariance = self._graph.relative_covariances(end, np.array([start]), self._poses)[0]
+        return Motion(between(self._poses[start], self._poses[end]), covariance)
+
+
+def graph_of(nodes: int, edges: Iterable[Edge]) -> UncertaintyGraph:
+    """How uncertain nodes are of each other by some edges alone; those of the same two speak together."""
     graph = UncertaintyGraph()
     for _ in range(nodes):
         graph.add_node()
+    together: dict[tuple[int, int], list[Edge]] = {}
     for edge in edges:
-        graph.add_edge(edge.source, edge.target, row_from_pose2(edge.T_source_target), edge.covariance)
+        together.setdefault((edge.source, edge.target), []).append(edge)
+    for (source, target), same in together.items():
+        covariance = same[0].covariance
+        if len(same) > 1:
+            covariance = np.linalg.inv(np.linalg.inv([edge.covariance for edge in same]).sum(axis=0))
+        graph.add_edge(source, target, row_from_pose2(same[0].T_source_target), covariance)
     return graph
 
 
-def _claim(candidate: LoopCandidate) -> Claim:
-    """What a verified candidate claims."""
-    assert candidate.motion is not None
-    motion = candidate.motion
-    return Claim(
-        candidate.place,
-        candidate.keyframe,
-        Motion(row_from_pose2(motion.T_reference_base), motion.covariance),
-    )
+def _apart_m(one_m: FloatArray, other_m: FloatArray) -> float:
+    """Way between two sets."""
+    return float(max(one_m.min() - other_m.max(), other_m.min() - one_m.max()))

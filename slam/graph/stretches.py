@@ -23,12 +23,15 @@ class Stretches:
     ----------
     keys
         (K,) the keyframe in the middle of each.
+    spacing_m
+        Way from one middle to the next.
     """
 
     def __init__(self, submaps: SubmapStore, config: LoopConfig, match: MatchConfig) -> None:
         self._config, self._match, self._submaps = config, match, submaps
         way_m = np.array([submaps.travelled_m(key) for key in range(len(submaps))])
-        middles_m = np.arange(0.0, way_m[-1] + config.reach_m, 0.5 * config.reach_m)
+        self.spacing_m = 0.5 * config.reach_m
+        middles_m = np.arange(0.0, way_m[-1] + config.reach_m, self.spacing_m)
         self.keys = np.unique(np.searchsorted(way_m, np.minimum(middles_m, way_m[-1])))
         self._way_m = way_m[self.keys]
         self._runs = [submaps.run(key) for key in self.keys.tolist()]
@@ -41,16 +44,28 @@ class Stretches:
         apart_m = np.minimum(self._way_m - ends[after - 1], ends[after] - self._way_m)
         return np.flatnonzero((apart_m > self._config.reach_m) & self._determined).tolist()
 
-    def alike(self, number: int) -> list[int]:
-        """Earlier stretches that look most like one, one of each neighbourhood."""
+    def between(self, first_m: float, last_m: float) -> list[int]:
+        """Keyframes in the middle of those stretches within a part of the way that could tell a place."""
+        within = (self._way_m >= first_m) & (self._way_m <= last_m) & self._determined
+        return self.keys[within].tolist()
+
+    def alike(self, number: int, possible: BoolArray) -> list[int]:
+        """Earlier stretches that look most like one, the best of each neighbourhood.
+
+        Parameters
+        ----------
+        possible
+            (K,) those that are not ruled out.
+        """
         way_m, config = self._way_m, self._config
-        likeness = self._bank.likeness(number, slice(0, number))
-        may = (way_m[number] - way_m[:number] > config.least_path_m) & self._determined[:number]
+        earlier = way_m[number] - way_m > config.least_path_m
+        (others,) = np.nonzero(possible & earlier & self._determined)
+        likeness = self._bank.likeness(number, others)
         chosen: list[int] = []
-        for other in np.argsort(-likeness, kind="stable").tolist():
+        for other in others[np.argsort(-likeness, kind="stable")].tolist():
             if len(chosen) == config.near:
                 break
-            if may[other] and all(abs(way_m[other] - way_m[one]) > config.reach_m for one in chosen):
+            if all(abs(way_m[other] - way_m[one]) > config.reach_m for one in chosen):
                 chosen.append(other)
         return chosen
 
@@ -61,10 +76,15 @@ class Stretches:
             build_field(self._runs[place].points, 2.0 * match.cell_m, match.coarse_cell_m),
             self._runs[number].thinned(match.search_points),
             np.zeros(3),
-            2.0 * self._config.reach_m,
+            self.window_m,
             np.pi,
             match.search_least_score,
         )
+
+    @property
+    def window_m(self) -> float:
+        """Half size of the window of a search: two stretches that overlap."""
+        return 2.0 * self._config.reach_m
 
     @cached_property
     def _determined(self) -> BoolArray:

@@ -94,7 +94,7 @@ class FrontEnd(Protocol):
         ...
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
-        """Places that the estimate of the final optimisation lets one recognise; ``kept`` as in `BatchResult`."""
+        """Places recognised from the estimate of the final optimisation, which has ``kept`` these edges."""
         ...
 
     def bases(self, poses: Sequence[Pose]) -> Sequence[Pose]:

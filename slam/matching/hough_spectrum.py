@@ -2,8 +2,9 @@
 
 Censi, Iocchi and Grisetti, "Scan matching in the Hough domain", ICRA 2005: the walls of a place are projected
 on every direction, and the magnitudes of each projection's Fourier transform do not change when the place is
-shifted; a turn moves them from one direction to the next. Of polar occupancy, histograms of pairs of points and
-this, it finds a known place of fr079 and intel most often.
+shifted; a turn moves them from one direction to the next. Its first guess is right for 83 % (fr079) and 93 %
+(intel) of the stretches that were seen before; polar occupancy (scan context) has 50 and 57 %, distances of
+pairs of points 56 and 81 %.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ class SpectrumBank:
         # A circular correlation over the turns, all frequencies together.
         self._turned: NDArray[np.complex128] = np.fft.rfft(np.array(spectra), axis=2)
 
-    def likeness(self, number: int, others: slice) -> FloatArray:
+    def likeness(self, number: int, others: NDArray[np.int64]) -> FloatArray:
         """Greatest correlation, 0..1 over all turns, of a spectrum with each of some others."""
         products = np.einsum("kft,ft->kt", self._turned[others], np.conj(self._turned[number]))
         return np.asarray(np.fft.irfft(products, _DIRECTIONS).max(axis=1, initial=0.0))
