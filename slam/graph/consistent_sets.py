@@ -64,16 +64,24 @@ class ClaimSets:
         """Disjoint sets of claims that all agree, the largest first."""
         return [[self._claims[n] for n in members] for members in largest_cliques(self._agree)]
 
-    def contradict(self, one: Sequence[LoopCandidate], other: Sequence[LoopCandidate], known: Known) -> bool:
-        """Whether two sets of keyframes near each other lead to places that cannot be where both say."""
+    def contradiction(
+        self, one: Sequence[LoopCandidate], other: Sequence[LoopCandidate], known: Known
+    ) -> float:
+        """Squared sigmas by which what is known must be wrong for both of two sets to be true.
+
+        Zero where their keyframes are too far apart to tell.
+        """
         ways = [[self._submaps.travelled_m(claim.keyframe) for claim in claims] for claims in (one, other)]
         apart_m = np.abs(np.subtract.outer(*ways))
         if apart_m.min() > self._reach_m:
-            return False
+            return 0.0
         n, m = np.unravel_index(apart_m.argmin(), apart_m.shape)
         a, b = one[int(n)], other[int(m)]
         first = after(claimed(a), self.way(a.keyframe, b.keyframe))
-        return not first.agrees(after(known(a.place, b.place), claimed(b)))
+        second = after(known(a.place, b.place), claimed(b))
+        if not np.isfinite(second.covariance).all():
+            return 0.0
+        return first.widened(second.covariance).squared_mahalanobis(second.pose)
 
     def _near(self, one: LoopCandidate, other: LoopCandidate) -> bool:
         """Whether two claims tell of different keyframes not far from each other, and of such places."""

@@ -70,14 +70,16 @@ class PlaceSearch:
             self._trial = ClaimTrial(self._closer, self._stretches, self._sets, self._config, self._reach_m)
         known = graph_of(len(poses), held)
         for number in self._stretches.untied(loops):
-            for place in self._stretches.alike(number, self._possible(number, poses, known)):
+            for place in self._stretches.candidates(number, *self._possible(number, poses, known)):
                 if (place, number) not in self._tried:
                     self._tried.add((place, number))
                     self._verify(self._stretches, place, number)
         return self._believed(poses, known)
 
-    def _possible(self, number: int, poses: FloatArray, known: UncertaintyGraph) -> BoolArray:
-        """(K,) the stretches to which a set, as long as can be, could move one.
+    def _possible(
+        self, number: int, poses: FloatArray, known: UncertaintyGraph
+    ) -> tuple[BoolArray, FloatArray]:
+        """(K,) the stretches to which a set, as long as can be, could move one; and how far from it they are.
 
         What is as certain as places are wide is tried while mapping.
         """
@@ -88,7 +90,7 @@ class PlaceSearch:
         most_m = math.sqrt(self._gate * self._reach_m / stretches.spacing_m) * sigmas_m
         apart_m = np.hypot(*(poses[stretches.keys, :2] - poses[key, :2]).T)
         window_m = math.sqrt(2.0) * stretches.window_m
-        return np.asarray((most_m > self._config.reach_m) & (apart_m <= window_m + most_m))
+        return (most_m > self._config.reach_m) & (apart_m <= window_m + most_m), apart_m
 
     def _verify(self, stretches: Stretches, place: int, number: int) -> None:
         """Search the pose of a stretch at another, and take down what is found as a claim."""
@@ -122,10 +124,8 @@ class PlaceSearch:
                 break
             if any(_apart_m(self._ways(found[n]), self._ways(one)) <= self._reach_m for one in taken):
                 continue
-            if any(
-                2.0 * gains[m] > gains[n] and m != n and sets.contradict(found[n], found[m], seen)
-                for m in range(len(found))
-            ):
+            rivals = (m for m in np.flatnonzero(2.0 * gains > gains[n]).tolist() if m != n)
+            if any(sets.contradiction(found[n], found[m], seen) > gains[m] for m in rivals):
                 continue
             more, refused = trial.hold(found[n])
             net = len(found[n]) + len(more) - refused

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion.estimation import FEWEST
 from slam.config.stages import LoopConfig, MatchConfig
@@ -13,7 +14,7 @@ from slam.graph.loop_closure import LoopCandidate
 from slam.graph.submaps import SubmapStore
 from slam.matching.correlative import SearchResult, build_field, search_window
 from slam.matching.hough_spectrum import SpectrumBank, hough_spectrum
-from slam.measurements import BoolArray
+from slam.measurements import BoolArray, FloatArray
 
 
 class Stretches:
@@ -49,23 +50,30 @@ class Stretches:
         within = (self._way_m >= first_m) & (self._way_m <= last_m) & self._determined
         return self.keys[within].tolist()
 
-    def alike(self, number: int, possible: BoolArray) -> list[int]:
-        """Earlier stretches that look most like one, the best of each neighbourhood.
+    def candidates(self, number: int, possible: BoolArray, apart_m: FloatArray) -> list[int]:
+        """Earlier stretches that may be seen again in one: the likest, and the nearest by the estimate.
 
         Parameters
         ----------
         possible
             (K,) those that are not ruled out.
+        apart_m
+            (K,) their distance by the estimate.
         """
-        way_m, config = self._way_m, self._config
-        earlier = way_m[number] - way_m > config.least_path_m
+        earlier = self._way_m[number] - self._way_m > self._config.least_path_m
         (others,) = np.nonzero(possible & earlier & self._determined)
-        likeness = self._bank.likeness(number, others)
+        likest = others[np.argsort(-self._bank.likeness(number, others), kind="stable")]
+        near = others[apart_m[others] <= self.window_m]
+        nearest = near[np.argsort(apart_m[near], kind="stable")]
+        return [*dict.fromkeys([*self._of_neighbourhoods(likest), *self._of_neighbourhoods(nearest)])]
+
+    def _of_neighbourhoods(self, ordered: NDArray[np.int64]) -> list[int]:
+        """The first of each neighbourhood, as many as are tried."""
         chosen: list[int] = []
-        for other in others[np.argsort(-likeness, kind="stable")].tolist():
-            if len(chosen) == config.near:
+        for other in ordered.tolist():
+            if len(chosen) == self._config.near:
                 break
-            if all(abs(way_m[other] - way_m[one]) > config.reach_m for one in chosen):
+            if all(abs(self._way_m[other] - self._way_m[one]) > self._config.reach_m for one in chosen):
                 chosen.append(other)
         return chosen
 

@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
+from fusion.estimation import gate
 from slam.config.stages import LoopConfig, MatchConfig
 from slam.graph.consistent_sets import ClaimSets, claimed, largest_cliques
 from slam.graph.loop_closure import LoopCandidate
@@ -81,7 +82,8 @@ def test_sets_contradict_where_their_places_cannot_both_be_seen(off_m: float) ->
     def known(start: int, end: int) -> Motion:
         return Motion(between(poses[start], poses[end]), np.diag(STEP_SIGMAS**2))
 
-    assert sets.contradict(one, other, known) == (off_m > 0.0)
+    assert (sets.contradiction(one, other, known) > gate(3)) == (off_m > 0.0)
+    assert sets.contradiction(one, [claim_of(20, 15, np.zeros(3))], known) == 0.0
     assert claimed(one[0]).holds(between(poses[4], poses[55]))
 
 
