@@ -132,7 +132,7 @@ class LoopCloser:
         tried = []
         # Known places all around and none fits: the estimate may be further off than it believes.
         wide = self._misses >= self._config.misses_until_wide
-        for place, covariance in self.propose(key, poses, uncertainty):
+        for place, covariance in self._propose(key, poses, uncertainty):
             guess = between(poses[place], poses[key])
             tried.append(self.verify(place, key, guess, covariance, wide=wide))
         if tried:
@@ -171,7 +171,7 @@ class LoopCloser:
         _report(candidate)
         return candidate
 
-    def propose(
+    def _propose(
         self, key: int, poses: FloatArray, uncertainty: UncertaintyGraph
     ) -> list[tuple[int, FloatArray]]:
         """Places that may see the same as the keyframe, nearest first, with the relative covariance."""
