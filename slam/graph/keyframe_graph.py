@@ -38,6 +38,7 @@ class KeyframeGraph:
         self._known = 0
         self._rows = np.zeros((64, 3))
         self._loop_waits = False
+        self._optimized = False
         self._append(origin)
 
     def __len__(self) -> int:
@@ -110,7 +111,9 @@ class KeyframeGraph:
 
     def optimize(self, inlier_probability: float) -> BatchResult:
         """Solve everything anew; a loop that disagrees with the others is marked as refused."""
-        self.graph.update()
+        if not self._optimized:
+            self.graph.update()
+            self._optimized = True
         outcome = self.graph.optimize(inlier_probability)
         self.loops = judged(self.loops, self.graph.edges, outcome.kept)
         self._read_poses(0)
@@ -118,6 +121,7 @@ class KeyframeGraph:
 
     def _append(self, pose: Pose) -> None:
         """Take the estimate of a new keyframe."""
+        self._optimized = False
         self.uncertainty.add_node()
         if len(self) > len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])

@@ -97,7 +97,7 @@ class LoopCloser:
     def __init__(self, config: LoopConfig, match: MatchConfig, result_cache: ResultCache = COMPUTED) -> None:
         self._config, self._match = config, match
         self._result_cache = result_cache
-        self._submaps = SubmapStore(config, match)
+        self.submaps = SubmapStore(config, match)
         self._last_attempt_m = -math.inf
         self._misses = 0
 
@@ -105,7 +105,7 @@ class LoopCloser:
         self, scan: OrientedPoints, pose: FloatArray, travelled_m: float, session: int = 0
     ) -> None:
         """Remember a keyframe, see `SubmapStore.add`."""
-        self._submaps.add(scan, pose, travelled_m, session)
+        self.submaps.add(scan, pose, travelled_m, session)
 
     def close(self, key: int, poses: FloatArray, uncertainty: UncertaintyGraph) -> list[LoopCandidate]:
         """Try the places that the newest keyframe may have come back to.
@@ -123,20 +123,25 @@ class LoopCloser:
         -------
         Every candidate that was tried, accepted or refused.
         """
-        travelled = self._submaps.travelled_m(key)
+        travelled = self.submaps.travelled_m(key)
         if not self._config.enabled or travelled - self._last_attempt_m < self._config.every_m:
             return []
         self._last_attempt_m = travelled
-        if len(self._submaps.scan(key)) < FEWEST:
+        if len(self.submaps.scan(key)) < FEWEST:
             return []
         tried = []
+        # Known places all around and none fits: the estimate may be further off than it believes.
+        wide = self._misses >= self._config.misses_until_wide
         for place, covariance in self._propose(key, poses, uncertainty):
-            tried.append(self.verify(place, key, between(poses[place], poses[key]), covariance))
+            guess = between(poses[place], poses[key])
+            tried.append(self.verify(place, key, guess, covariance, wide=wide))
         if tried:
             self._misses = 0 if any(candidate.accepted for candidate in tried) else self._misses + 1
         return tried
 
-    def verify(self, place: int, key: int, guess: FloatArray, covariance: FloatArray) -> LoopCandidate:
+    def verify(
+        self, place: int, key: int, guess: FloatArray, covariance: FloatArray, *, wide: bool = False
+    ) -> LoopCandidate:
         """Match a keyframe to a place in the window that the uncertainty of a guess asks for.
 
         Parameters
@@ -145,18 +150,19 @@ class LoopCloser:
             (3,) expected pose of the keyframe in the frame of the place.
         covariance
             (3, 3) of the guess.
+        wide
+            Whether to search at least as far as a place is seen.
         """
         config = self._config
-        sigma_m = float(_position_sigmas(covariance[None])[0])
+        sigma_m = float(position_sigmas(covariance[None])[0])
         width = min(config.sigmas * sigma_m, config.greatest_half_width_m)
         yaw = min(config.sigmas * math.sqrt(float(covariance[2, 2])), math.pi)
-        if self._misses >= config.misses_until_wide:
-            # Known places all around and none fits: the estimate may be further off than it believes.
+        if wide:
             width, yaw = max(width, 0.5 * config.reach_m), max(yaw, self._match.search_half_yaw_rad)
         begun = LoopCandidate(place, key, width, yaw, 1.0, None, False, "")
         # Asked for in any case: what the cache holds must not depend on where the answer comes from.
-        submap = self._submaps.submap(place)
-        scan = self._submaps.scan(key)
+        submap = self.submaps.submap(place)
+        scan = self.submaps.scan(key)
         candidate = self._result_cache.cached(
             "loop",
             float(guess[0]),
@@ -170,9 +176,9 @@ class LoopCloser:
     ) -> list[tuple[int, FloatArray]]:
         """Places that may see the same as the keyframe, nearest first, with the relative covariance."""
         config = self._config
-        travelled = self._submaps.travelled_m(key)
+        travelled = self.submaps.travelled_m(key)
         places = np.arange(0, key, config.half_keyframes)
-        places = places[[travelled - self._submaps.travelled_m(p) > config.least_path_m for p in places]]
+        places = places[[travelled - self.submaps.travelled_m(p) > config.least_path_m for p in places]]
         distance = np.hypot(*(poses[places, :2] - poses[key, :2]).T)
         places = places[distance <= config.reach_m + config.greatest_half_width_m]
         if places.size == 0:
@@ -180,16 +186,16 @@ class LoopCloser:
         distance = np.hypot(*(poses[places, :2] - poses[key, :2]).T)
         covariances = uncertainty.relative_covariances(key, places, poses)
         # In a wider window more than one place may look the same: that is for the search over the whole map.
-        slack = config.sigmas * _position_sigmas(covariances)
+        slack = config.sigmas * position_sigmas(covariances)
         chosen: list[tuple[int, FloatArray]] = []
         for n in np.argsort(distance):
             if len(chosen) == config.near:
                 break
             if slack[n] > config.greatest_half_width_m or distance[n] > config.reach_m + slack[n]:
                 continue
-            at_m = self._submaps.travelled_m(places[n])
+            at_m = self.submaps.travelled_m(places[n])
             # Two places on one pass by the same spot tell the same: take the nearest of each pass.
-            if all(abs(at_m - self._submaps.travelled_m(p)) > config.least_path_m for p, _ in chosen):
+            if all(abs(at_m - self.submaps.travelled_m(p)) > config.least_path_m for p, _ in chosen):
                 chosen.append((int(places[n]), covariances[n]))
         return chosen
 
@@ -252,7 +258,7 @@ def _judge(
     return replace(candidate, accepted=True)
 
 
-def _position_sigmas(covariances: FloatArray) -> FloatArray:
+def position_sigmas(covariances: FloatArray) -> FloatArray:
     """Greatest standard deviation of the position, (m,) for (m, 3, 3); infinite where no path leads."""
     sigmas = np.full(len(covariances), np.inf)
     known = np.isfinite(covariances).all(axis=(1, 2))

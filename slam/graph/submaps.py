@@ -15,6 +15,9 @@ from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.planar import between
 from slam.measurements import FloatArray
 
+# So many scans of a run are enough to draw it, and so far around, in its cells.
+_RUN_SCANS, _RUN_CELLS = 10, 75
+
 
 class Submap:
     """The surroundings of one keyframe, in its frame; made when first looked at."""
@@ -42,7 +45,7 @@ class SubmapStore:
 
     def __init__(self, loop: LoopConfig, match: MatchConfig) -> None:
         # What comes later on the way may come back here, and is no part of this place.
-        self._half, self._half_m = loop.half_keyframes, 0.5 * loop.least_path_m
+        self._half, self._half_m, self._reach_m = loop.half_keyframes, 0.5 * loop.least_path_m, loop.reach_m
         self._match = match
         self._scans: list[OrientedPoints] = []
         self._poses: list[FloatArray] = []
@@ -59,6 +62,9 @@ class SubmapStore:
         self._poses.append(pose)
         self._travelled_m.append(travelled_m)
         self._sessions.append(session)
+
+    def __len__(self) -> int:
+        return len(self._scans)
 
     def scan(self, key: int) -> OrientedPoints:
         """Oriented points of a keyframe, base frame."""
@@ -86,6 +92,28 @@ class SubmapStore:
         if len(self._cache) > 4 * half:
             self._cache.popitem(last=False)
         return submap
+
+    def pose(self, key: int | np.integer[Any]) -> FloatArray:
+        """(3,) of a keyframe, odometry frame."""
+        return self._poses[key]
+
+    def run(self, key: int) -> OrientedPoints:
+        """What is seen on the way to a keyframe and on from it, in its frame: a point a cell."""
+        travelled_m = np.array(self._travelled_m)
+        members = np.flatnonzero(np.abs(travelled_m - travelled_m[key]) <= self._reach_m)
+        members = members[:: 1 + len(members) // _RUN_SCANS]
+        parts = [
+            self._scans[k].moved(between(self._poses[key], self._poses[k]))
+            for k in members.tolist()
+            if self._sessions[k] == self._sessions[key]
+        ]
+        points = np.concatenate([part.points for part in parts])
+        cells = np.floor(points / (2.0 * self._match.cell_m)).astype(np.int64)
+        near = np.abs(cells).max(axis=1, initial=0) < _RUN_CELLS
+        (first,) = np.nonzero(near)
+        rows = cells[first] @ [2 * _RUN_CELLS, 1]
+        first = first[np.unique(rows, return_index=True)[1]]
+        return OrientedPoints(points[first], np.concatenate([part.normals for part in parts])[first])
 
     def _local_map(self, key: int, members: list[int]) -> LocalMap:
         """The scans of some keyframes in the frame of one."""

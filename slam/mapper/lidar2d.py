@@ -14,6 +14,7 @@ from slam.config import Config
 from slam.errors import ScanweaveError
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate, LoopCloser
+from slam.graph.place_search import PlaceSearch
 from slam.graph.pose_graph import Edge
 from slam.mapper.camera_keyframes import CameraKeyframes
 from slam.mapper.checkpoint import Checkpoint
@@ -29,7 +30,7 @@ from slam.matching.local_map import OrientedPoints
 from slam.matching.motion import Motion
 from slam.matching.planar import between
 from slam.matching.scan_points import ScanPoints, extract_points
-from slam.measurements import LaserScan, Pose, WheelOdometry, pose2_from_row
+from slam.measurements import BoolArray, LaserScan, Pose, WheelOdometry, pose2_from_row
 from slam.odometry import STANDARD, Odometries
 from slam.odometry.cached_odometry import CachedOdometry
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
@@ -70,6 +71,7 @@ class PlanarRobot:
         self._cameras = RobotCameras(config, mountings or {}, result_cache=checkpoint)
         self._chain = PlanarChain(config, self._tracker, self._wheels, self._cameras)
         self._closer = LoopCloser(config.loops, config.match, checkpoint)
+        self._places = PlaceSearch(self._closer, config.loops, config.match, checkpoint)
         self._pictures = CameraKeyframes(config, checkpoint, registrations)
         self._fusion = KeyframeFusion(config.fusion) if config.fusion.enabled else None
         self._camera_poses: CameraPoses = {}
@@ -131,6 +133,10 @@ class PlanarRobot:
     def settle(self, graph: KeyframeGraph) -> None:
         """Say anew how cameras moved, as the whole run tells their clocks and mountings."""
         self._chain.settle(graph)
+
+    def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
+        """Places all over the map."""
+        return self._places.search(graph.rows(), graph.graph.edges, kept, graph.loops)
 
     def bases(self, poses: Sequence[Pose]) -> Sequence[Pose]:
         """The nodes are the bases."""

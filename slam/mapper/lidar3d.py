@@ -30,7 +30,7 @@ from slam.mapper.scan_record import ScanRecord
 from slam.mapping.band_scan import band_scan, ground_of
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.matching.cloud_points import at_middle_of_turn, thinned
-from slam.measurements import FloatArray, PointCloud, Pose, WheelOdometry, spatial
+from slam.measurements import BoolArray, FloatArray, PointCloud, Pose, WheelOdometry, spatial
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
 from slam.odometry.wheel_tracker import WheelTracker
 from slam.trajectory.readings import Readings
@@ -133,6 +133,10 @@ class CloudLidar:
 
     def settle(self, graph: KeyframeGraph) -> None:
         """Every step was settled when it was made."""
+
+    def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
+        """All places were tried while mapping."""
+        return []
 
     def bases(self, poses: Sequence[Pose]) -> Sequence[Pose]:
         """The nodes are the bases."""

@@ -15,7 +15,7 @@ from slam.mapper.map_result import DenseKeyframes, MappedClouds
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.scan_record import CameraRecord, ScanRecord
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.measurements import LaserScan, MotionEstimate, Pose
+from slam.measurements import BoolArray, LaserScan, MotionEstimate, Pose
 from slam.trajectory.readings import Readings
 from slam.vision.visual_match import VisualMatch
 
@@ -91,6 +91,10 @@ class FrontEnd(Protocol):
 
     def settle(self, graph: KeyframeGraph) -> None:
         """Say anew what the whole run has shown, before the final optimisation."""
+        ...
+
+    def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
+        """Places recognised from the estimate of the final optimisation, which has ``kept`` these edges."""
         ...
 
     def bases(self, poses: Sequence[Pose]) -> Sequence[Pose]:

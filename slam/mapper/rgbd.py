@@ -19,7 +19,7 @@ from slam.mapper.map_result import DenseKeyframes
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.protocol import Products, Tracked
 from slam.mapper.scan_record import CameraRecord, ScanRecord
-from slam.measurements import Pose, spatial
+from slam.measurements import BoolArray, Pose, spatial
 from slam.odometry import STANDARD, Odometries
 from slam.odometry.rgbd_tracker import RgbdTracker, TrackedFrame
 from slam.trajectory.readings import Readings
@@ -103,6 +103,10 @@ class FreeCamera:
 
     def settle(self, graph: KeyframeGraph) -> None:
         """Every step was settled when it was made."""
+
+    def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
+        """All places were tried while mapping."""
+        return []
 
     def bases(self, poses: Sequence[Pose]) -> Sequence[Pose]:
         """The bases that carry the camera."""

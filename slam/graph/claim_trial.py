@@ -1,0 +1,96 @@
+"""What a set of claims entails is tried: where they are true, all that lies along both ways must fit as well.
+
+Two corridors look alike for a while, and then they do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from slam.config.stages import LoopConfig
+from slam.graph.consistent_sets import ClaimSets, after, claimed
+from slam.graph.loop_closure import LoopCandidate, LoopCloser, position_sigmas
+from slam.graph.stretches import Stretches
+from slam.graph.submaps import SubmapStore
+from slam.matching.motion import Motion
+from slam.matching.planar import between
+
+
+class ClaimTrial:
+    """Verifies what lies between and beyond the claims of a set.
+
+    Parameters
+    ----------
+    reach_m
+        Way beyond a set that is tried.
+    """
+
+    def __init__(
+        self,
+        closer: LoopCloser,
+        stretches: Stretches,
+        sets: ClaimSets,
+        config: LoopConfig,
+        reach_m: float,
+    ) -> None:
+        self._closer, self._stretches, self._sets = closer, stretches, sets
+        self._submaps: SubmapStore = closer.submaps
+        self._config, self._reach_m = config, reach_m
+        self._tried: dict[tuple[int, int], LoopCandidate] = {}
+
+    def hold(self, members: Sequence[LoopCandidate]) -> tuple[list[LoopCandidate], int]:
+        """Claims that follow from those of a set and fit, too; and how many keyframes fit nowhere."""
+        stretches, way_m = self._stretches, self._submaps.travelled_m
+        ways = np.array([way_m(member.keyframe) for member in members])
+        more, refused = list[LoopCandidate](), 0
+        for key in stretches.between(ways.min() - self._reach_m, ways.max() + self._reach_m):
+            nearest = members[int(np.abs(ways - way_m(key)).argmin())]
+            if key == nearest.keyframe:
+                continue
+            verdicts = self._verdicts(nearest, key)
+            fits = [one for one in verdicts if one.accepted]
+            refused += bool(verdicts) and not fits
+            more += [one for one in fits if one.motion is not None and not one.motion.degenerate][:1]
+        return more, refused
+
+    def _verdicts(self, member: LoopCandidate, key: int) -> list[LoopCandidate]:
+        """A keyframe tried at the places where a claim has it, up to the first that it fits."""
+        expected = after(claimed(member), self._sets.way(member.keyframe, key))
+        verdicts: list[LoopCandidate] = []
+        for place in self._places(member.place, expected, key):
+            guess = self._seen_from(place, member.place, expected)
+            if self._config.sigmas * position_sigmas(guess.covariance[None])[0] > self._config.reach_m:
+                break
+            if (place, key) not in self._tried:
+                self._tried[place, key] = self._closer.verify(place, key, guess.pose, guess.covariance)
+            verdicts.append(self._tried[place, key])
+            if verdicts[-1].accepted:
+                break
+        return verdicts
+
+    def _places(self, place: int, expected: Motion, key: int) -> list[int]:
+        """Those about a place on the same pass, from which a pose may be seen, nearest first."""
+        way_m, config = self._submaps.travelled_m, self._config
+        around = self._stretches.between(way_m(place) - self._reach_m, way_m(place) + self._reach_m)
+        apart_m = [
+            float(
+                np.hypot(*(between(self._submaps.pose(place), self._submaps.pose(one)) - expected.pose)[:2])
+            )
+            for one in around
+        ]
+        chosen: list[int] = []
+        for n in np.argsort(apart_m, kind="stable").tolist():
+            if len(chosen) == config.near or apart_m[n] > self._stretches.window_m:
+                break
+            if not chosen and apart_m[n] > config.reach_m:
+                break
+            far = all(abs(way_m(around[n]) - way_m(one)) > self._stretches.spacing_m for one in chosen)
+            if far and way_m(key) - way_m(around[n]) > config.least_path_m:
+                chosen.append(around[n])
+        return chosen
+
+    def _seen_from(self, place: int, other: int, seen: Motion) -> Motion:
+        """A pose in the frame of a place, in that of another."""
+        return after(self._sets.way(place, other), seen)

@@ -1,0 +1,141 @@
+"""Which of many claims about places agree with each other: pairwise consistency, in sets.
+
+Mangelson, Dominic, Eustice and Vasudevan, "Pairwise consistent measurement set maximization for robust
+multi-robot map merging", ICRA 2018. Two claims are consistent where the cycle through both and the chain
+between their ends closes within its covariance, Eq. (7). The largest set of claims that are all consistent
+is a maximum clique; it is found greedily here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import TypeAlias
+
+import numpy as np
+
+from slam.graph.loop_closure import LoopCandidate
+from slam.graph.relative_uncertainty import UncertaintyGraph
+from slam.graph.submaps import SubmapStore
+from slam.matching.motion import Motion
+from slam.matching.planar import adjoint, between, compose, rotate_covariance
+from slam.measurements import BoolArray, row_from_pose2
+
+# What is known of the way from a keyframe to another.
+Known: TypeAlias = Callable[[int, int], Motion]
+
+
+class ClaimSets:
+    """Verified candidates, and which of them agree.
+
+    Parameters
+    ----------
+    submaps
+        Tell where keyframes are by the chain.
+    chain
+        How uncertain that is.
+    reach_m
+        Claims farther apart along the way do not support each other: that piece of the chain may be bent too.
+    """
+
+    def __init__(self, submaps: SubmapStore, chain: UncertaintyGraph, reach_m: float) -> None:
+        self._submaps, self._chain, self._reach_m = submaps, chain, reach_m
+        self._poses = np.array([submaps.pose(key) for key in range(len(submaps))])
+        self._claims: list[LoopCandidate] = []
+        self._agree = np.zeros((0, 0), np.bool_)
+        self._ways: dict[tuple[int, int], Motion] = {}
+
+    def add(self, claim: LoopCandidate) -> None:
+        """Take a claim."""
+        agree = np.array(
+            [self._near(claim, other) and self._consistent(claim, other) for other in self._claims]
+        )
+        self._agree = np.pad(self._agree, ((0, 1), (0, 1)))
+        self._agree[-1, :-1] = self._agree[:-1, -1] = agree
+        self._claims.append(claim)
+
+    def remove(self, claims: Iterable[LoopCandidate]) -> None:
+        """Forget claims."""
+        gone = {id(claim) for claim in claims}
+        left = [n for n, claim in enumerate(self._claims) if id(claim) not in gone]
+        self._claims = [self._claims[n] for n in left]
+        self._agree = self._agree[np.ix_(left, left)]
+
+    def largest(self) -> list[list[LoopCandidate]]:
+        """Disjoint sets of claims that all agree, the largest first."""
+        return [[self._claims[n] for n in members] for members in largest_cliques(self._agree)]
+
+    def contradiction(
+        self, one: Sequence[LoopCandidate], other: Sequence[LoopCandidate], known: Known
+    ) -> float:
+        """Squared sigmas by which what is known must be wrong for both of two sets to be true.
+
+        Zero where their keyframes are too far apart to tell.
+        """
+        ways = [[self._submaps.travelled_m(claim.keyframe) for claim in claims] for claims in (one, other)]
+        apart_m = np.abs(np.subtract.outer(*ways))
+        if apart_m.min() > self._reach_m:
+            return 0.0
+        n, m = np.unravel_index(apart_m.argmin(), apart_m.shape)
+        a, b = one[int(n)], other[int(m)]
+        first = after(claimed(a), self.way(a.keyframe, b.keyframe))
+        second = after(known(a.place, b.place), claimed(b))
+        if not np.isfinite(second.covariance).all():
+            return 0.0
+        return first.widened(second.covariance).squared_mahalanobis(second.pose)
+
+    def _near(self, one: LoopCandidate, other: LoopCandidate) -> bool:
+        """Whether two claims tell of different keyframes not far from each other, and of such places."""
+        way_m = self._submaps.travelled_m
+        apart_m = [abs(way_m(a) - way_m(b)) for a, b in zip(_ends(one), _ends(other), strict=True)]
+        return one.keyframe != other.keyframe and max(apart_m) <= self._reach_m
+
+    def _consistent(self, one: LoopCandidate, other: LoopCandidate) -> bool:
+        """Whether the cycle of two claims and the chain between their places and their keyframes closes."""
+        claims = [claimed(claim) for claim in (one, other)]
+        places, keyframes = (self.way(a, b) for a, b in zip(_ends(one), _ends(other), strict=True))
+        first = after(claims[0], keyframes)
+        return first.agrees(after(places, claims[1]))
+
+    def way(self, start: int, end: int) -> Motion:
+        """What the chain says of the way from a keyframe to another."""
+        if start == end:
+            return Motion(np.zeros(3), np.zeros((3, 3)))
+        if (start, end) not in self._ways:
+            covariance = self._chain.relative_covariances(end, np.array([start]), self._poses)[0]
+            self._ways[start, end] = Motion(between(self._poses[start], self._poses[end]), covariance)
+        return self._ways[start, end]
+
+
+def largest_cliques(agree: BoolArray) -> list[list[int]]:
+    """Disjoint sets that all agree, the largest first; (n, n) symmetric, False on its diagonal.
+
+    Each begins with the one that most others agree with, and takes on those that most of the rest agree with.
+    """
+    left = np.ones(len(agree), np.bool_)
+    cliques = []
+    while left.any():
+        candidates, members = left.copy(), list[int]()
+        while candidates.any():
+            counts = np.where(candidates, (agree & candidates).sum(axis=1), -1)
+            members.append(int(counts.argmax()))
+            candidates &= agree[members[-1]]
+        left[members] = False
+        cliques.append(sorted(members))
+    return sorted(cliques, key=len, reverse=True)
+
+
+def _ends(claim: LoopCandidate) -> tuple[int, int]:
+    return claim.place, claim.keyframe
+
+
+def claimed(claim: LoopCandidate) -> Motion:
+    """Pose of the keyframe seen from the place."""
+    assert claim.motion is not None
+    return Motion(row_from_pose2(claim.motion.T_reference_base), claim.motion.covariance)
+
+
+def after(one: Motion, other: Motion) -> Motion:
+    """Two motions in a row."""
+    back = adjoint(between(other.pose, np.zeros(3)))
+    covariance = rotate_covariance(back, one.covariance) + other.covariance
+    return Motion(compose(one.pose, other.pose), covariance)

@@ -1,0 +1,192 @@
+"""Loops over the whole map: a stretch of the way is recognised wherever the estimate takes it to be.
+
+What `slam.graph.loop_closure` closes while mapping lies within the uncertainty of the estimate. Where the
+chain is bent, places are found by their appearance instead, and believed only in sets: claims that agree with
+each other along the way (`slam.graph.consistent_sets`), that what lies around them confirms
+(`slam.graph.claim_trial`), and that together weigh more than what they contradict.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from fusion.estimation import gate
+from slam.config.stages import LoopConfig, MatchConfig
+from slam.graph.claim_trial import ClaimTrial
+from slam.graph.consistent_sets import ClaimSets, Known, claimed
+from slam.graph.loop_closure import LoopCandidate, LoopCloser, position_sigmas
+from slam.graph.pose_graph import Edge
+from slam.graph.relative_uncertainty import UncertaintyGraph
+from slam.graph.stretches import Stretches
+from slam.matching.motion import Motion
+from slam.matching.planar import between
+from slam.measurements import BoolArray, FloatArray, row_from_pose2
+from slam.result_cache import COMPUTED, ResultCache
+
+
+class PlaceSearch:
+    """Searches a finished run round by round, each from the estimate that the last one led to."""
+
+    def __init__(
+        self,
+        closer: LoopCloser,
+        config: LoopConfig,
+        match: MatchConfig,
+        result_cache: ResultCache = COMPUTED,
+    ) -> None:
+        self._closer, self._submaps, self._result_cache = closer, closer.submaps, result_cache
+        self._config, self._match = config, match
+        # The gate of GNC, and the way over which claims may support each other.
+        self._gate, self._reach_m = gate(3, config.inlier_probability), 2.0 * config.least_path_m
+        self._stretches: Stretches | None = None
+        self._sets: ClaimSets | None = None
+        self._trial: ClaimTrial | None = None
+        self._tried: set[tuple[int, int]] = set()
+
+    def search(
+        self, poses: FloatArray, edges: Sequence[Edge], kept: BoolArray, loops: Sequence[LoopCandidate]
+    ) -> list[LoopCandidate]:
+        """Loops that the estimate of the last optimisation lets one believe, none twice.
+
+        Parameters
+        ----------
+        poses
+            (n, 3) of all keyframes, map frame.
+        edges, kept
+            Of the graph, and which of them the optimisation has kept.
+        loops
+            All candidates so far.
+        """
+        if not self._config.enabled or len(poses) < 2:
+            return []
+        held = [edge for edge, keep in zip(edges, kept, strict=True) if keep]
+        if self._stretches is None or self._sets is None:
+            self._stretches = Stretches(self._submaps, self._config, self._match)
+            chain = graph_of(len(poses), (edge for edge in held if edge.loop is None))
+            self._sets = ClaimSets(self._submaps, chain, self._reach_m)
+            self._trial = ClaimTrial(self._closer, self._stretches, self._sets, self._config, self._reach_m)
+        known = graph_of(len(poses), held)
+        for number in self._stretches.untied(loops):
+            for place in self._stretches.candidates(number, *self._possible(number, poses, known)):
+                if (place, number) not in self._tried:
+                    self._tried.add((place, number))
+                    self._verify(self._stretches, place, number)
+        return self._believed(poses, known)
+
+    def _possible(
+        self, number: int, poses: FloatArray, known: UncertaintyGraph
+    ) -> tuple[BoolArray, FloatArray]:
+        """(K,) the stretches to which a set, as long as can be, could move one; and how far from it they are.
+
+        What is as certain as places are wide is tried while mapping.
+        """
+        stretches = self._stretches
+        assert stretches is not None
+        key = int(stretches.keys[number])
+        sigmas_m = position_sigmas(known.relative_covariances(key, stretches.keys, poses))
+        most_m = math.sqrt(self._gate * self._reach_m / stretches.spacing_m) * sigmas_m
+        apart_m = np.hypot(*(poses[stretches.keys, :2] - poses[key, :2]).T)
+        window_m = math.sqrt(2.0) * stretches.window_m
+        return (most_m > self._config.reach_m) & (apart_m <= window_m + most_m), apart_m
+
+    def _verify(self, stretches: Stretches, place: int, number: int) -> None:
+        """Search the pose of a stretch at another, and take down what is found as a claim."""
+
+        def pose() -> list[float]:
+            found = stretches.search(place, number)
+            return found.pose.tolist() if found.found else []
+
+        found = self._result_cache.cached("place", float(number), pose)
+        if not found:
+            return
+        sigma = self._match.coarse_cell_m / self._config.sigmas
+        covariance = np.diag(np.square([sigma, sigma, sigma / self._config.reach_m]))
+        ends = int(stretches.keys[place]), int(stretches.keys[number])
+        candidate = self._closer.verify(*ends, np.array(found), covariance)
+        if candidate.accepted and candidate.motion is not None and not candidate.motion.degenerate:
+            assert self._sets is not None
+            self._sets.add(candidate)
+
+    def _believed(self, poses: FloatArray, known: UncertaintyGraph) -> list[LoopCandidate]:
+        """The sets that weigh more than what contradicts them, the weightiest of each neighbourhood."""
+        sets, trial, stretches = self._sets, self._trial, self._stretches
+        assert sets is not None and trial is not None and stretches is not None
+        seen = _Known(poses, known)
+        found = [one for one in sets.largest() if np.ptp(self._ways(one)) >= 2.0 * self._config.reach_m]
+        costs = np.array([self._cost(one, seen) for one in found])
+        gains = self._gate * np.array([len(one) for one in found]) - costs
+        taken: list[list[LoopCandidate]] = []
+        for n in np.argsort(-gains, kind="stable").tolist():
+            if gains[n] <= 0.0:
+                break
+            if any(_apart_m(self._ways(found[n]), self._ways(one)) <= self._reach_m for one in taken):
+                continue
+            rivals = (m for m in np.flatnonzero(2.0 * gains > gains[n]).tolist() if m != n)
+            if any(sets.contradiction(found[n], found[m], seen) > gains[m] for m in rivals):
+                continue
+            more, refused = trial.hold(found[n])
+            net = len(found[n]) + len(more) - refused
+            # As long as a loop must be, and heavier than what it bends.
+            if net * stretches.spacing_m >= self._config.least_path_m and net * self._gate > costs[n]:
+                taken.append([*found[n], *more])
+        believed = [one for members in taken for one in members]
+        sets.remove(believed)
+        return believed
+
+    def _cost(self, members: Sequence[LoopCandidate], known: Known) -> float:
+        """How much of GNC's cost the bend is that a set asks of what is known, in squared sigmas.
+
+        Infinite where nothing can be learned: what is known is as certain as a search would be.
+        """
+        expected = [known(one.place, one.keyframe) for one in members]
+        sigmas_m = self._config.sigmas * position_sigmas(np.array([way.covariance for way in expected]))
+        if np.median(sigmas_m) < self._match.coarse_cell_m:
+            return math.inf
+        if not np.isfinite(sigmas_m).all():
+            return 0.0
+        claims = [claimed(one) for one in members]
+        squares = [
+            way.widened(claim.covariance).squared_mahalanobis(claim.pose)
+            for way, claim in zip(expected, claims, strict=True)
+        ]
+        return float(np.median(squares))
+
+    def _ways(self, members: Iterable[LoopCandidate]) -> FloatArray:
+        """Way from the start to the keyframes of a set."""
+        return np.array([self._submaps.travelled_m(one.keyframe) for one in members])
+
+
+class _Known:
+    """What an estimate says of the way from a keyframe to another."""
+
+    def __init__(self, poses: FloatArray, graph: UncertaintyGraph) -> None:
+        self._poses, self._graph = poses, graph
+
+    def __call__(self, start: int, end: int) -> Motion:
+        """The pose of the end seen from the start; its covariance is infinite where nothing joins them."""
+        covariance = self._graph.relative_covariances(end, np.array([start]), self._poses)[0]
+        return Motion(between(self._poses[start], self._poses[end]), covariance)
+
+
+def graph_of(nodes: int, edges: Iterable[Edge]) -> UncertaintyGraph:
+    """How uncertain nodes are of each other by some edges alone; those of the same two speak together."""
+    graph = UncertaintyGraph()
+    for _ in range(nodes):
+        graph.add_node()
+    together: dict[tuple[int, int], list[Edge]] = {}
+    for edge in edges:
+        together.setdefault((edge.source, edge.target), []).append(edge)
+    for (source, target), same in together.items():
+        covariance = same[0].covariance
+        if len(same) > 1:
+            covariance = np.linalg.inv(np.linalg.inv([edge.covariance for edge in same]).sum(axis=0))
+        graph.add_edge(source, target, row_from_pose2(same[0].T_source_target), covariance)
+    return graph
+
+
+def _apart_m(one_m: FloatArray, other_m: FloatArray) -> float:
+    """Way between two sets."""
+    return float(max(one_m.min() - other_m.max(), other_m.min() - one_m.max()))
