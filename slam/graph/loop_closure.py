@@ -139,6 +139,36 @@ class LoopCloser:
             self._misses = 0 if any(candidate.accepted for candidate in tried) else self._misses + 1
         return tried
 
+    def close_again(
+        self, poses: FloatArray, uncertainty: UncertaintyGraph, loops: Sequence[LoopCandidate]
+    ) -> list[LoopCandidate]:
+        """Try where no loop was found while mapping, from a better estimate; accepted candidates only.
+
+        Parameters
+        ----------
+        poses, uncertainty
+            Of all keyframes, as `close` takes them.
+        loops
+            What was tried before.
+        """
+        travelled_m = self.submaps.travelled_m
+        closed = np.sort([travelled_m(loop.keyframe) for loop in loops if loop.accepted])
+        closed = np.concatenate([[-np.inf], closed, [np.inf]])
+        found, last_m = list[LoopCandidate](), -math.inf
+        for key in range(len(poses)):
+            at_m = travelled_m(key)
+            after = int(np.searchsorted(closed, at_m))
+            apart_m = min(at_m - closed[after - 1], closed[after] - at_m, at_m - last_m)
+            if apart_m < self._config.every_m or len(self.submaps.scan(key)) < FEWEST:
+                continue
+            last_m = at_m
+            for place, covariance in self._propose(key, poses, uncertainty):
+                guess = between(poses[place], poses[key])
+                candidate = self.verify(place, key, guess, covariance)
+                if candidate.accepted:
+                    found.append(candidate)
+        return found
+
     def verify(
         self, place: int, key: int, guess: FloatArray, covariance: FloatArray, *, wide: bool = False
     ) -> LoopCandidate:

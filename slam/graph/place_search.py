@@ -45,6 +45,8 @@ class PlaceSearch:
         self._sets: ClaimSets | None = None
         self._trial: ClaimTrial | None = None
         self._tried: set[tuple[int, int]] = set()
+        # Whether the estimate is another than the one that places nearby were tried from.
+        self._corrected = False
 
     def search(
         self, poses: FloatArray, edges: Sequence[Edge], kept: BoolArray, loops: Sequence[LoopCandidate]
@@ -69,6 +71,11 @@ class PlaceSearch:
             self._sets = ClaimSets(self._submaps, chain, self._reach_m)
             self._trial = ClaimTrial(self._closer, self._stretches, self._sets, self._config, self._reach_m)
         known = graph_of(len(poses), held)
+        if self._corrected:
+            near = self._closer.close_again(poses, known, loops)
+            if near:
+                return near
+            self._corrected = False
         for number in self._stretches.untied(loops):
             for place in self._stretches.candidates(number, *self._possible(number, poses, known)):
                 if (place, number) not in self._tried:
@@ -134,6 +141,7 @@ class PlaceSearch:
                 taken.append([*found[n], *more])
         believed = [one for members in taken for one in members]
         sets.remove(believed)
+        self._corrected = bool(believed)
         return believed
 
     def _cost(self, members: Sequence[LoopCandidate], known: Known) -> float:

@@ -126,8 +126,8 @@ class PlanarChain:
         )
         edges += self._long_wheels(key, stamp_s, tracked)
         if bridge is not None:
-            # It holds the chain, which is loose between: false loops may not break it.
-            edges.append(_edge(self._matched[0], key, bridge, EdgeKind.LIDAR, trusted=not doubtful))
+            # It may have been made to the guessed keyframes: loops may overrule it.
+            edges.append(_edge(self._matched[0], key, bridge, EdgeKind.LIDAR, trusted=False))
         self._camera_edges += [(key, name) for name in by_camera]
         self._cameras.learn(key - 1, key, moved, wheels if doubtful else match)
         return step, edges, cameras

@@ -145,7 +145,7 @@ class MotionTracker:
         elapsed_s: float,
         dispute: FloatArray | None = None,
     ) -> Motion | None:
-        """Motion by the wheels, as far as matches let them be believed; None where they tell nothing.
+        """Motion by the wheels, as far as matches let them be believed; None where they do not tell.
 
         ``dispute`` (3, 3) comes on top of what they claim, and is rescaled too.
         """

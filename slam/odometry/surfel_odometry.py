@@ -9,8 +9,9 @@ import numpy as np
 from slam.config import Config
 from slam.matching.correlative import build_field, search_window
 from slam.matching.local_map import LocalMap, OrientedPoints
-from slam.matching.match_covariance import motion_from_alignment
+from slam.matching.match_covariance import motion_from_alignment, weak_direction
 from slam.matching.motion import Motion
+from slam.matching.planar import between, compose
 from slam.matching.point_to_line import Alignment
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate
@@ -46,6 +47,11 @@ class SurfelOdometry:
         if best.inlier_share < self._match.confident_inlier_share:
             for guess in guesses:
                 best = _more_confident(best, self._search(local_map, scan, guess.pose))
+        weak = weak_direction(best, self._match.degenerate_share)
+        if weak is not None:
+            # Another guess than the most certain one may have led along a corridor, where all looks alike.
+            away = compose(best.pose, weak * (weak @ between(best.pose, guesses[0].pose)))
+            best = local_map.align(scan, away)
         if best.inlier_share < self._match.least_inlier_share:
             return None
         return motion_from_alignment(best, self._match)

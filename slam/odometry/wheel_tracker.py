@@ -83,8 +83,8 @@ class WheelTracker:
     def on_top(self, step: FloatArray, begun: WheelMoment, ended: WheelMoment) -> FloatArray:
         """Covariance (3, 3) of a motion (3,) that no experience with the wheels makes smaller.
 
-        The base may sit beside the axle by more than the log tells, so a turn swings it aside. What was guessed
-        may be wrong by all of it, and the robot may have turned there.
+        The base may sit beside the axle by more than the log tells, so a turn swings it aside. What was
+        guessed may be wrong by all of it, and the robot may have turned there.
         """
         guessed_m = abs(ended.guessed_m - begun.guessed_m)
         metres2 = (self._config.swing_m_per_rad * step[2]) ** 2 + guessed_m**2

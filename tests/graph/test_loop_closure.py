@@ -233,15 +233,16 @@ def test_a_corridor_closes_with_its_direction_open() -> None:
         assert loop.motion.covariance[1, 1] < 0.05**2
 
 
-def test_a_lost_node_searches_no_farther_than_the_limit() -> None:
-    """No path of edges: the covariance is infinite, the window is not."""
+def test_a_lost_node_is_left_to_the_search_over_the_whole_map() -> None:
+    """No path of edges: more than one place may look the same, so none is tried."""
     scan = OrientedPoints.from_scan(points_at(walls(), (1.0, 4.0, 0.0)))
-    closer = LoopCloser(LoopConfig(greatest_half_width_m=1.0), MatchConfig())
-    uncertainty = UncertaintyGraph()
-    for n in range(2):
-        uncertainty.add_node()
-        closer.add_keyframe(scan, np.zeros(3), 20.0 * n)
-    loops = closer.close(1, np.zeros((2, 3)), uncertainty)
-    assert [loop.half_width_m for loop in loops] == [1.0]
-    assert loops[0].half_yaw_rad == np.pi
-    assert loops[0].accepted
+    for known in (False, True):
+        closer = LoopCloser(LoopConfig(), MatchConfig())
+        uncertainty = UncertaintyGraph()
+        for n in range(2):
+            uncertainty.add_node()
+            closer.add_keyframe(scan, np.zeros(3), 20.0 * n)
+        if known:
+            uncertainty.add_edge(0, 1, np.zeros(3), np.eye(3) * 0.01)
+        loops = closer.close(1, np.zeros((2, 3)), uncertainty)
+        assert [loop.accepted for loop in loops] == [True] * known
