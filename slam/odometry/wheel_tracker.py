@@ -3,43 +3,100 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 
+from fusion.time_alignment import GAP_S
 from slam.config.stages import WheelConfig
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, WheelOdometry, row_from_pose2
+from slam.odometry.clock_learner import ClockLearner, SensorClock, Turns
 
-# Beyond this the last reading is too old to be carried on by its own speed.
-LONGEST_EXTRAPOLATION_S = 0.5
 # Readings whose stamps coincide or run backward took a time that nobody knows.
 _SHORTEST_STEP_S = 0.05
 _UNKNOWN_STEP_S = 1.0
 
 
 class WheelTracker:
-    """The newest odometry readings, asked for the pose at a scan's stamp."""
+    """The newest odometry readings, asked for the pose at a scan's stamp; and the wheels' clock."""
 
     def __init__(self, config: WheelConfig) -> None:
         self._config = config
-        self._stamp_s = math.nan
-        self._pose: FloatArray | None = None
-        self._twist: FloatArray | None = None
+        self._clocks = ClockLearner()
+        # Stamps and poses (3,) of the last while, stamps rising; the newest first.
+        self._recent: deque[tuple[float, FloatArray]] = deque()
+        self._rising = True
+        self._asked_s = math.nan
+        self._ahead_s = 0.0
+        self._T_odom_read = np.zeros(3)
+
+    @property
+    def turns(self) -> Turns:
+        """By how much the wheels say that the robot turned."""
+        return self._clocks.turns
+
+    @property
+    def clock(self) -> SensorClock:
+        """The wheels' clock against the lidar's, as far as it is known."""
+        return self._clocks.clock
+
+    @property
+    def clock_was_used(self) -> bool:
+        """Whether a pose was ever read at another time than the stamps tell."""
+        return bool(self._ahead_s or self._T_odom_read.any())
+
+    def learn_clock(self, lidar: Turns, *, final: bool = False) -> None:
+        """Estimate the clock anew where that is due; the poses go on from the one last asked for."""
+        self._clocks.learn(lidar, final=final)
+        if self.clock.significant_s == self._ahead_s:
+            return
+        before = self.pose_at(self._asked_s)
+        self._ahead_s = self.clock.significant_s
+        after = self.pose_at(self._asked_s)
+        if before is not None and after is not None:
+            self._T_odom_read = compose(compose(before, between(after, np.zeros(3))), self._T_odom_read)
 
     def add(self, reading: WheelOdometry) -> None:
         """Take the next reading in the order of the log."""
         pose = row_from_pose2(reading.T_odom_base)
-        step_s = reading.stamp_s - self._stamp_s
-        self._twist = between(self._pose, pose) / step_s if self._pose is not None and step_s > 0.0 else None
-        self._pose = pose
-        self._stamp_s = reading.stamp_s
+        self.turns.add(reading.stamp_s, pose[2])
+        self._rising = not self._recent or reading.stamp_s > self._recent[0][0]
+        while self._recent and reading.stamp_s <= self._recent[0][0]:
+            self._recent.popleft()
+        self._recent.appendleft((reading.stamp_s, pose))
+        while len(self._recent) > 2 and reading.stamp_s - self._recent[-1][0] > 2.0 * GAP_S:
+            self._recent.pop()
 
     def pose_at(self, stamp_s: float) -> FloatArray | None:
-        """Pose (3,) in the odom frame at a stamp at or shortly after the last reading; None before any."""
-        ahead_s = stamp_s - self._stamp_s
-        if self._pose is None or self._twist is None or not 0.0 < ahead_s < LONGEST_EXTRAPOLATION_S:
-            return self._pose
-        return compose(self._pose, self._twist * ahead_s)
+        """Pose (3,) in the odom frame at a stamp of the lidar's clock; None before any reading.
+
+        The newest reading is carried on to a stamp shortly after it. For one before it, it stands as it is,
+        since the order of the log is that of the readings; unless the clocks are known to differ.
+        """
+        self._asked_s = stamp_s
+        if not self._recent:
+            return None
+        pose = self._read_at(stamp_s + self._ahead_s)
+        return compose(self._T_odom_read, pose) if self.clock_was_used else pose
+
+    def _read_at(self, asked_s: float) -> FloatArray:
+        """Pose (3,) that the wheels tell for a stamp of their own clock."""
+        readings, number, shortest_s = self._recent, 0, 0.0
+        if self._ahead_s:
+            last = len(readings) - 1
+            number = next((n for n, (read_s, _) in enumerate(readings) if read_s <= asked_s), last)
+            # Then readings are carried on at every scan: a step of no time would tell any speed.
+            shortest_s = _SHORTEST_STEP_S
+        read_s, pose = readings[number]
+        ended_s, ended = readings[max(number - 1, 0)]
+        older = (reading for reading in readings if ended_s - reading[0] > shortest_s)
+        begun = readings[number] if number else next(older, None)
+        if not self._ahead_s and not self._rising:
+            return pose
+        if begun is None or not 0.0 < asked_s - read_s < GAP_S:
+            return pose
+        return compose(pose, between(begun[1], ended) / (ended_s - begun[0]) * (asked_s - read_s))
 
     def plausible(self, step: FloatArray, step_s: float) -> bool:
         """Whether a robot can move by ``step`` (3,) in that time."""
