@@ -1,8 +1,8 @@
 """Which readings of two sensors belong together in time, and by how much their clocks differ: Xu2024, 2.1.
 
 The paper samples a 1000 Hz curve at the image's 24 Hz. Here each image gets the scan nearest to it, within a
-tolerance and one to one; and where both sensors tell how fast the robot turns, a constant offset between
-their clocks is estimated from the two yaw rates.
+tolerance and one to one; and where both sensors tell how the robot turns, a constant offset between their
+clocks is estimated from that.
 """
 
 from __future__ import annotations
@@ -15,13 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.curves import FloatArray
-from fusion.estimation import FEWEST
+from fusion.estimation import FEWEST, TINY
 from fusion.similarity import MIDDLE_MAX
 
 IntPairs = NDArray[np.int64]
 
+# Between readings further apart than this nobody knows what happened.
+GAP_S = 0.5
 _STEP_S = 0.01
-_PEAK_STEPS = 12
+_PEAK_STEPS = 6
 _LEAST_TURN_RAD_S = 0.02  # standard deviation of a yaw rate: below, the robot hardly turns
 
 
@@ -36,7 +38,7 @@ class ClockOffset:
     sigma_s
         Standard deviation of the offset.
     correlation
-        Of the two yaw rates at the offset.
+        Of what both say of the turns, at the offset.
     """
 
     offset_s: float
@@ -93,26 +95,27 @@ def _nearest(sorted_from: FloatArray, sorted_to: FloatArray) -> NDArray[np.int64
 
 
 def clock_offset(
-    first_s: FloatArray,
-    first_yaw_rate: FloatArray,
-    second_s: FloatArray,
-    second_yaw_rate: FloatArray,
+    first_spans_s: FloatArray,
+    first_turned_rad: FloatArray,
+    second_spans_s: FloatArray,
+    second_turned_rad: FloatArray,
     most_s: float = 1.0,
 ) -> ClockOffset | None:
-    """A constant offset between two clocks, by where two yaw rates (rad/s) correlate best.
+    """A constant offset between two clocks, by where what both say of the robot's turns correlates best.
 
     Parameters
     ----------
-    first_s, first_yaw_rate
-        (N,) rising stamps and rates of the first sensor.
-    second_s, second_yaw_rate
-        (M,) of the second.
+    first_spans_s, first_turned_rad
+        (N, 2) stamps between which the first sensor saw (N,) turns: of any length, rising.
+    second_spans_s, second_turned_rad
+        (M, 2) and (M,) of the second, which are taken as even between their stamps.
     most_s
         Offsets of up to this are tried.
 
     Returns
     -------
-    None where the offset is open: too few rates, hardly a turn, or no clear peak inside the range.
+    None where the offset is open: too few turns, hardly one, or no clear peak inside the range. What meets a
+    time of which the second says nothing, at any offset that is tried, is left out.
 
     Raises
     ------
@@ -122,53 +125,68 @@ def clock_offset(
     Examples
     --------
     >>> import fusion, numpy as np
-    >>> def yaw_rate(true_s):
-    ...     return 0.5 * np.sin(true_s) + 0.3 * np.sin(2.7 * true_s)
-    >>> scans_s, images_s = np.arange(0.0, 20.0, 0.1), np.arange(0.0, 20.0, 0.04)
-    >>> found = fusion.clock_offset(scans_s, yaw_rate(scans_s), images_s + 0.25, yaw_rate(images_s))
+    >>> def turns(true_s):
+    ...     yaw = 0.5 * np.sin(true_s) + 0.3 * np.sin(2.7 * true_s)
+    ...     return np.column_stack([true_s[:-1], true_s[1:]]), np.diff(yaw)
+    >>> spans_s, turned_rad = turns(np.arange(0.0, 20.0, 0.04))
+    >>> found = fusion.clock_offset(*turns(np.arange(0.0, 20.0, 0.1)), spans_s + 0.25, turned_rad)
     >>> round(found.offset_s, 2)
     0.25
     """
-    for stamps in (first_s, second_s):
-        if np.any(np.diff(stamps) <= 0.0):
+    for spans_s in (first_spans_s, second_spans_s):
+        if np.any(np.diff(spans_s.ravel()) < 0.0) or np.any(spans_s[:, 0] >= spans_s[:, 1]):
             raise ValueError("stamps must rise; sort them and drop doubles")
-    if min(first_s.size, second_s.size) < FEWEST:
+    if min(len(first_spans_s), len(second_spans_s)) < FEWEST:
         return None
-    low, high = max(first_s[0], second_s[0]) + most_s, min(first_s[-1], second_s[-1]) - most_s
-    if high - low < FEWEST * _STEP_S:
+    # Turns taken as even are smooth where stamps lie halfway and rough where they meet. Averaged over a whole
+    # reading's time they are the same anywhere, so that noise prefers no offset.
+    half = round(0.5 * float(np.median(np.diff(second_spans_s))) / _STEP_S)
+    steps = math.ceil(most_s / _STEP_S)
+    every_shift = np.arange(-steps - half, steps + half + 1) * _STEP_S
+    told = _told_throughout(first_spans_s, second_spans_s, float(every_shift[-1]))
+    spans_s, turned = first_spans_s[told], first_turned_rad[told]
+    if turned.size < FEWEST:
         return None
-    times = np.arange(low, high, _STEP_S)
-    rate = np.interp(times, first_s, first_yaw_rate)
-    shifts = np.arange(-math.ceil(most_s / _STEP_S), math.ceil(most_s / _STEP_S) + 1) * _STEP_S
-    moved = np.stack([np.interp(times + shift, second_s, second_yaw_rate) for shift in shifts])
-    if min(rate.std(), moved.std(axis=1).min()) < _LEAST_TURN_RAD_S:
+    moved = turns_between(second_spans_s, second_turned_rad, spans_s + every_shift[:, None, None])
+    moved = np.apply_along_axis(np.convolve, 0, moved, np.full(2 * half + 1, 1.0 / (2 * half + 1)), "valid")
+    shifts, lasted_s = every_shift[half : len(every_shift) - half], spans_s[:, 1] - spans_s[:, 0]
+    if min((turned / lasted_s).std(), (moved / lasted_s).std(axis=1).min()) < _LEAST_TURN_RAD_S:
         return None
-    correlation = _correlations(rate, moved)
+    correlation = _correlations(turned, moved)
     best = int(np.argmax(correlation))
     if not 0 < best < shifts.size - 1 or correlation[best] < MIDDLE_MAX:
         return None
-    # A parabola through the whole peak: single samples of it are rough with interpolated noise.
+    # A parabola through the whole peak: single samples of it are rough with noise.
     low_k, high_k = max(0, best - _PEAK_STEPS), min(shifts.size, best + _PEAK_STEPS + 1)
     bend, tilt, _ = np.polyfit(shifts[low_k:high_k] - shifts[best], correlation[low_k:high_k], 2)
-    part = -0.5 * tilt / bend if bend < 0.0 else 0.0
-    offset = float(shifts[best] + np.clip(part, -_PEAK_STEPS * _STEP_S, _PEAK_STEPS * _STEP_S))
-    readings = min(first_s.size, second_s.size)
-    return ClockOffset(offset, _sigma_s(times, rate, moved[best], readings), float(correlation[best]))
+    if bend >= 0.0:
+        return None
+    offset = float(shifts[best] + np.clip(-0.5 * tilt / bend, -_PEAK_STEPS * _STEP_S, _PEAK_STEPS * _STEP_S))
+    # Of least squares: noise over slopes. The peak's curvature has the product of both sensors' slopes, for
+    # noise makes slopes of its own, but not the same ones in both.
+    slopes_squared = -2.0 * bend * turned.std() * moved[best].std() * min(turned.size, len(second_spans_s))
+    sigma_s = math.sqrt(max(float((moved[best] - turned).var()), TINY**2) / slopes_squared)
+    return ClockOffset(offset, sigma_s, float(correlation[best]))
 
 
-def _correlations(rate: FloatArray, moved: FloatArray) -> FloatArray:
-    """(K,) Pearson's correlation of a rate with each of (K, T) others."""
-    a = rate - rate.mean()
+def turns_between(told_s: FloatArray, turned_rad: FloatArray, spans_s: FloatArray) -> FloatArray:
+    """(...) turns over spans (..., 2), by (M,) turns over (M, 2) rising spans, each taken as even."""
+    yaw_rad = np.column_stack([np.cumsum(turned_rad) - turned_rad, np.cumsum(turned_rad)])
+    found = np.interp(spans_s, told_s.ravel(), yaw_rad.ravel())
+    return np.asarray(found[..., 1] - found[..., 0])
+
+
+def _told_throughout(spans_s: FloatArray, told_s: FloatArray, margin_s: float) -> NDArray[np.bool_]:
+    """(N,) whether one told span follows the other over a span (N, 2), and by a margin on both sides."""
+    told_s = told_s[told_s[:, 1] - told_s[:, 0] < GAP_S]
+    gaps = np.flatnonzero(told_s[1:, 0] > told_s[:-1, 1])
+    begun, ended = told_s[np.append(0, gaps + 1), 0], told_s[np.append(gaps, -1), 1]
+    piece = np.searchsorted(begun, spans_s[:, 0] - margin_s, side="right") - 1
+    return (piece >= 0) & (spans_s[:, 1] + margin_s <= ended[piece])
+
+
+def _correlations(turned: FloatArray, moved: FloatArray) -> FloatArray:
+    """(K,) Pearson's correlation of turns with each of (K, N) others."""
+    a = turned - turned.mean()
     b = moved - moved.mean(axis=1, keepdims=True)
     return np.asarray(b @ a / np.sqrt((a @ a) * (b * b).sum(axis=1)))
-
-
-def _sigma_s(times: FloatArray, rate: FloatArray, other: FloatArray, readings: int) -> float:
-    """Standard deviation of a shift: noise of the difference over the slope, by the number of readings."""
-    # Noise makes slopes of its own, but not the same ones in both.
-    slope_squared = float((np.gradient(rate, times) * np.gradient(other, times)).sum())
-    noise = (other - other.mean()) - (rate - rate.mean())
-    # Interpolated samples are no news: what counts is the number of readings.
-    share = min(1.0, readings / times.size)
-    information = slope_squared * share / max(float(noise.var()), 1e-12)
-    return math.sqrt(1.0 / information) if information > 0.0 else math.inf

@@ -80,7 +80,9 @@ def known_space(grid: OccupancyGrid) -> KnownSpace:
     cells[distance_m <= _WALL_REACH_M] = NEAR
     cells[walls] = WALL
     clear = (cells == FREE) & (distance_m > _CLEAR_M)
-    return KnownSpace(cells[:, :, None], clear, row_from_pose2(grid.T_map_grid), grid.resolution_m)
+    # In one piece: beams are followed through it as it lies in memory, and a large map is copied no more.
+    cells = np.ascontiguousarray(cells[:, :, None])
+    return KnownSpace(cells, clear, row_from_pose2(grid.T_map_grid), grid.resolution_m)
 
 
 def in_clear_space(space: KnownSpace, pose: FloatArray, points: AnyFloatArray) -> BoolArray:

@@ -23,8 +23,8 @@ from slam.measurements import AnyFloatArray, FloatArray
 _POINTS = 150
 # Blocks whose best quarters are looked at first, level by level, to know what is worth looking at.
 _DIVE = 64
-# More blocks than that are alike where too little is seen: the best are as good as any.
-_MOST_BLOCKS = 1 << 20
+# More blocks than that are alike where too little is seen: the best are as good as any, and find as much.
+_MOST_BLOCKS = 1 << 16
 
 Pixels: TypeAlias = NDArray[np.int32]
 Nodes: TypeAlias = NDArray[np.int64]

@@ -8,6 +8,7 @@ from typing import Any, Generic
 
 import numpy as np
 
+from fusion.estimation import TINY
 from slam.config.localization import LocalizationConfig
 from slam.localization.hypotheses import Hypothesis, HypothesisSet
 from slam.localization.loss_test import LossTest
@@ -127,9 +128,9 @@ class StateMachine(Generic[V, N]):
     def _found(self, winner: Hypothesis, odometry_pose: Pose) -> tuple[float, Sequence[RecoveredPose]]:
         """Begin to track a hypothesis; the path up to here becomes known."""
         self._state, motion = State.TRACKING, winner.motion
-        # Where nothing could be aligned, it is the same place by three sigmas.
+        # Where nothing could be aligned, or a direction is open, it is the same place by three sigmas.
         unaligned = Measured(winner.pose, diagonal(winner.pose, SAME_M / 3.0, SAME_RAD / 3.0))
-        self._smoother = PoseSmoother(unaligned if motion is None else _measured(motion))
+        self._smoother = PoseSmoother(unaligned if motion is None or motion.degenerate else _measured(motion))
         self._loss.reset()
         recovered = [
             RecoveredPose(stamp_s, composed(winner.pose, between(odometry_pose, pose)))
@@ -174,5 +175,6 @@ class StateMachine(Generic[V, N]):
 
 
 def _measured(motion: MotionEstimate) -> Measured:
-    """Where an alignment puts the robot."""
-    return Measured(motion.T_reference_base, motion.covariance)
+    """Where an alignment puts the robot; along an open direction it repeats its guess, and tells nothing."""
+    open_ = np.outer(motion.weak_direction, motion.weak_direction) / TINY
+    return Measured(motion.T_reference_base, motion.covariance + open_)

@@ -19,8 +19,9 @@ from slam.mapper.map_result import DenseKeyframes
 from slam.mapper.robot_cameras import CameraPoses, RobotCameras
 from slam.mapper.scan_record import CameraRecord
 from slam.mapping.horizon_scan import horizon_scan, with_repairs
-from slam.measurements import FloatArray, LaserScan, Pose, WheelOdometry
+from slam.measurements import FloatArray, LaserScan, Pose
 from slam.odometry.camera_odometry import camera_step
+from slam.odometry.clock_learner import Turns
 from slam.odometry.cloud_tracker import TrackedCloud
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prepared_frame import PreparedFrame
@@ -32,21 +33,21 @@ class CloudCameras:
     """The cameras of a run with a 3D lidar, as far as the log tells where they sit on the robot."""
 
     def __init__(
-        self, config: Config, checkpoint: Checkpoint, registrations: Mapping[str, ColorRegistration]
+        self,
+        config: Config,
+        checkpoint: Checkpoint,
+        registrations: Mapping[str, ColorRegistration],
+        wheel_turns: Turns,
     ) -> None:
         self._config, self._registrations = config, registrations
-        self._cameras = RobotCameras(config, result_cache=checkpoint)
+        self._cameras = RobotCameras(config, wheel_turns=wheel_turns, result_cache=checkpoint)
         self._keyframes = CameraKeyframes(config, checkpoint, registrations)
         self._fusion = KeyframeFusion(config.fusion) if config.fusion.enabled else None
         self._horizons: list[LaserScan | None] = []
         self._camera_poses: CameraPoses = {}
 
-    def note_wheels(self, reading: WheelOdometry) -> None:
-        """Take a heading by which the cameras' clocks are compared."""
-        self._cameras.note_wheel_turn(reading.stamp_s, reading.T_odom_base.theta())
-
     def note_cloud(self, stamp_s: float, tracked: TrackedCloud) -> None:
-        """Take the heading of a cloud that matched, for the same."""
+        """Take the heading of a cloud that matched, by which the cameras' clocks are compared."""
         if tracked.motion is not None:
             self._cameras.note_scan_turn(stamp_s, tracked.pose.rotation().yaw())
 

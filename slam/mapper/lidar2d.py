@@ -33,6 +33,7 @@ from slam.matching.scan_points import ScanPoints, extract_points
 from slam.measurements import BoolArray, LaserScan, Pose, WheelOdometry, pose2_from_row
 from slam.odometry import STANDARD, Odometries
 from slam.odometry.cached_odometry import CachedOdometry
+from slam.odometry.clock_learner import Turns
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
 from slam.odometry.wheel_tracker import WheelTracker
 from slam.trajectory.readings import Readings
@@ -68,7 +69,8 @@ class PlanarRobot:
         self._wheels = WheelTracker(config.wheels) if config.sensors.wheels else None
         odometry = CachedOdometry(odometries.lidar(config), checkpoint)
         self._tracker = MotionTracker(odometry, self._wheels, config.prediction, config.match)
-        self._cameras = RobotCameras(config, mountings or {}, result_cache=checkpoint)
+        turns = Turns() if self._wheels is None else self._wheels.turns
+        self._cameras = RobotCameras(config, mountings or {}, wheel_turns=turns, result_cache=checkpoint)
         self._chain = PlanarChain(config, self._tracker, self._wheels, self._cameras)
         self._closer = LoopCloser(config.loops, config.match, checkpoint)
         self._places = PlaceSearch(self._closer, config.loops, config.match, checkpoint)
@@ -131,7 +133,11 @@ class PlanarRobot:
         """Whatever a scan sees is a map."""
 
     def settle(self, graph: KeyframeGraph) -> None:
-        """Say anew how cameras moved, as the whole run tells their clocks and mountings."""
+        """Say anew how cameras and wheels moved, as the whole run tells their clocks and mountings."""
+        if self._wheels is not None:
+            self._wheels.learn_clock(self._cameras.scan_turns, final=True)
+            if self._wheels.clock_was_used:
+                self.readings.read_wheels_at(self._wheels.clock.significant_s)
         self._chain.settle(graph)
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
@@ -147,6 +153,8 @@ class PlanarRobot:
         clock = [time.perf_counter()]
         made = Products(self._keyframe_scans, list(self._keyframe_scans))
         made.notes = [*registration_notes(self._registrations), *self._cameras.notes()]
+        if self._wheels is not None and self._wheels.clock.known:
+            made.notes.append(self._wheels.clock.note("wheels", "lidar"))
         if self._fusion is not None:
             made.scans, made.fused = self._fusion.repair(self._keyframe_scans)
             made.notes += [] if made.fused is None else [made.fused.note]
@@ -171,7 +179,6 @@ class PlanarRobot:
         if self._wheels is None:
             self.readings.add_wheel(reading.stamp_s, None)
             return
-        self._cameras.note_wheel_turn(reading.stamp_s, reading.T_odom_base.theta())
         self.readings.add_wheel(reading.stamp_s, self._wheels.add(reading))
 
     def _add_frame(self, frame: PreparedFrame) -> Tracked | None:
@@ -198,6 +205,8 @@ class PlanarRobot:
         tracked = self._tracker.track(points, stamp_s, cameras)
         if scan is not None and tracked.confident:
             self._cameras.note_scan_turn(stamp_s, tracked.pose[2])
+            if self._wheels is not None:
+                self._wheels.learn_clock(self._cameras.scan_turns)
         self._camera_poses = camera_poses
         self._newest = _Moment(stamp_s, scan, points, tracked, camera_poses)
         self.readings.add_scan(

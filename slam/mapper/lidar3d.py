@@ -31,6 +31,7 @@ from slam.mapping.band_scan import band_scan, ground_of
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.matching.cloud_points import at_middle_of_turn, thinned
 from slam.measurements import BoolArray, FloatArray, PointCloud, Pose, WheelOdometry, spatial
+from slam.odometry.clock_learner import Turns
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
 from slam.odometry.wheel_tracker import WheelTracker
 from slam.trajectory.readings import Readings
@@ -54,7 +55,8 @@ class CloudLidar:
         self._wheels = WheelTracker(config.wheels) if config.sensors.wheels else None
         self._tracker = CloudTracker(config, self._wheels, checkpoint)
         self._clouds = checkpoint.cloud_spool()
-        self._cameras = CloudCameras(config, checkpoint, registrations)
+        turns = Turns() if self._wheels is None else self._wheels.turns
+        self._cameras = CloudCameras(config, checkpoint, registrations, turns)
         self._closer: CloudLoopCloser | None = None
         self._steps = AnchoredSteps(config.match.local_map_keyframes)
         self._newest: TrackedCloud | None = None
@@ -72,7 +74,6 @@ class CloudLidar:
         if isinstance(measurement, PreparedFrame):
             self._cameras.add(measurement)
         elif isinstance(measurement, WheelOdometry) and self._wheels is not None:
-            self._cameras.note_wheels(measurement)
             self._wheels.add(measurement)
         return None
 

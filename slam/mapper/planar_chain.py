@@ -23,8 +23,6 @@ from slam.odometry.wheel_tracker import WheelTracker
 # to those before it while no more guessed ones than this have joined the local map.
 _GUESS_SHARE = 0.1
 _MOST_GUESSED = 5
-# Keyframes of a stretch that the wheels tell as a whole.
-_STRETCH = 20
 
 
 class PlanarChain:
@@ -160,7 +158,7 @@ class PlanarChain:
     def _long_wheels(self, key: int, stamp_s: float, tracked: TrackedScan) -> list[Edge]:
         """Every so often the wheels say how far a whole stretch went: no single wrong match can turn it."""
         begun, anchor = self._stretch
-        if key - begun < _STRETCH:
+        if key - begun < 2 * self._config.loops.half_keyframes:
             return []
         self._stretch = key, tracked
         if anchor is None:

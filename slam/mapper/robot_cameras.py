@@ -13,9 +13,9 @@ from slam.mapper.mount_learner import KeyframeStep, LearnedMounting, MountLearne
 from slam.mapper.scan_record import CameraRecord, ScanRecorder
 from slam.matching.motion import Motion
 from slam.measurements import FloatArray
-from slam.odometry.camera_clock import CameraClock, ClockLearner, YawRates
 from slam.odometry.camera_odometry import CameraOdometry, camera_step
 from slam.odometry.camera_track import CameraPose
+from slam.odometry.clock_learner import ClockLearner, SensorClock, Turns
 from slam.result_cache import COMPUTED, ResultCache
 from slam.vision.camera_frame import T_BODY_CAMERA
 from slam.vision.color_registration import ColorRegistration
@@ -42,7 +42,7 @@ class RobotCamera:
     refused_steps: int = 0
 
     @property
-    def clock(self) -> CameraClock:
+    def clock(self) -> SensorClock:
         """The clock as far as it is known."""
         return self.clocks.clock
 
@@ -55,8 +55,9 @@ class RobotCamera:
         motion = self.odometry.track.newest_motion()
         if motion is None or self.T_base_camera is None:
             return
-        stamp_s, twist = motion
-        self.clocks.rates.add_rate(stamp_s, float(self.T_base_camera.rotation().rotate(twist[:3])[2]))
+        begun_s, ended_s, twist = motion
+        rate = float(self.T_base_camera.rotation().rotate(twist[:3])[2])
+        self.clocks.turns.add_turn(begun_s, ended_s, rate * (ended_s - begun_s))
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,8 +85,8 @@ class RobotCameras:
     config: Config
     mountings: Mapping[str, LearnedMounting] = field(default_factory=dict)
     cameras: dict[str, RobotCamera] = field(default_factory=dict)
-    scan_turns: YawRates = field(default_factory=YawRates)
-    wheel_turns: YawRates = field(default_factory=YawRates)
+    scan_turns: Turns = field(default_factory=Turns)
+    wheel_turns: Turns = field(default_factory=Turns)
     result_cache: ResultCache = COMPUTED
 
     def add(self, frame: PreparedFrame) -> None:
@@ -114,12 +115,8 @@ class RobotCameras:
         """Take a heading that a scan reported."""
         self.scan_turns.add(stamp_s, yaw_rad)
 
-    def note_wheel_turn(self, stamp_s: float, yaw_rad: float) -> None:
-        """Take a heading that the wheels reported."""
-        self.wheel_turns.add(stamp_s, yaw_rad)
-
-    def _turns(self) -> YawRates:
-        """The rates of the robot's own clock: the lidar's where there is one, else the wheels'."""
+    def _turns(self) -> Turns:
+        """The turns by the robot's own clock: the lidar's where there is one, else the wheels'."""
         return self.scan_turns if len(self.scan_turns) else self.wheel_turns
 
     def settle_clocks(self) -> None:
@@ -256,8 +253,7 @@ class RobotCameras:
         cameras = self.cameras.items()
         learning = [camera.learner.note(name) for name, camera in cameras if camera.learner is not None]
         clocks = [
-            f"{name}: its clock is {1e3 * camera.clock.offset_s:+.0f} +- {1e3 * camera.clock.sigma_s:.0f} ms "
-            f"against the {'lidar' if len(self.scan_turns) else 'wheels'}'s"
+            camera.clock.note(name, "lidar" if len(self.scan_turns) else "wheels")
             for name, camera in cameras
             if camera.clock.known
         ]

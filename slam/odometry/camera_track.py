@@ -64,10 +64,10 @@ class CameraTrack:
         """A frame has matched nothing: the newest pose is not carried on."""
         self._lost = True
 
-    def newest_motion(self) -> tuple[float, FloatArray] | None:
-        """Middle of the last two frames and the speed (6,) between them, camera frame; None if not known."""
+    def newest_motion(self) -> tuple[float, float, FloatArray] | None:
+        """Stamps of the last two frames and the speed (6,) between them, camera frame; None if not known."""
         twist = self._twist(len(self._stamps) - 2)
-        return None if twist is None else (0.5 * (self._stamps[-2] + self._stamps[-1]), twist)
+        return None if twist is None else (self._stamps[-2], self._stamps[-1], twist)
 
     def at(self, stamp_s: float, clock_sigma_s: float) -> CameraPose | None:
         """The camera at a stamp between its frames or shortly after the newest; None where that is not known.

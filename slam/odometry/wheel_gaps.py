@@ -6,17 +6,13 @@ import math
 
 import numpy as np
 
+from fusion.estimation import FEWEST, SETTLED
+from fusion.time_alignment import GAP_S
 from slam.matching.planar import between, compose
-from slam.measurements import FloatArray, WheelOdometry, pose2_from_row, row_from_pose2
+from slam.measurements import FloatArray, WheelOdometry, row_from_pose2
 
-# Beyond this the last reading is too old to be carried on by its own speed.
-LONGEST_EXTRAPOLATION_S = 0.5
 # Readings this many times as far apart as they use to be are a gap.
 _GAP_PERIODS = 5.0
-# What is less is no motion: metres and radians, or these a second.
-_NO_MOTION = 1e-3
-# Readings over which it is learned how far apart they use to be.
-_MEMORY = 20.0
 
 
 class WheelGaps:
@@ -39,8 +35,8 @@ class WheelGaps:
         self._period_s = 0.0
         self.guessed_m = 0.0
 
-    def add(self, reading: WheelOdometry, *, possible: bool) -> WheelOdometry:
-        """Take the next reading; the same without what came before it that cannot be.
+    def add(self, reading: WheelOdometry, *, possible: bool) -> FloatArray:
+        """Take the next reading: its pose (3,) without what came before it that cannot be.
 
         Parameters
         ----------
@@ -55,21 +51,28 @@ class WheelGaps:
             step = between(self._told, told)
             if not possible:
                 step = self._twist * max(step_s, 0.0)
-            elif self.in_gap(step_s) and np.abs(step).max() < _NO_MOTION:
+            elif self._in_gap(step_s) and np.abs(step).max() < SETTLED:
                 step = self._twist * step_s
                 self.guessed_m += math.hypot(step[0], step[1])
             self._pose = compose(self._pose, step)
             if step_s > 0.0:
                 self._twist = step / step_s
-                self._period_s += (step_s - self._period_s) / (_MEMORY if self._period_s else 1.0)
+                self._period_s += (step_s - self._period_s) / (FEWEST if self._period_s else 1.0)
         self._told, self._stamp_s = told, reading.stamp_s
-        return WheelOdometry(reading.stamp_s, pose2_from_row(self._pose))
+        return self._pose
 
-    def step(self, told: FloatArray) -> FloatArray:
-        """(3,) motion from the last reading to a pose (3,) of the wheels' own frame; zero before any."""
-        return np.zeros(3) if self._told is None else between(self._told, told)
+    def step(self, reading: WheelOdometry) -> tuple[FloatArray, float]:
+        """Motion (3,) since the last reading and its time; zero and not a number before any."""
+        if self._told is None:
+            return np.zeros(3), math.nan
+        return between(self._told, row_from_pose2(reading.T_odom_base)), reading.stamp_s - self._stamp_s
 
-    def in_gap(self, since_s: float) -> bool:
+    def guess_at(self, stamp_s: float) -> FloatArray:
+        """(3,) motion since the last reading that a gap hides; zero where there is none."""
+        since_s = stamp_s - self._stamp_s
+        return self._twist * since_s if self._in_gap(since_s) else np.zeros(3)
+
+    def _in_gap(self, since_s: float) -> bool:
         """Whether the last reading is older than readings use to be, and the robot was on its way."""
-        moves = bool(np.abs(self._twist).max() > _NO_MOTION)
-        return moves and since_s > max(LONGEST_EXTRAPOLATION_S, _GAP_PERIODS * self._period_s)
+        moves = bool(np.abs(self._twist).max() > SETTLED)
+        return moves and since_s > max(GAP_S, _GAP_PERIODS * self._period_s)

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
+from fusion.time_alignment import GAP_S
 from slam.config.stages import WheelConfig
 from slam.matching.planar import between, compose
-from slam.measurements import FloatArray, WheelOdometry, row_from_pose2
-from slam.odometry.wheel_gaps import LONGEST_EXTRAPOLATION_S, WheelGaps
+from slam.measurements import FloatArray, WheelOdometry
+from slam.odometry.clock_learner import ClockLearner, SensorClock, Turns
+from slam.odometry.wheel_gaps import WheelGaps
 
 # Readings whose stamps coincide or run backward took a time that nobody knows.
 _SHORTEST_STEP_S = 0.05
 _UNKNOWN_STEP_S = 1.0
-# Tyres are not further from what they are taken for than this.
-_SCALE_SHARE = 0.2
 # Sigma of a robot's turn over a metre that nobody saw, radians.
 _TURN_PER_M = 0.5
 
@@ -38,7 +39,7 @@ class WheelMoment:
 
 
 class WheelTracker:
-    """The newest odometry readings, asked for the pose at a scan's stamp."""
+    """The newest odometry readings, asked for the pose at a scan's stamp; and the wheels' clock."""
 
     def __init__(self, config: WheelConfig) -> None:
         self._config = config
@@ -46,18 +47,51 @@ class WheelTracker:
         # Sums over steps; what they begin with holds the scale at one until some metres are known.
         self._told_m2 = self._true_m2 = 1.0
         self._scale = np.ones(3)
-        self._stamp_s = math.nan
-        self._pose: FloatArray | None = None
-        self._twist: FloatArray | None = None
+        self._clocks = ClockLearner()
+        # Stamps and poses (3,) of the last while, stamps rising; the newest first.
+        self._recent: deque[tuple[float, FloatArray]] = deque()
+        self._rising = True
+        self._asked_s = math.nan
+        self._ahead_s = 0.0
+        self._T_odom_read = np.zeros(3)
+
+    @property
+    def turns(self) -> Turns:
+        """By how much the wheels say that the robot turned."""
+        return self._clocks.turns
+
+    @property
+    def clock(self) -> SensorClock:
+        """The wheels' clock against the lidar's, as far as it is known."""
+        return self._clocks.clock
+
+    @property
+    def clock_was_used(self) -> bool:
+        """Whether a pose was ever read at another time than the stamps tell."""
+        return bool(self._ahead_s or self._T_odom_read.any())
+
+    def learn_clock(self, lidar: Turns, *, final: bool = False) -> None:
+        """Estimate the clock anew where that is due; the poses go on from the one last asked for."""
+        self._clocks.learn(lidar, final=final)
+        if self.clock.significant_s == self._ahead_s:
+            return
+        before = self.pose_at(self._asked_s)
+        self._ahead_s = self.clock.significant_s
+        after = self.pose_at(self._asked_s)
+        if before is not None and after is not None:
+            self._T_odom_read = compose(compose(before, between(after, np.zeros(3))), self._T_odom_read)
 
     def add(self, reading: WheelOdometry) -> FloatArray:
         """Take the next reading in log order: its pose (3,) without jumps that no robot can make."""
-        step_s = reading.stamp_s - self._stamp_s
-        possible = self.plausible(self._gaps.step(row_from_pose2(reading.T_odom_base)), step_s)
-        pose = row_from_pose2(self._gaps.add(reading, possible=possible).T_odom_base)
-        self._twist = between(self._pose, pose) / step_s if self._pose is not None and step_s > 0.0 else None
-        self._pose = pose
-        self._stamp_s = reading.stamp_s
+        step, step_s = self._gaps.step(reading)
+        pose = self._gaps.add(reading, possible=self.plausible(step, step_s))
+        self.turns.add(reading.stamp_s, pose[2])
+        self._rising = not self._recent or reading.stamp_s > self._recent[0][0]
+        while self._recent and reading.stamp_s <= self._recent[0][0]:
+            self._recent.popleft()
+        self._recent.appendleft((reading.stamp_s, pose))
+        while len(self._recent) > 2 and reading.stamp_s - self._recent[-1][0] > 2.0 * GAP_S:
+            self._recent.pop()
         return pose
 
     def moment(self, stamp_s: float) -> WheelMoment | None:
@@ -65,11 +99,8 @@ class WheelTracker:
         pose = self.pose_at(stamp_s)
         if pose is None:
             return None
-        guessed_m, since_s = self._gaps.guessed_m, stamp_s - self._stamp_s
-        if self._twist is not None and self._gaps.in_gap(since_s):
-            guess = self._twist * since_s
-            pose, guessed_m = compose(pose, guess), guessed_m + math.hypot(guess[0], guess[1])
-        return WheelMoment(pose, guessed_m)
+        guess = self._gaps.guess_at(stamp_s + self._ahead_s)
+        return WheelMoment(compose(pose, guess), self._gaps.guessed_m + math.hypot(guess[0], guess[1]))
 
     def motion(
         self, begun: WheelMoment | None, ended: WheelMoment | None, elapsed_s: float
@@ -96,7 +127,7 @@ class WheelTracker:
         Least squares over all steps of which both tell much the same.
         """
         told, true = math.hypot(step[0], step[1]), float(np.hypot(matched[0], matched[1]))
-        if abs(true - told) > _SCALE_SHARE * told or step[:2] @ matched[:2] <= 0.0:
+        if abs(true - told) > self._config.distance_share * told or step[:2] @ matched[:2] <= 0.0:
             return
         told /= self._scale[0]
         self._told_m2 += told * told
@@ -104,11 +135,34 @@ class WheelTracker:
         self._scale[:2] = self._true_m2 / self._told_m2
 
     def pose_at(self, stamp_s: float) -> FloatArray | None:
-        """Pose (3,) in the odom frame at a stamp at or shortly after the last reading; None before any."""
-        ahead_s = stamp_s - self._stamp_s
-        if self._pose is None or self._twist is None or not 0.0 < ahead_s < LONGEST_EXTRAPOLATION_S:
-            return self._pose
-        return compose(self._pose, self._twist * ahead_s)
+        """Pose (3,) in the odom frame at a stamp of the lidar's clock; None before any reading.
+
+        The newest reading is carried on to a stamp shortly after it. For one before it, it stands as it is,
+        since the order of the log is that of the readings; unless the clocks are known to differ.
+        """
+        self._asked_s = stamp_s
+        if not self._recent:
+            return None
+        pose = self._read_at(stamp_s + self._ahead_s)
+        return compose(self._T_odom_read, pose) if self.clock_was_used else pose
+
+    def _read_at(self, asked_s: float) -> FloatArray:
+        """Pose (3,) that the wheels tell for a stamp of their own clock."""
+        readings, number, shortest_s = self._recent, 0, 0.0
+        if self._ahead_s:
+            last = len(readings) - 1
+            number = next((n for n, (read_s, _) in enumerate(readings) if read_s <= asked_s), last)
+            # Then readings are carried on at every scan: a step of no time would tell any speed.
+            shortest_s = _SHORTEST_STEP_S
+        read_s, pose = readings[number]
+        ended_s, ended = readings[max(number - 1, 0)]
+        older = (reading for reading in readings if ended_s - reading[0] > shortest_s)
+        begun = readings[number] if number else next(older, None)
+        if not self._ahead_s and not self._rising:
+            return pose
+        if begun is None or not 0.0 < asked_s - read_s < GAP_S:
+            return pose
+        return compose(pose, between(begun[1], ended) / (ended_s - begun[0]) * (asked_s - read_s))
 
     def plausible(self, step: FloatArray, step_s: float) -> bool:
         """Whether a robot can move by ``step`` (3,) in that time."""

@@ -69,6 +69,23 @@ class Readings:
         self._scan_poses.extend(spatial(pose).matrix()[:3].ravel())
         self.add_wheel(stamp_s, wheel_pose, told_s)
 
+    def read_wheels_at(self, ahead_s: float) -> None:
+        """Ask the wheels anew where each reading was taken: their stamps are ahead by so much.
+
+        Stamps of the wheels that run backward begin anew: the order of the log is that of the readings.
+        """
+        stamps_s, poses = np.array(self._stamps_s), np.array(self._wheel_poses).reshape(-1, 3)
+        of_wheels = ~np.isnan(poses[:, 0])
+        of_wheels[self._scan_readings] = False
+        told = np.flatnonzero(of_wheels)
+        breaks = told[1:][np.diff(stamps_s[told]) < 0.0]
+        for part in np.split(np.arange(len(poses)), breaks):
+            known = part[of_wheels[part]]
+            rows = np.column_stack([poses[known, :2], np.unwrap(poses[known, 2])])
+            for column, values in enumerate(rows.T):
+                poses[part, column] = np.interp(stamps_s[part] + ahead_s, stamps_s[known], values)
+        self._wheel_poses = array("d", poses.ravel())
+
     def mark_keyframe(self) -> None:
         """The newest scan is a keyframe."""
         self._keyframe_scans.append(self.scan_count - 1)

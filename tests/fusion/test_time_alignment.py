@@ -32,20 +32,55 @@ def test_nothing_pairs_with_nothing_and_bad_stamps_are_refused():
         fusion.pair_stamps(np.array([np.nan]), np.array([1.0]), 1.0)
 
 
-def rates(stamps_s, offset_s, rng, noise=0.02):
-    """A yaw rate that a clock with an offset stamps."""
-    true = stamps_s - offset_s
-    return 0.6 * np.sin(0.9 * true) + 0.4 * np.sin(2.3 * true + 1.0) + noise * rng.standard_normal(true.size)
+def turns(stamps_s, offset_s, rng, noise=0.01):
+    """Turns from stamp to stamp by a clock with an offset; the noise is that of a rate."""
+    true, lasted_s = stamps_s - offset_s, np.diff(stamps_s)
+    yaw = -0.6 / 0.9 * np.cos(0.9 * true) - 0.4 / 2.3 * np.cos(2.3 * true + 1.0)
+    noisy = np.diff(yaw) + noise * lasted_s * rng.standard_normal(lasted_s.size)
+    return np.column_stack([stamps_s[:-1], stamps_s[1:]]), noisy
+
+
+def without(spans_s, turned_rad, begun_s, ended_s):
+    """A gap in what a sensor saw."""
+    kept = (spans_s[:, 1] < begun_s) | (spans_s[:, 0] > ended_s)
+    return spans_s[kept], turned_rad[kept]
 
 
 @pytest.mark.parametrize("offset", [-0.31, 0.0, 0.0437, 0.62])
-def test_the_offset_is_found_below_a_sample(offset):
+@pytest.mark.parametrize("step_s", [0.1, 0.9])
+def test_the_offset_is_found_below_a_sample(offset, step_s):
     rng = np.random.default_rng(1)
-    first, second = np.arange(0.0, 60.0, 0.1), np.arange(0.02, 60.0, 0.033)
-    found = fusion.clock_offset(first, rates(first, 0.0, rng), second, rates(second, offset, rng))
+    first, second = np.arange(0.0, 60.0, step_s), np.arange(0.02, 60.0, 0.033)
+    found = fusion.clock_offset(*turns(first, 0.0, rng), *turns(second, offset, rng))
     assert found is not None
     assert abs(found.offset_s - offset) < 0.006
     assert found.correlation > 0.98
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("lasting_s", [0.3, 1.0, 2.0])
+def test_a_gap_tells_nothing(seed, lasting_s):
+    rng = np.random.default_rng(seed)
+    begun_s = rng.uniform(5.0, 30.0)
+    first, second = turns(np.arange(0.0, 40.0, 0.1), 0.0, rng), turns(np.arange(0.0, 40.0, 0.07), 0.03, rng)
+    gap = begun_s, begun_s + lasting_s
+    for found in (
+        fusion.clock_offset(*first, *without(*second, *gap), 0.25),
+        fusion.clock_offset(*without(*first, *gap), *second, 0.25),
+    ):
+        assert found is not None
+        assert abs(found.offset_s - 0.03) < 0.002
+
+
+def test_noise_prefers_no_offset():
+    """Readings taken as even between their stamps are smoother halfway between."""
+    errors = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        first, second = np.arange(0.013, 60.0, 0.1), np.arange(0.0, 60.0, 0.1)
+        found = fusion.clock_offset(*turns(first, 0.0, rng), *turns(second, 0.02, rng, 0.1), 0.25)
+        errors.append(found.offset_s - 0.02)
+    assert abs(np.mean(errors)) < 0.003
 
 
 def test_the_offsets_sigma_is_the_scatter_of_its_error():
@@ -53,20 +88,26 @@ def test_the_offsets_sigma_is_the_scatter_of_its_error():
     for seed in range(30):
         rng = np.random.default_rng(seed)
         first, second = np.arange(0.0, 40.0, 0.1), np.arange(0.0, 40.0, 0.1) + 0.03
-        found = fusion.clock_offset(first, rates(first, 0.0, rng, 0.1), second, rates(second, 0.2, rng, 0.1))
+        found = fusion.clock_offset(*turns(first, 0.0, rng, 0.1), *turns(second, 0.2, rng, 0.1))
         errors.append(found.offset_s - 0.2)
         sigmas.append(found.sigma_s)
     assert 0.4 < np.std(errors) / np.mean(sigmas) < 2.5
 
 
 def test_a_robot_that_does_not_turn_tells_no_offset():
-    stamps_s = np.arange(0.0, 30.0, 0.1)
-    still = np.zeros(stamps_s.size)
-    assert fusion.clock_offset(stamps_s, still, stamps_s, still) is None
+    spans_s, _ = turns(np.arange(0.0, 30.0, 0.1), 0.0, np.random.default_rng(0))
+    still = np.zeros(len(spans_s))
+    assert fusion.clock_offset(spans_s, still, spans_s, still) is None
 
 
-def test_rates_that_have_nothing_in_common_tell_no_offset():
+def test_turns_that_have_nothing_in_common_tell_no_offset():
     rng = np.random.default_rng(0)
-    stamps_s = np.arange(0.0, 30.0, 0.1)
-    noise = rng.standard_normal((2, stamps_s.size))
-    assert fusion.clock_offset(stamps_s, noise[0], stamps_s, noise[1]) is None
+    spans_s, _ = turns(np.arange(0.0, 30.0, 0.1), 0.0, rng)
+    noise = 0.1 * rng.standard_normal((2, len(spans_s)))
+    assert fusion.clock_offset(spans_s, noise[0], spans_s, noise[1]) is None
+
+
+def test_stamps_that_do_not_rise_are_refused():
+    spans_s, turned = turns(np.arange(0.0, 30.0, 0.1), 0.0, np.random.default_rng(0))
+    with pytest.raises(ValueError, match="must rise"):
+        fusion.clock_offset(spans_s, turned, spans_s[::-1], turned)

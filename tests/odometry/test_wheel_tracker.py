@@ -1,13 +1,16 @@
 """Wheel odometry: carried on for a moment, doubted in proportion, and not believed when it jumps."""
 
 import math
+from itertools import pairwise
 
 import gtsam
 import numpy as np
 import pytest
 
 from slam.config.stages import WheelConfig
-from slam.measurements import FloatArray, WheelOdometry
+from slam.matching.planar import between
+from slam.measurements import FloatArray, WheelOdometry, pose2_from_row
+from slam.odometry.clock_learner import Turns
 from slam.odometry.wheel_tracker import WheelTracker
 
 CONFIG = WheelConfig()
@@ -100,3 +103,64 @@ def test_the_doubt_grows_with_way_and_turn() -> None:
     way = floor_m + 5.0 * CONFIG.distance_share
     np.testing.assert_allclose(sigmas(3, -4, 0), [way, way, floor_rad + 5.0 * CONFIG.turn_per_m_rad])
     np.testing.assert_allclose(sigmas(0, 0, -2.0), [floor_m, floor_m, floor_rad + 2.0 * CONFIG.turn_share])
+
+
+def where(true_s: float) -> FloatArray:
+    """A robot that drives in bends."""
+    return np.array([0.5 * true_s, 0.4 * math.sin(0.5 * true_s), 1.5 * math.sin(0.7 * true_s)])
+
+
+def driven(ahead_s: float, *, sorted_by_stamp: bool) -> tuple[WheelTracker, list[tuple[float, FloatArray]]]:
+    """A robot whose wheels' clock is ahead, and what was told of where it is at each scan.
+
+    The readings come in the order of their arrival, or of their stamps.
+    """
+    wheels, lidar, told = WheelTracker(CONFIG), Turns(), []
+    readings = [(0.1 * n, 0.1 * n + ahead_s, "wheels") for n in range(3200)]
+    scans = [(true_s, true_s, "lidar") for true_s in np.arange(0.53, 319.0, 0.73)]
+    rng = np.random.default_rng(1)
+    for true_s, stamp_s, sensor in sorted(readings + scans, key=lambda one: one[1 if sorted_by_stamp else 0]):
+        if sensor == "wheels":
+            noisy = where(true_s) + rng.normal(0.0, [1e-4, 1e-4, 1e-3])
+            wheels.add(WheelOdometry(stamp_s, pose2_from_row(noisy)))
+        else:
+            told.append((true_s, pose_at(wheels, stamp_s)))
+            lidar.add(stamp_s, where(true_s)[2] + rng.normal(0.0, 0.001))
+            wheels.learn_clock(lidar)
+    return wheels, told
+
+
+def worst_step(told: list[tuple[float, FloatArray]]) -> float:
+    """Greatest error of a step from scan to scan, metres or radians."""
+    return max(
+        float(np.abs(between(between(where(begun_s), where(ended_s)), between(a, b))).max())
+        for (begun_s, a), (ended_s, b) in pairwise(told)
+    )
+
+
+@pytest.mark.parametrize("sorted_by_stamp", [False, True])
+@pytest.mark.parametrize("ahead_s", [-0.13, 0.13])
+def test_wheels_with_another_clock_are_read_at_the_lidars_time(ahead_s: float, sorted_by_stamp: bool) -> None:
+    wheels, told = driven(ahead_s, sorted_by_stamp=sorted_by_stamp)
+    assert wheels.clock_was_used
+    assert wheels.clock.offset_s == pytest.approx(ahead_s, abs=0.01)
+    assert worst_step(told[:50]) > 0.04
+    # Carried on by their speed where the readings of the moment are yet to come, as all are before.
+    assert worst_step(told[-100:]) < 0.025
+    # No step is longer because the clock was learned meanwhile.
+    assert worst_step(told) < 1.5 * worst_step(told[:50])
+
+
+def test_clocks_that_agree_change_nothing() -> None:
+    wheels, _ = driven(0.003, sorted_by_stamp=True)
+    assert wheels.clock.known
+    assert not wheels.clock_was_used
+
+
+@pytest.mark.parametrize("again_s", [1e-5, 0.0, -1e-5])
+def test_readings_at_about_one_time_tell_no_wild_speed(again_s: float) -> None:
+    wheels, _ = driven(-0.13, sorted_by_stamp=True)
+    now = pose_at(wheels, 319.9)
+    wheels.add(WheelOdometry(319.9 - 0.13 + again_s, pose2_from_row(where(319.905))))
+    for stamp_s in (319.9, 319.95):
+        assert np.hypot(*(pose_at(wheels, stamp_s) - now)[:2]) < 0.1

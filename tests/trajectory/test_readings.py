@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from slam.matching.planar import between, compose
+from slam.matching.planar import between, compose, wrap
 from slam.measurements import FloatArray, pose2_from_row
 from slam.trajectory.readings import Readings
 
@@ -177,3 +177,30 @@ def test_a_keyframe_is_an_anchor_though_its_match_was_in_doubt() -> None:
             readings.mark_keyframe()
     keyframes = np.array([row(0.0), row(2.0, 0.3), row(4.0)])
     np.testing.assert_allclose(found(readings, keyframes)[[0, 2, 4]], keyframes, atol=1e-9)
+
+
+def test_wheels_are_read_anew_when_their_clock_is_known() -> None:
+    readings = Readings()
+
+    def where(true_s: float) -> FloatArray:
+        return row(true_s, 0.0, wrap(3.0 + 0.2 * true_s))
+
+    scans = [0.1 * n - 0.05 for n in range(2, 40, 5)]
+    for n in range(40):
+        # The wheels' stamps are ahead by 0.3 s; in the middle both clocks begin anew.
+        stamp_s = 0.1 * n - (100.0 if n >= 20 else 0.0)
+        if n % 5 == 2:
+            scan(readings, stamp_s - 0.05, where(0.1 * n - 0.05), row(7.0))
+            readings.mark_keyframe()
+        readings.add_wheel(stamp_s, where(0.1 * n - 0.3))
+    keyframes = [where(true_s) for true_s in scans]
+    before = found(readings, keyframes)
+    readings.read_wheels_at(0.3)
+    after = found(readings, keyframes)
+    stamps_s = readings.trajectory([pose2_from_row(pose) for pose in keyframes]).stamps_s
+    true_s = np.where(stamps_s < -50.0, stamps_s + 100.0, stamps_s)
+    # Where readings end, at the log's end and where the clock begins anew, none tells the last moments.
+    told = (true_s < 1.16) | ((true_s > 2.16) & (true_s < 3.16))
+    expected = np.array([where(one_s) for one_s in true_s])
+    np.testing.assert_allclose(after[told], expected[told], atol=1e-6)
+    assert np.abs(before - expected)[told].max() > 0.1

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slam.measurements import FloatArray
-from slam.odometry.camera_clock import ClockLearner, YawRates
+from slam.odometry.clock_learner import ClockLearner, Turns
 
 
 def heading(stamps: FloatArray) -> FloatArray:
@@ -17,14 +17,14 @@ def learned(
 ) -> ClockLearner:
     """A camera at 15 Hz whose clock is ahead of a robot's at 10 Hz."""
     rng = np.random.default_rng(3)
-    robot, learner = YawRates(), ClockLearner()
+    robot, learner = Turns(), ClockLearner()
     for stamp_s in np.arange(0.0, duration_s, 0.1):
         robot.add(stamp_s, turns * heading(stamp_s) + rng.normal(0.0, sigma_rad))
     frames = np.arange(0.01, duration_s, 1 / 15)
     jumps = set(rng.choice(frames.size, wrong, replace=False))
     for n, true_s in enumerate(frames):
         jump = 1.5 if n in jumps else 0.0
-        learner.rates.add(true_s + offset_s, turns * heading(true_s) + jump + rng.normal(0.0, sigma_rad))
+        learner.turns.add(true_s + offset_s, turns * heading(true_s) + jump + rng.normal(0.0, sigma_rad))
     learner.learn(robot, final=True)
     return learner
 
@@ -61,12 +61,19 @@ def test_without_turns_clocks_are_taken_to_agree(learner: ClockLearner) -> None:
     assert learner.clock.sigma_s == 0.01
 
 
-def test_headings_wrap_and_gaps_tell_nothing() -> None:
-    rates = YawRates()
-    for stamp_s, yaw in ((0.0, 3.1), (0.1, -3.1), (5.0, 0.0), (5.1, 0.1), (5.1, 0.3)):
-        rates.add(stamp_s, yaw)
-    stamps, values = rates.between(-np.inf, np.inf)
-    np.testing.assert_allclose(stamps, [0.05, 5.05])
-    np.testing.assert_allclose(values, [(2 * np.pi - 6.2) / 0.1, 1.0])
-    assert rates.newest_s == pytest.approx(5.05)
-    assert YawRates().newest_s == -np.inf
+def test_few_stretches_are_not_significant() -> None:
+    assert learned(0.1).clock.significant_s == 0.0
+    assert learned(0.1, duration_s=300.0).clock.significant_s == pytest.approx(0.1, abs=0.003)
+    assert learned(0.005, duration_s=300.0).clock.significant_s == 0.0
+
+
+def test_headings_wrap_and_stamps_that_go_back_tell_nothing() -> None:
+    turns = Turns()
+    for stamp_s, yaw in ((0.0, 3.1), (0.1, -3.1), (5.0, 0.0), (5.0, 0.2), (4.9, 0.1), (5.1, 0.3)):
+        turns.add(stamp_s, yaw)
+    spans, values = turns.between(-np.inf, np.inf)
+    np.testing.assert_allclose(spans, [[0.0, 0.1], [0.1, 5.0], [5.0, 5.1]])
+    np.testing.assert_allclose(values, [2 * np.pi - 6.2, 3.1, 0.3])
+    turns.add_turn(5.0, 5.2, 1.0)
+    assert turns.newest_s == 5.1
+    assert (Turns().oldest_s, Turns().newest_s) == (-np.inf, -np.inf)

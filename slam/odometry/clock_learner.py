@@ -1,0 +1,182 @@
+"""By how much a sensor's clock is ahead of the robot's, learned from how both say that the robot turns."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from fusion.estimation import CONFIDENCE, gate
+from fusion.time_alignment import GAP_S, clock_offset, turns_between
+from slam.measurements import FloatArray
+
+# Offsets of up to this are tried: more is no clock, but two logs.
+_MOST_S = 0.25
+# The offset is estimated from stretches of this length.
+_STRETCH_S = 60.0
+# A stretch tells an offset where the turns are as alike as this; together they are to be as certain as this.
+_LEAST_CORRELATION = 0.9
+_GREATEST_SIGMA_S = 0.02
+# A rate that the robot did not turn with anywhere near, by more than this, is a wrong match.
+_SLACK_RAD_S = 0.2
+# No estimate is more certain than the stamps themselves; and without one, clocks are taken to agree this
+# well.
+_JITTER_S = 0.003
+_UNKNOWN_S = 0.01
+# The offset is estimated when so much is recorded, and anew whenever the run has grown by this factor.
+_FIRST_S = 10.0
+_GROWTH = 1.25
+
+
+@dataclass(frozen=True, slots=True)
+class SensorClock:
+    """A sensor's clock against the robot's.
+
+    Attributes
+    ----------
+    offset_s
+        The sensor's stamp less the robot's, for the same instant; 0 where it is not known.
+    sigma_s
+        Standard deviation of the time between two of their stamps once the offset is taken off.
+    stretches
+        How many stretches of the run told the offset.
+    """
+
+    offset_s: float = 0.0
+    sigma_s: float = _UNKNOWN_S
+    stretches: int = 0
+
+    @property
+    def known(self) -> bool:
+        """Whether the motions told the offset."""
+        return self.stretches > 0
+
+    @property
+    def significant_s(self) -> float:
+        """The offset; 0 where the interval holds none: Student's, for few stretches tell little of noise."""
+        if self.stretches < 2:
+            return 0.0
+        limit_s = float(stdtrit(self.stretches - 1, 0.5 + 0.5 * CONFIDENCE)) * self.sigma_s
+        return self.offset_s if abs(self.offset_s) > limit_s else 0.0
+
+    def note(self, name: str, other: str) -> str:
+        """What a person should know of it."""
+        half_ms = 1e3 * gate(1, 0.95) ** 0.5 * self.sigma_s
+        clock = f"{name}: its clock is {1e3 * self.offset_s:+.0f} +- {half_ms:.0f} ms (95 %)"
+        return f"{clock} against the {other}'s"
+
+
+class Turns:
+    """By how much something turned from one stamp to the next: flat columns."""
+
+    def __init__(self) -> None:
+        self._spans = array("d")
+        self._turns = array("d")
+        self._stamp_s = -np.inf
+        self._yaw_rad = 0.0
+
+    def __len__(self) -> int:
+        return len(self._turns)
+
+    @property
+    def newest_s(self) -> float:
+        """When the newest turn ended; minus infinity without any."""
+        return self._spans[-1] if self._spans else -np.inf
+
+    @property
+    def oldest_s(self) -> float:
+        """When the oldest turn began; minus infinity without any."""
+        return self._spans[0] if self._spans else -np.inf
+
+    def add(self, stamp_s: float, yaw_rad: float) -> None:
+        """Take a heading; one whose stamp does not rise is left out."""
+        if stamp_s <= self._stamp_s:
+            return
+        if np.isfinite(self._stamp_s):
+            turn = np.remainder(yaw_rad - self._yaw_rad + np.pi, 2.0 * np.pi) - np.pi
+            self.add_turn(self._stamp_s, stamp_s, float(turn))
+        self._stamp_s, self._yaw_rad = stamp_s, yaw_rad
+
+    def add_turn(self, begun_s: float, ended_s: float, turn_rad: float) -> None:
+        """Take a turn; one whose stamps do not rise, or that began before the last one ended, is left out."""
+        if self.newest_s <= begun_s < ended_s:
+            self._spans.extend((begun_s, ended_s))
+            self._turns.append(turn_rad)
+
+    def between(self, first_s: float, last_s: float) -> tuple[FloatArray, FloatArray]:
+        """(N, 2) stamps and (N,) turns of a stretch."""
+        spans = np.array(self._spans).reshape(-1, 2)
+        inside = (spans[:, 0] >= first_s) & (spans[:, 1] <= last_s)
+        return spans[inside], np.array(self._turns)[inside]
+
+
+class ClockLearner:
+    """Collects a sensor's turns and says what its clock is."""
+
+    def __init__(self) -> None:
+        self.turns = Turns()
+        self.clock = SensorClock()
+        self._due_s = _FIRST_S
+
+    def learn(self, robot: Turns, *, final: bool = False) -> None:
+        """Estimate the offset anew where enough has been recorded since the last time."""
+        if not len(self.turns) or not len(robot):
+            return
+        recorded_s = self.turns.newest_s - self.turns.oldest_s
+        if not final and recorded_s < self._due_s:
+            return
+        self._due_s = max(_FIRST_S, _GROWTH * recorded_s)
+        found = [offset for stretch in self._stretches() if (offset := self._offset(robot, *stretch))]
+        self.clock = SensorClock()
+        if not found:
+            return
+        offsets, sigmas = np.array(found).T
+        weights = 1.0 / sigmas**2
+        offset_s = float(weights @ offsets / weights.sum())
+        # Stretches that differ by more than they claim are less certain, all of them.
+        scatter = float(weights @ (offsets - offset_s) ** 2) / max(1, len(found) - 1)
+        sigma_s = math.sqrt(max(1.0, scatter) / weights.sum())
+        if sigma_s < _GREATEST_SIGMA_S:
+            self.clock = SensorClock(offset_s, math.hypot(sigma_s, _JITTER_S), len(found))
+
+    def _stretches(self) -> list[tuple[float, float]]:
+        """Where to look, evenly over the run."""
+        first_s, last_s = self.turns.oldest_s, self.turns.newest_s
+        count = max(1, int((last_s - first_s) / _STRETCH_S))
+        return list(pairwise(np.linspace(first_s, last_s, count + 1).tolist()))
+
+    def _offset(self, robot: Turns, first_s: float, last_s: float) -> tuple[float, float] | None:
+        """Offset and sigma of one stretch; None where it does not tell."""
+        spans, turned = robot.between(first_s, last_s)
+        own_spans, own_turned = self.turns.between(first_s - 2.0 * _MOST_S, last_s + 2.0 * _MOST_S)
+        if not turned.size or not own_turned.size:
+            return None
+        right = _plausible(own_spans, own_turned, spans, turned)
+        if not right.any():
+            return None
+        # A wrong match, or a jump of the wheels: what came before and after goes on.
+        middles, lasted_s = own_spans.mean(axis=1), own_spans[:, 1] - own_spans[:, 0]
+        smooth = np.interp(middles, middles[right], (own_turned / lasted_s)[right])
+        own_turned = np.where(right, own_turned, smooth * lasted_s)
+        right = _plausible(spans, turned, own_spans, own_turned)
+        found = clock_offset(spans[right], turned[right], own_spans, own_turned, _MOST_S)
+        if found is None or found.correlation < _LEAST_CORRELATION:
+            return None
+        return found.offset_s, found.sigma_s
+
+
+def _plausible(
+    spans_s: FloatArray, turned: FloatArray, other_s: FloatArray, other_turned: FloatArray
+) -> NDArray[np.bool_]:
+    """(N,) whether another sensor has seen about such turns at some time within the greatest offset."""
+    near = np.linspace(-_MOST_S, _MOST_S, 11)
+    expected = turns_between(other_s, other_turned, spans_s + near[:, None, None])
+    there = np.clip(np.searchsorted(other_s[:, 1], spans_s.mean(axis=1)), 0, len(other_s) - 1)
+    coarsest_s = np.maximum(spans_s[:, 1] - spans_s[:, 0], (other_s[:, 1] - other_s[:, 0])[there])
+    slack = _SLACK_RAD_S * np.minimum(coarsest_s, GAP_S)
+    return np.asarray((turned >= expected.min(axis=0) - slack) & (turned <= expected.max(axis=0) + slack))

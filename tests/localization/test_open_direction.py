@@ -1,0 +1,64 @@
+"""A corridor: what the match leaves open is known no better than dead reckoning knows it."""
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+import pytest
+
+from slam.config.localization import LocalizationConfig
+from slam.localization.machine import StateMachine
+from slam.localization.output import LocalizerOutput, State
+from slam.localization.poses import Measured
+from slam.localization.sensor import Keyframe, Observation
+from slam.measurements import MotionEstimate, Pose
+
+STEP = Measured(gtsam.Pose2(0.2, 0.0, 0.0), np.diag([0.05, 0.01, 0.01]) ** 2)
+
+
+class Corridor:
+    """Every alignment stays at its guess along x, and knows y and yaw."""
+
+    search_every_m, weighs_back, least_keyframes = 1.0, 100, 1
+
+    def __init__(self) -> None:
+        self.pose = gtsam.Pose2()
+
+    def observe(self, measurement: float, known: Pose | None) -> Observation[int]:
+        self.pose = self.pose.compose(STEP.pose)
+        return Observation(measurement, 1, self.pose, STEP, restarted=False)
+
+    def sees_anew(self, view: int, before: Pose | None, pose: Pose) -> bool:
+        return True
+
+    def novel(self, view: int, pose: Pose, before: Sequence[Keyframe[None]] | None) -> None:
+        return None
+
+    def align(self, view: int, guess: Pose) -> MotionEstimate:
+        covariance = np.diag([0.5, 0.01, 0.002]) ** 2
+        return MotionEstimate(guess, covariance, 1.0, 1.0, 0.01, True, True, np.array([1.0, 0.0, 0.0]))
+
+    def weigh(self, pose: Pose, novel: None, motion: MotionEstimate | None) -> float:
+        return 9.0
+
+    def propose(self, view: int, keyframes: Sequence[Keyframe[None]]) -> list[Pose]:
+        return [self.pose]
+
+
+def outputs(count: int) -> list[LocalizerOutput]:
+    machine = StateMachine(Corridor(), LocalizationConfig())
+    found = [machine.add(0.1 * n) for n in range(count)]
+    return [output for output in found if output is not None]
+
+
+def test_along_a_corridor_the_sigma_grows_as_that_of_the_wheels() -> None:
+    begun, *_, ended = outputs(31)
+    assert begun.state is State.TRACKING and ended.state is State.TRACKING
+    assert begun.covariance is not None and ended.covariance is not None
+    grown = ended.covariance[0, 0] - begun.covariance[0, 0]
+    assert grown == pytest.approx(30 * STEP.covariance[0, 0], rel=0.05)
+    assert np.sqrt(ended.covariance[1, 1]) < 0.03
+
+
+def test_in_the_end_the_position_is_not_known() -> None:
+    assert State.LOST in {output.state for output in outputs(130)}
