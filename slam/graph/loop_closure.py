@@ -98,6 +98,7 @@ class LoopCloser:
         self._config, self._match = config, match
         self._result_cache = result_cache
         self.submaps = SubmapStore(config, match)
+        self._closed_again: set[tuple[int, int]] = set()
         self._last_attempt_m = -math.inf
         self._misses = 0
 
@@ -163,10 +164,13 @@ class LoopCloser:
                 continue
             last_m = at_m
             for place, covariance in self._propose(key, poses, uncertainty):
-                guess = between(poses[place], poses[key])
-                candidate = self.verify(place, key, guess, covariance)
-                if candidate.accepted:
-                    found.append(candidate)
+                # What was found so before, and refused by GNC since, is not asked for ever.
+                if (place, key) not in self._closed_again:
+                    guess = between(poses[place], poses[key])
+                    candidate = self.verify(place, key, guess, covariance)
+                    if candidate.accepted:
+                        self._closed_again.add((place, key))
+                        found.append(candidate)
         return found
 
     def verify(
