@@ -8,7 +8,7 @@ import numpy as np
 
 from fusion.estimation import TINY
 from slam.config.stages import MatchConfig
-from slam.matching.match_covariance import weak_direction
+from slam.matching.match_covariance import points_a_witness, weak_direction
 from slam.matching.object_evidence import object_evidence
 from slam.matching.planar import transform_into
 from slam.matching.point_to_line import Alignment, align
@@ -102,8 +102,9 @@ class LocalMap:
         return self._with_spread(scan, judged._replace(pose=pose, converged=True))
 
     def evidence(self, scan: OrientedPoints, pose: FloatArray, other: FloatArray) -> FloatArray:
-        """What every object of a scan (base frame) says for a pose (3,) against another."""
-        return object_evidence(scan.points, scan.normals, pose, other, self.fine, 0.5 * self.config.cell_m)
+        """What every object of a scan (base frame) says for a pose (3,) against another, in independent points."""
+        said = object_evidence(scan.points, scan.normals, pose, other, self.fine, 0.5 * self.config.cell_m)
+        return said / points_a_witness(self.judge(scan, pose))
 
     def _align(self, scan: OrientedPoints, guess: FloatArray, prior: FloatArray) -> Alignment:
         """Coarse, then fine, both tied to the same guess."""

@@ -74,11 +74,22 @@ def _correlated_inverse(alignment: Alignment) -> FloatArray:
     Eigenvalues of the Hessian are held above a hundredth of a point: no direction is infinitely uncertain.
     Residuals that seem to share less than nothing do so by chance.
     """
+    shared, axes = _shared(alignment)
+    widened = axes * np.sqrt(shared)
+    return np.asarray(widened @ widened.T, dtype=np.float64)
+
+
+def points_a_witness(alignment: Alignment) -> float:
+    """How many neighbouring points share their errors, as the residuals show: 1 where all are independent."""
+    return float(_shared(alignment)[0].mean())
+
+
+def _shared(alignment: Alignment) -> tuple[FloatArray, FloatArray]:
+    """By how much what residuals share widens H^-1, (3,), and the axes along which it does, (3, 3)."""
     eigenvalues, eigenvectors = np.linalg.eigh(alignment.hessian)
     root = eigenvectors / np.sqrt(np.maximum(eigenvalues, LEAST_EIGENVALUE))
     if alignment.spread is None or not 0.0 < alignment.residual_m < np.inf:
-        return np.asarray(root @ root.T, dtype=np.float64)
+        return np.ones(3), root
     whitened = root.T @ alignment.spread @ root / alignment.residual_m**2
     shared, directions = np.linalg.eigh(whitened)
-    widened = root @ directions * np.sqrt(np.maximum(shared, 1.0))
-    return np.asarray(widened @ widened.T, dtype=np.float64)
+    return np.maximum(shared, 1.0), root @ directions

@@ -210,7 +210,7 @@ class MotionTracker:
             longer = step_s / self._velocity_step_s
         step = self._velocity_step * min(longer, GREATEST_STRETCH)
         # What was expected of a short while says ever less of a longer one.
-        covariance = self._velocity_covariance(step) * max(longer, 1.0) ** 2
+        covariance = self._velocity_covariance(step) * max(longer, 1.0)
         self._by_velocity.predict(compose(last.pose, step), covariance + last.dispute)
         guesses = [guess for predictor in predictors for guess in predictor.guesses]
         return sorted(guesses, key=lambda guess: float(np.linalg.det(guess.covariance)))
@@ -298,7 +298,7 @@ class MotionTracker:
     def _evidence(self, points: ScanPoints, motion: MotionEstimate, pose: FloatArray) -> float:
         """Log-likelihood of a match over a pose (3,): about the difference of their Geman-McClure costs."""
         residual_m = max(motion.residual_m, self._noise.minimal_residual_m)
-        scale = 0.5 * (0.5 * self._noise.cell_m / residual_m) ** 2 / self._noise.correlated_beams
+        scale = 0.5 * (0.5 * self._noise.cell_m / residual_m) ** 2
         objects = scale * self._odometry.evidence(points, row_from_pose2(motion.T_reference_base), pose)
         return float(np.clip(objects, -_MOST_AN_OBJECT, _MOST_AN_OBJECT).sum())
 

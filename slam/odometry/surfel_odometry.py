@@ -48,8 +48,8 @@ class SurfelOdometry:
             for guess in guesses:
                 best = _more_confident(best, self._search(local_map, scan, guess.pose))
         weak = weak_direction(best, self._match.degenerate_share)
-        if weak is not None:
-            # Another guess than the most certain one may have led along a corridor, where all looks alike.
+        if weak is not None and not guesses[0].holds(best.pose):
+            # Another guess than the most certain one has led along a corridor, where all looks alike.
             away = compose(best.pose, weak * (weak @ between(best.pose, guesses[0].pose)))
             best = local_map.align(scan, away)
         if best.inlier_share < self._match.least_inlier_share:
