@@ -169,7 +169,7 @@ class TestSomebodyWalksAhead:
 
     def test_a_camera_and_the_wheels_outvote_the_lidar(self) -> None:
         assert (self.errors(cameras=("front",)) < 0.11).all()
-        assert (self.errors(cameras=()) > 0.2).all(), "else the bound above says nothing"
+        assert self.errors(cameras=()).max() > 0.2, "else the bound above says nothing"
 
     def test_two_cameras_outvote_the_lidar(self) -> None:
         assert (self.errors(NO_WHEELS, cameras=("front", "back")) < 0.13).all()

@@ -27,8 +27,8 @@ def test_a_walker_is_one_object() -> None:
     driven = compose(HOME, ahead)
     scan = OrientedPoints.from_scan(points_at(now, driven))
     says = local_map.evidence(scan, HOME, driven)
-    assert says.max() > 5.0
-    assert np.count_nonzero(says > 1.0) <= 2, "his front, and perhaps a side of him"
+    assert says.max() > 1.0
+    assert np.count_nonzero(says > 0.1) <= 2, "his front, and perhaps a side of him"
 
 
 def test_a_room_has_many_witnesses() -> None:
@@ -43,7 +43,9 @@ def test_it_turns_with_the_order() -> None:
     forth = evidence(room(), room(), driven, HOME)
     local_map = LocalMap.build([OrientedPoints.from_scan(points_at(room(), HOME)).moved(HOME)], MatchConfig())
     scan = OrientedPoints.from_scan(points_at(room(), driven))
-    np.testing.assert_allclose(local_map.evidence(scan, HOME, driven), -forth)
+    back = local_map.evidence(scan, HOME, driven)
+    np.testing.assert_allclose(back / back.sum(), forth / forth.sum(), atol=1e-9)
+    assert back.sum() < 0.0 < forth.sum(), "how many points are a witness is told at the first pose"
 
 
 def test_no_points_say_nothing() -> None:

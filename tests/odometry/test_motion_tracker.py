@@ -51,9 +51,9 @@ class ScriptedOdometry:
         return None if self.near_fit is None else motion_at(pose, fit=self.near_fit)
 
     def evidence(self, points: ScanPoints, pose: FloatArray, other: FloatArray) -> FloatArray:
-        """Every object says the same."""
+        """Every object says the same; 25 points are one witness."""
         gain = self.match_fit - (self.near_fit or 0.0)
-        return np.full(self.objects, len(points) * gain / self.objects)
+        return np.full(self.objects, len(points) / 25.0 * gain / self.objects)
 
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None: ...
 
