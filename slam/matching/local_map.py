@@ -102,7 +102,7 @@ class LocalMap:
         return self._with_spread(scan, judged._replace(pose=pose, converged=True))
 
     def evidence(self, scan: OrientedPoints, pose: FloatArray, other: FloatArray) -> FloatArray:
-        """What every object of a scan (base frame) says for a pose (3,) over another, in independent points."""
+        """What every object of a scan (base frame) says for a pose (3,) over another, independent points."""
         said = object_evidence(scan.points, scan.normals, pose, other, self.fine, 0.5 * self.config.cell_m)
         return said / points_a_witness(self.judge(scan, pose))
 
