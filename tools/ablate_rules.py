@@ -62,8 +62,8 @@ RULES: dict[str, tuple[str | tuple[str, Any], ...]] = {
     "exact wheels swing in turns": ("wheels.swing_m_per_rad=0.0",),
     "only sure matches judge": ((f"{_TRACKER}._JUDGE_INLIER_SHARE", 0.0),),
     "one surprise is bounded": ((f"{_TRACKER}._GREATEST_SURPRISE", _INF),),
-    "other guesses and search": ("lidar_odometry.confident_inlier_share=0.01",),
-    "least inlier share": ("lidar_odometry.least_inlier_share=0.01",),
+    "other guesses and search": ("match.confident_inlier_share=0.01",),
+    "least inlier share": ("match.least_inlier_share=0.01",),
     "predictions contest a match": ((f"{_TRACKER}.MotionTracker._rivals", lambda *_: []),),
     "so do the wheels over 1 s": ((f"{_TRACKER}.MotionTracker._predict_by_window", lambda *_: []),),
     "a lost contest rewrites that second": (
@@ -75,7 +75,6 @@ RULES: dict[str, tuple[str | tuple[str, Any], ...]] = {
     "match and camera are fused": (
         (f"{_TRACKER}.MotionTracker._fused", lambda _, motion: row_from_pose2(motion.T_reference_base)),
     ),
-    "motions off the floor are refused": ("sensors.greatest_excess=1e9",),
     "a doubtful match may be refused": ((f"{_CHAIN}._doubtful", lambda *_: False),),
     "matches past a guess": ((f"{_CHAIN}._past_a_guess", lambda _, match, *__: (match, None)),),
     "cameras are asked again at the end": (

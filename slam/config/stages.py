@@ -75,7 +75,9 @@ class MatchConfig(StrictModel):
     degenerate_share: float = Field(
         default=0.02, gt=0, lt=0.5, description="share of the points' information below which an axis is weak"
     )
-    degenerate_sigma_m: float = Field(default=0.5, gt=0, description="sigma given to a weak axis")
+    degenerate_sigma_m: float = Field(
+        default=0.5, gt=0, description="sigma given to a weak axis of a cloud or image"
+    )
 
     @property
     def coarse_cell_m(self) -> float:

@@ -1,0 +1,86 @@
+"""What wheels leave out, what a metre of theirs is, and what they say along a bare corridor."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from slam.config.stages import GraphConfig, WheelConfig
+from slam.graph.pose_graph import EdgeKind
+from slam.mapper.planar_chain import edges_of
+from slam.matching.motion import Motion
+from slam.measurements import WheelOdometry
+from slam.odometry.wheel_tracker import WheelTracker
+
+SPEED_M_S, PERIOD_S = 0.5, 0.1
+
+
+def driven(tracker: WheelTracker, count: int = 40) -> tuple[float, float]:
+    """Straight ahead; stamp and x of the last reading."""
+    for n in range(count):
+        tracker.add(reading(n * PERIOD_S, n * PERIOD_S * SPEED_M_S))
+    return (count - 1) * PERIOD_S, (count - 1) * PERIOD_S * SPEED_M_S
+
+
+def reading(stamp_s: float, x_m: float, yaw_rad: float = 0.0) -> WheelOdometry:
+    return WheelOdometry(stamp_s, gtsam.Pose2(x_m, 0.0, yaw_rad))
+
+
+def test_a_heading_that_jumps_turns_nothing() -> None:
+    tracker = WheelTracker(WheelConfig())
+    stamp_s, x_m = driven(tracker)
+    pose = tracker.add(reading(stamp_s + PERIOD_S, x_m + PERIOD_S * SPEED_M_S, 2.0))
+    np.testing.assert_allclose(pose, [x_m + PERIOD_S * SPEED_M_S, 0.0, 0.0], atol=1e-9)
+
+
+@pytest.mark.parametrize(("counted_m", "guessed_m"), [(0.0, 2.0), (2.0, 0.0)])
+def test_a_way_that_was_not_counted_is_a_guess(counted_m: float, guessed_m: float) -> None:
+    """Four seconds without a reading; what they count of it is believed."""
+    tracker = WheelTracker(WheelConfig())
+    stamp_s, x_m = driven(tracker)
+    begun = tracker.moment(stamp_s)
+    tracker.add(reading(stamp_s + 4.0, x_m + counted_m))
+    ended = tracker.moment(stamp_s + 4.0)
+    assert begun is not None and ended is not None
+    assert ended.guessed_m == pytest.approx(guessed_m)
+    np.testing.assert_allclose(ended.pose - begun.pose, [2.0, 0.0, 0.0], atol=1e-9)
+    on_top = tracker.on_top(np.array([2.0, 0.0, 0.0]), begun, ended)
+    assert on_top[0, 0] == pytest.approx(guessed_m**2)
+
+
+def test_a_robot_that_stood_still_goes_nowhere_in_a_gap() -> None:
+    tracker = WheelTracker(WheelConfig())
+    for n in range(40):
+        tracker.add(reading(n * PERIOD_S, 1.0))
+    tracker.add(reading(60.0, 1.0))
+    ended = tracker.moment(60.0)
+    assert ended is not None and ended.guessed_m == 0.0
+    np.testing.assert_allclose(ended.pose, [1.0, 0.0, 0.0], atol=1e-9)
+
+
+def test_the_scale_is_learned_and_a_lost_sign_is_not() -> None:
+    tracker = WheelTracker(WheelConfig())
+    for _ in range(200):
+        tracker.learn_scale(np.array([0.5, 0.0, 0.0]), np.array([-0.5, 0.0, 0.0]))
+    assert tracker._scale[0] == 1.0
+    for _ in range(200):
+        scaled = np.array([0.5 * tracker._scale[0], 0.0, 0.0])
+        tracker.learn_scale(scaled, np.array([0.51, 0.0, 0.0]))
+    assert tracker._scale.tolist() == pytest.approx([1.02, 1.02, 1.0], abs=1e-3)
+
+
+def test_in_a_corridor_way_and_turn_of_the_wheels_are_two_edges() -> None:
+    wheels = Motion(np.array([0.5, 0.0, 2.0]), np.eye(3) * 1e-4)
+    match = Motion(np.array([0.5, 0.0, 0.0]), np.diag([900.0, 1e-4, 1e-4]))
+    whole, parts = (
+        [
+            edge
+            for edge in edges_of(1, match.pose, match, wheels, [], GraphConfig(), match_open=open_)
+            if edge.kind is EdgeKind.WHEEL
+        ]
+        for open_ in (False, True)
+    )
+    assert len(whole) == 1 and len(parts) == 2
+    far, turn = (np.diag(edge.covariance) for edge in parts)
+    assert far[0] < 1e-3 and far[2] > 9.0
+    assert turn[0] >= 1.0 and turn[2] < 1e-3
+    assert not any(edge.trusted for edge in parts)
