@@ -3,8 +3,8 @@
     python tools/mutants.py slam/graph slam/mapper/planar_mapper.py --count 60 --seed 1
 
 A mutant swaps a comparison, plus and minus, or ``and`` and ``or``, drops ``not`` or a call, returns early, or
-scales a constant by 1000 or 1/1000. The tests of a file are those of its name, those of its room that import
-it, and those of `BESIDE`. Everything happens in a copy of the tree, which is gone afterwards.
+scales a constant by 1000 or 1/1000. The tests of a file are those of its name, those that import it, and
+those of `BESIDE`. Everything happens in a copy of the tree, which is gone afterwards.
 """
 
 from __future__ import annotations
@@ -24,12 +24,15 @@ from pathlib import Path
 import numpy as np
 
 COPIED = ("slam", "fusion", "tests", "tools", "configs", "pyproject.toml")
-# What tells of a room besides the tests of its files.
+# What tells of a room or a file besides the tests of its name and those that import it.
 _BELIEVED = ("tests/mapper/test_whom_to_believe*.py",)
 BESIDE = {
     "slam/odometry": _BELIEVED,
     "slam/graph": _BELIEVED,
     "slam/mapper": (*_BELIEVED, "tests/mapper/test_planar_*.py", "tests/mapper/test_pipeline_*.py"),
+    "slam/mapper/lidar3d.py": ("tests/mapper/test_cloud_mapper.py",),
+    "slam/mapper/cloud_cameras.py": ("tests/mapper/test_cloud_mapper.py",),
+    "slam/mapper/rgbd.py": ("tests/mapper/test_camera_alone.py",),
 }
 _SWAPS: dict[type[ast.AST], type[ast.AST]] = {
     ast.Lt: ast.GtE, ast.GtE: ast.Lt, ast.Gt: ast.LtE, ast.LtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
@@ -113,9 +116,10 @@ def files_that_test(path: Path, tree: Path) -> list[str]:
     """Test files of a file of the tree, the nearest first."""
     module = ".".join(path.with_suffix("").parts)
     named = sorted((tree / "tests").rglob(f"test_{path.stem}*.py"))
-    room = sorted((tree / "tests" / path.parent.name).glob("test_*.py"))
-    importing = [test for test in room if f"{module} import" in test.read_text()]
-    beside = [test for glob in BESIDE.get(str(path.parent), ()) for test in sorted(tree.glob(glob))]
+    every = sorted((tree / "tests").rglob("test_*.py"))
+    importing = [test for test in every if f"{module} import" in test.read_text()]
+    globs = BESIDE.get(str(path), BESIDE.get(str(path.parent), ()))
+    beside = [test for glob in globs for test in sorted(tree.glob(glob))]
     return list(dict.fromkeys(str(test.relative_to(tree)) for test in (*named, *importing, *beside)))
 
 

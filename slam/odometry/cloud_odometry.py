@@ -23,8 +23,8 @@ _RENEWED_SHARE = 4
 # This share of the points on planes is nearly as many; of what is expected a smaller one is no match at all.
 _NEARLY, _HARDLY = 0.85, 0.4
 # How many points of a keyframe lie on the planes of those before it, as a share of those on its own too: by
-# so many keyframes, at least the one, and the other where none has told it yet.
-_KNOWN_KEYFRAMES, _LEAST_KNOWN, _FIRST_KNOWN = 10, 0.7, 0.8
+# so many keyframes, and at least this share.
+_KNOWN_KEYFRAMES, _LEAST_KNOWN = 10, 0.7
 
 
 class CloudOdometry:
@@ -76,8 +76,7 @@ class CloudOdometry:
         own = self.agreement(points, pose)
         if before > 0.0 and own > 0.0:
             self._known.append(before / own)
-        known = float(np.median(self._known)) if self._known else _FIRST_KNOWN
-        self._expected = own * max(known, _LEAST_KNOWN)
+        self._expected = own * max(float(np.median(self._known or [0.0])), _LEAST_KNOWN)
 
     def match(
         self, points: FloatArray, guesses: Sequence[gtsam.Pose3], before: gtsam.Pose3 | None = None
@@ -153,7 +152,7 @@ class CloudOdometry:
                 apart = gtsam.Pose3.Logmap(best.found.pose.between(rival.found.pose))
                 doubt += np.outer(apart, apart)
         if agreement < self._usual:
-            units = np.array([1.0 / max(best.found.lever_m, 1e-3)] * 3 + [1.0] * 3)
+            units = np.array([1.0 / max(best.found.lever_m, self._voxel_m)] * 3 + [1.0] * 3)
             doubt += np.diag((self._voxel_m * units) ** 2)
         motion = replace(best.motion, covariance=best.motion.covariance + doubt)
         return motion if agreement >= self._usual else replace(motion, converged=False)

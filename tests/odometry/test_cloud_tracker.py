@@ -1,0 +1,80 @@
+"""Where a 3D lidar is from turn to turn: wheels lead where it went far, and it gets over empty clouds."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import gtsam
+import numpy as np
+import pytest
+from cloud_world import base, look
+
+from slam.config import Config
+from slam.config.clouds import CloudOdometryConfig
+from slam.measurements import PointCloud, WheelOdometry
+from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
+from slam.odometry.wheel_tracker import WheelTracker
+
+CONFIG = Config(cloud_odometry=CloudOdometryConfig(voxel_m=0.2))
+# Two turns of the lidar before a step that no velocity tells.
+PATH = [base(-1.5, -0.5, 0.0), base(-1.4, -0.5, 0.0), base(0.6, 0.5, 0.9)]
+
+
+def driven(poses: list[gtsam.Pose3], *, wheels: bool, slip_m: float = 0.0) -> list[TrackedCloud]:
+    """A cloud every two seconds; the wheels stand somewhere else, turned by half a radian."""
+    tracker = WheelTracker(CONFIG.wheels) if wheels else None
+    lidar = CloudTracker(CONFIG, tracker)
+    seen = []
+    for n, pose in enumerate(poses):
+        if tracker is not None:
+            slipped = gtsam.Pose2(7.0, -2.0, 0.5).compose(
+                gtsam.Pose2(pose.x() + slip_m * n, pose.y(), pose.rotation().yaw())
+            )
+            tracker.add(WheelOdometry(2.0 * n, slipped))
+        tracked = lidar.track(look(pose, 2.0 * n, seed=n))
+        if tracked.new_keyframe:
+            lidar.add_keyframe(tracked)
+        seen.append(tracked)
+    return seen
+
+
+def error_m(tracked: TrackedCloud, poses: list[gtsam.Pose3]) -> float:
+    truth = poses[0].between(poses[-1])
+    return float(np.linalg.norm(truth.between(tracked.pose).translation()))
+
+
+def test_wheels_lead_where_it_went_far_in_one_step() -> None:
+    assert error_m(driven(PATH, wheels=True)[-1], PATH) < 0.02
+
+
+def test_without_wheels_such_a_step_is_not_told_for_sure() -> None:
+    last = driven(PATH, wheels=False)[-1]
+    assert error_m(last, PATH) > 0.3
+    assert last.motion is None or not last.motion.converged
+
+
+def test_wheels_that_slip_do_not_lead_astray() -> None:
+    near = [base(-1.5 + 0.1 * n, -0.5, 0.0) for n in range(4)]
+    assert error_m(driven(near, wheels=True, slip_m=0.3)[-1], near) < 0.02
+
+
+def test_a_keyframe_is_where_it_has_moved_on_or_turned() -> None:
+    turned = [
+        base(-1.5, -0.5, 0.0),
+        base(-1.49, -0.5, 0.0),
+        base(-1.49, -0.5, CONFIG.keyframes.angle_rad + 0.05),
+    ]
+    assert [one.new_keyframe for one in driven(turned, wheels=True)] == [True, False, True]
+
+
+@pytest.mark.parametrize("blind", [1, CONFIG.match.lost_after])
+def test_it_goes_on_after_clouds_without_a_point(blind: int) -> None:
+    tracker = CloudTracker(CONFIG, None)
+    tracker.add_keyframe(tracker.track(look(PATH[0], 0.0)))
+    empty = dataclasses.replace(look(PATH[0]), points_lidar=np.zeros((0, 3), np.float32))
+    for n in range(blind):
+        lost = tracker.track(dataclasses.replace(empty, stamp_s=0.1 * (n + 1)))
+        assert lost.motion is None
+        assert not lost.new_keyframe
+    found: PointCloud = look(PATH[1], 0.1 * (blind + 1), seed=1)
+    assert error_m(tracker.track(found), PATH[:2]) < 0.02
