@@ -11,13 +11,13 @@ wall) and both readings are kept. The lidar's nearer readings give way only wher
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from fusion.curves import BESIDE, Curve, DepthImage, Float32Array, FloatArray, LidarCurve
 from fusion.estimation import gate
-from fusion.homography import EPS_OVER_E, Model, fit
 from fusion.image_view import ImageView, view_at_height, view_of_row
 from fusion.panorama import Depths, as_images
 from fusion.registration import Registration
@@ -25,6 +25,7 @@ from fusion.repair import Provenance, ProvenanceArray, among_readings, repair_li
 from fusion.repair_pixels import repair_image
 from fusion.reprojection import reproject, smooth, without_bumps
 from fusion.rig import RigEstimate
+from fusion.rigid_fit import EPS_OVER_E, rigid_fit
 from fusion.similarity import Grade
 
 LEAST_EPS_SHARE = 0.025  # of the range: below, the lidar's own noise would be called burrs
@@ -64,10 +65,7 @@ def denoise(
     depth: Depths,
     registration: Registration | RigEstimate,
     *,
-    model: Model = "rigid",
-    eps_over_e: float = EPS_OVER_E,
     least_grade: Grade = Grade.HIGH,
-    rng: np.random.Generator | None = None,
 ) -> Denoised:
     """Repair a scan and its depth images with each other.
 
@@ -77,14 +75,8 @@ def denoise(
         As they were registered.
     registration
         Of this pair, or better of the rig: what all pairs of a drive say together.
-    model
-        Of the map between the two curves of one pair; a rig has its own.
-    eps_over_e
-        A pair of readings is noise beyond this times the mean residual.
     least_grade
         A single pair below it is left alone.
-    rng
-        Draws the samples of the fit; None: always the same.
 
     Raises
     ------
@@ -116,9 +108,20 @@ def denoise(
     if isinstance(registration, RigEstimate):
         matrices = [None if found is None else found.T_laser_level for found in registration.alignments]
     elif registration.grade >= least_grade:
-        matrices = maps_of(registration, model, rng or np.random.default_rng(0))
+        rng = np.random.default_rng(0)
+        matrices = [rigid_fit(*pairs, rng) for pairs in matched_curves(registration)]
     else:
         matrices = []
+    return repair_by(scan, images, registration, matrices)
+
+
+def repair_by(
+    scan: LidarCurve,
+    images: tuple[DepthImage, ...],
+    registration: Registration | RigEstimate,
+    matrices: Sequence[FloatArray | None],
+) -> Denoised:
+    """`denoise` by (3, 3) maps from each camera's level plane to the lidar's; None where there is none."""
     if not any(matrix is not None for matrix in matrices):
         return _unchanged(scan, images)
     if len(matrices) != len(images):
@@ -128,7 +131,7 @@ def denoise(
         for camera, matrix in enumerate(matrices)
         if matrix is not None
     }
-    return _repair(scan, images, seen, eps_over_e)
+    return _repair(scan, images, seen)
 
 
 def _view(image: DepthImage, registration: Registration | RigEstimate) -> ImageView:
@@ -142,14 +145,10 @@ def _view(image: DepthImage, registration: Registration | RigEstimate) -> ImageV
     return view_at_height(image, height, height, height)
 
 
-def maps_of(registration: Registration, model: Model, rng: np.random.Generator) -> list[FloatArray | None]:
-    """For each camera the map from its level plane to the lidar's, Xu2024 Eq. (5), by one pair alone."""
-    found: list[FloatArray | None] = []
-    for stack in registration.stacks:
-        camera, lidar = matched_points(registration.curve, stack.curve(registration.v), registration.yaw_rad)
-        fitted = fit(camera, lidar, rng, model=model)
-        found.append(None if fitted is None else fitted.matrix)
-    return found
+def matched_curves(registration: Registration) -> list[tuple[FloatArray, FloatArray]]:
+    """`matched_points` of each camera by one pair alone, the camera's points first."""
+    curves = [stack.curve(registration.v) for stack in registration.stacks]
+    return [matched_points(registration.curve, curve, registration.yaw_rad) for curve in curves]
 
 
 def matched_points(lidar: Curve, camera: Curve, yaw_rad: float) -> tuple[FloatArray, FloatArray]:
@@ -165,7 +164,6 @@ def _repair(
     scan: LidarCurve,
     images: tuple[DepthImage, ...],
     seen: dict[int, tuple[ImageView, FloatArray]],
-    eps_over_e: float,
 ) -> Denoised:
     """Carry, compare, decide; the beams counter-clockwise. ``seen`` is by the index of the image."""
     ranges = scan.valid_ranges_m()
@@ -178,7 +176,7 @@ def _repair(
         reprojected, rough = _seen_by_lidar(view.curve, matrix, (start, step, own.size))
         np.fmin(other, reprojected, out=other)
         noise.append(rough)
-    mean, eps, typical = eps_of(own, other, eps_over_e)
+    mean, eps, typical = eps_of(own, other)
     share = max(eps, LEAST_EPS_SHARE)
     burr = max(1, round(_BURR_RAD / step))
     clean = without_bumps(own, step, 1, burr, _LIDAR_SLACK)
@@ -210,7 +208,7 @@ def _repair(
     )
 
 
-def eps_of(own: Float32Array, other: Float32Array, eps_over_e: float) -> tuple[float, float, float]:
+def eps_of(own: Float32Array, other: Float32Array) -> tuple[float, float, float]:
     """E and eps as shares of the range, and the mean range of the pairs.
 
     By shares, since the noise of both sensors grows with the range; the paper has one eps for all. And no
@@ -222,7 +220,7 @@ def eps_of(own: Float32Array, other: Float32Array, eps_over_e: float) -> tuple[f
         return math.nan, 0.0, math.nan
     apart = np.abs(own[both] - other[both]) / own[both]
     mean = float(np.minimum(apart, 2.0 * LEAST_EPS_SHARE).mean())
-    return mean, eps_over_e * mean, float(own[both].mean())
+    return mean, EPS_OVER_E * mean, float(own[both].mean())
 
 
 def _seen_by_lidar(

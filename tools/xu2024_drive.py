@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from xu2024_homography import fit
 from xu2024_map import DriveMaps
 from xu2024_pairs import TruePair, simulate_pairs, true_camera_in_laser
 from xu2024_recall import score_recall
@@ -16,7 +17,7 @@ from xu2024_score import Tally, score_pair
 
 import fusion
 from fusion.curves import SAMPLE_STEP_RAD, resample
-from fusion.denoise import matched_points
+from fusion.denoise import matched_curves, matched_points, repair_by
 from fusion.panorama import join, row_curves
 from fusion.registration import ROWS, register_curves
 from fusion.similarity import SIMILARITIES, masked_sums, similarity_map
@@ -166,10 +167,12 @@ def score_models(
         return
     images = [image.depth for image in pair.images]
     for model in (*MODELS, "rig"):
-        if model == "rig":
-            repaired = fusion.denoise(pair.scan, images, rig)
+        if model in ("rig", "rigid"):
+            repaired = fusion.denoise(pair.scan, images, rig if model == "rig" else registration)
         else:
-            repaired = fusion.denoise(pair.scan, images, registration, model=model)
+            rng = np.random.default_rng(0)
+            maps = [fit(*pairs, model, rng) for pairs in matched_curves(registration)]
+            repaired = repair_by(pair.scan, tuple(images), registration, maps)
         own = Tally()
         score_pair(pair, repaired, band_m, own)
         tally.merge(own.named(f"{model}_"))
