@@ -8,10 +8,11 @@ from typing import Any
 
 import gtsam
 import numpy as np
+from layer_building import build_layers
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from slam.mapping.layer_builder import LayerSettings, build_layers
+from slam.mapping.layer_builder import LayerSettings
 from slam.mapping.layered_map import LAYERS, LayeredMap
 from slam.mapping.occupancy_grid import OCCUPIED
 from slam.measurements import LaserScan, RgbdFrame

@@ -13,6 +13,7 @@ from typing import Any
 
 import gtsam
 import numpy as np
+from layer_building import build_layers
 from layer_homes import obstacles_found, on_truth, score_home
 from layer_page import grids, section, table, write_json, write_parts
 from layer_rigs import layer_settings
@@ -24,7 +25,6 @@ from slam.evaluation.figure_parts import figure_of, png_of
 from slam.evaluation.pages import parts
 from slam.mapping.camera_points import camera_cloud
 from slam.mapping.dense_map import ColoredCloud, DenseMapSettings
-from slam.mapping.layer_builder import build_layers
 from slam.mapping.layered_map import LAYERS, LayeredMap
 from slam.measurements import LaserScan, RgbdFrame
 from slam.simulation.rigs import RIGS

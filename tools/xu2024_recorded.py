@@ -12,6 +12,7 @@ from xu2024_score import Tally
 
 import fusion
 from slam.datasets import open_dataset
+from slam.datasets.frame_pairs import nearest_partners
 from slam.measurements import LaserScan, RgbdFrame
 
 TOLERANCE_S = 0.1
@@ -59,9 +60,9 @@ def _wanted(
     times = np.array([scan.stamp_s for scan in scans])
     nearest: list[dict[str, float]] = [{} for _ in scans]
     for sensor, own in stamps.items():
-        pairs = fusion.pair_stamps(times, np.array(own), TOLERANCE_S)
-        for i, j in pairs:
-            nearest[i][sensor] = own[j]
+        for i, j in enumerate(nearest_partners(times, np.array(own), TOLERANCE_S)):
+            if j >= 0:
+                nearest[i][sensor] = own[j]
     for scan, images in zip(scans, nearest, strict=True):
         if images and len(images) == len(stamps):
             found.append((scan, images))

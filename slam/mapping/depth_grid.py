@@ -18,7 +18,6 @@ from fusion.curves import HEIGHT_STEP_M, Intrinsics
 from fusion.depth_model import RangeNoise, hit_evidence
 from fusion.height_band import (
     HeightBand,
-    LensDistortion,
     back_project,
     obstacle_points,
     pixel_rays,
@@ -106,7 +105,6 @@ def depth_board(
     T_grid_camera: FloatArray,
     model: DepthModel,
     cell_m: float,
-    distortion: LensDistortion | None = None,
 ) -> Board | None:
     """The evidence of one depth image, height by height; None where it has no reading within reach.
 
@@ -120,8 +118,6 @@ def depth_board(
         (4, 4) of the optical frame in the lattice's axes, z up from the floor.
     cell_m
         Side of a cell; more than the model's radius (Yang2021: R > r).
-    distortion
-        Of the depth image, where the log does not come undistorted.
 
     Raises
     ------
@@ -132,7 +128,7 @@ def depth_board(
         raise ConfigError(
             f"cells of {cell_m:g} m with radius_m {model.radius_m:g}; a cell must be larger (Yang2021: R > r)"
         )
-    rays, rays32 = _rays_of(frame.depth_m.shape, frame.intrinsics, distortion)
+    rays, rays32 = _rays_of(frame.depth_m.shape, frame.intrinsics)
     depth_m = np.where(np.isfinite(frame.depth_m), frame.depth_m, np.float32(0.0))
     if not (depth_m > 0.0).any():
         return None
@@ -195,9 +191,7 @@ def _hits_by_range(model: DepthModel, cell_m: float) -> Steps:
 
 
 @lru_cache(maxsize=8)
-def _rays_of(
-    shape: tuple[int, int], camera: CameraIntrinsics, distortion: LensDistortion | None
-) -> tuple[Rays, Float32Array]:
+def _rays_of(shape: tuple[int, int], camera: CameraIntrinsics) -> tuple[Rays, Float32Array]:
     """Where the pixels look, in both precisions."""
-    rays = pixel_rays(shape, Intrinsics(camera.fx, camera.fy, camera.cx, camera.cy), distortion)
+    rays = pixel_rays(shape, Intrinsics(camera.fx, camera.fy, camera.cx, camera.cy))
     return rays, rays.astype(np.float32)
