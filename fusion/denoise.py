@@ -18,7 +18,7 @@ import numpy as np
 
 from fusion.curves import BESIDE, Curve, DepthImage, Float32Array, FloatArray, LidarCurve
 from fusion.estimation import gate
-from fusion.image_view import ImageView, view_at_height, view_of_row
+from fusion.image_view import ImageView, view_at_height
 from fusion.panorama import Depths, as_images
 from fusion.registration import Registration
 from fusion.repair import Provenance, ProvenanceArray, among_readings, repair_lidar, smooth_outliers
@@ -138,10 +138,7 @@ def _view(image: DepthImage, registration: Registration | RigEstimate) -> ImageV
     """The curve of an image that the registration chose."""
     height = registration.height_m
     if isinstance(registration, RigEstimate):
-        assert height is not None  # only heights are aligned over a drive
-        return view_at_height(image, height, *(registration.height_range_m or (height, height)))
-    if height is None:
-        return view_of_row(image, registration.v, len(registration.score_map))
+        return view_at_height(image, height, *registration.height_range_m)
     return view_at_height(image, height, height, height)
 
 
