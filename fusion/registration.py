@@ -1,9 +1,9 @@
 """Where along a lidar curve, and at which height of a depth image, the two see the same: Xu2024 Eq. (1).
 
 The candidates are slices at constant height, where the paper has the image's rows, and a likelihood ratio
-chooses (see `fusion.likelihood`), where the paper has similarities; ``tools/xu2024_rows.py`` has both to compare
-with. The grade is by PCC, as published, but "high" also asks that no other offset explains the pair nearly
-as well: a wall matches itself anywhere along it.
+chooses (see `fusion.likelihood`), where the paper has similarities; ``tools/xu2024_rows.py`` has both to
+compare with. The grade is by PCC, as published, but "high" also asks that no other offset explains the pair
+nearly as well: a wall matches itself anywhere along it.
 """
 
 from __future__ import annotations

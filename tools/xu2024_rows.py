@@ -1,4 +1,4 @@
-"""Registration as Xu2024 has it: an image's rows as candidates, three similarities to choose by, Eq. (1)-(4)."""
+"""Registration as Xu2024 has it: an image's rows as candidates, three similarities to choose by."""
 
 from __future__ import annotations
 
