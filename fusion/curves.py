@@ -24,6 +24,7 @@ IntArray: TypeAlias = NDArray[np.int32]
 
 SAMPLE_STEP_RAD = math.radians(1.0)  # Xu2024, 3.2.1: 180 samples of 180 degrees, 240 of 240
 HEIGHT_STEP_M = 0.02  # between the heights that are told apart
+NEAREST_M = 0.25  # no depth camera measures nearer
 CAMERA_REACH_M = 6.0  # a structured-light camera's readings beyond are mostly noise
 STEEPEST = 2.0  # slope: beyond, a camera looks at the floor before the robot's feet
 SLACK_M = 0.04  # what the readings of one surface may differ by at any range

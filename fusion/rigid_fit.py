@@ -15,7 +15,6 @@ from fusion.curves import FloatArray
 from fusion.estimation import ROUNDS
 
 DRAWS = 84  # Xu2024, 3.2.2: 4 / c^n tries make 97.5 % sure at an inlier share c = 0.6 and n = 6
-SAMPLE = 6
 EPS_OVER_E = 2.0**0.25  # the middle of the paper's best range, E to sqrt(2) E
 
 
@@ -60,7 +59,7 @@ def ransac(
     for _ in range(ROUNDS):
         residual = residuals(matrix, source, target)
         agree = residual <= EPS_OVER_E * min(float(residual.mean()), 3.0 * float(np.median(residual)))
-        again = solve(source[agree], target[agree]) if agree.sum() >= SAMPLE else None
+        again = solve(source[agree], target[agree]) if agree.sum() >= size else None
         if again is None:
             break
         matrix = again

@@ -7,8 +7,9 @@ import math
 import numpy as np
 
 from fusion.curves import FloatArray
-from fusion.rigid_fit import SAMPLE, moved, ransac
+from fusion.rigid_fit import moved, ransac
 
+SAMPLE = 6  # Xu2024, 3.2.2
 _LEAST_AREA = 1e-4  # of the points' smaller spread over the larger: less is a line
 
 

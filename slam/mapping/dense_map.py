@@ -24,7 +24,6 @@ Faces: TypeAlias = NDArray[np.int32]
 
 # Blocks of 8 voxels a side, a band of 4 on either side of the surface: half the memory of Open3D's 16 and 8.
 BLOCK_SIDE = 8
-TRUNCATION_VOXELS = 4.0
 # A voxel holds distance, weight and three colours as float32, and while the mesh is drawn four int32 more.
 # Whole-number colours are not used: their running mean is cut off at every update and darkens.
 BLOCK_BYTES = BLOCK_SIDE**3 * (5 * 4 + 4 * 4)
@@ -185,7 +184,7 @@ class _Volume:
         camera = tensor(_camera_matrix(frame.intrinsics))
         T_camera_map = tensor(np.ascontiguousarray(T_map_camera.inverse().matrix()))
         # One unit of depth a metre. Open3D leaves out what is at its limit, and is given a larger one.
-        limits = (1.0, settings.depth_max_m * 1.001, TRUNCATION_VOXELS)
+        limits = (1.0, settings.depth_max_m * 1.001, BLOCK_SIDE / 2)
         blocks = self._grid.compute_unique_block_coordinates(depth, camera, T_camera_map, *limits)
         self._make_room(len(blocks))
         self._grid.integrate(blocks, depth, color, camera, T_camera_map, *limits)

@@ -31,8 +31,6 @@ from slam.measurements import CameraIntrinsics, Float32Array, FloatArray, RgbdFr
 
 Rays: TypeAlias = FloatArray
 
-_FREE_STRIDES = (2, 4)
-
 
 @dataclass(frozen=True, slots=True)
 class DepthModel:
@@ -56,7 +54,8 @@ class DepthModel:
     least_points
         N of Yang2021 Eq. (20): so many voxels make a cell occupied.
     pixel_stride
-        Every how many rows and columns a pixel is looked at for obstacles; voxels need no more.
+        Every how many rows and columns a pixel is looked at for obstacles, voxels need no more; and every how
+        many rows and half as many columns for what is free.
     """
 
     band: HeightBand = field(default_factory=lambda: HeightBand(0.0, 0.7, 0.03))
@@ -139,7 +138,7 @@ def depth_board(
     band_m = (model.band.low_m, model.band.high_m)
     mask = heights_seen(
         *(depth_m, rays32, matrix, box, cell_m, model.depth_max_m, band_m, bins, noise),
-        *(model.margin_sigmas, _FREE_STRIDES),
+        *(model.margin_sigmas, (model.pixel_stride, 2 * model.pixel_stride)),
     )
     steps = np.zeros((*mask.shape, bins + 1), dtype=np.int16)
     free_heights(mask, steps, evidence_steps(model.p_miss))

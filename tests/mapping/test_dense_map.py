@@ -48,7 +48,7 @@ def test_vertices_lie_on_the_wall_and_the_box(fused):
         to_surface = np.minimum(to_wall, to_box)
         # What is left lies on the silhouettes of the box, where a view along the surface decides.
         assert np.mean(to_surface < SETTINGS.voxel_size_m) > 0.99
-        assert to_surface.max() < dense_map.TRUNCATION_VOXELS * SETTINGS.voxel_size_m
+        assert to_surface.max() < dense_map.BLOCK_SIDE / 2 * SETTINGS.voxel_size_m
         assert np.mean(to_surface < 0.1 * SETTINGS.voxel_size_m) > 0.9
         assert on_box_front(points).sum() > 400
         assert np.sum((to_wall < SETTINGS.voxel_size_m) & (np.abs(points[:, 0]) > 0.6)) > 2000
