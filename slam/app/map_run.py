@@ -104,7 +104,8 @@ def run_into(
             data = ReportData(identity.log_name, dataset.report, result, config, cost, beside, made.layers)
             write_report(folder / "report.html", data)
             written.append(folder / "report.html")
-        record_map(viewer, result, made.layers, config)
+        if viewer is not None:
+            record_map(viewer, result, made.layers, config)
         write_contents(file, made.contents)
         file.add_meta(NOTES, json.dumps(result.notes))
         file.add_meta(WARNINGS, json.dumps(result.warnings))

@@ -295,6 +295,9 @@ def open_map(path: Path | str, kept_in: TemporaryFolder | None = None) -> Map:
     )
 
 
+load_map = open_map  # its public name
+
+
 def _lines(meta: Mapping[str, str], key: str, path: Path) -> list[str]:
     """Lines of text from a row of the file; none in a map of an older version."""
     try:
