@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from slam.config import Config
 from slam.errors import LibraryError, ScanweaveError
 from slam.mapper.map_result import DenseKeyframes, MappedClouds, MapResult
@@ -17,7 +15,7 @@ from slam.mapping.layered_map import LayeredMap
 from slam.matching.local_cloud import moved
 from slam.outputs.layer_outputs import layers_of
 from slam.storage.files import make_folder
-from slam.storage.g2o import G2oEdge, G2oGraph, write_g2o
+from slam.storage.g2o import write_g2o
 from slam.storage.map_contents import DEPTH, OCCUPANCY, MapContents, SavedFactor
 from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers
 from slam.storage.octomap import write_octomap, write_octree
@@ -70,7 +68,8 @@ class Exports:
         if format_ == "tum":
             write_tum(out, self.contents.trajectory)
         elif format_ == "g2o":
-            save_g2o(out, self.contents)
+            kept = (factor.edge for factor in self.contents.factors if factor.kept)
+            write_g2o(out, self.contents.node_poses, kept)
         elif self.clouds is not None:
             _save_cloud_octomap(out, self.clouds, self.config)
         elif self.dense is not None:
@@ -154,21 +153,6 @@ def _save_surface(path: Path, keyframes: DenseKeyframes, config: Config) -> tupl
         write_cloud_ply(cloud_path, cloud)
         written.append(cloud_path)
     return written, missing
-
-
-def save_g2o(path: Path, contents: MapContents) -> None:
-    """Write the optimised nodes and the edges that hold, node 0 fixed."""
-    edges = [
-        G2oEdge(
-            factor.edge.source,
-            factor.edge.target,
-            factor.edge.T_source_target,
-            np.asarray(np.linalg.inv(factor.edge.covariance), dtype=np.float64),
-        )
-        for factor in contents.factors
-        if factor.kept
-    ]
-    write_g2o(path, G2oGraph(dict(enumerate(contents.node_poses)), edges, frozenset({0})))
 
 
 def contents_of(result: MapResult, layers: LayeredMap | None = None) -> MapContents:

@@ -31,7 +31,7 @@ from slam.mapper.pipeline import build_map
 from slam.mapping.occupancy_grid import FREE, OCCUPIED
 from slam.matching.planar import between
 from slam.measurements import row_from_pose2 as row_of
-from slam.outputs.exports import contents_of, exports_of, save_g2o
+from slam.outputs.exports import Exports, contents_of, exports_of
 from slam.simulation.floor_plan import TOUR_M, walls
 from slam.simulation.synthetic_log import SyntheticLog
 from slam.storage.nav2 import read_nav2_map
@@ -163,7 +163,8 @@ class TestFiles:
     def test_refused_edges_do_not_leave_the_house(self, mapped: MapResult, tmp_path: Path) -> None:
         contents = contents_of(mapped)
         refused = [replace(factor, kept=n not in (3, 7)) for n, factor in enumerate(contents.factors)]
-        save_g2o(tmp_path / "graph.g2o", replace(contents, factors=refused))
+        exports = Exports(replace(contents, factors=refused), None, None, None, Config())
+        exports.write("g2o", tmp_path / "graph.g2o")
         assert gtsam.readG2o(str(tmp_path / "graph.g2o"), False)[0].size() == len(refused) - 2
 
     def test_the_map_shows_the_building_where_it_stands(self, mapped: MapResult, folder: Path) -> None:
