@@ -145,7 +145,7 @@ def fuse_keyframes(
     Raises
     ------
     ScanweaveError
-        Where a pose is not finite, there are more or fewer poses than frames, or the memory limit is met.
+        Where a pose is not finite, or the memory limit is met.
     """
     volume = _Volume(settings or DenseMapSettings())
     fused = sum(volume.integrate(frame, T_map_camera) for frame, T_map_camera in posed_frames(frames, poses))
