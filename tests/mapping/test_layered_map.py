@@ -125,24 +125,21 @@ def test_order_partial_maps_and_repeats_change_nothing():
     np.testing.assert_array_equal(twice.lidar.steps, whole.lidar.steps)
 
 
-def test_tiles_on_disk_and_merged_ones_hold_the_same_sums():
+def test_tiles_on_disk_hold_the_same_sums():
     rng = np.random.default_rng(2)
     boards = [
         Board(rng.integers(-900, 900, (90, 70)).astype(np.int16), *map(int, rng.integers(-1500, 1500, 2)))
         for _ in range(60)
     ]
-    small, large, first, second = (EvidenceTiles(mb) for mb in (0.1, 500.0, 500.0, 0.1))
-    for index, board in enumerate(boards):
+    small, large = (EvidenceTiles(mb) for mb in (0.1, 500.0))
+    for board in boards:
         small.add(board)
         large.add(board)
-        (first if index % 3 else second).add(board)
     box = (-1500 - SIDE, -1500, 3500, 3400)
     expected = large.clipped(box, -4000, 4000)
     assert np.abs(expected).max() > 800
     np.testing.assert_array_equal(small.clipped(box, -4000, 4000), expected)
-    first.merge(second)
-    np.testing.assert_array_equal(first.clipped(box, -4000, 4000), expected)
-    assert first.used == large.used
+    assert small.used == large.used
 
 
 # Hand-drawn grids: a letter a cell, the highest row first.
