@@ -45,8 +45,6 @@ class Denoised:
         (N,) as the scan was given, invalid readings unchanged, and the `Provenance` of each beam.
     depth_m, depth_source
         For each camera (H, W) and the `Provenance` of each pixel.
-    mean_residual_m, eps_m
-        E and eps of the paper, at the mean range of the pairs; ``nan`` without any.
     applied
         False where the pair's grade did not allow any repair: then nothing was changed.
     """
@@ -55,8 +53,6 @@ class Denoised:
     lidar_source: ProvenanceArray
     depth_m: tuple[Float32Array, ...]
     depth_source: tuple[ProvenanceArray, ...]
-    mean_residual_m: float
-    eps_m: float
     applied: bool
 
 
@@ -173,8 +169,7 @@ def _repair(
         reprojected, rough = _seen_by_lidar(view.curve, matrix, (start, step, own.size))
         np.fmin(other, reprojected, out=other)
         noise.append(rough)
-    mean, eps, typical = eps_of(own, other)
-    share = max(eps, LEAST_EPS_SHARE)
+    share = eps_of(own, other)
     burr = max(1, round(_BURR_RAD / step))
     clean = without_bumps(own, step, 1, burr, _LIDAR_SLACK)
     steady = smooth(clean, step, BESIDE, _LIDAR_SLACK)
@@ -199,14 +194,12 @@ def _repair(
         lidar_source=np.ascontiguousarray(source),
         depth_m=untouched.depth_m,
         depth_source=untouched.depth_source,
-        mean_residual_m=mean * typical,
-        eps_m=share * typical,
         applied=True,
     )
 
 
-def eps_of(own: Float32Array, other: Float32Array) -> tuple[float, float, float]:
-    """E and eps as shares of the range, and the mean range of the pairs.
+def eps_of(own: Float32Array, other: Float32Array) -> float:
+    """Eps of the paper, by the mean residual E, as a share of the range.
 
     By shares, since the noise of both sensors grows with the range; the paper has one eps for all. And no
     residual counts for more than a twentieth of the range: a real difference (a low cupboard) is metres, and
@@ -214,10 +207,10 @@ def eps_of(own: Float32Array, other: Float32Array) -> tuple[float, float, float]
     """
     both = np.isfinite(own) & np.isfinite(other)
     if not both.any():
-        return math.nan, 0.0, math.nan
+        return LEAST_EPS_SHARE
     apart = np.abs(own[both] - other[both]) / own[both]
     mean = float(np.minimum(apart, 2.0 * LEAST_EPS_SHARE).mean())
-    return mean, EPS_OVER_E * mean, float(own[both].mean())
+    return max(EPS_OVER_E * mean, LEAST_EPS_SHARE)
 
 
 def _seen_by_lidar(
@@ -289,4 +282,4 @@ def _unchanged(scan: LidarCurve, images: tuple[DepthImage, ...]) -> Denoised:
         for depth, image in zip(depths, images, strict=True)
     )
     ranges = np.array(scan.ranges_m, dtype=np.float32)
-    return Denoised(ranges, lidar, depths, sources, math.nan, math.nan, False)
+    return Denoised(ranges, lidar, depths, sources, False)

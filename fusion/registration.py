@@ -53,8 +53,6 @@ class Registration:
         LOW, MIDDLE or HIGH.
     confidence
         Share of the belief within `NEAR_SAMPLES` of u, in 0..1.
-    margin
-        Score less that of the best offset farther from u, same v.
     score_map
         (V, U) of the measure; larger is more alike.
     curve, stacks
@@ -69,7 +67,6 @@ class Registration:
     pcc: float
     grade: Grade
     confidence: float
-    margin: float
     score_map: Float32Array
     curve: Curve
     stacks: tuple[CurveStack, ...]
@@ -149,7 +146,6 @@ def registration_at(
         pcc=pcc,
         grade=grade,
         confidence=confidence,
-        margin=_margin(scores[v], u),
         score_map=scores,
         curve=curve,
         stacks=stacks,
@@ -162,9 +158,3 @@ def _belief_near(profile: Float32Array, u: int) -> float:
     belief = np.exp((profile - profile[u]) / soft)
     low = max(0, u - NEAR_SAMPLES)
     return float(belief[low : u + NEAR_SAMPLES + 1].sum() / belief.sum())
-
-
-def _margin(scores: Float32Array, u: int) -> float:
-    """Score at u less the best of those that are not about u; 0 where there are no others."""
-    far = np.abs(np.arange(scores.size) - u) > NEAR_SAMPLES
-    return float(scores[u] - scores[far].max()) if far.any() else 0.0

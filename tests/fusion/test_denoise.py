@@ -24,7 +24,7 @@ RIG = fusion.RigEstimate(
     height_range_m=(-0.6, -0.6),
     v=0,
     pairs=99,
-    alignments=(Alignment(planar(*OFFSET, 0.0), np.eye(3), 0.01, 999),),
+    alignments=(Alignment(planar(*OFFSET, 0.0), np.eye(3)),),
     drift=0,
 )
 POSE = (0.0, 0.0, 0.2)
