@@ -6,12 +6,15 @@ from collections.abc import Iterable, Sequence
 
 from slam.errors import ScanweaveError
 from slam.mapping.layer_builder import LayerBuilder, LayerSettings, Reading
-from slam.mapping.layered_map import LayeredMap
+from slam.mapping.layered_map import DecisionRule, LayeredMap
 from slam.measurements import Pose
 
 
 def build_layers(
-    keyframes: Iterable[Reading], poses: Sequence[Pose], settings: LayerSettings | None = None
+    keyframes: Iterable[Reading],
+    poses: Sequence[Pose],
+    settings: LayerSettings | None = None,
+    rule: DecisionRule = DecisionRule(),  # noqa: B008
 ) -> LayeredMap:
     """Build the layers in one pass over keyframes at known poses; their order changes nothing.
 
@@ -25,7 +28,7 @@ def build_layers(
     Raises
     ------
     ScanweaveError
-        Where there are more or fewer poses than keyframes, and as `LayerBuilder.add` and `finish`.
+        Where there are more or fewer poses than keyframes, and as `LayerBuilder.add`.
     """
     builder = LayerBuilder(settings)
     count = 0
@@ -35,4 +38,4 @@ def build_layers(
         builder.add(reading, poses[count - 1])
     if count < len(poses):
         raise ScanweaveError(f"{count} keyframes for {len(poses)} poses; give one pose a keyframe")
-    return builder.finish()
+    return LayeredMap(builder.grid("lidar"), builder.grid("depth"), rule)

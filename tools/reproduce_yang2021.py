@@ -67,13 +67,14 @@ def settings() -> LayerSettings:
     """The rig's, with Yang2021's N and the map's threshold."""
     chosen = layer_settings(RIGS["yang2021"], BAND)
     depth = replace(chosen.depth, least_points=LEAST_POINTS)
-    return replace(chosen, depth=depth, rule=DecisionRule(depth=Thresholds(occupied_above=OCCUPIED_ABOVE)))
+    return replace(chosen, depth=depth)
 
 
 def score_run(seed: int) -> dict[str, Any]:
     """Everything that is measured of one drive."""
     run = drive(seed)
-    built = build_layers(run.frames, run.poses, settings())
+    rule = DecisionRule(depth=Thresholds(occupied_above=OCCUPIED_ABOVE))
+    built = build_layers(run.frames, run.poses, settings(), rule)
     occupied = occupied_points(built)
     fitted = ransac_occupied(run, BAND, built.resolution_m, seed, whole=True)
     by_keyframe = ransac_occupied(run, BAND, built.resolution_m, seed, whole=False)

@@ -19,7 +19,6 @@ from slam.errors import ConfigError, ScanweaveError
 from slam.mapping.depth_grid import DepthModel, depth_board
 from slam.mapping.evidence_tiles import Board, EvidenceTiles, union
 from slam.mapping.footprint import footprint_board
-from slam.mapping.layered_map import DecisionRule, LayeredMap
 from slam.mapping.lidar_layer import LidarModel, lidar_board
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.mapping.ray_tracing import Box
@@ -34,7 +33,7 @@ _MOST_CELLS_IN_ONE = 256
 
 @dataclass(frozen=True, slots=True)
 class LayerSettings:
-    """How keyframes become the grids of a layered map.
+    """How keyframes become grids.
 
     Attributes
     ----------
@@ -42,8 +41,6 @@ class LayerSettings:
         Side of a cell; Yang2021's R.
     lidar, depth
         The inverse sensor models.
-    rule
-        What the grids decide together.
     p_min, p_max
         Bounds of each sensor's finished grid; they leave the other a say in Li2020 Eq. (10).
     robot_radius_m
@@ -57,7 +54,6 @@ class LayerSettings:
     resolution_m: float = 0.05
     lidar: LidarModel = field(default_factory=LidarModel)
     depth: DepthModel = field(default_factory=DepthModel)
-    rule: DecisionRule = field(default_factory=DecisionRule)
     p_min: float = 0.02
     p_max: float = 0.98
     robot_radius_m: float = 0.0
@@ -133,16 +129,6 @@ class LayerBuilder:
         steps = tiles.coarse(box, low, high, side) if side > 1 else tiles.clipped(box, low, high)
         corner = gtsam.Pose2(col * settings.resolution_m, row * settings.resolution_m, 0.0)
         return OccupancyGrid(steps, side * settings.resolution_m, corner)
-
-    def finish(self) -> LayeredMap:
-        """The map so far.
-
-        Raises
-        ------
-        ScanweaveError
-            Where no reading reported anything.
-        """
-        return LayeredMap(self.grid("lidar"), self.grid("depth"), self._settings.rule)
 
     def _board(self, reading: Reading, T_map_base: Pose) -> Board | None:
         """What the reading says; None where it says nothing."""

@@ -105,7 +105,7 @@ def test_one_missing_sensor_is_unknown_and_the_map_stands():
     assert only_depth.lidar is None
     np.testing.assert_array_equal(only_depth.states("decision"), only_depth.states("depth"))
     with pytest.raises(ScanweaveError, match="no reading"):
-        LayerBuilder().finish()
+        build_layers([], [], SETTINGS)
 
 
 def test_order_partial_maps_and_repeats_change_nothing():
