@@ -9,6 +9,7 @@ from slam.config.stages import SensorsConfig
 from slam.measurements import LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
 
 _LOOK_S = 3.0
+_LOOK_COUNT = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,14 +36,14 @@ class SensorChoice:
         cameras: dict[str, None] = {}
         vehicle = scans = clouds = False
         first_s: float | None = None
-        for measurement in used_measurements(log, config):
+        for count, measurement in enumerate(used_measurements(log, config)):
             first_s = measurement.stamp_s if first_s is None else first_s
             if isinstance(measurement, RgbdFrame):
                 cameras[measurement.sensor] = None
             vehicle |= isinstance(measurement, LaserScan | WheelOdometry)
             scans |= isinstance(measurement, LaserScan)
             clouds |= isinstance(measurement, PointCloud)
-            if measurement.stamp_s - first_s > _LOOK_S:
+            if measurement.stamp_s - first_s > _LOOK_S or count > _LOOK_COUNT:
                 break
         spatial = bool(cameras) and not vehicle if config.motion == "auto" else config.motion == "spatial"
         cloud = clouds and (config.motion == "spatial" or (config.motion == "auto" and not scans))

@@ -151,7 +151,7 @@ def test_growing_from_one_block_gives_the_same_map(monkeypatch):
 def test_room_is_made_up_to_the_limit_and_not_beyond(monkeypatch):
     monkeypatch.setattr(dense_map, "FIRST_BLOCKS", 500)
     most_blocks = 850  # 535 are needed in the end; by itself Open3D doubles to 1000
-    limit_mb = (most_blocks + 0.5) * dense_map.BLOCK_BYTES / 1e6
+    limit_mb = (most_blocks + 0.5) * dense_map.block_bytes() / 1e6
     volume = dense_map._Volume(DenseMapSettings(voxel_size_m=0.02, memory_limit_mb=limit_mb))
     for frame, pose in zip(box_frames(), camera_poses(), strict=True):
         assert volume.integrate(frame, pose)
