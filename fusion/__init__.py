@@ -18,37 +18,30 @@ place of a single registration::
     repaired = fusion.denoise(scan, depth, rig.estimate())
 """
 
-from fusion.camera_tilt import CameraTilt, camera_tilt
 from fusion.curves import DepthImage, Intrinsics, LidarCurve
 from fusion.denoise import Denoised, denoise
 from fusion.depth_model import RangeNoise
-from fusion.height_band import ArmJoint, HeightBand, LensDistortion, camera_on_arm
+from fusion.height_band import HeightBand
 from fusion.registration import Registration, register
 from fusion.repair import Provenance
 from fusion.rig import Rig, RigEstimate
 from fusion.similarity import Grade
-from fusion.time_alignment import ClockOffset, clock_offset, pair_stamps
+from fusion.time_alignment import ClockOffset, clock_offset
 
 __all__ = [
-    "ArmJoint",
-    "CameraTilt",
     "ClockOffset",
     "Denoised",
     "DepthImage",
     "Grade",
     "HeightBand",
     "Intrinsics",
-    "LensDistortion",
     "LidarCurve",
     "Provenance",
     "RangeNoise",
     "Registration",
     "Rig",
     "RigEstimate",
-    "camera_on_arm",
-    "camera_tilt",
     "clock_offset",
     "denoise",
-    "pair_stamps",
     "register",
 ]

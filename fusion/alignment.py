@@ -32,16 +32,10 @@ class Alignment:
         (3, 3) from the camera's level plane to the lidar's.
     covariance
         (3, 3) of x, y, yaw.
-    mean_residual_m
-        Of the matched samples, along the normal: all of them, and near ones only.
-    samples
-        How many were matched.
     """
 
     T_laser_level: FloatArray
     covariance: FloatArray
-    mean_residual_m: float
-    samples: int
 
 
 def align(
@@ -84,9 +78,9 @@ def align(
         motion = motion + change
         if width == _NARROW_M and np.abs(change).max() < SETTLED:
             break
-    variance = result[4, 2] / max(result[4, 0] - 3.0, 1.0)
+    variance = result[4, 1] / max(result[4, 0] - 3.0, 1.0)
     covariance = variance * np.linalg.inv(result[:3])
-    return Alignment(planar(*motion), covariance, float(result[4, 1] / result[4, 0]), int(result[4, 0]))
+    return Alignment(planar(*motion), covariance)
 
 
 def planar(x_m: float, y_m: float, yaw_rad: float) -> FloatArray:
@@ -131,7 +125,7 @@ def _normal_equations(
     motion: FloatArray,
     width: float,
 ) -> FloatArray:
-    """Rows 0-2: information; 3: gradient; 4: weight, weighted sum of |residual|, weighted sum of squares."""
+    """Rows 0-2: information; 3: gradient; 4: weight, weighted sum of squares."""
     result = np.zeros((5, 3))
     c, s = math.cos(motion[2]), math.sin(motion[2])
     jacobian = np.empty(3)
@@ -159,6 +153,5 @@ def _normal_equations(
             for j in range(3):
                 result[i, j] += weight * jacobian[i] * jacobian[j]
         result[4, 0] += weight
-        result[4, 1] += weight * abs(residual)
-        result[4, 2] += weight * residual * residual
+        result[4, 1] += weight * residual * residual
     return result

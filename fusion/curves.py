@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -25,6 +24,7 @@ IntArray: TypeAlias = NDArray[np.int32]
 
 SAMPLE_STEP_RAD = math.radians(1.0)  # Xu2024, 3.2.1: 180 samples of 180 degrees, 240 of 240
 HEIGHT_STEP_M = 0.02  # between the heights that are told apart
+NEAREST_M = 0.25  # no depth camera measures nearer
 CAMERA_REACH_M = 6.0  # a structured-light camera's readings beyond are mostly noise
 STEEPEST = 2.0  # slope: beyond, a camera looks at the floor before the robot's feet
 SLACK_M = 0.04  # what the readings of one surface may differ by at any range
@@ -90,22 +90,18 @@ class DepthImage:
     depth_m
         (H, W) along the optical axis; zero, not finite, or beyond ``range_max_m`` is invalid.
     intrinsics
-        None where unknown: then only rows can be compared, and the columns share ``field_of_view_rad``
-        evenly, as in Xu2024, and pixels count as ranges.
+        Of its camera, without distortion.
     R_level_camera
         (3, 3) rotation from the optical frame to a level one, for a camera that does not look straight
         ahead: a tilt, a quarter turn about the axis, or the yaw between several cameras. Its yaw need not
         be the true one: the yaw to the lidar is what registration finds.
-    field_of_view_rad
-        Across the image; used only without intrinsics.
     range_max_m
         Depths beyond are invalid.
     """
 
     depth_m: Float32Array
-    intrinsics: Intrinsics | None = None
+    intrinsics: Intrinsics
     R_level_camera: FloatArray = field(default_factory=FORWARD.copy)
-    field_of_view_rad: float = math.radians(57.0)
     range_max_m: float = CAMERA_REACH_M
 
     def __post_init__(self) -> None:
@@ -114,15 +110,6 @@ class DepthImage:
         R = np.asarray(self.R_level_camera)
         if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6):
             raise ValueError("R_level_camera is not a (3, 3) rotation")
-        if not 0.0 < self.field_of_view_rad < math.pi and self.intrinsics is not None:
-            raise ValueError(f"field_of_view_rad is {self.field_of_view_rad}; give an angle below pi")
-
-    @cached_property
-    def key(self) -> tuple[float, ...]:
-        """What the geometry of the pixels depends on, rounded so that it can be looked up."""
-        camera = self.intrinsics
-        pinhole = (0.0,) * 4 if camera is None else (camera.fx, camera.fy, camera.cx, camera.cy)
-        return (*self.depth_m.shape, *pinhole, *np.round(self.R_level_camera, 4).ravel().tolist())
 
 
 @dataclass(frozen=True)

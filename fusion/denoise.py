@@ -11,20 +11,21 @@ wall) and both readings are kept. The lidar's nearer readings give way only wher
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from fusion.curves import BESIDE, Curve, DepthImage, Float32Array, FloatArray, LidarCurve
 from fusion.estimation import gate
-from fusion.homography import EPS_OVER_E, Model, fit
-from fusion.image_view import ImageView, view_at_height, view_of_row
+from fusion.image_view import ImageView, view_at_height
 from fusion.panorama import Depths, as_images
 from fusion.registration import Registration
 from fusion.repair import Provenance, ProvenanceArray, among_readings, repair_lidar, smooth_outliers
 from fusion.repair_pixels import repair_image
 from fusion.reprojection import reproject, smooth, without_bumps
 from fusion.rig import RigEstimate
+from fusion.rigid_fit import EPS_OVER_E, rigid_fit
 from fusion.similarity import Grade
 
 LEAST_EPS_SHARE = 0.025  # of the range: below, the lidar's own noise would be called burrs
@@ -44,8 +45,6 @@ class Denoised:
         (N,) as the scan was given, invalid readings unchanged, and the `Provenance` of each beam.
     depth_m, depth_source
         For each camera (H, W) and the `Provenance` of each pixel.
-    mean_residual_m, eps_m
-        E and eps of the paper, at the mean range of the pairs; ``nan`` without any.
     applied
         False where the pair's grade did not allow any repair: then nothing was changed.
     """
@@ -54,8 +53,6 @@ class Denoised:
     lidar_source: ProvenanceArray
     depth_m: tuple[Float32Array, ...]
     depth_source: tuple[ProvenanceArray, ...]
-    mean_residual_m: float
-    eps_m: float
     applied: bool
 
 
@@ -64,10 +61,7 @@ def denoise(
     depth: Depths,
     registration: Registration | RigEstimate,
     *,
-    model: Model = "rigid",
-    eps_over_e: float = EPS_OVER_E,
     least_grade: Grade = Grade.HIGH,
-    rng: np.random.Generator | None = None,
 ) -> Denoised:
     """Repair a scan and its depth images with each other.
 
@@ -77,14 +71,8 @@ def denoise(
         As they were registered.
     registration
         Of this pair, or better of the rig: what all pairs of a drive say together.
-    model
-        Of the map between the two curves of one pair; a rig has its own.
-    eps_over_e
-        A pair of readings is noise beyond this times the mean residual.
     least_grade
         A single pair below it is left alone.
-    rng
-        Draws the samples of the fit; None: always the same.
 
     Raises
     ------
@@ -116,9 +104,20 @@ def denoise(
     if isinstance(registration, RigEstimate):
         matrices = [None if found is None else found.T_laser_level for found in registration.alignments]
     elif registration.grade >= least_grade:
-        matrices = maps_of(registration, model, rng or np.random.default_rng(0))
+        rng = np.random.default_rng(0)
+        matrices = [rigid_fit(*pairs, rng) for pairs in matched_curves(registration)]
     else:
         matrices = []
+    return repair_by(scan, images, registration, matrices)
+
+
+def repair_by(
+    scan: LidarCurve,
+    images: tuple[DepthImage, ...],
+    registration: Registration | RigEstimate,
+    matrices: Sequence[FloatArray | None],
+) -> Denoised:
+    """`denoise` by (3, 3) maps from each camera's level plane to the lidar's; None where there is none."""
     if not any(matrix is not None for matrix in matrices):
         return _unchanged(scan, images)
     if len(matrices) != len(images):
@@ -128,28 +127,21 @@ def denoise(
         for camera, matrix in enumerate(matrices)
         if matrix is not None
     }
-    return _repair(scan, images, seen, eps_over_e)
+    return _repair(scan, images, seen)
 
 
 def _view(image: DepthImage, registration: Registration | RigEstimate) -> ImageView:
     """The curve of an image that the registration chose."""
     height = registration.height_m
     if isinstance(registration, RigEstimate):
-        assert height is not None  # only heights are aligned over a drive
-        return view_at_height(image, height, *(registration.height_range_m or (height, height)))
-    if height is None:
-        return view_of_row(image, registration.v, len(registration.score_map))
+        return view_at_height(image, height, *registration.height_range_m)
     return view_at_height(image, height, height, height)
 
 
-def maps_of(registration: Registration, model: Model, rng: np.random.Generator) -> list[FloatArray | None]:
-    """For each camera the map from its level plane to the lidar's, Xu2024 Eq. (5), by one pair alone."""
-    found: list[FloatArray | None] = []
-    for stack in registration.stacks:
-        camera, lidar = matched_points(registration.curve, stack.curve(registration.v), registration.yaw_rad)
-        fitted = fit(camera, lidar, rng, model=model)
-        found.append(None if fitted is None else fitted.matrix)
-    return found
+def matched_curves(registration: Registration) -> list[tuple[FloatArray, FloatArray]]:
+    """`matched_points` of each camera by one pair alone, the camera's points first."""
+    curves = [stack.curve(registration.v) for stack in registration.stacks]
+    return [matched_points(registration.curve, curve, registration.yaw_rad) for curve in curves]
 
 
 def matched_points(lidar: Curve, camera: Curve, yaw_rad: float) -> tuple[FloatArray, FloatArray]:
@@ -165,7 +157,6 @@ def _repair(
     scan: LidarCurve,
     images: tuple[DepthImage, ...],
     seen: dict[int, tuple[ImageView, FloatArray]],
-    eps_over_e: float,
 ) -> Denoised:
     """Carry, compare, decide; the beams counter-clockwise. ``seen`` is by the index of the image."""
     ranges = scan.valid_ranges_m()
@@ -178,8 +169,7 @@ def _repair(
         reprojected, rough = _seen_by_lidar(view.curve, matrix, (start, step, own.size))
         np.fmin(other, reprojected, out=other)
         noise.append(rough)
-    mean, eps, typical = eps_of(own, other, eps_over_e)
-    share = max(eps, LEAST_EPS_SHARE)
+    share = eps_of(own, other)
     burr = max(1, round(_BURR_RAD / step))
     clean = without_bumps(own, step, 1, burr, _LIDAR_SLACK)
     steady = smooth(clean, step, BESIDE, _LIDAR_SLACK)
@@ -204,14 +194,12 @@ def _repair(
         lidar_source=np.ascontiguousarray(source),
         depth_m=untouched.depth_m,
         depth_source=untouched.depth_source,
-        mean_residual_m=mean * typical,
-        eps_m=share * typical,
         applied=True,
     )
 
 
-def eps_of(own: Float32Array, other: Float32Array, eps_over_e: float) -> tuple[float, float, float]:
-    """E and eps as shares of the range, and the mean range of the pairs.
+def eps_of(own: Float32Array, other: Float32Array) -> float:
+    """Eps of the paper, by the mean residual E, as a share of the range.
 
     By shares, since the noise of both sensors grows with the range; the paper has one eps for all. And no
     residual counts for more than a twentieth of the range: a real difference (a low cupboard) is metres, and
@@ -219,10 +207,10 @@ def eps_of(own: Float32Array, other: Float32Array, eps_over_e: float) -> tuple[f
     """
     both = np.isfinite(own) & np.isfinite(other)
     if not both.any():
-        return math.nan, 0.0, math.nan
+        return LEAST_EPS_SHARE
     apart = np.abs(own[both] - other[both]) / own[both]
     mean = float(np.minimum(apart, 2.0 * LEAST_EPS_SHARE).mean())
-    return mean, eps_over_e * mean, float(own[both].mean())
+    return max(EPS_OVER_E * mean, LEAST_EPS_SHARE)
 
 
 def _seen_by_lidar(
@@ -294,4 +282,4 @@ def _unchanged(scan: LidarCurve, images: tuple[DepthImage, ...]) -> Denoised:
         for depth, image in zip(depths, images, strict=True)
     )
     ranges = np.array(scan.ranges_m, dtype=np.float32)
-    return Denoised(ranges, lidar, depths, sources, math.nan, math.nan, False)
+    return Denoised(ranges, lidar, depths, sources, False)

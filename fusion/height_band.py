@@ -2,31 +2,17 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.curves import Intrinsics
-from fusion.estimation import ROUNDS
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class LensDistortion:
-    """Brown's model as OpenCV has it: radial k1, k2, k3, tangential p1, p2 (Li2020 Eq. (5)-(6): dx, dy)."""
-
-    k1: float = 0.0
-    k2: float = 0.0
-    p1: float = 0.0
-    p2: float = 0.0
-    k3: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -74,106 +60,12 @@ class HeightBand:
         return np.asarray((z_ground > self.low_m + margin_m) & (z_ground < self.high_m))
 
 
-@dataclass(frozen=True)
-class ArmJoint:
-    """A joint of the arm that carries the camera.
-
-    Attributes
-    ----------
-    T_parent_joint
-        (4, 4) of the joint at position 0 in the frame of the link before it.
-    axis
-        Unit vector in the joint's frame, about which it turns or along which it slides.
-    kind
-        ``turn`` (position in radians) or ``slide`` (metres).
-    """
-
-    T_parent_joint: FloatArray
-    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    kind: Literal["turn", "slide"] = "turn"
-
-    def T_parent_link(self, position: float) -> FloatArray:
-        """(4, 4) of the moved link in the frame of the link before it."""
-        moved = np.eye(4)
-        axis = np.asarray(self.axis, dtype=np.float64)
-        if self.kind == "slide":
-            moved[:3, 3] = position * axis
-        else:
-            cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-            # Rodrigues' formula.
-            moved[:3, :3] += math.sin(position) * cross + (1.0 - math.cos(position)) * cross @ cross
-        return np.asarray(self.T_parent_joint @ moved)
-
-
-def camera_on_arm(
-    joints: Sequence[ArmJoint], positions: Sequence[float], T_link_camera: FloatArray
-) -> FloatArray:
-    """``T_base_camera`` (4, 4) of a camera on an arm's last link, Yang2021 Eq. (15).
-
-    Parameters
-    ----------
-    joints
-        From the base on; none for a camera on the body.
-    positions
-        One a joint, radians or metres.
-    T_link_camera
-        (4, 4) of the optical frame on the last link.
-
-    Raises
-    ------
-    ValueError
-        Where there is not one position a joint.
-
-    Examples
-    --------
-    A mast that slides up, on a base that turns.
-
-    >>> import fusion, numpy as np
-    >>> turn, slide = fusion.ArmJoint(np.eye(4)), fusion.ArmJoint(np.eye(4), kind="slide")
-    >>> T_link_camera = np.eye(4)
-    >>> T_link_camera[0, 3] = 0.2  # before the mast
-    >>> T_base_camera = fusion.camera_on_arm([turn, slide], [np.pi / 2, 0.5], T_link_camera)
-    >>> T_base_camera[:3, 3].round(3).tolist()
-    [0.0, 0.2, 0.5]
-    """
-    T_base_link = np.eye(4)
-    for joint, position in zip(joints, positions, strict=True):
-        T_base_link = T_base_link @ joint.T_parent_link(position)
-    return np.asarray(T_base_link @ T_link_camera)
-
-
-def pixel_rays(
-    shape: tuple[int, int], intrinsics: Intrinsics, distortion: LensDistortion | None = None
-) -> FloatArray:
-    """Where each pixel looks: (H, W, 2) x/z and y/z in the optical frame, Yang2021 Eq. (13) solved for them.
-
-    With a distortion the ideal ray is found by fixed-point iteration.
-    """
+def pixel_rays(shape: tuple[int, int], intrinsics: Intrinsics) -> FloatArray:
+    """Where each pixel looks: (H, W, 2) x/z, y/z in the optical frame by Yang2021 Eq. (13)."""
     rows, cols = shape
     x = np.broadcast_to((np.arange(cols) - intrinsics.cx) / intrinsics.fx, shape)
     y = np.broadcast_to(((np.arange(rows) - intrinsics.cy) / intrinsics.fy)[:, None], shape)
-    seen = np.stack([x, y], axis=-1)
-    if distortion is None:
-        return seen
-    ray = seen.copy()
-    for _ in range(ROUNDS):
-        ray = ray + seen - distort(ray, distortion)
-    return ray
-
-
-def distort(rays: FloatArray, distortion: LensDistortion) -> FloatArray:
-    """Where a lens shows ideal rays (..., 2), x/z and y/z."""
-    x, y = rays[..., 0], rays[..., 1]
-    square = x * x + y * y
-    radial = 1.0 + square * (distortion.k1 + square * (distortion.k2 + square * distortion.k3))
-    p1, p2 = distortion.p1, distortion.p2
-    return np.stack(
-        [
-            x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x),
-            y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y,
-        ],
-        axis=-1,
-    )
+    return np.stack([x, y], axis=-1)
 
 
 def back_project(depth_m: NDArray[np.floating[Any]], rays: FloatArray) -> FloatArray:
@@ -215,21 +107,6 @@ def dense_enough(points: FloatArray, radius_m: float, least_neighbours: int) -> 
         return np.zeros(0, dtype=np.bool_)
     found = cKDTree(points).query_ball_point(points, radius_m, return_length=True)
     return np.asarray(found > least_neighbours)
-
-
-def count_in_cells(points_xy: FloatArray, cell_m: float) -> tuple[IntArray, IntArray]:
-    """Points a cell: Yang2021 Eq. (19), cell = floor(xy / R).
-
-    Returns
-    -------
-    (M, 2) column and row of each cell that holds a point, on the lattice through the frame's origin; (M,) how
-    many it holds. Eq. (20) takes those of at least N points for occupied.
-    """
-    cells = np.floor(np.asarray(points_xy)[:, :2] / cell_m).astype(np.int64)
-    if not len(cells):
-        return cells.reshape(0, 2), np.zeros(0, dtype=np.int64)
-    found, counts = np.unique(cells, axis=0, return_counts=True)
-    return found, counts
 
 
 def obstacle_points(

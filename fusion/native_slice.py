@@ -8,29 +8,18 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.curves import EDGE_M, HEIGHT_STEP_M, Curve, DepthImage, Float32Array, IntArray
+from fusion.curves import EDGE_M, HEIGHT_STEP_M, NEAREST_M, Curve, DepthImage, Float32Array, IntArray
 from fusion.kernel import kernel
 from fusion.panorama import lookup_of, yaw_of
 
-_NEAREST_M = 0.25
-
 
 def native_step_rad(image: DepthImage) -> float:
-    """Angle between two columns in the middle of an image with intrinsics."""
-    assert image.intrinsics is not None
+    """Angle between two columns in the middle of an image."""
     return 1.0 / max(image.intrinsics.fx, image.intrinsics.fy)
 
 
 def native_slice(image: DepthImage, height_m: float) -> Curve:
-    """In each column the nearest surface at a height above the camera.
-
-    Raises
-    ------
-    ValueError
-        A camera without intrinsics.
-    """
-    if image.intrinsics is None:
-        raise ValueError("the camera has no intrinsics; a height in it has no meaning")
+    """In each column the nearest surface at a height above the camera."""
     step = native_step_rad(image)
     lookup = lookup_of(image, step)
     ranges = _slice(
@@ -58,7 +47,7 @@ def _slice(
     best = np.full(columns, np.nan, np.float32)
     error = np.full(columns, np.inf)
     fall = slopes[0] - slopes[1]
-    bounds = (height_m / _NEAREST_M, height_m / (1.5 * range_max_m))
+    bounds = (height_m / NEAREST_M, height_m / (1.5 * range_max_m))
     first = max(0, math.floor((slopes[0] - max(bounds)) / fall) - 3)
     last = min(slopes.size - 1, math.ceil((slopes[0] - min(bounds)) / fall) + 3)
     for row in range(first, last + 1):

@@ -26,7 +26,6 @@ from fusion.curves import (
     Float32Array,
     FloatArray,
     IntArray,
-    masked,
 )
 from fusion.kernel import kernel
 
@@ -55,7 +54,7 @@ class Lookup:
 
 @dataclass(frozen=True)
 class CurveStack:
-    """Candidates for the curve that the lidar sees: one a row or a height.
+    """Candidates for the curve that the lidar sees: one a height.
 
     Attributes
     ----------
@@ -64,13 +63,13 @@ class CurveStack:
     start_angle_rad, step_rad
         Bearing of the first column in the common level frame, and the step.
     heights_m
-        (V,) of each candidate above the camera, or None where they are rows.
+        (V,) of each candidate above the camera.
     """
 
     ranges_m: Float32Array
     start_angle_rad: float
     step_rad: float
-    heights_m: FloatArray | None
+    heights_m: FloatArray
 
     def bearings_rad(self) -> FloatArray:
         """(W,) of the columns."""
@@ -90,13 +89,11 @@ def as_images(depth: Depths) -> tuple[DepthImage, ...]:
     Raises
     ------
     ValueError
-        None at all, or several of which one has no intrinsics.
+        None at all.
     """
     images = (depth,) if isinstance(depth, DepthImage) else tuple(depth)
     if not images:
         raise ValueError("no depth image was given")
-    if len(images) > 1 and any(image.intrinsics is None for image in images):
-        raise ValueError("a panorama of several cameras needs the intrinsics of each")
     return images
 
 
@@ -107,15 +104,7 @@ def yaw_of(image: DepthImage) -> float:
 
 
 def lookup_of(image: DepthImage, step_rad: float) -> Lookup:
-    """The panorama of an image's camera, relative to where it looks.
-
-    Raises
-    ------
-    ValueError
-        A camera without intrinsics.
-    """
-    if image.intrinsics is None:
-        raise ValueError("the camera has no intrinsics; only its rows can be used")
+    """The panorama of an image's camera, relative to where it looks."""
     yaw = yaw_of(image)
     c, s = math.cos(yaw), math.sin(yaw)
     R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ image.R_level_camera
@@ -199,37 +188,6 @@ def join(stacks: Sequence[CurveStack]) -> CurveStack:
         window = joined[:, at - first : at - first + stack.ranges_m.shape[1]]
         np.fmin(window, stack.ranges_m, out=window)
     return CurveStack(joined, first * step, step, stacks[0].heights_m)
-
-
-def row_curves(image: DepthImage, rows: int = 160, step_rad: float = SAMPLE_STEP_RAD) -> CurveStack:
-    """The rows of one image as curves: Xu2024, 3.2.1.
-
-    With intrinsics a row looks along one slope; without, it is the image's own, its pixels are spread evenly
-    over the field of view and taken for ranges.
-
-    Parameters
-    ----------
-    rows
-        How many, evenly spread over the image.
-    """
-    if image.intrinsics is None:
-        return _plain_rows(image, rows, step_rad)
-    lookup = lookup_of(image, step_rad)
-    chosen = np.linspace(0, lookup.slopes.size - 1, rows).round().astype(int)
-    depth = masked(image.depth_m.ravel()[lookup.pixel[chosen]], image.range_max_m)
-    start = yaw_of(image) + float(lookup.bearings_rad[0])
-    return CurveStack(depth * lookup.range_of_depth[chosen], start, step_rad, None)
-
-
-def _plain_rows(image: DepthImage, rows: int, step_rad: float) -> CurveStack:
-    """Rows of a camera of which only the field of view is known, as published."""
-    height, width = image.depth_m.shape
-    count = max(2, int(image.field_of_view_rad / step_rad))
-    chosen = np.linspace(0, height - 1, min(rows, height)).round().astype(int)
-    # Columns run from left to right, bearings from right to left.
-    columns = ((np.arange(count)[::-1] + 0.5) * width / count).astype(int)
-    ranges = masked(image.depth_m[np.ix_(chosen, columns)], image.range_max_m)
-    return CurveStack(ranges, -0.5 * (count - 1) * step_rad, step_rad, None)
 
 
 @kernel

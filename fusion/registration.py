@@ -1,15 +1,14 @@
 """Where along a lidar curve, and at which height of a depth image, the two see the same: Xu2024 Eq. (1).
 
-Two kinds of candidates: the image's rows, as published, and slices at constant height, ours, the default
-where intrinsics are known. Two ways to choose: the paper's similarities, and a likelihood ratio (see
-`fusion.likelihood`), the default for slices. The grade is always by PCC, as published, but "high" also asks
-that no other offset explains the pair nearly as well: a wall matches itself anywhere along it.
+The candidates are slices at constant height, where the paper has the image's rows, and a likelihood ratio
+chooses (see `fusion.likelihood`), where the paper has similarities; ``tools/xu2024_rows.py`` has both to
+compare with. The grade is by PCC, as published, but "high" also asks that no other offset explains the pair
+nearly as well: a wall matches itself anywhere along it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -24,13 +23,10 @@ from fusion.curves import (
     resample,
 )
 from fusion.likelihood import log_ratio_map
-from fusion.panorama import CurveStack, Depths, as_images, height_slices, join, row_curves
-from fusion.similarity import Grade, Similarity, grade_of, masked_sums, pearson, similarity_map
-
-Measure: TypeAlias = Similarity | Literal["likelihood"]
+from fusion.panorama import CurveStack, Depths, as_images, height_slices, join
+from fusion.similarity import Grade, grade_of, masked_sums, pearson
 
 HEIGHTS_M = HEIGHT_STEP_M * np.arange(-60.0, 21.0)  # of the lidar's plane above the camera
-ROWS = 160  # Xu2024, 3.2.1: v <= 160
 CONFIDENT = 0.9  # share of the belief within them, for a high grade
 _SOFTNESS = 0.1  # neighbouring samples see one surface: their evidence counts for a tenth
 
@@ -44,9 +40,9 @@ class Registration:
     u
         Sample of the (resampled) lidar curve at which the image's window begins.
     v
-        Candidate: index of the row or the height.
+        Index of the height.
     height_m
-        Of the lidar's plane above the camera; None for rows.
+        Of the lidar's plane above the camera.
     yaw_rad
         By how much a bearing in the lidar's frame is larger than in the image's level frame.
     score
@@ -57,8 +53,6 @@ class Registration:
         LOW, MIDDLE or HIGH.
     confidence
         Share of the belief within `NEAR_SAMPLES` of u, in 0..1.
-    margin
-        Score less that of the best offset farther from u, same v.
     score_map
         (V, U) of the measure; larger is more alike.
     curve, stacks
@@ -67,13 +61,12 @@ class Registration:
 
     u: int
     v: int
-    height_m: float | None
+    height_m: float
     yaw_rad: float
     score: float
     pcc: float
     grade: Grade
     confidence: float
-    margin: float
     score_map: Float32Array
     curve: Curve
     stacks: tuple[CurveStack, ...]
@@ -88,10 +81,7 @@ def register(
     scan: LidarCurve,
     depth: Depths,
     *,
-    candidates: Literal["heights", "rows"] | None = None,
-    measure: Measure | None = None,
     heights_m: FloatArray = HEIGHTS_M,
-    rows: int = ROWS,
     step_rad: float = SAMPLE_STEP_RAD,
 ) -> Registration:
     """Find (u, v) of one pair, with neither extrinsics nor a first guess.
@@ -102,21 +92,15 @@ def register(
         The lidar's sweep; it must be at least as wide as the image.
     depth
         One image, or those of several cameras, which make a panorama.
-    candidates
-        None: heights where intrinsics are known, else rows.
-    measure
-        None: likelihood for heights, PCC for rows (whose pixels may not even be metric ranges).
     heights_m
         (V,) above the camera that are tried.
-    rows
-        How many rows are tried.
     step_rad
         Common angular step.
 
     Raises
     ------
     ValueError
-        No image, a window wider than the lidar's sweep, or heights without intrinsics.
+        No image, or a window wider than the lidar's sweep.
 
     Examples
     --------
@@ -135,46 +119,33 @@ def register(
     >>> round(pair.yaw_rad, 1), pair.grade.name
     (0.9, 'HIGH')
     """
-    images = as_images(depth)
-    kind = candidates or ("rows" if images[0].intrinsics is None else "heights")
-    if kind == "heights":
-        stacks = tuple(height_slices(image, heights_m, step_rad) for image in images)
-    else:
-        stacks = tuple(row_curves(image, rows, step_rad) for image in images)
-    chosen: Measure = measure or ("likelihood" if kind == "heights" else "pcc")
-    return register_curves(resample(scan, step_rad), stacks, chosen)
+    stacks = tuple(height_slices(image, heights_m, step_rad) for image in as_images(depth))
+    curve, stack = resample(scan, step_rad), join(stacks)
+    scores = log_ratio_map(stack.ranges_m, curve.ranges_m)
+    # A wall is upright: all heights speak for the offset, and then one of them for itself.
+    profile = scores.mean(axis=0)
+    u = int(np.argmax(profile))
+    return registration_at(curve, stacks, scores, int(np.argmax(scores[:, u])), u, _belief_near(profile, u))
 
 
-def register_curves(curve: Curve, stacks: tuple[CurveStack, ...], measure: Measure) -> Registration:
-    """`register` on curves that are already at a common step."""
+def registration_at(
+    curve: Curve, stacks: tuple[CurveStack, ...], scores: Float32Array, v: int, u: int, confidence: float
+) -> Registration:
+    """The choice of candidate v and offset u by a map of scores (V, U), with its grade."""
     stack = join(stacks)
-    if measure == "likelihood":
-        scores = log_ratio_map(stack.ranges_m, curve.ranges_m)
-        # A wall is upright: all heights speak for the offset, and then one of them for itself.
-        profile = scores.mean(axis=0)
-        u = int(np.argmax(profile))
-        v = int(np.argmax(scores[:, u]))
-        pcc = float(pearson(masked_sums(stack.ranges_m[v : v + 1], curve.ranges_m))[0, u])
-        confidence = _belief_near(profile, u)
-    else:
-        sums = masked_sums(stack.ranges_m, curve.ranges_m)
-        scores = similarity_map(sums, measure)
-        v, u = (int(at) for at in np.unravel_index(np.argmax(scores), scores.shape))  # Xu2024 Eq. (1)
-        pcc = float(scores[v, u]) if measure == "pcc" else float(pearson(sums)[v, u])
-        confidence = 1.0
+    pcc = float(pearson(masked_sums(stack.ranges_m[v : v + 1], curve.ranges_m))[0, u])
     grade = grade_of(pcc)
     if grade == Grade.HIGH and confidence < CONFIDENT:
         grade = Grade.MIDDLE
     return Registration(
         u=u,
         v=v,
-        height_m=None if stack.heights_m is None else float(stack.heights_m[v]),
+        height_m=float(stack.heights_m[v]),
         yaw_rad=curve.start_angle_rad + u * curve.step_rad - stack.start_angle_rad,
         score=float(scores[v, u]),
         pcc=pcc,
         grade=grade,
         confidence=confidence,
-        margin=_margin(scores[v], u),
         score_map=scores,
         curve=curve,
         stacks=stacks,
@@ -187,9 +158,3 @@ def _belief_near(profile: Float32Array, u: int) -> float:
     belief = np.exp((profile - profile[u]) / soft)
     low = max(0, u - NEAR_SAMPLES)
     return float(belief[low : u + NEAR_SAMPLES + 1].sum() / belief.sum())
-
-
-def _margin(scores: Float32Array, u: int) -> float:
-    """Score at u less the best of those that are not about u; 0 where there are no others."""
-    far = np.abs(np.arange(scores.size) - u) > NEAR_SAMPLES
-    return float(scores[u] - scores[far].max()) if far.any() else 0.0

@@ -30,11 +30,11 @@ class RigEstimate:
     yaw_rad
         By how much bearings in the lidar's frame are larger.
     height_m
-        Of the lidar's plane above the camera; None for rows.
+        Of the lidar's plane above the camera.
     height_range_m
         Lowest and highest that explain the pairs about as well: the surfaces seen are the same there.
     v
-        Candidate: row, or index of the height.
+        Index of the height.
     pairs
         How many were summed.
     alignments
@@ -45,8 +45,8 @@ class RigEstimate:
 
     u: int
     yaw_rad: float
-    height_m: float | None
-    height_range_m: tuple[float, float] | None
+    height_m: float
+    height_range_m: tuple[float, float]
     v: int
     pairs: int
     alignments: tuple[Alignment | None, ...]
@@ -118,20 +118,18 @@ class Rig:
             recent, first = _add(recent, first, pair.score_map, pair.first_yaw_step)
         assert recent is not None
         yaw = curve.start_angle_rad + steps * curve.step_rad
-        v, offset = self._first_height(yaw, column)
+        v, offset = self._first_height(yaw)
         heights = self._last[-1].stacks[0].heights_m
-        alignments: tuple[Alignment | None, ...] = ()
-        extent = None if heights is None else (float(heights[v]), float(heights[v]))
-        if heights is not None:
+        extent = float(heights[v]), float(heights[v])
+        alignments = self._alignments(yaw, v, offset)
+        if any(alignments):
+            v, low, high = self._height(alignments)
+            extent = float(heights[low]), float(heights[high])
             alignments = self._alignments(yaw, v, offset)
-            if any(alignments):
-                v, low, high = self._height(alignments)
-                extent = float(heights[low]), float(heights[high])
-                alignments = self._alignments(yaw, v, offset)
         return RigEstimate(
             u=steps - self._last[-1].first_yaw_step,
             yaw_rad=yaw,
-            height_m=None if heights is None else float(heights[v]),
+            height_m=float(heights[v]),
             height_range_m=extent,
             v=v,
             pairs=self._pairs,
@@ -139,11 +137,9 @@ class Rig:
             drift=int(np.argmax(recent.mean(axis=0))) + first - steps,
         )
 
-    def _first_height(self, yaw_rad: float, column: int) -> tuple[int, float]:
+    def _first_height(self, yaw_rad: float) -> tuple[int, float]:
         """Candidate whose samples fit best on average, and the offset of the camera at which they do."""
         assert self._sum is not None
-        if self._last[-1].stacks[0].heights_m is None:
-            return int(np.argmax(self._sum[:, column])), 0.0
         offsets_m = np.linspace(2.0 * OFFSETS_M[0], 2.0 * OFFSETS_M[-1], 17)  # of the camera before the lidar
         ratio = np.zeros((offsets_m.size, len(self._sum)))
         count = np.zeros(len(self._sum))

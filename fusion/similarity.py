@@ -1,4 +1,4 @@
-"""How alike two curves are: Xu2024 Eq. (2)-(4), masked, for all rows and offsets at once.
+"""How alike two curves are: Xu2024 Eq. (2), masked, for all candidates and offsets at once.
 
 Every sum over the samples that both curves have is one product of matrices: candidates (V, W) times windows
 of the lidar curve (W, U).
@@ -8,15 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Literal, TypeAlias
 
 import numpy as np
 
 from fusion.curves import Float32Array
 from fusion.estimation import FEWEST, TINY
-
-Similarity: TypeAlias = Literal["pcc", "inv_cos", "inv_euler"]
-SIMILARITIES: tuple[Similarity, ...] = ("pcc", "inv_cos", "inv_euler")
 
 LOW_MAX, MIDDLE_MAX = 0.3, 0.6  # Xu2024, Table 1
 LEAST_OVERLAP = 0.3
@@ -123,36 +119,3 @@ def pearson(sums: Sums) -> Float32Array:
     spread = np.sqrt(var_d * var_l)
     fine = enough(sums) & (spread > _TINY)
     return np.where(fine, np.clip(covariance / np.maximum(spread, _TINY), -1.0, 1.0), 0.0).astype(np.float32)
-
-
-def inverse_cosine(sums: Sums) -> Float32Array:
-    """Xu2024 Eq. (3), (V, U): a distance, 0 for curves that are alike; 1 where too little is shared."""
-    norm_d, norm_l, dot = _norms(sums)
-    cosine = dot / np.maximum(norm_d * norm_l, _TINY)
-    return np.where(enough(sums), np.clip(1.0 - cosine, 0.0, 1.0), 1.0).astype(np.float32)
-
-
-def inverse_euler(sums: Sums) -> Float32Array:
-    """Xu2024 Eq. (4), (V, U): 1 for equal curves; 0 where too little is shared."""
-    norm_d, norm_l, _ = _norms(sums)
-    apart = np.sqrt(np.maximum(sums.dd - 2.0 * sums.dl + sums.ll, np.float32(0.0)))
-    value = 1.0 - apart / np.maximum(np.maximum(norm_d, norm_l), _TINY)
-    return np.where(enough(sums), np.clip(value, 0.0, 1.0), 0.0).astype(np.float32)
-
-
-def similarity_map(sums: Sums, similarity: Similarity) -> Float32Array:
-    """(V, U) of one of the three, turned so that larger is more alike."""
-    if similarity == "pcc":
-        return pearson(sums)
-    if similarity == "inv_euler":
-        return inverse_euler(sums)
-    return np.asarray(1.0 - inverse_cosine(sums), dtype=np.float32)
-
-
-def _norms(sums: Sums) -> tuple[Float32Array, Float32Array, Float32Array]:
-    """|D|, |L| and D.L of the unshifted ranges."""
-    c = sums.shift_m
-    dd = sums.dd + 2.0 * c * sums.d + sums.n * c * c
-    ll = sums.ll + 2.0 * c * sums.l + sums.n * c * c
-    dot = sums.dl + c * (sums.d + sums.l) + sums.n * c * c
-    return np.sqrt(np.maximum(dd, 0.0)), np.sqrt(np.maximum(ll, 0.0)), dot

@@ -1,15 +1,9 @@
-"""Which readings of two sensors belong together in time, and by how much their clocks differ: Xu2024, 2.1.
-
-The paper samples a 1000 Hz curve at the image's 24 Hz. Here each image gets the scan nearest to it, within a
-tolerance and one to one; and where both sensors tell how the robot turns, a constant offset between their
-clocks is estimated from that.
-"""
+"""By how much the clocks of two sensors differ that both tell how the robot turns: Xu2024, 2.1."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +11,6 @@ from numpy.typing import NDArray
 from fusion.curves import FloatArray
 from fusion.estimation import FEWEST, TINY
 from fusion.similarity import MIDDLE_MAX
-
-IntPairs = NDArray[np.int64]
 
 # Between readings further apart than this nobody knows what happened.
 GAP_S = 0.5
@@ -44,54 +36,6 @@ class ClockOffset:
     offset_s: float
     sigma_s: float
     correlation: float
-
-
-def pair_stamps(first_s: NDArray[Any], second_s: NDArray[Any], tolerance_s: float) -> IntPairs:
-    """Pairs of stamps that are each other's nearest.
-
-    Parameters
-    ----------
-    first_s, second_s
-        (N,) and (M,) stamps in any order.
-    tolerance_s
-        Greatest difference of a pair, inclusive.
-
-    Returns
-    -------
-    (K, 2) indices into both, by rising first stamp; no index twice.
-
-    Raises
-    ------
-    ValueError
-        A stamp that is not finite, or a tolerance below zero.
-
-    Examples
-    --------
-    >>> import fusion, numpy as np
-    >>> fusion.pair_stamps(np.array([0.0, 1.0, 2.0]), np.array([0.98, 2.3, 0.01]), 0.05).tolist()
-    [[0, 2], [1, 0]]
-    """
-    a, b = np.asarray(first_s, dtype=np.float64), np.asarray(second_s, dtype=np.float64)
-    if not (np.isfinite(a).all() and np.isfinite(b).all()) or not tolerance_s >= 0.0:
-        raise ValueError("stamps must be finite and the tolerance not below zero")
-    if a.size == 0 or b.size == 0:
-        return np.empty((0, 2), dtype=np.int64)
-    order_a, order_b = np.argsort(a, kind="stable"), np.argsort(b, kind="stable")
-    mine = _nearest(a[order_a], b[order_b])
-    theirs = _nearest(b[order_b], a[order_a])
-    index = np.arange(a.size)
-    mutual = theirs[mine] == index
-    near = np.abs(a[order_a] - b[order_b][mine]) <= tolerance_s
-    kept = mutual & near
-    return np.column_stack([order_a[kept], order_b[mine[kept]]]).astype(np.int64)
-
-
-def _nearest(sorted_from: FloatArray, sorted_to: FloatArray) -> NDArray[np.int64]:
-    """For each the index of the nearest; the earlier of two that are equally near."""
-    right = np.searchsorted(sorted_to, sorted_from).clip(0, sorted_to.size - 1)
-    left = (right - 1).clip(0)
-    closer = np.abs(sorted_from - sorted_to[left]) <= np.abs(sorted_from - sorted_to[right])
-    return np.where(closer, left, right).astype(np.int64)
 
 
 def clock_offset(

@@ -54,53 +54,36 @@ if TYPE_CHECKING:
     from slam.measurements import Trajectory as Trajectory
     from slam.measurements import WheelOdometry as WheelOdometry
     from slam.outputs.finished_map import Map as Map
-    from slam.outputs.finished_map import open_map
+    from slam.outputs.finished_map import load_map as load_map
 
-    load_map = open_map
-
-_HOMES = {
-    "CameraIntrinsics": ("slam.measurements", "CameraIntrinsics"),
-    "Config": ("slam.config", "Config"),
-    "Edge": ("slam.graph.pose_graph", "Edge"),
-    "EdgeKind": ("slam.graph.pose_graph", "EdgeKind"),
-    "Joined": ("slam.app.joining", "Joined"),
-    "LaserScan": ("slam.measurements", "LaserScan"),
-    "Localization": ("slam.app.localizing", "Localization"),
-    "Localizer": ("slam.localization.localizer", "Localizer"),
-    "LocalizerOutput": ("slam.localization.output", "LocalizerOutput"),
-    "LoopCandidate": ("slam.graph.loop_closure", "LoopCandidate"),
-    "MotionEstimate": ("slam.measurements", "MotionEstimate"),
-    "OccupancyGrid": ("slam.mapping.occupancy_grid", "OccupancyGrid"),
-    "PointCloud": ("slam.measurements", "PointCloud"),
-    "PoseGraph": ("slam.graph.pose_graph", "PoseGraph"),
-    "Progress": ("slam.app.progress", "Progress"),
-    "RgbdFrame": ("slam.measurements", "RgbdFrame"),
-    "Map": ("slam.outputs.finished_map", "Map"),
-    "ScanweaveError": ("slam.errors", "ScanweaveError"),
-    "State": ("slam.localization.output", "State"),
-    "Trajectory": ("slam.measurements", "Trajectory"),
-    "WheelOdometry": ("slam.measurements", "WheelOdometry"),
-    "build_map": ("slam.app.mapping", "build_map"),
-    "check_loop": ("slam.app.parts", "check_loop"),
-    "evaluate": ("slam.evaluation.score", "evaluate"),
-    "grid_of_scans": ("slam.app.parts", "grid_of_scans"),
-    "join": ("slam.app.joining", "join"),
-    "load_config": ("slam.config", "load_config"),
-    "load_map": ("slam.outputs.finished_map", "open_map"),
-    "localize_log": ("slam.app.localizing", "localize_log"),
-    "map_log": ("slam.app.mapping", "map_log"),
-    "match_scans": ("slam.app.parts", "match_scans"),
-    "register_sensor": ("slam.mapper.protocol", "register_sensor"),
-    "open_dataset": ("slam.datasets", "open_dataset"),
+_NAMES = {
+    "slam.app.joining": "Joined join",
+    "slam.app.localizing": "Localization localize_log",
+    "slam.app.mapping": "build_map map_log",
+    "slam.app.parts": "check_loop grid_of_scans match_scans",
+    "slam.app.progress": "Progress",
+    "slam.config": "Config load_config",
+    "slam.datasets": "open_dataset",
+    "slam.errors": "ScanweaveError",
+    "slam.evaluation.score": "evaluate",
+    "slam.graph.loop_closure": "LoopCandidate",
+    "slam.graph.pose_graph": "Edge EdgeKind PoseGraph",
+    "slam.localization.localizer": "Localizer",
+    "slam.localization.output": "LocalizerOutput State",
+    "slam.mapper.protocol": "register_sensor",
+    "slam.mapping.occupancy_grid": "OccupancyGrid",
+    "slam.measurements": "CameraIntrinsics LaserScan MotionEstimate PointCloud RgbdFrame Trajectory "
+    "WheelOdometry",
+    "slam.outputs.finished_map": "Map load_map",
 }
+_HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> Any:
     """Load what is asked for: to import slam alone costs nothing."""
     if name not in _HOMES:
         raise AttributeError(f"module 'slam' has no attribute '{name}'; it has {', '.join(_HOMES)}")
-    module, attribute = _HOMES[name]
-    found = globals()[name] = getattr(import_module(module), attribute)
+    found = globals()[name] = getattr(import_module(_HOMES[name]), name)
     return found
 
 

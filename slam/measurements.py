@@ -232,6 +232,9 @@ class Trajectory:
     def __len__(self) -> int:
         return int(self.stamps_s.size)
 
+    def __getitem__(self, chosen: slice | NDArray[Any]) -> Trajectory:
+        return Trajectory(self.stamps_s[chosen], self.positions_m[chosen], self.quaternions_xyzw[chosen])
+
     @classmethod
     def from_planar(cls, stamps_s: FloatArray, poses_xyt: FloatArray) -> Trajectory:
         """Lift (N, 3) rows of x, y, yaw into the plane z = 0."""

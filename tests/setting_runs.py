@@ -31,7 +31,7 @@ from slam.mapper.pipeline import build_map
 from slam.mapping.cloud_map import map_cloud
 from slam.matching.planar import compose
 from slam.measurements import LaserScan, Measurement, RgbdFrame, Trajectory, WheelOdometry, pose2_from_row
-from slam.outputs import run_outputs
+from slam.outputs import exports
 from slam.outputs.layer_outputs import layers_of
 from slam.storage.packing import pack
 
@@ -271,11 +271,11 @@ def files(config: Config, course: Course) -> None:
     cameras, lidar = _result(spatial_log, *BASES["spatial"]), _result(cloud_log, *BASES["clouds"])
     assert cameras.dense is not None
     with TemporaryDirectory() as name, pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run_outputs, "fuse_keyframes", asked)
+        patch.setattr(exports, "fuse_keyframes", asked)
         folder = Path(name)
         with suppress(Asked):
-            run_outputs.save_dense(folder, cameras, config)
-        written = run_outputs.save_clouds(folder, lidar, config)
+            exports.exports_of(cameras, config).write_surfaces(folder)
+        written, _ = exports.exports_of(lidar, config).write_surfaces(folder)
         course.note(*[path.name for path in written], *[path.read_bytes() for path in written])
 
 

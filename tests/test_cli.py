@@ -112,7 +112,7 @@ class TestBadInput:
             (lambda path: path.touch(), ["is empty"]),
             (lambda path: path.write_bytes(b"\x1f\x8b\x08\x00garbage"), ["damaged"]),
             (lambda path: path.write_bytes(bytes(range(256)) * 40), ["known format"]),
-            (lambda path: path.write_text("# only comments\n"), ["no odometry and no scan"]),
+            (lambda path: path.write_text("# only comments\n"), ["no usable frame, scan or odometry"]),
         ],
         ids=["missing", "directory", "empty", "damaged gzip", "binary", "comments"],
     )
@@ -156,7 +156,7 @@ class TestBadInput:
 
         for command in (["map", damaged, "-o", tmp_path / "strict"], ["inspect", damaged]):
             stopped = scanweave(*command, "--strict")
-            assert_one_line_error(stopped, f"damaged.log, line {scans[10] + 1}: ", "--strict")
+            assert_one_line_error(stopped, f"damaged.log, record {scans[10] + 1}: ", "--strict")
         assert not list((tmp_path / "strict").glob("*"))
 
     @pytest.mark.parametrize("below", ["", "sub"])

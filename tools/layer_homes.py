@@ -8,11 +8,12 @@ from typing import Any
 
 import gtsam
 import numpy as np
+from layer_building import build_layers
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from slam.mapping.layer_builder import LayerSettings, build_layers
-from slam.mapping.layered_map import LAYERS, LayeredMap
+from slam.mapping.layer_builder import LayerSettings
+from slam.mapping.layered_map import LAYERS, DecisionRule, LayeredMap
 from slam.mapping.occupancy_grid import OCCUPIED
 from slam.measurements import LaserScan, RgbdFrame
 from slam.simulation.drive import planar_mount
@@ -133,13 +134,14 @@ def score_home(seed: int, rig: Rig, settings: LayerSettings) -> dict[str, Any]:
     home = generate_home(seed)
     posed = list(keyframes(home, rig, seed))
     poses = with_errors([pose for _, pose in posed], np.random.default_rng([seed, _STREAM]))
-    built = build_layers((reading for reading, _ in posed), poses, settings)
+    rule = DecisionRule("corrected")  # as Li2020 decides
+    built = build_layers((reading for reading, _ in posed), poses, settings, rule)
     hits_only = replace(
         settings,
         lidar=replace(settings.lidar, p_miss=0.49999),
         depth=replace(settings.depth, p_miss=0.49999),
     )
-    ended = build_layers((reading for reading, _ in posed), poses, hits_only)
+    ended = build_layers((reading for reading, _ in posed), poses, hits_only, rule)
     truth = true_grid(home, settings.depth.band.low_m, settings.depth.band.high_m, settings.resolution_m)
     wanted = to_be_seen(truth, home)
     laid = {name: on_truth(built.states(name), built, truth) for name in LAYERS}

@@ -8,7 +8,6 @@ from fusion.depth_model import RangeNoise
 from fusion.height_band import HeightBand
 from slam.mapping.depth_grid import DepthModel
 from slam.mapping.layer_builder import LayerSettings
-from slam.mapping.layered_map import DecisionRule
 from slam.mapping.lidar_layer import LidarModel
 from slam.simulation.rigs import Rig
 
@@ -35,4 +34,4 @@ def layer_settings(rig: Rig, band: HeightBand, resolution_m: float = 0.05) -> La
             max_hit_range_m=sheet.range_max_m,
             max_clear_range_m=min(8.0, sheet.range_max_m),
         )
-    return LayerSettings(resolution_m, lidar, depth, DecisionRule("corrected"))  # as Li2020 decides
+    return LayerSettings(resolution_m, lidar, depth)

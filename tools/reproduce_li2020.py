@@ -13,6 +13,7 @@ from typing import Any
 
 import gtsam
 import numpy as np
+from layer_building import build_layers
 from layer_homes import obstacles_found, on_truth, score_home
 from layer_page import grids, section, table, write_json, write_parts
 from layer_rigs import layer_settings
@@ -24,8 +25,7 @@ from slam.evaluation.figure_parts import figure_of, png_of
 from slam.evaluation.pages import parts
 from slam.mapping.camera_points import camera_cloud
 from slam.mapping.dense_map import ColoredCloud, DenseMapSettings
-from slam.mapping.layer_builder import build_layers
-from slam.mapping.layered_map import LAYERS, LayeredMap
+from slam.mapping.layered_map import LAYERS, DecisionRule, LayeredMap
 from slam.measurements import LaserScan, RgbdFrame
 from slam.simulation.rigs import RIGS
 from slam.simulation.true_grid import true_grid
@@ -75,7 +75,9 @@ def run_seed(seed: int) -> dict[str, Any]:
     posed = list(readings(scene))
     band = HeightBand(0.0, RIGS["li2020"].robot_height_m - CLIMB_M, CLIMB_M)
     settings = layer_settings(RIGS["li2020"], band)
-    built = build_layers((reading for reading, _ in posed), [pose for _, pose in posed], settings)
+    built = build_layers(
+        (reading for reading, _ in posed), [pose for _, pose in posed], settings, DecisionRule("corrected")
+    )
     # With the mat, which is there all the same.
     truth = true_grid(scene.home, 0.001, RIGS["li2020"].robot_height_m, settings.resolution_m)
 

@@ -14,8 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from layer_building import build_layers
 from layer_page import grids, section, table, write_json, write_parts
 from layer_rigs import layer_settings
+from yang2021_camera_tilt import camera_tilt
 from yang2021_room import POSE_SIGMA_M, POSE_SIGMA_RAD, Run, drive
 from yang2021_score import (
     angle_error_deg,
@@ -26,10 +28,9 @@ from yang2021_score import (
     ransac_occupied,
 )
 
-from fusion.camera_tilt import camera_tilt
 from fusion.curves import Intrinsics
 from fusion.height_band import HeightBand, back_project, pixel_rays
-from slam.mapping.layer_builder import LayerSettings, build_layers
+from slam.mapping.layer_builder import LayerSettings
 from slam.mapping.layered_map import DecisionRule
 from slam.mapping.occupancy_grid import Thresholds
 from slam.simulation.rigs import RIGS
@@ -66,13 +67,14 @@ def settings() -> LayerSettings:
     """The rig's, with Yang2021's N and the map's threshold."""
     chosen = layer_settings(RIGS["yang2021"], BAND)
     depth = replace(chosen.depth, least_points=LEAST_POINTS)
-    return replace(chosen, depth=depth, rule=DecisionRule(depth=Thresholds(occupied_above=OCCUPIED_ABOVE)))
+    return replace(chosen, depth=depth)
 
 
 def score_run(seed: int) -> dict[str, Any]:
     """Everything that is measured of one drive."""
     run = drive(seed)
-    built = build_layers(run.frames, run.poses, settings())
+    rule = DecisionRule(depth=Thresholds(occupied_above=OCCUPIED_ABOVE))
+    built = build_layers(run.frames, run.poses, settings(), rule)
     occupied = occupied_points(built)
     fitted = ransac_occupied(run, BAND, built.resolution_m, seed, whole=True)
     by_keyframe = ransac_occupied(run, BAND, built.resolution_m, seed, whole=False)

@@ -9,17 +9,18 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from xu2024_homography import fit
 from xu2024_map import DriveMaps
 from xu2024_pairs import TruePair, simulate_pairs, true_camera_in_laser
 from xu2024_recall import score_recall
+from xu2024_rows import SIMILARITIES, register_by_pcc, register_rows, row_curves, similarity_map
 from xu2024_score import Tally, score_pair
 
 import fusion
 from fusion.curves import SAMPLE_STEP_RAD, resample
-from fusion.denoise import matched_points
-from fusion.panorama import join, row_curves
-from fusion.registration import ROWS, register_curves
-from fusion.similarity import SIMILARITIES, masked_sums, similarity_map
+from fusion.denoise import matched_curves, matched_points, repair_by
+from fusion.panorama import join
+from fusion.similarity import masked_sums
 from slam.simulation.drive import Drive
 from slam.simulation.true_grid import true_grid
 
@@ -82,10 +83,8 @@ def run_drive(drive: Drive, home: int, most: int, *, pictures: bool) -> DriveRes
     result.pairs = len(pairs)
     # The level frame's yaw is the robot's own: the true yaw between the two is zero.
     result.u_within_1 = float(abs(estimate.yaw_rad) <= SAMPLE_STEP_RAD)
-    assert estimate.height_m is not None
     result.height_error_m = estimate.height_m - truth_m
     result.height_within_10cm = float(abs(result.height_error_m) <= 0.10)
-    assert estimate.height_range_m is not None
     low_m, high_m = (height - truth_m for height in estimate.height_range_m)
     band_m = (low_m - MARGIN_M, high_m + MARGIN_M)
     maps = DriveMaps()
@@ -120,9 +119,9 @@ def register_pair(pair: TruePair, result: DriveResult) -> fusion.Registration:
     ours = fusion.register(pair.scan, images)
     result.tally.add("register_ms", [1e3 * (time.perf_counter() - began)])
     began = time.perf_counter()
-    rows = fusion.register(pair.scan, images, candidates="rows")
+    rows = register_rows(pair.scan, images)
     result.tally.add("register_pcc_ms", [1e3 * (time.perf_counter() - began)])
-    plain = fusion.register(pair.scan, images, measure="pcc")
+    plain = register_by_pcc(ours.curve, ours.stacks)
     near = {name: abs(at.yaw_rad) <= 2.0 * SAMPLE_STEP_RAD for name, at in
             (("ours", ours), ("rows", rows), ("pcc", plain))}  # fmt: skip
     high = fusion.Grade.HIGH
@@ -166,10 +165,12 @@ def score_models(
         return
     images = [image.depth for image in pair.images]
     for model in (*MODELS, "rig"):
-        if model == "rig":
-            repaired = fusion.denoise(pair.scan, images, rig)
+        if model in ("rig", "rigid"):
+            repaired = fusion.denoise(pair.scan, images, rig if model == "rig" else registration)
         else:
-            repaired = fusion.denoise(pair.scan, images, registration, model=model)
+            rng = np.random.default_rng(0)
+            maps = [fit(*pairs, model, rng) for pairs in matched_curves(registration)]
+            repaired = repair_by(pair.scan, tuple(images), registration, maps)
         own = Tally()
         score_pair(pair, repaired, band_m, own)
         tally.merge(own.named(f"{model}_"))
@@ -202,7 +203,7 @@ def pair_pictures(
     repaired: fusion.Denoised,
 ) -> dict[str, Any]:
     """What the page draws of one pair: the score maps of the paper, and before and after."""
-    stacks = tuple(row_curves(image, ROWS) for image in images)
+    stacks = tuple(row_curves(image) for image in images)
     curve = resample(scan)
     sums = masked_sums(join(stacks).ranges_m, curve.ranges_m)
     return {
@@ -210,6 +211,6 @@ def pair_pictures(
         "images": images,
         "repaired": repaired,
         "heights": registration,
-        "rows": register_curves(curve, stacks, "pcc"),
+        "rows": register_by_pcc(curve, stacks),
         "maps": {name: similarity_map(sums, name) for name in SIMILARITIES},
     }

@@ -125,7 +125,7 @@ def _fig_4(pictures: dict[str, Any]) -> str:
         axis.plot(angles, found.curve.ranges_m, "r.", ms=3, label="lidar")
         camera = np.degrees(stack.bearings_rad() + found.yaw_rad)
         axis.plot(camera, stack.ranges_m[found.v], "b.", ms=3, label="image")
-        where = f"v = {found.v}" if found.height_m is None else f"h = {found.height_m:.2f} m"
+        where = f"v = {found.v}" if np.isnan(found.height_m) else f"h = {found.height_m:.2f} m"
         axis.set(title=f"{title}: u = {found.u}, {where}, PCC {found.pcc:.2f}", xlabel="bearing, degrees")
         axis.legend()
     found = pictures["heights"]

@@ -30,7 +30,7 @@ def score_recall(pair: TruePair, rig: fusion.RigEstimate, tally: Tally) -> None:
     own = pair.scan.valid_ranges_m()
     steady = smooth(own, pair.scan.step_rad, _SMOOTH_BEAMS, _LIDAR_SLACK)
     for image, alignment in zip(pair.images, rig.alignments, strict=True):
-        if alignment is None or rig.height_m is None:
+        if alignment is None:
             continue
         piece = native_slice(image.depth, rig.height_m)
         beams = (pair.scan.start_angle_rad, pair.scan.step_rad, own.size)

@@ -8,10 +8,12 @@ from pathlib import Path
 import gtsam
 import numpy as np
 from xu2024_drive import DriveResult, pair_pictures
+from xu2024_rows import register_rows
 from xu2024_score import Tally
 
 import fusion
 from slam.datasets import open_dataset
+from slam.datasets.frame_pairs import nearest_partners
 from slam.measurements import LaserScan, RgbdFrame
 
 TOLERANCE_S = 0.1
@@ -37,7 +39,7 @@ def run_recorded(folder: Path, most: int) -> DriveResult:
     rig, kept = fusion.Rig(), []
     for scan, images in _load(folder, wanted):
         ours = fusion.register(scan, images)
-        rows = fusion.register(scan, images, candidates="rows")
+        rows = register_rows(scan, images)
         result.tally.add("high", [ours.grade == fusion.Grade.HIGH])
         for name, at in (("rows", rows), ("heights", ours)):
             result.grades[name][(folder.name, at.grade.name)] += 1
@@ -59,9 +61,9 @@ def _wanted(
     times = np.array([scan.stamp_s for scan in scans])
     nearest: list[dict[str, float]] = [{} for _ in scans]
     for sensor, own in stamps.items():
-        pairs = fusion.pair_stamps(times, np.array(own), TOLERANCE_S)
-        for i, j in pairs:
-            nearest[i][sensor] = own[j]
+        for i, j in enumerate(nearest_partners(times, np.array(own), TOLERANCE_S)):
+            if j >= 0:
+                nearest[i][sensor] = own[j]
     for scan, images in zip(scans, nearest, strict=True):
         if images and len(images) == len(stamps):
             found.append((scan, images))

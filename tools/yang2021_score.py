@@ -15,7 +15,6 @@ from fusion.curves import Intrinsics
 from fusion.height_band import (
     HeightBand,
     back_project,
-    count_in_cells,
     dense_enough,
     pixel_rays,
     thin_to_voxels,
@@ -170,3 +169,18 @@ def _foot(line: Line, point: Points) -> Points:
 def _cross(a: Points, b: Points) -> Points:
     """The z of the cross product in the plane."""
     return np.asarray(a[0] * b[..., 1] - a[1] * b[..., 0])
+
+
+def count_in_cells(points_xy: Points, cell_m: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Points a cell: Yang2021 Eq. (19), cell = floor(xy / R).
+
+    Returns
+    -------
+    (M, 2) column and row of each cell that holds a point, on the lattice through the frame's origin; (M,) how
+    many it holds. Eq. (20) takes those of at least N points for occupied.
+    """
+    cells = np.floor(np.asarray(points_xy)[:, :2] / cell_m).astype(np.int64)
+    if not len(cells):
+        return cells.reshape(0, 2), np.zeros(0, dtype=np.int64)
+    found, counts = np.unique(cells, axis=0, return_counts=True)
+    return found, counts

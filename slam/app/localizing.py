@@ -98,7 +98,7 @@ def localize_log(
     known_map = KnownMap.of_saved(saved)
     registrations = _registrations(known_map, log, config)
     with recording(record) as viewer:
-        if saved.grid is not None:
+        if viewer is not None and saved.grid is not None:
             viewer.grid("saved map", saved.grid.states(), saved.grid.resolution_m, saved.grid.T_map_grid)
         localizer = Localizer(known_map, config, registrations)
         drive = _driven(localizer, log, config, viewer, on_progress or silent)
@@ -123,7 +123,7 @@ def _registrations(known_map: KnownMap, log: Dataset, config: Config) -> dict[st
 
 
 def _driven(
-    localizer: Localizer, log: Dataset, config: Config, viewer: Viewer, on_progress: OnProgress
+    localizer: Localizer, log: Dataset, config: Config, viewer: Viewer | None, on_progress: OnProgress
 ) -> DriveLog:
     """The whole log through the localiser."""
     drive = DriveLog()
@@ -132,7 +132,8 @@ def _driven(
         output = localizer.add(measurement)
         if output is not None:
             drive.add(output, time.perf_counter() - before)
-            record_localization(viewer, measurement, output)
+            if viewer is not None:
+                record_localization(viewer, measurement, output)
             on_progress(Progress("localising", len(drive), log.report.share))
     on_progress(Progress("localising", len(drive), 1.0))
     return drive

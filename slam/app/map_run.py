@@ -10,18 +10,14 @@ from pathlib import Path
 
 from slam.app.map_folder import finished_map, opened_map
 from slam.app.progress import OnProgress, Progress
-from slam.config import Config
 from slam.datasets.dataset import Dataset
 from slam.errors import ScanweaveError
 from slam.evaluation.map_report import ReportData, RunCost, beside_of
 from slam.evaluation.report import write_report
 from slam.mapper.checkpoint import Checkpoint
-from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
-from slam.mapping.layered_map import LayeredMap
+from slam.outputs.exports import Exports, exports_of
 from slam.outputs.finished_map import NOTES, WARNINGS, Map, open_map
-from slam.outputs.layer_outputs import layers_of
-from slam.outputs.run_outputs import contents_of, save_clouds, save_dense, save_run
 from slam.storage.files import make_folder
 from slam.storage.map_contents import write_contents
 from slam.storage.map_file import MAP_NAME
@@ -99,17 +95,18 @@ def run_into(
         readings = result.scans.stamps_s.size
         on_progress(Progress("mapping", readings, 1.0))
         on_progress(Progress("writing", readings))
-        layers = layers_of(result, config)
-        files, missing = _exports(folder, result, layers, config) if exports else ([], [])
+        made = exports_of(result, config)
+        files, missing = _written(folder, made) if exports else ([], [])
         data = None
         if report:
             cost = RunCost(time.perf_counter() - started, time.process_time())
             beside = beside_of(dataset, result, files, missing)
-            data = ReportData(identity.log_name, dataset.report, result, config, cost, beside, layers)
+            data = ReportData(identity.log_name, dataset.report, result, config, cost, beside, made.layers)
             write_report(folder / "report.html", data)
             written.append(folder / "report.html")
-        record_map(viewer, result, layers, config)
-        write_contents(file, contents_of(result, layers))
+        if viewer is not None:
+            record_map(viewer, result, made.layers, config)
+        write_contents(file, made.contents)
         file.add_meta(NOTES, json.dumps(result.notes))
         file.add_meta(WARNINGS, json.dumps(result.warnings))
         file.seal()
@@ -117,18 +114,14 @@ def run_into(
     return MapRun(open_map(folder), data, (*files, folder / MAP_NAME, *written), dropped)
 
 
-def _exports(
-    folder: Path, result: MapResult, layers: LayeredMap | None, config: Config
-) -> tuple[list[Path], list[str]]:
+def _written(folder: Path, made: Exports) -> tuple[list[Path], list[str]]:
     """Write the files for other programs; which they are, and what of them could not be had.
 
     Without surfaces the map is still worth its report.
     """
-    files, missing = save_run(folder, result, layers), list[str]()
+    files = made.write_files(folder)
     try:
-        surface, missing = save_dense(folder, result, config)
-        files += surface
-        files += save_clouds(folder, result, config)
+        surfaces, missing = made.write_surfaces(folder)
     except ScanweaveError as error:
-        missing.append(f"No coloured surface was written: {error}")
-    return files, missing
+        return files, [f"No coloured surface was written: {error}"]
+    return files + surfaces, missing

@@ -64,7 +64,8 @@ def compare(
             resume=resume,
             on_row=_tell,
         )
-        record_comparison(viewer, done.rows, ResultStore(out))
+        if viewer is not None:
+            record_comparison(viewer, done.rows, ResultStore(out))
     lost = [row for row in done.rows if row["status"] != "ok"]
     say(f"{len(done.rows)} runs, {done.done_now} of them now, {len(lost)} without a result")
     evo = sum(path.suffix == ".zip" for path in done.written)

@@ -43,9 +43,9 @@ class DenseOdometry:
 
         odometry = o3d.t.pipelines.odometry
         source, target = _image(frame), _image(keyframe.frame)
-        k = frame.depth_intrinsics
+        depth_m, k = frame.parts.depth
         camera = o3d.core.Tensor.from_numpy(np.array([[k.fx, 0.0, k.cx], [0.0, k.fy, k.cy], [0.0, 0.0, 1.0]]))
-        farthest_m = float(frame.depth_m.max())
+        farthest_m = float(depth_m.max())
         if farthest_m <= 0.0:
             return seed
         loss = odometry.OdometryLossParams(self._config.gate_m, 0.5 * self._config.gate_m, _INTENSITY_SCALE)
@@ -122,9 +122,10 @@ def _image(frame: PreparedFrame) -> Any:
 
     o3d = load_open3d()
 
-    height, width = frame.depth_m.shape
+    depth_m = frame.parts.depth[0]
+    height, width = depth_m.shape
     color = cv2.resize(frame.frame.color, (width, height), interpolation=cv2.INTER_AREA)
     return o3d.t.geometry.RGBDImage(
         o3d.t.geometry.Image(np.ascontiguousarray(color)),
-        o3d.t.geometry.Image(np.ascontiguousarray(frame.depth_m)),
+        o3d.t.geometry.Image(np.ascontiguousarray(depth_m)),
     )

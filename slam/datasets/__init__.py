@@ -9,7 +9,7 @@ from pathlib import Path
 
 from slam.datasets.bags.dataset import open_bag
 from slam.datasets.bags.files import looks_like_bag
-from slam.datasets.carmen import HEAD_BYTES, CarmenDataset, looks_like_carmen
+from slam.datasets.carmen import HEAD_BYTES, looks_like_carmen, open_carmen
 from slam.datasets.cloud_folder import looks_like_cloud_folder, open_cloud_folder
 from slam.datasets.dataset import Dataset, ReadReport
 from slam.datasets.log_file import read_head
@@ -47,13 +47,9 @@ class DatasetFormat:
     open: Callable[[Path, bool], Dataset]
 
 
-def _open_carmen(path: Path, strict: bool) -> Dataset:
-    return CarmenDataset(path, strict=strict)
-
-
 # The one place where a new reader is registered; the first that recognises a path reads it.
 FORMATS: tuple[DatasetFormat, ...] = (
-    DatasetFormat("CARMEN log (.log, .clf, plain or .gz)", looks_like_carmen, _open_carmen),
+    DatasetFormat("CARMEN log (.log, .clf, plain or .gz)", looks_like_carmen, open_carmen),
     DatasetFormat("7-Scenes folder", looks_like_seven_scenes, open_seven_scenes),
     DatasetFormat("folder of a CARMEN log and TUM images", looks_like_recorded_folder, open_recorded_folder),
     DatasetFormat("TUM RGB-D folder", looks_like_tum, open_tum),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 import re
 from collections import Counter
@@ -12,6 +11,7 @@ from pathlib import Path
 import gtsam
 import numpy as np
 
+from slam.datasets.account import Account
 from slam.datasets.carmen_records import (
     NOT_A_NUMBER,
     LaserRecord,
@@ -25,10 +25,8 @@ from slam.datasets.carmen_records import (
 from slam.datasets.dataset import ReadReport, RecordFault
 from slam.datasets.laser_geometry import BeamLayout, beam_layout, classify_ranges, no_return_limit_m
 from slam.datasets.log_file import numbered_lines, read_head
-from slam.errors import BadRecordError, DatasetError
-from slam.measurements import LaserScan, Measurement, Trajectory, WheelOdometry, pose2_from_row
-
-log = logging.getLogger(__name__)
+from slam.datasets.recording import Contents, Numbered, Recording
+from slam.measurements import LaserScan, Measurement, WheelOdometry, pose2_from_row
 
 HEAD_BYTES = 1 << 18  # enough for a full block of parameters and some scans
 _MESSAGE_NAME = re.compile(rb"[A-Za-z][A-Za-z0-9_]{1,31}")
@@ -68,71 +66,42 @@ def looks_like_carmen(path: Path, head: bytes) -> bool:
     return bool(suffixes & {".log", ".clf"}) and only_comments
 
 
-class CarmenDataset:
-    """A CARMEN log as a stream of odometry and scans; see `slam.datasets.dataset.Dataset`.
+def open_carmen(path: Path, strict: bool) -> Recording:
+    """A CARMEN log as a stream of odometry and scans; poses in it are the robot's own belief, no truth.
 
     Every ODOM line gives one `WheelOdometry`; so does the robot pose in a scan line, unless it repeats
     the reading just before it (same stamp and pose). The scan follows its odometry. The stamp is the
     ipc stamp. The order is that of the file: stamps may run backward, which is counted, not mended.
-
-    Parameters
-    ----------
-    path
-        The log.
-    strict
-        Stop at the first damaged record instead of counting and skipping it.
     """
+    remedy = "expected are CARMEN messages FLASER, ROBOTLASER1 or ODOM"
+    dataset = Recording(
+        path,
+        lambda account: Contents(log=read_carmen(path, account)),
+        lambda _: None,
+        strict=strict,
+        remedy=remedy,
+    )
+    dataset.name = path.name.removesuffix(".gz").removesuffix(".log").removesuffix(".clf")
+    return dataset
 
-    def __init__(self, path: Path, *, strict: bool = False) -> None:
-        self.path = path
-        self.name = path.name.removesuffix(".gz").removesuffix(".log").removesuffix(".clf")
-        self.report = ReadReport()
-        self._strict = strict
 
-    def __iter__(self) -> Iterator[Measurement]:
-        """Read the log from its beginning, with a new report.
+def read_carmen(path: Path, account: Account) -> Iterator[Numbered]:
+    """Line numbers and measurements of a log."""
 
-        Raises
-        ------
-        BadRecordError
-            A damaged record, under ``strict``.
-        DatasetError
-            The file cannot be read, or holds neither odometry nor a scan.
-        """
-        report = ReadReport()
-        for number, measurement in self.numbered(report):
-            report.observe(measurement, number)
-            yield measurement
-        if report.measurement_count == 0:
-            raise DatasetError(_nothing_usable(self.path, report))
+    def refuse(fault: RecordFault, number: int) -> None:
+        account.refuse(fault, path.name, number)
 
-    def groundtruth(self) -> Trajectory | None:
-        """None: poses in a log are the robot's own belief."""
-        return None
-
-    def numbered(self, report: ReadReport) -> Iterator[tuple[int, Measurement]]:
-        """Line numbers and measurements; records go to ``report``, which does not observe them yet."""
-        self.report = report
-        decoder = _Decoder(report, _preferred_kinds(read_head(self.path, HEAD_BYTES)))
-        last = 0
-        for number, line in numbered_lines(self.path, self._refuse, report.note_share):
-            report.line_count += number - last
-            last = number
-            try:
-                for measurement in decoder.decode(line.split(), number):
-                    yield number, measurement
-            except RecordFault as fault:
-                cut = not line.endswith(b"\n")
-                self._refuse(RecordFault(TRUNCATED, str(fault)) if cut else fault, number)
-
-    def _refuse(self, fault: RecordFault, number: int) -> None:
-        """Count a damaged record, or stop at it."""
-        if self._strict:
-            raise BadRecordError(
-                f"{self.path.name}, line {number}: {fault}; read without --strict to count and skip it"
-            )
-        self.report.drop(fault.reason, number)
-        log.debug("%s, line %d: %s", self.path.name, number, fault)
+    report = account.report
+    decoder = _Decoder(report, _preferred_kinds(read_head(path, HEAD_BYTES)))
+    last = 0
+    for number, line in numbered_lines(path, refuse, report.note_share):
+        report.line_count += number - last
+        last = number
+        try:
+            for measurement in decoder.decode(line.split(), number):
+                yield number, measurement
+        except RecordFault as fault:
+            refuse(fault if line.endswith(b"\n") else RecordFault(TRUNCATED, str(fault)), number)
 
 
 class _Decoder:
@@ -303,14 +272,3 @@ def _reach_m(pose: gtsam.Pose2) -> float:
 def _radians(angle_deg: float | None) -> float | None:
     """Degrees of a PARAM in radians."""
     return None if angle_deg is None else math.radians(angle_deg)
-
-
-def _nothing_usable(path: Path, report: ReadReport) -> str:
-    """The message for a log without measurements."""
-    reasons = ", ".join(f"{tally.count} x {reason}" for reason, tally in report.dropped.items())
-    ignored = ", ".join(list(report.ignored)[:5])
-    found = "; ".join(part for part in (reasons, f"ignored messages: {ignored}" if ignored else "") if part)
-    return (
-        f"{path} holds no odometry and no scan in {report.line_count} lines"
-        f"{f' ({found})' if found else ''}; expected CARMEN messages FLASER, ROBOTLASER1 or ODOM"
-    )

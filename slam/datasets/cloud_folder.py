@@ -27,7 +27,7 @@ _GROUNDTRUTH = "groundtruth.txt"
 
 def looks_like_cloud_folder(path: Path, head: bytes) -> bool:
     """Whether a path is a folder with clouds and a list of their stamps."""
-    return path.is_dir() and times_of(path) is not None and bool(_cloud_places(path))
+    return path.is_dir() and has_clouds(path)
 
 
 def open_cloud_folder(path: Path, strict: bool) -> Recording:

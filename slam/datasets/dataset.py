@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 from slam.measurements import Measurement, Trajectory, WheelOdometry
 
 # Above these a pair of odometry readings is a jump of the counter, not a drive of the robot: an indoor
@@ -18,6 +20,7 @@ JUMP_SLACK_M = 0.3
 JUMP_TURN_RAD_S = math.pi
 JUMP_SLACK_RAD = 0.5
 
+_SAMPLES_KEPT = 4096  # numbers kept for a median
 _LINES_KEPT = 3  # examples kept of each kind of event
 _KEYS_KEPT = 32  # kinds of event; the rest share one key, so that garbage cannot grow the report
 _OTHER = "(others)"
@@ -54,6 +57,28 @@ class Tally:
         self.largest = max(self.largest, size)
         if len(self.lines) < _LINES_KEPT:
             self.lines.append(line)
+
+
+@dataclass(slots=True)
+class Thinned:
+    """An even sample of a stream of numbers, of bounded size and the same on every run."""
+
+    values: list[float] = field(default_factory=list)
+    stride: int = 1
+    seen: int = 0
+
+    def add(self, value: float) -> None:
+        """Take the next number."""
+        if self.seen % self.stride == 0:
+            self.values.append(value)
+            if len(self.values) >= _SAMPLES_KEPT:
+                del self.values[1::2]
+                self.stride *= 2
+        self.seen += 1
+
+    def median(self) -> float | None:
+        """Of the sample; None where there is none."""
+        return float(np.median(self.values)) if self.values else None
 
 
 @dataclass(slots=True)

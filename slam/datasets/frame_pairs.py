@@ -34,17 +34,12 @@ def pair_images(
 ) -> list[FramePair]:
     """Pairs by nearest time in the order of the colour list; what is left over is counted.
 
-    The tolerance is 0.02 s; half the median interval of the colour images where that is larger and
-    the usual tolerance leaves more than half of the images alone. The report says which.
+    The report says within which tolerance, see `tolerance_of`.
     """
     color_s = np.array([image.stamp_s for image in colors])
     depth_s = np.array([image.stamp_s for image in depths])
-    tolerance_s = TOLERANCE_S
+    tolerance_s = tolerance_of(color_s, depth_s)
     partner = nearest_partners(color_s, depth_s, tolerance_s)
-    wider_s = 0.5 * _median_interval_s(color_s)
-    if wider_s > tolerance_s and np.count_nonzero(partner >= 0) < _ENOUGH * min(len(colors), len(depths)):
-        tolerance_s = wider_s
-        partner = nearest_partners(color_s, depth_s, tolerance_s)
     taken = np.zeros(len(depths), dtype=np.bool_)
     taken[partner[partner >= 0]] = True
     pairs = []
@@ -97,6 +92,9 @@ def nearest_partners(first_s: FloatArray, second_s: FloatArray, tolerance_s: flo
     return partner
 
 
-def _median_interval_s(stamps_s: FloatArray) -> float:
-    """Median time between stamps, 0 for fewer than two."""
-    return float(np.median(np.diff(np.sort(stamps_s)))) if stamps_s.size > 1 else 0.0
+def tolerance_of(colors_s: FloatArray, depths_s: FloatArray) -> float:
+    """0.02 s; half the median interval of (N,) colours where that is larger and 0.02 leaves most alone."""
+    paired = np.count_nonzero(nearest_partners(colors_s, depths_s, TOLERANCE_S) >= 0)
+    if colors_s.size < 2 or paired >= _ENOUGH * min(colors_s.size, depths_s.size):
+        return TOLERANCE_S
+    return max(TOLERANCE_S, 0.5 * float(np.median(np.diff(np.sort(colors_s)))))

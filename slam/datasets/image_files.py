@@ -31,12 +31,20 @@ def read_color(path: Path) -> ColorImage:
     RecordFault
         Missing, unreadable, damaged, or not 8-bit.
     """
+    image = _decode(path, _content(path))
+    color = rgb_of(image)
+    if color is None:
+        raise RecordFault(NOT_COLOR, f"{path.name}: {image.dtype} {image.shape}")
+    return color
+
+
+def rgb_of(image: NDArray[Any]) -> ColorImage | None:
+    """Pixels as OpenCV decodes them as (H, W, 3) RGB; None where they are not 8-bit colour or grey."""
     import cv2
 
-    image = _decode(path, _content(path))
-    if image.dtype != np.uint8 or (image.ndim == 3 and image.shape[2] not in (1, 3, 4)):
-        raise RecordFault(NOT_COLOR, f"{path.name}: {image.dtype} {image.shape}")
     channels = 1 if image.ndim == 2 else image.shape[2]
+    if image.dtype != np.uint8 or channels not in (1, 3, 4):
+        return None
     conversion = {1: cv2.COLOR_GRAY2RGB, 3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGB}[channels]
     return np.ascontiguousarray(cv2.cvtColor(image, conversion))
 

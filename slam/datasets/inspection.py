@@ -8,13 +8,11 @@ from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
-from slam.datasets.dataset import Dataset, Tally
+from slam.datasets.dataset import Dataset, Tally, Thinned
 from slam.datasets.inspection_bag import BagSummary, bag_summary
 from slam.datasets.inspection_camera import CameraFigures, CameraSummary
 from slam.datasets.inspection_cloud import CloudFigures, CloudSummary
 from slam.measurements import LaserScan, PointCloud, RgbdFrame, WheelOdometry
-
-_SAMPLES_KEPT = 4096  # intervals kept for a median; more are thinned evenly
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,31 +166,11 @@ def inspect_dataset(dataset: Dataset) -> Inspection:
 
 
 @dataclass(slots=True)
-class _Thinned:
-    """An even sample of a stream of numbers, of bounded size and the same on every run."""
-
-    values: list[float] = field(default_factory=list)
-    stride: int = 1
-    seen: int = 0
-
-    def add(self, value: float) -> None:
-        if self.seen % self.stride == 0:
-            self.values.append(value)
-            if len(self.values) >= _SAMPLES_KEPT:
-                del self.values[1::2]
-                self.stride *= 2
-        self.seen += 1
-
-    def median(self) -> float | None:
-        return float(np.median(self.values)) if self.values else None
-
-
-@dataclass(slots=True)
 class _Stream:
     """Running figures of one sensor."""
 
     count: int = 0
-    intervals: _Thinned = field(default_factory=_Thinned)
+    intervals: Thinned = field(default_factory=Thinned)
     last_stamp_s: float | None = None
     gap_s: float = 0.0
     gap_from_s: float | None = None

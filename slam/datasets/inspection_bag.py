@@ -68,7 +68,7 @@ def bag_summary(dataset: Dataset) -> BagSummary | None:
             topic.rate_hz,
             topic.gap_s,
             topic.gap_at_s - first_s if topic.gap_s else 0.0,
-            topic.median_late_s,
+            topic.late_s.median(),
         )
         for name, topic in sorted(figures.topics.items())
     )

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 
 import gtsam
-import numpy as np
 
 from slam.measurements import RgbdFrame
+from slam.vision.camera_frame import T_BODY_CAMERA
 
 _EVERY_PIXEL = 4  # along rows and columns: 19200 of 640 x 480 tell the shares well enough
 
@@ -86,6 +86,5 @@ class CameraFigures:
 
 def _body_rpy_rad(T_base_camera: gtsam.Pose3) -> tuple[float, float, float]:
     """Roll, pitch and yaw of the body whose x axis is the optical z, y the left and z the up of the image."""
-    optical = gtsam.Rot3(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
-    roll, pitch, yaw = T_base_camera.rotation().compose(optical.inverse()).rpy().tolist()
+    roll, pitch, yaw = T_base_camera.compose(T_BODY_CAMERA.inverse()).rotation().rpy().tolist()
     return roll, pitch, yaw

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from slam.datasets.account import Account
-from slam.datasets.carmen import HEAD_BYTES, CarmenDataset, looks_like_carmen
+from slam.datasets.carmen import HEAD_BYTES, looks_like_carmen, read_carmen
 from slam.datasets.cloud_folder import has_clouds, read_clouds
 from slam.datasets.clouds_over_time import merged
 from slam.datasets.log_file import read_head
@@ -44,7 +44,7 @@ def open_recorded_folder(path: Path, strict: bool) -> Recording:
         cameras = [tum_camera(folder, name, account) for name, folder in _cameras(path).items()]
         log: Iterable[Numbered] = ()
         if logs:
-            log = CarmenDataset(logs[0], strict=strict).numbered(account.report)
+            log = read_carmen(logs[0], account)
         if has_clouds(path):
             log = merged(log, read_clouds(path, account).numbered(account))
         return Contents(cameras, log)

@@ -53,6 +53,8 @@ class Recording:
         Reads the true trajectory, None where there is none.
     strict
         Stop at the first damaged record instead of counting and skipping it.
+    remedy
+        What to do where nothing usable is found.
 
     Attributes
     ----------
@@ -67,12 +69,13 @@ class Recording:
         truth: Callable[[Account], Trajectory | None],
         *,
         strict: bool = False,
+        remedy: str = "give a folder with its images in place",
     ) -> None:
         self.path = path
         self.name = path.resolve().name
         self.report = ReadReport()
         self.read_images = True
-        self._load, self._truth, self._strict = load, truth, strict
+        self._load, self._truth, self._strict, self._remedy = load, truth, strict, remedy
 
     def __iter__(self) -> Iterator[Measurement]:
         """Read the recording from its beginning, with a new report.
@@ -98,8 +101,8 @@ class Recording:
                 if frames_in_all:
                     report.note_share(min(1.0, frames_read / frames_in_all))
                 yield measurement
-        if report.measurement_count == 0 and self.read_images:
-            raise DatasetError(_nothing_usable(self.path, report))
+        if report.measurement_count == 0 and (self.read_images or not contents.cameras):
+            raise DatasetError(_nothing_usable(self.path, report, self._remedy))
 
     def groundtruth(self) -> Trajectory | None:
         """The true trajectory that lies beside the readings; its damaged lines are left out."""
@@ -135,13 +138,12 @@ def _frames_after_log(log: Iterable[Numbered], frames: Iterator[tuple[int, RgbdF
         yield from frames
 
 
-def _nothing_usable(path: Path, report: ReadReport) -> str:
+def _nothing_usable(path: Path, report: ReadReport, remedy: str) -> str:
     """The message for a recording without a single measurement."""
     reasons = "; ".join(
         f"{tally.count} x {reason}, first at record {tally.lines[0]}"
         for reason, tally in report.dropped.items()
     )
-    return (
-        f"{path} holds no usable frame, scan or odometry"
-        f"{f' ({reasons})' if reasons else ''}; give a folder with its images in place"
-    )
+    if report.ignored:
+        reasons += f"{'; ' if reasons else ''}ignored: {', '.join(list(report.ignored)[:5])}"
+    return f"{path} holds no usable frame, scan or odometry{f' ({reasons})' if reasons else ''}; {remedy}"

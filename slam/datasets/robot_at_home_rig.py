@@ -17,6 +17,7 @@ from slam.datasets.dataset import RecordFault
 from slam.datasets.frame_pairs import FramePair
 from slam.datasets.laser_geometry import classify_ranges
 from slam.measurements import CameraIntrinsics, FloatArray, LaserScan
+from slam.vision.camera_frame import T_BODY_CAMERA
 
 LASER = "HOKUYO1"
 BAD_TIME = "observation without a time of this age"
@@ -46,9 +47,7 @@ def camera(sensor: str, pairs: list[FramePair]) -> Camera:
     mount = None
     if sensor in _CAMERAS:
         position_m, yaw_deg = _CAMERAS[sensor]
-        # Columns: the optical x, y, z of a level camera that looks along the robot's x axis.
-        level = gtsam.Rot3(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
-        turned = gtsam.Rot3.Yaw(math.radians(yaw_deg)).compose(level)
+        turned = gtsam.Rot3.Yaw(math.radians(yaw_deg)).compose(T_BODY_CAMERA.rotation())
         mount = gtsam.Pose3(turned, np.array(position_m))
     return Camera(sensor, pairs, Calibration(_UPRIGHT, _DEPTH_STEPS_PER_M, (), mount), _QUARTER_TURNS)
 

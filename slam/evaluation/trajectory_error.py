@@ -94,7 +94,7 @@ def associate(
             f" {trajectory.stamps_s.min():.3f} to {trajectory.stamps_s.max():.3f} s, reference"
             f" {reference.stamps_s.min():.3f} to {reference.stamps_s.max():.3f} s; is it the same clock?"
         )
-    short, long = _take(short, found), _take(long, nearest[found])
+    short, long = short[found], long[nearest[found]]
     return (long, short) if reference_is_shorter else (short, long)
 
 
@@ -180,13 +180,6 @@ def umeyama(points: FloatArray, targets: FloatArray) -> FloatArray:
     T[:3, :3] = left @ flip @ right
     T[:3, 3] = mean_targets - T[:3, :3] @ mean_points
     return T
-
-
-def _take(trajectory: Trajectory, indices: Any) -> Trajectory:
-    """The poses at ``indices``."""
-    return Trajectory(
-        trajectory.stamps_s[indices], trajectory.positions_m[indices], trajectory.quaternions_xyzw[indices]
-    )
 
 
 def _pairs_by_path(positions_m: FloatArray, delta_m: float) -> tuple[Any, Any]:

@@ -22,7 +22,6 @@ from slam.vision.color_registration import ColorRegistration
 T = TypeVar("T")
 
 _LENGTH = struct.Struct("<I")
-_ROW_BYTES = 1 << 18
 _REGISTRATIONS, _MOUNTINGS = "registrations", "mountings"
 
 
@@ -121,8 +120,6 @@ class Checkpoint:
         content = pack((question, float(key), answer))
         self._waiting += _LENGTH.pack(len(content)) + content
         self._count += 1
-        if len(self._waiting) > _ROW_BYTES:
-            self._flush()
 
     def _flush(self) -> None:
         """Write the answers that wait, as one row."""

@@ -194,7 +194,7 @@ def _note(pairs: Sequence[FusionPair], estimate: fusion.RigEstimate) -> str:
     """What was found and repaired."""
     counts = np.sum([pair.repaired for pair in pairs if pair.repaired is not None], axis=0)
     high = sum(pair.grade == fusion.Grade.HIGH for pair in pairs)
-    height = "" if estimate.height_m is None else f", lidar {-estimate.height_m:.2f} m below the camera"
+    height = f", lidar {-estimate.height_m:.2f} m below the camera"
     filled = counts[fusion.Provenance.FILLED] if np.ndim(counts) else 0
     interpolated = counts[fusion.Provenance.INTERPOLATED] if np.ndim(counts) else 0
     drift = f"; the last pairs alone differ by {estimate.drift} samples" if estimate.drift else ""

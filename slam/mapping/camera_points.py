@@ -24,7 +24,7 @@ def camera_cloud(
     Raises
     ------
     ScanweaveError
-        Where a pose is not finite, there are more or fewer poses than frames, or the memory limit is met.
+        Where a pose is not finite, or the memory limit is met.
     """
     # Of a voxel: views, place, colour, and the way to the camera.
     seen = [VoxelMoments(np.empty(0, np.int64), np.empty((0, 10)))]

@@ -24,10 +24,6 @@ Faces: TypeAlias = NDArray[np.int32]
 
 # Blocks of 8 voxels a side, a band of 4 on either side of the surface: half the memory of Open3D's 16 and 8.
 BLOCK_SIDE = 8
-TRUNCATION_VOXELS = 4.0
-# A voxel holds distance, weight and three colours as float32, and while the mesh is drawn four int32 more.
-# Whole-number colours are not used: their running mean is cut off at every update and darkens.
-BLOCK_BYTES = BLOCK_SIDE**3 * (5 * 4 + 4 * 4)
 FIRST_BLOCKS = 2000
 
 
@@ -146,11 +142,19 @@ def fuse_keyframes(
     Raises
     ------
     ScanweaveError
-        Where a pose is not finite, there are more or fewer poses than frames, or the memory limit is met.
+        Where a pose is not finite, or the memory limit is met.
     """
     volume = _Volume(settings or DenseMapSettings())
     fused = sum(volume.integrate(frame, T_map_camera) for frame, T_map_camera in posed_frames(frames, poses))
     return DenseMap(volume.mesh(), volume.cloud(), fused)
+
+
+def block_bytes() -> int:
+    """Of a block: a voxel has distance, weight, three colours as float32, and for the mesh four int32 more.
+
+    Whole-number colours are not used: their running mean is cut off at every update and darkens.
+    """
+    return BLOCK_SIDE**3 * (5 * np.dtype(np.float32).itemsize + 4 * np.dtype(np.int32).itemsize)
 
 
 class _Volume:
@@ -160,7 +164,7 @@ class _Volume:
         open3d = self._o3d = load_open3d()
         self._settings = settings
         self._weight_below = settings.minimum_views - 0.5  # Open3D keeps what is above, not at the threshold
-        self._most_blocks = int(settings.memory_limit_mb * 1e6 / BLOCK_BYTES)
+        self._most_blocks = int(settings.memory_limit_mb * 1e6 / block_bytes())
         self._grid = open3d.t.geometry.VoxelBlockGrid(
             attr_names=("tsdf", "weight", "color"),
             attr_dtypes=(open3d.core.float32,) * 3,
@@ -185,7 +189,7 @@ class _Volume:
         camera = tensor(_camera_matrix(frame.intrinsics))
         T_camera_map = tensor(np.ascontiguousarray(T_map_camera.inverse().matrix()))
         # One unit of depth a metre. Open3D leaves out what is at its limit, and is given a larger one.
-        limits = (1.0, settings.depth_max_m * 1.001, TRUNCATION_VOXELS)
+        limits = (1.0, settings.depth_max_m * 1.001, BLOCK_SIDE / 2)
         blocks = self._grid.compute_unique_block_coordinates(depth, camera, T_camera_map, *limits)
         self._make_room(len(blocks))
         self._grid.integrate(blocks, depth, color, camera, T_camera_map, *limits)

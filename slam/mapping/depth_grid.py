@@ -18,7 +18,6 @@ from fusion.curves import HEIGHT_STEP_M, Intrinsics
 from fusion.depth_model import RangeNoise, hit_evidence
 from fusion.height_band import (
     HeightBand,
-    LensDistortion,
     back_project,
     obstacle_points,
     pixel_rays,
@@ -31,8 +30,6 @@ from slam.mapping.view_coverage import MAX_BINS, free_heights, heights_seen, vie
 from slam.measurements import CameraIntrinsics, Float32Array, FloatArray, RgbdFrame
 
 Rays: TypeAlias = FloatArray
-
-_FREE_STRIDES = (2, 4)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +54,8 @@ class DepthModel:
     least_points
         N of Yang2021 Eq. (20): so many voxels make a cell occupied.
     pixel_stride
-        Every how many rows and columns a pixel is looked at for obstacles; voxels need no more.
+        Every how many rows and columns a pixel is looked at for obstacles, voxels need no more; and every how
+        many rows and half as many columns for what is free.
     """
 
     band: HeightBand = field(default_factory=lambda: HeightBand(0.0, 0.7, 0.03))
@@ -106,7 +104,6 @@ def depth_board(
     T_grid_camera: FloatArray,
     model: DepthModel,
     cell_m: float,
-    distortion: LensDistortion | None = None,
 ) -> Board | None:
     """The evidence of one depth image, height by height; None where it has no reading within reach.
 
@@ -120,8 +117,6 @@ def depth_board(
         (4, 4) of the optical frame in the lattice's axes, z up from the floor.
     cell_m
         Side of a cell; more than the model's radius (Yang2021: R > r).
-    distortion
-        Of the depth image, where the log does not come undistorted.
 
     Raises
     ------
@@ -132,7 +127,7 @@ def depth_board(
         raise ConfigError(
             f"cells of {cell_m:g} m with radius_m {model.radius_m:g}; a cell must be larger (Yang2021: R > r)"
         )
-    rays, rays32 = _rays_of(frame.depth_m.shape, frame.intrinsics, distortion)
+    rays, rays32 = _rays_of(frame.depth_m.shape, frame.intrinsics)
     depth_m = np.where(np.isfinite(frame.depth_m), frame.depth_m, np.float32(0.0))
     if not (depth_m > 0.0).any():
         return None
@@ -143,7 +138,7 @@ def depth_board(
     band_m = (model.band.low_m, model.band.high_m)
     mask = heights_seen(
         *(depth_m, rays32, matrix, box, cell_m, model.depth_max_m, band_m, bins, noise),
-        *(model.margin_sigmas, _FREE_STRIDES),
+        *(model.margin_sigmas, (model.pixel_stride, 2 * model.pixel_stride)),
     )
     steps = np.zeros((*mask.shape, bins + 1), dtype=np.int16)
     free_heights(mask, steps, evidence_steps(model.p_miss))
@@ -195,9 +190,7 @@ def _hits_by_range(model: DepthModel, cell_m: float) -> Steps:
 
 
 @lru_cache(maxsize=8)
-def _rays_of(
-    shape: tuple[int, int], camera: CameraIntrinsics, distortion: LensDistortion | None
-) -> tuple[Rays, Float32Array]:
+def _rays_of(shape: tuple[int, int], camera: CameraIntrinsics) -> tuple[Rays, Float32Array]:
     """Where the pixels look, in both precisions."""
-    rays = pixel_rays(shape, Intrinsics(camera.fx, camera.fy, camera.cx, camera.cy), distortion)
+    rays = pixel_rays(shape, Intrinsics(camera.fx, camera.fy, camera.cx, camera.cy))
     return rays, rays.astype(np.float32)

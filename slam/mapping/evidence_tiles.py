@@ -1,7 +1,7 @@
 """Sums of evidence in square tiles: memory for what was seen only, and the least used tiles go to disk.
 
 Evidence is in whole steps of log-odds (`fusion.bayes.STEPS_A_UNIT`): sums are exact, so the order in which
-boards come, or in which partial maps are merged, changes nothing.
+boards come changes nothing.
 """
 
 from __future__ import annotations
@@ -84,15 +84,6 @@ class EvidenceTiles:
                 tile = self._tile(key).reshape(self._side, -1)
                 _add(tile, flat, row, col, first_row, first_col, rows, heights * cols)
         self.used = box if self.used is None else union(self.used, box)
-
-    def merge(self, other: EvidenceTiles) -> None:
-        """Add all that another holds; which of the two is added to which changes nothing."""
-        if other.used is None:
-            return
-        for key in [*other._held, *other._spilled]:
-            own = self._tile(key)
-            own += other._tile(key)
-        self.used = other.used if self.used is None else union(self.used, other.used)
 
     def clipped(self, box: Box, low: int, high: int) -> Steps:
         """(rows, cols) of the sums in a box, between two bounds: of each cell its height likeliest taken.

@@ -10,7 +10,6 @@ import numpy as np
 from slam.errors import ScanweaveError
 from slam.measurements import CameraIntrinsics, ColorImage, Float32Array, RgbdFrame
 
-JPEG_QUALITY = 95
 STEPS_PER_M = 5000.0  # 0.2 mm, as in TUM's logs; coarser only for a frame that reaches beyond 13.1 m
 MAX_STEPS = np.iinfo(np.uint16).max
 _PNG_HEAD = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
@@ -33,11 +32,11 @@ def depth_steps_per_m(frame: RgbdFrame) -> float:
 
 
 def packed_color(color: ColorImage) -> bytes:
-    """An (H, W, 3) RGB image as JPEG, which alters it by a few grey levels."""
+    """An (H, W, 3) RGB image as JPEG of OpenCV's quality, 95, which alters it by a few grey levels."""
     import cv2
 
     bgr = cv2.cvtColor(np.ascontiguousarray(color), cv2.COLOR_RGB2BGR)
-    return cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+    return cv2.imencode(".jpg", bgr)[1].tobytes()
 
 
 def packed_depth(depth_m: Float32Array, steps_per_m: float) -> bytes:

@@ -27,7 +27,6 @@ def layer_settings(config: Config, depth: DepthModel | None = None) -> LayerSett
             max_clear_range_m=grid.clear_range_m,
         ),
         depth=depth or DepthModel(),
-        rule=DecisionRule(config.layers.rule),
         robot_radius_m=config.layers.robot_radius_m,
         max_cells=grid.greatest_cells,
     )

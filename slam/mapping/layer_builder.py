@@ -7,7 +7,6 @@ bounds and clamped only when the map is taken: clamping on the way would make th
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
 from typing import TypeAlias
@@ -16,16 +15,14 @@ import gtsam
 import numpy as np
 
 from fusion import bayes
-from fusion.height_band import LensDistortion
 from slam.errors import ConfigError, ScanweaveError
 from slam.mapping.depth_grid import DepthModel, depth_board
 from slam.mapping.evidence_tiles import Board, EvidenceTiles, union
 from slam.mapping.footprint import footprint_board
-from slam.mapping.layered_map import DecisionRule, LayeredMap
 from slam.mapping.lidar_layer import LidarModel, lidar_board
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.mapping.ray_tracing import Box
-from slam.measurements import FloatArray, LaserScan, Pose, RgbdFrame, row_from_pose2
+from slam.measurements import LaserScan, Pose, RgbdFrame, row_from_pose2, spatial
 
 Reading: TypeAlias = LaserScan | RgbdFrame
 
@@ -36,7 +33,7 @@ _MOST_CELLS_IN_ONE = 256
 
 @dataclass(frozen=True, slots=True)
 class LayerSettings:
-    """How keyframes become the grids of a layered map.
+    """How keyframes become grids.
 
     Attributes
     ----------
@@ -44,14 +41,8 @@ class LayerSettings:
         Side of a cell; Yang2021's R.
     lidar, depth
         The inverse sensor models.
-    rule
-        What the grids decide together.
     p_min, p_max
         Bounds of each sensor's finished grid; they leave the other a say in Li2020 Eq. (10).
-    axes_yaw_rad
-        Direction of the grid's x axis in the map.
-    distortion
-        Of the depth images, where they do not come undistorted.
     robot_radius_m
         Of a disc around the base that the robot covers: what stood there has gone.
     memory_mb
@@ -63,11 +54,8 @@ class LayerSettings:
     resolution_m: float = 0.05
     lidar: LidarModel = field(default_factory=LidarModel)
     depth: DepthModel = field(default_factory=DepthModel)
-    rule: DecisionRule = field(default_factory=DecisionRule)
     p_min: float = 0.02
     p_max: float = 0.98
-    axes_yaw_rad: float = 0.0
-    distortion: LensDistortion | None = None
     robot_radius_m: float = 0.0
     memory_mb: float = 24.0
     max_cells: int = 64_000_000
@@ -84,7 +72,6 @@ class LayerBuilder:
 
     def __init__(self, settings: LayerSettings | None = None) -> None:
         self._settings = settings or LayerSettings()
-        self._axes = gtsam.Pose2(0.0, 0.0, self._settings.axes_yaw_rad)
         self._tiles: dict[str, EvidenceTiles] = {}
         self._seen: set[tuple[str, float, bytes]] = set()
 
@@ -118,9 +105,7 @@ class LayerBuilder:
             heights = board.steps.shape[2] if board.steps.ndim == 3 else 1
             tiles = self._tiles.setdefault(name, EvidenceTiles(settings.memory_mb, heights))
             tiles.add(board)
-            footprint = footprint_board(
-                self._axes.between(under), settings.robot_radius_m, settings.resolution_m
-            )
+            footprint = footprint_board(under, settings.robot_radius_m, settings.resolution_m)
             if footprint is not None:
                 tiles.add(footprint)
         self._seen.add(key)
@@ -143,38 +128,19 @@ class LayerBuilder:
         box = (row, col, row_to - row, col_to - col)
         steps = tiles.coarse(box, low, high, side) if side > 1 else tiles.clipped(box, low, high)
         corner = gtsam.Pose2(col * settings.resolution_m, row * settings.resolution_m, 0.0)
-        return OccupancyGrid(steps, side * settings.resolution_m, self._axes.compose(corner))
-
-    def finish(self) -> LayeredMap:
-        """The map so far.
-
-        Raises
-        ------
-        ScanweaveError
-            Where no reading reported anything.
-        """
-        return LayeredMap(self.grid("lidar"), self.grid("depth"), self._settings.rule)
+        return OccupancyGrid(steps, side * settings.resolution_m, corner)
 
     def _board(self, reading: Reading, T_map_base: Pose) -> Board | None:
         """What the reading says; None where it says nothing."""
         settings = self._settings
         if isinstance(reading, LaserScan):
-            T_grid_base = self._axes.between(_planar(T_map_base))
-            return lidar_board(reading, T_grid_base, settings.lidar, settings.resolution_m)
-        T_grid_camera = self._T_grid_camera(reading, T_map_base)
-        return depth_board(reading, T_grid_camera, settings.depth, settings.resolution_m, settings.distortion)
-
-    def _T_grid_camera(self, frame: RgbdFrame, T_map_base: Pose) -> FloatArray:
-        """Yang2021 Eq. (15)-(16): the chain from the optical frame to the lattice's axes."""
-        if frame.T_base_camera is None:
+            return lidar_board(reading, _planar(T_map_base), settings.lidar, settings.resolution_m)
+        if reading.T_base_camera is None:
             raise ScanweaveError(
-                f"camera {frame.sensor} does not tell where it sits on the robot; "
-                "give its mount in the config, or estimate it with fusion.camera_tilt"
+                f"camera {reading.sensor} does not tell where it sits on the robot; give its mount"
             )
-        T_map_body = gtsam.Pose3(T_map_base) if isinstance(T_map_base, gtsam.Pose2) else T_map_base
-        T_map_camera = T_map_body.compose(frame.T_base_camera)
-        T_grid_camera = gtsam.Pose3(self._axes).inverse().compose(T_map_camera)
-        return np.asarray(T_grid_camera.matrix())
+        T_map_camera = spatial(T_map_base).compose(reading.T_base_camera)  # Yang2021 Eq. (15)-(16)
+        return depth_board(reading, np.asarray(T_map_camera.matrix()), settings.depth, settings.resolution_m)
 
     def _check_room(self, box: Box) -> None:
         """Refuse to grow to what only a lost pose can mean."""
@@ -190,34 +156,6 @@ class LayerBuilder:
         """What holds all layers so far, and other boxes."""
         used = [tiles.used for tiles in self._tiles.values() if tiles.used is not None]
         return reduce(union, [*used, *boxes])
-
-
-def build_layers(
-    keyframes: Iterable[Reading], poses: Sequence[Pose], settings: LayerSettings | None = None
-) -> LayeredMap:
-    """Build the layers in one pass over keyframes at known poses; their order changes nothing.
-
-    Parameters
-    ----------
-    keyframes
-        Scans and depth images, mixed as they come; one is in memory at a time.
-    poses
-        ``T_map_base`` of each, in the same order.
-
-    Raises
-    ------
-    ScanweaveError
-        Where there are more or fewer poses than keyframes, and as `LayerBuilder.add` and `finish`.
-    """
-    builder = LayerBuilder(settings)
-    count = 0
-    for count, reading in enumerate(keyframes, start=1):
-        if count > len(poses):
-            raise ScanweaveError(f"more keyframes than their {len(poses)} poses; give one pose a keyframe")
-        builder.add(reading, poses[count - 1])
-    if count < len(poses):
-        raise ScanweaveError(f"{count} keyframes for {len(poses)} poses; give one pose a keyframe")
-    return builder.finish()
 
 
 def _planar(T_map_base: Pose) -> gtsam.Pose2:

@@ -10,6 +10,7 @@ import gtsam
 import numpy as np
 
 from fusion import bayes
+from fusion.estimation import TINY
 from slam.errors import ConfigError, ScanweaveError
 from slam.mapping.evidence_tiles import SIDE, union
 from slam.mapping.occupancy_grid import OccupancyGrid, StateArray, Steps, Thresholds
@@ -19,8 +20,6 @@ from slam.measurements import BoolArray
 LayerName: TypeAlias = Literal["lidar", "depth", "fused", "decision"]
 
 LAYERS: tuple[LayerName, ...] = ("lidar", "depth", "fused", "decision")
-# Of a cell, by which corners may be off the lattice: what reading and writing of poses may round.
-_OFF_LATTICE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +73,7 @@ class LayeredMap:
         for grid in self._grids():
             apart = np.abs(_corner(grid, self.resolution_m) - np.round(_corner(grid, self.resolution_m)))
             turned = abs(grid.T_map_grid.theta() - self.yaw_rad)
-            if grid.resolution_m != self.resolution_m or apart.max() > _OFF_LATTICE or turned > 1e-9:
+            if grid.resolution_m != self.resolution_m or max(apart.max(), turned) > TINY:
                 raise ScanweaveError(
                     f"the grids of lidar and depth do not lie on one lattice: cells of {grid.resolution_m:g} "
                     f"and {self.resolution_m:g} m, {apart.max():.3f} of a cell apart; make the map anew"

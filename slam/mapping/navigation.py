@@ -1,7 +1,9 @@
 """Ways over a finished map: inflation by the robot's radius, connected free space, the shortest path."""
 
+# mypy: allow-untyped-decorators
 from __future__ import annotations
 
+import heapq
 import math
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -9,9 +11,9 @@ from typing import TypeAlias
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage, sparse
-from scipy.sparse import csgraph
+from scipy import ndimage
 
+from fusion.kernel import kernel
 from slam.errors import ScanweaveError
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, StateArray
 from slam.measurements import BoolArray, FloatArray
@@ -19,8 +21,6 @@ from slam.measurements import BoolArray, FloatArray
 Labels: TypeAlias = NDArray[np.int32]
 CellNumbers: TypeAlias = NDArray[np.int64]
 Cell: TypeAlias = tuple[int, int]
-
-_NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))  # the other four are these, walked backward
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,17 +134,47 @@ def shortest_path(
     start, goal = _free_cell(space, start_xy, "start"), _free_cell(space, goal_xy, "goal")
     if space.region[start] != space.region[goal]:
         return None
-    here = space.region == space.region[start]
-    nodes = np.where(here, np.cumsum(here).reshape(here.shape) - 1, -1)
-    ends = int(nodes[start]), int(nodes[goal])
-    graph = step_graph(nodes, np.ones(nodes.shape))
-    before = csgraph.dijkstra(graph, indices=[ends[0]], return_predecessors=True)[1]
-    nodes_on_path = chain(before[0], *ends)
-    assert nodes_on_path is not None  # of one region
-    cells = np.argwhere(here)[nodes_on_path]
-    points = space.middle_of(cells)
+    columns = space.allowed.shape[1]
+    before = _searched(space.allowed, start, goal)
+    cells = [goal[0] * columns + goal[1]]
+    while before[cells[-1]] >= 0:
+        cells.append(before[cells[-1]])
+    rows_cols = np.column_stack(np.divmod(np.array(cells[::-1]), columns))
+    points = space.middle_of(rows_cols)
     length_m = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-    return Path(points, length_m, float(clearance[cells[:, 0], cells[:, 1]].min()))
+    return Path(points, length_m, float(clearance[tuple(rows_cols.T)].min()))
+
+
+@kernel
+def _searched(allowed: BoolArray, start: Cell, goal: Cell) -> CellNumbers:
+    """(cells,) number of the cell before each on the way from the start, -1 for none: A* until the goal.
+
+    What is left from a cell is at least the way over an open floor.
+    """
+    rows, columns = allowed.shape
+    cost = np.full(allowed.size, np.inf)
+    before = np.full(allowed.size, -1, np.int64)
+    done = np.zeros(allowed.size, np.bool_)
+    cost[start[0] * columns + start[1]] = 0.0
+    queue = [(0.0, start[0], start[1])]
+    while not done[goal[0] * columns + goal[1]]:
+        row, col = heapq.heappop(queue)[1:]
+        here = row * columns + col
+        if done[here]:
+            continue
+        done[here] = True
+        for r in range(max(0, row - 1), min(rows, row + 2)):
+            for c in range(max(0, col - 1), min(columns, col + 2)):
+                there = r * columns + c
+                if done[there] or not (allowed[r, c] and allowed[r, col] and allowed[row, c]):
+                    continue
+                known = cost[here] + math.sqrt(abs(r - row) + abs(c - col))
+                if known < cost[there]:
+                    cost[there], before[there] = known, here
+                    down, across = abs(goal[0] - r), abs(goal[1] - c)
+                    left = max(down, across) + (math.sqrt(2.0) - 1.0) * min(down, across)
+                    heapq.heappush(queue, (known + left, r, c))
+    return before
 
 
 def _free_cell(space: FreeSpace, xy: tuple[float, float], what: str) -> Cell:
@@ -159,44 +189,3 @@ def _free_cell(space: FreeSpace, xy: tuple[float, float], what: str) -> Cell:
             "choose another point or a smaller --radius"
         )
     return row, col
-
-
-def step_graph(nodes: CellNumbers, price: FloatArray, *, over_corners: bool = False) -> sparse.csr_array:
-    """Costs of the steps between neighbouring cells, symmetric, (nodes, nodes).
-
-    Parameters
-    ----------
-    nodes
-        (rows, cols) number of each cell where the robot's centre may be, -1 elsewhere.
-    price
-        (rows, cols) cost of crossing a cell, edge to edge.
-    over_corners
-        Whether a diagonal step may have a cell beside it where the centre may not be.
-    """
-    rows, columns = nodes.shape
-    starts, ends, costs = [], [], []
-    for down, right in _NEIGHBOURS:
-        left, shift = max(0, -right), max(0, right)
-        here = (slice(0, rows - down), slice(left, columns - shift))
-        there = (slice(down, rows), slice(left + right, columns - shift + right))
-        free = (nodes[here] >= 0) & (nodes[there] >= 0)
-        if not over_corners:
-            free &= (nodes[here[0], there[1]] >= 0) & (nodes[there[0], here[1]] >= 0)
-        starts.append(nodes[here][free])
-        ends.append(nodes[there][free])
-        costs.append(0.5 * math.hypot(down, right) * (price[here] + price[there])[free])
-    count = int(nodes.max(initial=-1)) + 1
-    start, end, cost = np.concatenate(starts), np.concatenate(ends), np.concatenate(costs)
-    both_ways = (np.concatenate([start, end]), np.concatenate([end, start]))
-    return sparse.csr_array((np.concatenate([cost, cost]), both_ways), shape=(count, count))
-
-
-def chain(before: NDArray[np.integer], start: int, end: int) -> CellNumbers | None:
-    """The nodes from start to end by `csgraph`'s predecessors (nodes,); None where no way leads."""
-    found = [end]
-    while found[-1] != start:
-        previous = int(before[found[-1]])
-        if previous < 0:
-            return None
-        found.append(previous)
-    return np.array(found[::-1], dtype=np.int64)

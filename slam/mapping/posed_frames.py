@@ -19,17 +19,11 @@ def posed_frames(
     Raises
     ------
     ScanweaveError
-        Before the first pair where a pose is not finite; where one list turns out longer than the other.
+        Before the first pair where a pose is not finite.
     """
     for index, T_map_camera in enumerate(poses):
         if not np.isfinite(T_map_camera.matrix()).all():
             raise ScanweaveError(
                 f"pose {index} of {len(poses)} keyframes is not finite; look at the graph's report"
             )
-    count = 0
-    for count, frame in enumerate(frames, start=1):
-        if count > len(poses):
-            raise ScanweaveError(f"more keyframes than their {len(poses)} poses; give one pose a keyframe")
-        yield frame, poses[count - 1]
-    if count < len(poses):
-        raise ScanweaveError(f"{count} keyframes for {len(poses)} poses; give one pose a keyframe")
+    yield from zip(frames, poses, strict=True)

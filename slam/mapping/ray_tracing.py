@@ -34,7 +34,7 @@ class _Kind(IntEnum):
 NOTHING, FREE, HIT = (np.uint8(kind) for kind in _Kind)
 
 # Lines are followed in fixed point: an addition and a shift a cell, no rounding call.
-_FRACTION_BITS = 32
+_FRACTION_BITS = np.iinfo(np.int32).bits
 
 
 def beam_ends(

@@ -21,8 +21,8 @@ from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate, row_from_pose2
+from slam.odometry.cloud_velocity import GREATEST_STRETCH
 from slam.odometry.lidar_odometry import LidarOdometry
-from slam.odometry.rgbd_tracker import GREATEST_STRETCH
 from slam.odometry.wheel_tracker import WheelMoment, WheelTracker
 
 # One wild step says no more about a predictor than this many times its variance.

@@ -8,13 +8,11 @@ import gtsam
 import numpy as np
 
 from slam.config import Config
+from slam.odometry.cloud_velocity import GREATEST_STRETCH
 from slam.odometry.rgbd_odometry import RgbdOdometry
 from slam.result_cache import COMPUTED, ResultCache
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch, dissimilarity
-
-# A velocity is carried over at most this many times the step that it was measured over.
-GREATEST_STRETCH = 3.0
 
 
 @dataclass(frozen=True, slots=True)

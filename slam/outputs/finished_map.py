@@ -13,14 +13,14 @@ import gtsam
 import numpy as np
 
 from slam.config import Config
-from slam.errors import MapFileError, ScanweaveError
+from slam.errors import MapFileError
 from slam.graph.loop_closure import LoopCandidate
 from slam.mapper.map_result import DenseKeyframes, MappedClouds
 from slam.mapping.keyframe_grid import layers_of_grids
 from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Pose, Trajectory
-from slam.outputs.run_outputs import save_cloud, save_cloud_octomap, save_g2o, save_octomap, save_surface
+from slam.outputs.exports import Exports
 from slam.storage.files import TemporaryFolder, make_folder, replacing
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_contents import DEPTH, OCCUPANCY, MapContents, SavedFactor, read_contents
@@ -29,14 +29,11 @@ from slam.storage.map_frames import MapFrames
 from slam.storage.map_identity import MapIdentity
 from slam.storage.map_sessions import MapSession, sessions_of
 from slam.storage.map_tables import FRAMES
-from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers
-from slam.storage.tum import write_tum
 
 log = logging.getLogger(__name__)
 
 # What the run told people, as rows of the file.
 NOTES, WARNINGS = "notes", "warnings"
-_OWN_NAMES = {"tum": "trajectory.tum", "g2o": "graph.g2o"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,42 +171,18 @@ class Map:
         ScanweaveError
             Where the map does not hold what the format needs, or a file cannot be written.
         """
-        seen = len(self.frames) + len(self.clouds) > 0
-        lacking = ""
-        if format_ == "nav2" and self.layers is None:
-            lacking = "grid"
-        elif format_ in ("ply", "bt") and not seen:
-            lacking = "image or cloud"
-        if lacking:
-            raise ScanweaveError(f"{self.path} holds no {lacking}, so there is nothing to write as {format_}")
-        out = Path(out)
-        if out.is_dir() or not out.suffix:
-            make_folder(out)
-            ply = "mesh.ply" if len(self.frames) else "cloud.ply"
-            out = out / {"nav2": MAP_YAML, "ply": ply, "bt": "map.bt", **_OWN_NAMES}[format_]
-        if format_ == "nav2":
-            assert self.layers is not None
-            return list(write_driving_map(out.with_suffix(""), self.layers))
-        if format_ == "ply":
-            return self._export_ply(out)
-        if format_ == "bt":
-            self._export_octomap(out)
-        elif format_ == "tum":
-            write_tum(out, self.trajectory)
-        else:
-            save_g2o(out, self.contents)
-        return [out]
+        written, missing = self._exports().write(format_, Path(out))
+        for fault in missing:
+            log.warning("%s", fault)
+        return written
 
     def write_files(self, folder: Path) -> list[Path]:
         """Write the files for other programs that ``scanweave map`` writes; errors as in `export`."""
-        formats = ["tum", "g2o"]
-        layers, dense = self.layers, self.config.dense_map
-        if layers is not None:
-            formats.append("nav2")
-        if len(self.frames) + len(self.clouds) and dense.enabled:
-            formats += ["ply", "bt"] if dense.octomap else ["ply"]
-        written = [path for name in formats for path in self.export(name, folder)]
-        return written if layers is None else written + write_layers(folder / "layers", layers)
+        exports = self._exports()
+        surfaces, missing = exports.write_surfaces(folder)
+        for fault in missing:
+            log.warning("%s", fault)
+        return exports.write_files(folder) + surfaces
 
     def save(self, folder: Path | str, *, overwrite: bool = False) -> list[Path]:
         """Write the map into a folder: ``map.db``, and the files for other programs.
@@ -252,34 +225,14 @@ class Map:
                 shutil.copyfile(self.path, temporary)
         return [target, *self.write_files(folder)]
 
-    def _export_ply(self, out: Path) -> list[Path]:
-        """The coloured surface of the images, and the cloud of the 3D lidar."""
-        written, cloud = list[Path](), out
-        if len(self.frames):
-            written, missing = save_surface(out, self._dense(), self.config)
-            for fault in missing:
-                log.warning("%s", fault)
-            cloud = out.with_name("lidar.ply" if out.name == "mesh.ply" else f"{out.stem}-lidar.ply")
+    def _exports(self) -> Exports:
+        """What is written for other programs; of a 3D lidar the nodes are the bases."""
+        dense = DenseKeyframes(self.frames, self.frame_poses()) if len(self.frames) else None
+        clouds = None
         if len(self.clouds):
-            save_cloud(cloud, self._mapped_clouds(), self.config)
-            written.append(cloud)
-        return written
-
-    def _export_octomap(self, out: Path) -> None:
-        """The octree of the 3D lidar, or else of the images."""
-        if len(self.clouds):
-            save_cloud_octomap(out, self._mapped_clouds(), self.config)
-        else:
-            save_octomap(out, self._dense(), self.config)
-
-    def _dense(self) -> DenseKeyframes:
-        """The camera keyframes with their poses."""
-        return DenseKeyframes(self.frames, self.frame_poses())
-
-    def _mapped_clouds(self) -> MappedClouds:
-        """The clouds, whose nodes are the bases."""
-        nodes = [pose for pose in self.contents.node_poses if isinstance(pose, gtsam.Pose3)]
-        return MappedClouds(self.clouds, nodes, self.clouds.T_base_lidar(len(nodes) - 1))
+            nodes = [pose for pose in self.contents.node_poses if isinstance(pose, gtsam.Pose3)]
+            clouds = MappedClouds(self.clouds, nodes, self.clouds.T_base_lidar(len(nodes) - 1))
+        return Exports(self.contents, self.layers, dense, clouds, self.config)
 
     def close(self) -> None:
         """Close the file; no image or cloud can be read afterwards, and a map in memory is gone."""
@@ -340,6 +293,9 @@ def open_map(path: Path | str, kept_in: TemporaryFolder | None = None) -> Map:
     return Map(
         file.path, identity, sessions, contents, frames, clouds, digest, notes, warnings, file, kept_in
     )
+
+
+load_map = open_map  # its public name
 
 
 def _lines(meta: Mapping[str, str], key: str, path: Path) -> list[str]:

@@ -148,9 +148,7 @@ def _session_trajectories(folder: Path, whole: Trajectory, sessions: Sequence[Ma
     """A file a session: their clocks may overlap."""
     written, first = [], 0
     for number, session in enumerate(sessions, start=1):
-        part = slice(first, first + session.poses)
-        first += session.poses
-        stretch = Trajectory(whole.stamps_s[part], whole.positions_m[part], whole.quaternions_xyzw[part])
         written.append(folder / f"trajectory-{number}.tum")
-        write_tum(written[-1], stretch)
+        write_tum(written[-1], whole[first : first + session.poses])
+        first += session.poses
     return written

@@ -17,9 +17,6 @@ from slam.measurements import FloatArray, LaserScan
 from slam.outputs.finished_map import Map
 from slam.sessions.placing import BEND_RAD, SIGHT_SIGMA_M, SIGHT_SIGMA_RAD, Placing
 
-# A quarter turn apart counts as a metre: a lidar does not see all around.
-_TURN_M_PER_RAD = 0.64
-
 
 @dataclass(frozen=True, slots=True)
 class KeyframeScans:
@@ -83,7 +80,8 @@ def _places_near(
     turns = np.abs((known.poses[:, 2] - expected[2] + np.pi) % (2.0 * np.pi) - np.pi)
     distances = np.hypot(*(known.poses[:, :2] - expected[:2]).T)
     chosen: list[int] = []
-    for place in np.argsort(distances + _TURN_M_PER_RAD * turns, kind="stable").tolist():
+    # A quarter turn apart counts as a metre: a lidar does not see all around.
+    for place in np.argsort(distances + turns / (0.5 * np.pi), kind="stable").tolist():
         if len(chosen) == loops.near:
             return
         if distances[place] > loops.reach_m or known.scans[place] is None:

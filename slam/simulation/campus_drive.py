@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
-from slam.mapping.navigation import chain
 from slam.measurements import FloatArray
 from slam.simulation.campus_plan import Campus
-from slam.simulation.route import resample
+from slam.simulation.route import chain, resample
 from slam.simulation.steering import STEP_S, DriveLimits, follow_path
 
 IntArray = NDArray[np.int64]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,13 +11,13 @@ from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
-from slam.mapping.navigation import chain, step_graph
 from slam.measurements import BoolArray, FloatArray
 
 IntArray = NDArray[np.int64]
 
 _FEAR = 12.0  # how many times dearer a metre along a wall is than one in the open
 _SMOOTHING_M = 0.15
+_NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))  # the other four are these, walked backward
 
 
 @dataclass(frozen=True)
@@ -90,8 +91,45 @@ def floor_map(
     nodes[free] = np.arange(np.count_nonzero(free))
     short = np.clip(preferred_m - clearance, 0.0, None) / (preferred_m - required_m)
     price = resolution_m * (1.0 + _FEAR * np.square(short))
-    graph = step_graph(nodes, price, over_corners=True)
+    graph = step_graph(nodes, price)
     return FloorMap(clearance, resolution_m, origin_xy, required_m, preferred_m, nodes, graph)
+
+
+def step_graph(nodes: IntArray, price: FloatArray) -> sparse.csr_array:
+    """Costs of the steps between neighbouring cells, (nodes, nodes); diagonal ones may cut corners.
+
+    Parameters
+    ----------
+    nodes
+        (rows, cols) number of each cell where the robot's centre may be, -1 elsewhere.
+    price
+        (rows, cols) cost of crossing a cell, edge to edge.
+    """
+    rows, columns = nodes.shape
+    starts, ends, costs = [], [], []
+    for down, right in _NEIGHBOURS:
+        left, shift = max(0, -right), max(0, right)
+        here = (slice(0, rows - down), slice(left, columns - shift))
+        there = (slice(down, rows), slice(left + right, columns - shift + right))
+        free = (nodes[here] >= 0) & (nodes[there] >= 0)
+        starts.append(nodes[here][free])
+        ends.append(nodes[there][free])
+        costs.append(0.5 * math.hypot(down, right) * (price[here] + price[there])[free])
+    count = int(nodes.max(initial=-1)) + 1
+    start, end, cost = np.concatenate(starts), np.concatenate(ends), np.concatenate(costs)
+    both_ways = (np.concatenate([start, end]), np.concatenate([end, start]))
+    return sparse.csr_array((np.concatenate([cost, cost]), both_ways), shape=(count, count))
+
+
+def chain(before: NDArray[np.integer], start: int, end: int) -> IntArray | None:
+    """The nodes from start to end by `csgraph`'s predecessors (nodes,); None where no way leads."""
+    found = [end]
+    while found[-1] != start:
+        previous = int(before[found[-1]])
+        if previous < 0:
+            return None
+        found.append(previous)
+    return np.array(found[::-1], dtype=np.int64)
 
 
 def cheapest_paths(floor: FloorMap, stops: Sequence[int]) -> tuple[FloatArray, list[list[IntArray | None]]]:

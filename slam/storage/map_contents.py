@@ -102,8 +102,7 @@ def write_contents(file: MapFile, contents: MapContents) -> None:
         file.append(LOOPS, *verdict, float(loop.score), loop.reason, pack(loop))
     whole = contents.trajectory
     for first in range(0, len(whole), _STRETCH):
-        part = slice(first, first + _STRETCH)
-        stretch = Trajectory(whole.stamps_s[part], whole.positions_m[part], whole.quaternions_xyzw[part])
+        stretch = whole[first : first + _STRETCH]
         file.append(TRAJECTORY, len(stretch), pack_small(stretch))
     for name, grid in contents.grids.items():
         corner, cells = pack(grid.T_map_grid), pack_small(np.ascontiguousarray(grid.steps))

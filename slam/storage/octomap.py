@@ -39,8 +39,7 @@ def write_octomap(
     ConfigError
         Where the resolution or the range is not above 0.
     ScanweaveError
-        Where the extra is not installed, a pose is not finite or outside the tree, there are more or fewer
-        poses than frames, or nothing was seen.
+        Where the extra is not installed, a pose is not finite or outside the tree, or nothing was seen.
     MapFileError
         Where the file cannot be written.
     """

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import struct
+import sys
 import zlib
 from dataclasses import fields
 from typing import Any
@@ -42,8 +43,6 @@ _DTYPES = tuple(np.dtype(name) for name in ("f8", "f4", "i8", "i4", "i2", "i1", 
 _DTYPE_NUMBER = {dtype: number for number, dtype in enumerate(_DTYPES)}
 _DEEPEST = 8
 _MOST_AXES = 4
-# zlib packs a run of equal bytes to a thousandth; more is a lie about the length.
-_GREATEST_RATIO = 1040
 
 _U4, _I8, _F8 = struct.Struct("<I"), struct.Struct("<q"), struct.Struct("<d")
 _POSE2, _POSE3 = struct.Struct("<4d"), struct.Struct("<12d")
@@ -92,8 +91,8 @@ def unpack_small(content: bytes) -> Any:
     if len(content) < _I8.size:
         raise MapFileError("compressed values end too soon")
     (size,) = _I8.unpack_from(content)
-    if not 0 <= size <= _GREATEST_RATIO * len(content):
-        raise MapFileError(f"{len(content)} bytes cannot hold {size}")
+    if not 0 <= size < sys.maxsize:
+        raise MapFileError(f"compressed values of {size} bytes")
     unpacker = zlib.decompressobj()
     try:
         plain = unpacker.decompress(content[_I8.size :], size + 1)

@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation import TINY
+from fusion.estimation import FEWEST, TINY
 from slam.measurements import FloatArray
 from slam.trajectory.poses import Poses
 
-# Scans on either side by which it is judged how far wheels and matches disagree.
-_AROUND = 10
 # A radian of turn counts as this much path when a correction is spread; standing still counts a little.
 _TURN_M_PER_RAD = 0.3
 
@@ -90,10 +88,11 @@ def steadied(matched: Poses, bridged: Poses, variances: FloatArray, anchors: NDA
 
 
 def _around(rows: FloatArray) -> FloatArray:
-    """(S, K) sums over the rows that lie no more than `_AROUND` away."""
-    padded = np.pad(rows, ((_AROUND, _AROUND), (0, 0)))
+    """(S, K) sums over each row and those around it, so many that they are a statistic."""
+    beside = FEWEST // 2
+    padded = np.pad(rows, ((beside, beside), (0, 0)))
     total = np.zeros_like(rows)
-    for first in range(2 * _AROUND + 1):
+    for first in range(2 * beside + 1):
         total += padded[first : first + len(rows)]
     return total
 

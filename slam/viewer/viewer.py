@@ -1,4 +1,4 @@
-"""What a person can watch: nothing, or a Rerun recording. Same methods; a recording needs no display.
+"""What a person can watch: a Rerun recording.
 
 Everything lies in the map frame, in metres, on the clock of the log.
 """
@@ -9,7 +9,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -23,70 +23,8 @@ _JPEG_QUALITY = 80
 _BLUE, _GREEN, _RED, _GREY = (37, 99, 184), (31, 138, 76), (194, 53, 43), (102, 114, 129)
 
 
-class Viewer(Protocol):
-    """What can be shown."""
-
-    def at(self, stamp_s: float) -> None:
-        """What follows is of this moment; before the first call it is of all time."""
-
-    def pose(self, T_map_base: Pose) -> None:
-        """Where the robot is."""
-
-    def scan(self, points_map: FloatArray) -> None:
-        """(N, 2) or (N, 3) points of a scan."""
-
-    def image(self, sensor: str, color: ColorImage, depth_m: Float32Array) -> None:
-        """What a camera sees."""
-
-    def polyline(self, name: str, positions_m: FloatArray) -> None:
-        """(N, 2) or (N, 3) positions of a trajectory."""
-
-    def edges(self, name: str, ends_m: FloatArray, *, holds: bool) -> None:
-        """(E, 2, 2) or (E, 2, 3) both ends of edges of the graph, or of loops; none clears them."""
-
-    def grid(self, name: str, states: NDArray[np.int8], resolution_m: float, T_map_grid: gtsam.Pose2) -> None:
-        """(rows, cols) of 100 occupied, 0 free, -1 unknown, row 0 at the lowest y."""
-
-    def figure(self, name: str, value: float) -> None:
-        """A number over time."""
-
-    def note(self, text: str) -> None:
-        """A line for people."""
-
-
-class NullViewer:
-    """Shows nothing."""
-
-    def at(self, stamp_s: float) -> None:
-        """See `Viewer`."""
-
-    def pose(self, T_map_base: Pose) -> None:
-        """See `Viewer`."""
-
-    def scan(self, points_map: FloatArray) -> None:
-        """See `Viewer`."""
-
-    def image(self, sensor: str, color: ColorImage, depth_m: Float32Array) -> None:
-        """See `Viewer`."""
-
-    def polyline(self, name: str, positions_m: FloatArray) -> None:
-        """See `Viewer`."""
-
-    def edges(self, name: str, ends_m: FloatArray, *, holds: bool) -> None:
-        """See `Viewer`."""
-
-    def grid(self, name: str, states: NDArray[np.int8], resolution_m: float, T_map_grid: gtsam.Pose2) -> None:
-        """See `Viewer`."""
-
-    def figure(self, name: str, value: float) -> None:
-        """See `Viewer`."""
-
-    def note(self, text: str) -> None:
-        """See `Viewer`."""
-
-
-class RerunViewer:
-    """Writes a Rerun recording; `recording` makes one."""
+class Viewer:
+    """Writes a Rerun recording, which needs no display; `recording` makes one."""
 
     def __init__(self, stream: Any) -> None:
         import rerun
@@ -96,40 +34,40 @@ class RerunViewer:
         stream.log("map", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
 
     def at(self, stamp_s: float) -> None:
-        """See `Viewer`."""
+        """What follows is of this moment; before the first call it is of all time."""
         self._static = False
         self._stream.set_time("log", timestamp=stamp_s)
 
     def pose(self, T_map_base: Pose) -> None:
-        """See `Viewer`."""
+        """Where the robot is."""
         pose = gtsam.Pose3(T_map_base) if isinstance(T_map_base, gtsam.Pose2) else T_map_base
         matrix = pose.matrix()
         self._log("map/robot", self._rr.Transform3D(translation=matrix[:3, 3], mat3x3=matrix[:3, :3]))
 
     def scan(self, points_map: FloatArray) -> None:
-        """See `Viewer`."""
+        """(N, 2) or (N, 3) points of a scan."""
         self._log("map/scan", self._rr.Points3D(_lifted(points_map), colors=_RED, radii=0.02))
 
     def image(self, sensor: str, color: ColorImage, depth_m: Float32Array) -> None:
-        """See `Viewer`."""
+        """What a camera sees."""
         self._log(f"cameras/{sensor}/color", self._rr.Image(color).compress(jpeg_quality=_JPEG_QUALITY))
         depth_mm = np.clip(1000.0 * depth_m, 0, 65535).astype(np.uint16)
         self._log(f"cameras/{sensor}/depth", self._rr.DepthImage(depth_mm, meter=1000.0))
 
     def polyline(self, name: str, positions_m: FloatArray) -> None:
-        """See `Viewer`."""
+        """(N, 2) or (N, 3) positions of a trajectory."""
         color = _GREY if name == "truth" else _BLUE
         self._log(f"map/ways/{name}", self._rr.LineStrips3D([_lifted(positions_m)], colors=color))
 
     def edges(self, name: str, ends_m: FloatArray, *, holds: bool) -> None:
-        """See `Viewer`."""
+        """(E, 2, 2) or (E, 2, 3) both ends of edges of the graph, or of loops; none clears them."""
         ends = np.asarray(ends_m, dtype=np.float64)
         strips = _lifted(ends.reshape(-1, ends.shape[-1])).reshape(-1, 2, 3)
         color = _GREEN if holds else _RED
         self._log(f"map/{name}", self._rr.LineStrips3D(strips, colors=color, radii=0.01))
 
     def grid(self, name: str, states: NDArray[np.int8], resolution_m: float, T_map_grid: gtsam.Pose2) -> None:
-        """See `Viewer`."""
+        """(rows, cols) of 100 occupied, 0 free, -1 unknown, row 0 at the lowest y."""
         grey = np.full(states.shape, _UNKNOWN, dtype=np.uint8)
         grey[states == 0] = _FREE
         grey[states == 100] = _OCCUPIED
@@ -148,11 +86,11 @@ class RerunViewer:
         self._log(f"map/grids/{name}", cells)
 
     def figure(self, name: str, value: float) -> None:
-        """See `Viewer`."""
+        """A number over time."""
         self._log(f"figures/{name}", self._rr.Scalars(value))
 
     def note(self, text: str) -> None:
-        """See `Viewer`."""
+        """A line for people."""
         self._log("notes", self._rr.TextLog(text))
 
     def _log(self, path: str, what: Any) -> None:
@@ -161,8 +99,8 @@ class RerunViewer:
 
 
 @contextmanager
-def recording(path: Path | None) -> Iterator[Viewer]:
-    """A viewer that writes a recording to ``path``, which appears whole or not at all; None shows nothing.
+def recording(path: Path | None) -> Iterator[Viewer | None]:
+    """A viewer that writes a recording to ``path``, which appears whole or not at all; None without a path.
 
     Raises
     ------
@@ -170,7 +108,7 @@ def recording(path: Path | None) -> Iterator[Viewer]:
         Where Rerun is not installed, or the file cannot be written.
     """
     if path is None:
-        yield NullViewer()
+        yield None
         return
     try:
         import rerun
@@ -184,7 +122,7 @@ def recording(path: Path | None) -> Iterator[Viewer]:
     stream = rerun.RecordingStream("scanweave")
     try:
         stream.save(temporary)
-        yield RerunViewer(stream)
+        yield Viewer(stream)
         stream.flush()
         stream.disconnect()
         temporary.replace(path)

@@ -12,18 +12,15 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
+from fusion.curves import NEAREST_M
 from fusion.kernel import kernel
 from slam.errors import DatasetError
 from slam.measurements import AnyFloatArray, BoolArray, CameraIntrinsics, ColorImage, Float32Array, FloatArray
 
-# No depth camera of the kind measures nearer; it bounds the walk along a ray.
-_NEAREST_M = 0.3
 # Readings of one surface differ by less; wider apart, the nearer one is the surface that hides the other.
-_RIM_SHARE = 0.05
+RIM_SHARE = 0.05
 # A pixel hides another in the colour image where it is nearer by more than this share.
 _HIDING_SHARE = 0.03
-# Disparity between the ray and the surface that it meets: the walk goes in steps of one pixel.
-_MEETING_PX = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +169,7 @@ def points_of_pixels(pixels_color: FloatArray, depth_m: Float32Array, cameras: F
     reach = float(np.hypot(along, down))
     starts = rays * (fx_depth, fy_depth) + (cx_depth, cy_depth)
     z = np.zeros(len(rays))
-    _first_meetings(depth_m, starts, along, down, reach, math.ceil(reach / _NEAREST_M), z)
+    _first_meetings(depth_m, starts, along, down, reach, math.ceil(reach / NEAREST_M), z)
     return np.column_stack([rays * z[:, None], z])
 
 
@@ -190,11 +187,11 @@ def _first_meetings(depth_m, starts, along, down, reach, steps, met):  # type: i
             if c < 0 or r < 0 or c >= width or r >= height:
                 continue
             z = np.float64(depth_m[r, c])
-            if z <= 0.0 or abs(reach / z - step) > _MEETING_PX:
+            if z <= 0.0 or abs(reach / z - step) > 1.0:  # as far as a step: a pixel of disparity
                 continue
             # The step was a whole pixel: once more at the depth that was met, unless that leads off it.
             finer = _surface_reading(depth_m, column + along / z, row + down / z)
-            met[i] = finer if finer > 0.0 and abs(reach / finer - reach / z) <= _MEETING_PX else z
+            met[i] = finer if finer > 0.0 and abs(reach / finer - reach / z) <= 1.0 else z
             break
 
 
@@ -216,7 +213,7 @@ def _surface_reading(depth_m, column, row):  # type: ignore[no-untyped-def]
                 farthest = max(farthest, z)
                 total += weight * z
                 weights += weight
-    if farthest - nearest <= _RIM_SHARE * nearest and weights > 0.0:
+    if farthest - nearest <= RIM_SHARE * nearest and weights > 0.0:
         nearest = total / weights
     return nearest if weights > 0.0 else 0.0
 

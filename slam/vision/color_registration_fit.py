@@ -6,16 +6,19 @@ image at the right place. `color_registration_search.py` finds that place; here 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
 
+from fusion.estimation import gate
 from slam.measurements import BoolArray, CameraIntrinsics, FloatArray
 from slam.vision.color_registration import ColorRegistration, identity_registration
 from slam.vision.color_registration_search import (
     AXES,
+    MATCH_PX,
     SETTLING,
     FramePair,
     Guess,
@@ -31,15 +34,11 @@ from slam.vision.color_registration_search import (
 
 __all__ = ["FramePair", "estimate_registration"]
 
-_INLIER_PX = 2.0
 _FEWEST_PAIRS = 8
 # Where the search starts: colour cameras see about as wide as the depth camera, or wider.
 _FOCAL_SHARES = (1.1, 1.0, 0.95, 0.9, 0.85, 0.8)
-# Evidence: mean gain of a held-out pair in standard errors, more inliers, pixels that really move, and halves
-# of the pairs that agree on where to.
-_CLEAR = 3.0
+# Evidence: more inliers, and halves of the pairs that agree on where pixels move to.
 _LEAST_GAIN = 0.01
-_LEAST_MOVE_PX = 2.0
 _MOST_APART = 0.5
 
 
@@ -123,8 +122,8 @@ def _cross_validate(problem: Problem, own: BoolArray) -> _Half:
         beside,
         _gains(test, errors[0], errors[2]),
         _gains(test, errors[1], errors[2]),
-        errors[0][common] < _INLIER_PX**2,
-        errors[2][common] < _INLIER_PX**2,
+        errors[0][common] < MATCH_PX**2,
+        errors[2][common] < MATCH_PX**2,
     )
 
 
@@ -132,15 +131,16 @@ def _refusal(halves: Sequence[_Half], gain: float, apart: float, depth: CameraIn
     """Why the registration must not be used; empty where the evidence is clear."""
     clear = _standard_errors(np.concatenate([half.gains for half in halves]))
     over_rescaled = _standard_errors(np.concatenate([half.gains_over_rescaled for half in halves]))
+    asked = math.sqrt(gate())
     moves = [_distance_px(half.guess, Guess(depth.fx, depth.cx, depth.cy), depth) for half in halves]
     if gain < _LEAST_GAIN:
         return f"another camera explains {100 * gain:.1f} % more of the held-out matches, 1 % is asked"
-    if clear < _CLEAR:
-        return f"the gain of another camera is {clear:.1f} standard errors, {_CLEAR} are asked"
-    if over_rescaled < _CLEAR:
+    if clear < asked:
+        return f"the gain of another camera is {clear:.1f} standard errors, {asked:.1f} are asked"
+    if over_rescaled < asked:
         return f"other intrinsics explain it as well ({over_rescaled:.1f} standard errors): check them"
-    if min(moves) < _LEAST_MOVE_PX:
-        return f"another camera moves pixels by {min(moves):.1f}, {_LEAST_MOVE_PX} are asked"
+    if min(moves) < MATCH_PX:
+        return f"another camera moves pixels by {min(moves):.1f}, {MATCH_PX} are asked"
     if apart > _MOST_APART * min(moves):
         return f"halves of the log disagree by {apart:.1f} pixels on a move of {min(moves):.1f}"
     return ""

@@ -12,22 +12,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fusion.estimation import FEWEST, ROUNDS
 from slam.measurements import AnyFloatArray, BoolArray, CameraIntrinsics, Float32Array, FloatArray
 from slam.vision.color_registration import camera_row, points_of_pixels
 from slam.vision.color_registration_kernels import IntArray, settle_motions, squared_errors
 
-# The first motion is found through a registration that may be wrong.
-_FIRST_INLIER_PX = 4.0
-_FIRST_TRIALS = 100
-# Error of a match at half its greatest loss.
-_SCALE_PX = 2.0
+# Error of a true match; at it a match has half its greatest loss.
+MATCH_PX = 2.0
 _MATCHES_A_PAIR = 300
-_FEWEST_MATCHES = 25
 # Iterations of the motions after a small change of the registration; twice as many after a great one.
 SETTLING = 3
 # A round of the search that gains less is the last.
 _SETTLED = 2e-4
-_ROUNDS = 6
 # First steps of the search: share of the focal length, pixels, metres; at most so many of them at once.
 AXES = {"focal": 0.02, "x": 6.0, "y": 6.0, "shift_x": 0.025, "shift_y": 0.015}
 _LONGEST_STEP = 2.0
@@ -141,7 +137,7 @@ def search(problem: Problem, fit: Fit, axes: tuple[str, ...]) -> Fit:
         guess = _moved(fit.guess, axis, amount, problem.typical_depth_m)
         return fit_motions(problem, guess, SETTLING, fit.poses)
 
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         before = fit.loss
         for axis in axes:
             step = steps[axis]
@@ -178,13 +174,13 @@ def settle(
         of_a.append(points_of_pixels(problem.pixels_a[rows], depth_a_m, cameras))
         of_b.append(points_of_pixels(problem.pixels_b[rows], depth_b_m, cameras))
     data = (np.concatenate(of_a), np.concatenate(of_b), problem.pixels_a, problem.pixels_b, problem.starts)
-    settled = settle_motions(*data, poses, cameras[:4], _SCALE_PX, iterations)
+    settled = settle_motions(*data, poses, cameras[:4], MATCH_PX, iterations)
     return settled, squared_errors(*data, settled, cameras[:4])
 
 
 def robust_loss(errors: FloatArray) -> FloatArray:
     """Of Geman and McClure, 0..1, from squared errors in pixels."""
-    return np.asarray(errors / (errors + _SCALE_PX**2))
+    return np.asarray(errors / (errors + MATCH_PX**2))
 
 
 def color_camera(guess: Guess, depth: CameraIntrinsics) -> CameraIntrinsics:
@@ -220,7 +216,7 @@ def _first_motion(points: FloatArray, pixels: FloatArray, camera: CameraIntrinsi
     import cv2
 
     known = points[:, 2] > 0.0
-    if np.count_nonzero(known) < _FEWEST_MATCHES:
+    if np.count_nonzero(known) < FEWEST:
         return None
     matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
     found, turn, shift, inliers = cv2.solvePnPRansac(
@@ -228,9 +224,8 @@ def _first_motion(points: FloatArray, pixels: FloatArray, camera: CameraIntrinsi
         pixels[known],
         matrix,
         None,
-        reprojectionError=_FIRST_INLIER_PX,
-        iterationsCount=_FIRST_TRIALS,
+        reprojectionError=2.0 * MATCH_PX,  # through a registration that may be wrong
     )
-    if not found or inliers is None or len(inliers) < _FEWEST_MATCHES:
+    if not found or inliers is None or len(inliers) < FEWEST:
         return None
     return np.hstack([cv2.Rodrigues(turn)[0], shift])

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.measurements import BoolArray, CameraIntrinsics, Float32Array, FloatArray, RgbdFrame
+from slam.vision.color_registration import RIM_SHARE
 
 if TYPE_CHECKING:
     import cv2
@@ -18,8 +19,6 @@ Descriptors: TypeAlias = NDArray[np.uint8]
 
 # Lower than the usual 20, for dim rooms and blurred images.
 _FAST_THRESHOLD = 12
-# A feature on the rim of an object takes the depth of the nearer side: what lies within this share of it.
-_RIM_SHARE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +116,7 @@ def depth_at(depth_m: Float32Array, pixels: Float32Array) -> Float32Array:
     around = np.where(around > 0.0, around, np.inf)
     nearest = around.min(axis=1)
     known = np.isfinite(nearest)
-    same = around <= (nearest * (1.0 + _RIM_SHARE))[:, None]
+    same = around <= (nearest * (1.0 + RIM_SHARE))[:, None]
     total = np.where(same & known[:, None], around, 0.0).sum(axis=1)
     # A lone speck is noise, not a surface.
     solid = known & (same.sum(axis=1) >= 3)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fusion.kernel import NONE, ZERO, kernel
 from slam.measurements import FloatArray
 from slam.vision.features import Features, Matches
-from slam.vision.place_recognition_vocabulary import BITS, ones
+from slam.vision.place_recognition_vocabulary import ones
 
 
 def match_near(
@@ -52,7 +52,7 @@ def match_near(
         greatest_distance,
         target,
         np.full(len(seen), -1, np.int64),
-        np.full(len(seen), BITS + 1),
+        np.full(len(seen), 8 * known.descriptors.shape[1] + 1),
     )
     first = np.flatnonzero(target >= 0)
     return Matches(first, target[first])
@@ -77,7 +77,7 @@ def _nearest(
         v = expected[i, 1]
         if math.isnan(u + v):
             continue
-        best = second = np.int64(BITS + 1)
+        best = second = np.int64(64 * known.shape[1] + 1)
         chosen = NONE
         for j in range(pixels.shape[0]):
             du = pixels[j, 0] - u

@@ -82,8 +82,6 @@ class JointAlignment:
         (6, 6) of the pose, GTSAM's order, camera frame, by the measured residuals and correlations.
     overlap
         Share of the points that meet a keyframe's surface.
-    surface_inliers, feature_inliers
-        Shares, 0..1, of the points that met a surface, and of the matched features, that agree.
     point_pairs, feature_pairs
         Points that met a surface, and matched features.
     point_count, feature_count
@@ -99,8 +97,6 @@ class JointAlignment:
     pose: gtsam.Pose3
     information: FloatArray
     overlap: float
-    surface_inliers: float
-    feature_inliers: float
     point_pairs: int
     feature_pairs: int
     point_count: int
@@ -260,8 +256,6 @@ class _Work:
             pose=pose,
             information=information,
             overlap=float(seen.mean()) if seen.size else 0.0,
-            surface_inliers=agreeing.size / max(int(seen.sum()), 1),
-            feature_inliers=matched.size / max(self.feature_residuals.size, 1),
             point_pairs=int(seen.sum()),
             feature_pairs=int(self.feature_residuals.size),
             point_count=int(agreeing.size),

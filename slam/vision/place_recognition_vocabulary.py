@@ -21,7 +21,6 @@ BitRows: TypeAlias = NDArray[np.uint64]
 
 # A descriptor near the border of two branches finds its word in either.
 _PROBES = 2
-BITS = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +94,7 @@ def _words(rows: BitRows, branches: BitRows, leaves: BitRows, starts: Words) -> 
     """Down the tree with as many probes as `_PROBES`."""
     words = np.zeros(len(rows), np.int32)
     for i in range(len(rows)):
-        best, skipped = BITS + 1, -1
+        best, skipped = 64 * rows.shape[1] + 1, -1
         for _ in range(_PROBES):
             branch = _nearest_but(rows[i], branches, skipped)
             word, distance = _nearest(rows[i], leaves, starts[branch], starts[branch + 1])
@@ -108,7 +107,7 @@ def _words(rows: BitRows, branches: BitRows, leaves: BitRows, starts: Words) -> 
 @kernel
 def _nearest(row: BitRows, centres: BitRows, start: int, stop: int) -> tuple[int, int]:
     """Index and distance of the nearest centre from start to stop; the first of equals."""
-    best, index = BITS + 1, start
+    best, index = 64 * row.size + 1, start
     for j in range(start, stop):
         distance = _hamming(row, centres[j])
         if distance < best:
@@ -119,7 +118,7 @@ def _nearest(row: BitRows, centres: BitRows, start: int, stop: int) -> tuple[int
 @kernel
 def _nearest_but(row: BitRows, centres: BitRows, skipped: int) -> int:
     """Index of the nearest centre that is not the skipped one; the skipped one where it is alone."""
-    best, index = BITS + 1, 0
+    best, index = 64 * row.size + 1, 0
     for j in range(len(centres)):
         distance = _hamming(row, centres[j])
         if distance < best and j != skipped:
@@ -146,7 +145,7 @@ def ones(x: np.uint64) -> int:
 @kernel
 def _majority(rows: BitRows, nearest: Words, centres: BitRows) -> None:
     """Each bit of a centre as most of its members have it; a centre without members stays. In place."""
-    set_bits = np.zeros((len(centres), BITS), np.int32)
+    set_bits = np.zeros((len(centres), 64 * centres.shape[1]), np.int32)
     members = np.zeros(len(centres), np.int32)
     for i in range(len(rows)):
         members[nearest[i]] += 1

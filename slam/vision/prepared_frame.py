@@ -103,16 +103,6 @@ class PreparedFrame:
         return self.parts.points
 
     @property
-    def depth_m(self) -> Float32Array:
-        """The reduced depth image."""
-        return self.parts.depth[0]
-
-    @property
-    def depth_intrinsics(self) -> CameraIntrinsics:
-        """The camera of the reduced depth image."""
-        return self.parts.depth[1]
-
-    @property
     def surface(self) -> Surface:
         """The whole surface."""
         return self.parts.surface

@@ -9,6 +9,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from fusion.estimation import FEWEST
 from slam.config import Config
 from slam.config.stages import RgbdOdometryConfig
 from slam.measurements import Measurement, RgbdFrame
@@ -23,7 +24,6 @@ Seen: TypeAlias = tuple[RgbdFrame, Features]
 _EVERY_S = 0.2
 _LONGEST_S = 40.0
 _PAIRS = 24
-_LEAST_MATCHES = 60
 # Median motion of the matched features, in shares of the image's width: enough to tell, and still matched.
 _LEAST_MOTION, _GREATEST_MOTION = 0.03, 0.25
 
@@ -106,7 +106,7 @@ def _pair(before: Seen, after: Seen, config: RgbdOdometryConfig) -> tuple[FrameP
     """The matched pair, None where the motion between is too small or too large; and the motion."""
     (frame_a, known), (frame_b, features) = before, after
     matches = match_features(known.descriptors, features.descriptors, config.match_ratio, config.match_bits)
-    if len(matches) < _LEAST_MATCHES:
+    if len(matches) < 3 * FEWEST:  # a third of them must agree on a motion
         return None, np.inf
     a, b = known.pixels[matches.first], features.pixels[matches.second]
     motion = float(np.median(np.linalg.norm(a - b, axis=1))) / frame_b.intrinsics.width

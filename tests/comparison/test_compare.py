@@ -7,7 +7,7 @@ import sys
 import zipfile
 from dataclasses import asdict
 from pathlib import Path
-from typing import ClassVar
+from unittest.mock import Mock
 
 import numpy as np
 import psutil
@@ -25,9 +25,7 @@ from slam.comparison.recording import record_comparison
 from slam.comparison.runs import plan_of
 from slam.comparison.store import ResultStore
 from slam.evaluation.truth_comparison import compare_with_truth
-from slam.measurements import FloatArray
 from slam.storage.tum import read_tum
-from slam.viewer.viewer import NullViewer
 
 __all__ = ["scanweave"]
 
@@ -110,21 +108,15 @@ def test_where_nothing_has_a_result_the_command_says_so(tmp_path: Path, scanweav
 
 
 def test_a_recording_shows_every_result_beside_the_truth(tiny: Tiny) -> None:
-    class Noting(NullViewer):
-        shown: ClassVar[dict[str, object]] = {}
-
-        def polyline(self, name: str, positions_m: FloatArray) -> None:
-            self.shown[name] = positions_m
-
-        def grid(self, name: str, states: object, resolution_m: float, T_map_grid: object) -> None:
-            self.shown[f"grid {name}"] = states
-
-    record_comparison(Noting(), tiny.done.rows, ResultStore(tiny.out))
-    ways = {name for name in Noting.shown if not name.startswith("grid")}
+    viewer = Mock()
+    record_comparison(viewer, tiny.done.rows, ResultStore(tiny.out))
+    shown = {call.args[0]: call.args[1] for call in viewer.polyline.call_args_list}
+    shown |= {f"grid {call.args[0]}": call.args[1] for call in viewer.grid.call_args_list}
+    ways = {name for name in shown if not name.startswith("grid")}
     assert ways == {f"flat/{name}/seed 0" for name in ("full", "wheels only", "theirs")}
-    assert "grid flat/full/seed 0" in Noting.shown
+    assert "grid flat/full/seed 0" in shown
     truth = read_tum(tiny.folder / "theirs.tum")
-    np.testing.assert_allclose(Noting.shown["flat/theirs/seed 0"], truth.positions_m, atol=1e-9)
+    np.testing.assert_allclose(shown["flat/theirs/seed 0"], truth.positions_m, atol=1e-9)
 
 
 def test_a_missing_extra_names_the_command_that_installs_it(

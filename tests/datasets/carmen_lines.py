@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from slam.datasets import open_dataset
-from slam.datasets.carmen import CarmenDataset
+from slam.datasets.recording import Recording
 from slam.measurements import LaserScan, Measurement, WheelOdometry
 
 
@@ -34,9 +34,9 @@ def write(directory: Path, *lines: str, name: str = "a.log", end: str = "\n") ->
     return path
 
 
-def read(path: Path, *, strict: bool = False) -> tuple[list[Measurement], CarmenDataset]:
+def read(path: Path, *, strict: bool = False) -> tuple[list[Measurement], Recording]:
     dataset = open_dataset(path, strict=strict)
-    assert isinstance(dataset, CarmenDataset)
+    assert isinstance(dataset, Recording)
     return list(dataset), dataset
 
 

@@ -63,7 +63,7 @@ def test_a_damaged_line_is_counted_and_costs_only_itself(tmp_path: Path, line: s
         2.0,
         3.0,
     ]
-    with pytest.raises(BadRecordError, match=r"a\.log, line 2: .*--strict"):
+    with pytest.raises(BadRecordError, match=r"a\.log, record 2: .*--strict"):
         read(path, strict=True)
 
 
@@ -163,7 +163,7 @@ def test_what_cannot_be_a_log_is_refused_in_one_line(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("lines", [("# only a comment",), ("PARAM a 1 x 0",), ("FLASER 3 1 2",), ("SYNC x",)])
 def test_a_log_without_measurements_is_an_error(tmp_path: Path, lines: tuple[str, ...]) -> None:
-    with pytest.raises(DatasetError, match="no odometry and no scan"):
+    with pytest.raises(DatasetError, match="no usable frame, scan or odometry"):
         read(write(tmp_path, *lines))
 
 

@@ -30,7 +30,7 @@ from slam.measurements import FloatArray, LaserScan, Trajectory
 from slam.vision.color_registration import identity_registration
 
 RIG = RigEstimate(
-    u=90, yaw_rad=0.0, height_m=-0.4, height_range_m=None, v=0, pairs=8, alignments=(None,), drift=0
+    u=90, yaw_rad=0.0, height_m=-0.4, height_range_m=(-0.4, -0.4), v=0, pairs=8, alignments=(None,), drift=0
 )
 RED, ORANGE, GREEN, BLUE = (194, 53, 43), (217, 115, 13), (31, 138, 76), (37, 99, 184)
 

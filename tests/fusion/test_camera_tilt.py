@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from fusion.camera_tilt import camera_tilt
+from tools.yang2021_camera_tilt import camera_tilt
 
 OPTICAL = gtsam.Rot3(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
 

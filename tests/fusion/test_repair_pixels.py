@@ -16,7 +16,7 @@ FILLED = fusion.Provenance.FILLED
 
 
 def rig(low_m=-0.6, high_m=-0.6):
-    alignment = Alignment(planar(*OFFSET, 0.0), np.eye(3), 0.01, 999)
+    alignment = Alignment(planar(*OFFSET, 0.0), np.eye(3))
     return fusion.RigEstimate(0, 0.0, -0.6, (low_m, high_m), 0, 99, (alignment,), 0)
 
 

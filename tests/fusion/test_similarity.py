@@ -12,11 +12,10 @@ from fusion.similarity import (
     LEAST_OVERLAP,
     Grade,
     grade_of,
-    inverse_cosine,
-    inverse_euler,
     masked_sums,
     pearson,
 )
+from tools.xu2024_rows import inverse_cosine, inverse_euler
 
 
 def plain(d, window):

@@ -4,32 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
 from hypothesis import strategies as st
 
 import fusion
 
 stamps = st.lists(st.floats(0.0, 100.0), max_size=30).map(np.array)
-
-
-@given(stamps, stamps, st.floats(0.0, 5.0))
-def test_pairs_are_one_to_one_near_and_each_others_nearest(a, b, tolerance):
-    pairs = fusion.pair_stamps(a, b, tolerance)
-    assert len(set(pairs[:, 0])) == len(set(pairs[:, 1])) == len(pairs)
-    for i, j in pairs:
-        assert abs(a[i] - b[j]) <= tolerance
-        assert abs(a[i] - b[j]) == np.abs(b - a[i]).min() == np.abs(a - b[j]).min()
-
-
-def test_the_tolerance_is_inclusive_and_order_does_not_matter():
-    pairs = fusion.pair_stamps(np.array([2.0, 1.0, 9.0]), np.array([1.5, 8.0, 2.25]), 0.5)
-    assert pairs.tolist() == [[1, 0], [0, 2]]
-
-
-def test_nothing_pairs_with_nothing_and_bad_stamps_are_refused():
-    assert fusion.pair_stamps(np.array([]), np.array([1.0]), 1.0).shape == (0, 2)
-    with pytest.raises(ValueError, match="finite"):
-        fusion.pair_stamps(np.array([np.nan]), np.array([1.0]), 1.0)
 
 
 def turns(stamps_s, offset_s, rng, noise=0.01):

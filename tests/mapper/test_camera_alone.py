@@ -22,8 +22,7 @@ from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.measurements import RgbdFrame
 from slam.odometry import STANDARD
-from slam.outputs.layer_outputs import layers_of
-from slam.outputs.run_outputs import save_dense, save_run
+from slam.outputs.exports import exports_of
 from slam.storage.ply import read_cloud_ply
 
 REDKITCHEN = Path(__file__).parents[3] / "shared" / "data" / "rgbd" / "redkitchen"
@@ -108,8 +107,9 @@ def test_the_same_log_and_seed_give_the_same_bytes(mapped: MapResult, log: Path,
     folders = [tmp_path / "one", tmp_path / "two"]
     for folder, result in zip(folders, (mapped, run(log)), strict=True):
         folder.mkdir()
-        save_run(folder, result, layers_of(result, Config()))
-        save_dense(folder, result, Config())
+        exports = exports_of(result, Config())
+        exports.write_files(folder)
+        exports.write_surfaces(folder)
     names, others = ({path.name for path in folder.iterdir()} for folder in folders)
     assert names == others >= {"trajectory.tum", "graph.g2o", "cloud.ply"}
     for name in names:
@@ -121,7 +121,7 @@ def test_without_open3d_there_is_the_cloud_and_one_line_about_the_mesh(
     mapped: MapResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "open3d", None)
-    written, missing = save_dense(tmp_path, mapped, Config())
+    written, missing = exports_of(mapped, Config()).write_surfaces(tmp_path)
     assert written == [tmp_path / "cloud.ply"] == list(tmp_path.iterdir())
     (line,) = missing
     assert "No mesh.ply" in line and "apt-get install" in line and "\n" not in line

@@ -18,9 +18,9 @@ from slam.graph.pose_graph import EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.measurements import CameraIntrinsics, Measurement, RgbdFrame
+from slam.outputs.exports import exports_of
 from slam.outputs.finished_map import open_map
 from slam.outputs.layer_outputs import layers_of
-from slam.outputs.run_outputs import save_clouds, save_dense
 
 LENS = CameraIntrinsics(130.0, 130.0, 79.5, 59.5, 160, 120)
 MOUNT = gtsam.Pose3(gtsam.Rot3.Ry(0.1), np.array([0.2, 0.05, 0.6])) * T_BODY_CAMERA
@@ -130,8 +130,7 @@ def test_saved_resumed_and_exported(log: Log, mapped: MapResult, tmp_path: Path)
     assert len(saved.frames) == len(saved.clouds) == len(mapped.dense.poses)
     for found, pose in zip(saved.frame_poses(), mapped.dense.poses, strict=True):
         np.testing.assert_allclose(found.matrix(), pose.matrix(), atol=1e-9)
-    written, _ = save_dense(tmp_path, mapped, config)
-    written += save_clouds(tmp_path, mapped, config)
+    written, _ = exports_of(mapped, config).write_surfaces(tmp_path)
     names = {path.name for path in written}
     assert names - {"mesh.ply"} == {"cloud.ply", "lidar.ply"}
     assert {path.name for path in saved.export("ply", tmp_path / "again")} == names

@@ -21,8 +21,7 @@ from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.mapper.sensor_choice import SensorChoice
 from slam.measurements import LaserScan, Measurement, PointCloud, WheelOdometry
-from slam.outputs.layer_outputs import layers_of
-from slam.outputs.run_outputs import save_clouds, save_run
+from slam.outputs.exports import exports_of
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_file import MapFile
 from slam.storage.ply import read_cloud_ply
@@ -79,9 +78,10 @@ def test_the_plan_shows_what_stands_in_the_way(mapped: MapResult) -> None:
 
 def test_the_files(mapped: MapResult, log: Path, tmp_path: Path) -> None:
     config = load_config(None, SMALL)
-    names = {path.name for path in save_run(tmp_path, mapped, layers_of(mapped, config))}
+    exports = exports_of(mapped, config)
+    names = {path.name for path in exports.write_files(tmp_path)}
     assert names == {"trajectory.tum", "graph.g2o", "map.yaml", "map.pgm"}
-    written = save_clouds(tmp_path, mapped, config)
+    written, _ = exports.write_surfaces(tmp_path)
     cloud = read_cloud_ply(written[0])
     inside = way_round(COUNT)[0].matrix()
     points = cloud.points_map @ inside[:3, :3].T + inside[:3, 3]

@@ -31,8 +31,7 @@ from slam.mapper.pipeline import build_map
 from slam.mapping.occupancy_grid import FREE, OCCUPIED
 from slam.matching.planar import between
 from slam.measurements import row_from_pose2 as row_of
-from slam.outputs.layer_outputs import layers_of
-from slam.outputs.run_outputs import contents_of, save_g2o, save_run
+from slam.outputs.exports import Exports, contents_of, exports_of
 from slam.simulation.floor_plan import TOUR_M, walls
 from slam.simulation.synthetic_log import SyntheticLog
 from slam.storage.nav2 import read_nav2_map
@@ -111,7 +110,7 @@ class TestSynthetic:
         folders = [tmp_path / "one", tmp_path / "two"]
         for folder, result in zip(folders, (mapped, again), strict=True):
             folder.mkdir()
-            save_run(folder, result, layers_of(result, Config()))
+            exports_of(result, Config()).write_files(folder)
         for name in ("trajectory.tum", "graph.g2o", "map.pgm", "map.yaml"):
             one, two = ((folder / name).read_bytes() for folder in folders)
             assert one == two, name
@@ -139,7 +138,7 @@ class TestSynthetic:
 @pytest.fixture(scope="module")
 def folder(mapped: MapResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("files")
-    save_run(folder, mapped, layers_of(mapped, Config()))
+    exports_of(mapped, Config()).write_files(folder)
     return folder
 
 
@@ -164,7 +163,8 @@ class TestFiles:
     def test_refused_edges_do_not_leave_the_house(self, mapped: MapResult, tmp_path: Path) -> None:
         contents = contents_of(mapped)
         refused = [replace(factor, kept=n not in (3, 7)) for n, factor in enumerate(contents.factors)]
-        save_g2o(tmp_path / "graph.g2o", replace(contents, factors=refused))
+        exports = Exports(replace(contents, factors=refused), None, None, None, Config())
+        exports.write("g2o", tmp_path / "graph.g2o")
         assert gtsam.readG2o(str(tmp_path / "graph.g2o"), False)[0].size() == len(refused) - 2
 
     def test_the_map_shows_the_building_where_it_stands(self, mapped: MapResult, folder: Path) -> None:

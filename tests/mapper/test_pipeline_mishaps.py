@@ -35,8 +35,7 @@ from slam.mapper.mapper import Mapper
 from slam.mapping.occupancy_grid import OCCUPIED
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
-from slam.outputs.layer_outputs import layers_of
-from slam.outputs.run_outputs import save_run
+from slam.outputs.exports import exports_of
 from slam.simulation.synthetic_log import SyntheticLog
 
 __all__ = ["long_log", "mapped", "short_log"]  # fixtures
@@ -196,7 +195,7 @@ class TestMishaps:
         assert len(result.keyframe_poses) == 1
         np.testing.assert_array_equal(result.trajectory.to_planar(), np.zeros((2, 3)))
         assert result.grid is not None
-        save_run(tmp_path, result, layers_of(result, Config()))
+        exports_of(result, Config()).write_files(tmp_path)
 
     def test_a_robot_that_stands_still(self, short_log: SyntheticLog, tmp_path: Path) -> None:
         lines = [line for line in short_log.log_path.read_text().splitlines() if line.startswith("FLASER")]

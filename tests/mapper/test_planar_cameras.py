@@ -31,9 +31,9 @@ from slam.measurements import (
     WheelOdometry,
     pose2_from_row,
 )
+from slam.outputs.exports import contents_of, exports_of
 from slam.outputs.finished_map import open_map
 from slam.outputs.layer_outputs import layers_of
-from slam.outputs.run_outputs import contents_of, save_run
 from slam.storage.map_contents import write_contents
 from slam.storage.map_file import MapFile
 from slam.storage.map_identity import MapIdentity
@@ -177,9 +177,10 @@ def test_one_answer_to_which_map(drive: list[tuple[int, Measurement]], tmp_path:
     """What a robot loads, what is exported of the saved map, and the decision are one; the lidar's stays."""
     config = load_config(None, ["dense_map.enabled=false", "layers.robot_height_m=1.0"])
     result = run(drive, whole)
-    layers = layers_of(result, config)
+    exports = exports_of(result, config)
+    layers = exports.layers
     assert layers is not None
-    save_run(tmp_path, result, layers)
+    exports.write_files(tmp_path)
     loaded = read_nav2_map(tmp_path / "map.yaml")
     decision = read_nav2_map(tmp_path / "layers" / "decision.yaml")
     np.testing.assert_array_equal(loaded.values, layers.states("decision"))
@@ -231,7 +232,7 @@ def test_a_setting_of_the_grid_reaches_every_map(
         folder.mkdir()
         config = load_config(None, ["dense_map.enabled=false", *overrides])
         result = run(drive[:60], in_the_open, *overrides)
-        save_run(folder, result, layers_of(result, config))
+        exports_of(result, config).write_files(folder)
         paths = [folder / "map.pgm", *sorted((folder / "layers").glob("*.pgm"))]
         pictures.append({path.stem: path.read_bytes() for path in paths})
     same = {name for name, picture in pictures[0].items() if pictures[1][name] == picture}

@@ -25,7 +25,7 @@ from slam.mapper.pipeline import build_map
 from slam.matching.planar import compose
 from slam.measurements import LaserScan, Measurement, RgbdFrame, WheelOdometry, pose2_from_row
 from slam.odometry.surfel_odometry import SurfelOdometry
-from slam.outputs.run_outputs import contents_of
+from slam.outputs.exports import contents_of
 from slam.simulation.synthetic_log import write_synthetic_log
 from slam.storage.map_contents import write_contents
 from slam.storage.map_file import MapFile

@@ -69,5 +69,5 @@ def test_how_many_frames_wait_changes_nothing_but_memory(monkeypatch):
 
 
 def test_poses_that_do_not_fit_the_frames_are_refused():
-    with pytest.raises(ScanweaveError, match="3 keyframes for 6 poses"):
+    with pytest.raises(ValueError, match=r"shorter|longer"):
         camera_cloud(box_frames(count=3), camera_poses(), SETTINGS)

@@ -53,7 +53,7 @@ CLOUD = packed_cloud(np.arange(30.0).reshape(10, 3))
         (CLOUD[:-1], "not of 10 points"),
         (CLOUD + b"\0", "not of 10 points"),
         (CLOUD[:8] + struct.pack("<I", 9) + CLOUD[12:], "not of 9 points"),
-        (CLOUD[:8] + struct.pack("<I", 2**32 - 1) + CLOUD[12:], "cannot hold 4294967295 points"),
+        (CLOUD[:8] + struct.pack("<I", 2**32 - 1) + CLOUD[12:], "not of 4294967295 points"),
         (struct.pack("<d", np.nan) + CLOUD[8:], "steps of nan"),
         (CLOUD[:12] + b"\xff" + CLOUD[13:], "damaged"),
     ],

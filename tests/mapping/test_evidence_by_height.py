@@ -10,8 +10,9 @@ from fusion.bayes import FREE, OCCUPIED, UNKNOWN
 from fusion.height_band import HeightBand
 from slam.mapping.depth_grid import DepthModel
 from slam.mapping.evidence_tiles import TILE_BYTES, Board, EvidenceTiles
-from slam.mapping.layer_builder import LayerSettings, build_layers
+from slam.mapping.layer_builder import LayerSettings
 from slam.measurements import CameraIntrinsics, RgbdFrame
+from tools.layer_building import build_layers
 
 CAMERA = CameraIntrinsics(240.0, 240.0, 159.5, 119.5, 320, 240)
 OPTICAL = gtsam.Rot3(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))

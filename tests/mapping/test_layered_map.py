@@ -10,11 +10,12 @@ from fusion.height_band import HeightBand
 from slam.errors import ConfigError, ScanweaveError
 from slam.mapping.depth_grid import DepthModel
 from slam.mapping.evidence_tiles import SIDE, Board, EvidenceTiles
-from slam.mapping.layer_builder import LayerBuilder, LayerSettings, build_layers
+from slam.mapping.layer_builder import LayerBuilder, LayerSettings
 from slam.mapping.layered_map import DecisionRule, LayeredMap
 from slam.mapping.lidar_layer import LidarModel
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import CameraIntrinsics, LaserScan, RgbdFrame
+from tools.layer_building import build_layers
 
 CAMERA = CameraIntrinsics(240.0, 240.0, 159.5, 119.5, 320, 240)
 OPTICAL = gtsam.Rot3(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
@@ -104,7 +105,7 @@ def test_one_missing_sensor_is_unknown_and_the_map_stands():
     assert only_depth.lidar is None
     np.testing.assert_array_equal(only_depth.states("decision"), only_depth.states("depth"))
     with pytest.raises(ScanweaveError, match="no reading"):
-        LayerBuilder().finish()
+        build_layers([], [], SETTINGS)
 
 
 def test_order_partial_maps_and_repeats_change_nothing():
@@ -124,24 +125,21 @@ def test_order_partial_maps_and_repeats_change_nothing():
     np.testing.assert_array_equal(twice.lidar.steps, whole.lidar.steps)
 
 
-def test_tiles_on_disk_and_merged_ones_hold_the_same_sums():
+def test_tiles_on_disk_hold_the_same_sums():
     rng = np.random.default_rng(2)
     boards = [
         Board(rng.integers(-900, 900, (90, 70)).astype(np.int16), *map(int, rng.integers(-1500, 1500, 2)))
         for _ in range(60)
     ]
-    small, large, first, second = (EvidenceTiles(mb) for mb in (0.1, 500.0, 500.0, 0.1))
-    for index, board in enumerate(boards):
+    small, large = (EvidenceTiles(mb) for mb in (0.1, 500.0))
+    for board in boards:
         small.add(board)
         large.add(board)
-        (first if index % 3 else second).add(board)
     box = (-1500 - SIDE, -1500, 3500, 3400)
     expected = large.clipped(box, -4000, 4000)
     assert np.abs(expected).max() > 800
     np.testing.assert_array_equal(small.clipped(box, -4000, 4000), expected)
-    first.merge(second)
-    np.testing.assert_array_equal(first.clipped(box, -4000, 4000), expected)
-    assert first.used == large.used
+    assert small.used == large.used
 
 
 # Hand-drawn grids: a letter a cell, the highest row first.
@@ -204,10 +202,9 @@ def test_two_logs_whose_clocks_agree_count_both():
     assert both.lidar.steps.max() > 1.5 * one.lidar.steps.max()
 
 
-@pytest.mark.parametrize("yaw", [0.0, 0.5, -2.0])
-def test_a_turned_grid_holds_the_same_world(yaw):
+def test_the_grid_holds_the_world():
     wall = [scan(float(i), 2.0, 720) for i in range(3)]
-    built = build_layers(wall, same_base(3), replace(SETTINGS, axes_yaw_rad=yaw))
+    built = build_layers(wall, same_base(3), SETTINGS)
     bearings = np.linspace(-3, 3, 50)
     ring = np.column_stack([np.cos(bearings), np.sin(bearings)])
     for radius, expected in ((2.0, OCCUPIED), (1.8, FREE), (0.5, FREE)):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import gtsam
 import numpy as np
@@ -15,7 +16,7 @@ from slam.localization.output import LocalizerOutput, State
 from slam.measurements import CameraIntrinsics, LaserScan, RgbdFrame
 from slam.simulation.synthetic_log import SyntheticLog
 from slam.viewer.map_recording import record_localization
-from slam.viewer.viewer import NullViewer, RerunViewer, recording
+from slam.viewer.viewer import recording
 
 __all__ = ["log", "mapped", "scanweave"]
 
@@ -27,15 +28,9 @@ def entities(path: Path) -> set[str]:
     return {str(chunk.entity_path) for chunk in RrdReader(path).stream().to_chunks()}
 
 
-def test_the_two_viewers_have_the_same_methods() -> None:
-    public = [{name for name in vars(kind) if not name.startswith("_")} for kind in (NullViewer, RerunViewer)]
-    assert public[0] == public[1] and len(public[0]) == 9
-
-
 def test_nothing_is_shown_without_a_path(tmp_path: Path) -> None:
     with recording(None) as viewer:
-        viewer.at(1.0)
-        viewer.pose(gtsam.Pose2())
+        assert viewer is None
     assert list(tmp_path.iterdir()) == []
 
 
@@ -44,8 +39,8 @@ def test_points_of_a_scan_lie_where_the_laser_stood() -> None:
     scan = LaserScan(0.0, ranges, 0.0, np.pi / 4.0, 80.0, gtsam.Pose2(0.5, 0.0, 0.0))
     np.testing.assert_allclose(scan.points_laser(), [[1.0, 0.0], [0.0, 2.0]], atol=1e-9)
     pose, shown = gtsam.Pose2(10.0, 0.0, np.pi / 2.0), []
-    viewer = NullViewer()
-    viewer.scan = shown.append  # type: ignore[method-assign]
+    viewer = Mock()
+    viewer.scan = shown.append
     record_localization(viewer, scan, LocalizerOutput(0.0, State.TRACKING, pose, None, 1.0, (), 1.0))
     np.testing.assert_allclose(shown[0], [[10.0, 1.5], [8.0, 0.5]], atol=1e-9)
 
@@ -54,8 +49,8 @@ def test_frames_of_a_localisation_are_shown() -> None:
     lens = CameraIntrinsics(4.0, 4.0, 1.0, 1.0, 3, 2)
     frame = RgbdFrame(0.0, np.zeros((2, 3, 3), np.uint8), np.ones((2, 3), np.float32), lens, sensor="left")
     shown: list[str] = []
-    viewer = NullViewer()
-    viewer.image = lambda sensor, *images: shown.append(sensor)  # type: ignore[method-assign]
+    viewer = Mock()
+    viewer.image = lambda sensor, *images: shown.append(sensor)
     record_localization(viewer, frame, LocalizerOutput(0.0, State.SEARCHING, None, None, 0.0, (), 1.0))
     assert shown == ["left"]
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from slam.datasets.bags.records import BagRecord
 from slam.datasets.bags.transforms import FrameTree
+from slam.datasets.dataset import Thinned
 
-_SAMPLES_KEPT = 4096
 _MOST_TOPICS = 2000  # a robot has some dozens; damaged names must not fill the memory
 
 
@@ -29,9 +27,7 @@ class TopicFigures:
     last_s: float = 0.0
     gap_s: float = 0.0
     gap_at_s: float = 0.0
-    late_s: list[float] = field(default_factory=list)
-    _stride: int = 1
-    _stamped: int = 0
+    late_s: Thinned = field(default_factory=Thinned)
 
     def saw(self, recorded_s: float) -> None:
         """Count a message."""
@@ -42,25 +38,11 @@ class TopicFigures:
         self.last_s = recorded_s
         self.count += 1
 
-    def stamped(self, late_s: float) -> None:
-        """A message was recorded so much later than its header says."""
-        if self._stamped % self._stride == 0:
-            self.late_s.append(late_s)
-            if len(self.late_s) >= _SAMPLES_KEPT:
-                del self.late_s[1::2]
-                self._stride *= 2
-        self._stamped += 1
-
     @property
     def rate_hz(self) -> float | None:
         """Messages a second, None for fewer than two or no time between them."""
         span_s = self.last_s - self.first_s
         return (self.count - 1) / span_s if self.count > 1 and span_s > 0.0 else None
-
-    @property
-    def median_late_s(self) -> float | None:
-        """Median of record time less header stamp, None where no message was read."""
-        return float(np.median(self.late_s)) if self.late_s else None
 
 
 @dataclass(slots=True)
@@ -90,4 +72,4 @@ class BagFigures:
         """A message that was read has a stamp in its header."""
         figures = self.topics.get(record.channel.topic)
         if figures is not None:
-            figures.stamped(record.recorded_s - stamp_s)
+            figures.late_s.add(record.recorded_s - stamp_s)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from slam.datasets.bags.run_length_depth import unpacked
 from slam.datasets.dataset import RecordFault
+from slam.datasets.image_files import rgb_of
 from slam.datasets.quiet_decoder import decode_quietly
 from slam.measurements import ColorImage, Float32Array
 
@@ -101,14 +102,11 @@ def _metres(steps: NDArray[Any]) -> Float32Array:
 
 def _compressed_color(message: Any) -> ColorImage:
     """A PNG or JPEG; `cv_bridge` stores both so that every decoder shows them right."""
-    import cv2
-
     image = _decoded(bytes(message.data))
-    channels = 1 if image.ndim == 2 else image.shape[2]
-    if image.dtype != np.uint8 or channels not in (1, 3, 4):
+    color = rgb_of(image)
+    if color is None:
         raise RecordFault(BAD_ENCODING, f"compressed {image.dtype} {image.shape}")
-    conversion = {1: cv2.COLOR_GRAY2RGB, 3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGB}[channels]
-    return np.ascontiguousarray(cv2.cvtColor(image, conversion))
+    return color
 
 
 def _compressed_depth(message: Any) -> Float32Array:

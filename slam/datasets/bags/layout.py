@@ -16,7 +16,6 @@ from slam.datasets.bags.decoding import frame_name, stamp_of
 from slam.datasets.bags.files import Bag
 from slam.datasets.bags.laser import LaserMount, scan_from
 from slam.datasets.bags.lens import Lens, lens_of
-from slam.datasets.bags.pairing import tolerance_of
 from slam.datasets.bags.survey import Survey, count_messages
 from slam.datasets.bags.topics import (
     CAMERA_INFO,
@@ -30,6 +29,7 @@ from slam.datasets.bags.topics import (
 )
 from slam.datasets.bags.transforms import pose_of
 from slam.datasets.dataset import RecordFault
+from slam.datasets.frame_pairs import tolerance_of
 from slam.errors import DatasetError
 from slam.measurements import Measurement, WheelOdometry
 
@@ -187,7 +187,7 @@ def _camera(survey: Survey, layout: Layout, topics: CameraTopics) -> BagCamera:
         _lens(survey, layout, topics.color),
         turn,
         _mount(survey, layout, topics.depth),
-        tolerance_of(*stamps),
+        tolerance_of(*(np.array(of_one, dtype=np.float64) for of_one in stamps)),
     )
     if camera.assumed:
         layout.notes.append(f"{topics.name}: {camera.assumed}")

@@ -10,12 +10,11 @@ import numpy as np
 
 from slam.datasets.account import Account
 from slam.datasets.dataset import RecordFault
-from slam.datasets.frame_pairs import NO_COLOR, NO_DEPTH, TOLERANCE_S, nearest_partners
+from slam.datasets.frame_pairs import NO_COLOR, NO_DEPTH, nearest_partners
 from slam.measurements import FloatArray
 
 _WAIT_S = 0.15  # for a partner, by the recorder's clock: the later image of a pair comes so late at most
 _MOST_WAITING = 64  # of one camera; bounds the memory where the recorder's clock stands still
-_ENOUGH = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,16 +105,6 @@ class PairStream:
         """Count an image without a partner."""
         fault = RecordFault(reason, f"within {self._tolerance_s:.3f} s")
         self._account.refuse(fault, self._sensor, image.number)
-
-
-def tolerance_of(colors_s: list[float], depths_s: list[float]) -> float:
-    """The usual tolerance; half the interval of a camera's first images where it leaves most alone."""
-    if len(colors_s) < 2 or not depths_s:
-        return TOLERANCE_S
-    first, second = np.array(colors_s), np.array(depths_s)
-    wider_s = 0.5 * float(np.median(np.diff(np.sort(first))))
-    paired = np.count_nonzero(nearest_partners(first, second, TOLERANCE_S) >= 0)
-    return max(TOLERANCE_S, wider_s) if paired < _ENOUGH * min(first.size, second.size) else TOLERANCE_S
 
 
 def _is_due(waiting: list[StampedImage], now_s: float, wait_s: float) -> bool:
