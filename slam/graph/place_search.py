@@ -9,14 +9,16 @@ each other along the way (`slam.graph.consistent_sets`), that what lies around t
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from fusion.estimation import gate
-from slam.config.stages import LoopConfig, MatchConfig
+from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
 from slam.graph.claim_trial import ClaimTrial
 from slam.graph.consistent_sets import ClaimSets, Known, claimed
+from slam.graph.faulty_steps import FaultySteps
 from slam.graph.loop_closure import LoopCandidate, LoopCloser, position_sigmas
 from slam.graph.pose_graph import Edge
 from slam.graph.relative_uncertainty import UncertaintyGraph
@@ -64,13 +66,15 @@ class PlaceSearch:
         """
         if not self._config.enabled or len(poses) < 2:
             return []
-        held = [edge for edge, keep in zip(edges, kept, strict=True) if keep]
+        held = believed_edges(edges, kept, poses)
         if self._stretches is None or self._sets is None:
             self._stretches = Stretches(self._submaps, self._config, self._match)
             chain = graph_of(len(poses), (edge for edge in held if edge.loop is None))
             self._sets = ClaimSets(self._submaps, chain, self._reach_m)
             self._trial = ClaimTrial(self._closer, self._stretches, self._sets, self._config, self._reach_m)
         known = graph_of(len(poses), held)
+        self._faulty = FaultySteps(edges, GraphConfig(), self._match.coarse_cell_m, self._config.reach_m)
+        self._poses = poses
         if self._corrected:
             near = self._closer.close_again(poses, known, loops)
             if near:
@@ -126,10 +130,8 @@ class PlaceSearch:
         costs = np.array([self._cost(one, seen) for one in found])
         gains = self._gate * np.array([len(one) for one in found]) - costs
         taken: list[list[LoopCandidate]] = []
-        for n in np.argsort(-gains, kind="stable").tolist():
+        for n in sorted(range(len(found)), key=lambda n: self._order(found[n], costs[n], seen)):
             if gains[n] <= 0.0:
-                break
-            if any(_apart_m(self._ways(found[n]), self._ways(one)) <= self._reach_m for one in taken):
                 continue
             rivals = (m for m in np.flatnonzero(2.0 * gains > gains[n]).tolist() if m != n)
             if any(sets.contradiction(found[n], found[m], seen) > gains[m] for m in rivals):
@@ -139,6 +141,7 @@ class PlaceSearch:
             # As long as a loop must be, and heavier than what it bends.
             if net * stretches.spacing_m >= self._config.least_path_m and net * self._gate > costs[n]:
                 taken.append([*found[n], *more])
+                break
         believed = [one for members in taken for one in members]
         sets.remove(believed)
         self._corrected = bool(believed)
@@ -156,11 +159,21 @@ class PlaceSearch:
         if not np.isfinite(sigmas_m).all():
             return 0.0
         claims = [claimed(one) for one in members]
-        squares = [
-            way.widened(claim.covariance).squared_mahalanobis(claim.pose)
-            for way, claim in zip(expected, claims, strict=True)
+        ways = [way.widened(claim.covariance) for way, claim in zip(expected, claims, strict=True)]
+        squares = [way.squared_mahalanobis(claim.pose) for way, claim in zip(ways, claims, strict=True)]
+        assert self._faulty is not None
+        faulty = [
+            self._faulty.squared_mahalanobis(one.place, one.keyframe, way, claim.pose, self._poses)
+            for one, way, claim in zip(members, ways, claims, strict=True)
         ]
-        return float(np.median(squares))
+        return min(float(np.median(squares)), self._gate + float(np.median(faulty)))
+
+    def _order(self, members: Sequence[LoopCandidate], cost: float, known: Known) -> tuple[bool, float]:
+        """Plausible sets first, of them the nearest: there chance has the least room."""
+        expected = [known(one.place, one.keyframe) for one in members]
+        sigma_m = float(np.median(position_sigmas(np.array([way.covariance for way in expected]))))
+        plausible = cost <= self._gate
+        return not plausible, sigma_m if plausible else cost
 
     def _ways(self, members: Iterable[LoopCandidate]) -> FloatArray:
         """Way from the start to the keyframes of a set."""
@@ -193,6 +206,28 @@ def graph_of(nodes: int, edges: Iterable[Edge]) -> UncertaintyGraph:
             covariance = np.linalg.inv(np.linalg.inv([edge.covariance for edge in same]).sum(axis=0))
         graph.add_edge(source, target, row_from_pose2(same[0].T_source_target), covariance)
     return graph
+
+
+def believed_edges(edges: Sequence[Edge], kept: BoolArray, poses: FloatArray) -> list[Edge]:
+    """Edges that an optimisation has kept; where it has refused one of a step, all that may be are in doubt.
+
+    They are as uncertain then as they are apart: only loops can tell which of them was right.
+    """
+    doubts: dict[tuple[int, int], FloatArray] = {}
+    for edge, keep in zip(edges, kept, strict=True):
+        if not keep and edge.loop is None:
+            found = between(poses[edge.source], poses[edge.target])
+            off = between(row_from_pose2(edge.T_source_target), found)
+            ends = edge.source, edge.target
+            doubts[ends] = doubts.get(ends, np.zeros((3, 3))) + np.outer(off, off)
+    held = []
+    for edge, keep in zip(edges, kept, strict=True):
+        doubt = None if edge.trusted or edge.loop is not None else doubts.get((edge.source, edge.target))
+        if doubt is not None:
+            held.append(replace(edge, covariance=edge.covariance + doubt))
+        elif keep:
+            held.append(edge)
+    return held
 
 
 def _apart_m(one_m: FloatArray, other_m: FloatArray) -> float:
