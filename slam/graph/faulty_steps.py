@@ -7,22 +7,44 @@ rule, which may be refused, and one that allows what they claim.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion.estimation import FEWEST, median_to_sigma
-from slam.config.stages import GraphConfig
-from slam.graph.keyframe_graph import KeyframeGraph, row_of, unmeasured
+from slam.graph.keyframe_graph import KeyframeGraph, row_of
+from slam.graph.loop_closure import position_sigmas
 from slam.graph.pose_graph import Edge, EdgeKind
 from slam.graph.relative_uncertainty import composed, inverse, moved
 from slam.matching.motion import Motion
 from slam.measurements import FloatArray
 
 
-def settle_wheels(graph: KeyframeGraph) -> None:
-    """Let the steps that wheels alone tell be as certain as wheels have proved, unless loops refuse that."""
+def settle_steps(graph: KeyframeGraph, reach_m: float) -> None:
+    """Let no step be freer than it can be, and wheels that alone tell one be as certain as they have proved.
+
+    Parameters
+    ----------
+    reach_m
+        Two scans that match see the same: they are no farther apart than this.
+    """
+    edges = graph.graph.edges
+    matched = {edge.source for edge in edges if edge.kind is EdgeKind.LIDAR}
+    limit = np.diag(np.square([reach_m, reach_m, math.pi]))
+    for step, free in zip(*_free_steps(edges), strict=True):
+        if step in matched and position_sigmas(free[None])[0] > reach_m:
+            here, there = (graph.graph.pose(key) for key in (step, step + 1))
+            graph.add_edge(
+                Edge(int(step), int(step) + 1, here.between(there), limit, EdgeKind.ASSUMED, trusted=True)
+            )
+    _settle_wheels(graph)
+
+
+def _settle_wheels(graph: KeyframeGraph) -> None:
+    """Two edges for each step of wheels alone, see above, where enough long stretches were told by both."""
     edges = graph.graph.edges
     alone = [n for n, edge in enumerate(edges) if edge.kind is EdgeKind.WHEEL and edge.trusted]
     steps = np.zeros(len(graph), np.bool_)
@@ -56,28 +78,18 @@ class FaultySteps:
     Parameters
     ----------
     edges
-        Of the graph: how far wrong a step may be is what of its edges cannot be refused, but no more than what
-        nothing measured.
+        Of the graph: how far wrong a step may be is told by those of its edges that cannot be refused.
     least_m
         A step as certain as this is not wrong; nor one that turns the surroundings no more than this.
     lever_m
         How far these are.
     """
 
-    def __init__(self, edges: Sequence[Edge], config: GraphConfig, least_m: float, lever_m: float) -> None:
-        limit = np.linalg.inv(unmeasured(config, planar=True))
-        held: dict[int, FloatArray] = {}
-        for edge in edges:
-            if edge.target == edge.source + 1:
-                information = np.linalg.inv(edge.covariance) if edge.trusted else np.zeros((3, 3))
-                if edge.kind is EdgeKind.LIDAR:
-                    information = information + limit
-                held[edge.source] = held.get(edge.source, np.zeros((3, 3))) + information
-        free = np.linalg.inv(np.array([*held.values()]).reshape(-1, 3, 3))
+    def __init__(self, edges: Sequence[Edge], least_m: float, lever_m: float) -> None:
+        steps, free = _free_steps(edges)
         sigmas = np.sqrt(np.diagonal(free, axis1=1, axis2=2)) * [1.0, 1.0, lever_m]
         unsure = sigmas.max(axis=1, initial=0.0) > least_m
-        self._steps = np.array([*held], np.int64)[unsure]
-        self._free = free[unsure]
+        self._steps, self._free = steps[unsure], free[unsure]
 
     def squared_mahalanobis(
         self, start: int, end: int, expected: Motion, claimed: FloatArray, poses: FloatArray
@@ -110,3 +122,13 @@ class FaultySteps:
         covariances = free + moved(np.repeat(expected.covariance[None], len(steps), axis=0), rest)
         squares = np.einsum("ki,ki->k", off, np.linalg.solve(covariances, off[..., None])[..., 0])
         return float(squares.min())
+
+
+def _free_steps(edges: Sequence[Edge]) -> tuple[NDArray[np.int64], FloatArray]:
+    """(K,) where each step begins, and (K, 3, 3) how uncertain what cannot be refused leaves it."""
+    held: dict[int, FloatArray] = {}
+    for edge in edges:
+        if edge.trusted and edge.target == edge.source + 1:
+            held[edge.source] = held.get(edge.source, np.zeros((3, 3))) + np.linalg.inv(edge.covariance)
+    free = np.linalg.inv(np.array([*held.values()]).reshape(-1, 3, 3))
+    return np.array([*held], np.int64), free

@@ -15,12 +15,12 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from fusion.estimation import gate
-from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
+from slam.config.stages import LoopConfig, MatchConfig
 from slam.graph.claim_trial import ClaimTrial
 from slam.graph.consistent_sets import ClaimSets, Known, claimed
 from slam.graph.faulty_steps import FaultySteps
 from slam.graph.loop_closure import LoopCandidate, LoopCloser, position_sigmas
-from slam.graph.pose_graph import Edge
+from slam.graph.pose_graph import Edge, EdgeKind
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.stretches import Stretches
 from slam.matching.motion import Motion
@@ -69,17 +69,33 @@ class PlaceSearch:
         held = believed_edges(edges, kept, poses)
         if self._stretches is None or self._sets is None:
             self._stretches = Stretches(self._submaps, self._config, self._match)
-            chain = graph_of(len(poses), (edge for edge in held if edge.loop is None))
+            measured = {
+                (edge.source, edge.target)
+                for edge in held
+                if edge.kind not in (EdgeKind.WHEEL, EdgeKind.ASSUMED)
+            }
+            # Claims on both sides of a step that may be grossly wrong say nothing of each other.
+            chain = graph_of(
+                len(poses),
+                (
+                    edge
+                    for edge in held
+                    if edge.loop is None and (edge.trusted or (edge.source, edge.target) in measured)
+                ),
+            )
             self._sets = ClaimSets(self._submaps, chain, self._reach_m)
             self._trial = ClaimTrial(self._closer, self._stretches, self._sets, self._config, self._reach_m)
         known = graph_of(len(poses), held)
-        self._faulty = FaultySteps(edges, GraphConfig(), self._match.coarse_cell_m, self._config.reach_m)
+        self._faulty = FaultySteps(edges, self._match.coarse_cell_m, self._config.reach_m)
         self._poses = poses
         if self._corrected:
             near = self._closer.close_again(poses, known, loops)
             if near:
                 return near
             self._corrected = False
+        believed = self._believed(poses, known)
+        if believed:
+            return believed
         for number in self._stretches.untied(loops):
             for place in self._stretches.candidates(number, *self._possible(number, poses, known)):
                 if (place, number) not in self._tried:
@@ -126,12 +142,12 @@ class PlaceSearch:
         sets, trial, stretches = self._sets, self._trial, self._stretches
         assert sets is not None and trial is not None and stretches is not None
         seen = _Known(poses, known)
-        found = [one for one in sets.largest() if np.ptp(self._ways(one)) >= 2.0 * self._config.reach_m]
+        found = [one for one in sets.largest() if np.ptp(self._ways(one)) >= self._config.reach_m]
         costs = np.array([self._cost(one, seen) for one in found])
         gains = self._gate * np.array([len(one) for one in found]) - costs
         taken: list[list[LoopCandidate]] = []
         for n in sorted(range(len(found)), key=lambda n: self._order(found[n], costs[n], seen)):
-            if gains[n] <= 0.0:
+            if gains[n] <= 0.0 or costs[n] > 2.0 * self._gate:
                 continue
             rivals = (m for m in np.flatnonzero(2.0 * gains > gains[n]).tolist() if m != n)
             if any(sets.contradiction(found[n], found[m], seen) > gains[m] for m in rivals):
@@ -139,7 +155,7 @@ class PlaceSearch:
             more, refused = trial.hold(found[n])
             net = len(found[n]) + len(more) - refused
             # As long as a loop must be, and heavier than what it bends.
-            if net * stretches.spacing_m >= self._config.least_path_m and net * self._gate > costs[n]:
+            if net * stretches.spacing_m >= 2.0 * self._config.reach_m and net * self._gate > costs[n]:
                 taken.append([*found[n], *more])
                 break
         believed = [one for members in taken for one in members]

@@ -12,6 +12,7 @@ import numpy as np
 
 from slam.config import Config
 from slam.errors import ScanweaveError
+from slam.graph.faulty_steps import settle_steps
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate, LoopCloser
 from slam.graph.place_search import PlaceSearch
@@ -139,6 +140,7 @@ class PlanarRobot:
             if self._wheels.clock_was_used:
                 self.readings.read_wheels_at(self._wheels.clock.significant_s)
         self._chain.settle(graph)
+        settle_steps(graph, self._config.loops.reach_m)
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
         """Places all over the map."""
