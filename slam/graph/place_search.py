@@ -9,13 +9,13 @@ each other along the way (`slam.graph.consistent_sets`), that what lies around t
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from fusion.estimation import gate
-from slam.config.stages import LoopConfig, MatchConfig
+from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
 from slam.graph.claim_trial import ClaimTrial
 from slam.graph.consistent_sets import ClaimSets, Known, claimed
 from slam.graph.faulty_steps import FaultySteps
@@ -37,10 +37,11 @@ class PlaceSearch:
         closer: LoopCloser,
         config: LoopConfig,
         match: MatchConfig,
+        graph: GraphConfig,
         result_cache: ResultCache = COMPUTED,
     ) -> None:
         self._closer, self._submaps, self._result_cache = closer, closer.submaps, result_cache
-        self._config, self._match = config, match
+        self._config, self._match, self._graph = config, match, graph
         # The gate of GNC, and the way over which claims may support each other.
         self._gate, self._reach_m = gate(3, config.inlier_probability), 2.0 * config.least_path_m
         self._stretches: Stretches | None = None
@@ -49,6 +50,7 @@ class PlaceSearch:
         self._tried: set[tuple[int, int]] = set()
         # Whether the estimate is another than the one that places nearby were tried from.
         self._corrected = False
+        self._faulty: FaultySteps | None = None
 
     def search(
         self, poses: FloatArray, edges: Sequence[Edge], kept: BoolArray, loops: Sequence[LoopCandidate]
@@ -69,25 +71,15 @@ class PlaceSearch:
         held = believed_edges(edges, kept, poses)
         if self._stretches is None or self._sets is None:
             self._stretches = Stretches(self._submaps, self._config, self._match)
-            measured = {
-                (edge.source, edge.target)
-                for edge in held
-                if edge.kind not in (EdgeKind.WHEEL, EdgeKind.ASSUMED)
-            }
             # Claims on both sides of a step that may be grossly wrong say nothing of each other.
-            chain = graph_of(
-                len(poses),
-                (
-                    edge
-                    for edge in held
-                    if edge.loop is None and (edge.trusted or (edge.source, edge.target) in measured)
-                ),
-            )
+            guesses = EdgeKind.WHEEL, EdgeKind.ASSUMED
+            measured = {edge.source for edge in held if edge.kind not in guesses}
+            sure = (edge for edge in held if edge.trusted or edge.source in measured)
+            chain = graph_of(len(poses), (edge for edge in sure if edge.loop is None))
             self._sets = ClaimSets(self._submaps, chain, self._reach_m)
             self._trial = ClaimTrial(self._closer, self._stretches, self._sets, self._config, self._reach_m)
         known = graph_of(len(poses), held)
-        self._faulty = FaultySteps(edges, self._match.coarse_cell_m, self._config.reach_m)
-        self._poses = poses
+        self._faulty = FaultySteps(edges, poses, self._graph, self._match.coarse_cell_m, self._config.reach_m)
         if self._corrected:
             near = self._closer.close_again(poses, known, loops)
             if near:
@@ -138,58 +130,54 @@ class PlaceSearch:
             self._sets.add(candidate)
 
     def _believed(self, poses: FloatArray, known: UncertaintyGraph) -> list[LoopCandidate]:
-        """The sets that weigh more than what contradicts them, the weightiest of each neighbourhood."""
+        """The most plausible set; the estimate that it leads to judges the next."""
         sets, trial, stretches = self._sets, self._trial, self._stretches
         assert sets is not None and trial is not None and stretches is not None
-        seen = _Known(poses, known)
-        found = [one for one in sets.largest() if np.ptp(self._ways(one)) >= self._config.reach_m]
-        costs = np.array([self._cost(one, seen) for one in found])
+        seen, reach_m = _Known(poses, known), self._config.reach_m
+        found = [one for one in sets.largest() if np.ptp(self._ways(one)) >= reach_m]
+        judged = [self._cost(one, seen) for one in found]
+        costs = np.array([cost for cost, _ in judged])
         gains = self._gate * np.array([len(one) for one in found]) - costs
-        taken: list[list[LoopCandidate]] = []
-        for n in sorted(range(len(found)), key=lambda n: self._order(found[n], costs[n], seen)):
-            if gains[n] <= 0.0 or costs[n] > 2.0 * self._gate:
+        for n in sorted(range(len(found)), key=lambda n: _order(*judged[n], self._gate)):
+            # One fault explains it, or it weighs twice what it contradicts.
+            if costs[n] > max(2.0, 0.5 * len(found[n])) * self._gate or gains[n] <= 0.0:
                 continue
             rivals = (m for m in np.flatnonzero(2.0 * gains > gains[n]).tolist() if m != n)
             if any(sets.contradiction(found[n], found[m], seen) > gains[m] for m in rivals):
                 continue
             more, refused = trial.hold(found[n])
-            net = len(found[n]) + len(more) - refused
-            # As long as a loop must be, and heavier than what it bends.
-            if net * stretches.spacing_m >= 2.0 * self._config.reach_m and net * self._gate > costs[n]:
-                taken.append([*found[n], *more])
-                break
-        believed = [one for members in taken for one in members]
-        sets.remove(believed)
-        self._corrected = bool(believed)
-        return believed
+            net_m = (len(found[n]) + len(more) - refused) * stretches.spacing_m
+            # As long as it is seen from either end; where all of the map would pass, as a loop must be.
+            map_m = float(np.ptp(poses[:, :2], axis=0).max())
+            anywhere = math.sqrt(self._gate) * judged[n][1] > map_m
+            if net_m >= (self._config.least_path_m if anywhere else 2.0 * reach_m):
+                believed = [*found[n], *more]
+                sets.remove(believed)
+                self._corrected = True
+                return believed
+        return []
 
-    def _cost(self, members: Sequence[LoopCandidate], known: Known) -> float:
-        """How much of GNC's cost the bend is that a set asks of what is known, in squared sigmas.
+    def _cost(self, members: Sequence[LoopCandidate], known: Known) -> tuple[float, float]:
+        """Squared sigmas of the bend that a set asks of what is known, and how uncertain that is in metres.
 
-        Infinite where nothing can be learned: what is known is as certain as a search would be.
+        Where one fault explains it better, that costs a gate. Infinite where nothing can be learned: what is
+        known is as certain as a search would be.
         """
         expected = [known(one.place, one.keyframe) for one in members]
-        sigmas_m = self._config.sigmas * position_sigmas(np.array([way.covariance for way in expected]))
-        if np.median(sigmas_m) < self._match.coarse_cell_m:
-            return math.inf
-        if not np.isfinite(sigmas_m).all():
-            return 0.0
+        sigma_m = float(np.median(position_sigmas(np.array([way.covariance for way in expected]))))
+        if self._config.sigmas * sigma_m < self._match.coarse_cell_m:
+            return math.inf, sigma_m
+        if not math.isfinite(sigma_m):
+            return 0.0, sigma_m
         claims = [claimed(one) for one in members]
         ways = [way.widened(claim.covariance) for way, claim in zip(expected, claims, strict=True)]
         squares = [way.squared_mahalanobis(claim.pose) for way, claim in zip(ways, claims, strict=True)]
         assert self._faulty is not None
         faulty = [
-            self._faulty.squared_mahalanobis(one.place, one.keyframe, way, claim.pose, self._poses)
+            self._faulty.squared_mahalanobis(one.place, one.keyframe, way, claim.pose)
             for one, way, claim in zip(members, ways, claims, strict=True)
         ]
-        return min(float(np.median(squares)), self._gate + float(np.median(faulty)))
-
-    def _order(self, members: Sequence[LoopCandidate], cost: float, known: Known) -> tuple[bool, float]:
-        """Plausible sets first, of them the nearest: there chance has the least room."""
-        expected = [known(one.place, one.keyframe) for one in members]
-        sigma_m = float(np.median(position_sigmas(np.array([way.covariance for way in expected]))))
-        plausible = cost <= self._gate
-        return not plausible, sigma_m if plausible else cost
+        return min(float(np.median(squares)), self._gate + float(np.median(faulty))), sigma_m
 
     def _ways(self, members: Iterable[LoopCandidate]) -> FloatArray:
         """Way from the start to the keyframes of a set."""
@@ -246,6 +234,7 @@ def believed_edges(edges: Sequence[Edge], kept: BoolArray, poses: FloatArray) ->
     return held
 
 
-def _apart_m(one_m: FloatArray, other_m: FloatArray) -> float:
-    """Way between two sets."""
-    return float(max(one_m.min() - other_m.max(), other_m.min() - one_m.max()))
+def _order(cost: float, sigma_m: float, gate_: float) -> tuple[bool, float]:
+    """Plausible sets first, of them the nearest: there chance has the least room."""
+    plausible = cost <= gate_
+    return not plausible, sigma_m if plausible else cost
