@@ -10,15 +10,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from fusion.estimation import gate
-from slam.config.stages import LoopConfig, MatchConfig
+from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
 from slam.graph.claim_trial import ClaimTrial
 from slam.graph.consistent_sets import ClaimSets, Known, claimed
+from slam.graph.faulty_steps import FaultySteps
 from slam.graph.loop_closure import LoopCandidate, LoopCloser, position_sigmas
-from slam.graph.pose_graph import Edge
+from slam.graph.pose_graph import Edge, EdgeKind
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.stretches import Stretches
 from slam.matching.motion import Motion
@@ -35,10 +37,11 @@ class PlaceSearch:
         closer: LoopCloser,
         config: LoopConfig,
         match: MatchConfig,
+        graph: GraphConfig,
         result_cache: ResultCache = COMPUTED,
     ) -> None:
         self._closer, self._submaps, self._result_cache = closer, closer.submaps, result_cache
-        self._config, self._match = config, match
+        self._config, self._match, self._graph = config, match, graph
         # The gate of GNC, and the way over which claims may support each other.
         self._gate, self._reach_m = gate(3, config.inlier_probability), 2.0 * config.least_path_m
         self._stretches: Stretches | None = None
@@ -47,6 +50,7 @@ class PlaceSearch:
         self._tried: set[tuple[int, int]] = set()
         # Whether the estimate is another than the one that places nearby were tried from.
         self._corrected = False
+        self._faulty: FaultySteps | None = None
 
     def search(
         self, poses: FloatArray, edges: Sequence[Edge], kept: BoolArray, loops: Sequence[LoopCandidate]
@@ -64,18 +68,26 @@ class PlaceSearch:
         """
         if not self._config.enabled or len(poses) < 2:
             return []
-        held = [edge for edge, keep in zip(edges, kept, strict=True) if keep]
+        held = believed_edges(edges, kept, poses)
         if self._stretches is None or self._sets is None:
             self._stretches = Stretches(self._submaps, self._config, self._match)
-            chain = graph_of(len(poses), (edge for edge in held if edge.loop is None))
+            # Claims on both sides of a step that may be grossly wrong say nothing of each other.
+            guesses = EdgeKind.WHEEL, EdgeKind.ASSUMED
+            measured = {edge.source for edge in held if edge.kind not in guesses}
+            sure = (edge for edge in held if edge.trusted or edge.source in measured)
+            chain = graph_of(len(poses), (edge for edge in sure if edge.loop is None))
             self._sets = ClaimSets(self._submaps, chain, self._reach_m)
             self._trial = ClaimTrial(self._closer, self._stretches, self._sets, self._config, self._reach_m)
         known = graph_of(len(poses), held)
+        self._faulty = FaultySteps(edges, poses, self._graph, self._match.coarse_cell_m, self._config.reach_m)
         if self._corrected:
             near = self._closer.close_again(poses, known, loops)
             if near:
                 return near
             self._corrected = False
+        believed = self._believed(poses, known)
+        if believed:
+            return believed
         for number in self._stretches.untied(loops):
             for place in self._stretches.candidates(number, *self._possible(number, poses, known)):
                 if (place, number) not in self._tried:
@@ -118,49 +130,54 @@ class PlaceSearch:
             self._sets.add(candidate)
 
     def _believed(self, poses: FloatArray, known: UncertaintyGraph) -> list[LoopCandidate]:
-        """The sets that weigh more than what contradicts them, the weightiest of each neighbourhood."""
+        """The most plausible set; the estimate that it leads to judges the next."""
         sets, trial, stretches = self._sets, self._trial, self._stretches
         assert sets is not None and trial is not None and stretches is not None
-        seen = _Known(poses, known)
-        found = [one for one in sets.largest() if np.ptp(self._ways(one)) >= 2.0 * self._config.reach_m]
-        costs = np.array([self._cost(one, seen) for one in found])
+        seen, reach_m = _Known(poses, known), self._config.reach_m
+        found = [one for one in sets.largest() if np.ptp(self._ways(one)) >= reach_m]
+        judged = [self._cost(one, seen) for one in found]
+        costs = np.array([cost for cost, _ in judged])
         gains = self._gate * np.array([len(one) for one in found]) - costs
-        taken: list[list[LoopCandidate]] = []
-        for n in np.argsort(-gains, kind="stable").tolist():
-            if gains[n] <= 0.0:
-                break
-            if any(_apart_m(self._ways(found[n]), self._ways(one)) <= self._reach_m for one in taken):
+        for n in sorted(range(len(found)), key=lambda n: _order(*judged[n], self._gate)):
+            # One fault explains it, or it weighs twice what it contradicts.
+            if costs[n] > max(2.0, 0.5 * len(found[n])) * self._gate or gains[n] <= 0.0:
                 continue
             rivals = (m for m in np.flatnonzero(2.0 * gains > gains[n]).tolist() if m != n)
             if any(sets.contradiction(found[n], found[m], seen) > gains[m] for m in rivals):
                 continue
             more, refused = trial.hold(found[n])
-            net = len(found[n]) + len(more) - refused
-            # As long as a loop must be, and heavier than what it bends.
-            if net * stretches.spacing_m >= self._config.least_path_m and net * self._gate > costs[n]:
-                taken.append([*found[n], *more])
-        believed = [one for members in taken for one in members]
-        sets.remove(believed)
-        self._corrected = bool(believed)
-        return believed
+            net_m = (len(found[n]) + len(more) - refused) * stretches.spacing_m
+            # As long as it is seen from either end; where all of the map would pass, as a loop must be.
+            map_m = float(np.ptp(poses[:, :2], axis=0).max())
+            anywhere = math.sqrt(self._gate) * judged[n][1] > map_m
+            if net_m >= (self._config.least_path_m if anywhere else 2.0 * reach_m):
+                believed = [*found[n], *more]
+                sets.remove(believed)
+                self._corrected = True
+                return believed
+        return []
 
-    def _cost(self, members: Sequence[LoopCandidate], known: Known) -> float:
-        """How much of GNC's cost the bend is that a set asks of what is known, in squared sigmas.
+    def _cost(self, members: Sequence[LoopCandidate], known: Known) -> tuple[float, float]:
+        """Squared sigmas of the bend that a set asks of what is known, and how uncertain that is in metres.
 
-        Infinite where nothing can be learned: what is known is as certain as a search would be.
+        Where one fault explains it better, that costs a gate. Infinite where nothing can be learned: what is
+        known is as certain as a search would be.
         """
         expected = [known(one.place, one.keyframe) for one in members]
-        sigmas_m = self._config.sigmas * position_sigmas(np.array([way.covariance for way in expected]))
-        if np.median(sigmas_m) < self._match.coarse_cell_m:
-            return math.inf
-        if not np.isfinite(sigmas_m).all():
-            return 0.0
+        sigma_m = float(np.median(position_sigmas(np.array([way.covariance for way in expected]))))
+        if self._config.sigmas * sigma_m < self._match.coarse_cell_m:
+            return math.inf, sigma_m
+        if not math.isfinite(sigma_m):
+            return 0.0, sigma_m
         claims = [claimed(one) for one in members]
-        squares = [
-            way.widened(claim.covariance).squared_mahalanobis(claim.pose)
-            for way, claim in zip(expected, claims, strict=True)
+        ways = [way.widened(claim.covariance) for way, claim in zip(expected, claims, strict=True)]
+        squares = [way.squared_mahalanobis(claim.pose) for way, claim in zip(ways, claims, strict=True)]
+        assert self._faulty is not None
+        faulty = [
+            self._faulty.squared_mahalanobis(one.place, one.keyframe, way, claim.pose)
+            for one, way, claim in zip(members, ways, claims, strict=True)
         ]
-        return float(np.median(squares))
+        return min(float(np.median(squares)), self._gate + float(np.median(faulty))), sigma_m
 
     def _ways(self, members: Iterable[LoopCandidate]) -> FloatArray:
         """Way from the start to the keyframes of a set."""
@@ -195,6 +212,29 @@ def graph_of(nodes: int, edges: Iterable[Edge]) -> UncertaintyGraph:
     return graph
 
 
-def _apart_m(one_m: FloatArray, other_m: FloatArray) -> float:
-    """Way between two sets."""
-    return float(max(one_m.min() - other_m.max(), other_m.min() - one_m.max()))
+def believed_edges(edges: Sequence[Edge], kept: BoolArray, poses: FloatArray) -> list[Edge]:
+    """Edges that an optimisation has kept; where it has refused one of a step, all that may be are in doubt.
+
+    They are as uncertain then as they are apart: only loops can tell which of them was right.
+    """
+    doubts: dict[tuple[int, int], FloatArray] = {}
+    for edge, keep in zip(edges, kept, strict=True):
+        if not keep and edge.loop is None:
+            found = between(poses[edge.source], poses[edge.target])
+            off = between(row_from_pose2(edge.T_source_target), found)
+            ends = edge.source, edge.target
+            doubts[ends] = doubts.get(ends, np.zeros((3, 3))) + np.outer(off, off)
+    held = []
+    for edge, keep in zip(edges, kept, strict=True):
+        doubt = None if edge.trusted or edge.loop is not None else doubts.get((edge.source, edge.target))
+        if doubt is not None:
+            held.append(replace(edge, covariance=edge.covariance + doubt))
+        elif keep:
+            held.append(edge)
+    return held
+
+
+def _order(cost: float, sigma_m: float, gate_: float) -> tuple[bool, float]:
+    """Plausible sets first, of them the nearest: there chance has the least room."""
+    plausible = cost <= gate_
+    return not plausible, sigma_m if plausible else cost

@@ -131,6 +131,8 @@ class PoseGraph:
         # Nodes that updates leave where they are, and where the last one has put the others.
         self._held, self._moved = 0, gtsam.Values()
         self._count = 0
+        # What the last optimisation has kept of the edges of then.
+        self._kept = np.zeros(0, np.bool_)
         self.add_node(origin)
         self._pending.add(self._prior())
 
@@ -211,6 +213,7 @@ class PoseGraph:
             Chi-square probability at which a true edge passes the gate.
         """
         kept = self._gnc_weights(inlier_probability) > 0.5
+        self._kept = kept
         graph = self._graph(edge for edge, keep in zip(self.edges, kept, strict=True) if keep)
         self._estimate = _solved(graph, self._estimate)
         return BatchResult(float(graph.error(self._estimate)), kept)
@@ -247,17 +250,23 @@ class PoseGraph:
         """Weight of every edge, 0..1, after GNC-TLS with the trusted edges as known inliers.
 
         As Yang 2020, Sec. IV-B, but a round makes one step from where the last one ended; GTSAM goes back
-        to the first estimate, and solves to the end, each time.
+        to the first estimate, and solves to the end, each time. What was refused before begins refused.
         """
-        graph, weights = self._graph(self.edges), np.ones(len(self.edges))
+        weights = np.ones(len(self.edges))
+        weights[: len(self._kept)] = self._kept
+        graph = self._graph(self.edges)
         # Factor 0 is the prior. A factor's error is half its squared residual, and so is the limit.
         factors = {k: graph.at(k + 1) for k, edge in enumerate(self.edges) if not edge.trusted}
         limit = 0.5 * gate(self._dimension, inlier_probability)
-        worst = max((factor.error(self._estimate) for factor in factors.values()), default=0.0)
+        if all((factor.error(self._estimate) <= limit) == weights[k] for k, factor in factors.items()):
+            return weights
+        begun = [k for k in factors if weights[k] > 0.0]
+        for k in factors.keys() - begun:
+            graph.replace(k + 1, _weighted(self.edges[k], 0.0))
+        self._estimate = _solved(graph, self._estimate)
         # Remark 5: where the surrogate cost begins to be convex.
+        worst = max(factors[k].error(self._estimate) for k in begun)
         control = limit / (2.0 * worst - limit) if 2.0 * worst > limit else math.inf
-        if control < math.inf:
-            self._estimate = _solved(graph, self._estimate)
         while control < _GREATEST_CONTROL:
             for k, factor in factors.items():
                 # Eq. (14).
@@ -265,10 +274,7 @@ class PoseGraph:
                 weight = min(max(math.sqrt(share) - control, 0.0), 1.0)
                 if weight != weights[k]:
                     weights[k] = weight
-                    # Next to nothing, for GTSAM knows no weight of zero.
-                    covariance = self.edges[k].covariance / max(weight, TINY)
-                    noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
-                    graph.replace(k + 1, _between(self.edges[k], noise))
+                    graph.replace(k + 1, _weighted(self.edges[k], weight))
             self._estimate = _solved(graph, self._estimate, most_steps=1)
             if ((weights == 0.0) | (weights == 1.0)).all():
                 break
@@ -316,6 +322,12 @@ def _between(edge: Edge, noise: gtsam.noiseModel.Base) -> gtsam.NonlinearFactor:
     if isinstance(edge.T_source_target, gtsam.Pose2):
         return gtsam.BetweenFactorPose2(edge.source, edge.target, edge.T_source_target, noise)
     return gtsam.BetweenFactorPose3(edge.source, edge.target, edge.T_source_target, noise)
+
+
+def _weighted(edge: Edge, weight: float) -> gtsam.NonlinearFactor:
+    """The factor of an edge, less certain by a weight, 0..1."""
+    # Next to nothing, for GTSAM knows no weight of zero.
+    return _between(edge, gtsam.noiseModel.Gaussian.Covariance(edge.covariance / max(weight, TINY)))
 
 
 def _prior(node: int, pose: Pose, noise: gtsam.noiseModel.Base) -> gtsam.NonlinearFactor:

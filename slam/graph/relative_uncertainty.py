@@ -101,8 +101,8 @@ class UncertaintyGraph:
         # Where the nine elements of a symmetric matrix are in its upper triangle.
         found = seen[targets // self._stride][:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
         own, others = self._inside[[start]], self._inside[targets]
-        away = _compose(_inverse(poses[[start]]), poses[targets])
-        found = _moved(found, _inverse(own[:, _POSE])) + _covariance(own) + _moved(_covariance(others), away)
+        away = composed(inverse(poses[[start]]), poses[targets])
+        found = moved(found, inverse(own[:, _POSE])) + _covariance(own) + moved(_covariance(others), away)
         found[targets == start] = 0.0
         found[np.isinf(distance[targets // self._stride] + own[:, _COST] + others[:, _COST])] = np.inf
         return found
@@ -147,16 +147,16 @@ class UncertaintyGraph:
 
 def _then(a: FloatArray, b: FloatArray) -> FloatArray:
     """(N, 13) motions, one after the other."""
-    back = _inverse(b[:, _POSE])
-    covariance = _moved(_covariance(a), back) + _covariance(b)
-    pose = _compose(a[:, _POSE], b[:, _POSE])
+    back = inverse(b[:, _POSE])
+    covariance = moved(_covariance(a), back) + _covariance(b)
+    pose = composed(a[:, _POSE], b[:, _POSE])
     return np.hstack([pose, covariance.reshape(-1, 9), a[:, _COST:] + b[:, _COST:]])
 
 
 def _back(a: FloatArray) -> FloatArray:
     """(N, 13) motions from their ends to their beginnings."""
-    covariance = _moved(_covariance(a), a[:, _POSE])
-    return np.hstack([_inverse(a[:, _POSE]), covariance.reshape(-1, 9), a[:, _COST:]])
+    covariance = moved(_covariance(a), a[:, _POSE])
+    return np.hstack([inverse(a[:, _POSE]), covariance.reshape(-1, 9), a[:, _COST:]])
 
 
 def _covariance(a: FloatArray) -> FloatArray:
@@ -164,7 +164,7 @@ def _covariance(a: FloatArray) -> FloatArray:
     return a[:, _COVARIANCE].reshape(-1, 3, 3)
 
 
-def _compose(a: FloatArray, b: FloatArray) -> FloatArray:
+def composed(a: FloatArray, b: FloatArray) -> FloatArray:
     """(N, 3) poses after poses; one may stand for all."""
     cos, sin = np.cos(a[:, 2]), np.sin(a[:, 2])
     x = a[:, 0] + cos * b[:, 0] - sin * b[:, 1]
@@ -172,13 +172,13 @@ def _compose(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.stack([x, y, a[:, 2] + b[:, 2]], axis=1)
 
 
-def _inverse(a: FloatArray) -> FloatArray:
+def inverse(a: FloatArray) -> FloatArray:
     """(N, 3) poses the other way round."""
     cos, sin = np.cos(a[:, 2]), np.sin(a[:, 2])
     return np.stack([-cos * a[:, 0] - sin * a[:, 1], sin * a[:, 0] - cos * a[:, 1], -a[:, 2]], axis=1)
 
 
-def _moved(covariance: FloatArray, T_a_b: FloatArray) -> FloatArray:
+def moved(covariance: FloatArray, T_a_b: FloatArray) -> FloatArray:
     """(N, 3, 3) covariances in the tangent space of b, seen in that of a: Ad C Ad^T, GTSAM's order."""
     adjoint = np.zeros((len(T_a_b), 3, 3))
     cos, sin = np.cos(T_a_b[:, 2]), np.sin(T_a_b[:, 2])

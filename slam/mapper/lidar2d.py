@@ -12,6 +12,7 @@ import numpy as np
 
 from slam.config import Config
 from slam.errors import ScanweaveError
+from slam.graph.faulty_steps import settle_wheels
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate, LoopCloser
 from slam.graph.place_search import PlaceSearch
@@ -73,7 +74,7 @@ class PlanarRobot:
         self._cameras = RobotCameras(config, mountings or {}, wheel_turns=turns, result_cache=checkpoint)
         self._chain = PlanarChain(config, self._tracker, self._wheels, self._cameras)
         self._closer = LoopCloser(config.loops, config.match, checkpoint)
-        self._places = PlaceSearch(self._closer, config.loops, config.match, checkpoint)
+        self._places = PlaceSearch(self._closer, config.loops, config.match, config.graph, checkpoint)
         self._pictures = CameraKeyframes(config, checkpoint, registrations)
         self._fusion = KeyframeFusion(config.fusion) if config.fusion.enabled else None
         self._camera_poses: CameraPoses = {}
@@ -139,6 +140,7 @@ class PlanarRobot:
             if self._wheels.clock_was_used:
                 self.readings.read_wheels_at(self._wheels.clock.significant_s)
         self._chain.settle(graph)
+        settle_wheels(graph)
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
         """Places all over the map."""

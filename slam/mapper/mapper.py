@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from fusion.estimation import ROUNDS
 from slam.config import Config
 from slam.errors import DatasetError, GraphError
 from slam.graph.keyframe_graph import KeyframeGraph, row_of
@@ -77,10 +76,8 @@ class Mapper:
         clock = [time.perf_counter()]
         front_end.settle(graph)
         outcome = graph.optimize(self._config.loops.inlier_probability)
-        for _ in range(ROUNDS):
-            found = front_end.search_again(graph, outcome.kept)
-            if not found:
-                break
+        # It ends: nothing is found twice.
+        while found := front_end.search_again(graph, outcome.kept):
             for candidate in found:
                 graph.add_loop(candidate)
             outcome = graph.optimize(self._config.loops.inlier_probability)

@@ -246,3 +246,36 @@ def test_a_lost_node_is_left_to_the_search_over_the_whole_map() -> None:
             uncertainty.add_edge(0, 1, np.zeros(3), np.eye(3) * 0.01)
         loops = closer.close(1, np.zeros((2, 3)), uncertainty)
         assert [loop.accepted for loop in loops] == [True] * known
+
+
+def test_a_better_estimate_finds_what_the_first_has_missed_and_asks_once() -> None:
+    drive = Drive(drift=(0.008, -0.005, 0.003), near=0)
+    assert drive.round() == []
+    drive.closer = again = Drive(drift=(0.008, -0.005, 0.003)).closer
+    for key, pose in enumerate(drive.poses):
+        way_m = float(np.hypot(*np.diff(drive.poses[: key + 1, :2], axis=0).T).sum())
+        points = points_at(
+            walls(), drive.truth[key], sigma_m=0.01, seed=np.random.default_rng(key), beams=271
+        )
+        again.add_keyframe(OrientedPoints.from_scan(points), pose, way_m)
+    found = again.close_again(drive.truth, drive.uncertainty, [])
+    assert len(found) >= 2
+    assert all(np.hypot(*error_of(loop, drive.truth)[:2]) < 0.05 for loop in found)
+    assert again.close_again(drive.truth, drive.uncertainty, []) == []
+
+
+@pytest.mark.parametrize(("sigma_m", "accepted"), [(0.3, True), (0.8, False)])
+def test_a_corridor_confirms_a_place_that_is_nearly_known_and_finds_none(
+    sigma_m: float, accepted: bool
+) -> None:
+    closer = LoopCloser(LoopConfig(), MATCH)
+    for key, x_m in enumerate([0.0, 0.5]):
+        points = points_at(
+            corridor(), np.array([x_m, 0.0, 0.0]), sigma_m=0.01, seed=np.random.default_rng(key)
+        )
+        closer.add_keyframe(OrientedPoints.from_scan(points), np.array([x_m, 0.0, 0.0]), 20.0 * key)
+    covariance = np.diag([sigma_m, sigma_m, 0.02]) ** 2
+    loop = closer.verify(0, 1, np.array([0.5, 0.0, 0.0]), covariance)
+    assert loop.motion is not None and loop.motion.degenerate
+    assert loop.accepted == accepted
+    assert ("open direction" in loop.reason) != accepted

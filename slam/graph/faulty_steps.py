@@ -1,0 +1,131 @@
+"""Steps of a chain that may be grossly wrong: a few are, wherever nothing but wheels told them.
+
+Long stretches that both wheels and matches tell show how far wheels are off as a rule; that is less than they
+claim, for a claim must cover jumps. So a step of wheels alone is two edges: one as certain as wheels are as a
+rule, which may be refused, and one that allows what they claim.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from fusion.estimation import FEWEST, median_to_sigma
+from slam.config.stages import GraphConfig
+from slam.graph.keyframe_graph import KeyframeGraph, row_of, unmeasured
+from slam.graph.pose_graph import Edge, EdgeKind
+from slam.graph.relative_uncertainty import composed, inverse, moved
+from slam.matching.motion import Motion
+from slam.matching.planar import adjoint, between, rotate_covariance
+from slam.measurements import FloatArray
+
+
+def settle_wheels(graph: KeyframeGraph) -> None:
+    """Let steps that wheels alone tell be as certain as wheels have proved, unless loops refuse that."""
+    edges = graph.graph.edges
+    alone = [n for n, edge in enumerate(edges) if edge.kind is EdgeKind.WHEEL and edge.trusted]
+    steps = np.zeros(len(graph), np.bool_)
+    steps[[edges[n].source for n in alone]] = True
+    told = np.cumsum(steps)
+    longer = [
+        edge
+        for edge in edges
+        if edge.kind is EdgeKind.WHEEL
+        and edge.target - edge.source > 1
+        and told[edge.target - 1] - told[edge.source] + steps[edge.source] == 0
+    ]
+    if not alone or len(longer) < FEWEST:
+        return
+    rows = graph.rows()
+    ends = np.array([(edge.source, edge.target) for edge in longer])
+    claimed = np.array([row_of(edge.T_source_target) for edge in longer])
+    off = _off(claimed, composed(inverse(rows[ends[:, 0]]), rows[ends[:, 1]]))
+    sigmas = np.sqrt([np.diag(edge.covariance) for edge in longer])
+    scale = np.minimum(median_to_sigma() * np.median(np.abs(off) / sigmas, axis=0), 1.0)
+    for n in alone:
+        edge = edges[n]
+        edges[n] = replace(edge, covariance=edge.covariance * np.outer(scale, scale), trusted=False)
+        graph.add_edge(replace(edge, kind=EdgeKind.ASSUMED))
+
+
+class FaultySteps:
+    """What a claim asks of a chain a part of which is wrong: one step, or all steps of a gap.
+
+    Parameters
+    ----------
+    edges, poses
+        Of the graph: how far wrong a step may be is told by those of its edges that cannot be refused. Where
+        it was matched, that is no more than what nothing measured.
+    least_m
+        A step as certain as this is not wrong; nor one that turns the surroundings no more than this.
+    lever_m
+        How far these are.
+    """
+
+    def __init__(
+        self, edges: Sequence[Edge], poses: FloatArray, config: GraphConfig, least_m: float, lever_m: float
+    ) -> None:
+        self._poses = poses
+        limit = np.linalg.inv(unmeasured(config, planar=True))
+        held: dict[int, FloatArray] = {}
+        guessed = np.ones(len(poses), np.bool_)
+        for edge in edges:
+            if edge.target != edge.source + 1:
+                continue
+            information = np.linalg.inv(edge.covariance) if edge.trusted else np.zeros((3, 3))
+            if edge.kind not in (EdgeKind.WHEEL, EdgeKind.ASSUMED):
+                information, guessed[edge.source] = information + limit, False
+            held[edge.source] = held.get(edge.source, np.zeros((3, 3))) + information
+        parts: list[tuple[int, int, FloatArray]] = []
+        for step in sorted(held):
+            free: FloatArray = np.linalg.inv(held[step]).astype(np.float64)
+            if (np.sqrt(np.diag(free)) * [1.0, 1.0, lever_m]).max() <= least_m:
+                continue
+            if parts and parts[-1][1] == step and guessed[step] and guessed[step - 1]:
+                first, _, before = parts.pop()
+                back = adjoint(between(poses[step + 1], poses[step]))
+                parts.append((first, step + 1, rotate_covariance(back, before) + free))
+            else:
+                parts.append((step, step + 1, free))
+        self._ends = np.array([part[:2] for part in parts], np.int64).reshape(-1, 2)
+        self._free = np.array([part[2] for part in parts]).reshape(-1, 3, 3)
+
+    def squared_mahalanobis(self, start: int, end: int, expected: Motion, claimed: FloatArray) -> float:
+        """Squared sigmas by which a claim is off, at the least, where one part of the way is wrong.
+
+        Parameters
+        ----------
+        expected
+            The end seen from the start, were nothing wrong.
+        claimed
+            (3,) the same, as claimed.
+
+        Returns
+        -------
+        Infinite where no part of the way may be wrong.
+        """
+        within = (self._ends[:, 0] >= start) & (self._ends[:, 1] <= end)
+        if not within.any():
+            return math.inf
+        first, last = self._ends[within].T
+        poses = self._poses
+        # From the end of each part to the end of the way, and what the part must have been.
+        rest = composed(inverse(poses[last]), poses[[end]])
+        to_part = composed(inverse(poses[[start]]), poses[first])
+        needed = composed(composed(inverse(to_part), claimed[None]), inverse(rest))
+        off = _off(composed(inverse(poses[first]), poses[last]), needed)
+        covariances = self._free[within] + moved(
+            np.repeat(expected.covariance[None], len(rest), axis=0), rest
+        )
+        squares = np.einsum("ki,ki->k", off, np.linalg.solve(covariances, off[..., None])[..., 0])
+        return float(squares.min())
+
+
+def _off(told: FloatArray, found: FloatArray) -> FloatArray:
+    """(K, 3) what was found, seen from what was told."""
+    off = composed(inverse(told), found)
+    off[:, 2] = np.remainder(off[:, 2] + np.pi, 2.0 * np.pi) - np.pi
+    return off

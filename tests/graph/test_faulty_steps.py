@@ -1,0 +1,100 @@
+"""A claim that one wrong step explains is told from one that none does; wheels are as good as they proved."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from slam.config.stages import GraphConfig
+from slam.graph.faulty_steps import FaultySteps, settle_wheels
+from slam.graph.keyframe_graph import KeyframeGraph
+from slam.graph.place_search import believed_edges
+from slam.graph.pose_graph import Edge, EdgeKind
+from slam.matching.motion import Motion
+from slam.matching.planar import between, compose
+from slam.measurements import FloatArray, pose2_from_row
+
+SURE, BY_WHEELS = np.diag([0.01, 0.01, 0.003]) ** 2, np.diag([0.5, 0.5, 0.8]) ** 2
+STEP = np.array([1.0, 0.0, 0.05])
+COUNT, GAP = 80, 40
+
+
+def step(key: int, covariance: FloatArray, kind: EdgeKind, *, trusted: bool) -> Edge:
+    return Edge(key, key + 1, pose2_from_row(STEP), covariance, kind, trusted)
+
+
+def chain(gaps: tuple[int, ...] = (GAP,)) -> list[Edge]:
+    """Matched steps, and those of wheels alone."""
+    return [
+        step(key, BY_WHEELS, EdgeKind.WHEEL, trusted=True)
+        if key in gaps
+        else step(key, SURE, EdgeKind.LIDAR, trusted=True)
+        for key in range(COUNT - 1)
+    ]
+
+
+def walked(steps: list[FloatArray]) -> FloatArray:
+    poses = [np.zeros(3)]
+    for one in steps:
+        poses.append(compose(poses[-1], one))
+    return np.array(poses)
+
+
+POSES = walked([STEP] * (COUNT - 1))
+
+
+def squares(gaps: tuple[int, ...], claimed: FloatArray) -> float:
+    faulty = FaultySteps(chain(gaps), POSES, GraphConfig(), 0.3, 3.0)
+    known = Motion(between(POSES[5], POSES[70]), np.diag([0.3, 0.3, 0.03]) ** 2)
+    return faulty.squared_mahalanobis(5, 70, known, claimed)
+
+
+def bent(*turns: tuple[int, float]) -> FloatArray:
+    """The claim where some steps have turned otherwise."""
+    steps = [STEP.copy() for _ in range(COUNT - 1)]
+    for key, turn in turns:
+        steps[key][2] += turn
+    poses = walked(steps)
+    return between(poses[5], poses[70])
+
+
+def test_a_turn_in_the_gap_explains_a_claim_however_far_that_leads() -> None:
+    assert np.hypot(*(bent((GAP, 1.2)) - bent())[:2]) > 15.0
+    assert squares((GAP,), bent((GAP, 1.2))) < 4.0
+    assert squares((20,), bent((GAP, 1.2))) > 20.0
+    assert squares((), bent()) == np.inf
+
+
+def test_a_gap_of_several_steps_is_one_fault() -> None:
+    turned = bent(*((key, 0.5) for key in (GAP, GAP + 1, GAP + 2)))
+    assert squares((GAP, GAP + 1, GAP + 2), turned) < 0.5 * squares((GAP, GAP + 2), turned)
+
+
+@pytest.mark.parametrize("proved", [True, False])
+def test_wheels_alone_are_as_certain_as_long_stretches_prove(proved: bool) -> None:
+    graph = KeyframeGraph(gtsam.Pose2(), GraphConfig())
+    for edge in chain((GAP,)):
+        graph.add_keyframe(edge.T_source_target, [edge])
+    rng = np.random.default_rng(0)
+    if proved:
+        for key in (*range(24), *range(50, 60)):
+            off = between(POSES[key], POSES[key + 10]) + [0.01, 0.01, 0.02] * rng.standard_normal(3)
+            far = Edge(key, key + 10, pose2_from_row(off), BY_WHEELS, EdgeKind.WHEEL, trusted=False)
+            graph.add_edge(far)
+    settle_wheels(graph)
+    of_gap = [edge for edge in graph.graph.edges if (edge.source, edge.target) == (GAP, GAP + 1)]
+    sigmas = [float(np.sqrt(edge.covariance[2, 2])) for edge in of_gap]
+    if proved:
+        assert [edge.trusted for edge in of_gap] == [False, True]
+        assert sigmas == [pytest.approx(0.02, rel=0.5), pytest.approx(0.8)]
+    else:
+        assert sigmas == [pytest.approx(0.8)]
+
+
+def test_where_measurements_contradict_each_other_both_are_in_doubt() -> None:
+    match = step(0, SURE, EdgeKind.LIDAR, trusted=False)
+    other = Edge(0, 1, pose2_from_row(np.array([1.0, 3.0, 1.0])), SURE, EdgeKind.WHEEL, trusted=False)
+    poses = np.array([np.zeros(3), STEP])
+    held = believed_edges([match, other], np.array([True, False]), poses)
+    assert len(held) == 2
+    assert all(np.sqrt(edge.covariance[2, 2]) > 0.9 for edge in held)
+    assert believed_edges([match], np.array([True]), poses) == [match]
