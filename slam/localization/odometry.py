@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from slam.config import Config
-from slam.localization.poses import Measured, composed, diagonal, squared_mahalanobis
+from slam.localization.poses import Measured, composed, diagonal, position_sigma_m, squared_mahalanobis
 from slam.localization.scan_view import ScanView
 from slam.matching.planar import between
 from slam.measurements import FloatArray, PointCloud, Pose, WheelOdometry, pose2_from_row, row_from_pose2
+from slam.odometry.clock_learner import Turns
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
 from slam.odometry.surfel_odometry import SurfelOdometry
@@ -48,13 +49,17 @@ class ScanOdometry:
         self._last: TrackedScan | None = None
         self._keyframe: TrackedScan | None = None
         self._unmatched = 0
-        self._stamp_s = 0.0
+        self._stamp_s = self._wheels_s = 0.0
+        self._silent_s = 0.0
         self._step = np.zeros(3)
+        self._turns = Turns()
 
     def add_wheels(self, reading: WheelOdometry) -> None:
         """Take a wheel reading."""
         if self._wheels is not None:
             self._wheels.add(reading)
+            self._silent_s = max(self._silent_s, abs(reading.stamp_s - self._wheels_s))
+            self._wheels_s = reading.stamp_s
 
     def expected_step(self, stamp_s: float) -> Measured:
         """Motion from the last scan to one at a stamp, before it is matched.
@@ -75,13 +80,21 @@ class ScanOdometry:
         """Take a scan."""
         expected = self.expected_step(view.stamp_s)
         tracked = self._tracker.track(view.points, view.stamp_s)
-        last, elapsed_s = self._last, view.stamp_s - self._stamp_s
-        self._stamp_s = view.stamp_s
+        last, begun_s = self._last, self._stamp_s
+        elapsed_s, self._stamp_s = view.stamp_s - begun_s, view.stamp_s
         if last is not None and self._is_cut(last, tracked, elapsed_s):
             self._tracker, self._keyframe, self._unmatched = self._new_tracker(), None, 0
             tracked, last = self._tracker.track(view.points, view.stamp_s), None
         self._last = tracked
-        moved = None if last is None else self._fused(between(last.pose, tracked.pose), tracked, expected)
+        moved = None
+        if last is not None:
+            step = between(last.pose, tracked.pose)
+            moved = self._fused(step, tracked, expected, elapsed_s)
+            if tracked.confident:
+                self._turns.add_turn(begun_s, view.stamp_s, float(step[2]))
+                if self._wheels is not None:
+                    self._wheels.learn_clock(self._turns)
+        self._silent_s = 0.0
         self._step = np.zeros(3) if moved is None else row_from_pose2(moved.pose)
         if self._moved_on(tracked):
             self._tracker.add_keyframe(view.points, tracked)
@@ -104,15 +117,22 @@ class ScanOdometry:
             self._wheels is not None
             and self._wheels.motion(last.wheels, tracked.wheels, elapsed_s) is not None
         )
-        return not told or elapsed_s > _GAP_S or self._unmatched >= _LOST_READINGS
+        gap = elapsed_s > _GAP_S and max(self._silent_s, abs(self._stamp_s - self._wheels_s)) > _GAP_S
+        return not told or gap or self._unmatched >= _LOST_READINGS
 
-    def _fused(self, row: FloatArray, tracked: TrackedScan, expected: Measured) -> Measured:
-        """A step (3,) by match and expectation, by their covariances: wheels tell how long a corridor is."""
-        if tracked.motion is None:
+    def _fused(self, row: FloatArray, tracked: TrackedScan, expected: Measured, elapsed_s: float) -> Measured:
+        """A step (3,) by match and expectation, by their covariances: wheels tell how long a corridor is.
+
+        Past a gap a match may have found another place that looks the same: where there are wheels, it must
+        agree with them, and they must tell the way well enough.
+        """
+        past_gap = self._wheels is not None and elapsed_s > _GAP_S
+        vague = position_sigma_m(expected) > self._config.localization.dead_reckoning_m
+        if tracked.motion is None or (past_gap and vague):
             return expected
         matched = Measured(pose2_from_row(row), tracked.motion.covariance + tracked.dispute)
         if squared_mahalanobis(matched, expected) > self._config.localization.gate_sigmas**2:
-            return matched
+            return expected if past_gap else matched
         gain = matched.covariance @ np.linalg.inv(matched.covariance + expected.covariance)
         correction = pose2_from_row(gain @ between(row, row_from_pose2(expected.pose)))
         return Measured(composed(matched.pose, correction), matched.covariance - gain @ matched.covariance)

@@ -115,6 +115,12 @@ class Sensor(Protocol[V, N]):
         """
         ...
 
-    def propose(self, view: V, keyframes: Sequence[Keyframe[N]]) -> Sequence[Pose]:
-        """``T_map_base`` of every place where the newest keyframe may be."""
+    def propose(self, view: V, keyframes: Sequence[Keyframe[N]], within: Measured | None) -> Sequence[Pose]:
+        """``T_map_base`` of every place where the newest keyframe may be.
+
+        Parameters
+        ----------
+        within
+            Where dead reckoning leaves it, places elsewhere being of no use; None where it may be anywhere.
+        """
         ...

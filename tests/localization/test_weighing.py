@@ -13,7 +13,7 @@ from slam.localization.hypotheses import Hypothesis, HypothesisSet, KeyframeLog
 from slam.localization.known_map import KnownMap, Walls
 from slam.localization.loss_test import LossTest
 from slam.localization.planar_sensor import NovelSurfaces, PlanarSensor
-from slam.localization.poses import same_place
+from slam.localization.poses import Measured, same_place
 from slam.localization.scan_view import ScanView, first_in_cells
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.mapper import Mapper
@@ -117,7 +117,7 @@ class Places:
     def weigh(self, pose: Pose, novel: None, motion: MotionEstimate | None) -> float:
         return self._nats.get(round(pose.x(), 2), 0.0)
 
-    def propose(self, view: int, keyframes: object) -> list[Pose]:
+    def propose(self, view: int, keyframes: object, within: Measured | None) -> list[Pose]:
         return [gtsam.Pose2(x, 0.0, 0.0) for x in self._nats]
 
 
@@ -143,7 +143,7 @@ def test_hypotheses_move_with_the_odometry_and_one_reading_is_not_all() -> None:
     sensor = Places({0.0: 50.0, 1.0: 50.0})
     hypotheses: HypothesisSet[int, None] = HypothesisSet(sensor, CONFIG)
     sensor.least_keyframes = 3
-    hypotheses.add_keyframe(0, ORIGIN, gtsam.Pose2(7.0, 0.0, 0.0))
+    hypotheses.add_keyframe(0, ORIGIN, Measured(gtsam.Pose2(7.0, 0.0, 0.0), np.eye(3)))
     assert hypotheses.winner() is None, "two places are alike"
     assert hypotheses.probabilities().sum() < 0.9, "and it may be neither"
     hypotheses.add_keyframe(0, gtsam.Pose2(1.0, 0.0, 0.0), None)
