@@ -24,7 +24,7 @@ from slam.localization.poses import (
     position_sigma_m,
     squared_mahalanobis,
 )
-from slam.localization.sensor import N, Observation, Sensor, V, moved_on
+from slam.localization.sensor import N, Observation, Sensor, V, anew, moved_on
 from slam.matching.match_covariance import OPEN_M
 from slam.measurements import MotionEstimate, Pose
 
@@ -101,7 +101,8 @@ class StateMachine(Generic[V, N]):
         self._known = self._smoother.newest
         pose = self._known.pose
         novel = self._sensor.novel(observed.view, between(pose, pose), None)
-        self._loss.add(observed.stamp_s, self._sensor.weigh(pose, novel, believed))
+        evidence = self._sensor.weigh(pose, novel, believed)
+        self._loss.add(observed.stamp_s, evidence, anew(observed.moved.pose, self._config))
         if self._loss.lost:
             self._state, self._contradicted = State.LOST, True
             self._forget()
