@@ -15,6 +15,7 @@ from slam.measurements import FloatArray, PointCloud, Pose, WheelOdometry, pose2
 from slam.odometry.clock_learner import Turns
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
+from slam.odometry.rgbd_tracker import GREATEST_STRETCH
 from slam.odometry.surfel_odometry import SurfelOdometry
 from slam.odometry.wheel_tracker import WheelTracker
 
@@ -51,7 +52,7 @@ class ScanOdometry:
         self._unmatched = 0
         self._stamp_s = self._wheels_s = 0.0
         self._silent_s = 0.0
-        self._step = np.zeros(3)
+        self._step, self._step_s = np.zeros(3), 0.0
         self._turns = Turns()
 
     def add_wheels(self, reading: WheelOdometry) -> None:
@@ -66,15 +67,22 @@ class ScanOdometry:
 
         By the wheels; as before, where they say nothing.
         """
-        step, step_s = self._step, stamp_s - self._stamp_s
+        step_s = stamp_s - self._stamp_s
         if self._wheels is not None and self._last is not None:
             moved = self._tracker.wheel_motion(self._last.wheels, self._wheels.moment(stamp_s), step_s)
             if moved is not None:
                 return Measured(pose2_from_row(moved.pose), moved.covariance)
+        return self._repeated(step_s)
+
+    def _repeated(self, step_s: float) -> Measured:
+        """The last motion once more, for another time: what was expected of a short one says less of it."""
+        longer = step_s / self._step_s if step_s > 0.0 and self._step_s > 0.0 else 1.0
+        step = self._step * min(longer, GREATEST_STRETCH)
         config = self._config.prediction
         sigma_m = config.velocity_floor_m + config.velocity_share * math.hypot(step[0], step[1])
         sigma_rad = config.velocity_floor_rad + config.velocity_share * abs(float(step[2]))
-        return Measured(pose2_from_row(step), np.diag([sigma_m**2, sigma_m**2, sigma_rad**2]))
+        covariance = max(longer, 1.0) ** 2 * np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])
+        return Measured(pose2_from_row(step), covariance)
 
     def add(self, view: ScanView) -> OdometryStep:
         """Take a scan."""
@@ -96,6 +104,7 @@ class ScanOdometry:
                     self._wheels.learn_clock(self._turns)
         self._silent_s = 0.0
         self._step = np.zeros(3) if moved is None else row_from_pose2(moved.pose)
+        self._step_s = elapsed_s
         if self._moved_on(tracked):
             self._tracker.add_keyframe(view.points, tracked)
             self._keyframe = tracked
@@ -124,15 +133,21 @@ class ScanOdometry:
         """A step (3,) by match and expectation, by their covariances: wheels tell how long a corridor is.
 
         Past a gap a match may have found another place that looks the same: where there are wheels, it must
-        agree with them, and they must tell the way well enough.
+        agree with them, and they must tell the way well enough. Before one, wheels that contradict the match
+        have slipped, and the robot goes on as before where the match does not tell.
         """
         past_gap = self._wheels is not None and elapsed_s > _GAP_S
         vague = position_sigma_m(expected) > self._config.localization.dead_reckoning_m
         if tracked.motion is None or (past_gap and vague):
             return expected
         matched = Measured(pose2_from_row(row), tracked.motion.covariance + tracked.dispute)
-        if squared_mahalanobis(matched, expected) > self._config.localization.gate_sigmas**2:
-            return expected if past_gap else matched
+        gate = self._config.localization.gate_sigmas**2
+        if squared_mahalanobis(matched, expected) > gate:
+            if past_gap:
+                return expected
+            expected = self._repeated(elapsed_s)
+            if squared_mahalanobis(matched, expected) > gate:
+                return matched
         gain = matched.covariance @ np.linalg.inv(matched.covariance + expected.covariance)
         correction = pose2_from_row(gain @ between(row, row_from_pose2(expected.pose)))
         return Measured(composed(matched.pose, correction), matched.covariance - gain @ matched.covariance)

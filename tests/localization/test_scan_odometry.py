@@ -1,0 +1,79 @@
+"""How the robot moved between two scans: through gaps by the wheels, along a corridor past their slips."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from slam.config import Config
+from slam.localization.odometry import OdometryStep, ScanOdometry
+from slam.localization.scan_view import ScanView
+from slam.measurements import FloatArray, LaserScan, WheelOdometry
+
+ANGLES = np.linspace(-np.pi / 2.0, np.pi / 2.0, 181)
+SPEED_M_S = 0.5
+
+
+def scan_of(stamp_s: float, ranges_m: FloatArray) -> LaserScan:
+    return LaserScan(stamp_s, ranges_m.astype(np.float32), ANGLES[0], ANGLES[1] - ANGLES[0], 30.0)
+
+
+def corridor_scan(stamp_s: float) -> LaserScan:
+    """Between two bare walls, 1.5 m to each side, from which nothing tells how far it is."""
+    ranges = 1.5 / np.maximum(np.abs(np.sin(ANGLES)), 0.15)
+    ranges[np.abs(np.sin(ANGLES)) < 0.15] = np.inf
+    return scan_of(stamp_s, ranges)
+
+
+def driven(odometry: ScanOdometry, begin_s: float, end_s: float, yaw_rad: float = 0.0) -> None:
+    """The wheels tell, ten times a second, that it goes straight on; turned by a heading that jumped."""
+    for stamp_s in np.arange(begin_s, end_s, 0.1).tolist():
+        place_m = SPEED_M_S * stamp_s
+        turned = gtsam.Pose2(place_m * np.cos(yaw_rad), place_m * np.sin(yaw_rad), yaw_rad)
+        odometry.add_wheels(WheelOdometry(stamp_s, turned))
+
+
+def add(odometry: ScanOdometry, stamp_s: float) -> OdometryStep:
+    return odometry.add(ScanView.of(corridor_scan(stamp_s), Config()))
+
+
+def begun() -> ScanOdometry:
+    """Ten seconds of scans, one a second."""
+    odometry = ScanOdometry(Config())
+    for n in range(10):
+        driven(odometry, float(n), n + 0.95)
+        add(odometry, n + 0.95)
+    return odometry
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_wheels_lead_on_where_no_scan_comes_for_long_and_nobody_where_they_are_silent_too(told: bool) -> None:
+    odometry = begun()
+    if told:
+        driven(odometry, 10.0, 29.95)
+    else:
+        odometry.add_wheels(WheelOdometry(29.95, gtsam.Pose2(SPEED_M_S * 29.95, 0.0, 0.0)))
+    empty = scan_of(29.95, np.full(181, np.inf))
+    moved = odometry.add(ScanView.of(empty, Config())).moved
+    assert (moved is not None) == told
+    if moved is not None:
+        assert moved.pose.x() == pytest.approx(SPEED_M_S * 20.0, rel=0.02)
+        assert np.sqrt(moved.covariance[0, 0]) > 0.1
+
+
+def test_past_a_gap_a_match_that_the_wheels_contradict_is_none() -> None:
+    """The corridor looks the same after a right angle that only the wheels tell."""
+    odometry = begun()
+    for stamp_s in np.arange(10.0, 29.95, 0.1).tolist():
+        turn = min((stamp_s - 10.0) / 10.0, 1.0) * np.pi / 2.0
+        odometry.add_wheels(WheelOdometry(stamp_s, gtsam.Pose2(SPEED_M_S * 9.9, 0.0, turn)))
+    moved = add(odometry, 29.95).moved
+    assert moved is not None and moved.pose.theta() == pytest.approx(np.pi / 2.0, abs=0.05)
+
+
+def test_a_heading_that_slips_does_not_leave_the_corridor_open() -> None:
+    odometry = begun()
+    driven(odometry, 10.0, 10.95, yaw_rad=0.5)
+    moved = add(odometry, 10.95).moved
+    assert moved is not None and abs(moved.pose.theta()) < 0.02
+    assert moved.pose.x() == pytest.approx(SPEED_M_S, abs=0.1)
+    assert np.sqrt(moved.covariance[0, 0]) < 0.5
