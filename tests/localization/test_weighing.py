@@ -1,6 +1,7 @@
 """Evidence: a surface counts once, doubt comes quickly, and a robot may be kidnapped."""
 
 import math
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -13,7 +14,7 @@ from slam.localization.hypotheses import Hypothesis, HypothesisSet, KeyframeLog
 from slam.localization.known_map import KnownMap, Walls
 from slam.localization.loss_test import LossTest
 from slam.localization.planar_sensor import NovelSurfaces, PlanarSensor
-from slam.localization.poses import Measured, same_place
+from slam.localization.poses import Measured, position_sigma_m, same_place
 from slam.localization.scan_view import ScanView, first_in_cells
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.mapper import Mapper
@@ -149,6 +150,47 @@ def test_hypotheses_move_with_the_odometry_and_one_reading_is_not_all() -> None:
     hypotheses.add_keyframe(0, gtsam.Pose2(1.0, 0.0, 0.0), None)
     best = hypotheses.members[0]
     assert best.pose.x() == pytest.approx(1.0) and best.evidence == [CONFIG.lost_nats / 3] * 2
+
+
+def test_dead_reckoning_holds_the_hypotheses_that_are_in_its_covariance() -> None:
+    """Places elsewhere are none, however well they look; the others are weighed by how far they are."""
+    known = Measured(ORIGIN, np.diag([0.5, 0.05, 0.05]) ** 2)
+    sensor = Places({-1.0: 6.0, 0.0: 0.0, 1.0: 6.0, 40.0: 50.0})
+    hypotheses: HypothesisSet[int, None] = HypothesisSet(sensor, CONFIG)
+    hypotheses.add_keyframe(0, ORIGIN, known, bound=True)
+    assert sorted(member.pose.x() for member in hypotheses.members) == [-1.0, 0.0, 1.0]
+    assert hypotheses.winner() is None, "two places are alike"
+    together = hypotheses.together()
+    assert together is not None and together.pose.x() == pytest.approx(0.0, abs=0.01)
+    assert together.covariance[0, 0] == pytest.approx(1.0 + 1.0, rel=0.02)  # between them, and of each
+    free: HypothesisSet[int, None] = HypothesisSet(sensor, CONFIG)
+    free.add_keyframe(0, ORIGIN, known)
+    best = free.winner()
+    assert best is not None and best.pose.x() == 40.0 and free.together() is None
+
+
+def test_together_they_know_no_more_of_an_open_direction_than_before() -> None:
+    known = Measured(ORIGIN, np.diag([0.4, 0.05, 0.05]) ** 2)
+    hypotheses: HypothesisSet[int, None] = HypothesisSet(Places({0.0: 9.0}), CONFIG)
+    hypotheses.add_keyframe(0, ORIGIN, known, bound=True)
+    (member,) = hypotheses.members
+    assert member.motion is not None
+    for degenerate, sigma_m in ((False, 1.0), (True, 0.4)):
+        member.motion = replace(member.motion, degenerate=degenerate)
+        together = hypotheses.together()
+        assert together is not None and position_sigma_m(together) == pytest.approx(sigma_m)
+
+
+def test_what_is_seen_twice_from_one_place_is_one_witness() -> None:
+    """A quarter of a keyframe's way between readings that speak a little against the pose."""
+    counts = []
+    for anew in (1.0, 0.25):
+        test, readings = LossTest(CONFIG), 0
+        while not test.lost:
+            readings += 1
+            test.add(float(readings), -1.0, anew)
+        counts.append(readings)
+    assert counts == [CONFIG.lost_nats, 4 * CONFIG.lost_nats]
 
 
 def test_a_contradicted_pose_is_lost_and_a_passer_by_is_not_enough() -> None:
