@@ -122,11 +122,13 @@ class ScanOdometry:
             self._unmatched = 0
             return False
         self._unmatched += 1
-        told = (
-            self._wheels is not None
-            and self._wheels.motion(last.wheels, tracked.wheels, elapsed_s) is not None
-        )
-        gap = elapsed_s > _GAP_S and max(self._silent_s, abs(self._stamp_s - self._wheels_s)) > _GAP_S
+        if self._wheels is None or last.wheels is None or tracked.wheels is None:
+            return True
+        told = self._wheels.motion(last.wheels, tracked.wheels, elapsed_s) is not None
+        silent_s = max(self._silent_s, abs(self._stamp_s - self._wheels_s))
+        # A way that the wheels left out is a guess, with the covariance of one.
+        guessed = tracked.wheels.guessed_m > last.wheels.guessed_m
+        gap = min(elapsed_s, silent_s) > _GAP_S and not guessed
         return not told or gap or self._unmatched >= _LOST_READINGS
 
     def _fused(self, row: FloatArray, tracked: TrackedScan, expected: Measured, elapsed_s: float) -> Measured:
