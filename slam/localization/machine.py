@@ -102,7 +102,8 @@ class StateMachine(Generic[V, N]):
         pose = self._known.pose
         novel = self._sensor.novel(observed.view, between(pose, pose), None)
         evidence = self._sensor.weigh(pose, novel, believed)
-        self._loss.add(observed.stamp_s, evidence, anew(observed.moved.pose, self._config))
+        moved = 1.0 if observed.restarted else anew(observed.moved.pose, self._config)
+        self._loss.add(observed.stamp_s, evidence, moved)
         if self._loss.lost:
             self._state, self._contradicted = State.LOST, True
             self._forget()
