@@ -51,9 +51,12 @@ class Hypothesis:
         """Whether it was aligned in all directions."""
         return self.motion is not None and not self.motion.degenerate
 
-    def covariance(self, unaligned: FloatArray) -> FloatArray:
-        """(d, d) of the alignment; as given where there is none, or a direction is open."""
-        return self.motion.covariance if self.motion is not None and self.determined else unaligned
+    @property
+    def measured(self) -> Measured:
+        """The pose as it was aligned; the same place by three sigmas where it was not, in all directions."""
+        if self.motion is not None and self.determined:
+            return Measured(self.pose, self.motion.covariance)
+        return Measured(self.pose, diagonal(self.pose, SAME_M / 3.0, SAME_RAD / 3.0))
 
     def total(self, kidnap_nats: float) -> float:
         """Evidence of the path, or of its end alone if the robot was kidnapped in between."""
@@ -141,8 +144,8 @@ class HypothesisSet(Generic[V, N]):
             for member in self.members:
                 del member.evidence[:dropped]
                 self._settle(member, composed(member.pose, step))
-        elif dead_reckoned is not None:
-            self._take_in(dead_reckoned.pose, 0.0 if bound else self._config.nowhere_nats)
+        elif dead_reckoned is not None and not bound:
+            self._take_in(dead_reckoned.pose, self._config.nowhere_nats)
         if newest.travelled_m >= self._search_at_m:
             self._search_at_m = newest.travelled_m + self._sensor.search_every_m
             for found in self._sensor.propose(view, self._log.keyframes, self._within):
@@ -178,13 +181,15 @@ class HypothesisSet(Generic[V, N]):
         return self.members[best] if probabilities[best] >= self._config.confident_probability else None
 
     def together(self) -> Measured | None:
-        """What all hypotheses tell that dead reckoning holds together, where none but they are likely."""
+        """What all hypotheses tell that dead reckoning holds together, where none but they are likely.
+
+        Along a corridor they stand side by side; where there is no room for all of them, they tell nothing.
+        """
         probabilities = self.probabilities()
-        if self._within is None or probabilities.sum() < self._config.confident_probability:
+        crowded = len(self.members) == self._config.hypotheses
+        if self._within is None or crowded or probabilities.sum() < self._config.confident_probability:
             return None
-        # Along what was not aligned nothing is better known than before.
-        unaligned = self._within.covariance
-        poses = [Measured(member.pose, member.covariance(unaligned)) for member in self.members]
+        poses = [member.measured for member in self.members]
         return mixed(self._within.pose, poses, probabilities / probabilities.sum())
 
     def _total(self, member: Hypothesis) -> float:

@@ -169,16 +169,19 @@ def test_dead_reckoning_holds_the_hypotheses_that_are_in_its_covariance() -> Non
     assert best is not None and best.pose.x() == 40.0 and free.together() is None
 
 
-def test_together_they_know_no_more_of_an_open_direction_than_before() -> None:
+def test_together_they_are_as_wide_as_each_is_and_tell_nothing_where_room_is_short() -> None:
     known = Measured(ORIGIN, np.diag([0.4, 0.05, 0.05]) ** 2)
     hypotheses: HypothesisSet[int, None] = HypothesisSet(Places({0.0: 9.0}), CONFIG)
     hypotheses.add_keyframe(0, ORIGIN, known, bound=True)
     (member,) = hypotheses.members
     assert member.motion is not None
-    for degenerate, sigma_m in ((False, 1.0), (True, 0.4)):
+    for degenerate, sigma_m in ((False, 1.0), (True, 0.1)):
         member.motion = replace(member.motion, degenerate=degenerate)
         together = hypotheses.together()
         assert together is not None and position_sigma_m(together) == pytest.approx(sigma_m)
+    crowded: HypothesisSet[int, None] = HypothesisSet(Places({0.0: 9.0}), LocalizationConfig(hypotheses=1))
+    crowded.add_keyframe(0, ORIGIN, known, bound=True)
+    assert crowded.together() is None
 
 
 def test_what_is_seen_twice_from_one_place_is_one_witness() -> None:
