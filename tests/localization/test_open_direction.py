@@ -23,10 +23,13 @@ class Corridor:
 
     def __init__(self) -> None:
         self.pose = gtsam.Pose2()
+        self.nats = 9.0
+        self.gap_sigma_m = 0.0
 
     def observe(self, measurement: float, known: Pose | None) -> Observation[int]:
         self.pose = self.pose.compose(STEP.pose)
-        return Observation(measurement, 1, self.pose, STEP, restarted=False)
+        moved = Measured(STEP.pose, STEP.covariance + np.diag([self.gap_sigma_m**2, 0.0, 0.0]))
+        return Observation(measurement, 1, self.pose, moved, restarted=False)
 
     def sees_anew(self, view: int, before: Pose | None, pose: Pose) -> bool:
         return True
@@ -41,7 +44,7 @@ class Corridor:
         return MotionEstimate(guess, covariance, 1.0, 1.0, 0.01, True, not begins, weak)
 
     def weigh(self, pose: Pose, novel: None, motion: MotionEstimate | None) -> float:
-        return 9.0
+        return self.nats
 
     def propose(self, view: int, keyframes: Sequence[Keyframe[None]], within: Measured | None) -> list[Pose]:
         """The one place at first, and then all along the corridor."""
@@ -68,3 +71,28 @@ def test_in_the_end_the_position_is_not_known() -> None:
     *_, ended = outputs(300)
     assert ended.state is State.LOST and ended.covariance is not None
     assert np.sqrt(ended.covariance[0, 0]) > 0.5
+
+
+def test_a_contradicted_pose_is_reported_as_nothing_known() -> None:
+    sensor = Corridor()
+    machine = StateMachine(sensor, LocalizationConfig())
+    for n in range(10):
+        machine.add(0.5 * n)
+    sensor.nats = -9.0
+    for n in range(10, 30):
+        output = machine.add(0.5 * n)
+        assert output is not None and output.covariance is not None
+        assert output.state is State.LOST and np.sqrt(output.covariance[0, 0]) > 10.0
+
+
+def test_past_a_gap_it_is_lost_and_known_within_the_gap() -> None:
+    """No alignment along the corridor is believed there; and dead reckoning goes on."""
+    sensor = Corridor()
+    machine = StateMachine(sensor, LocalizationConfig())
+    for n in range(10):
+        machine.add(0.5 * n)
+    sensor.gap_sigma_m = 2.0
+    output = machine.add(20.0)
+    assert output is not None and output.pose is not None and output.covariance is not None
+    assert output.state is State.LOST and 2.0 < np.sqrt(output.covariance[0, 0]) < 3.0
+    assert output.pose.x() == pytest.approx(sensor.pose.x())
