@@ -10,13 +10,11 @@ import numpy as np
 
 from slam.config.localization import LocalizationConfig
 from slam.localization.poses import (
-    SAME_M,
-    SAME_RAD,
     Measured,
     apart,
+    as_place,
     between,
     composed,
-    diagonal,
     mixed,
     same_place,
     squared_mahalanobis,
@@ -56,7 +54,7 @@ class Hypothesis:
         """The pose as it was aligned; the same place by three sigmas where it was not, in all directions."""
         if self.motion is not None and self.determined:
             return Measured(self.pose, self.motion.covariance)
-        return Measured(self.pose, diagonal(self.pose, SAME_M / 3.0, SAME_RAD / 3.0))
+        return as_place(self.pose)
 
     def total(self, kidnap_nats: float) -> float:
         """Evidence of the path, or of its end alone if the robot was kidnapped in between."""
@@ -203,8 +201,7 @@ class HypothesisSet(Generic[V, N]):
         """Squared Mahalanobis distance of a place, which is no point, from dead reckoning; 0 without it."""
         if self._within is None:
             return 0.0
-        place = diagonal(pose, SAME_M / 3.0, SAME_RAD / 3.0)
-        return squared_mahalanobis(self._within, Measured(pose, place))
+        return squared_mahalanobis(self._within, as_place(pose))
 
     def _settle(self, member: Hypothesis, predicted: Pose) -> None:
         """Align a hypothesis to the map near its predicted pose, and weigh what the keyframe sees anew."""

@@ -80,6 +80,11 @@ def same_place(one: Pose, other: Pose) -> bool:
     return apart_m < SAME_M and turned_rad < SAME_RAD
 
 
+def as_place(pose: Pose) -> Measured:
+    """A pose known no better than which place it is: that by three sigmas."""
+    return Measured(pose, diagonal(pose, SAME_M / 3.0, SAME_RAD / 3.0))
+
+
 def squared_mahalanobis(expected: Measured, found: Measured) -> float:
     """Squared Mahalanobis distance of a measured pose from an expected one, by the covariances of both."""
     offset = logarithm(between(expected.pose, found.pose))
