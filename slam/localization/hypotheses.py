@@ -108,6 +108,7 @@ class HypothesisSet(Generic[V, N]):
         self.members: list[Hypothesis] = []
         self._search_at_m = 0.0
         self._within: Measured | None = None
+        self._led_nats = 0.0
 
     def clear(self) -> None:
         """Begin anew: nothing is known."""
@@ -137,6 +138,8 @@ class HypothesisSet(Generic[V, N]):
         last = self._log.keyframes[-1].pose if self._log.keyframes else None
         dropped = self._log.add(view, pose)
         newest, self._view = self._log.keyframes[-1], view
+        if dead_reckoned is not None:
+            self._led_nats = self._weighed(dead_reckoned.pose, newest.novel, None)
         if last is not None:
             step = between(last, pose)
             for member in self.members:
@@ -159,8 +162,8 @@ class HypothesisSet(Generic[V, N]):
 
     @property
     def newest_nats(self) -> float:
-        """What the newest keyframe says for the pose that it fits best, nats; 0 where there is none."""
-        return max((member.evidence[-1] for member in self.members), default=0.0)
+        """What the newest keyframe says for the pose that it fits best, nats, beyond the map included."""
+        return max([self._led_nats, *(member.evidence[-1] for member in self.members)])
 
     def probabilities(self) -> FloatArray:
         """Posterior of each hypothesis; what is left to one is that of being nowhere in the map."""
