@@ -67,7 +67,7 @@ def planar_pairs(case: Case) -> Iterator[tuple[FloatArray, FloatArray]]:
         assert isinstance(scan, LaserScan)
         view = ScanView.of(scan, case.config)
         novel = sensor.novel(view, gtsam.Pose2(), None)
-        places = sensor.propose(view, [Keyframe(gtsam.Pose2(), 0.0, novel)])
+        places = sensor.propose(view, [Keyframe(gtsam.Pose2(), 0.0, novel)], None)
         right, wrong = rivals(sensor, view, pose2_from_row(case.truth[n]), places)
         counts = [np.array(sensor.counted(pose, novel)) for pose in (*right, *wrong)]
         if right and wrong:
@@ -89,7 +89,7 @@ def cloud_pairs(first: Path, second: Path, config: Config) -> Iterator[tuple[Flo
         observed = sensor.observe(reading, None)
         if observed is None or round(10.0 * observed.stamp_s) % 10:
             continue
-        view, places = observed.view, sensor.propose(observed.view, ())
+        view, places = observed.view, sensor.propose(observed.view, (), None)
         true = T_map_world.compose(nearest(other, observed.stamp_s))
         right, wrong = rivals(sensor, view, true, places)
         if right and wrong:

@@ -4,6 +4,9 @@ The truth is the full run's own trajectory, seen from the nearest of the mapped 
 have: how the two maps bend against each other over their length is not the localiser's error. For comparison
 the tracking error is also told against the full run aligned as a whole. Travel counts as mapped where the
 true pose explains most of the scan.
+
+A folder of ``scanweave simulate --campus`` is tracked only: its map is drawn from the true poses, so that no
+error of the map is the localiser's, and the drive that is localised has all its faults.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fusion.estimation import gate
 from slam.config import Config, load_config
 from slam.datasets import open_dataset
 from slam.localization.global_search import search_map
@@ -27,6 +31,7 @@ from slam.localization.planar_sensor import PlanarSensor
 from slam.localization.scan_view import ScanView, first_in_cells
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.mapper import Mapper
+from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.matching.planar import between, compose
 from slam.measurements import (
     FloatArray,
@@ -36,11 +41,13 @@ from slam.measurements import (
     pose2_from_row,
     row_from_pose2,
 )
+from slam.storage.tum import read_tum
 
 RIGHT_M, RIGHT_RAD = 0.25, np.radians(5.0)
 MAPPED_SHARE = 0.6
 WITHIN_M = 10.0
 CONFIDENT = 0.5
+OFF_M = 0.5
 
 
 @dataclass(frozen=True)
@@ -65,13 +72,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("logs", nargs="+", help="as in fr079.log.gz:0.6, a log and the share that is mapped")
+    parser.add_argument(
+        "logs", nargs="+", help="as in fr079.log.gz:0.6, a log or a campus, and the share that is mapped"
+    )
     parser.add_argument("--starts", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--set", action="append", default=[], help="as in scanweave localize --set")
     arguments = parser.parse_args()
     config = load_config(None, arguments.set)
-    cases = [build_case(*argument.rsplit(":", 1), config) for argument in arguments.logs]
+    named = [argument.rsplit(":", 1) for argument in arguments.logs]
+    for path, share in named:
+        if Path(path).is_dir():
+            print(f"\n## {path}\n")
+            tracking_trial(campus_case(Path(path), float(share), config))
+    cases = [build_case(path, share, config) for path, share in named if not Path(path).is_dir()]
     for case in cases:
         rng = np.random.default_rng(arguments.seed)
         print(f"\n## {case.name}\n")
@@ -99,6 +113,28 @@ def build_case(path: str, share: str, config: Config) -> Case:
         near = int(np.argmin(np.hypot(*(whole[:split, :2] - whole[n, :2]).T) + 0.5 * turned))
         truth[n] = compose(begun[near], between(whole[near], whole[n]))
     known_map = KnownMap.of_result(part)
+    mapped = mapped_shares(log, split, known_map, truth, config)
+    return Case(Path(path).name, log, split, known_map, truth, whole, mapped, config)
+
+
+def campus_case(folder: Path, share: float, config: Config) -> Case:
+    """A simulated campus, its beginning drawn from the true poses; readings of wheels have none."""
+    log = [m for m in open_dataset(folder / "scans.log") if isinstance(m, LaserScan | WheelOdometry)]
+    numbers = [n for n, m in enumerate(log) if isinstance(m, LaserScan)]
+    truth = np.full((len(log), 3), np.nan)
+    truth[numbers] = read_tum(folder / "groundtruth.txt").to_planar()
+    begun = numbers[: int(share * len(numbers))]
+    scans = [scan for scan in (log[n] for n in begun) if isinstance(scan, LaserScan)]
+    known_map = KnownMap(truth[begun], scans, grid_of_keyframes(scans, truth[begun], config))
+    split = numbers[len(begun)]
+    mapped = mapped_shares(log, split, known_map, truth, config)
+    return Case(folder.name, log, split, known_map, truth, truth, mapped, config)
+
+
+def mapped_shares(
+    log: list[Measurement], split: int, known_map: KnownMap, truth: FloatArray, config: Config
+) -> FloatArray:
+    """(n,) share of each scan after the beginning that the map explains at its true pose; 0 of the others."""
     sensor = PlanarSensor(Walls(known_map, config), config)
     mapped = np.zeros(len(log))
     for n in range(split, len(log)):
@@ -106,7 +142,7 @@ def build_case(path: str, share: str, config: Config) -> Case:
         if isinstance(scan, LaserScan):
             motion = sensor.align(ScanView.of(scan, config), pose2_from_row(truth[n]))
             mapped[n] = 0.0 if motion is None else motion.inlier_share
-    return Case(Path(path).name, log, split, known_map, truth, whole, mapped, config)
+    return mapped
 
 
 def mapped_run(log: Iterable[Measurement], config: Config):  # type: ignore[no-untyped-def]
@@ -214,8 +250,13 @@ def run_from(case: Case, start: int) -> tuple[float, float, tuple[float, float] 
 def tracking_trial(case: Case) -> None:
     """The rest of the log in one go."""
     localizer = Localizer(case.known_map, case.config)
-    outputs = [(n, localizer.add(case.log[n])) for n in range(case.split, len(case.log))]
-    said = [(n, output) for n, output in outputs if output is not None]
+    said, spent_s = list[tuple[int, LocalizerOutput]](), list[float]()
+    for n in range(case.split, len(case.log)):
+        began = time.process_time()
+        output = localizer.add(case.log[n])
+        if output is not None:
+            said.append((n, output))
+            spent_s.append(time.process_time() - began)
     tracked = [(n, output) for n, output in said if output.state is State.TRACKING]
     errors = np.array([error_of(output, case.truth[n]) for n, output in tracked])
     apart = [error_of(output, case.aligned[n])[0] for n, output in tracked]
@@ -228,20 +269,37 @@ def tracking_trial(case: Case) -> None:
         f"against the full run as a whole {np.median(apart):.4f} m; "
         f"wrong and sure: {sum(wrong(output, case.truth[n]) for n, output in said)}"
     )
-    rate_trial(case)
+    honesty(case, said)
+    tracking = np.array([output.state is State.TRACKING for _, output in said])
+    spent = np.array(spent_s)
+    print(
+        f"{tracking.sum() / max(spent[tracking].sum(), 1e-9):.0f} scans a CPU second while tracking; "
+        f"{spent[~tracking].mean() if not tracking.all() else 0.0:.3f} CPU s a scan while not, "
+        f"{spent[~tracking].max(initial=0.0):.2f} at most"
+    )
 
 
-def rate_trial(case: Case) -> None:
-    """Scans a CPU second while tracking."""
-    localizer = Localizer(case.known_map, case.config)
-    spent, scans = 0.0, 0
-    for measurement in case.log[case.split :]:
-        began = time.process_time()
-        output = localizer.add(measurement)
-        if output is not None and output.state is State.TRACKING:
-            spent += time.process_time() - began
-            scans += 1
-    print(f"tracking: {scans / max(spent, 1e-9):.0f} scans a CPU second ({scans} scans)")
+def honesty(case: Case, said: list[tuple[int, LocalizerOutput]]) -> None:
+    """What is said of all poses, of those that are tracked and of those that are confident, by the truth."""
+    in_map = case.mapped[[n for n, _ in said]] >= MAPPED_SHARE
+    tracked = np.array([output.state is State.TRACKING for _, output in said])
+    confident = tracked & np.array([output.confidence >= CONFIDENT for _, output in said])
+    known = np.array([output.pose is not None for _, output in said])
+    errors_m, held = np.zeros(len(said)), np.zeros(len(said), np.bool_)
+    for i in np.flatnonzero(known).tolist():
+        n, output = said[i]
+        assert output.pose is not None and output.covariance is not None
+        offset = between(row_from_pose2(output.pose), case.truth[n])[:2]
+        errors_m[i] = np.hypot(*offset)
+        held[i] = offset @ np.linalg.solve(output.covariance[:2, :2], offset) <= gate(2, 0.95)
+    off = known & (errors_m > OFF_M)
+    print(
+        f"\nmapped scans: {in_map.sum()} of {len(said)}, tracked {(tracked & in_map).sum()}; others tracked: "
+        f"{(tracked & ~in_map).sum()}; confident: {confident.sum()}, worst error "
+        f"{errors_m[confident].max(initial=0.0):.2f} m; the 95 % ellipse holds the truth: "
+        f"{(held & tracked).sum()} of {tracked.sum()} tracked, {held.sum()} of {known.sum()} poses; over "
+        f"{OFF_M:g} m off: {off.sum()}, of these excluded by the ellipse: {(off & ~held).sum()}"
+    )
 
 
 def teleport_trial(case: Case) -> None:

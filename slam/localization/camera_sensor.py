@@ -83,7 +83,9 @@ class CameraSensor:
             return self._matched_nats
         return _UNMATCHED_NATS if self._locator.should_see(novel, pose) else 0.0
 
-    def propose(self, view: PreparedFrame, keyframes: Sequence[Keyframe[float]]) -> list[Pose]:
+    def propose(
+        self, view: PreparedFrame, keyframes: Sequence[Keyframe[float]], within: Measured | None
+    ) -> list[Pose]:
         """See `Sensor`."""
         return [motion.T_reference_base for motion in self._locator.anywhere(view)]
 

@@ -15,6 +15,7 @@ from slam.localization.cloud_places import CloudPlaces
 from slam.localization.cloud_space import BeamVerdicts, judge_beams
 from slam.localization.known_clouds import COARSENESS, CloudTiles, KnownClouds
 from slam.localization.odometry import CloudOdometry
+from slam.localization.poses import Measured
 from slam.localization.scan_view import cell_keys
 from slam.localization.sensor import Keyframe, Observation, moved_on
 from slam.localization.whole_map_field import WholeMapField
@@ -124,7 +125,9 @@ class CloudSensor:
         reach_m = _ON_PLANE * self.voxel_m
         return points, judge_beams(tile.space, tile.planes, lidar, moved(points, pose), reach_m)
 
-    def propose(self, view: CloudView, keyframes: Sequence[Keyframe[CloudView]]) -> list[gtsam.Pose3]:
+    def propose(
+        self, view: CloudView, keyframes: Sequence[Keyframe[CloudView]], within: Measured | None
+    ) -> list[gtsam.Pose3]:
         """See `Sensor`: places that look alike, by scan context or by plan, and fit best."""
         scan = thinned(view.points, COARSENESS * self.voxel_m)
         arrived: list[tuple[float, gtsam.Pose3]] = []

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from fusion.kernel import ZERO, kernel
 from slam.config.localization import LocalizationConfig
-from slam.localization.poses import SAME_M, SAME_RAD
+from slam.localization.poses import SAME_M, SAME_RAD, Measured
 from slam.localization.whole_map_field import WholeMapField
-from slam.measurements import AnyFloatArray, FloatArray
+from slam.measurements import AnyFloatArray, FloatArray, row_from_pose2
 
 # Points in a search: more tell the same.
 _POINTS = 150
@@ -37,8 +37,32 @@ class Place(NamedTuple):
     score: float
 
 
+class Window(NamedTuple):
+    """Where to search: (2,) lowest and highest x and y, metres, and a yaw give or take a half, radians."""
+
+    lowest: FloatArray
+    highest: FloatArray
+    yaw: float
+    half_yaw: float
+
+    @classmethod
+    def of(cls, known: Measured, sigmas: float) -> Window:
+        """So many standard deviations around a pose in the plane, and what is one place on top."""
+        pose = row_from_pose2(known.pose)
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        turned = np.array([[cos, -sin], [sin, cos]])
+        variances = np.diag(turned @ known.covariance[:2, :2] @ turned.T)
+        half_m = sigmas * np.sqrt(variances) + SAME_M
+        half_yaw = sigmas * float(np.sqrt(known.covariance[2, 2])) + SAME_RAD
+        return cls(pose[:2] - half_m, pose[:2] + half_m, float(pose[2]), half_yaw)
+
+
 def search_map(
-    field: WholeMapField, points: AnyFloatArray, settings: LocalizationConfig, most: int
+    field: WholeMapField,
+    points: AnyFloatArray,
+    settings: LocalizationConfig,
+    most: int,
+    window: Window | None = None,
 ) -> list[Place]:
     """`search_everywhere` for points (M, 2), base frame, as it is set; of so many of them as matter."""
     if len(points) == 0:
@@ -50,6 +74,7 @@ def search_map(
         settings.search_keep_share,
         most,
         settings.search_threads,
+        window,
     )
 
 
@@ -60,6 +85,7 @@ def search_everywhere(
     keep_share: float,
     most: int,
     threads: int = 1,
+    window: Window | None = None,
 ) -> list[Place]:
     """Every place with a score near the best, best first; the same for any number of threads.
 
@@ -77,13 +103,17 @@ def search_everywhere(
         How many places at most.
     threads
         Yaws are shared out among so many.
+    window
+        Where to look; None looks everywhere.
     """
     reach_m = max(1.0, float(np.percentile(np.hypot(points[:, 0], points[:, 1]), 90)))
     turns = math.ceil(2.0 * math.pi * reach_m / field.cell_m)
     yaws: FloatArray = np.arange(turns, dtype=np.float64) * (2.0 * math.pi / turns)
+    if window is not None:
+        yaws = yaws[np.abs((yaws - window.yaw + np.pi) % (2.0 * np.pi) - np.pi) <= window.half_yaw]
     columns, rows = _rotated_pixels(np.asarray(points, np.float64), yaws, field.cell_m)
     with ThreadPoolExecutor(threads) as pool:
-        search = _Search(field, columns, rows, pool, threads)
+        search = _Search(field, columns, rows, pool, threads, window)
         nodes, scores = search.descend(math.ceil(least_score * 255.0 * len(points)), keep_share)
     # By score, then place and yaw: the order does not depend on who found it.
     order = np.lexsort((nodes[:, 0], nodes[:, 2], nodes[:, 1], -scores))
@@ -127,9 +157,22 @@ class _Search:
     """Bounds of blocks of poses; a block (yaw, x, y) of level k is of 2^k pixels a side."""
 
     def __init__(
-        self, field: WholeMapField, columns: Pixels, rows: Pixels, pool: ThreadPoolExecutor, threads: int
+        self,
+        field: WholeMapField,
+        columns: Pixels,
+        rows: Pixels,
+        pool: ThreadPoolExecutor,
+        threads: int,
+        window: Window | None,
     ) -> None:
         self._field, self._pixels = field, (columns, rows)
+        # Pixels x and y, lowest and highest.
+        self._lowest, self._highest = np.zeros(2, np.int64), np.array(field.levels[0].shape[::-1]) - 1
+        if window is not None:
+            origin = np.array([field.origin_x, field.origin_y])
+            lowest, highest = (np.floor((corner - origin) / field.cell_m) for corner in window[:2])
+            self._lowest = np.maximum(self._lowest, lowest.astype(np.int64))
+            self._highest = np.minimum(self._highest, highest.astype(np.int64))
         self._pool, self._threads = pool, threads
 
     def descend(self, bar: int, keep_share: float) -> tuple[Nodes, Nodes]:
@@ -138,7 +181,7 @@ class _Search:
         level = max(len(self._field.levels) - 3, 0)
         height, width = self._field.standing[level].shape
         grid = np.indices((len(self._pixels[0]), height, width)).reshape(3, -1).T
-        nodes = grid[:, [0, 2, 1]] * np.array([1, 1 << level, 1 << level], np.int64)
+        nodes = self._inside(level, grid[:, [0, 2, 1]] * np.array([1, 1 << level, 1 << level], np.int64))
         nodes, bounds = self._bounded(level, nodes, bar)
         while level > 0:
             if len(nodes):
@@ -159,8 +202,13 @@ class _Search:
         """The quarters, of a level, of blocks of the next."""
         corners = np.array([[0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1]]) << level
         quarters = (nodes[:, None, :] + corners).reshape(-1, 3)
-        height, width = self._field.levels[0].shape
-        return np.ascontiguousarray(quarters[(quarters[:, 1] < width) & (quarters[:, 2] < height)])
+        return self._inside(level, quarters)
+
+    def _inside(self, level: int, nodes: Nodes) -> Nodes:
+        """Those of blocks of a level that have a pixel where to look."""
+        corner = nodes[:, 1:]
+        inside = ((corner <= self._highest) & (corner + (1 << level) > self._lowest)).all(axis=1)
+        return np.ascontiguousarray(nodes[inside])
 
     def _bounded(self, level: int, nodes: Nodes, bar: int) -> tuple[Nodes, Nodes]:
         """Those of blocks that can hold a score of at least the bar, and upper bounds of it; best first."""

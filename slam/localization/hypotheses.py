@@ -9,7 +9,16 @@ from typing import Generic
 import numpy as np
 
 from slam.config.localization import LocalizationConfig
-from slam.localization.poses import apart, between, composed, same_place
+from slam.localization.poses import (
+    Measured,
+    apart,
+    as_place,
+    between,
+    composed,
+    mixed,
+    same_place,
+    squared_mahalanobis,
+)
 from slam.localization.sensor import Keyframe, N, Sensor, V
 from slam.measurements import FloatArray, MotionEstimate, Pose
 
@@ -34,6 +43,18 @@ class Hypothesis:
     evidence: list[float]
     motion: MotionEstimate | None
     prior: float = 0.0
+
+    @property
+    def determined(self) -> bool:
+        """Whether it was aligned in all directions."""
+        return self.motion is not None and not self.motion.degenerate
+
+    @property
+    def measured(self) -> Measured:
+        """The pose as it was aligned; the same place by three sigmas where it was not, in all directions."""
+        if self.motion is not None and self.determined:
+            return Measured(self.pose, self.motion.covariance)
+        return as_place(self.pose)
 
     def total(self, kidnap_nats: float) -> float:
         """Evidence of the path, or of its end alone if the robot was kidnapped in between."""
@@ -86,6 +107,8 @@ class HypothesisSet(Generic[V, N]):
         self._view: V | None = None
         self.members: list[Hypothesis] = []
         self._search_at_m = 0.0
+        self._within: Measured | None = None
+        self._led_nats = 0.0
 
     def clear(self) -> None:
         """Begin anew: nothing is known."""
@@ -97,7 +120,9 @@ class HypothesisSet(Generic[V, N]):
         """Whether a reading at ``T_odom_base`` should be weighed."""
         return self._log.due(view, pose)
 
-    def add_keyframe(self, view: V, pose: Pose, dead_reckoned: Pose | None) -> None:
+    def add_keyframe(
+        self, view: V, pose: Pose, dead_reckoned: Measured | None, *, bound: bool = False
+    ) -> None:
         """Move all hypotheses on to a reading, weigh them by what it sees anew, and look for new ones.
 
         Parameters
@@ -106,20 +131,25 @@ class HypothesisSet(Generic[V, N]):
             ``T_odom_base``.
         dead_reckoned
             ``T_map_base`` by odometry from the last pose that was tracked; None where there is none.
+        bound
+            Whether that is where it must be, within its covariance; otherwise it is as good as any place.
         """
+        self._within = dead_reckoned if bound else None
         last = self._log.keyframes[-1].pose if self._log.keyframes else None
         dropped = self._log.add(view, pose)
         newest, self._view = self._log.keyframes[-1], view
+        if dead_reckoned is not None:
+            self._led_nats = self._weighed(dead_reckoned.pose, newest.novel, None)
         if last is not None:
             step = between(last, pose)
             for member in self.members:
                 del member.evidence[:dropped]
                 self._settle(member, composed(member.pose, step))
-        elif dead_reckoned is not None:
-            self._take_in(dead_reckoned, self._config.nowhere_nats)
+        elif dead_reckoned is not None and not bound:
+            self._take_in(dead_reckoned.pose, self._config.nowhere_nats)
         if newest.travelled_m >= self._search_at_m:
             self._search_at_m = newest.travelled_m + self._sensor.search_every_m
-            for found in self._sensor.propose(view, self._log.keyframes):
+            for found in self._sensor.propose(view, self._log.keyframes, self._within):
                 self._take_in(found, 0.0)
         self._prune()
 
@@ -130,9 +160,14 @@ class HypothesisSet(Generic[V, N]):
             self._take_in(composed(pose, step), self._config.nowhere_nats)
             self._prune()
 
+    @property
+    def newest_nats(self) -> float:
+        """What the newest keyframe says for the pose that it fits best, nats, beyond the map included."""
+        return max([self._led_nats, *(member.evidence[-1] for member in self.members)])
+
     def probabilities(self) -> FloatArray:
         """Posterior of each hypothesis; what is left to one is that of being nowhere in the map."""
-        totals = np.array([member.total(self._config.nowhere_nats) for member in self.members])
+        totals = np.array([self._total(member) for member in self.members])
         nowhere_nats = self._config.nowhere_nats
         greatest = max(nowhere_nats, totals.max(initial=-math.inf))
         weights = np.exp(totals - greatest)
@@ -145,6 +180,31 @@ class HypothesisSet(Generic[V, N]):
             return None
         best = int(probabilities.argmax())
         return self.members[best] if probabilities[best] >= self._config.confident_probability else None
+
+    def together(self) -> Measured | None:
+        """What all hypotheses tell that dead reckoning holds together, where none but they are likely.
+
+        Along a corridor they stand side by side; where there is no room for all of them, they tell nothing.
+        """
+        probabilities = self.probabilities()
+        crowded = len(self.members) == self._config.hypotheses
+        if self._within is None or crowded or probabilities.sum() < self._config.confident_probability:
+            return None
+        poses = [member.measured for member in self.members]
+        return mixed(self._within.pose, poses, probabilities / probabilities.sum())
+
+    def _total(self, member: Hypothesis) -> float:
+        """Evidence for a hypothesis, and how far dead reckoning has it: to be nowhere would be a surprise."""
+        nats = member.total(self._config.nowhere_nats)
+        if self._within is None:
+            return nats
+        return nats + self._config.nowhere_nats - 0.5 * self._squares(member.pose)
+
+    def _squares(self, pose: Pose) -> float:
+        """Squared Mahalanobis distance of a place, which is no point, from dead reckoning; 0 without it."""
+        if self._within is None:
+            return 0.0
+        return squared_mahalanobis(self._within, as_place(pose))
 
     def _settle(self, member: Hypothesis, predicted: Pose) -> None:
         """Align a hypothesis to the map near its predicted pose, and weigh what the keyframe sees anew."""
@@ -164,6 +224,8 @@ class HypothesisSet(Generic[V, N]):
         *before, newest = self._log.keyframes
         member = Hypothesis(pose, [], None, prior)
         self._settle(member, pose)
+        if self._squares(member.pose) > self._config.gate_sigmas**2:
+            return
         for other in self.members:
             if same_place(member.pose, other.pose):
                 other.prior = max(other.prior, prior)
@@ -177,7 +239,9 @@ class HypothesisSet(Generic[V, N]):
 
     def _prune(self) -> None:
         """Keep the likeliest, without another's double, the hopeless, and what is beyond the number."""
-        totals = [member.total(self._config.nowhere_nats) for member in self.members]
+        gate = self._config.gate_sigmas**2
+        self.members = [member for member in self.members if self._squares(member.pose) <= gate]
+        totals = [self._total(member) for member in self.members]
         kept: list[Hypothesis] = []
         for n in sorted(range(len(totals)), key=lambda n: -totals[n]):
             if len(kept) == self._config.hypotheses or totals[n] < max(totals) - self._config.lost_nats:

@@ -49,11 +49,16 @@ class LossTest:
         self._sound_s = math.nan
         self._stamp_s = math.nan
 
-    def add(self, stamp_s: float, evidence: float) -> None:
-        """Take the evidence of a reading for the pose, nats."""
+    def add(self, stamp_s: float, evidence: float, anew: float = 1.0) -> None:
+        """Take the evidence of a reading for the pose, nats.
+
+        Parameters
+        ----------
+        anew
+            Share of it that the reading before has not told: seen twice from one place is one witness.
+        """
         self._stamp_s, self._newest = stamp_s, evidence
-        self._log_odds = min(
-            self._bound, self._log_odds + min(max(evidence, -_GREATEST_NATS), _GREATEST_NATS)
-        )
+        told = min(max(anew * evidence, -_GREATEST_NATS), _GREATEST_NATS)
+        self._log_odds = min(self._bound, self._log_odds + told)
         if self._log_odds == self._bound or math.isnan(self._sound_s):
             self._sound_s = stamp_s

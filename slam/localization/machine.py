@@ -10,21 +10,22 @@ import numpy as np
 
 from fusion.estimation import TINY
 from slam.config.localization import LocalizationConfig
-from slam.localization.hypotheses import Hypothesis, HypothesisSet
+from slam.localization.hypotheses import HypothesisSet
 from slam.localization.loss_test import LossTest
 from slam.localization.output import LocalizerOutput, PoseHypothesis, RecoveredPose, State
 from slam.localization.pose_smoother import PoseSmoother
 from slam.localization.poses import (
     SAME_M,
-    SAME_RAD,
     Measured,
     after,
     between,
     composed,
     diagonal,
+    position_sigma_m,
     squared_mahalanobis,
 )
-from slam.localization.sensor import N, Observation, Sensor, V, moved_on
+from slam.localization.sensor import N, Observation, Sensor, V, anew, moved_on
+from slam.matching.match_covariance import OPEN_M
 from slam.measurements import MotionEstimate, Pose
 
 
@@ -36,7 +37,9 @@ class StateMachine(Generic[V, N]):
         self._hypotheses = HypothesisSet(sensor, config)
         self._loss = LossTest(config)
         self._state = State.SEARCHING
+        self._contradicted = False
         self._smoother: PoseSmoother | None = None
+        self._known: Measured | None = None
         self._unknown: list[tuple[float, Pose]] = []
         self._odometry_pose: Pose | None = None
         self._helped_at: Pose | None = None
@@ -44,9 +47,7 @@ class StateMachine(Generic[V, N]):
     @property
     def tracked(self) -> Measured | None:
         """``T_map_base``, while it is tracked."""
-        if self._state is not State.TRACKING or self._smoother is None:
-            return None
-        return self._smoother.newest
+        return self._known if self._state is State.TRACKING else None
 
     def add(self, measurement: Any) -> LocalizerOutput | None:
         """Take a reading; what is known after it, None where the sensor only keeps it or does not use it."""
@@ -58,14 +59,18 @@ class StateMachine(Generic[V, N]):
         if observed.restarted:
             self._forget()
             self._helped_at = None
-        if observed.moved is None and self._smoother is not None:
-            # Not even dead reckoning leads on from the last pose.
-            self._smoother, self._state = None, State.LOST
+            self._contradicted = True
+        predicted = None
+        if self._known is not None:
+            # Not even dead reckoning leads on from the last pose where nobody knows the motion.
+            predicted = None if observed.moved is None else after(self._known, observed.moved)
+            self._state = State.LOST if predicted is None else self._state
         recovered: Sequence[RecoveredPose] = ()
-        if self._state is State.TRACKING:
-            support = self._track(observed)
+        tracks = self._state is State.TRACKING
+        if tracks and predicted is not None and position_sigma_m(predicted) <= self._config.dead_reckoning_m:
+            support = self._track(observed, predicted)
         else:
-            support, recovered = self._search(observed)
+            support, recovered = self._search(observed, predicted)
         return self._output(observed.stamp_s, support, recovered)
 
     def wants_help(self) -> bool:
@@ -78,26 +83,29 @@ class StateMachine(Generic[V, N]):
     def confirm(self, seen: Measured) -> None:
         """Take where another sensor sees the tracked pose, if it may be there: the map may differ for it."""
         seen = self._in_map(seen)
-        if self._smoother is not None and self._may_be(self._smoother.newest, seen):
+        if self.tracked is not None and self._smoother is not None and self._may_be(self.tracked, seen):
             self._smoother.add_seen(seen)
+            self._known = self._smoother.newest
 
     def propose(self, pose: Pose) -> None:
         """Take ``T_map_base`` that another sensor has found while the pose is sought."""
         if self._odometry_pose is not None:
             self._hypotheses.propose(pose, self._odometry_pose)
 
-    def _track(self, observed: Observation[V]) -> float:
-        """Predict, align to the map, judge: the share of the reading that the map explains."""
+    def _track(self, observed: Observation[V], predicted: Measured) -> float:
+        """Align to the map where it is expected, judge: the share of the reading that the map explains."""
         assert self._smoother is not None and observed.moved is not None
-        predicted = after(self._smoother.newest, observed.moved)
         motion = self._sensor.align(observed.view, predicted.pose)
         believed = self._believed(motion, predicted)
         self._smoother.add(observed.moved, [] if believed is None else [_measured(believed)])
-        pose = self._smoother.newest.pose
+        self._known = self._smoother.newest
+        pose = self._known.pose
         novel = self._sensor.novel(observed.view, between(pose, pose), None)
-        self._loss.add(observed.stamp_s, self._sensor.weigh(pose, novel, believed))
-        if self._loss.lost or self._smoother.sigma_m > self._config.dead_reckoning_m:
-            self._state = State.LOST
+        evidence = self._sensor.weigh(pose, novel, believed)
+        moved = 1.0 if observed.restarted else anew(observed.moved.pose, self._config)
+        self._loss.add(observed.stamp_s, evidence, moved)
+        if self._loss.lost:
+            self._state, self._contradicted = State.LOST, True
             self._forget()
         return math.nan if motion is None else motion.inlier_share
 
@@ -111,33 +119,51 @@ class StateMachine(Generic[V, N]):
         """Gating."""
         return squared_mahalanobis(expected, found) <= self._config.gate_sigmas**2
 
-    def _search(self, observed: Observation[V]) -> tuple[float, Sequence[RecoveredPose]]:
-        """Weigh all hypotheses; where one wins, begin to track it."""
-        if self._smoother is not None and observed.moved is not None:
-            self._smoother.add(observed.moved, [])
+    def _search(
+        self, observed: Observation[V], predicted: Measured | None
+    ) -> tuple[float, Sequence[RecoveredPose]]:
+        """Weigh all hypotheses; where one wins, begin to track it.
+
+        A pose that is not known well enough to align there is one of those within its covariance, until what
+        is seen contradicts them all.
+        """
+        if self._state is State.TRACKING:
+            self._state = State.LOST
+            self._forget()
+        self._smoother, self._known = None, predicted
         if observed.pose is None:
             return math.nan, ()
         self._unknown.append((observed.stamp_s, observed.pose))
         if not self._hypotheses.due(observed.view, observed.pose):
             return math.nan, ()
-        dead_reckoned = None if self._smoother is None else self._smoother.newest.pose
-        self._hypotheses.add_keyframe(observed.view, observed.pose, dead_reckoned)
+        known = None if predicted is None else self._in_map(predicted)
+        bound = known is not None and not self._contradicted and position_sigma_m(known) < OPEN_M
+        self._hypotheses.add_keyframe(observed.view, observed.pose, known, bound=bound)
+        if bound:
+            self._loss.add(observed.stamp_s, self._hypotheses.newest_nats)
+            if self._loss.lost:
+                self._contradicted = True
+                self._forget()
         winner = self._hypotheses.winner()
-        return (math.nan, ()) if winner is None else self._found(winner, observed.pose)
+        if winner is not None and winner.motion is not None and winner.determined:
+            return winner.motion.inlier_share, self._found(_measured(winner.motion), observed.pose)
+        together = self._hypotheses.together()
+        if together is not None and position_sigma_m(together) <= SAME_M:
+            return math.nan, self._found(together, observed.pose)
+        return math.nan, ()
 
-    def _found(self, winner: Hypothesis, odometry_pose: Pose) -> tuple[float, Sequence[RecoveredPose]]:
-        """Begin to track a hypothesis; the path up to here becomes known."""
-        self._state, motion = State.TRACKING, winner.motion
-        # Where nothing could be aligned, or a direction is open, it is the same place by three sigmas.
-        unaligned = Measured(winner.pose, diagonal(winner.pose, SAME_M / 3.0, SAME_RAD / 3.0))
-        self._smoother = PoseSmoother(unaligned if motion is None or motion.degenerate else _measured(motion))
+    def _found(self, found: Measured, odometry_pose: Pose) -> Sequence[RecoveredPose]:
+        """Begin to track a pose that was found; the path up to here becomes known."""
+        self._state, self._contradicted = State.TRACKING, False
+        self._smoother = PoseSmoother(found)
+        self._known = self._smoother.newest
         self._loss.reset()
         recovered = [
-            RecoveredPose(stamp_s, composed(winner.pose, between(odometry_pose, pose)))
+            RecoveredPose(stamp_s, composed(found.pose, between(odometry_pose, pose)))
             for stamp_s, pose in self._unknown[:-1]
         ]
         self._forget()
-        return math.nan if motion is None else motion.inlier_share, recovered
+        return recovered
 
     def _in_map(self, known: Measured) -> Measured:
         """A pose with what the map itself is off by there."""
@@ -152,18 +178,19 @@ class StateMachine(Generic[V, N]):
     def _output(self, stamp_s: float, support: float, recovered: Sequence[RecoveredPose]) -> LocalizerOutput:
         """What is known after a reading; a pose that the newest one speaks against counts as lost."""
         probabilities = self._hypotheses.probabilities()
-        known = None if self._smoother is None else self._smoother.newest
         state, confidence = self._state, float(probabilities.max(initial=0.0))
         if self._smoother is not None and state is State.TRACKING:
             confidence = self._loss.confidence * self._smoother.trust
             state = State.LOST if self._loss.doubted else state
-        pose, covariance = (None, None) if known is None else self._in_map(known)
+        known = None if self._known is None else self._in_map(self._known)
+        if known is not None and state is State.LOST and (self._contradicted or self._loss.doubted):
+            known = Measured(known.pose, known.covariance + diagonal(known.pose, OPEN_M, math.pi))
         members = self._hypotheses.members
         return LocalizerOutput(
             stamp_s=stamp_s,
             state=state,
-            pose=pose,
-            covariance=covariance,
+            pose=None if known is None else known.pose,
+            covariance=None if known is None else known.covariance,
             confidence=confidence,
             hypotheses=tuple(
                 PoseHypothesis(members[n].pose, float(probabilities[n]))

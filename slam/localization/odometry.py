@@ -8,12 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from slam.config import Config
-from slam.localization.poses import Measured, composed, diagonal, squared_mahalanobis
+from slam.localization.poses import Measured, composed, diagonal, position_sigma_m, squared_mahalanobis
 from slam.localization.scan_view import ScanView
 from slam.matching.planar import between
 from slam.measurements import FloatArray, PointCloud, Pose, WheelOdometry, pose2_from_row, row_from_pose2
+from slam.odometry.clock_learner import Turns
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
+from slam.odometry.rgbd_tracker import GREATEST_STRETCH
 from slam.odometry.surfel_odometry import SurfelOdometry
 from slam.odometry.wheel_tracker import WheelTracker
 
@@ -48,41 +50,61 @@ class ScanOdometry:
         self._last: TrackedScan | None = None
         self._keyframe: TrackedScan | None = None
         self._unmatched = 0
-        self._stamp_s = 0.0
-        self._step = np.zeros(3)
+        self._stamp_s = self._wheels_s = 0.0
+        self._silent_s = 0.0
+        self._step, self._step_s = np.zeros(3), 0.0
+        self._turns = Turns()
 
     def add_wheels(self, reading: WheelOdometry) -> None:
         """Take a wheel reading."""
         if self._wheels is not None:
             self._wheels.add(reading)
+            self._silent_s = max(self._silent_s, abs(reading.stamp_s - self._wheels_s))
+            self._wheels_s = reading.stamp_s
 
     def expected_step(self, stamp_s: float) -> Measured:
         """Motion from the last scan to one at a stamp, before it is matched.
 
         By the wheels; as before, where they say nothing.
         """
-        step, step_s = self._step, stamp_s - self._stamp_s
+        step_s = stamp_s - self._stamp_s
         if self._wheels is not None and self._last is not None:
             moved = self._tracker.wheel_motion(self._last.wheels, self._wheels.moment(stamp_s), step_s)
             if moved is not None:
                 return Measured(pose2_from_row(moved.pose), moved.covariance)
+        return self._repeated(step_s)
+
+    def _repeated(self, step_s: float) -> Measured:
+        """The last motion once more, for another time: what was expected of a short one says less of it."""
+        longer = step_s / self._step_s if step_s > 0.0 and self._step_s > 0.0 else 1.0
+        step = self._step * min(longer, GREATEST_STRETCH)
         config = self._config.prediction
         sigma_m = config.velocity_floor_m + config.velocity_share * math.hypot(step[0], step[1])
         sigma_rad = config.velocity_floor_rad + config.velocity_share * abs(float(step[2]))
-        return Measured(pose2_from_row(step), np.diag([sigma_m**2, sigma_m**2, sigma_rad**2]))
+        covariance = max(longer, 1.0) ** 2 * np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])
+        return Measured(pose2_from_row(step), covariance)
 
     def add(self, view: ScanView) -> OdometryStep:
         """Take a scan."""
         expected = self.expected_step(view.stamp_s)
         tracked = self._tracker.track(view.points, view.stamp_s)
-        last, elapsed_s = self._last, view.stamp_s - self._stamp_s
-        self._stamp_s = view.stamp_s
+        last, begun_s = self._last, self._stamp_s
+        elapsed_s, self._stamp_s = view.stamp_s - begun_s, view.stamp_s
         if last is not None and self._is_cut(last, tracked, elapsed_s):
             self._tracker, self._keyframe, self._unmatched = self._new_tracker(), None, 0
             tracked, last = self._tracker.track(view.points, view.stamp_s), None
         self._last = tracked
-        moved = None if last is None else self._fused(between(last.pose, tracked.pose), tracked, expected)
+        moved = None
+        if last is not None:
+            step = between(last.pose, tracked.pose)
+            moved = self._fused(step, tracked, expected, elapsed_s)
+            if tracked.confident:
+                self._turns.add_turn(begun_s, view.stamp_s, float(step[2]))
+                if self._wheels is not None:
+                    self._wheels.learn_clock(self._turns)
+        self._silent_s = 0.0
         self._step = np.zeros(3) if moved is None else row_from_pose2(moved.pose)
+        self._step_s = elapsed_s
         if self._moved_on(tracked):
             self._tracker.add_keyframe(view.points, tracked)
             self._keyframe = tracked
@@ -100,19 +122,34 @@ class ScanOdometry:
             self._unmatched = 0
             return False
         self._unmatched += 1
-        told = (
-            self._wheels is not None
-            and self._wheels.motion(last.wheels, tracked.wheels, elapsed_s) is not None
-        )
-        return not told or elapsed_s > _GAP_S or self._unmatched >= _LOST_READINGS
+        if self._wheels is None or last.wheels is None or tracked.wheels is None:
+            return True
+        told = self._wheels.motion(last.wheels, tracked.wheels, elapsed_s) is not None
+        silent_s = max(self._silent_s, abs(self._stamp_s - self._wheels_s))
+        # A way that the wheels left out is a guess, with the covariance of one.
+        guessed = tracked.wheels.guessed_m > last.wheels.guessed_m
+        gap = min(elapsed_s, silent_s) > _GAP_S and not guessed
+        return not told or gap or self._unmatched >= _LOST_READINGS
 
-    def _fused(self, row: FloatArray, tracked: TrackedScan, expected: Measured) -> Measured:
-        """A step (3,) by match and expectation, by their covariances: wheels tell how long a corridor is."""
-        if tracked.motion is None:
+    def _fused(self, row: FloatArray, tracked: TrackedScan, expected: Measured, elapsed_s: float) -> Measured:
+        """A step (3,) by match and expectation, by their covariances: wheels tell how long a corridor is.
+
+        Past a gap a match may have found another place that looks the same: where there are wheels, it must
+        agree with them, and they must tell the way well enough. Before one, wheels that contradict the match
+        have slipped, and the robot goes on as before where the match does not tell.
+        """
+        past_gap = self._wheels is not None and elapsed_s > _GAP_S
+        vague = position_sigma_m(expected) > self._config.localization.dead_reckoning_m
+        if tracked.motion is None or (past_gap and vague):
             return expected
         matched = Measured(pose2_from_row(row), tracked.motion.covariance + tracked.dispute)
-        if squared_mahalanobis(matched, expected) > self._config.localization.gate_sigmas**2:
-            return matched
+        gate = self._config.localization.gate_sigmas**2
+        if squared_mahalanobis(matched, expected) > gate:
+            if past_gap:
+                return expected
+            expected = self._repeated(elapsed_s)
+            if squared_mahalanobis(matched, expected) > gate:
+                return matched
         gain = matched.covariance @ np.linalg.inv(matched.covariance + expected.covariance)
         correction = pose2_from_row(gain @ between(row, row_from_pose2(expected.pose)))
         return Measured(composed(matched.pose, correction), matched.covariance - gain @ matched.covariance)

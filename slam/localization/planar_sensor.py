@@ -11,10 +11,10 @@ import numpy as np
 
 from slam.config import Config
 from slam.localization.beam_check import BeamCounts, check_beams, in_clear_space
-from slam.localization.global_search import search_map
+from slam.localization.global_search import Window, search_map
 from slam.localization.known_map import Walls
 from slam.localization.odometry import ScanOdometry
-from slam.localization.poses import between
+from slam.localization.poses import Measured, between
 from slam.localization.scan_view import ScanView, cell_keys, first_in_cells
 from slam.localization.sensor import Keyframe, Observation, moved_on
 from slam.matching.local_map import OrientedPoints
@@ -117,7 +117,9 @@ class PlanarSensor:
         row = row_from_pose2(pose)
         return check_beams(self._walls.space, self._walls.tile(row).fine, row, novel.laser, novel.points)
 
-    def propose(self, view: ScanView, keyframes: Sequence[Keyframe[NovelSurfaces]]) -> list[Pose]:
+    def propose(
+        self, view: ScanView, keyframes: Sequence[Keyframe[NovelSurfaces]], within: Measured | None
+    ) -> list[Pose]:
         """See `Sensor`.
 
         By turns for all of the last path, which is rarer, and for the newest scan, which no drift has bent.
@@ -133,7 +135,8 @@ class PlanarSensor:
             ]
         seen = np.concatenate(points)
         seen = seen[first_in_cells(seen, settings.novel_cell_m)[0]]
-        found = search_map(self._walls.field, seen, settings, settings.hypotheses)
+        window = None if within is None else Window.of(within, settings.gate_sigmas)
+        found = search_map(self._walls.field, seen, settings, settings.hypotheses, window)
         return [pose2_from_row(place.pose) for place in found]
 
     def _without_dynamic_points(self, view: ScanView, known: Pose | None) -> ScanView:

@@ -9,7 +9,7 @@ from typing import SupportsFloat, SupportsIndex, SupportsInt
 import gtsam
 import numpy as np
 
-from slam.localization.poses import SAME_M, Measured, composed
+from slam.localization.poses import SAME_M, Measured, composed, position_sigma_m
 from slam.measurements import Pose
 
 # Only the newest pose is reported, and a longer lag tells it with the same bits.
@@ -35,9 +35,7 @@ class PoseSmoother:
     @property
     def sigma_m(self) -> float:
         """Greatest standard deviation of the newest position."""
-        covariance = self.newest.covariance
-        position = covariance[:2, :2] if self._planar else covariance[3:, 3:]
-        return math.sqrt(float(np.linalg.eigvalsh(position)[-1]))
+        return position_sigma_m(self.newest)
 
     @property
     def trust(self) -> float:

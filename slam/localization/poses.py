@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import gtsam
@@ -49,16 +51,43 @@ def apart(one: Pose, other: Pose) -> tuple[float, float]:
     return float(np.linalg.norm(step.translation())), turned_rad
 
 
+def position_sigma_m(known: Measured) -> float:
+    """Greatest standard deviation of a position."""
+    planar = isinstance(known.pose, gtsam.Pose2)
+    position = known.covariance[:2, :2] if planar else known.covariance[3:, 3:]
+    return math.sqrt(float(np.linalg.eigvalsh(position)[-1]))
+
+
+def mixed(near: Pose, poses: Sequence[Measured], weights: FloatArray) -> Measured:
+    """Mean and covariance of poses near another of which one is true, with probabilities (n,)."""
+    apart_ = np.array([logarithm(between(near, one.pose)) for one in poses])
+    mean = weights @ apart_
+    scatter = (weights[:, None] * (apart_ - mean)).T @ (apart_ - mean)
+    covariance = scatter + np.tensordot(weights, [one.covariance for one in poses], 1)
+    planar = isinstance(near, gtsam.Pose2)
+    step = gtsam.Pose2.Expmap(mean) if planar else gtsam.Pose3.Expmap(mean)
+    return Measured(composed(near, step), covariance)
+
+
+def logarithm(step: Pose) -> FloatArray:
+    """(d,) tangent of a motion."""
+    return gtsam.Pose2.Logmap(step) if isinstance(step, gtsam.Pose2) else gtsam.Pose3.Logmap(step)
+
+
 def same_place(one: Pose, other: Pose) -> bool:
     """Whether two poses are one place."""
     apart_m, turned_rad = apart(one, other)
     return apart_m < SAME_M and turned_rad < SAME_RAD
 
 
+def as_place(pose: Pose) -> Measured:
+    """A pose known no better than which place it is: that by three sigmas."""
+    return Measured(pose, diagonal(pose, SAME_M / 3.0, SAME_RAD / 3.0))
+
+
 def squared_mahalanobis(expected: Measured, found: Measured) -> float:
     """Squared Mahalanobis distance of a measured pose from an expected one, by the covariances of both."""
-    step = between(expected.pose, found.pose)
-    offset = gtsam.Pose2.Logmap(step) if isinstance(step, gtsam.Pose2) else gtsam.Pose3.Logmap(step)
+    offset = logarithm(between(expected.pose, found.pose))
     return float(offset @ np.linalg.solve(expected.covariance + found.covariance, offset))
 
 

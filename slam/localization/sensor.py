@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
 from slam.config.localization import LocalizationConfig
-from slam.localization.poses import Measured, apart
+from slam.localization.poses import Measured, apart, between, composed
 from slam.measurements import MotionEstimate, Pose
 
 V = TypeVar("V")
@@ -60,10 +60,13 @@ class Keyframe(Generic[N]):
 
 def moved_on(before: Pose | None, pose: Pose, config: LocalizationConfig) -> bool:
     """Whether ``T_odom_base`` is far enough from an earlier one to see anew."""
-    if before is None:
-        return True
-    apart_m, turned_rad = apart(before, pose)
-    return apart_m >= config.keyframe_m or turned_rad >= config.keyframe_rad
+    return before is None or anew(between(before, pose), config) >= 1.0
+
+
+def anew(step: Pose, config: LocalizationConfig) -> float:
+    """Share of what is seen after a motion that was not before it: all, after that between two keyframes."""
+    apart_m, turned_rad = apart(composed(step, step.inverse()), step)
+    return min(max(apart_m / config.keyframe_m, turned_rad / config.keyframe_rad), 1.0)
 
 
 class Sensor(Protocol[V, N]):
@@ -115,6 +118,12 @@ class Sensor(Protocol[V, N]):
         """
         ...
 
-    def propose(self, view: V, keyframes: Sequence[Keyframe[N]]) -> Sequence[Pose]:
-        """``T_map_base`` of every place where the newest keyframe may be."""
+    def propose(self, view: V, keyframes: Sequence[Keyframe[N]], within: Measured | None) -> Sequence[Pose]:
+        """``T_map_base`` of every place where the newest keyframe may be.
+
+        Parameters
+        ----------
+        within
+            Where dead reckoning leaves it, places elsewhere being of no use; None where it may be anywhere.
+        """
         ...

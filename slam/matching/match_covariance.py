@@ -14,7 +14,7 @@ from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
 # In points: no direction is infinitely uncertain.
 LEAST_EIGENVALUE = 0.01
 # Sigma of a direction that is not determined: no information, and a covariance still.
-_OPEN_M = 30.0
+OPEN_M = 30.0
 
 
 def motion_from_alignment(alignment: Alignment, noise: MatchConfig) -> MotionEstimate:
@@ -35,7 +35,7 @@ def motion_from_alignment(alignment: Alignment, noise: MatchConfig) -> MotionEst
     covariance = 2.0 * doubt * scale**2 * _correlated_inverse(alignment)
     covariance += np.diag([noise.floor_m**2, noise.floor_m**2, noise.floor_rad**2])
     if weak is not None:
-        covariance += _OPEN_M**2 * np.outer(weak, weak)
+        covariance += OPEN_M**2 * np.outer(weak, weak)
     return MotionEstimate(
         T_reference_base=pose2_from_row(alignment.pose),
         covariance=covariance,

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from flat_worlds import points_at, room
 
-from slam.localization.global_search import search_everywhere
+from slam.localization.global_search import Window, search_everywhere
+from slam.localization.poses import Measured
 from slam.localization.whole_map_field import WholeMapField, build_whole_map_field
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.matching.planar import between, compose, transform_points
@@ -88,6 +89,28 @@ def test_each_place_has_the_score_of_its_pose(seed: int) -> None:
         column, row = np.floor((place.pose[:2] - [field.origin_x, field.origin_y]) / CELL_M).astype(int)
         turn = round(place.pose[2] / yaw_rad) % len(scores)
         assert place.score == pytest.approx(scores[turn, row, column] / (255.0 * len(points)))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_in_a_window_the_best_is_that_of_brute_force_there(seed: int) -> None:
+    field, points = small_world(seed)
+    scores = scores_of(field, points)
+    known = Measured(gtsam.Pose2(0.4, -0.6, 2.0), np.diag([0.02, 0.08, 0.05]) ** 2)
+    window = Window.of(known, 4.0)
+    assert window.highest[0] - window.lowest[0] > window.highest[1] - window.lowest[1], "it looks along y"
+    columns, rows = (
+        np.floor((np.array([window.lowest[a], window.highest[a]]) - origin) / CELL_M).astype(int)
+        for a, origin in enumerate((field.origin_x, field.origin_y))
+    )
+    yaws = np.arange(len(scores)) * (2.0 * math.pi / len(scores))
+    near = np.abs((yaws - 2.0 + np.pi) % (2.0 * np.pi) - np.pi) <= window.half_yaw
+    best = scores[near][:, rows[0] : rows[1] + 1, columns[0] : columns[1] + 1].max()
+    found = search_everywhere(field, points, 0.1, 0.9, 50, window=window)
+    assert found[0].score == pytest.approx(best / (255.0 * len(points)))
+    for place in found:
+        away = np.abs(place.pose[:2] - [0.4, -0.6])
+        assert (away <= 0.5 * (window.highest - window.lowest) + CELL_M).all()
+        assert abs(place.pose[2] - 2.0) <= window.half_yaw
 
 
 def test_threads_change_nothing() -> None:

@@ -17,16 +17,19 @@ STEP = Measured(gtsam.Pose2(0.2, 0.0, 0.0), np.diag([0.05, 0.01, 0.01]) ** 2)
 
 
 class Corridor:
-    """Every alignment stays at its guess along x, and knows y and yaw."""
+    """Every alignment but the first stays at its guess along x, and knows y and yaw."""
 
     search_every_m, weighs_back, least_keyframes = 1.0, 100, 1
 
     def __init__(self) -> None:
         self.pose = gtsam.Pose2()
+        self.nats = 9.0
+        self.gap_sigma_m = 0.0
 
     def observe(self, measurement: float, known: Pose | None) -> Observation[int]:
         self.pose = self.pose.compose(STEP.pose)
-        return Observation(measurement, 1, self.pose, STEP, restarted=False)
+        moved = Measured(STEP.pose, STEP.covariance + np.diag([self.gap_sigma_m**2, 0.0, 0.0]))
+        return Observation(measurement, 1, self.pose, moved, restarted=False)
 
     def sees_anew(self, view: int, before: Pose | None, pose: Pose) -> bool:
         return True
@@ -35,14 +38,18 @@ class Corridor:
         return None
 
     def align(self, view: int, guess: Pose) -> MotionEstimate:
-        covariance = np.diag([0.5, 0.01, 0.002]) ** 2
-        return MotionEstimate(guess, covariance, 1.0, 1.0, 0.01, True, True, np.array([1.0, 0.0, 0.0]))
+        begins = guess.x() < 0.3
+        covariance = np.diag([0.1 if begins else 0.5, 0.01, 0.002]) ** 2
+        weak = np.array([0.0 if begins else 1.0, 0.0, 0.0])
+        return MotionEstimate(guess, covariance, 1.0, 1.0, 0.01, True, not begins, weak)
 
     def weigh(self, pose: Pose, novel: None, motion: MotionEstimate | None) -> float:
-        return 9.0
+        return self.nats
 
-    def propose(self, view: int, keyframes: Sequence[Keyframe[None]]) -> list[Pose]:
-        return [self.pose]
+    def propose(self, view: int, keyframes: Sequence[Keyframe[None]], within: Measured | None) -> list[Pose]:
+        """The one place at first, and then all along the corridor."""
+        aside_m = [0.0] if within is None else np.arange(-1.55, 1.6, 0.31).tolist()
+        return [self.pose.compose(gtsam.Pose2(x_m, 0.0, 0.0)) for x_m in aside_m]
 
 
 def outputs(count: int) -> list[LocalizerOutput]:
@@ -61,4 +68,31 @@ def test_along_a_corridor_the_sigma_grows_as_that_of_the_wheels() -> None:
 
 
 def test_in_the_end_the_position_is_not_known() -> None:
-    assert State.LOST in {output.state for output in outputs(130)}
+    *_, ended = outputs(300)
+    assert ended.state is State.LOST and ended.covariance is not None
+    assert np.sqrt(ended.covariance[0, 0]) > 0.5
+
+
+def test_a_contradicted_pose_is_reported_as_nothing_known() -> None:
+    sensor = Corridor()
+    machine = StateMachine(sensor, LocalizationConfig())
+    for n in range(10):
+        machine.add(0.5 * n)
+    sensor.nats = -9.0
+    for n in range(10, 30):
+        output = machine.add(0.5 * n)
+        assert output is not None and output.covariance is not None
+        assert output.state is State.LOST and np.sqrt(output.covariance[0, 0]) > 10.0
+
+
+def test_past_a_gap_it_is_lost_and_known_within_the_gap() -> None:
+    """No alignment along the corridor is believed there; and dead reckoning goes on."""
+    sensor = Corridor()
+    machine = StateMachine(sensor, LocalizationConfig())
+    for n in range(10):
+        machine.add(0.5 * n)
+    sensor.gap_sigma_m = 2.0
+    output = machine.add(20.0)
+    assert output is not None and output.pose is not None and output.covariance is not None
+    assert output.state is State.LOST and 2.0 < np.sqrt(output.covariance[0, 0]) < 3.0
+    assert output.pose.x() == pytest.approx(sensor.pose.x())

@@ -1,6 +1,7 @@
 """Evidence: a surface counts once, doubt comes quickly, and a robot may be kidnapped."""
 
 import math
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -13,7 +14,7 @@ from slam.localization.hypotheses import Hypothesis, HypothesisSet, KeyframeLog
 from slam.localization.known_map import KnownMap, Walls
 from slam.localization.loss_test import LossTest
 from slam.localization.planar_sensor import NovelSurfaces, PlanarSensor
-from slam.localization.poses import same_place
+from slam.localization.poses import Measured, position_sigma_m, same_place
 from slam.localization.scan_view import ScanView, first_in_cells
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.mapper import Mapper
@@ -117,7 +118,7 @@ class Places:
     def weigh(self, pose: Pose, novel: None, motion: MotionEstimate | None) -> float:
         return self._nats.get(round(pose.x(), 2), 0.0)
 
-    def propose(self, view: int, keyframes: object) -> list[Pose]:
+    def propose(self, view: int, keyframes: object, within: Measured | None) -> list[Pose]:
         return [gtsam.Pose2(x, 0.0, 0.0) for x in self._nats]
 
 
@@ -143,12 +144,56 @@ def test_hypotheses_move_with_the_odometry_and_one_reading_is_not_all() -> None:
     sensor = Places({0.0: 50.0, 1.0: 50.0})
     hypotheses: HypothesisSet[int, None] = HypothesisSet(sensor, CONFIG)
     sensor.least_keyframes = 3
-    hypotheses.add_keyframe(0, ORIGIN, gtsam.Pose2(7.0, 0.0, 0.0))
+    hypotheses.add_keyframe(0, ORIGIN, Measured(gtsam.Pose2(7.0, 0.0, 0.0), np.eye(3)))
     assert hypotheses.winner() is None, "two places are alike"
     assert hypotheses.probabilities().sum() < 0.9, "and it may be neither"
     hypotheses.add_keyframe(0, gtsam.Pose2(1.0, 0.0, 0.0), None)
     best = hypotheses.members[0]
     assert best.pose.x() == pytest.approx(1.0) and best.evidence == [CONFIG.lost_nats / 3] * 2
+
+
+def test_dead_reckoning_holds_the_hypotheses_that_are_in_its_covariance() -> None:
+    """Places elsewhere are none, however well they look; the others are weighed by how far they are."""
+    known = Measured(ORIGIN, np.diag([0.5, 0.05, 0.05]) ** 2)
+    sensor = Places({-1.0: 6.0, 0.0: 0.0, 1.0: 6.0, 40.0: 50.0})
+    hypotheses: HypothesisSet[int, None] = HypothesisSet(sensor, CONFIG)
+    hypotheses.add_keyframe(0, ORIGIN, known, bound=True)
+    assert sorted(member.pose.x() for member in hypotheses.members) == [-1.0, 0.0, 1.0]
+    assert hypotheses.winner() is None, "two places are alike"
+    together = hypotheses.together()
+    assert together is not None and together.pose.x() == pytest.approx(0.0, abs=0.01)
+    assert together.covariance[0, 0] == pytest.approx(1.0 + 1.0, rel=0.02)  # between them, and of each
+    free: HypothesisSet[int, None] = HypothesisSet(sensor, CONFIG)
+    free.add_keyframe(0, ORIGIN, known)
+    best = free.winner()
+    assert best is not None and best.pose.x() == 40.0 and free.together() is None
+
+
+def test_together_they_are_as_wide_as_each_is_and_tell_nothing_where_room_is_short() -> None:
+    known = Measured(ORIGIN, np.diag([0.4, 0.05, 0.05]) ** 2)
+    hypotheses: HypothesisSet[int, None] = HypothesisSet(Places({0.0: 9.0}), CONFIG)
+    hypotheses.add_keyframe(0, ORIGIN, known, bound=True)
+    (member,) = hypotheses.members
+    assert member.motion is not None
+    for degenerate, sigma_m in ((False, 1.0), (True, 0.1)):
+        member.motion = replace(member.motion, degenerate=degenerate)
+        together = hypotheses.together()
+        assert together is not None and position_sigma_m(together) == pytest.approx(sigma_m)
+    crowded: HypothesisSet[int, None] = HypothesisSet(Places({0.0: 9.0}), LocalizationConfig(hypotheses=1))
+    crowded.add_keyframe(0, ORIGIN, known, bound=True)
+    assert crowded.together() is None
+
+
+def test_what_is_seen_twice_from_one_place_is_one_witness() -> None:
+    """A quarter of a keyframe's way between readings that speak a little against the pose."""
+    counts = []
+    for anew in (1.0, 0.25):
+        test, readings = LossTest(CONFIG), 0
+        while not test.lost:
+            readings += 1
+            test.add(float(readings), -1.0, anew)
+        counts.append(readings)
+    assert counts == [CONFIG.lost_nats, 4 * CONFIG.lost_nats]
 
 
 def test_a_contradicted_pose_is_lost_and_a_passer_by_is_not_enough() -> None:
