@@ -14,8 +14,8 @@ from slam.matching.planar import between
 from slam.measurements import FloatArray, PointCloud, Pose, WheelOdometry, pose2_from_row, row_from_pose2
 from slam.odometry.clock_learner import Turns
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
+from slam.odometry.cloud_velocity import GREATEST_STRETCH
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
-from slam.odometry.rgbd_tracker import GREATEST_STRETCH
 from slam.odometry.surfel_odometry import SurfelOdometry
 from slam.odometry.wheel_tracker import WheelTracker
 
