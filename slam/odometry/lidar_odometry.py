@@ -28,7 +28,7 @@ class LidarOdometry(Protocol):
         """The best pose of the scan that stays close to ``pose`` (3,), however badly it fits."""
         ...
 
-    def evidence(self, points: ScanPoints, pose: FloatArray, other: FloatArray) -> FloatArray:
+    def evidence(self, points: ScanPoints, pose: FloatArray, other: Motion) -> FloatArray:
         """What every object in a scan says for a pose (3,) against another one, in points; (K,)."""
         ...
 
