@@ -52,7 +52,7 @@ class KissOdometry:
         if len(points):
             self._map.update(_lifted(points.points_base), _matrix(pose))
         self._keyframes.append(OrientedPoints.from_scan(points).moved(pose))
-        self._images.append(RangeImage.of(points.points_base, pose))
+        self._images.append(RangeImage.of(points.points_base, pose, points.points_base))
         self._local_map = LocalMap.build(list(self._keyframes), self._match)
 
     def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:

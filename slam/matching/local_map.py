@@ -142,7 +142,7 @@ class LocalMap:
         margins_m = 1.5 * self.config.cell_m + np.sqrt(variance)
         passed = seen_through(transform_points(scan.points, at.pose), images, margins_m)
         here = transform_points(self.points.points, between(at.pose, np.zeros(3)))
-        passed |= RangeImage.of(here, at.pose).less_far(scan.points, margins_m, -1)
+        passed |= RangeImage.of(here, at.pose, scan.points).less_far(scan.points, margins_m, -1)
         return np.where((weights == 0.0) & ~passed, unknown, weights)
 
     def _align(self, scan: OrientedPoints, guess: FloatArray, prior: FloatArray) -> Alignment:

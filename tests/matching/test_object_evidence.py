@@ -19,7 +19,7 @@ class Told:
     def __init__(self, before: FloatArray, at: FloatArray = HOME) -> None:
         scan = points_at(before, at)
         self.local_map = LocalMap.build([OrientedPoints.from_scan(scan).moved(at)], MatchConfig())
-        self.images = [RangeImage.of(scan.points_base, at)]
+        self.images = [RangeImage.of(scan.points_base, at, scan.points_base)]
 
     def evidence(
         self, scan: OrientedPoints, pose: FloatArray, other: FloatArray, sigma: float = 0.0
