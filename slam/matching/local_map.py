@@ -139,7 +139,7 @@ class LocalMap:
             np.einsum("im,ij,jm->m", axis, at.covariance, axis)
             for axis in (np.stack([one, none, -y]), np.stack([none, one, x]))
         )
-        margins_m = 1.5 * self.config.cell_m + np.sqrt(variance)
+        margins_m = 0.5 * self.config.coarse_cell_m + np.sqrt(variance)
         passed = seen_through(transform_points(scan.points, at.pose), images, margins_m)
         here = transform_points(self.points.points, between(at.pose, np.zeros(3)))
         passed |= RangeImage.of(here, at.pose, scan.points).less_far(scan.points, margins_m, -1)

@@ -29,7 +29,7 @@ class CachedOdometry:
         )
 
     def evidence(self, points: ScanPoints, pose: FloatArray, other: Motion) -> FloatArray:
-        """What every object in a scan says for a pose (3,) against another one, in points; (K,)."""
+        """What every object in a scan says for a pose (3,) against another one, in points; (2, K)."""
         return self._result_cache.cached(
             "evidence", float(pose[0]), lambda: self._odometry.evidence(points, pose, other)
         )

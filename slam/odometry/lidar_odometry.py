@@ -29,7 +29,10 @@ class LidarOdometry(Protocol):
         ...
 
     def evidence(self, points: ScanPoints, pose: FloatArray, other: Motion) -> FloatArray:
-        """What every object in a scan says for a pose (3,) against another one, in points; (K,)."""
+        """What every object in a scan says for a pose (3,) against another one, in points; (2, K).
+
+        By ground that is known at both poses; and where it fits, while nothing is known of the other's.
+        """
         ...
 
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:

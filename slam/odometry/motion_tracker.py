@@ -30,10 +30,9 @@ from slam.odometry.wheel_tracker import WheelMoment, WheelTracker, thrown_aside
 _GREATEST_SURPRISE = 10.0
 # What scan and camera differ by though both are right: x, y, yaw.
 _CAMERA_FLOOR = np.diag([0.01, 0.01, 0.008]) ** 2
-# An object of a scan is one witness: however many beams it catches, it says no more than this (nats).
-_MOST_AN_OBJECT = 5.0
-# What fits, while the map knows nothing of the other pose's ground, may do so by chance: rooms are alike.
-_MOST_BY_CHANCE = 1.0
+# An object of a scan is one witness: however many beams it catches, it says no more than this (nats). Where it
+# fits, while the map knows nothing of the other pose's ground, it may do so by chance: rooms are alike.
+_MOST_AN_OBJECT = np.array([[5.0], [1.0]])
 # Wheels that did well of late are taken to be more certain of the way, but not of the turn, than they claim:
 # a slip of time turns a robot that moves straight on. By no more than this share of the variance.
 _LEAST_SHARE = 0.02
@@ -315,8 +314,7 @@ class MotionTracker:
         residual_m = max(motion.residual_m, self._noise.minimal_residual_m)
         scale = 0.5 * (0.5 * self._noise.cell_m / residual_m) ** 2
         objects = scale * self._odometry.evidence(points, row_from_pose2(motion.T_reference_base), rival)
-        most = np.array([[_MOST_AN_OBJECT], [_MOST_BY_CHANCE]])
-        return float(np.clip(objects, -most, most).sum())
+        return float(np.clip(objects, -_MOST_AN_OBJECT, _MOST_AN_OBJECT).sum())
 
     def _fused(self, motion: MotionEstimate) -> FloatArray:
         """Match and most certain camera, each by its covariance: a corridor is as long as it looks."""

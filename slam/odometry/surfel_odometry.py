@@ -68,10 +68,10 @@ class SurfelOdometry:
         return motion_from_alignment(local_map.align_held(scan, pose), self._match)
 
     def evidence(self, points: ScanPoints, pose: FloatArray, other: Motion) -> FloatArray:
-        """What every object in a scan says for a pose (3,) against another one, in points; (K,)."""
+        """What every object in a scan says for a pose (3,) against another one, in points; (2, K)."""
         local_map = self._known()
         if local_map is None:
-            return np.zeros(0)
+            return np.zeros((2, 0))
         return local_map.evidence(OrientedPoints.from_scan(points), pose, other, self._images)
 
     def _known(self) -> LocalMap | None:

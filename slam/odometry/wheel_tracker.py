@@ -192,6 +192,6 @@ def thrown_aside(motion: Motion) -> FloatArray:
     ahead = between(motion.pose, np.zeros(3))[:2]
     lever = np.array([ahead[1], -ahead[0]])
     covariance = np.zeros((3, 3))
-    covariance[:2, :2] = np.outer(lever, lever) / 3.0
+    covariance[:2, :2] = np.outer(lever, lever) / 3
     covariance[:2, 2] = covariance[2, :2] = 0.5 * lever
     return covariance * motion.covariance[2, 2]

@@ -66,3 +66,50 @@ def test_it_turns_with_the_order() -> None:
 
 def test_no_points_say_nothing() -> None:
     assert Told(room()).evidence(OrientedPoints.none(), HOME, HOME).size == 0
+
+
+def hall(begin_m: float, end_m: float) -> FloatArray:
+    """Walls 2 m apart, and a pillar every 4 m: a stretch looks like the next."""
+    walls = [np.array([[begin_m, y, end_m, y]]) for y in (-1.0, 1.0)]
+    return np.concatenate([*walls, *(box(x, 0.7, x + 0.4, 1.0) for x in np.arange(begin_m, end_m, 4.0))])
+
+
+class TestGroundThatNobodySaw:
+    """The robot looks ahead along a hall, and the next scan is taken 6 m beyond the end of what was seen."""
+
+    HERE, BEYOND = np.array([1.0, 0.0, 0.0]), np.array([19.0, 0.0, 0.0])
+    LOOK_ALIKE = np.array([3.0, 0.0, 0.0])
+
+    def told(self, at: FloatArray = HERE) -> Told:
+        return Told(np.concatenate([hall(0.0, 12.0), [[12.0, -1.0, 12.0, 1.0]]]), at)
+
+    def scan(self, segments: FloatArray, pose: FloatArray) -> OrientedPoints:
+        return OrientedPoints.from_scan(points_at(segments, pose, fov_rad=np.pi, beams=181))
+
+    def test_a_look_alike_gains_no_certainty_from_it(self) -> None:
+        known, by_chance = self.told().evidence(
+            self.scan(hall(12.0, 24.0), self.BEYOND), self.LOOK_ALIKE, self.BEYOND
+        )
+        assert by_chance.sum() > 5.0, "much fits there"
+        assert known.sum() < 0.1 * by_chance.sum()
+
+    def test_what_scans_have_looked_through_contradicts(self) -> None:
+        """A post stands where nothing stood at the look-alike."""
+        post = box(20.9, -0.1, 21.1, 0.1)
+        scan = self.scan(np.concatenate([hall(12.0, 24.0), post]), self.BEYOND)
+        known, _ = self.told().evidence(scan, self.LOOK_ALIKE, self.BEYOND)
+        assert known.min() < -1.0
+
+    def test_what_a_beam_would_have_crossed_contradicts(self) -> None:
+        """Held at a pose before the end wall, the scan looks far through it."""
+        before = np.array([10.0, 0.0, 0.0])
+        scan = self.scan(hall(12.0, 24.0), self.BEYOND)
+        known, _ = self.told(np.array([9.0, 0.0, 0.0])).evidence(scan, before, self.BEYOND)
+        assert known.sum() < -1.0
+
+    def test_who_is_not_sure_where_he_is_is_not_contradicted(self) -> None:
+        """Turned wrongly by 20 degrees, the rival's points stand in the hall, unless it may be so wrong."""
+        scan, turned = self.scan(hall(0.0, 12.0), self.HERE), compose(self.HERE, np.array([0.0, 0.0, 0.35]))
+        sure, unsure = (self.told().evidence(scan, self.HERE, turned, sigma)[0].sum() for sigma in (0.0, 1.0))
+        assert sure > 5.0
+        assert unsure < 0.3 * sure
