@@ -30,8 +30,8 @@ from slam.odometry.wheel_tracker import WheelMoment, WheelTracker, thrown_aside
 _GREATEST_SURPRISE = 10.0
 # What scan and camera differ by though both are right: x, y, yaw.
 _CAMERA_FLOOR = np.diag([0.01, 0.01, 0.008]) ** 2
-# An object of a scan is one witness: however many beams it catches, it says no more than this (nats). Where it
-# fits, while the map knows nothing of the other pose's ground, it may do so by chance: rooms are alike.
+# An object of a scan is one witness: however many beams it catches, it says no more than this (nats). Where
+# it fits while the map knows nothing of the other pose's ground, it may do so by chance: rooms are alike.
 _MOST_AN_OBJECT = np.array([[5.0], [1.0]])
 # Wheels that did well of late are taken to be more certain of the way, but not of the turn, than they claim:
 # a slip of time turns a robot that moves straight on. By no more than this share of the variance.
