@@ -17,6 +17,7 @@ from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.match_covariance import motion_from_alignment
 from slam.matching.motion import Motion
 from slam.matching.scan_points import ScanPoints
+from slam.matching.visibility import RangeImage
 from slam.measurements import AnyFloatArray, FloatArray, MotionEstimate
 
 # Of the voxel map: side of a voxel, what is forgotten, and points a voxel; of the pairs: how far apart, and
@@ -43,6 +44,7 @@ class KissOdometry:
             max_num_iterations=_ITERATIONS, convergence_criterion=_CONVERGED, max_num_threads=1
         )
         self._keyframes: deque[OrientedPoints] = deque(maxlen=config.match.local_map_keyframes)
+        self._images: deque[RangeImage] = deque(maxlen=config.match.local_map_keyframes)
         self._local_map: LocalMap | None = None
 
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:
@@ -50,6 +52,7 @@ class KissOdometry:
         if len(points):
             self._map.update(_lifted(points.points_base), _matrix(pose))
         self._keyframes.append(OrientedPoints.from_scan(points).moved(pose))
+        self._images.append(RangeImage.of(points.points_base, pose, points.points_base))
         self._local_map = LocalMap.build(list(self._keyframes), self._match)
 
     def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
@@ -76,12 +79,12 @@ class KissOdometry:
             return None
         return motion_from_alignment(self._local_map.judge(scan, pose), self._match)
 
-    def evidence(self, points: ScanPoints, pose: FloatArray, other: FloatArray) -> FloatArray:
-        """What every object in a scan says for a pose (3,) against another one, in points; (K,)."""
+    def evidence(self, points: ScanPoints, pose: FloatArray, other: Motion) -> FloatArray:
+        """What every object in a scan says for a pose (3,) against another one, in points; (2, K)."""
         local_map = self._local_map
         if local_map is None:
-            return np.zeros(0)
-        return local_map.evidence(OrientedPoints.from_scan(points), pose, other)
+            return np.zeros((2, 0))
+        return local_map.evidence(OrientedPoints.from_scan(points), pose, other, self._images)
 
     def _register(self, points: ScanPoints, guess: FloatArray) -> FloatArray:
         """KISS-ICP from a guess (3,): pose (3,) of the scan in the odometry frame."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,12 +10,14 @@ import numpy as np
 from fusion.estimation import TINY
 from slam.config.stages import MatchConfig
 from slam.matching.match_covariance import points_a_witness, weak_direction
+from slam.matching.motion import Motion
 from slam.matching.object_evidence import object_evidence
-from slam.matching.planar import transform_into
-from slam.matching.point_to_line import Alignment, align
+from slam.matching.planar import between, transform_into, transform_points
+from slam.matching.point_to_line import Alignment, align, terms_at
 from slam.matching.scan_points import ScanPoints
 from slam.matching.score_spread import score_spread
 from slam.matching.surfel_map import SurfelMap, build_surfel_map
+from slam.matching.visibility import RangeImage, seen_through
 from slam.measurements import Float32Array, FloatArray
 
 # Enough to hold a direction that the points determine badly against their noise.
@@ -101,10 +104,46 @@ class LocalMap:
         )
         return self._with_spread(scan, judged._replace(pose=pose, converged=True))
 
-    def evidence(self, scan: OrientedPoints, pose: FloatArray, other: FloatArray) -> FloatArray:
-        """What every object of a scan (base frame) says for a pose (3,) over another, independent points."""
-        said = object_evidence(scan.points, scan.normals, pose, other, self.fine, 0.5 * self.config.cell_m)
-        return said / points_a_witness(self.judge(scan, pose))
+    def evidence(
+        self, scan: OrientedPoints, pose: FloatArray, other: Motion, images: Sequence[RangeImage]
+    ) -> FloatArray:
+        """What every object of a scan (base frame) says for a pose (3,) over another, in independent points.
+
+        Returns
+        -------
+        (2, K) where points fit, or contradict what the scans that made the map have seen; and where they fit
+        while the map knows nothing of the other pose's ground.
+        """
+        judged = self.judge(scan, pose)
+        usual = judged.fit / max(judged.inlier_share, TINY)
+        certain = Motion(pose, np.zeros((3, 3)))
+        gains = [
+            self._fits(scan, certain, images, unknown) - self._fits(scan, other, images, unknown)
+            for unknown in (usual, 0.0)
+        ]
+        known, whole = (object_evidence(scan.points, gain) for gain in gains)
+        return np.stack([known, whole - known]) / points_a_witness(judged)
+
+    def _fits(
+        self, scan: OrientedPoints, at: Motion, images: Sequence[RangeImage], unknown: float
+    ) -> FloatArray:
+        """(M,) robust weights of a scan's points; ``unknown`` where none fits and nothing contradicts.
+
+        A point contradicts the map where a scan has looked through, and where it was seen through what the
+        map has; farther from there than a surfel reaches, and than the pose's covariance may have put it.
+        """
+        weights = terms_at(scan.points, scan.normals, at.pose, self.fine, 0.5 * self.config.cell_m)[:, 3]
+        x, y = scan.points.astype(np.float64).T
+        one, none = np.ones_like(x), np.zeros_like(x)
+        variance = sum(
+            np.einsum("im,ij,jm->m", axis, at.covariance, axis)
+            for axis in (np.stack([one, none, -y]), np.stack([none, one, x]))
+        )
+        margins_m = 0.5 * self.config.coarse_cell_m + np.sqrt(variance)
+        passed = seen_through(transform_points(scan.points, at.pose), images, margins_m)
+        here = transform_points(self.points.points, between(at.pose, np.zeros(3)))
+        passed |= RangeImage.of(here, at.pose, scan.points).less_far(scan.points, margins_m, -1)
+        return np.where((weights == 0.0) & ~passed, unknown, weights)
 
     def _align(self, scan: OrientedPoints, guess: FloatArray, prior: FloatArray) -> Alignment:
         """Coarse, then fine, both tied to the same guess."""

@@ -11,8 +11,6 @@ import math
 import numpy as np
 
 from fusion.kernel import NONE, kernel
-from slam.matching.point_to_line import terms_at
-from slam.matching.surfel_map import SurfelMap
 from slam.measurements import AnyFloatArray, FloatArray
 
 # Neighbouring points further apart than this are on different objects; a wall is cut at every metre.
@@ -20,31 +18,8 @@ _GAP_M = 0.2
 _LONGEST_M = 1.0
 
 
-def object_evidence(
-    points: AnyFloatArray,
-    normals: AnyFloatArray,
-    pose: FloatArray,
-    other: FloatArray,
-    surfel_map: SurfelMap,
-    kernel_m: float,
-) -> FloatArray:
-    """What every object says for ``pose`` against ``other``.
-
-    Parameters
-    ----------
-    points, normals
-        (M, 2), base frame, in beam order.
-    pose, other
-        (3,) of the base in the map.
-    kernel_m
-        Width of the Geman-McClure kernel.
-
-    Returns
-    -------
-    (K,) sums of the points' robust weights at ``pose`` less those at ``other``, an object each.
-    """
-    preferred = terms_at(points, normals, pose, surfel_map, kernel_m)[:, 3]
-    gain = preferred - terms_at(points, normals, other, surfel_map, kernel_m)[:, 3]
+def object_evidence(points: AnyFloatArray, gain: FloatArray) -> FloatArray:
+    """Sums (K,), an object each, of what each of (M, 2) points in beam order says, (M,)."""
     objects = np.empty(points.shape[0], np.int64)
     _number_objects(points, objects)
     return np.asarray(np.bincount(objects, gain), np.float64)

@@ -28,8 +28,8 @@ class CachedOdometry:
             "held scan", float(pose[0]), lambda: self._odometry.match_near(points, pose)
         )
 
-    def evidence(self, points: ScanPoints, pose: FloatArray, other: FloatArray) -> FloatArray:
-        """What every object in a scan says for a pose (3,) against another one, in points; (K,)."""
+    def evidence(self, points: ScanPoints, pose: FloatArray, other: Motion) -> FloatArray:
+        """What every object in a scan says for a pose (3,) against another one, in points; (2, K)."""
         return self._result_cache.cached(
             "evidence", float(pose[0]), lambda: self._odometry.evidence(points, pose, other)
         )

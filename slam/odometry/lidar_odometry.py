@@ -28,8 +28,11 @@ class LidarOdometry(Protocol):
         """The best pose of the scan that stays close to ``pose`` (3,), however badly it fits."""
         ...
 
-    def evidence(self, points: ScanPoints, pose: FloatArray, other: FloatArray) -> FloatArray:
-        """What every object in a scan says for a pose (3,) against another one, in points; (K,)."""
+    def evidence(self, points: ScanPoints, pose: FloatArray, other: Motion) -> FloatArray:
+        """What every object in a scan says for a pose (3,) against another one, in points; (2, K).
+
+        By ground that is known at both poses; and where it fits, while nothing is known of the other's.
+        """
         ...
 
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:

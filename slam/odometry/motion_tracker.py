@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fusion.time_alignment import GAP_S
 from slam.config.stages import MatchConfig, PredictionConfig
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
@@ -23,14 +24,15 @@ from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate, row_from_pose2
 from slam.odometry.cloud_velocity import GREATEST_STRETCH
 from slam.odometry.lidar_odometry import LidarOdometry
-from slam.odometry.wheel_tracker import WheelMoment, WheelTracker
+from slam.odometry.wheel_tracker import WheelMoment, WheelTracker, thrown_aside
 
 # One wild step says no more about a predictor than this many times its variance.
 _GREATEST_SURPRISE = 10.0
 # What scan and camera differ by though both are right: x, y, yaw.
 _CAMERA_FLOOR = np.diag([0.01, 0.01, 0.008]) ** 2
-# An object of a scan is one witness: however many beams it catches, it says no more than this (nats).
-_MOST_AN_OBJECT = 5.0
+# An object of a scan is one witness: however many beams it catches, it says no more than this (nats). Where
+# it fits while the map knows nothing of the other pose's ground, it may do so by chance: rooms are alike.
+_MOST_AN_OBJECT = np.array([[5.0], [1.0]])
 # Wheels that did well of late are taken to be more certain of the way, but not of the turn, than they claim:
 # a slip of time turns a robot that moves straight on. By no more than this share of the variance.
 _LEAST_SHARE = 0.02
@@ -153,7 +155,8 @@ class MotionTracker:
         if self._wheels is None or step is None or begun is None or ended is None:
             return None
         claimed = self._wheels.covariance(step) + (0.0 if dispute is None else dispute)
-        return self._by_wheels.rescaled(step, claimed).widened(self._wheels.on_top(step, begun, ended))
+        motion = self._by_wheels.rescaled(step, claimed).widened(self._wheels.on_top(step, begun, ended))
+        return motion.widened(thrown_aside(motion))
 
     def track(self, points: ScanPoints | None, stamp_s: float, cameras: Sequence[Motion] = ()) -> TrackedScan:
         """Pose of the next scan; the first one is the origin of the odometry frame.
@@ -209,8 +212,8 @@ class MotionTracker:
         if step_s > 0.0 and self._velocity_step_s > 0.0:
             longer = step_s / self._velocity_step_s
         step = self._velocity_step * min(longer, GREATEST_STRETCH)
-        # What was expected of a short while says ever less of a longer one.
-        covariance = self._velocity_covariance(step) * max(longer, 1.0)
+        # Nobody knows how the robot speeds up, and by that the way goes wrong with the square of the time.
+        covariance = self._velocity_covariance(step) * max(step_s / GAP_S, 1.0) ** 4
         self._by_velocity.predict(compose(last.pose, step), covariance + last.dispute)
         guesses = [guess for predictor in predictors for guess in predictor.guesses]
         return sorted(guesses, key=lambda guess: float(np.linalg.det(guess.covariance)))
@@ -250,6 +253,7 @@ class MotionTracker:
         log_odds, held, prediction = max(rivals, key=lambda rival: rival[0])
         if log_odds < -self._config.disputed_within:
             self._recent.clear()  # the wheels have slipped: their path until now tells nothing
+            motion = self._led_by_others(points, motion, guesses)
             self._judge(motion)
             return motion, np.zeros((3, 3))
         if held is None:
@@ -276,16 +280,26 @@ class MotionTracker:
         for prediction in contesting:
             if prediction.holds(matched):
                 continue
-            pose, held = prediction.pose, None
+            rival, held = prediction, None
             if not any(prediction is camera for camera in self._by_camera.guesses):
-                held = self._odometry.match_near(points, pose)
+                held = self._odometry.match_near(points, prediction.pose)
                 if held is not None and held.inlier_share < self._noise.least_inlier_share:
                     held = None
                 if held is not None:
-                    pose = row_from_pose2(held.T_reference_base)
-            said = _log_likelihood(asked, pose) - _log_likelihood(asked, matched)
-            rivals.append((said - self._evidence(points, motion, pose), held, prediction))
+                    rival = Motion(row_from_pose2(held.T_reference_base), np.zeros((3, 3)))
+            said = _log_likelihood(asked, rival.pose) - _log_likelihood(asked, matched)
+            rivals.append((said - self._evidence(points, motion, rival), held, prediction))
         return rivals
+
+    def _led_by_others(
+        self, points: ScanPoints, motion: MotionEstimate, guesses: list[Motion]
+    ) -> MotionEstimate:
+        """The match without the guesses that it has refuted: one of them has led it along a corridor."""
+        matched = Motion(row_from_pose2(motion.T_reference_base), motion.covariance)
+        others = [guess for guess in guesses if guess.agrees(matched)]
+        if not (motion.degenerate and others) or others[0] is guesses[0]:
+            return motion
+        return self._odometry.match(points, others) or motion
 
     def _follow_the_wheels(self) -> None:
         """Take it that the last while went as the wheels say: what led the matches astray leads on."""
@@ -295,11 +309,11 @@ class MotionTracker:
                 pose = compose(begun.pose, between(begun.wheels.pose, tracked.wheels.pose))
                 self._recent[n] = stamp_s, replace(tracked, pose=pose, dispute=begun.dispute)
 
-    def _evidence(self, points: ScanPoints, motion: MotionEstimate, pose: FloatArray) -> float:
-        """Log-likelihood of a match over a pose (3,): about the difference of their Geman-McClure costs."""
+    def _evidence(self, points: ScanPoints, motion: MotionEstimate, rival: Motion) -> float:
+        """Log-likelihood of a match over another pose: about the difference of their Geman-McClure costs."""
         residual_m = max(motion.residual_m, self._noise.minimal_residual_m)
         scale = 0.5 * (0.5 * self._noise.cell_m / residual_m) ** 2
-        objects = scale * self._odometry.evidence(points, row_from_pose2(motion.T_reference_base), pose)
+        objects = scale * self._odometry.evidence(points, row_from_pose2(motion.T_reference_base), rival)
         return float(np.clip(objects, -_MOST_AN_OBJECT, _MOST_AN_OBJECT).sum())
 
     def _fused(self, motion: MotionEstimate) -> FloatArray:

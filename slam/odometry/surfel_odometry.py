@@ -14,6 +14,7 @@ from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.matching.point_to_line import Alignment
 from slam.matching.scan_points import ScanPoints
+from slam.matching.visibility import RangeImage
 from slam.measurements import FloatArray, MotionEstimate
 
 # Fewer oriented points than this determine no pose.
@@ -26,11 +27,13 @@ class SurfelOdometry:
     def __init__(self, config: Config) -> None:
         self._match = config.match
         self._keyframes: deque[OrientedPoints] = deque(maxlen=config.match.local_map_keyframes)
+        self._images: deque[RangeImage] = deque(maxlen=config.match.local_map_keyframes)
         self._local_map: LocalMap | None = None
 
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:
         """Take a scan at a pose (3,) of the odometry frame into the local map."""
         self._keyframes.append(OrientedPoints.from_scan(points).moved(pose))
+        self._images.append(RangeImage.of(points.points_base, pose, points.points_base))
         self._local_map = None
 
     def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
@@ -64,12 +67,12 @@ class SurfelOdometry:
             return None
         return motion_from_alignment(local_map.align_held(scan, pose), self._match)
 
-    def evidence(self, points: ScanPoints, pose: FloatArray, other: FloatArray) -> FloatArray:
-        """What every object in a scan says for a pose (3,) against another one, in points; (K,)."""
+    def evidence(self, points: ScanPoints, pose: FloatArray, other: Motion) -> FloatArray:
+        """What every object in a scan says for a pose (3,) against another one, in points; (2, K)."""
         local_map = self._known()
         if local_map is None:
-            return np.zeros(0)
-        return local_map.evidence(OrientedPoints.from_scan(points), pose, other)
+            return np.zeros((2, 0))
+        return local_map.evidence(OrientedPoints.from_scan(points), pose, other, self._images)
 
     def _known(self) -> LocalMap | None:
         """The local map, built when first asked for; None before the first keyframe."""

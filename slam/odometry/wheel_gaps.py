@@ -1,4 +1,4 @@
-"""What wheel odometry cannot mean: jumps between readings, and ways that went on while none came."""
+"""What wheel odometry cannot mean: jumps between readings, and ways that went on while it counted none."""
 
 from __future__ import annotations
 
@@ -6,20 +6,21 @@ import math
 
 import numpy as np
 
-from fusion.estimation import FEWEST, SETTLED
+from fusion.estimation import FEWEST, SETTLED, TINY
 from fusion.time_alignment import GAP_S
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, WheelOdometry, row_from_pose2
 
-# Readings this many times as far apart as they use to be are a gap.
-_GAP_PERIODS = 5.0
+# No wheel grips a floor so well that it brakes harder, m/s^2: friction of one half.
+_HARDEST_BRAKING = 4.9
 
 
 class WheelGaps:
     """Joins readings to one motion, and knows how much of it nothing has told.
 
     A jump that no robot can make is left out: the robot went on as before for this one reading. So it did
-    where readings stay away while it moves, and it has not moved by them afterwards; that way is a guess.
+    where readings stay away or repeat each other for a while after a speed from which no robot stops at once,
+    and that way is a guess.
 
     Attributes
     ----------
@@ -28,11 +29,14 @@ class WheelGaps:
     """
 
     def __init__(self) -> None:
-        self._stamp_s = math.nan
         self._told: FloatArray | None = None
-        self._pose = np.zeros(3)
+        self._pose = self._counted = np.zeros(3)
+        # Of the last reading, of the last one that moved, and until when the way is in the pose.
+        self._stamp_s = self._counted_s = self._placed_s = math.nan
         self._twist = np.zeros(3)
-        self._period_s = 0.0
+        self._period_s = self._lasted_s = 0.0
+        # Whether to count nothing from now on would be to stop harder than a robot can.
+        self._stops_dead = False
         self.guessed_m = 0.0
 
     def add(self, reading: WheelOdometry, *, possible: bool) -> FloatArray:
@@ -43,22 +47,26 @@ class WheelGaps:
         possible
             Whether a robot can have made the motion since the last reading.
         """
-        told = row_from_pose2(reading.T_odom_base)
-        if self._told is None:
-            self._pose = told
-        else:
-            step_s = reading.stamp_s - self._stamp_s
-            step = between(self._told, told)
-            if not possible:
-                step = self._twist * max(step_s, 0.0)
-            elif self._in_gap(step_s) and np.abs(step).max() < SETTLED:
-                step = self._twist * step_s
-                self.guessed_m += math.hypot(step[0], step[1])
-            self._pose = compose(self._pose, step)
-            if step_s > 0.0:
-                self._twist = step / step_s
-                self._period_s += (step_s - self._period_s) / (FEWEST if self._period_s else 1.0)
-        self._told, self._stamp_s = told, reading.stamp_s
+        step, step_s = self.step(reading)
+        stamp_s, self._stamp_s = reading.stamp_s, reading.stamp_s
+        told, self._told = self._told, row_from_pose2(reading.T_odom_base)
+        if told is None:
+            self._pose = self._counted = self._told
+            self._counted_s = self._placed_s = stamp_s
+            return self._pose
+        if step_s > 0.0:
+            self._period_s += (min(step_s, GAP_S) - self._period_s) / (FEWEST if self._period_s else 1.0)
+        still = possible and bool(np.abs(step).max() < SETTLED)
+        if not possible:
+            step = self._twist * max(step_s, 0.0)
+        elif still:
+            step = self.guess_at(stamp_s)
+            self.guessed_m += math.hypot(step[0], step[1])
+        self._pose = compose(self._pose, step)
+        if not still or step.any():
+            self._placed_s = stamp_s
+        if not still:
+            self._count(stamp_s)
         return self._pose
 
     def step(self, reading: WheelOdometry) -> tuple[FloatArray, float]:
@@ -68,11 +76,18 @@ class WheelGaps:
         return between(self._told, row_from_pose2(reading.T_odom_base)), reading.stamp_s - self._stamp_s
 
     def guess_at(self, stamp_s: float) -> FloatArray:
-        """(3,) motion since the last reading that a gap hides; zero where there is none."""
-        since_s = stamp_s - self._stamp_s
-        return self._twist * since_s if self._in_gap(since_s) else np.zeros(3)
+        """(3,) motion since the last reading that the wheels have not counted; zero where there is none."""
+        if not (self._stops_dead and stamp_s - self._counted_s > 2.0 * self._lasted_s):
+            return np.zeros(3)
+        return self._twist * max(stamp_s - self._placed_s, 0.0)
 
-    def _in_gap(self, since_s: float) -> bool:
-        """Whether the last reading is older than readings use to be, and the robot was on its way."""
-        moves = bool(np.abs(self._twist).max() > SETTLED)
-        return moves and since_s > max(GAP_S, _GAP_PERIODS * self._period_s)
+    def _count(self, stamp_s: float) -> None:
+        """Take the speed since the last reading that moved; of two close together, the stamps tell none."""
+        since_s = stamp_s - self._counted_s
+        if since_s >= max(self._period_s, TINY):
+            self._twist, self._lasted_s = between(self._counted, self._pose) / since_s, since_s
+            # Who stands still at the end of that time was twice as fast at its beginning.
+            speed_m_s = 2.0 * math.hypot(self._twist[0], self._twist[1])
+            self._stops_dead = speed_m_s > _HARDEST_BRAKING * since_s
+        if since_s >= self._period_s or since_s < 0.0:
+            self._counted, self._counted_s = self._pose, stamp_s

@@ -10,6 +10,7 @@ import numpy as np
 
 from fusion.time_alignment import GAP_S
 from slam.config.stages import WheelConfig
+from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, WheelOdometry
 from slam.odometry.clock_learner import ClockLearner, SensorClock, Turns
@@ -160,7 +161,7 @@ class WheelTracker:
         begun = readings[number] if number else next(older, None)
         if not self._ahead_s and not self._rising:
             return pose
-        if begun is None or not 0.0 < asked_s - read_s < GAP_S:
+        if begun is None or asked_s <= read_s or (not number and asked_s - read_s >= GAP_S):
             return pose
         return compose(pose, between(begun[1], ended) / (ended_s - begun[0]) * (asked_s - read_s))
 
@@ -180,3 +181,17 @@ class WheelTracker:
         sigma_m = config.floor_m + config.distance_share * path_m
         sigma_rad = config.floor_rad + config.turn_share * turn_rad + config.turn_per_m_rad * path_m
         return np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])
+
+
+def thrown_aside(motion: Motion) -> FloatArray:
+    """Covariance (3, 3) on top of a long motion's: what was turned wrongly on the way threw the rest aside.
+
+    A heading may go wrong anywhere between: then a share of the way from 0 to 1 is aside by the error, its
+    mean one half, that of its square one third.
+    """
+    ahead = between(motion.pose, np.zeros(3))[:2]
+    lever = np.array([ahead[1], -ahead[0]])
+    covariance = np.zeros((3, 3))
+    covariance[:2, :2] = np.outer(lever, lever) / 3
+    covariance[:2, 2] = covariance[2, :2] = 0.5 * lever
+    return covariance * motion.covariance[2, 2]

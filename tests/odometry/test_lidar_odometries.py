@@ -169,3 +169,15 @@ def test_old_keyframes_leave_the_surfels(method: str) -> None:
     for _ in range(2):
         odometry.add_keyframe(points_at(corridor(), np.zeros(3)), np.array([500.0, 0.0, 0.0]))
     assert odometry.match(scan, [guess_at(HOME)]) is None
+
+
+def test_along_a_corridor_the_surest_guess_leads_though_another_finds_the_walls() -> None:
+    """The first guess is turned too far to align, the second is not, and is a metre behind."""
+    odometry = make("surfel")
+    odometry.add_keyframe(points_at(corridor(), np.zeros(3)), np.zeros(3))
+    truth = np.array([0.5, 0.1, 0.05])
+    sure = Motion(np.array([0.5, 0.1, 1.2]), np.diag([0.02, 0.02, 1.0]) ** 2)
+    behind = Motion(np.array([-0.5, 0.1, 0.05]), np.diag([1.0, 1.0, 1.0]) ** 2)
+    motion = odometry.match(points_at(corridor(), truth), [sure, behind])
+    assert motion is not None and motion.degenerate
+    np.testing.assert_allclose(row_from_pose2(motion.T_reference_base), truth, atol=0.02)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -50,10 +51,11 @@ class ScriptedOdometry:
     def match_near(self, points: ScanPoints, pose: FloatArray) -> MotionEstimate | None:
         return None if self.near_fit is None else motion_at(pose, fit=self.near_fit)
 
-    def evidence(self, points: ScanPoints, pose: FloatArray, other: FloatArray) -> FloatArray:
+    def evidence(self, points: ScanPoints, pose: FloatArray, other: Motion) -> FloatArray:
         """Every object says the same; 25 points are one witness."""
         gain = self.match_fit - (self.near_fit or 0.0)
-        return np.full(self.objects, len(points) / 25.0 * gain / self.objects)
+        known = np.full(self.objects, len(points) / 25.0 * gain / self.objects)
+        return np.stack([known, np.zeros_like(known)])
 
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None: ...
 
@@ -363,3 +365,42 @@ def test_an_empty_scan_is_dead_reckoned_and_the_next_one_matched() -> None:
     assert math.isfinite(tracked[-1].pose.sum())
     assert tracked[-1].motion is not None
     np.testing.assert_allclose(row_from_pose2(tracked[-1].motion.T_reference_base), np.zeros(3), atol=1e-3)
+
+
+def test_constant_velocity_leads_no_more_after_a_while() -> None:
+    """The robot stood; half a minute later the wheels have counted 5 m."""
+    run = Run()
+    run.see_the_truth()
+    for _ in range(3):
+        run.scan(np.zeros(3), np.zeros(3))
+    run.stamp_s += 30.0
+    run.scan(np.array([5.0, 0.0, 0.0]), np.array([5.0, 0.0, 0.0]))
+    first, second = run.odometry.asked[-1]
+    assert first.pose[0] == pytest.approx(5.0)
+    assert second.covariance[0, 0] > 25.0
+
+
+def test_a_guess_that_the_match_has_refuted_leads_along_no_corridor() -> None:
+    """The wheels turn and say that the robot stands; the walls say that it does not turn."""
+    run = Run()
+    run.see_the_truth()
+    for _ in range(5):
+        run.scan()
+    run.odometry.near_fit = None
+
+    def along_the_first(guesses: list[Motion]) -> MotionEstimate:
+        pose = np.array([guesses[0].pose[0], *run.true_pose[1:]])
+        motion = motion_at(pose, degenerate=True)
+        open_ = np.diag([900.0, 0.0, 0.0])
+        return replace(motion, covariance=motion.covariance + open_)
+
+    run.odometry.answer = along_the_first
+    tracked = run.scan(wheel_step=np.array([0.0, 0.0, 0.35]))
+    np.testing.assert_allclose(tracked.pose, run.true_pose, atol=0.02)
+
+
+def test_a_long_way_by_wheels_may_be_aside_by_what_they_turned_wrongly() -> None:
+    moments = WheelMoment(np.zeros(3), 0.0), WheelMoment(np.array([10.0, 0.0, 0.0]), 0.0)
+    moved = Run().tracker.wheel_motion(*moments, 20.0)
+    assert moved is not None
+    assert moved.covariance[1, 1] > 100.0 / 3.0 * moved.covariance[2, 2] > moved.covariance[0, 0]

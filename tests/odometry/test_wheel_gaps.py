@@ -8,8 +8,9 @@ from slam.config.stages import GraphConfig, WheelConfig
 from slam.graph.pose_graph import EdgeKind
 from slam.mapper.planar_chain import edges_of
 from slam.matching.motion import Motion
+from slam.matching.planar import between, compose
 from slam.measurements import WheelOdometry
-from slam.odometry.wheel_tracker import WheelTracker
+from slam.odometry.wheel_tracker import WheelTracker, thrown_aside
 
 SPEED_M_S, PERIOD_S = 0.5, 0.1
 
@@ -45,6 +46,54 @@ def test_a_way_that_was_not_counted_is_a_guess(counted_m: float, guessed_m: floa
     np.testing.assert_allclose(ended.pose - begun.pose, [2.0, 0.0, 0.0], atol=1e-9)
     on_top = tracker.on_top(np.array([2.0, 0.0, 0.0]), begun, ended)
     assert on_top[0, 0] == pytest.approx(guessed_m**2)
+
+
+def test_readings_that_only_repeat_the_last_one_count_nothing() -> None:
+    """Scan lines carry the last reading: the robot goes on, though some come at once and all are the same."""
+    tracker = WheelTracker(WheelConfig())
+    stamp_s, x_m = driven(tracker)
+    for later_s in (0.05, 0.7, 1.4, 2.0):
+        pose = tracker.add(reading(stamp_s + later_s, x_m))
+    np.testing.assert_allclose(pose, [x_m + 2.0 * SPEED_M_S, 0.0, 0.0], atol=1e-9)
+    pose = tracker.add(reading(stamp_s + 2.0 + PERIOD_S, x_m + PERIOD_S * SPEED_M_S))
+    np.testing.assert_allclose(pose[0], x_m + (2.0 + PERIOD_S) * SPEED_M_S, atol=1e-9)
+    assert tracker._gaps.guessed_m == pytest.approx(2.0 * SPEED_M_S)
+
+
+def test_a_driver_that_speaks_only_while_it_moves_goes_nowhere_in_a_stop() -> None:
+    """It brakes at 1 m/s^2, says nothing for a minute, and drives on."""
+    tracker = WheelTracker(WheelConfig())
+    stamp_s, x_m = driven(tracker)
+    for speed_m_s in np.arange(SPEED_M_S - PERIOD_S, 0.0, -PERIOD_S):
+        stamp_s, x_m = stamp_s + PERIOD_S, x_m + (speed_m_s - 0.5 * PERIOD_S) * PERIOD_S
+        tracker.add(reading(stamp_s, x_m))
+    for later_s in (20.0, 60.0):
+        moment = tracker.moment(stamp_s + later_s)
+        assert moment is not None and moment.guessed_m == 0.0
+        assert moment.pose[0] == pytest.approx(x_m)
+    assert tracker.add(reading(stamp_s + 60.0, x_m + 0.01))[0] == pytest.approx(x_m + 0.01)
+
+
+def test_between_two_readings_the_wheels_tell_however_far_apart_they_are() -> None:
+    """A lidar that lags asks for what was, and both readings are known."""
+    tracker = WheelTracker(WheelConfig())
+    for n in range(3):
+        tracker.add(reading(n * 0.9, n * 0.45))
+    tracker._ahead_s = -0.1
+    assert tracker._read_at(1.7)[0] == pytest.approx(0.85)
+
+
+def test_a_heading_that_goes_wrong_throws_the_rest_of_the_way_aside() -> None:
+    """Once on each of many ways, anywhere."""
+    step, rng, sigma_rad = np.array([3.0, 4.0, 1.0]), np.random.default_rng(0), 0.01
+    errors = []
+    for _ in range(4000):
+        share, error_rad = rng.random(), sigma_rad * rng.standard_normal()
+        turn = np.append((1.0 - share) * step[:2], error_rad)
+        errors.append(between(step, compose(turn, np.append(share * step[:2], step[2]))))
+    known = np.diag([0.0, 0.0, sigma_rad**2])
+    expected = known + thrown_aside(Motion(step, known))
+    np.testing.assert_allclose(np.cov(np.array(errors).T), expected, atol=0.08 * expected.max())
 
 
 def test_a_robot_that_stood_still_goes_nowhere_in_a_gap() -> None:
