@@ -210,20 +210,18 @@ def edges_of(
     edges = []
     if match is not None:
         edges.append(_edge(key - 1, key, match, EdgeKind.LIDAR, trusted=not match_doubtful))
-    measured = match or wheels
-    if measured is not None and (match is None or match_doubtful):
+    if match is not None and match_doubtful:
         # It may be wrong as a loop may be: a second, loose edge holds the chain where it is refused. Not so
         # for a certain match, or a handful of false loops that agree with each other could break the chain.
-        loose = unmeasured(config, longer * config.loose_share, planar=True)
-        held = measured.widened(loose)
-        edges.append(_edge(key - 1, key, held, EdgeKind.ASSUMED, trusted=True))
+        loose = Motion(step, match.covariance + unmeasured(config, longer * config.loose_share, planar=True))
+        edges.append(_edge(key - 1, key, loose, EdgeKind.ASSUMED, trusted=True))
     if wheels is not None and match_open:
         # How far and how much it turned may be refused one without the other: a heading may jump.
         far = wheels.widened(np.diag([0.0, 0.0, math.pi**2]))
         turn = wheels.widened(np.diag([config.lost_sigma_m**2, config.lost_sigma_m**2, 0.0]))
         edges += [_edge(key - 1, key, part, EdgeKind.WHEEL, trusted=False) for part in (far, turn)]
     elif wheels is not None:
-        edges.append(_edge(key - 1, key, wheels, EdgeKind.WHEEL, trusted=False))
+        edges.append(_edge(key - 1, key, wheels, EdgeKind.WHEEL, trusted=match is None))
     edges += [_camera_edge(key - 1, key, camera) for camera in cameras]
     if wheels is None and (match is None or match_open):
         # Someone who walks before the camera takes it along: it may be overruled, and then this holds.

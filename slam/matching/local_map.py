@@ -18,7 +18,7 @@ from slam.matching.scan_points import ScanPoints
 from slam.matching.score_spread import score_spread
 from slam.matching.surfel_map import SurfelMap, build_surfel_map
 from slam.matching.visibility import RangeImage, seen_through
-from slam.measurements import Float32Array, FloatArray
+from slam.measurements import AnyFloatArray, BoolArray, Float32Array, FloatArray
 
 # Enough to hold a direction that the points determine badly against their noise.
 _HELD_POINTS = 300.0
@@ -116,21 +116,26 @@ class LocalMap:
         """
         judged = self.judge(scan, pose)
         usual = judged.fit / max(judged.inlier_share, TINY)
-        certain = Motion(pose, np.zeros((3, 3)))
-        gains = [
-            self._fits(scan, certain, images, unknown) - self._fits(scan, other, images, unknown)
-            for unknown in (usual, 0.0)
-        ]
+        # Who walks leaves a trail in the map, which the scans since have looked through.
+        margins_m = np.full(len(self.points), 0.5 * self.config.coarse_cell_m)
+        gone = seen_through(self.points.points, images, margins_m)
+        standing = self.points.points[~gone]
+        weights = []
+        for at in (Motion(pose, np.zeros((3, 3))), other):
+            fits, passed = self._fits(scan, at, images, standing)
+            weights.append([np.where((fits == 0.0) & ~passed, unknown, fits) for unknown in (usual, 0.0)])
+        gains = np.array(weights[0]) - np.array(weights[1])
         known, whole = (object_evidence(scan.points, gain) for gain in gains)
         return np.stack([known, whole - known]) / points_a_witness(judged)
 
     def _fits(
-        self, scan: OrientedPoints, at: Motion, images: Sequence[RangeImage], unknown: float
-    ) -> FloatArray:
-        """(M,) robust weights of a scan's points; ``unknown`` where none fits and nothing contradicts.
+        self, scan: OrientedPoints, at: Motion, images: Sequence[RangeImage], standing: AnyFloatArray
+    ) -> tuple[FloatArray, BoolArray]:
+        """(M,) robust weights of a scan's points, and whether they contradict the map.
 
-        A point contradicts the map where a scan has looked through, and where it was seen through what the
-        map has; farther from there than a surfel reaches, and than the pose's covariance may have put it.
+        A point contradicts it where a scan has looked through, and where it was seen through what is
+        ``standing`` (N, 2) in the map; farther from there than a surfel reaches, and than the covariance of
+        the pose may have put it.
         """
         weights = terms_at(scan.points, scan.normals, at.pose, self.fine, 0.5 * self.config.cell_m)[:, 3]
         x, y = scan.points.astype(np.float64).T
@@ -141,9 +146,9 @@ class LocalMap:
         )
         margins_m = 0.5 * self.config.coarse_cell_m + np.sqrt(variance)
         passed = seen_through(transform_points(scan.points, at.pose), images, margins_m)
-        here = transform_points(self.points.points, between(at.pose, np.zeros(3)))
-        passed |= RangeImage.of(here, at.pose, scan.points).less_far(scan.points, margins_m, -1)
-        return np.where((weights == 0.0) & ~passed, unknown, weights)
+        here = transform_points(standing, between(at.pose, np.zeros(3)))
+        crossed = RangeImage.of(here, at.pose, scan.points).less_far(scan.points, margins_m, -1)
+        return weights, passed | crossed
 
     def _align(self, scan: OrientedPoints, guess: FloatArray, prior: FloatArray) -> Alignment:
         """Coarse, then fine, both tied to the same guess."""

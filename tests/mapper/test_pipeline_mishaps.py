@@ -101,7 +101,7 @@ class TestMishaps:
         log = edited(short_log, tmp_path / "open.log", blind)
         result = run(log)
         assert errors_m(result, wheel_rows(log)).max() < 1e-6
-        assert {edge.kind for edge in result.graph.edges} == {EdgeKind.WHEEL, EdgeKind.ASSUMED}
+        assert {edge.kind for edge in result.graph.edges} == {EdgeKind.WHEEL}
         assert np.isnan(result.scans.inlier_shares).all()
         assert result.grid is None or not (result.grid.states() == OCCUPIED).any()
         still = run(log, "sensors.wheels=false")

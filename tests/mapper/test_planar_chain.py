@@ -47,7 +47,7 @@ class TestCamerasOnTheFloor:
             (True, True, 0, False, ["LIDAR+", "WHEEL-"]),
             (True, True, 2, False, ["LIDAR+", "WHEEL-", "RGBD-", "RGBD-"]),
             (True, False, 1, True, ["LIDAR-", "ASSUMED+", "RGBD-"]),
-            (False, True, 1, True, ["ASSUMED+", "WHEEL-", "RGBD-"]),
+            (False, True, 1, True, ["WHEEL+", "RGBD-"]),
             (False, False, 1, True, ["RGBD-", "ASSUMED+"]),
             (False, False, 0, True, ["ASSUMED+"]),
         ],
