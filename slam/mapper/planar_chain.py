@@ -223,7 +223,7 @@ def edges_of(
     elif wheels is not None:
         edges.append(_edge(key - 1, key, wheels, EdgeKind.WHEEL, trusted=match is None))
     edges += [_camera_edge(key - 1, key, camera) for camera in cameras]
-    if wheels is None and (match is None or match_open):
+    if match_open or (match is None and wheels is None):
         # Someone who walks before the camera takes it along: it may be overruled, and then this holds.
         share = config.loose_share if cameras else 1.0
         assumed = Motion(step, unmeasured(config, longer * share, planar=True))

@@ -90,6 +90,20 @@ class TestCamerasOnTheFloor:
             graph.rows()[-1], [expected.x(), expected.y(), expected.theta()], atol=0.03
         )
 
+    def test_no_corridor_is_stretched_by_more_than_a_robot_may_go(self) -> None:
+        """An open match and wheels that all say five metres; a loop says thirty, and is refused in the end."""
+        graph = KeyframeGraph(gtsam.Pose2(), CONFIG)
+        step, open_ = np.array([1.0, 0.0, 0.0]), np.diag([30.0, 0.01, 0.01]) ** 2
+        for _ in range(5):
+            edges = edges_of(
+                len(graph), step, reported(step, open_), reported(step), [], CONFIG, match_open=True
+            )
+            assert [edge.kind for edge in edges if edge.trusted] == [EdgeKind.LIDAR, EdgeKind.ASSUMED]
+            graph.add_keyframe(pose2_from_row(step), edges)
+        graph.add_edge(Edge(0, 5, gtsam.Pose2(30.0, 0.0, 0.0), CONFIDENT, EdgeKind.LOOP, trusted=False))
+        graph.optimize(0.99)
+        assert graph.rows()[-1, 0] < 6.0
+
     def test_a_step_learned_later_joins_its_ends(self) -> None:
         graph = KeyframeGraph(gtsam.Pose2(), CONFIG)
         for _ in range(3):
