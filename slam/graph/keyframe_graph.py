@@ -6,12 +6,14 @@ from collections.abc import Iterable, Sequence
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from slam.config.stages import GraphConfig
 from slam.graph.loop_closure import LoopCandidate, judged
 from slam.graph.pose_graph import BatchResult, Edge, EdgeKind, PoseGraph
 from slam.graph.relative_uncertainty import UncertaintyGraph
-from slam.measurements import IN_PLANE, FloatArray, Pose
+from slam.matching.motion import Motion
+from slam.measurements import IN_PLANE, BoolArray, FloatArray, Pose
 
 
 class KeyframeGraph:
@@ -73,17 +75,13 @@ class KeyframeGraph:
         if not any(edge.trusted and edge.source == key - 1 for edge in edges):
             covariance = unmeasured(self._config, planar=self._planar)
             edges.append(Edge(key - 1, key, step, covariance, EdgeKind.ASSUMED, trusted=True))
-        # What all of them together tell of the step, as if they were one.
-        information = np.zeros((3, 3))
         for edge in edges:
             if edge.source == key - 1:
                 self.graph.add_edge(edge)
-                information += np.linalg.inv(_in_plane(edge))
             else:
                 self.add_edge(edge)
-        self.uncertainty.add_edge(
-            key - 1, key, np.array(row_of(step)), np.linalg.inv(information).astype(np.float64)
-        )
+        covariance = together(edges)[key - 1, key].covariance
+        self.uncertainty.add_edge(key - 1, key, np.array(row_of(step)), covariance)
         return key
 
     def add_edge(self, edge: Edge) -> None:
@@ -108,6 +106,26 @@ class KeyframeGraph:
         if self._loop_waits and (len(self) - 1) % every == 0:
             self._read_poses(self.graph.update())
             self._loop_waits = False
+
+    def pieces(self, kept: BoolArray) -> NDArray[np.int64]:
+        """(n,) number of the piece of each keyframe; between two pieces nothing is better than a guess.
+
+        Parameters
+        ----------
+        kept
+            (E,) edges that the optimisation has kept.
+        """
+        # SciPy is loaded where it is used: that takes 0.1 s.
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
+        edges = (edge for edge, keep in zip(self.graph.edges, kept, strict=True) if keep)
+        most = self._config.lost_sigma_m**2
+        motions = together(edges).items()
+        held = [ends for ends, motion in motions if np.linalg.eigvalsh(motion.covariance[:2, :2])[-1] <= most]
+        sources, targets = np.array(held, np.int64).reshape(-1, 2).T
+        joined = coo_array((np.ones(len(held)), (sources, targets)), shape=(len(self), len(self)))
+        return np.asarray(connected_components(joined, directed=False)[1], np.int64)
 
     def optimize(self, inlier_probability: float) -> BatchResult:
         """Solve everything anew; a loop that disagrees with the others is marked as refused."""
@@ -136,6 +154,20 @@ class KeyframeGraph:
             else [row_of(pose) for pose in self.poses()[first:]]
         )
         self._rows[first : len(self)] = rows
+
+
+def together(edges: Iterable[Edge]) -> dict[tuple[int, int], Motion]:
+    """What all edges between the same two nodes, source and target, say as if they were one, from above."""
+    same: dict[tuple[int, int], list[Edge]] = {}
+    for edge in edges:
+        same.setdefault((edge.source, edge.target), []).append(edge)
+    motions = {}
+    for ends, ones in same.items():
+        covariance = _in_plane(ones[0])
+        if len(ones) > 1:
+            covariance = np.linalg.inv(np.linalg.inv([_in_plane(one) for one in ones]).sum(axis=0))
+        motions[ends] = Motion(np.array(row_of(ones[0].T_source_target)), covariance)
+    return motions
 
 
 def unmeasured(config: GraphConfig, share: float = 1.0, *, planar: bool) -> FloatArray:

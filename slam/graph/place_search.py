@@ -19,6 +19,7 @@ from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
 from slam.graph.claim_trial import ClaimTrial
 from slam.graph.consistent_sets import ClaimSets, Known, claimed
 from slam.graph.faulty_steps import FaultySteps
+from slam.graph.keyframe_graph import together
 from slam.graph.loop_closure import LoopCandidate, LoopCloser, position_sigmas
 from slam.graph.pose_graph import Edge, EdgeKind
 from slam.graph.relative_uncertainty import UncertaintyGraph
@@ -201,14 +202,8 @@ def graph_of(nodes: int, edges: Iterable[Edge]) -> UncertaintyGraph:
     graph = UncertaintyGraph()
     for _ in range(nodes):
         graph.add_node()
-    together: dict[tuple[int, int], list[Edge]] = {}
-    for edge in edges:
-        together.setdefault((edge.source, edge.target), []).append(edge)
-    for (source, target), same in together.items():
-        covariance = same[0].covariance
-        if len(same) > 1:
-            covariance = np.linalg.inv(np.linalg.inv([edge.covariance for edge in same]).sum(axis=0))
-        graph.add_edge(source, target, row_from_pose2(same[0].T_source_target), covariance)
+    for (source, target), motion in together(edges).items():
+        graph.add_edge(source, target, motion.pose, motion.covariance)
     return graph
 
 

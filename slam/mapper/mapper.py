@@ -6,6 +6,7 @@ import time
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam.config import Config
 from slam.errors import DatasetError, GraphError
@@ -16,6 +17,7 @@ from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.protocol import SENSORS, FrontEnd, Sensor, Tracked
 from slam.mapper.scan_record import ScanRecorder
+from slam.measurements import FloatArray
 
 
 class Mapper:
@@ -86,11 +88,12 @@ class Mapper:
         trajectory = front_end.readings.trajectory(bases)
         clock.append(time.perf_counter())
         scans = self._record.finish()
-        made = front_end.products(graph, scans)
+        made, numbers = front_end.products(graph, scans), front_end.readings.keyframe_scans()
+        since_s = scans.stamps_s[numbers] - scans.stamps_s[0]
         return MapResult(
             trajectory=trajectory,
             keyframe_poses=np.array([row_of(pose) for pose in bases]),
-            keyframe_numbers=front_end.readings.keyframe_scans(),
+            keyframe_numbers=numbers,
             measured_scans=made.measured_scans,
             keyframe_scans=made.scans,
             graph=graph.graph,
@@ -104,7 +107,7 @@ class Mapper:
                 "full trajectory": clock[2] - clock[1],
                 **made.seconds,
             },
-            warnings=made.warnings,
+            warnings=[*made.warnings, *_apart(graph.pieces(outcome.kept), since_s)],
             notes=[*made.notes, *(note for sensor in self._sensors.values() for note in sensor.notes())],
             dense=made.dense,
             fused=made.fused,
@@ -145,3 +148,26 @@ class Mapper:
                     f"a registered sensor's edge is called '{edge.kind}'; give it a name of its own"
                 )
         return edges
+
+
+def _apart(pieces: NDArray[np.int64], stamps_s: FloatArray) -> list[str]:
+    """A warning where nothing but guesses holds parts of the map together; single keyframes are no part.
+
+    Parameters
+    ----------
+    pieces
+        (n,) number of each keyframe's piece.
+    stamps_s
+        (n,) since the start.
+    """
+    counts = np.bincount(pieces)
+    (parts,) = np.nonzero(counts > 1)
+    if len(parts) < 2:
+        return []
+    begins_s = sorted(float(stamps_s[pieces == part][0]) for part in parts)
+    share = counts.max() / len(pieces)
+    return [
+        f"The map is in {len(parts)} pieces, and how they lie to each other is a guess: the first ends "
+        f"before {begins_s[1]:.0f} s, the largest has {share:.0%} of the keyframes. Wheels, more scans or "
+        "a place seen again would join them"
+    ]

@@ -213,6 +213,35 @@ class TestWhoIsRefused:
         assert worst(graph) < 0.01
 
 
+class TestPieces:
+    """What is held together by more than a guess."""
+
+    @pytest.mark.parametrize(("closed", "pieces"), [(False, 2), (True, 1)])
+    def test_a_gap_that_nothing_measured_parts_the_map_until_a_loop_joins_it(
+        self, closed: bool, pieces: int
+    ) -> None:
+        graph = empty()
+        for n in range(8):
+            lost = n == 4
+            graph.add_keyframe(
+                pose2_from_row(AHEAD),
+                edges_of(len(graph), AHEAD, None if lost else step(), None, [], GraphConfig(), 20.0),
+            )
+        if closed:
+            over = compose(compose(AHEAD, AHEAD), compose(AHEAD, AHEAD))
+            graph.add_edge(Edge(2, 6, pose2_from_row(over), CONFIDENT, EdgeKind.LOOP, trusted=False))
+        kept = graph.optimize(PROBABILITY).kept
+        found = graph.pieces(kept)
+        assert len(set(found)) == pieces
+        assert len(set(found[:5])) == len(set(found[5:])) == 1
+
+    def test_wheels_hold_what_no_scan_does(self) -> None:
+        graph = empty()
+        for n in range(6):
+            follow(graph, AHEAD, None if n == 3 else step(), step(AHEAD, ROUGH))
+        assert not graph.pieces(graph.optimize(PROBABILITY).kept).any()
+
+
 class TestBridge:
     """Keyframes 3 and 4 were guessed by wheels that drifted; a match joins 5 to 2."""
 

@@ -91,7 +91,7 @@ class TestCamerasOnTheFloor:
         )
 
     def test_no_corridor_is_stretched_by_more_than_a_robot_may_go(self) -> None:
-        """An open match and wheels that all say five metres; a loop says thirty, and is refused in the end."""
+        """Open matches and wheels say five metres in all, a false loop thirty."""
         graph = KeyframeGraph(gtsam.Pose2(), CONFIG)
         step, open_ = np.array([1.0, 0.0, 0.0]), np.diag([30.0, 0.01, 0.01]) ** 2
         for _ in range(5):
