@@ -167,7 +167,7 @@ class WheelTracker:
 
     def plausible(self, step: FloatArray, step_s: float) -> bool:
         """Whether a robot can move by ``step`` (3,) in that time."""
-        time_s = step_s if step_s > _SHORTEST_STEP_S else _UNKNOWN_STEP_S
+        time_s = max(step_s, _SHORTEST_STEP_S) if step_s > 0.0 else _UNKNOWN_STEP_S
         return bool(
             math.hypot(step[0], step[1]) <= self._config.greatest_speed_m_s * time_s + self._config.floor_m
             and abs(step[2]) <= self._config.greatest_turn_rad_s * time_s + self._config.floor_rad

@@ -164,3 +164,14 @@ def test_readings_at_about_one_time_tell_no_wild_speed(again_s: float) -> None:
     wheels.add(WheelOdometry(319.9 - 0.13 + again_s, pose2_from_row(where(319.905))))
     for stamp_s in (319.9, 319.95):
         assert np.hypot(*(pose_at(wheels, stamp_s) - now)[:2]) < 0.1
+
+
+def test_a_jump_right_after_the_reading_of_a_scan_is_left_out() -> None:
+    """A log writes the wheels' pose beside every scan too, a moment before their next reading."""
+    wheels = WheelTracker(CONFIG)
+    for n in range(20):
+        wheels.add(WheelOdometry(0.1 * n, gtsam.Pose2(0.06 * n, 0.0, 0.0)))
+    wheels.add(WheelOdometry(1.976, gtsam.Pose2(1.19, 0.0, 0.0)))
+    wheels.add(WheelOdometry(2.0, gtsam.Pose2(1.2, 0.0, 3.0)))
+    moved = wheels.add(WheelOdometry(2.1, gtsam.Pose2(1.2, 0.0, 3.0).compose(gtsam.Pose2(0.06, 0.0, 0.0))))
+    np.testing.assert_allclose(moved, [1.26, 0.0, 0.0], atol=0.01)
