@@ -397,10 +397,3 @@ def test_a_guess_that_the_match_has_refuted_leads_along_no_corridor() -> None:
     run.odometry.answer = along_the_first
     tracked = run.scan(wheel_step=np.array([0.0, 0.0, 0.35]))
     np.testing.assert_allclose(tracked.pose, run.true_pose, atol=0.02)
-
-
-def test_a_long_way_by_wheels_may_be_aside_by_what_they_turned_wrongly() -> None:
-    moments = WheelMoment(np.zeros(3), 0.0), WheelMoment(np.array([10.0, 0.0, 0.0]), 0.0)
-    moved = Run().tracker.wheel_motion(*moments, 20.0)
-    assert moved is not None
-    assert moved.covariance[1, 1] > 100.0 / 3.0 * moved.covariance[2, 2] > moved.covariance[0, 0]

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from slam.config.stages import WheelConfig
+from slam.matching.motion import Motion
 from slam.matching.planar import between
 from slam.measurements import FloatArray, WheelOdometry, pose2_from_row
 from slam.odometry.clock_learner import Turns
-from slam.odometry.wheel_tracker import WheelTracker
+from slam.odometry.wheel_tracker import WheelTracker, thrown_aside
 
 CONFIG = WheelConfig()
 
@@ -175,3 +176,10 @@ def test_a_jump_right_after_the_reading_of_a_scan_is_left_out() -> None:
     wheels.add(WheelOdometry(2.0, gtsam.Pose2(1.2, 0.0, 3.0)))
     moved = wheels.add(WheelOdometry(2.1, gtsam.Pose2(1.2, 0.0, 3.0).compose(gtsam.Pose2(0.06, 0.0, 0.0))))
     np.testing.assert_allclose(moved, [1.26, 0.0, 0.0], atol=0.01)
+
+
+def test_a_long_way_may_be_aside_by_what_was_turned_wrongly() -> None:
+    """Ten metres ahead: aside by a third of what the whole lever would give, and not ahead."""
+    aside = thrown_aside(Motion(np.array([10.0, 0.0, 0.0]), np.diag([0.01, 0.01, 0.04])))
+    np.testing.assert_allclose(np.diag(aside), [0.0, 100.0 / 3.0 * 0.04, 0.0], atol=1e-12)
+    assert abs(aside[1, 2]) == pytest.approx(0.5 * 10.0 * 0.04)
