@@ -18,10 +18,12 @@ from slam.evaluation.map_report import LIDAR_HEIGHT_GREY, ReportData
 from slam.evaluation.pages import write_page
 from slam.evaluation.report_cameras import camera_cells
 from slam.evaluation.report_figures import FREE_GREY, MapPicture
+from slam.graph.closings import closings
 from slam.graph.loop_closure import LoopCandidate
 
 # Beyond this many rows the accepted loops are folded too, so that the page stays readable.
 _MOST_OPEN_ROWS = 40
+_MOST_CLOSINGS = 10
 
 _MAP_LEGEND = "The map to drive by: black is what the robot must not hit, white is free, grey is unknown."
 _LAYER_LEGENDS = {
@@ -57,6 +59,7 @@ def write_report(path: Path, data: ReportData) -> None:
         truth_deg=0.0 if truth is None else math.degrees(truth.error.rotation_rad.rmse),
         truth_png=None if truth is None else truth_png(truth, spatial=data.spatial),
         cloud_png=_cloud(data),
+        closings=_closings(data),
         accepted=accepted,
         refused=refused,
         most_open=_MOST_OPEN_ROWS,
@@ -152,6 +155,26 @@ def _cloud(data: ReportData) -> bytes | None:
     pixel_m, positions_m = data.config.dense_map.voxel_m, data.result.trajectory.positions_m
     seen = cloud_from_above(data.beside.cloud, positions_m, pixel_m=pixel_m, level=data.spatial)
     return None if seen is None else report_figures.map_png(seen[1], np.empty((0, 4)), seen[0])
+
+
+def _closings(data: ReportData) -> list[tuple[str, ...]]:
+    """The loops that closed most, one row each."""
+    graph, loops = data.result.graph, data.config.loops
+    poses = [graph.pose(key) for key in range(len(graph))]
+    # Claims about places support each other over as much of the way.
+    found = closings(graph.edges, data.result.edges_kept, poses, 2.0 * loops.least_path_m, _MOST_CLOSINGS)
+    return [
+        (
+            f"{one.place} to {one.keyframe}",
+            str(one.loops),
+            f"{one.path_m:,.0f} m",
+            f"{one.before_m:.2f} m",
+            f"{one.after_m:.3f} m",
+            f"{one.after_sigmas:.1f}",
+            "nothing" if math.isinf(one.without_m) else f"{one.without_m:.2f} m",
+        )
+        for one in found
+    ]
 
 
 def _score_cells(loop: LoopCandidate, data: ReportData) -> tuple[str, ...]:

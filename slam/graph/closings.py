@@ -1,0 +1,129 @@
+"""What holds the shape of the whole map: what its loops had to close, what is left, what else holds it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.graph.keyframe_graph import row_of, together
+from slam.graph.loop_closure import position_sigmas
+from slam.graph.place_search import graph_of
+from slam.graph.pose_graph import Edge
+from slam.measurements import BoolArray, FloatArray, Pose
+
+
+@dataclass(frozen=True, slots=True)
+class Closing:
+    """Loops between the same two stretches of the way.
+
+    Attributes
+    ----------
+    place, keyframe
+        Ends of the first of the loops.
+    loops
+        How many there are.
+    path_m
+        Way from the place to the keyframe.
+    before_m
+        By how much the steps alone miss that loop.
+    after_m, after_sigmas
+        By how much the finished map misses the one of them that it misses most: metres, Mahalanobis distance.
+    without_m
+        Standard deviation of the keyframe seen from the place if these loops were not; infinite where nothing
+        else joins the two.
+    """
+
+    place: int
+    keyframe: int
+    loops: int
+    path_m: float
+    before_m: float
+    after_m: float
+    after_sigmas: float
+    without_m: float
+
+
+def closings(
+    edges: Sequence[Edge], kept: BoolArray, poses: Sequence[Pose], reach_m: float, most: int
+) -> list[Closing]:
+    """The loops that closed most, the greatest error of the steps first.
+
+    Parameters
+    ----------
+    edges, kept
+        Of the graph, and which of them the optimisation has kept.
+    poses
+        ``T_map_keyframe`` of all keyframes.
+    reach_m
+        Loops belong together where their places, and their keyframes, lie within so much of the way.
+    most
+        So many at most; those across a break of the steps, as between two sessions, are left out.
+    """
+    held = [edge for edge, keep in zip(edges, kept, strict=True) if keep]
+    loops = [edge for edge in held if edge.loop is not None]
+    if not loops:
+        return []
+    rows = np.array([row_of(pose) for pose in poses])
+    way_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rows[:, :2], axis=0).T))])
+    tracked, piece = _tracked(held, poses)
+    groups = []
+    for group in _groups(way_m[[(loop.source, loop.target) for loop in loops]], reach_m):
+        members = sorted((loops[n] for n in group.tolist()), key=lambda loop: (loop.target, loop.source))
+        first = members[0]
+        if piece[first.source] == piece[first.target]:
+            groups.append((_missed(first, tracked)[0], members))
+    groups.sort(key=lambda group: -group[0])
+    steps = graph_of(len(poses), (edge for edge in held if edge.loop is None))
+    found = []
+    for before_m, members in groups[:most]:
+        first, gone = members[0], {id(loop) for loop in members}
+        others = deepcopy(steps)
+        for (source, target), motion in together(loop for loop in loops if id(loop) not in gone).items():
+            others.add_edge(source, target, motion.pose, motion.covariance)
+        without = others.relative_covariances(first.target, np.array([first.source]), rows)
+        after_m, after_sigmas = max(_missed(loop, poses) for loop in members)
+        path_m = float(abs(way_m[first.target] - way_m[first.source]))
+        ends = first.source, first.target
+        without_m = float(position_sigmas(without)[0])
+        found.append(Closing(*ends, len(members), path_m, before_m, after_m, after_sigmas, without_m))
+    return found
+
+
+def _tracked(edges: Sequence[Edge], poses: Sequence[Pose]) -> tuple[list[Pose], NDArray[np.int64]]:
+    """Where the steps alone lead, and the number of the unbroken piece that each keyframe is in."""
+    steps = {edge.target: edge for edge in reversed(edges) if edge.source == edge.target - 1}
+    tracked, broken = list(poses[:1]), np.zeros(len(poses), np.int64)
+    for key in range(1, len(poses)):
+        step = steps.get(key)
+        broken[key] = step is None
+        # GTSAM has no type for a pose of the plane or of space.
+        tracked.append(poses[key] if step is None else tracked[-1].compose(step.T_source_target))  # type: ignore[arg-type]
+    return tracked, np.cumsum(broken)
+
+
+def _groups(ends_m: FloatArray, reach_m: float) -> list[NDArray[np.int64]]:
+    """The loops that belong together, by their numbers; (n, 2) are their ends along the way."""
+    # SciPy is loaded where it is used: that takes 0.1 s.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    pairs = cKDTree(ends_m).query_pairs(reach_m, p=math.inf, output_type="ndarray")
+    shape = (len(ends_m), len(ends_m))
+    joined = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=shape)
+    count, numbers = connected_components(joined, directed=False)
+    return [np.flatnonzero(numbers == number) for number in range(count)]
+
+
+def _missed(loop: Edge, poses: Sequence[Pose]) -> tuple[float, float]:
+    """How far poses are from what a loop has measured: metres, and Mahalanobis distance."""
+    found = poses[loop.source].between(poses[loop.target])  # type: ignore[arg-type]
+    off = loop.T_source_target.between(found)  # type: ignore[arg-type]
+    innovation = loop.T_source_target.localCoordinates(found)  # type: ignore[arg-type]
+    squares = float(innovation @ np.linalg.solve(loop.covariance, innovation))
+    return float(np.linalg.norm(off.translation())), math.sqrt(squares)
