@@ -1,13 +1,15 @@
 """Inject false loops among the true ones of a log, and measure what they do to the map.
 
     python tools/false_loops.py [--data ../shared/data] [--log fr079] [--count 30] [--seeds 2] [--set k=v]
+    python tools/false_loops.py --log CAMPUS/scans.log --kind mixed --count 100
 
 The false loops carry the covariances of true ones and come through the door of the true ones,
-`slam.mapper.mapper.Mapper.add_loop`. Three kinds, each harder than the one before:
+`slam.mapper.mapper.Mapper.add_loop`. Four kinds:
 
 - ``random``: two keyframes far apart, a relative pose anywhere in the building;
 - ``alike``: two keyframes far apart, said to be nearly the same place, as where two rooms look alike;
-- ``runs``: five keyframes in a row said to be one other place, and agreeing with each other.
+- ``runs``: five keyframes in a row said to be one other place, and agreeing with each other;
+- ``mixed``: twenty such keyframes in a row, the rest at random.
 
 They come at the end, just before the final optimisation, or while mapping, as soon as their keyframe is
 there, where they also bend the estimate that later loops are proposed from.
@@ -35,9 +37,9 @@ from slam.mapper.mapper import Mapper
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, LaserScan, MotionEstimate, pose2_from_row
 
-KINDS = ("random", "alike", "runs")
+KINDS = ("random", "alike", "runs", "mixed")
 MOMENTS = ("end", "mapping")
-RUN_LENGTH = 5
+RUN_LENGTH, LONG_RUN_LENGTH = 5, 20
 RUN_STRIDE = 4  # keyframes from one false loop of a run to the next: as far apart as true ones
 FAR_M = 5.0  # a claim at least so wrong is false
 ALIKE_SIGMAS = np.array([0.3, 0.3, 0.1])
@@ -45,7 +47,7 @@ ALIKE_SIGMAS = np.array([0.3, 0.3, 0.1])
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one set of false loops did; errors are means over the relations."""
+    """What one set of false loops did; errors are means over the relations, ``moved_m`` is of the worst."""
 
     kind: str
     moment: str
@@ -59,21 +61,26 @@ class Outcome:
     rotation_deg: float
     translation_growth: float
     rotation_growth: float
+    moved_m: float
 
 
 def main() -> None:
     """Map once as it is, then once for every kind, moment and seed."""
     options = parse_options()
-    log = options.data / "lidar2d" / options.log / f"{options.log}.log.gz"
-    relations = read_relations(log.with_name(f"{options.log}.relations"))
+    log = Path(options.log)
+    if not log.is_file():
+        log = options.data / "lidar2d" / options.log / f"{options.log}.log.gz"
+    relations = read_relations(next(log.parent.glob("*.relations")))
     config = load_config(None, options.set)
     before = map_log(log, config, [], None)
     score = errors(before, relations)
     accepted = sum(loop.accepted for loop in before.loops)
     print(f"{options.log}: {accepted} of {len(before.loops)} loops accepted", end=", ")
     print(f"{score[0]:.4f} m, {score[1]:.3f} deg\n")
-    print("| false loops | come | seed | refused | in the report | true loops | m | growth | deg | growth |")
-    print("|---|---|---|---|---|---|---|---|---|---|")
+    print(
+        "| false loops | come | seed | refused | reported | true loops | m | growth | deg | growth | by m |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|---|---|")
     outcomes = []
     for kind in options.kind or KINDS:
         for moment in options.moment or MOMENTS:
@@ -101,7 +108,7 @@ def parse_options() -> argparse.Namespace:
     )
     default_data = Path(__file__).parents[1] / ".." / "shared" / "data"
     parser.add_argument("--data", type=Path, default=default_data, help="folder that holds lidar2d/")
-    parser.add_argument("--log", default="fr079")
+    parser.add_argument("--log", default="fr079", help="a name, or a file with a .relations beside it")
     parser.add_argument("--count", type=int, default=30, help="false loops a run")
     parser.add_argument("--seeds", type=int, default=2, help="this many seeds, from 0")
     parser.add_argument("--kind", action="append", choices=KINDS, help="only this kind; repeatable")
@@ -130,17 +137,27 @@ def map_log(
 
 def false_loops(kind: str, count: int, true: MapResult, rng: np.random.Generator) -> list[LoopCandidate]:
     """``count`` false loops with the covariances of true ones."""
-    poses = true.keyframe_poses
+    if kind == "mixed":
+        long = min(LONG_RUN_LENGTH, count)
+        singles = false_loops("random", count - long, true, rng)
+        return singles + _false_runs("runs", long, long, true, rng)
+    return _false_runs(kind, count, RUN_LENGTH if kind == "runs" else 1, true, rng)
+
+
+def _false_runs(
+    kind: str, count: int, length: int, true: MapResult, rng: np.random.Generator
+) -> list[LoopCandidate]:
+    """The same in runs of a length; the last may be shorter."""
+    poses, span = true.keyframe_poses, max(length, RUN_LENGTH) * RUN_STRIDE
     models = [loop.motion for loop in true.loops if loop.accepted and loop.motion is not None]
     loops: list[LoopCandidate] = []
     while len(loops) < count:
-        place, keyframe = sorted(rng.integers(0, len(poses) - RUN_LENGTH * RUN_STRIDE, 2).tolist())
+        place, keyframe = sorted(rng.integers(0, len(poses) - span, 2).tolist())
         claim = claimed_pose(kind, poses, place, rng)
         wrong = between(claim, poses[keyframe])
-        if keyframe - place < RUN_LENGTH * RUN_STRIDE or np.hypot(wrong[0], wrong[1]) < FAR_M:
+        if keyframe - place < span or np.hypot(wrong[0], wrong[1]) < FAR_M:
             continue
-        length = min(RUN_LENGTH, count - len(loops)) if kind == "runs" else 1
-        for step in range(length):
+        for step in range(min(length, count - len(loops))):
             member = keyframe + step * RUN_STRIDE
             # The members of a run agree: each moves from the claim as the robot truly moved.
             pose = compose(claim, between(poses[keyframe], poses[member]))
@@ -196,6 +213,9 @@ def judge(
         rotation_deg=new_deg,
         translation_growth=new_m / old_m - 1.0,
         rotation_growth=new_deg / old_deg - 1.0,
+        moved_m=float(
+            np.linalg.norm(after.trajectory.positions_m - before.trajectory.positions_m, axis=1).max()
+        ),
     )
 
 
@@ -205,7 +225,7 @@ def row(outcome: Outcome) -> str:
         f"| {outcome.kind} | {outcome.moment} | {outcome.seed} | {outcome.refused} of {outcome.injected} "
         f"| {outcome.reported} | {outcome.true_accepted} (before {outcome.true_accepted_before}) "
         f"| {outcome.translation_m:.4f} | {outcome.translation_growth:+.1%} "
-        f"| {outcome.rotation_deg:.3f} | {outcome.rotation_growth:+.1%} |"
+        f"| {outcome.rotation_deg:.3f} | {outcome.rotation_growth:+.1%} | {outcome.moved_m:.3f} |"
     )
 
 
