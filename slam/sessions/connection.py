@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from slam.graph.loop_closure import LoopCandidate
-from slam.localization.known_map import KnownMap, Walls
+from slam.localization.known_map import Walls
 from slam.outputs.finished_map import Map
 from slam.sessions.placing import Placing, place
 from slam.sessions.session_join import JoinedMap, join
@@ -56,9 +56,7 @@ def connect(known: Map, session: Map) -> Connection:
     if shared > 0.5 * min(len(session.keyframe_scans), len(known.keyframe_scans)):
         reason = f"{shared} of its {len(session.keyframe_scans)} keyframes are in the map already"
         return Connection(Placing(), (), None, reason)
-    placing = place(
-        Walls(KnownMap.of_saved(known), config), Walls(KnownMap.of_saved(session), config), config
-    )
+    placing = place(Walls(known.contents, config), Walls(session.contents, config), config)
     if not placing.confident:
         return Connection(placing, (), None, _unplaced(placing))
     loops = find_loops(KeyframeScans.of_saved(known), KeyframeScans.of_saved(session), placing, config)
