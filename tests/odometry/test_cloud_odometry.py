@@ -282,3 +282,24 @@ def test_errors_that_planes_share_widen_the_covariance() -> None:
         spreads.append(np.trace(root.T @ found.spread @ root) / found.residual_m**2)
     assert spreads[0] < 12.0  # of independent readings it is six
     assert spreads[1] > 5.0 * spreads[0]
+
+
+def test_after_a_restart_nothing_is_expected_of_what_was_seen_before() -> None:
+    """Keyframes tell how much of the next one is known; a new place has to show that anew."""
+    fresh, restarted = CloudOdometry(CONFIG, 0.2), CloudOdometry(CONFIG, 0.2)
+    for seed, x in enumerate((-0.4, -0.2, 0.0, 0.2)):
+        restarted.add_keyframe(points_at(base(x, 0.0, 0.0), seed), base(x, 0.0, 0.0))
+    restarted.restart()
+    for odometry in (fresh, restarted):
+        odometry.add_keyframe(points_at(base(0.5, 0.0, 0.1), 7), base(0.5, 0.0, 0.1))
+    # Of a scan whose half is nonsense, the old place would say that more of it has to fit.
+    scan = points_at(base(0.6, 0.0, 0.1), 8)
+    rng = np.random.default_rng(0)
+    found = []
+    for share in np.linspace(0.1, 0.9, 9):
+        spoilt = scan + np.where(rng.random(len(scan)) < share, 1.0, 0.0)[:, None] * rng.normal(
+            0.0, 2.0, scan.shape
+        )
+        found.append([one.match(spoilt, [base(0.6, 0.0, 0.1)]) is None for one in (fresh, restarted)])
+    assert [one for one, _ in found] == [other for _, other in found]
+    assert {one for one, _ in found} == {True, False}
