@@ -28,6 +28,7 @@ COPIED = ("slam", "fusion", "tests", "tools", "configs", "pyproject.toml")
 _BELIEVED = ("tests/mapper/test_whom_to_believe*.py",)
 BESIDE = {
     "slam/odometry": _BELIEVED,
+    "slam/odometry/turn_matcher.py": ("tests/odometry/test_cloud_*.py",),
     "slam/graph": (*_BELIEVED, "tests/mapper/test_pipeline.py"),
     "slam/mapper": (*_BELIEVED, "tests/mapper/test_planar_*.py", "tests/mapper/test_pipeline*.py"),
     "slam/mapper/lidar3d.py": ("tests/mapper/test_cloud_*.py",),

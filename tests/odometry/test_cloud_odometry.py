@@ -226,13 +226,14 @@ def test_a_drive_is_tracked_and_a_gap_is_told() -> None:
     assert errors[6] < 0.1
 
 
-def test_a_robot_that_moves_while_the_lidar_turns_is_followed() -> None:
-    """Without wheels; it starts and stops turning at once, with 2 m/s and 1.5 rad/s."""
+@pytest.mark.parametrize(("turn_rad_s", "speed_m_s"), [(1.5, 2.0), (2.5, 1.0)])
+def test_a_robot_that_moves_while_the_lidar_turns_is_followed(turn_rad_s: float, speed_m_s: float) -> None:
+    """Without wheels; it starts and stops turning at once."""
     tracker, pose, errors = CloudTracker(CONFIG, None), base(-1.5, -1.0, 0.0), []
     first = pose
     for number in range(24):
         moving = number > 1
-        twist = np.array([0.0, 0.0, 1.5 * (8 < number < 16), 2.0 * moving, 0.0, 0.0])
+        twist = np.array([0.0, 0.0, turn_rad_s * (8 < number < 16), speed_m_s * moving, 0.0, 0.0])
         cloud = at_middle_of_turn(look_on_the_way(pose, twist, 0.1 * number, seed=number), TURNS)
         assert cloud.stamp_s == pytest.approx(0.1 * number + 0.05, abs=0.001)
         tracked = tracker.track(cloud)
