@@ -231,8 +231,8 @@ class TestRefused:
     def test_settings_of_another_version(self, map_db: Path, tmp_path: Path) -> None:
         path = tmp_path / "map.db"
         path.write_bytes(map_db.read_bytes())
-        with pytest.raises(MapFileError, match="settings that this version does not know"):
-            open_map(forge(path, "meta", 0, value='{"novelty": 1}'))
+        with pytest.raises(MapFileError, match="settings that this version does not take"):
+            open_map(forge(path, "meta", 0, value='{"grid": {"resolution_m": -1.0}}'))
         forge(path, "meta", 0, value=Config().model_dump_json())
         with pytest.raises(MapFileError, match="versions cannot be read"):
             open_map(forge(path, "meta", 4, value="{"))
