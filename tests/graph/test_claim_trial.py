@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam.config.stages import LoopConfig
+from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
 from slam.graph.claim_trial import ClaimTrial
 from slam.graph.loop_closure import LoopCandidate
+from slam.graph.place_search import PlaceSearch
 from slam.matching.motion import Motion
 from slam.matching.planar import between
 from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
@@ -99,3 +100,15 @@ def test_a_place_that_was_never_near_tells_nothing(beyond: float) -> None:
     _, refused = tried(way := Beside(fits_before=106))
     assert refused == (0 if beyond > CONFIG.reach_m else 3)
     assert any(key > 105 for _, key in way.verified) is (beyond <= CONFIG.reach_m)
+
+
+def test_without_loops_no_place_is_searched() -> None:
+    """Else it would ask the submaps, of which there are none here."""
+    closer = type("NoSubmaps", (), {"submaps": None})()
+    match, graph = MatchConfig(), GraphConfig()
+    search = PlaceSearch(closer, LoopConfig(enabled=False), match, graph)  # type: ignore[arg-type]
+    assert search.search(np.zeros((3, 3)), [], np.zeros(0, np.bool_), []) == []
+    with pytest.raises(TypeError):
+        PlaceSearch(closer, LoopConfig(), match, graph).search(  # type: ignore[arg-type]
+            np.zeros((3, 3)), [], np.zeros(0, np.bool_), []
+        )
