@@ -14,7 +14,7 @@ from slam.localization.known_map import Walls
 from slam.outputs.finished_map import Map
 from slam.sessions.placing import Placing, place
 from slam.sessions.session_join import JoinedMap, join
-from slam.sessions.session_loops import KeyframeScans, find_loops
+from slam.sessions.session_loops import find_loops
 
 # Loops between two sessions at least.
 _LEAST_LOOPS = 3
@@ -59,7 +59,7 @@ def connect(known: Map, session: Map) -> Connection:
     placing = place(Walls(known.contents, config), Walls(session.contents, config), config)
     if not placing.confident:
         return Connection(placing, (), None, _unplaced(placing))
-    loops = find_loops(KeyframeScans.of_saved(known), KeyframeScans.of_saved(session), placing, config)
+    loops = find_loops(known, session, placing, config)
     accepted = sum(loop.accepted for loop in loops)
     if accepted < _LEAST_LOOPS:
         reason = f"only {accepted} of {len(loops)} scans match the map where they should, {_LEAST_LOOPS} must"

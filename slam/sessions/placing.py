@@ -115,8 +115,7 @@ def _stretches(walls: Walls, path: MapContents, config: Config) -> Iterator[tupl
     """Stretch by stretch of a way: a keyframe of it, (3,) where it may be between walls, and the evidence."""
     hypotheses = HypothesisSet(PlanarSensor(walls, config), config.localization)
     kidnap_nats = config.localization.nowhere_nats
-    poses = path.keyframe_poses
-    path_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
+    poses, path_m = path.keyframe_poses, path.path_m
     apart_m = path_m[-1] / _MOST_STRETCHES
     begin_m = 0.0
     likeliest: list[tuple[int, FloatArray, float]] = []

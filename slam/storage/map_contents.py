@@ -99,6 +99,11 @@ class MapContents:
             poses = [spatial(pose).compose(T_base_camera.inverse()) for pose in poses]
         return np.array([row_of(pose) for pose in poses])
 
+    @cached_property
+    def path_m(self) -> FloatArray:
+        """(K,) way on the floor from the first keyframe to each."""
+        return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self.keyframe_poses[:, :2], axis=0).T))])
+
     @property
     def grid(self) -> OccupancyGrid | None:
         """The lidar's grid; None of cameras alone, or where it could not be built."""
