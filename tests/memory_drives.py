@@ -94,8 +94,8 @@ def mapped(measurements: list[Measurement], *overrides: str, odometries: Odometr
 
 def errors(result: MapResult, truth: FloatArray) -> FloatArray:
     """(R, 2) metres and radians by which every reading's pose is off, both seen from the first."""
-    poses = result.trajectory.to_planar()
-    at = np.rint((result.trajectory.stamps_s - START_S) / SCAN_S).astype(int)
+    poses = result.map.trajectory.to_planar()
+    at = np.rint((result.map.trajectory.stamps_s - START_S) / SCAN_S).astype(int)
     off = np.array(
         [
             between(between(truth[at[0]], truth[n]), between(poses[0], pose))

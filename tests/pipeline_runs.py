@@ -71,7 +71,7 @@ def moved(fields: list[str], dx_m: float) -> list[str]:
 
 def line_numbers(result: MapResult) -> np.ndarray:
     """For every pose the number of its reading; a scan and the odometry of its line or stamp are one."""
-    return np.concatenate([[0], np.cumsum(np.diff(result.trajectory.stamps_s) != 0.0)])
+    return np.concatenate([[0], np.cumsum(np.diff(result.map.trajectory.stamps_s) != 0.0)])
 
 
 def errors_m(result: MapResult, truth: FloatArray) -> FloatArray:
@@ -79,7 +79,7 @@ def errors_m(result: MapResult, truth: FloatArray) -> FloatArray:
     readings = line_numbers(result)
     assert readings[-1] + 1 == len(truth)
     last = np.flatnonzero(np.diff(readings, append=readings[-1] + 1))
-    poses = result.trajectory.to_planar()[last]
+    poses = result.map.trajectory.to_planar()[last]
     return np.array(
         [
             math.hypot(*(between(poses[0], pose) - between(truth[0], true))[:2])

@@ -23,7 +23,6 @@ from slam.app.mapping import run_log
 from slam.config import Config, load_config
 from slam.datasets.dataset import ReadReport
 from slam.errors import ScanweaveError
-from slam.localization.known_map import KnownMap
 from slam.localization.localizer import Localizer
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.map_result import MapResult
@@ -32,7 +31,7 @@ from slam.mapping.cloud_map import map_cloud
 from slam.matching.planar import compose
 from slam.measurements import LaserScan, Measurement, RgbdFrame, Trajectory, WheelOdometry, pose2_from_row
 from slam.outputs import exports
-from slam.outputs.layer_outputs import layers_of
+from slam.storage.map_contents import MapContents
 from slam.storage.packing import pack
 
 T = TypeVar("T")
@@ -113,15 +112,16 @@ class Log:
 def mapped(log: Log, config: Config, course: Course) -> MapResult:
     """A log, mapped, and everything that came of it noted."""
     result = build_map(log, config, checkpoint=course)  # type: ignore[arg-type]
-    course.note(result.trajectory)
-    for edge, kept in zip(result.graph.edges, result.edges_kept, strict=True):
+    course.note(result.map.trajectory)
+    for factor in result.map.factors:
+        edge, kept = factor.edge, factor.kept
         course.note(edge.kind.value, edge.T_source_target, edge.covariance, bool(kept), bool(edge.trusted))
-    for loop in result.loops:
+    for loop in result.map.loops:
         course.note(loop)
     course.note(*result.warnings, *result.notes)
-    course.note(*[sweep.ranges_m for sweep in result.keyframe_scans if sweep is not None])
+    course.note(*[sweep.ranges_m for sweep in result.map.keyframe_scans if sweep is not None])
     course.note(0 if result.fused is None else len(result.fused.examples))
-    layers = layers_of(result, config)
+    layers = result.map.layers(config)
     if layers is not None:
         course.note(layers.states("decision"), layers.T_map_grid, layers.resolution_m)
         course.note(*[grid.steps for grid in (layers.lidar, layers.depth) if grid is not None])
@@ -247,8 +247,8 @@ def clouds(config: Config, course: Course) -> None:
 def first_clouds(config: Config, course: Course) -> None:
     """The beginning of it, and the cloud of the map."""
     result = mapped(Log(cloud_log().measurements[:16]), config, course)
-    assert result.clouds is not None
-    cloud = map_cloud(result.clouds.clouds, result.clouds.poses, config.grid.resolution_m)
+    assert result.map.clouds is not None
+    cloud = map_cloud(result.map.clouds, result.map.node_poses, config.grid.resolution_m)  # type: ignore[arg-type]
     course.note(cloud.points_map)
 
 
@@ -269,17 +269,19 @@ def files(config: Config, course: Course) -> None:
         raise Asked
 
     cameras, lidar = _result(spatial_log, *BASES["spatial"]), _result(cloud_log, *BASES["clouds"])
-    assert cameras.dense is not None
+    assert cameras.map.frames is not None
     with TemporaryDirectory() as name, pytest.MonkeyPatch.context() as patch:
         patch.setattr(exports, "fuse_keyframes", asked)
         folder = Path(name)
         with suppress(Asked):
-            exports.exports_of(cameras, config).write_surfaces(folder)
-        written, _ = exports.exports_of(lidar, config).write_surfaces(folder)
+            exports.Exports(cameras.map, config).write_surfaces(folder)
+        written, _ = exports.Exports(lidar.map, config).write_surfaces(folder)
         course.note(*[path.name for path in written], *[path.read_bytes() for path in written])
 
 
-def localized(known: KnownMap, measurements: Sequence[Measurement], config: Config, course: Course) -> None:
+def localized(
+    known: MapContents, measurements: Sequence[Measurement], config: Config, course: Course
+) -> None:
     """A drive in a known map; every word of the localiser noted."""
     localizer = Localizer(known, config)
     for measurement in measurements:
@@ -299,7 +301,7 @@ def _with_ranges(part: Sequence[Measurement], ranges_m: Any) -> list[Measurement
 
 def in_plan(config: Config, course: Course) -> None:
     """A lidar in another room, in its own, blind while its wheels slip, in the other again, and back."""
-    known = KnownMap.of_result(_result(planar_log, *BASES["planar"]))
+    known = _result(planar_log, *BASES["planar"]).map
     log = planar_log().measurements
     other = sweep(room(), [0.3, 0.2, 0.3], beams=121, fov_rad=4.7).ranges_m
     elsewhere, blind_there = _with_ranges(log[96:120], other), _with_ranges(log[60:66], np.inf)
@@ -308,14 +310,14 @@ def in_plan(config: Config, course: Course) -> None:
 
 def in_room(config: Config, course: Course) -> None:
     """A 3D lidar in its room, carried off once."""
-    known = KnownMap.of_result(_result(cloud_log, *BASES["clouds"]))
+    known = _result(cloud_log, *BASES["clouds"]).map
     log = cloud_log().measurements
     localized(known, [*log[2:28], *log[36:46]], config, course)
 
 
 def frames_alone(config: Config, course: Course) -> None:
     """A camera in the map of a camera."""
-    known = KnownMap.of_result(_result(spatial_log, *BASES["spatial"]))
+    known = _result(spatial_log, *BASES["spatial"]).map
     localized(
         known, [one for one in spatial_log().measurements if isinstance(one, RgbdFrame)], config, course
     )

@@ -78,12 +78,12 @@ def mapped(log: Path) -> MapResult:
 
 def difference(one: MapResult, other: MapResult) -> Difference:
     """Compare trajectories stamp by stamp, and plans cell by cell."""
-    stamps = [np.round(result.trajectory.stamps_s, 6) for result in (one, other)]
+    stamps = [np.round(result.map.trajectory.stamps_s, 6) for result in (one, other)]
     _, here, there = np.intersect1d(stamps[0], stamps[1], return_indices=True)
-    ways = one.trajectory.positions_m[here] - other.trajectory.positions_m[there]
+    ways = one.map.trajectory.positions_m[here] - other.map.trajectory.positions_m[there]
     lonely = len(np.setxor1d(stamps[0], stamps[1]))
     apart_m = float(np.linalg.norm(ways, axis=1).max(initial=0.0))
-    return Difference(lonely, apart_m, different_cells(one.grid, other.grid))
+    return Difference(lonely, apart_m, different_cells(one.map.grid, other.map.grid))
 
 
 def different_cells(one: OccupancyGrid | None, other: OccupancyGrid | None) -> int:

@@ -238,10 +238,10 @@ def profile_scans(log: Path, overrides: list[str]) -> dict[str, float]:
     first, last = seconds[:tenth], seconds[-tenth:]
     return {
         "scans": int(result.scans.stamps_s.size),
-        "keyframes": len(result.keyframe_poses),
-        "loops_accepted": sum(loop.accepted for loop in result.loops),
-        "loops_tried": len(result.loops),
-        "duration_s": float(np.ptp(result.trajectory.stamps_s)),
+        "keyframes": len(result.map.keyframe_poses),
+        "loops_accepted": sum(loop.accepted for loop in result.map.loops),
+        "loops_tried": len(result.map.loops),
+        "duration_s": float(np.ptp(result.map.trajectory.stamps_s)),
         "scan_ms_mean": 1e3 * float(seconds.mean()),
         "scan_ms_median": 1e3 * float(np.median(seconds)),
         "scan_ms_p99": 1e3 * float(np.quantile(seconds, 0.99)),

@@ -48,7 +48,7 @@ def content_of(path: Path) -> str:
     try:
         contents, digest = saved.contents, hashlib.blake2b()
         digest.update(repr(sorted(saved.identity.to_meta().items())).encode())
-        scans = [list(contents.measured_scans), list(contents.scans), list(contents.loops)]
+        scans = [list(contents.measured_scans), list(contents.keyframe_scans), list(contents.loops)]
         poses = [list(contents.node_poses), contents.stamps_s, contents.readings, contents.trajectory]
         digest.update(pack([scans, poses]))
         for factor in contents.factors:
@@ -57,12 +57,13 @@ def content_of(path: Path) -> str:
             digest.update(pack([ends, edge.T_source_target, edge.covariance]))
         for name, grid in contents.grids.items():
             digest.update(pack([name, grid.log_odds, grid.resolution_m, grid.T_map_grid]))
-        for number, frame in enumerate(saved.frames):
-            node, camera = saved.frames.head(number).node, [frame.intrinsics, frame.T_base_camera]
-            images = [frame.color, frame.depth_m, saved.frames.features(number)]
+        frames, clouds = contents.frames, contents.clouds
+        for number, frame in enumerate(frames or ()):
+            node, camera = frames.head(number).node, [frame.intrinsics, frame.T_base_camera]
+            images = [frame.color, frame.depth_m, frames.features(number)]
             digest.update(pack([node, frame.stamp_s, frame.sensor, camera, images]))
-        for key, points in enumerate(saved.clouds):
-            digest.update(pack([points, saved.clouds.T_base_lidar(key)]))
+        for key, points in enumerate(clouds or ()):
+            digest.update(pack([points, clouds.T_base_lidar(key)]))
         return digest.hexdigest()
     finally:
         saved.close()

@@ -74,8 +74,8 @@ def main() -> None:
     config = load_config(None, options.set)
     before = map_log(log, config, [], None)
     score = errors(before, relations)
-    accepted = sum(loop.accepted for loop in before.loops)
-    print(f"{options.log}: {accepted} of {len(before.loops)} loops accepted", end=", ")
+    accepted = sum(loop.accepted for loop in before.map.loops)
+    print(f"{options.log}: {accepted} of {len(before.map.loops)} loops accepted", end=", ")
     print(f"{score[0]:.4f} m, {score[1]:.3f} deg\n")
     print(
         "| false loops | come | seed | refused | reported | true loops | m | growth | deg | growth | by m |"
@@ -88,7 +88,7 @@ def main() -> None:
                 rng = np.random.default_rng(seed)
                 false = false_loops(kind, options.count, before, rng)
                 # Loops do not touch the tracking: the keyframes are the same scans in every run.
-                come_at = before.keyframe_numbers if moment == "mapping" else None
+                come_at = before.map.readings if moment == "mapping" else None
                 after = map_log(log, config, false, come_at)
                 outcomes.append(judge(kind, moment, seed, false, before, after, relations))
                 print(row(outcomes[-1]), flush=True)
@@ -148,8 +148,8 @@ def _false_runs(
     kind: str, count: int, length: int, true: MapResult, rng: np.random.Generator
 ) -> list[LoopCandidate]:
     """The same in runs of a length; the last may be shorter."""
-    poses, span = true.keyframe_poses, max(length, RUN_LENGTH) * RUN_STRIDE
-    models = [loop.motion for loop in true.loops if loop.accepted and loop.motion is not None]
+    poses, span = true.map.keyframe_poses, max(length, RUN_LENGTH) * RUN_STRIDE
+    models = [loop.motion for loop in true.map.loops if loop.accepted and loop.motion is not None]
     loops: list[LoopCandidate] = []
     while len(loops) < count:
         place, keyframe = sorted(rng.integers(0, len(poses) - span, 2).tolist())
@@ -182,7 +182,7 @@ def candidate(place: int, keyframe: int, pose: FloatArray, model: MotionEstimate
 
 def errors(result: MapResult, relations: Relations) -> tuple[float, float]:
     """Mean errors over the relations: metres, degrees."""
-    score = score_relations(result.trajectory, relations).all
+    score = score_relations(result.map.trajectory, relations).all
     return score.translation_m.mean, float(np.degrees(score.rotation_rad.mean))
 
 
@@ -198,7 +198,7 @@ def judge(
     """Count and score a run with false loops against the run without."""
     # A candidate is replaced when it is refused; its motion goes along.
     injected = {id(loop.motion) for loop in false}
-    found = [loop for loop in after.loops if id(loop.motion) in injected]
+    found = [loop for loop in after.map.loops if id(loop.motion) in injected]
     (old_m, old_deg), (new_m, new_deg) = errors(before, relations), errors(after, relations)
     return Outcome(
         kind=kind,
@@ -207,14 +207,14 @@ def judge(
         injected=len(false),
         refused=sum(not loop.accepted and bool(loop.reason) for loop in found),
         reported=len(found),
-        true_accepted=sum(loop.accepted for loop in after.loops) - sum(loop.accepted for loop in found),
-        true_accepted_before=sum(loop.accepted for loop in before.loops),
+        true_accepted=sum(loop.accepted for loop in after.map.loops) - sum(loop.accepted for loop in found),
+        true_accepted_before=sum(loop.accepted for loop in before.map.loops),
         translation_m=new_m,
         rotation_deg=new_deg,
         translation_growth=new_m / old_m - 1.0,
         rotation_growth=new_deg / old_deg - 1.0,
         moved_m=float(
-            np.linalg.norm(after.trajectory.positions_m - before.trajectory.positions_m, axis=1).max()
+            np.linalg.norm(after.map.trajectory.positions_m - before.map.trajectory.positions_m, axis=1).max()
         ),
     )
 

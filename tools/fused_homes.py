@@ -105,7 +105,7 @@ def _error_m(drive: Path, variant: str) -> float:
     for note in result.notes if variant == "mounting" else ():
         print(f"{drive.name}: {note}", file=sys.stderr)
     truth = dataset.groundtruth()
-    return float(absolute_error(result.trajectory, truth).translation_m.rmse)
+    return float(absolute_error(result.map.trajectory, truth).translation_m.rmse)
 
 
 if __name__ == "__main__":

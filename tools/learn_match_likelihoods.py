@@ -22,7 +22,7 @@ from localization_trials import MAPPED_SHARE, Case, build_case, scans_of
 from slam.config import Config, load_config
 from slam.datasets import open_dataset
 from slam.localization.cloud_sensor import CloudSensor
-from slam.localization.known_map import KnownMap, Walls
+from slam.localization.known_map import Walls, has_walls
 from slam.localization.planar_sensor import PlanarSensor
 from slam.localization.poses import apart
 from slam.localization.scan_view import ScanView
@@ -79,12 +79,12 @@ def cloud_pairs(first: Path, second: Path, config: Config) -> Iterator[tuple[Flo
     """The same of clouds; true poses by the simulator."""
     log, driven = open_dataset(first), open_dataset(second)
     result = build_map(log, config)
-    mapped, truth, other = result.trajectory, log.groundtruth(), driven.groundtruth()
+    mapped, truth, other = result.map.trajectory, log.groundtruth(), driven.groundtruth()
     assert truth is not None and other is not None
     T_map_world = at(mapped, 0).compose(nearest(truth, mapped.stamps_s[0]).inverse())
-    known = KnownMap.of_result(result)
+    known = result.map
     assert known.clouds is not None
-    sensor = CloudSensor(known.clouds, Walls(known, config).field if known.has_walls else None, config)
+    sensor = CloudSensor(known, Walls(known, config).field if has_walls(known) else None, config)
     for reading in driven:
         observed = sensor.observe(reading, None)
         if observed is None or round(10.0 * observed.stamp_s) % 10:

@@ -24,7 +24,7 @@ from fusion.estimation import gate
 from slam.config import Config, load_config
 from slam.datasets import open_dataset
 from slam.localization.global_search import search_map
-from slam.localization.known_map import KnownMap, Walls
+from slam.localization.known_map import Walls
 from slam.localization.localizer import Localizer
 from slam.localization.output import LocalizerOutput, State
 from slam.localization.planar_sensor import PlanarSensor
@@ -37,10 +37,12 @@ from slam.measurements import (
     FloatArray,
     LaserScan,
     Measurement,
+    Trajectory,
     WheelOdometry,
     pose2_from_row,
     row_from_pose2,
 )
+from slam.storage.map_contents import OCCUPANCY, MapContents
 from slam.storage.tum import read_tum
 
 RIGHT_M, RIGHT_RAD = 0.25, np.radians(5.0)
@@ -60,7 +62,7 @@ class Case:
     name: str
     log: list[Measurement]
     split: int
-    known_map: KnownMap
+    known_map: MapContents
     truth: FloatArray
     aligned: FloatArray
     mapped: FloatArray
@@ -103,8 +105,8 @@ def build_case(path: str, share: str, config: Config) -> Case:
     log = [m for m in open_dataset(Path(path)) if isinstance(m, LaserScan | WheelOdometry)]
     split = int(float(share) * len(log))
     full, part = mapped_run(log, config), mapped_run(log[:split], config)
-    begun = part.trajectory.to_planar()
-    truth = full.trajectory.to_planar()
+    begun = part.map.trajectory.to_planar()
+    truth = full.map.trajectory.to_planar()
     T_part_full = aligned(truth[:split], begun)
     whole = np.array([compose(T_part_full, pose) for pose in truth])
     truth = whole.copy()
@@ -112,7 +114,7 @@ def build_case(path: str, share: str, config: Config) -> Case:
         turned = np.abs((whole[:split, 2] - whole[n, 2] + np.pi) % (2.0 * np.pi) - np.pi)
         near = int(np.argmin(np.hypot(*(whole[:split, :2] - whole[n, :2]).T) + 0.5 * turned))
         truth[n] = compose(begun[near], between(whole[near], whole[n]))
-    known_map = KnownMap.of_result(part)
+    known_map = part.map
     mapped = mapped_shares(log, split, known_map, truth, config)
     return Case(Path(path).name, log, split, known_map, truth, whole, mapped, config)
 
@@ -125,14 +127,23 @@ def campus_case(folder: Path, share: float, config: Config) -> Case:
     truth[numbers] = read_tum(folder / "groundtruth.txt").to_planar()
     begun = numbers[: int(share * len(numbers))]
     scans = [scan for scan in (log[n] for n in begun) if isinstance(scan, LaserScan)]
-    known_map = KnownMap(truth[begun], scans, grid_of_keyframes(scans, truth[begun], config))
+    grid = grid_of_keyframes(scans, truth[begun], config)
+    stamps_s = np.array([scan.stamp_s for scan in scans])
+    known_map = MapContents(
+        [pose2_from_row(pose) for pose in truth[begun]],
+        stamps_s,
+        np.arange(len(scans)),
+        Trajectory.from_planar(stamps_s, truth[begun]),
+        keyframe_scans=scans,
+        grids={} if grid is None else {OCCUPANCY: grid},
+    )
     split = numbers[len(begun)]
     mapped = mapped_shares(log, split, known_map, truth, config)
     return Case(folder.name, log, split, known_map, truth, truth, mapped, config)
 
 
 def mapped_shares(
-    log: list[Measurement], split: int, known_map: KnownMap, truth: FloatArray, config: Config
+    log: list[Measurement], split: int, known_map: MapContents, truth: FloatArray, config: Config
 ) -> FloatArray:
     """(n,) share of each scan after the beginning that the map explains at its true pose; 0 of the others."""
     sensor = PlanarSensor(Walls(known_map, config), config)

@@ -18,7 +18,6 @@ from slam.datasets import open_dataset
 from slam.evaluation.trajectory_error import absolute_error
 from slam.mapper.pipeline import build_map
 from slam.mapping.layered_map import LAYERS
-from slam.outputs.layer_outputs import layers_of
 
 
 def main() -> None:
@@ -40,12 +39,12 @@ def _row(drive: Path, robot_height_m: float) -> list[str]:
     config = load_config(None, ["dense_map.enabled=false", f"layers.robot_height_m={robot_height_m:g}"])
     dataset = open_dataset(drive)
     result = build_map(dataset, config)
-    built, driven = layers_of(result, config), dataset.groundtruth()
+    built, driven = result.map.layers(config), dataset.groundtruth()
     if built is None or driven is None:
         raise SystemExit(
             f"{drive} has no camera or no true trajectory; give a simulated drive of such a robot"
         )
-    error = absolute_error(result.trajectory, driven)
+    error = absolute_error(result.map.trajectory, driven)
     truth = read_true_grid(drive / "truth" / "grid_robot.npz")
     cells = [f"{error.translation_m.rmse:.4f}"]
     for name in LAYERS:

@@ -28,10 +28,11 @@ COPIED = ("slam", "fusion", "tests", "tools", "configs", "pyproject.toml")
 _BELIEVED = ("tests/mapper/test_whom_to_believe*.py",)
 BESIDE = {
     "slam/odometry": _BELIEVED,
-    "slam/graph": _BELIEVED,
-    "slam/mapper": (*_BELIEVED, "tests/mapper/test_planar_*.py", "tests/mapper/test_pipeline_*.py"),
-    "slam/mapper/lidar3d.py": ("tests/mapper/test_cloud_mapper.py",),
-    "slam/mapper/cloud_cameras.py": ("tests/mapper/test_cloud_mapper.py",),
+    "slam/odometry/turn_matcher.py": ("tests/odometry/test_cloud_*.py",),
+    "slam/graph": (*_BELIEVED, "tests/mapper/test_pipeline.py"),
+    "slam/mapper": (*_BELIEVED, "tests/mapper/test_planar_*.py", "tests/mapper/test_pipeline*.py"),
+    "slam/mapper/lidar3d.py": ("tests/mapper/test_cloud_*.py",),
+    "slam/mapper/cloud_cameras.py": ("tests/mapper/test_cloud_*.py",),
     "slam/mapper/rgbd.py": ("tests/mapper/test_camera_alone.py",),
 }
 _SWAPS: dict[type[ast.AST], type[ast.AST]] = {

@@ -24,12 +24,11 @@ from slam.comparison.product import StateGrid
 from slam.comparison.statistics import paired
 from slam.config import Config, load_config
 from slam.datasets import open_dataset
-from slam.mapper.map_result import DenseKeyframes
+from slam.mapper.map_result import depth_grid
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.mapping.layered_map import DecisionRule, LayeredMap
 from slam.measurements import LaserScan
 from slam.outputs.finished_map import Map, open_map
-from slam.outputs.layer_outputs import depth_grid
 
 # What is better when it is small.
 _SMALLER = ("collide", "collide_hard", "danger", "false_occupied")
@@ -66,7 +65,7 @@ def main() -> None:
 def variants(drive: Path, saved: Map, config: Config) -> Iterator[tuple[str, LayeredMap]]:
     """Ways to make the map to drive by of one drive's keyframes."""
     raw = raw_scans(drive, saved)
-    depth = depth_grid(DenseKeyframes(saved.frames, saved.frame_poses()), config)
+    depth = depth_grid(saved.contents.frames or (), saved.contents.frame_poses(), config)
     for name, scans in (("no fusion", raw), ("fused scans", list(saved.keyframe_scans))):
         lidar = grid_of_keyframes(scans, saved.keyframe_poses, config)
         for rule in ("corrected", "cautious"):

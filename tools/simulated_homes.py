@@ -91,7 +91,7 @@ def run(rig_name: str, home_seed: int, seed: int, arguments: argparse.Namespace)
     at = np.array(stamps)
     reference = Trajectory.from_planar(at, np.array(truth))
     scans = np.flatnonzero(found)
-    estimate = Trajectory.from_planar(at, result.trajectory.to_planar()[scans])
+    estimate = Trajectory.from_planar(at, result.map.trajectory.to_planar()[scans])
     error = absolute_error(estimate, reference).translation_m
     way = np.diff(np.array(truth)[:, :2], axis=0)
     drift = absolute_error(Trajectory.from_planar(at, np.array(wheels)), reference).translation_m
@@ -104,8 +104,8 @@ def run(rig_name: str, home_seed: int, seed: int, arguments: argparse.Namespace)
         "ate_m": error.rmse,
         "max_m": error.max,
         "wheels_m": drift.rmse,
-        "loops": sum(loop.accepted for loop in result.loops),
-        "tried": len(result.loops),
+        "loops": sum(loop.accepted for loop in result.map.loops),
+        "tried": len(result.map.loops),
     }
 
 

@@ -37,11 +37,11 @@ def main() -> None:
             for measurement in worsened(folder / f"{log}.log.gz", kind, np.random.default_rng(1)):
                 mapper.add(measurement)
             result = mapper.finish()
-            score = score_relations(result.trajectory, read_relations(folder / f"{log}.relations")).all
-            accepted = sum(loop.accepted for loop in result.loops)
+            score = score_relations(result.map.trajectory, read_relations(folder / f"{log}.relations")).all
+            accepted = sum(loop.accepted for loop in result.map.loops)
             print(
                 f"| {log} | {kind} | {score.translation_m.mean:.4f} ± {score.translation_m.std:.4f} "
-                f"| {np.degrees(score.rotation_rad.mean):.3f} | {accepted} of {len(result.loops)} |",
+                f"| {np.degrees(score.rotation_rad.mean):.3f} | {accepted} of {len(result.map.loops)} |",
                 flush=True,
             )
 

@@ -12,6 +12,7 @@ from slam.config import Config
 from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
 from slam.errors import MapFileError, ScanweaveError
+from slam.localization.known_map import has_walls
 from slam.outputs.finished_map import Map, open_map
 from slam.sessions.connection import Connection, connect
 from slam.sessions.joined_files import move_into, only_one_in, write_joined
@@ -145,9 +146,9 @@ def _connected(log: Dataset, known: Map, session: MapRun, folder: Path) -> tuple
 
 def _refuse_unfit(saved: Map, name: str) -> None:
     """Refuse a map whose sessions cannot be joined by their scans."""
-    if len(saved.clouds):
+    if saved.contents.clouds:
         raise ScanweaveError(f"{name} is of a 3D lidar; only maps of a robot on a floor take sessions")
     if not saved.planar:
         raise ScanweaveError(f"{name} is of a camera in space; only maps of a robot on a floor take sessions")
-    if saved.grid is None or all(scan is None for scan in saved.keyframe_scans):
+    if not has_walls(saved.contents):
         raise ScanweaveError(f"{name} holds no lidar scan; sessions are joined by their scans")

@@ -13,12 +13,12 @@ from slam.datasets.dataset import Dataset
 from slam.errors import DatasetError
 from slam.evaluation.localization_report import write_localization_report
 from slam.localization.drive_log import DriveLog
-from slam.localization.known_map import KnownMap
 from slam.localization.localizer import Localizer
 from slam.mapper.sensor_choice import SensorChoice, used_measurements
 from slam.measurements import Trajectory
 from slam.outputs.finished_map import Map
 from slam.storage.files import make_folder
+from slam.storage.map_contents import MapContents
 from slam.viewer.map_recording import record_localization
 from slam.viewer.viewer import Viewer, recording
 from slam.vision.color_registration import ColorRegistration
@@ -95,15 +95,14 @@ def localize_log(
     if isinstance(log, str | Path):
         sensors = config.sensors
         log = open_dataset(log, strict=strict, topics=sensors.topics, images=sensors.rgbd)
-    known_map = KnownMap.of_saved(saved)
-    registrations = _registrations(known_map, log, config)
+    registrations = _registrations(saved.contents, log, config)
     with recording(record) as viewer:
         if viewer is not None and saved.grid is not None:
             viewer.grid("saved map", saved.grid.states(), saved.grid.resolution_m, saved.grid.T_map_grid)
-        localizer = Localizer(known_map, config, registrations)
+        localizer = Localizer(saved, config, registrations)
         drive = _driven(localizer, log, config, viewer, on_progress or silent)
     if not len(drive):
-        wanted = "clouds of a 3D lidar" if len(saved.clouds) else "planar scans, or frames of its camera"
+        wanted = "clouds of a 3D lidar" if saved.contents.clouds else "planar scans, or frames of its camera"
         raise DatasetError(
             f"{log.name} holds nothing that can be localised in {saved.path}, which takes {wanted}; see "
             "'scanweave inspect' for what the log holds and 'scanweave info' for the map"
@@ -111,12 +110,13 @@ def localize_log(
     return Localization(drive, _written(Path(out), drive, saved, log) if out is not None else ())
 
 
-def _registrations(known_map: KnownMap, log: Dataset, config: Config) -> dict[str, ColorRegistration] | None:
+def _registrations(
+    known_map: MapContents, log: Dataset, config: Config
+) -> dict[str, ColorRegistration] | None:
     """Where the map's colour camera sits: None where the map tells it, else as the log tells."""
-    cameras = known_map.cameras
     if config.rgbd.registration == "given":
         return {}
-    if cameras is None or cameras.registrations:
+    if known_map.frames is None or known_map.registrations:
         return None
     choice = SensorChoice.of(log, config.sensors)
     return registrations_of(used_measurements(log, config.sensors), choice.cameras, config)

@@ -16,7 +16,7 @@ from slam.evaluation.map_report import ReportData, RunCost, beside_of
 from slam.evaluation.report import write_report
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.pipeline import build_map
-from slam.outputs.exports import Exports, exports_of
+from slam.outputs.exports import Exports
 from slam.outputs.finished_map import NOTES, WARNINGS, Map, open_map
 from slam.storage.files import make_folder
 from slam.storage.map_contents import write_contents
@@ -95,18 +95,18 @@ def run_into(
         readings = result.scans.stamps_s.size
         on_progress(Progress("mapping", readings, 1.0))
         on_progress(Progress("writing", readings))
-        made = exports_of(result, config)
+        made = Exports(result.map, config)
         files, missing = _written(folder, made) if exports else ([], [])
         data = None
         if report:
             cost = RunCost(time.perf_counter() - started, time.process_time())
             beside = beside_of(dataset, result, files, missing)
-            data = ReportData(identity.log_name, dataset.report, result, config, cost, beside, made.layers)
+            data = ReportData(identity.log_name, dataset.report, result, config, cost, beside)
             write_report(folder / "report.html", data)
             written.append(folder / "report.html")
         if viewer is not None:
-            record_map(viewer, result, made.layers, config)
-        write_contents(file, made.contents)
+            record_map(viewer, result, config)
+        write_contents(file, result.map)
         file.add_meta(NOTES, json.dumps(result.notes))
         file.add_meta(WARNINGS, json.dumps(result.warnings))
         file.seal()

@@ -50,7 +50,7 @@ def localize(
     if (out / MAP_NAME).exists():
         raise MapFileError(f"{out} is the folder of a map, whose files would be replaced; give another --out")
     saved = open_map(map_)
-    if update and len(saved.clouds):
+    if update and saved.contents.clouds:
         raise MapFileError(f"{saved.path} is of a 3D lidar and takes no other log; localise without --update")
     with progress_bar() as show, interruptible(show) as on_progress:
         found = localize_log(

@@ -184,10 +184,10 @@ def _tell(run: MapRun, took: str, of: str = "") -> None:
         print(f"warning: {warning}", file=sys.stderr)
     for note in run.map.notes:
         say(note)
-    result = report.result
-    accepted = sum(loop.accepted for loop in result.loops)
+    loops = run.map.loops
+    accepted = sum(loop.accepted for loop in loops)
     say(
-        f"{of}{result.scans.stamps_s.size} {report.unit}s, {len(result.keyframe_numbers)} keyframes, "
-        f"{report.path_length_m:.1f} m, {accepted} of {len(result.loops)} loops accepted, "
+        f"{of}{report.result.scans.stamps_s.size} {report.unit}s, {len(run.map.keyframe_poses)} keyframes, "
+        f"{report.path_length_m:.1f} m, {accepted} of {len(loops)} loops accepted, "
         f"{run.dropped} records dropped{took}"
     )

@@ -31,7 +31,7 @@ def inspect(
     from slam.evaluation.pages import inspection_text
 
     inspection = inspect_dataset(open_dataset(log, strict=strict, topics=topics_of(topics)))
-    print(json.dumps(inspection.to_dict(), indent=2) if as_json else inspection_text(inspection))
+    print(json.dumps(inspection, indent=2) if as_json else inspection_text(inspection))
 
 
 @command()

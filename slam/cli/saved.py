@@ -43,9 +43,10 @@ def check(map_: MapArgument) -> None:
 
     saved = open_map(map_)
     saved.check()
-    clouds = f"{len(saved.clouds)} clouds, " if len(saved.clouds) else ""
+    frames, clouds = saved.contents.frames or (), saved.contents.clouds or ()
+    with_clouds = f"{len(clouds)} clouds, " if clouds else ""
     print(
-        f"{saved.path} is whole: {len(saved.keyframe_poses)} keyframes, {clouds}{len(saved.frames)} images, "
+        f"{saved.path} is whole: {len(saved.keyframe_poses)} keyframes, {with_clouds}{len(frames)} images, "
         f"{len(saved.factors)} factors, {len(saved.trajectory)} poses, digest {saved.digest}"
     )
 

@@ -54,13 +54,14 @@ def scanweave(dataset: Dataset, config: Config) -> Product:
 def by_odometry(dataset: Dataset, config: Config, odometries: Odometries) -> Product:
     """Our mapper with the odometry of others: a yardstick of ours."""
     result = build_map(dataset, config, odometries=odometries)
-    grid, stamps_s = result.grid, result.scans.stamps_s[result.keyframe_numbers]
+    made = result.map
+    grid = made.grid
     return Product(
-        trajectory=result.trajectory,
+        trajectory=made.trajectory,
         plane=None if grid is None else StateGrid(grid.states(), grid.resolution_m, grid.T_map_grid),
-        loops=None if grid is None else _accepted(result.loops, stamps_s),
-        keyframe_stamps_s=stamps_s,
-        loops_tried=len(result.loops),
+        loops=None if grid is None else _accepted(made.loops, made.stamps_s),
+        keyframe_stamps_s=made.stamps_s,
+        loops_tried=len(made.loops),
         warnings=tuple(result.warnings),
     )
 

@@ -4,35 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from slam.measurements import PointCloud
-
-
-@dataclass(frozen=True, slots=True)
-class CloudSummary:
-    """The clouds of one lidar.
-
-    Attributes
-    ----------
-    points_min, points_max
-        Valid points a cloud.
-    nearest_m, farthest_m
-        Of all points, from the lidar.
-    turn_s
-        Longest time between the first and the last point of a cloud, None where points have no times.
-    mount_m, mount_rpy_rad
-        The lidar on the robot.
-    """
-
-    points_min: int
-    points_max: int
-    nearest_m: float
-    farthest_m: float
-    turn_s: float | None
-    mount_m: tuple[float, float, float]
-    mount_rpy_rad: tuple[float, float, float]
 
 
 @dataclass(slots=True)
@@ -59,18 +35,17 @@ class CloudFigures:
             self.turn_s = max(self.turn_s or 0.0, float(np.ptp(cloud.times_s)))
         self.last = cloud
 
-    def summary(self) -> CloudSummary | None:
-        """The figures, frozen; None before the first cloud."""
+    def facts(self) -> dict[str, Any] | None:
+        """Points a cloud, ranges from the lidar, longest turn, the mounting; None before the first cloud."""
         if self.last is None:
             return None
         mount = self.last.T_base_lidar
-        roll, pitch, yaw = mount.rotation().rpy().tolist()
-        return CloudSummary(
-            points_min=self.points_min,
-            points_max=self.points_max,
-            nearest_m=self.nearest_m if self.points_max else 0.0,
-            farthest_m=self.farthest_m,
-            turn_s=self.turn_s,
-            mount_m=(mount.x(), mount.y(), mount.z()),
-            mount_rpy_rad=(roll, pitch, yaw),
-        )
+        return {
+            "points_min": self.points_min,
+            "points_max": self.points_max,
+            "nearest_m": self.nearest_m if self.points_max else 0.0,
+            "farthest_m": self.farthest_m,
+            "turn_s": self.turn_s,
+            "mount_m": mount.translation().tolist(),
+            "mount_rpy_rad": mount.rotation().rpy().tolist(),
+        }

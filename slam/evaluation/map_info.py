@@ -42,7 +42,7 @@ def map_info(path: Path) -> dict[str, Any]:
         "motion": "planar" if saved.planar else "spatial",
         "sensors": _sensors(saved),
         "keyframes": len(saved.keyframe_poses),
-        **({"clouds": len(saved.clouds)} if len(saved.clouds) else {}),
+        **({"clouds": len(saved.contents.clouds)} if saved.contents.clouds else {}),
         "poses": len(trajectory),
         **_extent(saved),
         "factors": dict(sorted(kinds.items())),
@@ -118,7 +118,8 @@ def _text(value: Any) -> str:
 def _sensors(saved: Map) -> dict[str, int]:
     """How many keyframes each sensor gave."""
     scans = Counter(scan.sensor for scan in saved.keyframe_scans if scan is not None)
-    images = Counter(saved.frames.head(index).sensor for index in range(len(saved.frames)))
+    frames = saved.contents.frames
+    images = Counter(frames.head(index).sensor for index in range(len(frames))) if frames else Counter()
     return dict(sorted((scans + images).items()))
 
 

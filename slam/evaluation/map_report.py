@@ -5,13 +5,12 @@ from __future__ import annotations
 import resource
 import sys
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Literal
 
-import gtsam
 import numpy as np
 
 from slam.config import Config
@@ -25,6 +24,7 @@ from slam.mapper.scan_record import CameraRecord
 from slam.mapping.dense_map import ColoredCloud
 from slam.mapping.layered_map import LayeredMap
 from slam.measurements import BoolArray
+from slam.storage.map_contents import SavedFactor
 from slam.storage.ply import read_cloud_ply
 
 CLOUD_FILE = "cloud.ply"
@@ -76,7 +76,7 @@ def beside_of(
     try:
         true_trajectory = dataset.groundtruth()
         if true_trajectory is not None:
-            truth = compare_with_truth(result.trajectory, true_trajectory)
+            truth = compare_with_truth(result.map.trajectory, true_trajectory)
     except ScanweaveError as error:
         lines.append(f"Not compared with the ground truth: {error}")
     try:
@@ -98,9 +98,6 @@ class ReportData:
         What the reader has met.
     beside
         What can be shown beside the map.
-    layers
-        The map to drive by and what it was made of; without them the map is the lidar's grid, where there is
-        one.
     """
 
     log_name: str
@@ -109,27 +106,26 @@ class ReportData:
     config: Config
     cost: RunCost
     beside: Beside = Beside()
-    layers: LayeredMap | None = None
 
     @property
     def unit(self) -> Literal["scan", "frame"]:
         """What the map was made of: ``frame`` where there were only cameras."""
-        return "scan" if any(scan is not None for scan in self.result.keyframe_scans) else "frame"
+        return "scan" if any(scan is not None for scan in self.result.map.keyframe_scans) else "frame"
 
     @property
     def spatial(self) -> bool:
         """Whether the trajectory leaves the floor."""
-        return isinstance(self.result.graph.pose(0), gtsam.Pose3)
+        return not self.result.map.planar
 
     @property
     def path_length_m(self) -> float:
         """Travel."""
-        return float(np.linalg.norm(np.diff(self.result.trajectory.positions_m, axis=0), axis=1).sum())
+        return float(np.linalg.norm(np.diff(self.result.map.trajectory.positions_m, axis=0), axis=1).sum())
 
     @property
     def duration_s(self) -> float:
         """From the first to the last stamp."""
-        stamps_s = self.result.trajectory.stamps_s
+        stamps_s = self.result.map.trajectory.stamps_s
         return float(np.ptp(stamps_s)) if stamps_s.size else 0.0
 
     @property
@@ -141,17 +137,22 @@ class ReportData:
     def notes(self) -> list[tuple[str, str]]:
         """What the reader met, what the graph is made of, what was found out: what, and how much."""
         found = [("note", note) for note in self.result.notes]
-        return _reader_notes(self.reading) + _edge_notes(self.result) + found
+        return _reader_notes(self.reading) + _edge_notes(self.result.map.factors) + found
+
+    @property
+    def layers(self) -> LayeredMap | None:
+        """The map to drive by and what it was made of."""
+        return self.result.map.layers(self.config)
 
     @property
     def map_picture(self) -> MapPicture | None:
         """The map to drive by, what only the lidar saw free in a grey of its own."""
-        layers, grid = self.layers, self.result.grid
-        if layers is not None:
-            drawn = MapPicture.of(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
-            drawn.image[::-1][layers.free_at_lidar_height()] = LIDAR_HEIGHT_GREY
-            return drawn
-        return None if grid is None else MapPicture.of(grid.states(), grid.resolution_m, grid.T_map_grid)
+        layers = self.layers
+        if layers is None:
+            return None
+        drawn = MapPicture.of(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
+        drawn.image[::-1][layers.free_at_lidar_height()] = LIDAR_HEIGHT_GREY
+        return drawn
 
     def layer_pictures(self) -> dict[str, MapPicture]:
         """What the map was made of: all but the decision, which is the map itself."""
@@ -187,12 +188,10 @@ def _reader_notes(reading: ReadReport) -> list[tuple[str, str]]:
     return rows
 
 
-def _edge_notes(result: MapResult) -> list[tuple[str, str]]:
+def _edge_notes(factors: Sequence[SavedFactor]) -> list[tuple[str, str]]:
     """Edges of the graph by provenance, and how many were refused."""
-    kinds = Counter(edge.kind for edge in result.graph.edges)
-    refused = Counter(
-        edge.kind for edge, keep in zip(result.graph.edges, result.edges_kept, strict=True) if not keep
-    )
+    kinds = Counter(factor.edge.kind for factor in factors)
+    refused = Counter(factor.edge.kind for factor in factors if not factor.kept)
     return [
         (f"edges: {kind}", f"{count:,}" + (f" ({refused[kind]:,} refused)" if refused[kind] else ""))
         for kind, count in kinds.items()
@@ -238,12 +237,12 @@ def _carried_by_cameras(result: MapResult) -> BoolArray:
 
     Where the frames themselves made the map, a lost one is lost.
     """
-    count, keyframes = result.scans.stamps_s.size, result.keyframe_numbers
+    count, keyframes = result.scans.stamps_s.size, result.map.readings
     reported = np.zeros(len(keyframes), dtype=np.bool_)
-    if isinstance(result.graph.pose(0), gtsam.Pose2):
-        for edge, keep in zip(result.graph.edges, result.edges_kept, strict=True):
-            if keep and edge.kind is EdgeKind.RGBD and edge.target == edge.source + 1:
-                reported[edge.target] = True
+    for factor in result.map.factors if result.map.planar else ():
+        edge = factor.edge
+        if factor.kept and edge.kind is EdgeKind.RGBD and edge.target == edge.source + 1:
+            reported[edge.target] = True
     # After the last keyframe the robot has hardly moved: what held before it holds on.
     return reported[np.minimum(np.searchsorted(keyframes, np.arange(count)), len(keyframes) - 1)]
 

@@ -14,7 +14,6 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from slam.datasets.inspection import Inspection
 from slam.storage.files import replacing
 
 _TELLING_S = 0.02  # medians of two clocks that are nearer to each other than that tell nothing
@@ -37,8 +36,8 @@ def render(template: str, **values: Any) -> Markup:
     return Markup(_environment().get_template(template).render(**values))
 
 
-def inspection_text(log: Inspection) -> str:
-    """What a log holds, as plain text."""
+def inspection_text(log: dict[str, Any]) -> str:
+    """What a log holds, see `slam.datasets.inspection.inspect_dataset`, as plain text."""
     return str(render("inspection.txt", log=log, telling_s=_TELLING_S)).rstrip("\n")
 
 

@@ -41,9 +41,9 @@ def write_report(path: Path, data: ReportData) -> None:
     MapFileError
         Where the folder is missing, not writable or full; an older report then stays as it was.
     """
-    result = data.result
-    accepted = [_score_cells(loop, data) for loop in result.loops if loop.accepted]
-    refused = [(*_score_cells(loop, data), loop.reason) for loop in result.loops if not loop.accepted]
+    result, loops = data.result, data.result.map.loops
+    accepted = [_score_cells(loop, data) for loop in loops if loop.accepted]
+    refused = [(*_score_cells(loop, data), loop.reason) for loop in loops if not loop.accepted]
     truth = data.beside.truth
     write_page(
         path,
@@ -73,12 +73,12 @@ def write_report(path: Path, data: ReportData) -> None:
 
 def _headline(data: ReportData) -> list[tuple[str, str]]:
     """The run in a few numbers."""
-    result, cost = data.result, data.cost
-    seconds = result.scans.seconds
+    loops, cost = data.result.map.loops, data.cost
+    seconds = data.result.scans.seconds
     facts = [
         (f"{data.unit}s", f"{seconds.size:,}"),
-        ("keyframes", f"{result.keyframe_numbers.size:,}"),
-        ("loops accepted", f"{sum(loop.accepted for loop in result.loops):,} of {len(result.loops):,}"),
+        ("keyframes", f"{len(data.result.map.node_poses):,}"),
+        ("loops accepted", f"{sum(loop.accepted for loop in loops):,} of {len(loops):,}"),
         ("path", f"{data.path_length_m:,.1f} m"),
         ("log lasts", _duration(data.duration_s)),
         ("wall time", f"{cost.wall_s:,.1f} s"),
@@ -100,8 +100,9 @@ def _duration(seconds: float) -> str:
 
 def _map(data: ReportData) -> dict[str, Any]:
     """The map with trajectory and accepted loops drawn in, and what it was made of."""
-    trajectory_m, xy = data.result.trajectory.positions_m, data.result.keyframe_poses[:, :2]
-    loops = [(*xy[loop.keyframe], *xy[loop.place]) for loop in data.result.loops if loop.accepted]
+    found = data.result.map
+    trajectory_m, xy = found.trajectory.positions_m, found.keyframe_poses[:, :2]
+    loops = [(*xy[loop.keyframe], *xy[loop.place]) for loop in found.loops if loop.accepted]
     from_side, picture = data.spatial and len(trajectory_m) > 0, data.map_picture
     title = "Trajectory from above and from the side" if from_side else "Trajectory"
     png = report_figures.map_png(trajectory_m[:, :2], np.asarray(loops, np.float64).reshape(-1, 4), picture)
@@ -133,7 +134,7 @@ def _map_legend(picture: MapPicture) -> str:
 
 def _scores(data: ReportData) -> dict[str, Any]:
     """How well the scans fitted, and what each cost; how frames fitted is told by camera."""
-    scans, keyframes = data.result.scans, data.result.keyframe_numbers
+    scans, keyframes = data.result.scans, data.result.map.readings
     degenerate = scans.degenerate[keyframes] > 0.0
     stamps_s, shares, residuals_m = (
         values[keyframes] for values in (scans.stamps_s, scans.inlier_shares, scans.residuals_m)
@@ -152,17 +153,17 @@ def _cloud(data: ReportData) -> bytes | None:
     """The coloured map from above, with the trajectory."""
     if data.beside.cloud is None:
         return None
-    pixel_m, positions_m = data.config.dense_map.voxel_m, data.result.trajectory.positions_m
+    pixel_m, positions_m = data.config.dense_map.voxel_m, data.result.map.trajectory.positions_m
     seen = cloud_from_above(data.beside.cloud, positions_m, pixel_m=pixel_m, level=data.spatial)
     return None if seen is None else report_figures.map_png(seen[1], np.empty((0, 4)), seen[0])
 
 
 def _closings(data: ReportData) -> list[tuple[str, ...]]:
     """The loops that closed most, one row each."""
-    graph, loops = data.result.graph, data.config.loops
-    poses = [graph.pose(key) for key in range(len(graph))]
+    held = [factor.edge for factor in data.result.map.factors if factor.kept]
     # Claims about places support each other over as much of the way.
-    found = closings(graph.edges, data.result.edges_kept, poses, 2.0 * loops.least_path_m, _MOST_CLOSINGS)
+    reach_m = 2.0 * data.config.loops.least_path_m
+    found = closings(held, data.result.map.node_poses, reach_m, _MOST_CLOSINGS)
     return [
         (
             f"{one.place} to {one.keyframe}",
@@ -179,7 +180,8 @@ def _closings(data: ReportData) -> list[tuple[str, ...]]:
 
 def _score_cells(loop: LoopCandidate, data: ReportData) -> tuple[str, ...]:
     """The numbers of one loop as text; a loop that was refused before it was scored has a dash."""
-    x, y = (data.result.keyframe_poses[loop.keyframe] - data.result.keyframe_poses[loop.place])[:2]
+    poses = data.result.map.keyframe_poses
+    x, y = (poses[loop.keyframe] - poses[loop.place])[:2]
     score = "–" if loop.motion is None else f"{loop.motion.inlier_share:.3f}"
     apart = f"{math.hypot(x, y):.2f} m"
     return str(loop.keyframe), str(loop.place), apart, score, f"{data.config.loops.least_inlier_share:.3f}"

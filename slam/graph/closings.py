@@ -14,7 +14,7 @@ from slam.graph.keyframe_graph import row_of, together
 from slam.graph.loop_closure import position_sigmas
 from slam.graph.place_search import graph_of
 from slam.graph.pose_graph import Edge
-from slam.measurements import BoolArray, FloatArray, Pose
+from slam.measurements import FloatArray, Pose
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,15 +48,13 @@ class Closing:
     without_m: float
 
 
-def closings(
-    edges: Sequence[Edge], kept: BoolArray, poses: Sequence[Pose], reach_m: float, most: int
-) -> list[Closing]:
+def closings(held: Sequence[Edge], poses: Sequence[Pose], reach_m: float, most: int) -> list[Closing]:
     """The loops that closed most, the greatest error of the steps first.
 
     Parameters
     ----------
-    edges, kept
-        Of the graph, and which of them the optimisation has kept.
+    held
+        The edges of the graph that the optimisation has kept.
     poses
         ``T_map_keyframe`` of all keyframes.
     reach_m
@@ -64,7 +62,6 @@ def closings(
     most
         So many at most; those across a break of the steps, as between two sessions, are left out.
     """
-    held = [edge for edge, keep in zip(edges, kept, strict=True) if keep]
     loops = [edge for edge in held if edge.loop is not None]
     if not loops:
         return []

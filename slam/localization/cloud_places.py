@@ -15,14 +15,15 @@ import numpy as np
 from fusion.height_band import HeightBand
 from slam.config import Config
 from slam.localization.global_search import search_map
-from slam.localization.known_clouds import TILE, KnownClouds
+from slam.localization.known_clouds import TILE
 from slam.localization.scan_view import first_in_cells
 from slam.localization.whole_map_field import WholeMapField
 from slam.mapping.band_scan import band_scan, ground_of
 from slam.matching.cloud_points import thinned
 from slam.matching.scan_context import SECTORS, ContextBank, scan_context
 from slam.matching.scan_points import extract_points
-from slam.measurements import Float32Array, FloatArray
+from slam.measurements import Float32Array, FloatArray, spatial
+from slam.storage.map_contents import MapContents
 
 # An alignment makes the same of guesses in one tile, nearer than this in heading.
 _SAME_RAD = 0.5
@@ -36,22 +37,24 @@ class CloudPlaces:
     field
         Of the plan; None where the map has none.
     known
-        The clouds that it was made of.
+        A map of a 3D lidar.
     voxel_m
         Side of their voxels.
     """
 
     def __init__(
-        self, field: WholeMapField | None, known: KnownClouds, voxel_m: float, config: Config
+        self, field: WholeMapField | None, known: MapContents, voxel_m: float, config: Config
     ) -> None:
-        self._field, self._known, self._config = field, known, config
+        assert known.clouds is not None
+        self._field, self._config = field, config
+        self._T_base_lidar = known.T_base_lidar
+        self._poses = [spatial(pose) for pose in known.node_poses]
         self._apart_m = 0.5 * TILE * voxel_m
         self._voxel_m = voxel_m
-        keys = range(len(known.clouds))
-        self._bank = ContextBank([self._context(thinned(known.clouds.points(key), voxel_m)) for key in keys])
-        self._positions = np.array([pose.translation() for pose in known.poses])
-        clouds, thickness_m = (known.clouds.points(key) for key in keys), config.cloud_odometry.thickness_m
-        ground = None if field is None else ground_of(clouds, known.T_base_lidar, voxel_m, thickness_m)
+        self._bank = ContextBank([self._context(thinned(points, voxel_m)) for points in known.clouds])
+        self._positions = np.array([pose.translation() for pose in self._poses])
+        thickness_m = config.cloud_odometry.thickness_m
+        ground = None if field is None else ground_of(known.clouds, known.T_base_lidar, voxel_m, thickness_m)
         self._ground_m = None if ground is None else ground.height_m
 
     def propose(self, points: FloatArray) -> list[gtsam.Pose3]:
@@ -72,10 +75,10 @@ class CloudPlaces:
         for flat in np.argsort(least, axis=None, kind="stable").tolist():
             if len(chosen) == self._config.cloud_localization.places:
                 break
-            side, key = divmod(flat, len(self._known.poses))
+            side, key = divmod(flat, len(self._poses))
             turn = gtsam.Rot3.Yaw(2.0 * math.pi * float(turns[side, key]) / SECTORS)
             # The lidar of the keyframe stands where the offset is.
-            pose = self._known.poses[key].compose(gtsam.Pose3(turn, -turn.rotate(beside_m[side])))
+            pose = self._poses[key].compose(gtsam.Pose3(turn, -turn.rotate(beside_m[side])))
             chosen = self._apart([*chosen, pose])
         return chosen
 
@@ -102,7 +105,7 @@ class CloudPlaces:
         band = HeightBand(0.0, layers.robot_height_m, layers.climb_m)
         # A thinned scan has no second point in a cell.
         config = self._config.cloud_map.model_copy(update={"least_points": 1})
-        scan = band_scan(points, 0.0, self._known.T_base_lidar, band, self._ground_m, config)
+        scan = band_scan(points, 0.0, self._T_base_lidar, band, self._ground_m, config)
         flat = extract_points(scan, limits.range_min_m, limits.range_max_m, limits.neighbours).points_base
         cell_m = self._config.localization.novel_cell_m
         return np.asarray(flat[first_in_cells(flat, cell_m)[0]], np.float64)

@@ -13,7 +13,7 @@ import numpy as np
 from slam.config import Config
 from slam.localization.cloud_places import CloudPlaces
 from slam.localization.cloud_space import BeamVerdicts, judge_beams
-from slam.localization.known_clouds import COARSENESS, CloudTiles, KnownClouds
+from slam.localization.known_clouds import COARSENESS, CloudTiles
 from slam.localization.odometry import CloudOdometry
 from slam.localization.poses import Measured
 from slam.localization.scan_view import cell_keys
@@ -22,6 +22,7 @@ from slam.localization.whole_map_field import WholeMapField
 from slam.matching.cloud_points import at_middle_of_turn, thinned
 from slam.matching.local_cloud import Aligned, moved
 from slam.measurements import FloatArray, MotionEstimate, PointCloud, Pose, WheelOdometry
+from slam.storage.map_contents import MapContents
 
 # Shares of explained, in-free and crossing beams at true poses, and at wrong ones that fit best: see
 # tools/learn_match_likelihoods.py.
@@ -59,7 +60,7 @@ class CloudSensor:
     Parameters
     ----------
     known
-        The clouds of the map.
+        A map of a 3D lidar.
     field
         Of its plan; None where it has none.
     """
@@ -68,7 +69,7 @@ class CloudSensor:
     weighs_back = 5
     least_keyframes = 3
 
-    def __init__(self, known: KnownClouds, field: WholeMapField | None, config: Config) -> None:
+    def __init__(self, known: MapContents, field: WholeMapField | None, config: Config) -> None:
         self._tiles, self._odometry = CloudTiles(known, config), CloudOdometry(config)
         self._config, self._general, self._settings = config, config.localization, config.cloud_localization
         self.voxel_m = self._tiles.voxel_m

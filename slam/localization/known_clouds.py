@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -17,7 +16,8 @@ from slam.localization.plane_sides import SidedPlanes
 from slam.matching.cloud_points import thinned, voxel_of
 from slam.matching.local_cloud import LocalCloud, moved
 from slam.matching.plane_voxels import PlaneVoxels, VoxelMoments, voxel_moments
-from slam.measurements import FloatArray
+from slam.measurements import FloatArray, spatial
+from slam.storage.map_contents import MapContents
 
 # Side of a tile, in voxels: what its one map serves. The nearest keyframes make it.
 TILE, _TILE_KEYFRAMES = 16.0, 24
@@ -25,35 +25,6 @@ TILE, _TILE_KEYFRAMES = 16.0, 24
 COARSENESS = 3.0
 # How far a place is described by what is seen from it, as a part of how far there is a map to match to.
 SIGHT = 2.0
-
-
-class Clouds(Protocol):
-    """Where the clouds of keyframes are kept."""
-
-    def __len__(self) -> int: ...
-
-    def points(self, key: int) -> FloatArray:
-        """The points (N, 3) of a keyframe, base frame."""
-        ...
-
-
-@dataclass(frozen=True)
-class KnownClouds:
-    """The keyframes of a 3D lidar.
-
-    Attributes
-    ----------
-    clouds
-        Their points, base frame, read when they are asked for.
-    poses
-        ``T_map_base`` of each.
-    T_base_lidar
-        Where their beams begin.
-    """
-
-    clouds: Clouds
-    poses: Sequence[gtsam.Pose3]
-    T_base_lidar: gtsam.Pose3
 
 
 class _Keyframe(NamedTuple):
@@ -98,12 +69,12 @@ class CloudTiles:
         Where no keyframe has points enough.
     """
 
-    def __init__(self, known: KnownClouds, config: Config) -> None:
-        self.known = known
+    def __init__(self, known: MapContents, config: Config) -> None:
+        assert known.clouds is not None
+        self._clouds, self._poses = known.clouds, [spatial(pose) for pose in known.node_poses]
+        self._T_base_lidar = known.T_base_lidar
         self._reach_voxels = config.cloud_localization.reach_voxels
-        first = next(
-            (points for key in range(len(known.clouds)) if len(points := known.clouds.points(key))), None
-        )
+        first = next((points for points in known.clouds if len(points)), None)
         if first is None:
             raise MapFileError("the map's clouds hold no point: nothing can be localised in it")
         self.voxel_m = voxel_of(first, config.cloud_odometry)
@@ -111,7 +82,7 @@ class CloudTiles:
         # The two faces of a thin wall are no plane together.
         thin = config.cloud_odometry.model_copy(update={"thickness_m": self._thickness_m})
         self._config = config.model_copy(update={"cloud_odometry": thin})
-        self._positions = np.array([pose.translation() for pose in known.poses])
+        self._positions = np.array([pose.translation() for pose in self._poses])
         self._frame = lru_cache(self._read)
         self._tile = lru_cache(config.localization.tiles_cached)(self._made)
 
@@ -121,8 +92,8 @@ class CloudTiles:
 
     def _read(self, key: int) -> _Keyframe:
         """A keyframe, as dense as its planes need."""
-        points = thinned(self.known.clouds.points(key), 0.5 * self.voxel_m)
-        placed = moved(points, self.known.poses[key])
+        points = thinned(self._clouds.points(key), 0.5 * self.voxel_m)
+        placed = moved(points, self._poses[key])
         return _Keyframe(points, thinned(placed, self.voxel_m), voxel_moments(placed, self.voxel_m))
 
     def _made(self, x: int, y: int, z: int) -> CloudTile | None:
@@ -134,7 +105,7 @@ class CloudTiles:
         members = nearest[distances[nearest] <= reach_m].tolist()
         if not members:
             return None
-        poses = [self.known.poses[k] for k in members]
+        poses = [self._poses[k] for k in members]
         frames = [self._frame(k) for k in members]
         merged = PlaneVoxels.merged([frame.moments for frame in frames], voxel_m, self._thickness_m)
         local = LocalCloud.of_planes(merged, voxel_m, self._config)
@@ -145,7 +116,7 @@ class CloudTiles:
         clouds = [frame.placed for frame in frames]
         wide_m = COARSENESS * voxel_m
         coarse = LocalCloud.of(thinned(np.vstack(clouds), 0.5 * wide_m), wide_m, self._config)
-        lidars = np.array([pose.compose(self.known.T_base_lidar).translation() for pose in poses])
+        lidars = np.array([pose.compose(self._T_base_lidar).translation() for pose in poses])
         planes = SidedPlanes(merged, lidars, clouds)
         space = cloud_space(lidars, clouds, planes, voxel_m, SIGHT * reach_m)
         return CloudTile(local, coarse, planes, space, float(np.median(own)))

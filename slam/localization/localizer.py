@@ -9,7 +9,7 @@ from slam.config import Config
 from slam.errors import MapFileError
 from slam.localization.camera_sensor import CameraSensor
 from slam.localization.cloud_sensor import CloudSensor
-from slam.localization.known_map import KnownMap, Walls
+from slam.localization.known_map import Walls, has_walls
 from slam.localization.machine import StateMachine
 from slam.localization.output import LocalizerOutput
 from slam.localization.planar_sensor import PlanarSensor
@@ -17,6 +17,7 @@ from slam.localization.poses import Measured
 from slam.localization.visual_locator import VisualLocator
 from slam.measurements import Measurement, RgbdFrame
 from slam.outputs.finished_map import Map
+from slam.storage.map_contents import MapContents
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prepared_frame import PreparedFrame
 
@@ -58,17 +59,17 @@ class Localizer:
 
     def __init__(
         self,
-        known_map: KnownMap | Map,
+        known_map: Map | MapContents,
         config: Config | None = None,
         registrations: Mapping[str, ColorRegistration] | None = None,
     ) -> None:
         if isinstance(known_map, Map):
-            known_map = KnownMap.of_saved(known_map)
+            known_map = known_map.contents
         config = config or Config()
         self._lidar = self._lidar_of(known_map, config)
         self._locator: VisualLocator | None = None
-        if config.sensors.rgbd and known_map.cameras is not None and known_map.clouds is None:
-            self._locator = VisualLocator(known_map.cameras, known_map.planar, config, registrations)
+        if config.sensors.rgbd and known_map.frames is not None and known_map.clouds is None:
+            self._locator = VisualLocator(known_map, config, registrations)
         self._camera: StateMachine[Any, Any] | None = None
         if self._lidar is None and self._locator is not None:
             self._camera = StateMachine(CameraSensor(self._locator, config), config.localization)
@@ -95,7 +96,7 @@ class Localizer:
         return self._lidar.add(measurement)
 
     @staticmethod
-    def _lidar_of(known_map: KnownMap, config: Config) -> StateMachine[Any, Any] | None:
+    def _lidar_of(known_map: MapContents, config: Config) -> StateMachine[Any, Any] | None:
         """What localises by the lidar; None where the map or the configuration has none."""
         sensor: PlanarSensor | CloudSensor
         if known_map.clouds is not None:
@@ -103,9 +104,9 @@ class Localizer:
                 raise MapFileError(
                     "the map is of a 3D lidar, and sensors.lidar is off: nothing can be localised"
                 )
-            field = Walls(known_map, config).field if known_map.has_walls else None
-            sensor = CloudSensor(known_map.clouds, field, config)
-        elif known_map.has_walls and config.sensors.lidar:
+            field = Walls(known_map, config).field if has_walls(known_map) else None
+            sensor = CloudSensor(known_map, field, config)
+        elif has_walls(known_map) and config.sensors.lidar:
             sensor = PlanarSensor(Walls(known_map, config), config)
         else:
             return None

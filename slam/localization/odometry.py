@@ -14,7 +14,7 @@ from slam.matching.planar import between
 from slam.measurements import FloatArray, PointCloud, Pose, WheelOdometry, pose2_from_row, row_from_pose2
 from slam.odometry.clock_learner import Turns
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
-from slam.odometry.cloud_velocity import GREATEST_STRETCH
+from slam.odometry.constant_velocity import repeated
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
 from slam.odometry.surfel_odometry import SurfelOdometry
 from slam.odometry.wheel_tracker import WheelTracker
@@ -75,14 +75,9 @@ class ScanOdometry:
         return self._repeated(step_s)
 
     def _repeated(self, step_s: float) -> Measured:
-        """The last motion once more, for another time: what was expected of a short one says less of it."""
-        longer = step_s / self._step_s if step_s > 0.0 and self._step_s > 0.0 else 1.0
-        step = self._step * min(longer, GREATEST_STRETCH)
-        config = self._config.prediction
-        sigma_m = config.velocity_floor_m + config.velocity_share * math.hypot(step[0], step[1])
-        sigma_rad = config.velocity_floor_rad + config.velocity_share * abs(float(step[2]))
-        covariance = max(longer, 1.0) ** 2 * np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])
-        return Measured(pose2_from_row(step), covariance)
+        """The last motion once more, for another time."""
+        motion = repeated(self._step, self._step_s, step_s, self._config.prediction)
+        return Measured(pose2_from_row(motion.pose), motion.covariance)
 
     def add(self, view: ScanView) -> OdometryStep:
         """Take a scan."""

@@ -9,13 +9,14 @@ import gtsam
 import numpy as np
 
 from slam.config import Config
-from slam.localization.known_map import KnownCameras
 from slam.localization.poses import Measured
 from slam.mapper.keyframe_store import KeyframeStore
 from slam.measurements import FloatArray, Measurement, MotionEstimate, Pose, RgbdFrame, pose2_from_row
+from slam.storage.map_contents import MapContents
 from slam.vision.camera_frame import T_BODY_CAMERA
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.frame_matcher import FrameMatcher
+from slam.vision.learned_camera import LearnedCamera
 from slam.vision.place_recognition import PlaceIndex
 from slam.vision.planar_motion import planar_motion
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame
@@ -27,10 +28,8 @@ class VisualLocator:
 
     Parameters
     ----------
-    cameras
-        The keyframes.
-    planar
-        Whether the body stays on a floor.
+    known
+        A map with camera keyframes.
     config
         The effective configuration; the bounds on a match are those of visual loops.
     registrations
@@ -40,37 +39,39 @@ class VisualLocator:
 
     def __init__(
         self,
-        cameras: KnownCameras,
-        planar: bool,
+        known: MapContents,
         config: Config,
         registrations: Mapping[str, ColorRegistration] | None = None,
     ) -> None:
-        self.origin: Pose = gtsam.Pose2() if planar else gtsam.Pose3()
-        self._cameras = cameras
+        assert known.frames is not None
+        self.origin: Pose = gtsam.Pose2() if known.planar else gtsam.Pose3()
         self._T_base_camera: gtsam.Pose3 | None = None
-        learned = cameras.registrations if registrations is None else registrations
-        self._prepare = FramePreparer(config.rgbd, learned)
-        self._poses = cameras.poses
-        self._positions = np.array([pose.translation() for pose in cameras.poses]).reshape(-1, 3)
-        self._axes = np.array([pose.rotation().matrix()[:, 2] for pose in cameras.poses]).reshape(-1, 3)
-        self._store = KeyframeStore(config.rgbd, config.match.local_map_keyframes, cameras.frames)
+        first = known.frames.head(0)
+        self._sensor, learned = first.sensor, known.cameras.get(first.sensor, LearnedCamera())
+        # Where the log does not tell the mounting, the map does.
+        none = T_BODY_CAMERA if known.planar else gtsam.Pose3()
+        self._mapped_mounting = learned.T_base_camera or first.T_base_camera or none
+        self._prepare = FramePreparer(
+            config.rgbd, known.registrations if registrations is None else registrations
+        )
+        self._poses = known.frame_poses()
+        self._positions = np.array([pose.translation() for pose in self._poses])
+        self._axes = np.array([pose.rotation().matrix()[:, 2] for pose in self._poses])
+        self._store = KeyframeStore(config.rgbd, config.match.local_map_keyframes, known.frames)
         self._matcher = FrameMatcher(config)
         self._loops, self._images = config.loops, config.visual_loops
         self._views = config.rgbd_odometry.views
         self._index = PlaceIndex(config.seed)
-        for key in range(len(cameras.poses)):
-            self._index.add(cameras.frames.features(key).descriptors)
+        for key in range(len(known.frames)):
+            self._index.add(known.frames.features(key).descriptors)
 
     def view(self, measurement: Measurement | PreparedFrame) -> PreparedFrame | None:
         """A frame of the map's camera, prepared once; None of anything else."""
         prepared = self._prepare(measurement) if isinstance(measurement, RgbdFrame) else measurement
-        if not isinstance(prepared, PreparedFrame) or prepared.frame.sensor != self._cameras.sensor:
+        if not isinstance(prepared, PreparedFrame) or prepared.frame.sensor != self._sensor:
             return None
         if self._T_base_camera is None:
-            # Where the log does not tell the mounting, the map does.
-            mounting = prepared.frame.T_base_camera or self._cameras.T_base_camera
-            none = T_BODY_CAMERA if isinstance(self.origin, gtsam.Pose2) else gtsam.Pose3()
-            self._T_base_camera = mounting or none
+            self._T_base_camera = prepared.frame.T_base_camera or self._mapped_mounting
         return prepared
 
     def anywhere(self, frame: PreparedFrame) -> list[MotionEstimate]:

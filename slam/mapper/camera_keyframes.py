@@ -12,9 +12,9 @@ from slam.graph.loop_closure import LoopCandidate
 from slam.graph.visual_loops import VisualLoopCloser
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.keyframe_store import KeyframeStore
-from slam.mapper.map_result import DenseKeyframes
 from slam.mapper.robot_cameras import Picture
 from slam.measurements import MotionEstimate, Pose, pose2_from_row, spatial
+from slam.storage.map_frames import MapFrames
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.planar_motion import planar_motion
@@ -90,12 +90,10 @@ class CameraKeyframes:
         tried = self._closer.close(len(keys) - 1, [self._camera_pose(key, poses) for key in keys])
         return [self._of_nodes(candidate) for candidate in tried]
 
-    def dense(self, poses: Sequence[Pose]) -> DenseKeyframes | None:
-        """The frames with their poses, by those of the nodes; None without any."""
-        if not self._nodes:
-            return None
-        placed = [self._camera_pose(key, poses) for key in range(len(self._nodes))]
-        return DenseKeyframes(self._store.images, placed)
+    @property
+    def frames(self) -> MapFrames:
+        """All of them."""
+        return self._store.images
 
     def _camera_pose(self, key: int, poses: Sequence[Pose]) -> gtsam.Pose3:
         """``T_map_camera`` of a frame."""

@@ -15,14 +15,14 @@ from slam.mapper.camera_keyframes import CameraKeyframes
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.keyframe_fusion import FusionSummary, KeyframeFusion
 from slam.mapper.keyframe_store import registration_notes
-from slam.mapper.map_result import DenseKeyframes
 from slam.mapper.robot_cameras import CameraPoses, RobotCameras
 from slam.mapper.scan_record import CameraRecord
 from slam.mapping.horizon_scan import horizon_scan, with_repairs
-from slam.measurements import FloatArray, LaserScan, Pose
+from slam.measurements import FloatArray, LaserScan
 from slam.odometry.camera_odometry import camera_step
 from slam.odometry.clock_learner import Turns
 from slam.odometry.cloud_tracker import TrackedCloud
+from slam.storage.map_frames import MapFrames
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prepared_frame import PreparedFrame
 
@@ -100,9 +100,10 @@ class CloudCameras:
             for scan, ring, after in zip(scans, self._horizons, mended, strict=True)
         ], summary
 
-    def dense(self, poses: Sequence[Pose]) -> DenseKeyframes | None:
-        """The frames with their poses, by those of the nodes; None without any."""
-        return self._keyframes.dense(poses)
+    @property
+    def frames(self) -> MapFrames:
+        """The keyframes."""
+        return self._keyframes.frames
 
     def records(self) -> dict[str, CameraRecord]:
         """What became of every camera's frames."""

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import gtsam
 import numpy as np
 
 from slam.config import Config
-from slam.errors import ScanweaveError
 from slam.graph.faulty_steps import settle_wheels
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate, LoopCloser
@@ -21,12 +20,11 @@ from slam.mapper.camera_keyframes import CameraKeyframes
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.keyframe_fusion import KeyframeFusion
 from slam.mapper.keyframe_store import registration_notes
+from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.planar_chain import PlanarChain
-from slam.mapper.protocol import Products, Tracked
+from slam.mapper.protocol import Tracked
 from slam.mapper.robot_cameras import CameraPoses, RobotCameras
-from slam.mapper.scan_record import ScanRecord
-from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.matching.local_map import OrientedPoints
 from slam.matching.motion import Motion
 from slam.matching.planar import between
@@ -150,27 +148,20 @@ class PlanarRobot:
         """The nodes are the bases."""
         return poses
 
-    def products(self, graph: KeyframeGraph, scans: ScanRecord) -> Products:
-        """The repaired scans, and the grid that they draw."""
-        clock = [time.perf_counter()]
-        made = Products(self._keyframe_scans, list(self._keyframe_scans))
-        made.notes = [*registration_notes(self._registrations), *self._cameras.notes()]
+    def complete(self, result: MapResult) -> None:
+        """The repaired scans, and the grids that scans and images draw."""
+        started, scans = time.perf_counter(), self._keyframe_scans
+        result.notes += [*registration_notes(self._registrations), *self._cameras.notes()]
         if self._wheels is not None and self._wheels.clock.known:
-            made.notes.append(self._wheels.clock.note("wheels", "lidar"))
+            result.notes.append(self._wheels.clock.note("wheels", "lidar"))
         if self._fusion is not None:
-            made.scans, made.fused = self._fusion.repair(self._keyframe_scans)
-            made.notes += [] if made.fused is None else [made.fused.note]
-        clock.append(time.perf_counter())
-        try:
-            made.grid = grid_of_keyframes(made.scans, graph.rows(), self._config)
-        except ScanweaveError as error:  # a map that would not fit in memory
-            made.warnings.append(f"No grid was built: {error}")
-        clock.append(time.perf_counter())
-        made.seconds = dict(zip(("fusion", "occupancy grid"), np.diff(clock).tolist(), strict=True))
-        made.warnings += self._cameras.warnings()
-        made.dense = self._pictures.dense(graph.poses())
-        made.cameras = self._cameras.records(self._registrations)
-        return made
+            scans, result.fused = self._fusion.repair(scans)
+            result.notes += [] if result.fused is None else [result.fused.note]
+        result.stage_seconds["fusion"] = time.perf_counter() - started
+        result.add_cameras(self._cameras.records(self._registrations), self._pictures.frames)
+        result.map = replace(result.map, measured_scans=self._keyframe_scans, keyframe_scans=scans)
+        result.draw(self._config)
+        result.warnings += self._cameras.warnings()
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:
         """Where cameras sit that the log does not tell, as far as this run has shown."""

@@ -5,8 +5,8 @@ Cameras beside it see what it passes: the map's colours and depth layer, see `sl
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import gtsam
@@ -23,14 +23,12 @@ from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.cloud_cameras import CloudCameras
-from slam.mapper.map_result import MappedClouds
+from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting
-from slam.mapper.protocol import Products, Tracked
-from slam.mapper.scan_record import ScanRecord
+from slam.mapper.protocol import Tracked
 from slam.mapping.band_scan import band_scan, ground_of
-from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.matching.cloud_points import at_middle_of_turn, thinned
-from slam.measurements import BoolArray, FloatArray, PointCloud, Pose, WheelOdometry, spatial
+from slam.measurements import BoolArray, LaserScan, PointCloud, Pose, WheelOdometry
 from slam.odometry.clock_learner import Turns
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
 from slam.odometry.wheel_tracker import WheelTracker
@@ -143,21 +141,14 @@ class CloudLidar:
         """The nodes are the bases."""
         return poses
 
-    def products(self, graph: KeyframeGraph, scans: ScanRecord) -> Products:
-        """The cloud, and the plan of what stands in the robot's way."""
-        started = time.perf_counter()
-        made = Products(
-            dense=self._cameras.dense(graph.poses()),
-            cameras=self._cameras.records(),
-            notes=[f"3D lidar: voxels of {self._tracker.voxel_m:.2f} m"],
-        )
-        ground_m = self._draw_plan(made, graph.rows())
-        bases = [spatial(pose) for pose in graph.poses()]
-        made.clouds = MappedClouds(self._clouds, bases, self._T_base_lidar, ground_m)
-        made.warnings += [*self._doubts(), *self._cameras.warnings()]
-        made.notes += self._cameras.notes()
-        made.seconds = {"grid": time.perf_counter() - started}
-        return made
+    def complete(self, result: MapResult) -> None:
+        """The clouds, and the plan of what stands in the robot's way."""
+        result.map = replace(result.map, clouds=self._clouds)
+        result.add_cameras(self._cameras.records(), self._cameras.frames)
+        result.notes.append(f"3D lidar: voxels of {self._tracker.voxel_m:.2f} m")
+        self._draw_plan(result)
+        result.warnings += [*self._doubts(), *self._cameras.warnings()]
+        result.notes += self._cameras.notes()
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:
         """None: the log must tell where a camera sits."""
@@ -186,29 +177,30 @@ class CloudLidar:
             f"uncertain"
         ]
 
-    def _draw_plan(self, made: Products, poses: FloatArray) -> float:
-        """The flat scan of each keyframe and the grid of them, poses (n, 3); the ground's height."""
+    def _draw_plan(self, result: MapResult) -> None:
+        """The flat scan of each keyframe, and the grids."""
         settings, layers = self._config.cloud_map, self._config.layers
         lidar_m = float(self._T_base_lidar.z())
         thickness_m = self._config.cloud_odometry.thickness_m
         ground = ground_of(self._clouds, self._T_base_lidar, self._tracker.voxel_m, thickness_m)
         if ground is None:
-            made.warnings.append("No grid was built: no ground was seen, and no mounting tells its height")
-            return 0.0
+            result.warnings.append("No grid was built: no ground was seen, and no mounting tells its height")
+            return
         source = "the mounting" if ground.by_mounting else "sight"
-        made.notes.append(f"ground: {ground.height_m:+.2f} m in the base frame, by {source}")
+        result.notes.append(f"ground: {ground.height_m:+.2f} m in the base frame, by {source}")
         try:
             if layers.climb_m >= layers.robot_height_m:
                 raise DatasetError("layers.climb_m leaves no height to layers.robot_height_m; make it lower")
             band = HeightBand(0.0, layers.robot_height_m, layers.climb_m)
-            made.measured_scans = [
+            measured: list[LaserScan | None] = [
                 band_scan(points, stamp_s, self._T_base_lidar, band, ground.height_m, settings)
                 for points, stamp_s in zip(self._clouds, self._stamps_s, strict=True)
             ]
             in_band = layers.climb_m < lidar_m - ground.height_m < layers.robot_height_m
-            made.scans, made.fused = self._cameras.repaired(made.measured_scans, in_band=in_band)
-            made.notes += [] if made.fused is None else [made.fused.note]
-            made.grid = grid_of_keyframes(made.scans, poses, self._config)
+            scans, result.fused = self._cameras.repaired(measured, in_band=in_band)
         except ScanweaveError as error:
-            made.warnings.append(f"No grid was built: {error}")
-        return ground.height_m
+            result.warnings.append(f"No grid was built: {error}")
+            return
+        result.notes += [] if result.fused is None else [result.fused.note]
+        result.map = replace(result.map, measured_scans=measured, keyframe_scans=scans)
+        result.draw(self._config, ground.height_m)

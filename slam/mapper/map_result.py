@@ -3,76 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
-from slam.graph.loop_closure import LoopCandidate
-from slam.graph.pose_graph import PoseGraph
+from slam.config import Config
+from slam.errors import ScanweaveError
 from slam.mapper.keyframe_fusion import FusionSummary
 from slam.mapper.scan_record import CameraRecord, ScanRecord
+from slam.mapping.keyframe_grid import depth_model, grid_of_keyframes, layer_settings
+from slam.mapping.layer_builder import LayerBuilder
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.measurements import BoolArray, FloatArray, LaserScan, RgbdFrame, Trajectory
+from slam.measurements import RgbdFrame
+from slam.storage.map_contents import DEPTH, OCCUPANCY, MapContents
+from slam.storage.map_frames import MapFrames
 
 
-@dataclass(frozen=True, slots=True)
-class DenseKeyframes:
-    """Camera keyframes, which can be iterated again and again, and their optimised ``T_map_camera``."""
-
-    frames: Iterable[RgbdFrame]
-    poses: Sequence[gtsam.Pose3]
-
-
-@dataclass(frozen=True, slots=True)
-class MappedClouds:
-    """Points of the keyframes of a 3D lidar, base frame, which can be iterated again and again.
-
-    Attributes
-    ----------
-    clouds
-        (N, 3) each.
-    poses
-        Their optimised ``T_map_base``.
-    T_base_lidar
-        Where their rays begin.
-    ground_m
-        Height of the floor in the base frame.
-    """
-
-    clouds: Iterable[FloatArray]
-    poses: Sequence[gtsam.Pose3]
-    T_base_lidar: gtsam.Pose3
-    ground_m: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class MapResult:
-    """A finished map.
+    """A finished map, and what only the run that made it can tell.
 
     Attributes
     ----------
-    trajectory
-        A pose for every reading of the log.
-    keyframe_poses
-        (K, 3) optimised x, y, yaw, map frame.
-    keyframe_scans
-        The sweep of each keyframe, repaired where the fusion could; None where a camera carried the robot on.
-    measured_scans
-        The same as they were measured; empty where a camera alone made the map.
-    graph
-        All edges with their provenance.
-    loops
-        Every loop candidate with its verdict.
+    map
+        The map.
     scans
         Scores and timings of every scan, or of every frame where a camera alone made the map.
-    keyframe_numbers
-        (K,) scan number of each keyframe.
-    edges_kept
-        (E,) False where the final optimisation refused an edge of the graph.
-    grid
-        The occupancy grid; None where it could not be built, ``warnings`` then says why.
     stage_seconds
         Wall time by stage.
     warnings
@@ -81,28 +38,83 @@ class MapResult:
         What was found out on the way, one line each: mountings, registrations, the fusion.
     fused
         What scans and depth images repaired of each other; None where there were not both.
-    dense
-        Camera keyframes for a coloured map; None where there is no camera.
     cameras
         What became of every camera's frames, by its name.
-    clouds
-        Keyframes of a 3D lidar; None where there is none.
     """
 
-    trajectory: Trajectory
-    keyframe_poses: FloatArray
-    keyframe_numbers: NDArray[np.int64]
-    keyframe_scans: list[LaserScan | None]
-    graph: PoseGraph
-    edges_kept: BoolArray
-    loops: list[LoopCandidate]
+    map: MapContents
     scans: ScanRecord
-    grid: OccupancyGrid | None
-    stage_seconds: dict[str, float]
-    warnings: list[str]
+    stage_seconds: dict[str, float] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    dense: DenseKeyframes | None = None
     fused: FusionSummary | None = None
     cameras: Mapping[str, CameraRecord] = field(default_factory=dict)
-    measured_scans: list[LaserScan | None] = field(default_factory=list)
-    clouds: MappedClouds | None = None
+
+    def add_cameras(self, cameras: Mapping[str, CameraRecord], frames: MapFrames) -> None:
+        """Take what became of cameras, and their keyframes."""
+        self.cameras = cameras
+        learned = {name: record.learned for name, record in cameras.items()}
+        self.map = replace(self.map, cameras=learned, frames=frames if len(frames) else None)
+
+    def draw(self, config: Config, ground_m: float | None = None) -> None:
+        """Draw the lidar's grid of the keyframe scans, and the depth layer of the frames.
+
+        What cannot be drawn is a warning.
+
+        Parameters
+        ----------
+        ground_m
+            As in `depth_grid`.
+        """
+        found, settled = self.map, config
+        try:
+            lidar = grid_of_keyframes(found.keyframe_scans, found.keyframe_poses, config)
+        except ScanweaveError as error:  # a map that would not fit in memory
+            self.warnings.append(f"No grid was built: {error}")
+            lidar = None
+        grids = {} if lidar is None else {OCCUPANCY: lidar}
+        if lidar is not None and lidar.resolution_m > config.grid.resolution_m:
+            self.warnings.append(
+                f"The map is so large that its cells are {lidar.resolution_m:g} m wide; for cells of "
+                f"{config.grid.resolution_m:g} m raise grid.greatest_cells = {config.grid.greatest_cells}"
+            )
+            cells = config.grid.model_copy(update={"resolution_m": lidar.resolution_m})
+            settled = config.model_copy(update={"grid": cells})
+        if found.frames is not None and (found.planar or lidar is not None):
+            try:
+                depth = depth_grid(found.frames, found.frame_poses(), settled, ground_m)
+                grids |= {} if depth is None else {DEPTH: depth}
+            except ScanweaveError as error:
+                self.warnings.append(f"No depth layer was drawn, the map is the lidar's alone: {error}")
+        self.map = replace(found, grids=grids)
+
+
+def depth_grid(
+    frames: Iterable[RgbdFrame], poses: Sequence[gtsam.Pose3], config: Config, ground_m: float | None = None
+) -> OccupancyGrid | None:
+    """The depth layer of camera keyframes; None where it is not asked for, or they tell nothing.
+
+    Parameters
+    ----------
+    poses
+        ``T_map_camera`` of each.
+    ground_m
+        Height of the floor in the base frame of a robot in space, which then counts as level; None of one
+        that stays in the plane.
+
+    Raises
+    ------
+    ScanweaveError
+        Where the map would not fit, or the robot climbs over all that it is high.
+    """
+    if not config.layers.enabled:
+        return None
+    builder = LayerBuilder(layer_settings(config, depth_model(config)))
+    for frame, T_map_camera in zip(frames, poses, strict=True):
+        if frame.T_base_camera is not None:
+            base = T_map_camera.compose(frame.T_base_camera.inverse())
+            if ground_m is not None:
+                level = gtsam.Rot3.Yaw(base.rotation().yaw())
+                base = gtsam.Pose3(level, np.array([base.x(), base.y(), -ground_m]))
+            builder.add(frame, base)
+    return builder.grid("depth")

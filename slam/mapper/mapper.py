@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from slam.config import Config
 from slam.errors import DatasetError, GraphError
-from slam.graph.keyframe_graph import KeyframeGraph, row_of
+from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapper.map_result import MapResult
@@ -18,6 +18,7 @@ from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.protocol import SENSORS, FrontEnd, Sensor, Tracked
 from slam.mapper.scan_record import ScanRecorder
 from slam.measurements import FloatArray
+from slam.storage.map_contents import MapContents, SavedFactor
 
 
 class Mapper:
@@ -84,36 +85,32 @@ class Mapper:
                 graph.add_loop(candidate)
             outcome = graph.optimize(self._config.loops.inlier_probability)
         clock.append(time.perf_counter())
-        bases = front_end.bases(graph.poses())
-        trajectory = front_end.readings.trajectory(bases)
+        trajectory = front_end.readings.trajectory(front_end.bases(graph.poses()))
         clock.append(time.perf_counter())
         scans = self._record.finish()
-        made, numbers = front_end.products(graph, scans), front_end.readings.keyframe_scans()
-        since_s = scans.stamps_s[numbers] - scans.stamps_s[0]
-        return MapResult(
-            trajectory=trajectory,
-            keyframe_poses=np.array([row_of(pose) for pose in bases]),
-            keyframe_numbers=numbers,
-            measured_scans=made.measured_scans,
-            keyframe_scans=made.scans,
-            graph=graph.graph,
-            edges_kept=outcome.kept,
-            loops=graph.loops,
-            scans=scans,
-            grid=made.grid,
-            stage_seconds={
+        numbers = front_end.readings.keyframe_scans()
+        factors = zip(graph.graph.edges, outcome.kept.tolist(), strict=True)
+        result = MapResult(
+            MapContents(
+                node_poses=list(graph.poses()),
+                stamps_s=scans.stamps_s[numbers],
+                readings=numbers,
+                trajectory=trajectory,
+                factors=[SavedFactor(edge, kept) for edge, kept in factors],
+                loops=graph.loops,
+            ),
+            scans,
+            {
                 "scans": float(scans.seconds.sum()),
                 "final optimisation": clock[1] - clock[0],
                 "full trajectory": clock[2] - clock[1],
-                **made.seconds,
             },
-            warnings=[*made.warnings, *_apart(graph.pieces(outcome.kept), since_s)],
-            notes=[*made.notes, *(note for sensor in self._sensors.values() for note in sensor.notes())],
-            dense=made.dense,
-            fused=made.fused,
-            cameras=made.cameras,
-            clouds=made.clouds,
         )
+        front_end.complete(result)
+        result.stage_seconds["map"] = time.perf_counter() - clock[2]
+        result.notes += [note for sensor in self._sensors.values() for note in sensor.notes()]
+        result.warnings += _apart(graph.pieces(outcome.kept), result.map.stamps_s - scans.stamps_s[0])
+        return result
 
     @property
     def _keyframes(self) -> KeyframeGraph:

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from slam.config import Config
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge
-from slam.mapper.keyframe_fusion import FusionSummary
-from slam.mapper.map_result import DenseKeyframes, MappedClouds
+from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting
-from slam.mapper.scan_record import CameraRecord, ScanRecord
-from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.measurements import BoolArray, LaserScan, MotionEstimate, Pose
+from slam.measurements import BoolArray, MotionEstimate, Pose
 from slam.trajectory.readings import Readings
 from slam.vision.visual_match import VisualMatch
 
@@ -40,22 +37,6 @@ class Tracked:
     motion: MotionEstimate | None
     new_keyframe: bool
     match: VisualMatch | None = None
-
-
-@dataclass(slots=True)
-class Products:
-    """What a front end makes of the keyframes' final poses; see `slam.mapper.map_result.MapResult`."""
-
-    scans: list[LaserScan | None] = field(default_factory=list)
-    measured_scans: list[LaserScan | None] = field(default_factory=list)
-    grid: OccupancyGrid | None = None
-    dense: DenseKeyframes | None = None
-    fused: FusionSummary | None = None
-    clouds: MappedClouds | None = None
-    cameras: Mapping[str, CameraRecord] = field(default_factory=dict)
-    seconds: dict[str, float] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
 
 
 class FrontEnd(Protocol):
@@ -101,8 +82,8 @@ class FrontEnd(Protocol):
         """``T_map_base`` of every node, by the nodes' poses."""
         ...
 
-    def products(self, graph: KeyframeGraph, scans: ScanRecord) -> Products:
-        """What is made of the final poses, and of the scores of every scan or frame."""
+    def complete(self, result: MapResult) -> None:
+        """Make of the final poses what else the map has, and tell what people should know of it."""
         ...
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:

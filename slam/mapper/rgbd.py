@@ -15,10 +15,10 @@ from slam.graph.pose_graph import Edge, EdgeKind
 from slam.graph.visual_loops import VisualLoopCloser
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.keyframe_store import KeyframeStore, registration_notes
-from slam.mapper.map_result import DenseKeyframes
+from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting
-from slam.mapper.protocol import Products, Tracked
-from slam.mapper.scan_record import CameraRecord, ScanRecord
+from slam.mapper.protocol import Tracked
+from slam.mapper.scan_record import CameraRecord
 from slam.measurements import BoolArray, Pose, spatial
 from slam.odometry import STANDARD, Odometries
 from slam.odometry.rgbd_tracker import RgbdTracker, TrackedFrame
@@ -112,19 +112,16 @@ class FreeCamera:
         """The bases that carry the camera."""
         return [spatial(pose).compose(self._T_camera_base) for pose in poses]
 
-    def products(self, graph: KeyframeGraph, scans: ScanRecord) -> Products:
+    def complete(self, result: MapResult) -> None:
         """The images of the keyframes."""
         assert self._camera is not None
         learned = LearnedCamera(self._registrations.get(self._camera), self._T_base_camera)
-        return Products(
-            dense=DenseKeyframes(self._store.images, [spatial(pose) for pose in graph.poses()]),
-            cameras={self._camera: CameraRecord(scans, learned=learned)},
-            notes=registration_notes(self._registrations),
-            warnings=[
-                f"{name}: {count:,} frames were not used; in space only the first camera, {self._camera}, is"
-                for name, count in self._unused.items()
-            ],
-        )
+        result.add_cameras({self._camera: CameraRecord(result.scans, learned=learned)}, self._store.images)
+        result.notes += registration_notes(self._registrations)
+        result.warnings += [
+            f"{name}: {count:,} frames were not used; in space only the first camera, {self._camera}, is"
+            for name, count in self._unused.items()
+        ]
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:
         """None: a camera alone is its own base."""

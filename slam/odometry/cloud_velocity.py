@@ -9,8 +9,6 @@ from slam.measurements import FloatArray, MotionEstimate
 
 # Beyond this no velocity of before tells where the robot is now.
 LONGEST_STEP_S = 1.0
-# A velocity is carried over at most this many times the step that it was measured over.
-GREATEST_STRETCH = 3.0
 
 
 class CloudVelocity:

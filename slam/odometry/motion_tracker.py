@@ -16,13 +16,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fusion.time_alignment import GAP_S
 from slam.config.stages import MatchConfig, PredictionConfig
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate, row_from_pose2
-from slam.odometry.cloud_velocity import GREATEST_STRETCH
+from slam.odometry.constant_velocity import repeated
 from slam.odometry.lidar_odometry import LidarOdometry
 from slam.odometry.wheel_tracker import WheelMoment, WheelTracker, thrown_aside
 
@@ -208,13 +207,8 @@ class MotionTracker:
         moved = self.wheel_motion(last.wheels, wheels, step_s, last.dispute)
         if moved is not None:
             self._by_wheels.guesses = [Motion(compose(last.pose, moved.pose), moved.covariance)]
-        longer = 1.0
-        if step_s > 0.0 and self._velocity_step_s > 0.0:
-            longer = step_s / self._velocity_step_s
-        step = self._velocity_step * min(longer, GREATEST_STRETCH)
-        # Nobody knows how the robot speeds up, and by that the way goes wrong with the square of the time.
-        covariance = self._velocity_covariance(step) * max(step_s / GAP_S, 1.0) ** 4
-        self._by_velocity.predict(compose(last.pose, step), covariance + last.dispute)
+        on = repeated(self._velocity_step, self._velocity_step_s, step_s, self._config)
+        self._by_velocity.predict(compose(last.pose, on.pose), on.covariance + last.dispute)
         guesses = [guess for predictor in predictors for guess in predictor.guesses]
         return sorted(guesses, key=lambda guess: float(np.linalg.det(guess.covariance)))
 
@@ -230,13 +224,6 @@ class MotionTracker:
         if moved is None or not moved.pose.any():
             return []
         return [Motion(compose(begun.pose, moved.pose), moved.covariance)]
-
-    def _velocity_covariance(self, step: FloatArray) -> FloatArray:
-        """Covariance (3, 3) of a step (3,) that repeats the last one."""
-        config = self._config
-        sigma_m = config.velocity_floor_m + config.velocity_share * math.hypot(step[0], step[1])
-        sigma_rad = config.velocity_floor_rad + config.velocity_share * abs(float(step[2]))
-        return np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])
 
     def _match(self, points: ScanPoints, guesses: list[Motion]) -> tuple[MotionEstimate | None, FloatArray]:
         """Match, settle a contradiction, judge the predictors: what was measured, and the dispute."""

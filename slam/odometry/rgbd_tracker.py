@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 
 from slam.config import Config
-from slam.odometry.cloud_velocity import GREATEST_STRETCH
+from slam.odometry.constant_velocity import stretch
 from slam.odometry.rgbd_odometry import RgbdOdometry
 from slam.result_cache import COMPUTED, ResultCache
 from slam.vision.prepared_frame import PreparedFrame
@@ -80,8 +80,7 @@ class RgbdTracker:
         """The last step again, for the time that has passed."""
         if step_s <= 0.0 or self._step_s <= 0.0:
             return gtsam.Pose3()
-        stretch = min(step_s / self._step_s, GREATEST_STRETCH)
-        return gtsam.Pose3.Expmap(stretch * gtsam.Pose3.Logmap(self._step))
+        return gtsam.Pose3.Expmap(stretch(step_s, self._step_s) * gtsam.Pose3.Logmap(self._step))
 
     def _match(self, frame: PreparedFrame, guess: gtsam.Pose3) -> TrackedFrame:
         """Match to the most alike keyframes, or say that the frame is lost."""

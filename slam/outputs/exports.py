@@ -1,22 +1,22 @@
-"""A finished map in the formats of other programs, of a run that ends as of a saved map."""
+"""A finished map in the formats of other programs."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from slam.config import Config
 from slam.errors import LibraryError, ScanweaveError
-from slam.mapper.map_result import DenseKeyframes, MappedClouds, MapResult
 from slam.mapping.camera_points import camera_cloud
 from slam.mapping.cloud_map import map_cloud
 from slam.mapping.dense_map import DenseMapSettings, fuse_keyframes
 from slam.mapping.layered_map import LayeredMap
 from slam.matching.local_cloud import moved
-from slam.outputs.layer_outputs import layers_of
+from slam.measurements import spatial
 from slam.storage.files import make_folder
 from slam.storage.g2o import write_g2o
-from slam.storage.map_contents import DEPTH, OCCUPANCY, MapContents, SavedFactor
+from slam.storage.map_contents import MapContents
 from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers
 from slam.storage.octomap import write_octomap, write_octree
 from slam.storage.ply import write_cloud_ply, write_mesh_ply
@@ -25,25 +25,25 @@ from slam.storage.tum import write_tum
 _NAMES = {"tum": "trajectory.tum", "g2o": "graph.g2o", "nav2": MAP_YAML, "bt": "map.bt"}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Exports:
     """What is written of a map for other programs.
 
     Attributes
     ----------
     contents
-        Everything but the camera keyframes and the clouds.
-    layers
-        The map of the floor to drive by; None of a camera in space.
-    dense, clouds
-        Keyframes of cameras and of a 3D lidar; None where there is none.
+        The map.
+    config
+        Its settings.
     """
 
     contents: MapContents
-    layers: LayeredMap | None
-    dense: DenseKeyframes | None
-    clouds: MappedClouds | None
     config: Config
+
+    @cached_property
+    def layers(self) -> LayeredMap | None:
+        """The map of the floor to drive by; None of a camera in space."""
+        return self.contents.layers(self.config)
 
     def write(self, format_: str, out: Path) -> tuple[list[Path], list[str]]:
         """Write one format, see `slam.Map.export`; what was written, and what of it could not be had.
@@ -53,31 +53,29 @@ class Exports:
         ScanweaveError
             Where the map does not hold what the format needs, or a file cannot be written.
         """
-        seen = self.dense is not None or self.clouds is not None
+        found = self.contents
+        seen = found.frames is not None or found.clouds is not None
         if (format_ == "nav2" and self.layers is None) or (format_ in ("ply", "bt") and not seen):
             lacking = "grid" if format_ == "nav2" else "image or cloud"
             raise ScanweaveError(f"the map holds no {lacking}, so there is nothing to write as {format_}")
         if out.is_dir() or not out.suffix:
             make_folder(out)
-            out /= _NAMES.get(format_, "cloud.ply" if self.dense is None else "mesh.ply")
+            out /= _NAMES.get(format_, "cloud.ply" if found.frames is None else "mesh.ply")
         if format_ == "nav2":
             assert self.layers is not None
             return list(write_driving_map(out.with_suffix(""), self.layers)), []
         if format_ == "ply":
             return self._write_ply(out)
         if format_ == "tum":
-            write_tum(out, self.contents.trajectory)
+            write_tum(out, found.trajectory)
         elif format_ == "g2o":
-            kept = (factor.edge for factor in self.contents.factors if factor.kept)
-            write_g2o(out, self.contents.node_poses, kept)
-        elif self.clouds is not None:
-            _save_cloud_octomap(out, self.clouds, self.config)
-        elif self.dense is not None:
-            range_max_m = self.config.layers.depth_max_m
-            frames, poses = self.dense.frames, self.dense.poses
-            write_octomap(
-                out, frames, poses, resolution_m=self.config.grid.resolution_m, range_max_m=range_max_m
-            )
+            write_g2o(out, found.node_poses, (factor.edge for factor in found.factors if factor.kept))
+        elif found.clouds is not None:
+            _save_cloud_octomap(out, found, self.config)
+        elif found.frames is not None:
+            resolution_m, range_max_m = self.config.grid.resolution_m, self.config.layers.depth_max_m
+            poses = found.frame_poses()
+            write_octomap(out, found.frames, poses, resolution_m=resolution_m, range_max_m=range_max_m)
         return [out], []
 
     def write_files(self, folder: Path) -> list[Path]:
@@ -89,42 +87,36 @@ class Exports:
     def write_surfaces(self, folder: Path) -> tuple[list[Path], list[str]]:
         """Write surfaces and clouds, and the octree, where they are asked for; see `write`."""
         dense = self.config.dense_map
-        if not dense.enabled or (self.dense is None and self.clouds is None):
+        if not dense.enabled or (self.contents.frames is None and self.contents.clouds is None):
             return [], []
         written, missing = self.write("ply", folder)
         return (written + self.write("bt", folder)[0] if dense.octomap else written), missing
 
     def _write_ply(self, out: Path) -> tuple[list[Path], list[str]]:
         """The coloured surface of the images, and the cloud of the 3D lidar."""
-        written, missing, path = list[Path](), list[str](), out
-        if self.dense is not None:
-            written, missing = _save_surface(out, self.dense, self.config)
+        written, missing, path, found = list[Path](), list[str](), out, self.contents
+        if found.frames is not None:
+            written, missing = _save_surface(out, found, self.config)
             path = out.with_name("lidar.ply" if out.name == "mesh.ply" else f"{out.stem}-lidar.ply")
-        if self.clouds is not None:
-            cloud = map_cloud(self.clouds.clouds, self.clouds.poses, self.config.grid.resolution_m)
-            write_cloud_ply(path, cloud)
+        if found.clouds is not None:
+            poses = [spatial(pose) for pose in found.node_poses]
+            write_cloud_ply(path, map_cloud(found.clouds, poses, self.config.grid.resolution_m))
             written.append(path)
         return written, missing
 
 
-def exports_of(result: MapResult, config: Config) -> Exports:
-    """What is written of a run; its layers are drawn, and what of them could not be is a warning more."""
-    layers = layers_of(result, config)
-    return Exports(contents_of(result, layers), layers, result.dense, result.clouds, config)
-
-
-def _save_cloud_octomap(path: Path, mapped: MappedClouds, config: Config) -> None:
+def _save_cloud_octomap(path: Path, found: MapContents, config: Config) -> None:
     """The octree of a 3D lidar's keyframes."""
-    T_base_lidar = mapped.T_base_lidar
+    T_base_lidar = found.T_base_lidar
     T_lidar_base = T_base_lidar.inverse()
     views = (
-        (moved(points, T_lidar_base), T_map_base.compose(T_base_lidar))
-        for points, T_map_base in zip(mapped.clouds, mapped.poses, strict=True)
+        (moved(points, T_lidar_base), spatial(T_map_base).compose(T_base_lidar))
+        for points, T_map_base in zip(found.clouds or (), found.node_poses, strict=True)
     )
     write_octree(path, views, config.grid.resolution_m, config.cloud_map.plan_range_m)
 
 
-def _save_surface(path: Path, keyframes: DenseKeyframes, config: Config) -> tuple[list[Path], list[str]]:
+def _save_surface(path: Path, found: MapContents, config: Config) -> tuple[list[Path], list[str]]:
     """The coloured mesh of the camera keyframes, and their cloud beside it; nothing where they show none.
 
     Without Open3D there is no mesh, and the cloud is of the points as they were seen.
@@ -139,39 +131,17 @@ def _save_surface(path: Path, keyframes: DenseKeyframes, config: Config) -> tupl
         depth_max_m=config.layers.depth_max_m,
     )
     cloud_path = path.with_name("cloud.ply" if path.name == "mesh.ply" else f"{path.stem}-cloud.ply")
-    written, missing = [], []
+    written, missing, frames, poses = [], [], found.frames or (), found.frame_poses()
     try:
-        dense = fuse_keyframes(keyframes.frames, keyframes.poses, settings)
+        dense = fuse_keyframes(frames, poses, settings)
         cloud = dense.cloud
         if len(dense.mesh.faces):
             write_mesh_ply(path, dense.mesh)
             written.append(path)
     except LibraryError as error:
-        cloud = camera_cloud(keyframes.frames, keyframes.poses, settings)
+        cloud = camera_cloud(frames, poses, settings)
         missing.append(f"No {path.name}, and {cloud_path.name} is of points as they were seen: {error}")
     if len(cloud.points_map):
         write_cloud_ply(cloud_path, cloud)
         written.append(cloud_path)
     return written, missing
-
-
-def contents_of(result: MapResult, layers: LayeredMap | None = None) -> MapContents:
-    """A finished map as it is saved."""
-    grids = {} if result.grid is None else {OCCUPANCY: result.grid}
-    if layers is not None and layers.depth is not None:
-        grids[DEPTH] = layers.depth
-    return MapContents(
-        node_poses=[result.graph.pose(node) for node in range(len(result.graph))],
-        stamps_s=result.scans.stamps_s[result.keyframe_numbers],
-        readings=result.keyframe_numbers,
-        measured_scans=result.measured_scans,
-        scans=result.keyframe_scans,
-        factors=[
-            SavedFactor(edge, bool(kept))
-            for edge, kept in zip(result.graph.edges, result.edges_kept, strict=True)
-        ],
-        loops=result.loops,
-        trajectory=result.trajectory,
-        grids=grids,
-        cameras={name: record.learned for name, record in result.cameras.items()},
-    )

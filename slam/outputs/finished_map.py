@@ -1,4 +1,4 @@
-"""A finished map, read back: poses, scans, clouds, camera keyframes, factors, loops, trajectory, grids."""
+"""A finished map in its file, with what decided it."""
 
 from __future__ import annotations
 
@@ -10,22 +10,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import gtsam
-import numpy as np
 
 from slam.config import Config
 from slam.errors import MapFileError
 from slam.graph.loop_closure import LoopCandidate
-from slam.mapper.map_result import DenseKeyframes, MappedClouds
-from slam.mapping.keyframe_grid import layers_of_grids
 from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.measurements import FloatArray, LaserScan, Pose, Trajectory
+from slam.measurements import FloatArray, LaserScan, Trajectory
 from slam.outputs.exports import Exports
 from slam.storage.files import TemporaryFolder, make_folder, replacing
-from slam.storage.map_clouds import MapClouds
-from slam.storage.map_contents import DEPTH, OCCUPANCY, MapContents, SavedFactor, read_contents
+from slam.storage.map_contents import MapContents, SavedFactor, read_contents
 from slam.storage.map_file import MAP_NAME, MapFile
-from slam.storage.map_frames import MapFrames
 from slam.storage.map_identity import MapIdentity
 from slam.storage.map_sessions import MapSession, sessions_of
 from slam.storage.map_tables import FRAMES
@@ -49,11 +44,7 @@ class Map:
     sessions
         The logs that it was made of.
     contents
-        Everything but the camera keyframes and the clouds.
-    frames
-        The camera keyframes.
-    clouds
-        The clouds of the nodes; none where no 3D lidar made the map.
+        The map itself; what follows here and is there too is there explained.
     digest
         Of everything; equal for equal maps.
     notes, warnings
@@ -64,8 +55,6 @@ class Map:
     identity: MapIdentity
     sessions: Sequence[MapSession]
     contents: MapContents
-    frames: MapFrames
-    clouds: MapClouds
     digest: str
     notes: Sequence[str]
     warnings: Sequence[str]
@@ -73,10 +62,11 @@ class Map:
     _folder: TemporaryFolder | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
+        found = self.contents
         sizes = (
-            f"sessions={len(self.sessions)}, keyframes={len(self.contents.node_poses)}, "
-            f"poses={len(self.trajectory)}, loops={len(self.loops)}, frames={len(self.frames)}, "
-            f"clouds={len(self.clouds)}"
+            f"sessions={len(self.sessions)}, keyframes={len(found.node_poses)}, "
+            f"poses={len(found.trajectory)}, loops={len(found.loops)}, frames={len(found.frames or ())}, "
+            f"clouds={len(found.clouds or ())}"
         )
         return f"Map({str(self.path)!r}, {sizes})"
 
@@ -88,7 +78,7 @@ class Map:
     @property
     def planar(self) -> bool:
         """Whether the robot stays on a floor; in space the nodes are bases with clouds, or else cameras."""
-        return isinstance(self.contents.node_poses[0], gtsam.Pose2)
+        return self.contents.planar
 
     @property
     def config(self) -> Config:
@@ -97,23 +87,23 @@ class Map:
 
     @property
     def keyframe_poses(self) -> FloatArray:
-        """(K, 3) x, y, yaw of the nodes, map frame."""
-        return np.array([[pose.x(), pose.y(), _yaw(pose)] for pose in self.contents.node_poses])
+        """(K, 3) x, y, yaw of the bases, map frame."""
+        return self.contents.keyframe_poses
 
     @property
     def keyframe_scans(self) -> Sequence[LaserScan | None]:
         """K sweeps, repaired where they were."""
-        return self.contents.scans
+        return self.contents.keyframe_scans
 
     @property
     def grid(self) -> OccupancyGrid | None:
         """The lidar's grid, which other scans are matched to; None of cameras alone."""
-        return self.contents.grids.get(OCCUPANCY)
+        return self.contents.grid
 
     @property
     def layers(self) -> LayeredMap | None:
         """The map to drive by and its layers, those of the run that saved it; None of a camera in space."""
-        return layers_of_grids(self.grid, self.contents.grids.get(DEPTH), self.config)
+        return self.contents.layers(self.config)
 
     @property
     def trajectory(self) -> Trajectory:
@@ -130,10 +120,6 @@ class Map:
         """Every loop candidate with its verdict."""
         return self.contents.loops
 
-    def frame_poses(self) -> list[gtsam.Pose3]:
-        """``T_map_camera`` of every camera keyframe."""
-        return self.frames.poses(self.contents.node_poses, bases=len(self.clouds) > 0)
-
     def check(self) -> None:
         """Read everything, images and clouds too.
 
@@ -143,12 +129,15 @@ class Map:
             With the first fault, in one line that names table and row.
         """
         self._file.check_pages()
-        for index in range(len(self.frames)):
-            self.frames.features(index)
-            self.frames.frame(index)
-        for key in range(len(self.clouds)):
-            self.clouds.points(key)
-            self.clouds.T_base_lidar(key)
+        frames, clouds = self.contents.frames, self.contents.clouds
+        for index in range(len(frames) if frames else 0):
+            assert frames
+            frames.features(index)
+            frames.frame(index)
+        for key in range(len(clouds) if clouds else 0):
+            assert clouds
+            clouds.points(key)
+            clouds.T_base_lidar(key)
 
     def export(self, format_: str, out: Path | str) -> list[Path]:
         """Write the map in another program's format.
@@ -171,14 +160,14 @@ class Map:
         ScanweaveError
             Where the map does not hold what the format needs, or a file cannot be written.
         """
-        written, missing = self._exports().write(format_, Path(out))
+        written, missing = Exports(self.contents, self.config).write(format_, Path(out))
         for fault in missing:
             log.warning("%s", fault)
         return written
 
     def write_files(self, folder: Path) -> list[Path]:
         """Write the files for other programs that ``scanweave map`` writes; errors as in `export`."""
-        exports = self._exports()
+        exports = Exports(self.contents, self.config)
         surfaces, missing = exports.write_surfaces(folder)
         for fault in missing:
             log.warning("%s", fault)
@@ -225,15 +214,6 @@ class Map:
                 shutil.copyfile(self.path, temporary)
         return [target, *self.write_files(folder)]
 
-    def _exports(self) -> Exports:
-        """What is written for other programs; of a 3D lidar the nodes are the bases."""
-        dense = DenseKeyframes(self.frames, self.frame_poses()) if len(self.frames) else None
-        clouds = None
-        if len(self.clouds):
-            nodes = [pose for pose in self.contents.node_poses if isinstance(pose, gtsam.Pose3)]
-            clouds = MappedClouds(self.clouds, nodes, self.clouds.T_base_lidar(len(nodes) - 1))
-        return Exports(self.contents, self.layers, dense, clouds, self.config)
-
     def close(self) -> None:
         """Close the file; no image or cloud can be read afterwards, and a map in memory is gone."""
         self._file.close()
@@ -270,29 +250,27 @@ def open_map(path: Path | str, kept_in: TemporaryFolder | None = None) -> Map:
         identity = MapIdentity.from_meta(meta, file.path)
         contents = read_contents(file)
         sessions = sessions_of(meta, len(contents.node_poses), len(contents.trajectory))
-        frames, clouds = MapFrames(file), MapClouds(file)
-        nodes = contents.node_poses
+        frames, clouds, nodes = contents.frames, contents.clouds, contents.node_poses
         in_space = sum(isinstance(pose, gtsam.Pose3) for pose in nodes)
-        if len(clouds) and not len(clouds) == len(nodes) == in_space:
+        if clouds is not None and not len(clouds) == len(nodes) == in_space:
             raise MapFileError(
                 f"{file.path} holds {len(clouds)} clouds for {len(nodes)} nodes, {in_space} of them in "
                 "space; make the map anew"
             )
-        for index in range(len(frames)):
+        for index in range(len(frames) if frames else 0):
+            assert frames
             with file.blaming(FRAMES, index):
                 head = frames.head(index)
-                if not 0 <= head.node < len(contents.node_poses):
+                if not 0 <= head.node < len(nodes):
                     raise MapFileError("it belongs to no node")
-                if len(clouds) and head.T_base_camera is None:
+                if clouds is not None and head.T_base_camera is None:
                     raise MapFileError("it does not tell where the camera was on the robot")
     except BaseException:
         file.close()
         raise
     digest = file.content_digest()
     notes, warnings = (_lines(meta, key, file.path) for key in (NOTES, WARNINGS))
-    return Map(
-        file.path, identity, sessions, contents, frames, clouds, digest, notes, warnings, file, kept_in
-    )
+    return Map(file.path, identity, sessions, contents, digest, notes, warnings, file, kept_in)
 
 
 load_map = open_map  # its public name
@@ -307,8 +285,3 @@ def _lines(meta: Mapping[str, str], key: str, path: Path) -> list[str]:
     if not isinstance(lines, list) or not all(isinstance(line, str) for line in lines):
         raise MapFileError(f"{path} tells no {key}; make the map anew")
     return lines
-
-
-def _yaw(pose: Pose) -> float:
-    """Heading of a pose in the map's plane."""
-    return pose.theta() if isinstance(pose, gtsam.Pose2) else pose.rotation().yaw()

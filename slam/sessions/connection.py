@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from slam.graph.loop_closure import LoopCandidate
-from slam.localization.known_map import KnownMap, Walls
+from slam.localization.known_map import Walls
 from slam.outputs.finished_map import Map
 from slam.sessions.placing import Placing, place
 from slam.sessions.session_join import JoinedMap, join
-from slam.sessions.session_loops import KeyframeScans, find_loops
+from slam.sessions.session_loops import find_loops
 
 # Loops between two sessions at least.
 _LEAST_LOOPS = 3
@@ -56,12 +56,10 @@ def connect(known: Map, session: Map) -> Connection:
     if shared > 0.5 * min(len(session.keyframe_scans), len(known.keyframe_scans)):
         reason = f"{shared} of its {len(session.keyframe_scans)} keyframes are in the map already"
         return Connection(Placing(), (), None, reason)
-    placing = place(
-        Walls(KnownMap.of_saved(known), config), Walls(KnownMap.of_saved(session), config), config
-    )
+    placing = place(Walls(known.contents, config), Walls(session.contents, config), config)
     if not placing.confident:
         return Connection(placing, (), None, _unplaced(placing))
-    loops = find_loops(KeyframeScans.of_saved(known), KeyframeScans.of_saved(session), placing, config)
+    loops = find_loops(known, session, placing, config)
     accepted = sum(loop.accepted for loop in loops)
     if accepted < _LEAST_LOOPS:
         reason = f"only {accepted} of {len(loops)} scans match the map where they should, {_LEAST_LOOPS} must"

@@ -9,21 +9,20 @@ import os
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 from slam.config import Config
 from slam.errors import MapFileError
-from slam.mapper.map_result import DenseKeyframes
+from slam.mapper.map_result import depth_grid
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.measurements import RgbdFrame, Trajectory
+from slam.measurements import Trajectory
 from slam.outputs.finished_map import NOTES, WARNINGS, Map, open_map
-from slam.outputs.layer_outputs import depth_grid
 from slam.sessions.session_join import JoinedMap
 from slam.storage.files import make_folder
 from slam.storage.map_contents import DEPTH, write_contents
 from slam.storage.map_file import MAP_NAME, MapFile
-from slam.storage.map_frames import MapFrames
 from slam.storage.map_identity import MapIdentity
 from slam.storage.map_sessions import SESSIONS, MapSession, sessions_to_meta
 from slam.storage.tum import write_tum
@@ -48,17 +47,6 @@ def only_one_in(folder: Path) -> Iterator[None]:
         os.close(handle)
 
 
-@dataclass(frozen=True, slots=True)
-class _Frames:
-    """Camera keyframes of several maps, one after the other."""
-
-    parts: Sequence[MapFrames]
-
-    def __iter__(self) -> Iterator[RgbdFrame]:
-        for part in self.parts:
-            yield from part
-
-
 def write_joined(folder: Path, known: Map, session: Map, joined: JoinedMap) -> list[Path]:
     """Write ``map.db`` of a map and a session, and its exports, into a new folder; what was written.
 
@@ -80,8 +68,9 @@ def write_joined(folder: Path, known: Map, session: Map, joined: JoinedMap) -> l
         file.add_meta(SESSIONS, sessions_to_meta(sessions))
         file.add_meta(NOTES, json.dumps([*known.notes, *session.notes]))
         file.add_meta(WARNINGS, json.dumps([*known.warnings, *session.warnings]))
-        known.frames.copy_to(file, 0)
-        session.frames.copy_to(file, len(known.contents.node_poses))
+        for part, nodes in ((known.contents, 0), (session.contents, len(known.contents.node_poses))):
+            if part.frames is not None:
+                part.frames.copy_to(file, nodes)
         write_contents(file, contents)
         file.seal()
     finally:
@@ -136,12 +125,13 @@ def _identity(known: Map, session: Map) -> MapIdentity:
 
 def _depth(known: Map, session: Map, joined: JoinedMap, config: Config) -> OccupancyGrid | None:
     """The depth layer from all images; None without a camera."""
-    nodes = joined.contents.node_poses
-    first = len(known.contents.node_poses)
-    poses = [*known.frames.poses(nodes[:first]), *session.frames.poses(nodes[first:])]
-    if not poses:
+    nodes, first = joined.contents.node_poses, len(known.contents.node_poses)
+    parts = ((known.contents.frames, nodes[:first]), (session.contents.frames, nodes[first:]))
+    seen = [(frames, frames.poses(poses)) for frames, poses in parts if frames is not None]
+    if not seen:
         return None
-    return depth_grid(DenseKeyframes(_Frames((known.frames, session.frames)), poses), config)
+    frames, poses = (chain.from_iterable(part) for part in zip(*seen, strict=True))
+    return depth_grid(frames, list(poses), config)
 
 
 def _session_trajectories(folder: Path, whole: Trajectory, sessions: Sequence[MapSession]) -> list[Path]:

@@ -16,12 +16,13 @@ import numpy as np
 from fusion.estimation import gate
 from slam.config import Config
 from slam.localization.hypotheses import HypothesisSet
-from slam.localization.known_map import KnownMap, Walls
+from slam.localization.known_map import Walls
 from slam.localization.planar_sensor import PlanarSensor
 from slam.localization.scan_view import ScanView
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
 from slam.sessions.whole_path import Followed, Sighting, follow
+from slam.storage.map_contents import MapContents
 
 # How well a sighting tells where its surroundings are, and maps bend over their length.
 SIGHT_SIGMA_M = 0.12
@@ -110,12 +111,11 @@ def _proposals(known: Walls, session: Walls, config: Config) -> list[Sighting]:
     return found
 
 
-def _stretches(walls: Walls, path: KnownMap, config: Config) -> Iterator[tuple[int, FloatArray, float]]:
+def _stretches(walls: Walls, path: MapContents, config: Config) -> Iterator[tuple[int, FloatArray, float]]:
     """Stretch by stretch of a way: a keyframe of it, (3,) where it may be between walls, and the evidence."""
     hypotheses = HypothesisSet(PlanarSensor(walls, config), config.localization)
     kidnap_nats = config.localization.nowhere_nats
-    poses = path.keyframe_poses
-    path_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
+    poses, path_m = path.keyframe_poses, path.path_m
     apart_m = path_m[-1] / _MOST_STRETCHES
     begin_m = 0.0
     likeliest: list[tuple[int, FloatArray, float]] = []

@@ -83,16 +83,16 @@ def join(
     loops = judged(loops, (factor.edge for factor in factors), kept)
     factors = [replace(factor, kept=bool(keep)) for factor, keep in zip(factors, kept, strict=True)]
     joined = [factor for factor in factors if factor.edge.loop is not None and factor.edge.loop >= own_loops]
-    scans = [*known.scans, *session.scans]
+    scans = [*known.keyframe_scans, *session.keyframe_scans]
     grid = grid_of_keyframes(scans, poses, config)
-    before = _rows(known)
+    before = known.keyframe_poses
     return JoinedMap(
         MapContents(
             node_poses=[pose2_from_row(pose) for pose in poses],
             stamps_s=np.concatenate([known.stamps_s, session.stamps_s]),
             readings=np.concatenate([known.readings, session.readings]),
             measured_scans=[*known.measured_scans, *session.measured_scans],
-            scans=scans,
+            keyframe_scans=scans,
             factors=factors,
             loops=loops,
             trajectory=_joined_trajectory((known_map, session_map), poses),
@@ -116,7 +116,7 @@ def _optimised(
     graph = PoseGraph(known.node_poses[0])
     for pose in known.node_poses[1:]:
         graph.add_node(pose)
-    own = _rows(session)
+    own = session.keyframe_poses
     T_map_session, _ = placing.nearest(own[len(own) // 2], own)
     for row in own:
         graph.add_node(pose2_from_row(compose(T_map_session, row)))
@@ -177,8 +177,3 @@ def _readings_of(keyframes_s: FloatArray, stamps_s: FloatArray) -> tuple[Indices
     last = np.concatenate([[-1], np.maximum.accumulate(readings)[:-1]])
     kept = np.flatnonzero((stamps_s[readings] == keyframes_s) & (readings > last))
     return readings[kept], kept
-
-
-def _rows(contents: MapContents) -> FloatArray:
-    """(K, 3) poses of the nodes of a planar map."""
-    return np.array([row_from_pose2(pose) for pose in contents.node_poses])

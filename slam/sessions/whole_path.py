@@ -10,11 +10,12 @@ import numpy as np
 
 from slam.config import Config
 from slam.localization.hypotheses import KeyframeLog, correction
-from slam.localization.known_map import KnownMap, Walls
+from slam.localization.known_map import Walls
 from slam.localization.planar_sensor import PlanarSensor
 from slam.localization.scan_view import ScanView
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
+from slam.storage.map_contents import MapContents
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +48,7 @@ class Followed:
     nats: float
 
 
-def follow(walls: Walls, session: KnownMap, start: Sighting, config: Config) -> Followed:
+def follow(walls: Walls, session: MapContents, start: Sighting, config: Config) -> Followed:
     """Follow a session from a place to both its ends, laid to the map's walls where there are any.
 
     The evidence is that over the best of the wrong places; every surface is weighed once.

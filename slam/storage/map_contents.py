@@ -1,22 +1,29 @@
-"""What a finished map consists of besides camera keyframes and clouds, and its rows in ``map.db``."""
+"""A finished map, in memory and loaded, and its rows in ``map.db``."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, TypeVar, cast
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.config import Config
 from slam.errors import MapFileError
+from slam.graph.keyframe_graph import row_of
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, EdgeKind
+from slam.mapping.keyframe_grid import layers_of_grids
+from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.measurements import FloatArray, LaserScan, Pose, Trajectory
+from slam.measurements import FloatArray, LaserScan, Pose, Trajectory, spatial
+from slam.storage.map_clouds import MapClouds
 from slam.storage.map_file import MapFile
+from slam.storage.map_frames import MapFrames
 from slam.storage.map_tables import CAMERAS, FACTORS, GRIDS, KEYFRAMES, LOOPS, TRAJECTORY, Table
 from slam.storage.packing import pack, pack_small, unpack, unpack_small
 from slam.vision.color_registration import ColorRegistration
@@ -38,9 +45,9 @@ class SavedFactor:
     kept: bool
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class MapContents:
-    """What is written when a map is finished; camera keyframes and clouds are written while it is made.
+    """A finished map, of a run that ends as of a file.
 
     Attributes
     ----------
@@ -48,32 +55,83 @@ class MapContents:
         ``T_map_base`` of the K nodes, Pose2; in space Pose3, of a camera alone ``T_map_camera``.
     stamps_s, readings
         (K,) time of each, and its number among the scans or frames of the log.
-    measured_scans, scans
-        The sweep of each as measured, and as the camera has repaired it; None where there is none.
-    factors, loops
-        The graph's edges, and every loop candidate with its verdict.
     trajectory
         A pose for every reading of the log.
+    factors, loops
+        The graph's edges, and every loop candidate with its verdict.
+    measured_scans, keyframe_scans
+        The sweep of each node as measured, and as the camera has repaired it; None where there is none, and
+        empty where there is none at all.
     grids
         By name.
     cameras
         What the run learned of each camera, by its name.
+    frames, clouds
+        Camera keyframes, and the clouds of the nodes; None where there are none. They are written while the
+        map is made, and read when they are asked for.
     """
 
     node_poses: Sequence[Pose]
     stamps_s: FloatArray
     readings: NDArray[np.int64]
-    measured_scans: Sequence[LaserScan | None]
-    scans: Sequence[LaserScan | None]
-    factors: Sequence[SavedFactor]
-    loops: Sequence[LoopCandidate]
     trajectory: Trajectory
-    grids: Mapping[str, OccupancyGrid]
+    factors: Sequence[SavedFactor] = ()
+    loops: Sequence[LoopCandidate] = ()
+    measured_scans: Sequence[LaserScan | None] = ()
+    keyframe_scans: Sequence[LaserScan | None] = ()
+    grids: Mapping[str, OccupancyGrid] = field(default_factory=dict)
     cameras: Mapping[str, LearnedCamera] = field(default_factory=dict)
+    frames: MapFrames | None = None
+    clouds: MapClouds | None = None
+
+    @property
+    def planar(self) -> bool:
+        """Whether the robot stays on a floor; in space the nodes are bases with clouds, or else cameras."""
+        return isinstance(self.node_poses[0], gtsam.Pose2)
+
+    @cached_property
+    def keyframe_poses(self) -> FloatArray:
+        """(K, 3) x, y, yaw of the bases, map frame."""
+        poses, T_base_camera = self.node_poses, None
+        if self.frames is not None and not self.planar and self.clouds is None:
+            T_base_camera = self.frames.head(0).T_base_camera
+        if T_base_camera is not None:
+            poses = [spatial(pose).compose(T_base_camera.inverse()) for pose in poses]
+        return np.array([row_of(pose) for pose in poses])
+
+    @cached_property
+    def path_m(self) -> FloatArray:
+        """(K,) way on the floor from the first keyframe to each."""
+        return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self.keyframe_poses[:, :2], axis=0).T))])
+
+    @property
+    def grid(self) -> OccupancyGrid | None:
+        """The lidar's grid; None of cameras alone, or where it could not be built."""
+        return self.grids.get(OCCUPANCY)
+
+    def layers(self, config: Config) -> LayeredMap | None:
+        """The map to drive by and its layers; None where there is no grid."""
+        return layers_of_grids(self.grid, self.grids.get(DEPTH), config)
+
+    def frame_poses(self) -> list[gtsam.Pose3]:
+        """``T_map_camera`` of every camera keyframe."""
+        return [] if self.frames is None else self.frames.poses(self.node_poses, self.clouds is not None)
+
+    @property
+    def T_base_lidar(self) -> gtsam.Pose3:
+        """Where the rays of the clouds begin."""
+        assert self.clouds is not None
+        return self.clouds.T_base_lidar(len(self.clouds) - 1)
+
+    @property
+    def registrations(self) -> dict[str, ColorRegistration]:
+        """Where colour cameras sit beside their depth cameras, as far as the run has asked, by name."""
+        learned = {name: one.registration for name, one in self.cameras.items()}
+        return {name: found for name, found in learned.items() if found is not None}
 
 
 def write_contents(file: MapFile, contents: MapContents) -> None:
-    """Write what is known when a map is finished.
+    """Write what is known when a map is finished: all but frames and clouds.
 
     Raises
     ------
@@ -83,7 +141,7 @@ def write_contents(file: MapFile, contents: MapContents) -> None:
     for table in (KEYFRAMES, FACTORS, LOOPS, TRAJECTORY, GRIDS, CAMERAS):
         file.clear(table)  # an interrupt may have come amid the writing
     for node, pose in enumerate(contents.node_poses):
-        scan = contents.scans[node] if contents.scans else None
+        scan = contents.keyframe_scans[node] if contents.keyframe_scans else None
         measured = contents.measured_scans[node] if contents.measured_scans else None
         file.append(
             KEYFRAMES,
@@ -112,13 +170,14 @@ def write_contents(file: MapFile, contents: MapContents) -> None:
 
 
 def read_contents(file: MapFile) -> MapContents:
-    """Everything but the camera keyframes.
+    """Everything, frames and clouds to be read later.
 
     Raises
     ------
     MapFileError
         Where a row is damaged, or does not fit the others.
     """
+    frames, clouds = MapFrames(file), MapClouds(file)
     keyframes = list(_read(file, KEYFRAMES, _keyframe))
     if not keyframes:
         raise MapFileError(f"{file.path} holds no keyframe; make the map anew")
@@ -132,7 +191,7 @@ def read_contents(file: MapFile) -> MapContents:
         stamps_s=np.array([keyframe[0] for keyframe in keyframes]),
         readings=np.array([keyframe[1] for keyframe in keyframes], dtype=np.int64),
         measured_scans=[keyframe[3] for keyframe in keyframes],
-        scans=[keyframe[4] for keyframe in keyframes],
+        keyframe_scans=[keyframe[4] for keyframe in keyframes],
         factors=list(_read(file, FACTORS, lambda row: _factor(row, poses, len(loops)))),
         loops=loops,
         trajectory=Trajectory(
@@ -142,6 +201,8 @@ def read_contents(file: MapFile) -> MapContents:
         ),
         grids=dict(_read(file, GRIDS, _grid)),
         cameras=dict(_read(file, CAMERAS, _camera)),
+        frames=frames if len(frames) else None,
+        clouds=clouds if len(clouds) else None,
     )
 
 

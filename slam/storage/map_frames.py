@@ -10,7 +10,7 @@ import gtsam
 
 from slam.errors import MapFileError
 from slam.mapping.image_packing import depth_steps_per_m, packed_color, packed_depth, unpacked_images
-from slam.measurements import CameraIntrinsics, Pose, RgbdFrame
+from slam.measurements import CameraIntrinsics, Pose, RgbdFrame, spatial
 from slam.storage.map_file import MapFile
 from slam.storage.map_tables import FRAMES, IMAGES, Value
 from slam.storage.packing import pack, unpack
@@ -133,7 +133,7 @@ class MapFrames:
             file.append(FRAMES, cast(int, node) + nodes, *rest)
             file.append(IMAGES, *self._file.row(IMAGES, index))
 
-    def poses(self, node_poses: Sequence[Pose], *, bases: bool = False) -> list[gtsam.Pose3]:
+    def poses(self, node_poses: Sequence[Pose], bases: bool = False) -> list[gtsam.Pose3]:
         """``T_map_camera`` of every frame.
 
         Parameters
@@ -144,14 +144,11 @@ class MapFrames:
         poses = []
         for index in range(len(self)):
             head = self.head(index)
-            node = node_poses[head.node]
-            planar = isinstance(node, gtsam.Pose2)
-            if isinstance(node, gtsam.Pose2):
-                node = gtsam.Pose3(gtsam.Pose2(node.x(), node.y(), node.theta()))
-            if planar or bases:
+            pose = spatial(node := node_poses[head.node])
+            if bases or isinstance(node, gtsam.Pose2):
                 assert head.T_base_camera is not None
-                node = node.compose(head.T_base_camera)
-            poses.append(node)
+                pose = pose.compose(head.T_base_camera)
+            poses.append(pose)
         return poses
 
     def _check_same(self, head: FrameHead, frame: RgbdFrame, node: int) -> None:

@@ -11,7 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 import fusion
 from slam.config import Config
@@ -22,52 +22,6 @@ _LIBRARIES = ("scanweave", "gtsam", "numpy", "numba", "scipy", "kiss-icp", "open
 # Images are known by name and size; anything else by its content.
 _IMAGES = frozenset({".png", ".jpg", ".jpeg", ".pgm", ".ppm"})
 _BLOCK = 1 << 20
-# Sections and settings that earlier versions had: what they decided is in the map.
-_RETIRED_BY_SECTION = {
-    "sensors": "greatest_excess",
-    "prediction": "surprise_sigmas",
-    "match": "coarse_cell_m fine_cell_m coarse_kernel_m fine_kernel_m",
-    "rgbd_odometry": (
-        "method local_keyframes iterations coarse_iterations least_inlier_share sure_inlier_share "
-        "least_overlap floor_m floor_rad degenerate_sigma_m keyframe_angle_rad lost_after ransac_px"
-    ),
-    "visual_loops": "enabled near by_looks least_inlier_share least_overlap keyframes_cached",
-    "loops": (
-        "greatest_half_yaw_rad least_half_width_m least_half_yaw_rad wide_half_width_m "
-        "wide_half_yaw_rad candidates submap_half_keyframes submap_half_m submaps_cached field_cell_m "
-        "field_sigma_m points least_score"
-    ),
-    "fusion": "examples",
-    "cloud_map": "enabled voxel_m ground_sigma_m",
-    "grid": "hit_range_m",
-    "dense_map": "octomap_cell_m farthest_m",
-    "cloud_odometry": (
-        "use_wheel_odometry local_map_keyframes keyframe_angle_rad points_a_voxel iterations "
-        "least_inlier_share floor_m floor_rad minimal_residual_m degenerate_share degenerate_sigma_m"
-    ),
-    "cloud_loops": (
-        "enabled caution every_voxels sigmas near by_looks half_keyframes places_cached least_overlap "
-        "least_inlier_share"
-    ),
-    "localization": (
-        "lag_nodes field_sigma_m unknown_likelihood search_back_m search_points tile_m tile_reach_m "
-        "station_m station_rad news_cell_m kidnap_nats carried_nats looks_nats"
-    ),
-    "cloud_localization": (
-        "tile_voxels tile_keyframes space_voxels tiles_cached thickness_m looks looks_apart_voxels "
-        "looks_beside_voxels coarseness arrive_voxels refined hypotheses on_plane_voxels least_stations "
-        "map_sigma_m map_sigma_rad"
-    ),
-}
-_RETIRED = frozenset(
-    {"bundle", "lidar_odometry"}
-    | {
-        "visual_loops.near_unlikeness",
-        "cloud_loops.greatest_unlikeness",
-        "localization.sure_probability",
-        "graph.sure_inlier_share",
-    }
-) | {f"{section}.{name}" for section, names in _RETIRED_BY_SECTION.items() for name in names.split()}
 # What a run leaves in the folder of its log where it is told to write there.
 _OUTPUTS = frozenset(
     {f"{MAP_NAME}{ending}" for ending in ("", "-wal", "-shm", "-journal")}
@@ -115,14 +69,14 @@ class MapIdentity:
             Where a row is missing, or the configuration is that of another version.
         """
         try:
-            config = Config.model_validate_json(json.dumps(_without_retired(json.loads(meta["config"]))))
+            config = Config.model_validate_json(json.dumps(_known(json.loads(meta["config"]))))
             versions = json.loads(meta["versions"])
             return cls(config, meta["log_name"], meta["log_fingerprint"], versions)
         except KeyError as error:
             raise MapFileError(f"{path} does not tell its {error.args[0]}; make the map anew") from error
         except ValidationError as error:
             raise MapFileError(
-                f"{path} was made with settings that this version does not know "
+                f"{path} was made with settings that this version does not take "
                 f"({error.errors()[0]['loc'][0]}); make the map anew"
             ) from error
         except ValueError as error:
@@ -144,14 +98,16 @@ class MapIdentity:
         return None
 
 
-def _without_retired(settings: Any, prefix: str = "") -> Any:
-    """Settings as this version knows them."""
+def _known(settings: Any, model: type[BaseModel] = Config) -> Any:
+    """Settings that this version knows: what those of earlier ones decided is in the map."""
     if not isinstance(settings, dict):
         return settings
+    kinds = {name: field.annotation for name, field in model.model_fields.items() if name in settings}
     return {
-        name: _without_retired(value, f"{prefix}{name}.")
-        for name, value in settings.items()
-        if f"{prefix}{name}" not in _RETIRED
+        name: _known(settings[name], kind)
+        if isinstance(kind, type) and issubclass(kind, BaseModel)
+        else settings[name]
+        for name, kind in kinds.items()
     }
 
 

@@ -15,33 +15,36 @@ from slam.errors import ScanweaveError
 from slam.localization.output import LocalizerOutput
 from slam.mapper.map_result import MapResult
 from slam.mapping.keyframe_grid import grid_of_keyframes
-from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.matching.local_cloud import moved
 from slam.matching.planar import transform_points
 from slam.measurements import FloatArray, LaserScan, Measurement, PointCloud, Pose, RgbdFrame, row_from_pose2
+from slam.storage.map_contents import MapContents
 from slam.viewer.viewer import Viewer
 
 _GRIDS = 10  # moments at which the growing grid is shown
 
 
-def record_map(viewer: Viewer, result: MapResult, layers: LayeredMap | None, config: Config) -> None:
+def record_map(viewer: Viewer, result: MapResult, config: Config) -> None:
     """Show a finished map."""
-    poses = [result.graph.pose(node) for node in range(len(result.graph))]
+    found, layers = result.map, result.map.layers(config)
+    poses = found.node_poses
     positions_m = np.array([_position(pose) for pose in poses]).reshape(-1, 3)
-    viewer.polyline("trajectory", result.trajectory.positions_m)
+    viewer.polyline("trajectory", found.trajectory.positions_m)
     for name, holds in (("graph", True), ("refused edges", False)):
         ends = [
-            (positions_m[edge.source], positions_m[edge.target])
-            for edge, kept in zip(result.graph.edges, result.edges_kept, strict=True)
-            if bool(kept) is holds
+            (positions_m[factor.edge.source], positions_m[factor.edge.target])
+            for factor in found.factors
+            if factor.kept is holds
         ]
         viewer.edges(name, np.array(ends).reshape(-1, 2, 3), holds=holds)
     for note in [*result.notes, *result.warnings]:
         viewer.note(note)
     _record_keyframes(viewer, result, poses, positions_m)
-    _record_images(viewer, result)
-    _record_grids(viewer, result, config)
+    for frame in found.frames or ():
+        viewer.at(frame.stamp_s)
+        viewer.image(frame.sensor, frame.color, frame.depth_m)
+    _record_grids(viewer, found, config)
     if layers is not None:
         for name in layers.names:
             viewer.grid(f"{name} layer", layers.states(name), layers.resolution_m, layers.T_map_grid)
@@ -66,16 +69,15 @@ def _record_keyframes(
     viewer: Viewer, result: MapResult, poses: Sequence[Pose], positions_m: FloatArray
 ) -> None:
     """Robot, scan and loops at every keyframe."""
-    stamps_s = result.scans.stamps_s[result.keyframe_numbers]
-    shares = result.scans.inlier_shares[result.keyframe_numbers]
+    scans, shares = result.map.keyframe_scans, result.scans.inlier_shares[result.map.readings]
     met: dict[int, list[tuple[int, bool]]] = {}
-    for loop in result.loops:
+    for loop in result.map.loops:
         met.setdefault(loop.keyframe, []).append((loop.place, loop.accepted))
     shown = False
-    for key, (stamp_s, pose) in enumerate(zip(stamps_s, poses, strict=True)):
+    for key, (stamp_s, pose) in enumerate(zip(result.map.stamps_s, poses, strict=True)):
         viewer.at(float(stamp_s))
         viewer.pose(pose)
-        scan = result.keyframe_scans[key] if key < len(result.keyframe_scans) else None
+        scan = scans[key] if key < len(scans) else None
         if scan is not None and isinstance(pose, gtsam.Pose2):
             viewer.scan(_scan_points(scan, pose))
         if np.isfinite(shares[key]):
@@ -88,27 +90,19 @@ def _record_keyframes(
         shown = bool(loops)
 
 
-def _record_images(viewer: Viewer, result: MapResult) -> None:
-    """The camera keyframes."""
-    for frame in result.dense.frames if result.dense is not None else ():
-        viewer.at(frame.stamp_s)
-        viewer.image(frame.sensor, frame.color, frame.depth_m)
-
-
-def _record_grids(viewer: Viewer, result: MapResult, config: Config) -> None:
+def _record_grids(viewer: Viewer, found: MapContents, config: Config) -> None:
     """The grid as it grows, and as it is saved."""
-    if result.grid is None:
+    if found.grid is None:
         return
-    stamps_s = result.scans.stamps_s[result.keyframe_numbers]
-    count = len(result.keyframe_scans)
+    stamps_s, count = found.stamps_s, len(found.keyframe_scans)
     for end in np.unique(np.linspace(1, count, _GRIDS + 1).astype(int))[:-1]:
         try:
-            grid = grid_of_keyframes(result.keyframe_scans[:end], result.keyframe_poses[:end], config)
+            grid = grid_of_keyframes(found.keyframe_scans[:end], found.keyframe_poses[:end], config)
         except ScanweaveError:
             continue  # the whole one fitted, this one has no beam
         if grid is not None:
             _show(viewer, float(stamps_s[end - 1]), grid)
-    _show(viewer, float(stamps_s[-1]), result.grid)
+    _show(viewer, float(stamps_s[-1]), found.grid)
 
 
 def _show(viewer: Viewer, stamp_s: float, grid: OccupancyGrid) -> None:

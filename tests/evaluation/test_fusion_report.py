@@ -20,13 +20,13 @@ from slam.datasets.dataset import ReadReport
 from slam.evaluation.fusion_figures import examples_png, fusion_section, offsets_png, repairs_png
 from slam.evaluation.map_report import ReportData, RunCost
 from slam.evaluation.report import write_report
-from slam.graph.pose_graph import PoseGraph
 from slam.mapper.keyframe_fusion import FusionPair, FusionSummary
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.map_result import MapResult
 from slam.mapper.mapper import Mapper
 from slam.mapper.scan_record import ScanRecord
 from slam.measurements import FloatArray, LaserScan, Trajectory
+from slam.storage.map_contents import MapContents
 from slam.vision.color_registration import identity_registration
 
 RIG = RigEstimate(
@@ -72,17 +72,14 @@ def page(fused: FusionSummary | None, folder: Path) -> str:
     """The report of a run that stood still."""
     scan = example()[0]
     result = MapResult(
-        trajectory=Trajectory(frames().stamps_s, np.zeros((8, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (8, 1))),
-        keyframe_poses=np.zeros((1, 3)),
-        keyframe_numbers=np.array([0]),
-        keyframe_scans=[scan],
-        graph=PoseGraph(gtsam.Pose2()),
-        edges_kept=np.empty(0, np.bool_),
-        loops=[],
-        scans=frames(),
-        grid=None,
-        stage_seconds={},
-        warnings=[],
+        MapContents(
+            node_poses=[gtsam.Pose2()],
+            stamps_s=np.array([1000.0]),
+            readings=np.array([0]),
+            trajectory=Trajectory(frames().stamps_s, np.zeros((8, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (8, 1))),
+            keyframe_scans=[scan],
+        ),
+        frames(),
         fused=fused,
     )
     write_report(folder / "report.html", ReportData("log", ReadReport(), result, Config(), RunCost(1.0, 1.0)))

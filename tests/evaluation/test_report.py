@@ -23,12 +23,11 @@ from slam.evaluation.map_report import ReportData, RunCost
 from slam.evaluation.report import write_report
 from slam.evaluation.report_figures import MapPicture, map_png
 from slam.graph.loop_closure import LoopCandidate
-from slam.graph.pose_graph import PoseGraph
 from slam.mapper.map_result import MapResult
 from slam.mapper.scan_record import ScanRecord
-from slam.mapping.keyframe_grid import layers_of_grids
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, MotionEstimate, Trajectory
+from slam.storage.map_contents import DEPTH, OCCUPANCY, MapContents
 
 
 class Page(HTMLParser):
@@ -79,13 +78,17 @@ def data() -> ReportData:
     along = np.linspace(1.0, 3.0, 400)
     places = np.arange(100) // 50
     result = MapResult(
-        trajectory=Trajectory.from_planar(stamps_s, np.column_stack([along, 0.0 * along + 1.0, 0.0 * along])),
-        keyframe_poses=np.column_stack([0.3 * places, -0.4 * places, 0.0 * places]),
-        keyframe_numbers=np.arange(0, 400, 8),
-        keyframe_scans=[LaserScan(0.0, np.ones(3, np.float32), -1.0, 1.0, 10.0)],
-        graph=PoseGraph(gtsam.Pose2()),
-        edges_kept=np.empty(0, np.bool_),
-        loops=[loop(3, accepted=True, score=0.871), loop(4, accepted=False, reason="too little overlap")],
+        MapContents(
+            node_poses=[gtsam.Pose2(0.3 * place, -0.4 * place, 0.0) for place in places],
+            stamps_s=stamps_s[::8],
+            readings=np.arange(0, 400, 8),
+            trajectory=Trajectory.from_planar(
+                stamps_s, np.column_stack([along, 0.0 * along + 1.0, 0.0 * along])
+            ),
+            loops=[loop(3, accepted=True, score=0.871), loop(4, accepted=False, reason="too little overlap")],
+            keyframe_scans=[LaserScan(0.0, np.ones(3, np.float32), -1.0, 1.0, 10.0)],
+            grids={OCCUPANCY: grid_of(known_room())},
+        ),
         scans=ScanRecord(
             stamps_s,
             generator.uniform(0.001, 0.002, 400),
@@ -94,7 +97,6 @@ def data() -> ReportData:
             (np.arange(400) % 80 == 0).astype(float),
             *(np.full(400, np.nan) for _ in range(3)),
         ),
-        grid=grid_of(known_room()),
         stage_seconds={"match": 3.5, "optimise": 0.25},
         warnings=["the clock ran backward"],
     )
@@ -105,7 +107,8 @@ def data() -> ReportData:
 
 
 def having(data: ReportData, **changes: Any) -> ReportData:
-    return replace(data, result=replace(data.result, **changes))
+    """A run whose map is another."""
+    return replace(data, result=replace(data.result, map=replace(data.result.map, **changes)))
 
 
 @pytest.fixture
@@ -145,9 +148,7 @@ def test_nothing_is_asked_of_the_network_and_nothing_runs(data: ReportData, writ
 
 def test_layers_are_shown_in_small_beside_the_map_that_they_make(data: ReportData, written) -> None:
     unseen = grid_of(np.full((60, 80), -1, np.int8))
-    layers = layers_of_grids(data.result.grid, unseen, data.config)
-    assert layers is not None
-    html = written(replace(data, layers=layers))
+    html = written(having(data, grids={**data.result.map.grids, DEPTH: unseen}))
     page = Page(html)
     assert page.tags.count("img") == 6 and page.tags.count("figcaption") == 3
     for part in ("The map to drive by: black", "The lidar alone, at its own height", "layers/depth.yaml"):
@@ -163,7 +164,8 @@ def test_every_text_is_escaped(data: ReportData, written) -> None:
     evil = "<script>alert('&')</script>\""
     data.reading.note(evil, 1)
     refused = loop(1, accepted=False, reason=evil)
-    evils = having(data, loops=[refused], stage_seconds={evil: 1.0}, warnings=[evil])
+    evils = having(data, loops=[refused])
+    evils.result.stage_seconds[evil], evils.result.warnings[:] = 1.0, [evil]
     html = written(replace(evils, log_name=evil))
     page = Page(html)
     assert "script" not in page.tags
@@ -189,15 +191,16 @@ def test_a_few_accepted_loops_stand_open(data: ReportData, written) -> None:
 def test_a_run_without_results_still_has_a_report(data: ReportData, written) -> None:
     empty = {
         "trajectory": Trajectory.from_planar(np.zeros(0), np.zeros((0, 3))),
-        "keyframe_numbers": np.zeros(0, np.int64),
-        "scans": ScanRecord(*(np.zeros(0) for _ in range(8))),
+        "readings": np.zeros(0, np.int64),
     }
-    html = written(having(data, **empty, loops=[], grid=None, warnings=[], stage_seconds={}))
+    nothing = having(data, **empty, loops=[], grids={}).result.map
+    html = written(replace(data, result=MapResult(nothing, ScanRecord(*(np.zeros(0) for _ in range(8))))))
     assert "0 accepted, 0 refused" in html
     assert "Warnings" not in html
 
 
-def test_the_same_run_gives_the_same_bytes(data: ReportData, written) -> None:
+def test_the_same_run_gives_the_same_bytes(data: ReportData, written, monkeypatch) -> None:
+    monkeypatch.setattr(RunCost, "peak_memory_mb", staticmethod(lambda: 350.0))
     assert written(data) == written(data)
 
 

@@ -19,11 +19,12 @@ from slam.evaluation.cloud_picture import cloud_from_above
 from slam.evaluation.map_report import Beside, ReportData, RunCost, beside_of
 from slam.evaluation.report import write_report
 from slam.evaluation.truth_comparison import compare_with_truth
-from slam.graph.pose_graph import Edge, EdgeKind, PoseGraph
+from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.mapper.scan_record import CameraRecord, ScanRecord
 from slam.mapping.dense_map import ColoredCloud
 from slam.measurements import CameraIntrinsics, FloatArray, LaserScan, Trajectory
+from slam.storage.map_contents import MapContents, SavedFactor
 from slam.storage.ply import write_cloud_ply
 from slam.vision.color_registration import identity_registration
 from slam.vision.learned_camera import LearnedCamera
@@ -65,24 +66,19 @@ def result(
     keep: bool = True,
 ) -> MapResult:
     """Keyframes at 0, 40 and 80; on a floor a lidar that sees nothing is there too."""
-    graph = PoseGraph(origin)
     size = 3 if isinstance(origin, gtsam.Pose2) else 6
-    for key in (1, 2):
-        graph.add_node(origin)
-        graph.add_edge(Edge(key - 1, key, origin, np.eye(size), kind, trusted=True))
+    edges = [Edge(key - 1, key, origin, np.eye(size), kind, trusted=True) for key in (1, 2)]
     scan = LaserScan(0.0, np.ones(3, np.float32), -1.0, 1.0, 10.0)
     return MapResult(
-        trajectory=trajectory(),
-        keyframe_poses=np.zeros((3, 3)),
-        keyframe_numbers=np.array([0, 40, 80]),
-        keyframe_scans=[scan, scan, scan] if size == 3 else [],
-        graph=graph,
-        edges_kept=np.full(2, keep),
-        loops=[],
-        scans=frames(lost),
-        grid=None,
-        stage_seconds={},
-        warnings=[],
+        MapContents(
+            node_poses=[origin] * 3,
+            stamps_s=trajectory().stamps_s[[0, 40, 80]],
+            readings=np.array([0, 40, 80]),
+            trajectory=trajectory(),
+            factors=[SavedFactor(edge, keep) for edge in edges],
+            keyframe_scans=[scan, scan, scan] if size == 3 else [],
+        ),
+        frames(lost),
         cameras={"RGBD_1": CameraRecord(frames(lost))},
     )
 
@@ -130,7 +126,9 @@ def test_dead_reckoning_is_what_no_camera_told(kind: EdgeKind, keep: bool, expec
 
 def test_only_the_steps_that_cameras_told_are_theirs() -> None:
     run = result(gtsam.Pose2(), lost=slice(30, 60))
-    run.graph.edges[0] = replace(run.graph.edges[0], kind=EdgeKind.WHEEL)
+    first, *others = run.map.factors
+    first = replace(first, edge=replace(first.edge, kind=EdgeKind.WHEEL))
+    run.map = replace(run.map, factors=[first, *others])
     assert report(run).warnings == [
         "11 of 100 scans matched nothing; their motion is dead reckoning.",  # 30 to 40
         "At 19 of 100 moments the lidar reported nothing; cameras reported the motion.",  # 41 to 59
@@ -150,7 +148,8 @@ def test_a_registration_is_told_with_its_reason(tmp_path: Path) -> None:
 
 def test_the_path_of_a_camera_is_measured_in_space() -> None:
     climb = replace(trajectory(), positions_m=np.outer(np.arange(COUNT), [0.0, 0.0, 0.02]))
-    assert report(replace(result(), trajectory=climb)).path_length_m == pytest.approx(0.02 * (COUNT - 1))
+    run = replace(result(), map=replace(result().map, trajectory=climb))
+    assert report(run).path_length_m == pytest.approx(0.02 * (COUNT - 1))
 
 
 def redness(png: bytes) -> int:

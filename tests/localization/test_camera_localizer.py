@@ -8,14 +8,15 @@ import pytest
 from room_world import SMALL, Room, blind, error_of, furnished, looking, prepared, render
 
 from slam.config import Config, load_config
-from slam.localization.known_map import KnownCameras, KnownMap
 from slam.localization.localizer import Localizer
 from slam.localization.output import LocalizerOutput, State
 from slam.localization.poses import composed
 from slam.localization.visual_locator import VisualLocator
 from slam.measurements import MotionEstimate, RgbdFrame
+from slam.storage.map_contents import MapContents
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
+from slam.trajectory.poses import Poses
 from slam.vision.prepared_frame import PreparedFrame
 
 ROOM = furnished()
@@ -31,7 +32,7 @@ def walk(
 
 
 @pytest.fixture(scope="module")
-def known_map() -> KnownMap:
+def known_map() -> MapContents:
     """Keyframes all round."""
     spool, poses = MapFrames(MapFile.temporary()), []
     for n in range(21):
@@ -39,17 +40,18 @@ def known_map() -> KnownMap:
         frame = prepared(render(ROOM, pose))
         spool.add(frame.frame, n, frame.features)
         poses.append(pose)
-    rows = np.array([[pose.x(), pose.y(), 0.0] for pose in poses])
-    return KnownMap(rows, [], None, planar=False, cameras=KnownCameras(spool, poses))
+    return MapContents(
+        poses, np.arange(21.0), np.arange(21), Poses.of(poses).trajectory(np.arange(21.0)), frames=spool
+    )
 
 
-def follow(known_map: KnownMap, frames: list[RgbdFrame], config: Config = CONFIG) -> list[LocalizerOutput]:
+def follow(known_map: MapContents, frames: list[RgbdFrame], config: Config = CONFIG) -> list[LocalizerOutput]:
     localizer = Localizer(known_map, config)
     found = [localizer.add(frame) for frame in frames]
     return [output for output in found if output is not None]
 
 
-def test_a_camera_is_found_and_followed(known_map: KnownMap) -> None:
+def test_a_camera_is_found_and_followed(known_map: MapContents) -> None:
     frames, truth = walk(ROOM, 16, 1.0)
     outputs = follow(known_map, frames)
     assert outputs[0].state is State.SEARCHING
@@ -65,7 +67,7 @@ def test_a_camera_is_found_and_followed(known_map: KnownMap) -> None:
         assert np.linalg.norm(error_of(past.pose, pose)[3:]) < 0.05
 
 
-def test_a_covered_camera_is_lost_and_found_again(known_map: KnownMap) -> None:
+def test_a_covered_camera_is_lost_and_found_again(known_map: MapContents) -> None:
     seen, truth = walk(ROOM, 12, 1.0)
     again, _ = walk(ROOM, 14, 3.5, first_s=4.0)
     dark = [blind(render(ROOM, truth[-1], stamp_s=1.0 + n / 15.0)) for n in range(14)]
@@ -87,18 +89,18 @@ def test_a_covered_camera_is_lost_and_found_again(known_map: KnownMap) -> None:
     assert sigma[-1] > 10.0 * sigma[0]
 
 
-def test_another_room_leads_to_no_pose(known_map: KnownMap) -> None:
+def test_another_room_leads_to_no_pose(known_map: MapContents) -> None:
     frames, _ = walk(furnished(seed=9), 8, 1.0)
     assert all(output.state is State.SEARCHING for output in follow(known_map, frames))
 
 
-def test_frames_of_a_camera_that_the_map_does_not_know_are_not_used(known_map: KnownMap) -> None:
+def test_frames_of_a_camera_that_the_map_does_not_know_are_not_used(known_map: MapContents) -> None:
     frame = render(ROOM, looking(0.0, 0.0, 1.3, 0.0), SMALL, sensor="another")
     assert follow(known_map, [frame]) == []
 
 
 def test_a_place_found_beside_the_right_one_does_not_lock_out_what_is_seen_next(
-    known_map: KnownMap, monkeypatch: pytest.MonkeyPatch
+    known_map: MapContents, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Seen on a real Kinect: found 6 cm off by sight of one keyframe, which claimed to be right to 4 mm."""
     anywhere = VisualLocator.anywhere

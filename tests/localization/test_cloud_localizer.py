@@ -16,12 +16,12 @@ from command_line import scanweave as scanweave
 from slam.config import load_config
 from slam.datasets import open_dataset
 from slam.errors import MapFileError
-from slam.localization.known_map import KnownMap
 from slam.localization.localizer import Localizer
 from slam.localization.output import LocalizerOutput, State
 from slam.mapper.pipeline import build_map
 from slam.measurements import FloatArray, PointCloud
 from slam.simulation.synthetic_log import write_synthetic_log
+from slam.storage.map_contents import MapContents
 from slam.storage.tum import read_tum
 
 SETTINGS = ("cloud_odometry.voxel_m=0.25", "dense_map.enabled=false", "localization.search_threads=1")
@@ -56,11 +56,11 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def known_map(log: Path) -> KnownMap:
-    return KnownMap.of_result(build_map(open_dataset(log), CONFIG))
+def known_map(log: Path) -> MapContents:
+    return build_map(open_dataset(log), CONFIG).map
 
 
-def follow(known_map: KnownMap, clouds: Iterable[PointCloud]) -> list[LocalizerOutput]:
+def follow(known_map: MapContents, clouds: Iterable[PointCloud]) -> list[LocalizerOutput]:
     localizer = Localizer(known_map, CONFIG)
     outputs = [localizer.add(cloud) for cloud in clouds]
     assert all(output is not None for output in outputs)
@@ -82,7 +82,7 @@ def errors(outputs: Sequence[LocalizerOutput], poses: Sequence[gtsam.Pose3]) -> 
     return np.array(rows).reshape(-1, 2)
 
 
-def test_a_drive_is_found_and_tracked(known_map: KnownMap) -> None:
+def test_a_drive_is_found_and_tracked(known_map: MapContents) -> None:
     poses = drive(OTHER)[2:30]
     outputs = follow(known_map, seen(poses, 100))
     found = errors(outputs, poses)
@@ -100,7 +100,7 @@ def test_a_drive_is_found_and_tracked(known_map: KnownMap) -> None:
             assert np.linalg.eigvalsh(output.covariance)[0] > 0.0
 
 
-def test_another_building_leads_to_no_pose(known_map: KnownMap) -> None:
+def test_another_building_leads_to_no_pose(known_map: MapContents) -> None:
     """The same rooms, but smaller, and the other way round."""
     small = np.array([0.8, -0.8, 1.0], np.float32)
     clouds = [
@@ -110,7 +110,7 @@ def test_another_building_leads_to_no_pose(known_map: KnownMap) -> None:
     assert all(output.state is State.SEARCHING and output.pose is None for output in outputs)
 
 
-def test_carried_off_and_found_again(known_map: KnownMap) -> None:
+def test_carried_off_and_found_again(known_map: MapContents) -> None:
     """From the left room into the right one, in the midst of the log, without a gap in the stamps."""
     whole = drive(OTHER)
     poses = [*whole[:9], *whole[27:]]
@@ -124,12 +124,12 @@ def test_carried_off_and_found_again(known_map: KnownMap) -> None:
             assert offset(output.pose, pose)[0] < 0.25
 
 
-def test_empty_clouds_are_endured(known_map: KnownMap) -> None:
+def test_empty_clouds_are_endured(known_map: MapContents) -> None:
     empty = [PointCloud(0.1 * n, np.zeros((n % 3, 3), np.float32)) for n in range(8)]
     assert all(output.state is State.SEARCHING for output in follow(known_map, empty))
 
 
-def test_without_its_lidar_it_is_refused(known_map: KnownMap) -> None:
+def test_without_its_lidar_it_is_refused(known_map: MapContents) -> None:
     with pytest.raises(MapFileError, match="3D lidar"):
         Localizer(known_map, load_config(None, ["sensors.lidar=false"]))
 

@@ -12,7 +12,6 @@ from slam.config import Config, load_config
 from slam.datasets import open_dataset
 from slam.errors import MapFileError
 from slam.localization.drive_log import DriveLog
-from slam.localization.known_map import KnownMap
 from slam.localization.localizer import Localizer
 from slam.localization.output import LocalizerOutput, State
 from slam.mapper.lidar2d import PlanarRobot
@@ -22,6 +21,7 @@ from slam.mapper.pipeline import build_map
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, LaserScan, Measurement, row_from_pose2
 from slam.simulation.synthetic_log import write_synthetic_log
+from slam.storage.map_contents import MapContents
 
 CONFIG = load_config()
 
@@ -42,11 +42,11 @@ class Drive:
 
 
 @pytest.fixture(scope="module")
-def mapped(tmp_path_factory: pytest.TempPathFactory) -> tuple[KnownMap, FloatArray]:
+def mapped(tmp_path_factory: pytest.TempPathFactory) -> tuple[MapContents, FloatArray]:
     """The map of a drive through all rooms, and where its frame lies in the truth's."""
     drive = Drive(tmp_path_factory.mktemp("mapped"), 1, 85.0)
     result = build_map(drive.dataset, CONFIG)
-    return KnownMap.of_result(result), drive.truth(drive.log[0].stamp_s)
+    return result.map, drive.truth(drive.log[0].stamp_s)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +56,7 @@ def other(tmp_path_factory: pytest.TempPathFactory) -> Drive:
 
 
 def follow(
-    known_map: KnownMap, log: Iterable[Measurement], config: Config = CONFIG
+    known_map: MapContents, log: Iterable[Measurement], config: Config = CONFIG
 ) -> Iterator[LocalizerOutput]:
     localizer = Localizer(known_map, config)
     for measurement in log:
@@ -78,7 +78,9 @@ def errors(outputs: list[LocalizerOutput], drive: Drive, T_truth_map: FloatArray
 
 
 @pytest.mark.parametrize("start", [0, 200, 640])
-def test_a_drive_is_found_and_tracked(mapped: tuple[KnownMap, FloatArray], other: Drive, start: int) -> None:
+def test_a_drive_is_found_and_tracked(
+    mapped: tuple[MapContents, FloatArray], other: Drive, start: int
+) -> None:
     outputs = list(follow(mapped[0], other.log[start : start + 200]))
     found = errors(outputs, other, mapped[1])
     assert len(found) > 0.6 * len(outputs)
@@ -92,7 +94,7 @@ def test_a_drive_is_found_and_tracked(mapped: tuple[KnownMap, FloatArray], other
 
 
 def test_the_way_to_where_it_was_found_is_recovered(
-    mapped: tuple[KnownMap, FloatArray], other: Drive
+    mapped: tuple[MapContents, FloatArray], other: Drive
 ) -> None:
     outputs = list(follow(mapped[0], other.log[300:600]))
     first = next(n for n, output in enumerate(outputs) if output.state is State.TRACKING)
@@ -111,7 +113,7 @@ def test_the_way_to_where_it_was_found_is_recovered(
     assert np.all(np.diff(trajectory.stamps_s) >= 0.0)
 
 
-def test_carried_off_and_found_again(mapped: tuple[KnownMap, FloatArray], other: Drive) -> None:
+def test_carried_off_and_found_again(mapped: tuple[MapContents, FloatArray], other: Drive) -> None:
     """From the corridor into a room far away, in the midst of the log: stamps and wheels jump too."""
     outputs = list(follow(mapped[0], [*other.log[:260], *other.log[620:]]))
     jump_s = other.log[620].stamp_s
@@ -130,19 +132,19 @@ def mirrored(scan: LaserScan) -> LaserScan:
     return replace(scan, ranges_m=np.ascontiguousarray(scan.ranges_m[::-1]))
 
 
-def test_another_building_leads_to_no_pose(mapped: tuple[KnownMap, FloatArray], other: Drive) -> None:
+def test_another_building_leads_to_no_pose(mapped: tuple[MapContents, FloatArray], other: Drive) -> None:
     log = [mirrored(m) for m in other.log if isinstance(m, LaserScan)]
     without_wheels = load_config(None, ["sensors.wheels=false"])
     outputs = list(follow(mapped[0], log[:140], without_wheels))
     assert all(output.state is State.SEARCHING and output.pose is None for output in outputs)
 
 
-def test_a_map_without_what_the_sensors_need_is_refused(mapped: tuple[KnownMap, FloatArray]) -> None:
+def test_a_map_without_what_the_sensors_need_is_refused(mapped: tuple[MapContents, FloatArray]) -> None:
     with pytest.raises(MapFileError, match="neither scans nor camera keyframes"):
         Localizer(mapped[0], load_config(None, ["sensors.lidar=false"]))
 
 
-def test_blind_scans_are_endured(mapped: tuple[KnownMap, FloatArray], other: Drive) -> None:
+def test_blind_scans_are_endured(mapped: tuple[MapContents, FloatArray], other: Drive) -> None:
     blind = [
         replace(m, ranges_m=np.full_like(m.ranges_m, math.inf)) if isinstance(m, LaserScan) else m
         for m in other.log[:60]
@@ -153,7 +155,7 @@ def test_blind_scans_are_endured(mapped: tuple[KnownMap, FloatArray], other: Dri
 def test_a_room_that_looks_the_same_turned_round_is_said_so() -> None:
     """A bare rectangle: two poses are as good as each other, and none is chosen."""
     stamps = np.arange(25) * 0.25
-    known_map = KnownMap.of_result(mapped_room(stamps))
+    known_map = mapped_room(stamps).map
     last = list(follow(known_map, room_drive(stamps, seed=1)))[-1]
     assert last.state is State.SEARCHING and last.pose is None
     assert len(last.hypotheses) >= 2

@@ -11,7 +11,7 @@ from flat_worlds import points_at, room, sweep
 from slam.config import Config
 from slam.config.localization import LocalizationConfig
 from slam.localization.hypotheses import Hypothesis, HypothesisSet, KeyframeLog
-from slam.localization.known_map import KnownMap, Walls
+from slam.localization.known_map import Walls
 from slam.localization.loss_test import LossTest
 from slam.localization.planar_sensor import NovelSurfaces, PlanarSensor
 from slam.localization.poses import Measured, position_sigma_m, same_place
@@ -30,7 +30,7 @@ def sensor() -> PlanarSensor:
     """In a map of one scan."""
     mapper = Mapper(Config(), PlanarRobot(Config()))
     mapper.add(sweep(room(), [0.0, 0.0, 0.0], beams=121, fov_rad=4.7))
-    return PlanarSensor(Walls(KnownMap.of_result(mapper.finish()), Config()), Config())
+    return PlanarSensor(Walls(mapper.finish().map, Config()), Config())
 
 
 def view_from(pose: FloatArray, stamp_s: float = 0.0) -> ScanView:

@@ -22,7 +22,7 @@ from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.measurements import RgbdFrame
 from slam.odometry import STANDARD
-from slam.outputs.exports import exports_of
+from slam.outputs.exports import Exports
 from slam.storage.ply import read_cloud_ply
 
 REDKITCHEN = Path(__file__).parents[3] / "shared" / "data" / "rgbd" / "redkitchen"
@@ -59,7 +59,7 @@ def run(path: Path, *overrides: str) -> MapResult:
 def ate_m(result: MapResult, path: Path) -> float:
     truth = open_dataset(path).groundtruth()
     assert truth is not None
-    return absolute_error(result.trajectory, truth).translation_m.rmse
+    return absolute_error(result.map.trajectory, truth).translation_m.rmse
 
 
 @pytest.fixture(scope="module")
@@ -69,45 +69,43 @@ def mapped(log: Path) -> MapResult:
 
 def test_a_round_through_the_room(mapped: MapResult, log: Path) -> None:
     assert ate_m(mapped, log) < 0.01
-    np.testing.assert_allclose(mapped.trajectory.stamps_s, np.arange(COUNT) / RATE_HZ, atol=1e-5)
-    assert np.isfinite(mapped.trajectory.positions_m).all()
-    np.testing.assert_allclose(np.linalg.norm(mapped.trajectory.quaternions_xyzw, axis=1), 1.0, atol=1e-9)
+    np.testing.assert_allclose(mapped.map.trajectory.stamps_s, np.arange(COUNT) / RATE_HZ, atol=1e-5)
+    assert np.isfinite(mapped.map.trajectory.positions_m).all()
+    np.testing.assert_allclose(np.linalg.norm(mapped.map.trajectory.quaternions_xyzw, axis=1), 1.0, atol=1e-9)
 
 
 def test_the_map_begins_as_the_camera_looks(mapped: MapResult) -> None:
     """x along the first view, z up: the first walk goes about, at one height."""
-    np.testing.assert_allclose(mapped.trajectory.positions_m[0], np.zeros(3), atol=1e-6)
-    heights = mapped.trajectory.positions_m[:, 2]
+    np.testing.assert_allclose(mapped.map.trajectory.positions_m[0], np.zeros(3), atol=1e-6)
+    heights = mapped.map.trajectory.positions_m[:, 2]
     truth = np.array([pose.z() for pose in walk()])
     np.testing.assert_allclose(heights, truth - truth[0], atol=0.01)
 
 
 def test_loops_close_at_the_return(mapped: MapResult) -> None:
-    assert all(bool(loop.reason) != loop.accepted for loop in mapped.loops)
-    numbers = mapped.keyframe_numbers
-    home = [
-        loop for loop in mapped.loops if loop.accepted and numbers[loop.keyframe] - numbers[loop.place] > 40
-    ]
-    assert home
-    kinds = {edge.kind for edge in mapped.graph.edges}
+    assert all(bool(loop.reason) != loop.accepted for loop in mapped.map.loops)
+    numbers = mapped.map.readings
+    accepted = [loop for loop in mapped.map.loops if loop.accepted]
+    assert any(numbers[loop.keyframe] - numbers[loop.place] > 40 for loop in accepted)
+    kinds = {factor.edge.kind for factor in mapped.map.factors}
     assert kinds == {EdgeKind.RGBD, EdgeKind.LOOP}
 
 
 def test_keyframes_lie_on_the_trajectory(mapped: MapResult) -> None:
-    assert mapped.dense is not None
-    assert len(mapped.dense.poses) == len(mapped.keyframe_numbers) == len(mapped.keyframe_poses)
-    at = mapped.trajectory.positions_m[mapped.keyframe_numbers]
-    np.testing.assert_allclose(at[:, :2], mapped.keyframe_poses[:, :2], atol=1e-9)
-    stamps = [frame.stamp_s for frame in mapped.dense.frames]
-    np.testing.assert_allclose(stamps, mapped.trajectory.stamps_s[mapped.keyframe_numbers])
-    assert mapped.grid is None
+    assert mapped.map.frames is not None
+    assert len(mapped.map.frame_poses()) == len(mapped.map.readings) == len(mapped.map.keyframe_poses)
+    at = mapped.map.trajectory.positions_m[mapped.map.readings]
+    np.testing.assert_allclose(at[:, :2], mapped.map.keyframe_poses[:, :2], atol=1e-9)
+    stamps = [frame.stamp_s for frame in mapped.map.frames]
+    np.testing.assert_allclose(stamps, mapped.map.trajectory.stamps_s[mapped.map.readings])
+    assert mapped.map.grid is None
 
 
 def test_the_same_log_and_seed_give_the_same_bytes(mapped: MapResult, log: Path, tmp_path: Path) -> None:
     folders = [tmp_path / "one", tmp_path / "two"]
     for folder, result in zip(folders, (mapped, run(log)), strict=True):
         folder.mkdir()
-        exports = exports_of(result, Config())
+        exports = Exports(result.map, Config())
         exports.write_files(folder)
         exports.write_surfaces(folder)
     names, others = ({path.name for path in folder.iterdir()} for folder in folders)
@@ -121,7 +119,7 @@ def test_without_open3d_there_is_the_cloud_and_one_line_about_the_mesh(
     mapped: MapResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "open3d", None)
-    written, missing = exports_of(mapped, Config()).write_surfaces(tmp_path)
+    written, missing = Exports(mapped.map, Config()).write_surfaces(tmp_path)
     assert written == [tmp_path / "cloud.ply"] == list(tmp_path.iterdir())
     (line,) = missing
     assert "No mesh.ply" in line and "apt-get install" in line and "\n" not in line
@@ -142,7 +140,7 @@ def test_the_other_methods(method: str, frames: list[RgbdFrame], tmp_path: Path)
     odometries = ODOMETRIES.get(method, STANDARD)
     result = build_map(open_dataset(path), load_config(None, settings), odometries=odometries)
     assert ate_m(result, path) < 0.05
-    assert result.loops == []
+    assert result.map.loops == []
 
 
 @pytest.mark.parametrize("name", ["no loops", "a moved room"])
@@ -175,11 +173,13 @@ class TestMishaps:
             frames, tmp_path / "log", lambda n, frame: blind(frame) if first <= n < first + count else frame
         )
         result = run(path)
-        assert len(result.trajectory) == COUNT
-        assert np.isfinite(result.trajectory.positions_m).all()
+        assert len(result.map.trajectory) == COUNT
+        assert np.isfinite(result.map.trajectory.positions_m).all()
         unmatched = np.flatnonzero(np.isnan(result.scans.inlier_shares))
         assert set(range(max(first, 1), first + count)) <= set(unmatched.tolist())
-        assumed = [edge for edge in result.graph.edges if edge.kind is EdgeKind.ASSUMED]
+        assumed = [
+            edge for edge in (factor.edge for factor in result.map.factors) if edge.kind is EdgeKind.ASSUMED
+        ]
         assert bool(assumed) == (count > 10 or first == 0)
 
     def test_after_a_short_death_the_map_is_whole(self, frames: list[RgbdFrame], tmp_path: Path) -> None:
@@ -187,7 +187,7 @@ class TestMishaps:
         path = edited(frames, tmp_path / "log", lambda n, frame: blind(frame) if 30 <= n < 32 else frame)
         result = run(path)
         alive = np.r_[0:30, 32:COUNT]
-        off = result.trajectory.positions_m - np.array(
+        off = result.map.trajectory.positions_m - np.array(
             [pose.translation() - walk()[0].translation() for pose in walk()]
         )
         assert np.linalg.norm(off[alive], axis=1).max() < 0.02
@@ -198,7 +198,7 @@ class TestMishaps:
         gap = range(20, 20 + missing)
         path = edited(frames[:40], tmp_path / "log", lambda n, frame: None if n in gap else frame)
         result = run(path)
-        estimate, truth = result.trajectory, open_dataset(path).groundtruth()
+        estimate, truth = result.map.trajectory, open_dataset(path).groundtruth()
         assert truth is not None
         assert len(estimate) == 40 - missing
         steps = [np.linalg.norm(np.diff(t.positions_m, axis=0), axis=1) for t in (estimate, truth)]
@@ -210,13 +210,13 @@ class TestMishaps:
         """Nothing to map from, and still an answer: it stays where it was."""
         path = edited(frames, tmp_path / "log", lambda n, frame: blind(frame) if n < 15 else None)
         result = run(path)
-        assert np.abs(result.trajectory.positions_m).max() < 1e-6
+        assert np.abs(result.map.trajectory.positions_m).max() < 1e-6
 
     def test_one_frame(self, frames: list[RgbdFrame], tmp_path: Path) -> None:
         path = edited(frames, tmp_path / "log", lambda n, frame: frame if n == 0 else None)
         result = run(path)
-        assert len(result.trajectory) == 1
-        assert result.keyframe_numbers.tolist() == [0]
+        assert len(result.map.trajectory) == 1
+        assert result.map.readings.tolist() == [0]
 
 
 def test_without_its_camera_there_is_nothing_to_map(log: Path) -> None:
@@ -234,6 +234,6 @@ def test_the_red_kitchen(tmp_path: Path) -> None:
         if not number.isdigit() or int(number) < 60:
             (folder / file.name).symlink_to(file)
     result = run(folder, "rgbd.registration=given")
-    assert len(result.trajectory) == 60
+    assert len(result.map.trajectory) == 60
     assert not np.isnan(result.scans.inlier_shares[1:]).any()
     assert ate_m(result, folder) < 0.02

@@ -18,9 +18,8 @@ from slam.graph.pose_graph import EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.measurements import CameraIntrinsics, Measurement, RgbdFrame
-from slam.outputs.exports import exports_of
+from slam.outputs.exports import Exports
 from slam.outputs.finished_map import open_map
-from slam.outputs.layer_outputs import layers_of
 
 LENS = CameraIntrinsics(130.0, 130.0, 79.5, 59.5, 160, 120)
 MOUNT = gtsam.Pose3(gtsam.Rot3.Ry(0.1), np.array([0.2, 0.05, 0.6])) * T_BODY_CAMERA
@@ -67,18 +66,18 @@ def mapped(log: Log) -> MapResult:
 
 
 def test_pictures_are_where_they_were_taken(mapped: MapResult) -> None:
-    assert mapped.dense is not None and mapped.clouds is not None and not mapped.warnings
+    assert mapped.map.frames is not None and mapped.map.clouds is not None and not mapped.warnings
     truth, start = way_round(48), way_round(48)[0]
-    frames = list(mapped.dense.frames)
-    assert len(frames) == len(mapped.dense.poses) == len(mapped.keyframe_poses) >= 6
-    for frame, pose in zip(frames, mapped.dense.poses, strict=True):
+    frames, poses = list(mapped.map.frames), mapped.map.frame_poses()
+    assert len(frames) == len(poses) == len(mapped.map.keyframe_poses) >= 6
+    for frame, pose in zip(frames, poses, strict=True):
         true = truth[round((frame.stamp_s - 100.0) / 0.1)].compose(MOUNT)
         assert np.abs(gtsam.Pose3.Logmap(true.between(start.compose(pose)))).max() < 0.03
     assert set(mapped.cameras) == {"front"}
 
 
 def test_layers_of_lidar_and_depth(mapped: MapResult) -> None:
-    layers = layers_of(mapped, load_config(None, SETTINGS))
+    layers = mapped.map.layers(load_config(None, SETTINGS))
     assert layers is not None and layers.lidar is not None and layers.depth is not None
     start, states = way_round(48)[0], layers.states("depth")
     # The pillar in the camera's way, and the floor before it.
@@ -91,10 +90,10 @@ def test_layers_of_lidar_and_depth(mapped: MapResult) -> None:
 
 def test_without_the_camera_nothing_else_changes(log: Log, mapped: MapResult) -> None:
     alone = build_map(log, load_config(None, [*SETTINGS, "sensors.rgbd=false"]))  # type: ignore[arg-type]
-    assert alone.dense is None and not alone.cameras
-    np.testing.assert_array_equal(alone.trajectory.positions_m, mapped.trajectory.positions_m)
-    layers = layers_of(alone, load_config(None, SETTINGS))
-    assert layers is not None and layers.lidar is alone.grid and layers.depth is None
+    assert alone.map.frames is None and not alone.cameras
+    np.testing.assert_array_equal(alone.map.trajectory.positions_m, mapped.map.trajectory.positions_m)
+    layers = alone.map.layers(load_config(None, SETTINGS))
+    assert layers is not None and layers.lidar is alone.map.grid and layers.depth is None
 
 
 def test_the_camera_tells_the_step_where_the_lidar_is_lost() -> None:
@@ -102,16 +101,16 @@ def test_the_camera_tells_the_step_where_the_lidar_is_lost() -> None:
     measurements = drive(32, blind=range(6, 18))
     config = load_config(None, [*SETTINGS, "fusion.enabled=false", "dense_map.enabled=false"])
     result = build_map(Log(measurements, Path()), config)  # type: ignore[arg-type]
-    kinds = [edge.kind for edge in result.graph.edges]
+    kinds = [factor.edge.kind for factor in result.map.factors]
     assert EdgeKind.RGBD in kinds and EdgeKind.ASSUMED not in kinds
     end = way_round(48)[0].between(way_round(48)[31])
-    assert np.linalg.norm(result.trajectory.positions_m[-1] - end.translation()) < 0.1
+    assert np.linalg.norm(result.map.trajectory.positions_m[-1] - end.translation()) < 0.1
 
 
 def test_one_without_a_place_is_told(log: Log) -> None:
     lost = [replace(one, T_base_camera=None) if isinstance(one, RgbdFrame) else one for one in log][:8]
     result = build_map(Log(lost, Path()), load_config(None, SETTINGS))  # type: ignore[arg-type]
-    assert result.dense is None
+    assert result.map.frames is None
     assert any("front: not used" in warning for warning in result.warnings)
 
 
@@ -126,11 +125,12 @@ def test_saved_resumed_and_exported(log: Log, mapped: MapResult, tmp_path: Path)
     assert broken.read_bytes() == whole.read_bytes()
     saved = open_map(whole)
     saved.check()
-    assert mapped.dense is not None
-    assert len(saved.frames) == len(saved.clouds) == len(mapped.dense.poses)
-    for found, pose in zip(saved.frame_poses(), mapped.dense.poses, strict=True):
+    kept, poses = saved.contents, mapped.map.frame_poses()
+    assert kept.frames is not None and kept.clouds is not None
+    assert len(kept.frames) == len(kept.clouds) == len(poses)
+    for found, pose in zip(kept.frame_poses(), poses, strict=True):
         np.testing.assert_allclose(found.matrix(), pose.matrix(), atol=1e-9)
-    written, _ = exports_of(mapped, config).write_surfaces(tmp_path)
+    written, _ = Exports(mapped.map, config).write_surfaces(tmp_path)
     names = {path.name for path in written}
     assert names - {"mesh.ply"} == {"cloud.ply", "lidar.ply"}
     assert {path.name for path in saved.export("ply", tmp_path / "again")} == names

@@ -130,7 +130,7 @@ def test_what_it_cannot_be_used_for_is_told(
 def test_the_clouds_are_where_they_were_seen(log: Path, mapped: Path) -> None:
     """Every kept point lies on the room's walls, floor, ceiling or pillars."""
     saved, start = open_map(mapped), way_round(36)[0]
-    for points, pose in zip(saved.clouds, saved.contents.node_poses, strict=True):
+    for points, pose in zip(saved.contents.clouds or (), saved.contents.node_poses, strict=True):
         assert isinstance(pose, gtsam.Pose3)
         placed = moved(points, start.compose(pose))
         off = np.abs(placed[:, :, None] - ROOM[None]).min(axis=(1, 2))

@@ -21,7 +21,7 @@ from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.mapper.sensor_choice import SensorChoice
 from slam.measurements import LaserScan, Measurement, PointCloud, WheelOdometry
-from slam.outputs.exports import exports_of
+from slam.outputs.exports import Exports
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_file import MapFile
 from slam.storage.ply import read_cloud_ply
@@ -44,22 +44,22 @@ def mapped(log: Path) -> MapResult:
 def test_once_round_the_room(mapped: MapResult, log: Path) -> None:
     truth = open_dataset(log).groundtruth()
     assert truth is not None
-    assert len(mapped.trajectory) == COUNT
-    assert absolute_error(mapped.trajectory, truth).translation_m.rmse < 0.02
-    assert np.abs(mapped.trajectory.positions_m[:, 2]).max() < 0.02
+    assert len(mapped.map.trajectory) == COUNT
+    assert absolute_error(mapped.map.trajectory, truth).translation_m.rmse < 0.02
+    assert np.abs(mapped.map.trajectory.positions_m[:, 2]).max() < 0.02
     assert not mapped.warnings
 
 
 def test_the_way_back_closes_a_loop(mapped: MapResult) -> None:
-    assert all(bool(loop.reason) != loop.accepted for loop in mapped.loops)
-    assert any(loop.accepted and loop.place < 5 < loop.keyframe for loop in mapped.loops)
-    kinds = {edge.kind for edge in mapped.graph.edges}
+    assert all(bool(loop.reason) != loop.accepted for loop in mapped.map.loops)
+    assert any(loop.accepted and loop.place < 5 < loop.keyframe for loop in mapped.map.loops)
+    kinds = {factor.edge.kind for factor in mapped.map.factors}
     assert kinds == {EdgeKind.LIDAR, EdgeKind.LOOP}
 
 
 def test_the_plan_shows_what_stands_in_the_way(mapped: MapResult) -> None:
     """Pillars and walls are obstacles, the floor between them is free."""
-    grid = mapped.grid
+    grid = mapped.map.grid
     assert grid is not None
     start = way_round(COUNT)[0]
 
@@ -78,7 +78,7 @@ def test_the_plan_shows_what_stands_in_the_way(mapped: MapResult) -> None:
 
 def test_the_files(mapped: MapResult, log: Path, tmp_path: Path) -> None:
     config = load_config(None, SMALL)
-    exports = exports_of(mapped, config)
+    exports = Exports(mapped.map, config)
     names = {path.name for path in exports.write_files(tmp_path)}
     assert names == {"trajectory.tum", "graph.g2o", "map.yaml", "map.pgm"}
     written, _ = exports.write_surfaces(tmp_path)
@@ -94,7 +94,7 @@ def test_the_files(mapped: MapResult, log: Path, tmp_path: Path) -> None:
 
 def test_no_loops_where_none_are_wanted(log: Path) -> None:
     result = build_map(open_dataset(log), load_config(None, [*SMALL, "loops.enabled=false"]))
-    assert not result.loops
+    assert not result.map.loops
 
 
 def test_a_place_too_far_to_be_the_same_is_not_tried() -> None:
@@ -119,7 +119,7 @@ def test_an_unknown_mounting_finds_the_ground_by_sight(tmp_path: Path) -> None:
     (folder / "points" / "calibration.yaml").unlink()
     result = build_map(open_dataset(folder), load_config(None, SMALL))
     assert any("ground: -0.70 m" in note or "ground: -0.69 m" in note for note in result.notes)
-    assert result.grid is not None
+    assert result.map.grid is not None
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ from slam.mapper.pipeline import build_map
 from slam.mapping.occupancy_grid import FREE, OCCUPIED
 from slam.matching.planar import between
 from slam.measurements import row_from_pose2 as row_of
-from slam.outputs.exports import Exports, contents_of, exports_of
+from slam.outputs.exports import Exports
 from slam.simulation.floor_plan import TOUR_M, walls
 from slam.simulation.synthetic_log import SyntheticLog
 from slam.storage.nav2 import read_nav2_map
@@ -43,7 +43,7 @@ REAL_LOGS = Path(__file__).parents[2] / ".." / "shared" / "data" / "lidar2d"
 
 class TestSynthetic:
     def test_the_trajectory_is_the_true_one(self, mapped: MapResult, long_log: SyntheticLog) -> None:
-        ate = absolute_error(mapped.trajectory, long_log.truth)
+        ate = absolute_error(mapped.map.trajectory, long_log.truth)
         assert ate.count == long_log.odometry_count  # evo's rule: each true pose once
         assert ate.translation_m.rmse < 0.006
         assert math.degrees(ate.rotation_rad.rmse) < 0.6
@@ -55,40 +55,37 @@ class TestSynthetic:
 
     def test_every_reading_has_a_pose_in_file_order(self, mapped: MapResult, long_log: SyntheticLog) -> None:
         stamps = [measurement.stamp_s for measurement in open_dataset(long_log.log_path)]
-        assert mapped.trajectory.stamps_s.tolist() == stamps
+        assert mapped.map.trajectory.stamps_s.tolist() == stamps
         assert len(stamps) == long_log.scan_count + long_log.odometry_count
         assert mapped.scans.stamps_s.size == long_log.scan_count
-        assert np.isfinite(mapped.trajectory.positions_m).all()
+        assert np.isfinite(mapped.map.trajectory.positions_m).all()
 
     def test_a_scan_and_the_odometry_of_its_stamp_have_one_pose(self, mapped: MapResult) -> None:
-        same = np.flatnonzero(np.diff(mapped.trajectory.stamps_s) == 0.0)
-        poses = mapped.trajectory.to_planar()
+        same = np.flatnonzero(np.diff(mapped.map.trajectory.stamps_s) == 0.0)
+        poses = mapped.map.trajectory.to_planar()
         np.testing.assert_allclose(poses[same], poses[same + 1], atol=2e-6)
 
     def test_keyframes_lie_on_the_trajectory(self, mapped: MapResult) -> None:
-        stamps = mapped.scans.stamps_s[mapped.keyframe_numbers]
-        at = np.searchsorted(mapped.trajectory.stamps_s, stamps, side="right") - 1
-        np.testing.assert_allclose(mapped.trajectory.to_planar()[at], mapped.keyframe_poses, atol=1e-9)
-        assert [scan.stamp_s for scan in mapped.keyframe_scans] == stamps.tolist()
+        stamps = mapped.map.stamps_s
+        at = np.searchsorted(mapped.map.trajectory.stamps_s, stamps, side="right") - 1
+        np.testing.assert_allclose(
+            mapped.map.trajectory.to_planar()[at], mapped.map.keyframe_poses, atol=1e-9
+        )
+        assert [scan.stamp_s for scan in mapped.map.keyframe_scans] == stamps.tolist()
 
     def test_loops_close_and_every_verdict_has_its_reason(self, mapped: MapResult) -> None:
-        accepted = [loop for loop in mapped.loops if loop.accepted]
+        accepted = [loop for loop in mapped.map.loops if loop.accepted]
         assert len(accepted) >= 5
-        assert all(bool(loop.reason) != loop.accepted for loop in mapped.loops)
+        assert all(bool(loop.reason) != loop.accepted for loop in mapped.map.loops)
         kept = [
             (edge.source, edge.target)
-            for edge, keep in zip(mapped.graph.edges, mapped.edges_kept, strict=True)
-            if edge.kind is EdgeKind.LOOP and keep
+            for edge in (factor.edge for factor in mapped.map.factors if factor.kept)
+            if edge.kind is EdgeKind.LOOP
         ]
         assert kept == [(loop.place, loop.keyframe) for loop in accepted]
 
     def test_an_edge_tells_the_number_of_its_loop(self, mapped: MapResult) -> None:
-        # Not by what the candidate holds: a copy of it is the same candidate.
-        loops = [
-            replace(loop, motion=loop.motion and replace(loop.motion, covariance=np.eye(3)))
-            for loop in mapped.loops
-        ]
-        edges = [factor.edge for factor in contents_of(replace(mapped, loops=loops)).factors]
+        loops, edges = mapped.map.loops, [factor.edge for factor in mapped.map.factors]
         assert {edge.kind is EdgeKind.LOOP for edge in edges if edge.loop is not None} == {True}
         assert {edge.kind is EdgeKind.LOOP for edge in edges if edge.loop is None} == {False}
         for edge in edges:
@@ -96,12 +93,12 @@ class TestSynthetic:
                 assert (edge.source, edge.target) == (loops[edge.loop].place, loops[edge.loop].keyframe)
 
     def test_edges_keep_their_provenance(self, mapped: MapResult) -> None:
-        kinds = [edge.kind for edge in mapped.graph.edges]
-        chain = len(mapped.keyframe_poses) - 1
+        kinds = [factor.edge.kind for factor in mapped.map.factors]
+        chain = len(mapped.map.keyframe_poses) - 1
         assert kinds.count(EdgeKind.LIDAR) == chain
         assert kinds.count(EdgeKind.WHEEL) >= chain, "step by step, and stretches of them"
-        wheels = [edge for edge in mapped.graph.edges if edge.kind is EdgeKind.WHEEL]
-        assert {edge.target - edge.source for edge in wheels} == {1, 16}
+        edges = [factor.edge for factor in mapped.map.factors]
+        assert {edge.target - edge.source for edge in edges if edge.kind is EdgeKind.WHEEL} == {1, 16}
 
     def test_the_same_log_and_seed_give_the_same_bytes(
         self, mapped: MapResult, long_log: SyntheticLog, tmp_path: Path
@@ -110,67 +107,65 @@ class TestSynthetic:
         folders = [tmp_path / "one", tmp_path / "two"]
         for folder, result in zip(folders, (mapped, again), strict=True):
             folder.mkdir()
-            exports_of(result, Config()).write_files(folder)
+            Exports(result.map, Config()).write_files(folder)
         for name in ("trajectory.tum", "graph.g2o", "map.pgm", "map.yaml"):
             one, two = ((folder / name).read_bytes() for folder in folders)
             assert one == two, name
 
     def test_without_wheels(self, long_log: SyntheticLog) -> None:
         result = run(long_log.log_path, "sensors.wheels=false")
-        assert EdgeKind.WHEEL not in {edge.kind for edge in result.graph.edges}
+        assert EdgeKind.WHEEL not in {factor.edge.kind for factor in result.map.factors}
         assert errors_m(result, long_log.truth.to_planar()).max() < 0.05
 
     def test_kiss_icp(self, long_log: SyntheticLog) -> None:
         result = build_map(open_dataset(long_log.log_path), Config(), odometries=ODOMETRIES["kiss_matching"])
         assert errors_m(result, long_log.truth.to_planar()).max() < 0.1
         # It is another method, not the default one under another name.
-        assert (
-            result.trajectory.positions_m.tolist() != run(long_log.log_path).trajectory.positions_m.tolist()
-        )
+        ours = run(long_log.log_path).map.trajectory
+        assert result.map.trajectory.positions_m.tolist() != ours.positions_m.tolist()
 
     def test_without_loops(self, long_log: SyntheticLog) -> None:
         result = run(long_log.log_path, "loops.enabled=false")
-        assert result.loops == []
-        assert EdgeKind.LOOP not in {edge.kind for edge in result.graph.edges}
+        assert result.map.loops == []
+        assert EdgeKind.LOOP not in {factor.edge.kind for factor in result.map.factors}
         assert errors_m(result, long_log.truth.to_planar()).max() < 0.1
 
 
 @pytest.fixture(scope="module")
 def folder(mapped: MapResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("files")
-    exports_of(mapped, Config()).write_files(folder)
+    Exports(mapped.map, Config()).write_files(folder)
     return folder
 
 
 class TestFiles:
     def test_the_trajectory_reads_back(self, mapped: MapResult, folder: Path) -> None:
         read = read_tum(folder / "trajectory.tum")
-        np.testing.assert_array_equal(read.stamps_s, mapped.trajectory.stamps_s)
-        np.testing.assert_array_equal(read.positions_m, mapped.trajectory.positions_m)
-        np.testing.assert_array_equal(read.quaternions_xyzw, mapped.trajectory.quaternions_xyzw)
+        np.testing.assert_array_equal(read.stamps_s, mapped.map.trajectory.stamps_s)
+        np.testing.assert_array_equal(read.positions_m, mapped.map.trajectory.positions_m)
+        np.testing.assert_array_equal(read.quaternions_xyzw, mapped.map.trajectory.quaternions_xyzw)
 
     def test_the_graph_reads_back(self, mapped: MapResult, folder: Path) -> None:
         factors, values = gtsam.readG2o(str(folder / "graph.g2o"), False)
         rows = np.array([row_of(values.atPose2(node)) for node in range(values.size())])
-        np.testing.assert_allclose(rows, mapped.keyframe_poses, rtol=1e-14)
+        np.testing.assert_allclose(rows, mapped.map.keyframe_poses, rtol=1e-14)
         assert "FIX 0" in (folder / "graph.g2o").read_text().splitlines()
-        kept = [edge for edge, keep in zip(mapped.graph.edges, mapped.edges_kept, strict=True) if keep]
+        kept = [factor.edge for factor in mapped.map.factors if factor.kept]
         ends = [factors.at(number).keys() for number in range(factors.size())]
         assert ends == [[edge.source, edge.target] for edge in kept]
         covariance = factors.at(0).noiseModel().covariance()
         np.testing.assert_allclose(covariance, kept[0].covariance, rtol=1e-6)
 
     def test_refused_edges_do_not_leave_the_house(self, mapped: MapResult, tmp_path: Path) -> None:
-        contents = contents_of(mapped)
-        refused = [replace(factor, kept=n not in (3, 7)) for n, factor in enumerate(contents.factors)]
-        exports = Exports(replace(contents, factors=refused), None, None, None, Config())
+        refused = [replace(factor, kept=n not in (3, 7)) for n, factor in enumerate(mapped.map.factors)]
+        exports = Exports(replace(mapped.map, factors=refused), Config())
         exports.write("g2o", tmp_path / "graph.g2o")
         assert gtsam.readG2o(str(tmp_path / "graph.g2o"), False)[0].size() == len(refused) - 2
 
     def test_the_map_shows_the_building_where_it_stands(self, mapped: MapResult, folder: Path) -> None:
         nav2 = read_nav2_map(folder / "map.yaml")
-        assert mapped.grid is not None
-        np.testing.assert_array_equal(nav2.values, mapped.grid.states())
+        assert mapped.map.grid is not None
+        np.testing.assert_array_equal(nav2.values, mapped.map.grid.states())
         # The map's origin is the first pose of the drive: the tour's first point, heading along x.
         rows, cols = np.nonzero(nav2.values == OCCUPIED)
         corner = np.array([nav2.T_map_grid.x(), nav2.T_map_grid.y()])
@@ -207,7 +202,7 @@ def test_real_log(
         pytest.skip(f"{log} is not there: the accuracy on real logs stays UNTESTED")
     result = run(log, *overrides)
     score: RelationGroupScore = score_relations(
-        result.trajectory, read_relations(log.with_name(f"{name}.relations"))
+        result.map.trajectory, read_relations(log.with_name(f"{name}.relations"))
     ).all
     assert score.used == relations
     assert score.translation_m.mean <= bound_m

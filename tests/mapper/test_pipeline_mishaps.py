@@ -35,7 +35,7 @@ from slam.mapper.mapper import Mapper
 from slam.mapping.occupancy_grid import OCCUPIED
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
-from slam.outputs.exports import exports_of
+from slam.outputs.exports import Exports
 from slam.simulation.synthetic_log import SyntheticLog
 
 __all__ = ["long_log", "mapped", "short_log"]  # fixtures
@@ -64,7 +64,7 @@ class TestMishaps:
         log = edited(short_log, tmp_path / "raw.log", raw)
         assert not wheel_rows(log).size
         result = run(log)
-        kinds = {edge.kind for edge in result.graph.edges}
+        kinds = {factor.edge.kind for factor in result.map.factors}
         assert EdgeKind.LIDAR in kinds and EdgeKind.WHEEL not in kinds
         assert errors_m(result, short_log.truth.to_planar()[::2]).max() < 0.03
 
@@ -83,7 +83,7 @@ class TestMishaps:
 
         log = edited(short_log, tmp_path / "scans.log", scans)
         result = run(log)
-        assert EdgeKind.WHEEL in {edge.kind for edge in result.graph.edges}
+        assert EdgeKind.WHEEL in {factor.edge.kind for factor in result.map.factors}
         assert errors_m(result, short_log.truth.to_planar()[::2]).max() < 0.03
 
     def test_odometry_only(self, short_log: SyntheticLog, tmp_path: Path) -> None:
@@ -101,12 +101,12 @@ class TestMishaps:
         log = edited(short_log, tmp_path / "open.log", blind)
         result = run(log)
         assert errors_m(result, wheel_rows(log)).max() < 1e-6
-        assert {edge.kind for edge in result.graph.edges} == {EdgeKind.WHEEL}
+        assert {factor.edge.kind for factor in result.map.factors} == {EdgeKind.WHEEL}
         assert np.isnan(result.scans.inlier_shares).all()
-        assert result.grid is None or not (result.grid.states() == OCCUPIED).any()
+        assert result.map.grid is None or not (result.map.grid.states() == OCCUPIED).any()
         still = run(log, "sensors.wheels=false")
-        assert {edge.kind for edge in still.graph.edges} <= {EdgeKind.ASSUMED}
-        assert len(still.trajectory) == len(result.trajectory)
+        assert {factor.edge.kind for factor in still.map.factors} <= {EdgeKind.ASSUMED}
+        assert len(still.map.trajectory) == len(result.map.trajectory)
 
     def test_blind_for_a_while(self, short_log: SyntheticLog, tmp_path: Path) -> None:
         def blind(number: int, fields: list[str]) -> Iterable[list[str]]:
@@ -133,7 +133,7 @@ class TestMishaps:
 
         log = edited(short_log, tmp_path / "set_back.log", set_back)
         result = run(log, f"sensors.wheels={wheels}")
-        assert np.diff(result.trajectory.stamps_s).min() < -7.0
+        assert np.diff(result.map.trajectory.stamps_s).min() < -7.0
         errors = errors_m(result, short_log.truth.to_planar())
         assert errors[::2].max() < 0.03
         assert errors.max() < SCAN_STEP_M  # without wheels nobody knows when a reading amid the step was
@@ -145,7 +145,7 @@ class TestMishaps:
 
         log = edited(short_log, tmp_path / "backward.log", backward)
         result = run(log, f"sensors.wheels={wheels}")
-        assert (np.diff(result.trajectory.stamps_s) <= 0.0).all()
+        assert (np.diff(result.map.trajectory.stamps_s) <= 0.0).all()
         errors = errors_m(result, short_log.truth.to_planar())
         assert errors[::2].max() < 0.03
         assert errors.max() < (0.03 if wheels == "true" else SCAN_STEP_M)
@@ -180,9 +180,9 @@ class TestMishaps:
         result = run(edited(short_log, tmp_path / "carried.log", carried))
         readings = line_numbers(result)
         assert readings[-1] + 1 == len(stamps) - (after - before)
-        assert np.isfinite(result.trajectory.positions_m).all()
+        assert np.isfinite(result.map.trajectory.positions_m).all()
         # Where it woke up nobody can tell; what it drove there, the lidar measured.
-        tail = result.trajectory.to_planar()[readings >= before]
+        tail = result.map.trajectory.to_planar()[readings >= before]
         truth = short_log.truth.to_planar()[after:]
         drove, true = between(tail[0], tail[-1]), between(truth[0], truth[-1])
         assert math.hypot(*(drove - true)[:2]) < 0.1
@@ -192,10 +192,10 @@ class TestMishaps:
         lines = [line for line in short_log.log_path.read_text().splitlines() if line.startswith("FLASER")]
         path.write_text(lines[0] + "\n")
         result = run(path)
-        assert len(result.keyframe_poses) == 1
-        np.testing.assert_array_equal(result.trajectory.to_planar(), np.zeros((2, 3)))
-        assert result.grid is not None
-        exports_of(result, Config()).write_files(tmp_path)
+        assert len(result.map.keyframe_poses) == 1
+        np.testing.assert_array_equal(result.map.trajectory.to_planar(), np.zeros((2, 3)))
+        assert result.map.grid is not None
+        Exports(result.map, Config()).write_files(tmp_path)
 
     def test_a_robot_that_stands_still(self, short_log: SyntheticLog, tmp_path: Path) -> None:
         lines = [line for line in short_log.log_path.read_text().splitlines() if line.startswith("FLASER")]
@@ -203,8 +203,8 @@ class TestMishaps:
         path = tmp_path / "still.log"
         path.write_text("\n".join(" ".join(with_stamp(fields, 1000.0 + 0.2 * n)) for n in range(20)) + "\n")
         result = run(path)
-        assert len(result.keyframe_poses) == 1
-        assert np.abs(result.trajectory.to_planar()).max() < 1e-3
+        assert len(result.map.keyframe_poses) == 1
+        assert np.abs(result.map.trajectory.to_planar()).max() < 1e-3
 
 
 @pytest.fixture(scope="module", params=["apart", "in a row"])
@@ -214,8 +214,8 @@ def bent(
     mapper = Mapper(load_config(), PlanarRobot(load_config()))
     for measurement in open_dataset(long_log.log_path):
         mapper.add(measurement)
-    model = next(loop.motion for loop in mapped.loops if loop.accepted and loop.motion)
-    false = list(_false_loops(mapped.keyframe_poses, model, request.param))
+    model = next(loop.motion for loop in mapped.map.loops if loop.accepted and loop.motion)
+    false = list(_false_loops(mapped.map.keyframe_poses, model, request.param))
     for loop in false:
         mapper.add_loop(loop)
     return mapper.finish(), false
@@ -234,12 +234,13 @@ class TestFalseLoops:
         self, bent: tuple[MapResult, list[LoopCandidate]], mapped: MapResult
     ) -> None:
         result, false = bent
-        named = result.loops[-len(false) :]
+        named = result.map.loops[-len(false) :]
         assert [(loop.place, loop.keyframe) for loop in named] == [(lo.place, lo.keyframe) for lo in false]
         assert {(loop.accepted, loop.reason) for loop in named} == {
             (False, "disagrees with the other loops (GNC)")
         }
-        assert sum(loop.accepted for loop in result.loops) == sum(loop.accepted for loop in mapped.loops)
+        ours, before = (sum(loop.accepted for loop in one.map.loops) for one in (result, mapped))
+        assert ours == before
 
 
 def _false_loops(poses: FloatArray, model: MotionEstimate, order: str) -> Iterable[LoopCandidate]:

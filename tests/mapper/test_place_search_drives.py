@@ -80,9 +80,9 @@ LOOK_ALIKE = [[0, 1, 2], [3, 4, 5], [6, 7, 8], [1, 2, 11]]
 
 def wrong_loops(result: MapResult, truth: FloatArray) -> list[float]:
     """By how far the accepted loops are off."""
-    at = truth[result.keyframe_numbers]
+    at = truth[result.map.readings]
     off = []
-    for loop in result.loops:
+    for loop in result.map.loops:
         if loop.accepted and loop.motion is not None:
             claimed = row_from_pose2(loop.motion.T_reference_base)
             off.append(float(np.hypot(*between(between(at[loop.place], at[loop.keyframe]), claimed)[:2])))

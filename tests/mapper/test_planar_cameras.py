@@ -31,9 +31,8 @@ from slam.measurements import (
     WheelOdometry,
     pose2_from_row,
 )
-from slam.outputs.exports import contents_of, exports_of
+from slam.outputs.exports import Exports
 from slam.outputs.finished_map import open_map
-from slam.outputs.layer_outputs import layers_of
 from slam.storage.map_contents import write_contents
 from slam.storage.map_file import MapFile
 from slam.storage.map_identity import MapIdentity
@@ -88,8 +87,8 @@ def run(drive: list[tuple[int, Measurement]], edit: Edit, *overrides: str) -> Ma
 
 def worst(result: MapResult) -> float:
     """Greatest distance of a reading's pose from its truth, both seen from the first."""
-    poses, true = result.trajectory.to_planar(), truth()
-    at = np.rint((result.trajectory.stamps_s - 100.0) / 0.1).astype(int)
+    poses, true = result.map.trajectory.to_planar(), truth()
+    at = np.rint((result.map.trajectory.stamps_s - 100.0) / 0.1).astype(int)
     return max(
         math.hypot(*(between(poses[0], pose) - between(true[at[0]], true[n]))[:2])
         for n, pose in zip(at, poses, strict=True)
@@ -97,7 +96,7 @@ def worst(result: MapResult) -> float:
 
 
 def kinds(result: MapResult) -> set[EdgeKind]:
-    return {edge.kind for edge in result.graph.edges} - {EdgeKind.LOOP}
+    return {factor.edge.kind for factor in result.map.factors} - {EdgeKind.LOOP}
 
 
 def no_lidar(n: int, measurement: Measurement) -> Measurement | None:
@@ -118,7 +117,7 @@ def test_all_sensors_hold_one_graph(drive: list[tuple[int, Measurement]]) -> Non
     result = run(drive, whole)
     assert worst(result) < 0.02
     assert kinds(result) >= {EdgeKind.LIDAR, EdgeKind.RGBD, EdgeKind.WHEEL}
-    assert result.grid is not None
+    assert result.map.grid is not None
 
 
 def test_the_camera_bridges_a_silent_lidar(drive: list[tuple[int, Measurement]]) -> None:
@@ -126,8 +125,8 @@ def test_the_camera_bridges_a_silent_lidar(drive: list[tuple[int, Measurement]])
     bridged = run(drive, no_lidar)
     assert worst(bridged) < 0.05
     assert worst(run(drive, no_lidar, "sensors.rgbd=false")) > 2.0 * worst(bridged)
-    assert any(scan is None for scan in bridged.keyframe_scans)
-    assert any(scan is not None for scan in bridged.keyframe_scans)
+    assert any(scan is None for scan in bridged.map.keyframe_scans)
+    assert any(scan is not None for scan in bridged.map.keyframe_scans)
 
 
 def test_the_lidar_bridges_a_dead_camera(drive: list[tuple[int, Measurement]]) -> None:
@@ -140,35 +139,33 @@ def test_the_camera_alone_on_wheels(drive: list[tuple[int, Measurement]]) -> Non
     result = run(drive, whole, "sensors.lidar=false")
     assert worst(result) < 0.06
     assert EdgeKind.LIDAR not in kinds(result)
-    assert result.trajectory.positions_m[:, 2].max() == 0.0
+    assert result.map.trajectory.positions_m[:, 2].max() == 0.0
 
 
 def test_a_vehicle_may_be_taken_for_a_camera(drive: list[tuple[int, Measurement]]) -> None:
     """In space only the frames get poses, of the base, and these stay on its floor."""
     result = run(drive, whole, "sensors.motion=spatial")
-    assert len(result.trajectory) == COUNT
+    assert len(result.map.trajectory) == COUNT
     assert worst(result) < 0.05
-    assert np.abs(result.trajectory.positions_m[:, 2]).max() < 0.05
+    assert np.abs(result.map.trajectory.positions_m[:, 2]).max() < 0.05
 
 
 def test_the_lidar_is_matched_from_the_first_keyframe(drive: list[tuple[int, Measurement]]) -> None:
     """A frame that comes just before the first scan does not begin the map without it."""
     result = run(drive, whole)
-    assert result.keyframe_scans[0] is not None
-    assert (0, EdgeKind.LIDAR) in {(edge.source, edge.kind) for edge in result.graph.edges}
+    assert result.map.keyframe_scans[0] is not None
+    assert (0, EdgeKind.LIDAR) in {(one.edge.source, one.edge.kind) for one in result.map.factors}
 
 
 def test_the_layers_show_what_each_sensor_saw(drive: list[tuple[int, Measurement]], tmp_path: Path) -> None:
     config = load_config(None, ["dense_map.enabled=false"])
     result = run(drive, whole)
-    both = layers_of(result, config)
+    both = result.map.layers(config)
     assert both is not None
     written = {path.stem for path in write_layers(tmp_path, both)}
     assert written == {"lidar", "depth", "fused", "decision", "fused_probability"}
-    saved = contents_of(result, both).grids
-    assert saved == {"occupancy": both.lidar, "depth layer": both.depth}
-    assert both.lidar is result.grid  # drawn once
-    alone = layers_of(run(drive, whole, "sensors.lidar=false"), config)
+    assert result.map.grids == {"occupancy": both.lidar, "depth layer": both.depth}
+    alone = run(drive, whole, "sensors.lidar=false").map.layers(config)
     assert alone is not None and alone.lidar is None and alone.depth is not None
     assert alone.names == ("depth", "fused", "decision")
 
@@ -177,7 +174,7 @@ def test_one_answer_to_which_map(drive: list[tuple[int, Measurement]], tmp_path:
     """What a robot loads, what is exported of the saved map, and the decision are one; the lidar's stays."""
     config = load_config(None, ["dense_map.enabled=false", "layers.robot_height_m=1.0"])
     result = run(drive, whole)
-    exports = exports_of(result, config)
+    exports = Exports(result.map, config)
     layers = exports.layers
     assert layers is not None
     exports.write_files(tmp_path)
@@ -191,13 +188,13 @@ def test_one_answer_to_which_map(drive: list[tuple[int, Measurement]], tmp_path:
     file = MapFile.create(tmp_path / "map.db")
     for key, value in MapIdentity(config, "log", "0", {}).to_meta().items():
         file.add_meta(key, value)
-    write_contents(file, contents_of(result, layers))
+    write_contents(file, result.map)
     file.seal()
     saved = open_map(tmp_path)
     for path in saved.export("nav2", tmp_path / "exported"):
         assert path.read_bytes() == (tmp_path / path.name).read_bytes(), path.name
-    assert saved.grid is not None and result.grid is not None
-    np.testing.assert_array_equal(saved.grid.steps, result.grid.steps)
+    assert saved.grid is not None and result.map.grid is not None
+    np.testing.assert_array_equal(saved.grid.steps, result.map.grid.steps)
     saved.close()
     reported = map_info(tmp_path)["grids"]
     assert set(reported) == {"occupancy", "depth layer", "decision"}
@@ -232,7 +229,7 @@ def test_a_setting_of_the_grid_reaches_every_map(
         folder.mkdir()
         config = load_config(None, ["dense_map.enabled=false", *overrides])
         result = run(drive[:60], in_the_open, *overrides)
-        exports_of(result, config).write_files(folder)
+        Exports(result.map, config).write_files(folder)
         paths = [folder / "map.pgm", *sorted((folder / "layers").glob("*.pgm"))]
         pictures.append({path.stem: path.read_bytes() for path in paths})
     same = {name for name, picture in pictures[0].items() if pictures[1][name] == picture}
@@ -240,16 +237,15 @@ def test_a_setting_of_the_grid_reaches_every_map(
 
 
 def test_without_a_depth_layer_the_map_is_the_lidars(drive: list[tuple[int, Measurement]]) -> None:
-    result = run(drive, whole, "sensors.rgbd=false")
-    for settings in ([], ["layers.enabled=false"]):
-        alone = layers_of(result, load_config(None, settings))
+    for settings in (["sensors.rgbd=false"], ["layers.enabled=false"]):
+        alone = run(drive, whole, *settings).map.layers(load_config(None, settings))
         assert alone is not None and alone.depth is None and alone.names == ()
         np.testing.assert_array_equal(alone.states("decision"), alone.states("lidar"))
-    seen = run(drive, whole)
-    alone = layers_of(seen, load_config(None, ["layers.climb_m=0.8"]))
+    seen = run(drive, whole, "layers.climb_m=0.8")
+    alone = seen.map.layers(load_config(None, ["layers.climb_m=0.8"]))
     assert alone is not None and alone.depth is None
-    assert "the map is the lidar's alone: layers.climb_m = 0.8" in seen.warnings[-1]
-    assert "make the step lower" in seen.warnings[-1]
+    (told,) = (line for line in seen.warnings if "the map is the lidar's alone" in line)
+    assert "layers.climb_m = 0.8" in told and "make the step lower" in told
 
 
 def test_the_map_shows_what_every_camera_saw(drive: list[tuple[int, Measurement]]) -> None:
@@ -260,15 +256,15 @@ def test_the_map_shows_what_every_camera_saw(drive: list[tuple[int, Measurement]
         if isinstance(measurement, RgbdFrame):
             other = replace(measurement, sensor="other")
             doubled.append((n, blind(other) if n >= 20 else other))
-    dense = run(doubled, whole).dense
-    assert dense is not None
-    frames = list(dense.frames)
+    made = run(doubled, whole).map
+    assert made.frames is not None
+    frames = list(made.frames)
     seen = [(round(10.0 * (frame.stamp_s - 100.0)), frame.sensor) for frame in frames]
     assert all((n, "other") in seen for n, name in seen if name != "other" and n < 20)
     assert all(n < 20 for n, name in seen if name == "other")
     first = dict(reversed(seen))
     assert "other" not in first.values()
-    places = {key: pose.translation() for key, pose in zip(seen, dense.poses, strict=True)}
+    places = {key: pose.translation() for key, pose in zip(seen, made.frame_poses(), strict=True)}
     pairs = [(places[n, "other"], places[n, first[n]]) for n, name in seen if name == "other"]
     assert len(pairs) >= 4
     for one, another in pairs:

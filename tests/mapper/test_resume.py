@@ -25,7 +25,6 @@ from slam.mapper.pipeline import build_map
 from slam.matching.planar import compose
 from slam.measurements import LaserScan, Measurement, RgbdFrame, WheelOdometry, pose2_from_row
 from slam.odometry.surfel_odometry import SurfelOdometry
-from slam.outputs.exports import contents_of
 from slam.simulation.synthetic_log import write_synthetic_log
 from slam.storage.map_contents import write_contents
 from slam.storage.map_file import MapFile
@@ -102,7 +101,7 @@ def attempt(log: Log, config: Config, path: Path, stop_at: float = math.inf) -> 
         return None
     for key, value in identity_of(path.parent / "log", config).to_meta().items():
         file.add_meta(key, value)
-    write_contents(file, contents_of(result))
+    write_contents(file, result.map)
     file.seal()
     return result
 
@@ -115,7 +114,7 @@ def assert_resumes(log: Log, tmp_path: Path, *stops: float, settings: tuple[str,
     for stop_at in stops:
         assert attempt(log, config, broken, stop_at) is None
     result = attempt(log, config, broken)
-    assert len(result.loops) > 0
+    assert len(result.map.loops) > 0
     assert broken.read_bytes() == whole.read_bytes()
 
 
@@ -209,7 +208,7 @@ def test_known_answers_are_not_computed_again(
     again = MapFile.resume(tmp_path / "map.db")
     assert again is not None
     result = build_map(log, config, None, Checkpoint(again))  # type: ignore[arg-type]
-    np.testing.assert_array_equal(result.trajectory.positions_m, whole.trajectory.positions_m)
+    np.testing.assert_array_equal(result.map.trajectory.positions_m, whole.map.trajectory.positions_m)
     assert (again.count(CHECKPOINT), again.count(FRAMES)) == (rows, frames)
     # Only those that became keyframes.
     assert len(asked) == frames < MOMENTS

@@ -104,14 +104,15 @@ def driven(
 
 def camera_edges(result: MapResult, truth: FloatArray) -> tuple[FloatArray, list[bool]]:
     """How far each camera edge is off its true motion, (E, 2) metres and radians, and whether it was kept."""
-    at = [round((scan.stamp_s - START_S) / SCAN_S) for scan in result.measured_scans if scan is not None]
+    at = [round((scan.stamp_s - START_S) / SCAN_S) for scan in result.map.measured_scans if scan is not None]
     off, kept = [], []
-    for edge, keep in zip(result.graph.edges, result.edges_kept, strict=True):
+    for factor in result.map.factors:
+        edge = factor.edge
         if edge.kind is EdgeKind.RGBD:
             true = between(truth[at[edge.source]], truth[at[edge.target]])
             wrong = between(true, row_from_pose2(edge.T_source_target))
             off.append((math.hypot(*wrong[:2]), abs(wrong[2])))
-            kept.append(bool(keep))
+            kept.append(factor.kept)
     return np.array(off), kept
 
 
@@ -146,11 +147,7 @@ class TestLyingCamera:
     def test_exact_wheels_stand_by_the_match(self, last: int, offset: tuple[float, float, float]) -> None:
         result, truth = driven(90, *DENSE, lie=lying("front", 50, last, offset))
         assert worst_m(result, truth) < 0.04
-        matches = [
-            keep
-            for edge, keep in zip(result.graph.edges, result.edges_kept, strict=True)
-            if edge.kind is EdgeKind.LIDAR
-        ]
+        matches = [factor.kept for factor in result.map.factors if factor.edge.kind is EdgeKind.LIDAR]
         assert np.mean(matches) > 0.95
 
 

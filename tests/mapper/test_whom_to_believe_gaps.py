@@ -93,7 +93,7 @@ class TestAroundTheGarden:
     def test_without_a_gap(self, clear: list[LaserScan]) -> None:
         result = self.around(clear, 1, 0.0)
         assert worst_m(result, ROUND) < 0.03
-        assert sum(loop.accepted for loop in result.loops) >= 3
+        assert sum(loop.accepted for loop in result.map.loops) >= 3
 
     @pytest.mark.parametrize("gap", [4, 8])
     def test_a_match_to_what_was_seen_before_a_short_gap_bridges_it(
@@ -111,7 +111,7 @@ class TestAroundTheGarden:
         """It agrees with the wheels, since they made the guess; the loop is right, and is to be believed."""
         result = self.around(clear, gap, drift_rad)
         assert worst_m(result, ROUND) < 0.08
-        assert any(loop.accepted for loop in result.loops)
+        assert any(loop.accepted for loop in result.map.loops)
 
     @pytest.mark.parametrize(("gap", "beams"), [(10, 100), (12, 100), (12, 140)])
     def test_a_doubtful_match_after_a_gap_yields_to_the_loop(

@@ -226,13 +226,14 @@ def test_a_drive_is_tracked_and_a_gap_is_told() -> None:
     assert errors[6] < 0.1
 
 
-def test_a_robot_that_moves_while_the_lidar_turns_is_followed() -> None:
-    """Without wheels; it starts and stops turning at once, with 2 m/s and 1.5 rad/s."""
+@pytest.mark.parametrize(("turn_rad_s", "speed_m_s"), [(1.5, 2.0), (2.5, 1.0)])
+def test_a_robot_that_moves_while_the_lidar_turns_is_followed(turn_rad_s: float, speed_m_s: float) -> None:
+    """Without wheels; it starts and stops turning at once."""
     tracker, pose, errors = CloudTracker(CONFIG, None), base(-1.5, -1.0, 0.0), []
     first = pose
     for number in range(24):
         moving = number > 1
-        twist = np.array([0.0, 0.0, 1.5 * (8 < number < 16), 2.0 * moving, 0.0, 0.0])
+        twist = np.array([0.0, 0.0, turn_rad_s * (8 < number < 16), speed_m_s * moving, 0.0, 0.0])
         cloud = at_middle_of_turn(look_on_the_way(pose, twist, 0.1 * number, seed=number), TURNS)
         assert cloud.stamp_s == pytest.approx(0.1 * number + 0.05, abs=0.001)
         tracked = tracker.track(cloud)
@@ -282,3 +283,24 @@ def test_errors_that_planes_share_widen_the_covariance() -> None:
         spreads.append(np.trace(root.T @ found.spread @ root) / found.residual_m**2)
     assert spreads[0] < 12.0  # of independent readings it is six
     assert spreads[1] > 5.0 * spreads[0]
+
+
+def test_after_a_restart_nothing_is_expected_of_what_was_seen_before() -> None:
+    """Keyframes tell how much of the next one is known; a new place has to show that anew."""
+    fresh, restarted = CloudOdometry(CONFIG, 0.2), CloudOdometry(CONFIG, 0.2)
+    for seed, x in enumerate((-0.4, -0.2, 0.0, 0.2)):
+        restarted.add_keyframe(points_at(base(x, 0.0, 0.0), seed), base(x, 0.0, 0.0))
+    restarted.restart()
+    for odometry in (fresh, restarted):
+        odometry.add_keyframe(points_at(base(0.5, 0.0, 0.1), 7), base(0.5, 0.0, 0.1))
+    # Of a scan whose half is nonsense, the old place would say that more of it has to fit.
+    scan = points_at(base(0.6, 0.0, 0.1), 8)
+    rng = np.random.default_rng(0)
+    found = []
+    for share in np.linspace(0.1, 0.9, 9):
+        spoilt = scan + np.where(rng.random(len(scan)) < share, 1.0, 0.0)[:, None] * rng.normal(
+            0.0, 2.0, scan.shape
+        )
+        found.append([one.match(spoilt, [base(0.6, 0.0, 0.1)]) is None for one in (fresh, restarted)])
+    assert [one for one, _ in found] == [other for _, other in found]
+    assert {one for one, _ in found} == {True, False}

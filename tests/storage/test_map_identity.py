@@ -42,7 +42,7 @@ def test_a_map_with_settings_of_an_earlier_version_is_read(log: Path) -> None:
         load_config(None, ["bundle.enabled=true"])
 
 
-def test_every_setting_of_a_map_of_november_is_known_or_retired(log: Path) -> None:
+def test_every_setting_of_a_map_of_november_is_known_or_left_out(log: Path) -> None:
     """237 settings as the version before the shared ones wrote them."""
     meta = identity_of(log, Config()).to_meta()
     meta["config"] = (Path(__file__).parent / "earlier_settings.json").read_text("utf-8")

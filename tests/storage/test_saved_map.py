@@ -70,7 +70,7 @@ def contents(*, planar: bool = True) -> MapContents:
         stamps_s=np.arange(5.0),
         readings=np.array([0, 2, 5, 6, 9]),
         measured_scans=[scan(0.0), None, scan(2.0), scan(3.0), scan(4.0)],
-        scans=[scan(0.0), None, repaired, scan(3.0), scan(4.0)],
+        keyframe_scans=[scan(0.0), None, repaired, scan(3.0), scan(4.0)],
         factors=factors,
         loops=loops,
         trajectory=Trajectory(rng.random(count), rng.random((count, 3)), rng.random((count, 4))),
@@ -109,7 +109,7 @@ class TestReadBack:
         saved, reported = open_map(map_db.parent), contents()
         found = saved.contents
         assert saved.planar and saved.identity == IDENTITY and saved.config.seed == 7
-        for name in ("node_poses", "measured_scans", "scans", "loops"):
+        for name in ("node_poses", "measured_scans", "keyframe_scans", "loops"):
             assert same(getattr(found, name), getattr(reported, name)), name
         for name in ("stamps_s", "readings", "trajectory"):
             assert same(getattr(found, name), getattr(reported, name)), name
@@ -126,29 +126,32 @@ class TestReadBack:
 
     def test_frames(self, map_db: Path, frames: list[RgbdFrame]) -> None:
         saved = open_map(map_db)
-        assert [saved.frames.head(number).node for number in range(3)] == [0, 2, 4]
-        for number, (found, frame) in enumerate(zip(saved.frames, frames, strict=True)):
+        kept = saved.contents.frames
+        assert kept is not None
+        assert [kept.head(number).node for number in range(3)] == [0, 2, 4]
+        for number, (found, frame) in enumerate(zip(kept, frames, strict=True)):
             assert (found.stamp_s, found.sensor) == (frame.stamp_s, "kinect")
             assert found.intrinsics == frame.intrinsics
             assert same(found.T_base_camera, MOUNT)
-            assert same(saved.frames.features(number), features(number))
+            assert same(kept.features(number), features(number))
             np.testing.assert_allclose(found.depth_m, frame.depth_m, atol=1.01e-4)
         np.testing.assert_array_equal(
-            saved.frame_poses()[1].matrix(),
+            saved.contents.frame_poses()[1].matrix(),
             gtsam.Pose3(saved.contents.node_poses[2]).compose(MOUNT).matrix(),
         )
         with pytest.raises(IndexError):
-            saved.frames.frame(3)
+            kept.frame(3)
         saved.close()
 
     def test_a_camera_alone(self, tmp_path: Path) -> None:
-        reported = replace(contents(planar=False), measured_scans=[], scans=[], grids={})
+        reported = replace(contents(planar=False), measured_scans=[], keyframe_scans=[], grids={})
         frames = [replace(frame, T_base_camera=None) for frame in box_frames(count=3)]
         saved = open_map(write(tmp_path / "map.db", reported, frames))
         assert not saved.planar and saved.grid is None
         assert list(saved.keyframe_scans) == [None] * 5
-        assert same(saved.frame_poses(), list(reported.node_poses[::2]))
-        assert saved.frames.frame(0).T_base_camera is None
+        assert same(saved.contents.frame_poses(), list(reported.node_poses[::2]))
+        assert saved.contents.frames is not None
+        assert saved.contents.frames.frame(0).T_base_camera is None
         np.testing.assert_allclose(saved.keyframe_poses[1], [0.3, 0.0, 0.4])
         saved.close()
 
@@ -228,8 +231,8 @@ class TestRefused:
     def test_settings_of_another_version(self, map_db: Path, tmp_path: Path) -> None:
         path = tmp_path / "map.db"
         path.write_bytes(map_db.read_bytes())
-        with pytest.raises(MapFileError, match="settings that this version does not know"):
-            open_map(forge(path, "meta", 0, value='{"novelty": 1}'))
+        with pytest.raises(MapFileError, match="settings that this version does not take"):
+            open_map(forge(path, "meta", 0, value='{"grid": {"resolution_m": -1.0}}'))
         forge(path, "meta", 0, value=Config().model_dump_json())
         with pytest.raises(MapFileError, match="versions cannot be read"):
             open_map(forge(path, "meta", 4, value="{"))

@@ -117,12 +117,12 @@ def test_inspect_tells_rates_gaps_clocks_and_frames(tmp_path: Path) -> None:
         sent.late_s = -0.3
     bag = write_bag(tmp_path / "log", "rosbags_mcap", [mounts, *wheels, *scans])
     inspection = inspect_dataset(open_dataset(bag))
-    assert inspection.bag is not None
-    by_name = {topic.topic: topic for topic in inspection.bag.topics}
-    assert by_name["/odom"].rate_hz == pytest.approx(10.0)
-    assert by_name["/scan"].longest_gap_s == pytest.approx(0.6)
-    assert inspection.bag.reference == "/odom"
-    assert inspection.bag.clock_offsets_s["/scan"] == pytest.approx(0.3, abs=1e-6)
+    bag_facts = inspection["bag"]
+    by_name = {topic["topic"]: topic for topic in bag_facts["topics"]}
+    assert by_name["/odom"]["rate_hz"] == pytest.approx(10.0)
+    assert by_name["/scan"]["longest_gap_s"] == pytest.approx(0.6)
+    assert bag_facts["reference"] == "/odom"
+    assert bag_facts["clock_offsets_s"]["/scan"] == pytest.approx(0.3, abs=1e-6)
     text = inspection_text(inspection)
     assert "/scan is stamped 0.300 s ahead of /odom" in text
     assert "frames, the robot's is base_link:\n    base_link\n      laser\n" in text

@@ -1,0 +1,34 @@
+"""The last motion once more, for another time: what is expected where nothing tells."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fusion.time_alignment import GAP_S
+from slam.config.stages import PredictionConfig
+from slam.matching.motion import Motion
+from slam.measurements import FloatArray
+
+# A velocity is carried over at most this many times the step that it was measured over.
+_GREATEST_STRETCH = 3.0
+
+
+def stretch(step_s: float, measured_s: float) -> float:
+    """How many times a step that took ``measured_s`` is repeated in ``step_s``; once where no time passed."""
+    if step_s <= 0.0 or measured_s <= 0.0:
+        return 1.0
+    return min(step_s / measured_s, _GREATEST_STRETCH)
+
+
+def repeated(step: FloatArray, measured_s: float, step_s: float, config: PredictionConfig) -> Motion:
+    """A motion (3,) that was measured over one time, expected over another.
+
+    Nobody knows how the robot speeds up, and by that the way goes wrong with the square of the time.
+    """
+    step = step * stretch(step_s, measured_s)
+    sigma_m = config.velocity_floor_m + config.velocity_share * math.hypot(step[0], step[1])
+    sigma_rad = config.velocity_floor_rad + config.velocity_share * abs(float(step[2]))
+    covariance = np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])
+    return Motion(step, covariance * max(step_s / GAP_S, 1.0) ** 4)

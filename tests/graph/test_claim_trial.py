@@ -1,0 +1,114 @@
+"""What a set of claims entails along both ways: keyframes that fit as well, and those that fit nowhere."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
+from slam.graph.claim_trial import ClaimTrial
+from slam.graph.loop_closure import LoopCandidate
+from slam.graph.place_search import PlaceSearch
+from slam.matching.motion import Motion
+from slam.matching.planar import between
+from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
+
+# Ten metres along a corridor, a metre a keyframe; carried back, and along it once more.
+FIRST, AGAIN, REACH_M = range(10), range(100, 110), 3.0
+CONFIG = LoopConfig()
+SURE = np.eye(3) * 0.01**2
+
+
+class Way:
+    """The drive as submaps, stretches, sets and loop closer know it; a match fits up to a keyframe."""
+
+    window_m, spacing_m = 3.0, 0.5
+
+    def __init__(self, fits_before: int = 1000, degenerate: bool = False) -> None:
+        self.submaps, self.fits_before, self.degenerate = self, fits_before, degenerate
+        self.verified: list[tuple[int, int]] = []
+
+    def travelled_m(self, key: int) -> float:
+        return float(key)
+
+    def pose(self, key: int) -> FloatArray:
+        return np.array([float(key % 100), 0.0, 0.0])
+
+    def between(self, begin_m: float, end_m: float) -> list[int]:
+        return [key for key in (*FIRST, *AGAIN) if begin_m <= key <= end_m]
+
+    def way(self, start: int, end: int) -> Motion:
+        return Motion(between(self.pose(start), self.pose(end)), SURE)
+
+    def verify(self, place: int, key: int, guess: FloatArray, covariance: FloatArray) -> LoopCandidate:
+        self.verified.append((place, key))
+        motion = MotionEstimate(
+            pose2_from_row(guess), covariance, 0.9, 0.9, 0.01, True, self.degenerate, np.zeros(3)
+        )
+        found = LoopCandidate(place, key, 0.0, 0.0, 1.0, motion, True, "")
+        return found if key < self.fits_before else replace(found, accepted=False, motion=None, reason="no")
+
+
+def tried(way: Way) -> tuple[list[LoopCandidate], int]:
+    """What follows from the claim that keyframe 105 is where 5 was."""
+    trial = ClaimTrial(way, way, way, CONFIG, REACH_M)  # type: ignore[arg-type]
+    claim = way.verify(5, 105, np.zeros(3), SURE)
+    way.verified.clear()
+    return trial.hold([claim])
+
+
+def test_what_lies_beyond_a_claim_is_found_at_its_own_place() -> None:
+    more, refused = tried(Way())
+    assert [(one.place, one.keyframe) for one in more] == [
+        (2, 102),
+        (3, 103),
+        (4, 104),
+        (6, 106),
+        (7, 107),
+        (8, 108),
+    ]
+    assert refused == 0
+    for one in more:
+        assert one.motion is not None
+        np.testing.assert_allclose([one.motion.T_reference_base.x()], [0.0], atol=1e-9)
+
+
+def test_a_keyframe_that_fits_at_no_place_is_counted_once() -> None:
+    way = Way(fits_before=107)
+    more, refused = tried(way)
+    assert [one.keyframe for one in more] == [102, 103, 104, 106]
+    assert refused == 2
+    assert sum(key == 107 for _, key in way.verified) > 1, "the places beside were tried too"
+
+
+def test_a_match_with_an_open_direction_confirms_and_is_no_claim() -> None:
+    more, refused = tried(Way(degenerate=True))
+    assert (more, refused) == ([], 0)
+
+
+@pytest.mark.parametrize("beyond", [CONFIG.reach_m + 0.5, 1.0])
+def test_a_place_that_was_never_near_tells_nothing(beyond: float) -> None:
+    """The second drive goes on beside the first: too far off, nothing is asked of it."""
+
+    class Beside(Way):
+        def way(self, start: int, end: int) -> Motion:
+            aside = np.array([0.0, beyond if end > 105 else 0.0, 0.0])
+            return Motion(super().way(start, end).pose + aside, SURE)
+
+    _, refused = tried(way := Beside(fits_before=106))
+    assert refused == (0 if beyond > CONFIG.reach_m else 3)
+    assert any(key > 105 for _, key in way.verified) is (beyond <= CONFIG.reach_m)
+
+
+def test_without_loops_no_place_is_searched() -> None:
+    """Else it would ask the submaps, of which there are none here."""
+    closer = type("NoSubmaps", (), {"submaps": None})()
+    match, graph = MatchConfig(), GraphConfig()
+    search = PlaceSearch(closer, LoopConfig(enabled=False), match, graph)  # type: ignore[arg-type]
+    assert search.search(np.zeros((3, 3)), [], np.zeros(0, np.bool_), []) == []
+    with pytest.raises(TypeError):
+        PlaceSearch(closer, LoopConfig(), match, graph).search(  # type: ignore[arg-type]
+            np.zeros((3, 3)), [], np.zeros(0, np.bool_), []
+        )
