@@ -154,6 +154,10 @@ class PlanarRobot:
         result.notes += [*registration_notes(self._registrations), *self._cameras.notes()]
         if self._wheels is not None and self._wheels.clock.known:
             result.notes.append(self._wheels.clock.note("wheels", "lidar"))
+        if self._wheels is not None and self._wheels.dead:
+            result.warnings.append(
+                "The wheels report no motion where the robot has moved; they were left out"
+            )
         if self._fusion is not None:
             scans, result.fused = self._fusion.repair(scans)
             result.notes += [] if result.fused is None else [result.fused.note]

@@ -16,10 +16,13 @@ _GREATEST_STRETCH = 3.0
 
 
 def stretch(step_s: float, measured_s: float) -> float:
-    """How many times a step that took ``measured_s`` is repeated in ``step_s``; once where no time passed."""
+    """How many times a step that took ``measured_s`` is repeated in ``step_s``; once where no time passed.
+
+    What turns has turned another way by the end of a gap.
+    """
     if step_s <= 0.0 or measured_s <= 0.0:
         return 1.0
-    return min(step_s / measured_s, _GREATEST_STRETCH)
+    return min(step_s, max(measured_s, GAP_S), _GREATEST_STRETCH * measured_s) / measured_s
 
 
 def repeated(step: FloatArray, measured_s: float, step_s: float, config: PredictionConfig) -> Motion:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fusion.time_alignment import GAP_S
 from slam.config.stages import MatchConfig, PredictionConfig
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
@@ -23,7 +24,7 @@ from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, MotionEstimate, row_from_pose2
 from slam.odometry.constant_velocity import repeated
 from slam.odometry.lidar_odometry import LidarOdometry
-from slam.odometry.wheel_tracker import WheelMoment, WheelTracker, thrown_aside
+from slam.odometry.wheel_tracker import SHORTEST_STEP_S, WheelMoment, WheelTracker, thrown_aside
 
 # One wild step says no more about a predictor than this many times its variance.
 _GREATEST_SURPRISE = 10.0
@@ -138,6 +139,8 @@ class MotionTracker:
         self._stamp_s = 0.0
         self._velocity_step = np.zeros(3)
         self._velocity_step_s = 0.0
+        # Where the velocity alone leads, and for how long nothing else has told.
+        self._blind, self._blind_s = np.zeros(3), 0.0
 
     def wheel_motion(
         self,
@@ -179,8 +182,7 @@ class MotionTracker:
                 motion, dispute = self._match(points, guesses)
             pose = guesses[0].pose if motion is None else self._fused(motion)
             tracked = TrackedScan(pose, motion, wheels, dispute)
-            self._velocity_step = between(self._last.pose, pose)
-            self._velocity_step_s = step_s
+            self._learn_velocity(between(self._last.pose, pose), step_s, told=pose is not self._blind)
         self._last = tracked
         self._stamp_s = stamp_s
         self._recent.append((stamp_s, tracked))
@@ -208,9 +210,24 @@ class MotionTracker:
         if moved is not None:
             self._by_wheels.guesses = [Motion(compose(last.pose, moved.pose), moved.covariance)]
         on = repeated(self._velocity_step, self._velocity_step_s, step_s, self._config)
-        self._by_velocity.predict(compose(last.pose, on.pose), on.covariance + last.dispute)
+        self._blind = compose(last.pose, on.pose)
+        self._by_velocity.predict(self._blind, on.covariance + last.dispute)
+        if step_s > GAP_S:
+            # By then it may as well stand.
+            self._by_velocity.predict(last.pose, on.covariance + last.dispute)
         guesses = [guess for predictor in predictors for guess in predictor.guesses]
         return sorted(guesses, key=lambda guess: float(np.linalg.det(guess.covariance)))
+
+    def _learn_velocity(self, step: FloatArray, step_s: float, *, told: bool) -> None:
+        """Take a step (3,): one that repeats the velocity teaches none, nor does the next, which mends it.
+
+        Stamps too close together tell no velocity either.
+        """
+        if told and not self._blind_s and step_s > SHORTEST_STEP_S:
+            self._velocity_step, self._velocity_step_s = step, step_s
+        self._blind_s = 0.0 if told else self._blind_s + max(step_s, 0.0)
+        if self._blind_s >= GAP_S:
+            self._velocity_step = np.zeros(3)
 
     def _predict_by_window(self, stamp_s: float, wheels: WheelMoment | None) -> list[Motion]:
         """Where the wheels say that the robot went since a while ago; nothing where they do not tell."""
@@ -320,6 +337,8 @@ class MotionTracker:
             self._by_wheels.judge(pose)
             self._by_velocity.judge(pose)
             last = self._last
+            if self._wheels is not None and not self._wheels.moved:
+                self._wheels.dead = math.hypot(pose[0], pose[1]) > self._noise.search_half_width_m
             if self._wheels is not None and self._by_wheels.guesses and last is not None and last.determined:
                 guess = self._by_wheels.guesses[0].pose
                 self._wheels.learn_scale(between(last.pose, guess), between(last.pose, pose))

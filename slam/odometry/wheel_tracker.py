@@ -17,7 +17,7 @@ from slam.odometry.clock_learner import ClockLearner, SensorClock, Turns
 from slam.odometry.wheel_gaps import WheelGaps
 
 # Readings whose stamps coincide or run backward took a time that nobody knows.
-_SHORTEST_STEP_S = 0.05
+SHORTEST_STEP_S = 0.05
 _UNKNOWN_STEP_S = 1.0
 # Sigma of a robot's turn over a metre that nobody saw, radians.
 _TURN_PER_M = 0.5
@@ -52,6 +52,8 @@ class WheelTracker:
         # Stamps and poses (3,) of the last while, stamps rising; the newest first.
         self._recent: deque[tuple[float, FloatArray]] = deque()
         self._rising = True
+        # Whether a reading was ever another than the first; whether the robot has moved though none was.
+        self.moved, self.dead = False, False
         self._asked_s = math.nan
         self._ahead_s = 0.0
         self._T_odom_read = np.zeros(3)
@@ -87,6 +89,8 @@ class WheelTracker:
         step, step_s = self._gaps.step(reading)
         pose = self._gaps.add(reading, possible=self.plausible(step, step_s))
         self.turns.add(reading.stamp_s, pose[2])
+        if self._recent and (pose != self._recent[0][1]).any():
+            self.moved, self.dead = True, False
         self._rising = not self._recent or reading.stamp_s > self._recent[0][0]
         while self._recent and reading.stamp_s <= self._recent[0][0]:
             self._recent.popleft()
@@ -106,8 +110,11 @@ class WheelTracker:
     def motion(
         self, begun: WheelMoment | None, ended: WheelMoment | None, elapsed_s: float
     ) -> FloatArray | None:
-        """Motion (3,) between two moments; None where the wheels do not tell, or no robot can move so."""
-        if begun is None or ended is None:
+        """Motion (3,) between two moments; None where the wheels do not tell, or no robot can move so.
+
+        Dead ones do not tell that it stands.
+        """
+        if begun is None or ended is None or self.dead:
             return None
         step = between(begun.pose, ended.pose) * self._scale
         return step if self.plausible(step, elapsed_s) else None
@@ -154,7 +161,7 @@ class WheelTracker:
             last = len(readings) - 1
             number = next((n for n, (read_s, _) in enumerate(readings) if read_s <= asked_s), last)
             # Then readings are carried on at every scan: a step of no time would tell any speed.
-            shortest_s = _SHORTEST_STEP_S
+            shortest_s = SHORTEST_STEP_S
         read_s, pose = readings[number]
         ended_s, ended = readings[max(number - 1, 0)]
         older = (reading for reading in readings if ended_s - reading[0] > shortest_s)
@@ -167,7 +174,7 @@ class WheelTracker:
 
     def plausible(self, step: FloatArray, step_s: float) -> bool:
         """Whether a robot can move by ``step`` (3,) in that time."""
-        time_s = max(step_s, _SHORTEST_STEP_S) if step_s > 0.0 else _UNKNOWN_STEP_S
+        time_s = max(step_s, SHORTEST_STEP_S) if step_s > 0.0 else _UNKNOWN_STEP_S
         return bool(
             math.hypot(step[0], step[1]) <= self._config.greatest_speed_m_s * time_s + self._config.floor_m
             and abs(step[2]) <= self._config.greatest_turn_rad_s * time_s + self._config.floor_rad
