@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from slam.app.map_folder import finished_map, opened_map
@@ -110,8 +110,12 @@ def run_into(
         file.add_meta(NOTES, json.dumps(result.notes))
         file.add_meta(WARNINGS, json.dumps(result.warnings))
         file.seal()
-    dropped = dataset.report.dropped_count
-    return MapRun(open_map(folder), data, (*files, folder / MAP_NAME, *written), dropped)
+    # One in memory at a time: what is handed out is what anybody reads from the file.
+    del made
+    result.map = replace(result.map, grids={})
+    saved = open_map(folder)
+    result.map = saved.contents
+    return MapRun(saved, data, (*files, folder / MAP_NAME, *written), dataset.report.dropped_count)
 
 
 def _written(folder: Path, made: Exports) -> tuple[list[Path], list[str]]:

@@ -26,6 +26,8 @@ class WheelGaps:
     ----------
     guessed_m
         Way so far that is a guess.
+    period_s
+        Time between two readings as a rule.
     """
 
     def __init__(self) -> None:
@@ -34,7 +36,7 @@ class WheelGaps:
         # Of the last reading, of the last one that moved, and until when the way is in the pose.
         self._stamp_s = self._counted_s = self._placed_s = math.nan
         self._twist = np.zeros(3)
-        self._period_s = self._lasted_s = 0.0
+        self.period_s = self._lasted_s = 0.0
         # Whether to count nothing from now on would be to stop harder than a robot can.
         self._stops_dead = False
         self.guessed_m = 0.0
@@ -55,7 +57,7 @@ class WheelGaps:
             self._counted_s = self._placed_s = stamp_s
             return self._pose
         if step_s > 0.0:
-            self._period_s += (min(step_s, GAP_S) - self._period_s) / (FEWEST if self._period_s else 1.0)
+            self.period_s += (min(step_s, GAP_S) - self.period_s) / (FEWEST if self.period_s else 1.0)
         still = possible and bool(np.abs(step).max() < SETTLED)
         if not possible:
             step = self._twist * max(step_s, 0.0)
@@ -84,10 +86,10 @@ class WheelGaps:
     def _count(self, stamp_s: float) -> None:
         """Take the speed since the last reading that moved; of two close together, the stamps tell none."""
         since_s = stamp_s - self._counted_s
-        if since_s >= max(self._period_s, TINY):
+        if since_s >= max(self.period_s, TINY):
             self._twist, self._lasted_s = between(self._counted, self._pose) / since_s, since_s
             # Who stands still at the end of that time was twice as fast at its beginning.
             speed_m_s = 2.0 * math.hypot(self._twist[0], self._twist[1])
             self._stops_dead = speed_m_s > _HARDEST_BRAKING * since_s
-        if since_s >= self._period_s or since_s < 0.0:
+        if since_s >= self.period_s or since_s < 0.0:
             self._counted, self._counted_s = self._pose, stamp_s

@@ -173,8 +173,11 @@ class WheelTracker:
         return compose(pose, between(begun[1], ended) / (ended_s - begun[0]) * (asked_s - read_s))
 
     def plausible(self, step: FloatArray, step_s: float) -> bool:
-        """Whether a robot can move by ``step`` (3,) in that time."""
-        time_s = max(step_s, SHORTEST_STEP_S) if step_s > 0.0 else _UNKNOWN_STEP_S
+        """Whether a robot can move by ``step`` (3,) in that time, or in that between readings as a rule.
+
+        Stamps may come late by about as much: then two readings are one right after the other.
+        """
+        time_s = max(step_s, self._gaps.period_s, SHORTEST_STEP_S) if step_s > 0.0 else _UNKNOWN_STEP_S
         return bool(
             math.hypot(step[0], step[1]) <= self._config.greatest_speed_m_s * time_s + self._config.floor_m
             and abs(step[2]) <= self._config.greatest_turn_rad_s * time_s + self._config.floor_rad

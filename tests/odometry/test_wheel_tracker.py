@@ -183,3 +183,16 @@ def test_a_long_way_may_be_aside_by_what_was_turned_wrongly() -> None:
     aside = thrown_aside(Motion(np.array([10.0, 0.0, 0.0]), np.diag([0.01, 0.01, 0.04])))
     np.testing.assert_allclose(np.diag(aside), [0.0, 100.0 / 3.0 * 0.04, 0.0], atol=1e-12)
     assert abs(aside[1, 2]) == pytest.approx(0.5 * 10.0 * 0.04)
+
+
+def test_stamps_that_came_late_are_no_jump() -> None:
+    """A reading every 0.4 s, 0.2 m on; one is stamped just before the next."""
+    wheels = WheelTracker(CONFIG)
+    stamps_s = [0.4 * n for n in range(20)]
+    stamps_s[12] = stamps_s[13] - 0.01
+    told = [
+        wheels.add(WheelOdometry(at_s, gtsam.Pose2(0.2 * n, 0.0, 0.0))) for n, at_s in enumerate(stamps_s)
+    ]
+    np.testing.assert_allclose(np.array(told)[:, 0], 0.2 * np.arange(20), atol=1e-9)
+    jump = wheels.add(WheelOdometry(stamps_s[-1] + 0.01, gtsam.Pose2(0.2 * 20 + 3.0, 0.0, 0.0)))
+    assert jump[0] < 0.2 * 20 + 0.1
