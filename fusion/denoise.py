@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.curves import BESIDE, Curve, DepthImage, Float32Array, FloatArray, LidarCurve
+from fusion.curves import BESIDE, HEIGHT_STEP_M, Curve, DepthImage, Float32Array, FloatArray, LidarCurve
 from fusion.estimation import gate, median_to_sigma
 from fusion.image_view import ImageView, view_at_height
 from fusion.panorama import Depths, as_images
@@ -174,8 +174,8 @@ class Candidates:
         `Provenance` of the readings that are replaced, and what `beam_candidates` found, counter-clockwise.
     pixels
         By the index of the image, what `pixel_candidates` found.
-    sigma_shares
-        (5,) by `Provenance`: standard deviation of what is right, as a share of the range.
+    sigma_shares, pixel_sigma_share
+        (5,) by `Provenance`, and of pixels: standard deviation of what is right, as a share of the range.
     """
 
     source: ProvenanceArray
@@ -183,6 +183,7 @@ class Candidates:
     beams: FloatArray
     pixels: dict[int, FloatArray]
     sigma_shares: FloatArray
+    pixel_sigma_share: float
 
 
 def find_candidates(
@@ -228,7 +229,9 @@ def find_candidates(
     carried = math.sqrt(max(apart**2 - mine**2, theirs**2)) if np.isfinite(mine + theirs) else share
     mean = math.hypot((1.0 - trust) * mine, trust * carried)
     shares = median_to_sigma() * np.array([math.nan, carried, mine, math.nan, mean])
-    return Candidates(source, kinds, beams, pixels, shares)
+    # A pixel's value is a smoothed range, of at least so many readings, on the image's own surfaces.
+    smoothed = median_to_sigma() * math.hypot(carried, mine / math.sqrt(BESIDE))
+    return Candidates(source, kinds, beams, pixels, shares, smoothed)
 
 
 def _put_in(
@@ -247,7 +250,7 @@ def _put_in(
     value, kind = found.beams[best[taken], taken, 0], kind[taken]
     result.ranges_m[at], result.lidar_source[at] = value, kind
     result.lidar_probability[at] = chance[taken]
-    result.lidar_sigma_m[at] = found.sigma_shares[kind] * value
+    result.lidar_sigma_m[at] = np.hypot(found.sigma_shares[kind] * value, 0.5 * HEIGHT_STEP_M)
     for camera, rows in found.pixels.items():
         pixel, kinds = rows[:, 0].astype(np.intp), rows[:, 1].astype(np.intp)
         chance = probabilities(kinds, rows[:, 3:], PIXEL_ODDS)
@@ -259,7 +262,8 @@ def _put_in(
         depth[burrs], source[burrs] = 0.0, Provenance.HOLE
         depth[at], source[at] = value, Provenance.FILLED
         result.depth_probability[camera].ravel()[at] = chance[taken]
-        result.depth_sigma_m[camera].ravel()[at] = found.sigma_shares[Provenance.FILLED] * value
+        sigma_m = np.hypot(found.pixel_sigma_share * value, 0.5 * HEIGHT_STEP_M)
+        result.depth_sigma_m[camera].ravel()[at] = sigma_m
     return replace(result, applied=True)
 
 
