@@ -14,7 +14,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from reproduce_xu2024 import RIG_NAMES
 from xu2024_pairs import TruePair, simulate_pairs
 
 import fusion
@@ -24,6 +23,7 @@ from slam.simulation.drive import prepare_drive
 from slam.simulation.home import generate_home
 from slam.simulation.rigs import RIGS
 
+RIG_NAMES = ("turtlebot_low", "turtlebot_high", "xu2024")
 RIGHT_BEAM_M, RIGHT_PIXEL_M = 0.2, 0.1
 PIXEL_SHARE = 0.05  # of the pixels of holes: hundreds of them are of one wall
 LEARNED, CHECKED, SEED, PAIRS = (*range(11, 19), *range(41, 57)), range(21, 25), 5, 40
