@@ -122,7 +122,7 @@ def _drop_bumps(
                 _agrees(own, other, first - 1, eps_share) or _agrees(own, other, last + 1, eps_share)
             ):
                 for i in range(first, last + 1):
-                    if own[i] > other[i] + max(SLACK_M, eps_share * own[i]):
+                    if own[i] > other[i] + max(EDGE_M, eps_share * own[i]):
                         result[i], source[i] = other[i], FILLED
         first = last + 1
 
