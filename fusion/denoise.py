@@ -1,36 +1,37 @@
 """Each sensor repairs the other: Xu2024 Eq. (6)-(8), 2.3.2, at the sensors' own resolution.
 
-Pairs are matched by where they lie and not by their index: each curve is reprojected into the other's frame.
-Few holes among readings are filled from the other sensor, or between neighbours where both have one; of wider
-ones half would be wrong (glass, which both look through), and stay. Where both have a reading
-and they differ by more than eps, the paper does not say who is wrong. Here it is the one whose reading its
-own neighbours do not support; where both are consistent, the difference is real (a low cupboard before a
-wall) and both readings are kept. The lidar's nearer readings give way only where they fly at an edge.
+Pairs are matched by where they lie and not by their index: each curve is reprojected to the other's frame.
+Where both have a reading and they differ by more than eps, the paper does not say who is wrong. Here it is
+the one whose reading its own neighbours do not support; where both are consistent, the difference is real (a
+low cupboard before a wall) and both readings are kept. The lidar's nearer readings give way only where they
+fly at an edge. What could be put into holes and in the place of such readings is judged by how likely it is
+right (`fusion.repair_odds`): both sensors look through glass, and most wide holes are of glass.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fusion.curves import BESIDE, Curve, DepthImage, Float32Array, FloatArray, LidarCurve
-from fusion.estimation import gate
+from fusion.curves import BESIDE, HEIGHT_STEP_M, Curve, DepthImage, Float32Array, FloatArray, LidarCurve
+from fusion.estimation import gate, median_to_sigma
 from fusion.image_view import ImageView, view_at_height
 from fusion.panorama import Depths, as_images
 from fusion.registration import Registration
-from fusion.repair import Provenance, ProvenanceArray, among_readings, repair_lidar, smooth_outliers
-from fusion.repair_pixels import repair_image
+from fusion.repair import Provenance, ProvenanceArray, replace_readings, smooth_outliers
+from fusion.repair_odds import BEAM_ODDS, PIXEL_ODDS, beam_candidates, probabilities
+from fusion.repair_pixels import pixel_candidates
 from fusion.reprojection import reproject, smooth, without_bumps
 from fusion.rig import RigEstimate
 from fusion.rigid_fit import EPS_OVER_E, rigid_fit
 from fusion.similarity import Grade
 
 LEAST_EPS_SHARE = 0.025  # of the range: below, the lidar's own noise would be called burrs
-_BURR_RAD = math.radians(1.4)  # longest run of readings that can be a burr
-_CAMERA_BURR_RAD = math.radians(2.2)  # side of a square of pixels: light by a detour comes in patches
+_BURR_RAD = math.radians(1.4)  # longest run of readings that can be a burr; two squares of pixels
 _LONE_RAD = math.radians(0.3)  # single readings of a camera
 _LIDAR_SLACK, _CAMERA_SLACK = 0.04, 0.01  # noise of the difference of two neighbours, as a share of the range
 
@@ -45,6 +46,11 @@ class Denoised:
         (N,) as the scan was given, invalid readings unchanged, and the `Provenance` of each beam.
     depth_m, depth_source
         For each camera (H, W) and the `Provenance` of each pixel.
+    lidar_probability, depth_probability
+        (N,) and for each camera (H, W): of what was put in, that it is right: a range within 0.2 m, a depth
+        within 0.1 m. ``nan`` where nothing was.
+    lidar_sigma_m, depth_sigma_m
+        Standard deviation of what was put in, where it is right.
     applied
         False where the pair's grade did not allow any repair: then nothing was changed.
     """
@@ -53,6 +59,10 @@ class Denoised:
     lidar_source: ProvenanceArray
     depth_m: tuple[Float32Array, ...]
     depth_source: tuple[ProvenanceArray, ...]
+    lidar_probability: Float32Array
+    depth_probability: tuple[Float32Array, ...]
+    lidar_sigma_m: Float32Array
+    depth_sigma_m: tuple[Float32Array, ...]
     applied: bool
 
 
@@ -62,6 +72,7 @@ def denoise(
     registration: Registration | RigEstimate,
     *,
     least_grade: Grade = Grade.HIGH,
+    least_probability: float = 0.95,
 ) -> Denoised:
     """Repair a scan and its depth images with each other.
 
@@ -73,6 +84,9 @@ def denoise(
         Of this pair, or better of the rig: what all pairs of a drive say together.
     least_grade
         A single pair below it is left alone.
+    least_probability
+        What is less likely to be right is not put in: a hole is better than an invention. The mean of two
+        readings that agree invents nothing, and is taken however likely both look through glass.
 
     Raises
     ------
@@ -108,7 +122,7 @@ def denoise(
         matrices = [rigid_fit(*pairs, rng) for pairs in matched_curves(registration)]
     else:
         matrices = []
-    return repair_by(scan, images, registration, matrices)
+    return repair_by(scan, images, registration, matrices, least_probability)
 
 
 def repair_by(
@@ -116,18 +130,15 @@ def repair_by(
     images: tuple[DepthImage, ...],
     registration: Registration | RigEstimate,
     matrices: Sequence[FloatArray | None],
+    least_probability: float,
 ) -> Denoised:
     """`denoise` by (3, 3) maps from each camera's level plane to the lidar's; None where there is none."""
     if not any(matrix is not None for matrix in matrices):
         return _unchanged(scan, images)
     if len(matrices) != len(images):
         raise ValueError(f"{len(images)} images for {len(matrices)} registered cameras")
-    seen = {
-        camera: (_view(images[camera], registration), matrix)
-        for camera, matrix in enumerate(matrices)
-        if matrix is not None
-    }
-    return _repair(scan, images, seen)
+    found = find_candidates(scan, images, registration, matrices)
+    return _put_in(scan, images, found, least_probability)
 
 
 def _view(image: DepthImage, registration: Registration | RigEstimate) -> ImageView:
@@ -153,12 +164,40 @@ def matched_points(lidar: Curve, camera: Curve, yaw_rad: float) -> tuple[FloatAr
     return ours[both], theirs[both]
 
 
-def _repair(
+@dataclass(frozen=True)
+class Candidates:
+    """What could be put into a scan and its images, before it is judged.
+
+    Attributes
+    ----------
+    source, kinds, beams
+        `Provenance` of the readings that are replaced, and what `beam_candidates` found, counter-clockwise.
+    pixels
+        By the index of the image, what `pixel_candidates` found.
+    sigma_shares, pixel_sigma_share
+        (5,) by `Provenance`, and of pixels: standard deviation of what is right, as a share of the range.
+    """
+
+    source: ProvenanceArray
+    kinds: NDArray[np.intp]
+    beams: FloatArray
+    pixels: dict[int, FloatArray]
+    sigma_shares: FloatArray
+    pixel_sigma_share: float
+
+
+def find_candidates(
     scan: LidarCurve,
-    images: tuple[DepthImage, ...],
-    seen: dict[int, tuple[ImageView, FloatArray]],
-) -> Denoised:
-    """Carry, compare, decide; the beams counter-clockwise. ``seen`` is by the index of the image."""
+    images: Sequence[DepthImage],
+    registration: Registration | RigEstimate,
+    matrices: Sequence[FloatArray | None],
+) -> Candidates:
+    """Carry and compare; arguments as for `repair_by`."""
+    seen = {
+        camera: (_view(images[camera], registration), matrix)
+        for camera, matrix in enumerate(matrices)
+        if matrix is not None
+    }
     ranges = scan.valid_ranges_m()
     flip, step = scan.step_rad < 0.0, abs(scan.step_rad)
     own = ranges[::-1].copy() if flip else ranges
@@ -175,27 +214,57 @@ def _repair(
     steady = smooth(clean, step, BESIDE, _LIDAR_SLACK)
     mine, theirs = roughness(clean, steady), max([rough for rough in noise if rough >= 0.0], default=math.nan)
     trust = mine**2 / max(mine**2 + theirs**2, 1e-12) if np.isfinite(mine + theirs) else 0.0
-    confident = among_readings(own, 2 * burr)
-    repaired, source = repair_lidar(own, other, confident, share, burr, trust)
-    smooth_outliers(repaired, steady, source, math.sqrt(gate()) * mine)
-    untouched = _unchanged(scan, images)
-    steady[~confident] = np.nan
-    for camera, (view, matrix) in seen.items():
-        depth, marks = untouched.depth_m[camera], untouched.depth_source[camera]
-        range_max_m = images[camera].range_max_m
-        _repair_image(depth, marks, range_max_m, view, matrix, steady, (start, step), share)
-    result = np.array(scan.ranges_m, dtype=np.float32)
-    if flip:
-        repaired, source = repaired[::-1], source[::-1]
-    changed = (source != Provenance.MEASURED) & (source != Provenance.HOLE)
-    result[changed] = repaired[changed]
-    return Denoised(
-        ranges_m=result,
-        lidar_source=np.ascontiguousarray(source),
-        depth_m=untouched.depth_m,
-        depth_source=untouched.depth_source,
-        applied=True,
-    )
+    replaced, source = replace_readings(own, other, share, burr, trust)
+    smooth_outliers(replaced, steady, source, math.sqrt(gate()) * mine)
+    kinds, beams = beam_candidates(own, steady, other, replaced, source, share, 5 * burr)
+    pixels = {
+        camera: _pixel_candidates(
+            images[camera], view, matrix, steady, beams[0, :, 3], (start, step), (share, mine)
+        )
+        for camera, (view, matrix) in seen.items()
+    }
+    # What agrees differs by the noise of both, and by how well one is carried to the other.
+    agreed = source == Provenance.AVERAGED
+    apart = float(np.median(np.abs(own - other)[agreed] / own[agreed])) if agreed.any() else share
+    carried = math.sqrt(max(apart**2 - mine**2, theirs**2)) if np.isfinite(mine + theirs) else share
+    mean = math.hypot((1.0 - trust) * mine, trust * carried)
+    shares = median_to_sigma() * np.array([math.nan, carried, mine, math.nan, mean])
+    # A pixel's value is a smoothed range, of at least so many readings, on the image's own surfaces.
+    smoothed = median_to_sigma() * math.hypot(carried, mine / math.sqrt(BESIDE))
+    return Candidates(source, kinds, beams, pixels, shares, smoothed)
+
+
+def _put_in(
+    scan: LidarCurve, images: tuple[DepthImage, ...], found: Candidates, least_probability: float
+) -> Denoised:
+    """Take what is likely enough to be right."""
+    result = _unchanged(scan, images)
+    judged = probabilities(found.kinds, found.beams[..., 1:], BEAM_ODDS)
+    best, beam = judged.argmax(axis=0), np.arange(found.source.size)
+    chance = judged[best, beam]
+    hole = found.source == Provenance.HOLE
+    kind = np.where(hole, np.where(best == 0, Provenance.FILLED, Provenance.INTERPOLATED), found.source)
+    least = np.where(kind == Provenance.AVERAGED, 0.0, least_probability)
+    taken = np.flatnonzero(chance >= np.maximum(least, 0.0))
+    at = found.source.size - 1 - taken if scan.step_rad < 0.0 else taken
+    value, kind = found.beams[best[taken], taken, 0], kind[taken]
+    result.ranges_m[at], result.lidar_source[at] = value, kind
+    result.lidar_probability[at] = chance[taken]
+    result.lidar_sigma_m[at] = np.hypot(found.sigma_shares[kind] * value, 0.5 * HEIGHT_STEP_M)
+    for camera, rows in found.pixels.items():
+        pixel, kinds = rows[:, 0].astype(np.intp), rows[:, 1].astype(np.intp)
+        chance = probabilities(kinds, rows[:, 3:], PIXEL_ODDS)
+        taken = np.flatnonzero(chance >= least_probability)
+        taken = taken[np.argsort(chance[taken])]  # of several heights, what is likeliest comes last
+        at, value = pixel[taken], rows[taken, 2]
+        depth, source = result.depth_m[camera].ravel(), result.depth_source[camera].ravel()
+        burrs = pixel[kinds != 0]
+        depth[burrs], source[burrs] = 0.0, Provenance.HOLE
+        depth[at], source[at] = value, Provenance.FILLED
+        result.depth_probability[camera].ravel()[at] = chance[taken]
+        sigma_m = np.hypot(found.pixel_sigma_share * value, 0.5 * HEIGHT_STEP_M)
+        result.depth_sigma_m[camera].ravel()[at] = sigma_m
+    return replace(result, applied=True)
 
 
 def eps_of(own: Float32Array, other: Float32Array) -> float:
@@ -231,35 +300,35 @@ def roughness(ranges: Float32Array, steady: Float32Array) -> float:
     return float(np.nanmedian(apart)) if np.isfinite(apart).any() else math.nan
 
 
-def _repair_image(
-    depth: Float32Array,
-    source: ProvenanceArray,
-    range_max_m: float,
+def _pixel_candidates(
+    image: DepthImage,
     view: ImageView,
     matrix: FloatArray,
     lidar: Float32Array,
+    lost: FloatArray,
     beams: tuple[float, float],
-    eps_share: float,
-) -> None:
-    """Fill the pixels that look at the lidar's points, in place: Xu2024 Eq. (8)."""
+    shares: tuple[float, float],
+) -> FloatArray:
+    """What the lidar could put into an image; ``lost`` is how many holes are about each beam."""
     step = view.curve.step_rad
     columns = (view.curve.start_angle_rad, step, view.curve.ranges_m.size)
     predicted = reproject(lidar, beams[0], beams[1], np.linalg.inv(matrix), columns, _LIDAR_SLACK)
     if not np.isfinite(predicted).any():
-        return
+        return np.zeros((0, 12))
+    points = Curve(predicted, columns[0], step).points() @ matrix[:2, :2].T + matrix[:2, 2]
+    turned = (np.arctan2(points[:, 1], points[:, 0]) - beams[0]) % (2.0 * math.pi)
+    beam = np.nan_to_num(turned / beams[1]).round().astype(np.intp).clip(0, lidar.size - 1)
     aside = max(1, round(0.5 * beams[1] / step))
-    heights, sharp = view.heights(float(np.nanmin(predicted)))
-    repair_image(
-        depth,
-        source,
+    return pixel_candidates(
+        np.ascontiguousarray(image.depth_m, dtype=np.float32),
         (view.pixel, view.range_of_depth, view.slopes),
         np.stack([predicted, _shifted(predicted, -aside), _shifted(predicted, aside)]),
-        heights,
-        sharp,
-        range_max_m,
-        eps_share,
-        (round((_CAMERA_BURR_RAD / step) ** 2), max(1, round((_LONE_RAD / step) ** 2))),
-        max(1, round(_LONE_RAD / step)),
+        np.nan_to_num(lost[beam]),
+        view.heights(float(np.nanmin(predicted))),
+        image.range_max_m,
+        *shares,
+        (2 * round((_BURR_RAD / step) ** 2), max(1, round((_LONE_RAD / step) ** 2))),
+        5 * max(1, round(_BURR_RAD / step)),
     )
 
 
@@ -282,4 +351,6 @@ def _unchanged(scan: LidarCurve, images: tuple[DepthImage, ...]) -> Denoised:
         for depth, image in zip(depths, images, strict=True)
     )
     ranges = np.array(scan.ranges_m, dtype=np.float32)
-    return Denoised(ranges, lidar, depths, sources, False)
+    told, sigma_m = (np.full(ranges.size, np.nan, np.float32) for _ in range(2))
+    tolds, sigmas_m = (tuple(np.full(depth.shape, np.nan, np.float32) for depth in depths) for _ in range(2))
+    return Denoised(ranges, lidar, depths, sources, told, tolds, sigma_m, sigmas_m, False)

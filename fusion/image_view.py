@@ -8,7 +8,6 @@ import numpy as np
 
 from fusion.curves import (
     HEIGHT_STEP_M,
-    BoolArray,
     Curve,
     DepthImage,
     Float32Array,
@@ -43,8 +42,8 @@ class ImageView:
     low_m: float
     high_m: float
 
-    def heights(self, nearest_m: float) -> tuple[FloatArray, BoolArray]:
-        """Heights to look at, so that no row of pixels is left out, and which are near the best.
+    def heights(self, nearest_m: float) -> FloatArray:
+        """Heights to look at, so that no row of pixels is left out.
 
         Parameters
         ----------
@@ -55,8 +54,7 @@ class ImageView:
         low, high = self.low_m - HEIGHT_STEP_M, self.high_m + HEIGHT_STEP_M
         fall = float(self.slopes[0] - self.slopes[1])
         rows = min(MOST_ROWS, 2 + int(np.ceil((high - low) / (nearest_m * fall))))
-        heights = np.linspace(low, high, rows)
-        return heights, np.abs(heights - self.best_m) <= 2.0 * HEIGHT_STEP_M
+        return np.linspace(low, high, rows)
 
 
 def view_at_height(image: DepthImage, best_m: float, low_m: float, high_m: float) -> ImageView:

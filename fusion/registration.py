@@ -8,10 +8,12 @@ nearly as well: a wall matches itself anywhere along it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fusion.alignment import align
 from fusion.curves import (
     HEIGHT_STEP_M,
     NEAR_SAMPLES,
@@ -125,7 +127,18 @@ def register(
     # A wall is upright: all heights speak for the offset, and then one of them for itself.
     profile = scores.mean(axis=0)
     u = int(np.argmax(profile))
-    return registration_at(curve, stacks, scores, int(np.argmax(scores[:, u])), u, _belief_near(profile, u))
+    found = registration_at(curve, stacks, scores, int(np.argmax(scores[:, u])), u, _belief_near(profile, u))
+    return replace(found, grade=Grade.MIDDLE) if found.grade == Grade.HIGH and _swings(found) else found
+
+
+def _swings(found: Registration) -> bool:
+    """Whether the pair turns away from its own offset once the camera may stand elsewhere than the lidar."""
+    aligned = align([found.curve], [join(found.stacks).curve(found.v)], found.yaw_rad)
+    if aligned is None:
+        return False  # a single wall: the motion stays open
+    T = aligned.T_laser_level
+    apart = math.remainder(math.atan2(T[1, 0], T[0, 0]) - found.yaw_rad, 2.0 * math.pi)
+    return abs(apart) > NEAR_SAMPLES * found.curve.step_rad
 
 
 def registration_at(

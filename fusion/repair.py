@@ -28,29 +28,17 @@ ProvenanceArray = NDArray[np.uint8]
 BoolArray = NDArray[np.bool_]
 
 _SLANT_SHARE = 0.06  # what noise and slant add to a surface over a few readings
-_FAR_M = 2.5  # farther out a lidar's noise grows faster than the range
-
-
-def among_readings(own: Float32Array, around: int) -> BoolArray:
-    """(N,) beams around which, so many on either side, there are at most two holes.
-
-    Glass loses many beams, and those that come back went through it: there neither the neighbours nor the
-    camera, which looks through as well, tell where it is.
-    """
-    holes = np.convolve(np.isnan(own), np.ones(2 * around + 1), "full")[around : around + own.size]
-    return np.asarray(holes < 2.5)
 
 
 @kernel
-def repair_lidar(
+def replace_readings(
     own: Float32Array,
     other: Float32Array,
-    confident: BoolArray,
     eps_share: float,
     burr_samples: int,
     trust_other: float,
 ) -> tuple[Float32Array, ProvenanceArray]:
-    """Repair a lidar curve by what the camera sees of it: Xu2024 Eq. (6) and (7).
+    """Replace the readings of a lidar curve by what the camera sees there: Xu2024 Eq. (6) and (7).
 
     Parameters
     ----------
@@ -58,8 +46,6 @@ def repair_lidar(
         (N,) ``nan`` invalid.
     other
         (N,) the camera's, reprojected to the lidar's bearings, without what the camera itself contradicts.
-    confident
-        (N,) from `among_readings`: other holes stay.
     eps_share
         Residual as a share of the range beyond which a pair is noise.
     burr_samples
@@ -70,7 +56,7 @@ def repair_lidar(
 
     Returns
     -------
-    (N,) ranges and their `Provenance`.
+    (N,) ranges and their `Provenance`; holes stay.
     """
     count = own.size
     result = own.copy()
@@ -78,15 +64,11 @@ def repair_lidar(
     for i in range(count):
         if np.isnan(own[i]):
             source[i] = HOLE
-            if confident[i] and _continues(own, i, other[i]):
-                result[i], source[i] = other[i], FILLED
         elif abs(own[i] - other[i]) <= min(eps_share * own[i], SLACK_M / max(trust_other, 1e-3)):
             result[i] = own[i] + trust_other * (other[i] - own[i])
             source[i] = AVERAGED
     _drop_bumps(own, other, eps_share, burr_samples, result, source)
     _drop_veil(own, other, eps_share, result, source)
-    _bridge(result, other, confident, source, eps_share)
-    _bridge_lone(result, confident, source, eps_share)
     return result, source
 
 
@@ -140,7 +122,7 @@ def _drop_bumps(
                 _agrees(own, other, first - 1, eps_share) or _agrees(own, other, last + 1, eps_share)
             ):
                 for i in range(first, last + 1):
-                    if own[i] > other[i] + _apart_m(own[i], eps_share):
+                    if own[i] > other[i] + max(EDGE_M, eps_share * own[i]):
                         result[i], source[i] = other[i], FILLED
         first = last + 1
 
@@ -160,9 +142,9 @@ def _drop_veil(
     see one surface that reaches over this beam. A thing before both of its neighbours is never touched.
     """
     for i in range(2, own.size - 2):
-        if source[i] != MEASURED or np.isnan(other[i]) or not _hangs(own, i, _apart_m(own[i], eps_share)):
+        if source[i] != MEASURED or not _odd(own, other, i, eps_share):
             continue
-        if not _odd(own, other, i, eps_share):
+        if not _hangs(own, i, max(SLACK_M, eps_share * own[i])):
             continue
         rim = SLACK_M + 2.0 * eps_share * other[i]
         left = abs(other[i - 1] - other[i]) <= rim
@@ -174,12 +156,6 @@ def _drop_veil(
             confident = not _moved(own, other, i, -1 if left else 1, rim, eps_share)
         if confident:
             result[i], source[i] = other[i], FILLED
-
-
-@kernel
-def _apart_m(range_m: float, eps_share: float) -> float:
-    """What two readings of one surface may differ by: a lidar's noise grows faster than the range far out."""
-    return max(SLACK_M, eps_share * range_m * max(1.0, range_m / _FAR_M))
 
 
 @kernel
@@ -228,67 +204,3 @@ def _odd(own: Float32Array, other: Float32Array, i: int, eps_share: float) -> bo
 def _agrees(own: Float32Array, other: Float32Array, i: int, eps_share: float) -> bool:
     """Whether both have the same reading there."""
     return 0 <= i < own.size and abs(own[i] - other[i]) <= 1.5 * eps_share * own[i]
-
-
-@kernel
-def _continues(own: Float32Array, i: int, range_m: float) -> bool:
-    """Whether the readings on both sides of a hole of one or two beams are about as far; false for nan."""
-    if not 0 < i < own.size - 1:
-        return False
-    left = own[i - 1] if not np.isnan(own[i - 1]) else own[max(0, i - 2)]
-    right = own[i + 1] if not np.isnan(own[i + 1]) else own[min(own.size - 1, i + 2)]
-    return max(abs(left - range_m), abs(right - range_m)) <= _SLANT_SHARE * range_m
-
-
-@kernel
-def _bridge(
-    result: Float32Array,
-    other: Float32Array,
-    confident: BoolArray,
-    source: ProvenanceArray,
-    eps_share: float,
-) -> None:
-    """Interpolate short gaps, which both have, between readings that both have, of one surface; in place."""
-    before = -1
-    for i in range(result.size):
-        if source[i] == HOLE:
-            continue
-        confirmed = _agrees(result, other, i, eps_share) and _agrees(result, other, before, eps_share)
-        if 0 <= before < i - 1 and confirmed and confident[i - 1]:
-            slack = SLACK_M + eps_share * min(result[i], result[before])
-            if abs(result[i] - result[before]) <= slack:
-                for k in range(before + 1, i):
-                    share = (k - before) / (i - before)
-                    result[k] = 1.0 / ((1.0 - share) / result[before] + share / result[i])
-                    source[k] = INTERPOLATED
-        before = i
-
-
-@kernel
-def _bridge_lone(
-    result: Float32Array, confident: BoolArray, source: ProvenanceArray, eps_share: float
-) -> None:
-    """Interpolate single holes in both where the readings on either side lie on one line; in place."""
-    for i in range(BESIDE, result.size - BESIDE):
-        if source[i] != HOLE or not confident[i]:
-            continue
-        left, right = _line_at(result, source, i, -1, eps_share), _line_at(result, source, i, 1, eps_share)
-        if abs(left - right) <= eps_share * min(left, right):  # false for nan
-            result[i], source[i] = 2.0 / (1.0 / left + 1.0 / right), INTERPOLATED
-
-
-@kernel
-def _line_at(ranges: Float32Array, source: ProvenanceArray, i: int, step: int, eps_share: float) -> float:
-    """Range at a sample of the line through those next to it on one side; ``nan`` where they make none."""
-    n, sx, sy, sxx, sxy = float(BESIDE), 0.0, 0.0, 0.0, 0.0
-    for k in range(1, BESIDE + 1):
-        if source[i + k * step] == HOLE:
-            return np.nan
-        y = 1.0 / ranges[i + k * step]  # a straight wall is straight in one over the range
-        sx, sy, sxx, sxy = sx + k, sy + y, sxx + k * k, sxy + k * y
-    slope = (n * sxy - sx * sy) / (n * sxx - sx * sx)
-    start = (sy - slope * sx) / n
-    for k in range(1, BESIDE + 1):
-        if not abs((start + slope * k) * ranges[i + k * step] - 1.0) <= eps_share:
-            return np.nan
-    return 1.0 / start if start > 0.0 else np.nan

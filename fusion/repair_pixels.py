@@ -7,11 +7,10 @@ import math
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fusion.curves import HEIGHT_STEP_M, Float32Array, FloatArray, IntArray
+from fusion.curves import HEIGHT_STEP_M, SLACK_M, Float32Array, FloatArray, IntArray
 from fusion.kernel import kernel
-from fusion.repair import FILLED, HOLE, ProvenanceArray
+from fusion.repair_odds import over_noise
 
 Islands: TypeAlias = tuple[Float32Array, IntArray, IntArray]
 
@@ -48,73 +47,6 @@ def look_at(
             if 0.0 < value <= range_max_m:
                 measured[col] = value * scale[col]
     return at, measured, scale
-
-
-@kernel
-def repair_columns(
-    measured: Float32Array,
-    predicted: Float32Array,
-    pixel: IntArray,
-    islands: Islands,
-    eps_share: float,
-    most_pixels: tuple[int, int],
-    fill_columns: int,
-) -> ProvenanceArray:
-    """Which columns of a depth curve to fill from the lidar, or to drop: Xu2024 Eq. (6) and (8).
-
-    Only a few columns between two that agree are filled. Wider holes have causes that the lidar does not see:
-    a thing nearer than the camera measures, or glass, which both look through; of those half were wrong by
-    more than 0.1 m. A reading that disagrees is the camera's fault only where the image itself
-    does not support it (ours): beside a column that agrees, it hangs together with no more than a few pixels,
-    above and below too. A patch behind the lidar's surface is light by a detour, a tiny one flies at an edge.
-    What belongs to more is seen by the camera alone, and is kept: a table's top, the wall over a box.
-
-    Parameters
-    ----------
-    measured, predicted
-        (W,) ranges of the camera, and of the lidar's surfaces, reprojected to the camera.
-    pixel
-        (W,) flat index of the pixel that looks at a prediction, -1 where none does.
-    islands
-        As for `island_size`.
-    most_pixels
-        Of a burr behind the lidar's surface, and of one before it.
-    fill_columns
-        Widest run that is filled; 0: burrs are dropped only.
-
-    Returns
-    -------
-    (W,) `FILLED` where the lidar's reading is to be taken, `HOLE` where a burr is to be dropped.
-    """
-    count = measured.size
-    source = np.zeros(count, np.uint8)
-    agrees = np.zeros(count, np.bool_)
-    for i in range(count):
-        if pixel[i] >= 0:
-            agrees[i] = abs(measured[i] - predicted[i]) <= eps_share * predicted[i]
-    first = 0
-    while first < count:
-        if agrees[first] or pixel[first] < 0:
-            first += 1
-            continue
-        last = first
-        while last + 1 < count and not agrees[last + 1]:
-            if pixel[last + 1] < 0 and not np.isnan(predicted[last + 1]):
-                break
-            last += 1
-        left, right = first > 0 and agrees[first - 1], last + 1 < count and agrees[last + 1]
-        kind = FILLED if left and right and last - first < fill_columns else HOLE
-        for i in range(first, last + 1):
-            if pixel[i] < 0 or not (left or right):
-                continue
-            if np.isnan(measured[i]):
-                source[i] = kind
-            else:
-                most = most_pixels[0] if measured[i] > predicted[i] else most_pixels[1]
-                if island_size(pixel[i], islands, 0.5 * eps_share) <= most:
-                    source[i] = kind
-        first = last + 1
-    return source
 
 
 @kernel
@@ -166,50 +98,110 @@ def _hang(near: float, far: float, slack_share: float) -> bool:
 
 
 @kernel
-def repair_image(
+def pixel_candidates(
     image: Float32Array,
-    image_source: ProvenanceArray,
     lookup: tuple[IntArray, Float32Array, Float32Array],
     shifted: Float32Array,
+    lost: Float32Array,
     heights_m: FloatArray,
-    sharp: NDArray[np.bool_],
     range_max_m: float,
     eps_share: float,
+    noise_share: float,
     most_pixels: tuple[int, int],
-    fill_columns: int,
-) -> None:
-    """Repair the pixels that look at the lidar's surfaces, height by height, in place: Xu2024 Eq. (8).
+    crowd: int,
+) -> FloatArray:
+    """What could be put into the pixels that look at the lidar's surfaces, height by height: Xu2024 Eq. (8).
+
+    A run of columns that do not agree with the lidar is filled between two that do. A reading that disagrees
+    is the camera's fault only where the image itself does not support it (ours): it hangs together with no
+    more than a few pixels, above and below too. A patch behind the lidar's surface is light by a detour, a
+    tiny one flies at an edge. What belongs to more is seen by the camera alone, and is kept: a table's top,
+    the wall over a box.
 
     Parameters
     ----------
-    image, image_source
-        (H, W) the image and its provenance.
+    image
+        (H, W) as it was given.
     lookup
         Pixels, factors and slopes of the panorama.
     shifted
-        (3, W) the lidar's ranges, reprojected to the panorama's columns; and moved by half a beam to either
-        side: at an edge a pixel may look past the surface that the beam next to it met.
-    heights_m, sharp
-        (K,) heights, and where the moved ranges are looked at too, for readings that fly: a hole is filled
-        from the nearest beam alone.
-    most_pixels, fill_columns
-        As for `repair_columns`; moved ranges tell no more than what flies.
+        (3, C) the lidar's ranges, reprojected to the panorama's columns; moved by half a beam to either side.
+    lost
+        (C,) holes of the lidar around the beam that looks there, as their logarithm.
+    heights_m
+        (K,) heights that are looked at.
+    noise_share
+        Of the lidar, as a share of the range.
+    most_pixels
+        Of a burr behind the lidar's surface, and of one before it.
+    crowd
+        Columns to either side among which holes are counted; a run whose ends are farther away tells nothing.
+
+    Returns
+    -------
+    (N, 12) flat pixel; row of `fusion.repair_odds.PIXEL_ODDS`, -1 for a burr that nothing can be put into;
+    the depth; and its features: the logarithm of the width of the run; how far its ends are off the lidar;
+    holes in the row, and in the lidar; by how much the reading is behind; how far the lidar's neighbours are
+    apart; the logarithms of the range, of the range over the farthest that the image has, and of its noise.
     """
-    depth, source = image.ravel(), image_source.ravel()
-    islands = (image.copy(), np.zeros(depth.size, np.int32), np.empty(max(most_pixels) + 1, np.int32))
+    depth = image.ravel()
+    islands = (image, np.zeros(depth.size, np.int32), np.empty(max(most_pixels) + 1, np.int32))
+    predicted, columns = shifted[0], shifted.shape[1]
+    found, count, farthest = np.empty((256, 12)), 0, np.float32(0.0)
+    for value in depth:
+        if farthest < value <= range_max_m:
+            farthest = value
+    residual, gone = np.empty(columns), np.zeros(columns + 1, np.int32)
     for k in range(heights_m.size):
-        for side in range(3 if sharp[k] else 1):
-            predicted = shifted[side]
-            pixel, measured, scale = look_at(
-                depth, lookup[0], lookup[1], lookup[2], predicted, heights_m[k], range_max_m
-            )
-            most = most_pixels if side == 0 else (most_pixels[1], most_pixels[1])
-            widest = fill_columns if side == 0 else 0
-            kinds = repair_columns(measured, predicted, pixel, islands, eps_share, most, widest)
-            for col in range(predicted.size):
-                if kinds[col] == HOLE:
-                    depth[pixel[col]], source[pixel[col]] = 0.0, HOLE
-                elif kinds[col] == FILLED:
-                    value = predicted[col] / scale[col]
-                    if value <= range_max_m:
-                        depth[pixel[col]], source[pixel[col]] = value, FILLED
+        pixel, measured, scale = look_at(
+            depth, lookup[0], lookup[1], lookup[2], predicted, heights_m[k], range_max_m
+        )
+        for i in range(columns):
+            gone[i + 1] = gone[i] + (pixel[i] >= 0 and np.isnan(measured[i]))
+            residual[i] = measured[i] - predicted[i] if pixel[i] >= 0 else np.nan
+        first = 0
+        while first < columns:
+            if pixel[first] < 0 or abs(residual[first]) <= eps_share * predicted[first]:
+                first += 1
+                continue
+            last = first
+            while last + 1 < columns and not abs(residual[last + 1]) <= eps_share * predicted[last + 1]:
+                if pixel[last + 1] < 0 and not np.isnan(predicted[last + 1]):
+                    break
+                last += 1
+            left = first > 0 and abs(residual[first - 1]) <= eps_share * predicted[first - 1]
+            right = last + 1 < columns and abs(residual[last + 1]) <= eps_share * predicted[last + 1]
+            for i in range(first, last + 1):
+                if pixel[i] < 0 or not (left or right):
+                    continue
+                hole = np.isnan(measured[i])
+                if not hole:
+                    most = most_pixels[0] if residual[i] > 0.0 else most_pixels[1]
+                    if island_size(pixel[i], islands, 0.5 * eps_share) > most:
+                        continue
+                elif not (left and right) or max(i - first, last - i) >= crowd:
+                    continue
+                if count == found.shape[0]:
+                    found = np.concatenate((found, np.empty_like(found)))
+                row = found[count]
+                count += 1
+                row[0], row[1] = pixel[i], -1.0
+                if not (left and right) or max(i - first, last - i) >= crowd:
+                    continue
+                one, two, width = residual[first - 1], residual[last + 1], last - first + 1
+                put = predicted[i] + one + (two - one) * (i - first + 1) / (width + 1)
+                if put > range_max_m * scale[i]:
+                    continue
+                low, high = max(0, i - crowd), min(columns, i + crowd + 1)
+                around = gone[high] - gone[low] - gone[min(high, last + 1)] + gone[max(low, first)]
+                jump = 0.0 if hole else over_noise(measured[i] - put, put, eps_share)
+                beside = max(abs(shifted[1, i] - predicted[i]), abs(shifted[2, i] - predicted[i]))
+                row[1], row[2], row[3] = 0.0 if hole else 1.0, put / scale[i], math.log(width)
+                row[4] = over_noise(max(abs(one), abs(two)), put, eps_share)
+                row[5], row[6] = math.log(1.0 + around), lost[i]
+                row[7] = jump if hole or measured[i] > put else -jump
+                row[8] = over_noise(put if np.isnan(beside) else beside, put, eps_share)
+                row[9], row[10] = math.log(put), math.log(row[2] / farthest)
+                row[11] = math.log(SLACK_M + noise_share * put)
+            first = last + 1
+    return found[:count]

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from learn_repair_odds import RIG_NAMES
 from xu2024_drive import DriveResult, run_drive
 from xu2024_kinect import half_real_check
 from xu2024_page import write_page
@@ -31,7 +32,6 @@ from slam.simulation.drive import prepare_drive
 from slam.simulation.home import generate_home
 from slam.simulation.rigs import RIGS
 
-RIG_NAMES = ("turtlebot_low", "turtlebot_high", "xu2024")
 PUBLISHED = "zeros"  # E over all W pairs, holes too, as the paper has it
 
 

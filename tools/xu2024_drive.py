@@ -170,7 +170,7 @@ def score_models(
         else:
             rng = np.random.default_rng(0)
             maps = [fit(*pairs, model, rng) for pairs in matched_curves(registration)]
-            repaired = repair_by(pair.scan, tuple(images), registration, maps)
+            repaired = repair_by(pair.scan, tuple(images), registration, maps, least_probability=0.95)
         own = Tally()
         score_pair(pair, repaired, band_m, own)
         tally.merge(own.named(f"{model}_"))

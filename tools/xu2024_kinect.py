@@ -10,6 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from learn_repair_odds import RIGHT_PIXEL_M, reliability
 from numpy.typing import NDArray
 
 import fusion
@@ -41,20 +42,26 @@ def half_real_check(folder: Path) -> dict[str, float]:
         kept.append((scan, image, _truth(scene, pose, depth.shape)))
     estimate = rig.estimate()
     assert estimate is not None
-    filled, worse, holes, good, changed = [], 0, 0, 0, 0
+    filled, replaced, told, worse, holes, good, changed = [], [], [], 0, 0, 0, 0
     for scan, image, truth in kept:
         repaired = fusion.denoise(scan, image, estimate)
         source, after = repaired.depth_source[0], repaired.depth_m[0]
         was_hole = image.depth_m == 0.0
         new = (source == fusion.Provenance.FILLED) & np.isfinite(truth)
         filled.append(np.abs(after - truth)[new & was_hole])
+        replaced.append(np.abs(after - truth)[new & ~was_hole])
+        possible = fusion.denoise(scan, image, estimate, least_probability=0.0)
+        put = (possible.depth_source[0] == fusion.Provenance.FILLED) & np.isfinite(truth)
+        right = np.abs(possible.depth_m[0] - truth) <= RIGHT_PIXEL_M
+        told.append(np.column_stack([possible.depth_probability[0][put], right[put]]))
         on_plane = _on_plane(image, truth, estimate.height_m)
         holes += int((was_hole & on_plane).sum())
         fine = (np.abs(image.depth_m - truth) < _BAND_M) & on_plane
         good += int(fine.sum())
         changed += int((fine & new).sum())
         worse += int((fine & new & (np.abs(after - truth) > np.abs(image.depth_m - truth) + 0.05)).sum())
-    errors = np.concatenate(filled)
+    errors, others, telling = (np.concatenate(parts) for parts in (filled, replaced, told))
+    print(f"half-real, told and true: {reliability(telling[:, 0].astype(float), telling[:, 1] > 0.5)}")
     return {
         "frames": float(len(kept)),
         "height_found_m": estimate.height_m,
@@ -62,6 +69,9 @@ def half_real_check(folder: Path) -> dict[str, float]:
         "yaw_found_deg": float(np.degrees(estimate.yaw_rad)),
         "holes_filled_pixels": float(errors.size),
         "holes_on_plane_pixels": float(holes),
+        "holes_filled_off": float((errors > RIGHT_PIXEL_M).mean()) if errors.size else float("nan"),
+        "replaced_pixels": float(others.size),
+        "replaced_off": float((others > RIGHT_PIXEL_M).mean()) if others.size else float("nan"),
         "median_error_m": float(np.median(errors)) if errors.size else float("nan"),
         "good_pixels": float(good),
         "good_changed": changed / max(good, 1),

@@ -72,14 +72,16 @@ def test_a_hole_of_the_lidar_is_filled_from_the_camera_and_others_stay():
     scan, image = pair()
     at = wall_beam(scan, image)
     ranges = scan.ranges_m.copy()
-    ranges[at : at + 2] = np.inf
+    ranges[at] = np.inf
     ranges[at + 30 : at + 43] = np.inf  # many together may be glass, which the camera looks through too
     ranges[3] = np.inf  # behind the camera's back
     result = fusion.denoise(with_ranges(scan, ranges), image, RIG)
-    assert (result.lidar_source[at : at + 2] == FILLED).all()
-    assert result.ranges_m[at : at + 2] == pytest.approx(scan.ranges_m[at : at + 2], abs=0.03)
+    assert result.lidar_source[at] in (FILLED, INTERPOLATED)
+    assert result.ranges_m[at] == pytest.approx(scan.ranges_m[at], abs=0.03)
+    assert result.lidar_probability[at] >= 0.95 and 0.0 < result.lidar_sigma_m[at] < 0.1
+    assert np.isnan(result.lidar_probability[np.isin(result.lidar_source, (MEASURED, HOLE))]).all()
     assert (result.lidar_source[at + 30 : at + 43] == HOLE).all()
-    assert result.ranges_m[3] == np.inf and result.lidar_source[3] == HOLE
+    assert result.lidar_source[3] == INTERPOLATED  # by its own neighbours
 
 
 @settings(max_examples=15, deadline=None)
@@ -151,13 +153,13 @@ def test_a_hole_of_the_camera_is_filled_from_the_lidar():
     row, on = lidar_rows(scan, image)
     depth = image.depth_m.copy()
     columns = np.arange(world.SHAPE[1])
-    hole, wide = on & (columns > 80) & (columns % 6 == 0) & (columns < 130), on & (abs(columns - 45) < 8)
+    hole, wide = on & (columns > 80) & (columns % 6 == 0) & (columns < 130), abs(columns - 45) < 25
     depth[:, hole | wide] = 0.0
     result = fusion.denoise(scan, fusion.DepthImage(depth, image.intrinsics), RIG)
     at = (row[hole], columns[hole])
     assert hole.sum() > 3 and wide.sum() > 5
     assert (result.depth_source[0][:, wide] == HOLE).all()  # a thing too near to be measured, or glass
-    assert (result.depth_source[0][at] == FILLED).mean() > 0.9
+    assert (result.depth_source[0][at] == FILLED).mean() > 0.7
     filled = result.depth_source[0][at] == FILLED
     assert np.median(np.abs(result.depth_m[0] - image.depth_m)[at][filled]) < 0.02
     assert (result.depth_source[0][0, hole] == HOLE).all()  # far above the lidar's plane
