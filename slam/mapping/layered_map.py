@@ -31,8 +31,8 @@ class DecisionRule:
     rule
         Of `fusion.bayes.decide`; where one sensor gave nothing, the other decides alone.
     lidar, depth, fused
-        Li2020 Eq. (9) for each layer. The lidar's is as certain of an obstacle as of free space where a camera
-        helps to decide: what one beam met from afar, where noise spreads it over cells, is no wall yet.
+        Li2020 Eq. (9) for each layer. Where a camera helps to decide, the lidar's is as certain of obstacles
+        as of free space: what one beam met from afar, where noise spreads it over cells, is no wall yet.
     """
 
     rule: bayes.Rule = "cautious"

@@ -178,7 +178,7 @@ def _follow(
     high: float,
     halves: int,
 ) -> None:
-    """Note the halves of heights of one ray in the cells that it passes: one step a cell along its longer axis."""
+    """Note one ray's heights, in halves, in the cells that it passes: a step a cell along its longer axis."""
     begin = 0.0
     # Only while it is inside the band.
     if dz < 0.0:
