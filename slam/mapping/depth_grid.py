@@ -26,7 +26,7 @@ from fusion.height_band import (
 from slam.errors import ConfigError
 from slam.mapping.evidence_tiles import Board
 from slam.mapping.occupancy_grid import Steps
-from slam.mapping.view_coverage import MAX_BINS, free_heights, heights_seen, holes_cleared, view_box
+from slam.mapping.view_coverage import free_heights, heights_seen, holes_cleared, view_box
 from slam.measurements import CameraIntrinsics, Float32Array, FloatArray, RgbdFrame
 
 Rays: TypeAlias = FloatArray
@@ -74,7 +74,8 @@ class DepthModel:
     @property
     def bins(self) -> int:
         """Heights of the band that are told apart."""
-        return min(MAX_BINS, max(1, math.ceil((self.band.high_m - self.band.low_m) / (2.0 * HEIGHT_STEP_M))))
+        most = np.iinfo(np.uint64).bits // 2 - 1  # two bits each, and one for the floor
+        return min(most, max(1, math.ceil((self.band.high_m - self.band.low_m) / (2.0 * HEIGHT_STEP_M))))
 
     def __post_init__(self) -> None:
         """Refuse a model that would mark what it clears.

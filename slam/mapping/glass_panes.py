@@ -19,7 +19,6 @@ from slam.measurements import BoolArray, Float32Array, LaserScan
 _LOBE_RAD = np.radians(8.0)
 # What is shorter is a person, or a cabinet that somebody moved.
 _SHORTEST_M = 0.4
-_DIRECTIONS = 8
 
 
 def head_on(scan: LaserScan, noise: RangeNoise, cell_m: float) -> LaserScan:
@@ -44,7 +43,7 @@ def _flat(
 ) -> BoolArray:
     """(N,) beams in a window that fits a line across them: by its slope, and by what is left."""
     found = np.zeros(ranges_m.size, np.bool_)
-    turns = step_rad**2 * half * (half + 1) * (2 * half + 1) / 3.0
+    turns = step_rad**2 * half * (half + 1) * (2 * half + 1) / 3
     for middle in range(half, ranges_m.size - half):
         total = squares = moment = 0.0
         for beam in range(-half, half + 1):
@@ -66,7 +65,7 @@ def straight_runs(cells: BoolArray, resolution_m: float) -> BoolArray:
     """Those of (rows, cols) cells that lie in a straight row as long as the least pane."""
     length = max(3, round(_SHORTEST_M / resolution_m))
     runs = np.zeros_like(cells)
-    for angle in np.pi / _DIRECTIONS * np.arange(_DIRECTIONS):
+    for angle in np.pi / length * np.arange(length):
         at = np.linspace(-0.5, 0.5, 4 * length) * (length - 1)
         offsets = np.rint(np.column_stack([np.sin(angle) * at, np.cos(angle) * at])).astype(int)
         row = np.zeros((length + 1 | 1,) * 2, dtype=bool)

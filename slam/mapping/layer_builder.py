@@ -18,7 +18,7 @@ import numpy as np
 from fusion import bayes
 from slam.errors import ConfigError, ScanweaveError
 from slam.mapping.depth_grid import DepthModel, depth_board
-from slam.mapping.evidence_tiles import Board, EvidenceTiles, union
+from slam.mapping.evidence_tiles import SIDE, Board, EvidenceTiles, union
 from slam.mapping.footprint import footprint_board
 from slam.mapping.glass_panes import head_on, straight_runs
 from slam.mapping.lidar_layer import LidarModel, lidar_board
@@ -29,10 +29,8 @@ from slam.measurements import LaserScan, Pose, RgbdFrame, row_from_pose2, spatia
 Reading: TypeAlias = LaserScan | RgbdFrame
 
 _MAX_POSITION_M = 1e6
-# Head-on beams must be as certain of a pane as the lidar is of free space.
-_PANE_STEPS = -bayes.log_odds(THRESHOLDS.free_below) * bayes.STEPS_A_UNIT
 # A map too large for its cells gets larger ones: so many of them in one at most.
-_MOST_CELLS_IN_ONE = 256
+_MOST_CELLS_IN_ONE = SIDE
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +129,9 @@ class LayerBuilder:
         steps = tiles.coarse(box, low, high, side) if side > 1 else tiles.clipped(box, low, high)
         if name == "lidar" and side == 1:
             panes = self._tiles["head on"].clipped(box, low, high)
-            held = (panes > _PANE_STEPS) & (steps < panes)
+            # Head-on beams must be as certain of a pane as the lidar is of free space.
+            certain = -bayes.log_odds(THRESHOLDS.free_below) * bayes.STEPS_A_UNIT
+            held = (panes > certain) & (steps < panes)
             steps = np.where(straight_runs(held, settings.resolution_m), panes, steps)
         corner = gtsam.Pose2(col * settings.resolution_m, row * settings.resolution_m, 0.0)
         return OccupancyGrid(steps, side * settings.resolution_m, corner)

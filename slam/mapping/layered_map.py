@@ -13,7 +13,7 @@ from fusion import bayes
 from fusion.estimation import TINY
 from slam.errors import ConfigError, ScanweaveError
 from slam.mapping.evidence_tiles import SIDE, union
-from slam.mapping.occupancy_grid import OccupancyGrid, StateArray, Steps, Thresholds
+from slam.mapping.occupancy_grid import THRESHOLDS, OccupancyGrid, StateArray, Steps, Thresholds
 from slam.mapping.ray_tracing import Box
 from slam.measurements import BoolArray
 
@@ -36,7 +36,7 @@ class DecisionRule:
     """
 
     rule: bayes.Rule = "cautious"
-    lidar: Thresholds = field(default_factory=lambda: Thresholds(occupied_above=0.6))
+    lidar: Thresholds = field(default_factory=lambda: Thresholds(1.0 - THRESHOLDS.free_below))
     depth: Thresholds = field(default_factory=Thresholds)
     fused: Thresholds = field(default_factory=Thresholds)
 

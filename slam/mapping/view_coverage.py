@@ -19,8 +19,6 @@ from slam.measurements import Float32Array, FloatArray
 HeightMask: TypeAlias = NDArray[np.uint64]
 Box: TypeAlias = tuple[int, int, int, int]
 
-MAX_BINS = 30
-
 
 @kernel
 def view_box(
@@ -109,7 +107,7 @@ def heights_seen(
     depth_m, rays, T_grid_camera, cell_m, reach_m
         As in `view_box`, whose result is ``box``; a reading beyond ``reach_m`` frees what is before it.
     band_m, bins
-        Lower and upper end of the height band, and into how many heights it is divided, up to `MAX_BINS`.
+        Lower and upper end of the height band, and into how many heights it is divided, up to 31.
     noise
         floor_m, share and per_m of the depth's standard deviation (`fusion.RangeNoise`).
     margin_sigmas
