@@ -22,7 +22,7 @@ from slam.mapping.evidence_tiles import SIDE, Board, EvidenceTiles, union
 from slam.mapping.footprint import footprint_board
 from slam.mapping.glass_panes import head_on, straight_runs
 from slam.mapping.lidar_layer import LidarModel, lidar_board
-from slam.mapping.occupancy_grid import THRESHOLDS, OccupancyGrid
+from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.mapping.ray_tracing import Box
 from slam.measurements import LaserScan, Pose, RgbdFrame, row_from_pose2, spatial
 
@@ -129,9 +129,8 @@ class LayerBuilder:
         steps = tiles.coarse(box, low, high, side) if side > 1 else tiles.clipped(box, low, high)
         if name == "lidar" and side == 1:
             panes = self._tiles["head on"].clipped(box, low, high)
-            # Head-on beams must be as certain of a pane as the lidar is of free space.
-            certain = -bayes.log_odds(THRESHOLDS.free_below) * bayes.STEPS_A_UNIT
-            held = (panes > certain) & (steps < panes)
+            # By head-on beams twice as likely there as not, which all beams together refute.
+            held = (panes > math.log(2.0) * bayes.STEPS_A_UNIT) & (steps < 0)
             steps = np.where(straight_runs(held, settings.resolution_m), panes, steps)
         corner = gtsam.Pose2(col * settings.resolution_m, row * settings.resolution_m, 0.0)
         return OccupancyGrid(steps, side * settings.resolution_m, corner)
