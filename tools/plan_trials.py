@@ -18,17 +18,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from plan_scores import PlanScorer
 
+from slam.comparison.map_score import map_scores, read_true_grid
+from slam.comparison.plan_score import plan_scores
 from slam.comparison.product import StateGrid
 from slam.comparison.statistics import paired
 from slam.config import Config, load_config
 from slam.datasets import open_dataset
+from slam.evaluation.trajectory_error import absolute_error
 from slam.mapper.map_result import depth_grid
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.mapping.layered_map import DecisionRule, LayeredMap
 from slam.measurements import LaserScan
 from slam.outputs.finished_map import Map, open_map
+from slam.storage.tum import read_tum
 
 # What is better when it is small.
 _SMALLER = ("collide", "collide_hard", "danger", "false_occupied")
@@ -42,7 +45,6 @@ def main() -> None:
     )
     parser.add_argument("pairs", nargs="+", type=Path, metavar="DRIVE MAP")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="of the layers")
-    parser.add_argument("--plans", type=int, default=200, help="a drive")
     parser.add_argument("--radius", type=float, default=0.25, help="of the robot, metres")
     parser.add_argument("--json", type=Path, help="gets the figures of every drive")
     arguments = parser.parse_args()
@@ -51,11 +53,14 @@ def main() -> None:
     config = load_config(None, arguments.set)
     found: dict[str, dict[str, dict[str, float]]] = {}
     for drive, folder in zip(arguments.pairs[::2], arguments.pairs[1::2], strict=True):
-        scorer = PlanScorer(drive, arguments.radius, arguments.plans)
+        truth, way = read_true_grid(drive / "truth" / "grid_robot.npz"), read_tum(drive / "groundtruth.txt")
         with closing(open_map(folder)) as saved:
             for name, layers in variants(drive, saved, config):
                 states = StateGrid(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
-                found.setdefault(name, {})[drive.name] = scorer.score(states, saved.trajectory)
+                T_true_map = absolute_error(saved.trajectory, way).T_reference_map
+                laid = (states, truth, T_true_map, way.positions_m[:, :2])
+                scores = plan_scores(*laid, saved.trajectory.positions_m[:, :2], arguments.radius)
+                found.setdefault(name, {})[drive.name] = scores | map_scores(*laid)
         print(f"{drive.name} done", flush=True)
     if arguments.json:
         arguments.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
@@ -86,7 +91,9 @@ def table(found: dict[str, dict[str, dict[str, float]]]) -> str:
     lines = [f"| map to drive by | {' | '.join(_SHOWN)} |", "|---" * (len(_SHOWN) + 1) + "|"]
     first = next(iter(found.values()))
     for name, drives in found.items():
-        cells = [f"{np.nanmean([scores[key] for scores in drives.values()]):.3f}" for key in _SHOWN]
+        cells = [
+            f"{np.nanmean([scores.get(key, np.nan) for scores in drives.values()]):.3f}" for key in _SHOWN
+        ]
         lines.append(f"| {name} | {' | '.join(cells)} |")
         if drives is not first:
             lines.append(
@@ -98,7 +105,8 @@ def table(found: dict[str, dict[str, dict[str, float]]]) -> str:
 def _against(drives: dict[str, dict[str, float]], first: dict[str, dict[str, float]], key: str) -> str:
     """The median difference, its interval, and in how many drives it is better."""
     values, reference = (
-        {(name, name, 0): scores[key] for name, scores in part.items()} for part in (drives, first)
+        {(name, name, 0): scores.get(key, np.nan) for name, scores in part.items()}
+        for part in (drives, first)
     )
     reported = paired(values, reference, smaller_is_better=key in _SMALLER)
     if reported is None:

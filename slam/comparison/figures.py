@@ -22,6 +22,11 @@ _KNOWN: dict[str, tuple[str, int, bool | None]] = {
     "map_completeness": ("map complete", 3, False),
     "map_false_occupied": ("map falsely occupied", 3, True),
     "map_f1": ("map F1", 3, False),
+    "map_collide": ("plans that collide", 3, True),
+    "map_collide_hard": ("plans that hit with the middle", 3, True),
+    "map_reach": ("reached of what can be reached", 3, False),
+    "map_reach_near": ("reached within 4 m of the way", 3, False),
+    "map_danger": ("cells falsely free", 0, True),
     "plane_completeness": ("lidar plane complete", 3, False),
     "plane_false_occupied": ("lidar plane falsely occupied", 3, True),
     "plane_f1": ("lidar plane F1", 3, False),
@@ -37,6 +42,7 @@ _KNOWN: dict[str, tuple[str, int, bool | None]] = {
 # Of these the page shows medians and plots; the rest is in its table of all runs.
 HEADLINE = (
     *("relations_m", "relations_deg", "ate_m", "rpe", "map_f1", "map_completeness", "map_false_occupied"),
+    *("map_collide", "map_reach", "map_reach_near", "map_danger"),
     *("loop_precision", "loop_recall", "real_time_factor", "cpu_s", "peak_mb"),
 )
 _RPE = re.compile(r"^rpe_([0-9.e+-]+)m_(m|deg)$")

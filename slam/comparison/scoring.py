@@ -10,6 +10,7 @@ import numpy as np
 
 from slam.comparison.loop_score import loop_scores
 from slam.comparison.map_score import map_scores, read_true_grid
+from slam.comparison.plan_score import plan_scores, robot_radius_m
 from slam.comparison.product import Product
 from slam.errors import EvaluationError
 from slam.evaluation.relations import RelationScore, read_relations, score_relations
@@ -120,7 +121,11 @@ def _grid_figures(product: Product, folder: Path, comparison: TruthComparison) -
     robot, lidar = folder / "grid_robot.npz", folder / "grid_lidar.npz"
     driven_by = product.decision or product.plane
     if driven_by is not None and robot.is_file():
-        scores = map_scores(driven_by, read_true_grid(robot), T_true_map, true_xy)
+        truth, radius_m = read_true_grid(robot), robot_radius_m(folder)
+        scores = map_scores(driven_by, truth, T_true_map, true_xy)
+        if radius_m is not None:
+            map_xy = product.trajectory.positions_m[:, :2]
+            scores |= plan_scores(driven_by, truth, T_true_map, true_xy, map_xy, radius_m)
         figures |= {f"map_{name}": value for name, value in scores.items()}
     if product.plane is not None and lidar.is_file():
         scores = map_scores(product.plane, read_true_grid(lidar), T_true_map, true_xy)

@@ -26,7 +26,7 @@ from fusion.height_band import (
 from slam.errors import ConfigError
 from slam.mapping.evidence_tiles import Board
 from slam.mapping.occupancy_grid import Steps
-from slam.mapping.view_coverage import MAX_BINS, free_heights, heights_seen, view_box
+from slam.mapping.view_coverage import free_heights, heights_seen, holes_cleared, view_box
 from slam.measurements import CameraIntrinsics, Float32Array, FloatArray, RgbdFrame
 
 Rays: TypeAlias = FloatArray
@@ -54,8 +54,8 @@ class DepthModel:
     least_points
         N of Yang2021 Eq. (20): so many voxels make a cell occupied.
     pixel_stride
-        Every how many rows and columns a pixel is looked at for obstacles, voxels need no more; and every how
-        many rows and half as many columns for what is free.
+        Every how many rows and columns a pixel is looked at for obstacles, voxels need no more; for what is
+        free every pixel along the way down is, and half as many across.
     """
 
     band: HeightBand = field(default_factory=lambda: HeightBand(0.0, 0.7, 0.03))
@@ -74,7 +74,8 @@ class DepthModel:
     @property
     def bins(self) -> int:
         """Heights of the band that are told apart."""
-        return min(MAX_BINS, max(1, math.ceil((self.band.high_m - self.band.low_m) / (2.0 * HEIGHT_STEP_M))))
+        most = np.iinfo(np.uint64).bits // 2 - 1  # two bits each, and one for the floor
+        return min(most, max(1, math.ceil((self.band.high_m - self.band.low_m) / (2.0 * HEIGHT_STEP_M))))
 
     def __post_init__(self) -> None:
         """Refuse a model that would mark what it clears.
@@ -132,13 +133,20 @@ def depth_board(
     if not (depth_m > 0.0).any():
         return None
     matrix = np.ascontiguousarray(T_grid_camera, dtype=np.float64)
-    box = view_box(depth_m, rays32, matrix, model.depth_max_m, cell_m)
+    # Of the image's axes the one that points down; the other is followed less closely.
+    upright = abs(matrix[2, 1]) >= abs(matrix[2, 0])
+    stride = (1, 2 * model.pixel_stride)
+    if upright:
+        clear_m = holes_cleared(depth_m)
+    else:
+        clear_m, stride = np.ascontiguousarray(holes_cleared(np.ascontiguousarray(depth_m.T)).T), stride[::-1]
+    box = view_box(clear_m, rays32, matrix, model.depth_max_m, cell_m)
     bins = model.bins
     noise = (model.noise.floor_m, model.noise.share, model.noise.per_m)
     band_m = (model.band.low_m, model.band.high_m)
     mask = heights_seen(
-        *(depth_m, rays32, matrix, box, cell_m, model.depth_max_m, band_m, bins, noise),
-        *(model.margin_sigmas, (model.pixel_stride, 2 * model.pixel_stride)),
+        *(clear_m, rays32, matrix, box, cell_m, model.depth_max_m, band_m, bins, noise),
+        *(model.margin_sigmas, stride),
     )
     steps = np.zeros((*mask.shape, bins + 1), dtype=np.int16)
     free_heights(mask, steps, evidence_steps(model.p_miss))

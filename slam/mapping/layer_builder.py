@@ -7,6 +7,7 @@ bounds and clamped only when the map is taken: clamping on the way would make th
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import reduce
 from typing import TypeAlias
@@ -17,8 +18,9 @@ import numpy as np
 from fusion import bayes
 from slam.errors import ConfigError, ScanweaveError
 from slam.mapping.depth_grid import DepthModel, depth_board
-from slam.mapping.evidence_tiles import Board, EvidenceTiles, union
+from slam.mapping.evidence_tiles import SIDE, Board, EvidenceTiles, union
 from slam.mapping.footprint import footprint_board
+from slam.mapping.glass_panes import head_on, straight_runs
 from slam.mapping.lidar_layer import LidarModel, lidar_board
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.mapping.ray_tracing import Box
@@ -28,7 +30,7 @@ Reading: TypeAlias = LaserScan | RgbdFrame
 
 _MAX_POSITION_M = 1e6
 # A map too large for its cells gets larger ones: so many of them in one at most.
-_MOST_CELLS_IN_ONE = 256
+_MOST_CELLS_IN_ONE = SIDE
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,11 +99,9 @@ class LayerBuilder:
         key = (reading.sensor, reading.stamp_s, row_from_pose2(under).tobytes())
         if key in self._seen:
             return False
-        board = self._board(reading, T_map_base)
-        if board is not None:
+        settings = self._settings
+        for name, board in self._boards(reading, T_map_base):
             self._check_room(board.box())
-            name = "lidar" if isinstance(reading, LaserScan) else "depth"
-            settings = self._settings
             heights = board.steps.shape[2] if board.steps.ndim == 3 else 1
             tiles = self._tiles.setdefault(name, EvidenceTiles(settings.memory_mb, heights))
             tiles.add(board)
@@ -127,20 +127,31 @@ class LayerBuilder:
         row, col = row // side * side, col // side * side
         box = (row, col, row_to - row, col_to - col)
         steps = tiles.coarse(box, low, high, side) if side > 1 else tiles.clipped(box, low, high)
+        if name == "lidar" and side == 1:
+            panes = self._tiles["head on"].clipped(box, low, high)
+            # By head-on beams twice as likely there as not, which all beams together refute.
+            held = (panes > math.log(2.0) * bayes.STEPS_A_UNIT) & (steps < 0)
+            steps = np.where(straight_runs(held, settings.resolution_m), panes, steps)
         corner = gtsam.Pose2(col * settings.resolution_m, row * settings.resolution_m, 0.0)
         return OccupancyGrid(steps, side * settings.resolution_m, corner)
 
-    def _board(self, reading: Reading, T_map_base: Pose) -> Board | None:
-        """What the reading says; None where it says nothing."""
+    def _boards(self, reading: Reading, T_map_base: Pose) -> Iterator[tuple[str, Board]]:
+        """What the reading says, by layer; of a scan also what its head-on beams alone say."""
         settings = self._settings
         if isinstance(reading, LaserScan):
-            return lidar_board(reading, _planar(T_map_base), settings.lidar, settings.resolution_m)
+            cell_m, model = settings.resolution_m, settings.lidar
+            for name, scan in (("lidar", reading), ("head on", head_on(reading, model.noise, cell_m))):
+                yield name, lidar_board(scan, _planar(T_map_base), model, cell_m)
+            return
         if reading.T_base_camera is None:
             raise ScanweaveError(
                 f"camera {reading.sensor} does not tell where it sits on the robot; give its mount"
             )
         T_map_camera = spatial(T_map_base).compose(reading.T_base_camera)  # Yang2021 Eq. (15)-(16)
-        return depth_board(reading, np.asarray(T_map_camera.matrix()), settings.depth, settings.resolution_m)
+        matrix = np.asarray(T_map_camera.matrix())
+        board = depth_board(reading, matrix, settings.depth, settings.resolution_m)
+        if board is not None:
+            yield "depth", board
 
     def _check_room(self, box: Box) -> None:
         """Refuse to grow to what only a lost pose can mean."""

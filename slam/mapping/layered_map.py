@@ -13,7 +13,7 @@ from fusion import bayes
 from fusion.estimation import TINY
 from slam.errors import ConfigError, ScanweaveError
 from slam.mapping.evidence_tiles import SIDE, union
-from slam.mapping.occupancy_grid import OccupancyGrid, StateArray, Steps, Thresholds
+from slam.mapping.occupancy_grid import THRESHOLDS, OccupancyGrid, StateArray, Steps, Thresholds
 from slam.mapping.ray_tracing import Box
 from slam.measurements import BoolArray
 
@@ -31,11 +31,12 @@ class DecisionRule:
     rule
         Of `fusion.bayes.decide`; where one sensor gave nothing, the other decides alone.
     lidar, depth, fused
-        Li2020 Eq. (9) for each layer.
+        Li2020 Eq. (9) for each layer. Where a camera helps to decide, the lidar's is as certain of obstacles
+        as of free space: what one beam met from afar, where noise spreads it over cells, is no wall yet.
     """
 
     rule: bayes.Rule = "cautious"
-    lidar: Thresholds = field(default_factory=Thresholds)
+    lidar: Thresholds = field(default_factory=lambda: Thresholds(1.0 - THRESHOLDS.free_below))
     depth: Thresholds = field(default_factory=Thresholds)
     fused: Thresholds = field(default_factory=Thresholds)
 
@@ -127,14 +128,12 @@ class LayeredMap:
         The decision is what the robot must not hit.
         """
         states = np.empty(self.shape, dtype=np.int8)
-        rule = self.rule
-        # Where no camera helped, the lidar's height is all that there is.
-        table: bayes.Rule = "corrected" if self.depth is None else rule.rule
+        rule = self._rule
         for part in _blocks(self.shape[0]):
             if name == "decision":
                 lidar = rule.lidar.states(self._steps("lidar", part))
                 depth = rule.depth.states(self._steps("depth", part))
-                states[part] = bayes.decide(lidar, depth, table)
+                states[part] = bayes.decide(lidar, depth, rule.rule)
             else:
                 own: Thresholds = getattr(rule, name)
                 states[part] = own.states(self._steps(name, part))
@@ -161,6 +160,11 @@ class LayeredMap:
             odds = np.exp(steps / np.float32(-bayes.STEPS_A_UNIT))
             percent[part] = np.where(steps == 0, bayes.UNKNOWN, np.rint(100.0 / (1.0 + odds)))
         return percent
+
+    @property
+    def _rule(self) -> DecisionRule:
+        """The rule; where no camera helped, the lidar's height and its every hit are all that there is."""
+        return self.rule if self.depth is not None else DecisionRule("corrected", Thresholds())
 
     def _grids(self) -> list[OccupancyGrid]:
         """Those that there are."""

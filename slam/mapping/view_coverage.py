@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 from fusion.kernel import kernel
 from slam.measurements import Float32Array, FloatArray
 
-HeightMask: TypeAlias = NDArray[np.uint32]
+HeightMask: TypeAlias = NDArray[np.uint64]
 Box: TypeAlias = tuple[int, int, int, int]
-
-MAX_BINS = 30
 
 
 @kernel
@@ -62,6 +60,32 @@ def view_box(
     )
 
 
+@kernel
+def holes_cleared(depth_m: Float32Array) -> Float32Array:
+    """A depth image for what is free: a hole is, as far as the nearer of the readings below and above it.
+
+    What makes a hole is farther than the camera measures, nearer, dark or of glass. What stands on the floor
+    before the reading below would hide it, and what hangs before the reading above would hide that. A hole
+    that ends at the border of the image stays one.
+
+    Parameters
+    ----------
+    depth_m
+        (H, W) upright, or upside down; 0 where there is no reading.
+    """
+    cleared = depth_m.copy()
+    for col in range(depth_m.shape[1]):
+        last = -1
+        for row in range(depth_m.shape[0]):
+            if depth_m[row, col] > 0.0:
+                if last >= 0:
+                    nearer = min(depth_m[last, col], depth_m[row, col])
+                    for hole in range(last + 1, row):
+                        cleared[hole, col] = nearer
+                last = row
+    return cleared
+
+
 @kernel(error_model="numpy")
 def heights_seen(
     depth_m: Float32Array,
@@ -83,7 +107,7 @@ def heights_seen(
     depth_m, rays, T_grid_camera, cell_m, reach_m
         As in `view_box`, whose result is ``box``; a reading beyond ``reach_m`` frees what is before it.
     band_m, bins
-        Lower and upper end of the height band, and into how many heights it is divided, up to `MAX_BINS`.
+        Lower and upper end of the height band, and into how many heights it is divided, up to 31.
     noise
         floor_m, share and per_m of the depth's standard deviation (`fusion.RangeNoise`).
     margin_sigmas
@@ -93,9 +117,9 @@ def heights_seen(
 
     Returns
     -------
-    (rows, cols) with the lowest bit where the floor was seen, and one bit a height above it.
+    (rows, cols) with the lowest bit where the floor was seen, and two bits a height above it, one a half.
     """
-    mask = np.zeros((box[2], box[3]), np.uint32)
+    mask = np.zeros((box[2], box[3]), np.uint64)
     low, high = band_m
     camera_x, camera_y = T_grid_camera[0, 3] / cell_m - box[1], T_grid_camera[1, 3] / cell_m - box[0]
     camera_z = T_grid_camera[2, 3]
@@ -114,25 +138,27 @@ def heights_seen(
             if depth <= reach_m and end_z <= low and end_z >= -low - 4.0 * sigma * abs(dz):
                 at_row, at_col = int(camera_y + depth * dy), int(camera_x + depth * dx)
                 if at_row < box[2] and at_col < box[3]:
-                    mask[at_row, at_col] |= np.uint32(1)
+                    mask[at_row, at_col] |= np.uint64(1)
             if row % strides[0] == 0 and col % strides[1] == 0:
                 end = min(depth - margin_sigmas * sigma, reach_m)
                 if end > 0.0:
-                    _follow(mask, camera_x, camera_y, camera_z, dx, dy, dz, end, low, high, bins)
+                    _follow(mask, camera_x, camera_y, camera_z, dx, dy, dz, end, low, high, 2 * bins)
     return mask
 
 
 @kernel
 def free_heights(mask: HeightMask, board: NDArray[np.int16], steps: int) -> None:
-    """Put ``steps`` of evidence into the heights of (rows, cols, heights) that were seen through."""
+    """Put ``steps`` of evidence into the heights of (rows, cols, heights) that were seen through in full."""
     for row in range(board.shape[0]):
         for col in range(board.shape[1]):
             seen = mask[row, col]
-            height = 0
-            while seen:
-                if seen & 1:
+            if seen & np.uint64(1):
+                board[row, col, 0] = steps
+            halves, height = seen >> np.uint64(1), 1
+            while halves:
+                if halves & np.uint64(3) == np.uint64(3):
                     board[row, col, height] = steps
-                seen >>= 1
+                halves >>= np.uint64(2)
                 height += 1
 
 
@@ -148,9 +174,9 @@ def _follow(
     end: float,
     low: float,
     high: float,
-    bins: int,
+    halves: int,
 ) -> None:
-    """Note the heights of one ray in the cells that it passes: one step a cell along its longer axis."""
+    """Note one ray's heights, in halves, in the cells that it passes: a step a cell along its longer axis."""
     begin = 0.0
     # Only while it is inside the band.
     if dz < 0.0:
@@ -163,7 +189,7 @@ def _follow(
     if not (begin < end and longer > 0.0):
         return
     step = 1.0 / longer
-    a_meter = bins / (high - low)
+    a_meter = halves / (high - low)
     at = begin
     while at < end:
         until = min(at + step, end)
@@ -172,6 +198,6 @@ def _follow(
         if 0 <= row < mask.shape[0] and 0 <= col < mask.shape[1]:
             one = int((z + at * dz - low) * a_meter)
             other = int((z + until * dz - low) * a_meter)
-            for height in range(max(0, min(one, other)), min(bins - 1, max(one, other)) + 1):
-                mask[row, col] |= np.uint32(2) << np.uint32(height)
+            for half in range(max(0, min(one, other)), min(halves - 1, max(one, other)) + 1):
+                mask[row, col] |= np.uint64(2) << np.uint64(half)
         at = until

@@ -11,6 +11,7 @@ import pytest
 
 from slam.comparison.loop_score import loop_scores
 from slam.comparison.map_score import map_scores, read_true_grid
+from slam.comparison.plan_score import plan_scores, robot_radius_m
 from slam.comparison.product import AcceptedLoop, Product, StateGrid
 from slam.comparison.scoring import Truths, scores_of
 from slam.errors import EvaluationError
@@ -80,6 +81,36 @@ def test_a_map_beside_the_truth_is_false_and_an_empty_one_is_not() -> None:
         "false_occupied": 0.0,
         "f1": 0.0,
     }
+
+
+@pytest.mark.parametrize("T_map_true", POSES)
+def test_plans_over_a_map_are_driven_over_the_truth(T_map_true: gtsam.Pose2) -> None:
+    T_true_map = gtsam.Pose3(T_map_true.inverse()).matrix()
+    on_map = np.array([T_map_true.transformFrom(xy) for xy in WAY])
+
+    def scores(states: np.ndarray[tuple[int, ...], np.dtype[np.int8]], truth: TrueGrid) -> dict[str, float]:
+        return plan_scores(map_at(states, T_map_true), truth, T_true_map, WAY, on_map, 0.25)
+
+    best = {"collide": 0.0, "collide_hard": 0.0, "reach": 1.0, "reach_near": 1.0, "danger": 0.0}
+    assert scores(faces(room()), room()) == best
+    # A table in the middle of the room that the map does not have.
+    truth = room()
+    truth.occupied[8:16, 15:19] = True
+    blind = scores(faces(room()), truth)
+    assert blind["danger"] == 32.0 and 0.2 < blind["collide_hard"] <= blind["collide"] < 0.9
+    # Half the room unknown: nothing is hit, half is not reached.
+    half = faces(room())
+    half[12:] = np.where(half[12:] == 0, -1, half[12:])
+    careful = scores(half, room())
+    assert 0.4 < careful["reach"] < 0.6 and careful["collide"] == 0.0
+    # A map that leads nowhere has no plans.
+    assert "collide" not in scores(np.full_like(half, -1), room())
+
+
+def test_the_truth_tells_how_wide_its_robot_is(tmp_path: Path) -> None:
+    assert robot_radius_m(tmp_path) is None
+    (tmp_path / "faults.json").write_text('{"rig": "xu2024"}')
+    assert robot_radius_m(tmp_path) == 0.25
 
 
 def test_a_damaged_true_grid_is_named(tmp_path: Path) -> None:

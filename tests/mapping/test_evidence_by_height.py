@@ -11,6 +11,7 @@ from fusion.height_band import HeightBand
 from slam.mapping.depth_grid import DepthModel
 from slam.mapping.evidence_tiles import TILE_BYTES, Board, EvidenceTiles
 from slam.mapping.layer_builder import LayerSettings
+from slam.mapping.view_coverage import free_heights, holes_cleared
 from slam.measurements import CameraIntrinsics, RgbdFrame
 from tools.layer_building import build_layers
 
@@ -77,8 +78,43 @@ def test_a_low_box_stays_however_often_rays_pass_over_it():
     assert state([frame(0.0, box_m=0.1), *(frame(1.0 + i, box_m=0.1, rows=UPPER) for i in range(30))]) == (
         OCCUPIED
     )
-    # Seen away at its own heights it goes.
-    assert state([frame(0.0, box_m=0.1), *(frame(1.0 + i, rows=LOWER) for i in range(8))]) != OCCUPIED
+    # Seen away at its own heights, its top's too, it goes.
+    own = slice(120, 240)
+    assert state([frame(0.0, box_m=0.1), *(frame(1.0 + i, rows=own) for i in range(8))]) != OCCUPIED
+
+
+def test_a_height_seen_in_part_is_not_free():
+    mask = np.array([[0b1111111, 0b1110111, 0b1111110]], np.uint64)
+    board = np.zeros((1, 3, 4), np.int16)
+    free_heights(mask, board, -7)
+    assert board.tolist() == [[[-7, -7, -7, -7], [-7, -7, 0, -7], [0, -7, -7, -7]]]
+
+
+def test_a_hole_is_free_as_far_as_what_is_below_and_above_it():
+    image = np.array([[0, 3, 3, 2], [2, 0, 0, 0], [0, 0, 4, 0], [1, 2, 0, 0]], np.float32)
+    assert holes_cleared(image).tolist() == [[0, 3, 3, 2], [2, 2, 3, 0], [1, 2, 4, 0], [1, 2, 0, 0]]
+
+
+@pytest.mark.parametrize("roll_deg", [0.0, 90.0, -90.0, 180.0])
+def test_beyond_the_reach_of_the_camera_a_room_is_free(roll_deg):
+    """The wall is too far to be measured in the image's middle; its lowest and highest rows are not."""
+    whole = frame(0.0)
+    depth = whole.depth_m.copy()
+    depth[60:126] = 0.0
+    turns = int(roll_deg) // 90
+    image = np.ascontiguousarray(np.rot90(depth, turns))
+    roll = gtsam.Pose3(gtsam.Rot3.Rz(math.radians(roll_deg)), np.zeros(3))
+    camera = CameraIntrinsics(240.0, 240.0, *(0.5 * (n - 1) for n in image.shape[::-1]), *image.shape[::-1])
+
+    def turned(stamp_s, image):
+        color = np.zeros((*image.shape, 3), np.uint8)
+        return RgbdFrame(stamp_s, color, image, camera, whole.T_base_camera.compose(roll))
+
+    assert state([turned(float(i), image) for i in range(4)]) == FREE
+    # Where nothing is above a hole, nobody knows what hangs there.
+    depth[:60] = 0.0
+    image = np.ascontiguousarray(np.rot90(depth, turns))
+    assert state([turned(float(i), image) for i in range(4)]) == UNKNOWN
 
 
 def test_a_height_that_nothing_told_of_keeps_a_cell_unknown():

@@ -1,0 +1,116 @@
+"""A map to drive by against the true plan of a home, as a robot would judge it: by driving over it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from slam.comparison.map_score import REACH_M, Cells
+from slam.comparison.product import StateGrid
+from slam.mapping.navigation import FreeSpace, clearance_m, free_space, shortest_path
+from slam.mapping.occupancy_grid import FREE, OCCUPIED
+from slam.measurements import FloatArray
+from slam.simulation.rigs import RIGS
+from slam.simulation.true_grid import TrueGrid
+
+_PLANS = 200  # a map
+_HARD_M = 0.10  # nearer to an obstacle than this with its middle the robot has not brushed it but hit it
+_EVERY = 5  # poses of the trajectory of which one may be a start
+
+
+def robot_radius_m(truth: Path) -> float | None:
+    """Of the robot whose drive a folder of truth belongs to; None where it does not tell."""
+    try:
+        return RIGS[json.loads((truth / "faults.json").read_text(encoding="utf-8"))["rig"]].robot_radius_m
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def plan_scores(
+    found: StateGrid,
+    truth: TrueGrid,
+    T_true_map: FloatArray,
+    true_xy: FloatArray,
+    map_xy: FloatArray,
+    radius_m: float,
+) -> dict[str, float]:
+    """What a robot that goes by the map meets, and how far it comes.
+
+    Parameters
+    ----------
+    T_true_map
+        (4, 4) rigid motion that brings the map onto the truth.
+    true_xy, map_xy
+        (N, 2) the robot's way, true and in the map.
+    radius_m
+        Of the robot.
+
+    Returns
+    -------
+    ``collide``: share of random plans, from the way to where the map says that it leads, on which the disc of
+    the robot covers a truly occupied cell by more than a cell; ``collide_hard``: its middle comes nearer than
+    0.1 m to one; both absent where the map leads nowhere. ``reach``: of the floor where the robot can truly
+    go, what the map says that it can reach; ``reach_near``: of that, within 4 m of its way. ``danger``: truly
+    occupied cells that the map calls free.
+    """
+    resolution = truth.resolution_m
+    clearance = clearance_m(np.where(truth.occupied, OCCUPIED, FREE).astype(np.int8), resolution)
+    region, _ = ndimage.label(clearance >= radius_m)
+    way = _cells(true_xy, truth)
+    driven = np.zeros(region.shape, dtype=bool)
+    driven[tuple(way[_inside(way, region.shape)].T)] = True
+    reachable: Cells = np.isin(region, np.setdiff1d(region[driven], 0))
+    near = ndimage.distance_transform_edt(~driven) * resolution <= REACH_M
+
+    space = free_space(found.states, found.resolution_m, found.T_map_grid, radius_m)
+    starts = np.unique([space.cell_of((x, y)) for x, y in map_xy[::_EVERY]], axis=0)
+    starts = starts[_inside(starts, space.allowed.shape)]
+    starts = starts[space.allowed[tuple(starts.T)]]
+    goals = np.argwhere(np.isin(space.region, space.region[tuple(starts.T)]) & space.allowed)
+
+    def at(values: NDArray[np.generic], cells: NDArray[np.int64]) -> FloatArray:
+        """Values of the truth at cells of the map, 0 outside: neither free nor far from anything."""
+        points = space.middle_of(cells) @ T_true_map[:2, :2].T + T_true_map[:2, 3]
+        laid = _cells(points, truth)
+        inside = _inside(laid, values.shape)
+        told = np.zeros(len(cells))
+        told[inside] = values[tuple(laid[inside].T)]
+        return told
+
+    scores = {
+        name: float(at(wanted, goals).sum() / max(wanted.sum(), 1))
+        for name, wanted in (("reach", reachable), ("reach_near", reachable & near))
+    }
+    scores["danger"] = float(at(truth.occupied, np.argwhere(found.states == FREE)).sum())
+    if len(starts):
+        away = np.array([at(clearance, plan).min() for plan in _plans(space, starts, goals)])
+        scores["collide"] = float((away < radius_m - resolution - 1e-9).mean())
+        scores["collide_hard"] = float((away < _HARD_M).mean())
+    return scores
+
+
+def _plans(space: FreeSpace, starts: NDArray[np.int64], goals: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """(N, 2) cells of random plans, each in one region."""
+    random, plans = np.random.default_rng(0), []
+    for _ in range(_PLANS):
+        start = starts[random.integers(len(starts))]
+        same = goals[space.region[tuple(goals.T)] == space.region[tuple(start)]]
+        ends = space.middle_of(np.array([start, same[random.integers(len(same))]]))
+        path = shortest_path(space, tuple(ends[0]), tuple(ends[1]), np.zeros(space.allowed.shape))
+        assert path is not None  # both are of one region
+        plans.append(np.array([space.cell_of((x, y)) for x, y in path.points_map]))
+    return plans
+
+
+def _cells(xy: FloatArray, truth: TrueGrid) -> NDArray[np.int64]:
+    """(N, 2) rows and columns of points in the truth's frame."""
+    return np.floor((xy - truth.origin_xy) / truth.resolution_m).astype(np.int64)[:, ::-1]
+
+
+def _inside(cells: NDArray[np.int64], shape: tuple[int, ...]) -> Cells:
+    """(N,) which cells lie in a grid."""
+    return np.asarray(((cells >= 0) & (cells < shape)).all(axis=1))

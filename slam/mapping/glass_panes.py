@@ -1,0 +1,76 @@
+"""Panes of glass in the scans of a lidar: walls that only a beam at a right angle meets.
+
+A pane throws a beam back where it is met head on; else the beam goes through or is lost (Foster et al. 2013).
+So what passes elsewhere refutes nothing: of a pane the head-on beams tell, and as many of them as pass.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import ndimage
+
+from fusion.depth_model import RangeNoise
+from fusion.kernel import kernel
+from slam.measurements import BoolArray, Float32Array, LaserScan
+
+# So far from the right angle a pane still returns a beam.
+_LOBE_RAD = np.radians(8.0)
+# What is shorter is a person, or a cabinet that somebody moved.
+_SHORTEST_M = 0.4
+
+
+def head_on(scan: LaserScan, noise: RangeNoise, cell_m: float) -> LaserScan:
+    """The beams that met something flat at a right angle; the others are invalid.
+
+    Parameters
+    ----------
+    noise
+        Of a range: neighbours within twice its standard deviation of a line are flat.
+    cell_m
+        Side of a cell; where the noise is as wide, nothing is told.
+    """
+    half = max(2, round(0.5 * _LOBE_RAD / abs(scan.step_rad)))
+    limits = np.tan(_LOBE_RAD), 2.0 * noise.floor_m, 2.0 * noise.share, cell_m
+    met = _flat(np.asarray(scan.ranges_m, dtype=np.float32), half, abs(float(scan.step_rad)), limits)
+    return replace(scan, ranges_m=np.where(met, scan.ranges_m, np.float32(np.nan)))
+
+
+@kernel
+def _flat(
+    ranges_m: Float32Array, half: int, step_rad: float, limits: tuple[float, float, float, float]
+) -> BoolArray:
+    """(N,) beams in a window that fits a line across them: by its slope, and by what is left."""
+    found = np.zeros(ranges_m.size, np.bool_)
+    turns = step_rad**2 * half * (half + 1) * (2 * half + 1) / 3
+    for middle in range(half, ranges_m.size - half):
+        total = squares = moment = 0.0
+        for beam in range(-half, half + 1):
+            # Invalid and infinite ranges make everything so, and no comparison true.
+            reading = np.float64(ranges_m[middle + beam])
+            total += reading
+            squares += reading * reading
+            moment += reading * beam * step_rad
+        count = 2 * half + 1
+        mean, slope = total / count, moment / turns
+        left = (squares - total * mean - slope * moment) / count
+        spread = limits[1] + limits[2] * mean
+        if abs(slope) < limits[0] * mean and left < spread**2 and spread <= limits[3]:
+            found[middle - half : middle + half + 1] = True
+    return found
+
+
+def straight_runs(cells: BoolArray, resolution_m: float) -> BoolArray:
+    """Those of (rows, cols) cells that lie in a straight row as long as the least pane."""
+    length = max(3, round(_SHORTEST_M / resolution_m))
+    runs = np.zeros_like(cells)
+    for angle in np.pi / length * np.arange(length):
+        at = np.linspace(-0.5, 0.5, 4 * length) * (length - 1)
+        offsets = np.rint(np.column_stack([np.sin(angle) * at, np.cos(angle) * at])).astype(int)
+        row = np.zeros((length + 1 | 1,) * 2, dtype=bool)
+        row[tuple((offsets + len(row) // 2).T)] = True
+        # Cells of a slanted row may lie beside the line.
+        beside = np.ones((3, 1) if abs(np.cos(angle)) > abs(np.sin(angle)) else (1, 3), dtype=bool)
+        runs |= cells & ndimage.binary_opening(ndimage.binary_dilation(cells, beside), row)
+    return runs
