@@ -15,9 +15,9 @@ import numpy as np
 
 from fusion.estimation import FEWEST, median_to_sigma
 from slam.config.stages import GraphConfig
-from slam.graph.keyframe_graph import KeyframeGraph, row_of, unmeasured
+from slam.graph.keyframe_graph import KeyframeGraph, graph_of, row_of, unmeasured
 from slam.graph.pose_graph import Edge, EdgeKind
-from slam.graph.relative_uncertainty import composed, inverse, moved
+from slam.graph.relative_uncertainty import UncertaintyGraph, composed, inverse, moved
 from slam.matching.motion import Motion
 from slam.matching.planar import adjoint, between, rotate_covariance
 from slam.measurements import FloatArray
@@ -58,7 +58,7 @@ class FaultySteps:
     ----------
     edges, poses
         Of the graph: how far wrong a step may be is told by those of its edges that cannot be refused. Where
-        it was matched, that is no more than what nothing measured.
+        it was matched, that is no more than what the match leaves open and nothing measured.
     least_m
         A step as certain as this is not wrong; nor one that turns the surroundings no more than this.
     lever_m
@@ -69,7 +69,7 @@ class FaultySteps:
         self, edges: Sequence[Edge], poses: FloatArray, config: GraphConfig, least_m: float, lever_m: float
     ) -> None:
         self._poses = poses
-        limit = np.linalg.inv(unmeasured(config, planar=True))
+        limit = unmeasured(config, planar=True)
         held: dict[int, FloatArray] = {}
         guessed = np.ones(len(poses), np.bool_)
         for edge in edges:
@@ -77,7 +77,10 @@ class FaultySteps:
                 continue
             information = np.linalg.inv(edge.covariance) if edge.trusted else np.zeros((3, 3))
             if edge.kind not in (EdgeKind.WHEEL, EdgeKind.ASSUMED):
-                information, guessed[edge.source] = information + limit, False
+                information, guessed[edge.source] = (
+                    information + np.linalg.inv(limit + edge.covariance),
+                    False,
+                )
             held[edge.source] = held.get(edge.source, np.zeros((3, 3))) + information
         parts: list[tuple[int, int, FloatArray]] = []
         for step in sorted(held):
@@ -92,6 +95,19 @@ class FaultySteps:
                 parts.append((step, step + 1, free))
         self._ends = np.array([part[:2] for part in parts], np.int64).reshape(-1, 2)
         self._free = np.array([part[2] for part in parts]).reshape(-1, 3, 3)
+
+    def known_by(self, believed: Sequence[Edge]) -> UncertaintyGraph:
+        """How uncertain all is by what is believed; a part is no more free than the way round it allows."""
+        parts = np.full(len(self._poses), -1)
+        for n, (first, last) in enumerate(self._ends):
+            parts[first:last] = n
+        known = graph_of(len(parts), believed, parts)
+        for n, (first, last) in enumerate(self._ends.tolist()):
+            # Seen from its other end: the step's covariance is in the frame where it ends.
+            around = known.relative_covariances(last, np.array([first]), self._poses, without=n)[0]
+            if np.isfinite(around).all():
+                self._free[n] = np.linalg.inv(np.linalg.inv(self._free[n]) + np.linalg.inv(around))
+        return known
 
     def squared_mahalanobis(self, start: int, end: int, expected: Motion, claimed: FloatArray) -> float:
         """Squared sigmas by which a claim is off, at the least, where one part of the way is wrong.

@@ -19,7 +19,7 @@ from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
 from slam.graph.claim_trial import ClaimTrial
 from slam.graph.consistent_sets import ClaimSets, Known, claimed
 from slam.graph.faulty_steps import FaultySteps
-from slam.graph.keyframe_graph import together
+from slam.graph.keyframe_graph import graph_of
 from slam.graph.loop_closure import LoopCandidate, LoopCloser, position_sigmas
 from slam.graph.pose_graph import Edge, EdgeKind
 from slam.graph.relative_uncertainty import UncertaintyGraph
@@ -79,8 +79,8 @@ class PlaceSearch:
             chain = graph_of(len(poses), (edge for edge in sure if edge.loop is None))
             self._sets = ClaimSets(self._submaps, chain, self._reach_m)
             self._trial = ClaimTrial(self._closer, self._stretches, self._sets, self._config, self._reach_m)
-        known = graph_of(len(poses), held)
         self._faulty = FaultySteps(edges, poses, self._graph, self._match.coarse_cell_m, self._config.reach_m)
+        known = self._faulty.known_by(held)
         if self._corrected:
             near = self._closer.close_again(poses, known, loops)
             if near:
@@ -195,16 +195,6 @@ class _Known:
         """The pose of the end seen from the start; its covariance is infinite where nothing joins them."""
         covariance = self._graph.relative_covariances(end, np.array([start]), self._poses)[0]
         return Motion(between(self._poses[start], self._poses[end]), covariance)
-
-
-def graph_of(nodes: int, edges: Iterable[Edge]) -> UncertaintyGraph:
-    """How uncertain nodes are of each other by some edges alone; those of the same two speak together."""
-    graph = UncertaintyGraph()
-    for _ in range(nodes):
-        graph.add_node()
-    for (source, target), motion in together(edges).items():
-        graph.add_edge(source, target, motion.pose, motion.covariance)
-    return graph
 
 
 def believed_edges(edges: Sequence[Edge], kept: BoolArray, poses: FloatArray) -> list[Edge]:
