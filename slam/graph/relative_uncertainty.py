@@ -106,8 +106,8 @@ class UncertaintyGraph:
         # An edge is put into the queue once at most, from its source.
         queue = np.empty(self._edges + 1), np.empty(self._edges + 1, np.int64)
         first = start // self._stride
-        edges = self._heads, self._next, self._ends, self._steps, self._parts == without
-        _follow(first, wanted, anchors, *edges, distance, seen, *queue)
+        edges, barred = (self._heads, self._next, self._ends, self._steps), self._parts == without
+        _follow(first, wanted, anchors, *edges, distance, seen, *queue, barred)
         # Where the nine elements of a symmetric matrix are in its upper triangle.
         found = seen[targets // self._stride][:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
         own, others = self._inside[[start]], self._inside[targets]
@@ -203,7 +203,7 @@ def moved(covariance: FloatArray, T_a_b: FloatArray) -> FloatArray:
 
 @kernel
 def _follow(  # type: ignore[no-untyped-def]
-    start, wanted, poses, heads, following, ends, steps, barred, distance, seen, queued, queued_nodes
+    start, wanted, poses, heads, following, ends, steps, distance, seen, queued, queued_nodes, barred
 ):
     """Dijkstra until all wanted nodes are reached; what is reached is seen by the sum of its path's edges.
 
