@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from fusion.estimation import FEWEST, median_to_sigma
 from slam.config.stages import GraphConfig
 from slam.graph.keyframe_graph import KeyframeGraph, graph_of, row_of, unmeasured
 from slam.graph.pose_graph import Edge, EdgeKind
-from slam.graph.relative_uncertainty import UncertaintyGraph, composed, inverse, moved
+from slam.graph.relative_uncertainty import composed, inverse, moved
 from slam.matching.motion import Motion
 from slam.matching.planar import adjoint, between, rotate_covariance
 from slam.measurements import FloatArray
@@ -59,14 +60,27 @@ class FaultySteps:
     edges, poses
         Of the graph: how far wrong a step may be is told by those of its edges that cannot be refused. Where
         it was matched, that is no more than what the match leaves open and nothing measured.
+    believed
+        The edges that hold, loops among them.
     least_m
         A step as certain as this is not wrong; nor one that turns the surroundings no more than this.
     lever_m
         How far these are.
+
+    Attributes
+    ----------
+    known
+        How uncertain keyframes are of each other by the edges that are believed.
     """
 
     def __init__(
-        self, edges: Sequence[Edge], poses: FloatArray, config: GraphConfig, least_m: float, lever_m: float
+        self,
+        edges: Sequence[Edge],
+        believed: Sequence[Edge],
+        poses: FloatArray,
+        config: GraphConfig,
+        least_m: float,
+        lever_m: float,
     ) -> None:
         self._poses = poses
         limit = unmeasured(config, planar=True)
@@ -95,19 +109,21 @@ class FaultySteps:
                 parts.append((step, step + 1, free))
         self._ends = np.array([part[:2] for part in parts], np.int64).reshape(-1, 2)
         self._free = np.array([part[2] for part in parts]).reshape(-1, 3, 3)
-
-    def known_by(self, believed: Sequence[Edge]) -> UncertaintyGraph:
-        """How uncertain all is by what is believed; a part is no more free than the way round it allows."""
-        parts = np.full(len(self._poses), -1)
+        numbers = np.full(len(poses), -1)
         for n, (first, last) in enumerate(self._ends):
-            parts[first:last] = n
-        known = graph_of(len(parts), believed, parts)
+            numbers[first:last] = n
+        self.known = graph_of(len(poses), believed, numbers)
+
+    @cached_property
+    def _bounded(self) -> FloatArray:
+        """(P, 3, 3) how wrong each part may be; no more than the way round it allows."""
+        bounded = self._free.copy()
         for n, (first, last) in enumerate(self._ends.tolist()):
             # Seen from its other end: the step's covariance is in the frame where it ends.
-            around = known.relative_covariances(last, np.array([first]), self._poses, without=n)[0]
+            around = self.known.relative_covariances(last, np.array([first]), self._poses, without=n)[0]
             if np.isfinite(around).all():
-                self._free[n] = np.linalg.inv(np.linalg.inv(self._free[n]) + np.linalg.inv(around))
-        return known
+                bounded[n] = np.linalg.inv(np.linalg.inv(bounded[n]) + np.linalg.inv(around))
+        return bounded
 
     def squared_mahalanobis(self, start: int, end: int, expected: Motion, claimed: FloatArray) -> float:
         """Squared sigmas by which a claim is off, at the least, where one part of the way is wrong.
@@ -133,7 +149,7 @@ class FaultySteps:
         to_part = composed(inverse(poses[[start]]), poses[first])
         needed = composed(composed(inverse(to_part), claimed[None]), inverse(rest))
         off = _off(composed(inverse(poses[first]), poses[last]), needed)
-        covariances = self._free[within] + moved(
+        covariances = self._bounded[within] + moved(
             np.repeat(expected.covariance[None], len(rest), axis=0), rest
         )
         squares = np.einsum("ki,ki->k", off, np.linalg.solve(covariances, off[..., None])[..., 0])

@@ -79,8 +79,9 @@ class PlaceSearch:
             chain = graph_of(len(poses), (edge for edge in sure if edge.loop is None))
             self._sets = ClaimSets(self._submaps, chain, self._reach_m)
             self._trial = ClaimTrial(self._closer, self._stretches, self._sets, self._config, self._reach_m)
-        self._faulty = FaultySteps(edges, poses, self._graph, self._match.coarse_cell_m, self._config.reach_m)
-        known = self._faulty.known_by(held)
+        least_m, lever_m = self._match.coarse_cell_m, self._config.reach_m
+        self._faulty = FaultySteps(edges, held, poses, self._graph, least_m, lever_m)
+        known = self._faulty.known
         if self._corrected:
             near = self._closer.close_again(poses, known, loops)
             if near:
