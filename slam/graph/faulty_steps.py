@@ -59,7 +59,7 @@ class FaultySteps:
     ----------
     edges, poses
         Of the graph: how far wrong a step may be is told by those of its edges that cannot be refused. Where
-        it was matched, that is no more than what the match leaves open and nothing measured.
+        it was matched, that is no more than what nothing measured.
     believed
         The edges that hold, loops among them.
     least_m
@@ -91,10 +91,9 @@ class FaultySteps:
                 continue
             information = np.linalg.inv(edge.covariance) if edge.trusted else np.zeros((3, 3))
             if edge.kind not in (EdgeKind.WHEEL, EdgeKind.ASSUMED):
-                information, guessed[edge.source] = (
-                    information + np.linalg.inv(limit + edge.covariance),
-                    False,
-                )
+                # What is disputed is no less open than that.
+                most = limit if edge.trusted else limit + edge.covariance
+                information, guessed[edge.source] = information + np.linalg.inv(most), False
             held[edge.source] = held.get(edge.source, np.zeros((3, 3))) + information
         parts: list[tuple[int, int, FloatArray]] = []
         for step in sorted(held):
@@ -125,8 +124,10 @@ class FaultySteps:
                 bounded[n] = np.linalg.inv(np.linalg.inv(bounded[n]) + np.linalg.inv(around))
         return bounded
 
-    def squared_mahalanobis(self, start: int, end: int, expected: Motion, claimed: FloatArray) -> float:
-        """Squared sigmas by which a claim is off, at the least, where one part of the way is wrong.
+    def explain(
+        self, start: int, end: int, expected: Motion, claimed: FloatArray
+    ) -> tuple[float, tuple[int, int]]:
+        """Squared sigmas by which a claim is off, at the least, where one part is wrong; and which part.
 
         Parameters
         ----------
@@ -137,11 +138,11 @@ class FaultySteps:
 
         Returns
         -------
-        Infinite where no part of the way may be wrong.
+        Infinite where no part of the way may be wrong; the ends of the part.
         """
         within = (self._ends[:, 0] >= start) & (self._ends[:, 1] <= end)
         if not within.any():
-            return math.inf
+            return math.inf, (start, end)
         first, last = self._ends[within].T
         poses = self._poses
         # From the end of each part to the end of the way, and what the part must have been.
@@ -153,7 +154,8 @@ class FaultySteps:
             np.repeat(expected.covariance[None], len(rest), axis=0), rest
         )
         squares = np.einsum("ki,ki->k", off, np.linalg.solve(covariances, off[..., None])[..., 0])
-        return float(squares.min())
+        best = int(squares.argmin())
+        return float(squares[best]), (int(first[best]), int(last[best]))
 
 
 def _off(told: FloatArray, found: FloatArray) -> FloatArray:

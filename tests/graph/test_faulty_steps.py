@@ -51,7 +51,7 @@ def squares(gaps: tuple[int, ...], claimed: FloatArray, loops: Sequence[tuple[in
         edges.append(Edge(place, key, told, SURE, EdgeKind.LOOP, trusted=False, loop=n))
     faulty = FaultySteps(edges, edges, POSES, GraphConfig(), 0.3, 3.0)
     known = Motion(between(POSES[5], POSES[70]), np.diag([0.3, 0.3, 0.03]) ** 2)
-    return faulty.squared_mahalanobis(5, 70, known, claimed)
+    return faulty.explain(5, 70, known, claimed)[0]
 
 
 def bent(*turns: tuple[int, float]) -> FloatArray:
