@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
 from fusion.estimation import FEWEST, median_to_sigma
 from slam.config.stages import GraphConfig
-from slam.graph.keyframe_graph import KeyframeGraph, row_of, unmeasured
+from slam.graph.keyframe_graph import KeyframeGraph, graph_of, row_of, unmeasured
 from slam.graph.pose_graph import Edge, EdgeKind
 from slam.graph.relative_uncertainty import composed, inverse, moved
 from slam.matching.motion import Motion
@@ -59,17 +60,30 @@ class FaultySteps:
     edges, poses
         Of the graph: how far wrong a step may be is told by those of its edges that cannot be refused. Where
         it was matched, that is no more than what nothing measured.
+    believed
+        The edges that hold, loops among them.
     least_m
         A step as certain as this is not wrong; nor one that turns the surroundings no more than this.
     lever_m
         How far these are.
+
+    Attributes
+    ----------
+    known
+        How uncertain keyframes are of each other by the edges that are believed.
     """
 
     def __init__(
-        self, edges: Sequence[Edge], poses: FloatArray, config: GraphConfig, least_m: float, lever_m: float
+        self,
+        edges: Sequence[Edge],
+        believed: Sequence[Edge],
+        poses: FloatArray,
+        config: GraphConfig,
+        least_m: float,
+        lever_m: float,
     ) -> None:
         self._poses = poses
-        limit = np.linalg.inv(unmeasured(config, planar=True))
+        limit = unmeasured(config, planar=True)
         held: dict[int, FloatArray] = {}
         guessed = np.ones(len(poses), np.bool_)
         for edge in edges:
@@ -77,7 +91,9 @@ class FaultySteps:
                 continue
             information = np.linalg.inv(edge.covariance) if edge.trusted else np.zeros((3, 3))
             if edge.kind not in (EdgeKind.WHEEL, EdgeKind.ASSUMED):
-                information, guessed[edge.source] = information + limit, False
+                # What is disputed is no less open than that.
+                most = limit if edge.trusted else limit + edge.covariance
+                information, guessed[edge.source] = information + np.linalg.inv(most), False
             held[edge.source] = held.get(edge.source, np.zeros((3, 3))) + information
         parts: list[tuple[int, int, FloatArray]] = []
         for step in sorted(held):
@@ -92,9 +108,26 @@ class FaultySteps:
                 parts.append((step, step + 1, free))
         self._ends = np.array([part[:2] for part in parts], np.int64).reshape(-1, 2)
         self._free = np.array([part[2] for part in parts]).reshape(-1, 3, 3)
+        numbers = np.full(len(poses), -1)
+        for n, (first, last) in enumerate(self._ends):
+            numbers[first:last] = n
+        self.known = graph_of(len(poses), believed, numbers)
 
-    def squared_mahalanobis(self, start: int, end: int, expected: Motion, claimed: FloatArray) -> float:
-        """Squared sigmas by which a claim is off, at the least, where one part of the way is wrong.
+    @cached_property
+    def _bounded(self) -> FloatArray:
+        """(P, 3, 3) how wrong each part may be; no more than the way round it allows."""
+        bounded = self._free.copy()
+        for n, (first, last) in enumerate(self._ends.tolist()):
+            # Seen from its other end: the step's covariance is in the frame where it ends.
+            around = self.known.relative_covariances(last, np.array([first]), self._poses, without=n)[0]
+            if np.isfinite(around).all():
+                bounded[n] = np.linalg.inv(np.linalg.inv(bounded[n]) + np.linalg.inv(around))
+        return bounded
+
+    def explain(
+        self, start: int, end: int, expected: Motion, claimed: FloatArray
+    ) -> tuple[float, tuple[int, int]]:
+        """Squared sigmas by which a claim is off, at the least, where one part is wrong; and which part.
 
         Parameters
         ----------
@@ -105,11 +138,11 @@ class FaultySteps:
 
         Returns
         -------
-        Infinite where no part of the way may be wrong.
+        Infinite where no part of the way may be wrong; the ends of the part.
         """
         within = (self._ends[:, 0] >= start) & (self._ends[:, 1] <= end)
         if not within.any():
-            return math.inf
+            return math.inf, (start, end)
         first, last = self._ends[within].T
         poses = self._poses
         # From the end of each part to the end of the way, and what the part must have been.
@@ -117,11 +150,12 @@ class FaultySteps:
         to_part = composed(inverse(poses[[start]]), poses[first])
         needed = composed(composed(inverse(to_part), claimed[None]), inverse(rest))
         off = _off(composed(inverse(poses[first]), poses[last]), needed)
-        covariances = self._free[within] + moved(
+        covariances = self._bounded[within] + moved(
             np.repeat(expected.covariance[None], len(rest), axis=0), rest
         )
         squares = np.einsum("ki,ki->k", off, np.linalg.solve(covariances, off[..., None])[..., 0])
-        return float(squares.min())
+        best = int(squares.argmin())
+        return float(squares[best]), (int(first[best]), int(last[best]))
 
 
 def _off(told: FloatArray, found: FloatArray) -> FloatArray:

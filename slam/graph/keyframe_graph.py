@@ -170,6 +170,24 @@ def together(edges: Iterable[Edge]) -> dict[tuple[int, int], Motion]:
     return motions
 
 
+def graph_of(nodes: int, edges: Iterable[Edge], parts: NDArray[np.int64] | None = None) -> UncertaintyGraph:
+    """How uncertain nodes are of each other by some edges alone; those of the same two speak together.
+
+    ``parts`` (nodes,) is the part of the way that begins at a node and may be left out, or -1: no edge but
+    loops crosses it then.
+    """
+    graph, edges = UncertaintyGraph(), list(edges)
+    for _ in range(nodes):
+        graph.add_node()
+    crossing: dict[tuple[int, int], int] = {}
+    if parts is not None:
+        ways = ((edge.source, edge.target) for edge in edges if edge.loop is None)
+        crossing = {ends: int(parts[min(ends) : max(ends)].max()) for ends in ways}
+    for ends, motion in together(edges).items():
+        graph.add_edge(*ends, motion.pose, motion.covariance, crossing.get(ends, -1))
+    return graph
+
+
 def unmeasured(config: GraphConfig, share: float = 1.0, *, planar: bool) -> FloatArray:
     """Covariance (d, d) of a step that nothing measured, GTSAM's order, its sigmas scaled by a share."""
     metres, radians = share * config.lost_sigma_m, share * config.lost_sigma_rad

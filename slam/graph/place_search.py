@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
 from slam.graph.claim_trial import ClaimTrial
 from slam.graph.consistent_sets import ClaimSets, Known, claimed
 from slam.graph.faulty_steps import FaultySteps
-from slam.graph.keyframe_graph import together
+from slam.graph.keyframe_graph import graph_of
 from slam.graph.loop_closure import LoopCandidate, LoopCloser, position_sigmas
 from slam.graph.pose_graph import Edge, EdgeKind
 from slam.graph.relative_uncertainty import UncertaintyGraph
@@ -29,9 +30,18 @@ from slam.matching.planar import between
 from slam.measurements import BoolArray, FloatArray, row_from_pose2
 from slam.result_cache import COMPUTED, ResultCache
 
+# What a set asks of the estimate, how uncertain that is, and which part of the way must be wrong, if one is.
+_Cost: TypeAlias = tuple[float, float, tuple[int, int] | None]
+
 
 class PlaceSearch:
-    """Searches a finished run round by round, each from the estimate that the last one led to."""
+    """Searches a finished run round by round, each from the estimate that the last one led to.
+
+    Attributes
+    ----------
+    fault
+        From which keyframe to which the last set that was believed takes the way to be wrong; or None.
+    """
 
     def __init__(
         self,
@@ -52,6 +62,7 @@ class PlaceSearch:
         # Whether the estimate is another than the one that places nearby were tried from.
         self._corrected = False
         self._faulty: FaultySteps | None = None
+        self.fault: tuple[int, int] | None = None
 
     def search(
         self, poses: FloatArray, edges: Sequence[Edge], kept: BoolArray, loops: Sequence[LoopCandidate]
@@ -67,6 +78,7 @@ class PlaceSearch:
         loops
             All candidates so far.
         """
+        self.fault = None
         if not self._config.enabled or len(poses) < 2:
             return []
         held = believed_edges(edges, kept, poses)
@@ -79,8 +91,9 @@ class PlaceSearch:
             chain = graph_of(len(poses), (edge for edge in sure if edge.loop is None))
             self._sets = ClaimSets(self._submaps, chain, self._reach_m)
             self._trial = ClaimTrial(self._closer, self._stretches, self._sets, self._config, self._reach_m)
-        known = graph_of(len(poses), held)
-        self._faulty = FaultySteps(edges, poses, self._graph, self._match.coarse_cell_m, self._config.reach_m)
+        least_m, lever_m = self._match.coarse_cell_m, self._config.reach_m
+        self._faulty = FaultySteps(edges, held, poses, self._graph, least_m, lever_m)
+        known = self._faulty.known
         if self._corrected:
             near = self._closer.close_again(poses, known, loops)
             if near:
@@ -137,9 +150,9 @@ class PlaceSearch:
         seen, reach_m = _Known(poses, known), self._config.reach_m
         found = [one for one in sets.largest() if np.ptp(self._ways(one)) >= reach_m]
         judged = [self._cost(one, seen) for one in found]
-        costs = np.array([cost for cost, _ in judged])
+        costs = np.array([cost for cost, *_ in judged])
         gains = self._gate * np.array([len(one) for one in found]) - costs
-        for n in sorted(range(len(found)), key=lambda n: _order(*judged[n], self._gate)):
+        for n in sorted(range(len(found)), key=lambda n: _order(*judged[n][:2], self._gate)):
             # One fault explains it, or it weighs twice what it contradicts.
             if costs[n] > max(2.0, 0.5 * len(found[n])) * self._gate or gains[n] <= 0.0:
                 continue
@@ -154,11 +167,11 @@ class PlaceSearch:
             if net_m >= (self._config.least_path_m if anywhere else 2.0 * reach_m):
                 believed = [*found[n], *more]
                 sets.remove(believed)
-                self._corrected = True
+                self._corrected, self.fault = True, judged[n][2]
                 return believed
         return []
 
-    def _cost(self, members: Sequence[LoopCandidate], known: Known) -> tuple[float, float]:
+    def _cost(self, members: Sequence[LoopCandidate], known: Known) -> _Cost:
         """Squared sigmas of the bend that a set asks of what is known, and how uncertain that is in metres.
 
         Where one fault explains it better, that costs a gate. Infinite where nothing can be learned: what is
@@ -167,18 +180,24 @@ class PlaceSearch:
         expected = [known(one.place, one.keyframe) for one in members]
         sigma_m = float(np.median(position_sigmas(np.array([way.covariance for way in expected]))))
         if self._config.sigmas * sigma_m < self._match.coarse_cell_m:
-            return math.inf, sigma_m
+            return math.inf, sigma_m, None
         if not math.isfinite(sigma_m):
-            return 0.0, sigma_m
+            return 0.0, sigma_m, None
         claims = [claimed(one) for one in members]
         ways = [way.widened(claim.covariance) for way, claim in zip(expected, claims, strict=True)]
         squares = [way.squared_mahalanobis(claim.pose) for way, claim in zip(ways, claims, strict=True)]
         assert self._faulty is not None
         faulty = [
-            self._faulty.squared_mahalanobis(one.place, one.keyframe, way, claim.pose)
+            self._faulty.explain(one.place, one.keyframe, way, claim.pose)
             for one, way, claim in zip(members, ways, claims, strict=True)
         ]
-        return min(float(np.median(squares)), self._gate + float(np.median(faulty))), sigma_m
+        plain, explained = (
+            float(np.median(squares)),
+            self._gate + float(np.median([cost for cost, _ in faulty])),
+        )
+        if plain <= explained:
+            return plain, sigma_m, None
+        return explained, sigma_m, min(faulty)[1]
 
     def _ways(self, members: Iterable[LoopCandidate]) -> FloatArray:
         """Way from the start to the keyframes of a set."""
@@ -195,16 +214,6 @@ class _Known:
         """The pose of the end seen from the start; its covariance is infinite where nothing joins them."""
         covariance = self._graph.relative_covariances(end, np.array([start]), self._poses)[0]
         return Motion(between(self._poses[start], self._poses[end]), covariance)
-
-
-def graph_of(nodes: int, edges: Iterable[Edge]) -> UncertaintyGraph:
-    """How uncertain nodes are of each other by some edges alone; those of the same two speak together."""
-    graph = UncertaintyGraph()
-    for _ in range(nodes):
-        graph.add_node()
-    for (source, target), motion in together(edges).items():
-        graph.add_edge(source, target, motion.pose, motion.covariance)
-    return graph
 
 
 def believed_edges(edges: Sequence[Edge], kept: BoolArray, poses: FloatArray) -> list[Edge]:

@@ -213,10 +213,16 @@ class PoseGraph:
             Chi-square probability at which a true edge passes the gate.
         """
         kept = self._gnc_weights(inlier_probability) > 0.5
-        self._kept = kept
+        self._kept = kept.copy()
         graph = self._graph(edge for edge, keep in zip(self.edges, kept, strict=True) if keep)
         self._estimate = _solved(graph, self._estimate)
         return BatchResult(float(graph.error(self._estimate)), kept)
+
+    def doubt(self, first: int, last: int) -> None:
+        """Let the next optimisation begin without the steps of a part of the way that may be refused."""
+        for k, edge in enumerate(self.edges[: len(self._kept)]):
+            if edge.loop is None and not edge.trusted and edge.source < last and edge.target > first:
+                self._kept[k] = False
 
     def initialize(self) -> None:
         """Start from the edges alone: LAGO (Carlone 2014) in the plane, chordal initialisation in space."""

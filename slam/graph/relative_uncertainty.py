@@ -39,6 +39,8 @@ class UncertaintyGraph:
         self._edges = 0
         self._heads = np.full(64, -1, np.int64)
         self._next = np.full(256, -1, np.int64)
+        # Of each edge, the part of the way that it crosses and that may be left out.
+        self._parts = np.full(256, -1, np.int64)
 
     def add_node(self) -> None:
         """Add the next node."""
@@ -53,8 +55,13 @@ class UncertaintyGraph:
         if node // self._stride >= self._heads.size:
             self._heads = np.concatenate([self._heads, np.full_like(self._heads, -1)])
 
-    def add_edge(self, source: int, target: int, relative: FloatArray, covariance: FloatArray) -> None:
-        """Join two nodes; ``relative`` (3,) and ``covariance`` (3, 3) as in ``pose_graph.Edge``."""
+    def add_edge(
+        self, source: int, target: int, relative: FloatArray, covariance: FloatArray, part: int = -1
+    ) -> None:
+        """Join two nodes; ``relative`` (3,) and ``covariance`` (3, 3) as in ``pose_graph.Edge``.
+
+        All edges of a ``part`` can be left out of a search together.
+        """
         cost = covariance[0, 0] + covariance[1, 1] + _LEVER_M**2 * covariance[2, 2]
         step = np.concatenate([relative, covariance.ravel(), [cost]])[None]
         # Anchors themselves, in small maps all nodes, need no way there.
@@ -68,10 +75,12 @@ class UncertaintyGraph:
             step = _then(step, _back(self._inside[[target]]))
         if np.isfinite(step[0, _COST]):
             ends = source // self._stride, target // self._stride
-            self._append(ends, step[0])
-            self._append(ends[::-1], _back(step)[0])
+            self._append(ends, step[0], part)
+            self._append(ends[::-1], _back(step)[0], part)
 
-    def relative_covariances(self, start: int, targets: NDArray[np.int64], poses: FloatArray) -> FloatArray:
+    def relative_covariances(
+        self, start: int, targets: NDArray[np.int64], poses: FloatArray, without: int = -2
+    ) -> FloatArray:
         """Covariance of ``inverse(pose_target) * pose_start`` in the start's frame, one a target.
 
         Parameters
@@ -82,6 +91,8 @@ class UncertaintyGraph:
             (m,) the nodes that see it.
         poses
             (n, 3) current estimates, map frame.
+        without
+            The part whose edges no path may take.
 
         Returns
         -------
@@ -95,9 +106,8 @@ class UncertaintyGraph:
         # An edge is put into the queue once at most, from its source.
         queue = np.empty(self._edges + 1), np.empty(self._edges + 1, np.int64)
         first = start // self._stride
-        _follow(
-            first, wanted, anchors, self._heads, self._next, self._ends, self._steps, distance, seen, *queue
-        )
+        edges, barred = (self._heads, self._next, self._ends, self._steps), self._parts == without
+        _follow(first, wanted, anchors, *edges, distance, seen, *queue, barred)
         # Where the nine elements of a symmetric matrix are in its upper triangle.
         found = seen[targets // self._stride][:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
         own, others = self._inside[[start]], self._inside[targets]
@@ -107,22 +117,24 @@ class UncertaintyGraph:
         found[np.isinf(distance[targets // self._stride] + own[:, _COST] + others[:, _COST])] = np.inf
         return found
 
-    def _append(self, ends: tuple[int, int], step: FloatArray) -> None:
+    def _append(self, ends: tuple[int, int], step: FloatArray, part: int) -> None:
         """One direction of an edge between two anchors."""
         k = self._edges
         if k == self._next.size:
             self._next = np.concatenate([self._next, np.full_like(self._next, -1)])
+            self._parts = np.concatenate([self._parts, np.full_like(self._parts, -1)])
             self._ends = np.concatenate([self._ends, np.zeros_like(self._ends)])
             self._steps = np.concatenate([self._steps, np.zeros_like(self._steps)])
         self._next[k] = self._heads[ends[0]]
         self._heads[ends[0]] = k
-        self._ends[k] = ends
+        self._ends[k], self._parts[k] = ends, part
         self._steps[k] = step
         self._edges += 1
 
     def _thin(self) -> None:
         """Give up each second anchor: what led to it leads by way of the one before."""
         ends, steps = self._ends[: self._edges], self._steps[: self._edges]
+        parts = self._parts[: self._edges].copy()
         order = np.argsort(steps[:, _COST], kind="stable")
         # From each anchor that stays to the next one: by the edge of least cost.
         aside = np.zeros((2 * (_MOST_ANCHORS // 2 + 1), 13))
@@ -142,7 +154,7 @@ class UncertaintyGraph:
         self._edges = 0
         self._heads[:] = -1
         for pair, k in zip(ends[kept].tolist(), kept, strict=True):
-            self._append(pair, steps[k])
+            self._append(pair, steps[k], int(parts[k]))
 
 
 def _then(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -191,7 +203,7 @@ def moved(covariance: FloatArray, T_a_b: FloatArray) -> FloatArray:
 
 @kernel
 def _follow(  # type: ignore[no-untyped-def]
-    start, wanted, poses, heads, following, ends, steps, distance, seen, queued, queued_nodes
+    start, wanted, poses, heads, following, ends, steps, distance, seen, queued, queued_nodes, barred
 ):
     """Dijkstra until all wanted nodes are reached; what is reached is seen by the sum of its path's edges.
 
@@ -238,7 +250,7 @@ def _follow(  # type: ignore[no-untyped-def]
         while k >= 0:
             end = ends[k, 1]
             cost = reached + steps[k, 12]
-            if cost < distance[end]:
+            if cost < distance[end] and not barred[k]:
                 distance[end] = cost
                 at = length
                 length += 1

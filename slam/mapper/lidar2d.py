@@ -141,8 +141,11 @@ class PlanarRobot:
         settle_wheels(graph)
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
-        """Places all over the map."""
-        return self._places.search(graph.rows(), graph.graph.edges, kept, graph.loops)
+        """Places all over the map; where they show which step was wrong, the graph begins without it."""
+        found = self._places.search(graph.rows(), graph.graph.edges, kept, graph.loops)
+        if self._places.fault is not None:
+            graph.graph.doubt(*self._places.fault)
+        return found
 
     def bases(self, poses: Sequence[Pose]) -> Sequence[Pose]:
         """The nodes are the bases."""

@@ -247,6 +247,8 @@ class MotionTracker:
         motion = self._odometry.match(points, guesses)
         if motion is None:
             return None, np.zeros((3, 3))
+        if (offset := self._other_way_round(points, motion, guesses)) is not None:
+            return motion, np.outer(offset, offset)
         rivals = [
             *self._rivals(points, motion, [*self._by_camera.guesses, *self._by_wheels.guesses], guesses),
             *self._rivals(points, motion, self._by_window, self._by_window),
@@ -269,6 +271,24 @@ class MotionTracker:
             return held, np.zeros((3, 3))
         offset = between(*(row_from_pose2(estimate.T_reference_base) for estimate in (motion, held)))
         return held, np.outer(offset, offset)
+
+    def _other_way_round(
+        self, points: ScanPoints, motion: MotionEstimate, guesses: list[Motion]
+    ) -> FloatArray | None:
+        """From a match in a corridor to where the scan fits turned round; None where it cannot be there.
+
+        After a while without a scan the robot may have turned. From a pose that is in dispute both ways lead
+        on: what was asked there is not asked again.
+        """
+        matched = row_from_pose2(motion.T_reference_base)
+        turned = compose(matched, np.array([0.0, 0.0, math.pi]))
+        asked = motion.degenerate and (self._last is None or not self._last.dispute.any())
+        if not asked or not all(guess.holds(turned) for guess in guesses):
+            return None
+        held = self._odometry.match_near(points, turned)
+        if held is None or held.inlier_share < self._noise.least_inlier_share:
+            return None
+        return between(matched, row_from_pose2(held.T_reference_base))
 
     def _rivals(
         self, points: ScanPoints, motion: MotionEstimate, contesting: list[Motion], asked: list[Motion]

@@ -1,5 +1,7 @@
 """A claim that one wrong step explains is told from one that none does; wheels are as good as they proved."""
 
+from collections.abc import Sequence
+
 import gtsam
 import numpy as np
 import pytest
@@ -42,10 +44,14 @@ def walked(steps: list[FloatArray]) -> FloatArray:
 POSES = walked([STEP] * (COUNT - 1))
 
 
-def squares(gaps: tuple[int, ...], claimed: FloatArray) -> float:
-    faulty = FaultySteps(chain(gaps), POSES, GraphConfig(), 0.3, 3.0)
+def squares(gaps: tuple[int, ...], claimed: FloatArray, loops: Sequence[tuple[int, int]] = ()) -> float:
+    edges = chain(gaps)
+    for n, (place, key) in enumerate(loops):
+        told = pose2_from_row(between(POSES[place], POSES[key]))
+        edges.append(Edge(place, key, told, SURE, EdgeKind.LOOP, trusted=False, loop=n))
+    faulty = FaultySteps(edges, edges, POSES, GraphConfig(), 0.3, 3.0)
     known = Motion(between(POSES[5], POSES[70]), np.diag([0.3, 0.3, 0.03]) ** 2)
-    return faulty.squared_mahalanobis(5, 70, known, claimed)
+    return faulty.explain(5, 70, known, claimed)[0]
 
 
 def bent(*turns: tuple[int, float]) -> FloatArray:
@@ -62,6 +68,14 @@ def test_a_turn_in_the_gap_explains_a_claim_however_far_that_leads() -> None:
     assert squares((GAP,), bent((GAP, 1.2))) < 4.0
     assert squares((20,), bent((GAP, 1.2))) > 20.0
     assert squares((), bent()) == np.inf
+
+
+def test_a_step_is_not_wrong_where_loops_on_both_sides_tell_it() -> None:
+    """Were it wrong, so were the second gap."""
+    gaps, claimed = (GAP, 60), bent((GAP, 1.2))
+    assert squares(gaps, claimed) < 4.0
+    assert squares(gaps, claimed, [(30, 75)]) > 20.0
+    assert squares(gaps, claimed, [(30, 38), (45, 58)]) < 4.0
 
 
 def test_a_gap_of_several_steps_is_one_fault() -> None:

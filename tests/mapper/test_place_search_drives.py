@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from flat_worlds import box, moved
-from memory_drives import mapped_drive, scans_along, way, worst_m
+from memory_drives import mapped, mapped_drive, scans_along, way, wheels_at, worst_m
 
 from slam.graph.place_search import PlaceSearch
 from slam.mapper.map_result import MapResult
@@ -103,3 +103,16 @@ def test_a_chain_that_was_bent_closes_in_the_second_round(monkeypatch: pytest.Mo
 def test_a_street_that_looks_like_another_closes_nothing() -> None:
     result, truth = drive(LOOK_ALIKE, ROUND[:-40], None)
     assert wrong_loops(result, truth) == []
+
+
+def test_who_may_have_turned_unseen_is_asked_which_way_the_corridor_is() -> None:
+    """A bare corridor looks the same ahead and behind; the wheels have not counted what happened there."""
+    ahead, unseen = 110, range(111, 191)
+    turning = [[0.0, 0.0, np.pi / len(unseen)]] * len(unseen)
+    truth = way((0.0, 0.0, 0.0), [*SIDE[:ahead], *turning, *SIDE[:ahead]])
+    by_wheels = way((5.0, 1.0, -2.0), [*SIDE[:ahead], *[[0.0, 0.0, 0.0]] * len(unseen), *SIDE[:ahead]])
+    walls = np.concatenate([[[-50.0, y, 50.0, y] for y in (-1.2, 1.2)], boxes(4, 0.0, 9.0)])
+    scans = [within_sight(one) for one in scans_along(truth, [walls] * len(truth), fov_rad=2.0 * np.pi)]
+    told = [(wheels_at(n, pose), scan) for n, (pose, scan) in enumerate(zip(by_wheels, scans, strict=True))]
+    result = mapped([one for n, both in enumerate(told) for one in both[: 1 if n in unseen else 2]])
+    assert worst_m(result, truth) < 0.5
