@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.graph.keyframe_graph import row_of, together
+from slam.graph.keyframe_graph import graph_of, row_of, together
 from slam.graph.loop_closure import position_sigmas
-from slam.graph.place_search import graph_of
 from slam.graph.pose_graph import Edge
 from slam.measurements import FloatArray, Pose
 
