@@ -41,12 +41,16 @@ class RangeImage(NamedTuple):
 
         By a margin (M,), and so are those beside them by as much, or by a bearing.
         """
-        range_m = np.hypot(points[:, 0], points[:, 1])
-        count = len(self.nearest_m)
+        range_m, count = np.hypot(points[:, 0], points[:, 1]), len(self.nearest_m)
+        bearings = _bearings(points, count)
+        less = np.asarray(sign * (self.nearest_m[bearings] - range_m) > margins_m)
+        (few,) = np.nonzero(less)  # most are what the image shows, and need no look beside
+        range_m, margins_m = range_m[few], margins_m[few]
         aside_rad = np.arcsin(margins_m / np.maximum(range_m, margins_m))
         aside = np.ceil(aside_rad * count / (2.0 * np.pi)).astype(np.int64)
-        around = self.nearest_m[(_bearings(points, count) + np.array([[-1], [0], [1]]) * aside) % count]
-        return np.asarray((sign * (around - range_m) > margins_m).all(axis=0))
+        beside = self.nearest_m[(bearings[few] + np.array([[-1], [1]]) * aside) % count]
+        less[few] = (sign * (beside - range_m) > margins_m).all(axis=0)
+        return less
 
 
 def seen_through(points: AnyFloatArray, images: Sequence[RangeImage], margins_m: FloatArray) -> BoolArray:
