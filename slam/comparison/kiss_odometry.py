@@ -53,7 +53,7 @@ class KissOdometry:
             self._map.update(_lifted(points.points_base), _matrix(pose))
         self._keyframes.append(OrientedPoints.from_scan(points).moved(pose))
         self._images.append(RangeImage.of(points.points_base, pose, points.points_base))
-        self._local_map = LocalMap.build(list(self._keyframes), self._match)
+        self._local_map = LocalMap.build(list(self._keyframes), self._match, list(self._images))
 
     def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
         """Register from each guess until one is certain; the surfels judge how well it fits."""
@@ -84,7 +84,7 @@ class KissOdometry:
         local_map = self._local_map
         if local_map is None:
             return np.zeros((2, 0))
-        return local_map.evidence(OrientedPoints.from_scan(points), pose, other, self._images)
+        return local_map.evidence(OrientedPoints.from_scan(points), pose, other)
 
     def _register(self, points: ScanPoints, guess: FloatArray) -> FloatArray:
         """KISS-ICP from a guess (3,): pose (3,) of the scan in the odometry frame."""

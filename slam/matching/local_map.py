@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -57,18 +58,21 @@ class OrientedPoints:
         return np.ascontiguousarray(self.points[:: max(1, -(-len(self) // count))])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class LocalMap:
-    """Points of some keyframes in one frame, and their surfels."""
+    """Points of some keyframes in one frame, their surfels, and what those keyframes have looked through."""
 
     points: OrientedPoints
     coarse: SurfelMap
     fine: SurfelMap
     config: MatchConfig
+    images: Sequence[RangeImage] = ()
 
     @classmethod
-    def build(cls, parts: list[OrientedPoints], config: MatchConfig) -> LocalMap:
-        """Join scans that are already in the map's frame."""
+    def build(
+        cls, parts: list[OrientedPoints], config: MatchConfig, images: Sequence[RangeImage] = ()
+    ) -> LocalMap:
+        """Join scans that are already in the map's frame; `evidence` needs their range images."""
         points = OrientedPoints(
             np.concatenate([part.points for part in parts]), np.concatenate([part.normals for part in parts])
         )
@@ -77,7 +81,14 @@ class LocalMap:
             build_surfel_map(points.points, points.normals, config.coarse_cell_m),
             build_surfel_map(points.points, points.normals, config.cell_m),
             config,
+            images,
         )
+
+    @cached_property
+    def standing(self) -> AnyFloatArray:
+        """(N, 2) all but what scans have looked through since: who walks leaves a trail in the map."""
+        margins_m = np.full(len(self.points), 0.5 * self.config.coarse_cell_m)
+        return self.points.points[~seen_through(self.points.points, self.images, margins_m)]
 
     def align(self, scan: OrientedPoints, guess: FloatArray) -> Alignment:
         """Align a scan (base frame) from a guess (3,), coarse first, then fine.
@@ -104,9 +115,7 @@ class LocalMap:
         )
         return self._with_spread(scan, judged._replace(pose=pose, converged=True))
 
-    def evidence(
-        self, scan: OrientedPoints, pose: FloatArray, other: Motion, images: Sequence[RangeImage]
-    ) -> FloatArray:
+    def evidence(self, scan: OrientedPoints, pose: FloatArray, other: Motion) -> FloatArray:
         """What every object of a scan (base frame) says for a pose (3,) over another, in independent points.
 
         Returns
@@ -116,25 +125,19 @@ class LocalMap:
         """
         judged = self.judge(scan, pose)
         usual = judged.fit / max(judged.inlier_share, TINY)
-        # Who walks leaves a trail in the map, which the scans since have looked through.
-        margins_m = np.full(len(self.points), 0.5 * self.config.coarse_cell_m)
-        gone = seen_through(self.points.points, images, margins_m)
-        standing = self.points.points[~gone]
         weights = []
         for at in (Motion(pose, np.zeros((3, 3))), other):
-            fits, passed = self._fits(scan, at, images, standing)
+            fits, passed = self._fits(scan, at)
             weights.append([np.where((fits == 0.0) & ~passed, unknown, fits) for unknown in (usual, 0.0)])
         gains = np.array(weights[0]) - np.array(weights[1])
         known, whole = (object_evidence(scan.points, gain) for gain in gains)
         return np.stack([known, whole - known]) / points_a_witness(judged)
 
-    def _fits(
-        self, scan: OrientedPoints, at: Motion, images: Sequence[RangeImage], standing: AnyFloatArray
-    ) -> tuple[FloatArray, BoolArray]:
+    def _fits(self, scan: OrientedPoints, at: Motion) -> tuple[FloatArray, BoolArray]:
         """(M,) robust weights of a scan's points, and whether they contradict the map.
 
-        A point contradicts it where a scan has looked through, and where it was seen through what is
-        ``standing`` (N, 2) in the map; farther from there than a surfel reaches, and than the covariance of
+        A point contradicts it where a scan has looked through, and where it was seen through what
+        stands in the map; farther from there than a surfel reaches, and than the covariance of
         the pose may have put it.
         """
         weights = terms_at(scan.points, scan.normals, at.pose, self.fine, 0.5 * self.config.cell_m)[:, 3]
@@ -145,8 +148,8 @@ class LocalMap:
             for axis in (np.stack([one, none, -y]), np.stack([none, one, x]))
         )
         margins_m = 0.5 * self.config.coarse_cell_m + np.sqrt(variance)
-        passed = seen_through(transform_points(scan.points, at.pose), images, margins_m)
-        here = transform_points(standing, between(at.pose, np.zeros(3)))
+        passed = seen_through(transform_points(scan.points, at.pose), self.images, margins_m)
+        here = transform_points(self.standing, between(at.pose, np.zeros(3)))
         crossed = RangeImage.of(here, at.pose, scan.points).less_far(scan.points, margins_m, -1)
         return weights, passed | crossed
 

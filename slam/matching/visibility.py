@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -9,8 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation import TINY
-from slam.matching.planar import between, transform_points
+from fusion.kernel import kernel
+from slam.matching.planar import between
 from slam.measurements import AnyFloatArray, BoolArray, FloatArray
+
+_UNMOVED = np.zeros(3)
 
 
 class RangeImage(NamedTuple):
@@ -41,25 +45,38 @@ class RangeImage(NamedTuple):
 
         By a margin (M,), and so are those beside them by as much, or by a bearing.
         """
-        range_m, count = np.hypot(points[:, 0], points[:, 1]), len(self.nearest_m)
-        bearings = _bearings(points, count)
-        less = np.asarray(sign * (self.nearest_m[bearings] - range_m) > margins_m)
-        (few,) = np.nonzero(less)  # most are what the image shows, and need no look beside
-        range_m, margins_m = range_m[few], margins_m[few]
-        aside_rad = np.arcsin(margins_m / np.maximum(range_m, margins_m))
-        aside = np.ceil(aside_rad * count / (2.0 * np.pi)).astype(np.int64)
-        beside = self.nearest_m[(bearings[few] + np.array([[-1], [1]]) * aside) % count]
-        less[few] = (sign * (beside - range_m) > margins_m).all(axis=0)
+        less = np.zeros(len(points), np.bool_)
+        _less_far(np.asarray(points, np.float64), _UNMOVED, self.nearest_m, margins_m, sign, less)
         return less
 
 
 def seen_through(points: AnyFloatArray, images: Sequence[RangeImage], margins_m: FloatArray) -> BoolArray:
     """(M,) whether a scan saw through where points (M, 2) of the map lie, and a margin (M,) around."""
-    seen = np.zeros(len(points), np.bool_)
+    seen, points = np.zeros(len(points), np.bool_), np.asarray(points, np.float64)
     for image in images:
-        here = transform_points(points, between(image.pose, np.zeros(3)))
-        seen |= image.less_far(here, margins_m, 1)
+        _less_far(points, between(image.pose, np.zeros(3)), image.nearest_m, margins_m, 1, seen)
     return seen
+
+
+@kernel
+def _less_far(points, pose, nearest_m, margins_m, sign, less):  # type: ignore[no-untyped-def]
+    """See `RangeImage.less_far`, of points (M, 2) moved by a pose (3,); what is marked is passed over."""
+    count = nearest_m.size
+    cos = math.cos(pose[2])
+    sin = math.sin(pose[2])
+    for i in range(less.size):
+        if less[i]:
+            continue
+        x = cos * points[i, 0] - sin * points[i, 1] + pose[0]
+        y = sin * points[i, 0] + cos * points[i, 1] + pose[1]
+        range_m = math.sqrt(x * x + y * y)
+        margin_m = margins_m[i]
+        bearing = math.floor(math.atan2(y, x) / (2.0 * math.pi) * count) % count
+        if not sign * (nearest_m[bearing] - range_m) > margin_m:
+            continue
+        aside = math.ceil(math.asin(margin_m / max(range_m, margin_m)) * count / (2.0 * math.pi))
+        left = sign * (nearest_m[(bearing - aside) % count] - range_m) > margin_m
+        less[i] = left and sign * (nearest_m[(bearing + aside) % count] - range_m) > margin_m
 
 
 def _bearings(points: AnyFloatArray, count: int) -> NDArray[np.int64]:

@@ -72,12 +72,12 @@ class SurfelOdometry:
         local_map = self._known()
         if local_map is None:
             return np.zeros((2, 0))
-        return local_map.evidence(OrientedPoints.from_scan(points), pose, other, self._images)
+        return local_map.evidence(OrientedPoints.from_scan(points), pose, other)
 
     def _known(self) -> LocalMap | None:
         """The local map, built when first asked for; None before the first keyframe."""
         if self._local_map is None and self._keyframes:
-            self._local_map = LocalMap.build(list(self._keyframes), self._match)
+            self._local_map = LocalMap.build(list(self._keyframes), self._match, list(self._images))
         return self._local_map
 
     def _search(self, local_map: LocalMap, scan: OrientedPoints, guess: FloatArray) -> Alignment | None:

@@ -18,15 +18,15 @@ class Told:
 
     def __init__(self, before: FloatArray, at: FloatArray = HOME) -> None:
         scan = points_at(before, at)
-        self.local_map = LocalMap.build([OrientedPoints.from_scan(scan).moved(at)], MatchConfig())
-        self.images = [RangeImage.of(scan.points_base, at, scan.points_base)]
+        images = [RangeImage.of(scan.points_base, at, scan.points_base)]
+        self.local_map = LocalMap.build([OrientedPoints.from_scan(scan).moved(at)], MatchConfig(), images)
 
     def evidence(
         self, scan: OrientedPoints, pose: FloatArray, other: FloatArray, sigma: float = 0.0
     ) -> FloatArray:
         """(2, K) by known ground, and by what only the first pose knows; ``other`` is known to a sigma."""
         rival = Motion(other, np.diag([0.0, 0.0, sigma**2]))
-        return self.local_map.evidence(scan, pose, rival, self.images)
+        return self.local_map.evidence(scan, pose, rival)
 
 
 def evidence(before: FloatArray, now: FloatArray, pose: FloatArray, other: FloatArray) -> FloatArray:
