@@ -14,8 +14,6 @@ from fusion.kernel import kernel
 from slam.matching.planar import between
 from slam.measurements import AnyFloatArray, BoolArray, FloatArray
 
-_UNMOVED = np.zeros(3)
-
 
 class RangeImage(NamedTuple):
     """The nearest that lies in each direction.
@@ -46,7 +44,7 @@ class RangeImage(NamedTuple):
         By a margin (M,), and so are those beside them by as much, or by a bearing.
         """
         less = np.zeros(len(points), np.bool_)
-        _less_far(np.asarray(points, np.float64), _UNMOVED, self.nearest_m, margins_m, sign, less)
+        _less_far(np.asarray(points, np.float64), np.zeros(3), self.nearest_m, margins_m, sign, less)
         return less
 
 
