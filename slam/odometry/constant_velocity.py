@@ -16,21 +16,22 @@ _GREATEST_STRETCH = 3.0
 
 
 def stretch(step_s: float, measured_s: float) -> float:
-    """How many times a step that took ``measured_s`` is repeated in ``step_s``; once where no time passed.
-
-    What turns has turned another way by the end of a gap.
-    """
+    """How many times a step that took ``measured_s`` is repeated in ``step_s``; once where no time passed."""
     if step_s <= 0.0 or measured_s <= 0.0:
         return 1.0
-    return min(step_s, max(measured_s, GAP_S), _GREATEST_STRETCH * measured_s) / measured_s
+    return min(step_s / measured_s, _GREATEST_STRETCH)
 
 
-def repeated(step: FloatArray, measured_s: float, step_s: float, config: PredictionConfig) -> Motion:
+def repeated(
+    step: FloatArray, measured_s: float, step_s: float, config: PredictionConfig, *, alone: bool = False
+) -> Motion:
     """A motion (3,) that was measured over one time, expected over another.
 
-    Nobody knows how the robot speeds up, and by that the way goes wrong with the square of the time.
+    Nobody knows how the robot speeds up, and by that the way goes wrong with the square of the time. Where
+    it is all there is to go by, it ends with a gap: what turns has turned another way by then.
     """
-    step = step * stretch(step_s, measured_s)
+    ends_s = max(GAP_S, measured_s) if alone else step_s
+    step = step * stretch(min(step_s, ends_s), measured_s)
     sigma_m = config.velocity_floor_m + config.velocity_share * math.hypot(step[0], step[1])
     sigma_rad = config.velocity_floor_rad + config.velocity_share * abs(float(step[2]))
     covariance = np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])

@@ -209,10 +209,11 @@ class MotionTracker:
         moved = self.wheel_motion(last.wheels, wheels, step_s, last.dispute)
         if moved is not None:
             self._by_wheels.guesses = [Motion(compose(last.pose, moved.pose), moved.covariance)]
-        on = repeated(self._velocity_step, self._velocity_step_s, step_s, self._config)
+        alone = moved is None and not cameras
+        on = repeated(self._velocity_step, self._velocity_step_s, step_s, self._config, alone=alone)
         self._blind = compose(last.pose, on.pose)
         self._by_velocity.predict(self._blind, on.covariance + last.dispute)
-        if step_s > GAP_S:
+        if alone and step_s > GAP_S:
             # By then it may as well stand.
             self._by_velocity.predict(last.pose, on.covariance + last.dispute)
         guesses = [guess for predictor in predictors for guess in predictor.guesses]
@@ -223,7 +224,7 @@ class MotionTracker:
 
         Stamps too close together tell no velocity either.
         """
-        if told and not self._blind_s and step_s > SHORTEST_STEP_S:
+        if told and not self._blind_s and abs(step_s) > SHORTEST_STEP_S:
             self._velocity_step, self._velocity_step_s = step, step_s
         self._blind_s = 0.0 if told else self._blind_s + max(step_s, 0.0)
         if self._blind_s >= GAP_S:
