@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.localization.poses import Measured, composed, diagonal, position_sigma_m, squared_mahalanobis
 from slam.localization.scan_view import ScanView
@@ -22,7 +23,7 @@ from slam.odometry.wheel_tracker import WheelTracker
 # So many readings in a row that match nothing cut the thread: wheels do not tell that a robot is kidnapped.
 _LOST_READINGS = 3
 # A longer time between two readings is a gap in which anything may have happened.
-_GAP_S = 5.0
+_LONG_GAP_S = 5.0
 
 
 class OdometryStep(NamedTuple):
@@ -75,8 +76,9 @@ class ScanOdometry:
         return self._repeated(step_s)
 
     def _repeated(self, step_s: float) -> Measured:
-        """The last motion once more, for another time."""
-        motion = repeated(self._step, self._step_s, step_s, self._config.prediction)
+        """The last motion once more, for another time: as steady as it was while it was measured."""
+        steady_s = max(GAP_S, self._step_s)
+        motion = repeated(self._step, self._step_s, step_s, self._config.prediction, steady_s=steady_s)
         return Measured(pose2_from_row(motion.pose), motion.covariance)
 
     def add(self, view: ScanView) -> OdometryStep:
@@ -123,7 +125,7 @@ class ScanOdometry:
         silent_s = max(self._silent_s, abs(self._stamp_s - self._wheels_s))
         # A way that the wheels left out is a guess, with the covariance of one.
         guessed = tracked.wheels.guessed_m > last.wheels.guessed_m
-        gap = min(elapsed_s, silent_s) > _GAP_S and not guessed
+        gap = min(elapsed_s, silent_s) > _LONG_GAP_S and not guessed
         return not told or gap or self._unmatched >= _LOST_READINGS
 
     def _fused(self, row: FloatArray, tracked: TrackedScan, expected: Measured, elapsed_s: float) -> Measured:
@@ -133,7 +135,7 @@ class ScanOdometry:
         agree with them, and they must tell the way well enough. Before one, wheels that contradict the match
         have slipped, and the robot goes on as before where the match does not tell.
         """
-        past_gap = self._wheels is not None and elapsed_s > _GAP_S
+        past_gap = self._wheels is not None and elapsed_s > _LONG_GAP_S
         vague = position_sigma_m(expected) > self._config.localization.dead_reckoning_m
         if tracked.motion is None or (past_gap and vague):
             return expected
@@ -178,7 +180,7 @@ class CloudOdometry:
         """Take a cloud: its usable points (N, 3), base frame, deskewed, and where it was taken."""
         last, elapsed_s = self._last, cloud.stamp_s - self._stamp_s
         self._stamp_s = cloud.stamp_s
-        gap = last is not None and not 0.0 <= elapsed_s <= _GAP_S
+        gap = last is not None and not 0.0 <= elapsed_s <= _LONG_GAP_S
         tracked = None if gap else self._tracker.track(cloud)
         if tracked is not None:
             first = last is None or tracked.motion is not None

@@ -23,16 +23,23 @@ def stretch(step_s: float, measured_s: float) -> float:
 
 
 def repeated(
-    step: FloatArray, measured_s: float, step_s: float, config: PredictionConfig, *, alone: bool = False
+    step: FloatArray,
+    measured_s: float,
+    step_s: float,
+    config: PredictionConfig,
+    *,
+    alone: bool = False,
+    steady_s: float = GAP_S,
 ) -> Motion:
     """A motion (3,) that was measured over one time, expected over another.
 
-    Nobody knows how the robot speeds up, and by that the way goes wrong with the square of the time. Where
-    it is all there is to go by, it ends with a gap: what turns has turned another way by then.
+    Nobody knows how the robot speeds up, and by that the way goes wrong with the square of the time beyond
+    ``steady_s``. Where it is all there is to go by, ``alone``, it ends with a gap: what turns has turned
+    another way by then.
     """
     ends_s = max(GAP_S, measured_s) if alone else step_s
     step = step * stretch(min(step_s, ends_s), measured_s)
     sigma_m = config.velocity_floor_m + config.velocity_share * math.hypot(step[0], step[1])
     sigma_rad = config.velocity_floor_rad + config.velocity_share * abs(float(step[2]))
     covariance = np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])
-    return Motion(step, covariance * max(step_s / GAP_S, 1.0) ** 4)
+    return Motion(step, covariance * max(step_s / steady_s, 1.0) ** 4)

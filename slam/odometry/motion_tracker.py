@@ -139,8 +139,9 @@ class MotionTracker:
         self._stamp_s = 0.0
         self._velocity_step = np.zeros(3)
         self._velocity_step_s = 0.0
-        # Where the velocity alone leads, and for how long nothing else has told.
-        self._blind, self._blind_s = np.zeros(3), 0.0
+        # Where the velocity leads if there is nothing else to go by, and for how long it alone has led.
+        self._blind: FloatArray | None = None
+        self._blind_s = 0.0
 
     def wheel_motion(
         self,
@@ -211,8 +212,9 @@ class MotionTracker:
             self._by_wheels.guesses = [Motion(compose(last.pose, moved.pose), moved.covariance)]
         alone = moved is None and not cameras
         on = repeated(self._velocity_step, self._velocity_step_s, step_s, self._config, alone=alone)
-        self._blind = compose(last.pose, on.pose)
-        self._by_velocity.predict(self._blind, on.covariance + last.dispute)
+        onward = compose(last.pose, on.pose)
+        self._blind = onward if alone else None
+        self._by_velocity.predict(onward, on.covariance + last.dispute)
         if alone and step_s > GAP_S:
             # By then it may as well stand.
             self._by_velocity.predict(last.pose, on.covariance + last.dispute)

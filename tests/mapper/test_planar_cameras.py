@@ -198,7 +198,8 @@ def test_one_answer_to_which_map(drive: list[tuple[int, Measurement]], tmp_path:
     saved.close()
     reported = map_info(tmp_path)["grids"]
     assert set(reported) == {"occupancy", "depth layer", "decision"}
-    assert reported["decision"]["occupied_m2"] > reported["occupancy"]["occupied_m2"]
+    occupied_m2 = np.count_nonzero(loaded.values == OCCUPIED) * layers.resolution_m**2
+    assert reported["decision"]["occupied_m2"] == pytest.approx(occupied_m2, abs=0.05)
     ends = ["--from", "0,0", "--to", "0.2,0", "--radius", "0.05", "--out", str(tmp_path / "way.png")]
     planned = CliRunner().invoke(app, ["plan", str(tmp_path), *ends])
     assert planned.exit_code == 0 and "from obstacles" in planned.output, planned.output
