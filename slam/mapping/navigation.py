@@ -18,8 +18,6 @@ from slam.errors import ScanweaveError
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, StateArray
 from slam.measurements import BoolArray, FloatArray
 
-Labels: TypeAlias = NDArray[np.int32]
-CellNumbers: TypeAlias = NDArray[np.int64]
 Cell: TypeAlias = tuple[int, int]
 
 
@@ -45,7 +43,7 @@ class FreeSpace:
     """
 
     allowed: BoolArray
-    region: Labels
+    region: NDArray[np.int32]
     clearance_m: FloatArray
     price: FloatArray
     resolution_m: float
@@ -144,7 +142,7 @@ def shortest_path(
 
 
 @kernel
-def _searched(allowed: BoolArray, price: FloatArray, start: Cell, goal: Cell) -> CellNumbers:
+def _searched(allowed: BoolArray, price: FloatArray, start: Cell, goal: Cell) -> NDArray[np.int64]:
     """(cells,) number of the cell before each on the way from the start, -1 for none: A* until the goal.
 
     What is left from a cell is at least the way over an open, known floor.
