@@ -334,11 +334,8 @@ def _pixel_candidates(
 
 def _shifted(ranges: Float32Array, columns: int) -> Float32Array:
     """A curve moved along its columns, ``nan`` where nothing comes from."""
-    moved = np.full_like(ranges, np.nan)
-    if columns > 0:
-        moved[columns:] = ranges[:-columns]
-    else:
-        moved[:columns] = ranges[-columns:]
+    moved = np.roll(ranges, columns)
+    moved[slice(columns) if columns > 0 else slice(columns, None)] = np.nan
     return moved
 
 

@@ -147,15 +147,15 @@ def pixel_candidates(
     depth = image.ravel()
     islands = (image, np.zeros(depth.size, np.int32), np.empty(max(most_pixels) + 1, np.int32))
     predicted, columns = shifted[0], shifted.shape[1]
-    found, count, farthest = np.empty((256, 12)), 0, np.float32(0.0)
+    residual, gone, farthest = np.empty(columns), np.zeros(columns + 1, np.int32), np.float32(0.0)
     for value in depth:
         if farthest < value <= range_max_m:
             farthest = value
-    residual, gone = np.empty(columns), np.zeros(columns + 1, np.int32)
+    rows, curves = (np.empty((256, 12)), 0), (shifted, lost, residual, gone)
+    limits = range_max_m, farthest, eps_share, noise_share
     for k in range(heights_m.size):
-        pixel, measured, scale = look_at(
-            depth, lookup[0], lookup[1], lookup[2], predicted, heights_m[k], range_max_m
-        )
+        seen = look_at(depth, lookup[0], lookup[1], lookup[2], predicted, heights_m[k], range_max_m)
+        pixel, measured = seen[0], seen[1]
         for i in range(columns):
             gone[i + 1] = gone[i] + (pixel[i] >= 0 and np.isnan(measured[i]))
             residual[i] = measured[i] - predicted[i] if pixel[i] >= 0 else np.nan
@@ -169,39 +169,52 @@ def pixel_candidates(
                 if pixel[last + 1] < 0 and not np.isnan(predicted[last + 1]):
                     break
                 last += 1
-            left = first > 0 and abs(residual[first - 1]) <= eps_share * predicted[first - 1]
-            right = last + 1 < columns and abs(residual[last + 1]) <= eps_share * predicted[last + 1]
-            for i in range(first, last + 1):
-                if pixel[i] < 0 or not (left or right):
-                    continue
-                hole = np.isnan(measured[i])
-                if not hole:
-                    most = most_pixels[0] if residual[i] > 0.0 else most_pixels[1]
-                    if island_size(pixel[i], islands, 0.5 * eps_share) > most:
-                        continue
-                elif not (left and right) or max(i - first, last - i) >= crowd:
-                    continue
-                if count == found.shape[0]:
-                    found = np.concatenate((found, np.empty_like(found)))
-                row = found[count]
-                count += 1
-                row[0], row[1] = pixel[i], -1.0
-                if not (left and right) or max(i - first, last - i) >= crowd:
-                    continue
-                one, two, width = residual[first - 1], residual[last + 1], last - first + 1
-                put = predicted[i] + one + (two - one) * (i - first + 1) / (width + 1)
-                if put > range_max_m * scale[i]:
-                    continue
-                low, high = max(0, i - crowd), min(columns, i + crowd + 1)
-                around = gone[high] - gone[low] - gone[min(high, last + 1)] + gone[max(low, first)]
-                jump = 0.0 if hole else over_noise(measured[i] - put, put, eps_share)
-                beside = max(abs(shifted[1, i] - predicted[i]), abs(shifted[2, i] - predicted[i]))
-                row[1], row[2], row[3] = 0.0 if hole else 1.0, put / scale[i], math.log(width)
-                row[4] = over_noise(max(abs(one), abs(two)), put, eps_share)
-                row[5], row[6] = math.log(1.0 + around), lost[i]
-                row[7] = jump if hole or measured[i] > put else -jump
-                row[8] = over_noise(put if np.isnan(beside) else beside, put, eps_share)
-                row[9], row[10] = math.log(put), math.log(row[2] / farthest)
-                row[11] = math.log(SLACK_M + noise_share * put)
+            rows = _with_run(rows, (first, last, crowd), seen, curves, islands, most_pixels, limits)
             first = last + 1
-    return found[:count]
+    return rows[0][: rows[1]]
+
+
+@kernel(inline="always")
+def _with_run(
+    rows: tuple[FloatArray, int],
+    run: tuple[int, int, int],
+    seen: tuple[IntArray, Float32Array, Float32Array],
+    curves: tuple[Float32Array, Float32Array, FloatArray, IntArray],
+    islands: Islands,
+    most_pixels: tuple[int, int],
+    limits: tuple[float, float, float, float],
+) -> tuple[FloatArray, int]:
+    """The rows of `pixel_candidates`, and how many they are, with those of one more run of columns."""
+    (found, count), (first, last, crowd), (pixel, measured, scale) = rows, run, seen
+    (shifted, lost, residual, gone), (range_max_m, farthest, eps_share, noise_share) = curves, limits
+    predicted, columns = shifted[0], shifted.shape[1]
+    left = first > 0 and abs(residual[first - 1]) <= eps_share * predicted[first - 1]
+    right = last + 1 < columns and abs(residual[last + 1]) <= eps_share * predicted[last + 1]
+    for i in range(first, last + 1):
+        hole, between = np.isnan(measured[i]), left and right and max(i - first, last - i) < crowd
+        most = most_pixels[0] if residual[i] > 0.0 else most_pixels[1]
+        bad = between if hole else (left or right) and island_size(pixel[i], islands, 0.5 * eps_share) <= most
+        if pixel[i] < 0 or not bad:
+            continue
+        if count == found.shape[0]:
+            found = np.concatenate((found, np.empty_like(found)))
+        row = found[count]
+        count += 1
+        row[0], row[1] = pixel[i], -1.0
+        if not between:
+            continue
+        one, two, width = residual[first - 1], residual[last + 1], last - first + 1
+        put = predicted[i] + one + (two - one) * (i - first + 1) / (width + 1)
+        if put > range_max_m * scale[i]:
+            continue
+        low, high = max(0, i - crowd), min(columns, i + crowd + 1)
+        around = gone[high] - gone[low] - gone[min(high, last + 1)] + gone[max(low, first)]
+        jump = 0.0 if hole else over_noise(measured[i] - put, put, eps_share)
+        beside = max(abs(shifted[1, i] - predicted[i]), abs(shifted[2, i] - predicted[i]))
+        row[1], row[2], row[3] = 0.0 if hole else 1.0, put / scale[i], math.log(width)
+        row[4], row[5] = over_noise(max(abs(one), abs(two)), put, eps_share), math.log(1.0 + around)
+        row[6], row[7] = lost[i], jump if hole or measured[i] > put else -jump
+        row[8] = over_noise(put if np.isnan(beside) else beside, put, eps_share)
+        row[9], row[10] = math.log(put), math.log(row[2] / farthest)
+        row[11] = math.log(SLACK_M + noise_share * put)
+    return found, count

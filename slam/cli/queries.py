@@ -82,16 +82,16 @@ def plan(
     radius: Annotated[float, typer.Option(min=0.0, help="of the robot, metres")] = 0.2,
     out: Annotated[Path, typer.Option("--out", "-o", help="the picture")] = Path("plan.png"),
 ) -> None:
-    """Plan the shortest path over a map, and draw it."""
+    """Plan the shortest path over a map, off the unknown where that costs little, and draw it."""
     from slam.evaluation.plan_picture import plan_picture
-    from slam.mapping.navigation import clearance_m, free_space, shortest_path
+    from slam.mapping.navigation import free_space, shortest_path
     from slam.storage.files import write_bytes
     from slam.storage.nav2 import read_nav2_map
 
     ends = _point(start, "--from"), _point(goal, "--to")
     grid = read_nav2_map(_map_yaml(map_))
     space = free_space(grid.values, grid.resolution_m, grid.T_map_grid, radius)
-    path = shortest_path(space, *ends, clearance_m(grid.values, grid.resolution_m))
+    path = shortest_path(space, *ends)
     if path is None:
         raise ScanweaveError(
             f"no way from {start} to {goal} for a robot of radius {radius:g} m; try a smaller --radius"

@@ -100,7 +100,7 @@ def _plans(space: FreeSpace, starts: NDArray[np.int64], goals: NDArray[np.int64]
         start = starts[random.integers(len(starts))]
         same = goals[space.region[tuple(goals.T)] == space.region[tuple(start)]]
         ends = space.middle_of(np.array([start, same[random.integers(len(same))]]))
-        path = shortest_path(space, tuple(ends[0]), tuple(ends[1]), np.zeros(space.allowed.shape))
+        path = shortest_path(space, tuple(ends[0]), tuple(ends[1]))
         assert path is not None  # both are of one region
         plans.append(np.array([space.cell_of((x, y)) for x, y in path.points_map]))
     return plans

@@ -1,4 +1,4 @@
-"""Ways over a finished map: inflation by the robot's radius, connected free space, the shortest path."""
+"""Ways over a finished map: room for the robot, connected free space, the shortest path by what is known."""
 
 # mypy: allow-untyped-decorators
 from __future__ import annotations
@@ -15,11 +15,9 @@ from scipy import ndimage
 
 from fusion.kernel import kernel
 from slam.errors import ScanweaveError
-from slam.mapping.occupancy_grid import FREE, OCCUPIED, StateArray
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, StateArray
 from slam.measurements import BoolArray, FloatArray
 
-Labels: TypeAlias = NDArray[np.int32]
-CellNumbers: TypeAlias = NDArray[np.int64]
 Cell: TypeAlias = tuple[int, int]
 
 
@@ -33,6 +31,11 @@ class FreeSpace:
         (rows, cols), row 0 at the lowest y.
     region
         (rows, cols) number of the connected part of each allowed cell, 0 elsewhere.
+    clearance_m
+        (rows, cols) of `clearance_m`.
+    price
+        (rows, cols) what a step into a cell counts: 1, and up to twice that the more the robot's disc (at
+        least a cell wide to either side) reaches into the unknown. Outside the map all is unknown.
     resolution_m
         Side of a cell.
     T_map_grid
@@ -40,7 +43,9 @@ class FreeSpace:
     """
 
     allowed: BoolArray
-    region: Labels
+    region: NDArray[np.int32]
+    clearance_m: FloatArray
+    price: FloatArray
     resolution_m: float
     T_map_grid: gtsam.Pose2
 
@@ -75,26 +80,16 @@ class Path:
     clearance_m: float
 
 
-def clearance_m(states: StateArray, resolution_m: float) -> FloatArray:
-    """(rows, cols) distance from each cell's middle to the nearest edge of an occupied cell.
+def clearance_m(states: StateArray, resolution_m: float, state: int = OCCUPIED) -> FloatArray:
+    """(rows, cols) distance from each cell's middle to the nearest edge of a cell of a state.
 
-    Cells are squares: half a cell less than from middle to middle. Where nothing is occupied, infinity.
+    Cells are squares: half a cell less than from middle to middle. Where no cell is such, infinity.
     """
-    occupied = states == OCCUPIED
-    if not occupied.any():
+    such = states == state
+    if not such.any():
         return np.full(states.shape, np.inf)
-    distance = np.asarray(ndimage.distance_transform_edt(~occupied), dtype=np.float64)
+    distance = np.asarray(ndimage.distance_transform_edt(~such), dtype=np.float64)
     return np.maximum(distance - 0.5, 0.0) * resolution_m
-
-
-def inflate(states: StateArray, resolution_m: float, radius_m: float) -> StateArray:
-    """The map for a robot that is a point: cells nearer than its radius to an obstacle become occupied.
-
-    Unknown cells stay unknown, where no obstacle is near.
-    """
-    inflated = states.copy()
-    inflated[clearance_m(states, resolution_m) < radius_m] = OCCUPIED
-    return inflated
 
 
 def free_space(
@@ -109,22 +104,23 @@ def free_space(
     """
     if not 0.0 <= radius_m < math.inf:
         raise ScanweaveError(f"robot radius is {radius_m:g} m; it must be 0 or more")
-    allowed = inflate(states, resolution_m, radius_m) == FREE
-    region, _ = ndimage.label(allowed)
-    return FreeSpace(np.asarray(allowed), np.asarray(region, dtype=np.int32), resolution_m, T_map_grid)
+    clearance = clearance_m(states, resolution_m)
+    allowed = np.asarray((states == FREE) & (clearance >= radius_m))
+    region = np.asarray(ndimage.label(allowed)[0], dtype=np.int32)
+    known_m = clearance_m(np.pad(states, 1, constant_values=UNKNOWN), resolution_m, UNKNOWN)[1:-1, 1:-1]
+    price = 2.0 - np.minimum(known_m / max(radius_m, resolution_m), 1.0)
+    return FreeSpace(allowed, region, clearance, price, resolution_m, T_map_grid)
 
 
 def shortest_path(
-    space: FreeSpace, start_xy: tuple[float, float], goal_xy: tuple[float, float], clearance: FloatArray
+    space: FreeSpace, start_xy: tuple[float, float], goal_xy: tuple[float, float]
 ) -> Path | None:
-    """The shortest way over cells, also diagonally where both neighbours are free; None where there is none.
+    """The shortest way by price, also diagonally where both neighbours are free; None where there is none.
 
     Parameters
     ----------
     start_xy, goal_xy
         Metres, map frame.
-    clearance
-        From `clearance_m`; only told of the path, not planned by.
 
     Raises
     ------
@@ -135,21 +131,21 @@ def shortest_path(
     if space.region[start] != space.region[goal]:
         return None
     columns = space.allowed.shape[1]
-    before = _searched(space.allowed, start, goal)
+    before = _searched(space.allowed, space.price, start, goal)
     cells = [goal[0] * columns + goal[1]]
     while before[cells[-1]] >= 0:
         cells.append(before[cells[-1]])
     rows_cols = np.column_stack(np.divmod(np.array(cells[::-1]), columns))
     points = space.middle_of(rows_cols)
     length_m = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-    return Path(points, length_m, float(clearance[tuple(rows_cols.T)].min()))
+    return Path(points, length_m, float(space.clearance_m[tuple(rows_cols.T)].min()))
 
 
 @kernel
-def _searched(allowed: BoolArray, start: Cell, goal: Cell) -> CellNumbers:
+def _searched(allowed: BoolArray, price: FloatArray, start: Cell, goal: Cell) -> NDArray[np.int64]:
     """(cells,) number of the cell before each on the way from the start, -1 for none: A* until the goal.
 
-    What is left from a cell is at least the way over an open floor.
+    What is left from a cell is at least the way over an open, known floor.
     """
     rows, columns = allowed.shape
     cost = np.full(allowed.size, np.inf)
@@ -168,7 +164,7 @@ def _searched(allowed: BoolArray, start: Cell, goal: Cell) -> CellNumbers:
                 there = r * columns + c
                 if done[there] or not (allowed[r, c] and allowed[r, col] and allowed[row, c]):
                     continue
-                known = cost[here] + math.sqrt(abs(r - row) + abs(c - col))
+                known = cost[here] + math.sqrt(abs(r - row) + abs(c - col)) * price[r, c]
                 if known < cost[there]:
                     cost[there], before[there] = known, here
                     down, across = abs(goal[0] - r), abs(goal[1] - c)
