@@ -9,7 +9,7 @@ from tools.count_numbers import bare_floats, constant_names, count_fields, count
 MOST_CONSTANTS = 249
 MOST_BARE_FLOATS = 133
 MOST_FIELDS = 149
-MOST_LINES = 38_720
+MOST_LINES = 38_731
 
 
 def test_constants_of_the_logic_do_not_grow() -> None:
