@@ -269,9 +269,9 @@ class PoseGraph:
         begun = [k for k in factors if weights[k] > 0.0]
         for k in factors.keys() - begun:
             graph.replace(k + 1, _weighted(self.edges[k], 0.0))
-        self._estimate = _solved(graph, self._estimate)
         # Remark 5: where the surrogate cost begins to be convex.
         worst = max(factors[k].error(self._estimate) for k in begun)
+        self._estimate = _solved(graph, self._estimate)
         control = limit / (2.0 * worst - limit) if 2.0 * worst > limit else math.inf
         while control < _GREATEST_CONTROL:
             for k, factor in factors.items():
