@@ -6,7 +6,7 @@ import ast
 
 from tools.count_numbers import bare_floats, constant_names, count_fields, count_lines, count_logic
 
-MOST_CONSTANTS = 249
+MOST_CONSTANTS = 250
 MOST_BARE_FLOATS = 133
 MOST_FIELDS = 149
 MOST_LINES = 38_731

@@ -270,7 +270,7 @@ class PoseGraph:
         for k in factors.keys() - begun:
             graph.replace(k + 1, _weighted(self.edges[k], 0.0))
         # Remark 5: where the surrogate cost begins to be convex.
-        worst = max(factors[k].error(self._estimate) for k in begun)
+        worst = max((factors[k].error(self._estimate) for k in begun), default=0.0)
         self._estimate = _solved(graph, self._estimate)
         control = limit / (2.0 * worst - limit) if 2.0 * worst > limit else math.inf
         while control < _GREATEST_CONTROL:

@@ -18,7 +18,7 @@ import numpy as np
 from fusion import bayes
 from slam.errors import ConfigError, ScanweaveError
 from slam.mapping.depth_grid import DepthModel, depth_board
-from slam.mapping.evidence_tiles import SIDE, Board, EvidenceTiles, union
+from slam.mapping.evidence_tiles import Board, EvidenceTiles, union
 from slam.mapping.footprint import footprint_board
 from slam.mapping.glass_panes import head_on, straight_runs
 from slam.mapping.lidar_layer import LidarModel, lidar_board
@@ -30,7 +30,7 @@ Reading: TypeAlias = LaserScan | RgbdFrame
 
 _MAX_POSITION_M = 1e6
 # A map too large for its cells gets larger ones: so many of them in one at most.
-_MOST_CELLS_IN_ONE = SIDE
+_MOST_CELLS_IN_ONE = 256
 
 
 @dataclass(frozen=True, slots=True)

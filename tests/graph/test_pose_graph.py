@@ -335,3 +335,14 @@ def test_of_steps_that_explain_loops_alike_the_one_in_doubt_is_refused(doubted: 
     kept = graph.optimize().kept
     assert kept[8:].all()
     assert [n for n in range(4) if not kept[2 * n]] == [doubted]
+
+
+def test_a_graph_of_which_all_that_may_be_refused_is_in_doubt() -> None:
+    graph = graph_of(gtsam.Pose2(), [])
+    graph.add_node(straight_2d(1.0))
+    graph.add_edge(edge(0, 1, straight_2d(1.0), 0.01, EdgeKind.WHEEL, trusted=False))
+    graph.add_edge(edge(0, 1, straight_2d(1.0), 10.0, EdgeKind.ASSUMED))
+    graph.optimize()
+    graph.doubt(0, 1)
+    graph.optimize()
+    np.testing.assert_allclose(graph.planar_poses()[1], [1.0, 0.0, 0.0], atol=1e-9)

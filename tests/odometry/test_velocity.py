@@ -58,6 +58,9 @@ def test_wheels_that_never_move_are_dead_once_the_robot_has_moved() -> None:
     assert run.wheels is not None
     assert run.wheels.dead
     assert len(run.odometry.asked[-1]) == 1
+    for _ in range(12):
+        run.scan(still, -ahead)
+    assert run.wheels.dead, "back where it began they are no better"
     run.scan(ahead, ahead)
     assert not run.wheels.dead
     assert len(run.odometry.asked[-1]) == 2
