@@ -360,9 +360,8 @@ class MotionTracker:
             self._by_wheels.judge(pose)
             self._by_velocity.judge(pose)
             last = self._last
-            away_m = math.hypot(pose[0], pose[1])
             if self._wheels is not None and not self._wheels.moved:
-                self._wheels.dead = self._wheels.dead or away_m > self._noise.search_half_width_m
+                self._wheels.dead |= math.hypot(pose[0], pose[1]) > self._noise.search_half_width_m
             if self._wheels is not None and self._by_wheels.guesses and last is not None and last.determined:
                 guess = self._by_wheels.guesses[0].pose
                 self._wheels.learn_scale(between(last.pose, guess), between(last.pose, pose))
