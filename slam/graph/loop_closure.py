@@ -103,10 +103,15 @@ class LoopCloser:
         self._misses = 0
 
     def add_keyframe(
-        self, scan: OrientedPoints, pose: FloatArray, travelled_m: float, session: int = 0
+        self,
+        scan: OrientedPoints,
+        pose: FloatArray,
+        travelled_m: float,
+        session: int = 0,
+        surface: OrientedPoints | None = None,
     ) -> None:
         """Remember a keyframe, see `SubmapStore.add`."""
-        self.submaps.add(scan, pose, travelled_m, session)
+        self.submaps.add(scan, pose, travelled_m, session, surface)
 
     def close(self, key: int, poses: FloatArray, uncertainty: UncertaintyGraph) -> list[LoopCandidate]:
         """Try the places that the newest keyframe may have come back to.
@@ -211,7 +216,7 @@ class LoopCloser:
         """Places that may see the same as the keyframe, nearest first, with the relative covariance."""
         config = self._config
         travelled = self.submaps.travelled_m(key)
-        places = np.arange(0, key, config.half_keyframes)
+        places = self.submaps.places(key)
         places = places[[travelled - self.submaps.travelled_m(p) > config.least_path_m for p in places]]
         distance = np.hypot(*(poses[places, :2] - poses[key, :2]).T)
         places = places[distance <= config.reach_m + config.greatest_half_width_m]

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam.config.stages import LoopConfig, MatchConfig
 from slam.matching.correlative import LikelihoodField, build_field
@@ -48,23 +49,43 @@ class SubmapStore:
         self._half, self._half_m, self._reach_m = loop.half_keyframes, 0.5 * loop.least_path_m, loop.reach_m
         self._match = match
         self._scans: list[OrientedPoints] = []
+        self._surfaces: list[OrientedPoints] = []
         self._poses: list[FloatArray] = []
         self._travelled_m: list[float] = []
         self._sessions: list[int] = []
+        self._places: list[int] = []
         self._cache: OrderedDict[int, Submap] = OrderedDict()
 
-    def add(self, scan: OrientedPoints, pose: FloatArray, travelled_m: float, session: int = 0) -> None:
+    def add(
+        self,
+        scan: OrientedPoints,
+        pose: FloatArray,
+        travelled_m: float,
+        session: int = 0,
+        surface: OrientedPoints | None = None,
+    ) -> None:
         """Take the next keyframe: its scan, its pose (3,) in the odometry frame, the way so far.
+
+        ``surface`` is what a map learns of the scan; the scan itself by default.
 
         Keyframes of different sessions, which have no odometry between them, share no submap.
         """
+        # A place each so many keyframes; where they lie far apart, each as far as a place is seen.
+        number = len(self._scans)
+        if number % self._half == 0 or travelled_m - self._travelled_m[self._places[-1]] > self._reach_m:
+            self._places.append(number)
         self._scans.append(scan)
+        self._surfaces.append(scan if surface is None else surface)
         self._poses.append(pose)
         self._travelled_m.append(travelled_m)
         self._sessions.append(session)
 
     def __len__(self) -> int:
         return len(self._scans)
+
+    def places(self, key: int) -> NDArray[np.int64]:
+        """(P,) keyframes before one that stand for their surroundings."""
+        return np.array([place for place in self._places if place < key], np.int64)
 
     def scan(self, key: int) -> OrientedPoints:
         """Oriented points of a keyframe, base frame."""
@@ -103,7 +124,7 @@ class SubmapStore:
         members = np.flatnonzero(np.abs(travelled_m - travelled_m[key]) <= self._reach_m)
         members = members[:: 1 + len(members) // _RUN_SCANS]
         parts = [
-            self._scans[k].moved(between(self._poses[key], self._poses[k]))
+            self._surfaces[k].moved(between(self._poses[key], self._poses[k]))
             for k in members.tolist()
             if self._sessions[k] == self._sessions[key]
         ]
@@ -117,5 +138,5 @@ class SubmapStore:
 
     def _local_map(self, key: int, members: list[int]) -> LocalMap:
         """The scans of some keyframes in the frame of one."""
-        parts = [self._scans[k].moved(between(self._poses[key], self._poses[k])) for k in members]
+        parts = [self._surfaces[k].moved(between(self._poses[key], self._poses[k])) for k in members]
         return LocalMap.build(parts, self._match)

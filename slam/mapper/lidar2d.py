@@ -117,7 +117,8 @@ class PlanarRobot:
         assert moment is not None
         if moment.points is not None:
             self._tracker.add_keyframe(moment.points, moment.tracked)
-        self._closer.add_keyframe(self._seen, moment.tracked.pose, self._travelled_m)
+        surface = OrientedPoints.surface(moment.points or ScanPoints.none())
+        self._closer.add_keyframe(self._seen, moment.tracked.pose, self._travelled_m, surface=surface)
         self._keyframe_scans.append(moment.scan)
         if self._fusion is not None and moment.scan is not None:
             self._fusion.add(key, moment.scan, self._cameras.pictures(moment.camera_poses))

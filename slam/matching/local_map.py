@@ -41,6 +41,14 @@ class OrientedPoints:
         return cls(*scan.oriented())
 
     @classmethod
+    def surface(cls, scan: ScanPoints) -> OrientedPoints:
+        """What a map learns of a scan, base frame: its oriented part, and the walls between far readings."""
+        points, normals = scan.oriented()
+        return cls(
+            np.concatenate([points, scan.walls_base]), np.concatenate([normals, scan.wall_normals_base])
+        )
+
+    @classmethod
     def none(cls) -> OrientedPoints:
         """No points."""
         return cls(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32))

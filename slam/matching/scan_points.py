@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
 
-from fusion.kernel import kernel
+from fusion.kernel import ZERO, kernel
 from slam.measurements import Float32Array, FloatArray, LaserScan
 
 # A surface patch is a line when its thickness is below this: floor [m2] plus share of its length squared.
 _LINE_THICKNESS = 0.02
+# As far apart as the surfels that a point is matched to may be.
+_WALL_SPACING_M = 0.2
 # A line whose direction is less certain than this is fitted again over more neighbours.
 _GREATEST_NORMAL_SIGMA_RAD = 0.06
+
+
+def _no_points() -> Float32Array:
+    return np.zeros((0, 2), np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,10 +33,20 @@ class ScanPoints:
         (M, 2) metres, base frame.
     normals_base
         (M, 2) unit normals that face the sensor; zero where the neighbourhood is no line.
+    walls_base, wall_normals_base
+        (K, 2) each: points between readings, on a wall that is seen at so flat an angle that they lie far
+        apart. A map knows them; a scan that is matched has not read them.
     """
 
     points_base: Float32Array
     normals_base: Float32Array
+    walls_base: Float32Array = field(default_factory=_no_points)
+    wall_normals_base: Float32Array = field(default_factory=_no_points)
+
+    @classmethod
+    def none(cls) -> ScanPoints:
+        """Nothing seen."""
+        return cls(_no_points(), _no_points())
 
     def __len__(self) -> int:
         return int(self.points_base.shape[0])
@@ -64,8 +80,15 @@ def extract_points(scan: LaserScan, range_min_m: float, range_max_m: float, neig
     mount = scan.T_base_laser
     cos, sin = math.cos(mount.theta()), math.sin(mount.theta())
     rotation_t = np.array([[cos, sin], [-sin, cos]])
-    points_base = points[usable] @ rotation_t + np.array([mount.x(), mount.y()])
-    return ScanPoints(points_base.astype(np.float32), (normals[usable] @ rotation_t).astype(np.float32))
+    at = np.array([mount.x(), mount.y()])
+    walls = np.zeros((_walls_between(points, usable, np.zeros((0, 4))), 4))
+    _walls_between(points, usable, walls)
+    return ScanPoints(
+        (points[usable] @ rotation_t + at).astype(np.float32),
+        (normals[usable] @ rotation_t).astype(np.float32),
+        (walls[:, :2] @ rotation_t + at).astype(np.float32),
+        (walls[:, 2:] @ rotation_t).astype(np.float32),
+    )
 
 
 def orient_points(points: FloatArray, range_min_m: float, range_max_m: float, neighbours: int) -> ScanPoints:
@@ -94,6 +117,48 @@ def _directions(start_angle_rad: float, step_rad: float, count: int) -> FloatArr
     """(count, 2) unit vectors along the beams."""
     bearings = start_angle_rad + step_rad * np.arange(count, dtype=np.float64)
     return np.column_stack([np.cos(bearings), np.sin(bearings)])
+
+
+@kernel
+def _walls_between(points, usable, walls):  # type: ignore[no-untyped-def]
+    """How many points lie on walls between neighbouring beams far apart whose four readings are on one line.
+
+    They go to ``walls`` (K, 4), points and normals, where it has room. Nothing can stand between two
+    neighbouring beams but what is smaller than they are apart.
+    """
+    count = ZERO
+    for i in range(1, points.shape[0] - 2):
+        if not (usable[i - 1] and usable[i] and usable[i + 1] and usable[i + 2]):
+            continue
+        dx = points[i + 1, 0] - points[i, 0]
+        dy = points[i + 1, 1] - points[i, 1]
+        length = math.hypot(dx, dy)
+        if length <= _WALL_SPACING_M:
+            continue
+        dx /= length
+        dy /= length
+        straight = True
+        for side in range(-1, 2, 2):
+            # From the nearer end of the gap to the reading beyond it.
+            j = i + (1 + side) // 2
+            ax = points[j + side, 0] - points[j, 0]
+            ay = points[j + side, 1] - points[j, 1]
+            along = side * (ax * dx + ay * dy)
+            # A reading close by says little of the direction: two things in a row are no wall.
+            thickest = _LINE_THICKNESS * (1.0 + along / length)
+            straight = straight and 3.0 * along > length and abs(ay * dx - ax * dy) <= thickest
+        if not straight:
+            continue
+        facing = 1.0 if dy * points[i, 0] - dx * points[i, 1] <= 0.0 else -1.0
+        parts = math.ceil(length / _WALL_SPACING_M)
+        for n in range(parts + 1):
+            if count < walls.shape[0]:
+                walls[count, 0] = points[i, 0] + n * length / parts * dx
+                walls[count, 1] = points[i, 1] + n * length / parts * dy
+                walls[count, 2] = facing * dy
+                walls[count, 3] = -facing * dx
+            count += 1
+    return count
 
 
 @kernel

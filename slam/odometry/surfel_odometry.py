@@ -32,7 +32,7 @@ class SurfelOdometry:
 
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:
         """Take a scan at a pose (3,) of the odometry frame into the local map."""
-        self._keyframes.append(OrientedPoints.from_scan(points).moved(pose))
+        self._keyframes.append(OrientedPoints.surface(points).moved(pose))
         self._images.append(RangeImage.of(points.points_base, pose, points.points_base))
         self._local_map = None
 

@@ -11,7 +11,7 @@ from slam.config import Config
 from slam.graph.loop_closure import LoopCandidate, LoopCloser
 from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import between, compose
-from slam.matching.scan_points import extract_points
+from slam.matching.scan_points import ScanPoints, extract_points
 from slam.measurements import FloatArray, LaserScan
 from slam.outputs.finished_map import Map
 from slam.sessions.placing import BEND_RAD, SIGHT_SIGMA_M, SIGHT_SIGMA_RAD, Placing
@@ -29,7 +29,9 @@ def find_loops(known: Map, session: Map, placing: Placing, config: Config) -> li
         numbers = first + _session_numbers(part)
         rows = zip(part.keyframe_scans, part.keyframe_poses, part.contents.path_m, numbers, strict=True)
         for scan, pose, travelled_m, number in rows:
-            closer.add_keyframe(_points(scan, config), pose, travelled_m, number)
+            points = _points(scan, config)
+            seen, surface = (make(points) for make in (OrientedPoints.from_scan, OrientedPoints.surface))
+            closer.add_keyframe(seen, pose, travelled_m, number, surface)
     tried, poses = [], session.keyframe_poses
     next_m, session_m = -np.inf, session.contents.path_m
     for key, scan in enumerate(session.keyframe_scans):
@@ -72,11 +74,9 @@ def _places_near(known: Map, expected: FloatArray, config: Config) -> Iterator[i
             yield place
 
 
-def _points(scan: LaserScan | None, config: Config) -> OrientedPoints:
-    """The oriented points of a sweep."""
+def _points(scan: LaserScan | None, config: Config) -> ScanPoints:
+    """The points of a sweep."""
     if scan is None:
-        return OrientedPoints.none()
+        return ScanPoints.none()
     settings = config.scan
-    return OrientedPoints.from_scan(
-        extract_points(scan, settings.range_min_m, settings.range_max_m, settings.neighbours)
-    )
+    return extract_points(scan, settings.range_min_m, settings.range_max_m, settings.neighbours)

@@ -133,4 +133,4 @@ def test_wheels_that_proved_exact_on_the_straight_may_swing_in_a_turn(axle_m: fl
     truth = way((-6.0, 0.0, 0.0), steps)
     scans = scans_along(truth, [hall()] * len(truth))
     ahead = [scan if n <= 60 else seeing(scan, 30.0, 0.5) for n, scan in enumerate(scans)]
-    assert worst_m(mapped_drive(ahead, way(ODOM, by_wheels)), truth) < 0.04
+    assert worst_m(mapped_drive(ahead, way(ODOM, by_wheels)), truth) < 0.05

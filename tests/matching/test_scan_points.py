@@ -156,3 +156,32 @@ def test_any_ranges_give_finite_points(ranges: np.ndarray, step_rad: float, neig
     exact = ranges.astype(np.float64)
     assert len(points) == ((exact > 0.1) & (exact < 40.0)).sum()
     assert_unit_or_zero(points)
+
+
+def test_a_map_learns_the_wall_between_readings_far_apart() -> None:
+    points = points_of(sweep(wall(1.2, math.pi / 2), np.zeros(3), beams=361, sigma_m=0.005))
+    walls = points.walls_base[points.walls_base[:, 0] > 0.0]
+    np.testing.assert_allclose(walls[:, 1], 1.2, atol=0.05)
+    np.testing.assert_allclose(np.unique(np.sign(points.wall_normals_base[:, 1])), [-1.0])
+    reach_m = walls[:, 0].max()
+    assert reach_m > 2.0 * points.oriented()[0][:, 0].max(), "farther than normals are known"
+    assert np.diff(np.sort(walls[:, 0])).max() < 0.25, "without a hole"
+
+
+def test_no_wall_is_drawn_across_a_door_or_round_a_corner() -> None:
+    # A wall to 3 m, a room behind a door to 5 m whose far wall is seen, and the wall again.
+    segments = np.array(
+        [[-50.0, 1.0, 3.0, 1.0], [5.0, 1.0, 60.0, 1.0], [3.0, 1.0, 3.0, 9.0], [3.0, 9.0, 9.0, 9.0]]
+    )
+    walls = points_of(sweep(segments, np.zeros(3), beams=361)).walls_base
+    assert len(walls)
+    assert not ((walls[:, 0] > 3.1) & (walls[:, 0] < 4.9) & (np.abs(walls[:, 1] - 1.0) < 0.3)).any()
+    off_m = np.minimum(
+        np.abs(walls[:, 1] - 1.0), np.minimum(np.abs(walls[:, 0] - 3.0), np.abs(walls[:, 1] - 9.0))
+    )
+    assert off_m.max() < 0.05
+
+
+def test_scattered_readings_make_no_walls() -> None:
+    rng = np.random.default_rng(3)
+    assert not len(points_of(scan_of(rng.uniform(1.0, 20.0, 360).tolist())).walls_base)
