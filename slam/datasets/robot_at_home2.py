@@ -22,6 +22,7 @@ from slam.datasets.frame_pairs import FramePair
 from slam.datasets.log_file import read_head
 from slam.datasets.recording import Contents, Numbered, Recording
 from slam.datasets.robot_at_home_rig import BAD_TIME, LASER, camera, laser_scan, unix_stamp_s
+from slam.datasets.sqlite_reading import foreign_database
 from slam.datasets.stamped_files import StampedFile
 from slam.errors import DatasetError
 
@@ -95,7 +96,7 @@ def _is_robot_at_home(path: Path) -> bool:
 def _connected(path: Path) -> Iterator[sqlite3.Connection]:
     """A database opened for reading."""
     try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
+        with closing(foreign_database(path)) as database:
             yield database
     except sqlite3.Error as error:
         raise DatasetError(f"{path} cannot be read: {error}; download the database again") from error

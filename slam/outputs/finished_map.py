@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import shutil
 from collections.abc import Mapping, Sequence
@@ -13,6 +12,7 @@ import gtsam
 
 from slam.config import Config
 from slam.errors import MapFileError
+from slam.foreign import from_json
 from slam.graph.loop_closure import LoopCandidate
 from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
@@ -279,7 +279,7 @@ load_map = open_map  # its public name
 def _lines(meta: Mapping[str, str], key: str, path: Path) -> list[str]:
     """Lines of text from a row of the file; none in a map of an older version."""
     try:
-        lines = json.loads(meta.get(key, "[]"))
+        lines = from_json(meta.get(key, "[]"))
     except ValueError as error:
         raise MapFileError(f"{path} tells no {key} ({error}); make the map anew") from error
     if not isinstance(lines, list) or not all(isinstance(line, str) for line in lines):

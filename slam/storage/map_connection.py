@@ -96,18 +96,13 @@ def beside(path: Path) -> list[Path]:
     return [path.with_name(path.name + ending) for ending in _BESIDE]
 
 
-def plain(text: object) -> str:
-    """One line of what may quote a damaged file."""
-    return "".join(sign if sign.isprintable() else " " for sign in str(text))
-
-
 @contextmanager
 def reported(path: Path, done: str) -> Iterator[None]:
     """Turn what SQLite and the disk say into one line."""
     try:
         yield
     except (sqlite3.Error, OSError, UnicodeError) as error:
-        reason = "another run is writing it" if "locked" in str(error) else plain(error)
+        reason = "another run is writing it" if "locked" in str(error) else error
         raise MapFileError(
             f"{path} cannot be {done}: {reason}; check the folder and its free space"
         ) from error

@@ -12,12 +12,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from slam.errors import MapFileError, UnfinishedMapError
+from slam.foreign import from_json, plain
 from slam.storage.files import TemporaryFolder
 from slam.storage.map_connection import (
     begin,
     beside,
     check_kind,
-    plain,
     reader,
     refuse_in_use,
     reported,
@@ -271,7 +271,7 @@ class MapFile:
         with reported(self.path, "checked"):
             (verdict,) = self._connection.execute("PRAGMA integrity_check(1)").fetchone()
         if verdict != "ok":
-            raise MapFileError(f"{self.path} is damaged: {plain(verdict)}")
+            raise MapFileError(f"{self.path} is damaged: {verdict}")
 
     def _count_rows(self) -> None:
         """Rows of every table as they are found."""
@@ -289,7 +289,7 @@ class MapFile:
         if seal is None:
             raise UnfinishedMapError(_unfinished(self.path))
         with self.blaming(META, self.count(META) - 1):
-            known = list(zip(self._tables, self._digests(), json.loads(seal), strict=True))
+            known = list(zip(self._tables, self._digests(), from_json(seal), strict=True))
         for table, found, sealed in known:
             if found != sealed:
                 raise MapFileError(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -16,6 +17,7 @@ from pydantic import BaseModel, ValidationError
 import fusion
 from slam.config import Config
 from slam.errors import DatasetError, MapFileError
+from slam.foreign import from_json
 from slam.storage.map_file import MAP_NAME
 
 _LIBRARIES = ("scanweave", "gtsam", "numpy", "numba", "scipy", "kiss-icp", "opencv-python-headless")
@@ -69,8 +71,8 @@ class MapIdentity:
             Where a row is missing, or the configuration is that of another version.
         """
         try:
-            config = Config.model_validate_json(json.dumps(_known(json.loads(meta["config"]))))
-            versions = json.loads(meta["versions"])
+            config = Config.model_validate_json(json.dumps(_known(from_json(meta["config"]))))
+            versions = from_json(meta["versions"])
             return cls(config, meta["log_name"], meta["log_fingerprint"], versions)
         except KeyError as error:
             raise MapFileError(f"{path} does not tell its {error.args[0]}; make the map anew") from error
@@ -135,11 +137,11 @@ def fingerprint_of(log: Path) -> str:
     try:
         root = log
         while not root.exists():  # a session in a database: DATABASE/SESSION
-            digest.update(root.name.encode())
+            digest.update(os.fsencode(root.name))
             root = root.parent
         for file in _files(root) if root.is_dir() else [root]:
             name = file.relative_to(root).as_posix() if root.is_dir() else ""
-            digest.update(f"{name}\0{file.stat().st_size}\0".encode())
+            digest.update(os.fsencode(f"{name}\0{file.stat().st_size}\0"))
             if file.suffix.lower() not in _IMAGES:
                 with file.open("rb") as stream:
                     while block := stream.read(_BLOCK):

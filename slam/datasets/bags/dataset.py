@@ -128,8 +128,9 @@ def _stream(bag: Bag, layout: Layout, account: Account, figures: BagFigures) -> 
     """The bag in order, images not decoded yet."""
     time_merge: TimeMerge[_FrameToDo] = TimeMerge()
     pairs = [PairStream(camera.sensor, camera.tolerance_s, account) for camera in layout.cameras]
-    reader = _Reader(layout, Decoder(), account, figures)
-    for record in bag.records(account):
+    budget = bag.budget()
+    reader = _Reader(layout, Decoder(budget), account, figures)
+    for record in bag.records(account, budget):
         now_s = record.recorded_s
         for item in reader.read(record):
             if isinstance(item, StampedImage):

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.datasets.bags.run_length_depth import unpacked
+from slam.datasets.budget import MOST_PIXELS
 from slam.datasets.dataset import RecordFault
 from slam.datasets.image_files import rgb_of
 from slam.datasets.quiet_decoder import decode_quietly
@@ -20,7 +21,6 @@ DAMAGED = "image truncated or damaged"
 
 _MILLIMETRES_PER_M = 1000.0  # REP-118
 _CONFIG_BYTES = 12  # of compressedDepth: a format number and two parameters
-_MOST_PIXELS = 1 << 26
 _DEPTH = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 _COLOR: dict[str, tuple[int, tuple[int, ...]]] = {
     "rgb8": (3, (0, 1, 2)),
@@ -82,7 +82,7 @@ def _pixels(message: Any, kind: np.dtype[Any], channels: int) -> NDArray[Any]:
     height, width, step = int(message.height), int(message.width), int(message.step)
     data = np.asarray(message.data, dtype=np.uint8).ravel()
     row = width * channels * kind.itemsize
-    if min(height, width) < 1 or height * width > _MOST_PIXELS or step < row or data.size < step * height:
+    if min(height, width) < 1 or height * width > MOST_PIXELS or step < row or data.size < step * height:
         text = f"{width} x {height} in rows of {step} bytes, {data.size} there"
         raise RecordFault(BAD_SIZE, text)
     rows = np.ascontiguousarray(data[: step * height].reshape(height, step)[:, :row])
