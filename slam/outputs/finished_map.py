@@ -23,7 +23,8 @@ from slam.storage.map_contents import MapContents, SavedFactor, read_contents
 from slam.storage.map_file import MAP_NAME, MapFile
 from slam.storage.map_identity import MapIdentity
 from slam.storage.map_sessions import MapSession, sessions_of
-from slam.storage.map_tables import FRAMES
+from slam.storage.map_soundness import sound_readings
+from slam.storage.map_tables import FRAMES, KEYFRAMES
 
 log = logging.getLogger(__name__)
 
@@ -250,6 +251,8 @@ def open_map(path: Path | str, kept_in: TemporaryFolder | None = None) -> Map:
         identity = MapIdentity.from_meta(meta, file.path)
         contents = read_contents(file)
         sessions = sessions_of(meta, len(contents.node_poses), len(contents.trajectory))
+        with file.blaming(KEYFRAMES, len(contents.node_poses) - 1):
+            sound_readings(contents.readings, sessions)
         frames, clouds, nodes = contents.frames, contents.clouds, contents.node_poses
         in_space = sum(isinstance(pose, gtsam.Pose3) for pose in nodes)
         if clouds is not None and not len(clouds) == len(nodes) == in_space:

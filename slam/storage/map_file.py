@@ -156,6 +156,11 @@ class MapFile:
         """Whether the map was sealed."""
         return _SEAL in self.meta()
 
+    @property
+    def size(self) -> int:
+        """Bytes of the file."""
+        return self.path.stat().st_size
+
     def meta(self) -> dict[str, str]:
         """What was mapped, and with what."""
         return {str(key): str(value) for key, value in self.rows(META)}
@@ -318,6 +323,8 @@ class MapFile:
             raise MapFileError("it is missing")
         if found[1] != table.checksum(number, found[2:]):
             raise MapFileError("its checksum is wrong")
+        if misfit := table.misfit(found[2:]):
+            raise MapFileError(misfit)
         return found[2:]
 
     @contextmanager

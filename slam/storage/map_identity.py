@@ -73,13 +73,15 @@ class MapIdentity:
         try:
             config = Config.model_validate_json(json.dumps(_known(from_json(meta["config"]))))
             versions = from_json(meta["versions"])
+            if not isinstance(versions, dict) or not all(isinstance(one, str) for one in versions.values()):
+                raise ValueError("versions are names and texts")
             return cls(config, meta["log_name"], meta["log_fingerprint"], versions)
         except KeyError as error:
             raise MapFileError(f"{path} does not tell its {error.args[0]}; make the map anew") from error
         except ValidationError as error:
             raise MapFileError(
                 f"{path} was made with settings that this version does not take "
-                f"({error.errors()[0]['loc'][0]}); make the map anew"
+                f"({error.errors()[0]['loc'][:1]}); make the map anew"
             ) from error
         except ValueError as error:
             raise MapFileError(

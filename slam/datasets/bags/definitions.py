@@ -1,7 +1,7 @@
 """Definitions of messages in a bag, before code is made of them: what they ask for must be small.
 
-The parser and the generated code of rosbags take a definition at its word: expressions are evaluated, an array
-of texts or records is written out element by element, and a record of no bytes may be repeated without end.
+The parser and the generated code of rosbags take a definition at its word: expressions are evaluated, an
+array of texts or records is written out element by element, a record of no bytes is repeated without end.
 """
 
 from __future__ import annotations
