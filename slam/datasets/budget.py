@@ -6,16 +6,19 @@ to 1 (zlib's own figure), and no message, row or line that has its own time take
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from slam.datasets.dataset import RecordFault
 
 TOO_MUCH = "the file unpacks to more than any log; read up to there"
 
 LARGEST_BYTES = 1 << 27  # of one record, one unpacked chunk, one cloud; an image of 33 megapixels is smaller
-MOST_PIXELS = 1 << 25  # of one image
+MOST_PIXELS, MOST_BEAMS = 1 << 25, 1 << 16  # of one image, of one scan
 
 _FREE_RECORDS, _BYTES_A_RECORD, _ELEMENTS_A_RECORD = 1 << 14, 8, 8
 _FREE_BYTES, _GROWTH = 1 << 28, 2048
-_DEFINITION, _DEFINITIONS = 1 << 16, 1 << 18  # letters of one and of all; those of CameraInfo are 7,000
+TEXT_GROWTH = 64  # numbers as text pack to a fifth
+_DEFINITION, _DEFINITIONS = 1 << 16, 1 << 17  # letters of one and of all; those of CameraInfo are 7,000
 
 
 class Budget:
@@ -25,12 +28,21 @@ class Budget:
     ----------
     size
         Bytes of its files on the disk.
+    growth
+        How many times as large they may be unpacked.
     """
 
-    def __init__(self, size: int) -> None:
+    def __init__(self, size: int, growth: int = _GROWTH) -> None:
         self._records = _FREE_RECORDS + size // _BYTES_A_RECORD
-        self._bytes = _FREE_BYTES + _GROWTH * size
+        self._bytes = _FREE_BYTES + growth * size
         self._definitions: set[str] = set()
+        self._files: set[Path] = set()
+
+    def add_files(self, *paths: Path) -> None:
+        """Count files that are read, each once, however often a list names it."""
+        for path in set(paths) - self._files:
+            self._files.add(path)
+            self._bytes += _GROWTH * path.stat().st_size if path.exists() else 0
 
     def take(self, size: int, records: int = 1) -> None:
         """Pay for records of so many bytes in all.

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.datasets.account import Account
+from slam.datasets.budget import TOO_MUCH, Budget
 from slam.datasets.calibration import Calibration, same_aspect
 from slam.datasets.dataset import RecordFault
 from slam.datasets.frame_pairs import FramePair
@@ -59,13 +60,18 @@ def read_frames(
 ) -> Generator[tuple[int, RgbdFrame], None, None]:
     """Frames in the order of the requests, each with the line of its colour image; faults are counted."""
     sizes: dict[str, CameraIntrinsics] = {}
+    budget = Budget(0)
     for images in prefetched(requests, _decode):
         camera, number = images.camera, images.pair.color.number
         account.report.line_count += 1
         try:
             frame = _frame(images, sizes)
+            budget.add_files(images.pair.color.path, images.pair.depth.path)
+            budget.take(frame.color.nbytes + frame.depth_m.nbytes, 0)
         except RecordFault as fault:
             account.refuse(fault, camera.sensor, number)
+            if fault.reason == TOO_MUCH:
+                return
             continue
         if camera.calibration.assumed:
             account.report.note(f"{camera.sensor}: {camera.calibration.assumed}", number)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import stat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.datasets.budget import LARGEST_BYTES
 from slam.datasets.dataset import RecordFault
 from slam.datasets.quiet_decoder import decode_quietly
 from slam.measurements import ColorImage, Float32Array
@@ -80,8 +82,11 @@ def read_depth(path: Path, steps_per_m: float, invalid_codes: tuple[int, ...] = 
 
 
 def _content(path: Path) -> bytes:
-    """All of a file."""
+    """All of a file; pipes and devices are none."""
     try:
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode) or found.st_size > LARGEST_BYTES:
+            raise RecordFault(UNREADABLE, f"{path.name}: no file, or one of {found.st_size} bytes")
         return path.read_bytes()
     except FileNotFoundError as error:
         raise RecordFault(MISSING, str(path)) from error

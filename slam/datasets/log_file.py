@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from slam.datasets.budget import Budget
+from slam.datasets.budget import TEXT_GROWTH, Budget
 from slam.datasets.dataset import RecordFault
 from slam.errors import DatasetError
 
@@ -112,13 +112,16 @@ def numbered_lines(
     number = 0
     with open_log(path) as stream:
         size = max(path.stat().st_size, 1)
-        budget = Budget(size)
+        budget, unpaid = Budget(size, TEXT_GROWTH), 0
         try:
             while line := stream.readline(MAX_LINE_BYTES):
                 number += 1
-                budget.take(len(line))
-                if on_share is not None and number % _LINES_A_SHARE == 0:
-                    on_share(_position(stream) / size)
+                unpaid += len(line)
+                if number % _LINES_A_SHARE == 0:
+                    budget.take(unpaid, _LINES_A_SHARE)
+                    unpaid = 0
+                    if on_share is not None:
+                        on_share(_position(stream) / size)
                 if len(line) == MAX_LINE_BYTES and not line.endswith(b"\n"):
                     _skip_line(stream, budget)
                     detail = f"more than {MAX_LINE_BYTES} bytes"

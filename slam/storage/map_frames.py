@@ -9,11 +9,12 @@ from typing import cast
 
 import gtsam
 
+from slam.datasets.budget import MOST_PIXELS
 from slam.errors import MapFileError
 from slam.mapping.image_packing import depth_steps_per_m, packed_color, packed_depth, unpacked_images
 from slam.measurements import CameraIntrinsics, Pose, RgbdFrame, spatial
 from slam.storage.map_file import MapFile
-from slam.storage.map_soundness import MOST_PIXELS, of, require, sound_name, sound_stamp
+from slam.storage.map_soundness import of, require, sound_name, sound_stamp
 from slam.storage.map_tables import FRAMES, IMAGES, Value
 from slam.storage.packing import pack, unpack
 from slam.vision.features import Features

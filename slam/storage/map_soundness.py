@@ -1,7 +1,7 @@
-"""What is refused of a saved map: numbers that are none or out of range, arrays of other shapes, no rotations.
+"""What is refused of a saved map: numbers that are none or out of range, wrong shapes, no rotations.
 
-`MapFile` refuses columns of another type, `slam.storage.packing` poses that are none, and this file what no run
-writes into a record. Every command that opens a map asks all of it, row by row, before it believes the map.
+`MapFile` refuses columns of another type, `slam.storage.packing` poses that are none, this file what no run writes
+into a record. Every command that opens a map asks all of it, row by row, before it believes the map.
 Another table is one more function of this file, called where its rows are read.
 """
 
@@ -15,6 +15,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.datasets.budget import MOST_BEAMS
 from slam.errors import MapFileError
 from slam.graph.loop_closure import LoopCandidate
 from slam.mapping.occupancy_grid import OccupancyGrid
@@ -29,8 +30,6 @@ Rule = Callable[[Any], bool]
 
 FARTHEST_M: Final = 1e8  # farther than any place on Earth
 _LATEST_S = 1e11  # the year 5138
-MOST_PIXELS: Final = 1 << 25
-_MOST_BEAMS = 1 << 16
 _CELL_M = (1e-4, 1e4)
 _LONGEST_NAME = 256
 _ROUNDING = 1e-6
@@ -169,7 +168,7 @@ def _array(dtype: str, *shape: int | None) -> Rule:
 def _ranges(value: Any) -> bool:
     """Ranges of beams: NaN is invalid, infinite met nothing, negative is nothing at all."""
     fits = isinstance(value, np.ndarray) and value.dtype == np.float32 and value.ndim == 1
-    return fits and 0 < value.size <= _MOST_BEAMS and not bool((value < 0.0).any())
+    return fits and 0 < value.size <= MOST_BEAMS and not bool((value < 0.0).any())
 
 
 def _is_covariance(value: Any) -> bool:

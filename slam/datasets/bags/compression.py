@@ -46,8 +46,11 @@ def unpacked_message(content: bytes, channel: Channel, budget: Budget) -> bytes:
     """
     if channel.wire != "cdr" or not content.startswith(_ZSTD_MAGIC):
         return content
+    budget.take(0, 0)  # where nothing is left, nothing is unpacked
     message = _unpacked(content, "zstd", LARGEST_BYTES)
     budget.take(len(message), 0)
+    if len(message) > LARGEST_BYTES:
+        raise RecordFault(DAMAGED, f"a message of more than {LARGEST_BYTES} bytes")
     return message
 
 

@@ -20,6 +20,7 @@ from slam.datasets.bags.records import BagRecord
 from slam.datasets.bags.survey import Survey, survey_bag
 from slam.datasets.bags.time_merge import TimeMerge
 from slam.datasets.bags.topics import TRANSFORMS
+from slam.datasets.budget import Budget
 from slam.datasets.dataset import ReadReport, RecordFault
 from slam.errors import DatasetError
 from slam.measurements import LaserScan, Measurement, RgbdFrame, Trajectory
@@ -92,11 +93,17 @@ class BagDataset:
         account = Account(self.name, report, self._strict)
         for note in layout.notes:
             report.note(note, 1)
-        for done in prefetched(_stream(bag, layout, account, self.figures), _decoded):
+        budget = bag.budget()
+        for done in prefetched(_stream(bag, layout, account, budget, self.figures), _decoded):
             if done.fault is not None:
                 account.refuse(done.fault, done.where, done.number)
             elif done.measurement is not None:
-                if isinstance(done.measurement, RgbdFrame):
+                if isinstance(frame := done.measurement, RgbdFrame):
+                    try:
+                        budget.take(frame.color.nbytes + frame.depth_m.nbytes, 0)
+                    except RecordFault as fault:
+                        account.refuse(fault, self.name, done.number)
+                        break
                     report.accept(f"{done.measurement.sensor} frame")
                 report.observe(done.measurement, done.number)
                 yield done.measurement
@@ -124,11 +131,12 @@ def open_bag(path: Path, strict: bool, topics: tuple[str, ...] = ()) -> BagDatas
     return BagDataset(path, strict=strict, topics=topics)
 
 
-def _stream(bag: Bag, layout: Layout, account: Account, figures: BagFigures) -> Iterator[_Done | _FrameToDo]:
+def _stream(
+    bag: Bag, layout: Layout, account: Account, budget: Budget, figures: BagFigures
+) -> Iterator[_Done | _FrameToDo]:
     """The bag in order, images not decoded yet."""
     time_merge: TimeMerge[_FrameToDo] = TimeMerge()
     pairs = [PairStream(camera.sensor, camera.tolerance_s, account) for camera in layout.cameras]
-    budget = bag.budget()
     reader = _Reader(layout, Decoder(budget), account, figures)
     for record in bag.records(account, budget):
         now_s = record.recorded_s
