@@ -12,14 +12,13 @@ from __future__ import annotations
 import argparse
 import bz2
 import gzip
-import json
 import os
 import sqlite3
 import struct
 import sys
 import zlib
 from collections.abc import Callable, Iterator
-from itertools import chain, count
+from itertools import chain
 from pathlib import Path
 from typing import Any
 

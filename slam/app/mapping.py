@@ -15,9 +15,9 @@ from slam.datasets.dataset import Dataset
 from slam.errors import MapFileError
 from slam.measurements import Measurement
 from slam.outputs.finished_map import Map, open_map
-from slam.storage.files import TemporaryFolder
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import MapIdentity, current_versions, identity_of
+from slam.temporary import TemporaryFolder
 
 
 def map_log(

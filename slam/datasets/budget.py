@@ -38,11 +38,11 @@ class Budget:
         self._definitions: set[str] = set()
         self._files: set[Path] = set()
 
-    def add_files(self, *paths: Path) -> None:
-        """Count files that are read, each once, however often a list names it."""
-        for path in set(paths) - self._files:
+    def add_file(self, path: Path, size: int) -> None:
+        """Count another file of the log; once, however often a list names it."""
+        if path not in self._files:
             self._files.add(path)
-            self._bytes += _GROWTH * path.stat().st_size if path.exists() else 0
+            self._bytes += _GROWTH * size
 
     def take(self, size: int, records: int = 1) -> None:
         """Pay for records of so many bytes in all.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.datasets.account import Account
-from slam.datasets.budget import TOO_MUCH, Budget
+from slam.datasets.budget import Budget
 from slam.datasets.calibration import Calibration, same_aspect
 from slam.datasets.dataset import RecordFault
 from slam.datasets.frame_pairs import FramePair
@@ -61,17 +61,13 @@ def read_frames(
     """Frames in the order of the requests, each with the line of its colour image; faults are counted."""
     sizes: dict[str, CameraIntrinsics] = {}
     budget = Budget(0)
-    for images in prefetched(requests, _decode):
+    for images in prefetched(requests, lambda request: _decode(request, budget)):
         camera, number = images.camera, images.pair.color.number
         account.report.line_count += 1
         try:
             frame = _frame(images, sizes)
-            budget.add_files(images.pair.color.path, images.pair.depth.path)
-            budget.take(frame.color.nbytes + frame.depth_m.nbytes, 0)
         except RecordFault as fault:
             account.refuse(fault, camera.sensor, number)
-            if fault.reason == TOO_MUCH:
-                return
             continue
         if camera.calibration.assumed:
             account.report.note(f"{camera.sensor}: {camera.calibration.assumed}", number)
@@ -103,13 +99,14 @@ def _frame(images: _Images, sizes: dict[str, CameraIntrinsics]) -> RgbdFrame:
     )
 
 
-def _decode(request: tuple[Camera, FramePair]) -> _Images:
+def _decode(request: tuple[Camera, FramePair], budget: Budget) -> _Images:
     """Both images, upright and of one size; runs on the thread that prefetches."""
     camera, pair = request
     calibration = camera.calibration
     try:
-        depth_m = read_depth(pair.depth.path, calibration.depth_steps_per_m, calibration.invalid_codes)
-        color = read_color(pair.color.path)
+        codes = calibration.invalid_codes
+        depth_m = read_depth(pair.depth.path, calibration.depth_steps_per_m, budget, codes)
+        color = read_color(pair.color.path, budget)
         stored = (color.shape[1], color.shape[0])
         color = _fitted(color, depth_m)
     except RecordFault as fault:

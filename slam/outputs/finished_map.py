@@ -18,13 +18,14 @@ from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Trajectory
 from slam.outputs.exports import Exports
-from slam.storage.files import TemporaryFolder, make_folder, replacing
+from slam.storage.files import make_folder, replacing
 from slam.storage.map_contents import MapContents, SavedFactor, read_contents
 from slam.storage.map_file import MAP_NAME, MapFile
 from slam.storage.map_identity import MapIdentity
 from slam.storage.map_sessions import MapSession, sessions_of
 from slam.storage.map_soundness import sound_readings
 from slam.storage.map_tables import FRAMES, KEYFRAMES
+from slam.temporary import TemporaryFolder
 
 log = logging.getLogger(__name__)
 

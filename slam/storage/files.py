@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
+import glob
 import gzip
 import io
-import os
 import secrets
-import shutil
-import tempfile
-import weakref
 import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -16,22 +13,15 @@ from pathlib import Path
 from typing import TextIO
 
 from slam.errors import MapFileError, ScanweaveError
-
-
-class TemporaryFolder:
-    """A folder that goes with this object, or when `remove` is called; also at the end of the program."""
-
-    def __init__(self) -> None:
-        self.path = Path(tempfile.mkdtemp(prefix="scanweave-"))
-        self.remove = weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+from slam.temporary import held, remove_left
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary name beside ``path``; rename it to ``path`` if the block succeeds.
 
-    A reader of ``path`` sees the old file or the whole new one, never half of it. The temporary name keeps
-    the suffix of ``path``, because some writers choose the format by it.
+    A reader of ``path`` sees the old file or the whole new one, never half of it; what a killed run has left of
+    it is removed. The temporary name keeps the suffix of ``path``, because some writers choose the format by it.
 
     Raises
     ------
@@ -39,10 +29,12 @@ def replacing(path: Path) -> Iterator[Path]:
         Where the folder is missing, not writable or full; nothing is left behind.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}-{secrets.token_hex(4)}.tmp{path.suffix}")
+    temporary = path.with_name(f".{path.stem}.{secrets.token_hex(8)}.tmp{path.suffix}")
+    remove_left(path.parent.glob(f".{glob.escape(path.stem)}.{'?' * 16}.tmp{glob.escape(path.suffix)}"))
     try:
-        yield temporary
-        temporary.replace(path)
+        with held(temporary):
+            yield temporary
+            temporary.replace(path)
     except OSError as error:
         raise MapFileError(
             f"cannot write {path}: {error.strerror or error}; check the folder and its free space"

@@ -13,7 +13,6 @@ from pathlib import Path
 
 from slam.errors import MapFileError, UnfinishedMapError
 from slam.foreign import from_json, plain
-from slam.storage.files import TemporaryFolder
 from slam.storage.map_connection import (
     begin,
     beside,
@@ -24,6 +23,7 @@ from slam.storage.map_connection import (
     writer,
 )
 from slam.storage.map_tables import CHECKPOINT, META, TABLES, Table, Value
+from slam.temporary import TemporaryFolder
 
 MAP_NAME = "map.db"
 # A crash loses at most this and what one scan takes.

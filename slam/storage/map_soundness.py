@@ -1,7 +1,7 @@
 """What is refused of a saved map: numbers that are none or out of range, wrong shapes, no rotations.
 
-`MapFile` refuses columns of another type, `slam.storage.packing` poses that are none, this file what no run writes
-into a record. Every command that opens a map asks all of it, row by row, before it believes the map.
+`MapFile` refuses columns of another type, `slam.storage.packing` poses that are none, this file what no run
+writes into a record. Every command that opens a map asks all of it, row by row, before it believes the map.
 Another table is one more function of this file, called where its rows are read.
 """
 

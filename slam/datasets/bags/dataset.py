@@ -94,16 +94,13 @@ class BagDataset:
         for note in layout.notes:
             report.note(note, 1)
         budget = bag.budget()
-        for done in prefetched(_stream(bag, layout, account, budget, self.figures), _decoded):
+        for done in prefetched(
+            _stream(bag, layout, account, budget, self.figures), lambda item: _decoded(item, budget)
+        ):
             if done.fault is not None:
                 account.refuse(done.fault, done.where, done.number)
             elif done.measurement is not None:
-                if isinstance(frame := done.measurement, RgbdFrame):
-                    try:
-                        budget.take(frame.color.nbytes + frame.depth_m.nbytes, 0)
-                    except RecordFault as fault:
-                        account.refuse(fault, self.name, done.number)
-                        break
+                if isinstance(done.measurement, RgbdFrame):
                     report.accept(f"{done.measurement.sensor} frame")
                 report.observe(done.measurement, done.number)
                 yield done.measurement
@@ -173,13 +170,13 @@ def _as_done(items: Iterator[tuple[int, Measurement] | _FrameToDo]) -> Iterator[
         yield item if isinstance(item, _FrameToDo) else _Done(*item)
 
 
-def _decoded(item: _Done | _FrameToDo) -> _Done:
+def _decoded(item: _Done | _FrameToDo, budget: Budget) -> _Done:
     """A frame's images decoded; runs on the thread that prefetches."""
     if isinstance(item, _Done):
         return item
     number, where = item.pair.color.number, item.camera.sensor
     try:
-        return _Done(number, item.camera.frame(item.pair))
+        return _Done(number, item.camera.frame(item.pair, budget))
     except RecordFault as fault:
         return _Done(number, None, where, fault)
     except (AttributeError, TypeError, ValueError, OverflowError) as error:

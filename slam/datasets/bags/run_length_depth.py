@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.kernel import kernel
-from slam.datasets.budget import MOST_PIXELS
+from slam.datasets.budget import MOST_PIXELS, Budget
 from slam.datasets.dataset import RecordFault
 
 DAMAGED_RUNS = "depth image of run lengths that is damaged"
@@ -18,13 +18,13 @@ DAMAGED_RUNS = "depth image of run lengths that is damaged"
 _SIZE_BYTES = 8  # width and height come first
 
 
-def unpacked(content: bytes) -> NDArray[np.uint16]:
+def unpacked(content: bytes, budget: Budget) -> NDArray[np.uint16]:
     """(H, W) of an image with its size.
 
     Raises
     ------
     RecordFault
-        Where the runs do not make up an image of that size.
+        Where the runs do not make up an image of that size, or it is beyond the budget.
     """
     if len(content) < _SIZE_BYTES:
         raise RecordFault(DAMAGED_RUNS, f"{len(content)} bytes")
@@ -33,6 +33,7 @@ def unpacked(content: bytes) -> NDArray[np.uint16]:
         raise RecordFault(DAMAGED_RUNS, f"{width} x {height}")
     whole = len(content) // 4 * 4
     words = np.frombuffer(content[_SIZE_BYTES:whole], "<u4").astype(np.uint32)
+    budget.take(2 * width * height, 0)
     pixels = np.zeros(width * height, dtype=np.uint16)
     if not _fill(words, pixels):
         raise RecordFault(DAMAGED_RUNS, f"{width} x {height} in {len(content)} bytes")
