@@ -12,11 +12,11 @@ from slam.datasets.dataset import RecordFault
 
 TOO_MUCH = "the file unpacks to more than any log; read up to there"
 
-LARGEST_BYTES = 1 << 27  # of one record, one unpacked chunk, one cloud; an image of 33 megapixels is smaller
-MOST_PIXELS, MOST_BEAMS = 1 << 25, 1 << 16  # of one image, of one scan
+LARGEST_BYTES = 1 << 27  # of one record, one unpacked chunk, one cloud; of 2.6 million points with all fields
+MOST_PIXELS, MOST_BEAMS = 1 << 24, 1 << 16  # of one image (a Kinect has 12.6 million), of one scan
 
 _FREE_RECORDS, _BYTES_A_RECORD, _ELEMENTS_A_RECORD = 1 << 14, 8, 8
-_FREE_BYTES, _GROWTH = 1 << 28, 2048
+_FREE_BYTES, _GROWTH = LARGEST_BYTES, 1032
 TEXT_GROWTH = 64  # numbers as text pack to a fifth
 _DEFINITION, _DEFINITIONS = 1 << 16, 1 << 17  # letters of one and of all; those of CameraInfo are 7,000
 

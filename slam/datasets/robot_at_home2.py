@@ -25,6 +25,7 @@ from slam.datasets.robot_at_home_rig import BAD_TIME, LASER, camera, laser_scan,
 from slam.datasets.sqlite_reading import foreign_database
 from slam.datasets.stamped_files import StampedFile
 from slam.errors import DatasetError
+from slam.foreign import plain
 
 NO_FILES = "observation without image files in the database"
 
@@ -114,7 +115,7 @@ def _load(chosen: _Selection, account: Account) -> Contents:
         for row in _observations(database, chosen):
             if row["sensor"] != LASER:
                 try:
-                    pairs[str(row["sensor"])].append(_pair(chosen.database.parent, row))
+                    pairs[plain(row["sensor"])].append(_pair(chosen.database.parent, row))
                 except RecordFault as fault:
                     account.refuse(fault, str(row["sensor"]), int(row["id"]))
     return Contents([camera(name, pairs[name]) for name in sorted(pairs)], _scans(chosen, account))

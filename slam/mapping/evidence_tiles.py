@@ -144,9 +144,7 @@ class EvidenceTiles:
         try:
             return np.fromfile(self._path(key), dtype=np.int32).reshape(self._shape)
         except (OSError, ValueError) as error:
-            raise ScanweaveError(
-                f"a tile of the map is gone: {self._path(key)}; run again"
-            ) from error
+            raise ScanweaveError(f"a tile of the map is gone: {self._path(key)}; run again") from error
 
     def _path(self, key: tuple[int, int]) -> Path:
         assert self._folder is not None

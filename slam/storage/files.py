@@ -20,8 +20,8 @@ from slam.temporary import held, remove_left
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary name beside ``path``; rename it to ``path`` if the block succeeds.
 
-    A reader of ``path`` sees the old file or the whole new one, never half of it; what a killed run has left of
-    it is removed. The temporary name keeps the suffix of ``path``, because some writers choose the format by it.
+    A reader of ``path`` sees the old file or the whole new one, never half of it; what a killed run has left
+    of it is removed. The temporary name keeps the suffix of ``path``: some writers choose the format by it.
 
     Raises
     ------

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ValidationError
 import fusion
 from slam.config import Config
 from slam.errors import DatasetError, MapFileError
-from slam.foreign import from_json
+from slam.foreign import from_json, plain
 from slam.storage.map_file import MAP_NAME
 
 _LIBRARIES = ("scanweave", "gtsam", "numpy", "numba", "scipy", "kiss-icp", "opencv-python-headless")
@@ -117,7 +117,7 @@ def _known(settings: Any, model: type[BaseModel] = Config) -> Any:
 
 def identity_of(log: Path, config: Config) -> MapIdentity:
     """What decides the map of a log."""
-    return MapIdentity(config, log.name, fingerprint_of(log), current_versions())
+    return MapIdentity(config, plain(log.name), fingerprint_of(log), current_versions())
 
 
 def current_versions() -> dict[str, str]:

@@ -23,6 +23,7 @@ from slam.datasets.bags.topics import TRANSFORMS
 from slam.datasets.budget import Budget
 from slam.datasets.dataset import ReadReport, RecordFault
 from slam.errors import DatasetError
+from slam.foreign import plain
 from slam.measurements import LaserScan, Measurement, RgbdFrame, Trajectory
 from slam.vision.prefetch import prefetched
 
@@ -71,7 +72,7 @@ class BagDataset:
 
     def __init__(self, path: Path, *, strict: bool = False, topics: tuple[str, ...] = ()) -> None:
         self.path = path
-        self.name = path.resolve().name
+        self.name = plain(path.resolve().name)
         self.report = ReadReport()
         self.figures = BagFigures()
         self._strict, self._topics = strict, topics
