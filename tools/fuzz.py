@@ -4,8 +4,8 @@
 
 Bytes are flipped, cut, doubled, made zero or into sizes; numbers and words of text into such as no recorder
 writes; definitions of messages are rewritten with the bag whole around them; rows of a map are rewritten with
-checksums and seal made right again. Each is read in a child of its own with 2 GB and 10 CPU seconds for itself.
-A container without checksums cannot tell a changed range from a range: "changed in silence" only those may be.
+checksums and seal made right again. Each is read in a child of its own with 2 GB and 10 CPU seconds.
+A container without checksums cannot tell a changed range from a range: only those may be "changed in silence".
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ import tempfile
 import time
 import zlib
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import astuple, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -32,6 +31,7 @@ from slam.errors import MapFileError, ScanweaveError
 from slam.measurements import RgbdFrame
 from slam.storage.packing import pack
 from tools.fuzz_seeds import BAGS, KINDS, LOGS, messages, write, write_log
+from tools.hostile_maps import forge
 from tools.trial_process import Outcome, load_libraries, run_child
 
 FORMATS = (*BAGS, "definition", *LOGS, "map.db", "map row")
@@ -225,8 +225,7 @@ def spoilt_definition(path: Path, rng: Rng) -> Path:
 
 
 def spoil_row(path: Path, rng: Rng) -> None:
-    """Change a value in a row of a map, and make its checksum and the seal right again: a lie, no accident."""
-    from slam.storage.map_file import MapFile
+    """Change a value in a row of a map; its checksum and the seal are made right again."""
     from slam.storage.map_tables import TABLES
 
     with sqlite3.connect(path) as database:
@@ -234,22 +233,10 @@ def spoil_row(path: Path, rng: Rng) -> None:
         table = filled[int(rng.integers(len(filled)))]
         (count,) = database.execute(f"SELECT count(*) FROM {table.name}").fetchone()
         number = int(rng.integers(count))
-        row = list(database.execute(f"SELECT * FROM {table.name} WHERE number = ?", (number,)).fetchone())
-        column = int(rng.integers(2, len(row)))
-        row[column] = spoilt_value(row[column], rng)
-        names = ", ".join(f"{name} = ?" for name, _ in table.columns)
-        database.execute(f"UPDATE {table.name} SET {names} WHERE number = ?", (*row[2:], number))
-        row = list(database.execute(f"SELECT * FROM {table.name} WHERE number = ?", (number,)).fetchone())
-        checksum = table.checksum(number, tuple(row[2:]))
-        database.execute(f"UPDATE {table.name} SET checksum = ? WHERE number = ?", (checksum, number))
-        database.execute("DELETE FROM meta WHERE key = 'seal'")
-        database.execute(
-            "UPDATE meta SET number = (SELECT count(*) FROM meta AS o WHERE o.number < meta.number)"
-        )
+        row = database.execute(f"SELECT * FROM {table.name} WHERE number = ?", (number,)).fetchone()
     database.close()
-    file = MapFile.resume(path)
-    if file is not None:
-        file.seal()
+    column = int(rng.integers(len(table.columns)))
+    forge(path, table.name, number, **{table.columns[column][0]: spoilt_value(row[2 + column], rng)})
 
 
 def spoilt_value(value: Any, rng: Rng) -> Any:
@@ -341,10 +328,8 @@ class Fuzzer:
             return "a counted or noted skip"
         if found["readings"] == self._expected["readings"]:
             return "as it was"
-        if (
-            self.name in _CHECKED
-            or len(found["readings"]) != len(self._expected["readings"])
-            and self.name in BAGS
+        if self.name in _CHECKED or (
+            len(found["readings"]) < len(self._expected["readings"]) and self.name in BAGS
         ):
             return "BAD: lost or changed in silence"
         return "changed in silence"

@@ -6,6 +6,7 @@ Bags are written by the writers of rosbags and mcap, in ROS 1 and ROS 2.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ _ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms",
 Sent = tuple[str, str, float, bytes]
 
 
+@cache
 def messages() -> list[Sent]:
     """A robot that drives for a second with every sensor, as serialised messages."""
     rng = np.random.default_rng(1)
@@ -191,7 +193,8 @@ def _write_tum(folder: Path) -> Path:
             "".join(f"{0.1 * k:.1f} {name}\n" for k, name in enumerate(names))
         )
     (folder / "calibration.yaml").write_text(
-        "intrinsics: {fx: 30.0, fy: 30.0, cx: 15.5, cy: 11.5, width: 32, height: 24}\ndepth_steps_per_m: 1000\n"
+        "intrinsics: {fx: 30.0, fy: 30.0, cx: 15.5, cy: 11.5, width: 32, height: 24}\n"
+        "depth_steps_per_m: 1000\n"
         "T_base_camera: {translation_m: [0.1, 0.0, 0.5], quaternion_xyzw: [0.0, 0.0, 0.0, 1.0]}\n"
     )
     return folder
@@ -202,7 +205,8 @@ def _write_points(folder: Path, name: str) -> Path:
     points = np.random.default_rng(0).normal(size=(50, 4)).astype("<f4")
     text = "".join(" ".join(f"{value:.3f}" for value in row) + "\n" for row in points).encode()
     fields = b"".join(b"property float %s\n" % axis for axis in (b"x", b"y", b"z", b"intensity"))
-    pcd = b"VERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\nWIDTH 50\nHEIGHT 1\nPOINTS 50\nDATA "
+    pcd = b"VERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\n"
+    pcd += b"WIDTH 50\nHEIGHT 1\nPOINTS 50\nDATA "
     columns = points.T.tobytes()
     runs = b"".join(
         bytes([len(part) - 1]) + part for part in (columns[at : at + 32] for at in range(0, len(columns), 32))

@@ -65,7 +65,7 @@ def run_command(arguments: list[str], cpu_s: float, memory_mb: float) -> Outcome
 
 
 def run_child(work: Callable[[], int], cpu_s: float, memory_mb: float) -> Outcome:
-    """Work in a child; it must end by itself with 0 to 2, at 1 with one line, and print nothing that steers."""
+    """Work in a child; it must end by itself with 0 to 2, at 1 with one line, and print plain letters."""
     with tempfile.TemporaryFile() as said:
         child = os.fork()
         if child == 0:

@@ -14,7 +14,9 @@ _FREE_STEPS, _STEPS_A_BYTE = 1 << 24, 16
 _FUNCTIONS = frozenset({"coalesce", "ifnull", "nullif", "length", "substr", "like", "max", "min", "count"})
 
 
-def foreign_database(path: Path, *, immutable: bool = False, views: bool = True) -> sqlite3.Connection:
+def foreign_database(
+    path: Path, *, immutable: bool = False, views: bool = True, any_thread: bool = False
+) -> sqlite3.Connection:
     """A database that is read only.
 
     Parameters
@@ -24,9 +26,12 @@ def foreign_database(path: Path, *, immutable: bool = False, views: bool = True)
     views
         Whether a query may read through a view; else it is an error, as other functions than the few of data
         sets, recursion, and endless work are. Errors are those of `sqlite3`.
+    any_thread
+        Whether other threads than this one may use it, one at a time.
     """
     how = "mode=ro&immutable=1" if immutable else "mode=ro"
-    database = sqlite3.connect(f"{path.resolve().as_uri()}?{how}", uri=True)
+    name = f"{path.resolve().as_uri()}?{how}"
+    database = sqlite3.connect(name, uri=True, isolation_level=None, check_same_thread=not any_thread)
     database.execute("PRAGMA trusted_schema = OFF")
     database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_BYTES)
     left = (_FREE_STEPS + _STEPS_A_BYTE * path.stat().st_size) // _STEPS_AT_ONCE

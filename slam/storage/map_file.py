@@ -146,6 +146,7 @@ class MapFile:
             try:
                 file._tables = check_kind(path, connection)
                 file._check_seal()
+                connection.set_progress_handler(None, 0)  # no table is endless
             except BaseException:
                 connection.close()
                 raise

@@ -81,7 +81,7 @@ class MapIdentity:
         except ValidationError as error:
             raise MapFileError(
                 f"{path} was made with settings that this version does not take "
-                f"({error.errors()[0]['loc'][:1]}); make the map anew"
+                f"({'.'.join(map(str, error.errors()[0]['loc'])) or 'no settings'}); make the map anew"
             ) from error
         except ValueError as error:
             raise MapFileError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 import struct
 from collections import Counter
 from dataclasses import replace
@@ -25,10 +24,11 @@ from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor, write
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
 from slam.storage.map_identity import MapIdentity
-from slam.storage.map_tables import FACTORS, FRAMES, GRIDS, IMAGES, KEYFRAMES, LOOPS, TABLES, TRAJECTORY
+from slam.storage.map_tables import FACTORS, FRAMES, GRIDS, IMAGES, KEYFRAMES, LOOPS, TRAJECTORY
 from slam.storage.packing import pack, pack_small
 from slam.vision.features import Features
-from tools.damage_trials import content_of, damaged, damages_of, outcome_of
+from tools.fuzz import map_content, map_outcome, spoilt_bytes
+from tools.hostile_maps import forge
 
 MOUNT = gtsam.Pose3(gtsam.Rot3.Ypr(0.1, 0.2, 0.3), np.array([0.1, 0.0, 1.0]))
 IDENTITY = MapIdentity(load_config(None, ["seed=7"]), "drive.log", "f00d", {"numpy": "2.0", "code": "abc"})
@@ -177,24 +177,6 @@ class TestReadBack:
         assert (tmp_path / "map.db").read_bytes() == map_db.read_bytes()
 
 
-def forge(path: Path, table: str, number: int, **values: object) -> Path:
-    """Change a row, and make its checksum and the seal right again: not an accident, but a lie."""
-    spec = next(known for known in TABLES if known.name == table)
-    with sqlite3.connect(path) as connection:
-        for name, value in values.items():
-            connection.execute(f"UPDATE {table} SET {name} = ? WHERE number = ?", (value, number))
-        row = connection.execute(f"SELECT * FROM {table} WHERE number = ?", (number,)).fetchone()
-        connection.execute(
-            f"UPDATE {table} SET checksum = ? WHERE number = ?", (spec.checksum(number, row[2:]), number)
-        )
-        connection.execute("DELETE FROM meta WHERE key = 'seal'")
-    connection.close()
-    file = MapFile.resume(path)
-    assert file is not None
-    file.seal()
-    return path
-
-
 MOTION3 = pack(gtsam.Pose3())
 NAN = float("nan")
 
@@ -284,13 +266,16 @@ class TestRefused:
         with pytest.raises(MapFileError, match="does not tell its config"):
             open_map(forge(path, "meta", 0, key="konfig"))
 
-    def test_one_damaged_byte_is_refused_or_harmless(self, map_db: Path, tmp_path: Path) -> None:
-        """As tools/damage_trials.py does a thousand times."""
-        whole, content = map_db.read_bytes(), content_of(map_db)
+    def test_a_spoilt_file_is_refused_or_harmless(self, map_db: Path, tmp_path: Path) -> None:
+        """As tools/fuzz.py does for minutes."""
+        whole, content = map_db.read_bytes(), map_content(map_db)
         outcomes: Counter[str] = Counter()
-        # Half of them where most meets the eye of SQLite: its header, the tables, the first rows.
-        for damage in [*damages_of(len(whole), 60, seed=1), *damages_of(4096, 60, seed=2)]:
-            (tmp_path / "map.db").write_bytes(damaged(whole, damage))
-            outcomes[outcome_of(tmp_path / "map.db", content)] += 1
+        for trial in range(120):
+            # Half of them where most meets the eye of SQLite: its header, the tables, the first rows.
+            rng, whole_file = np.random.default_rng([1, trial]), trial % 2
+            head = whole if whole_file else whole[:4096]
+            spoilt = spoilt_bytes(head, rng) + (b"" if whole_file else whole[4096:])
+            (tmp_path / "map.db").write_bytes(spoilt)
+            outcomes[map_outcome(tmp_path / "map.db", content)] += 1
         assert set(outcomes) == {"refused", "harmless"}, outcomes
         assert outcomes["refused"] > 60
