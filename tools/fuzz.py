@@ -5,7 +5,7 @@
 Bytes are flipped, cut, doubled, made zero or into sizes; numbers and words of text into such as no recorder
 writes; definitions of messages are rewritten with the bag whole around them; rows of a map are rewritten with
 checksums and seal made right again. Each is read in a child of its own with 2 GB and 10 CPU seconds.
-A container without checksums cannot tell a changed range from a range: only those may be "changed in silence".
+A container without checksums cannot tell a changed range from a range: only such are "changed in silence".
 """
 
 from __future__ import annotations

@@ -16,8 +16,7 @@ LARGEST_BYTES = 1 << 27  # of one record, one unpacked chunk, one cloud; of 2.6 
 MOST_PIXELS, MOST_BEAMS = 1 << 24, 1 << 16  # of one image (a Kinect has 12.6 million), of one scan
 
 _FREE_RECORDS, _BYTES_A_RECORD, _ELEMENTS_A_RECORD = 1 << 14, 8, 8
-_FREE_BYTES, _GROWTH = LARGEST_BYTES, 1032
-TEXT_GROWTH = 64  # numbers as text pack to a fifth
+_FREE_BYTES, _GROWTH, _TEXT_GROWTH = LARGEST_BYTES, 1032, 64
 _DEFINITION, _DEFINITIONS = 1 << 16, 1 << 17  # letters of one and of all; those of CameraInfo are 7,000
 
 
@@ -28,13 +27,13 @@ class Budget:
     ----------
     size
         Bytes of its files on the disk.
-    growth
-        How many times as large they may be unpacked.
+    text
+        Whether they are lines of text: numbers as text pack to a fifth, and a line has 16 letters and more.
     """
 
-    def __init__(self, size: int, growth: int = _GROWTH) -> None:
-        self._records = _FREE_RECORDS + size // _BYTES_A_RECORD
-        self._bytes = _FREE_BYTES + growth * size
+    def __init__(self, size: int, *, text: bool = False) -> None:
+        self._records = _FREE_RECORDS + size // (2 * _BYTES_A_RECORD if text else _BYTES_A_RECORD)
+        self._bytes = _FREE_BYTES + (_TEXT_GROWTH if text else _GROWTH) * size
         self._definitions: set[str] = set()
         self._files: set[Path] = set()
 

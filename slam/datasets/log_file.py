@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from slam.datasets.budget import TEXT_GROWTH, Budget
+from slam.datasets.budget import Budget
 from slam.datasets.dataset import RecordFault
 from slam.errors import DatasetError
 
@@ -112,7 +112,7 @@ def numbered_lines(
     number = 0
     with open_log(path) as stream:
         size = max(path.stat().st_size, 1)
-        budget, unpaid = Budget(size, TEXT_GROWTH), 0
+        budget, unpaid = Budget(size, text=True), 0
         try:
             while line := stream.readline(MAX_LINE_BYTES):
                 number += 1

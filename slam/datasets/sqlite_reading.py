@@ -34,12 +34,7 @@ def foreign_database(
     database = sqlite3.connect(name, uri=True, isolation_level=None, check_same_thread=not any_thread)
     database.execute("PRAGMA trusted_schema = OFF")
     database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_BYTES)
-    left = (_FREE_STEPS + _STEPS_A_BYTE * path.stat().st_size) // _STEPS_AT_ONCE
-
-    def is_too_long() -> bool:
-        nonlocal left
-        left -= 1
-        return left < 0
+    bound_steps(database, path)
 
     def allowed(action: int, name: str | None, function: str | None, _: str | None, view: str | None) -> int:
         unknown = action == sqlite3.SQLITE_FUNCTION and function not in _FUNCTIONS
@@ -47,9 +42,25 @@ def foreign_database(
             return sqlite3.SQLITE_DENY
         return sqlite3.SQLITE_OK
 
-    database.set_progress_handler(is_too_long, _STEPS_AT_ONCE)
     database.set_authorizer(allowed)
     return database
+
+
+def bound_steps(database: sqlite3.Connection, path: Path) -> None:
+    """Let queries of a file that lead in circles end with an error."""
+    left = (_FREE_STEPS + _STEPS_A_BYTE * path.stat().st_size) // _STEPS_AT_ONCE
+
+    def is_too_long() -> bool:
+        nonlocal left
+        left -= 1
+        return left < 0
+
+    database.set_progress_handler(is_too_long, _STEPS_AT_ONCE)
+
+
+def free_steps(database: sqlite3.Connection) -> None:
+    """Bound queries no longer: no table of the file is endless."""
+    database.set_progress_handler(None, 0)
 
 
 def tables_of(database: sqlite3.Connection) -> set[str]:

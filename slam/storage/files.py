@@ -12,6 +12,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TextIO
 
+from slam.datasets.budget import Budget
+from slam.datasets.dataset import RecordFault
+from slam.datasets.log_file import MAX_LINE_BYTES
 from slam.errors import MapFileError, ScanweaveError
 from slam.temporary import held, remove_left
 
@@ -91,13 +94,16 @@ def numbered_fields(
     Raises
     ------
     ScanweaveError
-        Of the type ``error``, where the file cannot be opened, is not text or its compression is damaged.
+        Of the type ``error``, where the file cannot be opened, is not text, its compression is damaged, or it
+        unpacks to more than any such file.
     """
     path = Path(path)
     number = 0
     try:
         with _open_text(path) as stream:
-            for number, line in enumerate(stream, start=1):
+            budget = Budget(path.stat().st_size, text=True)
+            for number, line in enumerate(iter(lambda: stream.readline(MAX_LINE_BYTES), ""), start=1):
+                budget.take(len(line))
                 fields = line.split()
                 if fields and not fields[0].startswith("#"):
                     yield number, fields
@@ -105,6 +111,8 @@ def numbered_fields(
         raise error(f"{path}: not a text file (after line {number}); is it another format?") from cause
     except (EOFError, zlib.error, gzip.BadGzipFile) as cause:
         raise error(f"{path}: damaged gzip data after line {number}; fetch the file again") from cause
+    except RecordFault as cause:
+        raise error(f"{path}: {cause}") from cause
     except OSError as cause:
         raise error(f"cannot read {path}: {cause.strerror or cause}") from cause
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from slam.datasets.sqlite_reading import bound_steps, free_steps
 from slam.errors import MapFileError, UnfinishedMapError
 from slam.foreign import from_json, plain
 from slam.storage.map_connection import (
@@ -118,7 +119,9 @@ class MapFile:
                 file._tables = check_kind(path, file._connection)
                 file._connection.execute("PRAGMA journal_mode = WAL")
                 file._connection.execute("BEGIN")
+                bound_steps(file._connection, path)
                 file._count_rows()
+                free_steps(file._connection)
             except BaseException:
                 file._connection.close()
                 raise
@@ -146,7 +149,7 @@ class MapFile:
             try:
                 file._tables = check_kind(path, connection)
                 file._check_seal()
-                connection.set_progress_handler(None, 0)  # no table is endless
+                free_steps(connection)
             except BaseException:
                 connection.close()
                 raise
