@@ -19,6 +19,7 @@ from slam.datasets.bags.compression import unpacked_chunk
 from slam.datasets.bags.records import (
     CUT,
     DAMAGED,
+    UNKNOWN,
     Channel,
     CutError,
     exactly,
@@ -79,6 +80,8 @@ class McapContainer:
                         where = f"{path.name}, chunk"
                         yield from _from_chunk(tables, content, account, budget, where, chunks, whole=whole)
                     elif whole:
+                        if not 0 < kind <= _DATA_END:
+                            account.report.note(UNKNOWN, account.report.line_count)
                         yield from _learned(tables, kind, content, account, path.name)
                 # The data are followed by a mark; without it the writer did not finish.
                 raise CutError("no end mark")

@@ -13,6 +13,7 @@ from slam.datasets.bags.compression import unpacked_chunk
 from slam.datasets.bags.records import (
     CUT,
     DAMAGED,
+    UNKNOWN,
     Channel,
     CutError,
     exactly,
@@ -81,6 +82,8 @@ class Rosbag1Container:
                         )
                         yield from inside
                     elif whole:
+                        if not b"\2" <= kind <= b"\7":
+                            account.report.note(UNKNOWN, account.report.line_count)
                         yield from _learned(channels, fields, content, account, path.name)
                 if not indexed:
                     raise CutError("no index: the recorder was not stopped properly")
