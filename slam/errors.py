@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from slam.foreign import plain
 
-_LONGEST = 4096
-
 
 class ScanweaveError(Exception):
     """Base of every expected failure; the command line prints it in one line and exits with 1.
@@ -14,7 +12,7 @@ class ScanweaveError(Exception):
     """
 
     def __init__(self, message: object = "") -> None:
-        super().__init__(plain(message, _LONGEST))
+        super().__init__(plain(message, longest=4096))
 
 
 class ConfigError(ScanweaveError):

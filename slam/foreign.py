@@ -11,11 +11,10 @@ import yaml
 Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 MOST_TEXT = 1 << 20  # letters of YAML; the index of a bag in a thousand parts has a fifth of that
-_LONGEST_NAME = 256
 _DEEPEST = 32
 
 
-def plain(text: object, longest: int = _LONGEST_NAME) -> str:
+def plain(text: object, longest: int = 256) -> str:
     """One line that a terminal shows as it is: what would steer it, turn the writing or is no text is a "?".
 
     Parameters

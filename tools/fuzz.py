@@ -316,6 +316,8 @@ class Fuzzer:
             return outcome, f"BAD: {outcome.fault or 'time or memory'}"
         if outcome.said.startswith("scanweave: "):
             return outcome, "an error in one line"
+        if warnings := [line for line in outcome.lines if "Warning: " in line]:
+            return outcome, f"BAD: {warnings[-1]}"
         return outcome, self._verdict(json.loads(outcome.said))
 
     def _verdict(self, found: Any) -> str:

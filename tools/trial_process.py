@@ -32,14 +32,15 @@ class Outcome:
     ----------
     fault
         What must not be, in a few words; empty where all is well.
-    said
-        The last line that it printed.
+    said, lines
+        The last line that it printed, and all of them.
     """
 
     cpu_s: float
     peak_mb: float
     fault: str
     said: str
+    lines: tuple[str, ...] = ()
 
 
 def load_libraries() -> None:
@@ -75,7 +76,9 @@ def run_child(work: Callable[[], int], cpu_s: float, memory_mb: float) -> Outcom
         text = said.read().decode("utf-8", "surrogateescape")
     lines = [line for line in text.split("\n") if line]
     fault = _fault(os.waitstatus_to_exitcode(status), text, lines)
-    return Outcome(used.ru_utime + used.ru_stime, used.ru_maxrss / _MB, fault, lines[-1] if lines else "")
+    return Outcome(
+        used.ru_utime + used.ru_stime, used.ru_maxrss / _MB, fault, lines[-1] if lines else "", tuple(lines)
+    )
 
 
 def _work(work: Callable[[], int], output: int, cpu_s: float, memory_mb: float) -> None:
