@@ -1,8 +1,18 @@
 """The errors that a user can meet; each message says what, the value, the limit and the remedy."""
 
+from __future__ import annotations
+
+from slam.foreign import plain
+
 
 class ScanweaveError(Exception):
-    """Base of every expected failure; the command line prints it in one line and exits with 1."""
+    """Base of every expected failure; the command line prints it in one line and exits with 1.
+
+    What a message quotes of a file or its name is made plain here, wherever it is shown.
+    """
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(plain(message, longest=4096))
 
 
 class ConfigError(ScanweaveError):

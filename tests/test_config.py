@@ -121,7 +121,7 @@ def test_a_bad_value_is_told_in_one_line_with_its_limit(override: str, expected:
         ("- 1\n- 2\n", "holds a list; write 'section:'"),
         ("grid: [1\n", "cannot read"),
         ("2024-01-01: 3\n", "mine.yaml: not plain keys and values"),
-        ("seed: &a [*a]\n", "mine.yaml: not plain keys and values"),
+        ("seed: &a [*a]\n", "mine.yaml: aliases are not read"),
     ],
 )
 def test_a_bad_file_is_blamed_by_name(write, text: str, expected: str) -> None:

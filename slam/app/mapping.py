@@ -13,11 +13,12 @@ from slam.config import Config
 from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
 from slam.errors import MapFileError
+from slam.foreign import plain
 from slam.measurements import Measurement
 from slam.outputs.finished_map import Map, open_map
-from slam.storage.files import TemporaryFolder
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import MapIdentity, current_versions, identity_of
+from slam.temporary import TemporaryFolder
 
 
 def map_log(
@@ -150,7 +151,7 @@ def build_map(
     """
     config = config or Config()
     measured = Measured(measurements)
-    identity = MapIdentity(config, measured.name, measured.fingerprint(), current_versions())
+    identity = MapIdentity(config, plain(measured.name), measured.fingerprint(), current_versions())
     return _in_memory(measured, identity, on_progress).map
 
 

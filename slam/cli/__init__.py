@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from slam.cli import compare, demo, localize, map_log, queries, saved, simulate
-from slam.cli.app import app
+from slam.cli.app import app, tell
 from slam.errors import ScanweaveError
 
 __all__ = ["app", "compare", "demo", "localize", "main", "map_log", "queries", "saved", "simulate"]
@@ -19,7 +19,7 @@ def main() -> None:
     try:
         app()
     except ScanweaveError as error:
-        print(f"scanweave: {error}", file=sys.stderr)
+        tell(f"scanweave: {error}", sys.stderr)
         sys.exit(1)
     except (KeyboardInterrupt, SystemExit) as end:
         # Typer turns an interrupt into its exit code and says nothing.

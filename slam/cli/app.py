@@ -5,21 +5,36 @@ from __future__ import annotations
 import inspect
 import json
 import logging
+import sys
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TextIO, TypeVar
 
 import typer
+
+from slam.foreign import plain_lines
 
 _Command = TypeVar("_Command", bound=Callable[..., None])
 _verbosity = {"quiet": False}
 
 
+def tell(text: str, stream: TextIO | None = None) -> None:
+    """Print lines, to the standard output or another stream; what files and their names say is made plain."""
+    print(plain_lines(text), file=stream or sys.stdout, flush=stream is not None)
+
+
 def say(text: str) -> None:
-    """Print what a command has to tell, unless only warnings and errors are wanted."""
+    """Tell what a command has to tell, unless only warnings and errors are wanted."""
     if not _verbosity["quiet"]:
-        print(text)
+        tell(text)
+
+
+class _PlainFormatter(logging.Formatter):
+    """Messages as `tell` prints them."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return plain_lines(super().format(record))
 
 
 def is_quiet() -> bool:
@@ -121,7 +136,7 @@ def topics_override(option: list[str] | None) -> list[str]:
 def _show_version(wanted: bool) -> None:
     """Print the version and stop."""
     if wanted:
-        print(f"scanweave {version('scanweave')}")
+        tell(f"scanweave {version('scanweave')}")
         raise typer.Exit
 
 
@@ -135,7 +150,9 @@ def _before_any_command(
     quiet: QuietOption = False,
 ) -> None:
     """Set up what is reported before any command."""
-    logging.basicConfig(format="%(message)s")
+    logging.basicConfig()
+    for handler in logging.getLogger().handlers:
+        handler.setFormatter(_PlainFormatter("%(message)s"))
     logging.getLogger().setLevel(logging.WARNING)
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it warns of a home that cannot be written to
     _verbosity["quiet"] = False

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from slam.cli.app import OutOption, RecordOption, command, say
+from slam.cli.app import OutOption, RecordOption, command, say, tell
 from slam.errors import ScanweaveError
 
 if TYPE_CHECKING:
@@ -80,4 +80,4 @@ def _tell(row: Row, done: int, count: int) -> None:
     name = ", ".join(part for part in (row["dataset"], row["configuration"], f"seed {row['seed']}") if part)
     reason = f" ({row['reason']})" if row["reason"] else ""
     line = f"[{done}/{count}] {name}: {row['status']}{reason}, {row['elapsed_s']:.1f} s"
-    print(line, file=sys.stderr, flush=True)
+    tell(line, sys.stderr)

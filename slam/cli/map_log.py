@@ -19,6 +19,7 @@ from slam.cli.app import (
     command,
     folder_of,
     say,
+    tell,
     topics_override,
 )
 from slam.cli.progress import interruptible, progress_bar
@@ -173,7 +174,7 @@ def _tell_unfinished(folder: Path) -> None:
 
     if left_in(folder) is Left.UNFINISHED:
         path = folder / MAP_NAME
-        print(f"{path} is not finished; the same command with --resume goes on with it", file=sys.stderr)
+        tell(f"{path} is not finished; the same command with --resume goes on with it", sys.stderr)
 
 
 def _tell(run: MapRun, took: str, of: str = "") -> None:
@@ -181,7 +182,7 @@ def _tell(run: MapRun, took: str, of: str = "") -> None:
     report = run.report
     assert report is not None
     for warning in report.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+        tell(f"warning: {warning}", sys.stderr)
     for note in run.map.notes:
         say(note)
     loops = run.map.loops

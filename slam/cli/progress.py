@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from slam.cli.app import is_quiet
+from slam.cli.app import is_quiet, tell
 
 if TYPE_CHECKING:
     from slam.app.progress import Progress
@@ -58,7 +58,7 @@ def progress_bar(unit: str = "scans and frames", first: str = "") -> Iterator[Sh
 
     def tell_first(progress: Progress) -> None:
         for line in begun:
-            print(line, file=sys.stderr)
+            tell(line, sys.stderr)
 
     if is_quiet() or not sys.stderr.isatty():
         yield tell_first

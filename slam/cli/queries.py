@@ -16,6 +16,7 @@ from slam.cli.app import (
     StrictOption,
     TopicsOption,
     command,
+    tell,
     topics_of,
 )
 from slam.errors import ScanweaveError
@@ -31,7 +32,7 @@ def inspect(
     from slam.evaluation.pages import inspection_text
 
     inspection = inspect_dataset(open_dataset(log, strict=strict, topics=topics_of(topics)))
-    print(json.dumps(inspection, indent=2) if as_json else inspection_text(inspection))
+    tell(json.dumps(inspection, indent=2) if as_json else inspection_text(inspection))
 
 
 @command()
@@ -58,7 +59,7 @@ def evaluate(
     scores = score(
         trajectory, groundtruth=groundtruth, relations=relations, tolerance_s=tolerance, delta_m=delta
     )
-    print(json.dumps(scores, indent=2) if as_json else score_text(scores))
+    tell(json.dumps(scores, indent=2) if as_json else score_text(scores))
 
 
 @command("config")
@@ -66,7 +67,7 @@ def config_command(config: ConfigOption = None, set_: SetOption = None) -> None:
     """Print the effective configuration, every field explained."""
     from slam.config import dump_config, load_config
 
-    print(dump_config(load_config(config, set_ or [])), end="")
+    tell(dump_config(load_config(config, set_ or [])).rstrip("\n"))
 
 
 @command()
@@ -97,8 +98,8 @@ def plan(
             f"no way from {start} to {goal} for a robot of radius {radius:g} m; try a smaller --radius"
         )
     write_bytes(out, plan_picture(grid.values, space, path))
-    print(grid.what or f"{map_} does not tell how it was made")
-    print(f"{path.length_m:.2f} m, at least {path.clearance_m:.2f} m from obstacles; wrote {out}")
+    tell(grid.what or f"{map_} does not tell how it was made")
+    tell(f"{path.length_m:.2f} m, at least {path.clearance_m:.2f} m from obstacles; wrote {out}")
 
 
 def _map_yaml(map_: Path) -> Path:

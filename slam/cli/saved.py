@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from slam.cli.app import JsonOption, command, folder_of, say
+from slam.cli.app import JsonOption, command, folder_of, say, tell
 from slam.errors import ScanweaveError
 
 MapArgument = Annotated[
@@ -33,7 +33,7 @@ def info(map_: MapArgument, as_json: JsonOption = False) -> None:
     from slam.evaluation.map_info import map_info, render_info
 
     found = map_info(map_)
-    print(json.dumps(found, indent=2) if as_json else render_info(found))
+    tell(json.dumps(found, indent=2) if as_json else render_info(found))
 
 
 @command()
@@ -45,7 +45,7 @@ def check(map_: MapArgument) -> None:
     saved.check()
     frames, clouds = saved.contents.frames or (), saved.contents.clouds or ()
     with_clouds = f"{len(clouds)} clouds, " if clouds else ""
-    print(
+    tell(
         f"{saved.path} is whole: {len(saved.keyframe_poses)} keyframes, {with_clouds}{len(frames)} images, "
         f"{len(saved.factors)} factors, {len(saved.trajectory)} poses, digest {saved.digest}"
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any
 from slam.comparison.files import RESULT
 from slam.errors import MapFileError
 from slam.storage.files import make_folder, write_bytes
+from slam.temporary import TemporaryFolder
 
 # What stopped these was the machine or a limit, not the run: they are tried again.
 PASSING = frozenset({"timeout", "memory", "killed"})
@@ -61,11 +61,11 @@ class ResultStore:
     @contextmanager
     def attempt(self) -> Iterator[Path]:
         """A folder to work in; what is not published is gone afterwards."""
-        folder = Path(tempfile.mkdtemp(prefix=".attempt-", dir=self.folder))
+        folder = TemporaryFolder(self.folder, ".attempt-")
         try:
-            yield folder
+            yield folder.path
         finally:
-            shutil.rmtree(folder, ignore_errors=True)
+            folder.remove()
 
     def publish(self, folder: Path, key: str, row: dict[str, Any]) -> dict[str, Any]:
         """Let a finished attempt be the run's result, unless another attempt was first.

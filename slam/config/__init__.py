@@ -38,6 +38,7 @@ from slam.config.stages import (
     WheelConfig,
 )
 from slam.errors import ConfigError
+from slam.foreign import Loader, from_yaml
 
 DEFAULT_PRESET = "lidar2d"
 
@@ -115,7 +116,7 @@ def dump_config(config: StrictModel) -> str:
     return "\n".join(_dump_lines(config, indent="")) + "\n"
 
 
-class _Loader(yaml.SafeLoader):
+class _Loader(Loader):  # type: ignore[misc]
     """Safe YAML 1.1, but ``1e-3`` is a number as everywhere else."""
 
 
@@ -144,8 +145,8 @@ def _find_file(preset_or_path: str) -> Path:
 def _read_tree(file: Path) -> dict[str, Any]:
     """Nested mapping in a YAML file; an empty file is an empty mapping."""
     try:
-        tree = yaml.load(file.read_text(encoding="utf-8"), Loader=_Loader)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        tree = from_yaml(file.read_text(encoding="utf-8"), _Loader)
+    except (OSError, ValueError) as error:
         raise ConfigError(f"cannot read {file}: {' '.join(str(error).split())}") from error
     if tree is None:
         return {}
@@ -161,8 +162,8 @@ def _apply_override(tree: dict[str, Any], override: str) -> None:
     if not equals or not all(names):
         raise ConfigError(f"override '{override}' is not of the form section.field=value")
     try:
-        value = yaml.load(text, Loader=_Loader)
-    except yaml.YAMLError as error:
+        value = from_yaml(text, _Loader)
+    except ValueError as error:
         raise ConfigError(f"override '{override}': '{text}' is not a YAML value") from error
     node = tree
     for name in names[:-1]:

@@ -9,10 +9,10 @@ from typing import Any
 
 import gtsam
 import numpy as np
-import yaml
 
 from slam.datasets.dataset import RecordFault
 from slam.errors import DatasetError
+from slam.foreign import from_yaml
 from slam.measurements import CameraIntrinsics, FloatArray
 
 FILE_NAME = "calibration.yaml"
@@ -121,10 +121,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
     try:
         text = path.read_text(encoding="utf-8")
         # OpenCV writes a first line and a tag that are no YAML.
-        content = yaml.safe_load(text.replace("%YAML:1.0", "", 1).replace("!!opencv-matrix", ""))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = str(error).splitlines()[0]
-        raise DatasetError(f"{path} cannot be read: {reason}; correct or remove it") from error
+        content = from_yaml(text.replace("%YAML:1.0", "", 1).replace("!!opencv-matrix", ""))
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{path} cannot be read: {error}; correct or remove it") from error
     if not isinstance(content, dict):
         raise DatasetError(f"{path} holds no named values; correct or remove it")
     return content

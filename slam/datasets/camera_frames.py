@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.datasets.account import Account
+from slam.datasets.budget import Budget
 from slam.datasets.calibration import Calibration, same_aspect
 from slam.datasets.dataset import RecordFault
 from slam.datasets.frame_pairs import FramePair
@@ -59,7 +60,8 @@ def read_frames(
 ) -> Generator[tuple[int, RgbdFrame], None, None]:
     """Frames in the order of the requests, each with the line of its colour image; faults are counted."""
     sizes: dict[str, CameraIntrinsics] = {}
-    for images in prefetched(requests, _decode):
+    budget = Budget(0)
+    for images in prefetched(requests, lambda request: _decode(request, budget)):
         camera, number = images.camera, images.pair.color.number
         account.report.line_count += 1
         try:
@@ -97,13 +99,14 @@ def _frame(images: _Images, sizes: dict[str, CameraIntrinsics]) -> RgbdFrame:
     )
 
 
-def _decode(request: tuple[Camera, FramePair]) -> _Images:
+def _decode(request: tuple[Camera, FramePair], budget: Budget) -> _Images:
     """Both images, upright and of one size; runs on the thread that prefetches."""
     camera, pair = request
     calibration = camera.calibration
     try:
-        depth_m = read_depth(pair.depth.path, calibration.depth_steps_per_m, calibration.invalid_codes)
-        color = read_color(pair.color.path)
+        codes = calibration.invalid_codes
+        depth_m = read_depth(pair.depth.path, calibration.depth_steps_per_m, budget, codes)
+        color = read_color(pair.color.path, budget)
         stored = (color.shape[1], color.shape[0])
         color = _fitted(color, depth_m)
     except RecordFault as fault:

@@ -26,6 +26,7 @@ from slam.datasets.dataset import ReadReport, RecordFault
 from slam.datasets.laser_geometry import BeamLayout, beam_layout, classify_ranges, no_return_limit_m
 from slam.datasets.log_file import numbered_lines, read_head
 from slam.datasets.recording import Contents, Numbered, Recording
+from slam.foreign import plain
 from slam.measurements import LaserScan, Measurement, WheelOdometry, pose2_from_row
 
 HEAD_BYTES = 1 << 18  # enough for a full block of parameters and some scans
@@ -81,7 +82,7 @@ def open_carmen(path: Path, strict: bool) -> Recording:
         strict=strict,
         remedy=remedy,
     )
-    dataset.name = path.name.removesuffix(".gz").removesuffix(".log").removesuffix(".clf")
+    dataset.name = plain(path.name).removesuffix(".gz").removesuffix(".log").removesuffix(".clf")
     return dataset
 
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.datasets.budget import LARGEST_BYTES
 from slam.datasets.dataset import RecordFault
 from slam.datasets.pcd_points import read_pcd_points
 from slam.datasets.ply_points import read_ply_points
-from slam.datasets.point_rows import MOST_BYTES
 from slam.measurements import Float32Array
 
 CLOUD_SUFFIXES = frozenset({".bin", ".pcd", ".ply"})
@@ -57,7 +57,7 @@ def read_cloud(path: Path) -> CloudFile:
         raise RecordFault(MISSING, str(path)) from error
     except (OSError, ValueError) as error:
         raise RecordFault(UNREADABLE, f"{path.name}: {error}") from error
-    if not 0 < size <= MOST_BYTES:
+    if not 0 < size <= LARGEST_BYTES:
         raise RecordFault(DAMAGED, f"{path.name}: {size} bytes")
     points, fields = _from_bin(path) if path.suffix.lower() == ".bin" else _from_fields(path)
     with np.errstate(invalid="ignore", over="ignore"):

@@ -11,6 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
+from slam.foreign import plain
 from slam.measurements import Measurement, Trajectory, WheelOdometry
 
 # Above these a pair of odometry readings is a jump of the counter, not a drive of the robot: an indoor
@@ -38,7 +39,7 @@ class RecordFault(Exception):
     """
 
     def __init__(self, reason: str, detail: str) -> None:
-        super().__init__(f"{reason}: {detail}")
+        super().__init__(plain(f"{reason}: {detail}"))
         self.reason = reason
         self.detail = detail
 

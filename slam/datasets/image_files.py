@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import stat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.datasets.budget import LARGEST_BYTES, Budget
 from slam.datasets.dataset import RecordFault
 from slam.datasets.quiet_decoder import decode_quietly
 from slam.measurements import ColorImage, Float32Array
@@ -23,15 +25,15 @@ NOT_PNG = "depth image not PNG"
 _PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
 
 
-def read_color(path: Path) -> ColorImage:
+def read_color(path: Path, budget: Budget) -> ColorImage:
     """An 8-bit image as (H, W, 3) RGB; grey is spread over the channels, transparency is dropped.
 
     Raises
     ------
     RecordFault
-        Missing, unreadable, damaged, or not 8-bit.
+        Missing, unreadable, damaged, not 8-bit, or beyond the budget.
     """
-    image = _decode(path, _content(path))
+    image = _decode(path, budget)
     color = rgb_of(image)
     if color is None:
         raise RecordFault(NOT_COLOR, f"{path.name}: {image.dtype} {image.shape}")
@@ -49,7 +51,9 @@ def rgb_of(image: NDArray[Any]) -> ColorImage | None:
     return np.ascontiguousarray(cv2.cvtColor(image, conversion))
 
 
-def read_depth(path: Path, steps_per_m: float, invalid_codes: tuple[int, ...] = ()) -> Float32Array:
+def read_depth(
+    path: Path, steps_per_m: float, budget: Budget, invalid_codes: tuple[int, ...] = ()
+) -> Float32Array:
     """A 16-bit PNG as metres, (H, W).
 
     Parameters
@@ -62,12 +66,10 @@ def read_depth(path: Path, steps_per_m: float, invalid_codes: tuple[int, ...] = 
     Raises
     ------
     RecordFault
-        Missing, unreadable, damaged, of 8 bits or of several channels: its metres would be a guess.
+        Missing, unreadable, damaged, beyond the budget, of 8 bits or of several channels: its metres would be
+        a guess.
     """
-    content = _content(path)
-    if not content.startswith(_PNG_MAGIC):
-        raise RecordFault(NOT_PNG if content else DAMAGED, path.name)
-    steps = _decode(path, content)
+    steps = _decode(path, budget, _PNG_MAGIC)
     if steps.ndim != 2:
         raise RecordFault(MANY_CHANNELS, f"{path.name}: {steps.shape}")
     if steps.dtype != np.uint16:
@@ -79,9 +81,13 @@ def read_depth(path: Path, steps_per_m: float, invalid_codes: tuple[int, ...] = 
     return depth_m
 
 
-def _content(path: Path) -> bytes:
-    """All of a file."""
+def _content(path: Path, budget: Budget) -> bytes:
+    """All of a file; pipes and devices are none."""
     try:
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode) or found.st_size > LARGEST_BYTES:
+            raise RecordFault(UNREADABLE, f"{path.name}: no file, or one of {found.st_size} bytes")
+        budget.add_file(path, found.st_size)
         return path.read_bytes()
     except FileNotFoundError as error:
         raise RecordFault(MISSING, str(path)) from error
@@ -89,9 +95,12 @@ def _content(path: Path) -> bytes:
         raise RecordFault(UNREADABLE, f"{path.name}: {error}") from error
 
 
-def _decode(path: Path, content: bytes) -> NDArray[Any]:
-    """Pixels as stored, all of them."""
-    image = decode_quietly(content) if content else None
+def _decode(path: Path, budget: Budget, magic: bytes = b"") -> NDArray[Any]:
+    """Pixels as stored, all of them; where the file must begin so, it is a PNG."""
+    content = _content(path, budget)
+    if content and not content.startswith(magic):
+        raise RecordFault(NOT_PNG, path.name)
+    image = decode_quietly(content, budget) if content else None
     if image is None:
         raise RecordFault(DAMAGED, path.name)
     return image

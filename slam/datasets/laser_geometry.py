@@ -7,7 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slam.datasets.budget import MOST_BEAMS
+from slam.datasets.dataset import RecordFault
 from slam.measurements import Float32Array, FloatArray
+
+MANY_BEAMS = "scan of more beams than any lidar has"
 
 # A SICK LMS in its 80 m mode says "nothing met" and its error codes with 8183, 8187, 8190 and 8191 cm.
 SICK_LARGEST_CODE_FREE_M = 81.83
@@ -129,7 +133,14 @@ def classify_ranges(ranges_m: FloatArray, limit_m: float) -> Float32Array:
     """Readings as `slam.measurements.LaserScan` wants them, (N,).
 
     At or above ``limit_m``: ``inf``, no return. Zero, negative or NaN: ``nan``, invalid.
+
+    Raises
+    ------
+    RecordFault
+        More beams than any lidar has.
     """
+    if ranges_m.size > MOST_BEAMS:
+        raise RecordFault(MANY_BEAMS, f"{ranges_m.size}, at most {MOST_BEAMS}")
     # A stated 81.83 and a written 81.83 must meet, whatever their last bit.
     clean = np.where(ranges_m >= limit_m - _CODE_TOLERANCE_M, np.inf, ranges_m)
     return np.where(clean > 0.0, clean, np.nan).astype(np.float32)

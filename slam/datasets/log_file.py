@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from slam.datasets.budget import Budget
 from slam.datasets.dataset import RecordFault
 from slam.errors import DatasetError
 
@@ -99,7 +100,7 @@ def numbered_lines(
     ----------
     refuse
         Called with the fault and the line number for an over-long line and for damaged compression;
-        the first is skipped, the second ends the stream after what could be read.
+        the first is skipped, the second ends the stream after what could be read, as `Budget` does.
     on_share
         Called now and then with the share of the file that has been read, 0..1.
 
@@ -111,19 +112,26 @@ def numbered_lines(
     number = 0
     with open_log(path) as stream:
         size = max(path.stat().st_size, 1)
+        budget, unpaid = Budget(size, text=True), 0
         try:
             while line := stream.readline(MAX_LINE_BYTES):
                 number += 1
-                if on_share is not None and number % _LINES_A_SHARE == 0:
-                    on_share(_position(stream) / size)
+                unpaid += len(line)
+                if number % _LINES_A_SHARE == 0:
+                    budget.take(unpaid, _LINES_A_SHARE)
+                    unpaid = 0
+                    if on_share is not None:
+                        on_share(_position(stream) / size)
                 if len(line) == MAX_LINE_BYTES and not line.endswith(b"\n"):
-                    _skip_line(stream)
+                    _skip_line(stream, budget)
                     detail = f"more than {MAX_LINE_BYTES} bytes"
                     refuse(RecordFault(LINE_TOO_LONG, detail), number)
                     continue
                 yield number, line.removeprefix(_BYTE_ORDER_MARK) if number == 1 else line
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
             refuse(RecordFault(STREAM_DAMAGED, str(error)), number + 1)
+        except RecordFault as fault:
+            refuse(fault, number)
         except OSError as error:
             raise DatasetError(f"cannot read {path} after line {number}: {error.strerror}") from error
 
@@ -133,7 +141,7 @@ def _position(stream: io.BufferedReader) -> int:
     return stream.raw.packed_position() if isinstance(stream.raw, _Gunzipped) else stream.tell()
 
 
-def _skip_line(stream: io.BufferedReader) -> None:
+def _skip_line(stream: io.BufferedReader, budget: Budget) -> None:
     """Leave the stream at the beginning of the next line."""
     while (rest := stream.readline(MAX_LINE_BYTES)) and not rest.endswith(b"\n"):
-        pass
+        budget.take(len(rest))

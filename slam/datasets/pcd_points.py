@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.kernel import kernel
-from slam.datasets.point_rows import MOST_BYTES, binary_rows, check_bytes, header_line, row_bytes, text_rows
+from slam.datasets.budget import LARGEST_BYTES
+from slam.datasets.point_rows import binary_rows, check_bytes, header_line, row_bytes, text_rows
 
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 _SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
@@ -91,7 +92,7 @@ def _compressed(stream: BinaryIO, fields: list[tuple[str, str, int]], count: int
     )
     check_bytes(stream, packed_bytes)
     wanted = count * row_bytes(fields)
-    if whole_bytes != wanted or whole_bytes > min(MOST_BYTES, _MOST_GROWTH * packed_bytes):
+    if whole_bytes != wanted or whole_bytes > min(LARGEST_BYTES, _MOST_GROWTH * packed_bytes):
         raise ValueError(f"{whole_bytes} bytes in {packed_bytes} for {wanted} bytes of points")
     whole = np.empty(whole_bytes, np.uint8)
     if not _unpack(np.frombuffer(stream.read(packed_bytes), np.uint8), whole):

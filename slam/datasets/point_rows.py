@@ -9,7 +9,8 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-MOST_BYTES = 1 << 30  # of a file, and of what it holds packed
+from slam.datasets.budget import LARGEST_BYTES
+
 _MOST_HEADER_BYTES = 1 << 16
 
 
@@ -63,7 +64,7 @@ def row_type(fields: list[tuple[str, str, int]]) -> np.dtype[np.void]:
     ValueError
         No field, two of one name, or no row of this length is possible.
     """
-    if not 0 < row_bytes(fields) <= MOST_BYTES:
+    if not 0 < row_bytes(fields) <= LARGEST_BYTES:
         raise ValueError(f"{len(fields)} fields of {row_bytes(fields)} bytes")
     return np.dtype([(name, code) if count == 1 else (name, code, (count,)) for name, code, count in fields])
 

@@ -14,6 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.datasets.budget import MOST_PIXELS, Budget
+
+# OpenCV takes it when it is loaded: a few bytes may say that they are a gigapixel.
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
 _STDERR = 2
 # libjpeg's own words, libpng's, and OpenCV's log.
 _CHATTER = re.compile(
@@ -27,8 +31,10 @@ _HARMLESS = re.compile(rb" \d{1,2} extraneous bytes before marker|libpng warning
 _one_at_a_time = threading.Lock()
 
 
-def decode_quietly(content: bytes) -> NDArray[Any] | None:
+def decode_quietly(content: bytes, budget: Budget) -> NDArray[Any] | None:
     """Pixels of an image file as they are stored, None where any of them could not be decoded.
+
+    The pixels are taken from the budget; `RecordFault` where nothing of it is left.
 
     Bytes changed so that they are again a valid JPEG are not noticed: the format has no checksum.
 
@@ -36,6 +42,7 @@ def decode_quietly(content: bytes) -> NDArray[Any] | None:
     """
     import cv2
 
+    budget.take(0, 0)
     with _one_at_a_time, tempfile.TemporaryFile() as sink:
         stderr = os.dup(_STDERR)
         try:
@@ -52,5 +59,6 @@ def decode_quietly(content: bytes) -> NDArray[Any] | None:
                 os.write(stderr, others)
         finally:
             os.close(stderr)
+    budget.take(0 if image is None else image.nbytes, 0)
     damaged = any(not _HARMLESS.search(line) for line in _CHATTER.findall(said))
     return None if image is None or damaged else np.asarray(image)

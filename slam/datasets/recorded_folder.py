@@ -13,6 +13,7 @@ from slam.datasets.log_file import read_head
 from slam.datasets.recording import Contents, Numbered, Recording
 from slam.datasets.tum import has_tum_layout, read_groundtruth, tum_camera
 from slam.errors import DatasetError
+from slam.foreign import plain
 
 _CAMERA_FOLDERS = "rgbd_*"
 _NO_LOGS = frozenset(
@@ -58,7 +59,7 @@ def _cameras(path: Path) -> dict[str, Path]:
         return {"camera": path}
     folders = {}
     for folder in _camera_folders(path):
-        name = folder.name.removeprefix("rgbd_")
+        name = plain(folder.name.removeprefix("rgbd_"))
         folders[f"RGBD_{name}" if name.isdecimal() else name] = folder
     return folders
 

@@ -15,6 +15,7 @@ from slam.datasets.camera_frames import Camera, read_frames
 from slam.datasets.dataset import ReadReport
 from slam.datasets.frame_pairs import FramePair
 from slam.errors import DatasetError
+from slam.foreign import plain
 from slam.measurements import Measurement, RgbdFrame, Trajectory
 
 Numbered: TypeAlias = tuple[int, Measurement]
@@ -72,7 +73,7 @@ class Recording:
         remedy: str = "give a folder with its images in place",
     ) -> None:
         self.path = path
-        self.name = path.resolve().name
+        self.name = plain(path.resolve().name)
         self.report = ReadReport()
         self.read_images = True
         self._load, self._truth, self._strict, self._remedy = load, truth, strict, remedy

@@ -22,8 +22,10 @@ from slam.datasets.frame_pairs import FramePair
 from slam.datasets.log_file import read_head
 from slam.datasets.recording import Contents, Numbered, Recording
 from slam.datasets.robot_at_home_rig import BAD_TIME, LASER, camera, laser_scan, unix_stamp_s
+from slam.datasets.sqlite_reading import foreign_database
 from slam.datasets.stamped_files import StampedFile
 from slam.errors import DatasetError
+from slam.foreign import plain
 
 NO_FILES = "observation without image files in the database"
 
@@ -95,7 +97,7 @@ def _is_robot_at_home(path: Path) -> bool:
 def _connected(path: Path) -> Iterator[sqlite3.Connection]:
     """A database opened for reading."""
     try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
+        with closing(foreign_database(path)) as database:
             yield database
     except sqlite3.Error as error:
         raise DatasetError(f"{path} cannot be read: {error}; download the database again") from error
@@ -113,7 +115,7 @@ def _load(chosen: _Selection, account: Account) -> Contents:
         for row in _observations(database, chosen):
             if row["sensor"] != LASER:
                 try:
-                    pairs[str(row["sensor"])].append(_pair(chosen.database.parent, row))
+                    pairs[plain(row["sensor"])].append(_pair(chosen.database.parent, row))
                 except RecordFault as fault:
                     account.refuse(fault, str(row["sensor"]), int(row["id"]))
     return Contents([camera(name, pairs[name]) for name in sorted(pairs)], _scans(chosen, account))

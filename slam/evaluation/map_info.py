@@ -11,6 +11,7 @@ import numpy as np
 
 from slam.config import Config
 from slam.errors import MapFileError, UnfinishedMapError
+from slam.foreign import plain
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, StateArray
 from slam.outputs.finished_map import Map, open_map
 from slam.storage.map_file import MapFile, map_path
@@ -112,7 +113,7 @@ def _text(value: Any) -> str:
     """A plain value in words."""
     if isinstance(value, Mapping):
         return " ".join(f"{key}={part}" for key, part in value.items())
-    return str(value)
+    return plain(value)
 
 
 def _sensors(saved: Map) -> dict[str, int]:

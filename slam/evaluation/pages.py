@@ -14,6 +14,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from slam.foreign import plain_lines
 from slam.storage.files import replacing
 
 _TELLING_S = 0.02  # medians of two clocks that are nearer to each other than that tell nothing
@@ -48,13 +49,14 @@ def parts() -> Any:
 
 @cache
 def _environment() -> Environment:
-    """Templates that escape what they are given, and fail on what they are not given."""
+    """Templates that make plain and escape what they are given, and fail on what they are not given."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent / "templates"),
         autoescape=lambda name: name is None or not name.endswith(".txt"),
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
+        finalize=lambda value: plain_lines(value) if type(value) is str else value,
     )
     # No minus zero.
     environment.filters["degrees"] = lambda angle, decimals=9: round(math.degrees(angle), decimals) + 0.0

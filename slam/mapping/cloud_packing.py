@@ -11,6 +11,7 @@ from slam.errors import ScanweaveError
 from slam.measurements import FloatArray
 
 STEP_M = 0.001  # a thirtieth of a 3D lidar's noise; coarser only for a cloud that reaches beyond 500 km
+_MOST_BYTES = 1 << 27  # unpacked
 _HEAD = struct.Struct("<dI")
 
 
@@ -46,8 +47,8 @@ def unpacked_cloud(content: bytes) -> FloatArray:
         raise ValueError("a cloud that ends too soon")
     step_m, count = _HEAD.unpack_from(content)
     size = 3 * np.dtype(np.int32).itemsize * count
-    if not 0.0 < step_m < np.inf:
-        raise ValueError(f"a packed cloud in steps of {step_m:g} m")
+    if not 0.0 < step_m < np.inf or size > _MOST_BYTES:
+        raise ValueError(f"a packed cloud of {count} points in steps of {step_m:g} m")
     unpacker = zlib.decompressobj()
     try:
         plain = unpacker.decompress(content[_HEAD.size :], size + 1)

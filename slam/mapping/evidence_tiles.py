@@ -7,9 +7,7 @@ boards come changes nothing.
 from __future__ import annotations
 
 import math
-import shutil
 import tempfile
-import weakref
 from collections import OrderedDict
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,6 +20,7 @@ from fusion.kernel import kernel
 from slam.errors import ScanweaveError
 from slam.mapping.occupancy_grid import Steps
 from slam.mapping.ray_tracing import Box
+from slam.temporary import TemporaryFolder
 
 Tile: TypeAlias = NDArray[np.int32]
 
@@ -62,7 +61,7 @@ class EvidenceTiles:
         self._shape = (self._side, self._side, heights)
         self._most = max(4, int(memory_mb * 1e6 / TILE_BYTES))
         self._spilled: set[tuple[int, int]] = set()
-        self._folder: Path | None = None
+        self._folder: TemporaryFolder | None = None
         self.used: Box | None = None
 
     def add(self, board: Board) -> None:
@@ -130,13 +129,12 @@ class EvidenceTiles:
         """Put a tile on disk."""
         try:
             if self._folder is None:
-                self._folder = Path(tempfile.mkdtemp(prefix="scanweave-tiles-"))
-                weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
+                self._folder = TemporaryFolder()
             tile.tofile(self._path(key))
         except OSError as error:
             raise ScanweaveError(
-                f"cannot keep tiles of the map in {self._folder or tempfile.gettempdir()}: "
-                f"{error.strerror or error}; set TMPDIR to a folder with free space"
+                f"cannot keep tiles of the map in {tempfile.gettempdir()}: {error.strerror or error}; "
+                "set TMPDIR to a folder with free space"
             ) from error
         self._spilled.add(key)
 
@@ -146,11 +144,11 @@ class EvidenceTiles:
         try:
             return np.fromfile(self._path(key), dtype=np.int32).reshape(self._shape)
         except (OSError, ValueError) as error:
-            raise ScanweaveError(f"a tile of the map is gone from {self._folder}; run again") from error
+            raise ScanweaveError(f"a tile of the map is gone: {self._path(key)}; run again") from error
 
     def _path(self, key: tuple[int, int]) -> Path:
         assert self._folder is not None
-        return self._folder / f"{key[0]}_{key[1]}.tile"
+        return self._folder.path / f"{key[0]}_{key[1]}.tile"
 
 
 def union(a: Box, b: Box) -> Box:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import shutil
 from collections.abc import Mapping, Sequence
@@ -13,17 +12,20 @@ import gtsam
 
 from slam.config import Config
 from slam.errors import MapFileError
+from slam.foreign import from_json
 from slam.graph.loop_closure import LoopCandidate
 from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Trajectory
 from slam.outputs.exports import Exports
-from slam.storage.files import TemporaryFolder, make_folder, replacing
+from slam.storage.files import make_folder, replacing
 from slam.storage.map_contents import MapContents, SavedFactor, read_contents
 from slam.storage.map_file import MAP_NAME, MapFile
 from slam.storage.map_identity import MapIdentity
 from slam.storage.map_sessions import MapSession, sessions_of
-from slam.storage.map_tables import FRAMES
+from slam.storage.map_soundness import sound_readings
+from slam.storage.map_tables import FRAMES, KEYFRAMES
+from slam.temporary import TemporaryFolder
 
 log = logging.getLogger(__name__)
 
@@ -250,6 +252,8 @@ def open_map(path: Path | str, kept_in: TemporaryFolder | None = None) -> Map:
         identity = MapIdentity.from_meta(meta, file.path)
         contents = read_contents(file)
         sessions = sessions_of(meta, len(contents.node_poses), len(contents.trajectory))
+        with file.blaming(KEYFRAMES, len(contents.node_poses) - 1):
+            sound_readings(contents.readings, sessions)
         frames, clouds, nodes = contents.frames, contents.clouds, contents.node_poses
         in_space = sum(isinstance(pose, gtsam.Pose3) for pose in nodes)
         if clouds is not None and not len(clouds) == len(nodes) == in_space:
@@ -279,7 +283,7 @@ load_map = open_map  # its public name
 def _lines(meta: Mapping[str, str], key: str, path: Path) -> list[str]:
     """Lines of text from a row of the file; none in a map of an older version."""
     try:
-        lines = json.loads(meta.get(key, "[]"))
+        lines = from_json(meta.get(key, "[]"))
     except ValueError as error:
         raise MapFileError(f"{path} tells no {key} ({error}); make the map anew") from error
     if not isinstance(lines, list) or not all(isinstance(line, str) for line in lines):

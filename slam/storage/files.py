@@ -2,36 +2,29 @@
 
 from __future__ import annotations
 
+import glob
 import gzip
 import io
-import os
 import secrets
-import shutil
-import tempfile
-import weakref
 import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TextIO
 
+from slam.datasets.budget import Budget
+from slam.datasets.dataset import RecordFault
+from slam.datasets.log_file import MAX_LINE_BYTES
 from slam.errors import MapFileError, ScanweaveError
-
-
-class TemporaryFolder:
-    """A folder that goes with this object, or when `remove` is called; also at the end of the program."""
-
-    def __init__(self) -> None:
-        self.path = Path(tempfile.mkdtemp(prefix="scanweave-"))
-        self.remove = weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+from slam.temporary import held, remove_left
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary name beside ``path``; rename it to ``path`` if the block succeeds.
 
-    A reader of ``path`` sees the old file or the whole new one, never half of it. The temporary name keeps
-    the suffix of ``path``, because some writers choose the format by it.
+    A reader of ``path`` sees the old file or the whole new one, never half of it; what a killed run has left
+    of it is removed. The temporary name keeps the suffix of ``path``: some writers choose the format by it.
 
     Raises
     ------
@@ -39,10 +32,12 @@ def replacing(path: Path) -> Iterator[Path]:
         Where the folder is missing, not writable or full; nothing is left behind.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}-{secrets.token_hex(4)}.tmp{path.suffix}")
+    temporary = path.with_name(f".{path.stem}.{secrets.token_hex(8)}.tmp{path.suffix}")
+    remove_left(path.parent.glob(f".{glob.escape(path.stem)}.{'?' * 16}.tmp{glob.escape(path.suffix)}"))
     try:
-        yield temporary
-        temporary.replace(path)
+        with held(temporary):
+            yield temporary
+            temporary.replace(path)
     except OSError as error:
         raise MapFileError(
             f"cannot write {path}: {error.strerror or error}; check the folder and its free space"
@@ -99,13 +94,16 @@ def numbered_fields(
     Raises
     ------
     ScanweaveError
-        Of the type ``error``, where the file cannot be opened, is not text or its compression is damaged.
+        Of the type ``error``, where the file cannot be opened, is not text, its compression is damaged, or it
+        unpacks to more than any such file.
     """
     path = Path(path)
     number = 0
     try:
         with _open_text(path) as stream:
-            for number, line in enumerate(stream, start=1):
+            budget = Budget(path.stat().st_size, text=True)
+            for number, line in enumerate(iter(lambda: stream.readline(MAX_LINE_BYTES), ""), start=1):
+                budget.take(len(line))
                 fields = line.split()
                 if fields and not fields[0].startswith("#"):
                     yield number, fields
@@ -113,6 +111,8 @@ def numbered_fields(
         raise error(f"{path}: not a text file (after line {number}); is it another format?") from cause
     except (EOFError, zlib.error, gzip.BadGzipFile) as cause:
         raise error(f"{path}: damaged gzip data after line {number}; fetch the file again") from cause
+    except RecordFault as cause:
+        raise error(f"{path}: {cause}") from cause
     except OSError as cause:
         raise error(f"cannot read {path}: {cause.strerror or cause}") from cause
 

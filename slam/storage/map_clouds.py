@@ -6,11 +6,13 @@ from collections.abc import Iterator
 from typing import cast
 
 import gtsam
+import numpy as np
 
 from slam.errors import MapFileError
 from slam.mapping.cloud_packing import packed_cloud, unpacked_cloud
 from slam.measurements import FloatArray
 from slam.storage.map_file import MapFile
+from slam.storage.map_soundness import FARTHEST_M, of, require, sound_stamp
 from slam.storage.map_tables import CLOUDS, Value
 from slam.storage.packing import pack, unpack
 
@@ -69,15 +71,16 @@ class MapClouds:
         """
         content = self._row(key)[2]
         with self._file.blaming(CLOUDS, key):
-            return unpacked_cloud(cast(bytes, content))
+            points = unpacked_cloud(cast(bytes, content))
+            require((np.abs(points) < FARTHEST_M).all(), "a point is beyond the Earth")
+        return points
 
     def T_base_lidar(self, key: int) -> gtsam.Pose3:
         """Where the lidar was on the robot; errors as in `points`."""
         with self._file.blaming(CLOUDS, key):
-            found = unpack(cast(bytes, self._row(key)[1]))
-            if not isinstance(found, gtsam.Pose3):
-                raise MapFileError("its mounting is none")
-        return found
+            stamp_s, lidar, _ = self._row(key)
+            sound_stamp(stamp_s)
+            return of(gtsam.Pose3, unpack(cast(bytes, lidar)))
 
     def _row(self, key: int) -> tuple[Value, ...]:
         """The values of a row."""

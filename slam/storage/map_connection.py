@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from slam.datasets.sqlite_reading import foreign_database
 from slam.errors import MapFileError
 from slam.storage.map_tables import APPLICATION_ID, SCHEMA_VERSION, TABLES, Table, tables_of
 
@@ -35,13 +36,7 @@ def reader(path: Path) -> sqlite3.Connection:
     with path.open("rb") as stream:
         if stream.read(len(_HEADER)) != _HEADER:
             raise MapFileError(f"{path} is no map: not an SQLite file")
-    connection = sqlite3.connect(
-        f"{path.absolute().as_uri()}?mode=ro&immutable=1",
-        uri=True,
-        isolation_level=None,
-        check_same_thread=False,
-    )
-    connection.execute("PRAGMA trusted_schema = OFF")
+    connection = foreign_database(path, immutable=True, views=False, any_thread=True)
     connection.execute("PRAGMA cell_size_check = ON")
     connection.execute("PRAGMA query_only = ON")
     # No length can be beyond that of the file.
@@ -96,18 +91,13 @@ def beside(path: Path) -> list[Path]:
     return [path.with_name(path.name + ending) for ending in _BESIDE]
 
 
-def plain(text: object) -> str:
-    """One line of what may quote a damaged file."""
-    return "".join(sign if sign.isprintable() else " " for sign in str(text))
-
-
 @contextmanager
 def reported(path: Path, done: str) -> Iterator[None]:
     """Turn what SQLite and the disk say into one line."""
     try:
         yield
     except (sqlite3.Error, OSError, UnicodeError) as error:
-        reason = "another run is writing it" if "locked" in str(error) else plain(error)
+        reason = "another run is writing it" if "locked" in str(error) else error
         raise MapFileError(
             f"{path} cannot be {done}: {reason}; check the folder and its free space"
         ) from error

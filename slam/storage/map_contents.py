@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import gtsam
 import numpy as np
@@ -24,17 +23,28 @@ from slam.measurements import FloatArray, LaserScan, Pose, Trajectory, spatial
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
+from slam.storage.map_soundness import (
+    of,
+    require,
+    sound_grid,
+    sound_name,
+    sound_stamp,
+    sound_trajectory,
+    unsound_covariance,
+)
 from slam.storage.map_tables import CAMERAS, FACTORS, GRIDS, KEYFRAMES, LOOPS, TRAJECTORY, Table
-from slam.storage.packing import pack, pack_small, unpack, unpack_small
+from slam.storage.packing import Unpacker, pack, pack_small, unpack
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.learned_camera import LearnedCamera
 
 T = TypeVar("T")
+Unpack = Callable[[bytes], Any]
 
 # The grids of lidar and depth camera; what they decide together follows from them.
 OCCUPANCY, DEPTH = "occupancy", "depth layer"
 _STRETCH = 4096
-_LONGEST_NAME = 100
+_MOST_GRIDS = 4
+_KINDS = frozenset(EdgeKind)
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,28 +188,40 @@ def read_contents(file: MapFile) -> MapContents:
         Where a row is damaged, or does not fit the others.
     """
     frames, clouds = MapFrames(file), MapClouds(file)
-    keyframes = list(_read(file, KEYFRAMES, _keyframe))
+    small = Unpacker(file.size)
+    keyframes = list(_read(file, KEYFRAMES, lambda row: _keyframe(row, small)))
     if not keyframes:
         raise MapFileError(f"{file.path} holds no keyframe; make the map anew")
     poses = [keyframe[2] for keyframe in keyframes]
+    planar = isinstance(poses[0], gtsam.Pose2)
+    if not all(isinstance(pose, gtsam.Pose2) is planar for pose in poses):
+        raise MapFileError(f"{file.path} holds keyframes on a floor and in space; make the map anew")
     loops = list(_read(file, LOOPS, lambda row: _loop(row, len(poses))))
-    stretches = list(_read(file, TRAJECTORY, _stretch))
+    stretches = list(
+        _read(file, TRAJECTORY, lambda row: sound_trajectory(of(Trajectory, small(row[1])), row[0]))
+    )
+    if file.count(GRIDS) > _MOST_GRIDS:
+        raise MapFileError(f"{file.path} holds {file.count(GRIDS)} grids; make the map anew")
     if not stretches:
         raise MapFileError(f"{file.path} holds no trajectory; make the map anew")
+    factors = list(_read(file, FACTORS, lambda row: _factor(row, poses, len(loops))))
+    wrong = unsound_covariance([factor.edge.covariance for factor in factors], 3 if planar else 6)
+    with file.blaming(FACTORS, wrong or 0):
+        require(wrong is None, "its covariance is not finite, symmetric and positive definite")
     return MapContents(
         node_poses=poses,
         stamps_s=np.array([keyframe[0] for keyframe in keyframes]),
         readings=np.array([keyframe[1] for keyframe in keyframes], dtype=np.int64),
         measured_scans=[keyframe[3] for keyframe in keyframes],
         keyframe_scans=[keyframe[4] for keyframe in keyframes],
-        factors=list(_read(file, FACTORS, lambda row: _factor(row, poses, len(loops)))),
+        factors=factors,
         loops=loops,
         trajectory=Trajectory(
             np.concatenate([part.stamps_s for part in stretches]),
             np.concatenate([part.positions_m for part in stretches]),
             np.concatenate([part.quaternions_xyzw for part in stretches]),
         ),
-        grids=dict(_read(file, GRIDS, _grid)),
+        grids=dict(_read(file, GRIDS, lambda row: _grid(row, small))),
         cameras=dict(_read(file, CAMERAS, _camera)),
         frames=frames if len(frames) else None,
         clouds=clouds if len(clouds) else None,
@@ -214,16 +236,18 @@ def _read(file: MapFile, table: Table, parse: Callable[[tuple[Any, ...]], T]) ->
         yield parsed
 
 
-def _keyframe(row: tuple[Any, ...]) -> tuple[float, int, Pose, LaserScan | None, LaserScan | None]:
+def _keyframe(
+    row: tuple[Any, ...], small: Unpack
+) -> tuple[float, int, Pose, LaserScan | None, LaserScan | None]:
     """Stamp, reading, pose, scan as measured and as repaired."""
     stamp_s, reading, pose, measured, repaired = row
-    scan = None if measured is None else _of(LaserScan, unpack_small(measured))
-    mended = scan if repaired is None else _of(LaserScan, unpack_small(repaired))
+    scan = None if measured is None else of(LaserScan, small(measured))
+    mended = scan if repaired is None else of(LaserScan, small(repaired))
     found = unpack(pose)
     return (
-        stamp_s,
+        sound_stamp(stamp_s),
         reading,
-        found if isinstance(found, gtsam.Pose2) else _of(gtsam.Pose3, found),
+        found if isinstance(found, gtsam.Pose2) else of(gtsam.Pose3, found),
         scan,
         mended,
     )
@@ -231,67 +255,45 @@ def _keyframe(row: tuple[Any, ...]) -> tuple[float, int, Pose, LaserScan | None,
 
 def _loop(row: tuple[Any, ...], nodes: int) -> LoopCandidate:
     """A row of the loop candidates."""
-    loop = _of(LoopCandidate, unpack(row[5]))
-    _require(0 <= loop.place < nodes and 0 <= loop.keyframe < nodes, "its ends are no nodes")
+    loop = of(LoopCandidate, unpack(row[5]))
+    require(loop.place < nodes and loop.keyframe < nodes, "its ends are no nodes")
+    require(row[:3] == (loop.place, loop.keyframe, int(loop.accepted)), "it is told in two ways")
+    require(loop.motion is not None or not loop.accepted, "it was accepted without a match")
     return loop
 
 
 def _factor(row: tuple[Any, ...], poses: Sequence[Pose], loops: int) -> SavedFactor:
     """A row of the factors."""
     kind, source, target, trusted, kept, loop, motion, covariance = row
-    _require(0 <= source < len(poses) and 0 <= target < len(poses), "its ends are no nodes")
-    _require(loop is None or 0 <= loop < loops, "its loop is none")
-    measured, spread = _of(type(poses[0]), unpack(motion)), _of(np.ndarray, unpack(covariance))
-    dimension = 3 if isinstance(measured, gtsam.Pose2) else 6
-    _require(spread.shape == (dimension, dimension), "its covariance has another size")
+    require(0 <= source < len(poses) and 0 <= target < len(poses), "its ends are no nodes")
+    require(loop is None or 0 <= loop < loops, "its loop is none")
+    measured = of(type(poses[0]), unpack(motion))
+    spread = of(np.ndarray, unpack(covariance))
     return SavedFactor(Edge(source, target, measured, spread, _kind(kind), bool(trusted), loop), bool(kept))
 
 
 def _kind(name: str) -> str:
     """Where an edge comes from."""
-    _require(isinstance(name, str) and 0 < len(name) < _LONGEST_NAME, "its kind is no name")
-    return EdgeKind(name) if name in set(EdgeKind) else name
+    require(name, "its kind is no name")
+    sound_name(name)
+    return EdgeKind(name) if name in _KINDS else name
 
 
-def _stretch(row: tuple[Any, ...]) -> Trajectory:
-    """A row of the trajectory."""
-    stretch = _of(Trajectory, unpack_small(row[1]))
-    shapes = (stretch.stamps_s.shape, stretch.positions_m.shape, stretch.quaternions_xyzw.shape)
-    _require(shapes == ((row[0],), (row[0], 3), (row[0], 4)), "its arrays have other sizes")
-    return stretch
-
-
-def _grid(row: tuple[Any, ...]) -> tuple[str, OccupancyGrid]:
+def _grid(row: tuple[Any, ...], small: Unpack) -> tuple[str, OccupancyGrid]:
     """A row of the grids, with its name."""
     name, rows, cols, resolution_m, corner, cells = row
-    steps = _of(np.ndarray, unpack_small(cells))
-    _require(steps.shape == (rows, cols), "its cells have another size")
-    _require(resolution_m > 0.0, "its resolution is not positive")
-    T_map_grid = _of(gtsam.Pose2, unpack(corner))
+    steps = of(np.ndarray, small(cells))
+    require(steps.shape == (rows, cols), "its cells have another size")
+    T_map_grid = of(gtsam.Pose2, unpack(corner))
     if steps.dtype == np.float32:  # log-odds, in maps of the first schemas
-        return name, OccupancyGrid.of_log_odds(steps, resolution_m, T_map_grid)
-    _require(steps.dtype == np.int16, "its cells are no steps of log-odds")
-    return name, OccupancyGrid(steps, resolution_m, T_map_grid)
+        require((np.abs(steps) < np.inf).all(), "its cells are not finite")
+        return name, sound_grid(OccupancyGrid.of_log_odds(steps, resolution_m, T_map_grid))
+    require(steps.dtype == np.int16, "its cells are no steps of log-odds")
+    return name, sound_grid(OccupancyGrid(steps, resolution_m, T_map_grid))
 
 
 def _camera(row: tuple[Any, ...]) -> tuple[str, LearnedCamera]:
     """A row of what was learned of cameras, with the camera's name."""
     name, learned = row
-    found = _of(LearnedCamera, unpack(learned))
-    _require(isinstance(found.registration, ColorRegistration | None), "its registration is none")
-    _require(isinstance(found.T_base_camera, gtsam.Pose3 | None), "its mounting is none")
-    clock_s = (_of(float, found.clock_offset_s), _of(float, found.clock_sigma_s))
-    _require(all(map(math.isfinite, clock_s)), "its clock is not finite")
-    return name, found
-
-
-def _of(kind: type[T], value: Any) -> T:
-    """A value of a type, or an error."""
-    _require(isinstance(value, kind), f"a {type(value).__name__} where a {kind.__name__} belongs")
-    return cast(T, value)
-
-
-def _require(condition: bool, fault: str) -> None:
-    """Refuse what does not fit."""
-    if not condition:
-        raise MapFileError(fault)
+    found = of(LearnedCamera, unpack(learned))
+    return sound_name(name), found

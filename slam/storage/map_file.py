@@ -11,19 +11,20 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from slam.datasets.sqlite_reading import bound_steps, free_steps
 from slam.errors import MapFileError, UnfinishedMapError
-from slam.storage.files import TemporaryFolder
+from slam.foreign import from_json, plain
 from slam.storage.map_connection import (
     begin,
     beside,
     check_kind,
-    plain,
     reader,
     refuse_in_use,
     reported,
     writer,
 )
 from slam.storage.map_tables import CHECKPOINT, META, TABLES, Table, Value
+from slam.temporary import TemporaryFolder
 
 MAP_NAME = "map.db"
 # A crash loses at most this and what one scan takes.
@@ -118,7 +119,9 @@ class MapFile:
                 file._tables = check_kind(path, file._connection)
                 file._connection.execute("PRAGMA journal_mode = WAL")
                 file._connection.execute("BEGIN")
+                bound_steps(file._connection, path)
                 file._count_rows()
+                free_steps(file._connection)
             except BaseException:
                 file._connection.close()
                 raise
@@ -146,6 +149,7 @@ class MapFile:
             try:
                 file._tables = check_kind(path, connection)
                 file._check_seal()
+                free_steps(connection)
             except BaseException:
                 connection.close()
                 raise
@@ -155,6 +159,11 @@ class MapFile:
     def finished(self) -> bool:
         """Whether the map was sealed."""
         return _SEAL in self.meta()
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file."""
+        return self.path.stat().st_size
 
     def meta(self) -> dict[str, str]:
         """What was mapped, and with what."""
@@ -271,7 +280,7 @@ class MapFile:
         with reported(self.path, "checked"):
             (verdict,) = self._connection.execute("PRAGMA integrity_check(1)").fetchone()
         if verdict != "ok":
-            raise MapFileError(f"{self.path} is damaged: {plain(verdict)}")
+            raise MapFileError(f"{self.path} is damaged: {verdict}")
 
     def _count_rows(self) -> None:
         """Rows of every table as they are found."""
@@ -289,7 +298,7 @@ class MapFile:
         if seal is None:
             raise UnfinishedMapError(_unfinished(self.path))
         with self.blaming(META, self.count(META) - 1):
-            known = list(zip(self._tables, self._digests(), json.loads(seal), strict=True))
+            known = list(zip(self._tables, self._digests(), from_json(seal), strict=True))
         for table, found, sealed in known:
             if found != sealed:
                 raise MapFileError(
@@ -318,6 +327,8 @@ class MapFile:
             raise MapFileError("it is missing")
         if found[1] != table.checksum(number, found[2:]):
             raise MapFileError("its checksum is wrong")
+        if misfit := table.misfit(found[2:]):
+            raise MapFileError(misfit)
         return found[2:]
 
     @contextmanager

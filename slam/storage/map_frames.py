@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import cast
 
 import gtsam
 
+from slam.datasets.budget import MOST_PIXELS
 from slam.errors import MapFileError
 from slam.mapping.image_packing import depth_steps_per_m, packed_color, packed_depth, unpacked_images
 from slam.measurements import CameraIntrinsics, Pose, RgbdFrame, spatial
 from slam.storage.map_file import MapFile
+from slam.storage.map_soundness import of, require, sound_name, sound_stamp
 from slam.storage.map_tables import FRAMES, IMAGES, Value
 from slam.storage.packing import pack, unpack
 from slam.vision.features import Features
@@ -82,9 +85,15 @@ class MapFrames:
         """What is known of a frame without its images; errors as in `frame`."""
         node, stamp_s, sensor, steps_per_m, camera = self._row(index)[:5]
         with self._file.blaming(FRAMES, index):
-            intrinsics, T_base_camera = unpack(cast(bytes, camera))
-            if not isinstance(intrinsics, CameraIntrinsics) or not float(cast(float, steps_per_m)) > 0.0:
-                raise MapFileError("its camera is none")
+            found = of(tuple, unpack(cast(bytes, camera)))
+            require(len(found) == 2 and 0.0 < cast(float, steps_per_m) < math.inf, "its camera is none")
+            intrinsics = of(CameraIntrinsics, found[0])
+            require(
+                intrinsics.width * intrinsics.height <= MOST_PIXELS, "its camera has more pixels than any"
+            )
+            T_base_camera = None if found[1] is None else of(gtsam.Pose3, found[1])
+            sound_stamp(stamp_s)
+            sound_name(sensor)
         return FrameHead(
             cast(int, node),
             cast(float, stamp_s),
@@ -97,9 +106,9 @@ class MapFrames:
     def features(self, index: int) -> Features:
         """The ORB features of a frame, in the depth camera's image; errors as in `frame`."""
         with self._file.blaming(FRAMES, index):
-            features = unpack(cast(bytes, self._row(index)[5]))
-            if not isinstance(features, Features):
-                raise MapFileError("its features are none")
+            features = of(Features, unpack(cast(bytes, self._row(index)[5])))
+            counts = {len(features.pixels), len(features.descriptors), len(features.sigma_px)}
+            require(counts == {len(features)}, "its features are not as many as their places")
         return features
 
     def frame(self, index: int) -> RgbdFrame:

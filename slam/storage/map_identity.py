@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -16,6 +17,7 @@ from pydantic import BaseModel, ValidationError
 import fusion
 from slam.config import Config
 from slam.errors import DatasetError, MapFileError
+from slam.foreign import from_json, plain
 from slam.storage.map_file import MAP_NAME
 
 _LIBRARIES = ("scanweave", "gtsam", "numpy", "numba", "scipy", "kiss-icp", "opencv-python-headless")
@@ -69,15 +71,17 @@ class MapIdentity:
             Where a row is missing, or the configuration is that of another version.
         """
         try:
-            config = Config.model_validate_json(json.dumps(_known(json.loads(meta["config"]))))
-            versions = json.loads(meta["versions"])
+            config = Config.model_validate_json(json.dumps(_known(from_json(meta["config"]))))
+            versions = from_json(meta["versions"])
+            if not isinstance(versions, dict) or not all(isinstance(one, str) for one in versions.values()):
+                raise ValueError("versions are names and texts")
             return cls(config, meta["log_name"], meta["log_fingerprint"], versions)
         except KeyError as error:
             raise MapFileError(f"{path} does not tell its {error.args[0]}; make the map anew") from error
         except ValidationError as error:
             raise MapFileError(
                 f"{path} was made with settings that this version does not take "
-                f"({error.errors()[0]['loc'][0]}); make the map anew"
+                f"({'.'.join(map(str, error.errors()[0]['loc'])) or 'no settings'}); make the map anew"
             ) from error
         except ValueError as error:
             raise MapFileError(
@@ -113,7 +117,7 @@ def _known(settings: Any, model: type[BaseModel] = Config) -> Any:
 
 def identity_of(log: Path, config: Config) -> MapIdentity:
     """What decides the map of a log."""
-    return MapIdentity(config, log.name, fingerprint_of(log), current_versions())
+    return MapIdentity(config, plain(log.name), fingerprint_of(log), current_versions())
 
 
 def current_versions() -> dict[str, str]:
@@ -135,11 +139,11 @@ def fingerprint_of(log: Path) -> str:
     try:
         root = log
         while not root.exists():  # a session in a database: DATABASE/SESSION
-            digest.update(root.name.encode())
+            digest.update(os.fsencode(root.name))
             root = root.parent
         for file in _files(root) if root.is_dir() else [root]:
             name = file.relative_to(root).as_posix() if root.is_dir() else ""
-            digest.update(f"{name}\0{file.stat().st_size}\0".encode())
+            digest.update(os.fsencode(f"{name}\0{file.stat().st_size}\0"))
             if file.suffix.lower() not in _IMAGES:
                 with file.open("rb") as stream:
                     while block := stream.read(_BLOCK):

@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Final
 
 from slam.errors import MapFileError
+from slam.foreign import from_json
 
 SESSIONS: Final = "sessions"
 
@@ -46,8 +47,13 @@ def sessions_of(meta: Mapping[str, str], keyframes: int, poses: int) -> list[Map
     if SESSIONS not in meta:
         return [MapSession(meta["log_name"], meta["log_fingerprint"], keyframes, poses)]
     try:
-        sessions = [MapSession(**row) for row in json.loads(meta[SESSIONS])]
-        fits = all(session.keyframes > 0 and session.poses > 0 for session in sessions)
+        sessions = [MapSession(**row) for row in from_json(meta[SESSIONS])]
+        fits = all(
+            isinstance(one.log_name, str)
+            and isinstance(one.log_fingerprint, str)
+            and all(type(count) is int and count > 0 for count in (one.keyframes, one.poses))
+            for one in sessions
+        )
         whole = (sum(one.keyframes for one in sessions), sum(one.poses for one in sessions))
     except (ValueError, TypeError) as error:
         raise MapFileError(f"the map's sessions cannot be read ({error}); make the map anew") from error

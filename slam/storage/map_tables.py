@@ -10,6 +10,8 @@ from typing import Final, Literal, TypeAlias
 ColumnType: TypeAlias = Literal["INTEGER", "REAL", "TEXT", "BLOB"]
 Value: TypeAlias = int | float | str | bytes | None
 
+_TYPES: Final = {"INTEGER": int, "REAL": float, "TEXT": str, "BLOB": bytes}
+
 # Raised when a table changes; a reader refuses what is newer than itself.
 SCHEMA_VERSION: Final = 3
 APPLICATION_ID: Final = 0x5CA9EA7E
@@ -23,10 +25,13 @@ class Table:
     ----------
     columns
         Name and type, after the number and the checksum.
+    optional
+        Names of columns that may be empty.
     """
 
     name: str
     columns: tuple[tuple[str, ColumnType], ...]
+    optional: frozenset[str] = frozenset()
 
     @property
     def sql(self) -> str:
@@ -38,6 +43,13 @@ class Table:
     def insert_sql(self) -> str:
         """The statement that writes a row."""
         return f"INSERT INTO {self.name} VALUES (?, ?{', ?' * len(self.columns)})"
+
+    def misfit(self, values: tuple[Value, ...]) -> str | None:
+        """What is wrong with the types of a row's values; SQLite itself takes any in any column."""
+        for (name, kind), value in zip(self.columns, values, strict=True):
+            if type(value) is not _TYPES[kind] and not (value is None and name in self.optional):
+                return f"its {name} is no {kind}"
+        return None
 
     def checksum(self, number: int, values: tuple[Value, ...]) -> bytes:
         """Eight bytes over a row's table, number and values with their types."""
@@ -53,6 +65,7 @@ META: Final = Table("meta", (("key", "TEXT"), ("value", "TEXT")))
 KEYFRAMES: Final = Table(
     "keyframes",
     (("stamp_s", "REAL"), ("reading", "INTEGER"), ("pose", "BLOB"), ("scan", "BLOB"), ("repaired", "BLOB")),
+    frozenset({"scan", "repaired"}),
 )
 # Camera keyframes, each taken at a node of the graph.
 FRAMES: Final = Table(
@@ -80,6 +93,7 @@ FACTORS: Final = Table(
         ("motion", "BLOB"),
         ("covariance", "BLOB"),
     ),
+    frozenset({"loop"}),
 )
 LOOPS: Final = Table(
     "loops",

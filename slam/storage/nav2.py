@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.errors import MapFileError
+from slam.foreign import from_yaml
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, StateArray
 from slam.storage.files import write_lines
 from slam.storage.pgm import GreyImage, read_pgm, write_pgm
@@ -206,14 +207,12 @@ def _read_image(path: Path) -> tuple[GreyImage, NDArray[np.bool_]]:
 
 def _load_yaml(path: Path) -> dict[str, Any]:
     """The yaml's fields."""
-    import yaml
-
     try:
-        fields = yaml.safe_load(path.read_text(encoding="utf-8"))
+        fields = from_yaml(path.read_text(encoding="utf-8"))
     except OSError as cause:
         raise MapFileError(f"cannot read {path}: {cause.strerror or cause}") from cause
-    except (yaml.YAMLError, UnicodeDecodeError) as cause:
-        raise MapFileError(f"{path}: not a yaml file: {' '.join(str(cause).split())}") from cause
+    except ValueError as cause:
+        raise MapFileError(f"{path}: not a yaml file: {cause}") from cause
     if not isinstance(fields, dict):
         raise MapFileError(
             f"{path}: not a map description; it needs image, resolution, origin and thresholds"

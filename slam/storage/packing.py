@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import struct
-import sys
 import zlib
 from dataclasses import fields
 from typing import Any
@@ -43,6 +42,10 @@ _DTYPES = tuple(np.dtype(name) for name in ("f8", "f4", "i8", "i4", "i2", "i1", 
 _DTYPE_NUMBER = {dtype: number for number, dtype in enumerate(_DTYPES)}
 _DEEPEST = 8
 _MOST_AXES = 4
+_FARTHEST_M = 1e8  # of a pose; farther than any place on Earth
+_ROUNDING = 1e-6  # of a rotation, after many were composed
+# What one compressed value may hold, a map of `grid.greatest_cells` twice over, and all of a file.
+_LARGEST_BYTES, _GROWTH = 1 << 28, 64
 
 _U4, _I8, _F8 = struct.Struct("<I"), struct.Struct("<q"), struct.Struct("<d")
 _POSE2, _POSE3 = struct.Struct("<4d"), struct.Struct("<12d")
@@ -86,12 +89,32 @@ def pack_small(value: Any) -> bytes:
     return _I8.pack(len(content)) + zlib.compress(content, 1)
 
 
+class Unpacker:
+    """Unpacks the compressed values of one file, which together may not hold much more than it.
+
+    Parameters
+    ----------
+    size
+        Bytes of the file.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._left = _LARGEST_BYTES + _GROWTH * size
+
+    def __call__(self, content: bytes) -> Any:
+        """As `unpack_small`."""
+        self._left -= _I8.unpack_from(content)[0] if len(content) >= _I8.size else 0
+        if self._left < 0:
+            raise MapFileError("it unpacks to more than any map")
+        return unpack_small(content)
+
+
 def unpack_small(content: bytes) -> Any:
     """The value of compressed bytes; `MapFileError` as in `unpack`."""
     if len(content) < _I8.size:
         raise MapFileError("compressed values end too soon")
     (size,) = _I8.unpack_from(content)
-    if not 0 <= size < sys.maxsize:
+    if not 0 <= size <= _LARGEST_BYTES:
         raise MapFileError(f"compressed values of {size} bytes")
     unpacker = zlib.decompressobj()
     try:
@@ -175,11 +198,15 @@ def _unpack(content: bytes, at: int, depth: int) -> tuple[Any, int]:
         return values if tag == b"l" else tuple(values), at
     if tag == b"2":
         x, y, cosine, sine = _POSE2.unpack_from(content, at)
-        if not abs(cosine * cosine + sine * sine - 1.0) < 1e-9:
-            raise ValueError("not a rotation")
+        if not (abs(cosine * cosine + sine * sine - 1.0) < _ROUNDING and abs(x) + abs(y) < _FARTHEST_M):
+            raise ValueError("not a pose")
         return gtsam.Pose2(gtsam.Rot2.fromCosSin(cosine, sine), np.array([x, y])), at + 32
     if tag == b"3":
         rows = np.array(_POSE3.unpack_from(content, at)).reshape(3, 4)
+        turn = rows[:, :3]
+        off = np.abs(turn @ turn.T - np.eye(3)).max() if np.abs(rows).max() < _FARTHEST_M else np.inf
+        if not (off < _ROUNDING and np.linalg.det(turn) > 0.0):
+            raise ValueError("not a pose")
         return gtsam.Pose3(gtsam.Rot3(rows[:, :3]), rows[:, 3]), at + 96
     return {b"N": None, b"T": True, b"F": False}[tag] if tag in (b"N", b"T", b"F") else _unknown(tag), at
 

@@ -92,7 +92,7 @@ def test_what_is_known_already_is_not_written_again(tmp_path: Path) -> None:
         ({"points": b""}, "ends too soon"),
         ({"points": packed_cloud(np.ones((9, 3)))[:-4]}, "not of 9 points"),
         ({"points": 3}, "int"),
-        ({"lidar": pack(None)}, "mounting is none"),
+        ({"lidar": pack(None)}, "NoneType where a Pose3 belongs"),
         ({"lidar": b"\x80\x04."}, "not packed values"),
     ],
 )

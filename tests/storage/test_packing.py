@@ -126,10 +126,10 @@ def test_a_lie_about_the_size_allocates_nothing(bomb: bytes) -> None:
 
 def test_compressed_values_are_what_they_say() -> None:
     content = pack_small(np.zeros(100_000))
-    with pytest.raises(MapFileError, match="are not the"):
+    with pytest.raises(MapFileError, match=r"are not the|values of"):
         unpack_small((10**12).to_bytes(8, "little") + content[8:])
     for size in (0, 799_000):
-        with pytest.raises(MapFileError, match="are not the"):
+        with pytest.raises(MapFileError, match=r"are not the|values of"):
             unpack_small(size.to_bytes(8, "little") + content[8:])
     with pytest.raises(MapFileError, match=r"damaged|are not"):
         unpack_small(content[:20] + b"\xff" + content[21:])

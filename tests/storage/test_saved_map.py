@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sqlite3
+import struct
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -18,16 +18,17 @@ from slam.errors import MapFileError
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.measurements import LaserScan, MotionEstimate, Pose, RgbdFrame, Trajectory
+from slam.measurements import CameraIntrinsics, LaserScan, MotionEstimate, Pose, RgbdFrame, Trajectory
 from slam.outputs.finished_map import open_map
 from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor, write_contents
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
 from slam.storage.map_identity import MapIdentity
-from slam.storage.map_tables import FACTORS, FRAMES, GRIDS, IMAGES, KEYFRAMES, LOOPS, TABLES, TRAJECTORY
+from slam.storage.map_tables import FACTORS, FRAMES, GRIDS, IMAGES, KEYFRAMES, LOOPS, TRAJECTORY
 from slam.storage.packing import pack, pack_small
 from slam.vision.features import Features
-from tools.damage_trials import content_of, damaged, damages_of, outcome_of
+from tools.fuzz import map_content, map_outcome, spoilt_bytes
+from tools.hostile_maps import forge
 
 MOUNT = gtsam.Pose3(gtsam.Rot3.Ypr(0.1, 0.2, 0.3), np.array([0.1, 0.0, 1.0]))
 IDENTITY = MapIdentity(load_config(None, ["seed=7"]), "drive.log", "f00d", {"numpy": "2.0", "code": "abc"})
@@ -65,6 +66,8 @@ def contents(*, planar: bool = True) -> MapContents:
     repaired = replace(scan(2.0), ranges_m=np.ones(4, np.float32))
     count = 10_000
     rng = np.random.default_rng(0)
+    turns = rng.normal(size=(count, 4))
+    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
     return MapContents(
         node_poses=poses,
         stamps_s=np.arange(5.0),
@@ -73,7 +76,7 @@ def contents(*, planar: bool = True) -> MapContents:
         keyframe_scans=[scan(0.0), None, repaired, scan(3.0), scan(4.0)],
         factors=factors,
         loops=loops,
-        trajectory=Trajectory(rng.random(count), rng.random((count, 3)), rng.random((count, 4))),
+        trajectory=Trajectory(rng.random(count), rng.random((count, 3)), turns),
         grids={
             OCCUPANCY: OccupancyGrid(
                 rng.integers(-999, 999, (7, 9), np.int16), 0.05, gtsam.Pose2(-1.0, 2.0, 0.1)
@@ -174,25 +177,48 @@ class TestReadBack:
         assert (tmp_path / "map.db").read_bytes() == map_db.read_bytes()
 
 
-def forge(path: Path, table: str, number: int, **values: object) -> Path:
-    """Change a row, and make its checksum and the seal right again: not an accident, but a lie."""
-    spec = next(known for known in TABLES if known.name == table)
-    with sqlite3.connect(path) as connection:
-        for name, value in values.items():
-            connection.execute(f"UPDATE {table} SET {name} = ? WHERE number = ?", (value, number))
-        row = connection.execute(f"SELECT * FROM {table} WHERE number = ?", (number,)).fetchone()
-        connection.execute(
-            f"UPDATE {table} SET checksum = ? WHERE number = ?", (spec.checksum(number, row[2:]), number)
-        )
-        connection.execute("DELETE FROM meta WHERE key = 'seal'")
-    connection.close()
-    file = MapFile.resume(path)
-    assert file is not None
-    file.seal()
-    return path
-
-
 MOTION3 = pack(gtsam.Pose3())
+NAN = float("nan")
+
+
+def stretch_with(**values: float) -> bytes:
+    """The first 4096 poses of the trajectory, with one number in one of them changed."""
+    whole = contents().trajectory[:4096]
+    for name, value in values.items():
+        getattr(whole, name)[7] = value
+    return pack_small(whole)
+
+
+LIES = [
+    (KEYFRAMES, 1, {"stamp_s": "noon"}, "its stamp_s is no REAL"),
+    (KEYFRAMES, 1, {"stamp_s": 1e300}, "its stamp cannot be"),
+    (KEYFRAMES, 1, {"reading": None}, "its reading is no INTEGER"),
+    (KEYFRAMES, 4, {"reading": -1}, "readings of session 0"),
+    (KEYFRAMES, 4, {"reading": 10_000}, "readings of session 0"),
+    (KEYFRAMES, 4, {"reading": 6}, "readings of session 0"),
+    (KEYFRAMES, 1, {"pose": b"2" + struct.pack("<4d", NAN, 0.0, 1.0, 0.0)}, "not a pose"),
+    (KEYFRAMES, 1, {"pose": b"3" + struct.pack("<12d", *[0.0] * 12)}, "not a pose"),
+    (KEYFRAMES, 3, {"scan": pack_small(replace(scan(3.0), step_rad=NAN))}, "step_rad cannot be"),
+    (KEYFRAMES, 3, {"scan": pack_small(replace(scan(3.0), T_base_laser=None))}, "T_base_laser cannot be"),
+    (KEYFRAMES, 3, {"scan": pack_small(replace(scan(3.0), range_max_m="far"))}, "range_max_m cannot be"),
+    (FACTORS, 2, {"covariance": pack(np.zeros((3, 3)))}, "positive definite"),
+    (FACTORS, 2, {"covariance": pack(np.full((3, 3), NAN))}, "positive definite"),
+    (FACTORS, 2, {"covariance": pack(np.diag([1.0, 1.0, -1.0]))}, "positive definite"),
+    (FACTORS, 2, {"covariance": pack(np.eye(3) + np.eye(3, k=1))}, "symmetric"),
+    (LOOPS, 1, {"place": 2}, "told in two ways"),
+    (LOOPS, 1, {"candidate": pack(replace(contents().loops[1], score=NAN))}, "score cannot be"),
+    (TRAJECTORY, 0, {"stretch": stretch_with(positions_m=NAN)}, "a position is not finite"),
+    (TRAJECTORY, 0, {"stretch": stretch_with(stamps_s=np.inf)}, "a stamp cannot be"),
+    (TRAJECTORY, 0, {"stretch": stretch_with(quaternions_xyzw=0.0)}, "not of unit length"),
+    (GRIDS, 0, {"resolution_m": 1e-300}, "resolution cannot be"),
+    (GRIDS, 0, {"resolution_m": np.inf}, "resolution cannot be"),
+    (GRIDS, 0, {"corner": b"2" + struct.pack("<4d", np.inf, 0.0, 1.0, 0.0)}, "not a pose"),
+    (GRIDS, 0, {"cells": pack_small(np.full((7, 9), NAN, np.float32))}, "cells are not finite"),
+    (FRAMES, 1, {"stamp_s": np.inf}, "its stamp cannot be"),
+    (FRAMES, 1, {"camera": pack((CameraIntrinsics(NAN, 1.0, 0.0, 0.0, 9, 9), MOUNT))}, "fx cannot be"),
+    (FRAMES, 1, {"camera": pack((CameraIntrinsics(1.0, 1.0, 0.0, 0.0, 65535, 65535), None))}, "more pixels"),
+    (FRAMES, 1, {"features": pack(replace(features(2), sigma_px=np.zeros(3, np.float32)))}, "as many"),
+]
 
 
 class TestRefused:
@@ -203,18 +229,19 @@ class TestRefused:
             (FACTORS, 4, {"loop": 2}, "its loop is none"),
             (FACTORS, 2, {"kind": ""}, "kind is no name"),
             (FACTORS, 2, {"motion": MOTION3}, "Pose3 where a Pose2 belongs"),
-            (FACTORS, 2, {"covariance": pack(np.eye(6))}, "covariance has another size"),
+            (FACTORS, 2, {"covariance": pack(np.eye(6))}, "covariance is not finite"),
             (FACTORS, 2, {"covariance": b"\x80\x04."}, "not packed values"),
             (LOOPS, 1, {"candidate": pack(1.0)}, "float where a LoopCandidate belongs"),
             (KEYFRAMES, 3, {"scan": pack_small([])}, "list where a LaserScan belongs"),
             (KEYFRAMES, 3, {"pose": pack(3.0)}, "float where a Pose3 belongs"),
             (TRAJECTORY, 1, {"poses": 5}, "arrays have other sizes"),
             (GRIDS, 0, {"rows": 8}, "cells have another size"),
-            (GRIDS, 0, {"resolution_m": 0.0}, "resolution is not positive"),
+            (GRIDS, 0, {"resolution_m": 0.0}, "resolution cannot be"),
             (FRAMES, 1, {"node": 9}, "no node"),
             (FRAMES, 1, {"steps_per_m": 0.0}, "camera is none"),
-            (FRAMES, 1, {"features": pack(None)}, "features are none"),
+            (FRAMES, 1, {"features": pack(None)}, "NoneType where a Features belongs"),
             (IMAGES, 2, {"color": b"\xff\xd8"}, "an image of None pixels"),
+            *LIES,
             (IMAGES, 2, {"depth": b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + b"\x7f" * 8}, "pixels, the camera has"),
         ],
     )
@@ -224,7 +251,7 @@ class TestRefused:
         path = tmp_path / "map.db"
         path.write_bytes(map_db.read_bytes())
         name = table.name  # type: ignore[attr-defined]
-        with pytest.raises(MapFileError, match=rf"table {name}, row {number}: .*{said}") as caught:
+        with pytest.raises(MapFileError, match=rf"table {name}, row \d+: .*({said})") as caught:
             open_map(forge(path, name, number, **values)).check()
         assert len(str(caught.value).splitlines()) == 1
 
@@ -239,13 +266,16 @@ class TestRefused:
         with pytest.raises(MapFileError, match="does not tell its config"):
             open_map(forge(path, "meta", 0, key="konfig"))
 
-    def test_one_damaged_byte_is_refused_or_harmless(self, map_db: Path, tmp_path: Path) -> None:
-        """As tools/damage_trials.py does a thousand times."""
-        whole, content = map_db.read_bytes(), content_of(map_db)
+    def test_a_spoilt_file_is_refused_or_harmless(self, map_db: Path, tmp_path: Path) -> None:
+        """As tools/fuzz.py does for minutes."""
+        whole, content = map_db.read_bytes(), map_content(map_db)
         outcomes: Counter[str] = Counter()
-        # Half of them where most meets the eye of SQLite: its header, the tables, the first rows.
-        for damage in [*damages_of(len(whole), 60, seed=1), *damages_of(4096, 60, seed=2)]:
-            (tmp_path / "map.db").write_bytes(damaged(whole, damage))
-            outcomes[outcome_of(tmp_path / "map.db", content)] += 1
+        for trial in range(120):
+            # Half of them where most meets the eye of SQLite: its header, the tables, the first rows.
+            rng, whole_file = np.random.default_rng([1, trial]), trial % 2
+            head = whole if whole_file else whole[:4096]
+            spoilt = spoilt_bytes(head, rng) + (b"" if whole_file else whole[4096:])
+            (tmp_path / "map.db").write_bytes(spoilt)
+            outcomes[map_outcome(tmp_path / "map.db", content)] += 1
         assert set(outcomes) == {"refused", "harmless"}, outcomes
         assert outcomes["refused"] > 60

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from slam.datasets.bags.images import color_of, depth_of
 from slam.datasets.bags.lens import Lens
 from slam.datasets.bags.pairing import ImagePair
+from slam.datasets.budget import Budget
 from slam.datasets.calibration import Calibration, same_aspect
 from slam.datasets.camera_frames import SIZES_DIFFER
 from slam.datasets.dataset import RecordFault
@@ -55,18 +56,19 @@ class BagCamera:
         """Why the intrinsics are a guess; empty where the bag gives them."""
         return "" if self.depth_lens or self.color_lens else ASSUMED
 
-    def frame(self, pair: ImagePair) -> RgbdFrame:
+    def frame(self, pair: ImagePair, budget: Budget) -> RgbdFrame:
         """A frame at the depth image's size; its stamp is the colour image's.
 
         Raises
         ------
         RecordFault
-            An image is damaged or of an encoding that is not read, or the sizes fit no known lens.
+            An image is damaged or of an encoding that is not read, the sizes fit no known lens, or the
+            budget is used up.
         """
-        depth_m = self._flat_depth(depth_of(pair.depth.message))
+        depth_m = self._flat_depth(depth_of(pair.depth.message, budget))
         height, width = depth_m.shape
         intrinsics = self._intrinsics(width, height)
-        color = self._fitted(color_of(pair.color.message), intrinsics)
+        color = self._fitted(color_of(pair.color.message, budget), intrinsics)
         return RgbdFrame(pair.color.stamp_s, color, depth_m, intrinsics, self.T_base_camera, self.sensor)
 
     def _intrinsics(self, width: int, height: int) -> CameraIntrinsics:
@@ -94,6 +96,7 @@ class BagCamera:
         size = (color.shape[1], color.shape[0])
         key = (*size, wanted.width, wanted.height)
         if key not in self._color_maps:
+            self._color_maps.clear()  # one image may be of any size: the maps of none but the latest are kept
             self._color_maps[key] = self._maps_of_color(size, wanted)
         maps = self._color_maps[key]
         import cv2

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.datasets.bags.decoding import stamp_of
+from slam.datasets.budget import LARGEST_BYTES
 from slam.datasets.dataset import RecordFault
 from slam.datasets.point_times import PointTimes
 from slam.measurements import PointCloud
@@ -18,7 +19,6 @@ BAD_LAYOUT = "point cloud with a layout that cannot be"
 NO_POINTS = "point cloud without a valid point"
 
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
-_MOST_POINTS = 1 << 24
 
 
 @dataclass(slots=True)
@@ -66,7 +66,7 @@ def _rows(message: Any) -> NDArray[Any]:
     height, width = int(message.height), int(message.width)
     data = np.ascontiguousarray(np.asarray(message.data, dtype=np.uint8).ravel())
     row = width * step
-    if step < 1 or not 0 < height * width <= _MOST_POINTS:
+    if step < 1 or not 0 < height * width * step <= LARGEST_BYTES:
         raise RecordFault(BAD_LAYOUT, f"{width} x {height} points of {step} bytes")
     row_step = row if height == 1 else row_step
     if row_step < row or data.size < row_step * (height - 1) + row:

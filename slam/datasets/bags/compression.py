@@ -5,13 +5,14 @@ from __future__ import annotations
 import bz2
 from typing import Any
 
-from slam.datasets.bags.records import DAMAGED, LARGEST_BYTES, Channel
+from slam.datasets.bags.records import DAMAGED, Channel
+from slam.datasets.budget import LARGEST_BYTES, Budget
 from slam.datasets.dataset import RecordFault
 
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # no serialised message begins so: CDR with 0, ROS 1 with a count
 
 
-def unpacked_chunk(packed: bytes, compression: str, size: int, *, cut: bool = False) -> bytes:
+def unpacked_chunk(packed: bytes, compression: str, size: int, budget: Budget, *, cut: bool = False) -> bytes:
     """A chunk's bytes.
 
     Parameters
@@ -24,27 +25,33 @@ def unpacked_chunk(packed: bytes, compression: str, size: int, *, cut: bool = Fa
     Raises
     ------
     RecordFault
-        It does not unpack to that size, or by no method that is known.
+        It does not unpack to that size, by no method that is known, or is beyond the budget.
     """
     if size > LARGEST_BYTES:
         raise RecordFault(DAMAGED, f"a chunk of {size} bytes")
+    budget.take(size, 0)
     unpacked = packed if compression in ("", "none") else _unpacked(packed, compression, size)
     if len(unpacked) != size and not (cut and len(unpacked) < size):
         raise RecordFault(DAMAGED, f"chunk of {len(unpacked)} bytes, {size} announced")
     return unpacked
 
 
-def unpacked_message(content: bytes, channel: Channel) -> bytes:
+def unpacked_message(content: bytes, channel: Channel, budget: Budget) -> bytes:
     """A message as it was serialised, also where the recorder packed each one with zstd.
 
     Raises
     ------
     RecordFault
-        It does not unpack.
+        It does not unpack, or is beyond the budget.
     """
     if channel.wire != "cdr" or not content.startswith(_ZSTD_MAGIC):
         return content
-    return _unpacked(content, "zstd", LARGEST_BYTES)
+    budget.take(0, 0)  # where nothing is left, nothing is unpacked
+    message = _unpacked(content, "zstd", LARGEST_BYTES)
+    budget.take(len(message), 0)
+    if len(message) > LARGEST_BYTES:
+        raise RecordFault(DAMAGED, f"a message of more than {LARGEST_BYTES} bytes")
+    return message
 
 
 def _unpacked(packed: bytes, compression: str, most: int) -> bytes:

@@ -20,8 +20,10 @@ from slam.datasets.bags.records import BagRecord
 from slam.datasets.bags.survey import Survey, survey_bag
 from slam.datasets.bags.time_merge import TimeMerge
 from slam.datasets.bags.topics import TRANSFORMS
+from slam.datasets.budget import Budget
 from slam.datasets.dataset import ReadReport, RecordFault
 from slam.errors import DatasetError
+from slam.foreign import plain
 from slam.measurements import LaserScan, Measurement, RgbdFrame, Trajectory
 from slam.vision.prefetch import prefetched
 
@@ -70,7 +72,7 @@ class BagDataset:
 
     def __init__(self, path: Path, *, strict: bool = False, topics: tuple[str, ...] = ()) -> None:
         self.path = path
-        self.name = path.resolve().name
+        self.name = plain(path.resolve().name)
         self.report = ReadReport()
         self.figures = BagFigures()
         self._strict, self._topics = strict, topics
@@ -92,7 +94,10 @@ class BagDataset:
         account = Account(self.name, report, self._strict)
         for note in layout.notes:
             report.note(note, 1)
-        for done in prefetched(_stream(bag, layout, account, self.figures), _decoded):
+        budget = bag.budget()
+        for done in prefetched(
+            _stream(bag, layout, account, budget, self.figures), lambda item: _decoded(item, budget)
+        ):
             if done.fault is not None:
                 account.refuse(done.fault, done.where, done.number)
             elif done.measurement is not None:
@@ -124,12 +129,14 @@ def open_bag(path: Path, strict: bool, topics: tuple[str, ...] = ()) -> BagDatas
     return BagDataset(path, strict=strict, topics=topics)
 
 
-def _stream(bag: Bag, layout: Layout, account: Account, figures: BagFigures) -> Iterator[_Done | _FrameToDo]:
+def _stream(
+    bag: Bag, layout: Layout, account: Account, budget: Budget, figures: BagFigures
+) -> Iterator[_Done | _FrameToDo]:
     """The bag in order, images not decoded yet."""
     time_merge: TimeMerge[_FrameToDo] = TimeMerge()
     pairs = [PairStream(camera.sensor, camera.tolerance_s, account) for camera in layout.cameras]
-    reader = _Reader(layout, Decoder(), account, figures)
-    for record in bag.records(account):
+    reader = _Reader(layout, Decoder(budget), account, figures)
+    for record in bag.records(account, budget):
         now_s = record.recorded_s
         for item in reader.read(record):
             if isinstance(item, StampedImage):
@@ -164,13 +171,13 @@ def _as_done(items: Iterator[tuple[int, Measurement] | _FrameToDo]) -> Iterator[
         yield item if isinstance(item, _FrameToDo) else _Done(*item)
 
 
-def _decoded(item: _Done | _FrameToDo) -> _Done:
+def _decoded(item: _Done | _FrameToDo, budget: Budget) -> _Done:
     """A frame's images decoded; runs on the thread that prefetches."""
     if isinstance(item, _Done):
         return item
     number, where = item.pair.color.number, item.camera.sensor
     try:
-        return _Done(number, item.camera.frame(item.pair))
+        return _Done(number, item.camera.frame(item.pair, budget))
     except RecordFault as fault:
         return _Done(number, None, where, fault)
     except (AttributeError, TypeError, ValueError, OverflowError) as error:

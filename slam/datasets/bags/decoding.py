@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
-from slam.datasets.bags.records import LARGEST_BYTES, BagRecord, Channel
+from slam.datasets.bags.definitions import message_parts, simple_idl
+from slam.datasets.bags.records import BagRecord, Channel
+from slam.datasets.budget import LARGEST_BYTES, Budget
 from slam.datasets.dataset import RecordFault
+from slam.foreign import plain
 
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import Typesdict
@@ -17,16 +22,18 @@ UNDECODED = "message does not decode as its type"
 NO_TYPE = "message type without a usable definition"
 BAD_STAMP = "stamp of the header is not a time"
 
+_MOST_ELEMENTS = 1 << 13  # of the lists in one message: beams of several echoes, transforms
 _WIRES = frozenset({"cdr", "ros1"})
 # The old name of the same type.
 _BUILT_IN_NAMES = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 
 
 class Decoder:
-    """The message types of one bag."""
+    """The message types of one bag; what is beyond the bag's budget does not decode."""
 
-    def __init__(self) -> None:
-        self._stores: dict[Channel, tuple[Typestore, str] | None] = {}
+    def __init__(self, budget: Budget) -> None:
+        self._types: dict[Channel, _Types | None] = {}
+        self._budget = budget
 
     def decode(self, record: BagRecord) -> Any:
         """A message; its fields have the names of its definition.
@@ -37,19 +44,19 @@ class Decoder:
             It is damaged, or its type is not known.
         """
         channel = record.channel
-        if channel not in self._stores:
-            self._stores[channel] = _typestore(channel)
-        found = self._stores[channel]
-        if found is None or channel.wire not in _WIRES:
+        if channel not in self._types:
+            fits = self._budget.takes_definition(channel.definition)
+            self._types[channel] = _typestore(channel if fits else replace(channel, definition=""))
+        types = self._types[channel]
+        if types is None or channel.wire not in _WIRES:
             raise RecordFault(NO_TYPE, f"{channel.kind} on {channel.topic}, {channel.wire}")
-        store, kind = found
         try:
-            if channel.wire == "ros1":
-                return store.deserialize_ros1(record.content, kind)
-            return store.deserialize_cdr(record.content, kind)
+            return types.decode(record.content, channel.wire)
         # The generated code fails in any way on damaged bytes: lengths, text, alignment.
         except Exception as error:
             raise RecordFault(UNDECODED, f"{channel.kind} on {channel.topic}: {error}") from error
+        finally:
+            self._budget.take_elements(types.elements)
 
 
 def stamp_of(header: Any) -> float:
@@ -71,52 +78,95 @@ def stamp_of(header: Any) -> float:
 
 def frame_name(name: Any) -> str:
     """A frame's name without the slash that ROS 1 allowed before it."""
-    return str(name).lstrip("/")
+    return plain(str(name).lstrip("/"))
 
 
-def _typestore(channel: Channel) -> tuple[Typestore, str] | None:
+def _typestore(channel: Channel) -> _Types | None:
     """The types that a channel needs, and the name of its own among them."""
     if channel.definition:
-        store = _own_types(channel.definition, channel.language, channel.kind)
-        if store is not None:
-            return store, channel.kind
-    store, kind = _built_in(channel.wire), _BUILT_IN_NAMES.get(channel.kind, channel.kind)
-    return (store, kind) if kind in store.fielddefs else None
+        types = _own_types(channel.definition, channel.language, channel.kind)
+        if types is not None:
+            return types
+    return _built_in(channel.wire, _BUILT_IN_NAMES.get(channel.kind, channel.kind))
 
 
 # The same few definitions come in every bag and pass, and each costs a tenth of a second to compile.
 @lru_cache(maxsize=64)
-def _own_types(definition: str, language: str, kind: str) -> Typestore | None:
+def _own_types(definition: str, language: str, kind: str) -> _Types | None:
     """The types of a definition in the bag, None where it cannot be used."""
     from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
     try:
-        types = get_types_from_msg(definition, kind) if language == "msg" else get_types_from_idl(definition)
-    except Exception:  # a damaged definition fails in any way in the parser
+        if language == "msg":
+            types = get_types_from_msg(definition, kind)
+        else:
+            types = get_types_from_idl(simple_idl(definition))
+        # Definitions may leave out what every installation has, as std_msgs/Header.
+        return _Types({**_common("cdr").fielddefs, **types}, kind)
+    except Exception:  # a damaged definition fails in any way: in the parser, or in the code made from it
         return None
-    # Definitions may leave out what every installation has, as std_msgs/Header.
-    return _store(types, kind) or _store({**_built_in("cdr").fielddefs, **types}, kind)
-
-
-def _store(types: Typesdict, kind: str) -> Typestore | None:
-    """A store of types, None where they do not describe a type wholly."""
-    from rosbags.typesys import Stores, get_typestore
-
-    try:
-        store = get_typestore(Stores.EMPTY)
-        store.max_sequence_length = LARGEST_BYTES
-        store.register(types)
-        store.get_msgdef(kind)
-    except Exception:  # nor do names that are none survive the code that is generated from them
-        return None
-    return store
 
 
 @cache
-def _built_in(wire: str) -> Typestore:
+def _built_in(wire: str, kind: str) -> _Types | None:
+    """A message type of the common releases; None where they have none of that name."""
+    common = _common(wire).fielddefs
+    return _Types(common, kind) if kind in common else None
+
+
+@cache
+def _common(wire: str) -> Typestore:
     """The message types of ROS 1 Noetic or ROS 2 Humble."""
     from rosbags.typesys import Stores, get_typestore
 
-    store = get_typestore(Stores.ROS1_NOETIC if wire == "ros1" else Stores.ROS2_HUMBLE)
-    store.max_sequence_length = LARGEST_BYTES
-    return store
+    return get_typestore(Stores.ROS1_NOETIC if wire == "ros1" else Stores.ROS2_HUMBLE)
+
+
+class _Types:
+    """One message type and what it consists of, made to decode.
+
+    Raises
+    ------
+    ValueError
+        It cannot be used, see `message_parts`.
+
+    Attributes
+    ----------
+    kind
+        Its name.
+    elements
+        How many elements the lists of the latest message had.
+    """
+
+    def __init__(self, types: Typesdict, kind: str) -> None:
+        from rosbags.typesys import Stores, get_typestore
+
+        self.kind, self.elements = kind, 0
+        parts, listed = message_parts(types, kind)
+        self.store = get_typestore(Stores.EMPTY)
+        self.store.max_sequence_length = LARGEST_BYTES
+        self.store.register(parts)
+        self.store.get_msgdef(kind)
+        for name in listed:
+            made = self.store.get_msgdef(name)
+            readers = ("deserialize_ros1", "deserialize_cdr_le", "deserialize_cdr_be")
+            counted: dict[str, Any] = {reader: self._counting(getattr(made, reader)) for reader in readers}
+            self.store.cache[name] = replace(made, **counted)
+
+    def decode(self, content: bytes, wire: str) -> Any:
+        """A message; fails in any way on damaged bytes."""
+        self.elements = 0
+        store = self.store
+        read = store.deserialize_ros1 if wire == "ros1" else store.deserialize_cdr
+        return read(content, self.kind)
+
+    def _counting(self, read: Callable[..., Any]) -> Callable[..., Any]:
+        """What reads one element of a list, within limits."""
+
+        def counting(*given: Any) -> Any:
+            self.elements += 1
+            if self.elements > _MOST_ELEMENTS:
+                raise ValueError(f"more than {_MOST_ELEMENTS} elements in its lists")
+            return read(*given)
+
+        return counting

@@ -7,14 +7,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 from slam.datasets.account import Account
 from slam.datasets.bags import mcap, rosbag1, sqlite
 from slam.datasets.bags.compression import unpacked_message
 from slam.datasets.bags.records import BagRecord, Channel, Container
+from slam.datasets.budget import Budget
 from slam.datasets.dataset import RecordFault
 from slam.errors import DatasetError
+from slam.foreign import from_yaml
 
 _INDEX = "metadata.yaml"
 _INDEX_TITLE = "rosbag2_bagfile_information"
@@ -41,7 +41,11 @@ class Bag:
             found.update(dict.fromkeys(channels))
         return list(found)
 
-    def records(self, account: Account) -> Iterator[BagRecord]:
+    def budget(self) -> Budget:
+        """What one pass over it may ask for."""
+        return Budget(sum(part.stat().st_size for part in self.parts))
+
+    def records(self, account: Account, budget: Budget) -> Iterator[BagRecord]:
         """All messages in the order of the files; what is damaged goes to the account.
 
         Raises
@@ -57,11 +61,11 @@ class Bag:
             def note_share(share: float, part: int = part) -> None:
                 account.report.note_share((part + share) / len(self.parts))
 
-            for channel, recorded_ns, content in container.records(path, account, note_share):
+            for channel, recorded_ns, content in container.records(path, account, budget, note_share):
                 number += 1
                 account.report.line_count = number
                 try:
-                    message = unpacked_message(content, channel)
+                    message = unpacked_message(content, channel, budget)
                 except RecordFault as fault:
                     account.refuse(fault, path.name, number)
                     continue
@@ -141,11 +145,11 @@ def _parts_of_one(folder: Path) -> list[Path]:
 def _listed(index: Path) -> list[Path]:
     """The files in the order of ``metadata.yaml``; none where it is not there or damaged."""
     try:
-        content = yaml.safe_load(index.read_text(encoding="utf-8"))
+        content = from_yaml(index.read_text(encoding="utf-8"))
         names = content[_INDEX_TITLE]["relative_file_paths"]
         # Older recorders write the folder's name before the file's.
         return [index.parent / Path(str(name)).name for name in names]
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError):
         return []
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.datasets.bags.run_length_depth import unpacked
+from slam.datasets.budget import MOST_PIXELS, Budget
 from slam.datasets.dataset import RecordFault
 from slam.datasets.image_files import rgb_of
 from slam.datasets.quiet_decoder import decode_quietly
@@ -20,7 +21,6 @@ DAMAGED = "image truncated or damaged"
 
 _MILLIMETRES_PER_M = 1000.0  # REP-118
 _CONFIG_BYTES = 12  # of compressedDepth: a format number and two parameters
-_MOST_PIXELS = 1 << 26
 _DEPTH = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 _COLOR: dict[str, tuple[int, tuple[int, ...]]] = {
     "rgb8": (3, (0, 1, 2)),
@@ -42,7 +42,7 @@ def is_depth(message: Any) -> bool:
     return "compressedDepth" in words or words.startswith(("16UC1", "32FC1"))
 
 
-def color_of(message: Any) -> ColorImage:
+def color_of(message: Any, budget: Budget) -> ColorImage:
     """(H, W, 3) RGB; grey is spread over the channels.
 
     Raises
@@ -51,7 +51,7 @@ def color_of(message: Any) -> ColorImage:
         Damaged, or of an encoding that is not read.
     """
     if not hasattr(message, "encoding"):
-        return _compressed_color(message)
+        return _compressed_color(message, budget)
     encoding = str(message.encoding)
     if encoding not in _COLOR:
         raise RecordFault(BAD_ENCODING, f"colour {encoding[:24]!r}")
@@ -60,7 +60,7 @@ def color_of(message: Any) -> ColorImage:
     return np.ascontiguousarray(pixels[..., list(order)])
 
 
-def depth_of(message: Any) -> Float32Array:
+def depth_of(message: Any, budget: Budget) -> Float32Array:
     """(H, W) metres, 0 where the reading is invalid; 16-bit images are in millimetres (REP-118).
 
     Raises
@@ -69,7 +69,7 @@ def depth_of(message: Any) -> Float32Array:
         Damaged, or of an encoding that is not read.
     """
     if not hasattr(message, "encoding"):
-        return _compressed_depth(message)
+        return _compressed_depth(message, budget)
     encoding = str(message.encoding)
     if encoding not in _DEPTH:
         raise RecordFault(BAD_ENCODING, f"depth {encoding[:24]!r}")
@@ -82,7 +82,7 @@ def _pixels(message: Any, kind: np.dtype[Any], channels: int) -> NDArray[Any]:
     height, width, step = int(message.height), int(message.width), int(message.step)
     data = np.asarray(message.data, dtype=np.uint8).ravel()
     row = width * channels * kind.itemsize
-    if min(height, width) < 1 or height * width > _MOST_PIXELS or step < row or data.size < step * height:
+    if min(height, width) < 1 or height * width > MOST_PIXELS or step < row or data.size < step * height:
         text = f"{width} x {height} in rows of {step} bytes, {data.size} there"
         raise RecordFault(BAD_SIZE, text)
     rows = np.ascontiguousarray(data[: step * height].reshape(height, step)[:, :row])
@@ -100,21 +100,21 @@ def _metres(steps: NDArray[Any]) -> Float32Array:
     return np.where(valid, metres, np.float32(0.0))
 
 
-def _compressed_color(message: Any) -> ColorImage:
+def _compressed_color(message: Any, budget: Budget) -> ColorImage:
     """A PNG or JPEG; `cv_bridge` stores both so that every decoder shows them right."""
-    image = _decoded(bytes(message.data))
+    image = _decoded(bytes(message.data), budget)
     color = rgb_of(image)
     if color is None:
         raise RecordFault(BAD_ENCODING, f"compressed {image.dtype} {image.shape}")
     return color
 
 
-def _compressed_depth(message: Any) -> Float32Array:
+def _compressed_depth(message: Any, budget: Budget) -> Float32Array:
     """PNG or RVL after the header of compressedDepth; of 32-bit images they hold inverse depth."""
     content, words = bytes(message.data), str(message.format)
     with_header = "compressedDepth" in words
     image = content[_CONFIG_BYTES:] if with_header else content
-    steps = unpacked(image) if with_header and "rvl" in words.lower() else _decoded(image)
+    steps = unpacked(image, budget) if with_header and "rvl" in words.lower() else _decoded(image, budget)
     if steps.ndim != 2 or steps.dtype != np.uint16:
         raise RecordFault(BAD_ENCODING, f"compressed depth {steps.dtype} {steps.shape}")
     if not (with_header and words.startswith("32FC1")):
@@ -126,9 +126,9 @@ def _compressed_depth(message: Any) -> Float32Array:
     return _metres(metres.astype(np.float32))
 
 
-def _decoded(content: bytes) -> NDArray[Any]:
+def _decoded(content: bytes, budget: Budget) -> NDArray[Any]:
     """Pixels of an image file, all of them."""
-    image = decode_quietly(content) if content else None
+    image = decode_quietly(content, budget) if content else None
     if image is None:
         raise RecordFault(DAMAGED, f"{len(content)} bytes")
     return image

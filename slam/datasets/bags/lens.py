@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.datasets.budget import MOST_PIXELS
 from slam.datasets.dataset import RecordFault
 from slam.measurements import CameraIntrinsics, FloatArray
 
@@ -17,7 +18,6 @@ _PLUMB = frozenset({"", "plumb_bob", "rational_polynomial"})
 _FISHEYE = frozenset({"equidistant", "fisheye", "kannala_brandt4"})
 _NEGLIGIBLE = 1e-9
 _TENTH = 0.1  # pixels
-_MOST_PIXELS = 1 << 26
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +95,7 @@ def lens_of(message: Any, *, rectified: bool) -> Lens:
     width, height = int(message.width), int(message.height)
     fx, fy, cx, cy = _pin_hole(k, p, rectified=rectified)
     known = bool(np.isfinite([fx, fy, cx, cy]).all()) and min(fx, fy) > 0.0
-    if not known or min(width, height) < 0 or width * height > _MOST_PIXELS or (width > 0) != (height > 0):
+    if not known or min(width, height) < 0 or width * height > MOST_PIXELS or (width > 0) != (height > 0):
         raise RecordFault(NO_LENS, f"{width} x {height}, {fx} {fy} {cx} {cy}")
     intrinsics = CameraIntrinsics(fx, fy, cx, cy, width, height)
     model = str(message.distortion_model)

@@ -19,15 +19,17 @@ from slam.datasets.bags.compression import unpacked_chunk
 from slam.datasets.bags.records import (
     CUT,
     DAMAGED,
+    UNKNOWN,
     Channel,
     CutError,
     exactly,
-    one_line,
     ros2_name,
 )
+from slam.datasets.budget import Budget
 from slam.datasets.dataset import RecordFault
 from slam.datasets.log_file import OnShare
 from slam.errors import DatasetError
+from slam.foreign import plain
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -43,14 +45,15 @@ class McapContainer:
         """The channels of the summary at the end; None where there is none."""
         with path.open("rb") as file:
             try:
-                if file.seek(0, io.SEEK_END) < _FOOTER_BYTES + len(MAGIC):
+                size = file.seek(0, io.SEEK_END)
+                if size < _FOOTER_BYTES + len(MAGIC):
                     return None
                 start = _summary_start(file)
                 if not start:
                     return None
                 file.seek(start)
                 tables = _Tables()
-                for kind, content, _ in _raw_records(file):
+                for kind, content, _ in _raw_records(file, Budget(size)):
                     if kind == _FOOTER:
                         return list(tables.channels.values()) or None
                     tables.learn(kind, content)
@@ -59,7 +62,7 @@ class McapContainer:
         return None
 
     def records(
-        self, path: Path, account: Account, on_share: OnShare
+        self, path: Path, account: Account, budget: Budget, on_share: OnShare
     ) -> Iterator[tuple[Channel, int, bytes]]:
         """All messages in the order of the file; a damaged chunk costs itself, a cut the rest."""
         tables, chunks = _Tables(), 0
@@ -68,15 +71,17 @@ class McapContainer:
                 raise DatasetError(f"{path} does not begin as an MCAP file; record or copy it again")
             try:
                 size = path.stat().st_size
-                for kind, content, whole in _raw_records(file):
+                for kind, content, whole in _raw_records(file, budget):
                     on_share(file.tell() / size)
                     if kind in (_FOOTER, _DATA_END):
                         return
                     if kind == _CHUNK:
                         chunks += 1
                         where = f"{path.name}, chunk"
-                        yield from _from_chunk(tables, content, account, where, chunks, whole=whole)
+                        yield from _from_chunk(tables, content, account, budget, where, chunks, whole=whole)
                     elif whole:
+                        if not 0 < kind <= _DATA_END:
+                            account.report.note(UNKNOWN, account.report.line_count)
                         yield from _learned(tables, kind, content, account, path.name)
                 # The data are followed by a mark; without it the writer did not finish.
                 raise CutError("no end mark")
@@ -110,7 +115,7 @@ class _Tables:
                 number, schema = struct.unpack("<HH", exactly(stream, 4))
                 topic, wire = _text(stream), _text(stream)
                 name, text, language = self._schemas.get(schema, ("", "", "msg"))
-                self.channels[number] = Channel(one_line(topic), one_line(name), wire, text, language)
+                self.channels[number] = Channel(plain(topic), plain(name), wire, text, language)
         except (struct.error, CutError, UnicodeDecodeError) as error:
             raise RecordFault(DAMAGED, str(error)) from error
         return None
@@ -126,15 +131,16 @@ def _summary_start(file: BinaryIO) -> int:
     return int(start)
 
 
-def _raw_records(stream: BinaryIO) -> Iterator[tuple[int, bytes, bool]]:
+def _raw_records(stream: BinaryIO, budget: Budget) -> Iterator[tuple[int, bytes, bool]]:
     """Kinds and contents up to the end of the stream, and whether the record is whole: the last may not be.
 
     Raises
     ------
     CutError, RecordFault
-        After the last record: it is not whole, or has a size that cannot be.
+        After the last record: it is not whole, has a size that cannot be, or is beyond the budget.
     """
     while head := stream.read(9):
+        budget.take(0)
         if len(head) < 9:
             raise CutError("within the head of a record")
         kind, size = struct.unpack("<BQ", head)
@@ -146,11 +152,12 @@ def _raw_records(stream: BinaryIO) -> Iterator[tuple[int, bytes, bool]]:
 
 
 def _from_chunk(
-    tables: _Tables, content: bytes, account: Account, where: str, number: int, *, whole: bool
+    tables: _Tables, content: bytes, account: Account, budget: Budget, where: str, number: int, *, whole: bool
 ) -> Iterator[tuple[Channel, int, bytes]]:
     """The messages of a chunk, as far as it goes."""
     try:
-        for kind, inner, inner_whole in _raw_records(io.BytesIO(_unpacked(content, whole=whole))):
+        records = io.BytesIO(_unpacked(content, budget, whole=whole))
+        for kind, inner, inner_whole in _raw_records(records, budget):
             if inner_whole:
                 yield from _learned(tables, kind, inner, account, where)
     except (RecordFault, CutError) as error:
@@ -172,7 +179,7 @@ def _learned(
         yield message
 
 
-def _unpacked(content: bytes, *, whole: bool) -> bytes:
+def _unpacked(content: bytes, budget: Budget, *, whole: bool) -> bytes:
     """The records of a chunk, checked by their checksum where there is one."""
     stream = io.BytesIO(content)
     try:
@@ -182,7 +189,7 @@ def _unpacked(content: bytes, *, whole: bool) -> bytes:
         packed = exactly(stream, packed_size) if whole else stream.read()
     except (CutError, UnicodeDecodeError) as error:
         raise RecordFault(DAMAGED, f"head of a chunk: {error}") from error
-    records = unpacked_chunk(packed, compression, size, cut=not whole)
+    records = unpacked_chunk(packed, compression, size, budget, cut=not whole)
     if whole and checksum and zlib.crc32(records) != checksum:
         raise RecordFault(DAMAGED, "checksum of a chunk")
     return records

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import BinaryIO, Protocol
 
 from slam.datasets.account import Account
+from slam.datasets.budget import LARGEST_BYTES, Budget
 from slam.datasets.dataset import RecordFault
 from slam.datasets.log_file import OnShare
 
 CUT = "the bag ends in the middle of a record; read up to there"
 DAMAGED = "damaged record of the bag"
-_LONGEST_NAME = 256
-LARGEST_BYTES = 1 << 29  # of one record or one unpacked chunk; beyond any message of a robot
+UNKNOWN = "record of a kind that the format does not have, passed over"
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,9 +64,11 @@ class Container(Protocol):
         ...
 
     def records(
-        self, path: Path, account: Account, on_share: OnShare
+        self, path: Path, account: Account, budget: Budget, on_share: OnShare
     ) -> Iterator[tuple[Channel, int, bytes]]:
         """Channel, time in nanoseconds and content of each message; what is damaged goes to the account.
+
+        What the file unpacks to is taken from the budget; where that is used up the rest is not read.
 
         Now and then ``on_share`` is told the share of the file that has been read, 0..1.
 
@@ -102,12 +104,6 @@ def exactly(stream: BinaryIO, size: int) -> bytes:
     if len(content) < size:
         raise CutError(f"{size} bytes announced, {len(content)} there", content)
     return content
-
-
-def one_line(text: str) -> str:
-    """Text of a damaged file as it may be shown: in one line, and not too long."""
-    shown = "".join(letter if letter.isprintable() else "?" for letter in text[:_LONGEST_NAME])
-    return shown + ("..." if len(text) > _LONGEST_NAME else "")
 
 
 def ros2_name(kind: str) -> str:

@@ -13,15 +13,17 @@ from slam.datasets.bags.compression import unpacked_chunk
 from slam.datasets.bags.records import (
     CUT,
     DAMAGED,
+    UNKNOWN,
     Channel,
     CutError,
     exactly,
-    one_line,
     ros2_name,
 )
+from slam.datasets.budget import Budget
 from slam.datasets.dataset import RecordFault
 from slam.datasets.log_file import OnShare
 from slam.errors import DatasetError
+from slam.foreign import plain
 
 MAGIC = b"#ROSBAG V2.0\n"
 
@@ -40,15 +42,16 @@ class Rosbag1Container:
             try:
                 if file.read(len(MAGIC)) != MAGIC:
                     return None
-                fields, _, _ = next(_raw_records(file), ({}, b"", True))
+                fields, _, _ = next(_raw_records(file, Budget(0)), ({}, b"", True))
                 index = struct.unpack("<Q", fields.get("index_pos", bytes(8)))[0]
                 if not index or fields.get("op") != bytes([_BAG_HEADER]):
                     return None
-                if index >= file.seek(0, io.SEEK_END):
+                size = file.seek(0, io.SEEK_END)
+                if index >= size:
                     return None
                 file.seek(index)
                 found: dict[int, Channel] = {}
-                for fields, content, _ in _raw_records(file):
+                for fields, content, _ in _raw_records(file, Budget(size)):
                     if fields.get("op") == bytes([_CONNECTION]):
                         number, channel = _connection(fields, content)
                         found[number] = channel
@@ -57,7 +60,7 @@ class Rosbag1Container:
                 return None
 
     def records(
-        self, path: Path, account: Account, on_share: OnShare
+        self, path: Path, account: Account, budget: Budget, on_share: OnShare
     ) -> Iterator[tuple[Channel, int, bytes]]:
         """All messages in the order of the file; a damaged chunk costs itself, a cut the rest."""
         channels: dict[int, Channel] = {}
@@ -67,7 +70,7 @@ class Rosbag1Container:
                 raise DatasetError(f"{path} does not begin as a ROS 1 bag 2.0; convert or copy it again")
             try:
                 size = path.stat().st_size
-                for fields, content, whole in _raw_records(file):
+                for fields, content, whole in _raw_records(file, budget):
                     on_share(file.tell() / size)
                     kind = fields.get("op", b"")
                     if kind == bytes([_BAG_HEADER]):
@@ -75,10 +78,12 @@ class Rosbag1Container:
                     elif kind == bytes([_CHUNK]):
                         chunks += 1
                         inside = _from_chunk(
-                            channels, fields, content, account, path.name, chunks, whole=whole
+                            channels, fields, content, account, budget, path.name, chunks, whole=whole
                         )
                         yield from inside
                     elif whole:
+                        if not b"\2" <= kind <= b"\7":
+                            account.report.note(UNKNOWN, account.report.line_count)
                         yield from _learned(channels, fields, content, account, path.name)
                 if not indexed:
                     raise CutError("no index: the recorder was not stopped properly")
@@ -87,15 +92,16 @@ class Rosbag1Container:
                 account.refuse(fault, path.name, account.report.line_count)
 
 
-def _raw_records(stream: BinaryIO) -> Iterator[tuple[_Fields, bytes, bool]]:
+def _raw_records(stream: BinaryIO, budget: Budget) -> Iterator[tuple[_Fields, bytes, bool]]:
     """Header fields and contents up to the end of the stream, and whether the record is whole.
 
     Raises
     ------
     CutError, RecordFault
-        After the last record: it is not whole, or has a size that cannot be.
+        After the last record: it is not whole, has a size that cannot be, or is beyond the budget.
     """
     while head := stream.read(4):
+        budget.take(0)
         if len(head) < 4:
             raise CutError("within the head of a record")
         (size,) = struct.unpack("<I", head)
@@ -128,6 +134,7 @@ def _from_chunk(
     fields: _Fields,
     content: bytes,
     account: Account,
+    budget: Budget,
     where: str,
     number: int,
     *,
@@ -137,8 +144,8 @@ def _from_chunk(
     try:
         (size,) = struct.unpack("<I", fields.get("size", b""))
         compression = fields.get("compression", b"none").decode("ascii", "replace")
-        records = unpacked_chunk(content, compression, size, cut=not whole)
-        for inner, message, inner_whole in _raw_records(io.BytesIO(records)):
+        records = unpacked_chunk(content, compression, size, budget, cut=not whole)
+        for inner, message, inner_whole in _raw_records(io.BytesIO(records), budget):
             if inner_whole:
                 yield from _learned(channels, inner, message, account, where)
     except (RecordFault, CutError, struct.error) as error:
@@ -174,4 +181,4 @@ def _connection(fields: _Fields, content: bytes) -> tuple[int, Channel]:
         part.decode("utf-8", "replace") for part in (fields.get("topic", b""), described.get("type", b""))
     ]
     text = described.get("message_definition", b"").decode("utf-8", "replace")
-    return number, Channel(one_line(names[0]), one_line(ros2_name(names[1])), "ros1", text)
+    return number, Channel(plain(names[0]), plain(ros2_name(names[1])), "ros1", text)

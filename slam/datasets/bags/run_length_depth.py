@@ -10,29 +10,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.kernel import kernel
+from slam.datasets.budget import MOST_PIXELS, Budget
 from slam.datasets.dataset import RecordFault
 
 DAMAGED_RUNS = "depth image of run lengths that is damaged"
 
 _SIZE_BYTES = 8  # width and height come first
-_MOST_PIXELS = 1 << 26
 
 
-def unpacked(content: bytes) -> NDArray[np.uint16]:
+def unpacked(content: bytes, budget: Budget) -> NDArray[np.uint16]:
     """(H, W) of an image with its size.
 
     Raises
     ------
     RecordFault
-        Where the runs do not make up an image of that size.
+        Where the runs do not make up an image of that size, or it is beyond the budget.
     """
     if len(content) < _SIZE_BYTES:
         raise RecordFault(DAMAGED_RUNS, f"{len(content)} bytes")
     width, height = (int(value) for value in np.frombuffer(content, "<u4", 2))
-    if not 0 < width * height <= _MOST_PIXELS:
+    if not 0 < width * height <= MOST_PIXELS:
         raise RecordFault(DAMAGED_RUNS, f"{width} x {height}")
     whole = len(content) // 4 * 4
     words = np.frombuffer(content[_SIZE_BYTES:whole], "<u4").astype(np.uint32)
+    budget.take(2 * width * height, 0)
     pixels = np.zeros(width * height, dtype=np.uint16)
     if not _fill(words, pixels):
         raise RecordFault(DAMAGED_RUNS, f"{width} x {height} in {len(content)} bytes")

@@ -8,10 +8,13 @@ from contextlib import closing
 from pathlib import Path
 
 from slam.datasets.account import Account
-from slam.datasets.bags.records import CUT, DAMAGED, LARGEST_BYTES, Channel, one_line, ros2_name
+from slam.datasets.bags.records import CUT, DAMAGED, Channel, ros2_name
+from slam.datasets.budget import LARGEST_BYTES, Budget
 from slam.datasets.dataset import RecordFault
 from slam.datasets.log_file import OnShare
+from slam.datasets.sqlite_reading import foreign_database, tables_of
 from slam.errors import DatasetError
+from slam.foreign import plain
 
 MAGIC = b"SQLite format 3\x00"
 
@@ -34,27 +37,27 @@ class SqliteContainer:
             return None
 
     def records(
-        self, path: Path, account: Account, on_share: OnShare
+        self, path: Path, account: Account, budget: Budget, on_share: OnShare
     ) -> Iterator[tuple[Channel, int, bytes]]:
         """All messages in the order of their numbers; a damaged page ends them."""
         with closing(_opened(path)) as database:
             try:
                 channels = _channels(database)
             except sqlite3.Error as error:
-                raise DatasetError(
-                    f"{path} is no rosbag2 database: {one_line(str(error))}; copy it again"
-                ) from error
+                raise DatasetError(f"{path} is no rosbag2 database: {error}; copy it again") from error
             try:
                 count = max(_last_number(database), 1)
                 for row, (number, stamp_ns, content) in enumerate(database.execute(_MESSAGES)):
                     on_share(min(row / count, 1.0))
+                    budget.take(len(content) if isinstance(content, bytes) else 0)
                     if number in channels and isinstance(stamp_ns, int) and isinstance(content, bytes):
                         yield channels[number], stamp_ns, content
                     else:
                         fault = RecordFault(DAMAGED, f"row of topic {number}")
                         account.refuse(fault, path.name, account.report.line_count)
-            except sqlite3.Error as error:
-                account.refuse(RecordFault(CUT, one_line(str(error))), path.name, account.report.line_count)
+            except (sqlite3.Error, RecordFault) as error:
+                fault = error if isinstance(error, RecordFault) else RecordFault(CUT, str(error))
+                account.refuse(fault, path.name, account.report.line_count)
 
 
 def _last_number(database: sqlite3.Connection) -> int:
@@ -70,18 +73,16 @@ def is_rosbag2(path: Path) -> bool:
     """Whether a SQLite file has the tables of a rosbag2."""
     try:
         with closing(_opened(path)) as database:
-            names = database.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()
+            return {"messages", "topics"} <= tables_of(database)
     except sqlite3.Error:
         return False
-    return {("messages",), ("topics",)} <= set(names)
 
 
 def _opened(path: Path) -> sqlite3.Connection:
     """The database, read only."""
     # Without a journal of a recorder that was killed beside it, nothing at all is written, not even a lock.
     journal = path.with_name(f"{path.name}-wal").is_file()
-    how = "mode=ro" if journal else "mode=ro&immutable=1"
-    database = sqlite3.connect(f"{path.resolve().as_uri()}?{how}", uri=True)
+    database = foreign_database(path, immutable=not journal, views=False)
     # Else SQLite gives nothing at all of a file that is shorter than its header says.
     database.execute("PRAGMA writable_schema=ON")
     return database
@@ -104,7 +105,5 @@ def _channels(database: sqlite3.Connection) -> dict[int, Channel]:
         "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
     ):
         text, language = definitions.get(str(kind), ("", "msg"))
-        found[int(number)] = Channel(
-            one_line(str(topic)), one_line(ros2_name(str(kind))), str(wire), text, language
-        )
+        found[int(number)] = Channel(plain(topic), plain(ros2_name(str(kind))), str(wire), text, language)
     return found

@@ -104,10 +104,11 @@ def survey_bag(bag: Bag) -> Survey:
     announced = bag.announced()
     for channel in announced or []:
         survey.channels.setdefault(channel.topic, channel)
-    decoder, quiet = Decoder(), Account(bag.path.name, ReadReport(), strict=False)
+    budget = bag.budget()
+    decoder, quiet = Decoder(budget), Account(bag.path.name, ReadReport(), strict=False)
     first_s: float | None = None
     looking = True
-    for record in bag.records(quiet):
+    for record in bag.records(quiet, budget):
         first_s = record.recorded_s if first_s is None else first_s
         survey.channels.setdefault(record.channel.topic, record.channel)
         seconds = record.recorded_s - first_s
@@ -122,7 +123,7 @@ def survey_bag(bag: Bag) -> Survey:
 def count_messages(bag: Bag) -> Counter[str]:
     """Messages on each topic, by reading all of the bag."""
     quiet = Account(bag.path.name, ReadReport(), strict=False)
-    return Counter(record.channel.topic for record in bag.records(quiet))
+    return Counter(record.channel.topic for record in bag.records(quiet, bag.budget()))
 
 
 def _look(survey: Survey, record: BagRecord, decoder: Decoder) -> None:

@@ -1,0 +1,76 @@
+"""SQLite databases of strangers: read only, and what their views may ask of the machine is bounded."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+from slam.datasets.budget import LARGEST_BYTES
+
+_STEPS_AT_ONCE = 1 << 12
+# Of SQLite's machine; it does some ten million a second. A row of a bag takes twenty, of a join some hundred.
+_FREE_STEPS, _STEPS_A_BYTE = 1 << 24, 16
+# What views of a data set may use: what makes or unpacks large values is not among it.
+_FUNCTIONS = frozenset({"coalesce", "ifnull", "nullif", "length", "substr", "like", "max", "min", "count"})
+
+
+def foreign_database(
+    path: Path, *, immutable: bool = False, views: bool = True, any_thread: bool = False
+) -> sqlite3.Connection:
+    """A database that is read only.
+
+    Parameters
+    ----------
+    immutable
+        Nothing at all is written, not even a lock; a journal beside it is not looked at.
+    views
+        Whether a query may read through a view; else it is an error, as other functions than the few of data
+        sets, recursion, and endless work are. Errors are those of `sqlite3`.
+    any_thread
+        Whether other threads than this one may use it, one at a time.
+    """
+    how = "mode=ro&immutable=1" if immutable else "mode=ro"
+    name = f"{path.resolve().as_uri()}?{how}"
+    database = sqlite3.connect(name, uri=True, isolation_level=None, check_same_thread=not any_thread)
+    database.execute("PRAGMA trusted_schema = OFF")
+    database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_BYTES)
+    bound_steps(database, path)
+
+    def allowed(action: int, name: str | None, function: str | None, _: str | None, view: str | None) -> int:
+        unknown = action == sqlite3.SQLITE_FUNCTION and function not in _FUNCTIONS
+        if unknown or action == sqlite3.SQLITE_RECURSIVE or (view and not views):
+            return sqlite3.SQLITE_DENY
+        return sqlite3.SQLITE_OK
+
+    database.set_authorizer(allowed)
+    return database
+
+
+def bound_steps(database: sqlite3.Connection, path: Path) -> None:
+    """Let queries of a file that lead in circles end with an error."""
+    left = (_FREE_STEPS + _STEPS_A_BYTE * path.stat().st_size) // _STEPS_AT_ONCE
+
+    def is_too_long() -> bool:
+        nonlocal left
+        left -= 1
+        return left < 0
+
+    database.set_progress_handler(is_too_long, _STEPS_AT_ONCE)
+
+
+def free_steps(database: sqlite3.Connection) -> None:
+    """Bound queries no longer: no table of the file is endless."""
+    database.set_progress_handler(None, 0)
+
+
+def tables_of(database: sqlite3.Connection) -> set[str]:
+    """The names of the true tables: no view, nothing virtual, none with columns that are worked out."""
+    found = database.execute(
+        "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
+    ).fetchall()
+    return {
+        name
+        for (name,) in found
+        if isinstance(name, str)
+        and all(row[6] < 2 for row in database.execute(f'PRAGMA table_xinfo("{name.replace(chr(34), "")}")'))
+    }

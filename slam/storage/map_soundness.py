@@ -1,0 +1,246 @@
+"""What is refused of a saved map: numbers that are none or out of range, wrong shapes, no rotations.
+
+`MapFile` refuses columns of another type, `slam.storage.packing` poses that are none, this file what no run
+writes into a record. Every command that opens a map asks all of it, row by row, before it believes the map.
+Another table is one more function of this file, called where its rows are read.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Final, TypeVar, cast
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.datasets.budget import MOST_BEAMS
+from slam.errors import MapFileError
+from slam.graph.loop_closure import LoopCandidate
+from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.measurements import CameraIntrinsics, FloatArray, LaserScan, MotionEstimate, Trajectory
+from slam.storage.map_sessions import MapSession
+from slam.vision.color_registration import ColorRegistration
+from slam.vision.features import Features
+from slam.vision.learned_camera import LearnedCamera
+
+T = TypeVar("T")
+Rule = Callable[[Any], bool]
+
+FARTHEST_M: Final = 1e8  # farther than any place on Earth
+_LATEST_S = 1e11  # the year 5138
+_CELL_M = (1e-4, 1e4)
+_LONGEST_NAME = 256
+_ROUNDING = 1e-6
+
+
+def require(condition: object, fault: str) -> None:
+    """Refuse what does not fit, with a `MapFileError`."""
+    if not condition:
+        raise MapFileError(fault)
+
+
+def of(kind: type[T], value: Any) -> T:
+    """A value of a type; a record only if it is sound, see `sound`."""
+    require(isinstance(value, kind), f"a {type(value).__name__} where a {kind.__name__} belongs")
+    if type(value) in _RULES:
+        sound(value)
+    return cast(T, value)
+
+
+def sound(record: Any) -> None:
+    """Refuse a record of which a field cannot be.
+
+    Raises
+    ------
+    MapFileError
+        It names the field.
+    """
+    for name, rule in _RULES[type(record)].items():
+        value = getattr(record, name)
+        if not rule(value):
+            shown = f"{value.dtype}{list(value.shape)}" if isinstance(value, np.ndarray) else repr(value)
+            raise MapFileError(f"its {name} cannot be: {shown}")
+        if type(value) in _RULES:
+            sound(value)
+
+
+def sound_stamp(stamp_s: Any) -> float:
+    """A time in seconds."""
+    require(_number(stamp_s) and abs(stamp_s) < _LATEST_S, f"its stamp cannot be: {stamp_s}")
+    return float(stamp_s)
+
+
+def sound_name(name: Any) -> str:
+    """What a sensor, a grid or a kind of edge is called."""
+    require(_name(name) and name, "its name is none")
+    return str(name)
+
+
+def unsound_covariance(covariances: Sequence[Any], dimension: int) -> int | None:
+    """The number of the first that is no (d, d) covariance: finite, symmetric, positive definite."""
+    shape, float64 = (dimension, dimension), np.dtype(np.float64)
+    for number, one in enumerate(covariances):
+        if not isinstance(one, np.ndarray) or one.shape != shape or one.dtype != float64:
+            return number
+    if not covariances or _are_covariances(np.stack(covariances)):  # all at once is ten times as fast
+        return None
+    return next(number for number, one in enumerate(covariances) if not _are_covariances(one))
+
+
+def sound_trajectory(stretch: Trajectory, poses: int) -> Trajectory:
+    """So many poses: finite and in range, with quaternions of unit length."""
+    arrays = (stretch.stamps_s, stretch.positions_m, stretch.quaternions_xyzw)
+    shapes = [(poses,), (poses, 3), (poses, 4)]
+    fits = [isinstance(one, np.ndarray) and one.dtype == np.float64 for one in arrays]
+    require(all(fits) and [one.shape for one in arrays] == shapes, "its arrays have other sizes")
+    require((np.abs(stretch.stamps_s) < _LATEST_S).all(), "a stamp cannot be")
+    require((np.abs(stretch.positions_m) < FARTHEST_M).all(), "a position is not finite, or beyond the Earth")
+    norms = np.linalg.norm(stretch.quaternions_xyzw, axis=1)
+    require((np.abs(norms - 1.0) < _ROUNDING).all(), "a quaternion is not of unit length")
+    return stretch
+
+
+def sound_grid(grid: OccupancyGrid) -> OccupancyGrid:
+    """Cells of a size that can be, and at least one."""
+    require(grid.steps.size, "it has no cells")
+    least_m, most_m = _CELL_M
+    require(least_m <= grid.resolution_m <= most_m, f"its resolution cannot be: {grid.resolution_m} m")
+    return grid
+
+
+def sound_readings(readings: NDArray[np.int64], sessions: Sequence[MapSession]) -> None:
+    """The keyframes of each session come of readings of its own, each of a later one."""
+    first = 0
+    for number, session in enumerate(sessions):
+        own = readings[first : first + session.keyframes]
+        first += session.keyframes
+        fits = own[0] >= 0 and own[-1] < session.poses and (np.diff(own) > 0).all()
+        require(fits, f"the readings of session {number} are not those of its log, in their order")
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _positive(value: Any) -> bool:
+    return _number(value) and value > 0.0
+
+
+def _not_negative(value: Any) -> bool:
+    return isinstance(value, int | float) and value >= 0.0  # endless too: a window that was never searched
+
+
+def _truth(value: Any) -> bool:
+    return isinstance(value, bool)
+
+
+def _name(value: Any) -> bool:
+    return isinstance(value, str) and len(value) <= _LONGEST_NAME
+
+
+def _text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _index(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+
+
+def _either(*kinds: type | None) -> Rule:
+    """A value of one of these types; of no other subclass of float or int."""
+    return lambda value: any(value is None if kind is None else isinstance(value, kind) for kind in kinds)
+
+
+def _array(dtype: str, *shape: int | None) -> Rule:
+    """An array of a type and shape without NaN; None stands for any length."""
+
+    def fits(value: Any) -> bool:
+        if not isinstance(value, np.ndarray) or value.dtype != dtype or value.ndim != len(shape):
+            return False
+        same = all(wanted in (None, size) for wanted, size in zip(shape, value.shape, strict=True))
+        return same and bool(np.isfinite(value).all())
+
+    return fits
+
+
+def _ranges(value: Any) -> bool:
+    """Ranges of beams: NaN is invalid, infinite met nothing, negative is nothing at all."""
+    fits = isinstance(value, np.ndarray) and value.dtype == np.float32 and value.ndim == 1
+    return fits and 0 < value.size <= MOST_BEAMS and not bool((value < 0.0).any())
+
+
+def _is_covariance(value: Any) -> bool:
+    return any(unsound_covariance([value], dimension) is None for dimension in (3, 6))
+
+
+def _are_covariances(values: FloatArray) -> bool:
+    """Whether (..., d, d) matrices are finite, symmetric and positive definite."""
+    if not np.isfinite(values).all():
+        return False
+    off = np.abs(values - values.swapaxes(-1, -2)).max((-1, -2))
+    if (off > _ROUNDING * np.abs(values).max((-1, -2))).any():
+        return False
+    try:
+        np.linalg.cholesky(values)
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
+_pose = _either(gtsam.Pose2, gtsam.Pose3)
+_RULES: dict[type, dict[str, Rule]] = {
+    LaserScan: {
+        "stamp_s": _number,
+        "ranges_m": _ranges,
+        "start_angle_rad": _number,
+        "step_rad": lambda value: _number(value) and 0.0 <= value <= 2.0 * math.pi,
+        "range_max_m": _positive,
+        "T_base_laser": _either(gtsam.Pose2),
+        "sensor": _name,
+    },
+    MotionEstimate: {
+        "T_reference_base": _pose,
+        "covariance": _is_covariance,
+        "inlier_share": _number,
+        "fit": _number,
+        "residual_m": _not_negative,
+        "converged": _truth,
+        "degenerate": _truth,
+        "weak_direction": _array("f8", None),
+    },
+    LoopCandidate: {
+        "place": _index,
+        "keyframe": _index,
+        "half_width_m": _not_negative,
+        "half_yaw_rad": _not_negative,
+        "score": _number,
+        "motion": _either(MotionEstimate, None),
+        "accepted": _truth,
+        "reason": _text,
+    },
+    CameraIntrinsics: {
+        **dict.fromkeys(("fx", "fy"), _positive),
+        **dict.fromkeys(("cx", "cy"), _number),
+        **dict.fromkeys(("width", "height"), _index),
+    },
+    ColorRegistration: {
+        **dict.fromkeys(("intrinsics_color", "intrinsics_depth"), _either(CameraIntrinsics)),
+        "T_depth_color": _either(gtsam.Pose3),
+        "accepted": _truth,
+        "reason": _text,
+        **dict.fromkeys(("inlier_share_before", "inlier_share_after"), _number),
+    },
+    LearnedCamera: {
+        "registration": _either(ColorRegistration, None),
+        "T_base_camera": _either(gtsam.Pose3, None),
+        "mounting_learned": _truth,
+        **dict.fromkeys(("clock_offset_s", "clock_sigma_s"), _number),
+    },
+    Features: {
+        "pixels": _array("f4", None, 2),
+        "descriptors": _array("u1", None, 32),
+        **dict.fromkeys(("sigma_px", "depth_m"), _array("f4", None)),
+    },
+}

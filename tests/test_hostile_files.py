@@ -1,0 +1,24 @@
+"""A part of the bank of hostile files: each ends with one line, within its time and memory."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+REPO = Path(__file__).parents[1]
+
+
+@pytest.mark.parametrize("part", ["idl,", "msg, a", "image", "db3, m", "records of no bytes"])
+def test_hostile_files_end_soon_and_small_with_a_plain_line(part: str, tmp_path: Path) -> None:
+    ran = subprocess.run(
+        [sys.executable, "-m", "tools.hostile_files", str(tmp_path / "bank"), "--run", "--only", part],
+        cwd=REPO,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stdout[-2000:] + ran.stderr[-2000:]
+    assert " 0 wrong" in ran.stdout
