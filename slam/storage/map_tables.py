@@ -11,7 +11,7 @@ ColumnType: TypeAlias = Literal["INTEGER", "REAL", "TEXT", "BLOB"]
 Value: TypeAlias = int | float | str | bytes | None
 
 # Raised when a table changes; a reader refuses what is newer than itself.
-SCHEMA_VERSION: Final = 3
+SCHEMA_VERSION: Final = 4
 APPLICATION_ID: Final = 0x5CA9EA7E
 
 
@@ -114,6 +114,9 @@ CLOUDS: Final = Table("clouds", (("stamp_s", "REAL"), ("lidar", "BLOB"), ("point
 # What the run learned of each camera, by its name: where it sits, its colour camera, its clock.
 CAMERAS: Final = Table("cameras", (("sensor", "TEXT"), ("learned", "BLOB")))
 
+# The covariances of a stretch of the trajectory a row: upper triangles.
+COVARIANCES: Final = Table("covariances", (("poses", "INTEGER"), ("triangles", "BLOB")))
+
 TABLES: Final = (
     META,
     KEYFRAMES,
@@ -126,11 +129,14 @@ TABLES: Final = (
     CHECKPOINT,
     CLOUDS,
     CAMERAS,
+    COVARIANCES,
 )
 
 
 def tables_of(version: int) -> tuple[Table, ...]:
-    """The tables of a schema: the first had no clouds, the second nothing that was learned of cameras."""
+    """The tables of a schema: the first had no clouds, the second nothing that was learned of cameras, the
+    third no covariances.
+    """
     return TABLES[: len(TABLES) - max(0, SCHEMA_VERSION - version)]
 
 
