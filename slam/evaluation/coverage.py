@@ -19,6 +19,8 @@ from slam.measurements import FloatArray, Trajectory
 
 Indices: TypeAlias = NDArray[np.intp]
 _SHARE = 0.95
+# An angle below which the series above has no digit more.
+_SMALLEST = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,12 +106,20 @@ def _squares(errors: FloatArray, covariances: FloatArray) -> FloatArray:
 
 
 def _errors(estimate: Trajectory, truth: Trajectory, held: int) -> FloatArray:
-    """(N, 6) position and rotation vector, along the map's axes, from poses to their truth."""
+    """(N, 6) position and rotation vector, along the map's axes, from poses to their truth.
+
+    Exponential coordinates: in them a way that is turned about a point of it is off in a straight line (Long,
+    Wolfe, Mashner, Chirikjian 2012, "The banana distribution is Gaussian").
+    """
     own, true = (Rotation.from_quat(one.quaternions_xyzw) for one in (estimate, truth))
     turn = own[held] * true[held].inv()
     shifted = turn.apply(truth.positions_m - truth.positions_m[held]) + estimate.positions_m[held]
-    turned = turn * true * own.inv()
-    return np.hstack([shifted - estimate.positions_m, turned.as_rotvec()])
+    angles = (turn * true * own.inv()).as_rotvec()
+    across = np.cross(angles, shifted - estimate.positions_m)
+    half = np.maximum(0.5 * np.linalg.norm(angles, axis=1), _SMALLEST)[:, None]
+    # The inverse of the left Jacobian of SO(3).
+    bent = np.cross(angles, across) * (1.0 - half / np.tan(half)) / (2.0 * half) ** 2
+    return np.hstack([shifted - estimate.positions_m - 0.5 * across + bent, angles])
 
 
 def _truth_at(reference: Trajectory, stamps_s: FloatArray, limit_s: float) -> tuple[Trajectory, Indices]:

@@ -10,9 +10,6 @@ from slam.measurements import FloatArray, Trajectory
 from slam.trajectory.poses import Poses
 from slam.trajectory.spread import path_lengths
 
-# GTSAM's tangent in space is rotation, then translation.
-_POSITION_FIRST = [3, 4, 5, 0, 1, 2]
-
 
 def carried_covariances(
     trajectory: Trajectory, anchors: NDArray[np.int64], covariances: FloatArray, steps: FloatArray
@@ -73,7 +70,8 @@ def _along_map(covariances: FloatArray, rotations: Rotation) -> FloatArray:
     if covariances.shape[1] == 3:
         turn[:] = rotations.as_matrix()
     else:
-        covariances = covariances[:, _POSITION_FIRST][:, :, _POSITION_FIRST]
+        # GTSAM's tangent in space is rotation, then translation.
+        covariances = np.roll(covariances, 3, axis=(1, 2))
         turn[:, :3, :3] = turn[:, 3:, 3:] = rotations.as_matrix()
     return turn @ covariances @ turn.transpose(0, 2, 1)
 
