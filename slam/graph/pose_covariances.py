@@ -14,7 +14,8 @@ the map may be, for they take errors that are shared for independent ones:
 And one says too much: matches to a local map err less over a way than as many independent steps. How much
 less shows where the way closes: the variances of matches are scaled by their variance of unit weight, the sum
 of the squared whitened residuals by the redundancy (Foerstner 1979). The claim stands beside that, with the
-weight of as many readings as make a statistic.
+weight of as many readings as make a statistic; of a lidar's matches half of it, for they claim the noise of
+both keyframes that they join, and along a way that is the noise of each keyframe twice.
 """
 
 from __future__ import annotations
@@ -128,7 +129,8 @@ def _unit_variance(poses: Sequence[Pose], held: Sequence[Edge], config: Config) 
         determined = int(np.sum(np.linalg.eigvalsh(edge.covariance) < most))
         told = steps if back == 1 else loops
         told[max(edge.source, edge.target)].append((squares, determined))
-    total, surplus = float(FEWEST), FEWEST
+    by_lidar = any(edge.kind is EdgeKind.LIDAR for edge in held)
+    total, surplus = (0.5 if by_lidar else 1.0) * FEWEST, FEWEST
     for ones in steps.values():
         total += sum(squares for squares, _ in ones)
         surplus += sum(determined for _, determined in ones) - max(determined for _, determined in ones)

@@ -1,6 +1,7 @@
 """Covariances of keyframes in closed form on chains, in space as in the plane, and by what each rule says."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -29,6 +30,11 @@ def chain(count: int, covariance: FloatArray = MATCH, step: Pose = STEP) -> tupl
 def told(poses: Sequence[Pose], edges: list[Edge], kept: list[bool] | None = None) -> FloatArray:
     """Of the nodes, which are the bases."""
     return pose_covariances(poses, poses, edges, kept or [True] * len(edges), CONFIG)[0]
+
+
+def claimed(edges: Sequence[Edge], factor: float = 0.5) -> list[Edge]:
+    """As uncertain as they are told to be where no loop shows more."""
+    return [replace(edge, covariance=factor * edge.covariance) for edge in edges]
 
 
 def test_marginals_of_a_chain_add_up_in_the_frame_of_its_end() -> None:
@@ -61,7 +67,7 @@ def test_a_base_beside_its_camera_is_moved_by_its_turns() -> None:
     # 2 m to the left of the node, a turn moves the base along x.
     arm = np.array([[1.0, 0.0, -2.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     assert found[3] == pytest.approx(arm @ nodes[3] @ arm.T, rel=1e-6)
-    assert steps[2] == pytest.approx(arm @ MATCH @ arm.T, rel=1e-6)
+    assert steps[2] == pytest.approx(0.5 * arm @ MATCH @ arm.T, rel=1e-6)
 
 
 def test_two_loops_and_a_step_into_one_keyframe_are_one_witness() -> None:
@@ -71,36 +77,46 @@ def test_two_loops_and_a_step_into_one_keyframe_are_one_witness() -> None:
         Edge(place, 5, poses[place].between(poses[5]), MATCH, EdgeKind.LOOP, trusted=False, loop=0)
         for place in (2, 3)
     ]
-    alone = marginals(poses, edges)[5]
-    thrice = [
-        Edge(edge.source, 5, edge.T_source_target, 3.0 * MATCH, edge.kind, edge.trusted)
-        for edge in [edges[4], *near]
-    ]
-    assert told(poses, edges + near)[5] == pytest.approx(marginals(poses, edges[:4] + thrice)[5], rel=1e-6)
-    assert np.trace(marginals(poses, edges + near)[5]) < np.trace(told(poses, edges + near)[5])
-    assert np.trace(told(poses, edges + near)[5]) < np.trace(alone)
+    found = told(poses, edges + near)[5]
+    shared = claimed(edges[:4]) + claimed([edges[4], *near], 3.0 * 0.5)
+    assert found == pytest.approx(marginals(poses, shared)[5], rel=1e-6)
+    as_if_independent, alone = marginals(poses, claimed(edges + near))[5], marginals(poses, claimed(edges))[5]
+    assert np.trace(as_if_independent) < np.trace(found) < np.trace(alone)
 
 
-@pytest.mark.parametrize("closed, expected", [(True, 0.5), (False, 1.0)])
-def test_loops_that_fit_better_than_claimed_make_all_matches_surer(closed: bool, expected: float) -> None:
+def test_a_camera_claims_the_noise_of_a_step_once() -> None:
+    poses, edges = chain(4)
+    seen = [replace(edge, kind=EdgeKind.RGBD) for edge in edges]
+    assert told(poses, seen)[4] == pytest.approx(marginals(poses, seen)[4], rel=1e-6)
+
+
+def test_loops_that_fit_better_than_claimed_make_all_matches_surer() -> None:
     poses, edges = chain(60)
-    # 20 numbers of claim and 20 of loops that fit exactly, three a keyframe: the mean of 1 and 0.
+    # They fit exactly, three numbers a keyframe, beside 20 of half the claim.
     loops = [
         Edge(n, n + 50, poses[n].between(poses[n + 50]), MATCH, EdgeKind.LOOP, trusted=False, loop=n)
-        for n in range(7 if closed else 0)
+        for n in range(7)
     ]
-    ratio = 20.0 / (20.0 + 3.0 * len(loops))
-    assert ratio == pytest.approx(expected, abs=0.02)
-    assert told(poses, edges + loops)[20] == pytest.approx(
-        marginals(poses, [scaled(edge, ratio, poses, edges + loops) for edge in edges + loops])[20], rel=1e-6
+    ratio = 0.5 * 20.0 / (20.0 + 3.0 * len(loops))
+    expected = (
+        claimed(edges[:49], ratio) + claimed(edges[49:56] + loops, 2.0 * ratio) + claimed(edges[56:], ratio)
     )
+    assert told(poses, edges + loops)[20] == pytest.approx(marginals(poses, expected)[20], rel=1e-6)
 
 
-def scaled(edge: Edge, factor: float, poses: Sequence[Pose], every: list[Edge]) -> Edge:
-    """With the factor, and one witness a keyframe."""
-    sources = sum(other.target == edge.target for other in every)
-    covariance = factor * sources * edge.covariance
-    return Edge(edge.source, edge.target, edge.T_source_target, covariance, edge.kind, edge.trusted)
+def test_loops_that_miss_make_all_matches_less_sure() -> None:
+    poses, edges = chain(60)
+    missed = poses[0].between(poses[50]).compose(gtsam.Pose2(0.1, 0.0, 0.0))
+    loop = Edge(0, 50, missed, MATCH, EdgeKind.LOOP, trusted=False, loop=0)
+    ratio = (0.5 * 20.0 + (0.1 / 0.01) ** 2) / 23.0
+    assert ratio > 4.0
+    assert told(poses, [*edges, loop])[20] == pytest.approx(
+        marginals(
+            poses,
+            claimed(edges[:49], ratio) + claimed([edges[49], loop], 2.0 * ratio) + claimed(edges[50:], ratio),
+        )[20],
+        rel=0.01,
+    )
 
 
 def test_a_match_past_a_guess_is_not_believed() -> None:
@@ -151,7 +167,7 @@ def test_ellipses_hold_as_many_true_poses_as_they_say() -> None:
     inside = []
     for _ in range(200):
         poses, edges = chain(6, step=gtsam.Pose2(1.0, 0.2, 0.5))
-        covariances = told(poses, edges)
+        covariances = marginals(poses, edges)
         true = gtsam.Pose2()
         for edge in edges:
             noise = gtsam.Pose2.Expmap(rng.multivariate_normal(np.zeros(3), MATCH))
