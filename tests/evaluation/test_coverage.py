@@ -80,6 +80,26 @@ def test_an_error_of_all_poses_is_no_error_of_alignment() -> None:
     assert coverage(Trajectory.from_planar(way().stamps_s, bent), sure, way(), 0.05).yaw == 0.0
 
 
+def test_a_way_turned_far_about_its_beginning_lies_within_what_the_turn_was_told() -> None:
+    poses, turn = way(), Rotation.from_euler("z", 0.4)
+    bent = Trajectory(
+        poses.stamps_s,
+        turn.apply(poses.positions_m - poses.positions_m[0]) + poses.positions_m[0],
+        (turn * Rotation.from_quat(poses.quaternions_xyzw)).as_quat(),
+    )
+    quaternions = bent.quaternions_xyzw.copy()
+    quaternions[0] = poses.quaternions_xyzw[0]
+    bent = replace(bent, quaternions_xyzw=quaternions)
+    # A turn of 0.2 rad of sigma about the first pose, and a millimetre.
+    x, y, _ = (bent.positions_m - bent.positions_m[0]).T
+    lever = np.column_stack([-y, x, np.ones(COUNT)])
+    covariances = 0.04 * lever[:, :, None] * lever[:, None] + 1e-6 * np.eye(3)
+    covariances[0] = 1e-8 * np.eye(3)
+    found = coverage(bent, covariances, poses, 0.05)
+    assert found.position == 1.0 and found.yaw == 0.0  # two sigma: 1.96 is the interval's end
+    assert found.nees == pytest.approx(4.0 / 3.0, rel=0.01)
+
+
 def test_what_cannot_be_asked_is_refused() -> None:
     poses, covariances = estimate()
     with pytest.raises(EvaluationError, match="not positive definite"):

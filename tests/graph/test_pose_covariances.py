@@ -84,6 +84,16 @@ def test_two_loops_and_a_step_into_one_keyframe_are_one_witness() -> None:
     assert np.trace(as_if_independent) < np.trace(found) < np.trace(alone)
 
 
+@pytest.mark.parametrize("gaps, surplus", [(0, 3), (1, 0), (3, 0)])
+def test_a_loop_over_gaps_says_how_long_these_are_and_nothing_of_matches(gaps: int, surplus: int) -> None:
+    poses, edges = chain(60)
+    for n in range(gaps):
+        edges[n] = replace(edges[n], kind=EdgeKind.WHEEL)
+    loop = Edge(0, 50, poses[0].between(poses[50]), MATCH, EdgeKind.LOOP, trusted=False, loop=0)
+    _, steps = pose_covariances(poses, poses, [*edges, loop], [True] * 61, CONFIG)
+    assert steps[10] == pytest.approx(0.5 * 20.0 / (20.0 + surplus) * MATCH, rel=1e-6)
+
+
 def test_a_camera_claims_the_noise_of_a_step_once() -> None:
     poses, edges = chain(4)
     seen = [replace(edge, kind=EdgeKind.RGBD) for edge in edges]
