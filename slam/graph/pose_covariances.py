@@ -60,9 +60,9 @@ def pose_covariances(
     held = [edge for edge, keep in zip(edges, kept, strict=True) if keep and not _may_repeat_a_guess(edge)]
     told = _told(poses, held, _slips(edges, kept), config)
     information = np.zeros((len(poses) - 1, *_unknown(poses, config).shape))
-    for edge in told:
-        if edge.target == edge.source + 1:
-            information[edge.source] += np.linalg.inv(edge.covariance)
+    if of_steps := [edge for edge in told if edge.target == edge.source + 1]:
+        each = np.linalg.inv([edge.covariance for edge in of_steps])
+        np.add.at(information, [edge.source for edge in of_steps], each)
     # Between the last keyframe of a session and the first of the next nothing was measured.
     information[~information.any(axis=(1, 2))] = np.linalg.inv(_unknown(poses, config))
     adjoints = np.array([_between(base, node).AdjointMap() for base, node in zip(bases, poses, strict=True)])
@@ -117,28 +117,33 @@ def _slips(edges: Sequence[Edge], kept: Sequence[bool] | BoolArray) -> dict[int,
 
 def _unit_variance(poses: Sequence[Pose], held: Sequence[Edge], config: Config) -> float:
     """Variance of unit weight of matches: of steps that are told twice, and of loops to what is far back."""
-    most = config.graph.lost_sigma_m**2
+    far = config.match.local_map_keyframes
+    matches = [
+        edge for edge in held if edge.kind in _MATCHES and not 1 < abs(edge.target - edge.source) <= far
+    ]
+    if not matches:
+        return 1.0
+    offs = np.array(
+        [_logmap(edge.T_source_target, _between(poses[edge.source], poses[edge.target])) for edge in matches]
+    )
+    covariances = np.array([edge.covariance for edge in matches])
+    squares = np.einsum("ki,ki->k", offs, np.linalg.solve(covariances, offs[..., None])[..., 0])
+    determined = np.sum(np.linalg.eigvalsh(covariances) < config.graph.lost_sigma_m**2, axis=1)
     steps: dict[int, list[tuple[float, int]]] = defaultdict(list)
     loops: dict[int, list[tuple[float, int]]] = defaultdict(list)
-    for edge in held:
-        back = abs(edge.target - edge.source)
-        if edge.kind not in _MATCHES or 1 < back <= config.match.local_map_keyframes:
-            continue
-        off = _logmap(edge.T_source_target, _between(poses[edge.source], poses[edge.target]))
-        squares = float(off @ np.linalg.solve(edge.covariance, off))
-        determined = int(np.sum(np.linalg.eigvalsh(edge.covariance) < most))
-        told = steps if back == 1 else loops
-        told[max(edge.source, edge.target)].append((squares, determined))
+    for edge, square, numbers in zip(matches, squares.tolist(), determined.tolist(), strict=True):
+        told = steps if abs(edge.target - edge.source) == 1 else loops
+        told[max(edge.source, edge.target)].append((square, numbers))
     by_lidar = any(edge.kind is EdgeKind.LIDAR for edge in held)
     total, surplus = (0.5 if by_lidar else 1.0) * FEWEST, FEWEST
     for ones in steps.values():
-        total += sum(squares for squares, _ in ones)
-        surplus += sum(determined for _, determined in ones) - max(determined for _, determined in ones)
+        total += sum(square for square, _ in ones)
+        surplus += sum(numbers for _, numbers in ones) - max(numbers for _, numbers in ones)
     # A loop past steps that no match tells says how long these are first.
     excess = -len(_unknown(poses, config)) * (len(poses) - 1 - len(steps))
     for ones in loops.values():
-        total += sum(squares for squares, _ in ones) / len(ones)
-        excess += max(determined for _, determined in ones)
+        total += sum(square for square, _ in ones) / len(ones)
+        excess += max(numbers for _, numbers in ones)
     return total / (surplus + max(excess, 0))
 
 
