@@ -12,7 +12,15 @@ import pytest
 from slam.cli import main
 from slam.simulation.synthetic_log import SyntheticLog, write_synthetic_log
 
-RESULTS = {"trajectory.tum", "graph.g2o", "map.yaml", "map.pgm", "map.db", "report.html"}
+RESULTS = {
+    "trajectory.tum",
+    "trajectory_covariance.csv",
+    "graph.g2o",
+    "map.yaml",
+    "map.pgm",
+    "map.db",
+    "report.html",
+}
 
 
 @dataclass(frozen=True)

@@ -131,7 +131,11 @@ class TestCheck:
 class TestExport:
     @pytest.mark.parametrize(
         ("format_", "names"),
-        [("nav2", ["map.yaml", "map.pgm"]), ("tum", ["trajectory.tum"]), ("g2o", ["graph.g2o"])],
+        [
+            ("nav2", ["map.yaml", "map.pgm"]),
+            ("tum", ["trajectory.tum", "trajectory_covariance.csv"]),
+            ("g2o", ["graph.g2o"]),
+        ],
     )
     def test_the_bytes_of_the_run(
         self, scanweave: Scanweave, lidar_map: Path, tmp_path: Path, format_: str, names: list[str]
@@ -145,7 +149,7 @@ class TestExport:
     def test_of_a_camera(self, scanweave: Scanweave, camera_map: Path, tmp_path: Path) -> None:
         for format_ in ("ply", "tum", "g2o"):
             assert scanweave("export", camera_map, "--format", format_, "-o", tmp_path).code == 0
-        for name in ("trajectory.tum", "graph.g2o"):
+        for name in ("trajectory.tum", "trajectory_covariance.csv", "graph.g2o"):
             assert (tmp_path / name).read_bytes() == (camera_map / name).read_bytes(), name
         # Open3D's threads take voxels in any order: last bits and order of a surface differ from run to run.
         one, other = (read_cloud_ply(folder / "cloud.ply").points_map for folder in (tmp_path, camera_map))

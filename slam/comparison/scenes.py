@@ -16,7 +16,8 @@ from slam.comparison.product import StateArray
 from slam.comparison.runs import Plan, Source
 from slam.comparison.store import ResultStore
 from slam.errors import EvaluationError
-from slam.evaluation.trajectory_error import associate, umeyama
+from slam.evaluation.alignment import align
+from slam.evaluation.trajectory_error import associate
 from slam.measurements import FloatArray
 from slam.storage.tum import read_tum
 
@@ -80,7 +81,7 @@ def _aligned_paths(folders: dict[str, Path], reference: str) -> dict[str, FloatA
     for name, trajectory in found.items():
         try:
             own, others = associate(trajectory, base, _ALIGN_WITHIN_S)
-            T = umeyama(own.positions_m, others.positions_m)
+            T = align(own, others).T_target_point
         except EvaluationError:
             T = np.eye(4)  # nothing in common: shown as it is
         paths[name] = (trajectory.positions_m @ T[:3, :3].T + T[:3, 3])[:, :2]

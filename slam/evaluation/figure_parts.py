@@ -38,7 +38,7 @@ def plain(axes: Axes) -> None:
 
 def legend_above(axes: Axes) -> None:
     """A legend in one line above the axes, where it hides nothing."""
-    axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 0.985), ncols=4, fontsize=8, frameon=False)
+    axes.legend(loc="lower left", bbox_to_anchor=(-0.01, 0.985), ncols=5, fontsize=8, frameon=False)
 
 
 def thinned(rows: FloatArray) -> FloatArray:

@@ -77,6 +77,8 @@ def beside_of(
         true_trajectory = dataset.groundtruth()
         if true_trajectory is not None:
             truth = compare_with_truth(result.map.trajectory, true_trajectory)
+            if truth.error.mirrored:
+                lines.append(f"The map is not the truth: {truth.error.mirrored}")
     except ScanweaveError as error:
         lines.append(f"Not compared with the ground truth: {error}")
     try:

@@ -18,6 +18,7 @@ from slam.evaluation.map_report import LIDAR_HEIGHT_GREY, ReportData
 from slam.evaluation.pages import write_page
 from slam.evaluation.report_cameras import camera_cells
 from slam.evaluation.report_figures import FREE_GREY, MapPicture
+from slam.evaluation.uncertainty_figures import sigma_png
 from slam.graph.closings import closings
 from slam.graph.loop_closure import LoopCandidate
 
@@ -105,8 +106,10 @@ def _map(data: ReportData) -> dict[str, Any]:
     loops = [(*xy[loop.keyframe], *xy[loop.place]) for loop in found.loops if loop.accepted]
     from_side, picture = data.spatial and len(trajectory_m) > 0, data.map_picture
     title = "Trajectory from above and from the side" if from_side else "Trajectory"
-    png = report_figures.map_png(trajectory_m[:, :2], np.asarray(loops, np.float64).reshape(-1, 4), picture)
+    ends, covariances = np.asarray(loops, np.float64).reshape(-1, 4), found.covariances
+    png = report_figures.map_png(trajectory_m[:, :2], ends, picture, covariances)
     shown: dict[str, Any] = {"map_png": png, "map_title": title, "map_legend": "", "layers": []}
+    shown["sigma_png"] = None if covariances is None else sigma_png(found.trajectory.stamps_s, covariances)
     if picture is not None and not from_side:
         window = report_figures.known_window(picture.image)
         shown["map_title"], shown["map_legend"] = "Map", _map_legend(picture)

@@ -21,6 +21,7 @@ from slam.evaluation.figure_parts import (
     png_of,
     thinned,
 )
+from slam.evaluation.uncertainty_figures import ellipses
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, StateArray
 from slam.measurements import BoolArray, FloatArray
 
@@ -65,7 +66,12 @@ class MapPicture:
         return cls(np.ascontiguousarray(image[::-1]), resolution_m, (T_map_grid.x(), T_map_grid.y()))
 
 
-def map_png(trajectory_xy: FloatArray, loops_xyxy: FloatArray, picture: MapPicture | None) -> bytes:
+def map_png(
+    trajectory_xy: FloatArray,
+    loops_xyxy: FloatArray,
+    picture: MapPicture | None,
+    covariances: FloatArray | None = None,
+) -> bytes:
     """Draw the map with trajectory and loops.
 
     Parameters
@@ -76,6 +82,8 @@ def map_png(trajectory_xy: FloatArray, loops_xyxy: FloatArray, picture: MapPictu
         (L, 4) both ends of each accepted loop.
     picture
         The ground; None leaves it white. A grey picture is cut to what is known.
+    covariances
+        (N, d, d) of the poses, drawn as ellipses; None for none.
     """
     image = None
     if picture is not None and picture.image.size:
@@ -95,6 +103,10 @@ def map_png(trajectory_xy: FloatArray, loops_xyxy: FloatArray, picture: MapPictu
     if len(trajectory_xy):
         xy = thinned(np.asarray(trajectory_xy, dtype=np.float64))
         axes.plot(xy[:, 0], xy[:, 1], color=BLUE, linewidth=1.1, label="trajectory")
+        if covariances is not None:
+            outlines, times = ellipses(trajectory_xy, covariances)
+            label = "95 % ellipses" + (f", {times} times larger" if times > 1 else "")
+            axes.plot(*outlines.T, color=RED, linewidth=0.8, label=label)
         axes.plot(*trajectory_xy[0], "o", color=GREEN, markersize=6, label="start")
         axes.plot(*trajectory_xy[-1], "s", color=RED, markersize=6, label="end")
         legend_above(axes)

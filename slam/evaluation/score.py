@@ -6,11 +6,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from slam.datasets import open_dataset
 from slam.errors import EvaluationError
+from slam.evaluation.coverage import coverage
 from slam.evaluation.relations import Relations, read_relations, score_relations
 from slam.evaluation.trajectory_error import absolute_error, relative_error
-from slam.measurements import Trajectory
+from slam.measurements import FloatArray, Trajectory
+from slam.storage.covariances import covariance_path, read_covariances
 from slam.storage.tum import read_tum
 
 _TOLERANCE_S = 0.05
@@ -23,6 +27,7 @@ def evaluate(
     relations: Relations | Path | str | None = None,
     tolerance_s: float | None = None,
     delta_m: float = 1.0,
+    covariances: FloatArray | None = None,
 ) -> dict[str, Any]:
     """Score a trajectory by ATE and RPE (Sturm 2012) against the truth, or by relations (Kuemmerle 2009).
 
@@ -32,19 +37,23 @@ def evaluate(
         Poses in a frame of their own, or a TUM file of them.
     groundtruth
         True poses, a TUM file, or the folder of a dataset that comes with its truth. The ATE is taken after
-        the rigid alignment of Umeyama 1991 without scale.
+        the rigid alignment of Umeyama 1991 without scale, or in the plane where the poses never leave it.
     relations
         Relative poses that people have checked, or a file of them: ``t1 t2 x y z roll pitch yaw``.
     tolerance_s
         Greatest time between a pose and its true pose; None for 0.05 s. Relations have their own, 0.1 s.
     delta_m
         The RPE is of motions over this many metres.
+    covariances
+        Of every pose, as `slam.Map.covariances`; None for those of a file beside the trajectory's, where
+        ``scanweave map`` has written one.
 
     Returns
     -------
     By name: ``ate`` and ``rpe``, or ``relations``; in each ``translation_m`` and ``rotation_rad`` with
     ``mean``, ``std``, ``median``, ``rmse`` and ``max``. The ``rpe`` of a drive shorter than ``delta_m`` is
-    None.
+    None. With covariances and a truth also ``coverage``: ``nees``, and the shares of poses whose 95 % ellipse
+    of the ``position`` and interval of the ``yaw`` hold the truth, laid on it at the surest pose.
 
     Raises
     ------
@@ -74,10 +83,26 @@ def evaluate(
     truth = _truth(groundtruth)
     limit_s = _TOLERANCE_S if tolerance_s is None else tolerance_s
     relative = relative_error(poses, truth, delta_m=delta_m, max_difference_s=limit_s)
-    return {
+    scores = {
         "ate": absolute_error(poses, truth, max_difference_s=limit_s).to_dict(),
         "rpe": None if relative is None else asdict(relative),
     }
+    if covariances is None and not isinstance(trajectory, Trajectory):
+        covariances = _beside(Path(trajectory), poses)
+    if covariances is not None:
+        scores["coverage"] = coverage(poses, covariances, truth, limit_s).to_dict()
+    return scores
+
+
+def _beside(path: Path, poses: Trajectory) -> FloatArray | None:
+    """The covariances of a trajectory file; None where there are none."""
+    beside = covariance_path(path)
+    if not beside.is_file():
+        return None
+    stamps_s, covariances = read_covariances(beside)
+    if not np.array_equal(stamps_s, poses.stamps_s):
+        raise EvaluationError(f"{beside} has other stamps than {path}; it belongs to another trajectory")
+    return covariances
 
 
 def _poses(source: Trajectory | Path | str) -> Trajectory:

@@ -12,14 +12,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slam.errors import EvaluationError
+from slam.evaluation.alignment import align
 from slam.evaluation.association import nearest_indices
 from slam.evaluation.error_statistics import ErrorStatistics
 from slam.measurements import FloatArray, Trajectory
 
 # evo's own limits; the figures are to agree with it.
 DEFAULT_MAX_DIFFERENCE_S = 0.01
-# Of the greatest spread: what is less is rounding, and the points lie on a line.
-_OPEN_SHARE = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,14 +34,17 @@ class AbsoluteError:
     translation_m, rotation_rad
         Distance, and angle of the rotation between the two poses.
     alignment
-        ``se3``: rigid, without scale.
+        ``se3``: rigid in space, without scale; ``se2``: of a robot on a floor, turned in the plane alone.
+    mirrored
+        Said where its mirror image would fit far better; None otherwise.
     """
 
     count: int
     T_reference_map: FloatArray
     translation_m: ErrorStatistics
     rotation_rad: ErrorStatistics
-    alignment: str = "se3"
+    alignment: str
+    mirrored: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -103,13 +105,17 @@ def absolute_error(
 ) -> AbsoluteError:
     """Absolute trajectory error of associated poses after a rigid alignment without scale.
 
+    A robot on a floor is aligned in the plane: in space a mirror image could be turned over to fit.
+
     Raises
     ------
     EvaluationError
-        Where no poses can be associated, or they lie on a line, which leaves the alignment's roll open.
+        Where no poses can be associated, or they leave the alignment open: in space on a line, in the plane
+        in one place.
     """
     estimate, truth = associate(trajectory, reference, max_difference_s)
-    T_reference_map = umeyama(estimate.positions_m, truth.positions_m)
+    aligned = align(estimate, truth)
+    T_reference_map = aligned.T_target_point
     rotation = Rotation.from_matrix(T_reference_map[:3, :3])
     positions = rotation.apply(estimate.positions_m) + T_reference_map[:3, 3]
     turned = rotation * Rotation.from_quat(estimate.quaternions_xyzw)
@@ -119,6 +125,8 @@ def absolute_error(
         T_reference_map=T_reference_map,
         translation_m=ErrorStatistics.of(np.linalg.norm(positions - truth.positions_m, axis=1)),
         rotation_rad=ErrorStatistics.of(np.asarray(difference.magnitude())),
+        alignment=aligned.name,
+        mirrored=aligned.mirrored,
     )
 
 
@@ -155,31 +163,6 @@ def relative_error(
         translation_m=ErrorStatistics.of(np.linalg.norm(moved - moved_truth, axis=1)),
         rotation_rad=ErrorStatistics.of(np.asarray((turned_truth.inv() * turned).magnitude())),
     )
-
-
-def umeyama(points: FloatArray, targets: FloatArray) -> FloatArray:
-    """Rigid motion (4, 4) that brings (N, 3) points nearest to their targets in least squares.
-
-    Umeyama 1991, Eq. (34)-(41), with the scale held at one.
-
-    Raises
-    ------
-    EvaluationError
-        Where the points or the targets lie on a line or in one place.
-    """
-    mean_points, mean_targets = points.mean(axis=0), targets.mean(axis=0)
-    covariance = (targets - mean_targets).T @ (points - mean_points) / len(points)
-    left, singular, right = np.linalg.svd(covariance)
-    if np.count_nonzero(singular > _OPEN_SHARE * singular[0]) < 2:
-        raise EvaluationError(
-            f"{len(points)} associated poses in one place or on one line leave the alignment open"
-        )
-    # Umeyama 1991 Eq. (43): keep a rotation from becoming a reflection.
-    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
-    T = np.eye(4)
-    T[:3, :3] = left @ flip @ right
-    T[:3, 3] = mean_targets - T[:3, :3] @ mean_points
-    return T
 
 
 def _pairs_by_path(positions_m: FloatArray, delta_m: float) -> tuple[Any, Any]:

@@ -7,7 +7,7 @@ least squares (Yang 2020) decides which loops and wheel steps are true. SE(2) an
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -296,8 +296,8 @@ class PoseGraph:
         return graph
 
     def _prior(self) -> gtsam.NonlinearFactor:
-        """Hold node 0: the gauge, not a measurement."""
-        return _prior(0, self._origin, gtsam.noiseModel.Isotropic.Sigma(self._dimension, 1e-4))
+        """Hold node 0."""
+        return _gauge(self._origin)
 
     def _check(self, edge: Edge) -> None:
         """Refuse what GTSAM would take silently."""
@@ -312,6 +312,33 @@ class PoseGraph:
             raise GraphError(f"{name}: the covariance must be a finite {shape} matrix")
         if np.linalg.eigvalsh(edge.covariance)[0] <= 0.0:
             raise GraphError(f"{name}: the covariance is not positive definite")
+
+
+def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
+    """Covariance of every node where node 0 is held, by QR: what is long and stiff loses no digits.
+
+    Parameters
+    ----------
+    poses
+        (n,) estimates, at which the edges are linearised.
+    edges
+        That hold all of them together.
+
+    Returns
+    -------
+    (n, d, d), GTSAM's tangent of each pose.
+    """
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.add(_gauge(poses[0]))
+    for edge in edges:
+        graph.add(_between(edge, gtsam.noiseModel.Gaussian.Covariance(edge.covariance)))
+    for node, pose in enumerate(poses):
+        values.insert(node, pose)
+    parameters = gtsam.ISAM2Params()
+    parameters.setFactorization("QR")
+    solver = gtsam.ISAM2(parameters)
+    solver.update(graph, values)
+    return np.array([solver.marginalCovariance(node) for node in range(len(poses))])
 
 
 def _noise(edge: Edge) -> gtsam.noiseModel.Base:
@@ -334,6 +361,12 @@ def _weighted(edge: Edge, weight: float) -> gtsam.NonlinearFactor:
     """The factor of an edge, less certain by a weight, 0..1."""
     # Next to nothing, for GTSAM knows no weight of zero.
     return _between(edge, gtsam.noiseModel.Gaussian.Covariance(edge.covariance / max(weight, TINY)))
+
+
+def _gauge(origin: Pose) -> gtsam.NonlinearFactor:
+    """Hold node 0: the gauge, not a measurement."""
+    dimension = 3 if isinstance(origin, gtsam.Pose2) else 6
+    return _prior(0, origin, gtsam.noiseModel.Isotropic.Sigma(dimension, 1e-4))
 
 
 def _prior(node: int, pose: Pose, noise: gtsam.noiseModel.Base) -> gtsam.NonlinearFactor:

@@ -12,6 +12,7 @@ from slam.config import Config
 from slam.errors import DatasetError, GraphError
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate
+from slam.graph.pose_covariances import pose_covariances
 from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting
@@ -19,6 +20,7 @@ from slam.mapper.protocol import SENSORS, FrontEnd, Sensor, Tracked
 from slam.mapper.scan_record import ScanRecorder
 from slam.measurements import FloatArray
 from slam.storage.map_contents import MapContents, SavedFactor
+from slam.trajectory.carried import carried_covariances
 
 
 class Mapper:
@@ -85,17 +87,21 @@ class Mapper:
                 graph.add_loop(candidate)
             outcome = graph.optimize(self._config.loops.inlier_probability)
         clock.append(time.perf_counter())
-        trajectory = front_end.readings.trajectory(front_end.bases(graph.poses()))
+        bases, edges = front_end.bases(graph.poses()), graph.graph.edges
+        trajectory = front_end.readings.trajectory(bases)
+        told = pose_covariances(graph.poses(), bases, edges, outcome.kept, self._config)
+        covariances = carried_covariances(trajectory, front_end.readings.keyframe_readings(), *told)
         clock.append(time.perf_counter())
         scans = self._record.finish()
         numbers = front_end.readings.keyframe_scans()
-        factors = zip(graph.graph.edges, outcome.kept.tolist(), strict=True)
+        factors = zip(edges, outcome.kept.tolist(), strict=True)
         result = MapResult(
             MapContents(
                 node_poses=list(graph.poses()),
                 stamps_s=scans.stamps_s[numbers],
                 readings=numbers,
                 trajectory=trajectory,
+                covariances=covariances,
                 factors=[SavedFactor(edge, kept) for edge, kept in factors],
                 loops=graph.loops,
             ),

@@ -14,13 +14,13 @@ from slam.mapping.dense_map import DenseMapSettings, fuse_keyframes
 from slam.mapping.layered_map import LayeredMap
 from slam.matching.local_cloud import moved
 from slam.measurements import spatial
+from slam.storage.covariances import write_trajectory
 from slam.storage.files import make_folder
 from slam.storage.g2o import write_g2o
 from slam.storage.map_contents import MapContents
 from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers
 from slam.storage.octomap import write_octomap, write_octree
 from slam.storage.ply import write_cloud_ply, write_mesh_ply
-from slam.storage.tum import write_tum
 
 _NAMES = {"tum": "trajectory.tum", "g2o": "graph.g2o", "nav2": MAP_YAML, "bt": "map.bt"}
 
@@ -67,8 +67,8 @@ class Exports:
         if format_ == "ply":
             return self._write_ply(out)
         if format_ == "tum":
-            write_tum(out, found.trajectory)
-        elif format_ == "g2o":
+            return write_trajectory(out, found.trajectory, found.covariances), []
+        if format_ == "g2o":
             write_g2o(out, found.node_poses, (factor.edge for factor in found.factors if factor.kept))
         elif found.clouds is not None:
             _save_cloud_octomap(out, found, self.config)

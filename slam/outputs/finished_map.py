@@ -113,6 +113,15 @@ class Map:
         return self.contents.trajectory
 
     @property
+    def covariances(self) -> FloatArray | None:
+        """Covariance of every pose of the trajectory; None in a map of an older version.
+
+        (N, 3, 3) of x, y, yaw, or in space (N, 6, 6) of x, y, z and a rotation vector: all along the axes of
+        the map, metres and radians. They are relative to the first keyframe, which is held.
+        """
+        return self.contents.covariances
+
+    @property
     def factors(self) -> Sequence[SavedFactor]:
         """The edges of the graph."""
         return self.contents.factors

@@ -17,15 +17,14 @@ from slam.config import Config
 from slam.errors import MapFileError
 from slam.mapper.map_result import depth_grid
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.measurements import Trajectory
 from slam.outputs.finished_map import NOTES, WARNINGS, Map, open_map
 from slam.sessions.session_join import JoinedMap
+from slam.storage.covariances import write_trajectory
 from slam.storage.files import make_folder
-from slam.storage.map_contents import DEPTH, write_contents
+from slam.storage.map_contents import DEPTH, MapContents, write_contents
 from slam.storage.map_file import MAP_NAME, MapFile
 from slam.storage.map_identity import MapIdentity
 from slam.storage.map_sessions import SESSIONS, MapSession, sessions_to_meta
-from slam.storage.tum import write_tum
 
 
 @contextmanager
@@ -80,7 +79,7 @@ def write_joined(folder: Path, known: Map, session: Map, joined: JoinedMap) -> l
         written = [folder / MAP_NAME, *saved.write_files(folder)]
     finally:
         saved.close()
-    return written + _session_trajectories(folder, contents.trajectory, sessions)
+    return written + _session_trajectories(folder, contents, sessions)
 
 
 def move_into(folder: Path, source: Path) -> list[Path]:
@@ -134,11 +133,13 @@ def _depth(known: Map, session: Map, joined: JoinedMap, config: Config) -> Occup
     return depth_grid(frames, list(poses), config)
 
 
-def _session_trajectories(folder: Path, whole: Trajectory, sessions: Sequence[MapSession]) -> list[Path]:
-    """A file a session: their clocks may overlap."""
-    written, first = [], 0
+def _session_trajectories(folder: Path, whole: MapContents, sessions: Sequence[MapSession]) -> list[Path]:
+    """Files a session: their clocks may overlap."""
+    written, first = list[Path](), 0
     for number, session in enumerate(sessions, start=1):
-        written.append(folder / f"trajectory-{number}.tum")
-        write_tum(written[-1], whole[first : first + session.poses])
-        first += session.poses
+        part = slice(first, first + session.poses)
+        covariances = None if whole.covariances is None else whole.covariances[part]
+        path = folder / f"trajectory-{number}.tum"
+        written += write_trajectory(path, whole.trajectory[part], covariances)
+        first = part.stop
     return written

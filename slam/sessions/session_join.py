@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from slam.config import Config
 from slam.graph.loop_closure import LoopCandidate, judged
+from slam.graph.pose_covariances import pose_covariances
 from slam.graph.pose_graph import PoseGraph
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.matching.planar import between, compose
@@ -18,6 +19,7 @@ from slam.measurements import FloatArray, Trajectory, pose2_from_row, row_from_p
 from slam.outputs.finished_map import Map
 from slam.sessions.placing import Placing
 from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor
+from slam.trajectory.carried import carried_covariances
 from slam.trajectory.poses import Poses
 from slam.trajectory.spread import spread_correction
 
@@ -85,17 +87,20 @@ def join(
     joined = [factor for factor in factors if factor.edge.loop is not None and factor.edge.loop >= own_loops]
     scans = [*known.keyframe_scans, *session.keyframe_scans]
     grid = grid_of_keyframes(scans, poses, config)
-    before = known.keyframe_poses
+    before, nodes_after = known.keyframe_poses, [pose2_from_row(pose) for pose in poses]
+    told = pose_covariances(nodes_after, nodes_after, [factor.edge for factor in factors], kept, config)
+    trajectory, covariances = _joined_trajectory((known_map, session_map), poses, *told)
     return JoinedMap(
         MapContents(
-            node_poses=[pose2_from_row(pose) for pose in poses],
+            node_poses=nodes_after,
             stamps_s=np.concatenate([known.stamps_s, session.stamps_s]),
             readings=np.concatenate([known.readings, session.readings]),
             measured_scans=[*known.measured_scans, *session.measured_scans],
             keyframe_scans=scans,
             factors=factors,
             loops=loops,
-            trajectory=_joined_trajectory((known_map, session_map), poses),
+            trajectory=trajectory,
+            covariances=covariances,
             grids={} if grid is None else {OCCUPANCY: grid},
             cameras={**session.cameras, **known.cameras},
         ),
@@ -147,13 +152,15 @@ def _shifted(loop: LoopCandidate, nodes: int) -> LoopCandidate:
     return replace(loop, place=loop.place + nodes, keyframe=loop.keyframe + nodes)
 
 
-def _joined_trajectory(maps: Sequence[Map], poses: FloatArray) -> Trajectory:
-    """The trajectories of all sessions, each carried along with its keyframes."""
+def _joined_trajectory(
+    maps: Sequence[Map], poses: FloatArray, covariances: FloatArray, steps: FloatArray
+) -> tuple[Trajectory, FloatArray]:
+    """The trajectories of all sessions and their covariances, each carried along with its keyframes."""
     stamps_s = np.concatenate([one.trajectory.stamps_s for one in maps])
     planar = np.concatenate([one.trajectory.to_planar() for one in maps])
     before = np.concatenate([one.keyframe_poses for one in maps])
     keyframe_stamps_s = np.concatenate([one.contents.stamps_s for one in maps])
-    carried, first, node = [], 0, 0
+    carried, uncertain, first, node = [], [], 0, 0
     # One session at a time: their clocks may overlap.
     for session in (session for one in maps for session in one.sessions):
         part, nodes = slice(first, first + session.poses), slice(node, node + session.keyframes)
@@ -162,8 +169,13 @@ def _joined_trajectory(maps: Sequence[Map], poses: FloatArray) -> Trajectory:
         corrections = zip(poses[nodes][kept], before[nodes][kept], planar[part][readings], strict=True)
         corrected = [compose(after, between(old, reading)) for after, old, reading in corrections]
         motion, anchors = Poses.planar(planar[part]), Poses.planar(np.array(corrected))
-        carried.append(spread_correction(motion, readings, anchors).trajectory(stamps_s[part]).to_planar())
-    return Trajectory.from_planar(stamps_s, np.concatenate(carried))
+        trajectory = spread_correction(motion, readings, anchors).trajectory(stamps_s[part])
+        # Where a keyframe is passed over, the steps to it and from it are one.
+        ways = steps[nodes.start : nodes.stop - 1]
+        ways = np.add.reduceat(ways[: kept[-1]], kept[:-1]) if len(kept) > 1 else ways[:0]
+        uncertain.append(carried_covariances(trajectory, readings, covariances[nodes][kept], ways))
+        carried.append(trajectory.to_planar())
+    return Trajectory.from_planar(stamps_s, np.concatenate(carried)), np.concatenate(uncertain)
 
 
 def _readings_of(keyframes_s: FloatArray, stamps_s: FloatArray) -> tuple[Indices, Indices]:

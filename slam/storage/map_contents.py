@@ -20,6 +20,7 @@ from slam.mapping.keyframe_grid import layers_of_grids
 from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Pose, Trajectory, spatial
+from slam.storage.covariances import of_upper_triangles, upper_triangles
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
@@ -32,7 +33,7 @@ from slam.storage.map_soundness import (
     sound_trajectory,
     unsound_covariance,
 )
-from slam.storage.map_tables import CAMERAS, FACTORS, GRIDS, KEYFRAMES, LOOPS, TRAJECTORY, Table
+from slam.storage.map_tables import CAMERAS, COVARIANCES, FACTORS, GRIDS, KEYFRAMES, LOOPS, TRAJECTORY, Table
 from slam.storage.packing import Unpacker, pack, pack_small, unpack
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.learned_camera import LearnedCamera
@@ -67,6 +68,8 @@ class MapContents:
         (K,) time of each, and its number among the scans or frames of the log.
     trajectory
         A pose for every reading of the log.
+    covariances
+        (N, d, d) of each of its poses, see `Map.covariances`; None in a map of an older version.
     factors, loops
         The graph's edges, and every loop candidate with its verdict.
     measured_scans, keyframe_scans
@@ -93,6 +96,7 @@ class MapContents:
     cameras: Mapping[str, LearnedCamera] = field(default_factory=dict)
     frames: MapFrames | None = None
     clouds: MapClouds | None = None
+    covariances: FloatArray | None = None
 
     @property
     def planar(self) -> bool:
@@ -148,7 +152,7 @@ def write_contents(file: MapFile, contents: MapContents) -> None:
     MapFileError
         Where the file cannot be written.
     """
-    for table in (KEYFRAMES, FACTORS, LOOPS, TRAJECTORY, GRIDS, CAMERAS):
+    for table in (KEYFRAMES, FACTORS, LOOPS, TRAJECTORY, COVARIANCES, GRIDS, CAMERAS):
         file.clear(table)  # an interrupt may have come amid the writing
     for node, pose in enumerate(contents.node_poses):
         scan = contents.keyframe_scans[node] if contents.keyframe_scans else None
@@ -172,6 +176,9 @@ def write_contents(file: MapFile, contents: MapContents) -> None:
     for first in range(0, len(whole), _STRETCH):
         stretch = whole[first : first + _STRETCH]
         file.append(TRAJECTORY, len(stretch), pack_small(stretch))
+        if contents.covariances is not None:
+            triangles = upper_triangles(contents.covariances[first : first + _STRETCH])
+            file.append(COVARIANCES, len(stretch), pack_small(triangles))
     for name, grid in contents.grids.items():
         corner, cells = pack(grid.T_map_grid), pack_small(np.ascontiguousarray(grid.steps))
         file.append(GRIDS, name, *grid.shape, grid.resolution_m, corner, cells)
@@ -208,6 +215,7 @@ def read_contents(file: MapFile) -> MapContents:
     wrong = unsound_covariance([factor.edge.covariance for factor in factors], 3 if planar else 6)
     with file.blaming(FACTORS, wrong or 0):
         require(wrong is None, "its covariance is not finite, symmetric and positive definite")
+    poses_in_all = sum(len(stretch) for stretch in stretches)
     return MapContents(
         node_poses=poses,
         stamps_s=np.array([keyframe[0] for keyframe in keyframes]),
@@ -221,6 +229,7 @@ def read_contents(file: MapFile) -> MapContents:
             np.concatenate([part.positions_m for part in stretches]),
             np.concatenate([part.quaternions_xyzw for part in stretches]),
         ),
+        covariances=_covariances(file, poses_in_all, 3 if planar else 6, small),
         grids=dict(_read(file, GRIDS, lambda row: _grid(row, small))),
         cameras=dict(_read(file, CAMERAS, _camera)),
         frames=frames if len(frames) else None,
@@ -277,6 +286,27 @@ def _kind(name: str) -> str:
     require(name, "its kind is no name")
     sound_name(name)
     return EdgeKind(name) if name in _KINDS else name
+
+
+def _covariances(file: MapFile, poses: int, dimension: int, small: Unpack) -> FloatArray | None:
+    """Those of the trajectory; None where the map tells none."""
+    rows = list(_read(file, COVARIANCES, lambda row: _triangles(row, dimension, small)))
+    if not rows:
+        return None
+    triangles = np.concatenate(rows)
+    if len(triangles) != poses:
+        raise MapFileError(f"{file.path} holds {len(triangles)} covariances for {poses} poses; make it anew")
+    return of_upper_triangles(triangles)
+
+
+def _triangles(row: tuple[Any, ...], dimension: int, small: Unpack) -> FloatArray:
+    """A row of the covariances, (n, 6) or (n, 21) upper triangles."""
+    triangles = of(np.ndarray, small(row[1]))
+    shape = (row[0], dimension * (dimension + 1) // 2)
+    require(triangles.shape == shape and triangles.dtype == np.float64, "its triangles have another size")
+    wrong = unsound_covariance(list(of_upper_triangles(triangles)), dimension)
+    require(wrong is None, f"covariance {wrong} is not finite, symmetric and positive definite")
+    return triangles
 
 
 def _grid(row: tuple[Any, ...], small: Unpack) -> tuple[str, OccupancyGrid]:

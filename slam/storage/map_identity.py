@@ -28,7 +28,7 @@ _BLOCK = 1 << 20
 _OUTPUTS = frozenset(
     {f"{MAP_NAME}{ending}" for ending in ("", "-wal", "-shm", "-journal")}
     | {"trajectory.tum", "graph.g2o", "map.yaml", "map.pgm", "map.bt", "mesh.ply", "cloud.ply", "lidar.ply"}
-    | {"report.html", "layers"}
+    | {"report.html", "layers", "trajectory_covariance.csv"}
 )
 
 

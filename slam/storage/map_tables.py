@@ -13,7 +13,7 @@ Value: TypeAlias = int | float | str | bytes | None
 _TYPES: Final = {"INTEGER": int, "REAL": float, "TEXT": str, "BLOB": bytes}
 
 # Raised when a table changes; a reader refuses what is newer than itself.
-SCHEMA_VERSION: Final = 3
+SCHEMA_VERSION: Final = 4
 APPLICATION_ID: Final = 0x5CA9EA7E
 
 
@@ -128,6 +128,9 @@ CLOUDS: Final = Table("clouds", (("stamp_s", "REAL"), ("lidar", "BLOB"), ("point
 # What the run learned of each camera, by its name: where it sits, its colour camera, its clock.
 CAMERAS: Final = Table("cameras", (("sensor", "TEXT"), ("learned", "BLOB")))
 
+# The covariances of a stretch of the trajectory a row: upper triangles.
+COVARIANCES: Final = Table("covariances", (("poses", "INTEGER"), ("triangles", "BLOB")))
+
 TABLES: Final = (
     META,
     KEYFRAMES,
@@ -140,11 +143,14 @@ TABLES: Final = (
     CHECKPOINT,
     CLOUDS,
     CAMERAS,
+    COVARIANCES,
 )
 
 
 def tables_of(version: int) -> tuple[Table, ...]:
-    """The tables of a schema: the first had no clouds, the second nothing that was learned of cameras."""
+    """The tables of a schema: the first had no clouds, the second nothing that was learned of cameras, the
+    third no covariances.
+    """
     return TABLES[: len(TABLES) - max(0, SCHEMA_VERSION - version)]
 
 

@@ -33,7 +33,7 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
     write_lines(
         path,
         (
-            f"{_stamp_text(stamp)} {' '.join(repr(value) for value in pose)}"
+            f"{stamp_text(stamp)} {' '.join(repr(value) for value in pose)}"
             for stamp, pose in zip(stamps, poses, strict=True)
         ),
     )
@@ -64,7 +64,7 @@ def read_tum(path: Path) -> Trajectory:
     return Trajectory(table[:, 0].copy(), table[:, 1:4].copy(), _to_unit_length(table[:, 4:8]))
 
 
-def _stamp_text(stamp_s: float) -> str:
+def stamp_text(stamp_s: float) -> str:
     """A stamp without exponent, exact, with nine decimals at the least."""
     whole, _, decimals = np.format_float_positional(stamp_s, unique=True).partition(".")
     return f"{whole}.{decimals.ljust(_STAMP_DECIMALS, '0')}"

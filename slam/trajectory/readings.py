@@ -94,6 +94,10 @@ class Readings:
         """(K,) scan number of each keyframe."""
         return np.array(self._keyframe_scans, dtype=np.int64)
 
+    def keyframe_readings(self) -> NDArray[np.int64]:
+        """(K,) number of each keyframe among all readings."""
+        return np.array(self._scan_readings, dtype=np.int64)[self.keyframe_scans()]
+
     def trajectory(self, keyframe_poses: Sequence[Pose]) -> Trajectory:
         """A pose for every reading.
 

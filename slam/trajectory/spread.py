@@ -41,7 +41,7 @@ def spread_correction(motion: Poses, anchors: NDArray[np.int64], anchor_poses: P
     reached = anchor_poses[:-1].compose(motion[start].between(motion[stop]))
     turned = anchor_poses[1:].rotations * reached.rotations.inv()
     missed = np.hstack([anchor_poses[1:].positions_m - reached.positions_m, turned.as_rotvec()])
-    path = np.concatenate([[0.0], np.cumsum(_path_lengths(motion))])
+    path = np.concatenate([[0.0], np.cumsum(path_lengths(motion))])
     inside = (numbers > anchors[0]) & (numbers < anchors[-1])
     gap = before[inside]
     share = np.zeros((len(motion), 1))
@@ -97,7 +97,7 @@ def _around(rows: FloatArray) -> FloatArray:
     return total
 
 
-def _path_lengths(motion: Poses) -> FloatArray:
+def path_lengths(motion: Poses) -> FloatArray:
     """(N - 1,) from each pose to the next, turns included."""
     steps = np.linalg.norm(np.diff(motion.positions_m, axis=0), axis=1)
     turns_rad = (motion.rotations[:-1].inv() * motion.rotations[1:]).magnitude()

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from slam.errors import EvaluationError
+from slam.evaluation.alignment import umeyama
 from slam.evaluation.association import nearest_indices
-from slam.evaluation.trajectory_error import absolute_error, associate, relative_error, umeyama
+from slam.evaluation.trajectory_error import absolute_error, associate, relative_error
 from slam.measurements import Trajectory
 
 with warnings.catch_warnings():
@@ -140,8 +142,14 @@ def test_a_drive_shorter_than_delta_has_no_relative_error():
 
 def test_what_does_not_fit_is_refused():
     line = Trajectory.from_planar(np.arange(5.0), np.outer(np.arange(5.0), [1.0, 2.0, 0.0]))
+    standing = Trajectory.from_planar(line.stamps_s, np.zeros((5, 3)))
+    with pytest.raises(EvaluationError, match="in one place"):
+        absolute_error(standing, line)
+    rising = Trajectory(
+        line.stamps_s, line.positions_m + [[0.0, 0.0, n] for n in range(5)], line.quaternions_xyzw
+    )
     with pytest.raises(EvaluationError, match="on one line"):
-        absolute_error(line, line)
+        absolute_error(rising, rising)
     later = Trajectory(line.stamps_s + 100.0, line.positions_m, line.quaternions_xyzw)
     with pytest.raises(EvaluationError, match=r"no pose is within 0.01 s .*same clock"):
         absolute_error(line, later)
@@ -151,3 +159,57 @@ def test_what_does_not_fit_is_refused():
     for delta_m in (0, -1, float("nan")):
         with pytest.raises(EvaluationError, match="delta must be positive"):
             relative_error(line, line, delta_m=delta_m)
+
+
+def rooms():
+    """A robot's way through two rooms, (N, 3) x, y, yaw."""
+    way = np.array([[0, 0], [4, 0], [4, 3], [7, 3], [7, -1], [0, 0]], float)
+    at = np.linspace(0.0, 5.0, 101)
+    rows = np.column_stack([np.interp(at, np.arange(6.0), axis) for axis in way.T])
+    heading = np.arctan2(*np.gradient(rows, axis=0).T[::-1])
+    return np.column_stack([rows, heading])
+
+
+def test_a_mirrored_plane_fails_and_is_named():
+    truth = Trajectory.from_planar(np.arange(101.0), rooms())
+    mirrored = Trajectory.from_planar(np.arange(101.0), rooms() * [1.0, -1.0, -1.0])
+    # In space it could be turned over.
+    T = umeyama(mirrored.positions_m, truth.positions_m)
+    assert np.allclose(mirrored.positions_m @ T[:3, :3].T + T[:3, 3], truth.positions_m)
+    error = absolute_error(mirrored, truth)
+    assert error.alignment == "se2" and error.translation_m.rmse > 1.0
+    assert "its mirror image fits, to 0.0000 m" in error.mirrored
+    assert absolute_error(truth, truth).mirrored is None
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.3, 2.0])
+def test_a_sound_plane_is_found_in_a_frame_that_is_tilted_and_shifted(tilt):
+    turn = Rotation.from_euler("zyx", [2.0, 0.2 * tilt, tilt])
+    estimate = Trajectory.from_planar(np.arange(101.0), rooms())
+    turned = turn * Rotation.from_quat(estimate.quaternions_xyzw)
+    truth = Trajectory(
+        estimate.stamps_s, np.add(turn.apply(estimate.positions_m), (5.0, -3.0, 1.0)), turned.as_quat()
+    )
+    error = absolute_error(estimate, truth)
+    assert error.alignment == "se2" and error.mirrored is None
+    assert error.translation_m.max < 1e-9 and error.rotation_rad.max < 1e-7
+    assert np.allclose(error.T_reference_map[:3, :3], turn.as_matrix())
+
+
+def test_in_the_plane_sound_trajectories_score_as_by_evo():
+    rng = np.random.default_rng(5)
+    truth = Trajectory.from_planar(np.arange(101.0), rooms())
+    estimate = Trajectory.from_planar(np.arange(101.0), rooms() + rng.normal(0.0, 0.05, (101, 3)))
+    reference, own = evo_pair(estimate, truth)
+    own.align(reference)
+    assert_same(
+        absolute_error(estimate, truth).translation_m,
+        evo_statistics(metrics.APE(metrics.PoseRelation.translation_part), (reference, own)),
+    )
+
+
+def test_a_truth_that_does_not_stay_upright_is_aligned_in_space():
+    estimate = Trajectory.from_planar(np.arange(101.0), rooms())
+    camera = Rotation.from_quat(estimate.quaternions_xyzw) * Rotation.from_euler("x", -np.pi / 2)
+    truth = Trajectory(estimate.stamps_s, estimate.positions_m, camera.as_quat())
+    assert absolute_error(estimate, truth).alignment == "se3"

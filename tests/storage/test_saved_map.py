@@ -77,6 +77,7 @@ def contents(*, planar: bool = True) -> MapContents:
         factors=factors,
         loops=loops,
         trajectory=Trajectory(rng.random(count), rng.random((count, 3)), turns),
+        covariances=np.eye(3 if planar else 6) + 0.1 * rng.random((count, 1, 1)),
         grids={
             OCCUPANCY: OccupancyGrid(
                 rng.integers(-999, 999, (7, 9), np.int16), 0.05, gtsam.Pose2(-1.0, 2.0, 0.1)
@@ -114,7 +115,7 @@ class TestReadBack:
         assert saved.planar and saved.identity == IDENTITY and saved.config.seed == 7
         for name in ("node_poses", "measured_scans", "keyframe_scans", "loops"):
             assert same(getattr(found, name), getattr(reported, name)), name
-        for name in ("stamps_s", "readings", "trajectory"):
+        for name in ("stamps_s", "readings", "trajectory", "covariances"):
             assert same(getattr(found, name), getattr(reported, name)), name
         for one, other in zip(saved.factors, reported.factors, strict=True):
             assert same(one, other)

@@ -1,0 +1,115 @@
+"""How a trajectory is laid over its reference: rigidly in space, or in the plane for a robot on a floor."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fusion.estimation import TINY
+from slam.errors import EvaluationError
+from slam.measurements import FloatArray, Trajectory
+
+# Of the greatest spread: what is less is rounding, and the points lie on a line.
+_OPEN_SHARE = 1e-12
+# Length of the mean of the up axes of a robot that stays upright: it leans by 18 degrees on average.
+_UPRIGHT = 0.95
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """What was found.
+
+    Attributes
+    ----------
+    T_target_point
+        (4, 4) applied to the points.
+    name
+        ``se2`` or ``se3``.
+    mirrored
+        A line for people where a mirror image would fit far better; None otherwise.
+    """
+
+    T_target_point: FloatArray
+    name: str
+    mirrored: str | None = None
+
+
+def align(estimate: Trajectory, truth: Trajectory) -> Alignment:
+    """Lay N poses over their true ones.
+
+    In the plane where the estimate never leaves it and the true robot stays upright: the true up axis tells
+    which side of the floor is seen.
+
+    Raises
+    ------
+    EvaluationError
+        Where the poses leave the alignment open.
+    """
+    level = _level(truth) if _in_plane(estimate) else None
+    if level is None:
+        return Alignment(umeyama(estimate.positions_m, truth.positions_m), "se3")
+    points, targets = estimate.positions_m, level.apply(truth.positions_m)
+    centred, wanted = points - points.mean(axis=0), targets - targets.mean(axis=0)
+    if not (np.abs(centred[:, :2]).max() > TINY and np.abs(wanted[:, :2]).max() > TINY):
+        raise EvaluationError(f"{len(points)} associated poses in one place leave the alignment open")
+    turn, rmse_m = _turned(centred, wanted)
+    _, mirrored_m = _turned(centred * [1.0, -1.0, 1.0], wanted)
+    rotation = level.inv() * Rotation.from_rotvec([0.0, 0.0, turn])
+    T = np.eye(4)
+    T[:3, :3] = rotation.as_matrix()
+    T[:3, 3] = truth.positions_m.mean(axis=0) - rotation.apply(points.mean(axis=0))
+    if not 2 * mirrored_m < rmse_m:
+        return Alignment(T, "se2")
+    why = "a lidar upside down, or an axis or a sign turned round"
+    return Alignment(T, "se2", f"its mirror image fits, to {mirrored_m:.4f} m (RMSE): {why}")
+
+
+def umeyama(points: FloatArray, targets: FloatArray) -> FloatArray:
+    """Rigid motion (4, 4) that brings (N, 3) points nearest to their targets in least squares.
+
+    Umeyama 1991, Eq. (34)-(41), with the scale held at one.
+
+    Raises
+    ------
+    EvaluationError
+        Where the points or the targets lie on a line or in one place.
+    """
+    mean_points, mean_targets = points.mean(axis=0), targets.mean(axis=0)
+    covariance = (targets - mean_targets).T @ (points - mean_points) / len(points)
+    left, singular, right = np.linalg.svd(covariance)
+    if np.count_nonzero(singular > _OPEN_SHARE * singular[0]) < 2:
+        raise EvaluationError(
+            f"{len(points)} associated poses in one place or on one line leave the alignment open"
+        )
+    # Umeyama 1991 Eq. (43): keep a rotation from becoming a reflection.
+    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left) * np.linalg.det(right))])
+    T = np.eye(4)
+    T[:3, :3] = left @ flip @ right
+    T[:3, 3] = mean_targets - T[:3, :3] @ mean_points
+    return T
+
+
+def _turned(points: FloatArray, targets: FloatArray) -> tuple[float, float]:
+    """The turn about z that brings centred points (N, 3) nearest to their targets, and the RMSE left."""
+    (xx, xy), (yx, yy) = targets[:, :2].T @ points[:, :2]
+    turn = math.atan2(yx - xy, xx + yy)
+    off = Rotation.from_rotvec([0.0, 0.0, turn]).apply(points) - targets
+    return turn, float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+
+
+def _in_plane(trajectory: Trajectory) -> bool:
+    """Whether poses have one height and turn about z alone."""
+    tilted, heights = np.abs(trajectory.quaternions_xyzw[:, :2]).max(), trajectory.positions_m[:, 2]
+    return bool(tilted < TINY and np.ptp(heights) < TINY)
+
+
+def _level(truth: Trajectory) -> Rotation | None:
+    """The turn after which up is along z; None where the robot does not stay upright."""
+    up = Rotation.from_quat(truth.quaternions_xyzw).apply([0.0, 0.0, 1.0]).mean(axis=0)
+    if np.linalg.norm(up) < _UPRIGHT:
+        return None
+    level, _ = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up / np.linalg.norm(up)])
+    return level

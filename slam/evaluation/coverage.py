@@ -1,0 +1,136 @@
+"""Whether covariances are as large as errors: normalised estimation error squared, and coverage.
+
+Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", Sec. 5.4.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from fusion.estimation import gate
+from slam.errors import EvaluationError
+from slam.evaluation.association import nearest_indices
+from slam.measurements import FloatArray, Trajectory
+
+Indices: TypeAlias = NDArray[np.intp]
+_SHARE = 0.95
+# An angle below which the series above has no digit more.
+_SMALLEST = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """How often the truth lies where the covariances say.
+
+    Attributes
+    ----------
+    count
+        Poses asked.
+    held_at_s
+        Stamp of the pose at which the trajectory is laid on its truth.
+    nees
+        Mean squared Mahalanobis distance a degree of freedom: 1 where covariances are as large as errors.
+    position, yaw
+        Share of the poses whose 95 % ellipse of the position, and interval of the yaw, holds the truth.
+    """
+
+    count: int
+    held_at_s: float
+    nees: float
+    position: float
+    yaw: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+def coverage(
+    trajectory: Trajectory, covariances: FloatArray, reference: Trajectory, max_difference_s: float
+) -> Coverage:
+    """Compare N poses and their covariances with the truth.
+
+    Covariances are relative to a pose that is held. An alignment of all poses would take out much of the
+    error that they tell of, so the trajectory is laid on its truth at one pose: the surest, which is the one
+    held.
+
+    Parameters
+    ----------
+    covariances
+        (N, 3, 3) or (N, 6, 6), see `slam.Map.covariances`.
+    max_difference_s
+        Greatest time from a pose to a true one; between two the truth is interpolated.
+
+    Raises
+    ------
+    EvaluationError
+        Where fewer than two poses have a true one, or a covariance is not positive definite.
+    """
+    truth, found = _truth_at(reference, trajectory.stamps_s, max_difference_s)
+    estimate, covariances = trajectory[found], covariances[found]
+    if len(estimate) < 2:
+        raise EvaluationError(f"{len(estimate)} poses have a true one within {max_difference_s} s")
+    held = int(np.trace(covariances, axis1=1, axis2=2).argmin())
+    errors = _errors(estimate, truth, held)
+    planar = covariances.shape[1] == 3
+    errors = errors[:, [0, 1, 5]] if planar else errors
+    others = np.arange(len(estimate)) != held
+    errors, covariances = errors[others], covariances[others]
+    axes = 2 if planar else 3
+    return Coverage(
+        count=len(errors),
+        held_at_s=float(estimate.stamps_s[held]),
+        nees=float(np.mean(_squares(errors, covariances)) / errors.shape[1]),
+        position=_within(errors[:, :axes], covariances[:, :axes, :axes]),
+        yaw=_within(errors[:, -1:], covariances[:, -1:, -1:]),
+    )
+
+
+def _within(errors: FloatArray, covariances: FloatArray) -> float:
+    """Share of errors (N, k) inside their ellipses (N, k, k)."""
+    return float(np.mean(_squares(errors, covariances) <= gate(errors.shape[1], _SHARE)))
+
+
+def _squares(errors: FloatArray, covariances: FloatArray) -> FloatArray:
+    """(N,) squared Mahalanobis distances."""
+    try:
+        whitened = np.linalg.solve(np.linalg.cholesky(covariances), errors[..., None])[..., 0]
+    except np.linalg.LinAlgError as error:
+        raise EvaluationError("a covariance is not positive definite; write the trajectory anew") from error
+    return np.asarray(np.sum(whitened**2, axis=1))
+
+
+def _errors(estimate: Trajectory, truth: Trajectory, held: int) -> FloatArray:
+    """(N, 6) position and rotation vector, along the map's axes, from poses to their truth.
+
+    Exponential coordinates: in them a way that is turned about a point of it is off in a straight line (Long,
+    Wolfe, Mashner, Chirikjian 2012, "The banana distribution is Gaussian").
+    """
+    own, true = (Rotation.from_quat(one.quaternions_xyzw) for one in (estimate, truth))
+    turn = own[held] * true[held].inv()
+    shifted = turn.apply(truth.positions_m - truth.positions_m[held]) + estimate.positions_m[held]
+    angles = (turn * true * own.inv()).as_rotvec()
+    across = np.cross(angles, shifted - estimate.positions_m)
+    half = np.maximum(0.5 * np.linalg.norm(angles, axis=1), _SMALLEST)[:, None]
+    # The inverse of the left Jacobian of SO(3).
+    bent = np.cross(angles, across) * (1.0 - half / np.tan(half)) / (2.0 * half) ** 2
+    return np.hstack([shifted - estimate.positions_m - 0.5 * across + bent, angles])
+
+
+def _truth_at(reference: Trajectory, stamps_s: FloatArray, limit_s: float) -> tuple[Trajectory, Indices]:
+    """The truth at those of (N,) stamps where it is known, and their numbers."""
+    found = np.flatnonzero(
+        np.abs(reference.stamps_s[nearest_indices(reference.stamps_s, stamps_s)] - stamps_s) <= limit_s
+    )
+    known_s, order = np.unique(reference.stamps_s, return_index=True)
+    known, asked_s = reference[order], np.clip(stamps_s[found], known_s[0], known_s[-1])
+    if len(known_s) < 2 or not found.size:
+        return known[np.zeros(len(found), np.int64)], found
+    turns = Slerp(known_s, Rotation.from_quat(known.quaternions_xyzw))(asked_s)
+    places = [np.interp(asked_s, known_s, axis) for axis in known.positions_m.T]
+    return Trajectory(asked_s, np.column_stack(places), turns.as_quat()), found

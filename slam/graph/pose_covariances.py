@@ -1,0 +1,163 @@
+"""How uncertain every keyframe is in the map, so that the ellipses hold the truth as often as they say.
+
+The graph's own covariances weigh its edges against each other. Three of them say too little of how far off
+the map may be, for they take errors that are shared for independent ones:
+
+- What ends at one keyframe is the word of one reading: a step and two loops share its noise, and each of
+  the three counts for a third.
+- A match past a guessed keyframe may have been made to that keyframe, and then repeats the guess: it is left
+  out.
+- A step that wheels alone tell is as certain as wheels are as a rule, or as they claim, where they went
+  wrong. It has the covariance of this mixture; how often they went wrong the loops have shown (Laplace's rule
+  of succession).
+
+And one says too much: matches to a local map err less over a way than as many independent steps. How much
+less shows where the way closes: the variances of matches are scaled by their variance of unit weight, the sum
+of the squared whitened residuals by the redundancy (Foerstner 1979). The claim stands beside that, with the
+weight of as many readings as make a statistic; of a lidar's matches half of it, for they claim the noise of
+both keyframes that they join, and along a way that is the noise of each keyframe twice.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+
+from fusion.estimation import FEWEST
+from slam.config import Config
+from slam.graph.keyframe_graph import unmeasured
+from slam.graph.pose_graph import Edge, EdgeKind, marginals
+from slam.measurements import BoolArray, FloatArray, Pose
+
+_MATCHES = (EdgeKind.LIDAR, EdgeKind.RGBD, EdgeKind.LOOP)
+
+
+def pose_covariances(
+    poses: Sequence[Pose],
+    bases: Sequence[Pose],
+    edges: Sequence[Edge],
+    kept: Sequence[bool] | BoolArray,
+    config: Config,
+) -> tuple[FloatArray, FloatArray]:
+    """Covariance of the robot at every keyframe, and of every step between two.
+
+    Parameters
+    ----------
+    poses, bases
+        (n,) of the nodes, optimised, and of the robot's base there.
+    edges, kept
+        All of the graph, and whether the optimisation has kept each.
+
+    Returns
+    -------
+    (n, d, d) and (n - 1, d, d), of the motion from each base to the next: GTSAM's tangent of the base where
+    it ends. Node 0 is held: it is the frame in which the others are told.
+    """
+    held = [edge for edge, keep in zip(edges, kept, strict=True) if keep and not _may_repeat_a_guess(edge)]
+    told = _told(poses, held, _slips(edges, kept), config)
+    information = np.zeros((len(poses) - 1, *_unknown(poses, config).shape))
+    if of_steps := [edge for edge in told if edge.target == edge.source + 1]:
+        each = np.linalg.inv([edge.covariance for edge in of_steps])
+        np.add.at(information, [edge.source for edge in of_steps], each)
+    # Between the last keyframe of a session and the first of the next nothing was measured.
+    information[~information.any(axis=(1, 2))] = np.linalg.inv(_unknown(poses, config))
+    adjoints = np.array([_between(base, node).AdjointMap() for base, node in zip(bases, poses, strict=True)])
+    turned = adjoints.transpose(0, 2, 1)
+    nodes, steps = marginals(poses, told), np.linalg.inv(information)
+    return adjoints @ nodes @ turned, adjoints[1:] @ steps @ turned[1:]
+
+
+def _told(
+    poses: Sequence[Pose], held: Sequence[Edge], slips: dict[int, FloatArray], config: Config
+) -> list[Edge]:
+    """The edges that hold, as uncertain as they are together."""
+    scale = _unit_variance(poses, held, config)
+    partners: dict[int, set[int]] = defaultdict(set)
+    for edge in held:
+        if edge.kind in _MATCHES:
+            partners[max(edge.source, edge.target)].add(min(edge.source, edge.target))
+    told = []
+    for edge in held:
+        covariance = edge.covariance
+        if edge.kind in _MATCHES:
+            covariance = scale * len(partners[max(edge.source, edge.target)]) * covariance
+        elif edge.kind is EdgeKind.WHEEL and not edge.trusted and edge.target == edge.source + 1:
+            covariance = slips.get(edge.source, covariance)
+        told.append(replace(edge, covariance=covariance))
+    return told
+
+
+def _may_repeat_a_guess(edge: Edge) -> bool:
+    """Whether it is a match past a keyframe that was guessed."""
+    past = edge.kind is EdgeKind.LIDAR and edge.target - edge.source > 1
+    return past and not edge.trusted
+
+
+def _slips(edges: Sequence[Edge], kept: Sequence[bool] | BoolArray) -> dict[int, FloatArray]:
+    """Covariance of each step that wheels alone tell, by its source."""
+    matched = {edge.source for edge in edges if edge.kind in _MATCHES and edge.target == edge.source + 1}
+    loose: dict[int, FloatArray] = {}
+    wheels: dict[int, tuple[FloatArray, bool]] = {}
+    for edge, keep in zip(edges, kept, strict=True):
+        if edge.target != edge.source + 1 or edge.source in matched:
+            continue
+        if edge.kind is EdgeKind.ASSUMED:
+            loose[edge.source] = edge.covariance
+        elif edge.kind is EdgeKind.WHEEL and not edge.trusted:
+            wheels[edge.source] = edge.covariance, bool(keep)
+    alone = loose.keys() & wheels.keys()
+    refused = sum(not wheels[source][1] for source in alone)
+    wrong = (refused + 1) / (len(alone) + 2)
+    return {source: wheels[source][0] + wrong * (loose[source] - wheels[source][0]) for source in alone}
+
+
+def _unit_variance(poses: Sequence[Pose], held: Sequence[Edge], config: Config) -> float:
+    """Variance of unit weight of matches: of steps that are told twice, and of loops to what is far back."""
+    far = config.match.local_map_keyframes
+    matches = [
+        edge for edge in held if edge.kind in _MATCHES and not 1 < abs(edge.target - edge.source) <= far
+    ]
+    if not matches:
+        return 1.0
+    offs = np.array(
+        [_logmap(edge.T_source_target, _between(poses[edge.source], poses[edge.target])) for edge in matches]
+    )
+    covariances = np.array([edge.covariance for edge in matches])
+    squares = np.einsum("ki,ki->k", offs, np.linalg.solve(covariances, offs[..., None])[..., 0])
+    determined = np.sum(np.linalg.eigvalsh(covariances) < config.graph.lost_sigma_m**2, axis=1)
+    steps: dict[int, list[tuple[float, int]]] = defaultdict(list)
+    loops: dict[int, list[tuple[float, int]]] = defaultdict(list)
+    for edge, square, numbers in zip(matches, squares.tolist(), determined.tolist(), strict=True):
+        told = steps if abs(edge.target - edge.source) == 1 else loops
+        told[max(edge.source, edge.target)].append((square, numbers))
+    by_lidar = any(edge.kind is EdgeKind.LIDAR for edge in held)
+    total, surplus = (0.5 if by_lidar else 1.0) * FEWEST, FEWEST
+    for ones in steps.values():
+        total += sum(square for square, _ in ones)
+        surplus += sum(numbers for _, numbers in ones) - max(numbers for _, numbers in ones)
+    # A loop past steps that no match tells says how long these are first.
+    excess = -len(_unknown(poses, config)) * (len(poses) - 1 - len(steps))
+    for ones in loops.values():
+        total += sum(square for square, _ in ones) / len(ones)
+        excess += max(numbers for _, numbers in ones)
+    return total / (surplus + max(excess, 0))
+
+
+def _unknown(poses: Sequence[Pose], config: Config) -> FloatArray:
+    """Covariance (d, d) of a step that nothing measured."""
+    return unmeasured(config.graph, planar=isinstance(poses[0], gtsam.Pose2))
+
+
+def _between(one: Pose, other: Pose) -> Pose:
+    """The other seen from one; GTSAM has no type for a pose of the plane or of space."""
+    return one.between(other)  # type: ignore[arg-type]
+
+
+def _logmap(told: Pose, found: Pose) -> FloatArray:
+    """(d,) from a motion that is told to the one that was found."""
+    off = _between(told, found)
+    return np.asarray(gtsam.Pose2.Logmap(off) if isinstance(off, gtsam.Pose2) else gtsam.Pose3.Logmap(off))

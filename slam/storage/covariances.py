@@ -1,0 +1,82 @@
+"""Covariances of poses as text beside a TUM file: a stamp and an upper triangle a line, without loss."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from slam.errors import MapFileError
+from slam.measurements import FloatArray, Trajectory
+from slam.storage.files import numbered_fields, parse_floats, write_lines
+from slam.storage.tum import stamp_text, write_tum
+
+_AXES = {3: ("x", "y", "yaw"), 6: ("x", "y", "z", "rx", "ry", "rz")}
+
+
+def covariance_path(trajectory: Path) -> Path:
+    """Where covariances are: ``trajectory_covariance.csv`` beside ``trajectory.tum``."""
+    return trajectory.with_name(f"{trajectory.name.removesuffix('.gz').removesuffix('.tum')}_covariance.csv")
+
+
+def write_trajectory(path: Path, trajectory: Trajectory, covariances: FloatArray | None) -> list[Path]:
+    """Write N poses as TUM text and, where they are known, (N, d, d) covariances beside it; what was written.
+
+    Raises
+    ------
+    MapFileError
+        As `write_tum`.
+    """
+    write_tum(path, trajectory)
+    if covariances is None:
+        return [path]
+    beside = covariance_path(path)
+    _write_covariances(beside, trajectory.stamps_s, covariances)
+    return [path, beside]
+
+
+def _write_covariances(path: Path, stamps_s: FloatArray, covariances: FloatArray) -> None:
+    """Under a head that names the columns."""
+    axes = _AXES[covariances.shape[1]]
+    pairs = [f"{axes[i]}_{axes[j]}" for i, j in zip(*np.triu_indices(len(axes)), strict=True)]
+    rows = zip(stamps_s.tolist(), upper_triangles(covariances).tolist(), strict=True)
+    lines = (f"{stamp_text(stamp)},{','.join(repr(value) for value in row)}" for stamp, row in rows)
+    write_lines(path, (line for part in ([",".join(["stamp", *pairs])], lines) for line in part))
+
+
+def read_covariances(path: Path) -> tuple[FloatArray, FloatArray]:
+    """(N,) stamps and (N, d, d) covariances of a file that `write_trajectory` has written beside another.
+
+    Raises
+    ------
+    MapFileError
+        Naming the line, where it has not as many finite numbers as its head says, or the head is another.
+    """
+    # No blanks: a line is one field.
+    lines = [(number, fields[0].split(",")) for number, fields in numbered_fields(path)]
+    sizes = {len(axes) * (len(axes) + 1) // 2 + 1 for axes in _AXES.values()}
+    if len(lines) < 2 or len(lines[0][1]) not in sizes:
+        raise MapFileError(f"{path}: holds no covariances; its head names stamp and 6 or 21 columns")
+    width, rows = len(lines[0][1]), []
+    for number, fields in lines[1:]:
+        where = f"{path}:{number}"
+        if len(fields) != width:
+            raise MapFileError(f"{where}: {len(fields)} fields, the head has {width}")
+        rows.append(parse_floats(fields, where))
+    table = np.array(rows)
+    return table[:, 0].copy(), of_upper_triangles(table[:, 1:])
+
+
+def upper_triangles(covariances: FloatArray) -> FloatArray:
+    """(N, d (d + 1) / 2) of (N, d, d), row by row."""
+    row, column = np.triu_indices(covariances.shape[1])
+    return np.ascontiguousarray(covariances[:, row, column])
+
+
+def of_upper_triangles(triangles: FloatArray) -> FloatArray:
+    """(N, d, d) of what `upper_triangles` gives."""
+    size = next(size for size in _AXES if size * (size + 1) // 2 == triangles.shape[1])
+    row, column = np.triu_indices(size)
+    covariances = np.zeros((len(triangles), size, size))
+    covariances[:, row, column] = covariances[:, column, row] = triangles
+    return covariances

@@ -1,0 +1,95 @@
+"""The covariance of every reading's pose, carried on from the keyframes around it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from slam.measurements import FloatArray, Trajectory
+from slam.trajectory.poses import Poses
+from slam.trajectory.spread import path_lengths
+
+
+def carried_covariances(
+    trajectory: Trajectory, anchors: NDArray[np.int64], covariances: FloatArray, steps: FloatArray
+) -> FloatArray:
+    """Covariance of each pose of a trajectory, by the keyframes before and after it.
+
+    On the way from one keyframe to the next the error is a Brownian bridge (Gauss-Markov with independent
+    increments): ends weigh by the share of the way, and where the ends are known better than the step between
+    them, what is left of the step comes on top. Past either end the step beside goes on.
+
+    Parameters
+    ----------
+    trajectory
+        N poses in the map.
+    anchors
+        (K,) increasing numbers of the keyframes' readings, K > 0.
+    covariances
+        (K, d, d) of the base at the keyframes, GTSAM's tangent of the base; d is 3 or 6.
+    steps
+        (K - 1, d, d) of the motion from each to the next, in the tangent where it ends.
+
+    Returns
+    -------
+    (N, d, d) of x, y, yaw, or of x, y, z and a rotation vector: all along the axes of the map.
+    """
+    rotations = Rotation.from_quat(trajectory.quaternions_xyzw)
+    ends = _along_map(covariances, rotations[anchors])
+    if not len(steps):
+        return _moved(
+            np.repeat(ends, len(trajectory), axis=0), _from(trajectory, anchors[[0] * len(trajectory)])
+        )
+    between = _along_map(steps, rotations[anchors[1:]])
+    numbers = np.arange(len(trajectory))
+    # Each gap reaches from its own keyframe on; the first and the last also tell of what is outside.
+    gap = np.clip(np.searchsorted(anchors, numbers, side="right") - 1, 0, len(steps) - 1)
+    path = np.concatenate([[0.0], np.cumsum(path_lengths(Poses(trajectory.positions_m, rotations)))])
+    length = (path[anchors[1:]] - path[anchors[:-1]])[gap]
+    share = ((path - path[anchors[gap]]) / length)[:, None, None]
+    start = _moved(ends[gap], _from(trajectory, anchors[gap]))
+    stop = _moved(ends[gap + 1], _from(trajectory, anchors[gap + 1]))
+    left = _moved(_left_over(between, ends)[gap], _from(trajectory, anchors[gap + 1]))
+    onward = _moved(between[gap], _from(trajectory, anchors[gap + 1]))
+    inside = (1.0 - share) * start + share * stop + share * (1.0 - share) * left
+    return np.where(
+        share < 0.0, start - share * onward, np.where(share > 1.0, stop + (share - 1.0) * onward, inside)
+    )
+
+
+def _left_over(steps: FloatArray, ends: FloatArray) -> FloatArray:
+    """(K - 1, d, d) by how much steps are more uncertain than two such ends can be of each other."""
+    values, axes = np.linalg.eigh(steps - 2.0 * (ends[:-1] + ends[1:]))
+    return np.einsum("kij,kj,klj->kil", axes, np.maximum(values, 0.0), axes)
+
+
+def _along_map(covariances: FloatArray, rotations: Rotation) -> FloatArray:
+    """(K, d, d) of a tangent of the base, along the axes of the map."""
+    turn = np.zeros_like(covariances)
+    if covariances.shape[1] == 3:
+        turn[:] = rotations.as_matrix()
+    else:
+        # GTSAM's tangent in space is rotation, then translation.
+        covariances = np.roll(covariances, 3, axis=(1, 2))
+        turn[:, :3, :3] = turn[:, 3:, 3:] = rotations.as_matrix()
+    return turn @ covariances @ turn.transpose(0, 2, 1)
+
+
+def _from(trajectory: Trajectory, anchors: NDArray[np.int64]) -> FloatArray:
+    """(N, 3) from an anchor each to every pose, along the axes of the map."""
+    return trajectory.positions_m - trajectory.positions_m[anchors]
+
+
+def _moved(covariances: FloatArray, shifts: FloatArray) -> FloatArray:
+    """(N, d, d) of what is rigidly joined, at a shift (N, 3) from there: a turn moves it."""
+    lever = np.zeros_like(covariances)
+    lever[:] = np.eye(covariances.shape[1])
+    x, y, z = shifts.T
+    if covariances.shape[1] == 3:
+        lever[:, 0, 2], lever[:, 1, 2] = -y, x
+    else:
+        lever[:, 0, 4], lever[:, 0, 5] = z, -y
+        lever[:, 1, 3], lever[:, 1, 5] = -z, x
+        lever[:, 2, 3], lever[:, 2, 4] = y, -x
+    return lever @ covariances @ lever.transpose(0, 2, 1)

@@ -1,0 +1,85 @@
+"""Covariances of readings are those of the keyframes at them, between by both, and past the ends grow."""
+
+import numpy as np
+import pytest
+
+from slam.measurements import FloatArray, Trajectory
+from slam.trajectory.carried import carried_covariances
+
+ENDS = np.array([np.diag([1e-4, 2e-4, 1e-6]), np.diag([3e-4, 5e-4, 9e-6])])
+STEP = np.array([np.diag([2e-4, 3e-4, 8e-6])])
+
+
+def line(yaw: float = 0.0, first: float = 0.0, count: int = 11) -> Trajectory:
+    """Poses a tenth of a metre apart along x, turned by a yaw."""
+    rows = np.zeros((count, 3))
+    rows[:, 0], rows[:, 2] = first + 0.1 * np.arange(count), yaw
+    return Trajectory.from_planar(np.arange(float(count)), rows)
+
+
+def carried(trajectory: Trajectory, first: int = 0, last: int = 10, steps: FloatArray = STEP) -> FloatArray:
+    return carried_covariances(trajectory, np.array([first, last]), ENDS, steps)
+
+
+def test_at_the_keyframes_they_are_the_keyframes_own() -> None:
+    found = carried(line())
+    assert found[[0, 10]] == pytest.approx(ENDS, abs=1e-12)
+
+
+def test_axes_are_those_of_the_map() -> None:
+    found = carried(line(yaw=np.pi / 2))
+    assert np.diag(found[0]) == pytest.approx([2e-4, 1e-4, 1e-6], rel=1e-9)
+
+
+def test_between_two_keyframes_both_count_and_a_turn_moves_what_is_far() -> None:
+    middle = carried(line())[5]
+    # Half a metre before and behind, the yaw of each end moves it to the side.
+    expected = 0.5 * (ENDS[0] + ENDS[1])
+    expected[1, 1] += 0.25 * 0.5 * (1e-6 + 9e-6)
+    expected[1, 2] = expected[2, 1] = 0.5 * (0.5 * 1e-6 - 0.5 * 9e-6)
+    assert middle == pytest.approx(expected, abs=1e-12)
+
+
+def test_far_from_certain_ends_the_step_between_them_shows() -> None:
+    wild = 100.0 * np.eye(3)[None]
+    found = carried(line(), steps=wild)
+    assert found[5][0, 0] == pytest.approx(25.0, rel=0.01)
+    assert found[10] == pytest.approx(ENDS[1])
+
+
+def test_past_both_ends_they_grow_with_the_way() -> None:
+    found = carried(line(), first=2, last=8)
+    x = found[:, 0, 0]
+    assert x[0] == pytest.approx(1e-4 + 2e-4 * 2 / 6) and x[10] == pytest.approx(3e-4 + 2e-4 * 2 / 6)
+    assert x[1] < x[0] and x[9] < x[10]
+    assert (np.linalg.eigvalsh(found) > 0.0).all()
+
+
+def test_one_keyframe_carries_all() -> None:
+    found = carried_covariances(line(), np.array([3]), ENDS[:1], np.zeros((0, 3, 3)))
+    assert found[3] == pytest.approx(ENDS[0])
+    assert found[10][1, 1] == pytest.approx(2e-4 + 0.7**2 * 1e-6)
+
+
+def test_space_says_the_same_as_the_plane() -> None:
+    rows = np.column_stack(
+        [np.linspace(0.0, 2.0, 9), np.linspace(0.0, 1.0, 9) ** 2, np.linspace(0.0, 1.2, 9)]
+    )
+    bent = Trajectory.from_planar(np.arange(9.0), rows)
+    anchors, order = np.array([1, 7]), [3, 4, 2]  # of rotation, then translation
+    ends, steps = np.zeros((2, 6, 6)), np.zeros((1, 6, 6))
+    for of_space, of_plane in ((ends, ENDS), (steps, STEP)):
+        for one, flat in zip(of_space, of_plane, strict=True):
+            one[np.ix_(order, order)] = flat
+    flat_ones = carried_covariances(bent, anchors, ENDS, STEP)
+    found = carried_covariances(bent, anchors, ends, steps)
+    assert found[:, [0, 1, 5]][:, :, [0, 1, 5]] == pytest.approx(flat_ones, abs=1e-12)
+
+
+def test_a_roll_lifts_what_lies_beside() -> None:
+    rows = np.array([[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
+    aside = Trajectory.from_planar(np.arange(2.0), rows)
+    roll = np.zeros((1, 6, 6))
+    roll[0, 0, 0] = 1e-4
+    found = carried_covariances(aside, np.array([0]), roll, np.zeros((0, 6, 6)))[1]
+    assert found[2, 2] == pytest.approx(4e-4) and found[2, 3] == pytest.approx(2e-4)
