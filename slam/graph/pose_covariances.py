@@ -130,10 +130,13 @@ def _unit_variance(poses: Sequence[Pose], held: Sequence[Edge], config: Config) 
     squares = np.einsum("ki,ki->k", offs, np.linalg.solve(covariances, offs[..., None])[..., 0])
     determined = np.sum(np.linalg.eigvalsh(covariances) < config.graph.lost_sigma_m**2, axis=1)
     steps: dict[int, list[tuple[float, int]]] = defaultdict(list)
-    loops: dict[int, list[tuple[float, int]]] = defaultdict(list)
+    loops: dict[tuple[int, int], list[tuple[float, int]]] = defaultdict(list)
     for edge, square, numbers in zip(matches, squares.tolist(), determined.tolist(), strict=True):
-        told = steps if abs(edge.target - edge.source) == 1 else loops
-        told[max(edge.source, edge.target)].append((square, numbers))
+        if abs(edge.target - edge.source) == 1:
+            steps[edge.source].append((square, numbers))
+        else:
+            # Between the same two local maps all loops are one witness.
+            loops[edge.source // far, edge.target // far].append((square, numbers))
     by_lidar = any(edge.kind is EdgeKind.LIDAR for edge in held)
     total, surplus = (0.5 if by_lidar else 1.0) * FEWEST, FEWEST
     for ones in steps.values():

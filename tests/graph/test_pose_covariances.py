@@ -102,12 +102,13 @@ def test_a_camera_claims_the_noise_of_a_step_once() -> None:
 
 def test_loops_that_fit_better_than_claimed_make_all_matches_surer() -> None:
     poses, edges = chain(60)
-    # They fit exactly, three numbers a keyframe, beside 20 of half the claim.
+    # They fit exactly: three numbers for all between the same two local maps of 30 keyframes, beside 20 of
+    # half the claim.
     loops = [
         Edge(n, n + 50, poses[n].between(poses[n + 50]), MATCH, EdgeKind.LOOP, trusted=False, loop=n)
         for n in range(7)
     ]
-    ratio = 0.5 * 20.0 / (20.0 + 3.0 * len(loops))
+    ratio = 0.5 * 20.0 / (20.0 + 3.0)
     expected = (
         claimed(edges[:49], ratio) + claimed(edges[49:56] + loops, 2.0 * ratio) + claimed(edges[56:], ratio)
     )
