@@ -99,6 +99,27 @@ def repeats(before: Measurement | None, now: Measurement) -> bool:
     return False
 
 
+class Unwound:
+    """Written headings without their jumps by a full turn: one in degrees is wrapped many a time.
+
+    It goes on as it did: from reading to reading a turn changes less than it is.
+    """
+
+    def __init__(self) -> None:
+        self._wrapped_rad: float | None = None
+        self._heading_rad = self._turn_rad = 0.0
+
+    def of(self, wrapped_rad: float) -> float:
+        """The heading of the next reading."""
+        if self._wrapped_rad is None:
+            self._heading_rad = wrapped_rad
+        else:
+            self._turn_rad += wrap(wrapped_rad - self._wrapped_rad - self._turn_rad)
+            self._heading_rad += self._turn_rad
+        self._wrapped_rad = wrapped_rad
+        return self._heading_rad
+
+
 class _Lidar:
     """Scans of one lidar."""
 
@@ -143,8 +164,7 @@ class _Wheels:
         self._axes = np.zeros((2, 2))
         for row, name in enumerate(correction.axes.split()):
             self._axes[row, "xy".index(name[-1])] = signs.get(name[0], 1.0)
-        self._read: tuple[float, float] | None = None
-        self._turn_rad = 0.0
+        self._heading = Unwound()
         self._last: FloatArray | None = None
         self._pose = np.zeros(3)
 
@@ -152,26 +172,13 @@ class _Wheels:
         given, read = self._correction, reading.T_odom_base
         x, y = self._axes @ (read.x(), read.y())
         written = np.array(
-            [given.scale * x, given.scale * y, given.heading_scale * self._heading(read.theta())]
+            [given.scale * x, given.scale * y, given.heading_scale * self._heading.of(read.theta())]
         )
         if given.mirrored:
             written[1:] = -written[1:]
         if given.turn_scale != 1.0:
             written = self._driven(written)
         return replace(reading, T_odom_base=gtsam.Pose2(*written.tolist()))
-
-    def _heading(self, wrapped_rad: float) -> float:
-        """The written heading unwound: one in degrees was wrapped many a time on the way to here.
-
-        It goes on as it did: a turn changes less from reading to reading than it is.
-        """
-        if self._read is None:
-            self._read = wrapped_rad, wrapped_rad
-            return wrapped_rad
-        before_rad, unwound_rad = self._read
-        self._turn_rad += wrap(wrapped_rad - before_rad - self._turn_rad)
-        self._read = wrapped_rad, unwound_rad + self._turn_rad
-        return self._read[1]
 
     def _driven(self, written: FloatArray) -> FloatArray:
         """The way put together anew of steps whose turns are scaled."""
