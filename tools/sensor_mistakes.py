@@ -1,4 +1,4 @@
-"""Sound drives with the mistakes that people make, by wheels and a 2D lidar: are they named, does the remedy mend?
+"""Drives with the mistakes that people make, of wheels and a 2D lidar: are they named, does the remedy mend?
 
     python tools/sensor_mistakes.py DRIVE... [--only NAME] [--map] [--sound]
 
@@ -51,7 +51,7 @@ def _wheels(log: Log, change: Callable[[float, float, float, float], tuple[float
     for one in log:
         if isinstance(one, WheelOdometry):
             pose = one.T_odom_base
-            x, y, yaw = change(pose.x(), pose.y(), heading.of(pose.theta()), one.stamp_s)
+            x, y, yaw = change(pose.x(), pose.y(), heading.of(one.stamp_s, pose.theta()), one.stamp_s)
             one = replace(one, T_odom_base=gtsam.Pose2(x, y, yaw))
         changed.append(one)
     return changed
@@ -68,7 +68,7 @@ def _turned_more(log: Log, factor: float) -> Log:
             ahead = math.atan2(y - last[1], x - last[0]) - last[2] - 0.5 * turn
             ahead += yaw + 0.5 * factor * turn
             way = math.hypot(y - last[1], x - last[0])
-            place = place + (way * math.cos(ahead), way * math.sin(ahead))
+            place = np.array([place[0] + way * math.cos(ahead), place[1] + way * math.sin(ahead)])
             yaw += factor * turn
         last = (x, y, heading)
         return float(place[0]), float(place[1]), yaw
@@ -147,6 +147,9 @@ def _ranges(factor: Callable[[float], float]) -> Callable[[Log, float], Log]:
     )
 
 
+# What two sensors alone cannot tell apart: the finding then names both remedies.
+_UNDECIDED = {"scale": ("lengths",), "range scale": ("lengths",)}
+
 MISTAKES: dict[str, Mistake] = {
     "lidar upside down": Mistake(
         lambda log, _: _scans(log, lambda scan: replace(scan, ranges_m=scan.ranges_m[::-1].copy())),
@@ -219,7 +222,9 @@ MISTAKES: dict[str, Mistake] = {
         lambda log, _: _wheels(log, lambda x, y, yaw, s: (y, x, yaw)), "axes", lambda _: _wheel(axes="y x")
     ),
     "x and y of the wrong sign": Mistake(
-        lambda log, _: _wheels(log, lambda x, y, yaw, s: (-x, -y, yaw)), "axes", lambda _: _wheel(axes="-x -y")
+        lambda log, _: _wheels(log, lambda x, y, yaw, s: (-x, -y, yaw)),
+        "axes",
+        lambda _: _wheel(axes="-x -y"),
     ),
     "wheels left for right": Mistake(
         lambda log, _: _wheels(log, lambda x, y, yaw, s: (x, -y, -yaw)),
@@ -229,9 +234,7 @@ MISTAKES: dict[str, Mistake] = {
     "wheel base wrong": Mistake(
         _turned_more, "turn scale", lambda size: _wheel(turn_scale=1.0 / size), (1.5, 0.7)
     ),
-    "odometry clock": Mistake(
-        _clock, "clock", lambda size: _wheel(clock_offset_s=size), (0.5, 0.25, -0.5)
-    ),
+    "odometry clock": Mistake(_clock, "clock", lambda size: _wheel(clock_offset_s=size), (0.5, 0.25, -0.5)),
     "frozen wheels": Mistake(
         lambda log, _: _wheels(log, lambda x, y, yaw, s: (1.0, 2.0, 0.5)),
         "frozen wheels",
@@ -240,13 +243,13 @@ MISTAKES: dict[str, Mistake] = {
     "field of view 270 for 180": Mistake(
         lambda log, size: _scans(log, lambda scan: _wider(scan, size)),
         "field of view",
-        lambda size: _lidar(step_share=1.0 / size),
+        lambda _: _lidar(step_share=1.0),
         (1.5, 1.2),
     ),
     "field of view 190 for 180": Mistake(
         lambda log, size: _scans(log, lambda scan: _wider(scan, size)),
         "field of view",
-        lambda size: _lidar(step_share=1.0 / size),
+        lambda _: _lidar(step_share=1.0),
         (190.0 / 180.0, 170.0 / 180.0),
     ),
     "ranges scaled a little": Mistake(
@@ -272,9 +275,7 @@ MISTAKES: dict[str, Mistake] = {
         lambda _: _lidar(),
         (0.5, 0.25),
     ),
-    "scans repeated": Mistake(
-        _repeated, "repeated scans", lambda _: _lidar(drop_repeated=True), (5.0, 3.0)
-    ),
+    "scans repeated": Mistake(_repeated, "repeated scans", lambda _: _lidar(drop_repeated=True), (5.0, 3.0)),
 }
 
 
@@ -292,7 +293,9 @@ def _about(given: Mapping[str, Any], name: str, value: Any, log: Log) -> bool:
     """Whether an entry is what was expected, to 6 %, 5 cm, 3 degrees, 50 ms."""
     if name == "step_share":
         scan = next(one for one in log if isinstance(one, LaserScan))
-        return "step_deg" in given and abs(given["step_deg"] / math.degrees(scan.step_rad) / value - 1.0) < 0.02
+        return (
+            "step_deg" in given and abs(given["step_deg"] / math.degrees(scan.step_rad) / value - 1.0) < 0.02
+        )
     if name not in given:
         return False
     if isinstance(value, Mapping):
@@ -317,7 +320,7 @@ def planar_error_m(trajectory: Trajectory, truth: Trajectory) -> float:
 
 
 def _complex(positions_m: FloatArray) -> Any:
-    """x and y as complex numbers."""
+    """X and y as complex numbers."""
     return positions_m[:, 0] + 1j * positions_m[:, 1]
 
 
@@ -342,9 +345,9 @@ def rows(drive: Path, only: str, *, maps: bool) -> Iterator[list[str]]:
         for size in mistake.sizes if only in name else ():
             wrong = mistake.make(log, size)
             findings = diagnose(wrong)
-            named = [one for one in findings if one.kind == mistake.kind]
+            named = [one for one in findings if one.kind in (mistake.kind, *_UNDECIDED.get(mistake.kind, ()))]
             right = any(right_remedy(one, mistake.remedy(size), log) for one in named)
-            others = [one.kind for one in findings if one.kind != mistake.kind]
+            others = [one.kind for one in findings if one not in named]
             sure = "sure" if any(one.sure for one in named) else ""
             row = [drive.name, name, f"{size:g}", "yes" if named else "NO", "yes" if right else "NO", sure]
             row.append(", ".join(others))

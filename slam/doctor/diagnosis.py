@@ -9,9 +9,9 @@ from fusion.estimation import FEWEST
 from slam.config import Config
 from slam.doctor.finding import Finding
 from slam.doctor.own_body import blocked_beams, blocked_finding, without
+from slam.doctor.pair import Pair
 from slam.doctor.samples import Samples
-from slam.doctor.scan_motion import track_stretches
-from slam.doctor.wheels_and_lidar import Pair, compare
+from slam.doctor.wheels_and_lidar import compare
 from slam.measurements import Measurement
 
 
@@ -67,9 +67,7 @@ def examine(log: Iterable[Measurement]) -> Diagnosis:
             stretches = [[without(scan, blocked) for scan in scans] for scans in stretches]
         if wheels is None:
             continue
-        tracked = track_stretches(stretches, config)
-        pair = Pair(wheels[0], name, wheels[1].rows(), tracked, stretches[0][0].T_base_laser)
-        found, left_open = compare(pair, config)
+        found, left_open = compare(Pair(wheels[0], name, wheels[1].rows(), stretches), config)
         findings += found
         unknown += left_open
     return Diagnosis(findings, unknown)

@@ -31,7 +31,7 @@ def blocked_beams(stretches: Sequence[Sequence[LaserScan]], config: Config) -> B
         if ranges.size != count or not np.isfinite(ranges).any():
             continue
         # Another place: some beams tell something else by far.
-        if not kept or np.nanpercentile(_apart(ranges, kept[-1]), 90.0) > 2.0 * config.match.cell_m:
+        if not kept or _far_apart(ranges, kept[-1], 2.0 * config.match.cell_m):
             kept.append(ranges)
     if len(kept) < FEWEST:
         return None
@@ -70,8 +70,7 @@ def blocked_finding(name: str, blocked: BoolArray) -> Finding | None:
     )
 
 
-def _apart(a: Float32Array, b: Float32Array) -> Float32Array:
-    """(N,) by how much beams differ; from a return to none by all of it."""
-    with np.errstate(invalid="ignore"):
-        apart = np.abs(a - b)
-    return np.where(np.isinf(a) & np.isinf(b), np.float32(0.0), apart)
+def _far_apart(a: Float32Array, b: Float32Array, least_m: float) -> bool:
+    """Whether a tenth of the beams that both had a return differ by more than that."""
+    both = np.isfinite(a) & np.isfinite(b)
+    return bool(10 * np.count_nonzero(np.abs(a[both] - b[both]) > least_m) > np.count_nonzero(both))

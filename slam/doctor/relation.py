@@ -63,7 +63,7 @@ def fit_linear(design: FloatArray, measured: FloatArray, stretch: FloatArray, fl
     sigma = np.inf
     for _ in range(ROUNDS):
         root = np.sqrt(weights)
-        values = np.linalg.lstsq(design * root[:, None], measured * root, rcond=None)[0]
+        values = np.asarray(np.linalg.lstsq(design * root[:, None], measured * root)[0], np.float64)
         residuals = measured - design @ values
         sigma = max(floor, median_to_sigma() * float(np.median(np.abs(residuals))))
         weights = 1.0 / (1.0 + residuals**2 / (sigma**2 * gate())) ** 2
@@ -108,7 +108,7 @@ class Relation:
 
     @property
     def sigma_alpha(self) -> float:
-        """Standard deviation of alpha along an axis, as a share of it: of its size and, in radians, its angle."""
+        """Standard deviation of alpha along an axis, as a share of it; of its angle, radians."""
         return float(np.sqrt(0.5 * np.trace(self.covariance[:2, :2])) / abs(self.alpha))
 
     @property

@@ -27,7 +27,9 @@ class WheelSamples:
         """Take the next reading."""
         pose = reading.T_odom_base
         self.count += 1
-        self._rows.extend((reading.stamp_s, pose.x(), pose.y(), self._heading.of(pose.theta())))
+        self._rows.extend(
+            (reading.stamp_s, pose.x(), pose.y(), self._heading.of(reading.stamp_s, pose.theta()))
+        )
 
     def rows(self) -> FloatArray:
         """(N, 4) stamp, x, y, heading unwound; stamps rise, a reading older than one before is left out."""

@@ -26,18 +26,18 @@ class ScanMotion:
         (N,) of the scans that were matched.
     poses
         (N, 3) of the laser in its first frame.
-    fit
-        Mean share of the points, robustly weighted, that lie on what they were matched to.
+    fits
+        (N - 1,) shares of each scan's points, robustly weighted, that lie on what they were matched to.
     """
 
     stamps_s: FloatArray
     poses: FloatArray
-    fit: float
+    fits: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """Motions of a lidar, (K,) of them: stretch, stamps at the ends (K, 2), motion (K, 3) in its own frame."""
+    """Motions of a lidar: (K,) stretch, (K, 2) stamps at the ends, (K, 3) motion in its own frame."""
 
     stretch: FloatArray
     spans_s: FloatArray
@@ -105,7 +105,7 @@ def _track(scans: Sequence[LaserScan], config: Config) -> ScanMotion:
     ]
     poses, reference, fits = [np.zeros(3)], np.zeros(3), list[float]()
     if not len(points[0]):
-        return ScanMotion(np.zeros(0), np.zeros((0, 3)), 0.0)
+        return ScanMotion(np.zeros(0), np.zeros((0, 3)), np.zeros(0))
     local_map = LocalMap.build([points[0]], config.match)
     step = np.zeros(3)
     for now in points[1:]:
@@ -121,4 +121,4 @@ def _track(scans: Sequence[LaserScan], config: Config) -> ScanMotion:
         poses.append(compose(reference, found.pose))
         step = between(poses[-2], poses[-1])
     stamps_s = np.array([scan.stamp_s for scan in scans[: len(poses)]])
-    return ScanMotion(stamps_s, np.array(poses), float(np.mean(fits)) if fits else 0.0)
+    return ScanMotion(stamps_s, np.array(poses), np.array(fits))

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
-import gtsam
 import numpy as np
 
 from fusion.estimation import FEWEST, gate
 from slam.config import Config
-from slam.doctor.finding import Finding, Remedy
+from slam.doctor.finding import Finding
+from slam.doctor.pair import IN_ORDER, Pair, interval
 from slam.doctor.relation import Relation
-from slam.doctor.scan_motion import ScanMotion, Steps
-from slam.doctor.wheel_steps import Reading, WheelSteps, clock_of
+from slam.doctor.scan_motion import Steps, track_stretches
+from slam.doctor.time_and_view import angle_scale, clock_finding
+from slam.doctor.wheel_steps import Reading, WheelSteps
 from slam.matching.planar import wrap
-from slam.measurements import FloatArray
 
-# Lengths, angles and mountings in order are off by no more: shares and radians. The wheels of the two real
-# logs are off by up to 0.044 of the way, those of simulated drives by up to 0.03.
-_IN_ORDER = 0.06
 # What a length may be multiplied with by a mistake of units: millimetres, centimetres, feet, inches, doubled.
 _UNITS = (1e-3, 1e-2, 0.3048, 0.0254, 0.5, 2.0)
 _QUARTERS = ("x y", "-y x", "-x -y", "y -x")
@@ -28,49 +24,22 @@ _FLIPPED_QUARTERS = ("x -y", "y x", "-x y", "-y -x")
 _GARBLED = "each step of the wheels points elsewhere, so they are of no help"
 
 
-@dataclass(frozen=True, slots=True)
-class Pair:
-    """What is compared.
-
-    Attributes
-    ----------
-    wheels, lidar
-        Names of the sensors.
-    rows
-        (N, 4) readings of the wheels.
-    tracked
-        The lidar's motion.
-    mounting
-        Of the lidar, as stated.
-    """
-
-    wheels: str
-    lidar: str
-    rows: FloatArray
-    tracked: list[ScanMotion]
-    mounting: gtsam.Pose2
-
-    def of_wheels(self, **entries: Any) -> Remedy:
-        """A remedy for the wheels."""
-        return {"wheels": {self.wheels: entries}}
-
-    def of_lidar(self, **entries: Any) -> Remedy:
-        """A remedy for the lidar."""
-        return {"lidars": {self.lidar: entries}}
-
-
 def compare(pair: Pair, config: Config) -> tuple[list[Finding], list[str]]:
     """What wheels and a lidar say of each other that cannot be, and what they leave open."""
-    steps = Steps.of(pair.tracked, config)
+    tracked = track_stretches(pair.stretches, config)
+    steps = Steps.of(tracked, config)
     if len(steps) < FEWEST:
         return [], [f"{pair.lidar} and {pair.wheels}: the lidar shows hardly any motion"]
     if not len(pair.rows) or not np.ptp(pair.rows[:, 1:], axis=0).any():
         return [_frozen(pair)], []
-    ahead_s, clock = _clock(pair, steps, config)
+    ahead_s, findings = clock_finding(pair, tracked, steps, config)
     wheels = WheelSteps.of(steps, pair.rows, ahead_s)
-    turn = wheels.turn_scale() if len(wheels) >= FEWEST else None
+    if view := angle_scale(pair, tracked, wheels, ahead_s, config):
+        wheels = WheelSteps.of(Steps.of(view[1], config), pair.rows, ahead_s)
+        findings.append(view[0])
+    turn = wheels.turn_scale()
     if turn is None or turn.values[0] ** 2 < gate() * turn.covariance[0, 0]:
-        return clock, [f"{pair.lidar} and {pair.wheels}: signs, mounting and clock, for lack of turns"]
+        return findings, [f"{pair.lidar} and {pair.wheels}: signs, mounting and clock, for lack of turns"]
     scale = float(turn.values[0])
     sign = math.copysign(1.0, scale)
     readings = [Reading(sign, sign < 0.0), Reading(sign, sign > 0.0)]
@@ -79,21 +48,15 @@ def compare(pair: Pair, config: Config) -> tuple[list[Finding], list[str]]:
         readings += [Reading(unit, sign < 0.0), Reading(unit, sign > 0.0)]
     found = wheels.best(readings)
     if found is None:
-        return clock, [f"{pair.lidar} and {pair.wheels}: how they belong together"]
+        return findings, [f"{pair.lidar} and {pair.wheels}: how they belong together"]
     reading, relation = found
-    findings, relation, forward = _axes(pair, wheels, reading, relation)
-    findings += _mounting(pair, relation, forward, config)
+    axes, relation, forward = _axes(pair, wheels, reading, relation)
+    findings += axes + _mounting(pair, relation, forward, config)
     findings += _lengths(pair, relation)
     turn_scale = scale / reading.heading_scale
     if abs(math.log(turn_scale)) > config.wheels.turn_share:
         findings.append(_turns(pair, turn_scale, math.sqrt(turn.covariance[0, 0]) * turn_scale / abs(scale)))
-    return clock + findings, []
-
-
-def interval(value: float, sigma: float) -> tuple[float, float]:
-    """95 % of a normal distribution."""
-    half = math.sqrt(gate(1, 0.95)) * sigma
-    return value - half, value + half
+    return findings, []
 
 
 def _frozen(pair: Pair) -> Finding:
@@ -106,39 +69,6 @@ def _frozen(pair: Pair) -> Finding:
         (pair.of_wheels(use=False),),
         sure=True,
     )
-
-
-def _clock(pair: Pair, steps: Steps, config: Config) -> tuple[float, list[Finding]]:
-    """By how much the wheels' clock is ahead where that matters, and the finding."""
-    offsets = [clock_of(pair.tracked, pair.rows, sign) for sign in (1.0, -1.0)]
-    found = max((one for one in offsets if one is not None), key=lambda one: one.correlation, default=None)
-    if found is None:
-        return 0.0, []
-    turned = np.abs(steps.motions[:, 2]) / (steps.spans_s[:, 1] - steps.spans_s[:, 0])
-    wrong_rad = abs(found.offset_s) * float(np.percentile(turned, 90.0))
-    # What the wheels are allowed for a keyframe's turn anyway is no mistake; the mapper learns small offsets.
-    if wrong_rad < config.wheels.turn_share * config.keyframes.angle_rad + config.wheels.floor_rad:
-        return 0.0, []
-    as_stamped, moved = (
-        WheelSteps.of(steps, pair.rows, ahead_s).turn_scale() for ahead_s in (0.0, found.offset_s)
-    )
-    if as_stamped is None or moved is None or 2.0 * moved.sigma > as_stamped.sigma:
-        return 0.0, []
-    low, high = interval(found.offset_s, found.sigma_s)
-    finding = Finding(
-        pair.wheels,
-        "clock",
-        f"its clock is ahead of the lidar's by {found.offset_s:+.3f} s (95 %: {low:+.3f} to {high:+.3f})",
-        f"in turns the wheels are wrong by up to {math.degrees(wrong_rad):.0f} degrees",
-        (
-            pair.of_wheels(clock_offset_s=round(found.offset_s, 3)),
-            pair.of_lidar(clock_offset_s=round(-found.offset_s, 3)),
-        ),
-        sure=True,
-        value=found.offset_s,
-        interval=(low, high),
-    )
-    return found.offset_s, [finding]
 
 
 def _axes(
@@ -176,7 +106,7 @@ def _axes(
         steps = steps * turned
         relation = relation.with_wheels_turned(turned)
     aside = np.median(np.abs(steps.imag)) / max(float(np.median(np.abs(steps.real))), np.finfo(float).tiny)
-    return findings, relation, bool(steps.real.sum() > 0.0 and aside < _IN_ORDER)
+    return findings, relation, bool(steps.real.sum() > 0.0 and aside < IN_ORDER)
 
 
 def _mirrored(pair: Pair) -> Finding:
@@ -225,7 +155,7 @@ def _mounting(pair: Pair, relation: Relation, forward: bool, config: Config) -> 
     """How the lidar is turned, and where it sits."""
     stated, yaw_rad = pair.mounting, relation.yaw_rad
     off_rad = wrap(yaw_rad - stated.theta())
-    turned = abs(off_rad) > _IN_ORDER + math.sqrt(gate()) * relation.sigma_alpha
+    turned = abs(off_rad) > IN_ORDER + math.sqrt(gate()) * relation.sigma_alpha
     # A lever is as long as the lidar's ranges say; where lengths are in doubt, see `_lengths`.
     place = relation.position(1.0 if _in_order(relation) else 1.0 / abs(relation.alpha))
     shift = place - complex(stated.x(), stated.y())
@@ -247,7 +177,7 @@ def _mounting(pair: Pair, relation: Relation, forward: bool, config: Config) -> 
             Finding(
                 pair.lidar,
                 "yaw",
-                f"is turned by {math.degrees(yaw_rad):.1f} degrees on the robot (95 %: {low:.1f} to {high:.1f}), "
+                f"is turned by {math.degrees(yaw_rad):.1f} degrees (95 %: {low:.1f} to {high:.1f}), "
                 f"the log says {math.degrees(stated.theta()):.1f}",
                 "the robot's poses are turned by as much, and wheels and lidar contradict each other",
                 (remedy,),
@@ -276,7 +206,7 @@ def _mounting(pair: Pair, relation: Relation, forward: bool, config: Config) -> 
 def _in_order(relation: Relation) -> bool:
     """Whether lengths of wheels and lidar are as alike as those of sound ones."""
     off = abs(math.log(abs(relation.alpha)))
-    return off < _IN_ORDER + math.sqrt(gate()) * relation.sigma_alpha
+    return off < IN_ORDER + math.sqrt(gate()) * relation.sigma_alpha
 
 
 def _lengths(pair: Pair, relation: Relation) -> list[Finding]:
@@ -296,14 +226,15 @@ def _lengths(pair: Pair, relation: Relation) -> list[Finding]:
     )
     # No one's unit makes lengths larger by 3.28 in the wheels, or smaller in the lidar.
     hint = (of_ranges is not None and of_ranges < 0.5) - (of_wheels is not None and of_wheels < 0.5)
-    sure = hint != 0 or abs(by_wheels - by_ranges) > gate() and min(by_wheels, by_ranges) < gate(2)
+    sure = hint != 0 or (abs(by_wheels - by_ranges) > gate() and min(by_wheels, by_ranges) < gate(2))
     of_lidar = hint > 0 or (hint == 0 and sure and by_ranges < by_wheels)
     longer = f"{1.0 / scale:.4g}" if not of_lidar else f"{scale:.4g}"
     name = pair.lidar if of_lidar else pair.wheels
+    kind = ("range scale" if of_lidar else "scale") if sure else "lengths"
     return [
         Finding(
             name,
-            "range scale" if of_lidar else "scale",
+            kind,
             f"its lengths are {longer} times those of {pair.wheels if of_lidar else pair.lidar} "
             f"(as a scale of the wheels {scale:.4g}, 95 %: {low:.4g} to {high:.4g})",
             "the map has the wrong size" if of_lidar else "the wheels contradict every match",
@@ -317,7 +248,7 @@ def _lengths(pair: Pair, relation: Relation) -> list[Finding]:
 
 def _unit(scale: float) -> float | None:
     """The unit that a scale stands for, None for none."""
-    return next((unit for unit in _UNITS if abs(math.log(scale / unit)) < _IN_ORDER), None)
+    return next((unit for unit in _UNITS if abs(math.log(scale / unit)) < IN_ORDER), None)
 
 
 def _turns(pair: Pair, scale: float, sigma: float) -> Finding:
