@@ -8,11 +8,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fusion.estimation import FEWEST
 from slam.datasets.corrections import Unwound, repeats
 from slam.measurements import FloatArray, LaserScan, Measurement, WheelOdometry
 
-# Stretches of scans, between half as many and so many; scans in each, no more of them than so many a second.
-_STRETCHES, _SCANS, _RATE_HZ = 40, 20, 10.0
+# Scans of a stretch lie no nearer: a robot hardly moves between.
+_SPACING_S = 0.1
+_STRETCHES = 2 * FEWEST
 
 
 @dataclass(slots=True)
@@ -72,9 +74,9 @@ class LidarSamples:
         self._newest = scan
         if self._open:
             since_s = scan.stamp_s - self._open[-1].stamp_s
-            if 0.0 <= since_s < 1.0 / _RATE_HZ:
+            if 0.0 <= since_s < _SPACING_S:
                 return
-            if not 0.0 <= since_s < _SCANS / _RATE_HZ or len(self._open) >= _SCANS:
+            if not 0.0 <= since_s < FEWEST * _SPACING_S or len(self._open) >= FEWEST:
                 self.close()
         self._open.append(scan)
 

@@ -29,7 +29,7 @@ def compare(pair: Pair, config: Config) -> tuple[list[Finding], list[str]]:
     tracked = track_stretches(pair.stretches, config)
     steps = Steps.of(tracked, config)
     if len(steps) < FEWEST:
-        return [], [f"{pair.lidar} and {pair.wheels}: the lidar shows hardly any motion"]
+        return [], [f"{pair.lidar}: scans alone tell too little of its motion (corridors, or it stands)"]
     if not len(pair.rows) or not np.ptp(pair.rows[:, 1:], axis=0).any():
         return [_frozen(pair)], []
     ahead_s, findings = clock_finding(pair, tracked, steps, config)
@@ -96,7 +96,7 @@ def _axes(
         names = _FLIPPED_QUARTERS
         # Of the four ways to mend a mirrored axis, the one that leaves the lidar where it is said to be.
         quarter = -quarter % 4
-    elif quarter and abs(wrap(heading - off_rad)) > 0.25 * math.pi:
+    elif quarter and 2.0 * abs(wrap(heading - off_rad)) > 0.5 * math.pi:
         quarter = 0
     else:
         quarter = -quarter % 4
@@ -226,7 +226,7 @@ def _lengths(pair: Pair, relation: Relation) -> list[Finding]:
     )
     # No one's unit makes lengths larger by 3.28 in the wheels, or smaller in the lidar.
     hint = (of_ranges is not None and of_ranges < 0.5) - (of_wheels is not None and of_wheels < 0.5)
-    sure = hint != 0 or (abs(by_wheels - by_ranges) > gate() and min(by_wheels, by_ranges) < gate(2))
+    sure = bool(hint or (abs(by_wheels - by_ranges) > gate() and min(by_wheels, by_ranges) < gate(2)))
     of_lidar = hint > 0 or (hint == 0 and sure and by_ranges < by_wheels)
     longer = f"{1.0 / scale:.4g}" if not of_lidar else f"{scale:.4g}"
     name = pair.lidar if of_lidar else pair.wheels

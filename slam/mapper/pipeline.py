@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 
 from slam.config import Config, calibrated
 from slam.datasets.dataset import Dataset
+from slam.datasets.recording import without_images
 from slam.doctor.diagnosis import diagnose
 from slam.doctor.finding import Finding, remedied
 from slam.errors import DatasetError
@@ -54,9 +55,7 @@ def build_map(
         Where the log holds nothing that can be mapped.
     """
     checkpoint = checkpoint or Checkpoint()
-    findings = checkpoint.findings(
-        lambda: diagnose(used_measurements(dataset, config.sensors)) if config.sensors.doctor else []
-    )
+    findings = checkpoint.findings(lambda: findings_of(dataset, config))
     config = settled(config, findings)
     choice = SensorChoice.of(dataset, config.sensors)
     registrations = checkpoint.registrations(
@@ -77,6 +76,14 @@ def build_map(
     result.notes += [f"{finding.line} (used)" for finding in findings if finding.sure and finding.remedies]
     result.warnings += [finding.line for finding in findings if not (finding.sure and finding.remedies)]
     return result
+
+
+def findings_of(dataset: Dataset, config: Config) -> list[Finding]:
+    """What is wrong with the sensors of a log; nothing where that is not asked for."""
+    if not config.sensors.doctor:
+        return []
+    with without_images(dataset):
+        return diagnose(used_measurements(dataset, config.sensors))
 
 
 def settled(config: Config, findings: Iterable[Finding]) -> Config:
