@@ -50,14 +50,11 @@ class LidarSamples:
         Lists of scans, each within a few seconds.
     count, repeated
         Scans in all, and those that are the one before to the bit.
-    longest_m
-        Farthest return of all.
     """
 
     stretches: list[list[LaserScan]] = field(default_factory=list)
     count: int = 0
     repeated: int = 0
-    longest_m: float = 0.0
     _open: list[LaserScan] = field(default_factory=list)
     _stride: int = 1
     _begun: int = 0
@@ -66,9 +63,7 @@ class LidarSamples:
     def add(self, scan: LaserScan) -> None:
         """Take the next scan."""
         self.count += 1
-        returns = scan.ranges_m[np.isfinite(scan.ranges_m)]
-        self.longest_m = max(self.longest_m, float(returns.max(initial=0.0)))
-        if repeats(self._newest, scan) and returns.size:
+        if repeats(self._newest, scan) and np.isfinite(scan.ranges_m).any():
             self.repeated += 1
             return
         self._newest = scan

@@ -82,19 +82,26 @@ def angle_scale(
         better = track_stretches(pair.stretches, config, scale)
         wheels = WheelSteps.of(Steps.of(better, config), pair.rows, ahead_s)
         turn = wheels.turn_scale()
-        if turn is not None and abs(math.log(abs(turn.values[0]))) < 0.5 * IN_ORDER:
+        if turn is None or not _fits_better(better, tracked):
+            return None
+        if abs(math.log(abs(turn.values[0]))) < 0.5 * IN_ORDER:
             break
-    if turn is None or not _fits_better(better, tracked):
-        return None
+    assert turn is not None
     scale /= abs(turn.values[0])
     scan = pair.stretches[0][0]
     beams = scan.ranges_m.size
     stated_deg = math.degrees(scan.step_rad) * (beams - 1)
-    seen_deg = stated_deg * scale
-    round_deg = max(round(seen_deg, -1), 1.0)
-    if 2.0 * abs(math.log(seen_deg / round_deg)) < 0.5 * IN_ORDER:
-        seen_deg = round_deg  # as makers make them
-    scale, sigma = seen_deg / stated_deg, scale * math.sqrt(turn.covariance[0, 0])
+    # Wheels are a per cent off; makers make whole tens of degrees: the one in which scans fit best.
+    near_deg = [stated_deg * scale, *(round(stated_deg * scale + shift, -1) for shift in (-5, 5))]
+    views = [
+        (deg, track_stretches(pair.stretches, config, deg / stated_deg))
+        for deg in near_deg
+        if abs(math.log(max(deg, 1.0) / near_deg[0])) < 0.5 * IN_ORDER
+    ]
+    seen_deg, better = max(
+        views, key=lambda view: float(np.concatenate([one.fits for one in view[1]]).mean())
+    )
+    sigma = scale * math.sqrt(turn.covariance[0, 0])
     middle_deg = math.degrees(scan.start_angle_rad) + 0.5 * stated_deg
     low, high = interval(seen_deg, seen_deg * sigma)
     finding = Finding(
@@ -113,7 +120,7 @@ def angle_scale(
         value=seen_deg,
         interval=(low, high),
     )
-    return finding, track_stretches(pair.stretches, config, scale)
+    return finding, better
 
 
 def _fits_better(tracked: Sequence[ScanMotion], other: Sequence[ScanMotion]) -> bool:
