@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from fusion.estimation import FEWEST
 from slam.config import Config
@@ -12,7 +15,7 @@ from slam.doctor.own_body import blocked_beams, blocked_finding, without
 from slam.doctor.pair import Pair
 from slam.doctor.samples import Samples
 from slam.doctor.wheels_and_lidar import compare
-from slam.measurements import Measurement
+from slam.measurements import LaserScan, Measurement
 
 
 def diagnose(log: Iterable[Measurement]) -> list[Finding]:
@@ -67,10 +70,25 @@ def examine(log: Iterable[Measurement]) -> Diagnosis:
             stretches = [[without(scan, blocked) for scan in scans] for scans in stretches]
         if wheels is None:
             continue
-        found, left_open = compare(Pair(wheels[0], name, wheels[1].rows(), stretches), config)
+        stretches, scale = _within_reach(stretches, config)
+        found, left_open = compare(Pair(wheels[0], name, wheels[1].rows(), stretches, scale), config)
         findings += found
         unknown += left_open
     return Diagnosis(findings, unknown)
+
+
+def _within_reach(stretches: list[list[LaserScan]], config: Config) -> tuple[list[list[LaserScan]], float]:
+    """Scans, and by what they were multiplied: millimetres are brought to what can be matched."""
+    ranges = np.concatenate([scans[0].ranges_m for scans in stretches])
+    ranges = ranges[np.isfinite(ranges)]
+    far = float(np.median(ranges)) / config.scan.range_max_m if ranges.size else 0.0
+    if far < 0.5:
+        return stretches, 1.0
+    # To a twentieth at most of what is matched, as rooms are.
+    scale = 10.0 ** -math.ceil(math.log10(FEWEST * far))
+    return [
+        [replace(scan, ranges_m=scan.ranges_m * np.float32(scale)) for scan in scans] for scans in stretches
+    ], scale
 
 
 def _repeated_scans(samples: Samples) -> list[Finding]:
