@@ -47,7 +47,9 @@ def compare(pair: Pair, config: Config) -> tuple[list[Finding], list[str]]:
     sign = math.copysign(1.0, scale)
     readings = [Reading(sign, sign < 0.0), Reading(sign, sign > 0.0)]
     if abs(math.log(abs(scale))) > config.wheels.turn_share:
-        unit = math.radians(sign) if abs(math.degrees(abs(scale)) - 1.0) < config.wheels.turn_share else scale
+        size = abs(scale)
+        in_degrees = abs(math.log(math.degrees(size))) < config.wheels.turn_share
+        unit = sign * (math.radians(1.0) if in_degrees else _unit(size) or size)
         readings += [Reading(unit, sign < 0.0), Reading(unit, sign > 0.0)]
     found = wheels.best(readings)
     if found is None and not np.ptp(wheels.places, axis=1).any():
