@@ -8,7 +8,7 @@ from tools.count_numbers import bare_floats, constant_names, count_fields, count
 
 MOST_CONSTANTS = 254
 MOST_BARE_FLOATS = 133
-MOST_FIELDS = 149
+MOST_FIELDS = 151
 MOST_LINES = 45_000
 
 

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from slam.config.calibration import Calibration
+from slam.datasets.corrections import corrected
 from slam.datasets.dataset import Dataset, Tally, Thinned
 from slam.datasets.inspection_bag import bag_facts
 from slam.datasets.inspection_camera import CameraFigures
@@ -19,11 +21,16 @@ from slam.datasets.inspection_cloud import CloudFigures
 from slam.measurements import LaserScan, PointCloud, RgbdFrame, WheelOdometry
 
 
-def inspect_dataset(dataset: Dataset) -> dict[str, Any]:
+def inspect_dataset(dataset: Dataset, calibration: Calibration | None = None) -> dict[str, Any]:
     """Read a log once, from end to end, and tell what it holds.
 
     ``first_stamp_s`` is the earliest stamp, ``duration_s`` the latest less that; ``dropped`` has the damaged
     records by reason and ``notes`` what is odd, each with a count, its first lines and the largest.
+
+    Parameters
+    ----------
+    calibration
+        Corrections of sensors; None for none.
 
     Raises
     ------
@@ -34,7 +41,7 @@ def inspect_dataset(dataset: Dataset) -> dict[str, Any]:
     """
     streams: dict[str, _Stream] = {}
     earliest_s, latest_s = math.inf, -math.inf
-    for measurement in dataset:
+    for measurement in corrected(dataset, calibration or Calibration()):
         stream = streams.setdefault(measurement.sensor, _Stream())
         stream.add_stamp(measurement.stamp_s)
         if isinstance(measurement, LaserScan):

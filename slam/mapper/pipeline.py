@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 
-from slam.config import Config
+from slam.config import Config, calibrated
 from slam.datasets.dataset import Dataset
+from slam.datasets.recording import without_images
+from slam.doctor.diagnosis import diagnose
+from slam.doctor.finding import Finding, remedied
 from slam.errors import DatasetError
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.lidar2d import PlanarRobot
@@ -51,8 +54,10 @@ def build_map(
     DatasetError
         Where the log holds nothing that can be mapped.
     """
-    choice = SensorChoice.of(dataset, config.sensors)
     checkpoint = checkpoint or Checkpoint()
+    findings = checkpoint.findings(lambda: findings_of(dataset, config))
+    config = settled(config, findings)
+    choice = SensorChoice.of(dataset, config.sensors)
     registrations = checkpoint.registrations(
         lambda: registrations_of(used_measurements(dataset, config.sensors), choice.cameras, config)
     )
@@ -64,10 +69,26 @@ def build_map(
     _feed(mapper, dataset, config, prepare, on_scan)
     if not mountings and (mountings := mapper.learned_mountings()):
         # The way up to there was mapped without these cameras; now they are known from its beginning.
-        checkpoint.begin_again(registrations, mountings)
+        checkpoint.begin_again(findings, registrations, mountings)
         mapper = Mapper(config, PlanarRobot(config, checkpoint, registrations, mountings, odometries))
         _feed(mapper, dataset, config, prepare, on_scan)
-    return mapper.finish()
+    result = mapper.finish()
+    result.notes += [f"{finding.line} (used)" for finding in findings if finding.sure and finding.remedies]
+    result.warnings += [finding.line for finding in findings if not (finding.sure and finding.remedies)]
+    return result
+
+
+def findings_of(dataset: Dataset, config: Config) -> list[Finding]:
+    """What is wrong with the sensors of a log; nothing where that is not asked for."""
+    if not config.sensors.doctor:
+        return []
+    with without_images(dataset):
+        return diagnose(used_measurements(dataset, config.sensors))
+
+
+def settled(config: Config, findings: Iterable[Finding]) -> Config:
+    """A configuration with the remedies of what is beyond doubt; what a person has calibrated stays."""
+    return calibrated(config, remedied(config.sensors.calibration, findings, only_sure=True))
 
 
 def _front_end(

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from slam.config.stages import SensorsConfig
+from slam.datasets.corrections import corrected
 from slam.measurements import LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
 
 _LOOK_S = 3.0
@@ -51,8 +52,8 @@ class SensorChoice:
 
 
 def used_measurements(log: Iterable[Measurement], config: SensorsConfig) -> Iterator[Measurement]:
-    """The measurements of a log in its order, without those of sensors that are not used."""
-    for measurement in log:
+    """The measurements of a log as they are corrected, without those of sensors that are not used."""
+    for measurement in corrected(log, config.calibration):
         if isinstance(measurement, RgbdFrame):
             if config.rgbd:
                 yield measurement

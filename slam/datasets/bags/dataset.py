@@ -68,6 +68,8 @@ class BagDataset:
     ----------
     figures
         What the latest pass found out about topics, clocks and frames.
+    read_images
+        Whether frames come at all; without them the other sensors are read many times as fast.
     """
 
     def __init__(self, path: Path, *, strict: bool = False, topics: tuple[str, ...] = ()) -> None:
@@ -75,6 +77,7 @@ class BagDataset:
         self.name = plain(path.resolve().name)
         self.report = ReadReport()
         self.figures = BagFigures()
+        self.read_images = True
         self._strict, self._topics = strict, topics
         self._opened: tuple[Bag, Survey, Layout] | None = None
 
@@ -96,7 +99,8 @@ class BagDataset:
             report.note(note, 1)
         budget = bag.budget()
         for done in prefetched(
-            _stream(bag, layout, account, budget, self.figures), lambda item: _decoded(item, budget)
+            _stream(bag, layout, account, budget, self.figures, images=self.read_images),
+            lambda item: _decoded(item, budget),
         ):
             if done.fault is not None:
                 account.refuse(done.fault, done.where, done.number)
@@ -108,7 +112,7 @@ class BagDataset:
         for cloud in layout.clouds:
             if cloud.times.choice:
                 report.note(f"{cloud.topic}: {cloud.times.choice}", 1)
-        if report.measurement_count == 0:
+        if report.measurement_count == 0 and self.read_images:
             raise DatasetError(_nothing_usable(self.path, report, survey))
 
     def groundtruth(self) -> Trajectory | None:
@@ -130,7 +134,7 @@ def open_bag(path: Path, strict: bool, topics: tuple[str, ...] = ()) -> BagDatas
 
 
 def _stream(
-    bag: Bag, layout: Layout, account: Account, budget: Budget, figures: BagFigures
+    bag: Bag, layout: Layout, account: Account, budget: Budget, figures: BagFigures, *, images: bool
 ) -> Iterator[_Done | _FrameToDo]:
     """The bag in order, images not decoded yet."""
     time_merge: TimeMerge[_FrameToDo] = TimeMerge()
@@ -138,6 +142,8 @@ def _stream(
     reader = _Reader(layout, Decoder(budget), account, figures)
     for record in bag.records(account, budget):
         now_s = record.recorded_s
+        if not images and record.channel.topic in layout.images:
+            continue
         for item in reader.read(record):
             if isinstance(item, StampedImage):
                 place, is_depth = layout.images[record.channel.topic]

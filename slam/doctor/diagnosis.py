@@ -1,0 +1,108 @@
+"""``scanweave doctor``: a log looked at, and what is wrong with it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fusion.estimation import FEWEST
+from slam.config import Config
+from slam.doctor.finding import Finding
+from slam.doctor.own_body import blocked_beams, blocked_finding, without
+from slam.doctor.pair import Pair
+from slam.doctor.samples import Samples
+from slam.doctor.wheels_and_lidar import compare
+from slam.measurements import LaserScan, Measurement
+
+
+def diagnose(log: Iterable[Measurement]) -> list[Finding]:
+    """What the sensors of a log say of each other that cannot be.
+
+    The log is read once; what is matched is a bounded number of stretches spread over it.
+
+    Parameters
+    ----------
+    log
+        A dataset, or measurements in the order in which they came.
+
+    Returns
+    -------
+    What is wrong; nothing of a sound log.
+
+    Raises
+    ------
+    DatasetError
+        Where the log cannot be read.
+
+    Examples
+    --------
+    >>> import slam
+    >>> from slam.simulation.synthetic_log import write_synthetic_log
+    >>> slam.diagnose(slam.open_dataset(write_synthetic_log("monday", duration_s=20.0).log_path))
+    []
+    """
+    return examine(log).findings
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """What is wrong, and what the log leaves open, one line each."""
+
+    findings: list[Finding]
+    open: list[str]
+
+
+def examine(log: Iterable[Measurement]) -> Diagnosis:
+    """As `diagnose`, with what could not be judged."""
+    samples, config = Samples.of(log), Config()
+    findings, unknown = _repeated_scans(samples), list[str]()
+    wheels = max(samples.wheels.items(), key=lambda item: item[1].count, default=None)
+    for name, lidar in samples.lidars.items():
+        if not lidar.stretches:
+            continue
+        stretches = lidar.stretches
+        blocked = blocked_beams(stretches, config)
+        if blocked is not None and (finding := blocked_finding(name, blocked)):
+            findings.append(finding)
+            stretches = [[without(scan, blocked) for scan in scans] for scans in stretches]
+        if wheels is None:
+            continue
+        stretches, scale = _within_reach(stretches, config)
+        found, left_open = compare(Pair(wheels[0], name, wheels[1].rows(), stretches, scale), config)
+        findings += found
+        unknown += left_open
+    return Diagnosis(findings, unknown)
+
+
+def _within_reach(stretches: list[list[LaserScan]], config: Config) -> tuple[list[list[LaserScan]], float]:
+    """Scans, and by what they were multiplied: millimetres are brought to what can be matched."""
+    ranges = np.concatenate([scans[0].ranges_m for scans in stretches])
+    ranges = ranges[np.isfinite(ranges)]
+    far = float(np.median(ranges)) / config.scan.range_max_m if ranges.size else 0.0
+    if far < 0.5:
+        return stretches, 1.0
+    # To a twentieth at most of what is matched, as rooms are.
+    scale = 10.0 ** -math.ceil(math.log10(FEWEST * far))
+    return [
+        [replace(scan, ranges_m=scan.ranges_m * np.float32(scale)) for scan in scans] for scans in stretches
+    ], scale
+
+
+def _repeated_scans(samples: Samples) -> list[Finding]:
+    """Lidars that tell the same scan again and again."""
+    return [
+        Finding(
+            name,
+            "repeated scans",
+            f"{lidar.repeated} of {lidar.count} scans are the scan before, to the bit",
+            "the map takes it that the robot stands",
+            ({"lidars": {name: {"drop_repeated": True}}},),
+            sure=True,
+            value=lidar.repeated / lidar.count,
+        )
+        for name, lidar in samples.lidars.items()
+        if lidar.repeated >= FEWEST and 2 * lidar.repeated > lidar.count
+    ]
