@@ -9,7 +9,7 @@ from tools.count_numbers import bare_floats, constant_names, count_fields, count
 MOST_CONSTANTS = 250
 MOST_BARE_FLOATS = 133
 MOST_FIELDS = 149
-MOST_LINES = 38_731
+MOST_LINES = 39_090
 
 
 def test_constants_of_the_logic_do_not_grow() -> None:

@@ -16,14 +16,17 @@ from slam.datasets.dataset import Dataset, Tally, Thinned
 from slam.datasets.inspection_bag import bag_facts
 from slam.datasets.inspection_camera import CameraFigures
 from slam.datasets.inspection_cloud import CloudFigures
+from slam.datasets.sensor_choice import SensorTally
 from slam.measurements import LaserScan, PointCloud, RgbdFrame, WheelOdometry
 
 
 def inspect_dataset(dataset: Dataset) -> dict[str, Any]:
     """Read a log once, from end to end, and tell what it holds.
 
-    ``first_stamp_s`` is the earliest stamp, ``duration_s`` the latest less that; ``dropped`` has the damaged
-    records by reason and ``notes`` what is odd, each with a count, its first lines and the largest.
+    ``first_stamp_s`` is the earliest stamp, ``duration_s`` the latest less that; ``uses`` tells of every
+    sensor and topic whether mapping by the default settings uses it, and else why not; ``dropped``
+    has the damaged records by reason and ``notes`` what is odd, each with a count, its first lines and the
+    largest.
 
     Raises
     ------
@@ -32,9 +35,10 @@ def inspect_dataset(dataset: Dataset) -> dict[str, Any]:
     BadRecordError
         A damaged record, where the dataset was opened with ``strict``.
     """
+    tally = SensorTally()
     streams: dict[str, _Stream] = {}
     earliest_s, latest_s = math.inf, -math.inf
-    for measurement in dataset:
+    for measurement in tally.counted(dataset):
         stream = streams.setdefault(measurement.sensor, _Stream())
         stream.add_stamp(measurement.stamp_s)
         if isinstance(measurement, LaserScan):
@@ -58,7 +62,7 @@ def inspect_dataset(dataset: Dataset) -> dict[str, Any]:
             for name in sorted(streams)
         ],
         "records": dict(report.records),
-        "ignored": dict(report.ignored),
+        "uses": [asdict(use) for use in tally.uses(report)],
         "dropped": {reason: asdict(tally) for reason, tally in report.dropped.items()},
         "notes": {text: asdict(tally) for text, tally in report.notes.items()},
         "odometry_jumps": asdict(report.odometry_jumps),
