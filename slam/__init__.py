@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from slam.config import Config as Config
     from slam.config import load_config as load_config
     from slam.datasets import open_dataset as open_dataset
+    from slam.doctor.diagnosis import diagnose as diagnose
     from slam.errors import ScanweaveError as ScanweaveError
     from slam.evaluation.score import evaluate as evaluate
     from slam.graph.loop_closure import LoopCandidate as LoopCandidate
@@ -64,6 +65,7 @@ _NAMES = {
     "slam.app.progress": "Progress",
     "slam.config": "Config load_config",
     "slam.datasets": "open_dataset",
+    "slam.doctor.diagnosis": "diagnose",
     "slam.errors": "ScanweaveError",
     "slam.evaluation.score": "evaluate",
     "slam.graph.loop_closure": "LoopCandidate",

@@ -22,7 +22,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"slam.localization"}),
     frozenset({"slam.outputs"}),  # a finished map and its files
     frozenset({"slam.mapper"}),  # the main loop
-    frozenset({"slam.storage"}),
+    frozenset({"slam.doctor", "slam.storage"}),
     frozenset({"slam.odometry", "slam.graph", "slam.mapping", "slam.datasets", "slam.trajectory"}),
     # kernels shared by odometry, graph and localization
     frozenset({"slam.matching", "slam.vision"}),

@@ -96,6 +96,10 @@ RecordOption = Annotated[
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="JSON instead of text")]
+CalibrationOption = Annotated[
+    Path | None,
+    typer.Option("--calibration", help="a file of corrections of sensors, as 'scanweave doctor' writes it"),
+]
 TopicsOption = Annotated[
     list[str] | None,
     typer.Option("--topics", help="of a bag with several topics of a sort: those to read; with commas"),

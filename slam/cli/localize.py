@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from slam.cli.app import (
+    CalibrationOption,
     ConfigOption,
     LogArgument,
     OutOption,
@@ -32,6 +33,7 @@ def localize(
     set_: SetOption = None,
     strict: StrictOption = False,
     topics: TopicsOption = None,
+    calibration: CalibrationOption = None,
     record: RecordOption = None,
     update: Annotated[
         bool, typer.Option("--update", help="then add the log to the map, as 'scanweave map LOG --into MAP'")
@@ -46,7 +48,7 @@ def localize(
     from slam.outputs.finished_map import open_map
     from slam.storage.map_file import MAP_NAME
 
-    settings = load_config(config, [*(set_ or []), *topics_override(topics)])
+    settings = load_config(config, [*(set_ or []), *topics_override(topics)], calibration=calibration)
     if (out / MAP_NAME).exists():
         raise MapFileError(f"{out} is the folder of a map, whose files would be replaced; give another --out")
     saved = open_map(map_)
@@ -66,4 +68,6 @@ def localize(
     if update:
         from slam.cli.map_log import map_into
 
-        map_into(log, map_, None, settings if config or set_ else None, strict=strict, resume=False)
+        map_into(
+            log, map_, None, settings if config or set_ or calibration else None, strict=strict, resume=False
+        )

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from slam.cli.app import (
+    CalibrationOption,
     ConfigOption,
     LogArgument,
     RecordOption,
@@ -53,6 +54,7 @@ def map_command(
     ] = False,
     strict: StrictOption = False,
     topics: TopicsOption = None,
+    calibration: CalibrationOption = None,
     resume: Annotated[
         bool,
         typer.Option("--resume", help="go on with the map that an interrupted run has left in the folder"),
@@ -76,9 +78,16 @@ def map_command(
         raise typer.BadParameter("--resume goes on with what is there, --force replaces it: give one of them")
     from slam.config import load_config
 
-    settings = load_config(config, overrides)
+    settings = load_config(config, overrides, calibration=calibration)
     if into is not None:
-        map_into(log, into, out, settings if config or overrides else None, strict=strict, resume=resume)
+        map_into(
+            log,
+            into,
+            out,
+            settings if config or overrides or calibration else None,
+            strict=strict,
+            resume=resume,
+        )
     else:
         assert out is not None
         map_log(log, out, settings, strict=strict, resume=resume, force=force, record=record)

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from slam.cli.app import (
+    CalibrationOption,
     ConfigOption,
     JsonOption,
     LogArgument,
@@ -23,15 +24,27 @@ from slam.errors import ScanweaveError
 
 @command()
 def inspect(
-    log: LogArgument, as_json: JsonOption = False, strict: StrictOption = False, topics: TopicsOption = None
+    log: LogArgument,
+    as_json: JsonOption = False,
+    strict: StrictOption = False,
+    topics: TopicsOption = None,
+    calibration: CalibrationOption = None,
 ) -> None:
     """Tell what is in a log: sensors, rates, gaps, clock steps, dropped records."""
+    from slam.config import Config, load_calibration
     from slam.datasets import open_dataset
+    from slam.datasets.corrections import Corrected
     from slam.datasets.inspection import inspect_dataset
+    from slam.doctor.diagnosis import diagnose
     from slam.evaluation.pages import inspection_text
 
-    inspection = inspect_dataset(open_dataset(log, strict=strict, topics=topics_of(topics)))
-    print(json.dumps(inspection, indent=2) if as_json else inspection_text(inspection))
+    dataset = open_dataset(log, strict=strict, topics=topics_of(topics))
+    known = load_calibration(calibration) if calibration else Config().sensors.calibration
+    inspection = inspect_dataset(dataset, known)
+    findings = diagnose(Corrected(dataset, known))
+    inspection["findings"] = [{"line": finding.line, **finding.plain()} for finding in findings]
+    lines = [inspection_text(inspection), *(f"  finding: {finding.line}" for finding in findings)]
+    print(json.dumps(inspection, indent=2) if as_json else "\n".join(lines))
 
 
 @command()

@@ -12,7 +12,7 @@ import yaml
 from pydantic import Field, ValidationError, model_validator
 
 import slam
-from slam.config.stages import StrictModel
+from slam.config.strict import StrictModel
 from slam.errors import ConfigError
 
 # By way of the link to the top-level configs/, so that a wheel carries them as the presets.

@@ -17,6 +17,7 @@ from pydantic import BaseModel, Field, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
+from slam.config.calibration import Calibration
 from slam.config.clouds import CloudLoopConfig, CloudMapConfig, CloudOdometryConfig
 from slam.config.localization import CloudLocalizationConfig, LocalizationConfig
 from slam.config.stages import (
@@ -33,10 +34,10 @@ from slam.config.stages import (
     RgbdOdometryConfig,
     ScanConfig,
     SensorsConfig,
-    StrictModel,
     VisualLoopConfig,
     WheelConfig,
 )
+from slam.config.strict import StrictModel
 from slam.errors import ConfigError
 
 DEFAULT_PRESET = "lidar2d"
@@ -76,7 +77,12 @@ def preset_names() -> list[str]:
     return sorted(file.stem for file in _PRESET_FOLDER.glob("*.yaml"))
 
 
-def load_config(preset_or_path: str | None = None, overrides: Sequence[str] = ()) -> Config:
+def load_config(
+    preset_or_path: str | None = None,
+    overrides: Sequence[str] = (),
+    *,
+    calibration: Path | str | None = None,
+) -> Config:
     """Build the effective configuration: defaults, then a preset or file, then overrides.
 
     Parameters
@@ -85,6 +91,9 @@ def load_config(preset_or_path: str | None = None, overrides: Sequence[str] = ()
         Name of a preset, or path of a YAML file (ends in .yaml or .yml); None takes the default preset.
     overrides
         Texts like ``keyframes.distance_m=0.3``; the right side is read as YAML. Later ones win.
+    calibration
+        File of corrections of the log's sensors, see `load_calibration`; it takes the place of
+        ``sensors.calibration``.
 
     Raises
     ------
@@ -103,11 +112,39 @@ def load_config(preset_or_path: str | None = None, overrides: Sequence[str] = ()
     tree = _read_tree(file)
     # The file is judged alone first, so that a message blames the file or the override, not both.
     config = _validated(tree, source=file.name)
-    if not overrides:
-        return config
-    for override in overrides:
-        _apply_override(tree, override)
-    return _validated(tree, source="override")
+    if overrides:
+        for override in overrides:
+            _apply_override(tree, override)
+        config = _validated(tree, source="override")
+    return config if calibration is None else calibrated(config, load_calibration(calibration))
+
+
+def load_calibration(file: Path | str) -> Calibration:
+    """Corrections of a log's sensors, as ``scanweave doctor --write`` writes them.
+
+    Raises
+    ------
+    ConfigError
+        For a missing or malformed file, an unknown key or a bad value.
+    """
+    if not Path(file).is_file():
+        raise ConfigError(f"no calibration file at {file}; 'scanweave doctor LOG --write {file}' makes one")
+    tree = {"sensors": {"calibration": _read_tree(Path(file))}}
+    try:
+        return _validated(tree, str(file)).sensors.calibration
+    except ConfigError as error:
+        raise ConfigError(str(error).replace("sensors.calibration.", "")) from None
+
+
+def dump_calibration(calibration: Calibration) -> str:
+    """YAML text of corrections; `load_calibration` reads it back."""
+    return yaml.safe_dump(calibration.plain(), sort_keys=False, default_flow_style=None)
+
+
+def calibrated(config: Config, calibration: Calibration) -> Config:
+    """A configuration with other corrections of the log's sensors."""
+    sensors = config.sensors.model_copy(update={"calibration": calibration})
+    return config.model_copy(update={"sensors": sensors})
 
 
 def dump_config(config: StrictModel) -> str:

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-
-class StrictModel(BaseModel):
-    """Base of every stage model: unknown keys and silent type changes are errors, values are final."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+from slam.config.calibration import Calibration
+from slam.config.strict import StrictModel
 
 
 class SensorsConfig(StrictModel):
@@ -38,6 +35,7 @@ class SensorsConfig(StrictModel):
         description="planar: a robot on a floor, SE(2); spatial: a 3D lidar or a hand-held camera, SE(3); "
         "auto: by a 3D lidar where it is the only one, else planar where the log holds a lidar or wheels",
     )
+    calibration: Calibration = Calibration()
 
 
 class ScanConfig(StrictModel):

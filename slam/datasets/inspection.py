@@ -12,6 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from slam.config.calibration import Calibration
+from slam.config.stages import SensorsConfig
+from slam.datasets.corrections import corrected
 from slam.datasets.dataset import Dataset, Tally, Thinned
 from slam.datasets.inspection_bag import bag_facts
 from slam.datasets.inspection_camera import CameraFigures
@@ -20,13 +23,18 @@ from slam.datasets.sensor_choice import SensorTally
 from slam.measurements import LaserScan, PointCloud, RgbdFrame, WheelOdometry
 
 
-def inspect_dataset(dataset: Dataset) -> dict[str, Any]:
+def inspect_dataset(dataset: Dataset, calibration: Calibration | None = None) -> dict[str, Any]:
     """Read a log once, from end to end, and tell what it holds.
 
     ``first_stamp_s`` is the earliest stamp, ``duration_s`` the latest less that; ``uses`` tells of every
     sensor and topic whether mapping by the default settings uses it, and else why not; ``dropped``
     has the damaged records by reason and ``notes`` what is odd, each with a count, its first lines and the
     largest.
+
+    Parameters
+    ----------
+    calibration
+        Corrections of sensors; None for none.
 
     Raises
     ------
@@ -35,10 +43,11 @@ def inspect_dataset(dataset: Dataset) -> dict[str, Any]:
     BadRecordError
         A damaged record, where the dataset was opened with ``strict``.
     """
-    tally = SensorTally()
+    calibration = calibration or Calibration()
+    tally = SensorTally(config=SensorsConfig(calibration=calibration))
     streams: dict[str, _Stream] = {}
     earliest_s, latest_s = math.inf, -math.inf
-    for measurement in tally.counted(dataset):
+    for measurement in corrected(tally.counted(dataset), calibration):
         stream = streams.setdefault(measurement.sensor, _Stream())
         stream.add_stamp(measurement.stamp_s)
         if isinstance(measurement, LaserScan):

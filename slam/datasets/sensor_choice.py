@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from itertools import groupby
 
 from slam.config.stages import SensorsConfig
+from slam.datasets.corrections import corrected, left_out
 from slam.datasets.dataset import ReadReport
 from slam.measurements import LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
 
@@ -84,6 +85,8 @@ class SensorChoice:
 
     def why_not(self, kind: type, sensor: str) -> str:
         """Why a sensor of a type of measurement is not used; empty where it is."""
+        if left_out(self.config.calibration, kind, sensor):
+            return "the calibration leaves it out"
         if kind is RgbdFrame:
             return self._why_not_camera(sensor)
         if kind is WheelOdometry:
@@ -162,10 +165,11 @@ class SensorTally:
     Attributes
     ----------
     choice
-        How the log is mapped; None where its beginning, as it is read, decides by the default settings.
+        How the log is mapped; where it is not given, the beginning decides by the settings.
     """
 
     choice: SensorChoice | None = None
+    config: SensorsConfig = field(default_factory=SensorsConfig)
     counts: Counter[tuple[type, str]] = field(default_factory=Counter)
 
     def counted(self, log: Iterable[Measurement]) -> Iterator[Measurement]:
@@ -174,10 +178,10 @@ class SensorTally:
         for measurement in log:
             self.counts[type(measurement), measurement.sensor] += 1
             if beginning is not None and not beginning.add(measurement):
-                self.choice, beginning = beginning.choice(SensorsConfig()), None
+                self.choice, beginning = beginning.choice(self.config), None
             yield measurement
         if beginning is not None:
-            self.choice = beginning.choice(SensorsConfig())
+            self.choice = beginning.choice(self.config)
 
     def uses(self, report: ReadReport, unused: Mapping[str, str] | None = None) -> list[SensorUse]:
         """What became of everything in the log: its sensors by name, then what the reader did not read.
@@ -208,8 +212,8 @@ class SensorTally:
 
 
 def used_measurements(log: Iterable[Measurement], config: SensorsConfig) -> Iterator[Measurement]:
-    """The measurements of a log in its order, without those of sorts that the configuration leaves out."""
-    for measurement in log:
+    """The measurements of a log as they are corrected, without those of sorts that are left out."""
+    for measurement in corrected(log, config.calibration):
         if isinstance(measurement, RgbdFrame):
             if config.rgbd:
                 yield measurement

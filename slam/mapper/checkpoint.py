@@ -7,9 +7,10 @@ same state, without the time that the answers took.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar, cast
 
+from slam.doctor.finding import Finding
 from slam.errors import MapFileError
 from slam.mapper.mount_learner import LearnedMounting
 from slam.storage.map_clouds import MapClouds
@@ -22,7 +23,7 @@ from slam.vision.color_registration import ColorRegistration
 T = TypeVar("T")
 
 _LENGTH = struct.Struct("<I")
-_REGISTRATIONS, _MOUNTINGS = "registrations", "mountings"
+_FINDINGS, _REGISTRATIONS, _MOUNTINGS = "findings", "registrations", "mountings"
 
 
 class Checkpoint:
@@ -66,19 +67,29 @@ class Checkpoint:
             self._file.commit_if_due()
         return answer
 
+    def findings(self, compute: Callable[[], list[Finding]]) -> list[Finding]:
+        """What is wrong with the sensors: the first question of a run."""
+        found: list[dict[str, Any]] = self.cached(
+            _FINDINGS, 0.0, lambda: [finding.plain() for finding in compute()]
+        )
+        return [Finding.from_plain(row) for row in found]
+
     def registrations(
         self, compute: Callable[[], dict[str, ColorRegistration]]
     ) -> dict[str, ColorRegistration]:
-        """Where colour cameras sit that are not registered to depth: the first question of a run."""
+        """Where colour cameras sit that are not registered to depth: the second question."""
         return dict(self.cached(_REGISTRATIONS, 0.0, lambda: list(compute().items())))
 
     def mountings(self) -> dict[str, LearnedMounting]:
-        """Where cameras sit on the robot, learned by a first pass over the log; the second question."""
+        """Where cameras sit on the robot, learned by a first pass over the log; the third question."""
         rows: list[tuple[str, Any, str]] = self.cached(_MOUNTINGS, 0.0, list)
         return {name: LearnedMounting(pose, note) for name, pose, note in rows}
 
     def begin_again(
-        self, registrations: Mapping[str, ColorRegistration], mountings: Mapping[str, LearnedMounting]
+        self,
+        findings: Sequence[Finding],
+        registrations: Mapping[str, ColorRegistration],
+        mountings: Mapping[str, LearnedMounting],
     ) -> None:
         """Forget all but what a first pass over the log has learned."""
         if self._file is None:
@@ -87,6 +98,7 @@ class Checkpoint:
         self._count = self._first_waiting = 0
         for table in (CHECKPOINT, FRAMES, IMAGES):
             self._file.clear(table)
+        self._remember(_FINDINGS, 0.0, [finding.plain() for finding in findings])
         self._remember(_REGISTRATIONS, 0.0, list(registrations.items()))
         rows = [(name, found.T_base_camera, found.note) for name, found in mountings.items()]
         self._remember(_MOUNTINGS, 0.0, rows)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 
-from slam.config import Config
+from slam.config import Config, calibrated
 from slam.datasets.dataset import Dataset
-from slam.datasets.sensor_choice import SensorChoice, SensorTally, use_lines
+from slam.datasets.sensor_choice import SensorChoice, SensorTally, use_lines, used_measurements
+from slam.doctor.diagnosis import diagnose
+from slam.doctor.finding import Finding, remedied
 from slam.errors import DatasetError
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.lidar2d import PlanarRobot
@@ -51,8 +53,10 @@ def build_map(
     DatasetError
         Where the log holds nothing that can be mapped.
     """
-    choice = SensorChoice.of(dataset, config.sensors)
     checkpoint = checkpoint or Checkpoint()
+    findings = checkpoint.findings(lambda: diagnose(used_measurements(dataset, config.sensors)))
+    config = settled(config, findings)
+    choice = SensorChoice.of(dataset, config.sensors)
     registrations = checkpoint.registrations(
         lambda: registrations_of(choice.used(dataset), choice.cameras, config)
     )
@@ -64,13 +68,20 @@ def build_map(
     tally = _feed(mapper, dataset, choice, prepare, on_scan)
     if not mountings and (mountings := mapper.learned_mountings()):
         # The way up to there was mapped without these cameras; now they are known from its beginning.
-        checkpoint.begin_again(registrations, mountings)
+        checkpoint.begin_again(findings, registrations, mountings)
         mapper = Mapper(config, PlanarRobot(config, checkpoint, registrations, mountings, odometries))
         tally = _feed(mapper, dataset, choice, prepare, on_scan)
     result = mapper.finish()
     result.uses = tally.uses(dataset.report, result.unused)
+    result.notes += [f"{finding.line} (used)" for finding in findings if finding.sure and finding.remedies]
     result.notes += use_lines(result.uses)
+    result.warnings += [finding.line for finding in findings if not (finding.sure and finding.remedies)]
     return result
+
+
+def settled(config: Config, findings: Iterable[Finding]) -> Config:
+    """A configuration with the remedies of what is beyond doubt; what a person has calibrated stays."""
+    return calibrated(config, remedied(config.sensors.calibration, findings, only_sure=True))
 
 
 def _front_end(

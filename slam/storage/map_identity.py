@@ -89,9 +89,9 @@ class MapIdentity:
         if now.log_fingerprint != self.log_fingerprint:
             return f"it was begun with another log, {self.log_name}"
         before, after = (dict(_leaves(one.config.model_dump(mode="json"))) for one in (self, now))
-        for name, value in after.items():
-            if before[name] != value:
-                return f"it was begun with {name}={before[name]}, not {value}"
+        for name in {**before, **after}:
+            if before.get(name) != after.get(name):
+                return f"it was begun with {name}={before.get(name)}, not {after.get(name)}"
         for name in {**self.versions, **now.versions}:
             if self.versions.get(name) != now.versions.get(name):
                 return f"it was begun with {name} {self.versions.get(name)}, not {now.versions.get(name)}"

@@ -1,0 +1,88 @@
+"""What a person, or the doctor, knows better than a log: corrections of its sensors, by their names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pydantic import Field, model_validator
+
+from slam.config.strict import StrictModel
+
+
+class PlanarMounting(StrictModel):
+    """Where a sensor sits on the robot: x forward, y left, turned counter-clockwise."""
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    yaw_deg: float = 0.0
+
+
+class SensorCorrection(StrictModel):
+    """What any sensor may need."""
+
+    use: bool = Field(default=True, description="false leaves the sensor out")
+    drop_repeated: bool = Field(default=False, description="leave out readings that equal the one before")
+    clock_offset_s: float = Field(
+        default=0.0, ge=-1e4, le=1e4, description="by how much its stamps are ahead; taken off"
+    )
+
+
+class WheelCorrection(SensorCorrection):
+    """Wheel odometry: first what is written is read anew, then the steps are scaled.
+
+    ``axes`` and ``heading_scale`` say what the three written numbers mean, ``turn_scale`` what a turn of the
+    wheels is worth: the way is then put together anew.
+    """
+
+    scale: float = Field(default=1.0, gt=0, description="of the way: 0.001 where it is in millimetres")
+    axes: str = Field(
+        default="x y",
+        pattern=r"^(-?x -?y|-?y -?x)$",
+        description="what stands where x and y should: 'x -y' where y has the wrong sign, 'y x' swapped",
+    )
+    heading_scale: float = Field(
+        default=1.0, description="of the written heading: -1 lost its sign, 0.0174533 is in degrees"
+    )
+    mirrored: bool = Field(default=False, description="left is right: y and the heading have the wrong sign")
+    turn_scale: float = Field(default=1.0, gt=0, description="of every turn, the way put together anew")
+
+
+class LidarCorrection(SensorCorrection):
+    """A 2D lidar; what is not given stays as the log tells it."""
+
+    T_base_laser: PlanarMounting | None = Field(default=None, description="where it sits")
+    upside_down: bool = Field(default=False, description="beams run the other way round")
+    range_scale: float = Field(default=1.0, gt=0, description="of the ranges: 0.3048 where they are in feet")
+    start_angle_deg: float | None = Field(default=None, ge=-720, le=720, description="bearing of beam 0")
+    step_deg: float | None = Field(default=None, ge=-90, le=90, description="from beam to beam")
+    blocked_beams: tuple[tuple[int, int], ...] = Field(
+        default=(), description="first and last beam, from 0, of those that see the robot itself"
+    )
+
+    @model_validator(mode="after")
+    def _beams_in_order(self) -> LidarCorrection:
+        """A stretch of beams begins before it ends."""
+        for first, last in self.blocked_beams:
+            if not 0 <= first <= last:
+                raise ValueError(f"beams {first} to {last} are no stretch of beams")
+        return self
+
+
+class Calibration(StrictModel):
+    """Corrections by the sensors' names, as 'scanweave inspect' lists them."""
+
+    wheels: dict[str, WheelCorrection] = Field(default={}, description="corrections of wheels, by name")
+    lidars: dict[str, LidarCorrection] = Field(default={}, description="corrections of 2D lidars, by name")
+
+    def merged(self, entries: Mapping[str, Mapping[str, Mapping[str, object]]]) -> Calibration:
+        """With more entries, by kind and name of the sensor; what is there already stays as it is."""
+        tree = self.plain()
+        for kind, sensors in entries.items():
+            for name, fields in sensors.items():
+                of_kind = tree.setdefault(kind, {})
+                of_kind[name] = {**fields, **of_kind.get(name, {})}
+        return Calibration.model_validate(tree, strict=False)
+
+    def plain(self) -> dict[str, dict[str, dict[str, object]]]:
+        """As plain values, without what is as the log tells it."""
+        return self.model_dump(mode="json", exclude_defaults=True)

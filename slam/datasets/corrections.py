@@ -1,0 +1,215 @@
+"""A log's measurements as a calibration corrects them: the one place where that is done."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from slam.config.calibration import Calibration, LidarCorrection, SensorCorrection, WheelCorrection
+from slam.datasets.dataset import Dataset, ReadReport
+from slam.errors import DatasetError
+from slam.matching.planar import wrap
+from slam.measurements import FloatArray, LaserScan, Measurement, Trajectory, WheelOdometry
+
+
+class Corrected:
+    """A dataset with its measurements corrected; see `slam.datasets.dataset.Dataset`."""
+
+    def __init__(self, dataset: Dataset, calibration: Calibration) -> None:
+        self._dataset, self._calibration = dataset, calibration
+        self.name, self.path = dataset.name, Path(dataset.path)
+
+    @property
+    def report(self) -> ReadReport:
+        """Of the latest pass over the log."""
+        return self._dataset.report
+
+    def __iter__(self) -> Iterator[Measurement]:
+        """The log from its beginning; see `corrected`."""
+        return iter(corrected(self._dataset, self._calibration))
+
+    def groundtruth(self) -> Trajectory | None:
+        """That of the log."""
+        return self._dataset.groundtruth()
+
+
+def corrected(log: Iterable[Measurement], calibration: Calibration) -> Iterable[Measurement]:
+    """The measurements of a log as a calibration corrects them.
+
+    They come in the order of the log; where clocks are corrected, in that of the corrected stamps.
+
+    Raises
+    ------
+    DatasetError
+        At the end, where the calibration is of a sensor that the log does not hold; where a lidar has not
+        the beams that are to be left out.
+    """
+    if calibration == Calibration():
+        return log
+    stream = _corrected_one_by_one(log, calibration)
+    offsets_s = [correction.clock_offset_s for correction in _by_name(calibration).values()]
+    return _in_time(stream, max([0.0, *offsets_s]) - min([0.0, *offsets_s])) if any(offsets_s) else stream
+
+
+def left_out(calibration: Calibration, kind: type, sensor: str) -> bool:
+    """Whether a calibration leaves a sensor out, of a type of measurement and by name."""
+    correction = _by_name(calibration).get((kind, sensor))
+    return correction is not None and not correction.use
+
+
+def _by_name(calibration: Calibration) -> dict[tuple[type, str], SensorCorrection]:
+    """Every correction by what it corrects: type of the measurement, and name of the sensor."""
+    kinds: dict[type, dict[str, Any]] = {WheelOdometry: calibration.wheels, LaserScan: calibration.lidars}
+    return {(kind, name): one for kind, sensors in kinds.items() for name, one in sensors.items()}
+
+
+def _corrected_one_by_one(log: Iterable[Measurement], calibration: Calibration) -> Iterator[Measurement]:
+    """Each measurement by itself, in the order of the log."""
+    by_name, seen = _by_name(calibration), dict[tuple[type, str], None]()
+    makers: dict[type, Callable[[Any], Callable[[Any], Any]]] = {WheelOdometry: _Wheels, LaserScan: _Lidar}
+    correctors = {key: makers[key[0]](correction) for key, correction in by_name.items()}
+    newest: dict[tuple[type, str], Measurement] = {}
+    for measurement in log:
+        key = type(measurement), measurement.sensor
+        seen[key] = None
+        correction = by_name.get(key)
+        if correction is None:
+            yield measurement
+            continue
+        if not correction.use or (correction.drop_repeated and repeats(newest.get(key), measurement)):
+            continue
+        newest[key] = measurement
+        yield replace(correctors[key](measurement), stamp_s=measurement.stamp_s - correction.clock_offset_s)
+    read_images = getattr(log, "read_images", True)
+    for kind, name in by_name if read_images else ():
+        if (kind, name) not in seen:
+            there = ", ".join(sorted(name for of_kind, name in seen if of_kind is kind)) or "none"
+            raise DatasetError(
+                f"the calibration corrects '{name}', which the log does not hold; it has: {there}"
+            )
+
+
+def repeats(before: Measurement | None, now: Measurement) -> bool:
+    """Whether a reading tells the same to the bit as the one before: what a sensor with noise never does."""
+    if isinstance(before, LaserScan) and isinstance(now, LaserScan):
+        return np.array_equal(before.ranges_m, now.ranges_m, equal_nan=True)
+    if isinstance(before, WheelOdometry) and isinstance(now, WheelOdometry):
+        return before.T_odom_base.equals(now.T_odom_base, 0.0)
+    return False
+
+
+class _Lidar:
+    """Scans of one lidar."""
+
+    def __init__(self, correction: LidarCorrection) -> None:
+        self._correction = correction
+
+    def __call__(self, scan: LaserScan) -> LaserScan:
+        given = self._correction
+        ranges = scan.ranges_m * np.float32(given.range_scale)
+        for first, last in given.blocked_beams:
+            if last >= ranges.size:
+                raise DatasetError(
+                    f"the calibration leaves out beams {first} to {last} of '{scan.sensor}', "
+                    f"which has {ranges.size}"
+                )
+            ranges[first : last + 1] = np.nan
+        start_rad = (
+            scan.start_angle_rad if given.start_angle_deg is None else math.radians(given.start_angle_deg)
+        )
+        step_rad = scan.step_rad if given.step_deg is None else math.radians(given.step_deg)
+        if given.upside_down:
+            start_rad, ranges = -(start_rad + step_rad * (ranges.size - 1)), ranges[::-1].copy()
+        mounting = given.T_base_laser
+        return replace(
+            scan,
+            ranges_m=ranges,
+            start_angle_rad=start_rad,
+            step_rad=step_rad,
+            range_max_m=scan.range_max_m * given.range_scale,
+            T_base_laser=scan.T_base_laser
+            if mounting is None
+            else gtsam.Pose2(mounting.x_m, mounting.y_m, math.radians(mounting.yaw_deg)),
+        )
+
+
+class _Wheels:
+    """Readings of one set of wheels."""
+
+    def __init__(self, correction: WheelCorrection) -> None:
+        self._correction = correction
+        signs = {"-": -1.0}
+        self._axes = np.zeros((2, 2))
+        for row, name in enumerate(correction.axes.split()):
+            self._axes[row, "xy".index(name[-1])] = signs.get(name[0], 1.0)
+        self._read: tuple[float, float] | None = None
+        self._turn_rad = 0.0
+        self._last: FloatArray | None = None
+        self._pose = np.zeros(3)
+
+    def __call__(self, reading: WheelOdometry) -> WheelOdometry:
+        given, read = self._correction, reading.T_odom_base
+        x, y = self._axes @ (read.x(), read.y())
+        written = np.array(
+            [given.scale * x, given.scale * y, given.heading_scale * self._heading(read.theta())]
+        )
+        if given.mirrored:
+            written[1:] = -written[1:]
+        if given.turn_scale != 1.0:
+            written = self._driven(written)
+        return replace(reading, T_odom_base=gtsam.Pose2(*written.tolist()))
+
+    def _heading(self, wrapped_rad: float) -> float:
+        """The written heading unwound: one in degrees was wrapped many a time on the way to here.
+
+        It goes on as it did: a turn changes less from reading to reading than it is.
+        """
+        if self._read is None:
+            self._read = wrapped_rad, wrapped_rad
+            return wrapped_rad
+        before_rad, unwound_rad = self._read
+        self._turn_rad += wrap(wrapped_rad - before_rad - self._turn_rad)
+        self._read = wrapped_rad, unwound_rad + self._turn_rad
+        return self._read[1]
+
+    def _driven(self, written: FloatArray) -> FloatArray:
+        """The way put together anew of steps whose turns are scaled."""
+        if self._last is not None:
+            turn_rad = float(written[2] - self._last[2])
+            dx, dy = (written - self._last)[:2]
+            # A step's chord points halfway between the headings at its ends.
+            chord_rad = math.atan2(dy, dx) - self._last[2] - 0.5 * turn_rad
+            turn_rad *= self._correction.turn_scale
+            ahead_rad = self._pose[2] + 0.5 * turn_rad + chord_rad
+            way_m = math.hypot(dx, dy)
+            step = np.array([way_m * math.cos(ahead_rad), way_m * math.sin(ahead_rad), turn_rad])
+            self._pose = self._pose + step
+        else:
+            self._pose = written
+        self._last = written
+        return self._pose
+
+
+def _in_time(stream: Iterable[Measurement], spread_s: float) -> Iterator[Measurement]:
+    """In the order of the corrected stamps, a sensor's own order kept: what comes late waits for no more
+    than the clocks differ.
+    """
+    waiting: list[tuple[float, int, Measurement]] = []
+    reached: dict[str, float] = {}
+    newest_s = -math.inf
+    for number, measurement in enumerate(stream):
+        at_s = max(reached.get(measurement.sensor, -math.inf), measurement.stamp_s)
+        reached[measurement.sensor] = at_s
+        newest_s = max(newest_s, at_s)
+        heapq.heappush(waiting, (at_s, number, measurement))
+        while waiting[0][0] < newest_s - spread_s:
+            yield heapq.heappop(waiting)[2]
+    while waiting:
+        yield heapq.heappop(waiting)[2]

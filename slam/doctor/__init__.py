@@ -1,0 +1,1 @@
+"""What the sensors of a log say of each other: mistakes of units, signs, mountings, clocks."""

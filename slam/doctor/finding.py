@@ -1,0 +1,103 @@
+"""One thing that is wrong with a sensor, and what mends it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from slam.config.calibration import Calibration
+
+# Corrections as a calibration file has them: kind of sensor, its name, the entries.
+Remedy = Mapping[str, Mapping[str, Mapping[str, Any]]]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What is wrong with a sensor.
+
+    Attributes
+    ----------
+    sensor
+        Its name in the log.
+    kind
+        What is wrong, in a word or two: the same for every log.
+    text
+        What was found, in one line, with its interval.
+    effect
+        What it does to the map.
+    remedies
+        What mends it, as entries of a calibration file: the likeliest first. More than one where the log
+        does not tell which it is, none where no calibration helps.
+    sure
+        Whether it is beyond doubt; then the mapper uses the remedy by itself.
+    value, interval
+        What was measured, and its 95 % interval; None where nothing is measured.
+    """
+
+    sensor: str
+    kind: str
+    text: str
+    effect: str
+    remedies: tuple[Remedy, ...] = ()
+    sure: bool = False
+    value: float | None = None
+    interval: tuple[float, float] | None = None
+
+    @property
+    def line(self) -> str:
+        """All of it in one line, for people."""
+        trust = "" if self.sure else "perhaps "
+        mend = " or ".join(remedy_text(remedy) for remedy in self.remedies)
+        told = f"{self.sensor}: {trust}{self.text}; {self.effect}"
+        return f"{told}; calibration: {mend}" if mend else told
+
+    def plain(self) -> dict[str, Any]:
+        """As plain values, for JSON."""
+        return {
+            "sensor": self.sensor,
+            "kind": self.kind,
+            "text": self.text,
+            "effect": self.effect,
+            "remedies": list(self.remedies),
+            "sure": self.sure,
+            "value": self.value,
+            "interval": None if self.interval is None else list(self.interval),
+        }
+
+    @classmethod
+    def from_plain(cls, row: dict[str, Any]) -> Finding:
+        """From what `plain` gave."""
+        low_high = row["interval"]
+        return cls(
+            **{
+                **row,
+                "remedies": tuple(row["remedies"]),
+                "interval": None if low_high is None else (low_high[0], low_high[1]),
+            }
+        )
+
+
+def remedy_text(remedy: Remedy) -> str:
+    """A remedy as it may stand in a calibration file, in one line."""
+    return ", ".join(
+        f"{kind}: {{{name}: {{{', '.join(f'{key}: {_shown(value)}' for key, value in entries.items())}}}}}"
+        for kind, sensors in remedy.items()
+        for name, entries in sensors.items()
+    )
+
+
+def remedied(calibration: Calibration, findings: Iterable[Finding], *, only_sure: bool) -> Calibration:
+    """A calibration with the likeliest remedies of findings; what it says already stays."""
+    for finding in findings:
+        if finding.remedies and (finding.sure or not only_sure):
+            calibration = calibration.merged(finding.remedies[0])
+    return calibration
+
+
+def _shown(value: Any) -> str:
+    """A value as YAML has it."""
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key}: {_shown(one)}' for key, one in value.items())}}}"
+    return json.dumps(value)

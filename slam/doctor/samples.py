@@ -1,0 +1,110 @@
+"""What the doctor keeps of a log: all that the wheels tell, and short stretches of scans spread over it."""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fusion.time_alignment import GAP_S
+from slam.datasets.corrections import repeats
+from slam.measurements import FloatArray, LaserScan, Measurement, WheelOdometry
+
+# Stretches of scans, between half as many and so many; scans in each, no more of them than so many a second.
+_STRETCHES, _SCANS, _RATE_HZ = 40, 20, 10.0
+
+
+@dataclass(slots=True)
+class WheelSamples:
+    """One set of wheels: every reading, stamps as they came."""
+
+    _rows: array[float] = field(default_factory=lambda: array("d"))
+    repeated: int = 0
+    _newest: WheelOdometry | None = None
+
+    def add(self, reading: WheelOdometry) -> None:
+        """Take the next reading."""
+        pose = reading.T_odom_base
+        self.repeated += repeats(self._newest, reading)
+        self._newest = reading
+        self._rows.extend((reading.stamp_s, pose.x(), pose.y(), pose.theta()))
+
+    def rows(self) -> FloatArray:
+        """(N, 4) stamp, x, y, heading, stamps rising; a reading older than one before is left out."""
+        rows = np.array(self._rows).reshape(-1, 4)
+        newest = np.maximum.accumulate(np.concatenate([[-np.inf], rows[:-1, 0]]))
+        return np.asarray(rows[rows[:, 0] > newest])
+
+
+@dataclass(slots=True)
+class LidarSamples:
+    """One lidar: stretches of scans spread evenly over the log, and how often a scan was the one before.
+
+    Attributes
+    ----------
+    stretches
+        Lists of scans, each within a few seconds.
+    count, repeated
+        Scans in all, and those that are the one before to the bit.
+    longest_m
+        Farthest return of all.
+    """
+
+    stretches: list[list[LaserScan]] = field(default_factory=list)
+    count: int = 0
+    repeated: int = 0
+    longest_m: float = 0.0
+    _open: list[LaserScan] = field(default_factory=list)
+    _stride: int = 1
+    _begun: int = 0
+    _newest: LaserScan | None = None
+
+    def add(self, scan: LaserScan) -> None:
+        """Take the next scan."""
+        self.count += 1
+        returns = scan.ranges_m[np.isfinite(scan.ranges_m)]
+        self.longest_m = max(self.longest_m, float(returns.max(initial=0.0)))
+        if repeats(self._newest, scan) and returns.size:
+            self.repeated += 1
+            return
+        self._newest = scan
+        if self._open:
+            since_s = scan.stamp_s - self._open[-1].stamp_s
+            if 0.0 <= since_s < 1.0 / _RATE_HZ:
+                return
+            if not 0.0 <= since_s < 2.0 * GAP_S or len(self._open) >= _SCANS:
+                self.close()
+        self._open.append(scan)
+
+    def close(self) -> None:
+        """End a stretch: every so many of them are kept, so that they are spread over the log."""
+        if self._begun % self._stride == 0 and len(self._open) > 1:
+            self.stretches.append(self._open)
+        self._begun += 1
+        self._open = []
+        if len(self.stretches) > _STRETCHES:
+            del self.stretches[1::2]
+            self._stride *= 2
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """All of a log, by the sensors' names."""
+
+    wheels: dict[str, WheelSamples]
+    lidars: dict[str, LidarSamples]
+
+    @classmethod
+    def of(cls, log: Iterable[Measurement]) -> Samples:
+        """Read a log once."""
+        samples = cls({}, {})
+        for measurement in log:
+            if isinstance(measurement, LaserScan):
+                samples.lidars.setdefault(measurement.sensor, LidarSamples()).add(measurement)
+            elif isinstance(measurement, WheelOdometry):
+                samples.wheels.setdefault(measurement.sensor, WheelSamples()).add(measurement)
+        for lidar in samples.lidars.values():
+            lidar.close()
+        return samples
