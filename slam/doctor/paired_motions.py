@@ -1,0 +1,78 @@
+"""Motions of a sensor and of the robot's base over the same time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from fusion.time_alignment import GAP_S, ClockOffset, clock_offset
+from slam.doctor.camera_samples import SensorStep
+from slam.measurements import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class BaseTrack:
+    """Where the base was, by wheels or a lidar.
+
+    Attributes
+    ----------
+    rows
+        (N, 4) stamp, x, y, heading, stamps rising.
+    """
+
+    rows: FloatArray
+
+    def poses(self, stamps_s: FloatArray) -> FloatArray:
+        """(K, 3) x, y, unwound heading between readings; NaN where none is near."""
+        told_s = self.rows[:, 0]
+        columns = [*self.rows[:, 1:3].T, np.unwrap(self.rows[:, 3])]
+        found = np.stack([np.interp(stamps_s, told_s, column) for column in columns], axis=1)
+        after = np.searchsorted(told_s, stamps_s).clip(1, len(told_s) - 1)
+        lone = (told_s[after] - told_s[after - 1] > GAP_S) | (stamps_s < told_s[0]) | (stamps_s > told_s[-1])
+        found[lone] = np.nan
+        return found
+
+    def steps(self, begun_s: FloatArray, ended_s: FloatArray) -> FloatArray:
+        """(K, 3) x, y and turn from one stamp to another, in the base frame at the first."""
+        before, after = self.poses(begun_s), self.poses(ended_s)
+        cos, sin = np.cos(before[:, 2]), np.sin(before[:, 2])
+        x, y, turn = (after - before).T
+        return np.stack([cos * x + sin * y, cos * y - sin * x, turn], axis=1)
+
+
+def clock_of(runs: Sequence[Sequence[SensorStep]], base: BaseTrack, most_s: float) -> ClockOffset | None:
+    """By how much a sensor's clock is ahead of the base's, by when both turn; None where that is open.
+
+    A sensor of which it is not known how it sits turns about the axis about which it turns most.
+    """
+    steps = [step for run in runs for step in run]
+    if not steps:
+        return None
+    turns = turns_of(steps)
+    _, _, axes = np.linalg.svd(turns, full_matrices=False)
+    about = turns @ axes[0]
+    spans = np.array([(step.begun_s, step.ended_s) for step in steps])
+    told = base.rows[:, 0]
+    base_spans, base_turns = np.stack([told[:-1], told[1:]], axis=1), np.diff(np.unwrap(base.rows[:, 3]))
+    found = [clock_offset(base_spans, sign * base_turns, spans, about, most_s) for sign in (1.0, -1.0)]
+    return max((one for one in found if one is not None), key=lambda one: one.correlation, default=None)
+
+
+def turns_of(steps: Sequence[SensorStep]) -> FloatArray:
+    """(N, 3) rotation vectors of steps."""
+    return np.array([gtsam.Rot3.Logmap(step.motion.rotation()) for step in steps]).reshape(-1, 3)
+
+
+def joined(runs: Sequence[Sequence[SensorStep]], count: int) -> list[SensorStep]:
+    """Steps of ``count`` that follow each other as one, each half way into the one before."""
+    found = []
+    for run in runs:
+        for first in range(0, len(run) - count + 1, max(1, count // 2)):
+            motion = gtsam.Pose3()
+            for step in run[first : first + count]:
+                motion = motion.compose(step.motion)
+            found.append(SensorStep(run[first].begun_s, run[first + count - 1].ended_s, motion))
+    return found
