@@ -35,6 +35,9 @@ class SensorsConfig(StrictModel):
         description="planar: a robot on a floor, SE(2); spatial: a 3D lidar or a hand-held camera, SE(3); "
         "auto: by a 3D lidar where it is the only one, else planar where the log holds a lidar or wheels",
     )
+    doctor: bool = Field(
+        default=True, description="compare the sensors first, and correct what is wrong beyond doubt"
+    )
     calibration: Calibration = Calibration()
 
 

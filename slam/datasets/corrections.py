@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,8 @@ from slam.datasets.dataset import Dataset, ReadReport
 from slam.errors import DatasetError
 from slam.matching.planar import wrap
 from slam.measurements import FloatArray, LaserScan, Measurement, Trajectory, WheelOdometry
+
+_RATE_READINGS = 4  # a rate is that over so many readings: stamps of single ones may all but meet
 
 
 class Corrected:
@@ -105,6 +108,29 @@ def repeats(before: Measurement | None, now: Measurement) -> bool:
     return False
 
 
+class Unwound:
+    """Written headings without their jumps by a full turn: one in degrees is wrapped many a time.
+
+    It goes on as it did: the rate of a turn changes less from reading to reading than it is.
+    """
+
+    def __init__(self) -> None:
+        self._recent: deque[tuple[float, float]] = deque(maxlen=_RATE_READINGS)
+
+    def of(self, stamp_s: float, wrapped_rad: float) -> float:
+        """The heading of the next reading."""
+        heading_rad = wrapped_rad
+        if self._recent:
+            (first_s, first_rad), (last_s, last_rad) = self._recent[0], self._recent[-1]
+            lasted_s, since_s = last_s - first_s, stamp_s - last_s
+            expected_rad = last_rad
+            if lasted_s > 0.0 and 0.0 <= since_s <= lasted_s:
+                expected_rad += (last_rad - first_rad) * since_s / lasted_s
+            heading_rad = expected_rad + wrap(wrapped_rad - expected_rad)
+        self._recent.append((stamp_s, heading_rad))
+        return heading_rad
+
+
 class _Lidar:
     """Scans of one lidar."""
 
@@ -149,8 +175,7 @@ class _Wheels:
         self._axes = np.zeros((2, 2))
         for row, name in enumerate(correction.axes.split()):
             self._axes[row, "xy".index(name[-1])] = signs.get(name[0], 1.0)
-        self._read: tuple[float, float] | None = None
-        self._turn_rad = 0.0
+        self._heading = Unwound()
         self._last: FloatArray | None = None
         self._pose = np.zeros(3)
 
@@ -158,26 +183,17 @@ class _Wheels:
         given, read = self._correction, reading.T_odom_base
         x, y = self._axes @ (read.x(), read.y())
         written = np.array(
-            [given.scale * x, given.scale * y, given.heading_scale * self._heading(read.theta())]
+            [
+                given.scale * x,
+                given.scale * y,
+                given.heading_scale * self._heading.of(reading.stamp_s, read.theta()),
+            ]
         )
         if given.mirrored:
             written[1:] = -written[1:]
         if given.turn_scale != 1.0:
             written = self._driven(written)
         return replace(reading, T_odom_base=gtsam.Pose2(*written.tolist()))
-
-    def _heading(self, wrapped_rad: float) -> float:
-        """The written heading unwound: one in degrees was wrapped many a time on the way to here.
-
-        It goes on as it did: a turn changes less from reading to reading than it is.
-        """
-        if self._read is None:
-            self._read = wrapped_rad, wrapped_rad
-            return wrapped_rad
-        before_rad, unwound_rad = self._read
-        self._turn_rad += wrap(wrapped_rad - before_rad - self._turn_rad)
-        self._read = wrapped_rad, unwound_rad + self._turn_rad
-        return self._read[1]
 
     def _driven(self, written: FloatArray) -> FloatArray:
         """The way put together anew of steps whose turns are scaled."""

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 from fusion.estimation import FEWEST
+from slam.config import Config
 from slam.doctor.finding import Finding
+from slam.doctor.own_body import blocked_beams, blocked_finding, without
+from slam.doctor.pair import Pair
 from slam.doctor.samples import Samples
+from slam.doctor.wheels_and_lidar import compare
 from slam.measurements import Measurement
 
 
@@ -36,7 +41,36 @@ def diagnose(log: Iterable[Measurement]) -> list[Finding]:
     >>> slam.diagnose(slam.open_dataset(write_synthetic_log("monday", duration_s=20.0).log_path))
     []
     """
-    return _repeated_scans(Samples.of(log))
+    return examine(log).findings
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """What is wrong, and what the log leaves open, one line each."""
+
+    findings: list[Finding]
+    open: list[str]
+
+
+def examine(log: Iterable[Measurement]) -> Diagnosis:
+    """As `diagnose`, with what could not be judged."""
+    samples, config = Samples.of(log), Config()
+    findings, unknown = _repeated_scans(samples), list[str]()
+    wheels = max(samples.wheels.items(), key=lambda item: item[1].count, default=None)
+    for name, lidar in samples.lidars.items():
+        if not lidar.stretches:
+            continue
+        stretches = lidar.stretches
+        blocked = blocked_beams(stretches, config)
+        if blocked is not None and (finding := blocked_finding(name, blocked)):
+            findings.append(finding)
+            stretches = [[without(scan, blocked) for scan in scans] for scans in stretches]
+        if wheels is None:
+            continue
+        found, left_open = compare(Pair(wheels[0], name, wheels[1].rows(), stretches), config)
+        findings += found
+        unknown += left_open
+    return Diagnosis(findings, unknown)
 
 
 def _repeated_scans(samples: Samples) -> list[Finding]:

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fusion.time_alignment import GAP_S
-from slam.datasets.corrections import repeats
+from slam.datasets.corrections import Unwound, repeats
 from slam.measurements import FloatArray, LaserScan, Measurement, WheelOdometry
 
 # Stretches of scans, between half as many and so many; scans in each, no more of them than so many a second.
@@ -21,18 +20,19 @@ class WheelSamples:
     """One set of wheels: every reading, stamps as they came."""
 
     _rows: array[float] = field(default_factory=lambda: array("d"))
-    repeated: int = 0
-    _newest: WheelOdometry | None = None
+    count: int = 0
+    _heading: Unwound = field(default_factory=Unwound)
 
     def add(self, reading: WheelOdometry) -> None:
         """Take the next reading."""
         pose = reading.T_odom_base
-        self.repeated += repeats(self._newest, reading)
-        self._newest = reading
-        self._rows.extend((reading.stamp_s, pose.x(), pose.y(), pose.theta()))
+        self.count += 1
+        self._rows.extend(
+            (reading.stamp_s, pose.x(), pose.y(), self._heading.of(reading.stamp_s, pose.theta()))
+        )
 
     def rows(self) -> FloatArray:
-        """(N, 4) stamp, x, y, heading, stamps rising; a reading older than one before is left out."""
+        """(N, 4) stamp, x, y, heading unwound; stamps rise, a reading older than one before is left out."""
         rows = np.array(self._rows).reshape(-1, 4)
         newest = np.maximum.accumulate(np.concatenate([[-np.inf], rows[:-1, 0]]))
         return np.asarray(rows[rows[:, 0] > newest])
@@ -74,7 +74,7 @@ class LidarSamples:
             since_s = scan.stamp_s - self._open[-1].stamp_s
             if 0.0 <= since_s < 1.0 / _RATE_HZ:
                 return
-            if not 0.0 <= since_s < 2.0 * GAP_S or len(self._open) >= _SCANS:
+            if not 0.0 <= since_s < _SCANS / _RATE_HZ or len(self._open) >= _SCANS:
                 self.close()
         self._open.append(scan)
 

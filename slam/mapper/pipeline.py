@@ -54,7 +54,9 @@ def build_map(
         Where the log holds nothing that can be mapped.
     """
     checkpoint = checkpoint or Checkpoint()
-    findings = checkpoint.findings(lambda: diagnose(used_measurements(dataset, config.sensors)))
+    findings = checkpoint.findings(
+        lambda: diagnose(used_measurements(dataset, config.sensors)) if config.sensors.doctor else []
+    )
     config = settled(config, findings)
     choice = SensorChoice.of(dataset, config.sensors)
     registrations = checkpoint.registrations(

@@ -1,0 +1,76 @@
+"""Beams of a lidar that always see the robot itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from fusion.estimation import FEWEST
+from slam.config import Config
+from slam.doctor.finding import Finding
+from slam.measurements import BoolArray, Float32Array, LaserScan
+
+# So many scans of a beam that sees the robot tell the same; people and sunlight come between.
+_SHARE = 0.95
+
+
+def blocked_beams(stretches: Sequence[Sequence[LaserScan]], config: Config) -> BoolArray | None:
+    """(N,) which beams tell the same wherever the robot is; None where it does not tell.
+
+    A beam is blocked where it is as long in nearly all scans of places that differ, to half a cell of the
+    matcher's, and longer than what the matcher leaves out as the robot itself.
+    """
+    ends = [scan for scans in stretches for scan in (scans[0], scans[-1])]
+    count = int(np.median([scan.ranges_m.size for scan in ends])) if ends else 0
+    same_m = 0.5 * config.match.cell_m
+    kept = list[Float32Array]()
+    for scan in ends:
+        ranges = scan.ranges_m
+        if ranges.size != count or not np.isfinite(ranges).any():
+            continue
+        # Another place: some beams tell something else by far.
+        if not kept or _far_apart(ranges, kept[-1], 2.0 * config.match.cell_m):
+            kept.append(ranges)
+    if len(kept) < FEWEST:
+        return None
+    table = np.array(kept)
+    table[~np.isfinite(table)] = np.nan
+    told = np.isfinite(table).mean(axis=0)
+    middle = np.zeros(count)
+    middle[told > 0.0] = np.nanmedian(table[:, told > 0.0], axis=0)
+    with np.errstate(invalid="ignore"):
+        same = (np.abs(table - middle) < same_m).mean(axis=0)
+    return np.asarray((same > _SHARE) & (middle > config.scan.range_min_m))
+
+
+def without(scan: LaserScan, blocked: BoolArray) -> LaserScan:
+    """A scan without its blocked beams."""
+    if scan.ranges_m.size != blocked.size:
+        return scan
+    return replace(scan, ranges_m=np.where(blocked, np.float32(np.nan), scan.ranges_m))
+
+
+def blocked_finding(name: str, blocked: BoolArray) -> Finding | None:
+    """What is said of blocked beams; None of a lidar without any."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], blocked, [False]]).astype(np.int8)))
+    runs = [(int(first), int(last) - 1) for first, last in edges.reshape(-1, 2)]
+    if not runs:
+        return None
+    told = ", ".join(f"{first} to {last}" for first, last in runs)
+    return Finding(
+        name,
+        "blocked beams",
+        f"{int(blocked.sum())} of {blocked.size} beams always see the robot itself: {told}",
+        "what moves along holds the matches back, and is drawn as walls",
+        ({"lidars": {name: {"blocked_beams": [list(run) for run in runs]}}},),
+        sure=True,
+        value=float(blocked.mean()),
+    )
+
+
+def _far_apart(a: Float32Array, b: Float32Array, least_m: float) -> bool:
+    """Whether a tenth of the beams that both had a return differ by more than that."""
+    both = np.isfinite(a) & np.isfinite(b)
+    return bool(10 * np.count_nonzero(np.abs(a[both] - b[both]) > least_m) > np.count_nonzero(both))

@@ -1,0 +1,157 @@
+"""How the steps of wheels and of a lidar belong together: a hand-eye calibration in the plane.
+
+Censi 2013 ("Simultaneous calibration of odometry and sensor parameters for mobile robots", Sec. V): the
+lidar's step l, seen in its own frame, the wheels' step w and the turn phi belong together by
+s w + (R(phi) - 1) t = r R(psi) l. With steps as complex numbers that is linear,
+
+    l = alpha w + beta (exp(i phi) - 1),    alpha = s / r exp(-i psi),    beta = t / r exp(-i psi):
+
+psi is how the lidar is turned, t where it sits, s and r by what the lengths of wheels and lidar are to be
+multiplied. What wheels may have got wrong besides (a sign, an axis) are different w; the right one fits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation import FEWEST, ROUNDS, gate, median_to_sigma
+from slam.measurements import BoolArray, FloatArray
+
+_FLOOR_M = 1e-3  # no match is better than that
+
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, slots=True)
+class Linear:
+    """A robust linear fit.
+
+    Attributes
+    ----------
+    values
+        (P,) estimates.
+    covariance
+        (P, P), of whole stretches against each other: steps of one share their errors.
+    sigma
+        Robust standard deviation of a residual.
+    inliers
+        (N,) residuals within the gate.
+    """
+
+    values: FloatArray
+    covariance: FloatArray
+    sigma: float
+    inliers: BoolArray
+
+
+def fit_linear(design: FloatArray, measured: FloatArray, stretch: FloatArray, floor: float) -> Linear | None:
+    """Least squares with Geman and McClure's weights about the residuals' own scale; None of too few.
+
+    Parameters
+    ----------
+    design, measured, stretch
+        (N, P), (N,) and (N,) the stretch that each belongs to.
+    floor
+        Least standard deviation of a residual.
+    """
+    weights = np.ones(len(measured))
+    if len(measured) < FEWEST or np.linalg.matrix_rank(design) < design.shape[1]:
+        return None
+    sigma = np.inf
+    for _ in range(ROUNDS):
+        root = np.sqrt(weights)
+        values = np.asarray(np.linalg.lstsq(design * root[:, None], measured * root)[0], np.float64)
+        residuals = measured - design @ values
+        sigma = max(floor, median_to_sigma() * float(np.median(np.abs(residuals))))
+        weights = 1.0 / (1.0 + residuals**2 / (sigma**2 * gate())) ** 2
+    bread = np.linalg.inv((design * weights[:, None]).T @ design)
+    scores = design * (weights * residuals)[:, None]
+    _, number = np.unique(stretch, return_inverse=True)
+    sums = np.zeros((number.max() + 1, design.shape[1]))
+    np.add.at(sums, number, scores)
+    meat = sums.T @ sums * len(sums) / max(1, len(sums) - 1)
+    # Stretches that agree by chance are no more certain than their residuals.
+    floor_of = bread * sigma**2
+    covariance = bread @ meat @ bread + floor_of
+    return Linear(values, covariance, sigma, residuals**2 < gate() * sigma**2)
+
+
+@dataclass(frozen=True, slots=True)
+class Relation:
+    """How wheels and lidar belong together, see above.
+
+    Attributes
+    ----------
+    alpha, beta
+        As above.
+    covariance
+        (4, 4) of the real and imaginary parts of alpha, then of beta.
+    sigma_m
+        Robust standard deviation of a residual along an axis.
+    agreeing
+        Share of the steps within the gate.
+    """
+
+    alpha: complex
+    beta: complex
+    covariance: FloatArray
+    sigma_m: float
+    agreeing: float
+
+    @property
+    def yaw_rad(self) -> float:
+        """How the lidar is turned on the robot."""
+        return float(-np.angle(self.alpha))
+
+    @property
+    def sigma_alpha(self) -> float:
+        """Standard deviation of alpha along an axis, as a share of it; of its angle, radians."""
+        return float(np.sqrt(0.5 * np.trace(self.covariance[:2, :2])) / abs(self.alpha))
+
+    @property
+    def sigma_beta(self) -> float:
+        """Standard deviation of beta along its worst axis."""
+        return float(np.sqrt(np.linalg.eigvalsh(self.covariance[2:, 2:])[-1]))
+
+    def mirrored(self) -> Relation:
+        """Of what both say with left for right."""
+        signs = np.array([1.0, -1.0, 1.0, -1.0])
+        covariance = self.covariance * np.outer(signs, signs)
+        return replace(self, alpha=self.alpha.conjugate(), beta=self.beta.conjugate(), covariance=covariance)
+
+    def with_wheels_turned(self, turned: complex) -> Relation:
+        """Of wheels whose steps are turned by a complex number of length one."""
+        return replace(self, alpha=self.alpha / turned)
+
+    def position(self, range_scale: float = 1.0) -> complex:
+        """Where the lidar sits, x and y as a complex number."""
+        return self.beta * np.exp(1j * self.yaw_rad) * range_scale
+
+
+def relate(
+    lidar: ComplexArray, turns_rad: FloatArray, wheels: ComplexArray, stretch: FloatArray
+) -> Relation | None:
+    """Fit the relation to (K,) steps; None where they are too few or never turn."""
+    swung = np.exp(1j * turns_rad) - 1.0
+    # Wheels may be in any unit: their steps are brought to a length that others have.
+    unit = max(float(np.median(np.abs(wheels))), np.finfo(float).tiny)
+    columns = [wheels / unit, 1j * wheels / unit, swung, 1j * swung]
+    design = np.column_stack([np.concatenate([column.real, column.imag]) for column in columns])
+    fitted = fit_linear(
+        design, np.concatenate([lidar.real, lidar.imag]), np.concatenate([stretch, stretch]), _FLOOR_M
+    )
+    if fitted is None:
+        return None
+    a, b, c, d = fitted.values.tolist()
+    scale = np.array([1.0 / unit, 1.0 / unit, 1.0, 1.0])
+    agreeing = fitted.inliers.reshape(2, -1).all(axis=0)
+    return Relation(
+        complex(a, b) / unit,
+        complex(c, d),
+        fitted.covariance * np.outer(scale, scale),
+        fitted.sigma,
+        float(agreeing.mean()),
+    )

@@ -1,0 +1,124 @@
+"""How a lidar moved over short stretches, by its scans alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+
+from slam.config import Config
+from slam.matching.local_map import LocalMap, OrientedPoints
+from slam.matching.match_covariance import weak_direction
+from slam.matching.planar import between, compose
+from slam.matching.scan_points import extract_points
+from slam.measurements import FloatArray, LaserScan
+
+
+@dataclass(frozen=True, slots=True)
+class ScanMotion:
+    """One stretch.
+
+    Attributes
+    ----------
+    stamps_s
+        (N,) of the scans that were matched.
+    poses
+        (N, 3) of the laser in its first frame.
+    fits
+        (N - 1,) shares of each scan's points, robustly weighted, that lie on what they were matched to.
+    """
+
+    stamps_s: FloatArray
+    poses: FloatArray
+    fits: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """Motions of a lidar: (K,) stretch, (K, 2) stamps at the ends, (K, 3) motion in its own frame."""
+
+    stretch: FloatArray
+    spans_s: FloatArray
+    motions: FloatArray
+
+    @classmethod
+    def of(cls, tracked: Sequence[ScanMotion], config: Config) -> Steps:
+        """Steps end to end, each as short as a new keyframe wants it."""
+        rows = list[tuple[float, ...]]()
+        for number, one in enumerate(tracked):
+            first = 0
+            for i in range(1, len(one.stamps_s)):
+                step = between(one.poses[first], one.poses[i])
+                if _moved_on(step, config):
+                    rows.append((number, one.stamps_s[first], one.stamps_s[i], *step))
+                    first = i
+        table = np.array(rows).reshape(-1, 6)
+        return cls(table[:, 0], table[:, 1:3], table[:, 3:])
+
+    def __len__(self) -> int:
+        return len(self.stretch)
+
+
+def _moved_on(step: FloatArray, config: Config) -> bool:
+    """Whether a motion (3,) is worth a new keyframe."""
+    limits = config.keyframes
+    return bool(np.hypot(step[0], step[1]) > limits.distance_m or abs(step[2]) > limits.angle_rad)
+
+
+def track_stretches(
+    stretches: Iterable[Sequence[LaserScan]], config: Config, angle_scale: float = 1.0
+) -> list[ScanMotion]:
+    """Match the scans of each stretch to its beginning, guided by nothing but their own motion so far.
+
+    A stretch ends where a match fails or leaves a direction open (a corridor).
+
+    Parameters
+    ----------
+    angle_scale
+        Of all bearings, about the middle of the field of view.
+    """
+    tracked = [_track([_turned(scan, angle_scale) for scan in scans], config) for scans in stretches]
+    return [one for one in tracked if len(one.stamps_s) > 1]
+
+
+def _turned(scan: LaserScan, angle_scale: float) -> LaserScan:
+    """A scan in the laser's own frame, with another angle from beam to beam."""
+    half_rad = 0.5 * scan.step_rad * (scan.ranges_m.size - 1)
+    return replace(
+        scan,
+        start_angle_rad=scan.start_angle_rad + half_rad * (1.0 - angle_scale),
+        step_rad=scan.step_rad * angle_scale,
+        T_base_laser=gtsam.Pose2(),
+    )
+
+
+def _track(scans: Sequence[LaserScan], config: Config) -> ScanMotion:
+    """One stretch."""
+    settings = config.scan
+    points = [
+        OrientedPoints.from_scan(
+            extract_points(scan, settings.range_min_m, settings.range_max_m, settings.neighbours)
+        )
+        for scan in scans
+    ]
+    poses, reference, fits = [np.zeros(3)], np.zeros(3), list[float]()
+    if not len(points[0]):
+        return ScanMotion(np.zeros(0), np.zeros((0, 3)), np.zeros(0))
+    local_map = LocalMap.build([points[0]], config.match)
+    step = np.zeros(3)
+    for now in points[1:]:
+        seen = between(reference, poses[-1])
+        if _moved_on(seen, config):
+            reference, local_map = poses[-1], LocalMap.build([points[len(poses) - 1]], config.match)
+        found = local_map.align(now, compose(between(reference, poses[-1]), step))
+        if found.inlier_share < config.match.confident_inlier_share or not found.converged:
+            break
+        if weak_direction(found, config.match.degenerate_share) is not None:
+            break
+        fits.append(found.fit)
+        poses.append(compose(reference, found.pose))
+        step = between(poses[-2], poses[-1])
+    stamps_s = np.array([scan.stamp_s for scan in scans[: len(poses)]])
+    return ScanMotion(stamps_s, np.array(poses), np.array(fits))

@@ -1,0 +1,129 @@
+"""What must be right before steps can be compared: the clocks, and the angle from beam to beam."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from fusion.estimation import FEWEST, gate
+from slam.config import Config
+from slam.doctor.finding import Finding
+from slam.doctor.pair import IN_ORDER, Pair, interval
+from slam.doctor.scan_motion import ScanMotion, Steps, track_stretches
+from slam.doctor.wheel_steps import WheelSteps, clock_of
+
+# A clock is looked for again about the first estimate, by all that wheels and lidar tell.
+_AROUND_S = np.arange(-0.2, 0.21, 0.02)
+
+
+def clock_finding(
+    pair: Pair, tracked: list[ScanMotion], steps: Steps, config: Config
+) -> tuple[float, list[Finding]]:
+    """By how much the wheels' clock is ahead where that matters, and the finding."""
+    offsets = [clock_of(tracked, pair.rows, sign) for sign in (1.0, -1.0)]
+    found = max((one for one in offsets if one is not None), key=lambda one: one.correlation, default=None)
+    if found is None:
+        return 0.0, []
+    tried_s = [0.0, *(found.offset_s + _AROUND_S).tolist()]
+    misfits = [_misfit(WheelSteps.of(steps, pair.rows, ahead_s)) for ahead_s in tried_s]
+    best = int(np.argmin(misfits))
+    offset_s = tried_s[best]
+    turned = np.abs(steps.motions[:, 2]) / (steps.spans_s[:, 1] - steps.spans_s[:, 0])
+    wrong_rad = abs(offset_s) * float(np.percentile(turned, 90.0))
+    # What the wheels are allowed for a keyframe's turn is no mistake, nor is what helps little.
+    allowed_rad = config.wheels.turn_share * config.keyframes.angle_rad + config.wheels.floor_rad
+    if wrong_rad < allowed_rad or 2.0 * misfits[best] > misfits[0]:
+        return 0.0, []
+    sigma_s = max(found.sigma_s, float(np.median(np.diff(_AROUND_S))))
+    low, high = interval(offset_s, sigma_s)
+    finding = Finding(
+        pair.wheels,
+        "clock",
+        f"its clock is ahead of the lidar's by {offset_s:+.2f} s (95 %: {low:+.2f} to {high:+.2f})",
+        f"in turns the wheels are wrong by up to {math.degrees(wrong_rad):.0f} degrees",
+        (
+            pair.of_wheels(clock_offset_s=round(offset_s, 3)),
+            pair.of_lidar(clock_offset_s=round(-offset_s, 3)),
+        ),
+        sure=True,
+        value=offset_s,
+        interval=(low, high),
+    )
+    return offset_s, [finding]
+
+
+def _misfit(wheels: WheelSteps) -> float:
+    """How badly turns fit, in mean radians, whatever their scale; infinite where too few do."""
+    turn = wheels.turn_scale()
+    if turn is None:
+        return math.inf
+    return float(np.abs(wheels.lidar_turns_rad - turn.values[0] * wheels.turns_rad).mean())
+
+
+def angle_scale(
+    pair: Pair, tracked: list[ScanMotion], wheels: WheelSteps, ahead_s: float, config: Config
+) -> tuple[Finding, list[ScanMotion]] | None:
+    """Whether the angle from beam to beam is another than stated, and the motion by the right one.
+
+    A stretched fan of beams shows every turn stretched, as wheels of a wrong base do; but it also bends all
+    walls, so that scans from two places fit each other badly.
+    """
+    scale, better = 1.0, tracked
+    turn = wheels.turn_scale()
+    for _ in range(3):
+        if turn is None or turn.values[0] == 0.0:
+            return None
+        # Beyond this it is no fan of beams, but a unit.
+        scale = float(np.clip(scale / abs(turn.values[0]), 1.0 / math.pi, math.pi))
+        if abs(math.log(scale)) < 0.5 * IN_ORDER:
+            return None
+        better = track_stretches(pair.stretches, config, scale)
+        wheels = WheelSteps.of(Steps.of(better, config), pair.rows, ahead_s)
+        turn = wheels.turn_scale()
+        if turn is not None and abs(math.log(abs(turn.values[0]))) < 0.5 * IN_ORDER:
+            break
+    if turn is None or not _fits_better(better, tracked):
+        return None
+    scale /= abs(turn.values[0])
+    scan = pair.stretches[0][0]
+    beams = scan.ranges_m.size
+    stated_deg = math.degrees(scan.step_rad) * (beams - 1)
+    seen_deg = stated_deg * scale
+    round_deg = 10.0 * round(seen_deg / 10.0)
+    if abs(math.log(seen_deg / round_deg)) < 0.25 * IN_ORDER:
+        seen_deg = round_deg  # as makers make them
+    scale, sigma = seen_deg / stated_deg, scale * math.sqrt(turn.covariance[0, 0])
+    middle_deg = math.degrees(scan.start_angle_rad) + 0.5 * stated_deg
+    low, high = interval(seen_deg, seen_deg * sigma)
+    finding = Finding(
+        pair.lidar,
+        "field of view",
+        f"its beams span {seen_deg:.0f} degrees (95 %: {low:.0f} to {high:.0f}), "
+        f"the log says {stated_deg:.0f}",
+        "walls are bent, and turns of the wrong size",
+        (
+            pair.of_lidar(
+                start_angle_deg=round(middle_deg - 0.5 * seen_deg, 4),
+                step_deg=round(seen_deg / (beams - 1), 6),
+            ),
+        ),
+        sure=True,
+        value=seen_deg,
+        interval=(low, high),
+    )
+    return finding, track_stretches(pair.stretches, config, scale)
+
+
+def _fits_better(tracked: Sequence[ScanMotion], other: Sequence[ScanMotion]) -> bool:
+    """Whether scans fit each other better than in another try, beyond chance, and no fewer of them."""
+    fits = [{one.stamps_s[0]: one.fits for one in tries} for tries in (tracked, other)]
+    gains = [
+        float(fits[0][begun][: len(fits[1][begun])].mean() - fits[1][begun][: len(fits[0][begun])].mean())
+        for begun in fits[0].keys() & fits[1].keys()
+    ]
+    if len(gains) < FEWEST // 2 or sum(map(len, fits[0].values())) < sum(map(len, fits[1].values())) // 2:
+        return False
+    error = float(np.std(gains)) / math.sqrt(len(gains))
+    return float(np.mean(gains)) > math.sqrt(gate()) * error

@@ -1,0 +1,266 @@
+"""Wheels against a lidar: which of the two is read, mounted or scaled wrongly, and how."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from fusion.estimation import FEWEST, gate
+from slam.config import Config
+from slam.doctor.finding import Finding
+from slam.doctor.pair import IN_ORDER, Pair, interval
+from slam.doctor.relation import Relation
+from slam.doctor.scan_motion import Steps, track_stretches
+from slam.doctor.time_and_view import angle_scale, clock_finding
+from slam.doctor.wheel_steps import Reading, WheelSteps
+from slam.matching.planar import wrap
+
+# What a length may be multiplied with by a mistake of units: millimetres, centimetres, feet, inches, doubled.
+_UNITS = (1e-3, 1e-2, 0.3048, 0.0254, 0.5, 2.0)
+_QUARTERS = ("x y", "-y x", "-x -y", "y -x")
+_FLIPPED_QUARTERS = ("x -y", "y x", "-x y", "-y -x")
+_GARBLED = "each step of the wheels points elsewhere, so they are of no help"
+
+
+def compare(pair: Pair, config: Config) -> tuple[list[Finding], list[str]]:
+    """What wheels and a lidar say of each other that cannot be, and what they leave open."""
+    tracked = track_stretches(pair.stretches, config)
+    steps = Steps.of(tracked, config)
+    if len(steps) < FEWEST:
+        return [], [f"{pair.lidar} and {pair.wheels}: the lidar shows hardly any motion"]
+    if not len(pair.rows) or not np.ptp(pair.rows[:, 1:], axis=0).any():
+        return [_frozen(pair)], []
+    ahead_s, findings = clock_finding(pair, tracked, steps, config)
+    wheels = WheelSteps.of(steps, pair.rows, ahead_s)
+    if view := angle_scale(pair, tracked, wheels, ahead_s, config):
+        wheels = WheelSteps.of(Steps.of(view[1], config), pair.rows, ahead_s)
+        findings.append(view[0])
+    turn = wheels.turn_scale()
+    if turn is None or turn.values[0] ** 2 < gate() * turn.covariance[0, 0]:
+        return findings, [f"{pair.lidar} and {pair.wheels}: signs, mounting and clock, for lack of turns"]
+    scale = float(turn.values[0])
+    sign = math.copysign(1.0, scale)
+    readings = [Reading(sign, sign < 0.0), Reading(sign, sign > 0.0)]
+    if abs(math.log(abs(scale))) > config.wheels.turn_share:
+        unit = math.radians(sign) if abs(math.degrees(abs(scale)) - 1.0) < config.wheels.turn_share else scale
+        readings += [Reading(unit, sign < 0.0), Reading(unit, sign > 0.0)]
+    found = wheels.best(readings)
+    if found is None:
+        return findings, [f"{pair.lidar} and {pair.wheels}: how they belong together"]
+    reading, relation = found
+    axes, relation, forward = _axes(pair, wheels, reading, relation)
+    findings += axes + _mounting(pair, relation, forward, config)
+    findings += _lengths(pair, relation)
+    turn_scale = scale / reading.heading_scale
+    if abs(math.log(turn_scale)) > config.wheels.turn_share:
+        findings.append(_turns(pair, turn_scale, math.sqrt(turn.covariance[0, 0]) * turn_scale / abs(scale)))
+    return findings, []
+
+
+def _frozen(pair: Pair) -> Finding:
+    """Wheels that never tell any motion."""
+    return Finding(
+        pair.wheels,
+        "frozen wheels",
+        "reports no motion though the lidar's scans show some",
+        "a robot that slips by a blind spot is taken to stand",
+        (pair.of_wheels(use=False),),
+        sure=True,
+    )
+
+
+def _axes(
+    pair: Pair, wheels: WheelSteps, reading: Reading, relation: Relation
+) -> tuple[list[Finding], Relation, bool]:
+    """Signs and axes; the relation without these, and whether the wheels roll along their x axis."""
+    findings = list[Finding]()
+    steps = wheels.steps(reading)
+    entries: dict[str, Any] = {}
+    if reading.heading_scale < 0.0 and reading.flipped:
+        findings.append(_mirrored(pair))
+        steps = steps.conj()
+        relation = relation.mirrored()
+        entries["heading_scale"] = -reading.heading_scale
+    elif reading.heading_scale != 1.0:
+        entries["heading_scale"] = reading.heading_scale
+    if entries.get("heading_scale", 1.0) != 1.0:
+        findings.append(_heading(pair, entries["heading_scale"]))
+    # Robots roll ahead: the way they mostly go is their x axis.
+    heading = float(np.angle((steps * np.abs(steps)).sum()))
+    off_rad = wrap(relation.yaw_rad - pair.mounting.theta())
+    names = _QUARTERS
+    quarter = round(off_rad / (0.5 * math.pi)) % 4
+    if reading.flipped and reading.heading_scale > 0.0:
+        names = _FLIPPED_QUARTERS
+        # Of the four ways to mend a mirrored axis, the one that leaves the lidar where it is said to be.
+        quarter = -quarter % 4
+    elif quarter and abs(wrap(heading - off_rad)) > 0.25 * math.pi:
+        quarter = 0
+    else:
+        quarter = -quarter % 4
+    if names[quarter] != _QUARTERS[0]:
+        findings.append(_wrong_axes(pair, names[quarter]))
+        turned = complex(0.0, 1.0) ** quarter
+        steps = steps * turned
+        relation = relation.with_wheels_turned(turned)
+    aside = np.median(np.abs(steps.imag)) / max(float(np.median(np.abs(steps.real))), np.finfo(float).tiny)
+    return findings, relation, bool(steps.real.sum() > 0.0 and aside < IN_ORDER)
+
+
+def _mirrored(pair: Pair) -> Finding:
+    """A lidar that turns the other way than the wheels, in all it says."""
+    return Finding(
+        pair.lidar,
+        "mirrored",
+        f"turns the other way than {pair.wheels} and goes the same: it is mounted upside down, or the "
+        "wheels take left for right; these two cannot tell which",
+        "the map is mirrored, or the wheels of no help",
+        (pair.of_lidar(upside_down=True), pair.of_wheels(mirrored=True)),
+    )
+
+
+def _heading(pair: Pair, scale: float) -> Finding:
+    """A heading in other units, or of the other sign."""
+    in_degrees = math.isclose(abs(scale), math.radians(1.0))
+    what = (
+        "in degrees" if in_degrees else "" if abs(scale) == 1.0 else f"{1.0 / abs(scale):.3g} times too large"
+    )
+    sign = "of the wrong sign" if scale < 0.0 else ""
+    return Finding(
+        pair.wheels,
+        "heading",
+        f"its heading is {' and '.join(part for part in (what, sign) if part)}",
+        _GARBLED,
+        (pair.of_wheels(heading_scale=round(scale, 7)),),
+        sure=in_degrees or abs(scale) == 1.0,
+        value=scale,
+    )
+
+
+def _wrong_axes(pair: Pair, axes: str) -> Finding:
+    """Written axes that are others."""
+    return Finding(
+        pair.wheels,
+        "axes",
+        f"what it writes as x y is {axes}",
+        _GARBLED,
+        (pair.of_wheels(axes=axes),),
+        sure=True,
+    )
+
+
+def _mounting(pair: Pair, relation: Relation, forward: bool, config: Config) -> list[Finding]:
+    """How the lidar is turned, and where it sits."""
+    stated, yaw_rad = pair.mounting, relation.yaw_rad
+    off_rad = wrap(yaw_rad - stated.theta())
+    turned = abs(off_rad) > IN_ORDER + math.sqrt(gate()) * relation.sigma_alpha
+    # A lever is as long as the lidar's ranges say; where lengths are in doubt, see `_lengths`.
+    place = relation.position(1.0 if _in_order(relation) else 1.0 / abs(relation.alpha))
+    shift = place - complex(stated.x(), stated.y())
+    least_m = config.wheels.swing_m_per_rad + math.sqrt(gate(2)) * relation.sigma_beta
+    shifted = abs(shift) > least_m and abs(relation.position() - complex(stated.x(), stated.y())) > least_m
+    if not (turned or shifted):
+        return []
+    x, y = (place.real, place.imag) if shifted else (stated.x(), stated.y())
+    mended = {
+        "x_m": round(x, 3),
+        "y_m": round(y, 3),
+        "yaw_deg": round(math.degrees(yaw_rad if turned else stated.theta()), 2),
+    }
+    remedy = pair.of_lidar(T_base_laser=mended)
+    findings = list[Finding]()
+    if turned:
+        low, high = (math.degrees(one) for one in interval(yaw_rad, relation.sigma_alpha))
+        findings.append(
+            Finding(
+                pair.lidar,
+                "yaw",
+                f"is turned by {math.degrees(yaw_rad):.1f} degrees (95 %: {low:.1f} to {high:.1f}), "
+                f"the log says {math.degrees(stated.theta()):.1f}",
+                "the robot's poses are turned by as much, and wheels and lidar contradict each other",
+                (remedy,),
+                sure=forward,
+                value=yaw_rad,
+                interval=interval(yaw_rad, relation.sigma_alpha),
+            )
+        )
+    if shifted:
+        findings.append(
+            Finding(
+                pair.lidar,
+                "offset",
+                f"sits at x {x:.3f} m, y {y:.3f} m (95 %: +- {interval(0.0, relation.sigma_beta)[1]:.3f}), "
+                f"the log says {stated.x():.3f} and {stated.y():.3f}",
+                f"in turns the robot's poses swing by up to {abs(shift):.2f} m",
+                (remedy,),
+                sure=True,
+                value=abs(shift),
+                interval=interval(abs(shift), relation.sigma_beta),
+            )
+        )
+    return findings
+
+
+def _in_order(relation: Relation) -> bool:
+    """Whether lengths of wheels and lidar are as alike as those of sound ones."""
+    off = abs(math.log(abs(relation.alpha)))
+    return off < IN_ORDER + math.sqrt(gate()) * relation.sigma_alpha
+
+
+def _lengths(pair: Pair, relation: Relation) -> list[Finding]:
+    """Lengths of wheels and lidar that differ, and whose are wrong as far as anything tells."""
+    if _in_order(relation):
+        return []
+    scale = abs(relation.alpha)
+    low, high = interval(scale, scale * relation.sigma_alpha)
+    of_wheels, of_ranges = _unit(scale), _unit(1.0 / scale)
+    wheels = pair.of_wheels(scale=float(f"{of_wheels or scale:.4g}"))
+    ranges = pair.of_lidar(range_scale=float(f"{of_ranges or 1.0 / scale:.4g}"))
+    # The lever of the lidar is known in metres: in turns its ranges are measured against it.
+    stated = complex(pair.mounting.x(), pair.mounting.y())
+    by_wheels, by_ranges = (
+        abs(relation.position(one) - stated) ** 2 / (one * relation.sigma_beta) ** 2
+        for one in (1.0, 1.0 / scale)
+    )
+    # No one's unit makes lengths larger by 3.28 in the wheels, or smaller in the lidar.
+    hint = (of_ranges is not None and of_ranges < 0.5) - (of_wheels is not None and of_wheels < 0.5)
+    sure = hint != 0 or (abs(by_wheels - by_ranges) > gate() and min(by_wheels, by_ranges) < gate(2))
+    of_lidar = hint > 0 or (hint == 0 and sure and by_ranges < by_wheels)
+    longer = f"{1.0 / scale:.4g}" if not of_lidar else f"{scale:.4g}"
+    name = pair.lidar if of_lidar else pair.wheels
+    kind = ("range scale" if of_lidar else "scale") if sure else "lengths"
+    return [
+        Finding(
+            name,
+            kind,
+            f"its lengths are {longer} times those of {pair.wheels if of_lidar else pair.lidar} "
+            f"(as a scale of the wheels {scale:.4g}, 95 %: {low:.4g} to {high:.4g})",
+            "the map has the wrong size" if of_lidar else "the wheels contradict every match",
+            (ranges, wheels)[:: 1 if of_lidar else -1][: 1 if sure else 2],
+            sure=sure,
+            value=scale,
+            interval=(low, high),
+        )
+    ]
+
+
+def _unit(scale: float) -> float | None:
+    """The unit that a scale stands for, None for none."""
+    return next((unit for unit in _UNITS if abs(math.log(scale / unit)) < IN_ORDER), None)
+
+
+def _turns(pair: Pair, scale: float, sigma: float) -> Finding:
+    """Turns of the wheels that are too large or too small."""
+    low, high = interval(scale, sigma)
+    return Finding(
+        pair.wheels,
+        "turn scale",
+        f"its turns are {1.0 / scale:.3f} times the lidar's (95 % of their scale: {low:.3f} to {high:.3f})",
+        "in turns the wheels contradict the matches",
+        (pair.of_wheels(turn_scale=round(scale, 4)),),
+        sure=True,
+        value=scale,
+        interval=(low, high),
+    )
