@@ -14,10 +14,19 @@ import gtsam
 import numpy as np
 
 from slam.config.calibration import Calibration, LidarCorrection, SensorCorrection, WheelCorrection
+from slam.datasets.corrections_in_space import CloudCorrector, FrameCorrector, same_cloud, same_frame
 from slam.datasets.dataset import Dataset, ReadReport
 from slam.errors import DatasetError
 from slam.matching.planar import wrap
-from slam.measurements import FloatArray, LaserScan, Measurement, Trajectory, WheelOdometry
+from slam.measurements import (
+    FloatArray,
+    LaserScan,
+    Measurement,
+    PointCloud,
+    RgbdFrame,
+    Trajectory,
+    WheelOdometry,
+)
 
 _RATE_READINGS = 4  # a rate is that over so many readings: stamps of single ones may all but meet
 
@@ -69,14 +78,24 @@ def left_out(calibration: Calibration, kind: type, sensor: str) -> bool:
 
 def _by_name(calibration: Calibration) -> dict[tuple[type, str], SensorCorrection]:
     """Every correction by what it corrects: type of the measurement, and name of the sensor."""
-    kinds: dict[type, dict[str, Any]] = {WheelOdometry: calibration.wheels, LaserScan: calibration.lidars}
+    kinds: dict[type, dict[str, Any]] = {
+        WheelOdometry: calibration.wheels,
+        LaserScan: calibration.lidars,
+        RgbdFrame: calibration.cameras,
+        PointCloud: calibration.lidars_3d,
+    }
     return {(kind, name): one for kind, sensors in kinds.items() for name, one in sensors.items()}
 
 
 def _corrected_one_by_one(log: Iterable[Measurement], calibration: Calibration) -> Iterator[Measurement]:
     """Each measurement by itself, in the order of the log."""
     by_name, seen = _by_name(calibration), dict[tuple[type, str], None]()
-    makers: dict[type, Callable[[Any], Callable[[Any], Any]]] = {WheelOdometry: _Wheels, LaserScan: _Lidar}
+    makers: dict[type, Callable[[Any], Callable[[Any], Any]]] = {
+        WheelOdometry: _Wheels,
+        LaserScan: _Lidar,
+        RgbdFrame: FrameCorrector,
+        PointCloud: CloudCorrector,
+    }
     correctors = {key: makers[key[0]](correction) for key, correction in by_name.items()}
     newest: dict[tuple[type, str], Measurement] = {}
     for measurement in log:
@@ -103,6 +122,10 @@ def repeats(before: Measurement | None, now: Measurement) -> bool:
     """Whether a reading tells the same to the bit as the one before: what a sensor with noise never does."""
     if isinstance(before, LaserScan) and isinstance(now, LaserScan):
         return np.array_equal(before.ranges_m, now.ranges_m, equal_nan=True)
+    if isinstance(before, RgbdFrame) and isinstance(now, RgbdFrame):
+        return same_frame(before, now)
+    if isinstance(before, PointCloud) and isinstance(now, PointCloud):
+        return same_cloud(before, now)
     if isinstance(before, WheelOdometry) and isinstance(now, WheelOdometry):
         return before.T_odom_base.equals(now.T_odom_base, 0.0)
     return False

@@ -1,8 +1,7 @@
-"""What the doctor keeps of an RGB-D camera: its motions in stretches spread over the log, by matched features."""
+"""What the doctor keeps of an RGB-D camera: its motions in stretches of the log, by matched features."""
 
 from __future__ import annotations
 
-import itertools
 from collections import deque
 from dataclasses import dataclass, field
 
@@ -52,15 +51,15 @@ class CameraSamples:
         Motions, by stretch.
     pairs
         Features of frames some way apart, for the lens.
-    points_camera
-        (N, 3) blocks of points that it saw, by the lens it is told to have.
+    points
+        (N, 3) blocks of what it saw, camera frame, by the lens it is told to have.
     count, repeated
         Frames in all, and those that are the one before to the bit.
     """
 
     steps: list[list[SensorStep]] = field(default_factory=list)
     pairs: list[MatchedPair] = field(default_factory=list)
-    points_camera: list[FloatArray] = field(default_factory=list)
+    points: list[FloatArray] = field(default_factory=list)
     count: int = 0
     repeated: int = 0
     median_depth: Thinned = field(default_factory=Thinned)
@@ -83,7 +82,7 @@ class CameraSamples:
             self._recent.clear()
         if self._stretches.begins:
             if self._stretches.thinned:
-                del self.steps[1::2], self.pairs[1::2], self.points_camera[1::2]
+                del self.steps[1::2], self.pairs[1::2], self.points[1::2]
             self.steps.append([])
             self._look(frame)
         features = extract_features(gray_of(frame), frame.depth_m, _MODELS.features)
@@ -93,16 +92,6 @@ class CameraSamples:
                 self._match(*self._recent[-back], features, frame, back)
         self._recent.append((frame.stamp_s, features))
 
-    def runs(self) -> list[list[SensorStep]]:
-        """Steps that follow each other without a gap."""
-        found: list[list[SensorStep]] = []
-        for step in itertools.chain.from_iterable(self.steps):
-            if found and found[-1][-1].ended_s == step.begun_s:
-                found[-1].append(step)
-            else:
-                found.append([step])
-        return found
-
     def _look(self, frame: RgbdFrame) -> None:
         """Which depths there are, and where."""
         depth_m = frame.depth_m[::_EVERY_PIXEL, ::_EVERY_PIXEL].astype(np.float64)
@@ -110,7 +99,7 @@ class CameraSamples:
         z, k = depth_m[row, column], frame.intrinsics
         x = (_EVERY_PIXEL * column - k.cx) / k.fx * z
         y = (_EVERY_PIXEL * row - k.cy) / k.fy * z
-        self.points_camera.append(np.column_stack([x, y, z]))
+        self.points.append(np.column_stack([x, y, z]))
         if z.size:
             self.median_depth.add(float(np.median(z)))
 
@@ -118,9 +107,7 @@ class CameraSamples:
         self, begun_s: float, known: Features, features: Features, frame: RgbdFrame, back: int
     ) -> None:
         """The motion from the frame before, or the pair of an earlier one."""
-        matches = match_features(
-            known.descriptors, features.descriptors, _WAYS.match_ratio, _WAYS.match_bits
-        )
+        matches = match_features(known.descriptors, features.descriptors, _WAYS.match_ratio, _WAYS.match_bits)
         one, other = known.where(matches.first), features.where(matches.second)  # type: ignore[arg-type]
         found = pose_from_features(
             one.points_camera(frame.intrinsics),

@@ -31,7 +31,7 @@ class CloudSamples:
     """
 
     steps: list[list[SensorStep]] = field(default_factory=list)
-    points_lidar: list[FloatArray] = field(default_factory=list)
+    points: list[FloatArray] = field(default_factory=list)
     count: int = 0
     repeated: int = 0
     interval_s: Thinned = field(default_factory=Thinned)
@@ -57,9 +57,9 @@ class CloudSamples:
             return
         if self._stretches.begins:
             if self._stretches.thinned:
-                del self.steps[1::2], self.points_lidar[1::2]
+                del self.steps[1::2], self.points[1::2]
             self.steps.append([])
-            self.points_lidar.append(cloud.points_lidar[::_THINNED].astype(np.float64))
+            self.points.append(cloud.points_lidar[::_THINNED].astype(np.float64))
         self._track(replace(cloud, T_base_lidar=gtsam.Pose3()))
 
     def _track(self, cloud: PointCloud) -> None:

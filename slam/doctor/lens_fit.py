@@ -1,8 +1,8 @@
 """The lens of a depth camera by the shape of what it sees: a scene keeps its shape while the camera turns.
 
-By a wrong lens points lie too far or too near the optical axis, by a right depth; seen from two sides, the same
-points then are of two shapes. So focal length and principal point follow from matched features with depth, and
-nothing else is asked. The scale of depth does not follow: shapes of any scale are alike.
+By a wrong lens points lie too far or too near the optical axis, by a right depth; seen from two sides, the
+same points then are of two shapes. So focal length and principal point follow from matched features with
+depth, and nothing else is asked. The scale of depth does not follow: shapes of any scale are alike.
 """
 
 from __future__ import annotations
@@ -110,7 +110,10 @@ def _errors(first: FloatArray, second: FloatArray, lens: FloatArray, told: Camer
 def _moved(a: FloatArray, b: FloatArray, weights: FloatArray) -> FloatArray:
     """(P, N, 3) the first points by the rigid motion that brings them nearest to the second (Kabsch 1976)."""
     total = weights.sum(axis=1, keepdims=True)
-    from_a, to_b = (weights * a).sum(axis=1, keepdims=True) / total, (weights * b).sum(axis=1, keepdims=True) / total
+    from_a, to_b = (
+        (weights * a).sum(axis=1, keepdims=True) / total,
+        (weights * b).sum(axis=1, keepdims=True) / total,
+    )
     spread = np.einsum("pni,pnj->pij", weights * (a - from_a), b - to_b)
     left, _, right = np.linalg.svd(spread)
     signs = np.ones((len(a), 3))

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 
+from fusion.estimation import FEWEST
 from fusion.time_alignment import GAP_S, ClockOffset, clock_offset
+from slam.config.calibration import Calibration
+from slam.datasets.corrections import corrected
 from slam.doctor.camera_samples import SensorStep
-from slam.measurements import FloatArray
+from slam.doctor.finding import Finding, remedied
+from slam.measurements import FloatArray, WheelOdometry
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +66,17 @@ def clock_of(runs: Sequence[Sequence[SensorStep]], base: BaseTrack, most_s: floa
     return max((one for one in found if one is not None), key=lambda one: one.correlation, default=None)
 
 
+def runs_of(stretches: Sequence[Sequence[SensorStep]]) -> list[list[SensorStep]]:
+    """Steps that follow each other without a gap, also from one stretch to the next."""
+    found: list[list[SensorStep]] = []
+    for step in itertools.chain.from_iterable(stretches):
+        if found and found[-1][-1].ended_s == step.begun_s:
+            found[-1].append(step)
+        else:
+            found.append([step])
+    return found
+
+
 def turns_of(steps: Sequence[SensorStep]) -> FloatArray:
     """(N, 3) rotation vectors of steps."""
     return np.array([gtsam.Rot3.Logmap(step.motion.rotation()) for step in steps]).reshape(-1, 3)
@@ -76,3 +92,25 @@ def joined(runs: Sequence[Sequence[SensorStep]], count: int) -> list[SensorStep]
                 motion = motion.compose(step.motion)
             found.append(SensorStep(run[first].begun_s, run[first + count - 1].ended_s, motion))
     return found
+
+
+def mended_rows(wheels: str, rows: FloatArray, findings: Sequence[Finding]) -> FloatArray | None:
+    """(N, 4) rows of wheels as findings mend them; None where one does not say how, or there are too few.
+
+    Parameters
+    ----------
+    rows
+        (N, 4) stamp, x, y, heading.
+    """
+    own = [finding for finding in findings if finding.sensor == wheels]
+    if len(rows) < FEWEST or any(len(finding.remedies) != 1 for finding in own):
+        return None
+    calibration = remedied(Calibration(), own, only_sure=False)
+    readings = [WheelOdometry(float(row[0]), gtsam.Pose2(*row[1:].tolist()), wheels) for row in rows]
+    return np.array(
+        [
+            (one.stamp_s, one.T_odom_base.x(), one.T_odom_base.y(), one.T_odom_base.theta())
+            for one in corrected(readings, calibration)
+            if isinstance(one, WheelOdometry)
+        ]
+    ).reshape(-1, 4)

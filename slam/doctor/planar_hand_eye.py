@@ -1,7 +1,7 @@
 """How a sensor that moves in space sits on a robot that moves in the plane, by the motions of both.
 
-A turn of the robot is a turn of the sensor about the robot's upright; across that axis the sensor's shifts are
-the robot's, turned, scaled, and swung by the lever: linear in four numbers.
+A turn of the robot is a turn of the sensor about the robot's upright; across that axis the sensor's shifts
+are the robot's, turned, scaled, and swung by the lever: linear in four numbers.
 """
 
 from __future__ import annotations
@@ -81,9 +81,7 @@ def planar_hand_eye(turns: FloatArray, shifts_m: FloatArray, base: FloatArray) -
     cos, sin = np.cos(base[:, 2]) - 1.0, np.sin(base[:, 2])
     x, y = base[:, 0], base[:, 1]
     # p = M t + (R - 1) M l, M = [[a, -b], [b, a]]; unknown are a, b and M l.
-    design = np.stack(
-        [np.stack([x, -y, cos, -sin], axis=1), np.stack([y, x, sin, cos], axis=1)], axis=1
-    )
+    design = np.stack([np.stack([x, -y, cos, -sin], axis=1), np.stack([y, x, sin, cos], axis=1)], axis=1)
     found, covariance, agree = _robust(design, shifts_m @ axes.T)
     a, b = found[:2]
     scale = math.hypot(a, b)

@@ -9,7 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from slam.datasets.corrections import Unwound, repeats
-from slam.measurements import FloatArray, LaserScan, Measurement, WheelOdometry
+from slam.doctor.camera_samples import CameraSamples
+from slam.doctor.cloud_samples import CloudSamples
+from slam.measurements import FloatArray, LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
 
 # Stretches of scans, between half as many and so many; scans in each, no more of them than so many a second.
 _STRETCHES, _SCANS, _RATE_HZ = 40, 20, 10.0
@@ -95,16 +97,22 @@ class Samples:
 
     wheels: dict[str, WheelSamples]
     lidars: dict[str, LidarSamples]
+    cameras: dict[str, CameraSamples]
+    clouds: dict[str, CloudSamples]
 
     @classmethod
     def of(cls, log: Iterable[Measurement]) -> Samples:
         """Read a log once."""
-        samples = cls({}, {})
+        samples = cls({}, {}, {}, {})
         for measurement in log:
             if isinstance(measurement, LaserScan):
                 samples.lidars.setdefault(measurement.sensor, LidarSamples()).add(measurement)
             elif isinstance(measurement, WheelOdometry):
                 samples.wheels.setdefault(measurement.sensor, WheelSamples()).add(measurement)
+            elif isinstance(measurement, RgbdFrame):
+                samples.cameras.setdefault(measurement.sensor, CameraSamples()).add(measurement)
+            elif isinstance(measurement, PointCloud):
+                samples.clouds.setdefault(measurement.sensor, CloudSamples()).add(measurement)
         for lidar in samples.lidars.values():
             lidar.close()
         return samples
