@@ -105,7 +105,8 @@ def lens_findings(name: str, samples: CameraSamples) -> list[Finding]:
     """Whether the shape of what a camera sees asks for another lens."""
     told = samples.intrinsics
     fit = None if told is None else lens_fit(samples.pairs, told)
-    if told is None or fit is None:
+    # A lens that explains no more than the one that was told is no better.
+    if told is None or fit is None or fit.told_left_px < (1.0 + _SHARE) * fit.left_px:
         return []
     off_px = fit.center_px - (told.cx, told.cy)
     limits_px = _LENS_SHARE * 0.5 * np.array([told.width, told.height])

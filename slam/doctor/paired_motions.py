@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -62,8 +62,10 @@ def clock_of(runs: Sequence[Sequence[SensorStep]], base: BaseTrack, most_s: floa
     spans = np.array([(step.begun_s, step.ended_s) for step in steps])
     told = base.rows[:, 0]
     base_spans, base_turns = np.stack([told[:-1], told[1:]], axis=1), np.diff(np.unwrap(base.rows[:, 3]))
-    found = [clock_offset(base_spans, sign * base_turns, spans, about, most_s) for sign in (1.0, -1.0)]
-    return max((one for one in found if one is not None), key=lambda one: one.correlation, default=None)
+    # The wheels tell all the time, the sensor in stretches: each of its steps is sought among theirs.
+    found = [clock_offset(spans, sign * about, base_spans, base_turns, most_s) for sign in (1.0, -1.0)]
+    best = max((one for one in found if one is not None), key=lambda one: one.correlation, default=None)
+    return None if best is None else replace(best, offset_s=-best.offset_s)
 
 
 def runs_of(stretches: Sequence[Sequence[SensorStep]]) -> list[list[SensorStep]]:
