@@ -31,6 +31,11 @@ def gate(degrees: int = 1, confidence: float = CONFIDENCE) -> float:
     return float(chdtri(degrees, 1.0 - confidence))
 
 
+def half_interval(sigma: float) -> float:
+    """Half the width of the 95 % interval of a normal estimate: what people are told."""
+    return math.sqrt(gate(1, 0.95)) * sigma
+
+
 @cache
 def median_to_sigma(degrees: int = 1) -> float:
     """Standard deviation over the median of normal residuals: 1.4826 for distances along one axis.

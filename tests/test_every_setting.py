@@ -37,6 +37,8 @@ RUN_OF = {
     "loops.by_appearance": "spatial",
     "loops.least_overlap": "spatial",
     "sensors.topics": "from_a_file",
+    "sensors.doctor": "planar",
+    "sensors.calibration": "planar",
     "visual_loops.least_features": "frames_alone",
 }
 # What else must be set for a setting to matter.
@@ -45,6 +47,7 @@ BESIDE: dict[str, tuple[str, ...]] = {
     "match.search_points": ("match.confident_inlier_share=1.0",),
     "match.search_least_score": ("match.confident_inlier_share=1.0",),
     "loops.near": ("loops.least_path_m=1",),
+    "sensors.doctor": ("sensors.calibration={wheels: {odometry: {heading_scale: -1.0}}}",),
     "prediction.disputed_within": (
         "wheels.floor_m=0.0001",
         "wheels.distance_share=0.0",
@@ -91,6 +94,7 @@ VALUES: dict[str, Any] = {
     "cloud_localization.new_share": 0.01,
     "visual_loops.least_features": 100,
     "sensors.topics": ["/scan"],
+    "sensors.calibration": {"wheels": {"odometry": {"scale": 3.0}}},
     "scan.range_min_m": 1.5,
     "scan.range_max_m": 2.0,
     "wheels.swing_m_per_rad": 5.0,

@@ -2,8 +2,8 @@
 
     python tools/sensor_mistakes_cameras.py DRIVE... [--only NAME] [--map] [--every 3]
 
-A drive is a folder that 'scanweave simulate' has written; of its frames every third is taken, so that all of them
-stay in memory. Otherwise as tools/sensor_mistakes.py.
+A drive is a folder that 'scanweave simulate' has written; of its frames every third is taken, so that all of
+them stay in memory. Otherwise as tools/sensor_mistakes.py.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def _rolled(pose: gtsam.Pose3) -> gtsam.Pose3:
 
 def _moved(pose: gtsam.Pose3, by_m: float) -> gtsam.Pose3:
     """A mounting told too far ahead."""
-    return gtsam.Pose3(pose.rotation(), np.asarray(pose.translation()) + [by_m, 0.0, 0.0])
+    return gtsam.Pose3(pose.rotation(), np.asarray(pose.translation()) + np.array([by_m, 0.0, 0.0]))
 
 
 def _depth(frame: RgbdFrame, factor: float) -> RgbdFrame:

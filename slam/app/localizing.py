@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,10 +12,12 @@ from slam.config import Config
 from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
 from slam.datasets.sensor_choice import SensorChoice, used_measurements
+from slam.doctor.finding import Finding
 from slam.errors import DatasetError
 from slam.evaluation.localization_report import write_localization_report
 from slam.localization.drive_log import DriveLog
 from slam.localization.localizer import Localizer
+from slam.mapper.pipeline import findings_of, settled
 from slam.measurements import Trajectory
 from slam.outputs.finished_map import Map
 from slam.storage.files import make_folder
@@ -95,6 +98,8 @@ def localize_log(
     if isinstance(log, str | Path):
         sensors = config.sensors
         log = open_dataset(log, strict=strict, topics=sensors.topics, images=sensors.rgbd)
+    findings = [] if saved.contents.clouds else findings_of(log, config)
+    config = settled(config, findings)
     registrations = _registrations(saved.contents, log, config)
     with recording(record) as viewer:
         if viewer is not None and saved.grid is not None:
@@ -107,7 +112,7 @@ def localize_log(
             f"{log.name} holds nothing that can be localised in {saved.path}, which takes {wanted}; see "
             "'scanweave inspect' for what the log holds and 'scanweave info' for the map"
         )
-    return Localization(drive, _written(Path(out), drive, saved, log) if out is not None else ())
+    return Localization(drive, _written(Path(out), drive, saved, log, findings) if out is not None else ())
 
 
 def _registrations(
@@ -139,11 +144,14 @@ def _driven(
     return drive
 
 
-def _written(out: Path, drive: DriveLog, saved: Map, log: Dataset) -> tuple[Path, ...]:
+def _written(
+    out: Path, drive: DriveLog, saved: Map, log: Dataset, findings: Sequence[Finding]
+) -> tuple[Path, ...]:
     """Trajectory, covariances and report in a folder."""
     make_folder(out)
     files = drive.write(out)
     notes = [(reason, f"{tally.count:,}") for reason, tally in log.report.dropped.items()]
+    notes += [(finding.kind, finding.line) for finding in findings]
     write_localization_report(
         out / "report.html", f"{log.path.name} in {saved.path}", drive, saved.grid, notes
     )

@@ -33,20 +33,25 @@ def doctor(
     calibration: CalibrationOption = None,
 ) -> None:
     """Tell what the sensors of a log say of each other that cannot be, and what mends it."""
-    from slam.config import Config, dump_calibration, load_calibration
+    from slam.config import Config, load_calibration
     from slam.datasets import open_dataset
     from slam.datasets.corrections import Corrected
-    from slam.doctor.diagnosis import diagnose
-    from slam.doctor.finding import remedied
+    from slam.doctor.diagnosis import examine
+    from slam.doctor.finding import calibration_text, remedied
     from slam.storage.files import write_bytes
 
     known = load_calibration(calibration) if calibration else Config().sensors.calibration
     dataset = open_dataset(log, strict=strict, topics=topics_of(topics))
-    findings = diagnose(Corrected(dataset, known))
+    diagnosis = examine(Corrected(dataset, known))
+    findings = diagnosis.findings
     if as_json:
-        print(json.dumps([finding.plain() for finding in findings], indent=2))
+        found = [finding.plain() for finding in findings]
+        print(json.dumps({"findings": found, "open": diagnosis.open}, indent=2))
     else:
         print("\n".join(finding.line for finding in findings) or "nothing is wrong as far as the log tells")
+        for line in diagnosis.open:
+            print(f"not judged: {line}")
     if write is not None:
-        write_bytes(write, dump_calibration(remedied(known, findings, only_sure=False)).encode())
+        mended = remedied(known, findings, only_sure=False)
+        write_bytes(write, calibration_text(mended, findings).encode())
         say(f"wrote {write}")

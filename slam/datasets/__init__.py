@@ -117,7 +117,9 @@ def open_dataset(
     for known in FORMATS:
         if known.recognises(path, head):
             if known.open is open_bag:
-                return open_bag(path, strict, tuple(topics))
+                bag = open_bag(path, strict, tuple(topics))
+                bag.read_images = images
+                return bag
             if topics:
                 raise DatasetError(f"{path} is a {known.description} and has no topics; leave out --topics")
             dataset = known.open(path, strict)

@@ -28,7 +28,7 @@ from slam.measurements import (
     WheelOdometry,
 )
 
-_RATE_READINGS = 4  # a rate is that over so many readings: stamps of single ones may all but meet
+_RECENT = 4  # readings from which a rate is told
 
 
 class Corrected:
@@ -121,7 +121,7 @@ def _corrected_one_by_one(log: Iterable[Measurement], calibration: Calibration) 
 def repeats(before: Measurement | None, now: Measurement) -> bool:
     """Whether a reading tells the same to the bit as the one before: what a sensor with noise never does."""
     if isinstance(before, LaserScan) and isinstance(now, LaserScan):
-        return np.array_equal(before.ranges_m, now.ranges_m, equal_nan=True)
+        return before.ranges_m.tobytes() == now.ranges_m.tobytes()
     if isinstance(before, RgbdFrame) and isinstance(now, RgbdFrame):
         return same_frame(before, now)
     if isinstance(before, PointCloud) and isinstance(now, PointCloud):
@@ -138,17 +138,18 @@ class Unwound:
     """
 
     def __init__(self) -> None:
-        self._recent: deque[tuple[float, float]] = deque(maxlen=_RATE_READINGS)
+        self._recent: deque[tuple[float, float]] = deque(maxlen=_RECENT)
 
     def of(self, stamp_s: float, wrapped_rad: float) -> float:
         """The heading of the next reading."""
         heading_rad = wrapped_rad
         if self._recent:
-            (first_s, first_rad), (last_s, last_rad) = self._recent[0], self._recent[-1]
-            lasted_s, since_s = last_s - first_s, stamp_s - last_s
-            expected_rad = last_rad
-            if lasted_s > 0.0 and 0.0 <= since_s <= lasted_s:
-                expected_rad += (last_rad - first_rad) * since_s / lasted_s
+            last_s, expected_rad = last = self._recent[-1]
+            since_s = stamp_s - last_s
+            # The last step tells the rate, unless stamps of two readings all but meet.
+            older = (one for one in reversed(self._recent) if 2.0 * (last_s - one[0]) > since_s > 0.0)
+            if begun := next(older, None):
+                expected_rad += (last[1] - begun[1]) * since_s / (last_s - begun[0])
             heading_rad = expected_rad + wrap(wrapped_rad - expected_rad)
         self._recent.append((stamp_s, heading_rad))
         return heading_rad

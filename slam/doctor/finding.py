@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from slam.config import dump_calibration
 from slam.config.calibration import Calibration
 
 # Corrections as a calibration file has them: kind of sensor, its name, the entries.
@@ -94,6 +95,17 @@ def remedied(calibration: Calibration, findings: Iterable[Finding], *, only_sure
         if finding.remedies and (finding.sure or not only_sure):
             calibration = calibration.merged(finding.remedies[0])
     return calibration
+
+
+def calibration_text(calibration: Calibration, findings: Sequence[Finding]) -> str:
+    """A calibration file; beneath what is not sure, what else may mend it."""
+    lines = [dump_calibration(calibration)]
+    for finding in findings:
+        if not finding.sure and finding.remedies:
+            others = " or ".join(remedy_text(remedy) for remedy in finding.remedies[1:])
+            lines.append(f"# not sure: {finding.text}\n")
+            lines += [f"# instead of {remedy_text(finding.remedies[0])} perhaps {others}\n"] if others else []
+    return "".join(lines)
 
 
 def _shown(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""What cameras and 3D lidars say that cannot be: of themselves, and against how the robot moves in the plane."""
+"""What cameras and 3D lidars say that cannot be: of themselves, and against how the robot moves."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def camera_findings(name: str, samples: CameraSamples) -> list[Finding]:
             Finding(
                 name,
                 "depth scale",
-                f"depths have a median of {depth_m:.3g} m, which no depth camera sees: {unit:g} times too large",
+                f"its median depth is {depth_m:.3g} m, which no camera sees: {unit:g} times too large",
                 "the map is of another size",
                 ({"cameras": {name: {"depth_scale": 1.0 / unit}}},),
                 sure=True,
@@ -127,7 +127,8 @@ def lens_findings(name: str, samples: CameraSamples) -> list[Finding]:
             name,
             "lens",
             f"the shape of what it sees asks for f = {told.fx * fit.focal_gain:.0f} px and the centre at "
-            f"{fit.center_px[0]:.0f}, {fit.center_px[1]:.0f}, not {told.fx:.0f} at {told.cx:.0f}, {told.cy:.0f}",
+            f"{fit.center_px[0]:.0f}, {fit.center_px[1]:.0f}, not {told.fx:.0f} at {told.cx:.0f}, "
+            f"{told.cy:.0f}",
             "turns and walls come out bent",
             ({"cameras": {name: {"intrinsics": lens}}},),
             value=fit.focal_gain,

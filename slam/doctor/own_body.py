@@ -12,9 +12,6 @@ from slam.config import Config
 from slam.doctor.finding import Finding
 from slam.measurements import BoolArray, Float32Array, LaserScan
 
-# So many scans of a beam that sees the robot tell the same; people and sunlight come between.
-_SHARE = 0.95
-
 
 def blocked_beams(stretches: Sequence[Sequence[LaserScan]], config: Config) -> BoolArray | None:
     """(N,) which beams tell the same wherever the robot is; None where it does not tell.
@@ -41,8 +38,9 @@ def blocked_beams(stretches: Sequence[Sequence[LaserScan]], config: Config) -> B
     middle = np.zeros(count)
     middle[told > 0.0] = np.nanmedian(table[:, told > 0.0], axis=0)
     with np.errstate(invalid="ignore"):
-        same = (np.abs(table - middle) < same_m).mean(axis=0)
-    return np.asarray((same > _SHARE) & (middle > config.scan.range_min_m))
+        differ = (~(np.abs(table - middle) < same_m)).mean(axis=0)
+    # People and sunlight come between.
+    return np.asarray((differ < 1.0 / FEWEST) & (middle > config.scan.range_min_m))
 
 
 def without(scan: LaserScan, blocked: BoolArray) -> LaserScan:

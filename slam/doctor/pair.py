@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
 import gtsam
 
-from fusion.estimation import gate
+from fusion.estimation import half_interval
 from slam.doctor.finding import Remedy
 from slam.measurements import FloatArray, LaserScan
 
@@ -52,5 +51,5 @@ class Pair:
 
 def interval(value: float, sigma: float) -> tuple[float, float]:
     """95 % of a normal distribution."""
-    half = math.sqrt(gate(1, 0.95)) * sigma
+    half = half_interval(sigma)
     return value - half, value + half

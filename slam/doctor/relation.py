@@ -17,10 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation import FEWEST, ROUNDS, gate, median_to_sigma
+from fusion.estimation import FEWEST, ROUNDS, SETTLED, gate, median_to_sigma
 from slam.measurements import BoolArray, FloatArray
-
-_FLOOR_M = 1e-3  # no match is better than that
 
 ComplexArray = NDArray[np.complex128]
 
@@ -141,7 +139,7 @@ def relate(
     columns = [wheels / unit, 1j * wheels / unit, swung, 1j * swung]
     design = np.column_stack([np.concatenate([column.real, column.imag]) for column in columns])
     fitted = fit_linear(
-        design, np.concatenate([lidar.real, lidar.imag]), np.concatenate([stretch, stretch]), _FLOOR_M
+        design, np.concatenate([lidar.real, lidar.imag]), np.concatenate([stretch, stretch]), SETTLED
     )
     if fitted is None:
         return None

@@ -8,13 +8,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from fusion.estimation import FEWEST
 from slam.datasets.corrections import Unwound, repeats
 from slam.doctor.camera_samples import CameraSamples
 from slam.doctor.cloud_samples import CloudSamples
 from slam.measurements import FloatArray, LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
 
-# Stretches of scans, between half as many and so many; scans in each, no more of them than so many a second.
-_STRETCHES, _SCANS, _RATE_HZ = 40, 20, 10.0
+# Scans of a stretch lie no nearer: a robot hardly moves between.
+_SPACING_S = 0.1
+_STRETCHES = 2 * FEWEST
 
 
 @dataclass(slots=True)
@@ -50,14 +52,11 @@ class LidarSamples:
         Lists of scans, each within a few seconds.
     count, repeated
         Scans in all, and those that are the one before to the bit.
-    longest_m
-        Farthest return of all.
     """
 
     stretches: list[list[LaserScan]] = field(default_factory=list)
     count: int = 0
     repeated: int = 0
-    longest_m: float = 0.0
     _open: list[LaserScan] = field(default_factory=list)
     _stride: int = 1
     _begun: int = 0
@@ -66,17 +65,15 @@ class LidarSamples:
     def add(self, scan: LaserScan) -> None:
         """Take the next scan."""
         self.count += 1
-        returns = scan.ranges_m[np.isfinite(scan.ranges_m)]
-        self.longest_m = max(self.longest_m, float(returns.max(initial=0.0)))
-        if repeats(self._newest, scan) and returns.size:
+        if repeats(self._newest, scan) and np.isfinite(scan.ranges_m).any():
             self.repeated += 1
             return
         self._newest = scan
         if self._open:
             since_s = scan.stamp_s - self._open[-1].stamp_s
-            if 0.0 <= since_s < 1.0 / _RATE_HZ:
+            if 0.0 <= since_s < _SPACING_S:
                 return
-            if not 0.0 <= since_s < _SCANS / _RATE_HZ or len(self._open) >= _SCANS:
+            if not 0.0 <= since_s < FEWEST * _SPACING_S or len(self._open) >= FEWEST:
                 self.close()
         self._open.append(scan)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -18,7 +18,7 @@ from slam.measurements import FloatArray, LaserScan
 
 @dataclass(frozen=True, slots=True)
 class ScanMotion:
-    """One stretch.
+    """One stretch, or a piece of it.
 
     Attributes
     ----------
@@ -72,15 +72,16 @@ def track_stretches(
 ) -> list[ScanMotion]:
     """Match the scans of each stretch to its beginning, guided by nothing but their own motion so far.
 
-    A stretch ends where a match fails or leaves a direction open (a corridor).
+    A stretch begins anew where a match fails or leaves a direction open (a corridor).
 
     Parameters
     ----------
     angle_scale
         Of all bearings, about the middle of the field of view.
     """
-    tracked = [_track([_turned(scan, angle_scale) for scan in scans], config) for scans in stretches]
-    return [one for one in tracked if len(one.stamps_s) > 1]
+    return [
+        one for scans in stretches for one in _track([_turned(scan, angle_scale) for scan in scans], config)
+    ]
 
 
 def _turned(scan: LaserScan, angle_scale: float) -> LaserScan:
@@ -94,31 +95,30 @@ def _turned(scan: LaserScan, angle_scale: float) -> LaserScan:
     )
 
 
-def _track(scans: Sequence[LaserScan], config: Config) -> ScanMotion:
-    """One stretch."""
-    settings = config.scan
+def _track(scans: Sequence[LaserScan], config: Config) -> Iterator[ScanMotion]:
+    """One stretch, in as many pieces as matches fail."""
+    settings, limits = config.scan, config.match
     points = [
         OrientedPoints.from_scan(
             extract_points(scan, settings.range_min_m, settings.range_max_m, settings.neighbours)
         )
         for scan in scans
     ]
-    poses, reference, fits = [np.zeros(3)], np.zeros(3), list[float]()
-    if not len(points[0]):
-        return ScanMotion(np.zeros(0), np.zeros((0, 3)), np.zeros(0))
-    local_map = LocalMap.build([points[0]], config.match)
-    step = np.zeros(3)
-    for now in points[1:]:
-        seen = between(reference, poses[-1])
-        if _moved_on(seen, config):
-            reference, local_map = poses[-1], LocalMap.build([points[len(poses) - 1]], config.match)
-        found = local_map.align(now, compose(between(reference, poses[-1]), step))
-        if found.inlier_share < config.match.confident_inlier_share or not found.converged:
-            break
-        if weak_direction(found, config.match.degenerate_share) is not None:
-            break
-        fits.append(found.fit)
-        poses.append(compose(reference, found.pose))
-        step = between(poses[-2], poses[-1])
-    stamps_s = np.array([scan.stamp_s for scan in scans[: len(poses)]])
-    return ScanMotion(stamps_s, np.array(poses), np.array(fits))
+    begun = 0
+    while begun < len(scans) - 1:
+        poses, reference, fits, step = [np.zeros(3)], np.zeros(3), list[float](), np.zeros(3)
+        local_map = LocalMap.build([points[begun]], limits)
+        for now in range(begun + 1, len(scans)):
+            if _moved_on(between(reference, poses[-1]), config):
+                reference, local_map = poses[-1], LocalMap.build([points[now - 1]], limits)
+            found = local_map.align(points[now], compose(between(reference, poses[-1]), step))
+            fits_well = found.inlier_share >= limits.confident_inlier_share and found.converged
+            if not fits_well or weak_direction(found, limits.degenerate_share) is not None:
+                break
+            fits.append(found.fit)
+            poses.append(compose(reference, found.pose))
+            step = between(poses[-2], poses[-1])
+        if fits:
+            stamps_s = np.array([scan.stamp_s for scan in scans[begun : begun + len(poses)]])
+            yield ScanMotion(stamps_s, np.array(poses), np.array(fits))
+        begun += len(poses)

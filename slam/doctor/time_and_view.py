@@ -8,14 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from fusion.estimation import FEWEST, gate
+from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.doctor.finding import Finding
 from slam.doctor.pair import IN_ORDER, Pair, interval
 from slam.doctor.scan_motion import ScanMotion, Steps, track_stretches
 from slam.doctor.wheel_steps import WheelSteps, clock_of
-
-# A clock is looked for again about the first estimate, by all that wheels and lidar tell.
-_AROUND_S = np.arange(-0.2, 0.21, 0.02)
 
 
 def clock_finding(
@@ -26,17 +24,19 @@ def clock_finding(
     found = max((one for one in offsets if one is not None), key=lambda one: one.correlation, default=None)
     if found is None:
         return 0.0, []
-    tried_s = [0.0, *(found.offset_s + _AROUND_S).tolist()]
+    # Once more about the first estimate, by steps long enough to average a match's errors.
+    around_s = np.linspace(-0.5 * GAP_S, 0.5 * GAP_S, FEWEST + 1)
+    tried_s = [0.0, *(found.offset_s + around_s).tolist()]
     misfits = [_misfit(WheelSteps.of(steps, pair.rows, ahead_s)) for ahead_s in tried_s]
     best = int(np.argmin(misfits))
     offset_s = tried_s[best]
-    turned = np.abs(steps.motions[:, 2]) / (steps.spans_s[:, 1] - steps.spans_s[:, 0])
-    wrong_rad = abs(offset_s) * float(np.percentile(turned, 90.0))
+    turned = steps.motions[:, 2] / (steps.spans_s[:, 1] - steps.spans_s[:, 0])
+    wrong_rad = 2.0 * abs(offset_s) * float(turned.std())
     # What the wheels are allowed for a keyframe's turn is no mistake, nor is what helps little.
     allowed_rad = config.wheels.turn_share * config.keyframes.angle_rad + config.wheels.floor_rad
     if wrong_rad < allowed_rad or 2.0 * misfits[best] > misfits[0]:
         return 0.0, []
-    sigma_s = max(found.sigma_s, float(np.median(np.diff(_AROUND_S))))
+    sigma_s = max(found.sigma_s, float(np.diff(around_s).max()))
     low, high = interval(offset_s, sigma_s)
     finding = Finding(
         pair.wheels,
@@ -82,19 +82,26 @@ def angle_scale(
         better = track_stretches(pair.stretches, config, scale)
         wheels = WheelSteps.of(Steps.of(better, config), pair.rows, ahead_s)
         turn = wheels.turn_scale()
-        if turn is not None and abs(math.log(abs(turn.values[0]))) < 0.5 * IN_ORDER:
+        if turn is None or not _fits_better(better, tracked):
+            return None
+        if abs(math.log(abs(turn.values[0]))) < 0.5 * IN_ORDER:
             break
-    if turn is None or not _fits_better(better, tracked):
-        return None
+    assert turn is not None
     scale /= abs(turn.values[0])
     scan = pair.stretches[0][0]
     beams = scan.ranges_m.size
     stated_deg = math.degrees(scan.step_rad) * (beams - 1)
-    seen_deg = stated_deg * scale
-    round_deg = 10.0 * round(seen_deg / 10.0)
-    if abs(math.log(seen_deg / round_deg)) < 0.25 * IN_ORDER:
-        seen_deg = round_deg  # as makers make them
-    scale, sigma = seen_deg / stated_deg, scale * math.sqrt(turn.covariance[0, 0])
+    # Wheels are a per cent off; makers make whole tens of degrees: the one in which scans fit best.
+    near_deg = [stated_deg * scale, *(round(stated_deg * scale + shift, -1) for shift in (-5, 5))]
+    views = [
+        (deg, track_stretches(pair.stretches, config, deg / stated_deg))
+        for deg in near_deg
+        if abs(math.log(max(deg, 1.0) / near_deg[0])) < 0.5 * IN_ORDER
+    ]
+    seen_deg, better = max(
+        views, key=lambda view: float(np.concatenate([one.fits for one in view[1]]).mean())
+    )
+    sigma = scale * math.sqrt(turn.covariance[0, 0])
     middle_deg = math.degrees(scan.start_angle_rad) + 0.5 * stated_deg
     low, high = interval(seen_deg, seen_deg * sigma)
     finding = Finding(
@@ -113,17 +120,19 @@ def angle_scale(
         value=seen_deg,
         interval=(low, high),
     )
-    return finding, track_stretches(pair.stretches, config, scale)
+    return finding, better
 
 
 def _fits_better(tracked: Sequence[ScanMotion], other: Sequence[ScanMotion]) -> bool:
     """Whether scans fit each other better than in another try, beyond chance, and no fewer of them."""
-    fits = [{one.stamps_s[0]: one.fits for one in tries} for tries in (tracked, other)]
-    gains = [
-        float(fits[0][begun][: len(fits[1][begun])].mean() - fits[1][begun][: len(fits[0][begun])].mean())
-        for begun in fits[0].keys() & fits[1].keys()
+    fits = [
+        {stamp_s: fit for one in tries for stamp_s, fit in zip(one.stamps_s[1:], one.fits, strict=True)}
+        for tries in (tracked, other)
     ]
-    if len(gains) < FEWEST // 2 or sum(map(len, fits[0].values())) < sum(map(len, fits[1].values())) // 2:
+    both = sorted(fits[0].keys() & fits[1].keys())
+    if len(both) < 2 * FEWEST or 2 * len(fits[0]) < len(fits[1]):
         return False
-    error = float(np.std(gains)) / math.sqrt(len(gains))
-    return float(np.mean(gains)) > math.sqrt(gate()) * error
+    # Scans of one place share their fate.
+    parts = np.array_split([fits[0][stamp_s] - fits[1][stamp_s] for stamp_s in both], FEWEST)
+    gains = [float(part.mean()) for part in parts]
+    return float(np.mean(gains)) > math.sqrt(gate()) * float(np.std(gains)) / math.sqrt(len(gains))

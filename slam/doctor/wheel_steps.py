@@ -6,14 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion.estimation import FEWEST, gate
+from fusion.estimation import FEWEST, SETTLED, gate
 from fusion.time_alignment import GAP_S, ClockOffset, clock_offset
 from slam.doctor.relation import ComplexArray, Linear, Relation, fit_linear, relate
 from slam.doctor.scan_motion import ScanMotion, Steps
 from slam.measurements import BoolArray, FloatArray
-
-_FLOOR_RAD = 1e-3  # no match tells a turn better than that
-_MOST_S = 2.0  # clocks may differ by as much
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +76,7 @@ class WheelSteps:
 
     def turn_scale(self) -> Linear | None:
         """By what the written turns are to be multiplied to be the lidar's; None of too few."""
-        return fit_linear(self.turns_rad[:, None], self.lidar_turns_rad, self.stretch, _FLOOR_RAD)
+        return fit_linear(self.turns_rad[:, None], self.lidar_turns_rad, self.stretch, SETTLED)
 
     def related(self, reading: Reading) -> Relation | None:
         """The relation under a reading; None where it is open."""
@@ -96,7 +93,7 @@ class WheelSteps:
         if not found:
             return None
         misfits = np.array([self.misfits(*pair) for pair in found])
-        sigma_m = max(min(relation.sigma_m for _, relation in found), _FLOOR_RAD)
+        sigma_m = max(min(relation.sigma_m for _, relation in found), SETTLED)
         agree: BoolArray = misfits**2 < gate(2) * sigma_m**2
         best = int(np.argmax(agree.sum(axis=1)))
         alone = int((agree[best] & ~agree[0]).sum()), int((agree[0] & ~agree[best]).sum())
@@ -113,4 +110,4 @@ def clock_of(tracked: list[ScanMotion], rows: FloatArray, sign: float) -> ClockO
     turned = np.concatenate([np.diff(np.unwrap(one.poses[:, 2])) for one in tracked] or [np.zeros(0)])
     rising = spans[:, 1] > spans[:, 0]
     wheel_spans = np.column_stack([rows[:-1, 0], rows[1:, 0]])
-    return clock_offset(spans[rising], turned[rising], wheel_spans, sign * np.diff(rows[:, 3]), _MOST_S)
+    return clock_offset(spans[rising], turned[rising], wheel_spans, sign * np.diff(rows[:, 3]), most_s=2.0)

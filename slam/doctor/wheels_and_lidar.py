@@ -29,7 +29,7 @@ def compare(pair: Pair, config: Config) -> tuple[list[Finding], list[str]]:
     tracked = track_stretches(pair.stretches, config)
     steps = Steps.of(tracked, config)
     if len(steps) < FEWEST:
-        return [], [f"{pair.lidar} and {pair.wheels}: the lidar shows hardly any motion"]
+        return [], [f"{pair.lidar}: scans alone tell too little of its motion (corridors, or it stands)"]
     if not len(pair.rows) or not np.ptp(pair.rows[:, 1:], axis=0).any():
         return [_frozen(pair)], []
     ahead_s, findings = clock_finding(pair, tracked, steps, config)
@@ -65,8 +65,7 @@ def _frozen(pair: Pair) -> Finding:
         pair.wheels,
         "frozen wheels",
         "reports no motion though the lidar's scans show some",
-        "a robot that slips by a blind spot is taken to stand",
-        (pair.of_wheels(use=False),),
+        "the map is made of the scans alone, and where these tell nothing the robot is lost",
         sure=True,
     )
 
@@ -79,7 +78,7 @@ def _axes(
     steps = wheels.steps(reading)
     entries: dict[str, Any] = {}
     if reading.heading_scale < 0.0 and reading.flipped:
-        findings.append(_mirrored(pair))
+        findings.append(_mirrored(pair, relation))
         steps = steps.conj()
         relation = relation.mirrored()
         entries["heading_scale"] = -reading.heading_scale
@@ -96,7 +95,7 @@ def _axes(
         names = _FLIPPED_QUARTERS
         # Of the four ways to mend a mirrored axis, the one that leaves the lidar where it is said to be.
         quarter = -quarter % 4
-    elif quarter and abs(wrap(heading - off_rad)) > 0.25 * math.pi:
+    elif quarter and 2.0 * abs(wrap(heading - off_rad)) > 0.5 * math.pi:
         quarter = 0
     else:
         quarter = -quarter % 4
@@ -105,19 +104,31 @@ def _axes(
         turned = complex(0.0, 1.0) ** quarter
         steps = steps * turned
         relation = relation.with_wheels_turned(turned)
-    aside = np.median(np.abs(steps.imag)) / max(float(np.median(np.abs(steps.real))), np.finfo(float).tiny)
-    return findings, relation, bool(steps.real.sum() > 0.0 and aside < IN_ORDER)
+    ahead = abs(np.angle((steps * np.abs(steps)).sum())) < IN_ORDER
+    return findings, relation, bool(ahead and 2.0 * np.abs(steps.imag).sum() < np.abs(steps.real).sum())
 
 
-def _mirrored(pair: Pair) -> Finding:
+def _mirrored(pair: Pair, relation: Relation) -> Finding:
     """A lidar that turns the other way than the wheels, in all it says."""
+    of_lidar, of_wheels = pair.of_lidar(upside_down=True), pair.of_wheels(mirrored=True)
+    stated = complex(pair.mounting.x(), pair.mounting.y())
+    # A mounting aside, or turned, is a mirrored one for the wrong remedy. Most lidars look straight ahead.
+    misses = [
+        abs(one.position() - stated) ** 2 / one.sigma_beta**2
+        + wrap(one.yaw_rad - pair.mounting.theta()) ** 2 / (one.sigma_alpha + IN_ORDER) ** 2
+        for one in (relation.mirrored(), relation)
+    ]
+    sure = abs(misses[0] - misses[1]) > gate() and min(misses) < gate(3)
+    remedies = (of_lidar, of_wheels) if misses[0] <= misses[1] + gate() else (of_wheels, of_lidar)
+    told = "it is mounted upside down" if remedies[0] is of_lidar else "the wheels take left for right"
+    other = "" if sure else ", or the wheels take left for right: these two cannot tell which"
     return Finding(
         pair.lidar,
         "mirrored",
-        f"turns the other way than {pair.wheels} and goes the same: it is mounted upside down, or the "
-        "wheels take left for right; these two cannot tell which",
-        "the map is mirrored, or the wheels of no help",
-        (pair.of_lidar(upside_down=True), pair.of_wheels(mirrored=True)),
+        f"turns the other way than {pair.wheels} and goes the same: {told}{other}",
+        "the map is mirrored, or the wheels are of no help",
+        remedies[:1] if sure else remedies,
+        sure=bool(sure),
     )
 
 
@@ -134,7 +145,7 @@ def _heading(pair: Pair, scale: float) -> Finding:
         f"its heading is {' and '.join(part for part in (what, sign) if part)}",
         _GARBLED,
         (pair.of_wheels(heading_scale=round(scale, 7)),),
-        sure=in_degrees or abs(scale) == 1.0,
+        sure=True,
         value=scale,
     )
 
@@ -226,7 +237,9 @@ def _lengths(pair: Pair, relation: Relation) -> list[Finding]:
     )
     # No one's unit makes lengths larger by 3.28 in the wheels, or smaller in the lidar.
     hint = (of_ranges is not None and of_ranges < 0.5) - (of_wheels is not None and of_wheels < 0.5)
-    sure = hint != 0 or (abs(by_wheels - by_ranges) > gate() and min(by_wheels, by_ranges) < gate(2))
+    # One lever is as stated, beyond chance, and the other at least twice as far from it.
+    nearer, farther = sorted((by_wheels, by_ranges))
+    sure = bool(hint or (farther - nearer > gate() and farther > 2.0 * 2.0 * nearer))
     of_lidar = hint > 0 or (hint == 0 and sure and by_ranges < by_wheels)
     longer = f"{1.0 / scale:.4g}" if not of_lidar else f"{scale:.4g}"
     name = pair.lidar if of_lidar else pair.wheels

@@ -6,6 +6,7 @@ same state, without the time that the answers took.
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, TypeVar, cast
@@ -69,10 +70,8 @@ class Checkpoint:
 
     def findings(self, compute: Callable[[], list[Finding]]) -> list[Finding]:
         """What is wrong with the sensors: the first question of a run."""
-        found: list[dict[str, Any]] = self.cached(
-            _FINDINGS, 0.0, lambda: [finding.plain() for finding in compute()]
-        )
-        return [Finding.from_plain(row) for row in found]
+        found: list[str] = self.cached(_FINDINGS, 0.0, lambda: _texts(compute()))
+        return [Finding.from_plain(json.loads(row)) for row in found]
 
     def registrations(
         self, compute: Callable[[], dict[str, ColorRegistration]]
@@ -98,7 +97,7 @@ class Checkpoint:
         self._count = self._first_waiting = 0
         for table in (CHECKPOINT, FRAMES, IMAGES):
             self._file.clear(table)
-        self._remember(_FINDINGS, 0.0, [finding.plain() for finding in findings])
+        self._remember(_FINDINGS, 0.0, _texts(findings))
         self._remember(_REGISTRATIONS, 0.0, list(registrations.items()))
         rows = [(name, found.T_base_camera, found.note) for name, found in mountings.items()]
         self._remember(_MOUNTINGS, 0.0, rows)
@@ -152,3 +151,8 @@ class Checkpoint:
                     question, key, answer = unpack(content[at + 4 : at + 4 + length])
                 at += 4 + length
                 yield question, key, answer
+
+
+def _texts(findings: Sequence[Finding]) -> list[str]:
+    """Findings as rows of text."""
+    return [json.dumps(finding.plain()) for finding in findings]

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 
 from slam.config import Config, calibrated
 from slam.datasets.dataset import Dataset
+from slam.datasets.recording import fewer_frames
 from slam.datasets.sensor_choice import SensorChoice, SensorTally, use_lines, used_measurements
 from slam.doctor.diagnosis import diagnose
 from slam.doctor.finding import Finding, remedied
+from slam.doctor.stretches import Stretches
 from slam.errors import DatasetError
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.lidar2d import PlanarRobot
@@ -54,9 +57,7 @@ def build_map(
         Where the log holds nothing that can be mapped.
     """
     checkpoint = checkpoint or Checkpoint()
-    findings = checkpoint.findings(
-        lambda: diagnose(used_measurements(dataset, config.sensors)) if config.sensors.doctor else []
-    )
+    findings = checkpoint.findings(lambda: findings_of(dataset, config))
     config = settled(config, findings)
     choice = SensorChoice.of(dataset, config.sensors)
     registrations = checkpoint.registrations(
@@ -79,6 +80,15 @@ def build_map(
     result.notes += use_lines(result.uses)
     result.warnings += [finding.line for finding in findings if not (finding.sure and finding.remedies)]
     return result
+
+
+def findings_of(dataset: Dataset, config: Config) -> list[Finding]:
+    """What is wrong with the sensors of a log; nothing where that is not asked for."""
+    if not config.sensors.doctor:
+        return []
+    stretches: defaultdict[str, Stretches] = defaultdict(Stretches)
+    with fewer_frames(dataset, lambda camera, stamp_s: stretches[camera].wants(stamp_s)):
+        return diagnose(used_measurements(dataset, config.sensors))
 
 
 def settled(config: Config, findings: Iterable[Finding]) -> Config:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from fusion.estimation import CONFIDENCE, gate
+from fusion.estimation import CONFIDENCE, half_interval
 from fusion.time_alignment import GAP_S, clock_offset, turns_between
 from slam.measurements import FloatArray
 
@@ -66,7 +66,7 @@ class SensorClock:
 
     def note(self, name: str, other: str) -> str:
         """What a person should know of it."""
-        half_ms = 1e3 * gate(1, 0.95) ** 0.5 * self.sigma_s
+        half_ms = 1e3 * half_interval(self.sigma_s)
         clock = f"{name}: its clock is {1e3 * self.offset_s:+.0f} +- {half_ms:.0f} ms (95 %)"
         return f"{clock} against the {other}'s"
 

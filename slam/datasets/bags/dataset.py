@@ -66,6 +66,8 @@ class BagDataset:
     ----------
     figures
         What the latest pass found out about topics, clocks and frames.
+    read_images
+        Whether frames come at all; without them the other sensors are read many times as fast.
     """
 
     def __init__(self, path: Path, *, strict: bool = False, topics: tuple[str, ...] = ()) -> None:
@@ -73,6 +75,7 @@ class BagDataset:
         self.name = path.resolve().name
         self.report = ReadReport()
         self.figures = BagFigures()
+        self.read_images = True
         self._strict, self._topics = strict, topics
         self._opened: tuple[Bag, Survey, Layout] | None = None
 
@@ -92,7 +95,9 @@ class BagDataset:
         account = Account(self.name, report, self._strict)
         for note in layout.notes:
             report.note(note, 1)
-        for done in prefetched(_stream(bag, layout, account, self.figures), _decoded):
+        for done in prefetched(
+            _stream(bag, layout, account, self.figures, images=self.read_images), _decoded
+        ):
             if done.fault is not None:
                 account.refuse(done.fault, done.where, done.number)
             elif done.measurement is not None:
@@ -104,7 +109,7 @@ class BagDataset:
         for cloud in layout.clouds:
             if cloud.times.choice:
                 report.note(f"{cloud.topic}: {cloud.times.choice}", 1)
-        if report.measurement_count == 0:
+        if report.measurement_count == 0 and self.read_images:
             raise DatasetError(_nothing_usable(self.path, report, survey))
 
     def groundtruth(self) -> Trajectory | None:
@@ -138,13 +143,17 @@ def open_bag(path: Path, strict: bool, topics: tuple[str, ...] = ()) -> BagDatas
     return BagDataset(path, strict=strict, topics=topics)
 
 
-def _stream(bag: Bag, layout: Layout, account: Account, figures: BagFigures) -> Iterator[_Done | _FrameToDo]:
+def _stream(
+    bag: Bag, layout: Layout, account: Account, figures: BagFigures, *, images: bool
+) -> Iterator[_Done | _FrameToDo]:
     """The bag in order, images not decoded yet."""
     time_merge: TimeMerge[_FrameToDo] = TimeMerge()
     pairs = [PairStream(camera.sensor, camera.tolerance_s, account) for camera in layout.cameras]
     reader = _Reader(layout, Decoder(), account, figures)
     for record in bag.records(account):
         now_s = record.recorded_s
+        if not images and record.channel.topic in layout.images:
+            continue
         for item in reader.read(record):
             if isinstance(item, StampedImage):
                 place, is_depth = layout.images[record.channel.topic]
