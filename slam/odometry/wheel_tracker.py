@@ -201,7 +201,11 @@ def thrown_aside(motion: Motion) -> FloatArray:
     """
     ahead = between(motion.pose, np.zeros(3))[:2]
     lever = np.array([ahead[1], -ahead[0]])
+    variance = motion.covariance[2, 2]
+    # A way that is wrong together with the heading is thrown aside together with it: else a dispute, whose
+    # covariance has one direction, would leave one that is none.
+    together = 0.5 * np.outer(lever, motion.covariance[:2, 2])
     covariance = np.zeros((3, 3))
-    covariance[:2, :2] = np.outer(lever, lever) / 3
-    covariance[:2, 2] = covariance[2, :2] = 0.5 * lever
-    return covariance * motion.covariance[2, 2]
+    covariance[:2, :2] = variance * np.outer(lever, lever) / 3 + together + together.T
+    covariance[:2, 2] = covariance[2, :2] = 0.5 * variance * lever
+    return covariance
