@@ -168,6 +168,7 @@ def test_yaml_examples_are_read(tmp_path: Path) -> None:
         return tmp_path / name
 
     load_config(str(written("configure.md", "mine.yaml")))
+    assert load_config(calibration=written("doctor.md", "calibration.yaml")).sensors.calibration.lidars
     load_experiment(written("compare.md", "experiment.yaml"))
     guess = Calibration(slam.CameraIntrinsics(1.0, 1.0, 0.0, 0.0, 0, 0), 1.0, assumed="no file")
     calibration = read_calibration(written("own-data.md", "calibration.yaml").parent, guess)
