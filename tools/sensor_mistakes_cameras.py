@@ -99,31 +99,108 @@ def _times(cloud: PointCloud, factor: float) -> PointCloud:
 
 _ANY = lambda size: None  # noqa: E731
 MISTAKES: dict[str, Mistake] = {
-    "depth scaled a little": Mistake(RgbdFrame, _depth, "depth scale", "depth_scale", lambda s: 1 / s, (1.1, 0.85)),
+    "depth scaled a little": Mistake(
+        RgbdFrame, _depth, "depth scale", "depth_scale", lambda s: 1 / s, (1.1, 0.85)
+    ),
     "depth scaled": Mistake(RgbdFrame, _depth, "depth scale", "depth_scale", lambda s: 1 / s, (2.0, 0.5)),
-    "depth in millimetres": Mistake(RgbdFrame, _depth, "depth scale", "depth_scale", lambda s: 1 / s, (1000.0, 0.001), False),
-    "depth of 5000 steps": Mistake(RgbdFrame, _depth, "depth scale", "depth_scale", lambda s: 1 / s, (5.0, 0.2)),
-    "focal length": Mistake(RgbdFrame, lambda f, s: _lens(f, s), "lens", "intrinsics", lambda s: {"fx": 1 / s}, (1.2, 0.8), False),
-    "principal point": Mistake(RgbdFrame, lambda f, s: _lens(f, 1.0, s), "lens", "intrinsics", lambda s: {"cx": -s}, (0.12, -0.2), False),
+    "depth in millimetres": Mistake(
+        RgbdFrame, _depth, "depth scale", "depth_scale", lambda s: 1 / s, (1000.0, 0.001), False
+    ),
+    "depth of 5000 steps": Mistake(
+        RgbdFrame, _depth, "depth scale", "depth_scale", lambda s: 1 / s, (5.0, 0.2)
+    ),
+    "focal length": Mistake(
+        RgbdFrame, lambda f, s: _lens(f, s), "lens", "intrinsics", lambda s: {"fx": 1 / s}, (1.2, 0.8), False
+    ),
+    "principal point": Mistake(
+        RgbdFrame,
+        lambda f, s: _lens(f, 1.0, s),
+        "lens",
+        "intrinsics",
+        lambda s: {"cx": -s},
+        (0.12, -0.2),
+        False,
+    ),
     "camera clock": Mistake(RgbdFrame, _late, "clock", "clock_offset_s", lambda s: s, (0.5, -0.25)),
-    "camera yaw a little": Mistake(RgbdFrame, lambda f, s: _sits(f, lambda p: _turned(p, s)), "mounting", "T_base_camera", _ANY, (10.0, -15.0)),
-    "camera yaw": Mistake(RgbdFrame, lambda f, s: _sits(f, lambda p: _turned(p, s)), "mounting", "T_base_camera", _ANY, (90.0, 180.0)),
-    "camera told upside down": Mistake(RgbdFrame, lambda f, s: _sits(f, _rolled), "mounting", "T_base_camera", _ANY, (0.0,)),
-    "images upside down": Mistake(RgbdFrame, lambda f, s: _flipped(f, -1, -1), "mounting", "T_base_camera", _ANY, (0.0,)),
-    "camera off": Mistake(RgbdFrame, lambda f, s: _sits(f, lambda p: _moved(p, s)), "mounting", "T_base_camera", _ANY, (0.3, -0.5)),
-    "images mirrored": Mistake(RgbdFrame, lambda f, s: _flipped(f, 1, -1), "mirrored", "mirrored", lambda s: True, (0.0,)),
-    "frames repeated": Mistake(RgbdFrame, lambda f, s: f, "repeated frames", "drop_repeated", lambda s: True, (3.0, 5.0), False),
-    "3D lidar yaw a little": Mistake(PointCloud, lambda c, s: _cloud_sits(c, lambda p: _turned(p, s)), "mounting", "T_base_lidar", _ANY, (10.0, -15.0)),
-    "3D lidar yaw": Mistake(PointCloud, lambda c, s: _cloud_sits(c, lambda p: _turned(p, s)), "mounting", "T_base_lidar", _ANY, (90.0, 180.0)),
-    "3D lidar upside down": Mistake(PointCloud, lambda c, s: _cloud_sits(c, _rolled), "mounting", "T_base_lidar", _ANY, (0.0,)),
-    "3D lidar off": Mistake(PointCloud, lambda c, s: _cloud_sits(c, lambda p: _moved(p, s)), "mounting", "T_base_lidar", _ANY, (0.3, -0.5)),
+    "camera yaw a little": Mistake(
+        RgbdFrame,
+        lambda f, s: _sits(f, lambda p: _turned(p, s)),
+        "mounting",
+        "T_base_camera",
+        _ANY,
+        (10.0, -15.0),
+    ),
+    "camera yaw": Mistake(
+        RgbdFrame,
+        lambda f, s: _sits(f, lambda p: _turned(p, s)),
+        "mounting",
+        "T_base_camera",
+        _ANY,
+        (90.0, 180.0),
+    ),
+    "camera told upside down": Mistake(
+        RgbdFrame, lambda f, s: _sits(f, _rolled), "mounting", "T_base_camera", _ANY, (0.0,)
+    ),
+    "images upside down": Mistake(
+        RgbdFrame, lambda f, s: _flipped(f, -1, -1), "mounting", "T_base_camera", _ANY, (0.0,)
+    ),
+    "camera off": Mistake(
+        RgbdFrame,
+        lambda f, s: _sits(f, lambda p: _moved(p, s)),
+        "mounting",
+        "T_base_camera",
+        _ANY,
+        (0.3, -0.5),
+    ),
+    "images mirrored": Mistake(
+        RgbdFrame, lambda f, s: _flipped(f, 1, -1), "mirrored", "mirrored", lambda s: True, (0.0,)
+    ),
+    "frames repeated": Mistake(
+        RgbdFrame, lambda f, s: f, "repeated frames", "drop_repeated", lambda s: True, (3.0, 5.0), False
+    ),
+    "3D lidar yaw a little": Mistake(
+        PointCloud,
+        lambda c, s: _cloud_sits(c, lambda p: _turned(p, s)),
+        "mounting",
+        "T_base_lidar",
+        _ANY,
+        (10.0, -15.0),
+    ),
+    "3D lidar yaw": Mistake(
+        PointCloud,
+        lambda c, s: _cloud_sits(c, lambda p: _turned(p, s)),
+        "mounting",
+        "T_base_lidar",
+        _ANY,
+        (90.0, 180.0),
+    ),
+    "3D lidar upside down": Mistake(
+        PointCloud, lambda c, s: _cloud_sits(c, _rolled), "mounting", "T_base_lidar", _ANY, (0.0,)
+    ),
+    "3D lidar off": Mistake(
+        PointCloud,
+        lambda c, s: _cloud_sits(c, lambda p: _moved(p, s)),
+        "mounting",
+        "T_base_lidar",
+        _ANY,
+        (0.3, -0.5),
+    ),
     "3D lidar clock": Mistake(PointCloud, _late, "clock", "clock_offset_s", lambda s: s, (0.3, -0.5)),
     "3D lidar ranges": Mistake(
-        PointCloud, lambda c, s: replace(c, points_lidar=c.points_lidar * np.float32(s)), "range scale", "range_scale", lambda s: 1 / s, (1.1, 1 / 0.3048),
+        PointCloud,
+        lambda c, s: replace(c, points_lidar=c.points_lidar * np.float32(s)),
+        "range scale",
+        "range_scale",
+        lambda s: 1 / s,
+        (1.1, 1 / 0.3048),
     ),
-    "times of points": Mistake(PointCloud, _times, "times of points", "times_scale", lambda s: 1 / s, (1000.0, 1e-6), False),
-    "clouds repeated": Mistake(PointCloud, lambda c, s: c, "repeated clouds", "drop_repeated", lambda s: True, (3.0, 5.0), False),
-}  # fmt: skip
+    "times of points": Mistake(
+        PointCloud, _times, "times of points", "times_scale", lambda s: 1 / s, (1000.0, 1e-6), False
+    ),
+    "clouds repeated": Mistake(
+        PointCloud, lambda c, s: c, "repeated clouds", "drop_repeated", lambda s: True, (3.0, 5.0), False
+    ),
+}
 
 
 def wrong_log(log: list[Measurement], mistake: Mistake, size: float) -> list[Measurement]:

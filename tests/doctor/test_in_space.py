@@ -223,7 +223,7 @@ def test_the_floor_is_the_lowest_level_surface() -> None:
     wall = rng.uniform([2.0, -2.0, -0.7], [2.1, 2.0, 1.5], (400, 3))
     up = np.array([0.0, 0.0, 1.0])
     assert floor_below_m(np.concatenate([floor, table, wall]), up) == pytest.approx(0.7, abs=0.02)
-    assert floor_below_m(wall + [0.0, 0.0, 2.0], up) is None
+    assert floor_below_m(wall + np.array([0.0, 0.0, 2.0]), up) is None
 
 
 def test_stretches_are_bounded_and_spread_over_a_long_log() -> None:
