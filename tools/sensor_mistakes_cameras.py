@@ -224,7 +224,7 @@ def expected(log: list[Measurement], mistake: Mistake, size: float) -> Any:
     """What the entry should say."""
     first: Any = next(one for one in log if isinstance(one, mistake.sensor))
     if mistake.entry == "intrinsics":
-        ((key, value),) = mistake.value(size).items()
+        (key,) = mistake.value(size)
         # As it was before the mistake.
         return {"fx": first.intrinsics.fx} if key == "fx" else {"cx": first.intrinsics.cx}
     if mistake.entry.startswith("T_base"):

@@ -30,6 +30,7 @@ _DEPTHS_M = (0.1, 30.0)
 # What files of depth are written in, over what they are taken for.
 _UNITS = (1000.0, 0.001, 5.0, 0.2, 10.0, 0.1, 100.0, 0.01)
 _JOINED = 5  # steps of a sensor that are one motion
+_SPREAD = 0.2  # of the shifts, the largest share that a fit may leave over
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +157,9 @@ def seen_by(
     moved = base.track.steps(begun, ended)
     known = np.isfinite(moved).all(axis=1)
     shifts = np.array([step.motion.translation() for step in steps])
-    seen.fit = planar_hand_eye(turns_of(steps)[known], shifts[known], moved[known])
+    fit = planar_hand_eye(turns_of(steps)[known], shifts[known], moved[known])
+    # What is left over by as much tells badly how the sensor moved, whatever it claims.
+    seen.fit = fit if fit is not None and fit.spread < _SPREAD else None
     if seen.fit is not None:
         up = seen.fit.up if told is None else told.T[:, 2]
         points = np.concatenate(samples.points) if samples.points else np.zeros((0, 3))
@@ -228,6 +231,8 @@ def _scale(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
     if seen.told_m is not None and seen.floor_m is not None and seen.told_m[2] > _LEVER_M:
         floor = seen.floor_m / seen.told_m[2]
         mine, yours = (abs(math.log(floor / one)) < 0.5 * abs(math.log(scale)) for one in (scale, 1.0))
+    if base.certain and yours and not mine:
+        return []  # the floor is where it should be: the motions were told badly
     if not base.certain:
         as_much = [one for one in others if abs(one.off / scale - 1.0) < _SHARE]
         yours = bool(as_much) or (yours and not mine)
@@ -356,8 +361,8 @@ def _repeated(kind: str, name: str, repeated: int, count: int, what: str) -> lis
 
 
 def _within(off: float, sigma: float, limit: float) -> bool:
-    """Whether a difference is smaller than what matters, or than what its uncertainty allows."""
-    return not abs(off) > max(limit, gate() ** 0.5 * sigma)
+    """Whether a difference may be smaller than what matters."""
+    return not abs(off) > limit + gate() ** 0.5 * sigma
 
 
 def _once(findings: Sequence[Finding]) -> list[Finding]:
