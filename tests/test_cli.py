@@ -27,7 +27,8 @@ class TestMap:
     def test_it_says_what_it_did(self, scanweave: Scanweave, log: SyntheticLog, tmp_path: Path) -> None:
         outcome = scanweave("map", log.log_path, "-o", tmp_path)
         assert (outcome.code, outcome.err) == (0, "")
-        first, second = outcome.out.splitlines()
+        used, first, second = outcome.out.splitlines()
+        assert used == f"used: FLASER (2D lidar, {log.scan_count}), odometry (wheels, {log.odometry_count})"
         assert first.startswith(f"{log.scan_count} scans, ")
         assert " 0 records dropped, " in first
         assert [name for name in RESULTS if str(tmp_path / name) not in second] == []
@@ -149,7 +150,7 @@ class TestBadInput:
         outcome = scanweave("map", damaged, "-o", tmp_path / "out")
         assert outcome.code == 0
         assert "3 records dropped" in outcome.out
-        assert outcome.out.startswith(f"{log.scan_count - 2} scans")
+        assert f"\n{log.scan_count - 2} scans" in outcome.out
         assert "dropped: " in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
         inspected = json.loads(scanweave("inspect", damaged, "--json").out)
         assert sum(tally["count"] for tally in inspected["dropped"].values()) == 3

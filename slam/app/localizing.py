@@ -11,13 +11,13 @@ from slam.app.progress import OnProgress, Progress, silent
 from slam.config import Config
 from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
+from slam.datasets.sensor_choice import SensorChoice, used_measurements
 from slam.doctor.finding import Finding
 from slam.errors import DatasetError
 from slam.evaluation.localization_report import write_localization_report
 from slam.localization.drive_log import DriveLog
 from slam.localization.localizer import Localizer
 from slam.mapper.pipeline import findings_of, settled
-from slam.mapper.sensor_choice import SensorChoice, used_measurements
 from slam.measurements import Trajectory
 from slam.outputs.finished_map import Map
 from slam.storage.files import make_folder

@@ -17,6 +17,30 @@ class PlanarMounting(StrictModel):
     yaw_deg: float = 0.0
 
 
+class Mounting(StrictModel):
+    """Where a sensor sits on the robot, in space; the angles of a camera are those of its body.
+
+    The body looks along x, its image upright; turned by yaw about the robot's z, then pitch (down) about y,
+    then roll about x.
+    """
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    z_m: float = 0.0
+    roll_deg: float = 0.0
+    pitch_deg: float = 0.0
+    yaw_deg: float = 0.0
+
+
+class Lens(StrictModel):
+    """A pin-hole camera, in pixels of its images."""
+
+    fx: float = Field(gt=0)
+    fy: float = Field(gt=0)
+    cx: float
+    cy: float
+
+
 class SensorCorrection(StrictModel):
     """What any sensor may need."""
 
@@ -69,11 +93,30 @@ class LidarCorrection(SensorCorrection):
         return self
 
 
+class CameraCorrection(SensorCorrection):
+    """An RGB-D camera."""
+
+    T_base_camera: Mounting | None = Field(default=None, description="where it sits")
+    depth_scale: float = Field(default=1.0, gt=0, description="of depth: 0.001 for millimetres")
+    intrinsics: Lens | None = Field(default=None, description="the lens")
+    mirrored: bool = Field(default=False, description="left is right in its images")
+
+
+class CloudCorrection(SensorCorrection):
+    """A 3D lidar."""
+
+    T_base_lidar: Mounting | None = Field(default=None, description="where it sits")
+    range_scale: float = Field(default=1.0, gt=0, description="of the points: 0.3048 where they are in feet")
+    times_scale: float = Field(default=1.0, description="of the points' times: -1 for a wrong sign")
+
+
 class Calibration(StrictModel):
     """Corrections by the sensors' names, as 'scanweave inspect' lists them."""
 
     wheels: dict[str, WheelCorrection] = Field(default={}, description="corrections of wheels, by name")
     lidars: dict[str, LidarCorrection] = Field(default={}, description="corrections of 2D lidars, by name")
+    cameras: dict[str, CameraCorrection] = Field(default={}, description="corrections of cameras, by name")
+    lidars_3d: dict[str, CloudCorrection] = Field(default={}, description="corrections of 3D lidars, by name")
 
     def merged(self, entries: Mapping[str, Mapping[str, Mapping[str, object]]]) -> Calibration:
         """With more entries, by kind and name of the sensor; what is there already stays as it is."""

@@ -144,7 +144,8 @@ class _Decoder:
             self._report.accept(kind)
             yield scan
         else:
-            self._report.ignore(kind)
+            twin = kind in _PARSERS and "the log holds the same scans in another type of record"
+            self._report.ignore(kind, twin or f"records of type {kind} are not read")
 
     def _odometry(self, record: OdometryRecord, *, with_scan: bool) -> Iterator[WheelOdometry]:
         """The reading; a scan line that only repeats the reading before it adds none."""

@@ -14,10 +14,19 @@ import gtsam
 import numpy as np
 
 from slam.config.calibration import Calibration, LidarCorrection, SensorCorrection, WheelCorrection
+from slam.datasets.corrections_in_space import CloudCorrector, FrameCorrector, same_cloud, same_frame
 from slam.datasets.dataset import Dataset, ReadReport
 from slam.errors import DatasetError
 from slam.matching.planar import wrap
-from slam.measurements import FloatArray, LaserScan, Measurement, Trajectory, WheelOdometry
+from slam.measurements import (
+    FloatArray,
+    LaserScan,
+    Measurement,
+    PointCloud,
+    RgbdFrame,
+    Trajectory,
+    WheelOdometry,
+)
 
 _RECENT = 4  # readings from which a rate is told
 
@@ -61,16 +70,32 @@ def corrected(log: Iterable[Measurement], calibration: Calibration) -> Iterable[
     return _in_time(stream, max([0.0, *offsets_s]) - min([0.0, *offsets_s])) if any(offsets_s) else stream
 
 
+def left_out(calibration: Calibration, kind: type, sensor: str) -> bool:
+    """Whether a calibration leaves a sensor out, of a type of measurement and by name."""
+    correction = _by_name(calibration).get((kind, sensor))
+    return correction is not None and not correction.use
+
+
 def _by_name(calibration: Calibration) -> dict[tuple[type, str], SensorCorrection]:
     """Every correction by what it corrects: type of the measurement, and name of the sensor."""
-    kinds: dict[type, dict[str, Any]] = {WheelOdometry: calibration.wheels, LaserScan: calibration.lidars}
+    kinds: dict[type, dict[str, Any]] = {
+        WheelOdometry: calibration.wheels,
+        LaserScan: calibration.lidars,
+        RgbdFrame: calibration.cameras,
+        PointCloud: calibration.lidars_3d,
+    }
     return {(kind, name): one for kind, sensors in kinds.items() for name, one in sensors.items()}
 
 
 def _corrected_one_by_one(log: Iterable[Measurement], calibration: Calibration) -> Iterator[Measurement]:
     """Each measurement by itself, in the order of the log."""
     by_name, seen = _by_name(calibration), dict[tuple[type, str], None]()
-    makers: dict[type, Callable[[Any], Callable[[Any], Any]]] = {WheelOdometry: _Wheels, LaserScan: _Lidar}
+    makers: dict[type, Callable[[Any], Callable[[Any], Any]]] = {
+        WheelOdometry: _Wheels,
+        LaserScan: _Lidar,
+        RgbdFrame: FrameCorrector,
+        PointCloud: CloudCorrector,
+    }
     correctors = {key: makers[key[0]](correction) for key, correction in by_name.items()}
     newest: dict[tuple[type, str], Measurement] = {}
     for measurement in log:
@@ -97,6 +122,10 @@ def repeats(before: Measurement | None, now: Measurement) -> bool:
     """Whether a reading tells the same to the bit as the one before: what a sensor with noise never does."""
     if isinstance(before, LaserScan) and isinstance(now, LaserScan):
         return before.ranges_m.tobytes() == now.ranges_m.tobytes()
+    if isinstance(before, RgbdFrame) and isinstance(now, RgbdFrame):
+        return same_frame(before, now)
+    if isinstance(before, PointCloud) and isinstance(now, PointCloud):
+        return same_cloud(before, now)
     if isinstance(before, WheelOdometry) and isinstance(now, WheelOdometry):
         return before.T_odom_base.equals(now.T_odom_base, 0.0)
     return False

@@ -23,6 +23,7 @@ JUMP_SLACK_RAD = 0.5
 
 _SAMPLES_KEPT = 4096  # numbers kept for a median
 _LINES_KEPT = 3  # examples kept of each kind of event
+MOST_TOPICS = 2000  # a robot has some dozens; damaged names must not fill the memory
 _KEYS_KEPT = 32  # kinds of event; the rest share one key, so that garbage cannot grow the report
 _OTHER = "(others)"
 
@@ -92,8 +93,12 @@ class ReadReport:
         Lines (or records) looked at.
     records
         Accepted records by their type in the file.
+    beside
+        Records that tell of sensors: mountings, lenses, the images that make a camera's frames.
     ignored
-        Records of types that this reader does not use.
+        Records that this reader does not use, by topic or type.
+    reasons
+        Why it does not, by the keys of ``ignored``.
     dropped
         Refused records by reason.
     notes
@@ -111,7 +116,9 @@ class ReadReport:
     line_count: int = 0
     share: float | None = None
     records: Counter[str] = field(default_factory=Counter)
+    beside: Counter[str] = field(default_factory=Counter)
     ignored: Counter[str] = field(default_factory=Counter)
+    reasons: dict[str, str] = field(default_factory=dict)
     dropped: dict[str, Tally] = field(default_factory=dict)
     notes: dict[str, Tally] = field(default_factory=dict)
     backward_steps: dict[str, Tally] = field(default_factory=dict)
@@ -130,9 +137,11 @@ class ReadReport:
         """Count an accepted record."""
         self.records[kind] += 1
 
-    def ignore(self, kind: str) -> None:
-        """Count a record of a type that is not used."""
-        self.ignored[kind if kind in self.ignored or len(self.ignored) < _KEYS_KEPT else _OTHER] += 1
+    def ignore(self, kind: str, why: str, count: int = 1) -> None:
+        """Count records of a topic or type that is not used."""
+        key = kind if kind in self.ignored or len(self.ignored) < MOST_TOPICS else _OTHER
+        self.ignored[key] += count
+        self.reasons[key] = why if key == kind else "too many names to list"
 
     def drop(self, reason: str, line: int) -> None:
         """Count a refused record."""

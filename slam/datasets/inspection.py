@@ -13,19 +13,23 @@ from typing import Any
 import numpy as np
 
 from slam.config.calibration import Calibration
+from slam.config.stages import SensorsConfig
 from slam.datasets.corrections import corrected
 from slam.datasets.dataset import Dataset, Tally, Thinned
 from slam.datasets.inspection_bag import bag_facts
 from slam.datasets.inspection_camera import CameraFigures
 from slam.datasets.inspection_cloud import CloudFigures
+from slam.datasets.sensor_choice import SensorTally
 from slam.measurements import LaserScan, PointCloud, RgbdFrame, WheelOdometry
 
 
 def inspect_dataset(dataset: Dataset, calibration: Calibration | None = None) -> dict[str, Any]:
     """Read a log once, from end to end, and tell what it holds.
 
-    ``first_stamp_s`` is the earliest stamp, ``duration_s`` the latest less that; ``dropped`` has the damaged
-    records by reason and ``notes`` what is odd, each with a count, its first lines and the largest.
+    ``first_stamp_s`` is the earliest stamp, ``duration_s`` the latest less that; ``uses`` tells of every
+    sensor and topic whether mapping by the default settings uses it, and else why not; ``dropped``
+    has the damaged records by reason and ``notes`` what is odd, each with a count, its first lines and the
+    largest.
 
     Parameters
     ----------
@@ -39,9 +43,11 @@ def inspect_dataset(dataset: Dataset, calibration: Calibration | None = None) ->
     BadRecordError
         A damaged record, where the dataset was opened with ``strict``.
     """
+    calibration = calibration or Calibration()
+    tally = SensorTally(config=SensorsConfig(calibration=calibration))
     streams: dict[str, _Stream] = {}
     earliest_s, latest_s = math.inf, -math.inf
-    for measurement in corrected(dataset, calibration or Calibration()):
+    for measurement in corrected(tally.counted(dataset), calibration):
         stream = streams.setdefault(measurement.sensor, _Stream())
         stream.add_stamp(measurement.stamp_s)
         if isinstance(measurement, LaserScan):
@@ -65,7 +71,7 @@ def inspect_dataset(dataset: Dataset, calibration: Calibration | None = None) ->
             for name in sorted(streams)
         ],
         "records": dict(report.records),
-        "ignored": dict(report.ignored),
+        "uses": [asdict(use) for use in tally.uses(report)],
         "dropped": {reason: asdict(tally) for reason, tally in report.dropped.items()},
         "notes": {text: asdict(tally) for text, tally in report.notes.items()},
         "odometry_jumps": asdict(report.odometry_jumps),

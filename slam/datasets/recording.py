@@ -22,16 +22,16 @@ Numbered: TypeAlias = tuple[int, Measurement]
 
 
 @contextmanager
-def without_images(dataset: Any) -> Iterator[None]:
-    """A dataset whose frames stay unread meanwhile, where it can do so: its other sensors are read faster."""
-    before = getattr(dataset, "read_images", None)
-    if before is not None:
-        dataset.read_images = False
+def fewer_frames(dataset: Any, wants: Callable[[str, float], bool]) -> Iterator[None]:
+    """A dataset that reads only some frames meanwhile, where it can do so: by camera and stamp."""
+    able = isinstance(dataset, Recording)
+    if able:
+        dataset.wants_frame = wants
     try:
         yield
     finally:
-        if before is not None:
-            dataset.read_images = before
+        if able:
+            dataset.wants_frame = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +74,8 @@ class Recording:
     ----------
     read_images
         Whether frames come at all; without them a log beside the cameras is read many times as fast.
+    wants_frame
+        Which frames come, by camera and stamp; None for all.
     """
 
     def __init__(
@@ -89,6 +91,7 @@ class Recording:
         self.name = plain(path.resolve().name)
         self.report = ReadReport()
         self.read_images = True
+        self.wants_frame: Callable[[str, float], bool] | None = None
         self._load, self._truth, self._strict, self._remedy = load, truth, strict, remedy
 
     def __iter__(self) -> Iterator[Measurement]:
@@ -107,7 +110,10 @@ class Recording:
         cameras = contents.cameras if self.read_images else []
         # Frames take the time, where there are any; else the log beside them tells how far it was read.
         frames_in_all, frames_read = sum(len(camera.pairs) for camera in cameras), 0
-        with closing(read_frames(_by_time(cameras), account)) as frames:
+        pairs, wants = _by_time(cameras), self.wants_frame
+        if wants is not None:
+            pairs = ((camera, pair) for camera, pair in pairs if wants(camera.sensor, pair.stamp_s))
+        with closing(read_frames(pairs, account)) as frames:
             for number, measurement in _frames_after_log(contents.log, frames):
                 report.observe(measurement, number)
                 if isinstance(measurement, RgbdFrame):

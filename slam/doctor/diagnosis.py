@@ -11,9 +11,11 @@ import numpy as np
 from fusion.estimation import FEWEST
 from slam.config import Config
 from slam.doctor.finding import Finding
+from slam.doctor.in_space import Base, camera_findings, cloud_findings, findings_against, seen_by
 from slam.doctor.own_body import blocked_beams, blocked_finding, without
 from slam.doctor.pair import Pair
-from slam.doctor.samples import Samples
+from slam.doctor.paired_motions import BaseTrack, mended_rows
+from slam.doctor.samples import Samples, WheelSamples
 from slam.doctor.wheels_and_lidar import compare
 from slam.measurements import LaserScan, Measurement
 
@@ -74,7 +76,34 @@ def examine(log: Iterable[Measurement]) -> Diagnosis:
         found, left_open = compare(Pair(wheels[0], name, wheels[1].rows(), stretches, scale), config)
         findings += found
         unknown += left_open
-    return Diagnosis(findings, unknown)
+    return Diagnosis(findings + _in_space(samples, wheels, findings), unknown)
+
+
+def _in_space(
+    samples: Samples, wheels: tuple[str, WheelSamples] | None, findings: list[Finding]
+) -> list[Finding]:
+    """What cameras and 3D lidars say, against wheels as the findings mend them."""
+    found = [one for name, camera in samples.cameras.items() for one in camera_findings(name, camera)]
+    doubtful = frozenset(one.sensor for one in found if one.kind == "lens")
+    found += [one for name, clouds in samples.clouds.items() for one in cloud_findings(name, clouds)]
+    known = None if wheels is None else mended_rows(wheels[0], wheels[1].rows(), findings)
+    if wheels is None or known is None:
+        return found
+    # Wheels that a lidar does not contradict, or was believed against.
+    base = Base(wheels[0], BaseTrack(known), any(lidar.stretches for lidar in samples.lidars.values()))
+    seen = [
+        seen_by("cameras", name, camera, camera.T_base_camera, base)
+        for name, camera in samples.cameras.items()
+    ] + [
+        seen_by("lidars_3d", name, clouds, clouds.T_base_lidar, base)
+        for name, clouds in samples.clouds.items()
+    ]
+    units = {one.sensor for one in found if one.kind == "depth scale"}
+    against = findings_against(base, seen, doubtful)
+    # A depth that is measured is better than one by the usual units.
+    measured = {one.sensor for one in against if one.kind == "depth scale" and one.sensor in units}
+    found = [one for one in found if one.kind != "depth scale" or one.sensor not in measured]
+    return found + [replace(one, sure=one.sure or one.sensor in measured) for one in against]
 
 
 def _within_reach(stretches: list[list[LaserScan]], config: Config) -> tuple[list[list[LaserScan]], float]:

@@ -10,7 +10,9 @@ import numpy as np
 
 from fusion.estimation import FEWEST
 from slam.datasets.corrections import Unwound, repeats
-from slam.measurements import FloatArray, LaserScan, Measurement, WheelOdometry
+from slam.doctor.camera_samples import CameraSamples
+from slam.doctor.cloud_samples import CloudSamples
+from slam.measurements import FloatArray, LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
 
 # Scans of a stretch lie no nearer: a robot hardly moves between.
 _SPACING_S = 0.1
@@ -92,16 +94,22 @@ class Samples:
 
     wheels: dict[str, WheelSamples]
     lidars: dict[str, LidarSamples]
+    cameras: dict[str, CameraSamples]
+    clouds: dict[str, CloudSamples]
 
     @classmethod
     def of(cls, log: Iterable[Measurement]) -> Samples:
         """Read a log once."""
-        samples = cls({}, {})
+        samples = cls({}, {}, {}, {})
         for measurement in log:
             if isinstance(measurement, LaserScan):
                 samples.lidars.setdefault(measurement.sensor, LidarSamples()).add(measurement)
             elif isinstance(measurement, WheelOdometry):
                 samples.wheels.setdefault(measurement.sensor, WheelSamples()).add(measurement)
+            elif isinstance(measurement, RgbdFrame):
+                samples.cameras.setdefault(measurement.sensor, CameraSamples()).add(measurement)
+            elif isinstance(measurement, PointCloud):
+                samples.clouds.setdefault(measurement.sensor, CloudSamples()).add(measurement)
         for lidar in samples.lidars.values():
             lidar.close()
         return samples

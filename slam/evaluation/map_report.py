@@ -15,6 +15,7 @@ import numpy as np
 
 from slam.config import Config
 from slam.datasets.dataset import Dataset, ReadReport
+from slam.datasets.sensor_choice import use_lines
 from slam.errors import ScanweaveError
 from slam.evaluation.report_figures import MapPicture
 from slam.evaluation.truth_comparison import TruthComparison, compare_with_truth
@@ -138,8 +139,17 @@ class ReportData:
     @property
     def notes(self) -> list[tuple[str, str]]:
         """What the reader met, what the graph is made of, what was found out: what, and how much."""
-        found = [("note", note) for note in self.result.notes]
+        told = use_lines(self.result.uses)
+        found = [("note", note) for note in self.result.notes if note not in told]
         return _reader_notes(self.reading) + _edge_notes(self.result.map.factors) + found
+
+    @property
+    def sensors(self) -> list[tuple[str, str, str, str]]:
+        """What became of everything in the log: name, what it is, readings, and whether it is used."""
+        return [
+            (use.sensor, use.kind, f"{use.readings:,}", f"no: {use.why_not}" if use.why_not else "yes")
+            for use in self.result.uses
+        ]
 
     @property
     def layers(self) -> LayeredMap | None:
@@ -179,8 +189,7 @@ class ReportData:
 
 def _reader_notes(reading: ReadReport) -> list[tuple[str, str]]:
     """What the reader met, as rows."""
-    rows = [(f"records: {name}", f"{count:,}") for name, count in sorted(reading.records.items())]
-    rows += [(f"ignored: {name}", f"{count:,}") for name, count in sorted(reading.ignored.items())]
+    rows = [(f"read: {name}", f"{count:,}") for name, count in sorted(reading.records.items())]
     for reason, tally in sorted(reading.dropped.items()):
         rows.append((f"dropped: {reason}", f"{tally.count:,} (first at line {tally.lines[0]})"))
     for sensor, tally in sorted(reading.backward_steps.items()):

@@ -14,6 +14,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from slam.datasets.sensor_choice import SensorUse, use_lines
 from slam.foreign import plain_lines
 from slam.storage.files import replacing
 
@@ -39,7 +40,8 @@ def render(template: str, **values: Any) -> Markup:
 
 def inspection_text(log: dict[str, Any]) -> str:
     """What a log holds, see `slam.datasets.inspection.inspect_dataset`, as plain text."""
-    return str(render("inspection.txt", log=log, telling_s=_TELLING_S)).rstrip("\n")
+    uses = use_lines(SensorUse(**use) for use in log["uses"])
+    return str(render("inspection.txt", log=log, uses=uses, telling_s=_TELLING_S)).rstrip("\n")
 
 
 def parts() -> Any:

@@ -115,9 +115,10 @@ class CloudCameras:
 
     def warnings(self) -> list[str]:
         """Cameras that failed, or could not be used."""
-        unplaced = [name for name, camera in self._cameras.cameras.items() if camera.T_base_camera is None]
-        lines = [
-            f"{name}: not used; beside a 3D lidar the log must tell where a camera sits on the robot"
-            for name in unplaced
-        ]
+        lines = [f"{name}: not used; {why}" for name, why in self.unused().items()]
         return [*lines, *self._cameras.warnings()]
+
+    def unused(self) -> dict[str, str]:
+        """Why a camera could not be used, by its name."""
+        why = "beside a 3D lidar the log must tell where a camera sits on the robot"
+        return dict.fromkeys(self._cameras.unplaced(), why)

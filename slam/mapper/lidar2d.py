@@ -81,6 +81,7 @@ class PlanarRobot:
         self._seen = OrientedPoints.none()
         self._keyframe_scans: list[LaserScan | None] = []
         self._travelled_m = 0.0
+        self._wheels_name = ""
 
     def observe(self, measurement: Any) -> Tracked | None:
         """Take the next measurement; where the robot is then, if it tells that."""
@@ -162,6 +163,7 @@ class PlanarRobot:
             result.warnings.append(
                 "The wheels report no motion where the robot has moved; they were left out"
             )
+            result.unused[self._wheels_name] = "they report no motion where the robot has moved"
         if self._fusion is not None:
             scans, result.fused = self._fusion.repair(scans)
             result.notes += [] if result.fused is None else [result.fused.note]
@@ -170,6 +172,10 @@ class PlanarRobot:
         result.map = replace(result.map, measured_scans=self._keyframe_scans, keyframe_scans=scans)
         result.draw(self._config)
         result.warnings += self._cameras.warnings()
+        result.unused |= dict.fromkeys(
+            self._cameras.unplaced(),
+            "it is not known where it sits on the robot; it repaired scans only",
+        )
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:
         """Where cameras sit that the log does not tell, as far as this run has shown."""
@@ -177,6 +183,7 @@ class PlanarRobot:
 
     def _add_wheels(self, reading: WheelOdometry) -> None:
         """Take a wheel odometry reading: a guess for the next scan, and a reading that wants a pose."""
+        self._wheels_name = reading.sensor
         if self._wheels is None:
             self.readings.add_wheel(reading.stamp_s, None)
             return

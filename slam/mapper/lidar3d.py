@@ -149,6 +149,7 @@ class CloudLidar:
         self._draw_plan(result)
         result.warnings += [*self._doubts(), *self._cameras.warnings()]
         result.notes += self._cameras.notes()
+        result.unused |= self._cameras.unused()
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:
         """None: the log must tell where a camera sits."""

@@ -9,6 +9,7 @@ import gtsam
 import numpy as np
 
 from slam.config import Config
+from slam.datasets.sensor_choice import SensorUse
 from slam.errors import ScanweaveError
 from slam.mapper.keyframe_fusion import FusionSummary
 from slam.mapper.scan_record import CameraRecord, ScanRecord
@@ -40,6 +41,10 @@ class MapResult:
         What scans and depth images repaired of each other; None where there were not both.
     cameras
         What became of every camera's frames, by its name.
+    unused
+        Why the run could not use a sensor that was chosen, by its name.
+    uses
+        What became of everything in the log.
     """
 
     map: MapContents
@@ -49,6 +54,8 @@ class MapResult:
     notes: list[str] = field(default_factory=list)
     fused: FusionSummary | None = None
     cameras: Mapping[str, CameraRecord] = field(default_factory=dict)
+    unused: dict[str, str] = field(default_factory=dict)
+    uses: list[SensorUse] = field(default_factory=list)
 
     def add_cameras(self, cameras: Mapping[str, CameraRecord], frames: MapFrames) -> None:
         """Take what became of cameras, and their keyframes."""

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 
 from slam.config import Config, calibrated
 from slam.datasets.dataset import Dataset
-from slam.datasets.recording import without_images
+from slam.datasets.recording import fewer_frames
+from slam.datasets.sensor_choice import SensorChoice, SensorTally, use_lines, used_measurements
 from slam.doctor.diagnosis import diagnose
 from slam.doctor.finding import Finding, remedied
+from slam.doctor.stretches import Stretches
 from slam.errors import DatasetError
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.lidar2d import PlanarRobot
@@ -18,7 +21,6 @@ from slam.mapper.mapper import Mapper
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.protocol import FrontEnd
 from slam.mapper.rgbd import FreeCamera
-from slam.mapper.sensor_choice import SensorChoice, used_measurements
 from slam.measurements import Measurement
 from slam.odometry import STANDARD, Odometries
 from slam.vision.color_registration import ColorRegistration
@@ -59,21 +61,23 @@ def build_map(
     config = settled(config, findings)
     choice = SensorChoice.of(dataset, config.sensors)
     registrations = checkpoint.registrations(
-        lambda: registrations_of(used_measurements(dataset, config.sensors), choice.cameras, config)
+        lambda: registrations_of(choice.used(dataset), choice.cameras, config)
     )
     mountings = checkpoint.mountings()
     prepare = None
     if choice.cameras:
         prepare = FramePreparer(config.rgbd, registrations, lambda: checkpoint.replaying)
     mapper = Mapper(config, _front_end(choice, config, checkpoint, registrations, mountings, odometries))
-    _feed(mapper, dataset, config, prepare, on_scan)
+    tally = _feed(mapper, dataset, choice, prepare, on_scan)
     if not mountings and (mountings := mapper.learned_mountings()):
         # The way up to there was mapped without these cameras; now they are known from its beginning.
         checkpoint.begin_again(findings, registrations, mountings)
         mapper = Mapper(config, PlanarRobot(config, checkpoint, registrations, mountings, odometries))
-        _feed(mapper, dataset, config, prepare, on_scan)
+        tally = _feed(mapper, dataset, choice, prepare, on_scan)
     result = mapper.finish()
+    result.uses = tally.uses(dataset.report, result.unused)
     result.notes += [f"{finding.line} (used)" for finding in findings if finding.sure and finding.remedies]
+    result.notes += use_lines(result.uses)
     result.warnings += [finding.line for finding in findings if not (finding.sure and finding.remedies)]
     return result
 
@@ -82,7 +86,8 @@ def findings_of(dataset: Dataset, config: Config) -> list[Finding]:
     """What is wrong with the sensors of a log; nothing where that is not asked for."""
     if not config.sensors.doctor:
         return []
-    with without_images(dataset):
+    stretches: defaultdict[str, Stretches] = defaultdict(Stretches)
+    with fewer_frames(dataset, lambda camera, stamp_s: stretches[camera].wants(stamp_s)):
         return diagnose(used_measurements(dataset, config.sensors))
 
 
@@ -110,14 +115,16 @@ def _front_end(
 def _feed(
     mapper: Mapper,
     dataset: Dataset,
-    config: Config,
+    choice: SensorChoice,
     prepare: FramePreparer | None,
     on_scan: Callable[[int], None] | None,
-) -> None:
-    """Hand the whole log to a mapper, frames prefetched."""
-    measurements: Iterable[Measurement | PreparedFrame] = used_measurements(dataset, config.sensors)
+) -> SensorTally:
+    """Hand the whole log to a mapper, frames prefetched; how much of it there was."""
+    tally = SensorTally(choice)
+    used = choice.used(tally.counted(dataset))
+    measurements: Iterable[Measurement | PreparedFrame] = used
     if prepare is not None:
-        measurements = prefetched(used_measurements(dataset, config.sensors), prepare)
+        measurements = prefetched(used, prepare)
     for measurement in measurements:
         mapper.add(measurement)
         if on_scan:
@@ -127,3 +134,4 @@ def _feed(
             f"{dataset.name} holds no scan or frame that can be mapped; "
             "see 'scanweave inspect' for what it holds"
         )
+    return tally

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -54,7 +53,6 @@ class FreeCamera:
         self._T_base_camera: gtsam.Pose3 | None = None
         self._T_camera_base = gtsam.Pose3()
         self._camera: str | None = None
-        self._unused: Counter[str] = Counter()
 
     def observe(self, measurement: Any) -> Tracked | None:
         """Take the next measurement; where the camera is then, if it tells that."""
@@ -66,7 +64,6 @@ class FreeCamera:
             if self._T_base_camera is not None:
                 self._T_camera_base = self._T_base_camera.inverse()
         if frame.sensor != self._camera:
-            self._unused[frame.sensor] += 1
             return None
         tracked = self._tracker.track(measurement)
         self._newest = measurement, tracked
@@ -118,10 +115,6 @@ class FreeCamera:
         learned = LearnedCamera(self._registrations.get(self._camera), self._T_base_camera)
         result.add_cameras({self._camera: CameraRecord(result.scans, learned=learned)}, self._store.images)
         result.notes += registration_notes(self._registrations)
-        result.warnings += [
-            f"{name}: {count:,} frames were not used; in space only the first camera, {self._camera}, is"
-            for name, count in self._unused.items()
-        ]
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:
         """None: a camera alone is its own base."""

@@ -259,6 +259,10 @@ class RobotCameras:
         ]
         return [mounting.note for mounting in self.mountings.values()] + learning + clocks
 
+    def unplaced(self) -> list[str]:
+        """Cameras of which it is not known where they sit."""
+        return [name for name, camera in self.cameras.items() if camera.T_base_camera is None]
+
     def warnings(self) -> list[str]:
         """What a person should know, one line a camera that failed often."""
         lines = []

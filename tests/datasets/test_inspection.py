@@ -113,7 +113,7 @@ def test_damage_is_told_with_reason_and_line(tmp_path: Path) -> None:
     text = inspection_text(found)
     assert "1 x wrong number of values (line 2)" in text
     assert "1 x pose not finite" in text
-    assert "not used: 1 SYNC" in text
+    assert "not used, because records of type SYNC are not read: SYNC (record, 1)" in text
     plain = json.loads(json.dumps(found, allow_nan=False))
     assert plain["dropped"]["wrong number of values"]["count"] == 1
     assert plain["records"] == {"ODOM": 1}

@@ -12,6 +12,7 @@ from cloud_world import ELEVATIONS, PILLARS, ROOM, SMALL, T_BASE_LIDAR, look, wa
 from slam.config import load_config
 from slam.config.stages import GraphConfig
 from slam.datasets import open_dataset
+from slam.datasets.sensor_choice import SensorChoice
 from slam.errors import DatasetError
 from slam.evaluation.trajectory_error import absolute_error
 from slam.graph.cloud_loops import CloudLoopCloser
@@ -19,7 +20,6 @@ from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
-from slam.mapper.sensor_choice import SensorChoice
 from slam.measurements import LaserScan, Measurement, PointCloud, WheelOdometry
 from slam.outputs.exports import Exports
 from slam.storage.map_clouds import MapClouds

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -9,6 +10,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation import CONFIDENCE
 from slam.datasets.bags.decoding import stamp_of
 from slam.datasets.budget import LARGEST_BYTES
 from slam.datasets.dataset import RecordFault
@@ -19,6 +21,7 @@ BAD_LAYOUT = "point cloud with a layout that cannot be"
 NO_POINTS = "point cloud without a valid point"
 
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
+_HALF_VIEW_RAD = math.radians(65.0)  # of the widest depth cameras (Azure Kinect, 120 degrees), with slack
 
 
 @dataclass(slots=True)
@@ -57,6 +60,38 @@ class CloudReader:
         times_s = self.times.of(sound.dtype.names or (), lambda name: sound[name], stamp_s)
         kept = np.ascontiguousarray(points[valid])
         return PointCloud(stamp_s, kept, times_s, self.T_base_lidar, self.topic)
+
+
+@dataclass(frozen=True, slots=True)
+class CloudView:
+    """What a cloud looks like.
+
+    Attributes
+    ----------
+    rows
+        Rows of its points; 1 where they are not in the order of an image.
+    along
+        The axis, x, y or z, about which all points lie within what a camera can see; empty where they do not.
+    """
+
+    stamp_s: float
+    rows: int
+    along: str
+
+
+def cloud_view(message: Any) -> CloudView:
+    """What a cloud looks like.
+
+    Raises
+    ------
+    RecordFault
+        As `CloudReader.read`.
+    """
+    cloud = CloudReader("", gtsam.Pose3()).read(message)
+    ahead = cloud.points_lidar / np.linalg.norm(cloud.points_lidar, axis=1, keepdims=True)
+    seen = (ahead > math.cos(_HALF_VIEW_RAD)).mean(axis=0)
+    along = [axis for axis, share in zip("xyz", seen, strict=True) if share > CONFIDENCE]
+    return CloudView(cloud.stamp_s, int(message.height), "".join(along[:1]))
 
 
 def _rows(message: Any) -> NDArray[Any]:

@@ -14,7 +14,7 @@ from slam.datasets.bags.camera import BagCamera
 from slam.datasets.bags.decoding import Decoder, stamp_of
 from slam.datasets.bags.figures import BagFigures
 from slam.datasets.bags.files import Bag, find_bag
-from slam.datasets.bags.layout import Layout, layout_of
+from slam.datasets.bags.layout import Layout, frames_of, layout_of
 from slam.datasets.bags.pairing import ImagePair, PairStream, StampedImage
 from slam.datasets.bags.records import BagRecord
 from slam.datasets.bags.survey import Survey, survey_bag
@@ -106,9 +106,10 @@ class BagDataset:
                 account.refuse(done.fault, done.where, done.number)
             elif done.measurement is not None:
                 if isinstance(done.measurement, RgbdFrame):
-                    report.accept(f"{done.measurement.sensor} frame")
+                    report.accept(frames_of(done.measurement.sensor))
                 report.observe(done.measurement, done.number)
                 yield done.measurement
+        self._tell_topics(survey, layout)
         for cloud in layout.clouds:
             if cloud.times.choice:
                 report.note(f"{cloud.topic}: {cloud.times.choice}", 1)
@@ -118,6 +119,19 @@ class BagDataset:
     def groundtruth(self) -> Trajectory | None:
         """None: what a bag says of its poses is the robot's own belief."""
         return None
+
+    def _tell_topics(self, survey: Survey, layout: Layout) -> None:
+        """Tell of every topic whose messages are no measurements what it is for, or why not read."""
+        counts = {topic: (channel.kind, 0) for topic, channel in survey.channels.items()}
+        counts |= {topic: (figures.kind, figures.count) for topic, figures in self.figures.topics.items()}
+        for topic, (kind, count) in counts.items():
+            name, made = f"{topic} ({kind})", layout.makes(topic, kind)
+            if why_not := layout.why_not(topic, kind, count):
+                self.report.ignore(name, why_not, count)
+            elif made and not self.report.records[made]:
+                self.report.ignore(name, "none of its messages could be read", count)
+            elif topic not in layout.readers:
+                self.report.beside[name] = count
 
     def _open(self) -> tuple[Bag, Survey, Layout]:
         """Files, topics and mounts: found once, so that each pass reads the same."""
@@ -201,8 +215,6 @@ class _Reader:
         topic, kind = record.channel.topic, record.channel.kind
         self._figures.saw(record)
         if not self._layout.reads(topic, kind):
-            if not self._layout.is_looked_at(topic):
-                self._account.report.ignore(f"{topic} ({kind})")
             return []
         try:
             message = self._decoder.decode(record)
@@ -227,7 +239,7 @@ class _Reader:
         reading: Measurement = layout.readers[topic](message)
         if isinstance(reading, LaserScan):
             self._account.report.invalid_ranges += int(np.count_nonzero(np.isnan(reading.ranges_m)))
-        self._account.report.accept(f"{topic} ({record.channel.kind.rpartition('/')[2]})")
+        self._account.report.accept(layout.makes(topic, record.channel.kind))
         return [reading]
 
 

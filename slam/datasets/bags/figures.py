@@ -6,9 +6,7 @@ from dataclasses import dataclass, field
 
 from slam.datasets.bags.records import BagRecord
 from slam.datasets.bags.transforms import FrameTree
-from slam.datasets.dataset import Thinned
-
-_MOST_TOPICS = 2000  # a robot has some dozens; damaged names must not fill the memory
+from slam.datasets.dataset import MOST_TOPICS, Thinned
 
 
 @dataclass(slots=True)
@@ -63,7 +61,7 @@ class BagFigures:
         """Count a message."""
         topic = record.channel.topic
         if topic not in self.topics:
-            if len(self.topics) >= _MOST_TOPICS:
+            if len(self.topics) >= MOST_TOPICS:
                 return
             self.topics[topic] = TopicFigures(record.channel.kind)
         self.topics[topic].saw(record.recorded_s)

@@ -11,6 +11,7 @@ import gtsam
 import numpy as np
 
 from slam.datasets.bags.camera import BagCamera
+from slam.datasets.bags.camera_clouds import camera_clouds
 from slam.datasets.bags.clouds import CloudReader
 from slam.datasets.bags.decoding import frame_name, stamp_of
 from slam.datasets.bags.files import Bag
@@ -53,6 +54,10 @@ class Layout:
         Gives the wheels from a tf message, where no odometry topic does.
     notes
         What was concluded, for the report.
+    lenses
+        CameraInfo topics that told a lens.
+    left_out
+        Why a topic of a sensor is not read.
     """
 
     base: str | None
@@ -62,15 +67,35 @@ class Layout:
     images: dict[str, tuple[int, bool]] = field(default_factory=dict)
     wheels_from: Callable[[Any], Iterator[WheelOdometry]] | None = None
     notes: list[str] = field(default_factory=list)
-    looked_at: set[str] = field(default_factory=set)
+    lenses: set[str] = field(default_factory=set)
+    left_out: dict[str, str] = field(default_factory=dict)
 
     def reads(self, topic: str, kind: str) -> bool:
         """Whether messages of a topic are decoded."""
         return topic in self.readers or topic in self.images or kind in TRANSFORMS
 
-    def is_looked_at(self, topic: str) -> bool:
-        """Whether a topic has told its part at the beginning: a lens."""
-        return topic in self.looked_at
+    def makes(self, topic: str, kind: str) -> str:
+        """What the report calls the measurements of a topic; empty where they are none."""
+        if topic in self.images:
+            return frames_of(self.cameras[self.images[topic][0]].sensor)
+        return f"{topic} ({kind.rpartition('/')[2]})" if topic in self.readers else ""
+
+    def why_not(self, topic: str, kind: str, count: int) -> str:
+        """Why nothing is made of a topic's messages; empty where something is."""
+        if self.reads(topic, kind) or topic in self.lenses:
+            return "" if count else "it has no message"
+        if kind == CAMERA_INFO:
+            return "no camera that is read has this lens"
+        if topic in self.left_out:
+            return self.left_out[topic]
+        if kind not in SENSORS:
+            return f"{kind} is not read"
+        return f"its first message comes late; --topics {topic} reads it" if count else "it has no message"
+
+
+def frames_of(camera: str) -> str:
+    """What the report calls the frames of a camera."""
+    return f"{camera} frame"
 
 
 def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Layout:
@@ -83,7 +108,7 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Layout:
     """
     choice = _choice(bag, survey, wanted)
     layout = Layout(survey.base_frame())
-    layout.looked_at = {topic for topic, channel in survey.channels.items() if channel.kind == CAMERA_INFO}
+    layout.left_out = choice.left_out
     for topic in choice.scans:
         layout.readers[topic] = _scan_reader(survey, layout, topic)
     for topic in choice.clouds:
@@ -94,9 +119,8 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Layout:
         layout.cameras.append(_camera(survey, layout, camera))
         layout.images[camera.color], layout.images[camera.depth] = (place, False), (place, True)
     for topic in choice.lonely:
-        layout.notes.append(
-            f"{topic} is not read: no {'colour' if survey.depths.get(topic) else 'depth'} beside it"
-        )
+        layout.left_out[topic] = f"no {'colour' if survey.depths.get(topic) else 'depth'} beside it"
+        layout.notes.append(f"{topic} is not read: {layout.left_out[topic]}")
     if not choice.odometry and layout.base:
         _read_wheels_from_tf(survey, layout, layout.base)
     return layout
@@ -118,7 +142,7 @@ def _choice(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Choice:
     try:
         # Where no image could be decoded, its name must tell.
         depths = {topic: survey.depths.get(topic, "depth" in topic.lower()) for topic in kinds}
-        return choose(kinds, depths, wanted)
+        return choose(kinds, depths, wanted, camera_clouds(survey))
     except AmbiguousError as error:
         listing = _listing(bag, survey, SENSORS, set(error.topics))
         raise DatasetError(
@@ -196,14 +220,16 @@ def _camera(survey: Survey, layout: Layout, topics: CameraTopics) -> BagCamera:
 
 def _lens(survey: Survey, layout: Layout, topic: str) -> Lens | None:
     """The lens of an image topic, None where no usable CameraInfo goes with it."""
-    message = survey.lens_message(topic)
-    if message is None:
+    source = survey.lens_topic(topic)
+    if source is None:
         return None
+    message = survey.lenses[source]
     try:
         lens = lens_of(message, rectified=is_rectified(topic))
     except (RecordFault, AttributeError, TypeError, ValueError) as error:
         layout.notes.append(f"{topic}: {error}")
         return None
+    layout.lenses.add(source)
     if lens.unknown_model:
         layout.notes.append(
             f"{topic}: distortion model {lens.unknown_model[:32]} is not known; left in the images"

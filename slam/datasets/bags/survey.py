@@ -7,12 +7,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from slam.datasets.account import Account
+from slam.datasets.bags.clouds import CloudView, cloud_view
 from slam.datasets.bags.decoding import Decoder, frame_name, stamp_of
 from slam.datasets.bags.files import Bag
 from slam.datasets.bags.images import is_depth
 from slam.datasets.bags.records import BagRecord, Channel
 from slam.datasets.bags.topics import (
     CAMERA_INFO,
+    CLOUD,
     IMAGES,
     ODOMETRY,
     SENSORS,
@@ -47,6 +49,8 @@ class Survey:
         For each image topic whether it holds depth.
     stamps_s
         First stamps of each image topic.
+    clouds
+        What the first sound cloud of each topic looks like.
     """
 
     channels: dict[str, Channel] = field(default_factory=dict)
@@ -56,6 +60,7 @@ class Survey:
     lenses: dict[str, Any] = field(default_factory=dict)
     depths: dict[str, bool] = field(default_factory=dict)
     stamps_s: dict[str, list[float]] = field(default_factory=dict)
+    clouds: dict[str, CloudView] = field(default_factory=dict)
     tree: FrameTree = field(default_factory=FrameTree)
 
     def base_frame(self) -> str | None:
@@ -82,13 +87,13 @@ class Survey:
             base is not None and all(self.tree.between(base, frame) is not None for frame in mounted)
         )
 
-    def lens_message(self, image_topic: str) -> Any | None:
-        """The CameraInfo of an image topic: beside it, else the only one of its frame."""
+    def lens_topic(self, image_topic: str) -> str | None:
+        """The CameraInfo topic of an image topic: beside it, else the first of its frame."""
         for topic in camera_info_topics(image_topic):
             if topic in self.lenses:
-                return self.lenses[topic]
+                return topic
         frame = self.frames.get(image_topic)
-        same = [message for message in self.lenses.values() if frame_name(message.header.frame_id) == frame]
+        same = [topic for topic, lens in self.lenses.items() if frame_name(lens.header.frame_id) == frame]
         return same[0] if frame and same else None
 
 
@@ -132,7 +137,8 @@ def _look(survey: Survey, record: BagRecord, decoder: Decoder) -> None:
     if kind in SENSORS:
         survey.seen.add(topic)
     wanted = kind in SENSORS | TRANSFORMS or kind == CAMERA_INFO
-    if not wanted or (topic in survey.frames and kind not in IMAGES) or topic in survey.lenses:
+    known = survey.clouds if kind == CLOUD else survey.frames
+    if not wanted or (topic in known and kind not in IMAGES) or topic in survey.lenses:
         return
     try:
         message = decoder.decode(record)
@@ -144,6 +150,8 @@ def _look(survey: Survey, record: BagRecord, decoder: Decoder) -> None:
             survey.lenses[topic] = message
             return
         survey.frames[topic] = frame
+        if kind == CLOUD:
+            survey.clouds[topic] = cloud_view(message)
         if kind == ODOMETRY and (child := frame_name(message.child_frame_id)) not in survey.bases:
             survey.bases.append(child)
         if kind in IMAGES:

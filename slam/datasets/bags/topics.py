@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import takewhile
 
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
@@ -52,6 +52,8 @@ class Choice:
         Of one laser each, of one lidar each, and of the wheels.
     lonely
         Image topics that are not read since the colour or the depth beside them is missing.
+    left_out
+        Why other topics of sensors are not read.
     """
 
     scans: tuple[str, ...]
@@ -59,9 +61,15 @@ class Choice:
     odometry: tuple[str, ...]
     cameras: tuple[CameraTopics, ...]
     lonely: tuple[str, ...]
+    left_out: dict[str, str] = field(default_factory=dict)
 
 
-def choose(kinds: Mapping[str, str], depths: Mapping[str, bool], wanted: tuple[str, ...]) -> Choice:
+def choose(
+    kinds: Mapping[str, str],
+    depths: Mapping[str, bool],
+    wanted: tuple[str, ...],
+    camera_clouds: Mapping[str, str] | None = None,
+) -> Choice:
     """The topics to read.
 
     Parameters
@@ -72,19 +80,38 @@ def choose(kinds: Mapping[str, str], depths: Mapping[str, bool], wanted: tuple[s
         For each image topic whether it holds depth.
     wanted
         Topics named by the user: of their sort (scans, clouds, wheels, images) no others are read.
+    camera_clouds
+        Clouds that a depth camera has made, with what tells so: read only where they are named, or the bag
+        has nothing else that sees.
 
     Raises
     ------
     AmbiguousError
         Several topics of a sort, and none of them named.
     """
+    made = {topic: why for topic, why in (camera_clouds or {}).items() if topic not in wanted}
+    if made:
+        without = {topic: kind for topic, kind in kinds.items() if topic not in made}
+        choice = choose(without, depths, wanted)
+        if choice.scans or choice.clouds or choice.cameras:
+            why = "it is no lidar's but a depth camera's cloud ({}); --topics {} reads it as a lidar's"
+            choice.left_out.update({topic: why.format(told, topic) for topic, told in made.items()})
+            return choice
     scans = _one("laser", [topic for topic, kind in kinds.items() if kind in SCANS], wanted)
     clouds = _one("point cloud", [topic for topic, kind in kinds.items() if kind == CLOUD], wanted)
     odometry = _one("odometry", [topic for topic, kind in kinds.items() if kind == ODOMETRY], wanted)
     images = [topic for topic, kind in kinds.items() if kind in IMAGES]
     named = [topic for topic in images if topic in wanted]
     cameras, lonely = _cameras(named or _raw_first(images), depths, given=bool(named))
-    return Choice(scans, clouds, odometry, cameras, lonely)
+    read = {*scans, *clouds, *odometry, *lonely, *(t for one in cameras for t in (one.color, one.depth))}
+    left_out = {
+        topic: f"another image topic of its camera is read; --topics {topic} reads it"
+        if kind in IMAGES
+        else "--topics names others of its sort"
+        for topic, kind in kinds.items()
+        if topic not in read
+    }
+    return Choice(scans, clouds, odometry, cameras, lonely, left_out)
 
 
 def camera_info_topics(image_topic: str) -> tuple[str, ...]:

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from slam.config.stages import SensorsConfig
-from slam.mapper.sensor_choice import SensorChoice, used_measurements
-from slam.measurements import CameraIntrinsics, LaserScan, Measurement, RgbdFrame, WheelOdometry
+from slam.datasets.dataset import ReadReport
+from slam.datasets.sensor_choice import SensorChoice, SensorTally, SensorUse, use_lines, used_measurements
+from slam.measurements import CameraIntrinsics, LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
 
 CAMERA = CameraIntrinsics(10.0, 10.0, 2.0, 2.0, 4, 4)
 
@@ -91,3 +92,56 @@ def test_what_is_used_keeps_its_order(settings: dict[str, bool], kinds: str) -> 
     letters = {WheelOdometry: "W", RgbdFrame: "F", LaserScan: "S"}
     found = used_measurements(ALL, SensorsConfig(**settings))  # type: ignore[arg-type]
     assert "".join(letters[type(measurement)] for measurement in found) == kinds
+
+
+def cloud(stamp_s: float) -> PointCloud:
+    return PointCloud(stamp_s, np.ones((3, 3), np.float32))
+
+
+def not_used(log: list[Measurement], settings: dict[str, object]) -> dict[str, str]:
+    choice = SensorChoice.of(log, SensorsConfig(**settings))  # type: ignore[arg-type]
+    tally = SensorTally(choice)
+    assert len(list(tally.counted(log))) == len(log)
+    found = tally.uses(ReadReport())
+    assert sum(use.readings for use in found) == len(log)
+    return {use.sensor: use.why_not for use in found if use.why_not}
+
+
+@pytest.mark.parametrize(
+    ("log", "settings", "sensor", "because"),
+    [
+        ([scan(0.0), cloud(0.1), wheels(0.2)], {}, "lidar", "sensors.motion=spatial"),
+        ([scan(0.0), cloud(0.1)], {"motion": "spatial"}, "laser", "sensors.motion=planar"),
+        ([frame(0.0), frame(4.0), cloud(9.0)], {}, "lidar", "later than the first"),
+        ([scan(0.0), scan(4.0), frame(9.0)], {}, "camera", "later than the first"),
+        ([frame(0.0), frame(4.0), wheels(9.0)], {}, "odometry", "sensors.motion=planar"),
+        ([frame(0.0, "left"), frame(0.0, "right")], {}, "right", "only the first camera is used, left"),
+        ([scan(0.0), frame(0.1)], {"rgbd": False}, "camera", "sensors.rgbd=false"),
+        ([frame(0.0), scan(0.1)], {"lidar": False}, "laser", "sensors.lidar=false"),
+        ([scan(0.0), wheels(0.1)], {"wheels": False}, "odometry", "sensors.wheels=false"),
+    ],
+)
+def test_what_is_not_used_is_told_with_the_remedy(
+    log: list[Measurement], settings: dict[str, object], sensor: str, because: str
+) -> None:
+    (found,) = not_used(log, settings).items()
+    assert found[0] == sensor and because in found[1]
+
+
+def test_of_two_odometries_the_first_is_used_alone() -> None:
+    log = [wheels(0.0), WheelOdometry(0.1, gtsam.Pose2(5.0, 0.0, 0.0), "filtered"), scan(0.1), wheels(0.2)]
+    choice = SensorChoice.of(log, SensorsConfig())
+    assert [one.sensor for one in choice.used(log)] == ["odometry", "laser", "odometry"]
+    assert "odometry" in not_used(log, {})["filtered"]
+
+
+def test_one_line_tells_of_all_that_share_a_reason() -> None:
+    found = [
+        SensorUse("/a", "Imu", 3, "no IMU"),
+        SensorUse("/b", "2D lidar", 1200),
+        SensorUse("/c", "Imu", 4, "no IMU"),
+    ]
+    assert use_lines(found) == [
+        "used: /b (2D lidar, 1,200)",
+        "not used, because no IMU: /a (Imu, 3), /c (Imu, 4)",
+    ]

@@ -1,0 +1,33 @@
+"""Which clouds of a bag a depth camera has made: the same readings as its images, and no lidar's."""
+
+from __future__ import annotations
+
+from slam.datasets.bags.decoding import frame_name
+from slam.datasets.bags.survey import Survey
+
+
+def camera_clouds(survey: Survey) -> dict[str, str]:
+    """Topics of such clouds, with what tells so.
+
+    All their points are within a camera's view, and their axes, frame, order or stamps are a camera's: a
+    lidar that turns sees all around, and one that does not is in a frame, and at times, of its own.
+    """
+    frames = {frame_name(lens.header.frame_id): topic for topic, lens in survey.lenses.items()}
+    frames |= {survey.frames[topic]: topic for topic in survey.stamps_s if topic in survey.frames}
+    stamps_s = {stamp_s: topic for topic, stamps in survey.stamps_s.items() for stamp_s in stamps}
+    found = {}
+    for topic, view in survey.clouds.items():
+        frame = survey.frames[topic]
+        if not view.along:
+            continue
+        if "optical" in frame:
+            found[topic] = f"its frame is {frame}"
+        elif frame and frame in frames:
+            found[topic] = f"it is in the frame of {frames[frame]}"
+        elif view.stamp_s in stamps_s:
+            found[topic] = f"its stamps are those of {stamps_s[view.stamp_s]}"
+        elif view.along == "z" and survey.stamps_s:
+            found[topic] = "it looks along z, the optical axis"
+        elif view.rows > 1 and survey.stamps_s:
+            found[topic] = "its points are in the order of an image"
+    return found

@@ -1,0 +1,72 @@
+"""Frames and clouds as a calibration corrects them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+
+from slam.config.calibration import CameraCorrection, CloudCorrection, Mounting
+from slam.measurements import PointCloud, RgbdFrame
+from slam.vision.camera_frame import T_BODY_CAMERA
+
+
+class FrameCorrector:
+    """Frames of one camera."""
+
+    def __init__(self, correction: CameraCorrection) -> None:
+        self._correction = correction
+        told = correction.T_base_camera
+        self._mounting = None if told is None else mounted(told).compose(T_BODY_CAMERA)
+
+    def __call__(self, frame: RgbdFrame) -> RgbdFrame:
+        """A frame; its images are copies only where they change."""
+        given, color, depth_m, lens = self._correction, frame.color, frame.depth_m, frame.intrinsics
+        if given.depth_scale != 1.0:
+            depth_m = depth_m * np.float32(given.depth_scale)
+        if given.mirrored:
+            color, depth_m = color[:, ::-1].copy(), depth_m[:, ::-1].copy()
+            lens = replace(lens, cx=lens.width - 1.0 - lens.cx)
+        if given.intrinsics is not None:
+            lens = replace(lens, **given.intrinsics.model_dump())
+        mounting = frame.T_base_camera if self._mounting is None else self._mounting
+        return replace(frame, color=color, depth_m=depth_m, intrinsics=lens, T_base_camera=mounting)
+
+
+class CloudCorrector:
+    """Clouds of one 3D lidar."""
+
+    def __init__(self, correction: CloudCorrection) -> None:
+        self._correction = correction
+        told = correction.T_base_lidar
+        self._mounting = None if told is None else mounted(told)
+
+    def __call__(self, cloud: PointCloud) -> PointCloud:
+        """A cloud."""
+        given = self._correction
+        return replace(
+            cloud,
+            points_lidar=cloud.points_lidar * np.float32(given.range_scale),
+            times_s=None if cloud.times_s is None else cloud.times_s * given.times_scale,
+            T_base_lidar=cloud.T_base_lidar if self._mounting is None else self._mounting,
+        )
+
+
+def mounted(mounting: Mounting) -> gtsam.Pose3:
+    """``T_base_body`` of a mounting."""
+    yaw, pitch, roll = (
+        math.radians(angle) for angle in (mounting.yaw_deg, mounting.pitch_deg, mounting.roll_deg)
+    )
+    return gtsam.Pose3(gtsam.Rot3.Ypr(yaw, pitch, roll), np.array([mounting.x_m, mounting.y_m, mounting.z_m]))
+
+
+def same_frame(before: RgbdFrame, now: RgbdFrame) -> bool:
+    """Whether two frames are the same to the bit."""
+    return np.array_equal(before.depth_m, now.depth_m) and np.array_equal(before.color, now.color)
+
+
+def same_cloud(before: PointCloud, now: PointCloud) -> bool:
+    """Whether two clouds are the same to the bit."""
+    return np.array_equal(before.points_lidar, now.points_lidar)

@@ -1,0 +1,236 @@
+"""What of a log is used, by its first seconds, and why the rest is not."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import groupby
+
+from slam.config.stages import SensorsConfig
+from slam.datasets.corrections import corrected, left_out
+from slam.datasets.dataset import ReadReport
+from slam.measurements import LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
+
+_LOOK_S = 3.0
+_LOOK_COUNT = 1000
+_LATE = f"it begins later than the first {_LOOK_S:g} s of the log, which decide what leads"
+_KINDS = {LaserScan: "2D lidar", PointCloud: "3D lidar", RgbdFrame: "RGB-D camera", WheelOdometry: "wheels"}
+
+
+@dataclass(frozen=True, slots=True)
+class SensorUse:
+    """A sensor or topic of a log, and what became of it.
+
+    Attributes
+    ----------
+    sensor, kind
+        Its name, and what it is; of what was never read, the type of its records.
+    readings
+        How many of them the log holds.
+    why_not
+        Why it is not used; empty where it is.
+    """
+
+    sensor: str
+    kind: str
+    readings: int
+    why_not: str = ""
+
+    @property
+    def text(self) -> str:
+        """Name, kind and count for people."""
+        return f"{self.sensor} ({self.kind}, {self.readings:,})"
+
+
+@dataclass(frozen=True, slots=True)
+class SensorChoice:
+    """How a log is mapped.
+
+    Attributes
+    ----------
+    spatial
+        Whether the robot is a camera that moves freely, not a vehicle on a floor.
+    cameras
+        Names of the RGB-D cameras that are used, in the order in which they appear.
+    cloud
+        Whether a 3D lidar makes the map.
+    wheels
+        Name of the odometry that is used, the first that appears; empty where there is none.
+    config
+        What was asked for.
+    """
+
+    spatial: bool
+    cameras: tuple[str, ...]
+    cloud: bool = False
+    wheels: str = ""
+    config: SensorsConfig = field(default_factory=SensorsConfig)
+
+    @classmethod
+    def of(cls, log: Iterable[Measurement], config: SensorsConfig) -> SensorChoice:
+        """Choose by configuration, and else by what the first seconds hold."""
+        beginning = _Beginning()
+        for measurement in used_measurements(log, config):
+            if not beginning.add(measurement):
+                break
+        return beginning.choice(config)
+
+    def used(self, log: Iterable[Measurement]) -> Iterator[Measurement]:
+        """The measurements of a log in its order, without those of sensors that are not used."""
+        for one in used_measurements(log, self.config):
+            # Wheels that are left out still get poses; of two odometries, mixed, nothing can be made.
+            if not isinstance(one, WheelOdometry) or one.sensor == (self.wheels or one.sensor):
+                yield one
+
+    def why_not(self, kind: type, sensor: str) -> str:
+        """Why a sensor of a type of measurement is not used; empty where it is."""
+        if left_out(self.config.calibration, kind, sensor):
+            return "the calibration leaves it out"
+        if kind is RgbdFrame:
+            return self._why_not_camera(sensor)
+        if kind is WheelOdometry:
+            return self._why_not_wheels(sensor)
+        if kind not in _KINDS:
+            return ""
+        if not self.config.lidar:
+            return "sensors.lidar=false leaves it out"
+        if kind is LaserScan:
+            leader = "a 3D lidar" if self.cloud else "a camera" if self.spatial else ""
+            return leader and f"{leader} leads in space; --set sensors.motion=planar maps by this scanner"
+        if self.cloud:
+            return ""
+        if self.spatial:
+            return _LATE
+        return "a robot on a floor is led by its 2D lidar; --set sensors.motion=spatial maps by this 3D lidar"
+
+    def _why_not_camera(self, sensor: str) -> str:
+        """Of a camera."""
+        if not self.config.rgbd:
+            return "sensors.rgbd=false leaves it out"
+        if not self.cameras:
+            return _LATE
+        if self.spatial and not self.cloud and sensor != self.cameras[0]:
+            return f"in space only the first camera is used, {self.cameras[0]}; --topics takes others"
+        return ""
+
+    def _why_not_wheels(self, sensor: str) -> str:
+        """Of wheels."""
+        if not self.config.wheels:
+            return "sensors.wheels=false (--no-odometry) leaves it out"
+        if self.spatial and not self.cloud:
+            return "a camera leads in space; --set sensors.motion=planar uses wheels"
+        if self.wheels and sensor != self.wheels:
+            return f"one odometry is used, {self.wheels}; --topics takes another"
+        return ""
+
+
+@dataclass(slots=True)
+class _Beginning:
+    """The sensors of the first seconds of a log."""
+
+    cameras: dict[str, None] = field(default_factory=dict)
+    wheels: str = ""
+    kinds: set[type] = field(default_factory=set)
+    first_s: float | None = None
+    count: int = 0
+
+    def add(self, measurement: Measurement) -> bool:
+        """Take the next measurement; whether those after it still belong to the beginning."""
+        self.first_s = measurement.stamp_s if self.first_s is None else self.first_s
+        self.kinds.add(type(measurement))
+        if isinstance(measurement, RgbdFrame):
+            self.cameras[measurement.sensor] = None
+        elif isinstance(measurement, WheelOdometry):
+            self.wheels = self.wheels or measurement.sensor
+        self.count += 1
+        return measurement.stamp_s - self.first_s <= _LOOK_S and self.count <= _LOOK_COUNT
+
+    def choice(self, config: SensorsConfig) -> SensorChoice:
+        """By configuration, and else by what there was."""
+        vehicle = not self.kinds.isdisjoint({LaserScan, WheelOdometry})
+        spatial = config.motion == "spatial"
+        cloud = spatial
+        if config.motion == "auto":
+            spatial, cloud = bool(self.cameras) and not vehicle, LaserScan not in self.kinds
+        return SensorChoice(
+            spatial, tuple(self.cameras), cloud and PointCloud in self.kinds, self.wheels, config
+        )
+
+
+@dataclass(slots=True)
+class SensorTally:
+    """Counts the readings of every sensor while a log is read.
+
+    Attributes
+    ----------
+    choice
+        How the log is mapped; where it is not given, the beginning decides by the settings.
+    """
+
+    choice: SensorChoice | None = None
+    config: SensorsConfig = field(default_factory=SensorsConfig)
+    counts: Counter[tuple[type, str]] = field(default_factory=Counter)
+
+    def counted(self, log: Iterable[Measurement]) -> Iterator[Measurement]:
+        """A log as it is."""
+        beginning = _Beginning() if self.choice is None else None
+        for measurement in log:
+            self.counts[type(measurement), measurement.sensor] += 1
+            if beginning is not None and not beginning.add(measurement):
+                self.choice, beginning = beginning.choice(self.config), None
+            yield measurement
+        if beginning is not None:
+            self.choice = beginning.choice(self.config)
+
+    def uses(self, report: ReadReport, unused: Mapping[str, str] | None = None) -> list[SensorUse]:
+        """What became of everything in the log: its sensors by name, then what the reader did not read.
+
+        Parameters
+        ----------
+        report
+            Of the pass that was counted.
+        unused
+            Why the run could not use a sensor that was chosen, by name.
+        """
+        assert self.choice is not None
+        found = [
+            SensorUse(
+                sensor,
+                _KINDS.get(kind, kind.__name__),
+                count,
+                self.choice.why_not(kind, sensor) or (unused or {}).get(sensor, ""),
+            )
+            for (kind, sensor), count in sorted(self.counts.items(), key=lambda item: item[0][1])
+        ]
+        rest = [(name, count, "") for name, count in report.beside.items()]
+        rest += [
+            (name, count, report.reasons.get(name, "nothing reads it"))
+            for name, count in report.ignored.items()
+        ]
+        return found + [SensorUse(*_name_and_kind(name), count, why) for name, count, why in sorted(rest)]
+
+
+def used_measurements(log: Iterable[Measurement], config: SensorsConfig) -> Iterator[Measurement]:
+    """The measurements of a log as they are corrected, without those of sorts that are left out."""
+    for measurement in corrected(log, config.calibration):
+        if isinstance(measurement, RgbdFrame):
+            if config.rgbd:
+                yield measurement
+        elif config.lidar or not isinstance(measurement, LaserScan | PointCloud):
+            yield measurement
+
+
+def use_lines(uses: Iterable[SensorUse]) -> list[str]:
+    """What became of sensors, for people: a line for those that are used, one for each reason why not."""
+    by_reason = groupby(sorted(uses, key=lambda use: use.why_not), key=lambda use: use.why_not)
+    return [
+        (f"not used, because {reason}: " if reason else "used: ") + ", ".join(use.text for use in group)
+        for reason, group in by_reason
+    ]
+
+
+def _name_and_kind(text: str) -> tuple[str, str]:
+    """A topic and its type from a reader's key; a type of record is both."""
+    name, opened, kind = text.partition(" (")
+    return name, kind.removesuffix(")") if opened else "record"

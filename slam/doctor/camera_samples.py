@@ -1,0 +1,128 @@
+"""What the doctor keeps of an RGB-D camera: its motions in stretches of the log, by matched features."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+
+from fusion.time_alignment import GAP_S
+from slam.config.stages import RgbdConfig, RgbdOdometryConfig
+from slam.datasets.corrections import repeats
+from slam.datasets.dataset import Thinned
+from slam.doctor.stretches import Stretches
+from slam.measurements import CameraIntrinsics, FloatArray, RgbdFrame
+from slam.vision.feature_pose import pose_from_features
+from slam.vision.features import Features, extract_features, gray_of, match_features
+
+# Every so manyth pixel along rows and columns tells what depths there are.
+_EVERY_PIXEL = 16
+# Frames of a stretch that are matched to the newest: the one before tells motion, an earlier one the lens.
+_BACK = (1, 6)
+_MODELS, _WAYS = RgbdConfig(), RgbdOdometryConfig()
+
+
+@dataclass(frozen=True, slots=True)
+class SensorStep:
+    """A sensor's motion between two stamps of its own clock, ``T_begun_ended``."""
+
+    begun_s: float
+    ended_s: float
+    motion: gtsam.Pose3
+
+
+@dataclass(frozen=True, slots=True)
+class MatchedPair:
+    """Features that two frames share, as columns, rows and depths: (N, 3) of either."""
+
+    first: FloatArray
+    second: FloatArray
+
+
+@dataclass(slots=True)
+class CameraSamples:
+    """One camera.
+
+    Attributes
+    ----------
+    steps
+        Motions, by stretch.
+    pairs
+        Features of frames some way apart, for the lens.
+    points
+        (N, 3) blocks of what it saw, camera frame, by the lens it is told to have.
+    count, repeated
+        Frames in all, and those that are the one before to the bit.
+    """
+
+    steps: list[list[SensorStep]] = field(default_factory=list)
+    pairs: list[MatchedPair] = field(default_factory=list)
+    points: list[FloatArray] = field(default_factory=list)
+    count: int = 0
+    repeated: int = 0
+    median_depth: Thinned = field(default_factory=Thinned)
+    intrinsics: CameraIntrinsics | None = None
+    T_base_camera: gtsam.Pose3 | None = None
+    _stretches: Stretches = field(default_factory=Stretches)
+    _recent: deque[tuple[float, Features]] = field(default_factory=lambda: deque(maxlen=max(_BACK)))
+    _newest: RgbdFrame | None = None
+
+    def add(self, frame: RgbdFrame) -> None:
+        """Take the next frame."""
+        self.count += 1
+        if repeats(self._newest, frame):
+            self.repeated += 1
+            return
+        self._newest, self.intrinsics, self.T_base_camera = frame, frame.intrinsics, frame.T_base_camera
+        if not self._stretches.wants(frame.stamp_s):
+            return
+        if self._recent and not 0.0 < frame.stamp_s - self._recent[-1][0] < GAP_S:
+            self._recent.clear()
+        if self._stretches.begins:
+            if self._stretches.thinned:
+                del self.steps[1::2], self.pairs[1::2], self.points[1::2]
+            self.steps.append([])
+            self._look(frame)
+        features = extract_features(gray_of(frame), frame.depth_m, _MODELS.features)
+        features = features.where(features.depth_m > 0.0)
+        for back in _BACK:
+            if back <= len(self._recent):
+                self._match(*self._recent[-back], features, frame, back)
+        self._recent.append((frame.stamp_s, features))
+
+    def _look(self, frame: RgbdFrame) -> None:
+        """Which depths there are, and where."""
+        depth_m = frame.depth_m[::_EVERY_PIXEL, ::_EVERY_PIXEL].astype(np.float64)
+        row, column = np.nonzero(depth_m > 0.0)
+        z, k = depth_m[row, column], frame.intrinsics
+        x = (_EVERY_PIXEL * column - k.cx) / k.fx * z
+        y = (_EVERY_PIXEL * row - k.cy) / k.fy * z
+        self.points.append(np.column_stack([x, y, z]))
+        if z.size:
+            self.median_depth.add(float(np.median(z)))
+
+    def _match(
+        self, begun_s: float, known: Features, features: Features, frame: RgbdFrame, back: int
+    ) -> None:
+        """The motion from the frame before, or the pair of an earlier one."""
+        matches = match_features(known.descriptors, features.descriptors, _WAYS.match_ratio, _WAYS.match_bits)
+        one, other = known.where(matches.first), features.where(matches.second)  # type: ignore[arg-type]
+        found = pose_from_features(
+            one.points_camera(frame.intrinsics),
+            other.pixels.astype(np.float64),
+            frame.intrinsics,
+            _WAYS.kernel_sigmas,
+            _WAYS.least_inliers,
+        )
+        if found is None:
+            return
+        if back == 1:
+            self.steps[-1].append(SensorStep(begun_s, frame.stamp_s, found.T_reference_camera))
+            return
+        rows = [
+            np.column_stack([side.pixels, side.depth_m])[found.inliers].astype(np.float64)
+            for side in (one, other)
+        ]
+        self.pairs.append(MatchedPair(rows[0], rows[1]))

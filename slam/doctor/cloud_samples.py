@@ -1,0 +1,76 @@
+"""What the doctor keeps of a 3D lidar: its motions in stretches spread over the log."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import gtsam
+import numpy as np
+
+from fusion.time_alignment import GAP_S
+from slam.config import Config
+from slam.datasets.corrections import repeats
+from slam.datasets.dataset import Thinned
+from slam.doctor.camera_samples import SensorStep
+from slam.doctor.stretches import Stretches
+from slam.measurements import FloatArray, PointCloud
+from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
+
+_THINNED = 16  # every so manyth point tells what there is
+_CONFIG = Config()
+
+
+@dataclass(slots=True)
+class CloudSamples:
+    """One 3D lidar; attributes as those of `slam.doctor.camera_samples.CameraSamples`.
+
+    Attributes
+    ----------
+    interval_s, turn_s
+        Between clouds, and what the times of a cloud's points span.
+    """
+
+    steps: list[list[SensorStep]] = field(default_factory=list)
+    points: list[FloatArray] = field(default_factory=list)
+    count: int = 0
+    repeated: int = 0
+    interval_s: Thinned = field(default_factory=Thinned)
+    turn_s: Thinned = field(default_factory=Thinned)
+    T_base_lidar: gtsam.Pose3 = field(default_factory=gtsam.Pose3)
+    _stretches: Stretches = field(default_factory=Stretches)
+    _tracker: CloudTracker | None = None
+    _tracked: tuple[float, TrackedCloud] | None = None
+    _newest: PointCloud | None = None
+
+    def add(self, cloud: PointCloud) -> None:
+        """Take the next cloud."""
+        self.count += 1
+        if repeats(self._newest, cloud):
+            self.repeated += 1
+            return
+        if self._newest is not None:
+            self.interval_s.add(cloud.stamp_s - self._newest.stamp_s)
+        if cloud.times_s is not None and cloud.times_s.size:
+            self.turn_s.add(float(np.ptp(cloud.times_s)))
+        self._newest, self.T_base_lidar = cloud, cloud.T_base_lidar
+        if not self._stretches.wants(cloud.stamp_s):
+            return
+        if self._stretches.begins:
+            if self._stretches.thinned:
+                del self.steps[1::2], self.points[1::2]
+            self.steps.append([])
+            self.points.append(cloud.points_lidar[::_THINNED].astype(np.float64))
+        self._track(replace(cloud, T_base_lidar=gtsam.Pose3()))
+
+    def _track(self, cloud: PointCloud) -> None:
+        """The step from the cloud before; after a gap everything begins anew."""
+        before = self._tracked
+        if before is None or not 0.0 < cloud.stamp_s - before[0] < GAP_S or self._tracker is None:
+            self._tracker, before = CloudTracker(_CONFIG, None), None
+        tracked = self._tracker.track(cloud)
+        if tracked.new_keyframe:
+            self._tracker.add_keyframe(tracked)
+        self._tracked = cloud.stamp_s, tracked
+        if before is not None and tracked.motion is not None:
+            step = before[1].pose.between(tracked.pose)
+            self.steps[-1].append(SensorStep(before[0], cloud.stamp_s, step))

@@ -1,0 +1,42 @@
+"""The floor under a sensor, by points that it sees."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fusion.estimation import FEWEST
+from slam.measurements import FloatArray
+
+# A floor is seen by this share of the points at least, and by this share at most is anything seen below it.
+_SEEN, _BELOW = 0.03, 0.02
+_BINS = 40  # of the height, so that a bin is as wide as a depth camera's noise
+
+
+def floor_below_m(points: FloatArray, up: FloatArray) -> float | None:
+    """How far below a sensor the lowest level surface is; None where there is none.
+
+    Parameters
+    ----------
+    points
+        (N, 3) in the sensor's frame.
+    up
+        (3,) the upright there.
+    """
+    heights = points @ up
+    below = -heights[heights < 0.0]
+    if len(below) < FEWEST:
+        return None
+    lowest = (
+        float(np.quantile(below, 1.0 - _BELOW * len(heights) / len(below)))
+        if len(below) > _BELOW * len(heights)
+        else 0.0
+    )
+    if lowest <= 0.0:
+        return None
+    width = lowest / _BINS
+    counts, edges = np.histogram(below, np.arange(0.0, lowest + 4.0 * width, width))
+    near = np.flatnonzero(counts >= _SEEN * len(heights))
+    if not near.size or edges[near[-1]] < 0.75 * lowest:
+        return None
+    among = below[np.abs(below - edges[near[-1]] - 0.5 * width) < 1.5 * width]
+    return float(np.median(among))

@@ -1,0 +1,373 @@
+"""What cameras and 3D lidars say that cannot be: of themselves, and against how the robot moves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from fusion.estimation import FEWEST, gate
+from slam.doctor.camera_samples import CameraSamples
+from slam.doctor.cloud_samples import CloudSamples
+from slam.doctor.finding import Finding, Remedy
+from slam.doctor.floor import floor_below_m
+from slam.doctor.lens_fit import lens_fit
+from slam.doctor.paired_motions import BaseTrack, clock_of, joined, runs_of, turns_of
+from slam.doctor.planar_hand_eye import PlanarHandEye, planar_hand_eye
+from slam.measurements import FloatArray
+from slam.vision.camera_frame import T_BODY_CAMERA
+
+# Offsets of clocks that are looked for, and those that mapping learns by itself, from turns.
+_MOST_S, _LEARNED_S = 0.7, 0.15
+# Smaller differences are what sensors on robots have: shares, radians, metres.
+_SHARE, _LENS_SHARE, _ANGLE_RAD, _LEVER_M = 0.06, 0.14, math.radians(5.0), 0.15
+# Median depths between which a depth camera may see anything.
+_DEPTHS_M = (0.1, 30.0)
+# What files of depth are written in, over what they are taken for.
+_UNITS = (1000.0, 0.001, 5.0, 0.2, 10.0, 0.1, 100.0, 0.01)
+_JOINED = 5  # steps of a sensor that are one motion
+_SPREAD = 0.2  # of the shifts, the largest share that a fit may leave over
+
+
+@dataclass(frozen=True, slots=True)
+class Base:
+    """How the base moved, and whether more than the wheels says so."""
+
+    wheels: str
+    track: BaseTrack
+    certain: bool
+
+
+@dataclass(slots=True)
+class Seen:
+    """A camera or 3D lidar, as it sees the robot move.
+
+    Attributes
+    ----------
+    kind, name
+        Kind of sensor as a calibration has it, and its name.
+    R_base_sensor, told_m
+        What is told of where it sits: rotation (3, 3), translation (3,); None where nothing is.
+    clock_s, clock_sigma_s
+        By how much its clock is ahead, 0 and infinite where that is open.
+    fit
+        None where its motions leave it open.
+    floor_m
+        Height of the sensor over the floor that it sees, in its own metres; None where it sees none.
+    """
+
+    kind: str
+    name: str
+    R_base_sensor: FloatArray | None
+    told_m: FloatArray | None
+    clock_s: float = 0.0
+    clock_sigma_s: float = math.inf
+    fit: PlanarHandEye | None = None
+    floor_m: float | None = None
+    upside_down: bool | None = None
+
+    @property
+    def off(self) -> float:
+        """Its shifts over the base's, one where that is as good as right or open."""
+        return (
+            1.0
+            if self.fit is None or _within(self.fit.scale - 1.0, self.fit.sigmas[1], _SHARE)
+            else self.fit.scale
+        )
+
+
+def camera_findings(name: str, samples: CameraSamples) -> list[Finding]:
+    """What a camera says of itself."""
+    found = _repeated("cameras", name, samples.repeated, samples.count, "frames")
+    depth_m = samples.median_depth.median()
+    if depth_m is not None and not _DEPTHS_M[0] < depth_m < _DEPTHS_M[1]:
+        # The middle of what depth cameras see, by ratio.
+        middle_m = math.sqrt(_DEPTHS_M[0] * _DEPTHS_M[1])
+        unit = min(_UNITS, key=lambda one: abs(math.log(depth_m / one / middle_m)))
+        found.append(
+            Finding(
+                name,
+                "depth scale",
+                f"its median depth is {depth_m:.3g} m, which no camera sees: {unit:g} times too large",
+                "the map is of another size",
+                ({"cameras": {name: {"depth_scale": 1.0 / unit}}},),
+                sure=True,
+                value=unit,
+            )
+        )
+    return found + lens_findings(name, samples)
+
+
+def lens_findings(name: str, samples: CameraSamples) -> list[Finding]:
+    """Whether the shape of what a camera sees asks for another lens."""
+    told = samples.intrinsics
+    fit = None if told is None else lens_fit(samples.pairs, told)
+    # A lens that explains no more than the one that was told is no better.
+    if told is None or fit is None or fit.told_left_px < (1.0 + _SHARE) * fit.left_px:
+        return []
+    off_px = fit.center_px - (told.cx, told.cy)
+    limits_px = _LENS_SHARE * 0.5 * np.array([told.width, told.height])
+    focal = not _within(fit.focal_gain - 1.0, float(fit.sigmas[0]), _LENS_SHARE)
+    center = [not _within(*row) for row in zip(off_px, fit.sigmas[1:], limits_px, strict=True)]
+    if not (focal or any(center)):
+        return []
+    gain = fit.focal_gain if focal else 1.0
+    cx, cy = (
+        float(px) if use else was
+        for px, use, was in zip(fit.center_px, center, (told.cx, told.cy), strict=True)
+    )
+    lens = {"fx": told.fx * gain, "fy": told.fy * gain, "cx": cx, "cy": cy}
+    lens = {key: round(value, 2) for key, value in lens.items()}
+    half = gate(1, 0.95) ** 0.5 * float(fit.sigmas[0])
+    return [
+        Finding(
+            name,
+            "lens",
+            f"the shape of what it sees asks for f = {told.fx * fit.focal_gain:.0f} px and the centre at "
+            f"{fit.center_px[0]:.0f}, {fit.center_px[1]:.0f}, not {told.fx:.0f} at {told.cx:.0f}, "
+            f"{told.cy:.0f}",
+            "turns and walls come out bent",
+            ({"cameras": {name: {"intrinsics": lens}}},),
+            value=fit.focal_gain,
+            interval=(fit.focal_gain - half, fit.focal_gain + half),
+        )
+    ]
+
+
+def seen_by(
+    kind: str, name: str, samples: CameraSamples | CloudSamples, T_base_sensor: gtsam.Pose3 | None, base: Base
+) -> Seen:
+    """How a sensor sees the robot move."""
+    told = None if T_base_sensor is None else np.asarray(T_base_sensor.rotation().matrix())
+    seen = Seen(kind, name, told, None if T_base_sensor is None else np.asarray(T_base_sensor.translation()))
+    runs = runs_of(samples.steps)
+    clock = clock_of(runs, base.track, _MOST_S)
+    if clock is not None:
+        seen.clock_s, seen.clock_sigma_s = clock.offset_s, clock.sigma_s
+    steps = joined(runs, _JOINED)
+    if not steps:
+        return seen
+    begun, ended = (
+        np.array([getattr(step, at) for step in steps]) - seen.clock_s for at in ("begun_s", "ended_s")
+    )
+    moved = base.track.steps(begun, ended)
+    known = np.isfinite(moved).all(axis=1)
+    shifts = np.array([step.motion.translation() for step in steps])
+    fit = planar_hand_eye(turns_of(steps)[known], shifts[known], moved[known])
+    # What is left over by as much tells badly how the sensor moved, whatever it claims.
+    seen.fit = fit if fit is not None and fit.spread < _SPREAD else None
+    if seen.fit is not None:
+        up = seen.fit.up if told is None else told.T[:, 2]
+        points = np.concatenate(samples.points) if samples.points else np.zeros((0, 3))
+        seen.floor_m = floor_below_m(points, up)
+        over_m = floor_below_m(points, -up)
+        if seen.floor_m is not None or over_m is not None:
+            # Of floor and ceiling the nearer one is the floor: robots are low.
+            seen.upside_down = (over_m or math.inf) < (seen.floor_m or math.inf)
+    return seen
+
+
+def findings_against(base: Base, sensors: Sequence[Seen], doubtful: frozenset[str]) -> list[Finding]:
+    """What the sensors say against the base.
+
+    Parameters
+    ----------
+    doubtful
+        Names of cameras whose lens is in question: what depends on it is not judged.
+    """
+    found: list[Finding] = []
+    told = [seen for seen in sensors if seen.fit is not None]
+    for seen in sensors:
+        found += _clock(base, seen, [one for one in sensors if one is not seen])
+    for seen in told:
+        if seen.name in doubtful:
+            continue
+        others = [one for one in told if one is not seen and one.name not in doubtful]
+        found += _scale(base, seen, others)
+        found += _mounting(base, seen, others)
+    return _once(found)
+
+
+def _clock(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
+    """A clock that is farther ahead or behind than mapping learns by itself."""
+    if _within(seen.clock_s, seen.clock_sigma_s, _LEARNED_S):
+        return []
+    as_much = [one for one in others if abs(one.clock_s - seen.clock_s) < 0.5 * _LEARNED_S]
+    ahead_s = round(seen.clock_s, 3)
+    own: Remedy = {seen.kind: {seen.name: {"clock_offset_s": ahead_s}}}
+    wheels: Remedy = {"wheels": {base.wheels: {"clock_offset_s": -ahead_s}}}
+    blame = bool(as_much) and not base.certain
+    sure = base.certain or blame or any(_within(one.clock_s, one.clock_sigma_s, _LEARNED_S) for one in others)
+    half_s = gate(1, 0.95) ** 0.5 * seen.clock_sigma_s
+    return [
+        Finding(
+            base.wheels if blame else seen.name,
+            "clock",
+            f"its stamps are {abs(ahead_s):.2f} s {'ahead of' if (ahead_s > 0) != blame else 'behind'} "
+            f"those of {'cameras and lidars' if blame else base.wheels}, by when both turn",
+            "turns are taken at the wrong time, and walls are doubled",
+            (wheels,) if blame else (own,) if sure else (own, wheels),
+            sure=sure,
+            value=ahead_s,
+            interval=(ahead_s - half_s, ahead_s + half_s),
+        )
+    ]
+
+
+def _scale(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
+    """Lengths that are of another size than the way of the wheels."""
+    scale, fit = seen.off, seen.fit
+    if scale == 1.0 or fit is None:
+        return []
+    factor = round(1.0 / scale, 4)
+    key = "depth_scale" if seen.kind == "cameras" else "range_scale"
+    own: Remedy = {seen.kind: {seen.name: {key: factor}}}
+    wheels: Remedy = {"wheels": {base.wheels: {"scale": round(scale, 4)}}}
+    mine = yours = False
+    if seen.told_m is not None and seen.floor_m is not None and seen.told_m[2] > _LEVER_M:
+        floor = seen.floor_m / seen.told_m[2]
+        mine, yours = (abs(math.log(floor / one)) < 0.5 * abs(math.log(scale)) for one in (scale, 1.0))
+    if base.certain and yours and not mine:
+        return []  # the floor is where it should be: the motions were told badly
+    if not base.certain:
+        as_much = [one for one in others if abs(one.off / scale - 1.0) < _SHARE]
+        yours = bool(as_much) or (yours and not mine)
+    mine = base.certain or mine or any(one.off == 1.0 for one in others)
+    blame = yours and not mine
+    what = "depth" if seen.kind == "cameras" else "range"
+    half = gate(1, 0.95) ** 0.5 * float(fit.sigmas[1])
+    text = f"its {what}s are {scale:.3g} times what the way of {base.wheels} asks for"
+    if blame:
+        text = f"its way is {1.0 / scale:.3g} times what {seen.name} sees"
+    return [
+        Finding(
+            base.wheels if blame else seen.name,
+            "way scale" if blame else f"{what} scale",
+            text,
+            "the map is of another size",
+            (wheels,) if blame else (own,) if mine else (own, wheels),
+            sure=blame or mine,
+            value=scale,
+            interval=(scale - half, scale + half),
+        )
+    ]
+
+
+def _mounting(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
+    """A place on the robot that is not where the sensor moves."""
+    fit, told = seen.fit, seen.R_base_sensor
+    if fit is None or told is None or seen.told_m is None:
+        return []
+    ahead, up = told @ fit.ahead, told @ fit.up
+    tilt_rad = math.acos(float(np.clip(up[2], -1.0, 1.0)))
+    # The heading of what the sensor takes for ahead, seen by what was told: it is turned by as much too far.
+    yaw_rad = -math.atan2(float(ahead[1]), float(ahead[0]))
+    lever_m = fit.lever_m - seen.told_m[:2]
+    turned = not _within(yaw_rad, float(fit.sigmas[2]), _ANGLE_RAD)
+    tilted = not _within(tilt_rad, fit.tilt_sigma_rad, _ANGLE_RAD)
+    moved = not all(_within(off, sigma, _LEVER_M) for off, sigma in zip(lever_m, fit.sigmas[3:], strict=True))
+    if not (turned or tilted or moved):
+        return []
+    sure = base.certain or any(_sits(one) for one in others)
+    rotation = np.stack([fit.ahead, np.cross(fit.up, fit.ahead), fit.up])
+    place = [*fit.lever_m, seen.told_m[2]]
+    remedy: Remedy = {seen.kind: {seen.name: _entry(seen.kind, rotation, place)}}
+    text = ", ".join(
+        part
+        for part, use in (
+            (f"yaw by {math.degrees(yaw_rad):+.1f} degrees", turned),
+            (f"roll or pitch by {math.degrees(tilt_rad):.1f} degrees", tilted),
+            (f"x, y by {lever_m[0]:+.2f}, {lever_m[1]:+.2f} m", moved),
+        )
+        if use
+    )
+    finding = Finding(
+        seen.name,
+        "mounting",
+        f"it moves as if it sat otherwise: {text} (x, y +- {float(fit.sigmas[3:].max()):.2f} m)",
+        "what it sees is put in the wrong place",
+        (remedy,),
+        sure=sure,
+        value=math.degrees(tilt_rad if tilted else yaw_rad),
+    )
+    if math.pi - tilt_rad > 2.0 * _ANGLE_RAD or turned:
+        return [finding]
+    mirrored: Remedy = {seen.kind: {seen.name: {"mirrored": True}}}
+    if seen.kind != "cameras" or seen.upside_down:
+        return [finding]
+    # A mirror and a camera on its head turn alike; the floor tells them apart.
+    text = "it turns the wrong way round: its images are mirrored, or it sits upside down"
+    known = seen.upside_down is False
+    remedies = (mirrored,) if known else (mirrored, remedy)
+    return [replace(finding, kind="mirrored", text=text, remedies=remedies, sure=sure and known)]
+
+
+def _sits(seen: Seen) -> bool:
+    """Whether a sensor moves as it is told to sit."""
+    if seen.fit is None or seen.R_base_sensor is None:
+        return False
+    return float((seen.R_base_sensor @ seen.fit.ahead)[0]) > math.cos(_ANGLE_RAD) and float(
+        (seen.R_base_sensor @ seen.fit.up)[2]
+    ) > math.cos(_ANGLE_RAD)
+
+
+def _entry(kind: str, R_base_sensor: FloatArray, place_m: Sequence[float]) -> dict[str, Any]:
+    """A mounting as a calibration has it."""
+    rotation = gtsam.Rot3(R_base_sensor)
+    if kind == "cameras":
+        rotation = rotation.compose(T_BODY_CAMERA.rotation().inverse())
+    angles = np.degrees(rotation.rpy()).round(2)
+    names = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg")
+    values = [*(round(float(one), 3) for one in place_m), *angles.tolist()]
+    key = "T_base_camera" if kind == "cameras" else "T_base_lidar"
+    return {key: dict(zip(names, values, strict=True))}
+
+
+def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
+    """What a 3D lidar says of itself."""
+    found = _repeated("lidars_3d", name, samples.repeated, samples.count, "clouds")
+    interval_s, turn_s = samples.interval_s.median(), samples.turn_s.median()
+    if not interval_s or not turn_s:
+        return found
+    off = turn_s / interval_s
+    units = [unit for unit in (1e3, 1e-3, 1e6, 1e-6, 1e9, 1e-9) if abs(math.log(off / unit)) < 1.0]
+    if not units:
+        return found
+    text = f"the times of a cloud's points span {turn_s:.3g} s, clouds come every {interval_s:.3g} s"
+    remedy: Remedy = {"lidars_3d": {name: {"times_scale": 1.0 / units[0]}}}
+    effect = "clouds are not set right for the motion within a turn"
+    return [*found, Finding(name, "times of points", text, effect, (remedy,), sure=True, value=off)]
+
+
+def _repeated(kind: str, name: str, repeated: int, count: int, what: str) -> list[Finding]:
+    """Readings that are told again and again."""
+    if repeated < FEWEST or 2 * repeated <= count:
+        return []
+    return [
+        Finding(
+            name,
+            f"repeated {what}",
+            f"{repeated} of {count} {what} are the one before, to the bit",
+            "the map takes it that the robot stands",
+            ({kind: {name: {"drop_repeated": True}}},),
+            sure=True,
+            value=repeated / count,
+        )
+    ]
+
+
+def _within(off: float, sigma: float, limit: float) -> bool:
+    """Whether a difference may be smaller than what matters."""
+    return not abs(off) > limit + gate() ** 0.5 * sigma
+
+
+def _once(findings: Sequence[Finding]) -> list[Finding]:
+    """Findings of wheels that several sensors tell, once."""
+    first: dict[tuple[str, str], Finding] = {}
+    for finding in findings:
+        first.setdefault((finding.sensor, finding.kind), finding)
+    return list(first.values())

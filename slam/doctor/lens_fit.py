@@ -1,0 +1,128 @@
+"""The lens of a depth camera by the shape of what it sees: a scene keeps its shape while the camera turns.
+
+By a wrong lens points lie too far or too near the optical axis, by a right depth; seen from two sides, the
+same points then are of two shapes. So focal length and principal point follow from matched features with
+depth, and nothing else is asked. The scale of depth does not follow: shapes of any scale are alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion.estimation import FEWEST, ROUNDS, SETTLED, gate, median_to_sigma
+from slam.doctor.camera_samples import MatchedPair
+from slam.measurements import CameraIntrinsics, FloatArray
+
+_KEPT = 48  # features of a pair
+
+
+@dataclass(frozen=True, slots=True)
+class LensFit:
+    """A lens, against the one that was told.
+
+    Attributes
+    ----------
+    focal_gain
+        Its focal lengths over those told.
+    center_px
+        (2,) its principal point.
+    sigmas
+        (3,) of focal_gain and center_px.
+    left_px, told_left_px
+        Robust standard deviation of what it leaves over, and of what the lens that was told does.
+    """
+
+    focal_gain: float
+    center_px: FloatArray
+    sigmas: FloatArray
+    left_px: float
+    told_left_px: float
+
+
+def lens_fit(pairs: Sequence[MatchedPair], told: CameraIntrinsics) -> LensFit | None:
+    """The lens by which matched features move as one; None where there are too few."""
+    chosen = [pair for pair in pairs if len(pair.first) >= FEWEST]
+    if len(chosen) < FEWEST:
+        return None
+    first, second = (
+        np.stack([_spread(side, len(pair.first)) for pair, side in ((p, getattr(p, name)) for p in chosen)])
+        for name in ("first", "second")
+    )
+    # Focal gain, and the principal point in shares of the focal length.
+    lens = np.array([1.0, 0.0, 0.0])
+    steps = np.diag([SETTLED] * 3)
+    begun = _errors(first, second, lens, told)
+    sigma = max(_sigma(begun), SETTLED)
+    told_left = sigma
+    information = np.eye(3)
+    for _ in range(ROUNDS):
+        errors = _errors(first, second, lens, told)
+        sigma = max(_sigma(errors), SETTLED)
+        weights = (gate(3) * sigma**2 / ((errors**2).sum(axis=-1) + gate(3) * sigma**2)) ** 2
+        slopes = np.stack(
+            [(_errors(first, second, lens + step, told) - errors) / SETTLED for step in steps], axis=-1
+        )
+        information = np.einsum("pn,pnki,pnkj->ij", weights, slopes, slopes)
+        change = -np.linalg.solve(
+            information + SETTLED**2 * np.eye(3), np.einsum("pn,pnki,pnk->i", weights, slopes, errors)
+        )
+        lens = lens + np.clip(change, -0.1, 0.1)
+        # Weights that follow the median never quite come to rest.
+        if np.abs(change).max() < 10 * SETTLED:
+            break
+    else:
+        return None
+    # Features of a pair share what is wrong with its motion.
+    covariance = sigma**2 * np.linalg.inv(information) * first.shape[1] ** 0.5
+    center = np.array([told.cx + lens[1] * told.fx, told.cy + lens[2] * told.fy])
+    sigmas = np.sqrt(np.diag(covariance)) * [1.0, told.fx, told.fy]
+    return LensFit(float(lens[0]), center, sigmas, sigma * told.fx, told_left * told.fx)
+
+
+def _spread(rows: FloatArray, count: int) -> FloatArray:
+    """(_KEPT, 3) of (N, 3) rows, evenly; the last again where there are fewer."""
+    return rows[np.linspace(0, count - 1, _KEPT).astype(int)]
+
+
+def _points(rows: FloatArray, lens: FloatArray, told: CameraIntrinsics) -> FloatArray:
+    """(..., 3) in the camera frame."""
+    x = ((rows[..., 0] - told.cx) / told.fx - lens[1]) / lens[0]
+    y = ((rows[..., 1] - told.cy) / told.fy - lens[2]) / lens[0]
+    z = rows[..., 2]
+    return np.stack([x * z, y * z, z], axis=-1)
+
+
+def _errors(first: FloatArray, second: FloatArray, lens: FloatArray, told: CameraIntrinsics) -> FloatArray:
+    """(P, N, 3) of points moved into the second view: by their bearing, and in depth by its share."""
+    a, b = _points(first, lens, told), _points(second, lens, told)
+    # Depth is as uncertain as it is far.
+    weights = 1.0 / np.maximum(a[..., 2:], SETTLED) ** 2
+    for _ in range(3):
+        moved = _moved(a, b, weights)
+        off = np.linalg.norm(moved - b, axis=-1, keepdims=True) / b[..., 2:]
+        width = np.median(off, axis=1, keepdims=True) + SETTLED
+        weights = 1.0 / (b[..., 2:] * (1.0 + (off / width) ** 2)) ** 2
+    return np.asarray((moved - b) / b[..., 2:] * lens[0])
+
+
+def _moved(a: FloatArray, b: FloatArray, weights: FloatArray) -> FloatArray:
+    """(P, N, 3) the first points by the rigid motion that brings them nearest to the second (Kabsch 1976)."""
+    total = weights.sum(axis=1, keepdims=True)
+    from_a, to_b = (
+        (weights * a).sum(axis=1, keepdims=True) / total,
+        (weights * b).sum(axis=1, keepdims=True) / total,
+    )
+    spread = np.einsum("pni,pnj->pij", weights * (a - from_a), b - to_b)
+    left, _, right = np.linalg.svd(spread)
+    signs = np.ones((len(a), 3))
+    signs[:, 2] = np.sign(np.linalg.det(left @ right))
+    turn = np.einsum("pij,pj,pjk->pik", left, signs, right)
+    return np.asarray((a - from_a) @ turn + to_b)
+
+
+def _sigma(errors: FloatArray) -> float:
+    """Robust standard deviation of a coordinate."""
+    return float(np.median(np.linalg.norm(errors, axis=-1))) * median_to_sigma(3) / 3.0**0.5

@@ -1,0 +1,127 @@
+"""How a sensor that moves in space sits on a robot that moves in the plane, by the motions of both.
+
+A turn of the robot is a turn of the sensor about the robot's upright; across that axis the sensor's shifts
+are the robot's, turned, scaled, and swung by the lever: linear in four numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion.estimation import FEWEST, ROUNDS, SETTLED, gate, median_to_sigma
+from slam.measurements import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class PlanarHandEye:
+    """What paired motions tell of a sensor.
+
+    Attributes
+    ----------
+    up
+        (3,) the robot's upright in the sensor's frame, unit length.
+    ahead
+        (3,) the robot's forward there.
+    turn_gain
+        The sensor's turns over the robot's.
+    scale
+        The sensor's shifts over the robot's.
+    lever_m
+        (2,) where the sensor sits on the robot, x and y, in the robot's metres.
+    sigmas
+        (5,) standard deviations of turn_gain, scale, the angle of ``ahead`` in radians, and the lever.
+    tilt_sigma_rad
+        Of ``up``.
+    spread
+        Share of the sensor's shifts that the fit leaves over, robust.
+    count
+        Pairs that agree.
+    """
+
+    up: FloatArray
+    ahead: FloatArray
+    turn_gain: float
+    scale: float
+    lever_m: FloatArray
+    sigmas: FloatArray
+    tilt_sigma_rad: float
+    spread: float
+    count: int
+
+
+def planar_hand_eye(turns: FloatArray, shifts_m: FloatArray, base: FloatArray) -> PlanarHandEye | None:
+    """Fit the mounting, the gain of turns and the scale of shifts.
+
+    Parameters
+    ----------
+    turns, shifts_m
+        (N, 3) rotation vectors and translations of the sensor's steps, in its frame at the start of each.
+    base
+        (N, 3) x, y and turn of the robot's steps, in its frame at the start of each.
+
+    Returns
+    -------
+    None where the motions leave it open: few, without turns, or without shifts.
+    """
+    if len(base) < FEWEST:
+        return None
+    slopes, slope_cov, _ = _robust(base[:, 2, None, None] * np.eye(3), turns)
+    gain = float(np.linalg.norm(slopes))
+    if gain < gate() ** 0.5 * math.sqrt(float(np.trace(slope_cov))):
+        return None
+    up = slopes / gain
+    # Any two axes across the upright: of the optical axis and the right what is less upright.
+    first = np.eye(3)[int(np.argmin(np.abs(up)))]
+    first = first - (first @ up) * up
+    first /= np.linalg.norm(first)
+    axes = np.stack([first, np.cross(up, first)])
+    cos, sin = np.cos(base[:, 2]) - 1.0, np.sin(base[:, 2])
+    x, y = base[:, 0], base[:, 1]
+    # p = M t + (R - 1) M l, M = [[a, -b], [b, a]]; unknown are a, b and M l.
+    design = np.stack([np.stack([x, -y, cos, -sin], axis=1), np.stack([y, x, sin, cos], axis=1)], axis=1)
+    found, covariance, agree = _robust(design, shifts_m @ axes.T)
+    a, b = found[:2]
+    scale = math.hypot(a, b)
+    sigma_ab = math.sqrt(max(covariance[0, 0], covariance[1, 1]))
+    if scale < gate() ** 0.5 * sigma_ab:
+        return None
+    turned = np.array([[a, -b], [b, a]])
+    lever = np.linalg.solve(turned, found[2:])
+    lever_sigmas = np.sqrt(np.diag(covariance)[2:] + (np.linalg.norm(lever) * sigma_ab) ** 2) / scale
+    left = np.linalg.norm(np.einsum("nij,j->ni", design, found) - shifts_m @ axes.T, axis=1)
+    moved = np.linalg.norm(shifts_m @ axes.T, axis=1)
+    ahead = (a * axes[0] + b * axes[1]) / scale
+    tilt = math.sqrt(max(0.0, float(np.trace(slope_cov) - up @ slope_cov @ up))) / gain
+    gain_sigma = math.sqrt(float(up @ slope_cov @ up))
+    sigmas = np.array([gain_sigma, sigma_ab, sigma_ab / scale, *lever_sigmas])
+    spread = float(np.median(left) / max(np.median(moved), SETTLED))
+    return PlanarHandEye(up, ahead, gain, scale, lever, sigmas, tilt, spread, agree)
+
+
+def _robust(design: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatArray, int]:
+    """Least squares with Geman-McClure's loss: (k,) solution, (k, k) covariance, rows that agree.
+
+    Parameters
+    ----------
+    design, seen
+        (N, d, k) and (N, d).
+    """
+    weights = np.ones(len(seen))
+    solution = np.zeros(design.shape[2])
+    for _ in range(ROUNDS):
+        weighted = design * weights[:, None, None]
+        information = np.einsum("ndi,ndj->ij", weighted, design)
+        information += SETTLED**2 * np.trace(information) * np.eye(len(information)) + SETTLED**4
+        solution = np.linalg.solve(information, np.einsum("ndi,nd->i", weighted, seen))
+        errors = np.linalg.norm(np.einsum("ndi,i->nd", design, solution) - seen, axis=1)
+        sigma = max(float(np.median(errors)) * median_to_sigma(design.shape[1]), SETTLED**2)
+        limit = gate(design.shape[1]) * sigma**2
+        weights = (limit / (errors**2 + limit)) ** 2
+    agree = errors**2 < limit
+    rows = design[agree]
+    information = np.einsum("ndi,ndj->ij", rows, rows)
+    variance = float((errors[agree] ** 2).sum()) / max(1, rows.shape[0] * rows.shape[1] - len(solution))
+    return solution, variance * np.linalg.pinv(information), int(agree.sum())

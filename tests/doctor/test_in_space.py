@@ -1,0 +1,239 @@
+"""Cameras and 3D lidars against how the robot moves: units, lens, clock, place, mirror."""
+
+from __future__ import annotations
+
+import math
+
+import gtsam
+import numpy as np
+import pytest
+
+from slam.config.calibration import Calibration
+from slam.datasets.corrections import corrected
+from slam.doctor.camera_samples import CameraSamples, MatchedPair, SensorStep
+from slam.doctor.cloud_samples import CloudSamples
+from slam.doctor.finding import Finding, remedied
+from slam.doctor.floor import floor_below_m
+from slam.doctor.in_space import (
+    Base,
+    Seen,
+    camera_findings,
+    cloud_findings,
+    findings_against,
+    lens_findings,
+    seen_by,
+)
+from slam.doctor.lens_fit import lens_fit
+from slam.doctor.paired_motions import BaseTrack
+from slam.doctor.stretches import Stretches
+from slam.measurements import CameraIntrinsics, FloatArray, PointCloud, RgbdFrame
+from slam.vision.camera_frame import T_BODY_CAMERA
+
+LENS = CameraIntrinsics(500.0, 500.0, 320.0, 240.0, 640, 480)
+STAMPS = np.arange(0.0, 30.0, 0.1)
+PLACE = (0.2, -0.1, 0.7)
+
+
+def base_rows() -> FloatArray:
+    """(N, 4) of a robot that drives arcs either way."""
+    speed, rate = 0.5 + 0.1 * np.sin(STAMPS), 0.9 * np.sin(0.8 * STAMPS) + 0.4 * np.sin(2.3 * STAMPS)
+    heading = np.cumsum(rate) * 0.1
+    x, y = np.cumsum(0.1 * speed * np.cos(heading)), np.cumsum(0.1 * speed * np.sin(heading))
+    return np.column_stack([STAMPS, x, y, heading])
+
+
+def camera_at(yaw: float = 0.0, pitch: float = 0.2, place: tuple[float, float, float] = PLACE) -> gtsam.Pose3:
+    return gtsam.Pose3(gtsam.Rot3.Ypr(yaw, pitch, 0.0), np.array(place)).compose(T_BODY_CAMERA)
+
+
+def seen_moving(
+    true: gtsam.Pose3, told: gtsam.Pose3, *, scale: float = 1.0, late_s: float = 0.0, certain: bool = True
+) -> tuple[Base, Seen]:
+    """A camera that moves as it truly sits, with noise, and is told to sit elsewhere."""
+    rows, rng = base_rows(), np.random.default_rng(1)
+    samples = CameraSamples()
+    poses = [gtsam.Pose3(gtsam.Pose2(*row[1:])).compose(true) for row in rows]
+    steps = []
+    for k in range(len(poses) - 1):
+        motion = poses[k].between(poses[k + 1])
+        turn = gtsam.Rot3.Expmap(rng.normal(0.0, 0.001, 3)).compose(motion.rotation())
+        shift = scale * (np.asarray(motion.translation()) + rng.normal(0.0, 0.002, 3))
+        steps.append(SensorStep(rows[k, 0] + late_s, rows[k + 1, 0] + late_s, gtsam.Pose3(turn, shift)))
+    samples.steps = [steps]
+    base = Base("odometry", BaseTrack(rows), certain)
+    return base, seen_by("cameras", "camera", samples, told, base)
+
+
+def found(true: gtsam.Pose3, told: gtsam.Pose3, **more: float) -> list[Finding]:
+    base, seen = seen_moving(true, told, **more)  # type: ignore[arg-type]
+    return findings_against(base, [seen], frozenset())
+
+
+def mended(findings: list[Finding], frame: RgbdFrame) -> RgbdFrame:
+    (after,) = corrected([frame], remedied(Calibration(), findings, only_sure=False))
+    assert isinstance(after, RgbdFrame)
+    return after
+
+
+def frame(told: gtsam.Pose3 | None = None) -> RgbdFrame:
+    color = np.arange(4 * 6 * 3, dtype=np.uint8).reshape(4, 6, 3)
+    lens = CameraIntrinsics(5.0, 5.0, 2.0, 1.5, 6, 4)
+    return RgbdFrame(1.0, color, np.full((4, 6), 2.0, np.float32), lens, told)
+
+
+def test_a_sound_camera_gives_no_finding() -> None:
+    assert found(camera_at(), camera_at()) == []
+    assert found(camera_at(1.5), camera_at(1.5 + math.radians(2.0)), late_s=0.05) == []
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        camera_at(math.radians(10.0)),
+        camera_at(math.pi),
+        camera_at(pitch=0.5),
+        camera_at(place=(0.5, -0.1, 0.7)),
+        gtsam.Pose3(gtsam.Rot3.Roll(2.5), np.zeros(3)).compose(camera_at()),
+    ],
+)
+def test_a_wrong_mounting_is_named_and_mended(told: gtsam.Pose3) -> None:
+    (finding,) = found(camera_at(), told)
+    assert finding.kind == "mounting" and finding.sure
+    after = mended([finding], frame(told)).T_base_camera
+    assert after is not None
+    step = gtsam.Pose3.Logmap(after.between(camera_at()))
+    assert (
+        np.linalg.norm(step[:3]) < 0.02
+        and np.linalg.norm(np.asarray(after.translation())[:2] - PLACE[:2]) < 0.03
+    )
+
+
+def test_a_clock_and_a_scale_are_named_with_their_remedies() -> None:
+    (clock,) = found(camera_at(), camera_at(), late_s=0.4)
+    assert clock.kind == "clock" and clock.value == pytest.approx(0.4, abs=0.03)
+    (scale,) = found(camera_at(), camera_at(), scale=1.2)
+    assert scale.remedies == ({"cameras": {"camera": {"depth_scale": pytest.approx(1 / 1.2, abs=0.01)}}},)
+    assert mended([scale], frame()).depth_m.mean() == pytest.approx(2.0 / 1.2, rel=0.01)
+
+
+def test_by_wheels_alone_both_remedies_are_named_unless_the_floor_decides() -> None:
+    base, seen = seen_moving(camera_at(), camera_at(), scale=1.2, certain=False)
+    (open_,) = findings_against(base, [seen], frozenset())
+    assert not open_.sure and len(open_.remedies) == 2
+    seen.floor_m = 1.2 * PLACE[2]
+    (depth,) = findings_against(base, [seen], frozenset())
+    assert depth.sure and depth.kind == "depth scale" and len(depth.remedies) == 1
+    seen.floor_m = PLACE[2]
+    (way,) = findings_against(base, [seen], frozenset())
+    assert way.sure and way.sensor == "odometry" and list(way.remedies[0]) == ["wheels"]
+
+
+def test_two_sensors_that_agree_blame_the_wheels() -> None:
+    base, seen = seen_moving(camera_at(), camera_at(), scale=0.5, certain=False)
+    _, other = seen_moving(camera_at(1.0), camera_at(1.0), scale=0.5, certain=False)
+    other.name = "other"
+    (way,) = findings_against(base, [seen, other], frozenset())
+    assert way.sensor == "odometry" and way.remedies[0]["wheels"]["odometry"]["scale"] == pytest.approx(
+        0.5, abs=0.01
+    )
+
+
+def test_mirrored_images_are_told_from_a_camera_on_its_head() -> None:
+    mirror = np.diag([-1.0, 1.0, 1.0])
+    base, seen = seen_moving(camera_at(), camera_at())
+    assert seen.fit is not None
+    # A mirror turns the upright round and leaves the way ahead.
+    from dataclasses import replace
+
+    seen.fit = replace(seen.fit, up=-mirror @ seen.fit.up, ahead=mirror @ seen.fit.ahead)
+    seen.upside_down = False
+    (finding,) = findings_against(base, [seen], frozenset())
+    assert finding.kind == "mirrored" and finding.remedies == ({"cameras": {"camera": {"mirrored": True}}},)
+    after = mended([finding], frame())
+    assert np.array_equal(after.color, frame().color[:, ::-1]) and after.intrinsics.cx == 3.0
+    seen.upside_down = True
+    assert [one.kind for one in findings_against(base, [seen], frozenset())] == ["mounting"]
+
+
+def pairs(focal: float, center: tuple[float, float], count: int = 40) -> list[MatchedPair]:
+    """Points that a camera of a lens sees from two sides."""
+    rng, made = np.random.default_rng(2), []
+    for _ in range(count):
+        points = rng.uniform([-1.5, -1.0, 1.5], [1.5, 1.0, 4.0], (60, 3))
+        turn = gtsam.Rot3.Expmap(rng.normal(0.0, 0.2, 3)).matrix()
+        sides = []
+        for side in (points, points @ turn.T + rng.normal(0.0, 0.1, 3)):
+            u, v = (
+                focal * side[:, :2].T / side[:, 2] + np.array(center)[:, None] + rng.normal(0.0, 0.3, (2, 60))
+            )
+            sides.append(np.column_stack([u, v, side[:, 2] * (1.0 + rng.normal(0.0, 0.002, 60))]))
+        made.append(MatchedPair(*sides))
+    return made
+
+
+def test_the_lens_follows_from_the_shape_of_what_is_seen() -> None:
+    fit = lens_fit(pairs(400.0, (350.0, 240.0)), LENS)
+    assert fit is not None
+    assert fit.focal_gain == pytest.approx(0.8, abs=0.01)
+    assert fit.center_px == pytest.approx([350.0, 240.0], abs=3.0)
+    samples = CameraSamples(pairs=pairs(400.0, (320.0, 240.0)), intrinsics=LENS)
+    (finding,) = lens_findings("camera", samples)
+    assert finding.remedies[0]["cameras"]["camera"]["intrinsics"]["fx"] == pytest.approx(400.0, rel=0.02)
+    assert lens_findings("camera", CameraSamples(pairs=pairs(500.0, (320.0, 240.0)), intrinsics=LENS)) == []
+    assert (
+        lens_findings("camera", CameraSamples(pairs=pairs(500.0, (320.0, 240.0), 5), intrinsics=LENS)) == []
+    )
+
+
+@pytest.mark.parametrize(("median_m", "scale"), [(1700.0, 0.001), (0.0017, 1000.0), (1.7, None)])
+def test_depth_that_no_camera_sees_is_in_another_unit(median_m: float, scale: float | None) -> None:
+    samples = CameraSamples(count=5)
+    samples.median_depth.add(median_m)
+    remedies = [
+        one.remedies[0]["cameras"]["camera"]["depth_scale"] for one in camera_findings("camera", samples)
+    ]
+    assert remedies == ([] if scale is None else [pytest.approx(scale)])
+
+
+def test_what_repeats_itself_is_named() -> None:
+    samples = CameraSamples()
+    for stamp_s in STAMPS[:60]:
+        samples.add(RgbdFrame(float(stamp_s), frame().color, frame().depth_m, LENS))
+    assert (samples.count, samples.repeated) == (60, 59)
+    assert [one.kind for one in camera_findings("camera", samples)] == ["repeated frames"]
+
+
+def test_times_of_points_in_another_unit_are_named() -> None:
+    samples = CloudSamples(count=50)
+    for _ in range(50):
+        samples.interval_s.add(0.1)
+        samples.turn_s.add(100.0)
+    (finding,) = cloud_findings("lidar", samples)
+    assert finding.remedies == ({"lidars_3d": {"lidar": {"times_scale": 0.001}}},)
+    cloud = PointCloud(0.0, np.ones((2, 3), np.float32), np.array([0.0, 100.0]))
+    (after,) = corrected([cloud], remedied(Calibration(), [finding], only_sure=True))
+    assert isinstance(after, PointCloud) and after.times_s is not None
+    assert after.times_s.tolist() == [0.0, 0.1] or after.times_s[1] == pytest.approx(0.1)
+
+
+def test_the_floor_is_the_lowest_level_surface() -> None:
+    rng = np.random.default_rng(3)
+    floor = np.column_stack([rng.uniform(-2, 2, (300, 2)), rng.normal(-0.7, 0.01, 300)])
+    table = np.column_stack([rng.uniform(-1, 1, (300, 2)), rng.normal(-0.2, 0.01, 300)])
+    wall = rng.uniform([2.0, -2.0, -0.7], [2.1, 2.0, 1.5], (400, 3))
+    up = np.array([0.0, 0.0, 1.0])
+    assert floor_below_m(np.concatenate([floor, table, wall]), up) == pytest.approx(0.7, abs=0.02)
+    assert floor_below_m(wall + np.array([0.0, 0.0, 2.0]), up) is None
+
+
+def test_stretches_are_bounded_and_spread_over_a_long_log() -> None:
+    for minutes in (1, 60):
+        stretches, begun = Stretches(), []
+        wanted = 0
+        for stamp_s in np.arange(0.0, 60.0 * minutes, 0.05):
+            if stretches.wants(float(stamp_s)):
+                wanted += 1
+                if stretches.begins:
+                    begun.append(float(stamp_s))
+        assert wanted < 2500
+        assert begun[-1] > 0.7 * 60.0 * minutes

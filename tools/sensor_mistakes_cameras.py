@@ -1,0 +1,323 @@
+"""Drives with the mistakes that people make of cameras and 3D lidars: are they named, does the remedy mend?
+
+    python tools/sensor_mistakes_cameras.py DRIVE... [--only NAME] [--map] [--every 3]
+
+A drive is a folder that 'scanweave simulate' has written; of its frames every third is taken, so that all of
+them stay in memory. Otherwise as tools/sensor_mistakes.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from slam.app.measured import Measured
+from slam.config import Config, calibrated, load_config
+from slam.config.calibration import Calibration
+from slam.datasets import open_dataset
+from slam.doctor.diagnosis import diagnose
+from slam.doctor.finding import Finding, remedied
+from slam.errors import ScanweaveError
+from slam.mapper.pipeline import build_map
+from slam.measurements import Measurement, PointCloud, RgbdFrame, Trajectory
+from tools.sensor_mistakes import planar_error_m
+
+Change = Callable[[Any, float], Any]
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """One mistake of a kind of sensor: what it makes of a reading, what it is called, what mends it."""
+
+    sensor: type
+    make: Change
+    kind: str
+    entry: str
+    value: Callable[[float], Any]
+    sizes: tuple[float, ...]
+    base: bool = True  # whether the robot has to move for it to show
+
+
+def _turned(pose: gtsam.Pose3, yaw_deg: float) -> gtsam.Pose3:
+    """A mounting told with another yaw, where it is."""
+    turn = gtsam.Rot3.Yaw(math.radians(yaw_deg))
+    return gtsam.Pose3(turn.compose(pose.rotation()), pose.translation())
+
+
+def _rolled(pose: gtsam.Pose3) -> gtsam.Pose3:
+    """A mounting told upside down."""
+    turn = gtsam.Rot3.Roll(math.pi)
+    return gtsam.Pose3(turn.compose(pose.rotation()), pose.translation())
+
+
+def _moved(pose: gtsam.Pose3, by_m: float) -> gtsam.Pose3:
+    """A mounting told too far ahead."""
+    return gtsam.Pose3(pose.rotation(), np.asarray(pose.translation()) + np.array([by_m, 0.0, 0.0]))
+
+
+def _depth(frame: RgbdFrame, factor: float) -> RgbdFrame:
+    return replace(frame, depth_m=frame.depth_m * np.float32(factor))
+
+
+def _lens(frame: RgbdFrame, focal: float = 1.0, center: float = 0.0) -> RgbdFrame:
+    k = frame.intrinsics
+    wrong = replace(k, fx=k.fx * focal, fy=k.fy * focal, cx=k.cx + center * k.width)
+    return replace(frame, intrinsics=wrong)
+
+
+def _late(reading: Any, late_s: float) -> Any:
+    return replace(reading, stamp_s=reading.stamp_s + late_s)
+
+
+def _sits(frame: RgbdFrame, change: Callable[[gtsam.Pose3], gtsam.Pose3]) -> RgbdFrame:
+    assert frame.T_base_camera is not None
+    return replace(frame, T_base_camera=change(frame.T_base_camera))
+
+
+def _flipped(frame: RgbdFrame, rows: int, columns: int) -> RgbdFrame:
+    images = (frame.color[::rows, ::columns].copy(), frame.depth_m[::rows, ::columns].copy())
+    return replace(frame, color=images[0], depth_m=images[1])
+
+
+def _cloud_sits(cloud: PointCloud, change: Callable[[gtsam.Pose3], gtsam.Pose3]) -> PointCloud:
+    return replace(cloud, T_base_lidar=change(cloud.T_base_lidar))
+
+
+def _times(cloud: PointCloud, factor: float) -> PointCloud:
+    """Points with times, of a turn that takes 0.1 s, in another unit."""
+    turn_s = 0.1 * np.linspace(0.0, 1.0, len(cloud.points_lidar))
+    return replace(cloud, times_s=factor * turn_s)
+
+
+_ANY = lambda size: None  # noqa: E731
+MISTAKES: dict[str, Mistake] = {
+    "depth scaled a little": Mistake(
+        RgbdFrame, _depth, "depth scale", "depth_scale", lambda s: 1 / s, (1.1, 0.85)
+    ),
+    "depth scaled": Mistake(RgbdFrame, _depth, "depth scale", "depth_scale", lambda s: 1 / s, (2.0, 0.5)),
+    "depth in millimetres": Mistake(
+        RgbdFrame, _depth, "depth scale", "depth_scale", lambda s: 1 / s, (1000.0, 0.001), False
+    ),
+    "depth of 5000 steps": Mistake(
+        RgbdFrame, _depth, "depth scale", "depth_scale", lambda s: 1 / s, (5.0, 0.2)
+    ),
+    "focal length": Mistake(
+        RgbdFrame, lambda f, s: _lens(f, s), "lens", "intrinsics", lambda s: {"fx": 1 / s}, (1.2, 0.8), False
+    ),
+    "principal point": Mistake(
+        RgbdFrame,
+        lambda f, s: _lens(f, 1.0, s),
+        "lens",
+        "intrinsics",
+        lambda s: {"cx": -s},
+        (0.12, -0.2),
+        False,
+    ),
+    "camera clock": Mistake(RgbdFrame, _late, "clock", "clock_offset_s", lambda s: s, (0.5, -0.25)),
+    "camera yaw a little": Mistake(
+        RgbdFrame,
+        lambda f, s: _sits(f, lambda p: _turned(p, s)),
+        "mounting",
+        "T_base_camera",
+        _ANY,
+        (10.0, -15.0),
+    ),
+    "camera yaw": Mistake(
+        RgbdFrame,
+        lambda f, s: _sits(f, lambda p: _turned(p, s)),
+        "mounting",
+        "T_base_camera",
+        _ANY,
+        (90.0, 180.0),
+    ),
+    "camera told upside down": Mistake(
+        RgbdFrame, lambda f, s: _sits(f, _rolled), "mounting", "T_base_camera", _ANY, (0.0,)
+    ),
+    "images upside down": Mistake(
+        RgbdFrame, lambda f, s: _flipped(f, -1, -1), "mounting", "T_base_camera", _ANY, (0.0,)
+    ),
+    "camera off": Mistake(
+        RgbdFrame,
+        lambda f, s: _sits(f, lambda p: _moved(p, s)),
+        "mounting",
+        "T_base_camera",
+        _ANY,
+        (0.3, -0.5),
+    ),
+    "images mirrored": Mistake(
+        RgbdFrame, lambda f, s: _flipped(f, 1, -1), "mirrored", "mirrored", lambda s: True, (0.0,)
+    ),
+    "frames repeated": Mistake(
+        RgbdFrame, lambda f, s: f, "repeated frames", "drop_repeated", lambda s: True, (3.0, 5.0), False
+    ),
+    "3D lidar yaw a little": Mistake(
+        PointCloud,
+        lambda c, s: _cloud_sits(c, lambda p: _turned(p, s)),
+        "mounting",
+        "T_base_lidar",
+        _ANY,
+        (10.0, -15.0),
+    ),
+    "3D lidar yaw": Mistake(
+        PointCloud,
+        lambda c, s: _cloud_sits(c, lambda p: _turned(p, s)),
+        "mounting",
+        "T_base_lidar",
+        _ANY,
+        (90.0, 180.0),
+    ),
+    "3D lidar upside down": Mistake(
+        PointCloud, lambda c, s: _cloud_sits(c, _rolled), "mounting", "T_base_lidar", _ANY, (0.0,)
+    ),
+    "3D lidar off": Mistake(
+        PointCloud,
+        lambda c, s: _cloud_sits(c, lambda p: _moved(p, s)),
+        "mounting",
+        "T_base_lidar",
+        _ANY,
+        (0.3, -0.5),
+    ),
+    "3D lidar clock": Mistake(PointCloud, _late, "clock", "clock_offset_s", lambda s: s, (0.3, -0.5)),
+    "3D lidar ranges": Mistake(
+        PointCloud,
+        lambda c, s: replace(c, points_lidar=c.points_lidar * np.float32(s)),
+        "range scale",
+        "range_scale",
+        lambda s: 1 / s,
+        (1.1, 1 / 0.3048),
+    ),
+    "times of points": Mistake(
+        PointCloud, _times, "times of points", "times_scale", lambda s: 1 / s, (1000.0, 1e-6), False
+    ),
+    "clouds repeated": Mistake(
+        PointCloud, lambda c, s: c, "repeated clouds", "drop_repeated", lambda s: True, (3.0, 5.0), False
+    ),
+}
+
+
+def wrong_log(log: list[Measurement], mistake: Mistake, size: float) -> list[Measurement]:
+    """A log as the first sensor of the sort would tell it by mistake; the order is that of the stamps."""
+    first = next(one.sensor for one in log if isinstance(one, mistake.sensor))
+    changed = list[Measurement]()
+    held: Any = None
+    count = 0
+    for one in log:
+        if isinstance(one, mistake.sensor) and one.sensor == first:
+            if mistake.entry == "drop_repeated":
+                held = one if held is None or count % int(size) == 0 else replace(held, stamp_s=one.stamp_s)
+                one, count = held, count + 1
+            else:
+                one = mistake.make(one, size)
+        changed.append(one)
+    return sorted(changed, key=lambda reading: reading.stamp_s) if mistake.kind == "clock" else changed
+
+
+def expected(log: list[Measurement], mistake: Mistake, size: float) -> Any:
+    """What the entry should say."""
+    first: Any = next(one for one in log if isinstance(one, mistake.sensor))
+    if mistake.entry == "intrinsics":
+        (key,) = mistake.value(size)
+        # As it was before the mistake.
+        return {"fx": first.intrinsics.fx} if key == "fx" else {"cx": first.intrinsics.cx}
+    if mistake.entry.startswith("T_base"):
+        pose = first.T_base_camera if mistake.sensor is RgbdFrame else first.T_base_lidar
+        return {"x_m": pose.x(), "y_m": pose.y()}
+    return mistake.value(size)
+
+
+def is_right(finding: Finding, entry: str, value: Any) -> bool:
+    """Whether one of a finding's remedies says about that: to 6 %, 8 cm, 8 px in a hundred, 60 ms."""
+    for remedy in finding.remedies:
+        for sensors in remedy.values():
+            for given in sensors.values():
+                if entry in given and _about(given[entry], value, entry):
+                    return True
+    return False
+
+
+def _about(given: Any, value: Any, entry: str) -> bool:
+    """Whether a value is about another."""
+    if isinstance(value, Mapping):
+        slack = {"x_m": 0.08, "y_m": 0.08}
+        return all(abs(given[key] - one) < slack.get(key, 0.08 * abs(one)) for key, one in value.items())
+    if isinstance(value, bool):
+        return bool(given == value)
+    return bool(abs(given - value) < (0.06 if entry.endswith("_s") else 0.06 * abs(value)))
+
+
+def _mapped_m(log: list[Measurement], truth: Trajectory, config: Config) -> float:
+    """Error of a log's map; infinite where there is none."""
+    try:
+        return planar_error_m(build_map(Measured(log), config).map.trajectory, truth)
+    except ScanweaveError:
+        return math.inf
+
+
+def loaded(drive: Path, every: int) -> tuple[list[Measurement], Trajectory | None]:
+    """A drive, of each camera every so manyth frame; and its truth."""
+    dataset, log, counts = open_dataset(drive), list[Measurement](), Counter[str]()
+    for one in dataset:
+        if isinstance(one, RgbdFrame):
+            counts[one.sensor] += 1
+            if counts[one.sensor] % every:
+                continue
+        log.append(one)
+    return log, dataset.groundtruth()
+
+
+def rows(drive: Path, only: str, *, maps: bool, every: int) -> Iterator[list[str]]:
+    """One row a mistake and size."""
+    log, truth = loaded(drive, every)
+    assert truth is not None
+    config = load_config(None, ["dense_map.enabled=false"])
+    blind = load_config(None, ["dense_map.enabled=false", "sensors.doctor=false"])
+    yield [drive.name, "none", "", "", "", "", ", ".join(one.line for one in diagnose(log)) or "nothing"]
+    sound_m = _mapped_m(log, truth, config) if maps else math.nan
+    for name, mistake in MISTAKES.items():
+        if only not in name or not any(isinstance(one, mistake.sensor) for one in log):
+            continue
+        for size in mistake.sizes:
+            wrong = wrong_log(log, mistake, size)
+            findings = diagnose(wrong)
+            named = [one for one in findings if one.kind == mistake.kind]
+            value = expected(log, mistake, size)
+            right = any(is_right(one, mistake.entry, value) for one in named)
+            others = [one.kind for one in findings if one not in named]
+            sure = "sure" if any(one.sure for one in named) else ""
+            row = [drive.name, name, f"{size:g}", "yes" if named else "NO", "yes" if right else "NO", sure]
+            row.append(", ".join(others))
+            if maps:
+                mended = calibrated(config, remedied(Calibration(), findings, only_sure=False))
+                errors_m = [_mapped_m(wrong, truth, one) for one in (blind, config, mended)]
+                row += [f"{sound_m:.3f}", *(f"{one:.3f}" for one in errors_m)]
+                row += ["yes" if errors_m[2] <= 1.5 * sound_m else "NO"]
+            yield row
+
+
+def main() -> None:
+    """Print one Markdown table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("drives", nargs="+", type=Path)
+    parser.add_argument("--only", default="", help="mistakes whose name holds this")
+    parser.add_argument("--map", action="store_true", help="map each log, too")
+    parser.add_argument("--every", type=int, default=3, help="of each camera every so manyth frame")
+    arguments = parser.parse_args()
+    head = ["drive", "mistake", "size", "named", "right remedy", "sure", "also"]
+    if arguments.map:
+        head += ["sound, m", "wrong", "as mapped", "mended", "within 1.5"]
+    print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}", flush=True)
+    for drive in arguments.drives:
+        for row in rows(drive, arguments.only, maps=arguments.map, every=arguments.every):
+            print(f"| {' | '.join(row)} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
