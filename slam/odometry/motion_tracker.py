@@ -265,14 +265,20 @@ class MotionTracker:
             motion = self._led_by_others(points, motion, guesses)
             self._judge(motion)
             return motion, np.zeros((3, 3))
-        if held is None:
+        decided = log_odds > self._config.disputed_within
+        if held is None and decided:
             guesses.insert(0, prediction)  # it is the pose
             return None, np.zeros((3, 3))
+        matched = row_from_pose2(motion.T_reference_base)
+        if held is None:
+            # The scan fits there alone, and yet it may not be there.
+            offset = between(matched, prediction.pose)
+            return motion, np.outer(offset, offset)
         if any(prediction is one for one in self._by_window):
             self._follow_the_wheels()
-        if log_odds > self._config.disputed_within:
+        if decided:
             return held, np.zeros((3, 3))
-        offset = between(*(row_from_pose2(estimate.T_reference_base) for estimate in (motion, held)))
+        offset = between(matched, row_from_pose2(held.T_reference_base))
         return held, np.outer(offset, offset)
 
     def _other_way_round(
