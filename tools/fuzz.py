@@ -1,6 +1,6 @@
 """Spoil sound files at random, and read them: an error in one line, a counted skip, or the file as it was.
 
-    python tools/fuzz.py [FORMAT ...] --seconds 60 --keep DIR
+    PYTHONPATH=. python tools/fuzz.py [FORMAT ...] --seconds 60 --keep DIR
 
 Bytes are flipped, cut, doubled, made zero or into sizes; numbers and words of text into such as no recorder
 writes; definitions of messages are rewritten with the bag whole around them; rows of a map are rewritten with

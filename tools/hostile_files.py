@@ -1,7 +1,7 @@
 """A bank of files that nobody recorded: bombs, lies about sizes, loops, letters that steer a terminal.
 
-    python tools/hostile_files.py FOLDER            writes them
-    python tools/hostile_files.py FOLDER --run      and has every command that could meet one read it
+    PYTHONPATH=. python tools/hostile_files.py FOLDER          writes them
+    PYTHONPATH=. python tools/hostile_files.py FOLDER --run    and has every command read them
 
 Each must end in a line that says what is wrong, or be read as far as it is sound: within 5 CPU seconds and
 1 GB, without a letter that a terminal obeys. The time is that of a child of a process that has loaded all

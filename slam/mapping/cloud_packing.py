@@ -47,11 +47,11 @@ def unpacked_cloud(content: bytes) -> FloatArray:
         raise ValueError("a cloud that ends too soon")
     step_m, count = _HEAD.unpack_from(content)
     size = 3 * np.dtype(np.int32).itemsize * count
-    if not 0.0 < step_m < np.inf or size > _MOST_BYTES:
-        raise ValueError(f"a packed cloud of {count} points in steps of {step_m:g} m")
+    if not 0.0 < step_m < np.inf:
+        raise ValueError(f"a packed cloud in steps of {step_m:g} m")
     unpacker = zlib.decompressobj()
     try:
-        plain = unpacker.decompress(content[_HEAD.size :], size + 1)
+        plain = unpacker.decompress(content[_HEAD.size :], min(size, _MOST_BYTES) + 1)
     except zlib.error as error:
         raise ValueError(f"a packed cloud that is damaged: {error}") from error
     if len(plain) != size or not unpacker.eof or unpacker.unused_data:

@@ -52,8 +52,9 @@ class CloudReader:
         """
         rows = _rows(message)
         stamp_s = stamp_of(message.header)
-        points = np.stack([rows[name].astype(np.float32) for name in "xyz"], axis=1)
-        valid = np.isfinite(points).all(axis=1) & points.any(axis=1)
+        with np.errstate(invalid="ignore", over="ignore"):  # a signalling NaN of a damaged message
+            points = np.stack([rows[name].astype(np.float32) for name in "xyz"], axis=1)
+            valid = np.isfinite(points).all(axis=1) & points.any(axis=1)
         if not valid.any():
             raise RecordFault(NO_POINTS, f"{len(points)} points")
         sound = rows[valid]

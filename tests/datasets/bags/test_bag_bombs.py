@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
-from bag_writing import ROS2, SCAN, Sent, scan, write_bag
+from bag_writing import ROS2, SCAN, Sent, cloud, scan, write_bag
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 
@@ -118,3 +119,12 @@ def test_a_database_of_views_is_no_bag(tmp_path: Path) -> None:
     database.close()
     with pytest.raises(DatasetError, match="does not begin as a bag"):
         list(open_dataset(path))
+
+
+def test_a_signalling_nan_in_a_cloud_is_no_point_and_no_warning(tmp_path: Path) -> None:
+    sent = cloud({axis: np.ones(3, np.float32) for axis in "xyz"})
+    data = sent.fields["data"].reshape(-1).copy()
+    data[:4] = np.frombuffer((0x7FA00000).to_bytes(4, "little"), np.uint8)
+    sent.fields["data"] = data
+    (found,) = open_dataset(write_bag(tmp_path / "log", "mcap", [sent]))
+    assert len(found.points_lidar) == 2  # type: ignore[union-attr]
