@@ -114,7 +114,7 @@ def _within_reach(stretches: list[list[LaserScan]], config: Config) -> tuple[lis
     if far < 0.5:
         return stretches, 1.0
     # To a twentieth at most of what is matched, as rooms are.
-    scale = 10.0 ** -math.ceil(math.log10(FEWEST * far))
+    scale = 10 ** -math.ceil(math.log10(FEWEST * far))
     return [
         [replace(scan, ranges_m=scan.ranges_m * np.float32(scale)) for scan in scans] for scans in stretches
     ], scale
