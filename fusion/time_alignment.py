@@ -123,6 +123,8 @@ def turns_between(told_s: FloatArray, turned_rad: FloatArray, spans_s: FloatArra
 def _told_throughout(spans_s: FloatArray, told_s: FloatArray, margin_s: float) -> NDArray[np.bool_]:
     """(N,) whether one told span follows the other over a span (N, 2), and by a margin on both sides."""
     told_s = told_s[told_s[:, 1] - told_s[:, 0] < GAP_S]
+    if not len(told_s):
+        return np.zeros(len(spans_s), np.bool_)
     gaps = np.flatnonzero(told_s[1:, 0] > told_s[:-1, 1])
     begun, ended = told_s[np.append(0, gaps + 1), 0], told_s[np.append(gaps, -1), 1]
     piece = np.searchsorted(begun, spans_s[:, 0] - margin_s, side="right") - 1

@@ -206,6 +206,12 @@ MISTAKES: dict[str, Mistake] = {
         "heading",
         lambda _: _wheel(heading_scale=-1.0),
     ),
+    "heading off by a constant": Mistake(
+        lambda log, size: _wheels(log, lambda x, y, yaw, s: (x, y, yaw + math.radians(size))),
+        "heading offset",
+        lambda size: _wheel(heading_offset_deg=-size),
+        (20.0, -10.0),
+    ),
     "heading scaled": Mistake(
         lambda log, size: _wheels(log, lambda x, y, yaw, s: (x, y, size * yaw)),
         "heading",
@@ -264,6 +270,20 @@ MISTAKES: dict[str, Mistake] = {
         lambda size: _lidar(range_scale=1.0 / size),
         (2.0, 0.5),
     ),
+    "ranges in mm or cm": Mistake(
+        lambda log, size: _scans(
+            log,
+            lambda scan: replace(
+                scan, ranges_m=scan.ranges_m * np.float32(size), range_max_m=size * scan.range_max_m
+            ),
+        ),
+        "range scale",
+        lambda size: _lidar(range_scale=1.0 / size),
+        (1e3, 1e2),
+    ),
+    "wheels tell nothing of turns": Mistake(
+        lambda log, _: _wheels(log, lambda x, y, yaw, s: (x, y, 0.5)), "no agreement", lambda _: {}
+    ),
     "ranges in feet": Mistake(
         _ranges(lambda _: 1.0 / 0.3048),
         "range scale",
@@ -303,6 +323,8 @@ def _about(given: Mapping[str, Any], name: str, value: Any, log: Log) -> bool:
     if isinstance(value, Mapping):
         slack = {"yaw_deg": 3.0}
         return all(abs(given[name][key] - one) < slack.get(key, 0.05) for key, one in value.items())
+    if name.endswith("_deg"):
+        return bool(abs(given[name] - value) < 3.0)
     if isinstance(value, float):
         return abs(given[name] - value) < (0.05 if name.endswith("_s") else 0.06 * abs(value))
     return bool(given[name] == value)

@@ -67,6 +67,7 @@ class WheelCorrection(SensorCorrection):
     heading_scale: float = Field(
         default=1.0, description="of the written heading: -1 lost its sign, 0.0174533 is in degrees"
     )
+    heading_offset_deg: float = Field(default=0.0, ge=-360, le=360, description="added to the heading")
     mirrored: bool = Field(default=False, description="left is right: y and the heading have the wrong sign")
     turn_scale: float = Field(default=1.0, gt=0, description="of every turn, the way put together anew")
 

@@ -206,13 +206,9 @@ class _Wheels:
     def __call__(self, reading: WheelOdometry) -> WheelOdometry:
         given, read = self._correction, reading.T_odom_base
         x, y = self._axes @ (read.x(), read.y())
-        written = np.array(
-            [
-                given.scale * x,
-                given.scale * y,
-                given.heading_scale * self._heading.of(reading.stamp_s, read.theta()),
-            ]
-        )
+        heading_rad = given.heading_scale * self._heading.of(reading.stamp_s, read.theta())
+        heading_rad += math.radians(given.heading_offset_deg)
+        written = np.array([given.scale * x, given.scale * y, heading_rad])
         if given.mirrored:
             written[1:] = -written[1:]
         if given.turn_scale != 1.0:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from fusion.estimation import FEWEST
 from slam.config import Config
@@ -14,7 +17,7 @@ from slam.doctor.pair import Pair
 from slam.doctor.paired_motions import BaseTrack, mended_rows
 from slam.doctor.samples import Samples, WheelSamples
 from slam.doctor.wheels_and_lidar import compare
-from slam.measurements import Measurement
+from slam.measurements import LaserScan, Measurement
 
 
 def diagnose(log: Iterable[Measurement]) -> list[Finding]:
@@ -69,24 +72,31 @@ def examine(log: Iterable[Measurement]) -> Diagnosis:
             stretches = [[without(scan, blocked) for scan in scans] for scans in stretches]
         if wheels is None:
             continue
-        found, left_open = compare(Pair(wheels[0], name, wheels[1].rows(), stretches), config)
+        stretches, scale = _within_reach(stretches, config)
+        found, left_open = compare(Pair(wheels[0], name, wheels[1].rows(), stretches, scale), config)
         findings += found
         unknown += left_open
-    return Diagnosis(findings + _in_space(samples, wheels, findings), unknown)
+    vouched = any(lidar.stretches for lidar in samples.lidars.values()) and not unknown
+    return Diagnosis(findings + _in_space(samples, wheels, findings, vouched=vouched), unknown)
 
 
 def _in_space(
-    samples: Samples, wheels: tuple[str, WheelSamples] | None, findings: list[Finding]
+    samples: Samples, wheels: tuple[str, WheelSamples] | None, findings: list[Finding], *, vouched: bool
 ) -> list[Finding]:
-    """What cameras and 3D lidars say, against wheels as the findings mend them."""
+    """What cameras and 3D lidars say, against wheels as the findings mend them.
+
+    Parameters
+    ----------
+    vouched
+        Whether a 2D lidar was compared with the wheels: what they say then, as mended, is certain.
+    """
     found = [one for name, camera in samples.cameras.items() for one in camera_findings(name, camera)]
     doubtful = frozenset(one.sensor for one in found if one.kind == "lens")
     found += [one for name, clouds in samples.clouds.items() for one in cloud_findings(name, clouds)]
     known = None if wheels is None else mended_rows(wheels[0], wheels[1].rows(), findings)
     if wheels is None or known is None:
         return found
-    # Wheels that a lidar does not contradict, or was believed against.
-    base = Base(wheels[0], BaseTrack(known), any(lidar.stretches for lidar in samples.lidars.values()))
+    base = Base(wheels[0], BaseTrack(known), vouched)
     seen = [
         seen_by("cameras", name, camera, camera.T_base_camera, base)
         for name, camera in samples.cameras.items()
@@ -100,6 +110,20 @@ def _in_space(
     measured = {one.sensor for one in against if one.kind == "depth scale" and one.sensor in units}
     found = [one for one in found if one.kind != "depth scale" or one.sensor not in measured]
     return found + [replace(one, sure=one.sure or one.sensor in measured) for one in against]
+
+
+def _within_reach(stretches: list[list[LaserScan]], config: Config) -> tuple[list[list[LaserScan]], float]:
+    """Scans, and by what they were multiplied: millimetres are brought to what can be matched."""
+    ranges = np.concatenate([scans[0].ranges_m for scans in stretches])
+    ranges = ranges[np.isfinite(ranges)]
+    far = float(np.median(ranges)) / config.scan.range_max_m if ranges.size else 0.0
+    if far < 0.5:
+        return stretches, 1.0
+    # To a twentieth at most of what is matched, as rooms are.
+    scale = 10.0 ** -math.ceil(math.log10(FEWEST * far))
+    return [
+        [replace(scan, ranges_m=scan.ranges_m * np.float32(scale)) for scan in scans] for scans in stretches
+    ], scale
 
 
 def _repeated_scans(samples: Samples) -> list[Finding]:

@@ -28,12 +28,15 @@ class Pair:
         (N, 4) readings of the wheels.
     stretches
         Scans of the lidar.
+    range_scale
+        What their ranges have been multiplied by to be a lidar's at all.
     """
 
     wheels: str
     lidar: str
     rows: FloatArray
     stretches: list[list[LaserScan]]
+    range_scale: float = 1.0
 
     @property
     def mounting(self) -> gtsam.Pose2:

@@ -120,6 +120,11 @@ class Relation:
         covariance = self.covariance * np.outer(signs, signs)
         return replace(self, alpha=self.alpha.conjugate(), beta=self.beta.conjugate(), covariance=covariance)
 
+    def of_ranges_scaled(self, scale: float) -> Relation:
+        """Of the ranges as they were before they were multiplied by a scale."""
+        covariance = self.covariance / scale**2
+        return replace(self, alpha=self.alpha / scale, beta=self.beta / scale, covariance=covariance)
+
     def with_wheels_turned(self, turned: complex) -> Relation:
         """Of wheels whose steps are turned by a complex number of length one."""
         return replace(self, alpha=self.alpha / turned)

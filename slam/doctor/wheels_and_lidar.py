@@ -11,11 +11,12 @@ from fusion.estimation import FEWEST, gate
 from slam.config import Config
 from slam.doctor.finding import Finding
 from slam.doctor.pair import IN_ORDER, Pair, interval
-from slam.doctor.relation import Relation
+from slam.doctor.relation import Linear, Relation
 from slam.doctor.scan_motion import Steps, track_stretches
 from slam.doctor.time_and_view import angle_scale, clock_finding
 from slam.doctor.wheel_steps import Reading, WheelSteps
 from slam.matching.planar import wrap
+from slam.measurements import FloatArray
 
 # What a length may be multiplied with by a mistake of units: millimetres, centimetres, feet, inches, doubled.
 _UNITS = (1e-3, 1e-2, 0.3048, 0.0254, 0.5, 2.0)
@@ -38,18 +39,27 @@ def compare(pair: Pair, config: Config) -> tuple[list[Finding], list[str]]:
         wheels = WheelSteps.of(Steps.of(view[1], config), pair.rows, ahead_s)
         findings.append(view[0])
     turn = wheels.turn_scale()
+    if len(wheels) >= FEWEST and not _explains(turn, wheels.lidar_turns_rad):
+        return [*findings, _unfit(pair)], []
     if turn is None or turn.values[0] ** 2 < gate() * turn.covariance[0, 0]:
         return findings, [f"{pair.lidar} and {pair.wheels}: signs, mounting and clock, for lack of turns"]
     scale = float(turn.values[0])
     sign = math.copysign(1.0, scale)
     readings = [Reading(sign, sign < 0.0), Reading(sign, sign > 0.0)]
     if abs(math.log(abs(scale))) > config.wheels.turn_share:
-        unit = math.radians(sign) if abs(math.degrees(abs(scale)) - 1.0) < config.wheels.turn_share else scale
+        size = abs(scale)
+        in_degrees = abs(math.log(math.degrees(size))) < config.wheels.turn_share
+        unit = sign * (math.radians(1.0) if in_degrees else _unit(size) or size)
         readings += [Reading(unit, sign < 0.0), Reading(unit, sign > 0.0)]
     found = wheels.best(readings)
+    if found is None and not np.ptp(wheels.places, axis=1).any():
+        return [*findings, _unfit(pair)], []
     if found is None:
         return findings, [f"{pair.lidar} and {pair.wheels}: how they belong together"]
     reading, relation = found
+    if relation.sigma_m > IN_ORDER * float(np.median(np.abs(wheels.lidar))):
+        return [*findings, _unfit(pair)], []
+    relation = relation.of_ranges_scaled(pair.range_scale)
     axes, relation, forward = _axes(pair, wheels, reading, relation)
     findings += axes + _mounting(pair, relation, forward, config)
     findings += _lengths(pair, relation)
@@ -67,6 +77,25 @@ def _frozen(pair: Pair) -> Finding:
         "reports no motion though the lidar's scans show some",
         "the map is made of the scans alone, and where these tell nothing the robot is lost",
         sure=True,
+    )
+
+
+def _explains(turn: Linear | None, turns_rad: FloatArray) -> bool:
+    """Whether written turns explain most of the lidar's; true where that hardly turns."""
+    scatter_rad = float(np.std(turns_rad))
+    if scatter_rad < IN_ORDER:
+        return True
+    return turn is not None and 2.0 * turn.sigma < scatter_rad and turn.values[0] != 0.0
+
+
+def _unfit(pair: Pair) -> Finding:
+    """Wheels that fit the scans however they are read."""
+    return Finding(
+        pair.wheels,
+        "no agreement",
+        f"what it tells fits {pair.lidar} under no unit, sign, axis or clock: "
+        "a part is frozen, noisy or lost",
+        "the wheels mislead wherever the scans alone do not hold the map",
     )
 
 
@@ -102,6 +131,11 @@ def _axes(
     if names[quarter] != _QUARTERS[0]:
         findings.append(_wrong_axes(pair, names[quarter]))
         turned = complex(0.0, 1.0) ** quarter
+        steps = steps * turned
+        relation = relation.with_wheels_turned(turned)
+    elif not reading.flipped and abs(off_rad) > IN_ORDER and abs(wrap(heading - off_rad)) < IN_ORDER:
+        findings.append(_crab(pair, heading))
+        turned = complex(np.exp(-1j * heading))
         steps = steps * turned
         relation = relation.with_wheels_turned(turned)
     ahead = abs(np.angle((steps * np.abs(steps)).sum())) < IN_ORDER
@@ -159,6 +193,20 @@ def _wrong_axes(pair: Pair, axes: str) -> Finding:
         _GARBLED,
         (pair.of_wheels(axes=axes),),
         sure=True,
+    )
+
+
+def _crab(pair: Pair, heading_rad: float) -> Finding:
+    """A heading that is off by always the same: the robot seems to go aside, as wheels cannot."""
+    turned_deg = math.degrees(heading_rad)
+    return Finding(
+        pair.wheels,
+        "heading offset",
+        f"its heading is off by {-turned_deg:.1f} degrees: it goes aside, and the lidar does not",
+        _GARBLED,
+        (pair.of_wheels(heading_offset_deg=round(turned_deg, 2)),),
+        sure=True,
+        value=-heading_rad,
     )
 
 

@@ -42,8 +42,8 @@ def test_a_mistake_is_named_with_what_mends_it(name: str) -> None:
     findings = diagnose(wrong)
     assert [finding.kind for finding in findings] == [mistake.kind]
     assert right_remedy(findings[0], mistake.remedy(size), sound())
-    if name == "wheels left for right":
-        return  # the first remedy turns the lidar over instead, and says that nobody can tell
+    if name == "wheels left for right" or not findings[0].remedies:
+        return  # nothing mends it, or nobody can tell which of two does
     mended = remedied(Calibration(), findings, only_sure=False)
     assert diagnose(corrected(wrong, mended)) == []
 

@@ -1,0 +1,63 @@
+"""The command: a wrong log is told, its calibration written, and the map made with it is sound."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from command_line import Scanweave, assert_one_line_error
+from command_line import scanweave as scanweave
+
+from slam.simulation.synthetic_log import write_synthetic_log
+
+
+@pytest.fixture(scope="module")
+def in_mm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log with odometry in millimetres, and scans upside down."""
+    path = write_synthetic_log(tmp_path_factory.mktemp("mm"), seed=1, duration_s=60.0).log_path
+    lines = []
+    for line in path.read_text().splitlines():
+        words = line.split()
+        if words[0] == "ODOM":
+            words[1:3] = [str(1e3 * float(word)) for word in words[1:3]]
+        if words[0] == "FLASER":
+            count = int(words[1])
+            words[2 : 2 + count] = words[1 + count : 1 : -1]
+            place = 2 + count + 3
+            words[place : place + 2] = [str(1e3 * float(word)) for word in words[place : place + 2]]
+        lines.append(" ".join(words))
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_the_doctor_tells_writes_and_the_map_takes_it(
+    scanweave: Scanweave, in_mm: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "calibration.yaml"
+    told = scanweave("doctor", in_mm, "--write", file)
+    assert told.code == 0
+    assert "its lengths are" in told.out and "upside down" in told.out and f"wrote {file}" in told.out
+    assert "# not sure: turns the other way" in file.read_text()
+    found = json.loads(scanweave("doctor", in_mm, "--json").out)
+    assert {one["kind"] for one in found["findings"]} == {"scale", "mirrored"} and found["open"] == []
+    assert scanweave("doctor", in_mm, "--calibration", file).out == (
+        "nothing is wrong as far as the log tells\n"
+    )
+    assert "finding: odometry: its lengths are" in scanweave("inspect", in_mm).out
+    # What is sure the mapper uses by itself, and warns of the rest.
+    alone = scanweave("map", in_mm, "-o", tmp_path / "alone")
+    assert "warning: FLASER: perhaps turns the other way" in alone.err
+    assert "odometry: its lengths are" in alone.out and "(used)" in alone.out
+    mended = scanweave("map", in_mm, "-o", tmp_path / "mended", "--calibration", file)
+    assert mended.code == 0 and "perhaps" not in mended.err and "(used)" not in mended.out
+
+
+def test_a_wrong_calibration_ends_in_a_line(scanweave: Scanweave, in_mm: Path, tmp_path: Path) -> None:
+    file = tmp_path / "wrong.yaml"
+    file.write_text("lidars: {REAR: {upside_down: true}}\n")
+    for command in ("doctor", "inspect"):
+        assert_one_line_error(scanweave(command, in_mm, "--calibration", file), "REAR", "FLASER")
+    assert_one_line_error(
+        scanweave("map", in_mm, "-o", tmp_path / "out", "--calibration", file), "REAR", "FLASER"
+    )
