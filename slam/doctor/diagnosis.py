@@ -76,21 +76,27 @@ def examine(log: Iterable[Measurement]) -> Diagnosis:
         found, left_open = compare(Pair(wheels[0], name, wheels[1].rows(), stretches, scale), config)
         findings += found
         unknown += left_open
-    return Diagnosis(findings + _in_space(samples, wheels, findings), unknown)
+    vouched = any(lidar.stretches for lidar in samples.lidars.values()) and not unknown
+    return Diagnosis(findings + _in_space(samples, wheels, findings, vouched=vouched), unknown)
 
 
 def _in_space(
-    samples: Samples, wheels: tuple[str, WheelSamples] | None, findings: list[Finding]
+    samples: Samples, wheels: tuple[str, WheelSamples] | None, findings: list[Finding], *, vouched: bool
 ) -> list[Finding]:
-    """What cameras and 3D lidars say, against wheels as the findings mend them."""
+    """What cameras and 3D lidars say, against wheels as the findings mend them.
+
+    Parameters
+    ----------
+    vouched
+        Whether a 2D lidar was compared with the wheels: what they say then, as mended, is certain.
+    """
     found = [one for name, camera in samples.cameras.items() for one in camera_findings(name, camera)]
     doubtful = frozenset(one.sensor for one in found if one.kind == "lens")
     found += [one for name, clouds in samples.clouds.items() for one in cloud_findings(name, clouds)]
     known = None if wheels is None else mended_rows(wheels[0], wheels[1].rows(), findings)
     if wheels is None or known is None:
         return found
-    # Wheels that a lidar does not contradict, or was believed against.
-    base = Base(wheels[0], BaseTrack(known), any(lidar.stretches for lidar in samples.lidars.values()))
+    base = Base(wheels[0], BaseTrack(known), vouched)
     seen = [
         seen_by("cameras", name, camera, camera.T_base_camera, base)
         for name, camera in samples.cameras.items()
