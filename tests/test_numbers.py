@@ -9,7 +9,7 @@ from tools.count_numbers import bare_floats, constant_names, count_fields, count
 MOST_CONSTANTS = 254
 MOST_BARE_FLOATS = 133
 MOST_FIELDS = 152
-MOST_LINES = 40_593
+MOST_LINES = 40_595
 
 
 def test_constants_of_the_logic_do_not_grow() -> None:
