@@ -121,3 +121,9 @@ def test_the_relation_is_found_among_outliers_and_its_interval_holds_the_truth()
         )
     shares = np.mean(held, axis=0)
     assert (shares > 0.93).all()
+
+
+def test_a_clock_that_is_set_back_is_no_mistake_of_the_sensors() -> None:
+    half = sound()[len(sound()) // 2].stamp_s
+    back = [replace(one, stamp_s=one.stamp_s - (25.0 if one.stamp_s > half else 0.0)) for one in sound()]
+    assert diagnose(back) == []
