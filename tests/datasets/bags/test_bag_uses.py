@@ -35,6 +35,7 @@ def clouds(seen: str, frame: str, late_s: float = 0.0, **fields: Any) -> list[Se
     sent = [cloud(columns, START_S + 0.1 * k + late_s, "/depth/points", **fields) for k in range(30)]
     for one in sent:
         one.frame = frame
+        one.fields["row_step"] = one.fields["point_step"] * one.fields["width"]
     return sent
 
 
