@@ -153,8 +153,8 @@ class PlaceSearch:
         costs = np.array([cost for cost, *_ in judged])
         gains = self._gate * np.array([len(one) for one in found]) - costs
         for n in sorted(range(len(found)), key=lambda n: _order(*judged[n][:2], self._gate)):
-            # One fault explains it.
-            if costs[n] > 2.0 * self._gate or gains[n] <= 0.0:
+            # One fault explains it, or it weighs twice what it contradicts.
+            if costs[n] > max(2.0, 0.5 * len(found[n])) * self._gate or gains[n] <= 0.0:
                 continue
             rivals = (m for m in np.flatnonzero(2.0 * gains > gains[n]).tolist() if m != n)
             if any(sets.contradiction(found[n], found[m], seen) > gains[m] for m in rivals):

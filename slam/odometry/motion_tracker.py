@@ -266,12 +266,13 @@ class MotionTracker:
             self._judge(motion)
             return motion, np.zeros((3, 3))
         decided = log_odds > self._config.disputed_within
-        if held is None and decided:
+        by_camera = any(prediction is camera for camera in self._by_camera.guesses)
+        if held is None and (decided or by_camera):
             guesses.insert(0, prediction)  # it is the pose
             return None, np.zeros((3, 3))
         matched = row_from_pose2(motion.T_reference_base)
         if held is None:
-            # The scan fits there alone, and yet it may not be there.
+            # It fits where it was matched alone, and yet it may not be there.
             offset = between(matched, prediction.pose)
             return motion, np.outer(offset, offset)
         if any(prediction is one for one in self._by_window):

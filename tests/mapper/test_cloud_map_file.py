@@ -63,7 +63,7 @@ def test_it_is_whole_and_tells_what_it_holds(scanweave: Scanweave, mapped: Path)
     ("format_", "names"),
     [
         ("nav2", ("map.yaml", "map.pgm")),
-        ("tum", ("trajectory.tum",)),
+        ("tum", ("trajectory.tum", "trajectory_covariance.csv")),
         ("g2o", ("graph.g2o",)),
         ("ply", ("cloud.ply",)),
         ("bt", ("map.bt",)),

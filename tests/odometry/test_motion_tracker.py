@@ -185,6 +185,14 @@ class TestContradiction:
         tracked, by_match, _ = self.contradict(match_fit=0.95, near_fit=None)
         np.testing.assert_allclose(tracked.pose, by_match, atol=1e-9)
 
+    def test_a_match_that_fits_where_nothing_else_does_stays_in_dispute(self) -> None:
+        """Wheels that jump turn a robot to ground that no map knows: there the scan fits nothing."""
+        tracked, by_match, by_wheels = self.contradict(match_fit=0.95, near_fit=None, objects=1)
+        assert tracked.motion is not None
+        np.testing.assert_allclose(tracked.pose, by_match, atol=1e-9)
+        offset = between(by_match, by_wheels)
+        np.testing.assert_allclose(tracked.dispute, np.outer(offset, offset), atol=1e-9)
+
     def test_a_dispute_widens_the_next_guess(self) -> None:
         run = Run()
         run.see_the_truth()
