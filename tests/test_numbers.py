@@ -6,9 +6,9 @@ import ast
 
 from tools.count_numbers import bare_floats, constant_names, count_fields, count_lines, count_logic
 
-MOST_CONSTANTS = 254
-MOST_BARE_FLOATS = 133
-MOST_FIELDS = 151
+MOST_CONSTANTS = 277
+MOST_BARE_FLOATS = 151
+MOST_FIELDS = 154
 MOST_LINES = 45_000
 
 

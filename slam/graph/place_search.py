@@ -160,6 +160,9 @@ class PlaceSearch:
             if any(sets.contradiction(found[n], found[m], seen) > gains[m] for m in rivals):
                 continue
             more, refused = trial.hold(found[n])
+            # What contradicts more than one fault explains must be confirmed by what lies around.
+            if costs[n] > 2.0 * self._gate and len(more) <= refused:
+                continue
             net_m = (len(found[n]) + len(more) - refused) * stretches.spacing_m
             # As long as it is seen from either end; where all of the map would pass, as a loop must be.
             map_m = float(np.ptp(poses[:, :2], axis=0).max())

@@ -180,7 +180,7 @@ class MotionTracker:
             self._by_window = self._predict_by_window(stamp_s, wheels)
             motion, dispute = None, np.zeros((3, 3))
             if points is not None:
-                motion, dispute = self._match(points, guesses)
+                motion, dispute = self._match(points, guesses, step_s)
             pose = guesses[0].pose if motion is None else self._fused(motion)
             tracked = TrackedScan(pose, motion, wheels, dispute)
             self._learn_velocity(between(self._last.pose, pose), step_s, told=pose is not self._blind)
@@ -245,12 +245,16 @@ class MotionTracker:
             return []
         return [Motion(compose(begun.pose, moved.pose), moved.covariance)]
 
-    def _match(self, points: ScanPoints, guesses: list[Motion]) -> tuple[MotionEstimate | None, FloatArray]:
+    def _match(
+        self, points: ScanPoints, guesses: list[Motion], step_s: float
+    ) -> tuple[MotionEstimate | None, FloatArray]:
         """Match, settle a contradiction, judge the predictors: what was measured, and the dispute."""
         motion = self._odometry.match(points, guesses)
         if motion is None:
             return None, np.zeros((3, 3))
         if (offset := self._other_way_round(points, motion, guesses)) is not None:
+            return motion, np.outer(offset, offset)
+        if (offset := self._another_corridor(motion, step_s)) is not None:
             return motion, np.outer(offset, offset)
         rivals = [
             *self._rivals(points, motion, [*self._by_camera.guesses, *self._by_wheels.guesses], guesses),
@@ -299,6 +303,17 @@ class MotionTracker:
         if held is None or held.inlier_share < self._noise.least_inlier_share:
             return None
         return between(matched, row_from_pose2(held.T_reference_base))
+
+    def _another_corridor(self, motion: MotionEstimate, step_s: float) -> FloatArray | None:
+        """From a match in a corridor to where the wheels are, after a gap; None where it may be believed.
+
+        Corridors look alike, and meet at right angles: in one that the wheels have turned away from by more
+        than half of that, the robot may be in another.
+        """
+        if not motion.degenerate or step_s <= GAP_S or not self._by_wheels.guesses:
+            return None
+        offset = between(row_from_pose2(motion.T_reference_base), self._by_wheels.guesses[0].pose)
+        return offset if abs(offset[2]) > 0.25 * math.pi else None
 
     def _rivals(
         self, points: ScanPoints, motion: MotionEstimate, contesting: list[Motion], asked: list[Motion]
