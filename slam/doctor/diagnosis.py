@@ -18,6 +18,7 @@ from slam.doctor.paired_motions import BaseTrack, mended_rows
 from slam.doctor.samples import Samples, WheelSamples
 from slam.doctor.wheels_and_lidar import compare
 from slam.measurements import LaserScan, Measurement
+from slam.vision.registration_pairs import registrations_of
 
 
 def diagnose(log: Iterable[Measurement]) -> list[Finding]:
@@ -77,7 +78,12 @@ def examine(log: Iterable[Measurement]) -> Diagnosis:
         findings += found
         unknown += left_open
     vouched = any(lidar.stretches for lidar in samples.lidars.values()) and not unknown
-    return Diagnosis(findings + _in_space(samples, wheels, findings, vouched=vouched), unknown)
+    findings += _in_space(samples, wheels, findings, vouched=vouched)
+    lenses = [one.sensor for one in findings if one.kind == "lens"]
+    apart = [name for name, found in registrations_of(log, lenses, config).items() if found.accepted]
+    findings = [one for one in findings if one.kind != "lens" or one.sensor not in apart]
+    unknown += [f"{name}: its lens, for its colours lie beside its depths" for name in apart]
+    return Diagnosis(findings, unknown)
 
 
 def _in_space(
