@@ -132,12 +132,12 @@ class ScanOdometry:
         """A step (3,) by match and expectation, by their covariances: wheels tell how long a corridor is.
 
         Past a gap a match may have found another place that looks the same: where there are wheels, it must
-        agree with them, and they must tell the way well enough. Before one, wheels that contradict the match
-        have slipped, and the robot goes on as before where the match does not tell.
+        agree with them, be beyond dispute, and they must tell the way well enough. Before one, wheels that
+        contradict the match have slipped, and the robot goes on as before where the match does not tell.
         """
         past_gap = self._wheels is not None and elapsed_s > _LONG_GAP_S
         vague = position_sigma_m(expected) > self._config.localization.dead_reckoning_m
-        if tracked.motion is None or (past_gap and vague):
+        if tracked.motion is None or (past_gap and (vague or tracked.dispute.any())):
             return expected
         matched = Measured(pose2_from_row(row), tracked.motion.covariance + tracked.dispute)
         gate = self._config.localization.gate_sigmas**2
