@@ -307,14 +307,14 @@ class MotionTracker:
     def _another_corridor(self, motion: MotionEstimate, step_s: float) -> FloatArray | None:
         """From a match in a corridor to where the wheels are, after a gap; None where it may be believed.
 
-        Corridors look alike, and meet at right angles: where wheels that do not contradict it have turned
-        away by more than half of that, the robot may be in another.
+        Corridors look alike, and meet at right angles: where the wheels have turned away by more than half of
+        that, and gone elsewhere, the robot may be in another. A heading alone may have slipped.
         """
         if not motion.degenerate or step_s <= GAP_S or not self._by_wheels.guesses:
             return None
-        matched, guess = row_from_pose2(motion.T_reference_base), self._by_wheels.guesses[0]
-        offset = between(matched, guess.pose)
-        return offset if guess.holds(matched) and abs(offset[2]) > 0.25 * math.pi else None
+        offset = between(row_from_pose2(motion.T_reference_base), self._by_wheels.guesses[0].pose)
+        elsewhere = math.hypot(offset[0], offset[1]) > self._noise.search_half_width_m
+        return offset if elsewhere and abs(offset[2]) > 0.25 * math.pi else None
 
     def _rivals(
         self, points: ScanPoints, motion: MotionEstimate, contesting: list[Motion], asked: list[Motion]
