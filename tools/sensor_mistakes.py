@@ -1,11 +1,10 @@
 """Drives with the mistakes that people make, of wheels and a 2D lidar: are they named, does the remedy mend?
 
-    python tools/sensor_mistakes.py DRIVE... [--only NAME] [--map] [--sound]
+    python tools/sensor_mistakes.py DRIVE... [--only NAME] [--map]
 
-A drive is a folder that 'scanweave simulate' has written. For each mistake, at each of its sizes: whether the
-doctor names it and its first remedy is the right one. With ``--map`` also the error of the map of the wrong
-log with the doctor switched off, of the wrong log as it is mapped, and of the log with the first remedies as
-a calibration, over that of the sound log: aligned in the plane, which forgives neither mirror nor scale.
+Told of each mistake, at each size, in drives of 'scanweave simulate': whether it is named, and mended by the
+first remedy; with ``--map`` also the planar error of the map of the sound log, of the wrong one with the
+doctor off, as it is mapped, and with the remedies as a calibration.
 """
 
 from __future__ import annotations
@@ -391,8 +390,7 @@ def main() -> None:
     parser.add_argument("--map", action="store_true", help="map each log, too")
     arguments = parser.parse_args()
     head = ["drive", "mistake", "size", "named", "right remedy", "sure", "also"]
-    if arguments.map:
-        head += ["sound, m", "wrong", "as mapped", "mended", "within 1.5"]
+    head += ["sound, m", "wrong", "as mapped", "mended", "within 1.5"] if arguments.map else []
     print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}", flush=True)
     for drive in arguments.drives:
         for row in rows(drive, arguments.only, maps=arguments.map):
