@@ -2,9 +2,8 @@
 
     python tools/sensor_mistakes.py DRIVE... [--only NAME] [--map]
 
-Told of each mistake, at each size, in drives of 'scanweave simulate': whether it is named, and mended by the
-first remedy; with ``--map`` also the planar error of the map of the sound log, of the wrong one with the
-doctor off, as it is mapped, and with the remedies as a calibration.
+Told of each mistake, at each size, in drives of 'scanweave simulate': whether it is named, and mended; with
+``--map`` also the planar error of the maps of the sound log, the wrong one (doctor off, on) and the mended.
 """
 
 from __future__ import annotations
