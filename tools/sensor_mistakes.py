@@ -8,7 +8,6 @@ Told of each mistake, at each size, in drives of 'scanweave simulate': whether i
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -18,18 +17,13 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from slam.app.measured import Measured
-from slam.config import Config, calibrated, load_config
-from slam.config.calibration import Calibration
 from slam.datasets import open_dataset
 from slam.datasets.corrections import Unwound
 from slam.doctor.diagnosis import diagnose
-from slam.doctor.finding import Finding, remedied
-from slam.errors import ScanweaveError
-from slam.mapper.pipeline import build_map
-from slam.measurements import FloatArray, LaserScan, Measurement, Trajectory, WheelOdometry
+from slam.doctor.finding import Finding
+from slam.measurements import LaserScan, WheelOdometry
+from tools.mistake_rows import CONFIGS, Log, main, mapped_m, mapped_row, told_row
 
-Log = list[Measurement]
 _WHEELS = "odometry"
 
 
@@ -328,73 +322,22 @@ def _about(given: Mapping[str, Any], name: str, value: Any, log: Log) -> bool:
     return bool(given[name] == value)
 
 
-def planar_error_m(trajectory: Trajectory, truth: Trajectory) -> float:
-    """ATE RMSE, aligned by a turn and a shift in the plane: no mirror, no scale."""
-    inside = (trajectory.stamps_s >= truth.stamps_s[0]) & (trajectory.stamps_s <= truth.stamps_s[-1])
-    stamps_s = trajectory.stamps_s[inside]
-    found = _complex(trajectory.positions_m[inside])
-    true = np.interp(stamps_s, truth.stamps_s, truth.positions_m[:, 0]) + 1j * np.interp(
-        stamps_s, truth.stamps_s, truth.positions_m[:, 1]
-    )
-    found, true = found - found.mean(), true - true.mean()
-    turn = np.vdot(found, true)
-    return float(np.sqrt(np.mean(np.abs(true - found * turn / abs(turn)) ** 2)))
-
-
-def _complex(positions_m: FloatArray) -> Any:
-    """X and y as complex numbers."""
-    return positions_m[:, 0] + 1j * positions_m[:, 1]
-
-
-def _mapped_m(log: Log, truth: Trajectory, config: Config) -> float:
-    """Error of a log's map; infinite where there is none."""
-    try:
-        return planar_error_m(build_map(Measured(log), config).map.trajectory, truth)
-    except ScanweaveError:
-        return math.inf
-
-
 def rows(drive: Path, only: str, *, maps: bool) -> Iterator[list[str]]:
     """One row a mistake and size."""
     dataset = open_dataset(drive, images=False)
     truth = dataset.groundtruth()
     assert truth is not None
     log = list(dataset)
-    config = load_config(None, ["dense_map.enabled=false"])
-    blind = load_config(None, ["dense_map.enabled=false", "sensors.doctor=false"])
-    sound_m = _mapped_m(log, truth, config) if maps else math.nan
+    sound_m = mapped_m(log, truth, CONFIGS[1]) if maps else math.nan
     for name, mistake in MISTAKES.items():
         for size in mistake.sizes if only in name else ():
             wrong = mistake.make(log, size)
             findings = diagnose(wrong)
             named = [one for one in findings if one.kind in (mistake.kind, *_UNDECIDED.get(mistake.kind, ()))]
             right = any(right_remedy(one, mistake.remedy(size), log) for one in named)
-            others = [one.kind for one in findings if one not in named]
-            sure = "sure" if any(one.sure for one in named) else ""
-            row = [drive.name, name, f"{size:g}", "yes" if named else "NO", "yes" if right else "NO", sure]
-            row.append(", ".join(others))
-            if maps:
-                mended = calibrated(config, remedied(Calibration(), findings, only_sure=False))
-                errors_m = [_mapped_m(wrong, truth, one) for one in (blind, config, mended)]
-                row += [f"{sound_m:.3f}", *(f"{one:.3f}" for one in errors_m)]
-                row += ["yes" if errors_m[2] <= 1.5 * sound_m else "NO"]
-            yield row
-
-
-def main() -> None:
-    """Print one Markdown table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("drives", nargs="+", type=Path)
-    parser.add_argument("--only", default="", help="mistakes whose name holds this")
-    parser.add_argument("--map", action="store_true", help="map each log, too")
-    arguments = parser.parse_args()
-    head = ["drive", "mistake", "size", "named", "right remedy", "sure", "also"]
-    head += ["sound, m", "wrong", "as mapped", "mended", "within 1.5"] if arguments.map else []
-    print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}", flush=True)
-    for drive in arguments.drives:
-        for row in rows(drive, arguments.only, maps=arguments.map):
-            print(f"| {' | '.join(row)} |", flush=True)
+            row = told_row(drive, name, size, findings, named, right=right)
+            yield row + (mapped_row(wrong, truth, findings, sound_m) if maps else [])
 
 
 if __name__ == "__main__":
-    main()
+    main(__doc__, rows)

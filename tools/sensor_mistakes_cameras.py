@@ -8,7 +8,6 @@ them stay in memory. Otherwise as tools/sensor_mistakes.py.
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -19,16 +18,11 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from slam.app.measured import Measured
-from slam.config import Config, calibrated, load_config
-from slam.config.calibration import Calibration
 from slam.datasets import open_dataset
 from slam.doctor.diagnosis import diagnose
-from slam.doctor.finding import Finding, remedied
-from slam.errors import ScanweaveError
-from slam.mapper.pipeline import build_map
+from slam.doctor.finding import Finding
 from slam.measurements import Measurement, PointCloud, RgbdFrame, Trajectory
-from tools.sensor_mistakes import planar_error_m
+from tools.mistake_rows import CONFIGS, main, mapped_m, mapped_row, told_row
 
 Change = Callable[[Any, float], Any]
 
@@ -253,14 +247,6 @@ def _about(given: Any, value: Any, entry: str) -> bool:
     return bool(abs(given - value) < (0.06 if entry.endswith("_s") else 0.06 * abs(value)))
 
 
-def _mapped_m(log: list[Measurement], truth: Trajectory, config: Config) -> float:
-    """Error of a log's map; infinite where there is none."""
-    try:
-        return planar_error_m(build_map(Measured(log), config).map.trajectory, truth)
-    except ScanweaveError:
-        return math.inf
-
-
 def loaded(drive: Path, every: int) -> tuple[list[Measurement], Trajectory | None]:
     """A drive, of each camera every so manyth frame; and its truth."""
     dataset, log, counts = open_dataset(drive), list[Measurement](), Counter[str]()
@@ -277,10 +263,8 @@ def rows(drive: Path, only: str, *, maps: bool, every: int) -> Iterator[list[str
     """One row a mistake and size."""
     log, truth = loaded(drive, every)
     assert truth is not None
-    config = load_config(None, ["dense_map.enabled=false"])
-    blind = load_config(None, ["dense_map.enabled=false", "sensors.doctor=false"])
     yield [drive.name, "none", "", "", "", "", ", ".join(one.line for one in diagnose(log)) or "nothing"]
-    sound_m = _mapped_m(log, truth, config) if maps else math.nan
+    sound_m = mapped_m(log, truth, CONFIGS[1]) if maps else math.nan
     for name, mistake in MISTAKES.items():
         if only not in name or not any(isinstance(one, mistake.sensor) for one in log):
             continue
@@ -290,34 +274,9 @@ def rows(drive: Path, only: str, *, maps: bool, every: int) -> Iterator[list[str
             named = [one for one in findings if one.kind == mistake.kind]
             value = expected(log, mistake, size)
             right = any(is_right(one, mistake.entry, value) for one in named)
-            others = [one.kind for one in findings if one not in named]
-            sure = "sure" if any(one.sure for one in named) else ""
-            row = [drive.name, name, f"{size:g}", "yes" if named else "NO", "yes" if right else "NO", sure]
-            row.append(", ".join(others))
-            if maps:
-                mended = calibrated(config, remedied(Calibration(), findings, only_sure=False))
-                errors_m = [_mapped_m(wrong, truth, one) for one in (blind, config, mended)]
-                row += [f"{sound_m:.3f}", *(f"{one:.3f}" for one in errors_m)]
-                row += ["yes" if errors_m[2] <= 1.5 * sound_m else "NO"]
-            yield row
-
-
-def main() -> None:
-    """Print one Markdown table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("drives", nargs="+", type=Path)
-    parser.add_argument("--only", default="", help="mistakes whose name holds this")
-    parser.add_argument("--map", action="store_true", help="map each log, too")
-    parser.add_argument("--every", type=int, default=3, help="of each camera every so manyth frame")
-    arguments = parser.parse_args()
-    head = ["drive", "mistake", "size", "named", "right remedy", "sure", "also"]
-    if arguments.map:
-        head += ["sound, m", "wrong", "as mapped", "mended", "within 1.5"]
-    print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}", flush=True)
-    for drive in arguments.drives:
-        for row in rows(drive, arguments.only, maps=arguments.map, every=arguments.every):
-            print(f"| {' | '.join(row)} |", flush=True)
+            row = told_row(drive, name, size, findings, named, right=right)
+            yield row + (mapped_row(wrong, truth, findings, sound_m) if maps else [])
 
 
 if __name__ == "__main__":
-    main()
+    main(__doc__, rows, "every")

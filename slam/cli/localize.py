@@ -68,6 +68,5 @@ def localize(
     if update:
         from slam.cli.map_log import map_into
 
-        map_into(
-            log, map_, None, settings if config or set_ or calibration else None, strict=strict, resume=False
-        )
+        given = settings if config or set_ else None
+        map_into(log, map_, None, given, strict=strict, resume=False, calibration=calibration)

@@ -81,14 +81,8 @@ def map_command(
 
     settings = load_config(config, overrides, calibration=calibration)
     if into is not None:
-        map_into(
-            log,
-            into,
-            out,
-            settings if config or overrides or calibration else None,
-            strict=strict,
-            resume=resume,
-        )
+        given = settings if config or overrides else None
+        map_into(log, into, out, given, strict=strict, resume=resume, calibration=calibration)
     else:
         assert out is not None
         map_log(log, out, settings, strict=strict, resume=resume, force=force, record=record)
@@ -135,14 +129,24 @@ def map_log(
 
 
 def map_into(
-    log: Path, map_: Path, out: Path | None, config: Config | None, *, strict: bool, resume: bool
+    log: Path,
+    map_: Path,
+    out: Path | None,
+    config: Config | None,
+    *,
+    strict: bool,
+    resume: bool,
+    calibration: Path | None = None,
 ) -> Joined:
-    """Map a log as one more session of a saved map, and tell of it."""
+    """Map a log as one more session of a saved map, by its settings where none are given, and tell of it."""
     started = time.perf_counter()
     from slam.app.joining import WORK, join
+    from slam.config import calibrated, load_calibration
     from slam.outputs.finished_map import open_map
 
     known = open_map(map_)
+    if config is None and calibration is not None:
+        config = calibrated(known.config, load_calibration(calibration))
     work = (out or known.path.parent) / WORK / "session"
     try:
         with progress_bar(first=_beginning(work, resume)) as show, interruptible(show) as on_progress:

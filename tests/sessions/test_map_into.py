@@ -21,6 +21,7 @@ from slam.simulation.synthetic_log import write_synthetic_log
 from slam.storage.tum import read_tum
 
 APART_S = 1e5
+COARSE = ("--set", "keyframes.distance_m=1.5", "--set", "keyframes.angle_rad=3")
 
 
 @pytest.fixture(scope="module")
@@ -235,3 +236,14 @@ def test_a_move_that_was_killed_is_done_again(
     for name, whole in contents_of(joined).items():
         if not name.startswith("report"):
             assert (map_ / name).read_bytes() == whole, name
+
+
+def test_a_calibration_alone_leaves_the_settings_of_the_map(sessions: Sessions, tmp_path: Path) -> None:
+    folder, file = tmp_path / "map", tmp_path / "calibration.yaml"
+    file.write_text("wheels: {odometry: {scale: 1.001}}\n")
+    assert run("map", sessions.first.log_path, "-o", folder, *COARSE) == 0
+    assert run("map", sessions.later_log, "--into", folder, "--calibration", file) == 0
+    found = open_map(folder)
+    first, later = (session.keyframes for session in found.sessions)
+    found.close()
+    assert later < 1.5 * first
