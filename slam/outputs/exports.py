@@ -11,6 +11,7 @@ from slam.errors import LibraryError, ScanweaveError
 from slam.mapping.camera_points import camera_cloud
 from slam.mapping.cloud_map import map_cloud
 from slam.mapping.dense_map import DenseMapSettings, fuse_keyframes
+from slam.mapping.keyframe_grid import PASSED_BY
 from slam.mapping.layered_map import LayeredMap
 from slam.matching.local_cloud import moved
 from slam.measurements import spatial
@@ -18,7 +19,7 @@ from slam.storage.covariances import write_trajectory
 from slam.storage.files import make_folder
 from slam.storage.g2o import write_g2o
 from slam.storage.map_contents import MapContents
-from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers
+from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers, write_passed_by
 from slam.storage.octomap import write_octomap, write_octree
 from slam.storage.ply import write_cloud_ply, write_mesh_ply
 
@@ -82,7 +83,11 @@ class Exports:
         """Write trajectory and graph, and of a floor the map to drive by and layers; errors as in `write`."""
         formats = ["tum", "g2o"] if self.layers is None else ["tum", "g2o", "nav2"]
         written = [path for name in formats for path in self.write(name, folder)[0]]
-        return written if self.layers is None else written + write_layers(folder / "layers", self.layers)
+        if self.layers is None:
+            return written
+        beside = folder / "layers"
+        passed_by = write_passed_by(beside, self.contents.grids.get(PASSED_BY))
+        return written + write_layers(beside, self.layers) + passed_by
 
     def write_surfaces(self, folder: Path) -> tuple[list[Path], list[str]]:
         """Write surfaces and clouds, and the octree, where they are asked for; see `write`."""

@@ -16,12 +16,13 @@ from pathlib import Path
 from slam.config import Config
 from slam.errors import MapFileError
 from slam.mapper.map_result import depth_grid
+from slam.mapping.keyframe_grid import DEPTH
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.outputs.finished_map import NOTES, WARNINGS, Map, open_map
 from slam.sessions.session_join import JoinedMap
 from slam.storage.covariances import write_trajectory
 from slam.storage.files import make_folder
-from slam.storage.map_contents import DEPTH, MapContents, write_contents
+from slam.storage.map_contents import MapContents, write_contents
 from slam.storage.map_file import MAP_NAME, MapFile
 from slam.storage.map_identity import MapIdentity
 from slam.storage.map_sessions import SESSIONS, MapSession, sessions_to_meta

@@ -16,7 +16,7 @@ from slam.errors import MapFileError
 from slam.graph.keyframe_graph import row_of
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, EdgeKind
-from slam.mapping.keyframe_grid import layers_of_grids
+from slam.mapping.keyframe_grid import DEPTH, OCCUPANCY, layers_of_grids
 from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Pose, Trajectory, spatial
@@ -41,8 +41,6 @@ from slam.vision.learned_camera import LearnedCamera
 T = TypeVar("T")
 Unpack = Callable[[bytes], Any]
 
-# The grids of lidar and depth camera; what they decide together follows from them.
-OCCUPANCY, DEPTH = "occupancy", "depth layer"
 _STRETCH = 4096
 _MOST_GRIDS = 4
 _KINDS = frozenset(EdgeKind)

@@ -25,9 +25,10 @@ from slam.evaluation.report_figures import MapPicture, map_png
 from slam.graph.loop_closure import LoopCandidate
 from slam.mapper.map_result import MapResult
 from slam.mapper.scan_record import ScanRecord
+from slam.mapping.keyframe_grid import DEPTH, OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, MotionEstimate, Trajectory
-from slam.storage.map_contents import DEPTH, OCCUPANCY, MapContents
+from slam.storage.map_contents import MapContents
 
 
 class Page(HTMLParser):
