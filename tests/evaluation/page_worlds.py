@@ -73,7 +73,8 @@ def contents(rounds: int = 2, **changes: Any) -> MapContents:
     count = len(poses)
     scans = [sweep(room(), row, beams=121, stamp_s=float(key)) for key, row in enumerate(way(rounds))]
     repaired = [
-        replace(scan, ranges_m=np.where(np.arange(121) < 5, np.float32(1.0), scan.ranges_m)) for scan in scans
+        replace(scan, ranges_m=np.where(np.arange(scan.ranges_m.size) < 5, np.float32(1.0), scan.ranges_m))
+        for scan in scans
     ]
     steps, loops = np.diag([0.01, 0.01, 0.005]) ** 2, np.diag([0.02, 0.02, 0.01]) ** 2
     factors = [

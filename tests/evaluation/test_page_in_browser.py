@@ -6,6 +6,7 @@ import io
 from collections.abc import Callable
 from pathlib import Path
 
+import gtsam
 import numpy as np
 import pytest
 from browser import Visit, ready, visit
@@ -13,6 +14,8 @@ from page_worlds import EVIL, contents, report
 from PIL import Image
 
 from slam.evaluation.report import write_report
+from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.storage.map_contents import OCCUPANCY
 
 pytestmark = pytest.mark.browser
 
@@ -283,3 +286,30 @@ def test_a_map_of_a_camera_alone_has_its_plan(tmp_path: Path) -> None:
 
 def _bare() -> dict[str, object]:
     return {"measured_scans": [], "keyframe_scans": [], "grids": {}, "loops": [], "covariances": None}
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.6])
+def test_pictures_lie_where_their_cells_are(tmp_path: Path, yaw: float) -> None:
+    # One wall of the grid is thick; its middle is dark, what is across from it is white.
+    odds = np.full((40, 60), -4.0, np.float32)
+    odds[32:] = 4.0
+    grid = OccupancyGrid.of_log_odds(
+        odds, 0.1, gtsam.Pose2(0.0, 0.0, yaw).compose(gtsam.Pose2(-1.0, 2.0, 0.0))
+    )
+    path = tmp_path / "report.html"
+    write_report(path, report(contents(grids={OCCUPANCY: grid})))
+    with visit(path) as seen:
+        ready(seen)
+        shades = []
+        for x, y in ((3.0, 3.6), (3.0, 0.4), (5.8, 3.6)):
+            at = grid.T_map_grid.transformFrom(np.array([x, y]))
+            shades.append(
+                seen.value(
+                    f"""(() => {{ const canvas = document.querySelector("canvas.rasters");
+                    const [x, y] = Scanweave.plan.map.getPixelFromCoordinate([{at[0]}, {at[1]}]);
+                    return canvas.getContext("2d").getImageData(x * devicePixelRatio,
+                      y * devicePixelRatio, 1, 1).data[0]; }})()"""
+                )
+            )
+        assert shades == [0, 254, 0]
+    assert seen.requests == [path.resolve().as_uri()]

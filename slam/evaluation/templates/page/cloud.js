@@ -14,7 +14,7 @@
     geometry.setAttribute("color", new THREE.BufferAttribute(colors, 3, true));
     geometry.computeBoundingSphere();
     const {center, radius} = geometry.boundingSphere;
-    const material = new THREE.PointsMaterial({size: Math.max(radius / 400, 0.01), vertexColors: true});
+    const material = new THREE.PointsMaterial({size: 2.5 * radius / Math.sqrt(count), vertexColors: true});
     const world = new THREE.Scene();
     world.add(new THREE.Points(geometry, material));
     const {xy, z} = S.data.trajectory, way = new Float32Array(3 * z.length);
