@@ -24,6 +24,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, held_graph
 from slam.measurements import BoolArray, FloatArray, Pose
 
@@ -127,6 +128,28 @@ def influences(poses: Sequence[Pose], edges: Sequence[Edge], kept: Sequence[bool
     """
     loops = [number for number, edge in enumerate(edges) if edge.loop is not None]
     return LinearMap(poses, edges, kept).influences(loops)
+
+
+def all_edges(edges: Sequence[Edge], loops: Sequence[LoopCandidate]) -> list[Edge]:
+    """The graph's edges, and after them the loops that were matched and refused before they came into it."""
+    inside = {edge.loop for edge in edges}
+    outside = [
+        loop.edge(number)
+        for number, loop in enumerate(loops)
+        if loop.motion is not None and number not in inside
+    ]
+    return [*edges, *outside]
+
+
+def elimination_order(nodes: int, edges: Sequence[Edge]) -> NDArray[np.int64]:
+    """(nodes,) their numbers in an order in which the normal equations of all edges stay sparse (COLAMD)."""
+    graph = gtsam.SymbolicFactorGraph()
+    for node in range(nodes):
+        graph.push_factor(node)
+    for edge in edges:
+        graph.push_factor(edge.source, edge.target)
+    order = gtsam.Ordering.ColamdSymbolicFactorGraph(graph)
+    return np.array([order.at(place) for place in range(nodes)], np.int64)
 
 
 def _linearized(poses: Sequence[Pose], edges: Sequence[Edge], size: int) -> tuple[csr_array, FloatArray]:
