@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from slam.graph.influence import LinearMap, all_edges, elimination_order
+from fusion.estimation import gate
+from slam.graph.influence import all_edges, elimination_order, influences
 from slam.storage.map_contents import MapContents
 
 
@@ -18,9 +19,8 @@ def what_if_data(found: MapContents) -> dict[str, Any]:
     """
     factors = [factor.edge for factor in found.factors]
     edges = all_edges(factors, found.loops)
-    loops = [number for number, edge in enumerate(edges) if edge.loop is not None]
     kept = [factor.kept for factor in found.factors] + [False] * (len(edges) - len(factors))
-    told = LinearMap(found.node_poses, edges, kept).influences(loops)
+    told = influences(found.node_poses, edges, kept)
     return {
         "influence": {
             "edge": told.edges.astype(np.int32),
@@ -28,6 +28,8 @@ def what_if_data(found: MapContents) -> dict[str, Any]:
             "node": told.nodes.astype(np.int32),
             "residual": told.residuals.astype(np.float32),
             "left_out": told.left_out.astype(np.float32),
+            # A true loop is farther off once in a thousand times.
+            "gate_sigmas": gate(3 if found.planar else 6) ** 0.5,
         },
         "order": elimination_order(len(found.node_poses), edges).astype(np.int32),
     }

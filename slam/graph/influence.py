@@ -17,6 +17,7 @@ tests one observation for a blunder.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -24,6 +25,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.errors import GraphError
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, held_graph
 from slam.measurements import BoolArray, FloatArray, Pose
@@ -67,6 +69,11 @@ class LinearMap:
         (n,) of the nodes, as the final optimisation left them.
     edges, kept
         All that may be asked about, and which of them hold the map.
+
+    Raises
+    ------
+    GraphError
+        Where these do not join all nodes.
     """
 
     def __init__(
@@ -113,11 +120,14 @@ class LinearMap:
         held = self._jacobian[np.repeat(self._kept, self._size)]
         symmetric = {"SymmetricMode": True}
         information = (held.T @ held).tocsc()
-        return splu(information, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+        try:
+            return splu(information, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+        except RuntimeError as error:
+            raise GraphError("the edges that are kept do not join all keyframes") from error
 
 
 def influences(poses: Sequence[Pose], edges: Sequence[Edge], kept: Sequence[bool] | BoolArray) -> Influences:
-    """Of all loops among the edges.
+    """Of all loops among the edges; of none where those that are kept do not join all nodes.
 
     Parameters
     ----------
@@ -127,7 +137,11 @@ def influences(poses: Sequence[Pose], edges: Sequence[Edge], kept: Sequence[bool
         All of the graph, and which the optimisation has kept.
     """
     loops = [number for number, edge in enumerate(edges) if edge.loop is not None]
-    return LinearMap(poses, edges, kept).influences(loops)
+    none, nothing = np.zeros(0, np.int64), np.zeros(0)
+    if loops:
+        with suppress(GraphError):
+            return LinearMap(poses, edges, kept).influences(loops)
+    return Influences(none, nothing, none, nothing, nothing)
 
 
 def all_edges(edges: Sequence[Edge], loops: Sequence[LoopCandidate]) -> list[Edge]:
