@@ -95,23 +95,22 @@ class LinearMap:
 
     def influences(self, asked: Sequence[int] | NDArray[np.int64]) -> Influences:
         """Of the edges with these numbers."""
-        found = np.array([self._influence(int(number)) for number in asked]).reshape(-1, 4)
+        found = np.array([self.switched([int(number)]) for number in asked]).reshape(-1, 4)
         shifts, nodes, residuals, left_out = found.T
         return Influences(np.array(asked, np.int64), shifts, nodes.astype(np.int64), residuals, left_out)
 
-    def _influence(self, number: int) -> tuple[float, int, float, float]:
-        """Shift, node, residual and residual when left out, of an edge."""
+    def switched(self, numbers: Sequence[int] | NDArray[np.int64]) -> tuple[float, int, float, float]:
+        """Shift, node, residual and residual when left out, of edges that are switched together."""
         size = self._size
-        own = slice(number * size, (number + 1) * size)
-        jacobian, residual = self._jacobian[own], self._residuals[own]
+        rows = (np.asarray(numbers)[:, None] * size + np.arange(size)).ravel()
+        jacobian, residual = self._jacobian[rows], self._residuals[rows]
         solved = self._factor.solve(jacobian.toarray().T)
-        sign = -1.0 if self._kept[number] else 1.0
-        pull = np.linalg.solve(np.eye(size) + sign * (jacobian @ solved), residual)
+        signs = np.repeat(np.where(self._kept[numbers], -1.0, 1.0), size)
+        pull = np.linalg.solve(np.diag(signs) + jacobian @ solved, residual)
         tangents = (solved @ pull).reshape(-1, size)
         shifts = np.linalg.norm(tangents[:, :2] if self._planar else tangents[:, 3:], axis=1)
         most, missed = int(shifts.argmax()), float(np.linalg.norm(residual))
-        # Rounding may leave less than nothing where the map without the edge is all but loose.
-        return float(shifts[most]), most + 1, missed, max(float(residual @ pull), 0.0) ** 0.5
+        return float(shifts[most]), most + 1, missed, abs(float(residual @ pull)) ** 0.5
 
     def _factorized(self) -> SuperLU:
         """The information of all kept edges together, ready to be solved."""
