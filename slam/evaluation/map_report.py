@@ -25,6 +25,7 @@ from slam.mapping.dense_map import ColoredCloud
 from slam.mapping.layered_map import LayeredMap
 from slam.measurements import BoolArray
 from slam.storage.map_contents import SavedFactor
+from slam.storage.map_sessions import MapSession
 from slam.storage.ply import read_cloud_ply
 
 CLOUD_FILE = "cloud.ply"
@@ -98,6 +99,8 @@ class ReportData:
         What the reader has met.
     beside
         What can be shown beside the map.
+    sessions, digest
+        Of the saved map, see `slam.Map`.
     """
 
     log_name: str
@@ -106,6 +109,8 @@ class ReportData:
     config: Config
     cost: RunCost
     beside: Beside = Beside()
+    sessions: Sequence[MapSession] = ()
+    digest: str = ""
 
     @property
     def unit(self) -> Literal["scan", "frame"]:

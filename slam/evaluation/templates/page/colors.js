@@ -25,13 +25,26 @@
     return {low: at(0.01), high: at(0.99), least: known[0], most: known[known.length - 1]};
   };
 
-  S.color = name => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+  // A colour of the theme as rgb(...), see style.css.
+  const probe = S.element("i", {hidden: true}), known = new Map();
+  S.color = name => {
+    if (!known.has(name)) {
+      if (!probe.isConnected) document.body.append(probe);
+      probe.style.color = `var(--${name})`;
+      known.set(name, getComputedStyle(probe).color);
+    }
+    return known.get(name);
+  };
 
   const chosen = () => document.documentElement.dataset.theme;
   S.dark = () => chosen() ? chosen() === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
-  S.switchTheme = () => {
-    document.documentElement.dataset.theme = S.dark() ? "light" : "dark";
+  const changed = () => {
+    known.clear();
     S.emit("theme");
   };
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => S.emit("theme"));
+  S.switchTheme = () => {
+    document.documentElement.dataset.theme = S.dark() ? "light" : "dark";
+    changed();
+  };
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", changed);
 })(Scanweave);

@@ -1,7 +1,7 @@
 // Two keyframes' scans over each other: as the steps alone lay them, as they were matched, as the map has them.
 "use strict";
 (S => {
-  const SIDE = 300, AROUND = 6; // keyframes before and after the place that a loop is compared with
+  const SIDE = 300, AROUND = 12; // keyframes before and after the place that a loop is compared with
   let alone = null, shown = "map";
 
   // Where the target lies, seen from the source.
@@ -42,9 +42,12 @@
 
   function draw(canvas, below, above, robot) {
     const context = canvas.getContext("2d"), ratio = canvas.width / SIDE;
-    const all = [...below, ...above];
-    let [x0, y0, x1, y1] = [-2, -2, 2, 2];
-    for (const [x, y] of all) [x0, y0, x1, y1] = [Math.min(x0, x), Math.min(y0, y), Math.max(x1, x), Math.max(y1, y)];
+    // The window is what most of the scan's points ask for: a beam through a window would shrink all.
+    const ends = axis => {
+      const sorted = above.map(point => point[axis]).sort((a, b) => a - b), last = sorted.length - 1;
+      return last < 0 ? [-2, 2] : [Math.min(sorted[Math.round(0.05 * last)], -1) - 1, Math.max(sorted[Math.round(0.95 * last)], 1) + 1];
+    };
+    const [[x0, x1], [y0, y1]] = [ends(0), ends(1)];
     const scale = canvas.width / Math.max(x1 - x0, y1 - y0) * 0.94;
     const at = (x, y) => [canvas.width / 2 + scale * (x - (x0 + x1) / 2), canvas.height / 2 - scale * (y - (y0 + y1) / 2)];
     context.fillStyle = S.color("card");
