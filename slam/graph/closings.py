@@ -68,7 +68,7 @@ def closings(held: Sequence[Edge], poses: Sequence[Pose], reach_m: float, most: 
     way_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rows[:, :2], axis=0).T))])
     tracked, piece = _tracked(held, poses)
     groups = []
-    for group in groups(way_m[[(loop.source, loop.target) for loop in loops]], reach_m):
+    for group in _groups(way_m[[(loop.source, loop.target) for loop in loops]], reach_m):
         members = sorted((loops[n] for n in group.tolist()), key=lambda loop: (loop.target, loop.source))
         first = members[0]
         if piece[first.source] == piece[first.target]:
@@ -102,7 +102,7 @@ def _tracked(edges: Sequence[Edge], poses: Sequence[Pose]) -> tuple[list[Pose], 
     return tracked, np.cumsum(broken)
 
 
-def groups(ends_m: FloatArray, reach_m: float) -> list[NDArray[np.int64]]:
+def _groups(ends_m: FloatArray, reach_m: float) -> list[NDArray[np.int64]]:
     """The loops that belong together, by their numbers; (n, 2) are their ends along the way."""
     # SciPy is loaded where it is used: that takes 0.1 s.
     from scipy.sparse import coo_array
