@@ -150,7 +150,7 @@ def test_a_refused_loop_is_forced_on_by_a_key(page: Any) -> None:
 def test_the_worst_are_switched_off_until_none_is_doubtful(page: Any) -> None:
     tab(page, "What if")
     # The false loop bends the map so that true ones are doubtful, too; it is the worst.
-    assert "Doubtful loops: 6\nloop frame 50 – frame 300" in told(page)
+    assert "Doubtful loops: 6\noff frame 50 – frame 300" in told(page)
     page.click("#snoop")
     page.wait_for_selector("text=Doubtful loops: 0")
     pair = [{"session": 1, "reading": 10 * node} for node in FALSE]
@@ -176,6 +176,6 @@ def test_a_step_that_alone_holds_the_map_says_so(page: Any) -> None:
 
 def test_loops_are_sorted_by_what_they_do(page: Any) -> None:
     tab(page, "Loops")
-    for name in ("moves cm", "σ left out"):
+    for name in ("moves", "left out"):
         page.click(f".row.head button:has-text('{name}')")
         assert page.get_attribute(".rows .row >> nth=0", "data-loop") == str(len(contents().loops) - 2)

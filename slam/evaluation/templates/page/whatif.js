@@ -136,12 +136,14 @@
   const chosenOf = edge => whatIf.edges.loop[edge] >= 0 ? {kind: "loop", index: whatIf.edges.loop[edge]} : {kind: "edge", index: edge};
   const edgeLink = edge => element("button", {
     type: "button", class: "link", onclick: () => S.select.set({...chosenOf(edge), look: true}),
-    textContent: `${whatIf.edges.loop[edge] >= 0 ? "loop" : "step"} ${S.keyframe(whatIf.edges.source[edge])} – ${S.keyframe(whatIf.edges.target[edge])}`,
+    textContent: `${whatIf.edges.loop[edge] >= 0 ? "" : "step "}${S.keyframe(whatIf.edges.source[edge])} – ${S.keyframe(whatIf.edges.target[edge])}`,
   });
-  const toggleButton = edge => {
+  const toggleButton = (edge, text) => element("button", {
+    type: "button", class: "switch", textContent: text, onclick: () => whatIf.toggle(edge),
+  });
+  const verdict = edge => {
     const {edges, on} = whatIf, back = on[edge] !== edges.kept[edge];
-    const text = on[edge] ? (back ? "leave it out again" : "switch it off") : (back ? "switch it on again" : "force it on");
-    return element("button", {type: "button", class: "switch", textContent: text, onclick: () => whatIf.toggle(edge)});
+    return on[edge] ? (back ? "Leave it out again" : "Switch it off") : (back ? "Switch it on again" : "Force it on");
   };
 
   // What the switches did.
@@ -177,7 +179,7 @@
     const head = element("h3", {textContent: `Doubtful loops: ${rows.length}`});
     if (!rows.length) return element("div", {}, head, element("p", {class: "soft", textContent: `No loop is more than ${gate.toFixed(1)} sigmas off the rest of the map.`}));
     return element("div", {}, head, element("ul", {class: "plain"}, ...rows.slice(0, LISTED).map(at => element("li", {},
-      edgeLink(told.edge[at]), ` ${told.left_out[at].toFixed(1)} sigmas, ${length(told.shift_m[at])} `, toggleButton(told.edge[at])))),
+      toggleButton(told.edge[at], "off"), " ", edgeLink(told.edge[at]), ` ${told.left_out[at].toFixed(1)} σ, ${length(told.shift_m[at])}`))),
       element("button", {type: "button", id: "snoop", textContent: "Switch off the worst until none is left", onclick: () => whatIf.snoop()}));
   }
 
@@ -192,8 +194,8 @@
       return loop => cache.has(loop) ? cache.get(loop) : cache.set(loop, value(name)(loop)).get(loop);
     };
     const shift = cached("shift_m"), off = cached("left_out");
-    S.loops.add({name: "shift", title: "moves cm", value: shift, text: loop => S.number(100 * shift(loop), 2)});
-    S.loops.add({name: "left-out", title: "σ left out", value: off, text: loop => S.number(off(loop), 1)});
+    S.loops.add({name: "shift", title: "moves", value: shift, text: loop => Number.isFinite(shift(loop)) ? length(shift(loop)) : "–"});
+    S.loops.add({name: "left-out", title: "left out", value: off, text: loop => S.number(off(loop), 1)});
   }
 
   S.ready(data => {
@@ -207,7 +209,8 @@
       const changed = whatIf.switched();
       panel.replaceChildren(outcome(), ...(changed.length ? [
         element("h3", {textContent: `Switched: ${changed.length}`}),
-        element("ul", {class: "plain"}, ...changed.map(edge => element("li", {}, edgeLink(edge), " ", toggleButton(edge)))),
+        element("ul", {class: "plain"}, ...changed.map(edge => element("li", {},
+          toggleButton(edge, whatIf.on[edge] ? "off" : "on"), " ", edgeLink(edge)))),
         element("div", {class: "choice"},
           element("button", {type: "button", id: "what-if-reset", textContent: "Back to the map", onclick: whatIf.reset}),
           element("button", {type: "button", id: "edits-download", textContent: "Save edits.yaml", onclick: download})),
@@ -218,7 +221,7 @@
     S.on("what-if", () => S.emit("loops"));
     S.details.extend(chosen => {
       const edge = whatIf.edgeOf(chosen);
-      return edge < 0 ? null : element("div", {class: "what-if"}, influenceOf(edge) || "", toggleButton(edge));
+      return edge < 0 ? null : element("div", {class: "what-if"}, influenceOf(edge) || "", toggleButton(edge, verdict(edge)));
     });
     fill();
     S.panels.add({name: "what-if", title: "What if", element: panel, order: 35});
