@@ -25,6 +25,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.kernel import kernel
 from slam.errors import GraphError
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, held_graph
@@ -32,7 +33,6 @@ from slam.measurements import BoolArray, FloatArray, Pose
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-    from scipy.sparse.linalg import SuperLU
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +83,7 @@ class LinearMap:
         self._size = 3 if self._planar else 6
         self._kept = np.array(kept, np.bool_)
         self._jacobian, self._residuals = _linearized(poses, edges, self._size)
-        self._factor = self._factorized()
+        self._factor = _Factor(self._jacobian[np.repeat(self._kept, self._size)])
         # One step to the very solution: optimisers stop a little before.
         self._residuals += self._jacobian @ self.step()
 
@@ -91,7 +91,7 @@ class LinearMap:
         """((n - 1) d,) what Gauss and Newton would move nodes 1 to n - 1 by, in their tangents."""
         rows = np.repeat(self._kept, self._size)
         gradient = self._jacobian[rows].T @ self._residuals[rows]
-        return np.asarray(-self._factor.solve(gradient), np.float64)
+        return -self._factor.backward(self._factor.forward(gradient[None])[0])
 
     def influences(self, asked: Sequence[int] | NDArray[np.int64]) -> Influences:
         """Of the edges with these numbers."""
@@ -104,25 +104,64 @@ class LinearMap:
         size = self._size
         rows = (np.asarray(numbers)[:, None] * size + np.arange(size)).ravel()
         jacobian, residual = self._jacobian[rows], self._residuals[rows]
-        solved = self._factor.solve(jacobian.toarray().T)
+        pulled = self._factor.forward(jacobian.toarray())
         signs = np.repeat(np.where(self._kept[numbers], -1.0, 1.0), size)
-        pull = np.linalg.solve(np.diag(signs) + jacobian @ solved, residual)
-        tangents = (solved @ pull).reshape(-1, size)
+        pull = np.linalg.solve(np.diag(signs) + pulled @ pulled.T, residual)
+        tangents = self._factor.backward(pull @ pulled).reshape(-1, size)
         shifts = np.linalg.norm(tangents[:, :2] if self._planar else tangents[:, 3:], axis=1)
         most, missed = int(shifts.argmax()), float(np.linalg.norm(residual))
         return float(shifts[most]), most + 1, missed, abs(float(residual @ pull)) ** 0.5
 
-    def _factorized(self) -> SuperLU:
-        """The information of all kept edges together, ready to be solved."""
+
+class _Factor:
+    """The information of all kept edges together as L L', in an order in which it is sparse."""
+
+    def __init__(self, held: csr_array) -> None:
         from scipy.sparse.linalg import splu  # where it is used: that takes 0.1 s
 
-        held = self._jacobian[np.repeat(self._kept, self._size)]
         symmetric = {"SymmetricMode": True}
         information = (held.T @ held).tocsc()
         try:
-            return splu(information, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+            found = splu(information, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
         except RuntimeError as error:
             raise GraphError("the edges that are kept do not join all keyframes") from error
+        self._order = found.perm_c
+        # With its diagonal as pivots the other factor is the transpose, but for the pivots.
+        lower, self._roots = found.L.tocsc(), np.sqrt(found.U.diagonal())
+        self._lower = lower.indptr, lower.indices, lower.data
+
+    def forward(self, rows: FloatArray) -> FloatArray:
+        """(m, N) L^-1 times each row; what is zero costs nothing."""
+        found = np.zeros(rows.shape)
+        found[:, self._order] = rows
+        for row in found:
+            _forward(*self._lower, row)
+        return found / self._roots
+
+    def backward(self, row: FloatArray) -> FloatArray:
+        """(N,) L'^-1 times a row."""
+        found = row / self._roots
+        _backward(*self._lower, found)
+        return found[self._order]
+
+
+@kernel
+def _forward(first: NDArray[np.int32], below: NDArray[np.int32], lower: FloatArray, x: FloatArray) -> None:
+    """Solve by a lower triangle of ones on the diagonal, by columns."""
+    for column in range(len(x)):
+        if x[column] != 0.0:
+            for k in range(first[column], first[column + 1]):
+                if below[k] > column:
+                    x[below[k]] -= lower[k] * x[column]
+
+
+@kernel
+def _backward(first: NDArray[np.int32], below: NDArray[np.int32], lower: FloatArray, x: FloatArray) -> None:
+    """Solve by its transpose."""
+    for column in range(len(x) - 1, -1, -1):
+        for k in range(first[column], first[column + 1]):
+            if below[k] > column:
+                x[column] -= lower[k] * x[below[k]]
 
 
 def influences(poses: Sequence[Pose], edges: Sequence[Edge], kept: Sequence[bool] | BoolArray) -> Influences:
