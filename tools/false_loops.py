@@ -20,7 +20,7 @@ With ``--finished`` they are forced into the graph of a finished map, and nothin
 they found? Loops are ranked at the bent map, by how far it moves without each, by how far it misses each, and
 by how far the map without each misses it; and by data snooping, where the last of these is asked again after
 the worst loop has been left out and the map solved again: one loop after the other, or all loops between the
-same two local maps as one. Told is how many of the false are among so many first of the ranking as
+same two stretches of the way as one. Told is how many of the false are among so many first of the ranking as
 there are false ones and a tenth, and a half; and how many loops, true ones too, were left out until none was
 beyond the gate.
 """
@@ -43,6 +43,7 @@ from slam import load_map
 from slam.config import Config, load_config
 from slam.datasets import open_dataset
 from slam.evaluation.relations import Relations, read_relations, score_relations
+from slam.graph.closings import loop_groups
 from slam.graph.influence import LinearMap
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, held_graph
@@ -203,9 +204,9 @@ def candidate(place: int, keyframe: int, pose: FloatArray, model: MotionEstimate
 def search(options: argparse.Namespace) -> None:
     """Force false loops into finished maps, and tell how soon they are found."""
     few, more = round(1.1 * options.count), round(1.5 * options.count)
-    names = ("shift", "residual", "left out", "one by one", "by local maps")
+    names = ("shift", "residual", "left out", "one by one", "by stretches")
     print(f"false ones among the first {few}, {more}\n")
-    print("| map | false loops | seed | " + " | ".join(names) + " | left out, of them true | by local maps |")
+    print("| map | false loops | seed | " + " | ".join(names) + " | left out, of them true | by stretches |")
     print("|---|---|---|" + "---|" * (len(names) + 2))
     for path in options.finished:
         found = load_map(path)
@@ -235,10 +236,9 @@ def ranked(
     loops = np.array([number for number, edge in enumerate(edges) if edge.loop is not None])
     told = LinearMap(poses, edges, kept).influences(loops)
     rankings = [loops[np.argsort(-values)] for values in (told.shifts_m, told.residuals, told.left_out)]
-    # Loops between the same two local maps are one witness, as for the covariances of poses.
-    ends = [(edges[loop].source // keyframes, edges[loop].target // keyframes) for loop in loops]
-    numbers = np.unique(ends, axis=0, return_inverse=True)[1]
-    together = [loops[numbers == number] for number in range(numbers.max() + 1)]
+    # Loops whose ends lie within a local map of each other: a chain of them is one claim.
+    ends = np.array([(edges[loop].source, edges[loop].target) for loop in loops], np.float64)
+    together = [loops[group] for group in loop_groups(ends, keyframes)]
     gates = []
     for units in ([np.array([loop]) for loop in loops], together):
         order, within = snooped(poses, edges, units, most)
