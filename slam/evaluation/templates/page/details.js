@@ -126,6 +126,7 @@
     });
     S.on("theme", () => fill(S.select.current));
     S.on("poses", () => fill(S.select.current));
+    S.on("what-if", () => fill(S.select.current));
     fill(null);
     S.panels.add({name: "details", title: "Selected", element: panel, order: 20});
   }, 41);
