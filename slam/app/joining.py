@@ -15,10 +15,11 @@ from slam.errors import MapFileError, ScanweaveError
 from slam.localization.known_map import has_walls
 from slam.outputs.finished_map import Map, open_map
 from slam.sessions.connection import Connection, connect
-from slam.sessions.joined_files import move_into, only_one_in, write_joined
+from slam.sessions.joined_files import write_joined
 from slam.storage.files import make_folder, write_bytes
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import identity_of
+from slam.storage.whole_folder import move_into, only_one_in
 
 # Where the session is mapped and the joined map is written until it is whole.
 WORK = "joining"

@@ -218,6 +218,10 @@ class PoseGraph:
         self._estimate = _solved(graph, self._estimate)
         return BatchResult(float(graph.error(self._estimate)), kept)
 
+    def begin_with(self, kept: Iterable[bool]) -> None:
+        """Let the next optimisation begin with what an earlier one has kept of the edges so far."""
+        self._kept = np.fromiter(kept, np.bool_)
+
     def doubt(self, first: int, last: int) -> None:
         """Let the next optimisation begin without the steps of a part of the way that may be refused."""
         for k, edge in enumerate(self.edges[: len(self._kept)]):

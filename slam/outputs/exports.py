@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -83,6 +84,17 @@ class Exports:
         formats = ["tum", "g2o"] if self.layers is None else ["tum", "g2o", "nav2"]
         written = [path for name in formats for path in self.write(name, folder)[0]]
         return written if self.layers is None else written + write_layers(folder / "layers", self.layers)
+
+    def write_sessions(self, folder: Path, poses: Sequence[int]) -> list[Path]:
+        """Write a trajectory a session, where several have so many poses: their clocks may overlap."""
+        written, first, found = list[Path](), 0, self.contents
+        for number, count in enumerate(poses if len(poses) > 1 else (), start=1):
+            part = slice(first, first + count)
+            covariances = None if found.covariances is None else found.covariances[part]
+            path = folder / f"trajectory-{number}.tum"
+            written += write_trajectory(path, found.trajectory[part], covariances)
+            first = part.stop
+        return written
 
     def write_surfaces(self, folder: Path) -> tuple[list[Path], list[str]]:
         """Write surfaces and clouds, and the octree, where they are asked for; see `write`."""

@@ -2,48 +2,22 @@
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
-import os
-import shutil
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 
 from slam.config import Config
-from slam.errors import MapFileError
 from slam.mapper.map_result import depth_grid
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.outputs.finished_map import NOTES, WARNINGS, Map, open_map
 from slam.sessions.session_join import JoinedMap
-from slam.storage.covariances import write_trajectory
 from slam.storage.files import make_folder
-from slam.storage.map_contents import DEPTH, MapContents, write_contents
+from slam.storage.map_contents import DEPTH, write_contents
 from slam.storage.map_file import MAP_NAME, MapFile
 from slam.storage.map_identity import MapIdentity
-from slam.storage.map_sessions import SESSIONS, MapSession, sessions_to_meta
-
-
-@contextmanager
-def only_one_in(folder: Path) -> Iterator[None]:
-    """Keep others from joining a session in a folder during the block; a killed process lets go of it.
-
-    Raises
-    ------
-    MapFileError
-        Where another one does so already.
-    """
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-    except BlockingIOError as error:
-        raise MapFileError(f"another run adds a session in {folder}; wait for its end") from error
-    finally:
-        os.close(handle)
+from slam.storage.map_sessions import SESSIONS, sessions_to_meta
 
 
 def write_joined(folder: Path, known: Map, session: Map, joined: JoinedMap) -> list[Path]:
@@ -76,40 +50,9 @@ def write_joined(folder: Path, known: Map, session: Map, joined: JoinedMap) -> l
         file.close()
     saved = open_map(folder)
     try:
-        written = [folder / MAP_NAME, *saved.write_files(folder)]
+        return [folder / MAP_NAME, *saved.write_files(folder)]
     finally:
         saved.close()
-    return written + _session_trajectories(folder, contents, sessions)
-
-
-def move_into(folder: Path, source: Path) -> list[Path]:
-    """Let all files of a folder take the place of their namesakes in another, ``map.db`` last.
-
-    Each is renamed: at any moment ``map.db`` is the old one or the new one, whole, and while it is the old
-    one the same can be done again. The source is removed.
-
-    Returns
-    -------
-    Where they are now.
-
-    Raises
-    ------
-    MapFileError
-        Where a file cannot be moved.
-    """
-    files = sorted(path for path in source.rglob("*") if path.is_file())
-    files.sort(key=lambda path: path.name == MAP_NAME)
-    moved = []
-    try:
-        for file in files:
-            target = folder / file.relative_to(source)
-            make_folder(target.parent)
-            file.replace(target)
-            moved.append(target)
-        shutil.rmtree(source)
-    except OSError as error:
-        raise MapFileError(f"cannot write {folder}: {error.strerror or error}") from error
-    return moved
 
 
 def _identity(known: Map, session: Map) -> MapIdentity:
@@ -131,15 +74,3 @@ def _depth(known: Map, session: Map, joined: JoinedMap, config: Config) -> Occup
         return None
     frames, poses = (chain.from_iterable(part) for part in zip(*seen, strict=True))
     return depth_grid(frames, list(poses), config)
-
-
-def _session_trajectories(folder: Path, whole: MapContents, sessions: Sequence[MapSession]) -> list[Path]:
-    """Files a session: their clocks may overlap."""
-    written, first = list[Path](), 0
-    for number, session in enumerate(sessions, start=1):
-        part = slice(first, first + session.poses)
-        covariances = None if whole.covariances is None else whole.covariances[part]
-        path = folder / f"trajectory-{number}.tum"
-        written += write_trajectory(path, whole.trajectory[part], covariances)
-        first = part.stop
-    return written
