@@ -136,7 +136,7 @@ def _connected(log: Dataset, known: Map, session: MapRun, folder: Path) -> tuple
         raise
     whole = folder / WORK / "map"
     shutil.rmtree(whole, ignore_errors=True)  # of a run that was killed
-    write_joined(whole, known, session.map, connection.joined)
+    write_joined(whole, known, session.map, connection)
     session.map.close()
     report = (work / "report.html").read_bytes()
     write_bytes(whole / f"report-{len(known.sessions) + 1}.html", report)

@@ -20,6 +20,7 @@ from slam.measurements import FloatArray
 from slam.storage.map_contents import MapContents
 from slam.storage.map_edits import AppliedEdits, Evidence, Region
 from slam.storage.map_edits import Pair as Rows
+from slam.storage.map_file import MapFile
 from slam.storage.map_sessions import MapSession
 
 
@@ -29,6 +30,8 @@ class Known:
 
     Attributes
     ----------
+    file
+        That holds it.
     contents
         The map as people see it, with the edits so far.
     base, before
@@ -37,6 +40,7 @@ class Known:
         Its logs.
     """
 
+    file: MapFile
     contents: MapContents
     base: MapContents
     before: Config

@@ -22,10 +22,10 @@ def known_of(file: MapFile, contents: MapContents, sessions: Sequence[MapSession
     unedited = UneditedFile(file)
     before = MapIdentity.from_meta(unedited.meta(), file.path).config
     base = read_contents(unedited) if contents.edits else contents
-    return Known(contents, base, before, sessions)
+    return Known(file, contents, base, before, sessions)
 
 
-def write_with(file: MapFile, known: Known, edits: Edits, path: Path) -> list[str]:
+def write_with(known: Known, edits: Edits, path: Path) -> list[str]:
     """Write a map with more edits; what cannot be drawn, a line each.
 
     Raises
@@ -36,14 +36,14 @@ def write_with(file: MapFile, known: Known, edits: Edits, path: Path) -> list[st
     entries = [*known.contents.edits]
     if not edits.empty:
         entries.append(understood(known, edits))
-    return write_entries(file, known, entries, path)
+    return write_entries(known, entries, path)
 
 
-def write_entries(file: MapFile, known: Known, entries: Sequence[AppliedEdits], path: Path) -> list[str]:
+def write_entries(known: Known, entries: Sequence[AppliedEdits], path: Path) -> list[str]:
     """Write a map with some of its edits, or others; what cannot be drawn, a line each; errors as above."""
     found, warnings = remade(known.base, entries, known.before, known.sessions)
     config = config_of(known.before, entries)
-    _write(path, UneditedFile(file), found, None if config == known.before else config)
+    _write(path, UneditedFile(known.file), found, None if config == known.before else config)
     return warnings
 
 

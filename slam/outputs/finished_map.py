@@ -9,10 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import gtsam
-
 from slam.config import Config
 from slam.config.edits import Edits, edits_of, load_edits
+from slam.edits.applying import Known
 from slam.edits.edited_file import known_of, write_entries, write_unedited, write_with
 from slam.edits.remaking import regions_of
 from slam.errors import MapFileError
@@ -22,12 +21,12 @@ from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Trajectory
 from slam.outputs.exports import Exports
 from slam.storage.files import make_folder, replacing
-from slam.storage.map_contents import MapContents, SavedFactor, read_contents
+from slam.storage.map_contents import MapContents, SavedFactor, read_contents, refuse_misfits
 from slam.storage.map_file import MAP_NAME, MapFile
 from slam.storage.map_identity import MapIdentity, lines_of
 from slam.storage.map_sessions import MapSession, sessions_of
 from slam.storage.map_soundness import sound_readings
-from slam.storage.map_tables import FRAMES, KEYFRAMES
+from slam.storage.map_tables import KEYFRAMES
 from slam.storage.whole_folder import remake
 from slam.temporary import TemporaryFolder
 
@@ -232,10 +231,10 @@ class Map:
         >>> turned.undone().digest == house.digest
         True
         """
-        known = known_of(self._file, self.contents, self.sessions)
+        known = self.parts()
         chosen = load_edits(edits) if isinstance(edits, str | Path) else edits
         chosen = chosen if isinstance(chosen, Edits) else edits_of(chosen, "the edits")
-        return self._anew(lambda path: write_with(self._file, known, chosen, path), out)
+        return self._anew(lambda path: write_with(known, chosen, path), out)
 
     def remap(self, settings: Sequence[str] = (), *, out: Path | str | None = None) -> Map:
         """The map made anew with other settings, without its log; else as `edited`.
@@ -269,8 +268,11 @@ class Map:
             raise MapFileError(f"{self.path} has no edits to undo")
         if not entries:
             return self._anew(lambda path: write_unedited(self._file, path), out)
-        known = known_of(self._file, self.contents, self.sessions)
-        return self._anew(lambda path: write_entries(self._file, known, entries, path), out)
+        return self._anew(lambda path: write_entries(self.parts(), entries, path), out)
+
+    def parts(self) -> Known:
+        """The map as it is, and as it was before all edits."""
+        return known_of(self._file, self.contents, self.sessions)
 
     def _anew(self, write: Callable[[Path], list[str]], out: Path | str | None) -> Map:
         """A map that is written beside what is there, and takes its place."""
@@ -372,21 +374,7 @@ def open_map(path: Path | str, kept_in: TemporaryFolder | None = None) -> Map:
         sessions = sessions_of(meta, len(contents.node_poses), len(contents.trajectory))
         with file.blaming(KEYFRAMES, len(contents.node_poses) - 1):
             sound_readings(contents.readings, sessions)
-        frames, clouds, nodes = contents.frames, contents.clouds, contents.node_poses
-        in_space = sum(isinstance(pose, gtsam.Pose3) for pose in nodes)
-        if clouds is not None and not len(clouds) == len(nodes) == in_space:
-            raise MapFileError(
-                f"{file.path} holds {len(clouds)} clouds for {len(nodes)} nodes, {in_space} of them in "
-                "space; make the map anew"
-            )
-        for index in range(len(frames) if frames else 0):
-            assert frames
-            with file.blaming(FRAMES, index):
-                head = frames.head(index)
-                if not 0 <= head.node < len(nodes):
-                    raise MapFileError("it belongs to no node")
-                if clouds is not None and head.T_base_camera is None:
-                    raise MapFileError("it does not tell where the camera was on the robot")
+        refuse_misfits(file, contents)
     except BaseException:
         file.close()
         raise

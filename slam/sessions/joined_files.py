@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import hashlib
 import json
+import tempfile
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 
+import numpy as np
+
 from slam.config import Config
+from slam.edits.applying import later_evidence
+from slam.edits.edited_file import write_entries
+from slam.edits.remaking import remade
 from slam.mapper.map_result import depth_grid
 from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.matching.planar import between, compose
 from slam.outputs.finished_map import NOTES, WARNINGS, Map, open_map
-from slam.sessions.session_join import JoinedMap
+from slam.sessions.connection import Connection
+from slam.sessions.session_join import JoinedMap, join
 from slam.storage.files import make_folder
 from slam.storage.map_contents import DEPTH, write_contents
 from slam.storage.map_file import MAP_NAME, MapFile
@@ -20,21 +28,68 @@ from slam.storage.map_identity import MapIdentity
 from slam.storage.map_sessions import SESSIONS, sessions_to_meta
 
 
-def write_joined(folder: Path, known: Map, session: Map, joined: JoinedMap) -> list[Path]:
+def write_joined(folder: Path, known: Map, session: Map, connection: Connection) -> list[Path]:
     """Write ``map.db`` of a map and a session, and its exports, into a new folder; what was written.
+
+    Of a map that a person has edited both are joined once more without the edits, which are then applied:
+    the joined map can be undone as the first could.
 
     Raises
     ------
     ScanweaveError
         Where a file cannot be written.
     """
+    assert connection.joined is not None
     make_folder(folder)
+    if not known.contents.edits:
+        _write(folder / MAP_NAME, known, session, connection.joined)
+    else:
+        with tempfile.TemporaryDirectory() as plain:
+            _write(Path(plain) / MAP_NAME, *_unedited(known, session, connection))
+            _edit(Path(plain), known, folder / MAP_NAME)
+    saved = open_map(folder)
+    try:
+        return [folder / MAP_NAME, *saved.write_files(folder)]
+    finally:
+        saved.close()
+
+
+def _unedited(known: Map, session: Map, connection: Connection) -> tuple[Map, Map, JoinedMap]:
+    """A map without its edits, a session, and the two joined by the same loops."""
+    parts = known.parts()
+    identity = replace(known.identity, config=parts.before)
+    before = replace(known, contents=parts.base, identity=identity)
+    poses, base = known.keyframe_poses, before.keyframe_poses
+    anchors = []
+    for anchor in connection.placing.anchors:
+        near = int(np.hypot(*(poses[:, :2] - anchor.pose[:2]).T).argmin())
+        T_base_map = compose(base[near], between(poses[near], np.zeros(3)))
+        T_base_session = compose(T_base_map, anchor.T_map_session)
+        anchors.append(replace(anchor, pose=compose(T_base_map, anchor.pose), T_map_session=T_base_session))
+    placing = replace(connection.placing, anchors=anchors)
+    return before, session, join(before, session, placing, connection.loops, before.config)
+
+
+def _edit(folder: Path, known: Map, path: Path) -> None:
+    """Apply the edits of a map to it and a session joined without them."""
+    joined, entries = open_map(folder), known.contents.edits
+    try:
+        first, parts = len(known.contents.node_poses), joined.parts()
+        found, _ = remade(parts.base, entries, parts.before, parts.sessions)
+        entries = later_evidence(found, entries, first, known.config)
+        write_entries(parts, entries, path)
+    finally:
+        joined.close()
+
+
+def _write(path: Path, known: Map, session: Map, joined: JoinedMap) -> None:
+    """Write ``map.db`` of the two."""
     config = known.config
     depth, contents = _depth(known, session, joined, config), joined.contents
     if depth is not None:
         contents = replace(contents, grids={**contents.grids, DEPTH: depth})
     sessions = [*known.sessions, *session.sessions]
-    file = MapFile.create(folder / MAP_NAME)
+    file = MapFile.create(path)
     try:
         for key, value in _identity(known, session).to_meta().items():
             file.add_meta(key, value)
@@ -48,11 +103,6 @@ def write_joined(folder: Path, known: Map, session: Map, joined: JoinedMap) -> l
         file.seal()
     finally:
         file.close()
-    saved = open_map(folder)
-    try:
-        return [folder / MAP_NAME, *saved.write_files(folder)]
-    finally:
-        saved.close()
 
 
 def _identity(known: Map, session: Map) -> MapIdentity:

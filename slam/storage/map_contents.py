@@ -263,6 +263,25 @@ def read_contents(file: MapFile) -> MapContents:
     )
 
 
+def refuse_misfits(file: MapFile, contents: MapContents) -> None:
+    """Refuse frames and clouds that do not fit the nodes; `MapFileError` as in `read_contents`."""
+    frames, clouds, nodes = contents.frames, contents.clouds, contents.node_poses
+    in_space = sum(isinstance(pose, gtsam.Pose3) for pose in nodes)
+    if clouds is not None and not len(clouds) == len(nodes) == in_space:
+        raise MapFileError(
+            f"{file.path} holds {len(clouds)} clouds for {len(nodes)} nodes, {in_space} of them in "
+            "space; make the map anew"
+        )
+    for index in range(len(frames) if frames else 0):
+        assert frames
+        with file.blaming(FRAMES, index):
+            head = frames.head(index)
+            if not 0 <= head.node < len(nodes):
+                raise MapFileError("it belongs to no node")
+            if clouds is not None and head.T_base_camera is None:
+                raise MapFileError("it does not tell where the camera was on the robot")
+
+
 def _ground_m(file: MapFile) -> float | None:
     """The height of the floor, where the map tells it."""
     with file.blaming(META, 0):
