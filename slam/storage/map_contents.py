@@ -39,6 +39,7 @@ from slam.storage.map_tables import (
     CAMERAS,
     COVARIANCES,
     FACTORS,
+    FRAMES,
     GRIDS,
     KEYFRAMES,
     LOOPS,
