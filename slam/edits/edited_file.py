@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from slam.config import Config
 from slam.config.edits import Edits
 from slam.edits.applying import Known, understood
 from slam.edits.remaking import config_of, remade
+from slam.mapping.band_scan import ground_of
+from slam.matching.cloud_points import voxel_of
 from slam.storage.map_contents import MapContents, read_contents, write_contents
 from slam.storage.map_edits import AppliedEdits, UneditedFile, append_edits, copy_rows, copy_unedited
 from slam.storage.map_file import SEAL, MapFile
@@ -21,8 +24,19 @@ def known_of(file: MapFile, contents: MapContents, sessions: Sequence[MapSession
     """A map, and how it was before all edits."""
     unedited = UneditedFile(file)
     before = MapIdentity.from_meta(unedited.meta(), file.path).config
-    base = read_contents(unedited) if contents.edits else contents
+    contents = replace(contents, ground_m=_ground_m(contents, before))
+    base = replace(read_contents(unedited), ground_m=contents.ground_m) if contents.edits else contents
     return Known(file, contents, base, before, sessions)
+
+
+def _ground_m(contents: MapContents, config: Config) -> float | None:
+    """Height of the floor of a robot in space, also where an older map does not tell it."""
+    if contents.clouds is None or contents.ground_m is not None:
+        return contents.ground_m
+    voxel_m = voxel_of(contents.clouds.points(0, everything=True), config.cloud_odometry)
+    thickness_m = config.cloud_odometry.thickness_m
+    ground = ground_of(contents.clouds, contents.T_base_lidar, voxel_m, thickness_m)
+    return None if ground is None else ground.height_m
 
 
 def write_with(known: Known, edits: Edits, path: Path) -> list[str]:
