@@ -153,6 +153,6 @@ def _written(
     notes = [(reason, f"{tally.count:,}") for reason, tally in log.report.dropped.items()]
     notes += [(finding.kind, finding.line) for finding in findings]
     write_localization_report(
-        out / "report.html", f"{log.path.name} in {saved.path}", drive, saved.grid, notes
+        out / "report.html", f"{log.path.name} in {saved.path}", drive, saved.layers, notes
     )
     return (*files, out / "report.html")

@@ -83,7 +83,7 @@ def run_into(
     make_folder(folder)
     if resume and finished_map(folder, identity):
         return MapRun(open_map(folder), None, ())
-    config, written = identity.config, []
+    config, written = identity.config, list[Path]()
     with ExitStack() as stack:
         viewer = stack.enter_context(recording(record))
         file = stack.enter_context(opened_map(folder, identity, resume=resume))
@@ -96,27 +96,36 @@ def run_into(
         on_progress(Progress("mapping", readings, 1.0))
         on_progress(Progress("writing", readings))
         made = Exports(result.map, config)
+        before = time.perf_counter()
         files, missing = _written(folder, made) if exports else ([], [])
-        data = None
-        if report:
-            cost = RunCost(time.perf_counter() - started, time.process_time())
-            beside = beside_of(dataset, result, files, missing)
-            data = ReportData(identity.log_name, dataset.report, result, config, cost, beside)
-            write_report(folder / "report.html", data)
-            written.append(folder / "report.html")
+        result.stage_seconds["files for other programs"] = time.perf_counter() - before
         if viewer is not None:
             record_map(viewer, result, config)
+        before = time.perf_counter()
         write_contents(file, result.map)
         if result.map.ground_m is not None:
             file.add_meta(GROUND, json.dumps(result.map.ground_m))
         file.add_meta(NOTES, json.dumps(result.notes))
         file.add_meta(WARNINGS, json.dumps(result.warnings))
         file.seal()
+    result.stage_seconds["map.db"] = time.perf_counter() - before
     # One in memory at a time: what is handed out is what anybody reads from the file.
     del made
     result.map = replace(result.map, grids={})
-    saved = open_map(folder)
+    saved, data = open_map(folder), None
     result.map = saved.contents
+    if report:
+        try:
+            cost = RunCost(time.perf_counter() - started, time.process_time())
+            beside = beside_of(dataset, result, files, missing)
+            data = ReportData(
+                identity.log_name, dataset.report, result, config, cost, beside, saved.sessions, saved.digest
+            )
+            write_report(folder / "report.html", data)
+        except BaseException:
+            saved.close()
+            raise
+        written.append(folder / "report.html")
     return MapRun(saved, data, (*files, folder / MAP_NAME, *written), dataset.report.dropped_count)
 
 

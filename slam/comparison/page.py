@@ -37,6 +37,7 @@ def write_page(path: Path, plan: Plan, rows: Sequence[Row], store: ResultStore) 
     pages.write_page(
         path,
         "comparison.html",
+        scripts=["sort.js"],
         title=plan.experiment.name,
         kind="comparison",
         plan=plan,

@@ -1,25 +1,26 @@
-"""report.html of a localised drive: states and confidence over time, the way over the map, what it cost."""
+"""report.html of a localised drive: the way over the map, states and confidence over time, what it cost."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from slam.evaluation.figure_parts import BLUE, GREY, ORANGE, RED, figure_of, plain, png_of
+from slam.evaluation.page_charts import chart
+from slam.evaluation.page_data import way_data
+from slam.evaluation.page_layers import layer_pictures
 from slam.evaluation.pages import write_page
-from slam.evaluation.report_figures import MapPicture, map_png
+from slam.evaluation.work_page import WorkPage, work_page
 from slam.localization.drive_log import STATES, DriveLog
 from slam.localization.output import State
-from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.mapping.layered_map import LayeredMap
 from slam.measurements import FloatArray
-
-_COLORS: Mapping[State, str] = {State.SEARCHING: GREY, State.TRACKING: BLUE, State.LOST: RED}
 
 
 def write_localization_report(
-    path: Path, title: str, drive: DriveLog, grid: OccupancyGrid | None, notes: Sequence[tuple[str, str]]
+    path: Path, title: str, drive: DriveLog, layers: LayeredMap | None, notes: Sequence[tuple[str, str]]
 ) -> None:
     """Write the report as one HTML file that asks nothing of the network.
 
@@ -27,7 +28,7 @@ def write_localization_report(
     ----------
     title
         The log and the map.
-    grid
+    layers
         Of the map; None of a map without a lidar.
     notes
         (what, how much) rows of the reader's report.
@@ -37,17 +38,67 @@ def write_localization_report(
     MapFileError
         Where the folder is missing, not writable or full; an older report then stays as it was.
     """
+    page = _page(title, drive, layers)
     write_page(
         path,
         "localization.html",
+        scripts=page.scripts,
+        styles=page.styles,
+        page=page,
         title=title,
         kind="localisation",
         shares=_shares(drive),
-        map_png=_map_png(drive, grid),
-        time_png=_time_png(drive),
         cost=_cost(drive),
         notes=notes,
     )
+
+
+def _page(title: str, drive: DriveLog, layers: LayeredMap | None) -> WorkPage:
+    """The plan with the way in it."""
+    sigmas = drive.sigmas()
+    positions, yaws = (drive.of_trajectory(values).astype(np.float32) for values in sigmas)
+    way, told, chosen = way_data(drive.trajectory(), (positions, yaws))
+    later = np.isnan(drive.of_trajectory(np.zeros(len(drive))))[chosen]
+    columns = [("confidence", drive.confidences), ("share that the map explains", drive.supports)]
+    way["more"] = [
+        {"name": name.split(" ")[0], "title": name, "unit": "", "values": drive.of_trajectory(values)[chosen]}
+        for name, values in columns
+    ]
+    found = {"name": "found", "title": "when it was found", "classes": ["at once", "later, by going back"]}
+    way["more"].append({**found, "values": later.astype(np.uint8)})
+    head: dict[str, Any] = {
+        "kind": "localization",
+        "title": title,
+        "planar": True,
+        "unit": "measurement",
+        "sessions": [title],
+        "trajectory": way,
+        "layers": layer_pictures(layers),
+        "limits": told,
+        "charts": _charts(drive, sigmas),
+    }
+    return work_page(head, "Path in the map")
+
+
+def _charts(drive: DriveLog, sigmas: tuple[FloatArray, FloatArray]) -> list[dict[str, Any]]:
+    """Confidence by state, support, sigma and cost over time."""
+    if not len(drive):
+        return []
+    since = drive.stamps_s - drive.stamps_s.min()
+    states = {
+        state.value: np.where(drive.states == number, drive.confidences, np.nan)
+        for number, state in enumerate(STATES)
+    }
+    rows = [
+        ("Share that the map explains", drive.supports, 1.0),
+        ("Sigma of the position, cm", 100.0 * sigmas[0], None),
+        ("Time a measurement, ms", 1000.0 * drive.seconds, None),
+    ]
+    charts = [chart("Confidence", "time, s", since, states, most=1.0)]
+    return charts + [
+        chart(title, "time, s", since, {title: values}, **({} if most is None else {"most": most}))
+        for title, values, most in rows
+    ]
 
 
 def _shares(drive: DriveLog) -> list[tuple[str, str]]:
@@ -67,35 +118,3 @@ def _cost(drive: DriveLog) -> str:
     return (
         f"{median:.1f} ms a measurement (median), {greatest:.0f} ms at most, {rate:.0f} a second on average."
     )
-
-
-def _map_png(drive: DriveLog, grid: OccupancyGrid | None) -> bytes:
-    """The trajectory over the grid."""
-    picture = None if grid is None else MapPicture.of(grid.states(), grid.resolution_m, grid.T_map_grid)
-    return map_png(drive.trajectory().positions_m[:, :2], np.zeros((0, 4)), picture)
-
-
-def _time_png(drive: DriveLog) -> bytes:
-    """Confidence, coloured by state, and support below it."""
-    figure = figure_of(1000, 460)
-    below = figure.add_axes((0.065, 0.10, 0.92, 0.38))
-    above = figure.add_axes((0.065, 0.54, 0.92, 0.38), sharex=below)
-    elapsed_s: FloatArray = drive.stamps_s - drive.stamps_s.min(initial=np.inf)
-    for number, state in enumerate(STATES):
-        here = drive.states == number
-        above.plot(
-            elapsed_s[here],
-            drive.confidences[here],
-            linestyle="none",
-            marker="o",
-            markersize=2,
-            color=_COLORS[state],
-            label=state.value,
-        )
-    above.set(ylabel="confidence", ylim=(-0.03, 1.03))
-    above.legend(loc="lower left", bbox_to_anchor=(-0.01, 0.985), ncols=3, fontsize=8, frameon=False)
-    below.plot(elapsed_s, drive.supports, linestyle="none", marker="o", markersize=2, color=ORANGE)
-    below.set(ylabel="share that the map explains", xlabel="time, s", ylim=(-0.03, 1.03))
-    for axes in (above, below):
-        plain(axes)
-    return png_of(figure)

@@ -17,7 +17,6 @@ from slam.config import Config
 from slam.datasets.dataset import Dataset, ReadReport
 from slam.datasets.sensor_choice import use_lines
 from slam.errors import ScanweaveError
-from slam.evaluation.report_figures import MapPicture
 from slam.evaluation.truth_comparison import TruthComparison, compare_with_truth
 from slam.graph.pose_graph import EdgeKind
 from slam.mapper.map_result import MapResult
@@ -26,14 +25,13 @@ from slam.mapping.dense_map import ColoredCloud
 from slam.mapping.layered_map import LayeredMap
 from slam.measurements import BoolArray
 from slam.storage.map_contents import SavedFactor
+from slam.storage.map_sessions import MapSession
 from slam.storage.ply import read_cloud_ply
 
 CLOUD_FILE = "cloud.ply"
 _LIBRARIES = ("scanweave", "gtsam", "numpy", "numba", "kiss-icp", "open3d-cpu", "opencv-python-headless")
 # More unmatched scans than this share deserve a line at the top of the page.
 _UNMATCHED_SHARE = 0.01
-# What is free at the height of the lidar only.
-LIDAR_HEIGHT_GREY = 232
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +99,8 @@ class ReportData:
         What the reader has met.
     beside
         What can be shown beside the map.
+    sessions, digest
+        Of the saved map, see `slam.Map`.
     """
 
     log_name: str
@@ -109,6 +109,8 @@ class ReportData:
     config: Config
     cost: RunCost
     beside: Beside = Beside()
+    sessions: Sequence[MapSession] = ()
+    digest: str = ""
 
     @property
     def unit(self) -> Literal["scan", "frame"]:
@@ -155,26 +157,6 @@ class ReportData:
     def layers(self) -> LayeredMap | None:
         """The map to drive by and what it was made of."""
         return self.result.map.layers(self.config)
-
-    @property
-    def map_picture(self) -> MapPicture | None:
-        """The map to drive by, what only the lidar saw free in a grey of its own."""
-        layers = self.layers
-        if layers is None:
-            return None
-        drawn = MapPicture.of(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
-        drawn.image[::-1][layers.free_at_lidar_height()] = LIDAR_HEIGHT_GREY
-        return drawn
-
-    def layer_pictures(self) -> dict[str, MapPicture]:
-        """What the map was made of: all but the decision, which is the map itself."""
-        layers = self.layers
-        if layers is None:
-            return {}
-        return {
-            name: MapPicture.of(layers.states(name), layers.resolution_m, layers.T_map_grid)
-            for name in layers.names[:-1]
-        }
 
     def registrations(self) -> list[tuple[str, str]]:
         """Of every camera: whether its colour is registered to its depth, in a line with the reason."""

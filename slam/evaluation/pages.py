@@ -6,7 +6,9 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import math
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,11 +20,12 @@ from slam.datasets.sensor_choice import SensorUse, use_lines
 from slam.foreign import plain_lines
 from slam.storage.files import replacing
 
+TEMPLATES = Path(__file__).parent / "templates"
 _TELLING_S = 0.02  # medians of two clocks that are nearer to each other than that tell nothing
 
 
 def write_page(path: Path, template: str, **values: Any) -> None:
-    """Fill a template in; every text is escaped, a picture is bytes of PNG.
+    """Write what `page_parts` gives.
 
     Raises
     ------
@@ -30,7 +33,41 @@ def write_page(path: Path, template: str, **values: Any) -> None:
         Where the folder is missing, not writable or full; an older page then stays as it was.
     """
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
-        file.writelines(_environment().get_template(template).generate(**values))
+        file.writelines(page_parts(template, **values))
+
+
+def page_parts(
+    template: str,
+    *,
+    scripts: Sequence[str] = (),
+    styles: Sequence[str] = (),
+    connect: str = "'none'",
+    **values: Any,
+) -> Iterator[str]:
+    """A page, part after part; every text is escaped, a picture is bytes of PNG.
+
+    A policy in its head lets the browser run these scripts and no others, and ask for nothing.
+
+    Parameters
+    ----------
+    scripts, styles
+        Names of templates that go in as they are.
+    connect
+        What scripts may connect to, as a Content-Security-Policy names it.
+    """
+    sources = [(TEMPLATES / name).read_text(encoding="utf-8") for name in scripts]
+    hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in sources]
+    allowed = " ".join(f"'sha256-{one}'" for one in hashes) or "'none'"
+    policy = (
+        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:; "
+        f"worker-src blob:; connect-src {connect}; base-uri 'none'; form-action 'none'"
+    )
+    values |= {
+        "policy": policy,
+        "scripts": [Markup(text) for text in sources],
+        "styles": [Markup((TEMPLATES / name).read_text(encoding="utf-8")) for name in styles],
+    }
+    return _environment().get_template(template).generate(**values)
 
 
 def render(template: str, **values: Any) -> Markup:
@@ -53,7 +90,7 @@ def parts() -> Any:
 def _environment() -> Environment:
     """Templates that make plain and escape what they are given, and fail on what they are not given."""
     environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent / "templates"),
+        loader=FileSystemLoader(TEMPLATES),
         autoescape=lambda name: name is None or not name.endswith(".txt"),
         trim_blocks=True,
         lstrip_blocks=True,

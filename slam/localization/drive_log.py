@@ -9,9 +9,10 @@ from typing import Any
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from slam.localization.output import LocalizerOutput, State
-from slam.measurements import FloatArray, Pose, Trajectory
+from slam.measurements import BoolArray, FloatArray, Pose, Trajectory
 from slam.storage.files import write_lines
 from slam.storage.tum import write_tum
 
@@ -78,11 +79,25 @@ class DriveLog:
 
     def trajectory(self) -> Trajectory:
         """Poses while tracking, and those of earlier measurements that were found to lead there; by stamp."""
-        tracked = self.states == STATES.index(State.TRACKING)
-        stamps = [*self.stamps_s[tracked], *(stamp for stamp, _ in self._recovered)]
+        tracked, order = self._tracked_and_order()
+        stamps = np.array([*self.stamps_s[tracked], *(stamp for stamp, _ in self._recovered)])
         rows = np.array([*self.poses[tracked], *(pose for _, pose in self._recovered)]).reshape(-1, 7)
-        order = np.argsort(stamps, kind="stable")
-        return Trajectory(np.array(stamps)[order], rows[order, :3], rows[order, 3:])
+        return Trajectory(stamps[order], rows[order, :3], rows[order, 3:])
+
+    def of_trajectory(self, values: FloatArray) -> FloatArray:
+        """(M,) of the poses of `trajectory`, of (N,) of the measurements; nan where one was found later."""
+        tracked, order = self._tracked_and_order()
+        return np.concatenate([values[tracked], np.full(len(self._recovered), np.nan)])[order]
+
+    def sigmas(self) -> tuple[FloatArray, FloatArray]:
+        """(N,) sigma of the position where it is greatest, m, and of the yaw, rad; nan where unknown."""
+        positions, yaws = np.full(len(self), np.nan), np.full(len(self), np.nan)
+        for number, covariance in enumerate(self._covariances):
+            if covariance is not None:
+                place = covariance[:2, :2] if len(covariance) == len(_PLANAR_AXES) else covariance[3:, 3:]
+                positions[number] = np.sqrt(np.linalg.eigvalsh(place)[-1])
+                yaws[number] = np.sqrt(covariance[2, 2])
+        return positions, yaws
 
     def write(self, folder: Path) -> list[Path]:
         """Write ``trajectory.csv``, and ``trajectory.tum`` where there is any pose; the files."""
@@ -108,6 +123,12 @@ class DriveLog:
         for stamp_s, recovered in self._recovered:
             head = [_number(stamp_s), "recovered", State.TRACKING.value, "", ""]
             yield ",".join([*head, *map(_number, recovered), *[""] * len(pairs)])
+
+    def _tracked_and_order(self) -> tuple[BoolArray, NDArray[np.intp]]:
+        """(N,) which measurements the trajectory holds; (M,) its order, those found later behind them."""
+        tracked = self.states == STATES.index(State.TRACKING)
+        stamps = [*self.stamps_s[tracked], *(stamp for stamp, _ in self._recovered)]
+        return tracked, np.argsort(stamps, kind="stable")
 
     def _columns(self) -> FloatArray:
         """(N, 5) stamp, state, confidence, support, seconds."""

@@ -38,11 +38,22 @@ class Mapper:
         self._sensors: dict[type, Sensor] = {}
         self._graph: KeyframeGraph | None = None
         self._record = ScanRecorder()
+        self._keyframes_s = self._beside_s = 0.0
 
     @property
     def scan_count(self) -> int:
         """Scans, clouds or frames so far that were given a pose."""
         return self._front_end.readings.scan_count
+
+    @property
+    def stage_seconds(self) -> dict[str, float]:
+        """Wall time of what was taken so far, by stage."""
+        scans = float(self._record.finish().seconds.sum())
+        return {
+            "scans": scans - self._keyframes_s,
+            "keyframes and loops": self._keyframes_s,
+            "what is between the scans": self._beside_s,
+        }
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:
         """Where cameras sit that the log does not tell, as far as this run has shown."""
@@ -56,12 +67,16 @@ class Mapper:
             if kind not in self._sensors:
                 self._sensors[kind] = SENSORS[kind](self._config)
             self._sensors[kind].observe(measurement)
+            self._beside_s += time.perf_counter() - started
             return
         tracked = self._front_end.observe(measurement)
         if tracked is None:
+            self._beside_s += time.perf_counter() - started
             return
         if tracked.new_keyframe:
+            before = time.perf_counter()
             self._add_keyframe(tracked)
+            self._keyframes_s += time.perf_counter() - before
         self._record.add(tracked.stamp_s, tracked.motion, time.perf_counter() - started, tracked.match)
 
     def add_loop(self, candidate: LoopCandidate) -> None:
@@ -107,13 +122,14 @@ class Mapper:
             ),
             scans,
             {
-                "scans": float(scans.seconds.sum()),
+                **self.stage_seconds,
                 "final optimisation": clock[1] - clock[0],
                 "full trajectory": clock[2] - clock[1],
             },
         )
         front_end.complete(result)
-        result.stage_seconds["map"] = time.perf_counter() - clock[2]
+        drawing_s = time.perf_counter() - clock[2]
+        result.stage_seconds["map"] = drawing_s - result.stage_seconds.get("fusion", 0.0)
         result.notes += [note for sensor in self._sensors.values() for note in sensor.notes()]
         result.warnings += _apart(graph.pieces(outcome.kept), result.map.stamps_s - scans.stamps_s[0])
         return result

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 
@@ -56,7 +57,7 @@ def build_map(
     DatasetError
         Where the log holds nothing that can be mapped.
     """
-    checkpoint = checkpoint or Checkpoint()
+    checkpoint, clock = checkpoint or Checkpoint(), [time.perf_counter()]
     findings = checkpoint.findings(lambda: findings_of(dataset, config))
     config = settled(config, findings)
     choice = SensorChoice.of(dataset, config.sensors)
@@ -68,13 +69,23 @@ def build_map(
     if choice.cameras:
         prepare = FramePreparer(config.rgbd, registrations, lambda: checkpoint.replaying)
     mapper = Mapper(config, _front_end(choice, config, checkpoint, registrations, mountings, odometries))
+    clock += [time.perf_counter()] * 2
     tally = _feed(mapper, dataset, choice, prepare, on_scan)
     if not mountings and (mountings := mapper.learned_mountings()):
         # The way up to there was mapped without these cameras; now they are known from its beginning.
+        clock[2] = time.perf_counter()
         checkpoint.begin_again(findings, registrations, mountings)
         mapper = Mapper(config, PlanarRobot(config, checkpoint, registrations, mountings, odometries))
         tally = _feed(mapper, dataset, choice, prepare, on_scan)
+    clock.append(time.perf_counter())
+    reading_s = clock[3] - clock[2] - sum(mapper.stage_seconds.values())
     result = mapper.finish()
+    result.stage_seconds = {
+        "sensors looked at": clock[1] - clock[0],
+        **({"a first way, to learn mountings": clock[2] - clock[1]} if clock[2] > clock[1] else {}),
+        "reading the log": reading_s,
+        **result.stage_seconds,
+    }
     result.uses = tally.uses(dataset.report, result.unused)
     result.notes += [f"{finding.line} (used)" for finding in findings if finding.sure and finding.remedies]
     result.notes += use_lines(result.uses)

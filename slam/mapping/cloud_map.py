@@ -50,7 +50,7 @@ def map_cloud(clouds: Iterable[FloatArray], poses: Sequence[gtsam.Pose3], voxel_
     gathered = [*batches, *waiting]
     points_map = thin_to_voxels(np.vstack(gathered), voxel_m) if gathered else np.zeros((0, 3))
     normals = _towards_the_path(points_map, plane_normals(points_map, voxel_m), poses)
-    return ColoredCloud(points_map.astype(np.float32), _by_height(points_map), normals.astype(np.float32))
+    return ColoredCloud(points_map.astype(np.float32), by_height(points_map), normals.astype(np.float32))
 
 
 def plane_normals(points: FloatArray, voxel_m: float) -> FloatArray:
@@ -92,7 +92,7 @@ def _towards_the_path(points: FloatArray, normals: FloatArray, poses: Sequence[g
     return np.where(away[:, None], -normals, normals)
 
 
-def _by_height(points: FloatArray) -> Colors:
+def by_height(points: FloatArray) -> Colors:
     """(N, 3) RGB of the heights."""
     if not len(points):
         return np.zeros((0, 3), dtype=np.uint8)

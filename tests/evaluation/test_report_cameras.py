@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import replace
 from pathlib import Path
 
 import gtsam
 import numpy as np
 import pytest
-from PIL import Image
+from reading_pages import page_data
 
 from slam.config import Config
 from slam.datasets.dataset import ReadReport
 from slam.errors import DatasetError
-from slam.evaluation.camera_figures import tracking_png
-from slam.evaluation.cloud_picture import cloud_from_above
 from slam.evaluation.map_report import Beside, ReportData, RunCost, beside_of
 from slam.evaluation.report import write_report
 from slam.evaluation.truth_comparison import compare_with_truth
@@ -95,16 +92,16 @@ def page(run: MapResult, folder: Path, beside: Beside = Beside()) -> str:  # noq
 def test_a_map_by_cameras_is_told_in_frames(tmp_path: Path) -> None:
     html = page(result(lost=slice(20, 27)), tmp_path)
     assert "<dt>frames</dt><dd>100</dd>" in html and "median time a frame" in html
-    assert "Scan matching" not in html and "<dt>scans" not in html
+    assert "<dt>scans" not in html
     assert "<tr><td>RGBD_1<td>100<td>7<td>0<td>–<td>–<td>0.85<td>321<td>1.25<td>4.2" in html
     assert "7 of 100 frames matched nothing; their motion is dead reckoning." in html
-    assert "Trajectory from above and from the side" in html and html.count("<img") == 4
+    assert "<h2>Trajectory</h2>" in html
 
 
 def test_a_map_by_lidar_is_told_in_scans(tmp_path: Path) -> None:
     html = page(replace(result(gtsam.Pose2(), EdgeKind.LIDAR), cameras={}), tmp_path)
-    assert "<dt>scans</dt><dd>100</dd>" in html and "Scan matching" in html
-    assert "<h2>Cameras" not in html and "from the side" not in html and html.count("<img") == 3
+    assert "<dt>scans</dt><dd>100</dd>" in html
+    assert "<h2>Cameras" not in html
 
 
 @pytest.mark.parametrize(
@@ -150,21 +147,6 @@ def test_the_path_of_a_camera_is_measured_in_space() -> None:
     climb = replace(trajectory(), positions_m=np.outer(np.arange(COUNT), [0.0, 0.0, 0.02]))
     run = replace(result(), map=replace(result().map, trajectory=climb))
     assert report(run).path_length_m == pytest.approx(0.02 * (COUNT - 1))
-
-
-def redness(png: bytes) -> int:
-    """Pixels of the colour of a loss."""
-    rgb = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), dtype=int)
-    return int(np.count_nonzero((rgb[..., 0] - rgb[..., 1] > 40) & (rgb[..., 0] - rgb[..., 2] > 40)))
-
-
-def test_lost_frames_are_marked_even_a_single_one() -> None:
-    none, one, many = (
-        redness(tracking_png(frames(lost))) for lost in (slice(0), slice(50, 51), slice(50, 80))
-    )
-    assert none == 0
-    assert one > 500
-    assert many > 20 * one
 
 
 @pytest.fixture
@@ -246,56 +228,11 @@ def room() -> ColoredCloud:
 PATH = np.array([[0.2, 0.2, 1.0], [1.0, 1.0, 1.0]])
 
 
-def test_the_highest_surface_is_seen_and_the_ceiling_looked_through() -> None:
-    seen = cloud_from_above(room(), PATH, pixel_m=0.02, level=False)
-    assert seen is not None
-    picture, path_xy = seen
-    assert picture.image.shape[:2] == (100, 100)
-    assert (picture.image[5:30, 70:95] == GREEN).all()  # row 0 is the largest y
-    assert (picture.image[40:95, 5:95] == RED).all()
-    np.testing.assert_array_equal(path_xy, PATH[:, :2])
-
-
-def test_a_tilted_cloud_is_levelled_with_its_path() -> None:
-    turn = gtsam.Rot3.Ypr(0.0, 0.35, -0.3).matrix()
-    level = room()
-    tilted = ColoredCloud(
-        (level.points_map @ turn.T).astype(np.float32),
-        level.colors,
-        (level.normals_map @ turn.T).astype(np.float32),
-    )
-    seen = cloud_from_above(tilted, PATH @ turn.T, pixel_m=0.02, level=True)
-    assert seen is not None
-    picture, path_xy = seen
-    counts = [int((picture.image == color).all(axis=2).sum()) for color in (GREEN, RED, BLUE)]
-    assert counts[0] == pytest.approx(35**2, rel=0.05) and counts[2] == 0
-    assert counts[1] == pytest.approx(100**2 - 35**2, rel=0.05)
-    step = path_xy[1] - path_xy[0]
-    assert np.linalg.norm(step) == pytest.approx(0.8 * np.sqrt(2.0), abs=1e-3)
-
-
-def test_a_picture_of_the_cloud_has_a_bounded_size_and_ignores_strays() -> None:
-    far = room()
-    far.points_map[0] = [0.0, 5000.0, 0.0]
-    seen = cloud_from_above(far, PATH, pixel_m=0.0001, level=False)
-    assert seen is not None and max(seen[0].image.shape) <= 1001
-    assert seen[0].resolution_m < 0.003
-
-
-def test_nothing_to_see_is_no_picture() -> None:
-    nothing = ColoredCloud(
-        np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8), np.empty((0, 3), np.float32)
-    )
-    ceiling = square(1.0, 2.0, BLUE, -1.0, np.zeros(2))
-    assert cloud_from_above(nothing, PATH, pixel_m=0.02, level=False) is None
-    assert cloud_from_above(ceiling, PATH, pixel_m=0.02, level=False) is None
-
-
 def test_the_cloud_is_read_from_the_written_file(tmp_path: Path) -> None:
     write_cloud_ply(tmp_path / "cloud.ply", room())
     beside = beside_of(Log(None), result(), [tmp_path / "map.pgm", tmp_path / "cloud.ply"])  # type: ignore[arg-type]
     assert beside.cloud is not None and len(beside.cloud.points_map) == len(room().points_map)
-    assert "Coloured map from above" in page(result(), tmp_path, beside)
+    assert len(page_data(page(result(), tmp_path, beside))["cloud"]["points"]) > 1000
     (tmp_path / "cloud.ply").write_bytes(b"ply\n")
     beside = beside_of(Log(None), result(), [tmp_path / "cloud.ply"])  # type: ignore[arg-type]
     assert beside.cloud is None and "No picture of the coloured map" in beside.warnings[0]

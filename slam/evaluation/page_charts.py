@@ -1,0 +1,171 @@
+"""What the charts of a page draw: series over time or over the log, thinned to what can be seen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from fusion import Grade, Provenance
+from slam.evaluation.truth_comparison import TruthComparison
+from slam.mapper.keyframe_fusion import FusionSummary
+from slam.mapper.map_result import MapResult
+from slam.mapper.scan_record import ScanRecord
+from slam.measurements import BoolArray, FloatArray
+
+_POINTS = 4000
+_STRETCHES = 250
+_COLORS = ("blue", "orange", "green", "red", "soft", "mark")
+
+
+def chart(
+    title: str, across: str, x: FloatArray, series: Mapping[str, FloatArray], **more: Any
+) -> dict[str, Any]:
+    """A chart for the head of a page's data.
+
+    Parameters
+    ----------
+    across
+        What ``x`` (N,) is; it may run backward.
+    series
+        (N,) of each name; nan is no point.
+    more
+        ``lines``: whether points are joined; ``most``: upper end of the axis; ``band``: whether the first two
+        series are the edges of a band.
+    """
+    order = np.argsort(x, kind="stable")
+    chosen = order[:: max(1, -(-len(order) // _POINTS))]
+    return {
+        "title": title,
+        "across": across,
+        "x": x[chosen].astype(np.float64),
+        "series": [
+            {
+                "name": name,
+                "color": _COLORS[number % len(_COLORS)],
+                "values": values[chosen].astype(np.float32),
+            }
+            for number, (name, values) in enumerate(series.items())
+        ],
+        **more,
+    }
+
+
+def map_charts(result: MapResult, unit: str, truth: TruthComparison | None) -> list[dict[str, Any]]:
+    """Of a run: how well scans fitted, how certain poses are, what time was needed, what cameras saw."""
+    found = []
+    if unit == "scan":
+        found += _scores(result)
+    if result.map.covariances is not None and len(result.map.trajectory):
+        found += sigma_charts(result.map.trajectory.stamps_s, result.map.covariances)
+    if truth is not None:
+        errors_cm = 100.0 * truth.errors_m
+        series = {"error, cm": errors_cm}
+        found.append(chart("Distance from the truth, cm", "time, s", _since(truth.stamps_s), series))
+    for name, record in result.cameras.items():
+        found += _tracking(name, record.frames)
+    found += [] if result.fused is None else _fusion(result.fused)
+    if result.scans.seconds.size:
+        found.append(_times(result.scans.seconds, unit))
+    return found
+
+
+def sigma_charts(stamps_s: FloatArray, covariances: FloatArray) -> list[dict[str, Any]]:
+    """Sigma of the position where it is greatest, and of the yaw; of covariances as in `slam.Map`."""
+    axes = 2 if covariances.shape[1] == 3 else 3
+    places = 100.0 * np.sqrt(np.linalg.eigvalsh(covariances[:, :axes, :axes])[:, -1])
+    yaws = np.degrees(np.sqrt(covariances[:, -1, -1]))
+    return [
+        chart(title, "time, s", _since(stamps_s), {title: values})
+        for title, values in (("Sigma of the position, cm", places), ("Sigma of the yaw, degrees", yaws))
+    ]
+
+
+def _scores(result: MapResult) -> list[dict[str, Any]]:
+    """How the keyframes' scans fitted; matches with an open direction in a colour of their own."""
+    scans, keyframes = result.scans, result.map.readings
+    if not len(keyframes):
+        return []
+    since, open_ = _since(scans.stamps_s[keyframes]), scans.degenerate[keyframes] > 0.0
+    return [
+        chart(
+            "Share of the points that fit",
+            "time, s",
+            since,
+            _split(scans.inlier_shares[keyframes], open_),
+            most=1.0,
+        ),
+        chart(
+            "Residual of the points, mm",
+            "time, s",
+            since,
+            _split(1000.0 * scans.residuals_m[keyframes], open_),
+        ),
+    ]
+
+
+def _split(values: FloatArray, open_: BoolArray) -> dict[str, FloatArray]:
+    """Values of all matches, and of those that left a direction open."""
+    series = {"match": np.where(open_, np.nan, values)}
+    return series | ({"a direction is open": np.where(open_, values, np.nan)} if open_.any() else {})
+
+
+def _tracking(name: str, frames: ScanRecord) -> list[dict[str, Any]]:
+    """How well the frames of a camera fitted; a lost frame is a point at zero."""
+    rows = {
+        "share of the points that fit": frames.inlier_shares,
+        "overlap": frames.overlaps,
+        "features that agree": frames.feature_counts,
+        "reprojection, px": frames.residuals_px,
+        "distance to the surface, mm": 1000.0 * frames.residuals_m,
+    }
+    lost = np.where(frames.unmatched, 0.0, np.nan)
+    since, also = _since(frames.stamps_s), {"lost": lost} if frames.unmatched.any() else {}
+    return [
+        chart(f"{name}: {title}", "time, s", since, {title: values, **also})
+        for title, values in rows.items()
+        if np.isfinite(values).any()
+    ]
+
+
+def _fusion(fused: FusionSummary) -> list[dict[str, Any]]:
+    """The offset of every pair by its grade, and which share of each scan was repaired."""
+    found = []
+    if fused.pairs:
+        since = _since(np.array([pair.stamp_s for pair in fused.pairs]))
+        offsets, grades = (np.array([getattr(pair, name) for pair in fused.pairs]) for name in ("u", "grade"))
+        series = {
+            f"grade {grade.name.lower()}": np.where(grades == grade, offsets, np.nan) for grade in Grade
+        }
+        if fused.estimate is not None:
+            series["u of the rig"] = np.full(len(offsets), float(fused.estimate.u))
+        found.append(chart("Fusion: offset u of every pair, samples", "time, s", since, series))
+    repaired = [pair for pair in fused.pairs if pair.repaired is not None]
+    if repaired:
+        counts = np.array([pair.repaired for pair in repaired], dtype=np.float64)
+        percent = 100.0 * counts / counts.sum(axis=1, keepdims=True)
+        kinds = (Provenance.FILLED, Provenance.INTERPOLATED, Provenance.AVERAGED)
+        series = {kind.name.lower(): percent[:, kind] for kind in kinds}
+        since = _since(np.array([pair.stamp_s for pair in repaired]))
+        found.append(chart("Fusion: beams of the scan that were repaired, %", "time, s", since, series))
+    return found
+
+
+def _times(seconds: FloatArray, unit: str) -> dict[str, Any]:
+    """Median and range of the time a scan in stretches of the log: a flat line is a flat cost."""
+    size = -(-seconds.size // _STRETCHES)
+    count = -(-seconds.size // size)
+    padding = np.full(count * size - seconds.size, np.nan)
+    stretches = 1000.0 * np.concatenate([seconds, padding]).reshape(count, size)
+    middle = np.minimum((np.arange(count) + 0.5) * size, seconds.size)
+    high = np.nanpercentile(stretches, 95.0, axis=1)
+    # The first of all loads compiled code: it may leave the picture rather than flatten all others.
+    top = max(min(1.15 * float(high.max()), 4.0 * float(np.percentile(high, 95.0))), 1e-3)
+    series = {"95 %": high, "least": np.nanmin(stretches, axis=1), "median": np.nanmedian(stretches, axis=1)}
+    return chart(f"Time a {unit}, ms", unit, middle, series, lines=True, band=True, most=top)
+
+
+def _since(stamps_s: FloatArray) -> FloatArray:
+    """Seconds since the first."""
+    return stamps_s - stamps_s.min() if stamps_s.size else stamps_s

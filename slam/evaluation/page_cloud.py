@@ -1,0 +1,100 @@
+"""The cloud and the images of a map as a page shows them: thinned to a stated size."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.mapping.cloud_map import by_height
+from slam.mapping.dense_map import ColoredCloud
+from slam.matching.local_cloud import moved
+from slam.measurements import FloatArray, spatial
+from slam.storage.map_clouds import MapClouds
+from slam.storage.map_contents import MapContents
+
+# A page holds no more: points of the cloud, images and pixels along the longer side of each.
+_POINTS, _IMAGES, _SIDE_PX = 200_000, 120, 200
+# Stray points far off would shrink everything else.
+_OUTSIDE_PERCENT = 0.1
+_STEPS = np.iinfo(np.uint16).max
+# Cosines between a normal and the upward direction: ever narrower cones around the floors and tables.
+_CONES = (0.8, 0.9, 0.95, 0.97)
+_LEAST_SHARE = 0.02
+
+
+def cloud_data(found: MapContents, cloud: ColoredCloud | None) -> tuple[dict[str, Any] | None, list[str]]:
+    """The coloured cloud of the images, or else of the 3D lidar, and a line that tells of its size.
+
+    Points are (N, 3) in steps of ``step_m`` from ``low``, map frame; ``up`` is the upward direction. A
+    hand-held camera does not know it, yet most of what faces up is a floor or a table.
+    """
+    up = np.array([0.0, 0.0, 1.0])
+    if cloud is not None and len(cloud.points_map):
+        total, step = len(cloud.points_map), max(1, -(-len(cloud.points_map) // _POINTS))
+        points, colors = cloud.points_map[::step].astype(np.float64), cloud.colors[::step]
+        if not found.planar and found.clouds is None:
+            up = _upward(cloud.normals_map)
+    elif found.clouds is not None and len(found.clouds):
+        points, total = _of_keyframes(found.clouds, found)
+        colors = by_height(points)
+    else:
+        return None, []
+    low, high = np.percentile(points, [_OUTSIDE_PERCENT, 100.0 - _OUTSIDE_PERCENT], axis=0)
+    inside = ((points >= low) & (points <= high)).all(axis=1)
+    step_m = max(float((high - low).max()), 1e-3) / _STEPS
+    steps = np.rint((points[inside] - low) / step_m).astype(np.uint16)
+    data = {"points": steps, "colors": colors[inside], "low": low, "step_m": step_m, "up": up}
+    return data, [f"The cloud: {len(steps):,} of {total:,} points, evenly taken."]
+
+
+def _of_keyframes(clouds: MapClouds, found: MapContents) -> tuple[FloatArray, int]:
+    """(N, 3) points of the keyframes' clouds in the map, evenly taken, and how many there are in all."""
+    share, total, parts = _POINTS // len(clouds) + 1, 0, list[FloatArray]()
+    for points, pose in zip(clouds, found.node_poses, strict=True):
+        total += len(points)
+        parts.append(moved(points[:: max(1, -(-len(points) // share))], spatial(pose)))
+    return np.vstack(parts), total
+
+
+def _upward(normals: NDArray[np.float32]) -> FloatArray:
+    """(3,) the direction that most surfaces near z face."""
+    up = np.array([0.0, 0.0, 1.0])
+    for cosine in _CONES:
+        around = normals[normals @ up > cosine]
+        if len(around) < _LEAST_SHARE * len(normals):
+            break
+        mean = around.mean(axis=0, dtype=np.float64)
+        up = mean / np.linalg.norm(mean)
+    return up
+
+
+def image_data(found: MapContents) -> tuple[dict[str, Any] | None, list[str]]:
+    """Images of camera keyframes, small, one JPEG after the other; a line that tells of their size."""
+    from PIL import Image
+
+    frames = found.frames
+    if frames is None or not len(frames):
+        return None, []
+    chosen = np.unique(np.linspace(0, len(frames) - 1, min(_IMAGES, len(frames))).astype(int))
+    files, heads = list[bytes](), []
+    for index in chosen.tolist():
+        frame = frames.frame(index)
+        image = Image.fromarray(frame.color)
+        image.thumbnail((_SIDE_PX, _SIDE_PX))
+        buffer = io.BytesIO()
+        image.save(buffer, format="jpeg", quality=70)
+        files.append(buffer.getvalue())
+        heads.append(frames.head(index))
+    names = sorted({head.sensor for head in heads})
+    data = {
+        "first": np.concatenate([[0], np.cumsum([len(file) for file in files])]).astype(np.int32),
+        "bytes": np.frombuffer(b"".join(files), np.uint8),
+        "node": np.array([head.node for head in heads], np.int32),
+        "stamps_s": np.array([head.stamp_s for head in heads]),
+        "camera": np.array([names.index(head.sensor) for head in heads], np.uint8),
+        "cameras": names,
+    }
+    return data, [f"Images: {len(files):,} of {len(frames):,}, at most {_SIDE_PX} pixels wide."]

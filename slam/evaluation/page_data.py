@@ -1,0 +1,279 @@
+"""A finished map as the data of its page: nodes, edges, loops, scans and the way, as arrays by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.config import Config
+from slam.evaluation.association import nearest_indices
+from slam.evaluation.page_layers import layer_pictures
+from slam.graph.loop_closure import LoopCandidate
+from slam.matching.planar import transform_points
+from slam.measurements import FloatArray, LaserScan, Pose, Trajectory, row_from_pose2, spatial
+from slam.storage.covariances import upper_triangles
+from slam.storage.map_contents import MapContents, SavedFactor
+from slam.storage.map_sessions import MapSession
+
+# A page holds no more: points of scans, poses of the way. What is left out is evenly so, and told.
+_SCAN_POINTS, _POSES = 1_000_000, 20_000
+_CM_A_METRE = 100.0
+_FARTHEST_CM = np.iinfo(np.int16).max
+
+
+def map_data(
+    found: MapContents, config: Config, *, title: str, sessions: Sequence[MapSession] = (), digest: str = ""
+) -> dict[str, Any]:
+    """What the page of a map works with, see `slam.evaluation.page_blob.packed`.
+
+    Parameters
+    ----------
+    sessions
+        The logs of the map, in order; none for a map of one.
+    digest
+        Of the map, so that edits can tell what they were made for.
+    """
+    session = np.repeat(np.arange(len(sessions)), [one.keyframes for one in sessions]) if sessions else None
+    rows = _rows_of_nodes(found, sessions)
+    sigmas = _sigmas(found)
+    scans, told = _scans(found.keyframe_scans, len(found.node_poses))
+    way, way_told = _way(found, rows, sigmas)
+    names = [one.log_name for one in sessions] or [title]
+    node_session = np.zeros(len(found.node_poses), np.int32) if session is None else session.astype(np.int32)
+    way |= {"session": node_session[way["node"]].astype(np.uint8), "sessions": names}
+    return {
+        "kind": "map",
+        "title": title,
+        "digest": digest,
+        "planar": found.planar,
+        "unit": "scan" if any(scan is not None for scan in found.keyframe_scans) else "frame",
+        "sessions": names,
+        "nodes": {
+            "stamps_s": found.stamps_s,
+            "session": node_session,
+            "readings": found.readings.astype(np.int32),
+            "poses": pose_rows(found.node_poses),
+            "bases": found.keyframe_poses,
+            "sigmas_m": sigmas[0][rows],
+            "ellipses": _plane_covariances(found.covariances, rows),
+        },
+        "edges": _edges(found.factors, found.planar),
+        "loops": _loops(found.loops, found.factors, found.planar),
+        "scans": scans,
+        "repairs": _repairs(found),
+        "layers": layer_pictures(found.layers(config)),
+        "trajectory": way,
+        "limits": [*told, *way_told],
+    }
+
+
+def pose_rows(poses: Sequence[Pose]) -> FloatArray:
+    """(N, 3) x, y, yaw of poses in the plane; (N, 7) x, y, z and a quaternion (x, y, z, w) in space."""
+    if poses and isinstance(poses[0], gtsam.Pose2):
+        return np.array([row_from_pose2(pose) for pose in poses])
+    rows = []
+    for pose in poses:
+        turn: Any = spatial(pose).rotation().toQuaternion()
+        rows.append([*spatial(pose).translation().tolist(), turn.x(), turn.y(), turn.z(), turn.w()])
+    return np.array(rows, np.float64).reshape(-1, 7)
+
+
+def way_data(
+    trajectory: Trajectory, sigmas: tuple[NDArray[np.float32], NDArray[np.float32]]
+) -> tuple[dict[str, Any], list[str], slice]:
+    """Where the robot was over time, thinned; lines that tell of it, and which poses are there."""
+    count = len(trajectory)
+    chosen = slice(None, None, max(1, -(-count // _POSES)))
+    part = trajectory[chosen]
+    steps_s = np.diff(part.stamps_s)
+    speed = np.full(len(part), np.nan, np.float32)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moved = np.linalg.norm(np.diff(part.positions_m, axis=0), axis=1) / steps_s
+    if len(part) > 1:
+        speed[1:] = np.where(steps_s > 0.0, moved, np.nan)
+    data = {
+        "stamps_s": part.stamps_s,
+        "xy": part.positions_m[:, :2].astype(np.float32),
+        "z": part.positions_m[:, 2].astype(np.float32),
+        "yaw": part.to_planar()[:, 2].astype(np.float32),
+        "sigma_m": sigmas[0][chosen],
+        "yaw_sigma": sigmas[1][chosen],
+        "speed": speed,
+    }
+    told = [] if chosen.step == 1 else [f"The way: {len(part):,} of {count:,} poses, evenly taken."]
+    return data, told, chosen
+
+
+def _way(
+    found: MapContents, rows: NDArray[np.intp], sigmas: tuple[NDArray[np.float32], NDArray[np.float32]]
+) -> tuple[dict[str, Any], list[str]]:
+    """The way of the map, and what told each step: the surest kept edge from the keyframe before."""
+    data, told, chosen = way_data(found.trajectory, sigmas)
+    kinds = sorted({str(factor.edge.kind) for factor in found.factors if factor.edge.loop is None})
+    sources, spread = np.full(len(found.node_poses), len(kinds), np.uint8), dict[int, float]()
+    for factor in found.factors:
+        edge = factor.edge
+        if factor.kept and edge.loop is None and edge.target == edge.source + 1:
+            size = float(np.trace(edge.covariance))
+            if size < spread.get(edge.target, np.inf):
+                spread[edge.target] = size
+                sources[edge.target] = kinds.index(str(edge.kind))
+    sources[:1] = sources[1:2] if len(sources) > 1 else len(kinds)
+    numbers, before = np.arange(len(found.trajectory))[chosen], np.maximum.accumulate(rows)
+    data["source"], data["node"] = np.zeros(len(numbers), np.uint8), np.zeros(len(numbers), np.int32)
+    if len(rows):
+        data["source"] = sources[np.minimum(np.searchsorted(before, numbers), len(rows) - 1)]
+        data["node"] = np.maximum(np.searchsorted(before, numbers, side="right") - 1, 0).astype(np.int32)
+    return {**data, "sources": [*kinds, "nothing"]}, told
+
+
+def _rows_of_nodes(found: MapContents, sessions: Sequence[MapSession]) -> NDArray[np.intp]:
+    """(K,) the pose of the trajectory that is each node's: the nearest stamp of its session."""
+    stamps_s = found.trajectory.stamps_s
+    if not len(stamps_s):
+        return np.zeros(0, np.intp)
+    rows, node, pose = [], 0, 0
+    for keyframes, poses in [(one.keyframes, one.poses) for one in sessions] or [
+        (len(found.stamps_s), len(stamps_s))
+    ]:
+        part = nearest_indices(stamps_s[pose : pose + poses], found.stamps_s[node : node + keyframes])
+        rows.append(part + pose)
+        node, pose = node + keyframes, pose + poses
+    return np.concatenate(rows)
+
+
+def _sigmas(found: MapContents) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """(N,) sigma of each position where it is greatest, and of the yaw, radians; nan where unknown."""
+    covariances = found.covariances
+    if covariances is None:
+        unknown = np.full(len(found.trajectory), np.nan, np.float32)
+        return unknown, unknown
+    axes = 2 if covariances.shape[1] == 3 else 3
+    positions = np.sqrt(np.linalg.eigvalsh(covariances[:, :axes, :axes])[:, -1])
+    return positions.astype(np.float32), np.sqrt(covariances[:, -1, -1]).astype(np.float32)
+
+
+def _plane_covariances(covariances: FloatArray | None, rows: NDArray[np.intp]) -> NDArray[np.float32]:
+    """(K, 3) xx, xy, yy of the nodes' positions, none where nothing is told."""
+    if covariances is None or not len(rows):
+        return np.zeros((0, 3), np.float32)
+    found = covariances[rows]
+    return np.column_stack([found[:, 0, 0], found[:, 0, 1], found[:, 1, 1]]).astype(np.float32)
+
+
+def _edges(factors: Sequence[SavedFactor], planar: bool) -> dict[str, Any]:
+    """The graph's edges."""
+    edges = [factor.edge for factor in factors]
+    kinds = sorted({str(edge.kind) for edge in edges})
+    return {
+        "source": np.array([edge.source for edge in edges], np.int32),
+        "target": np.array([edge.target for edge in edges], np.int32),
+        "kind": np.array([kinds.index(str(edge.kind)) for edge in edges], np.uint8),
+        "kinds": kinds,
+        "kept": np.array([factor.kept for factor in factors], np.uint8),
+        "trusted": np.array([edge.trusted for edge in edges], np.uint8),
+        "loop": np.array([-1 if edge.loop is None else edge.loop for edge in edges], np.int32),
+        "measured": _rows_of([edge.T_source_target for edge in edges], planar),
+        "covariance": _triangles([edge.covariance for edge in edges], planar),
+    }
+
+
+def _loops(loops: Sequence[LoopCandidate], factors: Sequence[SavedFactor], planar: bool) -> dict[str, Any]:
+    """Every loop candidate; what has no match is nan."""
+    reasons = sorted({loop.reason for loop in loops})
+    numbers = {reason: number for number, reason in enumerate(reasons)}
+    edges = np.full(len(loops), -1, np.int32)
+    for number, factor in enumerate(factors):
+        if factor.edge.loop is not None and factor.edge.loop < len(loops):
+            edges[factor.edge.loop] = number
+    matched = [number for number, loop in enumerate(loops) if loop.motion is not None]
+    motions = [loop.motion for loop in loops if loop.motion is not None]
+    return {
+        "place": np.array([loop.place for loop in loops], np.int32),
+        "keyframe": np.array([loop.keyframe for loop in loops], np.int32),
+        "accepted": np.array([loop.accepted for loop in loops], np.uint8),
+        "score": _of_loops(loops, "inlier_share"),
+        "search": np.array([loop.score for loop in loops], np.float32),
+        "residual_m": _of_loops(loops, "residual_m"),
+        "half_width_m": np.array([loop.half_width_m for loop in loops], np.float32),
+        "reason": np.array([numbers[loop.reason] for loop in loops], np.uint16),
+        "reasons": reasons,
+        "edge": edges,
+        # Of those that were matched: which, the pose of the keyframe seen from the place, its covariance.
+        "matched": np.array(matched, np.int32),
+        "measured": _rows_of([motion.T_reference_base for motion in motions], planar),
+        "covariance": _triangles([motion.covariance for motion in motions], planar),
+    }
+
+
+def _of_loops(loops: Sequence[LoopCandidate], name: str) -> NDArray[np.float32]:
+    """A number of the loops' matches; nan where there is none."""
+    values = [np.nan if loop.motion is None else getattr(loop.motion, name) for loop in loops]
+    return np.array(values, np.float32)
+
+
+def _rows_of(poses: Sequence[Pose], planar: bool) -> FloatArray:
+    """As `pose_rows`, of the right width where there are none."""
+    return pose_rows(poses).reshape(-1, 3 if planar else 7)
+
+
+def _triangles(covariances: Sequence[FloatArray], planar: bool) -> FloatArray:
+    """(N, 6) or (N, 21) upper triangles."""
+    size = 3 if planar else 6
+    return upper_triangles(np.array(covariances, np.float64).reshape(-1, size, size))
+
+
+def _scans(scans: Sequence[LaserScan | None], count: int) -> tuple[dict[str, Any], list[str]]:
+    """Points of the keyframes' scans, base frame, thinned; a line that tells of it."""
+    total = sum(scan.ranges_m.size for scan in scans if scan is not None)
+    step = max(1, -(-total // _SCAN_POINTS))
+    parts = [
+        np.zeros((0, 2), np.int16) if scan is None else _centimetres(_points_base(scan)[::step])
+        for scan in scans or [None] * count
+    ]
+    told = [] if step == 1 else [f"Scans: every {step}th point."]
+    return _stacked(parts), told
+
+
+def _repairs(found: MapContents) -> dict[str, Any]:
+    """What fusion changed of the scans, base frame: kind 0 is new, 1 now elsewhere, 2 where it was."""
+    parts, kinds = [], []
+    total = sum(scan.ranges_m.size for scan in found.keyframe_scans if scan is not None)
+    step = max(1, -(-total // _SCAN_POINTS))
+    for before, after in zip(found.measured_scans, found.keyframe_scans, strict=False):
+        if before is None or after is None or before is after:
+            parts.append(np.zeros((0, 2), np.int16))
+            continue
+        was, now = np.isfinite(before.ranges_m), np.isfinite(after.ranges_m)
+        changed = now & (after.ranges_m != before.ranges_m)
+        chosen = [(after, changed & ~was), (after, changed & was), (before, changed & was)]
+        rows = [_centimetres(_points_base(scan, which)[::step]) for scan, which in chosen]
+        parts.append(np.vstack(rows))
+        kinds.append(np.repeat(np.arange(3, dtype=np.uint8), [len(row) for row in rows]))
+    stacked = _stacked(parts)
+    return {**stacked, "kind": np.concatenate(kinds) if kinds else np.zeros(0, np.uint8)}
+
+
+def _points_base(scan: LaserScan, which: NDArray[np.bool_] | None = None) -> FloatArray:
+    """(N, 2) points of a scan, or of some of its beams, base frame."""
+    mount = row_from_pose2(scan.T_base_laser)
+    if which is None:
+        return transform_points(scan.points_laser(), mount)
+    bearings, ranges_m = scan.bearings_rad()[which], scan.ranges_m[which].astype(np.float64)
+    points = np.column_stack([ranges_m * np.cos(bearings), ranges_m * np.sin(bearings)])
+    return transform_points(points, mount)
+
+
+def _centimetres(points: FloatArray) -> NDArray[np.int16]:
+    """Rounded; a point beyond 327 m stays at that."""
+    return np.clip(np.rint(_CM_A_METRE * points), -_FARTHEST_CM, _FARTHEST_CM).astype(np.int16)
+
+
+def _stacked(parts: Sequence[NDArray[np.int16]]) -> dict[str, Any]:
+    """Points of all keyframes, and where those of each begin."""
+    first = np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.int32)
+    return {"first": first, "points": np.vstack(parts) if parts else np.zeros((0, 2), np.int16)}

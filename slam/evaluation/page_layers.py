@@ -1,0 +1,155 @@
+"""The layers of a map as pictures that lie under the page's plan."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.mapping.layered_map import LayeredMap, LayerName
+from slam.mapping.occupancy_grid import FREE, OCCUPIED
+from slam.measurements import BoolArray
+
+# A browser draws pictures of this size smoothly; larger maps are shown in coarser cells.
+_LONGEST_SIDE_PX = 4096
+_MARGIN_CELLS = 8  # of what is shown around all that is known
+# What a cell is, so ordered that the greater hides the lesser where cells are joined.
+_UNSEEN, _FREE, _LIDAR_HEIGHT, _WALL = range(4)
+_SHADES = ((205, 205, 205), (254, 254, 254), (232, 232, 232), (0, 0, 0))
+_CONFLICT = ((0, 0, 0), (217, 115, 13), (147, 51, 234))
+LEGENDS = {
+    "map": "The map to drive by: black is what the robot must not hit, white is free.",
+    "probability": "How likely a cell is occupied, by all sensors together: white 0, black 1.",
+    "lidar": "The lidar alone, at its own height (layers/lidar.yaml).",
+    "depth": "The cameras alone, within the robot's height (layers/depth.yaml).",
+    "fused": "Both as one probability: unknown where they contradict each other (layers/fused.yaml).",
+    "what differs": "Orange: only the cameras see an obstacle. Violet: only the lidar does.",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A layer.
+
+    Attributes
+    ----------
+    kinds
+        (rows, cols) index into the shades; 0 is seen through. Row 0 at the lowest y, as in a grid.
+    shades
+        Colour of each kind.
+    """
+
+    name: str
+    kinds: NDArray[np.uint8]
+    shades: Sequence[tuple[int, int, int]]
+
+    def png(self, window: tuple[slice, slice]) -> bytes:
+        """A part of it, row 0 at the top."""
+        from PIL import Image
+
+        kinds = _joined(self.kinds[window])
+        image = Image.fromarray(np.ascontiguousarray(kinds[::-1]), mode="P")
+        image.putpalette(np.array(self.shades, np.uint8).tobytes())
+        buffer = io.BytesIO()
+        image.save(buffer, format="png", transparency=0)
+        return buffer.getvalue()
+
+
+def layer_pictures(layers: LayeredMap | None) -> list[dict[str, Any]]:
+    """The map first, and what it was made of, for the head of the page's data; nothing without a map.
+
+    Each tells its name, what its colours mean, the PNG as a data address, the side of a pixel, and the pose
+    ``T_map_corner`` (x, y, yaw) of its lower-left corner.
+    """
+    if layers is None:
+        return []
+    pictures = [_map(layers), *_parts(layers)]
+    window = _known(pictures)
+    rows, columns = (part.stop - part.start for part in window)
+    pixel_m = layers.resolution_m * _step((rows, columns))
+    low = gtsam.Pose2(window[1].start * layers.resolution_m, window[0].start * layers.resolution_m, 0.0)
+    corner = layers.T_map_grid.compose(low)
+    found = []
+    for picture in pictures:
+        address = "data:image/png;base64," + base64.b64encode(picture.png(window)).decode("ascii")
+        found.append(
+            {
+                "name": picture.name,
+                "legend": LEGENDS[picture.name],
+                "png": address,
+                "resolution_m": pixel_m,
+                "corner": [corner.x(), corner.y(), corner.theta()],
+                "rows": -(-rows // _step((rows, columns))),
+                "cols": -(-columns // _step((rows, columns))),
+            }
+        )
+    return found
+
+
+def areas_m2(layers: LayeredMap) -> tuple[float, float]:
+    """How much of the floor is free, and how much more at the height of the lidar only."""
+    counts = np.bincount(_map(layers).kinds.ravel(), minlength=len(_SHADES))
+    return counts[_FREE] * layers.resolution_m**2, counts[_LIDAR_HEIGHT] * layers.resolution_m**2
+
+
+def _map(layers: LayeredMap) -> Picture:
+    """The map to drive by, what only the lidar saw free in a kind of its own."""
+    kinds = _kinds(layers, "decision")
+    kinds[layers.free_at_lidar_height() & (kinds == _UNSEEN)] = _LIDAR_HEIGHT
+    return Picture("map", kinds, _SHADES)
+
+
+def _parts(layers: LayeredMap) -> list[Picture]:
+    """What it was made of."""
+    percent = layers.percent()
+    grey = np.rint(np.linspace(254.0, 0.0, 101)).astype(int).tolist()
+    shades = [(0, 0, 0), *((shade, shade, shade) for shade in grey)]
+    found = [Picture("probability", (percent + 1).astype(np.uint8), shades)]
+    found += [Picture(name, _kinds(layers, name), _SHADES) for name in layers.names if name != "decision"]
+    if layers.lidar is not None and layers.depth is not None:
+        lidar, depth = layers.states("lidar"), layers.states("depth")
+        kinds = np.zeros(lidar.shape, np.uint8)
+        kinds[(lidar == FREE) & (depth == OCCUPIED)] = 1
+        kinds[(lidar == OCCUPIED) & (depth == FREE)] = 2
+        found.append(Picture("what differs", kinds, _CONFLICT))
+    return found
+
+
+def _kinds(layers: LayeredMap, name: LayerName) -> NDArray[np.uint8]:
+    """States of a layer as kinds."""
+    states = layers.states(name)
+    kinds = np.zeros(states.shape, np.uint8)
+    kinds[states == FREE], kinds[states == OCCUPIED] = _FREE, _WALL
+    return kinds
+
+
+def _known(pictures: Sequence[Picture]) -> tuple[slice, slice]:
+    """Rows and columns that hold all that is known, with a margin; all where nothing is."""
+    known: BoolArray = np.any([picture.kinds > 0 for picture in pictures], axis=0)
+    windows = []
+    for axis in (1, 0):
+        (there,) = np.nonzero(known.any(axis=axis))
+        size = known.shape[1 - axis]
+        first, last = (there[0], there[-1]) if there.size else (0, size - 1)
+        windows.append(slice(max(int(first) - _MARGIN_CELLS, 0), min(int(last) + _MARGIN_CELLS + 1, size)))
+    return windows[0], windows[1]
+
+
+def _step(shape: tuple[int, int]) -> int:
+    """Cells along the side of a pixel."""
+    return max(1, -(-max(shape) // _LONGEST_SIDE_PX))
+
+
+def _joined(kinds: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """In coarser cells where it is large: the greatest kind stays, so that thin walls do."""
+    step = _step((kinds.shape[0], kinds.shape[1]))
+    if step > 1:
+        for axis in (0, 1):
+            kinds = np.maximum.reduceat(kinds, np.arange(0, kinds.shape[axis], step), axis=axis)
+    return kinds

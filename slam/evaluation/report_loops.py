@@ -1,0 +1,61 @@
+"""The part of a map's page about its loops: what held its shape, what was accepted, what not and why."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+from slam.config import Config
+from slam.evaluation.pages import render
+from slam.graph.closings import closings
+from slam.graph.loop_closure import LoopCandidate
+from slam.storage.map_contents import MapContents
+
+# Beyond this many rows the accepted loops are folded too, so that the page stays readable.
+_MOST_OPEN_ROWS = 40
+_MOST_CLOSINGS = 10
+
+
+def loop_section(found: MapContents, config: Config, degenerate: int = 0) -> str:
+    """As HTML; ``degenerate`` counts the keyframes whose match left a direction open."""
+    accepted = [_score_cells(loop, found, config) for loop in found.loops if loop.accepted]
+    refused = [(*_score_cells(loop, found, config), loop.reason) for loop in found.loops if not loop.accepted]
+    return render(
+        "loops.html",
+        closings=_closings(found, config),
+        degenerate=degenerate,
+        matches=len(found.readings),
+        accepted=accepted,
+        refused=refused,
+        most_open=_MOST_OPEN_ROWS,
+        reasons=[(why, f"{count:,}") for why, count in Counter(row[-1] for row in refused).most_common()],
+    )
+
+
+def _closings(found: MapContents, config: Config) -> list[tuple[str, ...]]:
+    """The loops that closed most, one row each."""
+    held = [factor.edge for factor in found.factors if factor.kept]
+    # Claims about places support each other over as much of the way.
+    reach_m = 2.0 * config.loops.least_path_m
+    rows = closings(held, found.node_poses, reach_m, _MOST_CLOSINGS)
+    return [
+        (
+            f"{one.place} to {one.keyframe}",
+            str(one.loops),
+            f"{one.path_m:,.0f} m",
+            f"{one.before_m:.2f} m",
+            f"{one.after_m:.3f} m",
+            f"{one.after_sigmas:.1f}",
+            "nothing" if math.isinf(one.without_m) else f"{one.without_m:.2f} m",
+        )
+        for one in rows
+    ]
+
+
+def _score_cells(loop: LoopCandidate, found: MapContents, config: Config) -> tuple[str, ...]:
+    """The numbers of one loop as text; a loop that was refused before it was scored has a dash."""
+    poses = found.keyframe_poses
+    x, y = (poses[loop.keyframe] - poses[loop.place])[:2]
+    score = "–" if loop.motion is None else f"{loop.motion.inlier_share:.3f}"
+    apart = f"{math.hypot(x, y):.2f} m"
+    return str(loop.keyframe), str(loop.place), apart, score, f"{config.loops.least_inlier_share:.3f}"

@@ -1,0 +1,82 @@
+"""The page of a saved map, without the run that made it; and the plan of any map with cloud and images."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from slam.config import Config, dump_config
+from slam.evaluation.page_charts import sigma_charts
+from slam.evaluation.page_cloud import cloud_data, image_data
+from slam.evaluation.page_data import map_data
+from slam.evaluation.page_layers import LEGENDS, areas_m2
+from slam.evaluation.pages import page_parts
+from slam.evaluation.report_loops import loop_section
+from slam.evaluation.work_page import WorkPage, work_page
+from slam.mapping.dense_map import ColoredCloud
+from slam.mapping.layered_map import LayeredMap
+from slam.outputs.finished_map import Map
+from slam.storage.map_contents import MapContents
+
+
+def saved_page(saved: Map, connect: str = "'none'") -> Iterator[str]:
+    """The page, part after part.
+
+    Parameters
+    ----------
+    connect
+        What its scripts may connect to, see `slam.evaluation.pages.page_parts`.
+    """
+    found, config = saved.contents, saved.config
+    title = saved.path.parent.name if len(saved.sessions) > 1 else saved.sessions[0].log_name
+    head = map_data(found, config, title=title, sessions=saved.sessions, digest=saved.digest)
+    if found.covariances is not None:
+        head["charts"] = sigma_charts(found.trajectory.stamps_s, found.covariances)
+    page = map_work_page(head, found, config)
+    loops = found.loops
+    return page_parts(
+        "saved.html",
+        scripts=page.scripts,
+        styles=page.styles,
+        connect=connect,
+        page=page,
+        title=title,
+        kind="map",
+        headline=[
+            ("keyframes", f"{len(found.node_poses):,}"),
+            ("poses", f"{len(found.trajectory):,}"),
+            ("loops accepted", f"{sum(loop.accepted for loop in loops):,} of {len(loops):,}"),
+            ("way", f"{float(found.path_m[-1]):,.1f} m"),
+            ("digest", saved.digest[:12]),
+        ],
+        warnings=list(saved.warnings),
+        notes=[("note", note) for note in saved.notes],
+        logs=[(one.log_name, f"{one.keyframes:,}", f"{one.poses:,}") for one in saved.sessions],
+        loops=loop_section(found, config),
+        effective_config=dump_config(config),
+    )
+
+
+def map_work_page(
+    head: dict[str, Any], found: MapContents, config: Config, cloud: ColoredCloud | None = None
+) -> WorkPage:
+    """The plan of a map's data, with its cloud and images put in."""
+    for name, (part, told) in (("cloud", cloud_data(found, cloud)), ("images", image_data(found))):
+        head[name] = part
+        head["limits"] += told
+    layers = found.layers(config)
+    return work_page(head, "Trajectory" if layers is None else "Map", _legend(layers))
+
+
+def _legend(layers: LayeredMap | None) -> str:
+    """What the greys mean, and how much of the floor is free; of what only the lidar saw free, how much."""
+    if layers is None:
+        return ""
+    free_m2, lidar_m2 = areas_m2(layers)
+    if not lidar_m2:
+        return f"{LEGENDS['map']} Free: {free_m2:.1f} m²."
+    return (
+        f"{LEGENDS['map']} Light grey is free at the height of the lidar only, no camera saw all heights of "
+        f"the robot there; layers.rule tells whether it may drive there. Free: {free_m2:.1f} m²; at the "
+        f"height of the lidar only: {lidar_m2:.1f} m²."
+    )

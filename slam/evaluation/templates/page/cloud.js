@@ -1,0 +1,82 @@
+// The cloud in space, in WebGL; where that is not to be had the plan and the tables stay.
+"use strict";
+(S => {
+  const element = S.element;
+
+  function scene(canvas, {points, colors, low, step_m, up}) {
+    const renderer = new THREE.WebGLRenderer({canvas, antialias: true});
+    const count = points.length / 3, places = new Float32Array(points.length);
+    for (let at = 0; at < places.length; at++) places[at] = points[at] * step_m;
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute("position", new THREE.BufferAttribute(places, 3));
+    geometry.setAttribute("color", new THREE.BufferAttribute(colors, 3, true));
+    geometry.computeBoundingSphere();
+    const {center, radius} = geometry.boundingSphere;
+    const material = new THREE.PointsMaterial({size: Math.max(radius / 400, 0.01), vertexColors: true});
+    const world = new THREE.Scene();
+    world.add(new THREE.Points(geometry, material));
+    const {xy, z} = S.data.trajectory, way = new Float32Array(3 * z.length);
+    z.forEach((height, at) => way.set([xy[2 * at] - low[0], xy[2 * at + 1] - low[1], height - low[2]], 3 * at));
+    const path = new THREE.BufferGeometry();
+    path.setAttribute("position", new THREE.BufferAttribute(way, 3));
+    const line = new THREE.LineBasicMaterial({color: 0xd9730d});
+    world.add(new THREE.Line(path, line));
+    const camera = new THREE.PerspectiveCamera(50, 1, radius / 1000, radius * 20);
+    camera.up.set(...up);
+    const home = () => {
+      camera.position.set(center.x + 0.2 * radius, center.y - 1.1 * radius, center.z).addScaledVector(camera.up, 1.1 * radius);
+      controls.target.copy(center);
+      controls.update();
+    };
+    const controls = new THREE.OrbitControls(camera, canvas);
+    let asked = false;
+    const render = () => {
+      if (asked) return;
+      asked = true;
+      requestAnimationFrame(() => {
+        asked = false;
+        const {clientWidth, clientHeight} = canvas.parentElement;
+        renderer.setPixelRatio(Math.min(devicePixelRatio || 1, 2));
+        renderer.setSize(clientWidth, clientHeight, false);
+        camera.aspect = clientWidth / clientHeight;
+        camera.updateProjectionMatrix();
+        const [red, green, blue] = S.color("page").match(/[\d.]+/g).map(value => Number(value) / 255);
+        renderer.setClearColor(`rgb(${Math.round(255 * red)}, ${Math.round(255 * green)}, ${Math.round(255 * blue)})`);
+        renderer.render(world, camera);
+      });
+    };
+    controls.addEventListener("change", render);
+    controls.listenToKeyEvents(canvas);
+    addEventListener("resize", render);
+    S.on("theme", render);
+    home();
+    render();
+    return {count, home, render, larger: times => {
+      material.size *= times;
+      render();
+    }};
+  }
+
+  S.ready(data => {
+    if (!data.cloud) return;
+    const section = element("section", {id: "cloud", class: "work"}), canvas = element("canvas", {tabIndex: 0});
+    canvas.setAttribute("aria-label", "cloud of points in space");
+    document.getElementById("work").after(section);
+    const box = element("div", {class: "space"}, canvas);
+    section.append(element("div", {class: "bar"}, element("h2", {textContent: "In space"})), box);
+    let shown;
+    try {
+      shown = scene(canvas, data.cloud);
+    } catch (error) {
+      // Shown to people; nothing else of the page needs WebGL.
+      box.replaceChildren(element("p", {class: "soft", textContent: `No cloud can be shown: this browser offers no WebGL (${error.message}). The plan above shows the map from above.`}));
+      return;
+    }
+    section.firstChild.append(
+      element("button", {type: "button", id: "cloud-home", textContent: "Whole cloud", onclick: shown.home}),
+      element("button", {type: "button", id: "cloud-larger", textContent: "Larger points", onclick: () => shown.larger(1.4)}),
+      element("button", {type: "button", id: "cloud-smaller", textContent: "Smaller points", onclick: () => shown.larger(1 / 1.4)}),
+      element("span", {class: "soft", textContent: `${S.count(shown.count)} points; drag to turn, right button to shift, wheel to come nearer`}),
+    );
+  }, 64);
+})(Scanweave);
