@@ -332,17 +332,25 @@ def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
     -------
     (n, d, d), GTSAM's tangent of each pose.
     """
+    graph, values = held_graph(poses, edges)
+    parameters = gtsam.ISAM2Params()
+    parameters.setFactorization("QR")
+    solver = gtsam.ISAM2(parameters)
+    solver.update(graph, values)
+    return np.array([solver.marginalCovariance(node) for node in range(len(poses))])
+
+
+def held_graph(
+    poses: Sequence[Pose], edges: Iterable[Edge]
+) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """GTSAM's graph of some edges, factor 0 holding node 0, and its values at the poses."""
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     graph.add(_gauge(poses[0]))
     for edge in edges:
         graph.add(_between(edge, gtsam.noiseModel.Gaussian.Covariance(edge.covariance)))
     for node, pose in enumerate(poses):
         values.insert(node, pose)
-    parameters = gtsam.ISAM2Params()
-    parameters.setFactorization("QR")
-    solver = gtsam.ISAM2(parameters)
-    solver.update(graph, values)
-    return np.array([solver.marginalCovariance(node) for node in range(len(poses))])
+    return graph, values
 
 
 def _noise(edge: Edge) -> gtsam.noiseModel.Base:

@@ -1,0 +1,90 @@
+"""What edges do to a map: in closed form on a line, and against the map solved again on rings."""
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+import pytest
+from ring_graphs import PLANE, RINGS, SIDES, ring, solved
+
+from slam.graph.influence import LinearMap, influences
+from slam.graph.pose_graph import Edge, EdgeKind
+from slam.measurements import FloatArray, Pose
+
+
+def shifts(one: Sequence[Pose], other: Sequence[Pose]) -> FloatArray:
+    """(n,) how far each node lies from where it lay."""
+    apart = [a.translation() - b.translation() for a, b in zip(one, other, strict=True)]
+    return np.linalg.norm(apart, axis=1)
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_on_a_line_influence_is_told_in_closed_form(kept: bool) -> None:
+    steps, off, along, loop = 10, 0.05, 0.02**2, 0.03**2
+    stiff = np.diag([along, 1e-6, 1e-8])
+    step, claim = gtsam.Pose2(1.0, 0.0, 0.0), gtsam.Pose2(steps + off, 0.0, 0.0)
+    edges = [Edge(n, n + 1, step, stiff, EdgeKind.LIDAR, trusted=True) for n in range(steps)]
+    closing = Edge(0, steps, claim, np.diag([loop, 1e-2, 1e-2]), EdgeKind.LOOP, trusted=False, loop=0)
+    share = steps * along / (steps * along + loop)
+    stretch = 1.0 + share * off / steps if kept else 1.0
+    poses = [gtsam.Pose2(n * stretch, 0.0, 0.0) for n in range(steps + 1)]
+    found = influences(poses, [*edges, closing], [*[True] * steps, kept])
+    assert found.edges.tolist() == [steps]
+    assert found.nodes.tolist() == [steps]
+    assert found.shifts_m[0] == pytest.approx(share * off, rel=1e-4)
+    missed = off * (1.0 - share) if kept else off
+    assert found.residuals[0] == pytest.approx(missed / np.sqrt(loop), rel=1e-4)
+    assert found.left_out[0] == pytest.approx(off / np.sqrt(steps * along + loop), rel=1e-4)
+
+
+@pytest.mark.parametrize("where", RINGS)
+def test_influence_is_what_solving_again_without_the_loop_does(where: str) -> None:
+    poses, edges = ring(*RINGS[where])
+    found = influences(poses, edges, [True] * len(edges))
+    assert len(found.edges) == sum(edge.loop is not None for edge in edges) > 4
+    for n, left in enumerate(found.edges.tolist()):
+        moved = shifts(poses, solved(poses, [edge for k, edge in enumerate(edges) if k != left]))
+        assert found.shifts_m[n] == pytest.approx(moved.max(), rel=0.15)
+        assert moved[found.nodes[n]] == pytest.approx(moved.max(), rel=0.02)
+
+
+@pytest.mark.parametrize("where", RINGS)
+def test_what_is_left_out_says_what_it_would_do_if_forced_in_again(where: str) -> None:
+    poses, edges = ring(*RINGS[where])
+    first = SIDES * 3  # the first loop
+    without = [k != first for k in range(len(edges))]
+    others = solved(poses, [edge for edge, held in zip(edges, without, strict=True) if held])
+    inside = LinearMap(poses, edges, [True] * len(edges)).influences([first])
+    outside = LinearMap(others, edges, without).influences([first])
+    assert outside.shifts_m == pytest.approx(inside.shifts_m, rel=0.15)
+    assert outside.left_out == pytest.approx(inside.left_out, rel=0.05)
+    assert outside.residuals[0] > inside.residuals[0]
+
+
+def test_squares_left_out_are_chi_square_of_three_where_loops_are_true() -> None:
+    step, covariance = RINGS["plane"]
+    means = []
+    for seed in range(8):
+        poses, edges = ring(step, 0.1 * covariance, laps=20, seed=seed)
+        means.append(np.mean(influences(poses, edges, [True] * len(edges)).left_out ** 2))
+    assert np.mean(means) == pytest.approx(3.0, abs=0.4)
+
+
+def test_a_false_loop_stands_out_before_all_others() -> None:
+    poses, edges = ring(*RINGS["plane"])
+    wrong = Edge(3, 20, gtsam.Pose2(1.0, 1.0, 1.0), PLANE, EdgeKind.LOOP, trusted=False, loop=99)
+    edges.append(wrong)
+    found = influences(solved(poses, edges), edges, [True] * len(edges))
+    assert edges[found.edges[found.left_out.argmax()]] is wrong
+
+
+def test_the_first_keyframe_is_held_and_any_edge_may_be_asked() -> None:
+    poses, edges = ring(*RINGS["plane"])
+    step = LinearMap(poses, edges, [True] * len(edges)).influences([0])
+    assert step.nodes[0] > 0
+    assert step.shifts_m[0] > 0.0
+
+
+def test_a_map_without_loops_has_no_influences() -> None:
+    poses, edges = ring(*RINGS["plane"], laps=1)
+    assert len(influences(poses, edges, [True] * len(edges)).edges) == 0
