@@ -72,10 +72,13 @@ globalThis.Scanweave = {};
     const work = document.getElementById("work");
     if (!work) return;
     try {
+      performance.mark("decode");
       S.data = await S.decode(document.getElementById("data").textContent);
+      performance.mark("begin");
       document.documentElement.classList.add("live");
       work.hidden = false;
       for (const one of beginnings.sort((a, b) => a.order - b.order)) one.begin(S.data);
+      performance.mark("ready");
       document.documentElement.classList.add("ready");
       S.emit("ready");
     } catch (error) {

@@ -90,6 +90,18 @@
         S.keyframe(edges.source[edge])} – ${S.keyframe(edges.target[edge])}`))));
   }
 
+  // Small images of the keyframes at both ends.
+  function pictures(chosen) {
+    const {images} = S.data;
+    if (!images) return null;
+    const ends = S.ends(chosen), shown = [...images.node.keys()].filter(number => ends.includes(images.node[number]));
+    return element("div", {class: "pictures-of"}, ...shown.map(number => {
+      const address = S.image(number), name = `${images.cameras[images.camera[number]]}, ${S.keyframe(images.node[number])}`;
+      return element("figure", {}, element("img", {src: address, alt: name, onload: () => URL.revokeObjectURL(address)}),
+        element("figcaption", {textContent: name}));
+    }));
+  }
+
   S.ready(data => {
     if (!data.nodes) return;
     const panel = element("div");
@@ -103,6 +115,7 @@
       panel.replaceChildren(
         element("h3", {textContent: chosen.kind === "node" ? `Keyframe: ${S.keyframe(first)}` : names[chosen.kind]}),
         S.overlay(chosen) || "",
+        pictures(chosen) || "",
         chosen.kind === "node" ? ofNode(first) : told(chosen),
         ...extensions.map(tell => tell(chosen)).filter(Boolean),
       );

@@ -102,7 +102,8 @@
     return 10 ** Math.max(0, Math.ceil(Math.log10(seen / Math.max(CHI2 * most, 1e-9))));
   }
 
-  S.start = () => S.data.trajectory.stamps_s.reduce((least, stamp) => Math.min(least, stamp), Infinity);
+  let start = null; // the least stamp, seconds
+  S.start = () => start ??= S.data.trajectory.stamps_s.reduce((least, stamp) => Math.min(least, stamp), Infinity);
 
   S.ready(data => {
     way.colors = colorings(data.trajectory);
