@@ -1,4 +1,4 @@
-"""Commands that change a finished map without its log: scanweave edit, remap."""
+"""Commands that change a finished map without its log: scanweave edit, remap, view."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def edit(
         if not saved.edits:
             tell(f"{saved.path} has no edits")
         return
-    folder = out or saved.path.parent
+    folder = out or _own_folder(saved)
     found = saved.undone(out=folder) if undo else saved.edited(edits or "", out=folder)
     _tell(saved, found, started)
 
@@ -56,7 +56,28 @@ def remap(map_: MapArgument, set_: SetOption = None, out: OutOption = None) -> N
     from slam.outputs.finished_map import open_map
 
     saved = open_map(map_)
-    _tell(saved, saved.remap(set_ or [], out=out or saved.path.parent), started)
+    _tell(saved, saved.remap(set_ or [], out=out or _own_folder(saved)), started)
+
+
+@command()
+def view(
+    map_: MapArgument,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="of the address; 0 takes a free one")] = 0,
+) -> None:
+    """Show a map in a browser on this machine, and save the edits that are made there."""
+    from slam.app.viewing import serve
+
+    serve(map_, port, lambda address: tell(f"{address}\nThe map's page is there until Ctrl-C."))
+
+
+def _own_folder(saved: Map) -> Path:
+    """Where a map lies, if another may take its place there."""
+    from slam.errors import MapFileError
+    from slam.storage.map_file import MAP_NAME
+
+    if saved.path.name != MAP_NAME:
+        raise MapFileError(f"{saved.path} is not named {MAP_NAME}; say with --out where the new map goes")
+    return saved.path.parent
 
 
 def _tell(before: Map, after: Map, started: float) -> None:

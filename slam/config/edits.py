@@ -150,7 +150,8 @@ def edits_of(tree: object, source: str) -> Edits:
         # By way of JSON, since there strict mode still takes a list for a tuple.
         return Edits.model_validate_json(json.dumps(tree))
     except ValidationError as error:
-        faults = error.errors()
+        # An unknown key says more than what is missing where it stands.
+        faults = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
         more = f"; and {len(faults) - 1} more" if len(faults) > 1 else ""
         raise ConfigError(f"{source}: {_described(faults[0])}{more}") from None
     except (TypeError, ValueError, RecursionError) as error:  # a date, a number that is none
