@@ -20,7 +20,7 @@ from slam.graph.pose_graph import PoseGraph
 from slam.mapper.lidar3d import band_scans
 from slam.mapper.map_result import drawn
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.mapping.polygons import inside
+from slam.mapping.polygons import cells_inside
 from slam.measurements import FloatArray, Pose
 from slam.storage.map_contents import MapContents, SavedFactor
 from slam.storage.map_edits import CLOUD, FRAME, MEASURED, REPAIRED, AppliedEdits, Region, erased_bits
@@ -198,11 +198,7 @@ def _seen(
 
 def _cropped(grid: OccupancyGrid, polygon: FloatArray) -> OccupancyGrid | None:
     """The cells of a grid with their middle in a polygon, none unknown around; None where there is none."""
-    rows, cols = grid.steps.shape
-    row, col = np.mgrid[:rows, :cols]
-    middles = (np.column_stack([col.reshape(-1), row.reshape(-1)]) + 0.5) * grid.resolution_m
-    turn = grid.T_map_grid.rotation().matrix()
-    within = inside(middles @ turn.T + grid.T_map_grid.translation(), polygon).reshape(rows, cols)
+    within = cells_inside(polygon, grid.steps.shape, grid.resolution_m, grid.T_map_grid)
     (at_rows,), (at_cols,) = np.nonzero(within.any(axis=1)), np.nonzero(within.any(axis=0))
     if not len(at_rows):
         return None

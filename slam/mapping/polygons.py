@@ -3,6 +3,7 @@
 # mypy: allow-untyped-decorators
 from __future__ import annotations
 
+import gtsam
 import numpy as np
 
 from fusion.kernel import kernel
@@ -16,6 +17,16 @@ def inside(points: FloatArray, polygon: FloatArray) -> BoolArray:
     (near,) = np.nonzero(((points >= low) & (points <= high)).all(axis=1))
     found[near] = _odd(np.ascontiguousarray(points[near]), np.ascontiguousarray(polygon))
     return found
+
+
+def cells_inside(
+    polygon: FloatArray, shape: tuple[int, ...], resolution_m: float, T_map_grid: gtsam.Pose2
+) -> BoolArray:
+    """(rows, cols) whether the middles of a grid's cells lie in a polygon of the map."""
+    row, col = np.mgrid[: shape[0], : shape[1]]
+    middles = (np.column_stack([col.reshape(-1), row.reshape(-1)]) + 0.5) * resolution_m
+    turn = T_map_grid.rotation().matrix()
+    return inside(middles @ turn.T + T_map_grid.translation(), polygon).reshape(shape)
 
 
 @kernel

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 from slam.config import Config
+from slam.edits.remaking import regions_of
 from slam.errors import LibraryError, ScanweaveError
 from slam.mapping.camera_points import camera_cloud
 from slam.mapping.cloud_map import map_cloud
@@ -20,6 +21,7 @@ from slam.storage.files import make_folder
 from slam.storage.g2o import write_g2o
 from slam.storage.map_contents import MapContents
 from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers
+from slam.storage.nav2_zones import write_zones
 from slam.storage.octomap import write_octomap, write_octree
 from slam.storage.ply import write_cloud_ply, write_mesh_ply
 
@@ -80,10 +82,16 @@ class Exports:
         return [out], []
 
     def write_files(self, folder: Path) -> list[Path]:
-        """Write trajectory and graph, and of a floor the map to drive by and layers; errors as in `write`."""
+        """Write trajectory and graph, of a floor the map to drive by, layers, zones; errors as in `write`."""
         formats = ["tum", "g2o"] if self.layers is None else ["tum", "g2o", "nav2"]
         written = [path for name in formats for path in self.write(name, folder)[0]]
-        return written if self.layers is None else written + write_layers(folder / "layers", self.layers)
+        if self.layers is None:
+            return written
+        poses, edits = self.contents.keyframe_poses, self.contents.edits
+        keep_out = [zone.points(poses) for zone in regions_of(edits, "keep_out")]
+        slow = [(zone.points(poses), zone.value) for zone in regions_of(edits, "slow")]
+        written += write_layers(folder / "layers", self.layers)
+        return written + write_zones(folder, self.layers, keep_out, slow)
 
     def write_sessions(self, folder: Path, poses: Sequence[int]) -> list[Path]:
         """Write a trajectory a session, where several have so many poses: their clocks may overlap."""

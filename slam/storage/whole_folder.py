@@ -15,6 +15,8 @@ from slam.storage.map_file import MAP_NAME
 
 # Where a map is made anew until it is whole.
 _WORK = "editing"
+# Maps of nav2 that not every map has: what is left of them would tell of another map.
+_NOT_ALWAYS = ("layers/*.yaml", "layers/*.pgm", "*_mask.yaml", "*_mask.pgm")
 
 
 @contextmanager
@@ -81,6 +83,10 @@ def remake(folder: Path, write: Callable[[Path], None]) -> None:
         make_folder(work)
         try:
             write(work)
+            for pattern in _NOT_ALWAYS:
+                for old in folder.glob(pattern):
+                    if not (work / old.relative_to(folder)).exists():
+                        old.unlink()
             move_into(folder, work)
         finally:
             shutil.rmtree(work, ignore_errors=True)

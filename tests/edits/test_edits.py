@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import math
+import sqlite3
 from pathlib import Path
 
 import gtsam
 import numpy as np
 import pytest
+import yaml
 from edit_maps import box, changed_outside, content, name, occupied
 
 import slam
+from slam.app.map_folder import finished_map
+from slam.config.edits import dump_edits, edits_of
 from slam.errors import ScanweaveError
 from slam.matching.planar import between
 from slam.outputs.finished_map import Map, open_map
 from slam.simulation.synthetic_log import write_synthetic_log
+from slam.storage.nav2 import read_nav2_map
+from slam.storage.nav2_zones import without_keep_out
 
 
 @pytest.fixture(scope="module")
@@ -109,3 +115,143 @@ def test_edits_in_place_keep_the_files_together(house: Map, tmp_path: Path) -> N
     found.check()
     with pytest.raises(ScanweaveError, match="is another map"):
         house.edited({}, out=tmp_path)
+
+
+def test_a_loop_is_added_by_a_match_or_refused_with_the_reason(house: Map) -> None:
+    loop = next(loop for loop in house.loops if loop.accepted)
+    pair = [name(house, loop.keyframe), name(house, loop.place)]
+    apart = between(house.keyframe_poses[loop.keyframe], house.keyframe_poses[loop.place])
+    for guess in ({}, {"guess": (apart + np.array([0.2, -0.1, 0.1])).tolist()}):
+        added = house.edited({"loops": {"add": [{"pair": pair, **guess}]}})
+        assert len(added.loops) == len(house.loops) + 1 and added.loops[-1].accepted
+        motion = added.loops[-1].motion
+        assert motion is not None and loop.motion is not None
+        off = loop.motion.T_reference_base.localCoordinates(motion.T_reference_base)  # type: ignore[arg-type]
+        assert np.abs(off).max() < 0.05
+        assert [factor.edge.loop for factor in added.factors][-1] == len(house.loops)
+    far = [name(house, 0), name(house, len(house.keyframe_poses) // 3)]
+    with pytest.raises(ScanweaveError, match=r"no loop between session 1, reading 0 and .*: \w+"):
+        house.edited({"loops": {"add": [{"pair": far}]}})
+
+
+def test_a_crop_leaves_the_inside_as_it_was(house: Map) -> None:
+    assert house.grid is not None
+    rows, cols = house.grid.steps.shape
+    corner, cell = house.grid.T_map_grid, house.grid.resolution_m
+    low = np.array([corner.x(), corner.y()]) + cell * np.array([cols // 4, rows // 4])
+    high = np.array([corner.x(), corner.y()]) + cell * np.array([3 * cols // 4, 3 * rows // 4])
+    box_ = [low.tolist(), [high[0], low[1]], high.tolist(), [low[0], high[1]]]
+    cropped = house.edited({"crop": box_})
+    assert cropped.grid is not None
+    whole = house.grid.steps[rows // 4 : 3 * rows // 4, cols // 4 : 3 * cols // 4]
+    assert abs(np.array(cropped.grid.steps.shape) - whole.shape).max() <= 1
+    smallest = np.minimum(cropped.grid.steps.shape, whole.shape)
+    both = [one[1 : smallest[0] - 1, 1 : smallest[1] - 1] for one in (cropped.grid.steps, whole)]
+    assert (both[0] == both[1]).mean() > 0.999
+
+
+def test_zones_become_masks_and_the_planner_keeps_out(house: Map, tmp_path: Path) -> None:
+    start, goal = house.keyframe_poses[0, :2], house.keyframe_poses[len(house.keyframe_poses) // 4, :2]
+    wall = (start + goal) / 2.0 + 0.4 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    edits = {
+        "keep_out": [{"name": "hole", "polygon": wall.tolist()}],
+        "slow": [{"name": "door", "polygon": (wall + 1.0).tolist(), "percent": 40.0}],
+    }
+    kept = house.edited(edits, out=tmp_path / "kept")
+    assert kept.zones()["hole"] == pytest.approx(wall)
+    mask = read_nav2_map(tmp_path / "kept" / "keepout_mask.yaml")
+    assert 0.5 < (mask.values == 100).sum() * mask.resolution_m**2 / 0.64 < 1.5
+    speed = read_nav2_map(tmp_path / "kept" / "speed_mask.yaml")
+    assert set(np.unique(speed.values)) == {0, 40}
+    driving = tmp_path / "kept" / "map.yaml"
+    values = without_keep_out(read_nav2_map(driving), driving)
+    assert (values[mask.values == 100] == 100).all()
+    kept.undone(out=tmp_path / "kept")
+    assert not list((tmp_path / "kept").glob("*_mask.*"))
+
+
+def test_what_takes_the_log_is_refused_by_its_name(house: Map) -> None:
+    with pytest.raises(ScanweaveError, match=r"keyframes\.distance_m = 0\.3 takes the log"):
+        house.remap(["keyframes.distance_m=0.3"])
+    with pytest.raises(ScanweaveError, match=r"did you mean 'grid\.resolution_m'"):
+        house.remap(["grid.resolutoin_m=0.3"])
+    none = house.remap(["loops.enabled=false"])
+    assert not any(loop.accepted for loop in none.loops)
+    assert all(factor.edge.loop is None for factor in none.factors)
+    strict = house.remap(["loops.least_inlier_share=0.99"])
+    accepted = sum(loop.accepted for loop in house.loops)
+    assert sum(loop.accepted for loop in strict.loops) < accepted
+    back = strict.remap(["loops.least_inlier_share=0.6"])
+    assert sum(loop.accepted for loop in back.loops) == accepted
+    assert content(back.undone().undone()) == content(house)
+
+
+def test_no_step_of_an_edited_map_is_forgotten_when_it_is_resumed(house: Map, tmp_path: Path) -> None:
+    """A finished map that is resumed stays as it is, other settings and all."""
+    fine = house.remap(["grid.resolution_m=0.1"], out=tmp_path)
+    assert finished_map(tmp_path, house.identity)
+    assert content(open_map(tmp_path)) == content(fine)
+
+
+BOX = [[0, 0], [1, 0], [1, 1]]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("erase: [{polygon: [[.nan, 0], [1, 0], [1, 1]]}]", "erase.0.polygon.0.0 = NaN"),
+        ("erase: [{polygon: [[1e300, 0], [1, 0], [1, 1]]}]", "less than or equal to"),
+        ("erase: [{polygon: [[0, 0], [1, 1]]}]", "at least 3 items"),
+        ("erase: [{polygon: [" + "[0, 0], " * 100_000 + "[1, 1]]}]", "at most 1000 items"),
+        ("erase: [{polygon: [" + "[0.12345, 0.12345], " * 1_000_000 + "[1, 1]]}]", "letters of YAML"),
+        ("eraze: []", "unknown key 'eraze'; did you mean 'erase'?"),
+        ("loops: {forbid: [[{reading: 1}, {reading: 99999}]]}", "there is no keyframe of session 1, reading"),
+        ("loops: {forbid: [[{session: 7, reading: 1}, {reading: 2}]]}", "the map has 1 session"),
+        ("loops: {forbid: [[{reading: 0}, {reading: 0}]]}", "not session 1, reading 0 with itself"),
+        ("turn: {degrees: 5, to_walls: true}", "give one of to_walls"),
+        ("turn: {along_x: [[1, 1], [1, 1]]}", "two different points"),
+        ("settings: {keyframes.distance_m: 1.0}", "takes the log"),
+        ("settings: {grid: {resolution_m: 1.0}}", "dotted names"),
+        ("- erase", "holds a list"),
+        ("places: [{name: x, position: [2020-01-01, 0]}]", "not plain keys and values"),
+        ("a: &a [*a]", "aliases are not read"),
+    ],
+)
+def test_a_bad_file_is_refused_in_one_line(house: Map, tmp_path: Path, text: str, said: str) -> None:
+    file = tmp_path / "edits.yaml"
+    file.write_text(text)
+    with pytest.raises(ScanweaveError) as caught:
+        house.edited(file)
+    assert said in str(caught.value) and len(str(caught.value)) < 400
+
+
+def test_a_polygon_that_crosses_itself_has_an_inside(house: Map) -> None:
+    x, y = house.keyframe_poses[0, :2]
+    bow = [[x - 3, y - 3], [x + 3, y + 3], [x + 3, y - 3], [x - 3, y + 3]]
+    edited = house.edited({"erase": [{"polygon": bow}]})
+    assert edited.contents.edits[0].regions[0].points(house.keyframe_poses) == pytest.approx(np.array(bow))
+    assert content(edited.undone()) == content(house)
+
+
+def test_edits_are_read_back_as_they_were_written() -> None:
+    edits = edits_of(
+        {
+            "loops": {"forbid": [[{"reading": 1}, {"session": 2, "reading": 3}]]},
+            "erase": [{"polygon": BOX, "later": True}],
+            "slow": [{"name": "ß <b>", "polygon": BOX, "percent": 10}],
+            "turn": {"along_x": [[0, 0], [1, 0]]},
+            "origin": [1, 2],
+            "settings": {"grid.resolution_m": 0.1},
+        },
+        "here",
+    )
+    assert edits_of(yaml.safe_load(dump_edits(edits)), "there") == edits
+
+
+def test_a_damaged_edit_is_blamed_by_its_row(house: Map, tmp_path: Path) -> None:
+    house.edited({"turn": {"degrees": 10}}, out=tmp_path).close()
+    with sqlite3.connect(tmp_path / "map.db") as connection:
+        connection.execute("UPDATE edits SET content = x'00' WHERE number = 0")
+    connection.close()
+    with pytest.raises(ScanweaveError, match="table edits, row 0: its checksum is wrong"):
+        open_map(tmp_path)
