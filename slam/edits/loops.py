@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 
 from slam.config import Config
 from slam.errors import MapFileError
+from slam.graph.cloud_loops import CloudLoopCloser
 from slam.graph.loop_closure import LoopCandidate, closer_of
+from slam.graph.visual_loops import VisualLoopCloser
+from slam.mapper.keyframe_store import KeyframeStore
+from slam.matching.cloud_points import voxel_of
 from slam.matching.planar import between
-from slam.measurements import FloatArray
+from slam.measurements import FloatArray, pose2_from_row, spatial
 from slam.storage.map_contents import MapContents, SavedFactor
 from slam.storage.map_edits import AppliedEdits, Pair
 from slam.storage.map_sessions import MapSession
+from slam.vision.camera_frame import T_BODY_CAMERA
+from slam.vision.frame_matcher import FrameMatcher
 
 FORBIDDEN = "forbidden by hand"
 _FEW = ("too few points fit", "too few readings fit")
@@ -160,8 +168,8 @@ def matched_loops(
     """
     if not wanted:
         return []
-    if not contents.planar or not any(scan is not None for scan in contents.keyframe_scans):
-        raise MapFileError("loops are added by the scans of a robot on a floor, which this map does not hold")
+    if not contents.planar:
+        return [_checked(*_match_in_space(contents, one, config)) for one in wanted]
     poses, path_m = contents.keyframe_poses, contents.path_m
     numbers = np.repeat(np.arange(len(sessions)), [session.keyframes for session in sessions])
     closer = closer_of(contents.keyframe_scans, poses, path_m, numbers, config)
@@ -177,8 +185,45 @@ def matched_loops(
         if place != first:
             expected = between(expected, np.zeros(3))
         sigmas = np.array([wide[0], wide[0], wide[1]]) / loops.sigmas
-        loop = closer.verify(place, key, expected, np.diag(sigmas**2))
-        if not loop.accepted:
-            raise MapFileError(f"no loop between {told}: {loop.reason}")
-        found.append(loop)
+        found.append(_checked(closer.verify(place, key, expected, np.diag(sigmas**2)), told))
     return found
+
+
+def _match_in_space(
+    contents: MapContents, wanted: tuple[int, int, FloatArray | None, str], config: Config
+) -> tuple[LoopCandidate, str]:
+    """The match of two clouds, or of two frames of a camera alone, and what to call it."""
+    first, second, row, told = wanted
+    place, key = min(first, second), max(first, second)
+    guess = None if row is None else gtsam.Pose3(pose2_from_row(row))
+    if guess is not None and place != first:
+        guess = guess.inverse()
+    poses, clouds, frames = [spatial(pose) for pose in contents.node_poses], contents.clouds, contents.frames
+    if clouds is not None:
+        voxel_m = voxel_of(clouds.points(0), config.cloud_odometry)
+        closer = CloudLoopCloser(config, voxel_m, clouds)
+        for pose, path_m, points in zip(poses, contents.path_m, clouds, strict=True):
+            closer.add_keyframe(points, pose, path_m, math.nan)
+        sigma_m = config.match.search_half_width_m / config.loops.sigmas
+        wide_m = config.loops.greatest_half_width_m / config.loops.sigmas
+        return closer.verify(place, key, guess, wide_m if guess is None else sigma_m), told
+    assert frames is not None
+    store = KeyframeStore(config.rgbd, config.match.local_map_keyframes, frames)
+    visual = VisualLoopCloser(config, FrameMatcher(config), store)
+    if guess is not None:
+        T_base_camera = frames.head(0).T_base_camera or T_BODY_CAMERA
+        guess = T_base_camera.inverse().compose(guess).compose(T_base_camera)
+    return visual.verify(place, key, guess), told
+
+
+def _checked(loop: LoopCandidate, told: str) -> LoopCandidate:
+    """A loop that matches.
+
+    Raises
+    ------
+    MapFileError
+        Where it does not, with the reason.
+    """
+    if not loop.accepted:
+        raise MapFileError(f"no loop between {told}: {loop.reason}")
+    return loop

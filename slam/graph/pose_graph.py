@@ -242,9 +242,7 @@ class PoseGraph:
 
     def pose(self, key: int) -> Pose:
         """Estimated pose of a node."""
-        if self._dimension == 3:
-            return self._estimate.atPose2(key)
-        return self._estimate.atPose3(key)
+        return self._estimate.atPose2(key) if self._dimension == 3 else self._estimate.atPose3(key)
 
     def spatial_pose(self, key: int) -> gtsam.Pose3:
         """Estimated pose of a node of an SE(3) graph."""

@@ -19,7 +19,7 @@ from slam.config import load_config
 from slam.errors import ScanweaveError
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.mapping.polygons import inside
-from slam.matching.planar import compose
+from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, LaserScan, RgbdFrame, WheelOdometry, pose2_from_row
 from slam.outputs.finished_map import Map
 from slam.simulation.synthetic_log import write_synthetic_log
@@ -121,9 +121,25 @@ def test_repairs_can_be_left_out_but_not_be_made_again(robot: Map) -> None:
 def test_a_map_without_walls_is_not_turned_to_them(camera: Map) -> None:
     with pytest.raises(ScanweaveError, match="no scan of the map shows a wall"):
         camera.edited({"turn": {"to_walls": True}})
-    with pytest.raises(ScanweaveError, match="loops are added by the scans of a robot on a floor"):
-        pair = [{"reading": int(camera.contents.readings[n])} for n in (0, 1)]
-        camera.edited({"loops": {"add": [{"pair": pair}]}})
+
+
+@pytest.mark.parametrize("kind", ["clouds", "camera"])
+def test_a_loop_is_added_by_clouds_and_by_images(kind: str, request: pytest.FixtureRequest) -> None:
+    saved: Map = request.getfixturevalue(kind)
+    pair = [{"reading": int(saved.contents.readings[row])} for row in (0, 2)]
+    added = saved.edited({"loops": {"add": [{"pair": pair}]}})
+    assert len(added.loops) == len(saved.loops) + 1 and added.loops[-1].accepted
+    assert added.factors[-1].edge.loop == len(saved.loops)
+    moved = added.trajectory.positions_m - saved.trajectory.positions_m
+    assert np.abs(moved).max() < 0.05
+    # The other way round, with a guess: the same place.
+    near = between(saved.keyframe_poses[2], saved.keyframe_poses[0])
+    again = saved.edited({"loops": {"add": [{"pair": pair[::-1], "guess": near.tolist()}]}})
+    one, other = (found.loops[-1].motion for found in (added, again))
+    assert one is not None and other is not None
+    off = one.T_reference_base.localCoordinates(other.T_reference_base)  # type: ignore[arg-type]
+    assert np.abs(off).max() < 0.05
+    assert content(added.undone()) == content(saved)
 
 
 def test_the_commands(scanweave: Scanweave, tmp_path: Path) -> None:
