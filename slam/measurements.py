@@ -55,7 +55,9 @@ class LaserScan:
     stamp_s
         Time of the sweep.
     ranges_m
-        (N,) ranges in beam order. No return is stored as ``inf``, an invalid reading as ``nan``.
+        (N,) ranges in beam order. No return is stored as ``inf``, an invalid reading as ``nan``. In a map
+        that a person has edited a negative range is a reading that was taken away: the beam was free up to
+        there, and what it met counts no more.
     start_angle_rad, step_rad
         Bearing of beam 0 and the increment between beams, counter-clockwise, in the laser frame.
     range_max_m

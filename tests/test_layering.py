@@ -21,6 +21,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"slam.evaluation", "slam.viewer"}),
     frozenset({"slam.localization"}),
     frozenset({"slam.outputs"}),  # a finished map and its files
+    frozenset({"slam.edits"}),  # a finished map made anew, as a person wants it
     frozenset({"slam.mapper"}),  # the main loop
     frozenset({"slam.doctor", "slam.storage"}),
     frozenset({"slam.odometry", "slam.graph", "slam.mapping", "slam.datasets", "slam.trajectory"}),

@@ -15,10 +15,11 @@ from slam.errors import MapFileError, ScanweaveError
 from slam.localization.known_map import has_walls
 from slam.outputs.finished_map import Map, open_map
 from slam.sessions.connection import Connection, connect
-from slam.sessions.joined_files import move_into, only_one_in, write_joined
+from slam.sessions.joined_files import write_joined
 from slam.storage.files import make_folder, write_bytes
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import identity_of
+from slam.storage.whole_folder import move_into, only_one_in
 
 # Where the session is mapped and the joined map is written until it is whole.
 WORK = "joining"
@@ -135,7 +136,7 @@ def _connected(log: Dataset, known: Map, session: MapRun, folder: Path) -> tuple
         raise
     whole = folder / WORK / "map"
     shutil.rmtree(whole, ignore_errors=True)  # of a run that was killed
-    write_joined(whole, known, session.map, connection.joined)
+    write_joined(whole, known, session.map, connection)
     session.map.close()
     report = (work / "report.html").read_bytes()
     write_bytes(whole / f"report-{len(known.sessions) + 1}.html", report)

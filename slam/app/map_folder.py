@@ -8,6 +8,7 @@ from enum import Enum
 from pathlib import Path
 
 from slam.errors import DatasetError, MapFileError, UnfinishedMapError
+from slam.storage.map_edits import UneditedFile
 from slam.storage.map_file import MAP_NAME, MapFile, is_tidy, settle_counts
 from slam.storage.map_identity import MapIdentity
 
@@ -29,7 +30,8 @@ def finished_map(folder: Path, identity: MapIdentity) -> bool:
     if file is None:
         return False
     try:
-        difference = MapIdentity.from_meta(file.meta(), path).difference(identity)
+        # Edits and other settings came after the run: that was as it was.
+        difference = MapIdentity.from_meta(UneditedFile(file).meta(), path).difference(identity)
         finished = file.finished
     finally:
         file.close()

@@ -101,16 +101,19 @@ def plan(
     from slam.mapping.navigation import free_space, shortest_path
     from slam.storage.files import write_bytes
     from slam.storage.nav2 import read_nav2_map
+    from slam.storage.nav2_zones import without_keep_out
 
     ends = _point(start, "--from"), _point(goal, "--to")
-    grid = read_nav2_map(_map_yaml(map_))
-    space = free_space(grid.values, grid.resolution_m, grid.T_map_grid, radius)
+    path_yaml = _map_yaml(map_)
+    grid = read_nav2_map(path_yaml)
+    values = without_keep_out(grid, path_yaml)
+    space = free_space(values, grid.resolution_m, grid.T_map_grid, radius)
     path = shortest_path(space, *ends)
     if path is None:
         raise ScanweaveError(
             f"no way from {start} to {goal} for a robot of radius {radius:g} m; try a smaller --radius"
         )
-    write_bytes(out, plan_picture(grid.values, space, path))
+    write_bytes(out, plan_picture(values, space, path))
     tell(grid.what or f"{map_} does not tell how it was made")
     tell(f"{path.length_m:.2f} m, at least {path.clearance_m:.2f} m from obstacles; wrote {out}")
 

@@ -148,16 +148,33 @@ def calibrated(config: Config, calibration: Calibration) -> Config:
     return config.model_copy(update={"sensors": sensors})
 
 
+def with_settings(config: Config, overrides: Sequence[str]) -> Config:
+    """A configuration with other values, given as `load_config` takes them; `ConfigError` as there."""
+    tree = config.model_dump(mode="json")
+    for override in overrides:
+        _apply_override(tree, override)
+    return _validated(tree, source="override")
+
+
+def leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted name and value of every setting of a nested mapping."""
+    for name, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from leaves(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name, value
+
+
 def dump_config(config: StrictModel) -> str:
     """YAML text of a configuration, each field under its description; ``load_config`` reads it back."""
     return "\n".join(_dump_lines(config, indent="")) + "\n"
 
 
-class _Loader(Loader):  # type: ignore[misc]
+class ConfigLoader(Loader):  # type: ignore[misc]
     """Safe YAML 1.1, but ``1e-3`` is a number as everywhere else."""
 
 
-_Loader.add_implicit_resolver(
+ConfigLoader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")
 )
 
@@ -171,7 +188,7 @@ def _find_file(preset_or_path: str) -> Path:
         return file
     names = preset_names()
     if preset_or_path not in names:
-        hint = _nearest(preset_or_path, names)
+        hint = nearest(preset_or_path, names)
         raise ConfigError(
             f"no preset '{preset_or_path}'{hint}; presets are: {', '.join(names)}; "
             "a file of your own must end in .yaml"
@@ -182,7 +199,7 @@ def _find_file(preset_or_path: str) -> Path:
 def _read_tree(file: Path) -> dict[str, Any]:
     """Nested mapping in a YAML file; an empty file is an empty mapping."""
     try:
-        tree = from_yaml(file.read_text(encoding="utf-8"), _Loader)
+        tree = from_yaml(file.read_text(encoding="utf-8"), ConfigLoader)
     except (OSError, ValueError) as error:
         raise ConfigError(f"cannot read {file}: {' '.join(str(error).split())}") from error
     if tree is None:
@@ -199,7 +216,7 @@ def _apply_override(tree: dict[str, Any], override: str) -> None:
     if not equals or not all(names):
         raise ConfigError(f"override '{override}' is not of the form section.field=value")
     try:
-        value = from_yaml(text, _Loader)
+        value = from_yaml(text, ConfigLoader)
     except ValueError as error:
         raise ConfigError(f"override '{override}': '{text}' is not a YAML value") from error
     node = tree
@@ -245,7 +262,7 @@ def _nearest_key(dotted: str) -> str:
     return f"; valid here: {', '.join(beside.values())}"
 
 
-def _nearest(name: str, candidates: Sequence[str]) -> str:
+def nearest(name: str, candidates: Sequence[str]) -> str:
     """A hint at the most similar candidate, or nothing."""
     match = difflib.get_close_matches(name, candidates, n=1)
     return f"; did you mean '{match[0]}'?" if match else ""

@@ -51,6 +51,7 @@ def map_info(path: Path) -> dict[str, Any]:
         "loops": len(saved.loops),
         "loops_accepted": sum(loop.accepted for loop in saved.loops),
         "grids": _grids(saved),
+        **({"edits": len(saved.edits)} if saved.edits else {}),
         **_origin(identity),
         "digest": saved.digest,
     }

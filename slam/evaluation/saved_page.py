@@ -9,6 +9,7 @@ from slam.config import Config, dump_config
 from slam.evaluation.page_charts import sigma_charts
 from slam.evaluation.page_cloud import cloud_data, image_data
 from slam.evaluation.page_data import map_data
+from slam.evaluation.page_edits import applied_data
 from slam.evaluation.page_layers import LEGENDS, areas_m2
 from slam.evaluation.pages import page_parts
 from slam.evaluation.report_loops import loop_section
@@ -30,6 +31,7 @@ def saved_page(saved: Map, connect: str = "'none'") -> Iterator[str]:
     found, config = saved.contents, saved.config
     title = saved.path.parent.name if len(saved.sessions) > 1 else saved.sessions[0].log_name
     head = map_data(found, config, title=title, sessions=saved.sessions, digest=saved.digest)
+    head["applied"] = applied_data(found)
     if found.covariances is not None:
         head["charts"] = sigma_charts(found.trajectory.stamps_s, found.covariances)
     page = map_work_page(head, found, config)

@@ -134,6 +134,22 @@ class CloudLoopCloser:
             tried.append(candidate)
         return tried
 
+    def verify(self, place: int, key: int, T_place_base: gtsam.Pose3 | None, sigma_m: float) -> LoopCandidate:
+        """Register a keyframe to a place.
+
+        Parameters
+        ----------
+        T_place_base
+            Where it is expected; None for somewhere about the place, turned as it looks the same.
+        sigma_m
+            Of that.
+        """
+        if T_place_base is not None:
+            return self._verify(key, _Guess(place, T_place_base, sigma_m, 1.0, False))
+        found, yaw = dissimilarity(self._contexts[place], self._contexts[key])
+        turned = gtsam.Pose3(gtsam.Rot3.Yaw(yaw), np.zeros(3))
+        return self._verify(key, _Guess(place, turned, sigma_m, 1.0 - found, True))
+
     def _propose(
         self, key: int, poses: Sequence[Pose], rows: FloatArray, uncertainty: UncertaintyGraph
     ) -> list[_Guess]:

@@ -8,8 +8,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion.estimation import FEWEST
+from slam.config import Config
 from slam.config.stages import LoopConfig, MatchConfig
 from slam.graph.pose_graph import Edge, EdgeKind
 from slam.graph.relative_uncertainty import UncertaintyGraph
@@ -18,7 +20,8 @@ from slam.matching.correlative import search_window
 from slam.matching.local_map import OrientedPoints
 from slam.matching.match_covariance import motion_from_alignment
 from slam.matching.planar import between
-from slam.measurements import FloatArray, MotionEstimate, one_line, row_from_pose2
+from slam.matching.scan_points import ScanPoints, extract_points
+from slam.measurements import FloatArray, LaserScan, MotionEstimate, one_line, row_from_pose2
 from slam.result_cache import COMPUTED, ResultCache
 
 log = logging.getLogger(__name__)
@@ -237,6 +240,33 @@ class LoopCloser:
             if all(abs(at_m - self.submaps.travelled_m(p)) > config.least_path_m for p, _ in chosen):
                 chosen.append((int(places[n]), covariances[n]))
         return chosen
+
+
+def closer_of(
+    scans: Sequence[LaserScan | None],
+    poses: FloatArray,
+    path_m: FloatArray,
+    sessions: NDArray[np.int64],
+    config: Config,
+) -> LoopCloser:
+    """A closer that knows all keyframes of a finished map.
+
+    Parameters
+    ----------
+    poses
+        (K, 3) in the map: within a few metres as good as by odometry.
+    path_m, sessions
+        (K,) the way to each in its session, and the number of that.
+    """
+    closer, settings = LoopCloser(config.loops, config.match), config.scan
+    for scan, pose, travelled_m, session in zip(scans, poses, path_m, sessions.tolist(), strict=True):
+        points = ScanPoints.none()
+        if scan is not None:
+            limits = settings.range_min_m, settings.range_max_m
+            points = extract_points(scan, *limits, settings.neighbours)
+        seen, surface = (make(points) for make in (OrientedPoints.from_scan, OrientedPoints.surface))
+        closer.add_keyframe(seen, pose, travelled_m, session, surface)
+    return closer
 
 
 def search_place(

@@ -218,6 +218,10 @@ class PoseGraph:
         self._estimate = _solved(graph, self._estimate)
         return BatchResult(float(graph.error(self._estimate)), kept)
 
+    def begin_with(self, kept: Iterable[bool]) -> None:
+        """Let the next optimisation begin with what an earlier one has kept of the edges so far."""
+        self._kept = np.fromiter(kept, np.bool_)
+
     def doubt(self, first: int, last: int) -> None:
         """Let the next optimisation begin without the steps of a part of the way that may be refused."""
         for k, edge in enumerate(self.edges[: len(self._kept)]):
@@ -238,9 +242,7 @@ class PoseGraph:
 
     def pose(self, key: int) -> Pose:
         """Estimated pose of a node."""
-        if self._dimension == 3:
-            return self._estimate.atPose2(key)
-        return self._estimate.atPose3(key)
+        return self._estimate.atPose2(key) if self._dimension == 3 else self._estimate.atPose3(key)
 
     def spatial_pose(self, key: int) -> gtsam.Pose3:
         """Estimated pose of a node of an SE(3) graph."""

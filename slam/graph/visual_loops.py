@@ -95,6 +95,10 @@ class VisualLoopCloser:
             _report(candidate)
         return tried
 
+    def verify(self, place: int, key: int, guess: gtsam.Pose3 | None) -> LoopCandidate:
+        """Match a keyframe to a place, from a guess (``T_place_camera``) or from anywhere."""
+        return self._verify(place, key, guess, 1.0)
+
     def _near(self, key: int, poses: Sequence[gtsam.Pose3]) -> list[int]:
         """Places whose cameras should see much the same, each from another stretch of the way."""
         config = self._config

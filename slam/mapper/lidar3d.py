@@ -32,6 +32,7 @@ from slam.measurements import BoolArray, LaserScan, PointCloud, Pose, WheelOdome
 from slam.odometry.clock_learner import Turns
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
 from slam.odometry.wheel_tracker import WheelTracker
+from slam.storage.map_clouds import MapClouds
 from slam.trajectory.readings import Readings
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prepared_frame import PreparedFrame
@@ -180,7 +181,7 @@ class CloudLidar:
 
     def _draw_plan(self, result: MapResult) -> None:
         """The flat scan of each keyframe, and the grids."""
-        settings, layers = self._config.cloud_map, self._config.layers
+        layers = self._config.layers
         lidar_m = float(self._T_base_lidar.z())
         thickness_m = self._config.cloud_odometry.thickness_m
         ground = ground_of(self._clouds, self._T_base_lidar, self._tracker.voxel_m, thickness_m)
@@ -190,18 +191,37 @@ class CloudLidar:
         source = "the mounting" if ground.by_mounting else "sight"
         result.notes.append(f"ground: {ground.height_m:+.2f} m in the base frame, by {source}")
         try:
-            if layers.climb_m >= layers.robot_height_m:
-                raise DatasetError("layers.climb_m leaves no height to layers.robot_height_m; make it lower")
-            band = HeightBand(0.0, layers.robot_height_m, layers.climb_m)
-            measured: list[LaserScan | None] = [
-                band_scan(points, stamp_s, self._T_base_lidar, band, ground.height_m, settings)
-                for points, stamp_s in zip(self._clouds, self._stamps_s, strict=True)
-            ]
+            measured = band_scans(self._clouds, ground.height_m, self._config)
             in_band = layers.climb_m < lidar_m - ground.height_m < layers.robot_height_m
             scans, result.fused = self._cameras.repaired(measured, in_band=in_band)
         except ScanweaveError as error:
             result.warnings.append(f"No grid was built: {error}")
             return
         result.notes += [] if result.fused is None else [result.fused.note]
-        result.map = replace(result.map, measured_scans=measured, keyframe_scans=scans)
-        result.draw(self._config, ground.height_m)
+        result.map = replace(
+            result.map, measured_scans=measured, keyframe_scans=scans, ground_m=ground.height_m
+        )
+        result.draw(self._config)
+
+
+def band_scans(clouds: MapClouds, ground_m: float, config: Config) -> list[LaserScan | None]:
+    """The flat scan of each keyframe: what of its cloud stands in the robot's way.
+
+    Parameters
+    ----------
+    ground_m
+        Height of the ground in the base frame.
+
+    Raises
+    ------
+    DatasetError
+        Where the robot climbs over all that it is high.
+    """
+    layers, T_base_lidar = config.layers, clouds.T_base_lidar(len(clouds) - 1)
+    if layers.climb_m >= layers.robot_height_m:
+        raise DatasetError("layers.climb_m leaves no height to layers.robot_height_m; make it lower")
+    band = HeightBand(0.0, layers.robot_height_m, layers.climb_m)
+    return [
+        band_scan(points, clouds.stamp_s(key), T_base_lidar, band, ground_m, config.cloud_map)
+        for key, points in enumerate(clouds)
+    ]

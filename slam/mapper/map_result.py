@@ -63,37 +63,40 @@ class MapResult:
         learned = {name: record.learned for name, record in cameras.items()}
         self.map = replace(self.map, cameras=learned, frames=frames if len(frames) else None)
 
-    def draw(self, config: Config, ground_m: float | None = None) -> None:
-        """Draw the lidar's grid of the keyframe scans, and the depth layer of the frames.
+    def draw(self, config: Config) -> None:
+        """Draw the grids, see `drawn`; what cannot be drawn is a warning."""
+        self.map, warnings = drawn(self.map, config)
+        self.warnings += warnings
 
-        What cannot be drawn is a warning.
 
-        Parameters
-        ----------
-        ground_m
-            As in `depth_grid`.
-        """
-        found, settled = self.map, config
+def drawn(found: MapContents, config: Config) -> tuple[MapContents, list[str]]:
+    """A map with the lidar's grid of its keyframe scans, and the depth layer of its frames.
+
+    Returns
+    -------
+    The map, and a line on everything that cannot be drawn.
+    """
+    settled, warnings = config, list[str]()
+    try:
+        grids = lidar_grids(found.keyframe_scans, found.keyframe_poses, config)
+    except ScanweaveError as error:  # a map that would not fit in memory
+        warnings.append(f"No grid was built: {error}")
+        grids = {}
+    lidar = grids.get(OCCUPANCY)
+    if lidar is not None and lidar.resolution_m > config.grid.resolution_m:
+        warnings.append(
+            f"The map is so large that its cells are {lidar.resolution_m:g} m wide; for cells of "
+            f"{config.grid.resolution_m:g} m raise grid.greatest_cells = {config.grid.greatest_cells}"
+        )
+        cells = config.grid.model_copy(update={"resolution_m": lidar.resolution_m})
+        settled = config.model_copy(update={"grid": cells})
+    if found.frames is not None and (found.planar or lidar is not None):
         try:
-            grids = lidar_grids(found.keyframe_scans, found.keyframe_poses, config)
-        except ScanweaveError as error:  # a map that would not fit in memory
-            self.warnings.append(f"No grid was built: {error}")
-            grids = {}
-        lidar = grids.get(OCCUPANCY)
-        if lidar is not None and lidar.resolution_m > config.grid.resolution_m:
-            self.warnings.append(
-                f"The map is so large that its cells are {lidar.resolution_m:g} m wide; for cells of "
-                f"{config.grid.resolution_m:g} m raise grid.greatest_cells = {config.grid.greatest_cells}"
-            )
-            cells = config.grid.model_copy(update={"resolution_m": lidar.resolution_m})
-            settled = config.model_copy(update={"grid": cells})
-        if found.frames is not None and (found.planar or lidar is not None):
-            try:
-                depth = depth_grid(found.frames, found.frame_poses(), settled, ground_m)
-                grids |= {} if depth is None else {DEPTH: depth}
-            except ScanweaveError as error:
-                self.warnings.append(f"No depth layer was drawn, the map is the lidar's alone: {error}")
-        self.map = replace(found, grids=grids)
+            depth = depth_grid(found.frames.taken(), found.frame_poses(), settled, found.ground_m)
+            grids |= {} if depth is None else {DEPTH: depth}
+        except ScanweaveError as error:
+            warnings.append(f"No depth layer was drawn, the map is the lidar's alone: {error}")
+    return replace(found, grids=grids), warnings
 
 
 def depth_grid(

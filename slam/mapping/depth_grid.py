@@ -108,6 +108,9 @@ def depth_board(
 ) -> Board | None:
     """The evidence of one depth image, height by height; None where it has no reading within reach.
 
+    A negative depth is a reading that an edit has taken away: its ray frees as before, and the cell where it
+    ends is not marked.
+
     Each cell has the floor and `DepthModel.bins` heights above it. What is seen through is freed there, and
     what is met is marked there: many images together tell of all heights of a cell, and of those where
     somebody stood, which a later ray passes.
@@ -129,7 +132,8 @@ def depth_board(
             f"cells of {cell_m:g} m with radius_m {model.radius_m:g}; a cell must be larger (Yang2021: R > r)"
         )
     rays, rays32 = _rays_of(frame.depth_m.shape, frame.intrinsics)
-    depth_m = np.where(np.isfinite(frame.depth_m), frame.depth_m, np.float32(0.0))
+    told_m = np.where(np.isfinite(frame.depth_m), frame.depth_m, np.float32(0.0))
+    depth_m = np.abs(told_m)
     if not (depth_m > 0.0).any():
         return None
     matrix = np.ascontiguousarray(T_grid_camera, dtype=np.float64)
@@ -152,6 +156,9 @@ def depth_board(
     free_heights(mask, steps, evidence_steps(model.p_miss))
     every = (slice(None, None, model.pixel_stride),) * 2
     cells, heights = _hit_voxels(depth_m[every], rays[every], matrix, model, cell_m)
+    if (told_m < 0.0).any():
+        standing = ~_among(cells, _cells_taken(told_m, rays, matrix, cell_m))
+        cells, heights = cells[standing], heights[standing]
     centres_m = (cells + 0.5) * cell_m - matrix[:2, 3]
     hits = _hits_by_range(model, cell_m)[_place(np.hypot(*centres_m.T), cell_m)]
     steps[cells[:, 1] - box[0], cells[:, 0] - box[1], heights] = hits
@@ -184,6 +191,21 @@ def _hit_voxels(
     low_m, high_m = model.band.low_m, model.band.high_m
     heights = ((left[:, 2] - low_m) / (high_m - low_m) * model.bins).astype(np.int64)
     return cells[held], 1 + np.clip(heights[held], 0, model.bins - 1)
+
+
+def _cells_taken(
+    told_m: Float32Array, rays: Rays, T_grid_camera: FloatArray, cell_m: float
+) -> NDArray[np.int64]:
+    """(M, 2) columns and rows of cells in which a reading was taken away."""
+    points = to_frame(back_project(np.maximum(-told_m, np.float32(0.0)), rays), T_grid_camera)
+    return np.unique(np.floor(points[:, :2] / cell_m).astype(np.int64), axis=0)
+
+
+def _among(cells: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(N,) which of (N, 2) cells are among (M, 2) others."""
+    both = np.concatenate([cells, others])
+    number = np.unique(both, axis=0, return_inverse=True)[1].reshape(-1)
+    return np.isin(number[: len(cells)], number[len(cells) :])
 
 
 def _place(range_m: FloatArray, cell_m: float) -> NDArray[np.intp]:

@@ -33,7 +33,8 @@ def head_on(scan: LaserScan, noise: RangeNoise, cell_m: float) -> LaserScan:
     """
     half = max(2, round(0.5 * _LOBE_RAD / abs(scan.step_rad)))
     limits = np.tan(_LOBE_RAD), 2.0 * noise.floor_m, 2.0 * noise.share, cell_m
-    met = _flat(np.asarray(scan.ranges_m, dtype=np.float32), half, abs(float(scan.step_rad)), limits)
+    # What was taken away has been as flat as it was.
+    met = _flat(np.abs(np.asarray(scan.ranges_m, dtype=np.float32)), half, abs(float(scan.step_rad)), limits)
     return replace(scan, ranges_m=np.where(met, scan.ranges_m, np.float32(np.nan)))
 
 

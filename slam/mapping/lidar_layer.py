@@ -13,7 +13,7 @@ from fusion.depth_model import RangeNoise, hit_evidence
 from slam.errors import ConfigError
 from slam.mapping.evidence_tiles import Board
 from slam.mapping.occupancy_grid import Steps
-from slam.mapping.ray_tracing import HIT, Box, Evidence, beam_ends, draw_lines
+from slam.mapping.ray_tracing import HIT, TAKEN, Box, Evidence, beam_ends, draw_lines
 from slam.measurements import FloatArray, LaserScan
 
 
@@ -102,7 +102,8 @@ def weigh_beams(
 ) -> Steps:
     """Steps of evidence of a scan's box: lines up to the margin first, then the ends on top.
 
-    So a cell in which a beam ended is never cleared by the neighbour that passes it.
+    So a cell in which a beam ended is never cleared by the neighbour that passes it. A beam whose end was
+    taken away clears as far as before, and marks nothing.
 
     Parameters
     ----------
@@ -120,9 +121,10 @@ def weigh_beams(
     (rows, cols); where several beams end in one cell, the nearest decides.
     """
     met, away = kinds == HIT, ends - laser_cells
+    stopped = met | (kinds == TAKEN)
     range_m = np.hypot(*away.T) * cell_m
     share = 1.0 - margin_sigmas * noise.sigma_m(range_m) / np.maximum(range_m, 1e-6)
-    short = laser_cells + np.where(met, np.maximum(0.0, share), 1.0)[:, None] * away
+    short = laser_cells + np.where(stopped, np.maximum(0.0, share), 1.0)[:, None] * away
     steps: Steps = draw_lines(short, kinds, box, *laser_cells, miss_step)
     cells = np.minimum(np.floor(ends[met, ::-1]).astype(np.intp) - box[:2], np.array(box[2:]) - 1)
     place = np.minimum((range_m[met] / cell_m).astype(np.intp), hit_steps.size - 1)

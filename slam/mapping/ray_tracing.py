@@ -29,9 +29,10 @@ class _Kind(IntEnum):
     NOTHING = 0
     FREE = 1
     HIT = 2
+    TAKEN = 3
 
 
-NOTHING, FREE, HIT = (np.uint8(kind) for kind in _Kind)
+NOTHING, FREE, HIT, TAKEN = (np.uint8(kind) for kind in _Kind)
 
 # Lines are followed in fixed point: an addition and a shift a cell, no rounding call.
 _FRACTION_BITS = np.iinfo(np.int32).bits
@@ -52,7 +53,7 @@ def beam_ends(
     Parameters
     ----------
     ranges_m
-        (N,) ``inf`` is no return, ``nan`` an invalid reading.
+        (N,) ``inf`` is no return, ``nan`` an invalid reading, negative one that was taken away.
     x_cells, y_cells
         The laser.
     start_rad, step_rad
@@ -63,7 +64,7 @@ def beam_ends(
 
     Returns
     -------
-    (N, 2) ends x, y in cells; (N,) HIT, FREE (no return) or NOTHING (``nan``, zero or less); and the box
+    (N, 2) ends x, y in cells; (N,) HIT, FREE (no return), NOTHING (``nan``, zero) or TAKEN; and the box
     (first row, first col, rows, cols) that holds the laser and every end.
     """
     ends, kinds = np.empty((ranges_m.size, 2)), np.zeros(ranges_m.size, np.uint8)
@@ -100,6 +101,9 @@ def _shoot(  # type: ignore[no-untyped-def]
             elif clear_limit_m > 0.0:
                 kinds[beam] = FREE
                 reach_m = min(range_m, clear_limit_m)
+        elif -hit_limit_m <= range_m < 0.0:
+            kinds[beam] = TAKEN
+            reach_m = -range_m
         end_x = x_cells + reach_m * cells_per_m * cosine
         end_y = y_cells + reach_m * cells_per_m * sine
         ends[beam, 0] = end_x

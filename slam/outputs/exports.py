@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 from slam.config import Config
+from slam.edits.remaking import regions_of
 from slam.errors import LibraryError, ScanweaveError
 from slam.mapping.camera_points import camera_cloud
 from slam.mapping.cloud_map import map_cloud
@@ -20,6 +22,7 @@ from slam.storage.files import make_folder
 from slam.storage.g2o import write_g2o
 from slam.storage.map_contents import MapContents
 from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers, write_passed_by
+from slam.storage.nav2_zones import write_zones
 from slam.storage.octomap import write_octomap, write_octree
 from slam.storage.ply import write_cloud_ply, write_mesh_ply
 
@@ -80,14 +83,29 @@ class Exports:
         return [out], []
 
     def write_files(self, folder: Path) -> list[Path]:
-        """Write trajectory and graph, and of a floor the map to drive by and layers; errors as in `write`."""
+        """Write trajectory and graph, of a floor the map to drive by, layers, zones; errors as in `write`."""
         formats = ["tum", "g2o"] if self.layers is None else ["tum", "g2o", "nav2"]
         written = [path for name in formats for path in self.write(name, folder)[0]]
         if self.layers is None:
             return written
+        poses, edits = self.contents.keyframe_poses, self.contents.edits
+        keep_out = [zone.points(poses) for zone in regions_of(edits, "keep_out")]
+        slow = [(zone.points(poses), zone.value) for zone in regions_of(edits, "slow")]
         beside = folder / "layers"
-        passed_by = write_passed_by(beside, self.contents.grids.get(PASSED_BY))
-        return written + write_layers(beside, self.layers) + passed_by
+        written += write_layers(beside, self.layers)
+        written += write_passed_by(beside, self.contents.grids.get(PASSED_BY))
+        return written + write_zones(folder, self.layers, keep_out, slow)
+
+    def write_sessions(self, folder: Path, poses: Sequence[int]) -> list[Path]:
+        """Write a trajectory a session, where several have so many poses: their clocks may overlap."""
+        written, first, found = list[Path](), 0, self.contents
+        for number, count in enumerate(poses if len(poses) > 1 else (), start=1):
+            part = slice(first, first + count)
+            covariances = None if found.covariances is None else found.covariances[part]
+            path = folder / f"trajectory-{number}.tum"
+            written += write_trajectory(path, found.trajectory[part], covariances)
+            first = part.stop
+        return written
 
     def write_surfaces(self, folder: Path) -> tuple[list[Path], list[str]]:
         """Write surfaces and clouds, and the octree, where they are asked for; see `write`."""

@@ -4,27 +4,30 @@ from __future__ import annotations
 
 import logging
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-
-import gtsam
+from typing import Any
 
 from slam.config import Config
+from slam.config.edits import Edits, edits_of, load_edits
+from slam.edits.applying import Known
+from slam.edits.edited_file import known_of, write_entries, write_unedited, write_with
+from slam.edits.remaking import regions_of
 from slam.errors import MapFileError
-from slam.foreign import from_json
 from slam.graph.loop_closure import LoopCandidate
 from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Trajectory
 from slam.outputs.exports import Exports
 from slam.storage.files import make_folder, replacing
-from slam.storage.map_contents import MapContents, SavedFactor, read_contents
+from slam.storage.map_contents import MapContents, SavedFactor, read_contents, refuse_misfits
 from slam.storage.map_file import MAP_NAME, MapFile
-from slam.storage.map_identity import MapIdentity
+from slam.storage.map_identity import MapIdentity, lines_of
 from slam.storage.map_sessions import MapSession, sessions_of
 from slam.storage.map_soundness import sound_readings
-from slam.storage.map_tables import FRAMES, KEYFRAMES
+from slam.storage.map_tables import KEYFRAMES
+from slam.storage.whole_folder import remake
 from slam.temporary import TemporaryFolder
 
 log = logging.getLogger(__name__)
@@ -140,6 +143,7 @@ class Map:
             With the first fault, in one line that names table and row.
         """
         self._file.check_pages()
+        self.parts()
         frames, clouds = self.contents.frames, self.contents.clouds
         for index in range(len(frames) if frames else 0):
             assert frames
@@ -182,7 +186,115 @@ class Map:
         surfaces, missing = exports.write_surfaces(folder)
         for fault in missing:
             log.warning("%s", fault)
-        return exports.write_files(folder) + surfaces
+        sessions = [session.poses for session in self.sessions]
+        return exports.write_files(folder) + surfaces + exports.write_sessions(folder, sessions)
+
+    @property
+    def edits(self) -> list[str]:
+        """What a person has decided of the map: each applied file, as YAML, in their order."""
+        return [entry.text for entry in self.contents.edits]
+
+    @property
+    def places(self) -> dict[str, FloatArray]:
+        """(3,) x, y, yaw of the places that a person has named, map frame."""
+        places = regions_of(self.contents.edits, "place")
+        return {place.name: place.pose(self.keyframe_poses) for place in places}
+
+    def zones(self, kind: str = "keep_out") -> dict[str, FloatArray]:
+        """(n, 2) corners of the zones of a kind, ``keep_out`` or ``slow``, by their names, map frame."""
+        zones = regions_of(self.contents.edits, kind)
+        return {zone.name: zone.points(self.keyframe_poses) for zone in zones}
+
+    def edited(self, edits: Edits | Mapping[str, Any] | Path | str, *, out: Path | str | None = None) -> Map:
+        """The map with edits on top of those that it has; this one stays open, and shows what it was.
+
+        Parameters
+        ----------
+        edits
+            A file as ``docs/edits.md`` explains it, or what it would hold.
+        out
+            Folder for the edited map, which may be this one's; None keeps it in a temporary folder.
+
+        Raises
+        ------
+        ScanweaveError
+            Where the edits do not fit the map, the folder holds another one, or a file cannot be written; the
+            map is as it was.
+
+        Examples
+        --------
+        >>> import slam
+        >>> from slam.simulation.synthetic_log import write_synthetic_log
+        >>> house = slam.map_log(write_synthetic_log("monday", duration_s=12.0).log_path)
+        >>> turned = house.edited({"turn": {"degrees": 90}, "places": [{"name": "dock", "position": [1, 0]}]})
+        >>> turned.places["dock"].round(2).tolist()
+        [0.0, 1.0, 1.57]
+        >>> turned.undone().digest == house.digest
+        True
+        """
+        known = self.parts()
+        chosen = load_edits(edits) if isinstance(edits, str | Path) else edits
+        chosen = chosen if isinstance(chosen, Edits) else edits_of(chosen, "the edits")
+        return self._anew(lambda path: write_with(known, chosen, path), out)
+
+    def remap(self, settings: Sequence[str] = (), *, out: Path | str | None = None) -> Map:
+        """The map made anew with other settings, without its log; else as `edited`.
+
+        Parameters
+        ----------
+        settings
+            As `slam.load_config` takes them; what takes the log is refused.
+
+        Examples
+        --------
+        >>> import slam
+        >>> from slam.simulation.synthetic_log import write_synthetic_log
+        >>> house = slam.map_log(write_synthetic_log("monday", duration_s=12.0).log_path)
+        >>> house.remap(["grid.resolution_m=0.1"]).grid.resolution_m
+        0.1
+        """
+        pairs = (setting.partition("=") for setting in settings)
+        return self.edited({"settings": {name: value for name, _, value in pairs}}, out=out)
+
+    def undone(self, *, out: Path | str | None = None) -> Map:
+        """The map as it was before the last edits; else as `edited`.
+
+        Raises
+        ------
+        ScanweaveError
+            Also where it has none.
+        """
+        entries = self.contents.edits[:-1]
+        if not self.contents.edits:
+            raise MapFileError(f"{self.path} has no edits to undo")
+        if not entries:
+            return self._anew(lambda path: write_unedited(self._file, path), out)
+        return self._anew(lambda path: write_entries(self.parts(), entries, path), out)
+
+    def parts(self) -> Known:
+        """The map as it is, and as it was before all edits."""
+        return known_of(self._file, self.contents, self.sessions)
+
+    def _anew(self, write: Callable[[Path], list[str]], out: Path | str | None) -> Map:
+        """A map that is written beside what is there, and takes its place."""
+        if out is None:
+            kept_in = TemporaryFolder()
+            write(kept_in.path / MAP_NAME)
+            return open_map(kept_in.path, kept_in)
+        folder = Path(out)
+        target = folder / MAP_NAME
+        if target.exists() and not target.samefile(self.path):
+            raise MapFileError(f"{target} is another map; give another --out (out=)")
+
+        def write_all(work: Path) -> None:
+            for warning in write(work / MAP_NAME):
+                log.warning("%s", warning)
+            found = open_map(work)
+            found.write_files(work)
+            found.close()
+
+        remake(folder, write_all)
+        return open_map(folder)
 
     def save(self, folder: Path | str, *, overwrite: bool = False) -> list[Path]:
         """Write the map into a folder: ``map.db``, and the files for other programs.
@@ -263,38 +375,13 @@ def open_map(path: Path | str, kept_in: TemporaryFolder | None = None) -> Map:
         sessions = sessions_of(meta, len(contents.node_poses), len(contents.trajectory))
         with file.blaming(KEYFRAMES, len(contents.node_poses) - 1):
             sound_readings(contents.readings, sessions)
-        frames, clouds, nodes = contents.frames, contents.clouds, contents.node_poses
-        in_space = sum(isinstance(pose, gtsam.Pose3) for pose in nodes)
-        if clouds is not None and not len(clouds) == len(nodes) == in_space:
-            raise MapFileError(
-                f"{file.path} holds {len(clouds)} clouds for {len(nodes)} nodes, {in_space} of them in "
-                "space; make the map anew"
-            )
-        for index in range(len(frames) if frames else 0):
-            assert frames
-            with file.blaming(FRAMES, index):
-                head = frames.head(index)
-                if not 0 <= head.node < len(nodes):
-                    raise MapFileError("it belongs to no node")
-                if clouds is not None and head.T_base_camera is None:
-                    raise MapFileError("it does not tell where the camera was on the robot")
+        refuse_misfits(file, contents)
     except BaseException:
         file.close()
         raise
     digest = file.content_digest()
-    notes, warnings = (_lines(meta, key, file.path) for key in (NOTES, WARNINGS))
+    notes, warnings = (lines_of(meta, key, file.path) for key in (NOTES, WARNINGS))
     return Map(file.path, identity, sessions, contents, digest, notes, warnings, file, kept_in)
 
 
 load_map = open_map  # its public name
-
-
-def _lines(meta: Mapping[str, str], key: str, path: Path) -> list[str]:
-    """Lines of text from a row of the file; none in a map of an older version."""
-    try:
-        lines = from_json(meta.get(key, "[]"))
-    except ValueError as error:
-        raise MapFileError(f"{path} tells no {key} ({error}); make the map anew") from error
-    if not isinstance(lines, list) or not all(isinstance(line, str) for line in lines):
-        raise MapFileError(f"{path} tells no {key}; make the map anew")
-    return lines

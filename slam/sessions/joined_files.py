@@ -2,66 +2,95 @@
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
-import os
-import shutil
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import tempfile
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 
+import numpy as np
+
 from slam.config import Config
-from slam.errors import MapFileError
+from slam.edits.applying import later_evidence
+from slam.edits.edited_file import write_entries
+from slam.edits.remaking import remade
 from slam.mapper.map_result import depth_grid
 from slam.mapping.keyframe_grid import DEPTH
 from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.matching.planar import between, compose
 from slam.outputs.finished_map import NOTES, WARNINGS, Map, open_map
-from slam.sessions.session_join import JoinedMap
-from slam.storage.covariances import write_trajectory
+from slam.sessions.connection import Connection
+from slam.sessions.session_join import JoinedMap, join
 from slam.storage.files import make_folder
-from slam.storage.map_contents import MapContents, write_contents
+from slam.storage.map_contents import write_contents
 from slam.storage.map_file import MAP_NAME, MapFile
 from slam.storage.map_identity import MapIdentity
-from slam.storage.map_sessions import SESSIONS, MapSession, sessions_to_meta
+from slam.storage.map_sessions import SESSIONS, sessions_to_meta
 
 
-@contextmanager
-def only_one_in(folder: Path) -> Iterator[None]:
-    """Keep others from joining a session in a folder during the block; a killed process lets go of it.
-
-    Raises
-    ------
-    MapFileError
-        Where another one does so already.
-    """
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-    except BlockingIOError as error:
-        raise MapFileError(f"another run adds a session in {folder}; wait for its end") from error
-    finally:
-        os.close(handle)
-
-
-def write_joined(folder: Path, known: Map, session: Map, joined: JoinedMap) -> list[Path]:
+def write_joined(folder: Path, known: Map, session: Map, connection: Connection) -> list[Path]:
     """Write ``map.db`` of a map and a session, and its exports, into a new folder; what was written.
+
+    Of a map that a person has edited both are joined once more without the edits, which are then applied:
+    the joined map can be undone as the first could.
 
     Raises
     ------
     ScanweaveError
         Where a file cannot be written.
     """
+    assert connection.joined is not None
     make_folder(folder)
+    if not known.contents.edits:
+        _write(folder / MAP_NAME, known, session, connection.joined)
+    else:
+        with tempfile.TemporaryDirectory() as plain:
+            _write(Path(plain) / MAP_NAME, *_unedited(known, session, connection))
+            _edit(Path(plain), known, folder / MAP_NAME)
+    saved = open_map(folder)
+    try:
+        return [folder / MAP_NAME, *saved.write_files(folder)]
+    finally:
+        saved.close()
+
+
+def _unedited(known: Map, session: Map, connection: Connection) -> tuple[Map, Map, JoinedMap]:
+    """A map without its edits, a session, and the two joined by the same loops."""
+    parts = known.parts()
+    identity = replace(known.identity, config=parts.before)
+    before = replace(known, contents=parts.base, identity=identity)
+    poses, base = known.keyframe_poses, before.keyframe_poses
+    anchors = []
+    for anchor in connection.placing.anchors:
+        near = int(np.hypot(*(poses[:, :2] - anchor.pose[:2]).T).argmin())
+        T_base_map = compose(base[near], between(poses[near], np.zeros(3)))
+        T_base_session = compose(T_base_map, anchor.T_map_session)
+        anchors.append(replace(anchor, pose=compose(T_base_map, anchor.pose), T_map_session=T_base_session))
+    placing = replace(connection.placing, anchors=anchors)
+    return before, session, join(before, session, placing, connection.loops, before.config)
+
+
+def _edit(folder: Path, known: Map, path: Path) -> None:
+    """Apply the edits of a map to it and a session joined without them."""
+    joined, entries = open_map(folder), known.contents.edits
+    try:
+        first, parts = len(known.contents.node_poses), joined.parts()
+        found, _ = remade(parts.base, entries, parts.before, parts.sessions)
+        entries = later_evidence(found, entries, first, known.config)
+        write_entries(parts, entries, path)
+    finally:
+        joined.close()
+
+
+def _write(path: Path, known: Map, session: Map, joined: JoinedMap) -> None:
+    """Write ``map.db`` of the two."""
     config = known.config
     depth, contents = _depth(known, session, joined, config), joined.contents
     if depth is not None:
         contents = replace(contents, grids={**contents.grids, DEPTH: depth})
     sessions = [*known.sessions, *session.sessions]
-    file = MapFile.create(folder / MAP_NAME)
+    file = MapFile.create(path)
     try:
         for key, value in _identity(known, session).to_meta().items():
             file.add_meta(key, value)
@@ -75,42 +104,6 @@ def write_joined(folder: Path, known: Map, session: Map, joined: JoinedMap) -> l
         file.seal()
     finally:
         file.close()
-    saved = open_map(folder)
-    try:
-        written = [folder / MAP_NAME, *saved.write_files(folder)]
-    finally:
-        saved.close()
-    return written + _session_trajectories(folder, contents, sessions)
-
-
-def move_into(folder: Path, source: Path) -> list[Path]:
-    """Let all files of a folder take the place of their namesakes in another, ``map.db`` last.
-
-    Each is renamed: at any moment ``map.db`` is the old one or the new one, whole, and while it is the old
-    one the same can be done again. The source is removed.
-
-    Returns
-    -------
-    Where they are now.
-
-    Raises
-    ------
-    MapFileError
-        Where a file cannot be moved.
-    """
-    files = sorted(path for path in source.rglob("*") if path.is_file())
-    files.sort(key=lambda path: path.name == MAP_NAME)
-    moved = []
-    try:
-        for file in files:
-            target = folder / file.relative_to(source)
-            make_folder(target.parent)
-            file.replace(target)
-            moved.append(target)
-        shutil.rmtree(source)
-    except OSError as error:
-        raise MapFileError(f"cannot write {folder}: {error.strerror or error}") from error
-    return moved
 
 
 def _identity(known: Map, session: Map) -> MapIdentity:
@@ -132,15 +125,3 @@ def _depth(known: Map, session: Map, joined: JoinedMap, config: Config) -> Occup
         return None
     frames, poses = (chain.from_iterable(part) for part in zip(*seen, strict=True))
     return depth_grid(frames, list(poses), config)
-
-
-def _session_trajectories(folder: Path, whole: MapContents, sessions: Sequence[MapSession]) -> list[Path]:
-    """Files a session: their clocks may overlap."""
-    written, first = list[Path](), 0
-    for number, session in enumerate(sessions, start=1):
-        part = slice(first, first + session.poses)
-        covariances = None if whole.covariances is None else whole.covariances[part]
-        path = folder / f"trajectory-{number}.tum"
-        written += write_trajectory(path, whole.trajectory[part], covariances)
-        first = part.stop
-    return written

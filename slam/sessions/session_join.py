@@ -4,26 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slam.config import Config
 from slam.graph.loop_closure import LoopCandidate, judged
 from slam.graph.pose_covariances import pose_covariances
 from slam.graph.pose_graph import PoseGraph
 from slam.mapping.keyframe_grid import lidar_grids
-from slam.matching.planar import between, compose
+from slam.matching.planar import compose
 from slam.measurements import FloatArray, Trajectory, pose2_from_row, row_from_pose2
 from slam.outputs.finished_map import Map
 from slam.sessions.placing import Placing
 from slam.storage.map_contents import MapContents, SavedFactor
-from slam.trajectory.carried import carried_covariances
 from slam.trajectory.poses import Poses
-from slam.trajectory.spread import spread_correction
-
-Indices: TypeAlias = NDArray[np.int64]
+from slam.trajectory.resettled import resettled
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +83,15 @@ def join(
     scans = [*known.keyframe_scans, *session.keyframe_scans]
     before, nodes_after = known.keyframe_poses, [pose2_from_row(pose) for pose in poses]
     told = pose_covariances(nodes_after, nodes_after, [factor.edge for factor in factors], kept, config)
-    trajectory, covariances = _joined_trajectory((known_map, session_map), poses, *told)
+    both = (known_map, session_map)
+    trajectory, covariances = resettled(
+        _together([one.trajectory for one in both]),
+        np.concatenate([one.contents.stamps_s for one in both]),
+        Poses.planar(np.concatenate([one.keyframe_poses for one in both])),
+        Poses.planar(poses),
+        [(session.keyframes, session.poses) for one in both for session in one.sessions],
+        told,
+    )
     return JoinedMap(
         MapContents(
             node_poses=nodes_after,
@@ -151,40 +154,9 @@ def _shifted(loop: LoopCandidate, nodes: int) -> LoopCandidate:
     return replace(loop, place=loop.place + nodes, keyframe=loop.keyframe + nodes)
 
 
-def _joined_trajectory(
-    maps: Sequence[Map], poses: FloatArray, covariances: FloatArray, steps: FloatArray
-) -> tuple[Trajectory, FloatArray]:
-    """The trajectories of all sessions and their covariances, each carried along with its keyframes."""
-    stamps_s = np.concatenate([one.trajectory.stamps_s for one in maps])
-    planar = np.concatenate([one.trajectory.to_planar() for one in maps])
-    before = np.concatenate([one.keyframe_poses for one in maps])
-    keyframe_stamps_s = np.concatenate([one.contents.stamps_s for one in maps])
-    carried, uncertain, first, node = [], [], 0, 0
-    # One session at a time: their clocks may overlap.
-    for session in (session for one in maps for session in one.sessions):
-        part, nodes = slice(first, first + session.poses), slice(node, node + session.keyframes)
-        first, node = part.stop, nodes.stop
-        readings, kept = _readings_of(keyframe_stamps_s[nodes], stamps_s[part])
-        corrections = zip(poses[nodes][kept], before[nodes][kept], planar[part][readings], strict=True)
-        corrected = [compose(after, between(old, reading)) for after, old, reading in corrections]
-        motion, anchors = Poses.planar(planar[part]), Poses.planar(np.array(corrected))
-        trajectory = spread_correction(motion, readings, anchors).trajectory(stamps_s[part])
-        # Where a keyframe is passed over, the steps to it and from it are one.
-        ways = steps[nodes.start : nodes.stop - 1]
-        ways = np.add.reduceat(ways[: kept[-1]], kept[:-1]) if len(kept) > 1 else ways[:0]
-        uncertain.append(carried_covariances(trajectory, readings, covariances[nodes][kept], ways))
-        carried.append(trajectory.to_planar())
-    return Trajectory.from_planar(stamps_s, np.concatenate(carried)), np.concatenate(uncertain)
-
-
-def _readings_of(keyframes_s: FloatArray, stamps_s: FloatArray) -> tuple[Indices, Indices]:
-    """The reading of each keyframe in the order of the log, and which keyframes these are.
-
-    A log whose clock was set back has stamps twice: a keyframe that would go back is passed over.
-    """
-    order = np.argsort(stamps_s, kind="stable")
-    nearest = np.clip(np.searchsorted(stamps_s[order], keyframes_s), 0, len(stamps_s) - 1)
-    readings = order[nearest]
-    last = np.concatenate([[-1], np.maximum.accumulate(readings)[:-1]])
-    kept = np.flatnonzero((stamps_s[readings] == keyframes_s) & (readings > last))
-    return readings[kept], kept
+def _together(parts: Sequence[Trajectory]) -> Trajectory:
+    """Trajectories one after the other."""
+    columns = (
+        [getattr(part, name) for part in parts] for name in ("stamps_s", "positions_m", "quaternions_xyzw")
+    )
+    return Trajectory(*(np.concatenate(column) for column in columns))

@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.config import Config
-from slam.graph.loop_closure import LoopCandidate, LoopCloser
-from slam.matching.local_map import OrientedPoints
+from slam.graph.loop_closure import LoopCandidate, closer_of
 from slam.matching.planar import between, compose
-from slam.matching.scan_points import ScanPoints, extract_points
-from slam.measurements import FloatArray, LaserScan
+from slam.measurements import FloatArray
 from slam.outputs.finished_map import Map
 from slam.sessions.placing import BEND_RAD, SIGHT_SIGMA_M, SIGHT_SIGMA_RAD, Placing
 
@@ -24,14 +22,14 @@ def find_loops(known: Map, session: Map, placing: Placing, config: Config) -> li
     -------
     Every candidate, its ``place`` a keyframe of the map, its ``keyframe`` numbered after those of the map.
     """
-    closer = LoopCloser(config.loops, config.match)
-    for part, first in ((known, 0), (session, len(known.sessions))):
-        numbers = first + _session_numbers(part)
-        rows = zip(part.keyframe_scans, part.keyframe_poses, part.contents.path_m, numbers, strict=True)
-        for scan, pose, travelled_m, number in rows:
-            points = _points(scan, config)
-            seen, surface = (make(points) for make in (OrientedPoints.from_scan, OrientedPoints.surface))
-            closer.add_keyframe(seen, pose, travelled_m, number, surface)
+    both = ((known, 0), (session, len(known.sessions)))
+    closer = closer_of(
+        [scan for part, _ in both for scan in part.keyframe_scans],
+        np.concatenate([part.keyframe_poses for part, _ in both]),
+        np.concatenate([part.contents.path_m for part, _ in both]),
+        np.concatenate([first + _session_numbers(part) for part, first in both]),
+        config,
+    )
     tried, poses = [], session.keyframe_poses
     next_m, session_m = -np.inf, session.contents.path_m
     for key, scan in enumerate(session.keyframe_scans):
@@ -72,11 +70,3 @@ def _places_near(known: Map, expected: FloatArray, config: Config) -> Iterator[i
         ):
             chosen.append(place)
             yield place
-
-
-def _points(scan: LaserScan | None, config: Config) -> ScanPoints:
-    """The points of a sweep."""
-    if scan is None:
-        return ScanPoints.none()
-    settings = config.scan
-    return extract_points(scan, settings.range_min_m, settings.range_max_m, settings.neighbours)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import cast
 
 import gtsam
@@ -11,6 +11,7 @@ import numpy as np
 from slam.errors import MapFileError
 from slam.mapping.cloud_packing import packed_cloud, unpacked_cloud
 from slam.measurements import FloatArray
+from slam.storage.map_edits import mask_of
 from slam.storage.map_file import MapFile
 from slam.storage.map_soundness import FARTHEST_M, of, require, sound_stamp
 from slam.storage.map_tables import CLOUDS, Value
@@ -25,10 +26,14 @@ class MapClouds:
     begun
         Whether the map is being written: clouds that an interrupted run has left are there only once they are
         added again, and cost nothing then.
+    erased
+        Packed bits of the points that edits have taken away, by keyframe.
     """
 
-    def __init__(self, file: MapFile, *, begun: bool = False) -> None:
-        self._file = file
+    def __init__(
+        self, file: MapFile, *, begun: bool = False, erased: Mapping[int, bytes] | None = None
+    ) -> None:
+        self._file, self._erased = file, erased or {}
         self._count = 0 if begun else file.count(CLOUDS)
 
     def __len__(self) -> int:
@@ -59,8 +64,8 @@ class MapClouds:
             return key
         return self._file.append(CLOUDS, stamp_s, pack(T_base_lidar), packed_cloud(points))
 
-    def points(self, key: int) -> FloatArray:
-        """The points (N, 3) of a keyframe, base frame.
+    def points(self, key: int, *, everything: bool = False) -> FloatArray:
+        """The points (N, 3) of a keyframe, base frame; what edits have taken away only if all are asked for.
 
         Raises
         ------
@@ -73,7 +78,18 @@ class MapClouds:
         with self._file.blaming(CLOUDS, key):
             points = unpacked_cloud(cast(bytes, content))
             require((np.abs(points) < FARTHEST_M).all(), "a point is beyond the Earth")
+            if not everything and key in self._erased:
+                points = points[~mask_of(self._erased[key], len(points))]
         return points
+
+    def without(self, erased: Mapping[int, bytes]) -> MapClouds:
+        """The same clouds, other points of them taken away."""
+        return MapClouds(self._file, erased=erased)
+
+    def stamp_s(self, key: int) -> float:
+        """When a keyframe's cloud was taken; errors as in `points`."""
+        with self._file.blaming(CLOUDS, key):
+            return sound_stamp(self._row(key)[0])
 
     def T_base_lidar(self, key: int) -> gtsam.Pose3:
         """Where the lidar was on the robot; errors as in `points`."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from slam.config import Config
 from slam.errors import MapFileError
+from slam.foreign import from_json
 from slam.graph.keyframe_graph import row_of
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, EdgeKind
@@ -22,6 +23,7 @@ from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Pose, Trajectory, spatial
 from slam.storage.covariances import of_upper_triangles, upper_triangles
 from slam.storage.map_clouds import MapClouds
+from slam.storage.map_edits import CLOUD, FRAME, AppliedEdits, erased_bits, read_edits
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
 from slam.storage.map_soundness import (
@@ -33,7 +35,18 @@ from slam.storage.map_soundness import (
     sound_trajectory,
     unsound_covariance,
 )
-from slam.storage.map_tables import CAMERAS, COVARIANCES, FACTORS, GRIDS, KEYFRAMES, LOOPS, TRAJECTORY, Table
+from slam.storage.map_tables import (
+    CAMERAS,
+    COVARIANCES,
+    FACTORS,
+    FRAMES,
+    GRIDS,
+    KEYFRAMES,
+    LOOPS,
+    META,
+    TRAJECTORY,
+    Table,
+)
 from slam.storage.packing import Unpacker, pack, pack_small, unpack
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.learned_camera import LearnedCamera
@@ -41,6 +54,8 @@ from slam.vision.learned_camera import LearnedCamera
 T = TypeVar("T")
 Unpack = Callable[[bytes], Any]
 
+# The fact of the file that tells `MapContents.ground_m`.
+GROUND = "ground_m"
 _STRETCH = 4096
 _MOST_GRIDS = 4
 _KINDS = frozenset(EdgeKind)
@@ -80,6 +95,10 @@ class MapContents:
     frames, clouds
         Camera keyframes, and the clouds of the nodes; None where there are none. They are written while the
         map is made, and read when they are asked for.
+    ground_m
+        Height of the floor in the base frame of a robot in space; None of another, or where it is not known.
+    edits
+        What a person has decided of the map; all else is as it is with them.
     """
 
     node_poses: Sequence[Pose]
@@ -95,6 +114,8 @@ class MapContents:
     frames: MapFrames | None = None
     clouds: MapClouds | None = None
     covariances: FloatArray | None = None
+    ground_m: float | None = None
+    edits: Sequence[AppliedEdits] = ()
 
     @property
     def planar(self) -> bool:
@@ -192,7 +213,11 @@ def read_contents(file: MapFile) -> MapContents:
     MapFileError
         Where a row is damaged, or does not fit the others.
     """
-    frames, clouds = MapFrames(file), MapClouds(file)
+    edits = read_edits(file)
+    frames, clouds = (
+        MapFrames(file, erased=erased_bits(edits, FRAME)),
+        MapClouds(file, erased=erased_bits(edits, CLOUD)),
+    )
     small = Unpacker(file.size)
     keyframes = list(_read(file, KEYFRAMES, lambda row: _keyframe(row, small)))
     if not keyframes:
@@ -232,7 +257,35 @@ def read_contents(file: MapFile) -> MapContents:
         cameras=dict(_read(file, CAMERAS, _camera)),
         frames=frames if len(frames) else None,
         clouds=clouds if len(clouds) else None,
+        ground_m=_ground_m(file),
+        edits=edits,
     )
+
+
+def refuse_misfits(file: MapFile, contents: MapContents) -> None:
+    """Refuse frames and clouds that do not fit the nodes; `MapFileError` as in `read_contents`."""
+    frames, clouds, nodes = contents.frames, contents.clouds, contents.node_poses
+    in_space = sum(isinstance(pose, gtsam.Pose3) for pose in nodes)
+    if clouds is not None and not len(clouds) == len(nodes) == in_space:
+        raise MapFileError(
+            f"{file.path} holds {len(clouds)} clouds for {len(nodes)} nodes, {in_space} of them in "
+            "space; make the map anew"
+        )
+    for index in range(len(frames) if frames else 0):
+        assert frames
+        with file.blaming(FRAMES, index):
+            head = frames.head(index)
+            if not 0 <= head.node < len(nodes):
+                raise MapFileError("it belongs to no node")
+            if clouds is not None and head.T_base_camera is None:
+                raise MapFileError("it does not tell where the camera was on the robot")
+
+
+def _ground_m(file: MapFile) -> float | None:
+    """The height of the floor, where the map tells it."""
+    with file.blaming(META, 0):
+        told = file.meta().get(GROUND)
+        return None if told is None else float(of(float, from_json(told)))
 
 
 def _read(file: MapFile, table: Table, parse: Callable[[tuple[Any, ...]], T]) -> Iterator[T]:

@@ -29,7 +29,7 @@ from slam.temporary import TemporaryFolder
 MAP_NAME = "map.db"
 # A crash loses at most this and what one scan takes.
 COMMIT_EVERY_S = 1.5
-_SEAL = "seal"
+SEAL = "seal"
 # Where SQLite's header counts commits, changes of the tables, and commits again.
 _COUNTS = (24, 40, 92)
 _SETTLED = b"\0\0\0\1"
@@ -158,7 +158,17 @@ class MapFile:
     @property
     def finished(self) -> bool:
         """Whether the map was sealed."""
-        return _SEAL in self.meta()
+        return SEAL in self.meta()
+
+    @property
+    def tables(self) -> tuple[Table, ...]:
+        """Those of its schema."""
+        return self._tables
+
+    @property
+    def connection(self) -> sqlite3.Connection:
+        """To the database."""
+        return self._connection
 
     @property
     def size(self) -> int:
@@ -241,7 +251,7 @@ class MapFile:
         """Say that the map is finished, with count and digest of every table, and leave one closed file."""
         self._before_commit.clear()
         self.clear(CHECKPOINT)
-        self.add_meta(_SEAL, json.dumps(self._digests()))
+        self.add_meta(SEAL, json.dumps(self._digests()))
         self.commit()
         self.compact()
 
@@ -294,7 +304,7 @@ class MapFile:
     def _check_seal(self) -> None:
         """Refuse a map that is not finished, or has lost rows since."""
         self._count_rows()
-        seal = self.meta().get(_SEAL)
+        seal = self.meta().get(SEAL)
         if seal is None:
             raise UnfinishedMapError(_unfinished(self.path))
         with self.blaming(META, self.count(META) - 1):

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import cast
 
 import gtsam
+import numpy as np
 
 from slam.datasets.budget import MOST_PIXELS
 from slam.errors import MapFileError
 from slam.mapping.image_packing import depth_steps_per_m, packed_color, packed_depth, unpacked_images
 from slam.measurements import CameraIntrinsics, Pose, RgbdFrame, spatial
+from slam.storage.map_edits import mask_of
 from slam.storage.map_file import MapFile
 from slam.storage.map_soundness import of, require, sound_name, sound_stamp
 from slam.storage.map_tables import FRAMES, IMAGES, Value
@@ -49,10 +51,14 @@ class MapFrames:
     begun
         Whether the map is being written: frames that an interrupted run has left are there only once they are
         added again, and cost nothing then.
+    erased
+        Packed bits of the pixels that edits have taken away, by frame.
     """
 
-    def __init__(self, file: MapFile, *, begun: bool = False) -> None:
-        self._file = file
+    def __init__(
+        self, file: MapFile, *, begun: bool = False, erased: Mapping[int, bytes] | None = None
+    ) -> None:
+        self._file, self._erased = file, erased or {}
         self._count = 0 if begun else file.count(FRAMES)
 
     def __len__(self) -> int:
@@ -111,8 +117,18 @@ class MapFrames:
             require(counts == {len(features)}, "its features are not as many as their places")
         return features
 
-    def frame(self, index: int) -> RgbdFrame:
+    def without(self, erased: Mapping[int, bytes]) -> MapFrames:
+        """The same frames, other pixels of them taken away."""
+        return MapFrames(self._file, erased=erased)
+
+    def frame(self, index: int, *, taken: bool = False) -> RgbdFrame:
         """A frame with its images.
+
+        Parameters
+        ----------
+        taken
+            Whether depth that edits have taken away is negative, rather than no reading: the rays there were
+            free up to it.
 
         Raises
         ------
@@ -127,7 +143,14 @@ class MapFrames:
             color, depth_m = unpacked_images(
                 cast(bytes, images[0]), cast(bytes, images[1]), head.steps_per_m, head.intrinsics
             )
+            if index in self._erased:
+                gone = mask_of(self._erased[index], depth_m.size).reshape(depth_m.shape)
+                depth_m = np.where(gone, -depth_m if taken else np.float32(0.0), depth_m)
         return RgbdFrame(head.stamp_s, color, depth_m, head.intrinsics, head.T_base_camera, head.sensor)
+
+    def taken(self) -> Iterator[RgbdFrame]:
+        """As by iteration, depth that was taken away negative."""
+        return (self.frame(index, taken=True) for index in range(len(self)))
 
     def copy_to(self, file: MapFile, nodes: int) -> None:
         """Write all frames to another map as they are, their nodes numbered after so many others.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -15,12 +15,14 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 import fusion
-from slam.config import Config
+from slam.config import Config, leaves
 from slam.errors import DatasetError, MapFileError
 from slam.foreign import from_json, plain
 from slam.storage.map_file import MAP_NAME
 
 _LIBRARIES = ("scanweave", "gtsam", "numpy", "numba", "scipy", "kiss-icp", "opencv-python-headless")
+# The fact of the file that holds the settings.
+CONFIG = "config"
 # Images are known by name and size; anything else by its content.
 _IMAGES = frozenset({".png", ".jpg", ".jpeg", ".pgm", ".ppm"})
 _BLOCK = 1 << 20
@@ -54,7 +56,7 @@ class MapIdentity:
     def to_meta(self) -> dict[str, str]:
         """As rows of the file."""
         return {
-            "config": self.config.model_dump_json(),
+            CONFIG: self.config.model_dump_json(),
             "seed": str(self.config.seed),
             "log_name": self.log_name,
             "log_fingerprint": self.log_fingerprint,
@@ -71,7 +73,7 @@ class MapIdentity:
             Where a row is missing, or the configuration is that of another version.
         """
         try:
-            config = Config.model_validate_json(json.dumps(_known(from_json(meta["config"]))))
+            config = Config.model_validate_json(json.dumps(_known(from_json(meta[CONFIG]))))
             versions = from_json(meta["versions"])
             if not isinstance(versions, dict) or not all(isinstance(one, str) for one in versions.values()):
                 raise ValueError("versions are names and texts")
@@ -92,7 +94,7 @@ class MapIdentity:
         """What of a run that goes on now is not as it was, in a few words; None where all is the same."""
         if now.log_fingerprint != self.log_fingerprint:
             return f"it was begun with another log, {self.log_name}"
-        before, after = (dict(_leaves(one.config.model_dump(mode="json"))) for one in (self, now))
+        before, after = (dict(leaves(one.config.model_dump(mode="json"))) for one in (self, now))
         for name in {**before, **after}:
             if before.get(name) != after.get(name):
                 return f"it was begun with {name}={before.get(name)}, not {after.get(name)}"
@@ -186,10 +188,12 @@ def _code_digest() -> str:
     return digest.hexdigest()
 
 
-def _leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted name and value of every setting."""
-    for name, value in tree.items():
-        if isinstance(value, Mapping):
-            yield from _leaves(value, f"{prefix}{name}.")
-        else:
-            yield prefix + name, value
+def lines_of(meta: Mapping[str, str], key: str, path: Path) -> list[str]:
+    """Lines of text from a row of the file; none in a map of an older version."""
+    try:
+        lines = from_json(meta.get(key, "[]"))
+    except ValueError as error:
+        raise MapFileError(f"{path} tells no {key} ({error}); make the map anew") from error
+    if not isinstance(lines, list) or not all(isinstance(line, str) for line in lines):
+        raise MapFileError(f"{path} tells no {key}; make the map anew")
+    return lines

@@ -166,9 +166,9 @@ def _array(dtype: str, *shape: int | None) -> Rule:
 
 
 def _ranges(value: Any) -> bool:
-    """Ranges of beams: NaN is invalid, infinite met nothing, negative is nothing at all."""
+    """Ranges of beams: NaN is invalid, infinite met nothing, negative was taken away: none is endless."""
     fits = isinstance(value, np.ndarray) and value.dtype == np.float32 and value.ndim == 1
-    return fits and 0 < value.size <= MOST_BEAMS and not bool((value < 0.0).any())
+    return fits and 0 < value.size <= MOST_BEAMS and not bool(np.isneginf(value).any())
 
 
 def _is_covariance(value: Any) -> bool:

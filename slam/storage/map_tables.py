@@ -13,7 +13,7 @@ Value: TypeAlias = int | float | str | bytes | None
 _TYPES: Final = {"INTEGER": int, "REAL": float, "TEXT": str, "BLOB": bytes}
 
 # Raised when a table changes; a reader refuses what is newer than itself.
-SCHEMA_VERSION: Final = 4
+SCHEMA_VERSION: Final = 5
 APPLICATION_ID: Final = 0x5CA9EA7E
 
 
@@ -131,6 +131,10 @@ CAMERAS: Final = Table("cameras", (("sensor", "TEXT"), ("learned", "BLOB")))
 # The covariances of a stretch of the trajectory a row: upper triangles.
 COVARIANCES: Final = Table("covariances", (("poses", "INTEGER"), ("triangles", "BLOB")))
 
+# Of an edited map: the edits in the order in which they were applied, and the rows of the other tables that
+# they have changed, as they were. ``source`` is the name of such a table, or of this one.
+EDITS: Final = Table("edits", (("source", "TEXT"), ("row", "INTEGER"), ("content", "BLOB")))
+
 TABLES: Final = (
     META,
     KEYFRAMES,
@@ -144,12 +148,13 @@ TABLES: Final = (
     CLOUDS,
     CAMERAS,
     COVARIANCES,
+    EDITS,
 )
 
 
 def tables_of(version: int) -> tuple[Table, ...]:
     """The tables of a schema: the first had no clouds, the second nothing that was learned of cameras, the
-    third no covariances.
+    third no covariances, the fourth no edits.
     """
     return TABLES[: len(TABLES) - max(0, SCHEMA_VERSION - version)]
 

@@ -58,16 +58,16 @@ def write_layers(folder: Path, layers: LayeredMap) -> list[Path]:
     MapFileError
         Where a file cannot be written.
     """
-    _remove(folder, set(LAYERS) - set(layers.names))
+    remove_maps(folder, set(LAYERS) - set(layers.names))
     if not layers.names:
-        _remove(folder, {_PROBABILITY})
+        remove_maps(folder, {_PROBABILITY})
         return []
     make_folder(folder)
     place = (layers.resolution_m, layers.T_map_grid)
     written = [
         write_nav2_map(folder / name, layers.states(name), *place, _WHAT[name])[0] for name in layers.names
     ]
-    return [*written, _write_raw(folder / _PROBABILITY, layers.percent(), written[-1])]
+    return [*written, write_raw(folder / _PROBABILITY, layers.percent(), written[-1], _RAW)]
 
 
 def write_passed_by(folder: Path, grid: OccupancyGrid | None) -> list[Path]:
@@ -79,15 +79,15 @@ def write_passed_by(folder: Path, grid: OccupancyGrid | None) -> list[Path]:
         Where a file cannot be written.
     """
     if grid is None:
-        _remove(folder, {_PASSED_BY})
+        remove_maps(folder, {_PASSED_BY})
         return []
     make_folder(folder)
     stem = folder / _PASSED_BY
     return [write_nav2_map(stem, grid.states(), grid.resolution_m, grid.T_map_grid, _GONE)[0]]
 
 
-def _remove(folder: Path, names: Iterable[str]) -> None:
-    """Remove layers that an earlier run has left: they would tell of another map."""
+def remove_maps(folder: Path, names: Iterable[str]) -> None:
+    """Remove maps by their names, which an earlier run has left: they would tell of another map."""
     try:
         for path in [folder / f"{name}{ending}" for name in names for ending in (".yaml", ".pgm")]:
             path.unlink(missing_ok=True)
@@ -95,13 +95,13 @@ def _remove(folder: Path, names: Iterable[str]) -> None:
         raise MapFileError(f"cannot write {folder}: {error.strerror or error}") from error
 
 
-def _write_raw(stem: Path, percent: StateArray, trinary_yaml: Path) -> Path:
+def write_raw(stem: Path, percent: StateArray, trinary_yaml: Path, what: str) -> Path:
     """A raw map with the resolution and origin of a trinary one; -1 becomes 255."""
     image_path, yaml_path = stem.with_name(f"{stem.name}.pgm"), stem.with_name(f"{stem.name}.yaml")
     write_pgm(image_path, percent[::-1].view(np.uint8))
     lines = trinary_yaml.read_text(encoding="utf-8").splitlines()
     reported = {"image": image_path.name, "mode": "raw"}
-    write_lines(yaml_path, [f"# {_RAW}", *(_replaced(line, reported) for line in lines[1:])])
+    write_lines(yaml_path, [f"# {what}", *(_replaced(line, reported) for line in lines[1:])])
     return yaml_path
 
 

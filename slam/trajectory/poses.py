@@ -47,6 +47,11 @@ class Poses:
         matrices = np.array([spatial(pose).matrix() for pose in poses])
         return cls(matrices[:, :3, 3], Rotation.from_matrix(matrices[:, :3, :3]))
 
+    @classmethod
+    def of_trajectory(cls, trajectory: Trajectory) -> Poses:
+        """Of a trajectory."""
+        return cls(trajectory.positions_m, Rotation.from_quat(trajectory.quaternions_xyzw))
+
     def compose(self, other: Poses) -> Poses:
         """``self * other``, one by one."""
         return Poses(

@@ -52,10 +52,16 @@ def test_no_return_clears_up_to_the_limit_and_marks_nothing():
     assert draw([np.inf], hit_limit=np.inf, clear_limit=2.0)[0] == ["ooo"]
 
 
-@pytest.mark.parametrize("nothing", [np.nan, 0.0, -1.0, -np.inf])
+@pytest.mark.parametrize("nothing", [np.nan, 0.0, -np.inf])
 def test_an_invalid_beam_says_nothing(nothing):
     assert draw([nothing, 2.0, nothing])[0] == ["#", "o", "o"]
     assert draw([nothing])[0] == ["."]
+
+
+def test_a_reading_that_was_taken_away_clears_as_before_and_marks_nothing():
+    assert draw([3.0])[0] == ["ooo#"]
+    assert draw([-3.0])[0] == [row.replace("#", "o") for row in draw([3.0])[0]]
+    assert draw([-3.0], hit_limit=2.0)[0] == ["."]
 
 
 def test_an_end_is_not_cleared_by_the_beam_that_passes_it():

@@ -16,9 +16,9 @@ from slam.evaluation.trajectory_error import absolute_error
 from slam.mapper.checkpoint import Checkpoint
 from slam.measurements import Trajectory
 from slam.outputs.finished_map import open_map
-from slam.sessions.joined_files import only_one_in
 from slam.simulation.synthetic_log import write_synthetic_log
 from slam.storage.tum import read_tum
+from slam.storage.whole_folder import only_one_in
 
 APART_S = 1e5
 COARSE = ("--set", "keyframes.distance_m=1.5", "--set", "keyframes.angle_rad=3")

@@ -117,6 +117,7 @@ def test_a_map_older_than_clouds_is_read(tmp_path: Path) -> None:
     digest = now.digest
     now.close()
     with sqlite3.connect(path) as connection:
+        connection.execute("DROP TABLE edits")
         connection.execute("DROP TABLE covariances")
         connection.execute("DROP TABLE cameras")
         connection.execute("DROP TABLE clouds")

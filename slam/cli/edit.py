@@ -1,0 +1,101 @@
+"""Commands that change a finished map without its log: scanweave edit, remap, view."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from slam.cli.app import SetOption, command, folder_of, say, tell
+from slam.cli.saved import MapArgument
+
+if TYPE_CHECKING:
+    from slam.outputs.finished_map import Map
+
+OutOption = Annotated[
+    Path | None,
+    typer.Option("--out", "-o", parser=folder_of, help="folder for the new map; else it takes its place"),
+]
+
+
+@command()
+def edit(
+    map_: MapArgument,
+    edits: Annotated[
+        Path | None, typer.Argument(metavar="EDITS", help="edits.yaml, as docs/edits.md explains it")
+    ] = None,
+    out: OutOption = None,
+    undo: Annotated[bool, typer.Option("--undo", help="take the last edits back")] = False,
+    list_: Annotated[bool, typer.Option("--list", help="show the edits that the map has")] = False,
+) -> None:
+    """Apply edits to a map: loops forbidden, forced, added; regions erased; zones; turned; places named."""
+    if (edits is not None) + undo + list_ != 1:
+        raise typer.BadParameter("give a file of edits, --undo or --list")
+    started = time.perf_counter()
+    from slam.outputs.finished_map import open_map
+
+    saved = open_map(map_)
+    if list_:
+        for number, text in enumerate(saved.edits, start=1):
+            tell(f"# {number}\n{text.rstrip()}")
+        if not saved.edits:
+            tell(f"{saved.path} has no edits")
+        return
+    folder = out or _own_folder(saved)
+    found = saved.undone(out=folder) if undo else saved.edited(edits or "", out=folder)
+    _tell(saved, found, started)
+
+
+@command()
+def remap(map_: MapArgument, set_: SetOption = None, out: OutOption = None) -> None:
+    """Make a map anew with other settings, without its log: cells, layers, loops that count."""
+    started = time.perf_counter()
+    from slam.outputs.finished_map import open_map
+
+    saved = open_map(map_)
+    _tell(saved, saved.remap(set_ or [], out=out or _own_folder(saved)), started)
+
+
+@command()
+def view(
+    map_: MapArgument,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="of the address; 0 takes a free one")] = 0,
+) -> None:
+    """Show a map in a browser on this machine, and save the edits that are made there."""
+    from slam.app.viewing import serve
+
+    serve(map_, port, lambda address: tell(f"{address}\nThe map's page is there until Ctrl-C."))
+
+
+def _own_folder(saved: Map) -> Path:
+    """Where a map lies, if another may take its place there."""
+    from slam.errors import MapFileError
+    from slam.storage.map_file import MAP_NAME
+
+    if saved.path.name != MAP_NAME:
+        raise MapFileError(f"{saved.path} is not named {MAP_NAME}; say with --out where the new map goes")
+    return saved.path.parent
+
+
+def _tell(before: Map, after: Map, started: float) -> None:
+    """What became of a map."""
+    import numpy as np
+
+    from slam.matching.planar import between
+
+    # Seen from the first keyframe: a map that was turned has not changed.
+    both = (before.keyframe_poses, after.keyframe_poses)
+    ends = [[between(poses[0], pose)[:2] for pose in poses] for poses in both]
+    moved_m = float(np.hypot(*(np.array(ends[1]) - ends[0]).T).max())
+    loops = sum(loop.accepted for loop in after.loops)
+    say(
+        f"{len(after.edits)} edits; {loops} of {len(after.loops)} loops accepted; keyframes moved by up to "
+        f"{moved_m:.3f} m; {time.perf_counter() - started:.1f} s"
+    )
+    for loop in after.loops[len(before.loops) :]:
+        if not loop.accepted:
+            tell(f"warning: an added loop {loop.reason}; 'loops: force' keeps it", sys.stderr)
+    say(f"wrote {after.path}")

@@ -1,0 +1,1 @@
+"""A finished map made anew from what its file holds: with a person's edits, and with other settings."""

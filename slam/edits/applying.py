@@ -1,0 +1,175 @@
+"""What a file of edits means in a map: names become keyframes, polygons the evidence in them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from slam.config import Config
+from slam.config.edits import Edits, Pair, dump_edits
+from slam.edits.evidence import Cut, taken
+from slam.edits.keyframes import held, row_of
+from slam.edits.loops import edited_loops, matched_loops, refuse_unknown
+from slam.edits.remaking import config_of, settled
+from slam.edits.turning import to_walls_rad, turned_about
+from slam.errors import ConfigError
+from slam.measurements import FloatArray
+from slam.storage.map_contents import MapContents
+from slam.storage.map_edits import AppliedEdits, Evidence, Region
+from slam.storage.map_edits import Pair as Rows
+from slam.storage.map_file import MapFile
+from slam.storage.map_sessions import MapSession
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """A map that is edited.
+
+    Attributes
+    ----------
+    file
+        That holds it.
+    contents
+        The map as people see it, with the edits so far.
+    base, before
+        The map without any, and its settings.
+    sessions
+        Its logs.
+    """
+
+    file: MapFile
+    contents: MapContents
+    base: MapContents
+    before: Config
+    sessions: Sequence[MapSession]
+
+
+def understood(known: Known, edits: Edits) -> AppliedEdits:
+    """What edits mean in a map.
+
+    Raises
+    ------
+    ScanweaveError
+        Where a keyframe or a loop is none, two keyframes do not match, or a setting takes the log.
+    """
+    entries = known.contents.edits
+    settings = tuple(_override(name, value) for name, value in edits.settings.items())
+    entry = AppliedEdits(dump_edits(edits), settings=settings)
+    config = config_of(known.before, [*entries, entry])
+    entry = _with_loops(entry, known, edits, config)
+    erased, regions = _with_regions(known, edits, config)
+    entry = replace(entry, erased=erased, regions=tuple(regions))
+    if edits.turn is None and edits.origin is None:
+        return entry
+    return _turned(entry, known, edits, config)
+
+
+def _override(name: str, value: object) -> str:
+    """A setting as ``--set`` takes it."""
+    if isinstance(value, dict):
+        raise ConfigError(f"settings: '{name}' holds a mapping; write settings by their dotted names")
+    return f"{name}={'true' if value is True else 'false' if value is False else value}"
+
+
+def _rows(pair: Pair, known: Known) -> tuple[int, int, str]:
+    """The rows of two keyframes, and what to call them."""
+    one, other = pair
+    told = f"{one} and {other}"
+    rows = row_of(one, known.base, known.sessions), row_of(other, known.base, known.sessions)
+    if rows[0] == rows[1]:
+        raise ConfigError(f"a loop joins two keyframes, not {one} with itself")
+    return *rows, told
+
+
+def _with_loops(entry: AppliedEdits, known: Known, edits: Edits, config: Config) -> AppliedEdits:
+    """The loops that are forbidden, forced and added."""
+    wanted = []
+    for added in edits.loops.add:
+        one, other, told = _rows(added.pair, known)
+        wanted.append((one, other, None if added.guess is None else np.array(added.guess), told))
+    entry = replace(entry, added=tuple(matched_loops(known.contents, known.sessions, wanted, config)))
+    loops = edited_loops(known.base, [*known.contents.edits, entry], known.before, config)[1]
+    chosen: dict[str, list[Rows]] = {"forbidden": [], "forced": []}
+    for kind, pairs in (("forbidden", edits.loops.forbid), ("forced", edits.loops.force)):
+        for pair in pairs:
+            one, other, told = _rows(pair, known)
+            rows = min(one, other), max(one, other)
+            refuse_unknown(loops, rows, told, matched=kind == "forced")
+            chosen[kind].append(rows)
+    return replace(entry, forbidden=tuple(chosen["forbidden"]), forced=tuple(chosen["forced"]))
+
+
+def _with_regions(known: Known, edits: Edits, config: Config) -> tuple[dict[Evidence, bytes], list[Region]]:
+    """What is erased, and everything that keyframes hold in its place."""
+    poses, regions = known.contents.keyframe_poses, list[Region]()
+    cuts = [Cut(np.array(one.polygon)) for one in edits.erase]
+    cuts += [] if edits.crop is None else [Cut(np.array(edits.crop), outside=True)]
+    erased = taken(known.contents, cuts, config)
+    saw = np.zeros(len(poses), np.bool_)
+    saw[[_node(kind, number, known.contents) for kind, number in erased]] = True
+    for one, cut in zip(edits.erase, cuts, strict=False):
+        name, later = one.name or "", float(one.later)
+        regions.append(held("erase", cut.polygon, poses, name=name, value=later, near=saw))
+    if edits.crop is not None:
+        regions.append(held("crop", np.array(edits.crop), poses, value=1.0))
+    regions += [held("keep_out", np.array(zone.polygon), poses, name=zone.name) for zone in edits.keep_out]
+    regions += [
+        held("slow", np.array(zone.polygon), poses, name=zone.name, value=zone.percent) for zone in edits.slow
+    ]
+    for place in edits.places:
+        region = held("place", np.array([place.position]), poses, name=place.name)
+        yaw = math.radians(place.yaw_deg) - float(poses[region.keyframes[0], 2])
+        regions.append(replace(region, value=math.remainder(yaw, 2.0 * math.pi)))
+    return erased, regions
+
+
+def _node(kind: str, number: int, contents: MapContents) -> int:
+    """The keyframe that a piece of evidence belongs to."""
+    return contents.frames.head(number).node if kind == "frame" and contents.frames else number
+
+
+def later_evidence(
+    contents: MapContents, entries: Sequence[AppliedEdits], first: int, config: Config
+) -> list[AppliedEdits]:
+    """Edits of a map that a session has joined: what it sees where that is erased for all time goes, too.
+
+    Parameters
+    ----------
+    contents
+        The joined map, with the edits.
+    first
+        The first keyframe of the session.
+    """
+    found = []
+    for entry in entries:
+        cuts = [
+            Cut(region.points(contents.keyframe_poses), outside=region.kind == "crop")
+            for region in entry.regions
+            if region.kind in ("erase", "crop") and region.value
+        ]
+        found.append(replace(entry, erased={**entry.erased, **taken(contents, cuts, config, first)}))
+    return found
+
+
+def _turned(entry: AppliedEdits, known: Known, edits: Edits, config: Config) -> AppliedEdits:
+    """The entry with how the map is turned: as its keyframes lie when all else is done."""
+    entries = [*known.contents.edits, entry]
+    found = settled(known.base, entries, known.before, config, known.sessions)
+    before, after = known.contents.keyframe_poses, found.keyframe_poses
+
+    def now(*points: tuple[float, float]) -> FloatArray:
+        return held("place", np.array(points), before).points(after)
+
+    angle, turn = 0.0, edits.turn
+    if turn is not None and turn.to_walls:
+        angle = to_walls_rad(found, config)
+    elif turn is not None and turn.degrees is not None:
+        angle = math.radians(turn.degrees)
+    elif turn is not None and turn.along_x is not None:
+        x, y = np.diff(now(*turn.along_x), axis=0)[0]
+        angle = -math.atan2(y, x)
+    origin = np.zeros(2) if edits.origin is None else now(edits.origin)[0]
+    return replace(entry, turned=turned_about(angle, origin))

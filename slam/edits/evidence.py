@@ -1,0 +1,140 @@
+"""What scans, images and clouds saw within polygons of the map, and the scans without it.
+
+Taken away is what a beam, pixel or point met; what the ray to it has passed stays known. So the rest of the
+map stays as it is, to the cell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fusion.curves import Intrinsics
+from fusion.height_band import pixel_rays
+from slam.config import Config
+from slam.mapping.polygons import inside
+from slam.measurements import BoolArray, FloatArray, LaserScan, Pose, spatial
+from slam.storage.map_contents import MapContents
+from slam.storage.map_edits import CLOUD, FRAME, MEASURED, REPAIRED, Evidence, mask_of
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """What is taken away.
+
+    Attributes
+    ----------
+    polygon
+        (n, 2) corners in the map.
+    outside
+        Whether it is everything outside, down to the floor; else what stands inside.
+    """
+
+    polygon: FloatArray
+    outside: bool = False
+
+    def takes(self, points: FloatArray) -> BoolArray:
+        """(N,) of points (N, 2)."""
+        within = inside(points, self.polygon)
+        return ~within if self.outside else within
+
+
+def taken(
+    contents: MapContents, cuts: Sequence[Cut], config: Config, first: int = 0
+) -> dict[Evidence, bytes]:
+    """What of the evidence lies in one of some cuts: packed bits by kind and number.
+
+    Parameters
+    ----------
+    first
+        Keyframe from which on.
+    """
+    found: dict[Evidence, bytes] = {}
+    if not cuts:
+        return found
+    for kind, scans in ((MEASURED, contents.measured_scans), (REPAIRED, contents.keyframe_scans)):
+        for node, scan in enumerate(scans):
+            if node >= first and scan is not None:
+                beams = _beams(scan, contents.keyframe_poses[node], cuts, config)
+                if beams.any():
+                    found[kind, node] = np.packbits(beams).tobytes()
+    for (kind, number), points, told in _in_space(contents, first):
+        floor = (
+            np.zeros(len(points), np.bool_) if told is None else points[:, 2] <= told + config.layers.climb_m
+        )
+        gone = np.zeros(len(points), np.bool_)
+        for cut in cuts:
+            gone |= cut.takes(points[:, :2]) & ~(floor & (not cut.outside))
+        if gone.any():
+            found[kind, number] = np.packbits(gone & np.isfinite(points[:, 0])).tobytes()
+    return found
+
+
+def _beams(scan: LaserScan, pose: FloatArray, cuts: Sequence[Cut], config: Config) -> BoolArray:
+    """(N,) which beams of a scan met something that is taken away."""
+    ranges = scan.ranges_m.astype(np.float64)
+    limit_m = min(config.scan.range_max_m, scan.range_max_m)
+    met = np.flatnonzero((ranges > 0.0) & (ranges <= limit_m) & np.isfinite(ranges))
+    mount, yaw = scan.T_base_laser, pose[2]
+    bearings = scan.bearings_rad()[met] + mount.theta() + yaw
+    x = pose[0] + np.cos(yaw) * mount.x() - np.sin(yaw) * mount.y()
+    y = pose[1] + np.sin(yaw) * mount.x() + np.cos(yaw) * mount.y()
+    ends = np.column_stack([x + ranges[met] * np.cos(bearings), y + ranges[met] * np.sin(bearings)])
+    gone = np.zeros(len(ranges), np.bool_)
+    for cut in cuts:
+        gone[met] |= cut.takes(ends)
+    return gone
+
+
+def _in_space(contents: MapContents, first: int) -> Iterator[tuple[Evidence, FloatArray, float | None]]:
+    """Kind and number of images and clouds, their points (N, 3) in the map, the height of the floor there.
+
+    A pixel without a reading is NaN.
+    """
+    if contents.frames is not None:
+        for index, T_map_camera in enumerate(contents.frame_poses()):
+            head = contents.frames.head(index)
+            if head.node < first:
+                continue
+            depth_m = contents.frames.frame(index).depth_m.astype(np.float64)
+            camera = head.intrinsics
+            rays = pixel_rays(depth_m.shape, Intrinsics(camera.fx, camera.fy, camera.cx, camera.cy))
+            depth_m[~(np.isfinite(depth_m) & (depth_m > 0.0))] = np.nan
+            points = np.dstack([rays * depth_m[..., None], depth_m]).reshape(-1, 3)
+            base = None
+            if head.T_base_camera is not None:
+                base = T_map_camera.compose(head.T_base_camera.inverse())
+            yield (FRAME, index), _placed(points, T_map_camera), _floor_m(contents, base)
+    if contents.clouds is not None:
+        for node in range(max(first, 0), len(contents.clouds)):
+            points = contents.clouds.points(node, everything=True)
+            pose = contents.node_poses[node]
+            yield (CLOUD, node), _placed(points, pose), _floor_m(contents, pose)
+
+
+def _placed(points: FloatArray, pose: Pose) -> FloatArray:
+    """Points (N, 3) of a frame in the map."""
+    matrix = np.asarray(spatial(pose).matrix())
+    return np.asarray(points @ matrix[:3, :3].T + matrix[:3, 3])
+
+
+def _floor_m(contents: MapContents, T_map_base: Pose | None) -> float | None:
+    """Height of the floor around the robot; None where nobody knows it."""
+    if contents.planar:
+        return 0.0
+    if contents.ground_m is None or T_map_base is None:
+        return None
+    return float(spatial(T_map_base).z()) + contents.ground_m
+
+
+def scans_without(scans: Sequence[LaserScan | None], erased: Mapping[int, bytes]) -> list[LaserScan | None]:
+    """Scans, readings of them taken away: negative ranges."""
+    left = list(scans)
+    for node, bits in erased.items():
+        scan = scans[node]
+        if scan is not None:
+            gone = mask_of(bits, scan.ranges_m.size)
+            left[node] = replace(scan, ranges_m=np.where(gone, -scan.ranges_m, scan.ranges_m))
+    return left

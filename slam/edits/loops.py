@@ -1,0 +1,229 @@
+"""Loops that a person forbids, forces or adds, and loops judged anew by other settings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+
+from slam.config import Config
+from slam.errors import MapFileError
+from slam.graph.cloud_loops import CloudLoopCloser
+from slam.graph.loop_closure import LoopCandidate, closer_of
+from slam.graph.visual_loops import VisualLoopCloser
+from slam.mapper.keyframe_store import KeyframeStore
+from slam.matching.cloud_points import voxel_of
+from slam.matching.planar import between
+from slam.measurements import FloatArray, pose2_from_row, spatial
+from slam.storage.map_contents import MapContents, SavedFactor
+from slam.storage.map_edits import AppliedEdits, Pair
+from slam.storage.map_sessions import MapSession
+from slam.vision.camera_frame import T_BODY_CAMERA
+from slam.vision.frame_matcher import FrameMatcher
+
+FORBIDDEN = "forbidden by hand"
+_FEW = ("too few points fit", "too few readings fit")
+_LARGE = "residual too large"
+_OFF = "no loops are closed"
+
+
+def pair_of(loop: LoopCandidate) -> Pair:
+    """The two keyframes of a loop, the lower first."""
+    return min(loop.place, loop.keyframe), max(loop.place, loop.keyframe)
+
+
+def edited_loops(
+    base: MapContents, entries: Sequence[AppliedEdits], before: Config, config: Config
+) -> tuple[list[SavedFactor], list[LoopCandidate]]:
+    """The factors and loop candidates of a map with edits, not yet optimised.
+
+    Parameters
+    ----------
+    before, config
+        The settings of the unedited map, and those of the edited one.
+
+    Returns
+    -------
+    Factors of loops that are refused for good are left out: no later optimisation brings them back.
+    """
+    loops = [*base.loops]
+    state: dict[int, bool] = {}  # true is forced, false forbidden
+    for entry in entries:
+        for pair in entry.forbidden:
+            state.update(dict.fromkeys(_numbers(loops, pair), False))
+        loops += entry.added
+        for pair in entry.forced:
+            state[best_of(loops, pair)] = True
+    if config.loops != before.loops:
+        loops = [_rejudged(loop, before, config, planar=base.planar) for loop in loops]
+    forced = {decided for decided, on in state.items() if on}
+    for decided, on in state.items():
+        loops[decided] = (
+            replace(loops[decided], accepted=True, reason="") if on else loops[decided].refused(FORBIDDEN)
+        )
+    factors, there = [], set[int]()
+    for factor in base.factors:
+        number = factor.edge.loop
+        if number is None:
+            factors.append(factor)
+            continue
+        there.add(number)
+        if _stays_out(loops[number]):
+            continue
+        factors.append(_trusted(factor) if number in forced else factor)
+    for candidate, loop in enumerate(loops):
+        if candidate not in there and loop.accepted and loop.motion is not None:
+            new = SavedFactor(loop.edge(candidate), True)
+            factors.append(_trusted(new) if candidate in forced else new)
+    return factors, loops
+
+
+def best_of(loops: Sequence[LoopCandidate], pair: Pair) -> int:
+    """The number of the loop between two keyframes that fits best: accepted, else of the best score.
+
+    Raises
+    ------
+    MapFileError
+        Where none of them has a match.
+    """
+    matched = [number for number in _numbers(loops, pair) if loops[number].motion is not None]
+    if not matched:
+        raise MapFileError("a loop that was to be forced has no match; add it under loops: add")
+    return max(matched, key=lambda number: (loops[number].accepted, loops[number].score, -number))
+
+
+def _numbers(loops: Sequence[LoopCandidate], pair: Pair) -> list[int]:
+    """Those of all loops between two keyframes."""
+    return [number for number, loop in enumerate(loops) if pair_of(loop) == pair]
+
+
+def _stays_out(loop: LoopCandidate) -> bool:
+    """Whether a loop is refused by a person or a setting, not by the others."""
+    return loop.reason in (FORBIDDEN, _OFF, _LARGE, *_FEW)
+
+
+def _trusted(factor: SavedFactor) -> SavedFactor:
+    """A factor that no optimisation refuses."""
+    return SavedFactor(replace(factor.edge, trusted=True), True)
+
+
+def _rejudged(loop: LoopCandidate, before: Config, config: Config, *, planar: bool) -> LoopCandidate:
+    """A loop by other limits, as far as its match tells."""
+    settings, motion = config.loops, loop.motion
+    if not settings.enabled:
+        return loop.refused(_OFF)
+    if motion is None or not (loop.accepted or "GNC" in loop.reason or loop.reason in (*_FEW, _LARGE)):
+        return loop
+    if motion.inlier_share < settings.least_inlier_share:
+        return loop if loop.reason in _FEW else loop.refused(_FEW[0])
+    # Only loops by scans have that limit, and a window.
+    by_scan = planar and loop.half_width_m > 0.0
+    if by_scan and motion.residual_m > settings.greatest_residual_m:
+        return loop.refused(_LARGE)
+    known = loop.reason in _FEW or (by_scan and loop.reason == _LARGE)
+    return replace(loop, accepted=True, reason="") if known else loop
+
+
+def refuse_unknown(loops: Sequence[LoopCandidate], pair: Pair, told: str, *, matched: bool) -> None:
+    """Refuse to forbid or force a loop that is none.
+
+    Parameters
+    ----------
+    matched
+        Whether it needs a match.
+
+    Raises
+    ------
+    MapFileError
+        It says which.
+    """
+    numbers = _numbers(loops, pair)
+    if not numbers:
+        raise MapFileError(f"no loop was ever tried between {told}; 'loops: add' matches the two")
+    if matched and all(loops[number].motion is None for number in numbers):
+        reason = loops[numbers[-1]].reason
+        raise MapFileError(f"the loop between {told} has no match ({reason}); 'loops: add' matches them anew")
+
+
+def matched_loops(
+    contents: MapContents,
+    sessions: Sequence[MapSession],
+    wanted: Sequence[tuple[int, int, FloatArray | None, str]],
+    config: Config,
+) -> list[LoopCandidate]:
+    """Match pairs of keyframes.
+
+    Parameters
+    ----------
+    wanted
+        Two rows each, the pose (3,) of the second seen from the first or None, and what to call them.
+
+    Raises
+    ------
+    MapFileError
+        Where two do not match, with the reason.
+    """
+    if not wanted:
+        return []
+    if not contents.planar:
+        return [_checked(*_match_in_space(contents, one, config)) for one in wanted]
+    poses, path_m = contents.keyframe_poses, contents.path_m
+    numbers = np.repeat(np.arange(len(sessions)), [session.keyframes for session in sessions])
+    closer = closer_of(contents.keyframe_scans, poses, path_m, numbers, config)
+    found, loops = [], config.loops
+    for first, second, guess, told in wanted:
+        if guess is None:
+            # Somewhere about the same place, whichever way it looked.
+            wide = loops.greatest_half_width_m, np.pi
+            expected = np.array([0.0, 0.0, between(poses[first], poses[second])[2]])
+        else:
+            wide, expected = (config.match.search_half_width_m, config.match.search_half_yaw_rad), guess
+        place, key = min(first, second), max(first, second)
+        if place != first:
+            expected = between(expected, np.zeros(3))
+        sigmas = np.array([wide[0], wide[0], wide[1]]) / loops.sigmas
+        found.append(_checked(closer.verify(place, key, expected, np.diag(sigmas**2)), told))
+    return found
+
+
+def _match_in_space(
+    contents: MapContents, wanted: tuple[int, int, FloatArray | None, str], config: Config
+) -> tuple[LoopCandidate, str]:
+    """The match of two clouds, or of two frames of a camera alone, and what to call it."""
+    first, second, row, told = wanted
+    place, key = min(first, second), max(first, second)
+    guess = None if row is None else gtsam.Pose3(pose2_from_row(row))
+    if guess is not None and place != first:
+        guess = guess.inverse()
+    poses, clouds, frames = [spatial(pose) for pose in contents.node_poses], contents.clouds, contents.frames
+    if clouds is not None:
+        voxel_m = voxel_of(clouds.points(0), config.cloud_odometry)
+        closer = CloudLoopCloser(config, voxel_m, clouds)
+        for pose, path_m, points in zip(poses, contents.path_m, clouds, strict=True):
+            closer.add_keyframe(points, pose, path_m, math.nan)
+        sigma_m = config.match.search_half_width_m / config.loops.sigmas
+        wide_m = config.loops.greatest_half_width_m / config.loops.sigmas
+        return closer.verify(place, key, guess, wide_m if guess is None else sigma_m), told
+    assert frames is not None
+    store = KeyframeStore(config.rgbd, config.match.local_map_keyframes, frames)
+    visual = VisualLoopCloser(config, FrameMatcher(config), store)
+    if guess is not None:
+        T_base_camera = frames.head(0).T_base_camera or T_BODY_CAMERA
+        guess = T_base_camera.inverse().compose(guess).compose(T_base_camera)
+    return visual.verify(place, key, guess), told
+
+
+def _checked(loop: LoopCandidate, told: str) -> LoopCandidate:
+    """A loop that matches.
+
+    Raises
+    ------
+    MapFileError
+        Where it does not, with the reason.
+    """
+    if not loop.accepted:
+        raise MapFileError(f"no loop between {told}: {loop.reason}")
+    return loop

@@ -1,0 +1,209 @@
+"""A finished map anew: its graph solved, its evidence drawn, with edits and other settings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+
+from slam.config import Config
+from slam.edits.evidence import scans_without
+from slam.edits.keyframes import bases_of
+from slam.edits.loops import edited_loops
+from slam.edits.settings import remade_config
+from slam.errors import ConfigError
+from slam.graph.loop_closure import judged
+from slam.graph.pose_covariances import pose_covariances
+from slam.graph.pose_graph import PoseGraph
+from slam.mapper.lidar3d import band_scans
+from slam.mapper.map_result import drawn
+from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.mapping.polygons import cells_inside
+from slam.measurements import FloatArray, Pose
+from slam.storage.map_contents import MapContents, SavedFactor
+from slam.storage.map_edits import CLOUD, FRAME, MEASURED, REPAIRED, AppliedEdits, Region, erased_bits
+from slam.storage.map_sessions import MapSession
+from slam.trajectory.poses import Poses
+from slam.trajectory.resettled import resettled
+
+
+def config_of(before: Config, entries: Sequence[AppliedEdits]) -> Config:
+    """The settings of a map with edits."""
+    return remade_config(before, [setting for entry in entries for setting in entry.settings])
+
+
+def turned_by(entries: Sequence[AppliedEdits]) -> gtsam.Pose2:
+    """``T_new_old`` of all edits together."""
+    whole = gtsam.Pose2()
+    for entry in entries:
+        whole = whole if entry.turned is None else entry.turned.compose(whole)
+    return whole
+
+
+def regions_of(entries: Sequence[AppliedEdits], kind: str) -> list[Region]:
+    """Those of a kind; of zones and places with one name the last counts."""
+    found: dict[object, Region] = {}
+    for entry in entries:
+        for number, region in enumerate(region for region in entry.regions if region.kind == kind):
+            found[region.name or (id(entry), number)] = region
+    return list(found.values())
+
+
+def remade(
+    base: MapContents, entries: Sequence[AppliedEdits], before: Config, sessions: Sequence[MapSession]
+) -> tuple[MapContents, list[str]]:
+    """A map with edits.
+
+    What nothing has changed stays to the bit: without edits the map is the unedited one.
+
+    Parameters
+    ----------
+    base, before
+        The unedited map and its settings.
+
+    Returns
+    -------
+    The map, and a line on everything that cannot be drawn.
+
+    Raises
+    ------
+    ScanweaveError
+        Where an edit does not fit, or a setting takes the log.
+    """
+    config = config_of(before, entries)
+    found = replace(settled(base, entries, before, config, sessions), edits=list(entries))
+    found = _seen(found, base, entries, before, config)
+    found, warnings = drawn(found, config)
+    for crop in regions_of(entries, "crop"):
+        corners = crop.points(found.keyframe_poses)
+        grids = {name: _cropped(grid, corners) for name, grid in found.grids.items()}
+        found = replace(found, grids={name: grid for name, grid in grids.items() if grid is not None})
+    return found, warnings
+
+
+def settled(
+    base: MapContents,
+    entries: Sequence[AppliedEdits],
+    before: Config,
+    config: Config,
+    sessions: Sequence[MapSession],
+) -> MapContents:
+    """A map with its graph solved and turned; scans, images and grids as they were."""
+    factors, loops = edited_loops(base, entries, before, config)
+    poses = base.node_poses
+    if _differ(factors, base.factors) or config.loops != before.loops:
+        factors, poses = solved(base.node_poses, factors, config)
+        edges = [factor.edge for factor in factors]
+        loops = judged(loops, edges, [factor.kept for factor in factors])
+    T_new_old = turned_by(entries)
+    if not T_new_old.equals(gtsam.Pose2(), 0.0):
+        poses = [_moved(pose, T_new_old) for pose in poses]
+    if poses is base.node_poses:
+        return replace(base, factors=factors, loops=loops)
+    edges, kept = [factor.edge for factor in factors], [factor.kept for factor in factors]
+    bases = bases_of(base, poses)
+    told = pose_covariances(poses, bases, edges, kept, config)
+    trajectory, covariances = resettled(
+        base.trajectory,
+        base.stamps_s,
+        Poses.of(bases_of(base, base.node_poses)),
+        Poses.of(bases),
+        [(session.keyframes, session.poses) for session in sessions],
+        told,
+    )
+    return MapContents(
+        node_poses=list(poses),
+        stamps_s=base.stamps_s,
+        readings=base.readings,
+        trajectory=trajectory,
+        factors=factors,
+        loops=loops,
+        measured_scans=base.measured_scans,
+        keyframe_scans=base.keyframe_scans,
+        grids=base.grids,
+        cameras=base.cameras,
+        frames=base.frames,
+        clouds=base.clouds,
+        covariances=covariances,
+        ground_m=base.ground_m,
+    )
+
+
+def solved(
+    poses: Sequence[Pose], factors: Sequence[SavedFactor], config: Config
+) -> tuple[list[SavedFactor], list[Pose]]:
+    """A graph solved anew from where it was, with what was kept then.
+
+    What one edge had kept out may fit now: it is judged again until nothing changes.
+    """
+    graph = PoseGraph(poses[0])
+    for pose in poses[1:]:
+        graph.add_node(pose)
+    for factor in factors:
+        graph.add_edge(factor.edge)
+    kept = np.array([factor.kept for factor in factors], np.bool_)
+    graph.begin_with(kept)
+    known = set[bytes]()
+    while kept.tobytes() not in known:
+        known.add(kept.tobytes())
+        kept = graph.optimize(config.loops.inlier_probability).kept
+    held = [replace(factor, kept=bool(keep)) for factor, keep in zip(factors, kept, strict=True)]
+    return held, [graph.pose(node) for node in range(len(graph))]
+
+
+def _differ(factors: Sequence[SavedFactor], others: Sequence[SavedFactor]) -> bool:
+    """Whether some edges are not those that were solved; they are compared by what made them."""
+    return len(factors) != len(others) or any(
+        one is not other for one, other in zip(factors, others, strict=True)
+    )
+
+
+def _moved(pose: Pose, T_new_old: gtsam.Pose2) -> Pose:
+    """A pose in the turned map."""
+    if isinstance(pose, gtsam.Pose2):
+        return T_new_old.compose(pose)
+    return gtsam.Pose3(T_new_old).compose(pose)
+
+
+def _seen(
+    found: MapContents, base: MapContents, entries: Sequence[AppliedEdits], before: Config, config: Config
+) -> MapContents:
+    """The map with the evidence that edits and settings have left."""
+    frames = base.frames and base.frames.without(erased_bits(entries, FRAME))
+    clouds = base.clouds and base.clouds.without(erased_bits(entries, CLOUD))
+    measured, mended = base.measured_scans, base.keyframe_scans
+    repaired = any(one is not other for one, other in zip(measured, mended, strict=True))
+    if config.fusion.enabled < before.fusion.enabled:
+        mended, repaired = measured, False
+    band = (config.layers.robot_height_m, config.layers.climb_m, config.cloud_map)
+    if clouds is not None and band != (before.layers.robot_height_m, before.layers.climb_m, before.cloud_map):
+        if repaired or base.ground_m is None:
+            raise ConfigError(
+                "layers.robot_height_m, layers.climb_m and cloud_map take the log where the fusion has "
+                "repaired scans; 'fusion.enabled=false' beside them makes the map without it"
+            )
+        measured = mended = band_scans(clouds, base.ground_m, config)
+    else:
+        same = mended is measured
+        left = scans_without(mended, erased_bits(entries, REPAIRED))
+        alone = scans_without(measured, erased_bits(entries, MEASURED))
+        # A scan that nothing has repaired stays one and the same.
+        both = zip(measured, mended, alone, left, strict=True)
+        mended = [one if same or scan is other else two for scan, other, one, two in both]
+        measured = alone
+    return replace(found, frames=frames, clouds=clouds, measured_scans=measured, keyframe_scans=mended)
+
+
+def _cropped(grid: OccupancyGrid, polygon: FloatArray) -> OccupancyGrid | None:
+    """The cells of a grid with their middle in a polygon, none unknown around; None where there is none."""
+    within = cells_inside(polygon, grid.steps.shape, grid.resolution_m, grid.T_map_grid)
+    (at_rows,), (at_cols,) = np.nonzero(within.any(axis=1)), np.nonzero(within.any(axis=0))
+    if not len(at_rows):
+        return None
+    box = slice(at_rows[0], at_rows[-1] + 1), slice(at_cols[0], at_cols[-1] + 1)
+    steps = np.where(within, grid.steps, np.int16(0))[box]
+    corner = np.array([at_cols[0], at_rows[0]]) * grid.resolution_m
+    T_map_grid = grid.T_map_grid.compose(gtsam.Pose2(float(corner[0]), float(corner[1]), 0.0))
+    return OccupancyGrid(np.ascontiguousarray(steps), grid.resolution_m, T_map_grid)

@@ -1,0 +1,46 @@
+"""Which points lie in a polygon, by the even-odd rule: one that crosses itself has holes."""
+
+# mypy: allow-untyped-decorators
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+
+from fusion.kernel import kernel
+from slam.measurements import BoolArray, FloatArray
+
+
+def inside(points: FloatArray, polygon: FloatArray) -> BoolArray:
+    """(N,) whether points (N, 2) lie in a polygon of (M, 2) corners, the last joined to the first."""
+    found = np.zeros(len(points), np.bool_)
+    low, high = polygon.min(axis=0), polygon.max(axis=0)
+    (near,) = np.nonzero(((points >= low) & (points <= high)).all(axis=1))
+    found[near] = _odd(np.ascontiguousarray(points[near]), np.ascontiguousarray(polygon))
+    return found
+
+
+def cells_inside(
+    polygon: FloatArray, shape: tuple[int, ...], resolution_m: float, T_map_grid: gtsam.Pose2
+) -> BoolArray:
+    """(rows, cols) whether the middles of a grid's cells lie in a polygon of the map."""
+    row, col = np.mgrid[: shape[0], : shape[1]]
+    middles = (np.column_stack([col.reshape(-1), row.reshape(-1)]) + 0.5) * resolution_m
+    turn = T_map_grid.rotation().matrix()
+    return inside(middles @ turn.T + T_map_grid.translation(), polygon).reshape(shape)
+
+
+@kernel
+def _odd(points, polygon):  # type: ignore[no-untyped-def]
+    """Whether a ray from each point along x crosses the outline an odd number of times."""
+    found = np.zeros(len(points), np.bool_)
+    for n in range(len(points)):
+        x, y = points[n, 0], points[n, 1]
+        before = len(polygon) - 1
+        for corner in range(len(polygon)):
+            from_y, to_y = polygon[before, 1], polygon[corner, 1]
+            if (from_y > y) != (to_y > y):
+                share = (y - from_y) / (to_y - from_y)
+                if x < polygon[before, 0] + share * (polygon[corner, 0] - polygon[before, 0]):
+                    found[n] = not found[n]
+            before = corner
+    return found

@@ -1,0 +1,92 @@
+"""The files of a map changed together: all are written beside, then take the place of the old ones."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from slam.errors import MapFileError
+from slam.storage.files import make_folder
+from slam.storage.map_file import MAP_NAME
+
+# Where a map is made anew until it is whole.
+_WORK = "editing"
+# Maps of nav2 that not every map has: what is left of them would tell of another map.
+_NOT_ALWAYS = ("layers/*.yaml", "layers/*.pgm", "*_mask.yaml", "*_mask.pgm")
+
+
+@contextmanager
+def only_one_in(folder: Path) -> Iterator[None]:
+    """Keep others from changing the map of a folder during the block; a killed process lets go of it.
+
+    Raises
+    ------
+    MapFileError
+        Where another one does so already.
+    """
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError as error:
+        raise MapFileError(f"another run changes the map in {folder}; wait for its end") from error
+    finally:
+        os.close(handle)
+
+
+def move_into(folder: Path, source: Path) -> list[Path]:
+    """Let all files of a folder take the place of their namesakes in another, ``map.db`` last.
+
+    Each is renamed: at any moment ``map.db`` is the old one or the new one, whole, and while it is the old
+    one the same can be done again. The source is removed.
+
+    Returns
+    -------
+    Where they are now.
+
+    Raises
+    ------
+    MapFileError
+        Where a file cannot be moved.
+    """
+    files = sorted(path for path in source.rglob("*") if path.is_file())
+    files.sort(key=lambda path: path.name == MAP_NAME)
+    moved = []
+    try:
+        for file in files:
+            target = folder / file.relative_to(source)
+            make_folder(target.parent)
+            file.replace(target)
+            moved.append(target)
+        shutil.rmtree(source)
+    except OSError as error:
+        raise MapFileError(f"cannot write {folder}: {error.strerror or error}") from error
+    return moved
+
+
+def remake(folder: Path, write: Callable[[Path], None]) -> None:
+    """Let a function write a map and its files beside those of a folder, then let them take their place.
+
+    Raises
+    ------
+    ScanweaveError
+        Where it fails: the folder is as it was.
+    """
+    make_folder(folder)
+    with only_one_in(folder):
+        work = folder / _WORK
+        shutil.rmtree(work, ignore_errors=True)  # of a run that was killed
+        make_folder(work)
+        try:
+            write(work)
+            for pattern in _NOT_ALWAYS:
+                for old in folder.glob(pattern):
+                    if not (work / old.relative_to(folder)).exists():
+                        old.unlink()
+            move_into(folder, work)
+        finally:
+            shutil.rmtree(work, ignore_errors=True)

@@ -1,0 +1,74 @@
+"""A trajectory carried along when its keyframes have moved: after an optimisation without the log."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.measurements import FloatArray, Trajectory
+from slam.trajectory.carried import carried_covariances
+from slam.trajectory.poses import Poses
+from slam.trajectory.spread import spread_correction
+
+Indices: TypeAlias = NDArray[np.int64]
+
+
+def resettled(
+    trajectory: Trajectory,
+    keyframe_stamps_s: FloatArray,
+    before: Poses,
+    after: Poses,
+    sessions: Sequence[tuple[int, int]],
+    told: tuple[FloatArray, FloatArray],
+) -> tuple[Trajectory, FloatArray]:
+    """A trajectory of one or several sessions and its covariances, carried along with its keyframes.
+
+    Parameters
+    ----------
+    trajectory
+        All sessions, one after the other.
+    keyframe_stamps_s
+        (K,) time of each keyframe.
+    before, after
+        K bases at the keyframes, by which the trajectory was made, and where they are now.
+    sessions
+        How many keyframes and poses each session has.
+    told
+        Covariances (K, d, d) of ``after``, and (K - 1, d, d) of the steps, as `carried_covariances` takes
+        them.
+    """
+    covariances, steps = told
+    positions, quaternions, uncertain, first, node = [], [], [], 0, 0
+    # One session at a time: their clocks may overlap.
+    for keyframes, poses in sessions:
+        part, nodes = slice(first, first + poses), slice(node, node + keyframes)
+        first, node = part.stop, nodes.stop
+        own = trajectory[part]
+        readings, kept = _readings_of(keyframe_stamps_s[nodes], own.stamps_s)
+        motion = Poses.of_trajectory(own)
+        anchors = after[nodes][kept].compose(before[nodes][kept].between(motion[readings]))
+        carried = spread_correction(motion, readings, anchors).trajectory(own.stamps_s)
+        # Where a keyframe is passed over, the steps to it and from it are one.
+        ways = steps[nodes.start : nodes.stop - 1]
+        ways = np.add.reduceat(ways[: kept[-1]], kept[:-1]) if len(kept) > 1 else ways[:0]
+        uncertain.append(carried_covariances(carried, readings, covariances[nodes][kept], ways))
+        positions.append(carried.positions_m)
+        quaternions.append(carried.quaternions_xyzw)
+    found = Trajectory(trajectory.stamps_s, np.concatenate(positions), np.concatenate(quaternions))
+    return found, np.concatenate(uncertain)
+
+
+def _readings_of(keyframes_s: FloatArray, stamps_s: FloatArray) -> tuple[Indices, Indices]:
+    """The reading of each keyframe in the order of the log, and which keyframes these are.
+
+    A log whose clock was set back has stamps twice: a keyframe that would go back is passed over.
+    """
+    order = np.argsort(stamps_s, kind="stable")
+    nearest = np.clip(np.searchsorted(stamps_s[order], keyframes_s), 0, len(stamps_s) - 1)
+    readings = order[nearest]
+    last = np.concatenate([[-1], np.maximum.accumulate(readings)[:-1]])
+    kept = np.flatnonzero((stamps_s[readings] == keyframes_s) & (readings > last))
+    return readings[kept], kept

@@ -1,0 +1,61 @@
+"""Edits when a session joins the map: they stay, and can still be undone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from edit_maps import box, occupied
+
+import slam
+from slam.outputs.finished_map import Map
+from slam.simulation.synthetic_log import write_synthetic_log
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    folder = tmp_path_factory.mktemp("logs")
+    lengths = {"first": 34.0, "later": 30.0}
+    first, later = (
+        write_synthetic_log(folder / part, seed=seed, duration_s=length).log_path
+        for seed, (part, length) in enumerate(lengths.items(), start=1)
+    )
+    return first, later
+
+
+@pytest.fixture(scope="module")
+def house(logs: tuple[Path, Path]) -> Map:
+    return slam.map_log(logs[0])
+
+
+def test_edits_stay_when_a_session_joins_and_can_be_undone(
+    house: Map, logs: tuple[Path, Path], tmp_path: Path
+) -> None:
+    polygon = box(house)
+    edits = {
+        "erase": [{"polygon": polygon.tolist(), "later": True}],
+        "turn": {"degrees": 90.0},
+        "places": [{"name": "dock", "position": [0.5, 0.2]}],
+    }
+    edited = house.edited(edits)
+    turned = polygon @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    assert occupied(edited, turned) == 0
+    joined = slam.join(edited, logs[1], out=tmp_path / "joined").map
+    assert len(joined.sessions) == 2 and joined.edits == edited.edits
+    assert occupied(joined, turned) == 0
+    assert joined.places["dock"] == pytest.approx([-0.2, 0.5, np.pi / 2], abs=0.05)
+    first = len(house.keyframe_poses)
+    assert joined.keyframe_poses[:first, :2] == pytest.approx(edited.keyframe_poses[:, :2], abs=0.1)
+    before = joined.undone()
+    assert len(before.sessions) == 2 and not before.edits
+    assert occupied(before, polygon) > 10
+    plainly = slam.join(house, logs[1], out=tmp_path / "plain").map
+    assert before.keyframe_poses[:, :2] == pytest.approx(plainly.keyframe_poses[:, :2], abs=0.02)
+
+
+def test_what_later_sessions_see_stays_unless_it_is_said(house: Map, logs: tuple[Path, Path]) -> None:
+    polygon = box(house)
+    edited = house.edited({"erase": [{"polygon": polygon.tolist()}]})
+    joined = slam.join(edited, logs[1], out=edited.path.parent / "joined").map
+    assert occupied(joined, polygon) > 0
