@@ -143,7 +143,8 @@ class Map:
             With the first fault, in one line that names table and row.
         """
         self._file.check_pages()
-        self.parts()
+        if self.contents.edits:
+            self.parts()
         frames, clouds = self.contents.frames, self.contents.clouds
         for index in range(len(frames) if frames else 0):
             assert frames
