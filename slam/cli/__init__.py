@@ -4,11 +4,23 @@ from __future__ import annotations
 
 import sys
 
-from slam.cli import compare, demo, doctor, localize, map_log, queries, saved, simulate
+from slam.cli import compare, demo, diff, doctor, localize, map_log, queries, saved, simulate
 from slam.cli.app import app, tell
 from slam.errors import ScanweaveError
 
-__all__ = ["app", "compare", "demo", "doctor", "localize", "main", "map_log", "queries", "saved", "simulate"]
+__all__ = [
+    "app",
+    "compare",
+    "demo",
+    "diff",
+    "doctor",
+    "localize",
+    "main",
+    "map_log",
+    "queries",
+    "saved",
+    "simulate",
+]
 
 # Conventional exit code of a program that the user interrupted.
 _INTERRUPTED = 130
