@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
+from slam.measurements import FloatArray
 from slam.simulation.floor_layout import RoomPlan
 from slam.simulation.furnishing import OF_ROOMS, place_once_more
 from slam.simulation.home_model import Rearrangement, Thing
 
 # Each is as likely: moved twice as often as carried away or brought.
 _WAYS = ("moved", "moved", "went", "appeared")
+_TRIES = 8
+# What is nearer stands where it stood.
+_LEAST_M = 0.3
 
 
 def rearrange(
@@ -34,7 +39,7 @@ def rearrange(
     after = [list(pieces) for pieces in furnished]
     left = [(room, piece) for room, pieces in enumerate(furnished) for piece in pieces if piece.kind != "rug"]
     changes: list[Rearrangement] = []
-    for _ in range(3 * count):
+    for _ in range(_TRIES * count):
         if len(changes) == count or not left:
             break
         room, before = left[int(rng.integers(len(left)))]
@@ -51,12 +56,18 @@ def rearrange(
         if way == "moved":
             free = {piece.__name__ for piece in OF_ROOMS[plan.purpose][1]}
             new = place_once_more(plan, others, _by_itself(before), rng, before.kind not in free)
-            if new is None:
+            if new is None or math.dist(_middle(before), _middle(new)) < _LEAST_M:
                 continue
         left.remove((room, before))
         after[room] = [*others, new] if new is not None else others
         changes.append(Rearrangement(before, new))
     return after, changes
+
+
+def _middle(thing: Thing) -> FloatArray:
+    """(2,) of the box around a piece."""
+    corners = np.concatenate([part.corners_xy() for part in thing.parts])
+    return np.asarray(0.5 * (corners.min(axis=0) + corners.max(axis=0)))
 
 
 def _by_itself(thing: Thing) -> Thing:
