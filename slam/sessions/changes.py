@@ -106,21 +106,25 @@ def compare(before: Visit, after: Visit, spread: Spread, config: Config) -> Comp
     grids = [grid_of_keyframes(visit.scans, visit.poses, certain) for visit in (before, after)]
     steps, resolution_m, corner_m = _on_one_lattice(grids)
     model = layer_settings(certain).lidar
+    # Of each cell and those beside: what is off by less than a cell lies in the next.
+    beside = np.stack([ndimage.maximum_filter(one, 3) for one in steps])
     changes = []
     for appeared, own, other in ((False, 0, 1), (True, 1, 0)):
-        labels, count = _things(steps[own], steps[other], resolution_m)
+        labels, count = _things(steps[own], beside[other], resolution_m)
         if not count:
             continue
         seen = [_sightings(visit, labels, count, model, resolution_m, corner_m) for visit in (before, after)]
         for n, where in enumerate(ndimage.find_objects(labels)):
             cells = np.argwhere(labels[where] == n + 1) + [part.start for part in where]
+            if len(cells) == 1:
+                continue  # noise fills a cell here and there
             middles_m = (cells[:, ::-1] + 0.5) * resolution_m + corner_m
             met, through = seen[own][0][:, n].sum(), seen[own][1][:, n].sum()
             standing = float(special.betaincc(met + 1.0, through + 1.0, config.grid.hit_probability))
             witnesses = [np.flatnonzero(one[0][:, n] | one[1][:, n]) for one in seen]
             covariance = spread(witnesses[0], witnesses[1], middles_m.mean(axis=0))
             there = float(special.expit(steps[own][tuple(cells.T)].mean() / STEPS_A_UNIT))
-            gone = _gone(steps[other], cells, covariance, resolution_m)
+            gone = _gone(beside[other], cells, covariance, resolution_m)
             changes.append(Change(appeared, middles_m, standing * there * gone, standing))
     changes.sort(key=lambda one: -one.probability)
     return Comparison(changes, steps, resolution_m, corner_m)
@@ -154,12 +158,8 @@ def _on_one_lattice(
 def _things(
     own: NDArray[np.int16], other: NDArray[np.int16], resolution_m: float
 ) -> tuple[NDArray[np.int32], int]:
-    """Cells (rows, cols) by the number of the thing that one visit met there, and the other knows to be free.
-
-    The other must have seen through the cells beside, too: where poses are off by less than a cell a wall
-    lies in the next.
-    """
-    occupied = (own > 0) & (ndimage.maximum_filter(other, 3) < 0)
+    """Cells (rows, cols) by the number of the thing that one visit met and the other looked through."""
+    occupied = (own > 0) & (other < 0)
     reach = round(0.5 * _APART_M / resolution_m)
     near = ndimage.distance_transform_edt(~occupied) <= reach if occupied.any() else occupied
     labels, count = ndimage.label(near, _AROUND)
@@ -216,5 +216,4 @@ def _gone(
     likely = -0.5 * np.einsum("ni,ij,nj->n", offsets[:, ::-1], weight, offsets[:, ::-1])
     padded = np.pad(other, reach_cells := int(side[-1]))
     there = np.array([padded[tuple((cells + offset + reach_cells).T)].mean() for offset in offsets])
-    log_there = special.logsumexp(likely + there / STEPS_A_UNIT) - special.logsumexp(likely)
-    return float(special.expit(-log_there))
+    return float(special.expit(-(likely + there / STEPS_A_UNIT).max()))

@@ -15,6 +15,8 @@ from slam.sessions.changes import Change
 
 # Turns at which two shapes are laid over each other: a cell or less at the rim of a piece of furniture.
 _TURNS = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
+# Of two outlines, such a share lies on the other where they are of one thing.
+_ALIKE = 0.7
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +67,12 @@ def changed_things(changes: Sequence[Change], cell_m: float) -> list[ChangedThin
     came = [one for one in changes if one.appeared]
     alike = np.array([[_likeness(old.cells_m, new.cells_m, cell_m) for new in came] for old in went])
     things, paired = [], set()
-    for n, m in zip(*(linear_sum_assignment(-alike) if alike.size else ((), ())), strict=True):
+    # Of things that look alike each has moved as little as may be.
+    ways_m = [[math.dist(old.cells_m.mean(axis=0), new.cells_m.mean(axis=0)) for new in came] for old in went]
+    cost = np.where(alike > _ALIKE, ways_m, 1.0 + np.sum(ways_m)) if alike.size else np.zeros((0, 0))
+    for n, m in zip(*linear_sum_assignment(cost), strict=True):
         old, new = went[n], came[m]
-        if alike[n, m] > 0.5:
+        if alike[n, m] > _ALIKE:
             paired |= {id(old), id(new)}
             larger = max(old.cells_m, new.cells_m, key=len)
             both = old.probability * new.probability
