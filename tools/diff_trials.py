@@ -121,8 +121,8 @@ def summary(rows: Sequence[Row]) -> str:
     return (
         f"\n{len(rows)} pairs: F1 {f1:.3f}, precision {precision:.3f} ({reports - wrong} of {reports}), "
         f"recall {recall:.3f} ({total['found']} of {total['in sight']} places in sight); of all "
-        f"{total['all']} places {of_all} found; {wrong} false alarms in {with_false} pairs; moved told as moved "
-        f"{sum(row.told for row in rows)} of {sum(row.movable for row in rows)}"
+        f"{total['all']} places {of_all} found; {wrong} false alarms in {with_false} pairs; moved told as "
+        f"moved {sum(row.told for row in rows)} of {sum(row.movable for row in rows)}"
     )
 
 

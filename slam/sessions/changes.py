@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, special
 
 from fusion.bayes import STEPS_A_UNIT
-from fusion.estimation import gate
+from fusion.estimation import FEWEST, gate
 from slam.config import Config
 from slam.errors import ScanweaveError
 from slam.mapping.keyframe_grid import grid_of_keyframes, layer_settings
@@ -120,7 +120,7 @@ def compare(before: Visit, after: Visit, spread: Spread, config: Config) -> Comp
                 continue  # noise fills a cell here and there
             middles_m = (cells[:, ::-1] + 0.5) * resolution_m + corner_m
             met, through = seen[own][0][:, n].sum(), seen[own][1][:, n].sum()
-            standing = float(special.betaincc(met + 1.0, through + 1.0, config.grid.hit_probability))
+            standing = _standing(int(met), int(through))
             witnesses = [np.flatnonzero(one[0][:, n] | one[1][:, n]) for one in seen]
             covariance = spread(witnesses[0], witnesses[1], middles_m.mean(axis=0))
             there = float(special.expit(steps[own][tuple(cells.T)].mean() / STEPS_A_UNIT))
@@ -195,6 +195,16 @@ def _sightings(
         met[k] = hits > 0
         through[k] = ~met[k] & (2 * passes >= sizes)
     return met, through
+
+
+def _standing(met: int, through: int) -> float:
+    """Probability that a thing stood there all the time, from how many scans met it, and looked through.
+
+    What stands is missed by one scan in so many as make a statistic; of what walks by, or is glass, any share
+    of the scans meets something.
+    """
+    stood = special.betaln(FEWEST - 1 + met, 1 + through) - special.betaln(FEWEST - 1, 1)
+    return float(special.expit(stood - special.betaln(1 + met, 1 + through)))
 
 
 def _gone(
