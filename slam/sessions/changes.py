@@ -23,12 +23,11 @@ from slam.config import Config
 from slam.errors import ScanweaveError
 from slam.mapping.keyframe_grid import grid_of_keyframes, layer_settings
 from slam.mapping.lidar_layer import LidarModel, lidar_board
-from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, THRESHOLDS, OccupancyGrid
 from slam.measurements import BoolArray, FloatArray, LaserScan, pose2_from_row
 
 # Legs of one thing stand so far apart.
 _APART_M = 0.5
-_AROUND = np.ones((3, 3), np.bool_)
 
 # Covariance (2, 2) of where one visit has a point (2,) against the other, along the axes of the map: of the
 # keyframes of the first that saw it, and of the second.
@@ -159,10 +158,10 @@ def _things(
     own: NDArray[np.int16], other: NDArray[np.int16], resolution_m: float
 ) -> tuple[NDArray[np.int32], int]:
     """Cells (rows, cols) by the number of the thing that one visit met and the other looked through."""
-    occupied = (own > 0) & (other < 0)
+    occupied = (THRESHOLDS.states(own) == OCCUPIED) & (THRESHOLDS.states(other) == FREE)
     reach = round(0.5 * _APART_M / resolution_m)
     near = ndimage.distance_transform_edt(~occupied) <= reach if occupied.any() else occupied
-    labels, count = ndimage.label(near, _AROUND)
+    labels, count = ndimage.label(near, np.ones((3, 3)))
     return np.where(occupied, labels, 0), count
 
 
@@ -175,7 +174,7 @@ def _sightings(
     corner_m: tuple[float, float],
 ) -> tuple[BoolArray, BoolArray]:
     """(K, count) whether a keyframe met each thing, and whether it looked through at least half of it."""
-    beside = ndimage.grey_dilation(labels, footprint=_AROUND)
+    beside = ndimage.maximum_filter(labels, 3)
     sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
     met, through = np.zeros((2, len(visit.scans), count), np.bool_)
     row_0, col_0 = round(corner_m[1] / resolution_m), round(corner_m[0] / resolution_m)
@@ -183,13 +182,13 @@ def _sightings(
         if scan is None:
             continue
         board = lidar_board(scan, pose2_from_row(pose), model, resolution_m)
-        rows, cols = board.steps.shape[:2]
-        low = max(board.row - row_0, 0), max(board.col - col_0, 0)
-        high = board.row - row_0 + rows, board.col - col_0 + cols
-        part = (slice(low[0], high[0]), slice(low[1], high[1]))
-        steps = board.steps[low[0] - board.row + row_0 :, low[1] - board.col + col_0 :][
-            : labels[part].shape[0], : labels[part].shape[1]
+        row, col = board.row - row_0, board.col - col_0
+        first_row, first_col = max(row, 0), max(col, 0)
+        part = np.s_[
+            first_row : max(row + len(board.steps), 0), first_col : max(col + board.steps.shape[1], 0)
         ]
+        rows, cols = labels[part].shape
+        steps = board.steps[first_row - row :, first_col - col :][:rows, :cols]
         hits = np.bincount(beside[part][steps > 0], minlength=count + 1)[1:]
         passes = np.bincount(labels[part][steps < 0], minlength=count + 1)[1:]
         met[k] = hits > 0
@@ -219,7 +218,7 @@ def _gone(
     """
     if not np.isfinite(covariance).all():
         return 0.0
-    spread = covariance / resolution_m**2 + np.eye(2) / 6.0
+    spread = covariance / resolution_m**2 + np.eye(2) / 6
     weight, reach = np.linalg.inv(spread), math.sqrt(gate(2) * float(np.linalg.eigvalsh(spread)[-1]))
     side = np.arange(-math.ceil(reach), math.ceil(reach) + 1)
     offsets = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)

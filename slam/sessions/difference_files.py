@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fusion.bayes import FREE, OCCUPIED
-from slam.evaluation.figure_parts import BLUE, DPI, ORANGE, RED, figure_of, png_of
+from slam.evaluation.figure_parts import BLUE, ORANGE, RED, figure_of, png_of
 from slam.mapping.occupancy_grid import THRESHOLDS
 from slam.measurements import FloatArray
 from slam.sessions.changes import Comparison
@@ -98,7 +98,7 @@ def difference_picture(things: Sequence[ChangedThing], found: Comparison) -> byt
         color = _COLORS[thing.what]
         for corners, style in ((thing.before_m, "--"), (thing.after_m, "-")):
             if corners is not None:
-                axes.plot(*np.array([*corners, corners[0]]).T, style, color=color, linewidth=300.0 / DPI)
+                axes.plot(*np.array([*corners, corners[0]]).T, style, color=color)
         if thing.what == "moved":
             way = {"arrowstyle": "->", "color": color}
             axes.annotate("", thing.places_m[1].tolist(), thing.places_m[0].tolist(), arrowprops=way)

@@ -92,7 +92,7 @@ def _likeness(one: FloatArray, other: FloatArray, cell_m: float) -> float:
     A lidar meets other sides of a thing that has been turned: the mean of the shares of each that lie on the
     other. Shapes of different length are none.
     """
-    if abs(_size(one, cell_m)[0] - _size(other, cell_m)[0]) > 3.0 * cell_m:
+    if round(abs(_size(one, cell_m)[0] - _size(other, cell_m)[0]) / cell_m) > 2:
         return 0.0
     tree, reach_m, best = cKDTree(other), math.sqrt(2.0) * cell_m, 0.0
     for turn in _TURNS:
