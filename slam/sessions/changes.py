@@ -24,7 +24,7 @@ from slam.errors import ScanweaveError
 from slam.mapping.keyframe_grid import grid_of_keyframes, layer_settings
 from slam.mapping.lidar_layer import LidarModel, lidar_board
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, THRESHOLDS, OccupancyGrid
-from slam.measurements import BoolArray, FloatArray, LaserScan, pose2_from_row
+from slam.measurements import BoolArray, FloatArray, LaserScan, one_line, pose2_from_row
 
 # Legs of one thing stand so far apart.
 _APART_M = 0.5
@@ -40,6 +40,8 @@ class Visit:
 
     scans: Sequence[LaserScan | None]
     poses: FloatArray
+
+    __repr__ = one_line
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +65,8 @@ class Change:
     probability: float
     standing: float
 
+    __repr__ = one_line
+
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
@@ -82,6 +86,8 @@ class Comparison:
     steps: NDArray[np.int16]
     resolution_m: float
     corner_m: tuple[float, float]
+
+    __repr__ = one_line
 
     def seen_m2(self) -> tuple[float, float, float]:
         """Area that both visits have seen, and that which the first and the second alone have."""

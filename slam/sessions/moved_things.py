@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import ConvexHull, cKDTree
 
-from slam.measurements import FloatArray
+from slam.measurements import FloatArray, one_line
 from slam.sessions.changes import Change
 
 # Turns at which two shapes are laid over each other: a cell or less at the rim of a piece of furniture.
@@ -40,6 +40,8 @@ class ChangedThing:
     after_m: FloatArray | None
     size_m: tuple[float, float]
     probability: float
+
+    __repr__ = one_line
 
     @property
     def places_m(self) -> list[FloatArray]:

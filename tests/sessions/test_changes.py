@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -107,7 +108,7 @@ def test_what_the_other_visit_could_not_see_is_no_change() -> None:
         [[0.3, 0.2, 0.3, 1.5], [0.3, 1.5, 1.6, 1.5], [1.6, 1.5, 1.6, 0.2], [1.6, 0.2, 0.3, 0.2]]
     )
     found = compared(visit(with_(CHAIR)), visit(with_(screen), seed=1))
-    assert [change for change in likely(found) if not change.appeared] == []
+    assert [change for change in found.changes if not change.appeared] == []
     assert found.seen_m2()[1] > 0.1
 
 
@@ -118,6 +119,21 @@ def test_somebody_who_walked_by_is_not_told() -> None:
     found = compared(visit(with_(CHAIR), with_()), visit(with_(), seed=1))
     assert likely(found) == []
     assert [change.standing < 0.5 for change in found.changes] == [True]
+
+
+def test_a_thing_that_returns_no_beam_has_not_gone() -> None:
+    seen, black = visit(with_(CHAIR)), visit(with_(CHAIR), seed=1)
+    scans = []
+    for scan, pose in zip(black.scans, black.poses, strict=True):
+        assert scan is not None
+        met = scan.ranges_m < sweep(with_(), pose).ranges_m - 0.01
+        scans.append(replace(scan, ranges_m=np.where(met, np.float32(np.inf), scan.ranges_m)))
+    assert compared(seen, Visit(scans, black.poses)).changes == []
+
+
+def test_what_fills_a_single_cell_is_noise() -> None:
+    speck = box(0.81, 0.61, 0.84, 0.64)
+    assert compared(visit(with_(speck)), visit(with_(), seed=1)).changes == []
 
 
 def test_without_a_way_between_the_visits_nothing_is_told() -> None:
