@@ -2,8 +2,8 @@
 
 What programs use is found here, and loaded when it is first asked for. `map_log` maps a log, `build_map`
 measurements of your own; `load_map` opens a saved map, `join` adds a log to it, `localize_log` follows a log
-in it, `Localizer` a robot, measurement by measurement; `evaluate` scores a trajectory. The command line,
-``scanweave``, is a thin shell over the same.
+in it, `Localizer` a robot, measurement by measurement; `diff_maps` tells what differs between two maps;
+`evaluate` scores a trajectory. The command line, ``scanweave``, is a thin shell over the same.
 
 The parts work by themselves on plain arrays: `match_scans` a matcher, `check_loop` a loop check, `PoseGraph`
 the graph, `grid_of_scans` the grid, and the package `fusion` the fusion of lidar and depth.
@@ -22,6 +22,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from slam.app.differing import Difference as Difference
+    from slam.app.differing import diff_maps as diff_maps
     from slam.app.joining import Joined as Joined
     from slam.app.joining import join as join
     from slam.app.localizing import Localization as Localization
@@ -58,6 +60,7 @@ if TYPE_CHECKING:
     from slam.outputs.finished_map import load_map as load_map
 
 _NAMES = {
+    "slam.app.differing": "Difference diff_maps",
     "slam.app.joining": "Joined join",
     "slam.app.localizing": "Localization localize_log",
     "slam.app.mapping": "build_map map_log",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from slam.cli import compare, demo, doctor, edit, localize, map_log, queries, saved, simulate
+from slam.cli import compare, demo, diff, doctor, edit, localize, map_log, queries, saved, simulate
 from slam.cli.app import app, tell
 from slam.errors import ScanweaveError
 
@@ -12,6 +12,7 @@ __all__ = [
     "app",
     "compare",
     "demo",
+    "diff",
     "doctor",
     "edit",
     "localize",

@@ -32,6 +32,13 @@ def simulate(
     ] = _RIG,
     home: Annotated[int, typer.Option(min=0, help="which home or campus: the seed of its plan")] = 1,
     seed: Annotated[int, typer.Option(min=0, help="which drive: the seed of tour, noise and faults")] = 0,
+    moved: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="so many pieces of the home's furniture stand elsewhere, went or came; by the drive's seed",
+        ),
+    ] = 0,
     office: Annotated[bool, typer.Option("--office", help="an office instead of a home")] = False,
     campus: Annotated[
         bool, typer.Option("--campus", help="two kilometres of corridors, a SICK lidar, bad wheels; no --rig")
@@ -57,8 +64,11 @@ def simulate(
 
     if rig not in RIGS:
         raise ConfigError(f"no rig '{rig}'; there are {', '.join(sorted(RIGS))}")
-    if campus and (office or formats or rig != _RIG):
-        raise ConfigError("--campus has its own robot and format; leave out --rig, --office and --format")
+    if campus and (office or formats or moved or rig != _RIG):
+        raise ConfigError(
+            "--campus has its own robot and format, and no furniture; leave out --rig, --office, --format "
+            "and --moved"
+        )
     presets = CAMPUS_FAULTS if campus else FAULT_PRESETS
     if faults not in presets:
         raise ConfigError(f"no fault preset '{faults}'; there are {', '.join(presets)}")
@@ -69,7 +79,7 @@ def simulate(
         return
     summary = simulate_into(
         out,
-        generate_home(home, "office" if office else "home"),
+        generate_home(home, "office" if office else "home", moved=moved, day=seed),
         RIGS[rig],
         seed,
         FAULT_PRESETS[faults],

@@ -51,6 +51,9 @@ _FREE: dict[str, tuple[f.Piece, ...]] = {
     "corridor": (f.rug,),
 }
 
+# What may stand in a room, by its purpose: at the walls, and anywhere.
+OF_ROOMS = {purpose: (_WALL[purpose], _FREE[purpose]) for purpose in _WALL}
+
 
 @dataclass
 class _Site:
@@ -77,15 +80,35 @@ def furnish(plan: RoomPlan, rng: np.random.Generator) -> list[Thing]:
     -------
     The pieces in the map frame, without what was fixed.
     """
-    x0, y0, x1, y1 = plan.room.rectangle
-    shape = (math.ceil((y1 - y0) / _CELL_M), math.ceil((x1 - x0) / _CELL_M))
-    blocked = occupied_cells([p for thing in plan.fixed for p in thing.parts], (x0, y0), shape, _CELL_M)
-    site = _Site(plan, list(plan.fixed), blocked, (x0, y0))
+    site = _site(plan, plan.fixed, [part for thing in plan.fixed for part in thing.parts])
     for piece in _WALL[plan.purpose]:
         _try_places(site, piece(rng), rng, at_wall=True)
     for piece in _FREE[plan.purpose]:
         _try_places(site, piece(rng), rng, at_wall=False)
     return site.placed[len(plan.fixed) :]
+
+
+def place_once_more(
+    plan: RoomPlan, others: Sequence[Thing], thing: Thing, rng: np.random.Generator, at_wall: bool
+) -> Thing | None:
+    """A piece, given by itself, where it fits among what stands in a room; None where it fits nowhere."""
+    standing = [*plan.fixed, *others]
+    site = _site(plan, standing, _low(standing))
+    _try_places(site, thing, rng, at_wall=at_wall)
+    return site.placed[-1] if len(site.placed) > len(standing) else None
+
+
+def _site(plan: RoomPlan, standing: Sequence[Thing], parts: Sequence[Part]) -> _Site:
+    """A room, what stands in it, and the parts of that which block the way."""
+    x0, y0, x1, y1 = plan.room.rectangle
+    shape = (math.ceil((y1 - y0) / _CELL_M), math.ceil((x1 - x0) / _CELL_M))
+    return _Site(plan, list(standing), occupied_cells(parts, (x0, y0), shape, _CELL_M), (x0, y0))
+
+
+def _low(things: Sequence[Thing]) -> list[Part]:
+    """The parts that a robot could meet."""
+    parts = [part for thing in things for part in thing.parts]
+    return [part for part in parts if part.z_high_m > OBSTACLE_Z_M[0] and part.z_low_m < OBSTACLE_Z_M[1]]
 
 
 def _try_places(site: _Site, thing: Thing, rng: np.random.Generator, *, at_wall: bool) -> None:
@@ -95,8 +118,9 @@ def _try_places(site: _Site, thing: Thing, rng: np.random.Generator, *, at_wall:
         candidate = Thing(thing.kind, tuple(part.placed(*pose) for part in thing.parts))
         if not _fits(site, candidate):
             continue
-        low = [p for p in candidate.parts if p.z_high_m > OBSTACLE_Z_M[0] and p.z_low_m < OBSTACLE_Z_M[1]]
-        blocked = site.blocked | occupied_cells(low, site.origin_xy, site.blocked.shape, _CELL_M)
+        blocked = site.blocked | occupied_cells(
+            _low([candidate]), site.origin_xy, site.blocked.shape, _CELL_M
+        )
         if _passable(site, blocked):
             site.blocked = blocked
             site.placed.append(candidate)

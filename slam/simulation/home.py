@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from slam.measurements import BoolArray
 from slam.simulation.floor_layout import STYLES, Layout, draw_layout
 from slam.simulation.furnishing import OBSTACLE_Z_M, PASSABLE_RADIUS_M, furnish
 from slam.simulation.home_model import Door, Home, Material, Obstacle, Part, Room, Style, Thing, assemble
+from slam.simulation.rearranging import rearrange
 from slam.simulation.true_grid import TrueGrid, drivable_cells, largest_region, true_grid
 
 __all__ = [
@@ -34,10 +36,13 @@ log = logging.getLogger(__name__)
 
 _CELL_M = 0.05
 _FEWEST_ROOMS, _MOST_ROOMS = 2, 40
+_TRIES = 16
 _SMALLEST_AREA_M2 = 0.3  # of drivable floor, for a room to count as reached
 
 
-def generate_home(seed: int, kind: str = "home", *, rooms: int | None = None) -> Home:
+def generate_home(
+    seed: int, kind: str = "home", *, rooms: int | None = None, moved: int = 0, day: int = 0
+) -> Home:
     """Draw a building and furnish it.
 
     Parameters
@@ -48,6 +53,10 @@ def generate_home(seed: int, kind: str = "home", *, rooms: int | None = None) ->
         ``home`` or ``office``.
     rooms
         How many, without the corridor; None draws a usual number.
+    moved
+        So many pieces of its furniture stand elsewhere, have gone or come; see `Home.changes`.
+    day
+        The seed of which, and where.
 
     Returns
     -------
@@ -80,7 +89,15 @@ def generate_home(seed: int, kind: str = "home", *, rooms: int | None = None) ->
         taken = furnished[room].pop()
         log.info("took a %s out of %s: it was in the way", taken.kind, layout.plans[room].room.name)
         home = _build(layout, furnished)
-    return home
+    if not moved:
+        return home
+    rng = np.random.default_rng([seed, sorted(STYLES).index(kind), day])
+    for _ in range(_TRIES):
+        after, changes = rearrange(layout.plans, furnished, moved, rng)
+        home = replace(_build(layout, after), changes=tuple(changes))
+        if not rooms_out_of_reach(home, PASSABLE_RADIUS_M - _CELL_M):
+            return home
+    raise ConfigError(f"no way to move {moved} things in {kind} {seed}; move fewer, or use another seed")
 
 
 def rooms_out_of_reach(home: Home, radius_m: float) -> list[str]:

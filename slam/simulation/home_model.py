@@ -94,6 +94,20 @@ class Thing:
 
 
 @dataclass(frozen=True, slots=True)
+class Rearrangement:
+    """A piece of furniture that stands elsewhere than on another day.
+
+    Attributes
+    ----------
+    before, after
+        As it stood, and as it stands; None where it was brought, or carried away.
+    """
+
+    before: Thing | None
+    after: Thing | None
+
+
+@dataclass(frozen=True, slots=True)
 class Obstacle:
     """One thing of the home.
 
@@ -146,6 +160,8 @@ class Home:
         Corridors are rooms too.
     start_xy_yaw
         A place where a robot can stand.
+    changes
+        What is not where the home's seed alone would have it.
     """
 
     vertices: Float32Array
@@ -160,6 +176,7 @@ class Home:
     rooms: tuple[Room, ...]
     doors: tuple[Door, ...]
     start_xy_yaw: tuple[float, float, float]
+    changes: tuple[Rearrangement, ...] = ()
 
 
 # Corners of a box are 0-3 below and 4-7 above, counter-clockwise; outward faces, two triangles each.

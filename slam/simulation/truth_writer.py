@@ -16,7 +16,7 @@ from slam.measurements import FloatArray, row_from_pose2
 from slam.simulation.drive import Drive
 from slam.simulation.drive_faults import LIDAR, LIDAR_3D
 from slam.simulation.events import CloudEvent, DriveEvent, ImageEvent, ScanEvent, TruthEvent
-from slam.simulation.home_model import Home
+from slam.simulation.home_model import Home, Thing
 from slam.simulation.ordered_pool import OrderedPool
 from slam.simulation.true_grid import true_grid
 from slam.simulation.tum_writer import transform_fields, write_yaml
@@ -152,6 +152,20 @@ def _write_obstacles(folder: Path, home: Home, bands_m: dict[str, tuple[float, f
         {"name": room.name, "rectangle_m": [float(edge) for edge in room.rectangle]} for room in home.rooms
     ]
     _write_json(folder / "obstacles.json", {"obstacles": obstacles, "rooms": rooms})
+    if home.changes:
+        changes = [{"before": _plain(one.before), "after": _plain(one.after)} for one in home.changes]
+        _write_json(folder / "changes.json", {"changes": changes})
+
+
+def _plain(thing: Thing | None) -> dict[str, Any] | None:
+    """A thing as its parts: the corners of each on the floor, and from where to where it stands."""
+    if thing is None:
+        return None
+    parts = [
+        {"corners_m": part.corners_xy().tolist(), "z_m": [float(part.z_low_m), float(part.z_high_m)]}
+        for part in thing.parts
+    ]
+    return {"kind": thing.kind, "parts": parts}
 
 
 def _write_faults(folder: Path, drive: Drive) -> None:

@@ -147,3 +147,22 @@ def test_drivable_cells_keep_the_radius() -> None:
     region = largest_region(drivable)
     assert region[20, 10] != region[20, 50]
     assert not largest_region(np.zeros((3, 3), dtype=bool)).any()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_moved_furniture_is_told_and_all_else_stays(seed: int) -> None:
+    before, after = generate_home(seed), generate_home(seed, moved=6, day=1)
+    gone = [part for one in after.changes if one.before for part in one.before.parts]
+    new = [part for one in after.changes if one.after for part in one.after.parts]
+    assert len(after.changes) == 6
+    assert {*before.parts} - {*after.parts} == {*gone}
+    assert {*after.parts} - {*before.parts} == {*new}
+    for one in after.changes:
+        if one.before and one.after:
+            pairs = zip(one.before.parts, one.after.parts, strict=True)
+            assert all(
+                np.allclose((*a.half_xy, a.z_low_m, a.z_high_m), (*b.half_xy, b.z_low_m, b.z_high_m))
+                for a, b in pairs
+            )
+    assert rooms_out_of_reach(after, ROBOT_RADIUS_M) == []
+    assert generate_home(seed, moved=6, day=2).changes != after.changes

@@ -1,0 +1,137 @@
+"""What differs between two maps of a place, or between two sessions of one map."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from pathlib import Path
+
+import numpy as np
+
+from slam.errors import ScanweaveError
+from slam.localization.known_map import has_walls
+from slam.outputs.finished_map import Map
+from slam.sessions.between_visits import BetweenVisits
+from slam.sessions.changes import Comparison, Visit, compare
+from slam.sessions.connection import connect
+from slam.sessions.difference_files import write_difference
+from slam.sessions.moved_things import ChangedThing, changed_things
+from slam.storage.map_contents import MapContents
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """What differs.
+
+    Attributes
+    ----------
+    things
+        What went, appeared or moved, the likeliest first; all likelier than not. In the frame of the first
+        map.
+    passing
+        How many things were met at times only: people, glass.
+    comparison
+        All that may have changed, and what both visits saw.
+    written
+        The files.
+    """
+
+    things: Sequence[ChangedThing]
+    passing: int
+    comparison: Comparison
+    written: tuple[Path, ...] = ()
+
+
+def diff_maps(
+    before: Map,
+    after: Map | None = None,
+    *,
+    sessions: tuple[int, int] | None = None,
+    out: Path | str | None = None,
+) -> Difference:
+    """Find what went, appeared or moved between two maps of a place, or two sessions of one map.
+
+    Two maps are brought into one frame first, as `slam.join` does; neither is changed.
+
+    Parameters
+    ----------
+    before, after
+        The maps, of a robot on a floor with a lidar; ``after`` is None where ``sessions`` tells two of one.
+    sessions
+        Numbers of two sessions of ``before``, from 1.
+    out
+        Folder for ``diff.json``, ``diff.geojson`` and ``diff.png``; None writes nothing.
+
+    Raises
+    ------
+    ScanweaveError
+        Where a map has no scans or is not of a robot on a floor, the two do not connect, a session is not
+        there, or a file cannot be written.
+
+    Examples
+    --------
+    >>> import slam
+    >>> from slam.simulation.synthetic_log import write_synthetic_log
+    >>> monday = slam.map_log(write_synthetic_log("monday", seed=1, duration_s=10.0).log_path)
+    >>> tuesday = slam.map_log(write_synthetic_log("tuesday", seed=2, duration_s=10.0).log_path)
+    >>> slam.diff_maps(monday, tuesday).things
+    []
+    """
+    for one in (before, after):
+        if one is not None:
+            _refuse_unfit(one)
+    if (after is None) == (sessions is None):
+        raise ScanweaveError("two maps, or two sessions of one map, can be compared; give one of both")
+    if after is None:
+        assert sessions is not None
+        contents, parts = before.contents, _keyframes_of(before, sessions)
+    elif before.digest == after.digest:
+        contents, parts = before.contents, [np.arange(len(before.keyframe_poses))] * 2
+    else:
+        contents, parts = _in_one_frame(before, after)
+    visits = [
+        Visit([contents.measured_scans[k] for k in part], contents.keyframe_poses[part]) for part in parts
+    ]
+    found = compare(visits[0], visits[1], BetweenVisits(contents, *parts), before.config)
+    believed = [change for change in found.changes if change.probability > 0.5]
+    things = changed_things(believed, found.resolution_m)
+    passing = sum(change.standing < 0.5 for change in found.changes)
+    difference = Difference(things, passing, found)
+    if out is None:
+        return difference
+    names = [before.path, after.path] if after else [before.path] * 2
+    written = write_difference(Path(out), things, passing, found, [str(name) for name in names])
+    return Difference(things, passing, found, tuple(written))
+
+
+def _keyframes_of(saved: Map, sessions: tuple[int, int]) -> list[np.ndarray]:
+    """The keyframes of two sessions."""
+    count = len(saved.sessions)
+    if not all(1 <= number <= count for number in sessions) or sessions[0] == sessions[1]:
+        raise ScanweaveError(
+            f"{saved.path} has sessions 1 to {count}; name two of them, not {sessions[0]} and {sessions[1]}"
+        )
+    ends = list(accumulate(session.keyframes for session in saved.sessions))
+    return [np.arange(ends[n - 1] - saved.sessions[n - 1].keyframes, ends[n - 1]) for n in sessions]
+
+
+def _in_one_frame(before: Map, after: Map) -> tuple[MapContents, list[np.ndarray]]:
+    """Both maps as one, and the keyframes of each."""
+    connection = connect(before, after)
+    if connection.joined is None:
+        raise ScanweaveError(f"{after.path} does not connect to {before.path}: {connection.reason}")
+    contents, first = connection.joined.contents, len(before.keyframe_poses)
+    return contents, [np.arange(first), np.arange(first, len(contents.node_poses))]
+
+
+def _refuse_unfit(saved: Map) -> None:
+    """Refuse a map that cannot be compared by its scans."""
+    if saved.contents.clouds:
+        raise ScanweaveError(f"{saved.path} is of a 3D lidar; only maps of a robot on a floor are compared")
+    if not saved.planar:
+        raise ScanweaveError(
+            f"{saved.path} is of a camera in space; only maps of a robot on a floor are compared"
+        )
+    if not has_walls(saved.contents):
+        raise ScanweaveError(f"{saved.path} holds no lidar scan; maps are compared by their scans")

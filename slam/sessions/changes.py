@@ -1,0 +1,234 @@
+"""What stands elsewhere than on an earlier visit: what has gone, what has come, and how likely that is.
+
+Where scans of one visit met something that those of the other looked through, something has changed, unless
+the two are not where they are thought to be: what has gone must be missed wherever it may stand. Hidden or
+never looked at is no change. What was met at times only, while other scans of the same visit looked through,
+did not stand there: somebody walked by, or it is glass. Evidence is that of the occupancy grid (Li2020
+Eq. (8)), drawn of each visit alone; a thing is one witness, however many cells it has.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage, special
+
+from fusion.bayes import STEPS_A_UNIT
+from fusion.estimation import FEWEST, gate
+from slam.config import Config
+from slam.errors import ScanweaveError
+from slam.mapping.keyframe_grid import grid_of_keyframes, layer_settings
+from slam.mapping.lidar_layer import LidarModel, lidar_board
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, THRESHOLDS, OccupancyGrid
+from slam.measurements import BoolArray, FloatArray, LaserScan, one_line, pose2_from_row
+
+# Legs of one thing stand so far apart.
+_APART_M = 0.5
+
+# Covariance (2, 2) of where one visit has a point (2,) against the other, along the axes of the map: of the
+# keyframes of the first that saw it, and of the second.
+Spread = Callable[[NDArray[np.int64], NDArray[np.int64], FloatArray], FloatArray]
+
+
+@dataclass(frozen=True, slots=True)
+class Visit:
+    """The keyframes of a visit: K scans, None where there is none, and (K, 3) poses in a frame of both."""
+
+    scans: Sequence[LaserScan | None]
+    poses: FloatArray
+
+    __repr__ = one_line
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A thing that stands on one visit, and on the other does not.
+
+    Attributes
+    ----------
+    appeared
+        Whether it has come; else it has gone.
+    cells_m
+        (N, 2) middles of the cells in which it was met, map frame.
+    probability
+        That it stood there, and on the other visit did not.
+    standing
+        That it stood there all the time of its visit; low of what walked by, and of glass.
+    """
+
+    appeared: bool
+    cells_m: FloatArray
+    probability: float
+    standing: float
+
+    __repr__ = one_line
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Two visits compared.
+
+    Attributes
+    ----------
+    changes
+        All that may have changed, the likeliest first.
+    steps
+        (2, rows, cols) log-odds of both visits, in steps as of a grid.
+    resolution_m, corner_m
+        Side of a cell, and where the lower left one begins, map frame.
+    """
+
+    changes: Sequence[Change]
+    steps: NDArray[np.int16]
+    resolution_m: float
+    corner_m: tuple[float, float]
+
+    __repr__ = one_line
+
+    def seen_m2(self) -> tuple[float, float, float]:
+        """Area that both visits have seen, and that which the first and the second alone have."""
+        first, second = self.steps != 0
+        cell_m2 = self.resolution_m**2
+        counts = ((first & second).sum(), (first & ~second).sum(), (second & ~first).sum())
+        both, one, other = (float(count * cell_m2) for count in counts)
+        return both, one, other
+
+
+def compare(before: Visit, after: Visit, spread: Spread, config: Config) -> Comparison:
+    """Compare two visits of a place.
+
+    Raises
+    ------
+    ScanweaveError
+        Where a visit has no scans, or is so large that its cells would be larger than the other's.
+    """
+    # What returns nothing may be a black thing as well as nothing.
+    certain = config.model_copy(update={"grid": config.grid.model_copy(update={"clear_range_m": 0.0})})
+    grids = [grid_of_keyframes(visit.scans, visit.poses, certain) for visit in (before, after)]
+    steps, resolution_m, corner_m = _on_one_lattice(grids)
+    model = layer_settings(certain).lidar
+    # Of each cell and those beside: what is off by less than a cell lies in the next.
+    beside = np.stack([ndimage.maximum_filter(one, 3) for one in steps])
+    changes = []
+    for appeared, own, other in ((False, 0, 1), (True, 1, 0)):
+        labels, count = _things(steps[own], beside[other], resolution_m)
+        if not count:
+            continue
+        seen = [_sightings(visit, labels, count, model, resolution_m, corner_m) for visit in (before, after)]
+        for n, where in enumerate(ndimage.find_objects(labels)):
+            cells = np.argwhere(labels[where] == n + 1) + [part.start for part in where]
+            if len(cells) == 1:
+                continue  # noise fills a cell here and there
+            middles_m = (cells[:, ::-1] + 0.5) * resolution_m + corner_m
+            met, through = seen[own][0][:, n].sum(), seen[own][1][:, n].sum()
+            standing = _standing(int(met), int(through))
+            witnesses = [np.flatnonzero(one[0][:, n] | one[1][:, n]) for one in seen]
+            covariance = spread(witnesses[0], witnesses[1], middles_m.mean(axis=0))
+            there = float(special.expit(steps[own][tuple(cells.T)].mean() / STEPS_A_UNIT))
+            gone = _gone(beside[other], cells, covariance, resolution_m)
+            changes.append(Change(appeared, middles_m, standing * there * gone, standing))
+    changes.sort(key=lambda one: -one.probability)
+    return Comparison(changes, steps, resolution_m, corner_m)
+
+
+def _on_one_lattice(
+    grids: Sequence[OccupancyGrid | None],
+) -> tuple[NDArray[np.int16], float, tuple[float, float]]:
+    """Steps (2, rows, cols) of both, side of a cell, and corner."""
+    first, second = grids
+    if first is None or second is None:
+        raise ScanweaveError("a visit without lidar scans cannot be compared")
+    if first.resolution_m != second.resolution_m:
+        raise ScanweaveError(
+            f"the grids have cells of {first.resolution_m:g} and {second.resolution_m:g} m; raise "
+            "grid.greatest_cells when mapping"
+        )
+    side_m = first.resolution_m
+    corners = [
+        np.rint(np.array([grid.T_map_grid.y(), grid.T_map_grid.x()]) / side_m).astype(int)
+        for grid in (first, second)
+    ]
+    low = np.minimum(*corners)
+    high = np.maximum(*(corner + grid.shape for corner, grid in zip(corners, (first, second), strict=True)))
+    steps = np.zeros((2, *(high - low)), np.int16)
+    for part, corner, grid in zip(steps, corners - low, (first, second), strict=True):
+        part[corner[0] : corner[0] + grid.shape[0], corner[1] : corner[1] + grid.shape[1]] = grid.steps
+    return steps, side_m, (float(low[1] * side_m), float(low[0] * side_m))
+
+
+def _things(
+    own: NDArray[np.int16], other: NDArray[np.int16], resolution_m: float
+) -> tuple[NDArray[np.int32], int]:
+    """Cells (rows, cols) by the number of the thing that one visit met and the other looked through."""
+    occupied = (THRESHOLDS.states(own) == OCCUPIED) & (THRESHOLDS.states(other) == FREE)
+    reach = round(0.5 * _APART_M / resolution_m)
+    near = ndimage.distance_transform_edt(~occupied) <= reach if occupied.any() else occupied
+    labels, count = ndimage.label(near, np.ones((3, 3)))
+    return np.where(occupied, labels, 0), count
+
+
+def _sightings(
+    visit: Visit,
+    labels: NDArray[np.int32],
+    count: int,
+    model: LidarModel,
+    resolution_m: float,
+    corner_m: tuple[float, float],
+) -> tuple[BoolArray, BoolArray]:
+    """(K, count) whether a keyframe met each thing, and whether it looked through at least half of it."""
+    beside = ndimage.maximum_filter(labels, 3)
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
+    met, through = np.zeros((2, len(visit.scans), count), np.bool_)
+    row_0, col_0 = round(corner_m[1] / resolution_m), round(corner_m[0] / resolution_m)
+    for k, (scan, pose) in enumerate(zip(visit.scans, visit.poses, strict=True)):
+        if scan is None:
+            continue
+        board = lidar_board(scan, pose2_from_row(pose), model, resolution_m)
+        row, col = board.row - row_0, board.col - col_0
+        first_row, first_col = max(row, 0), max(col, 0)
+        part = np.s_[
+            first_row : max(row + len(board.steps), 0), first_col : max(col + board.steps.shape[1], 0)
+        ]
+        rows, cols = labels[part].shape
+        steps = board.steps[first_row - row :, first_col - col :][:rows, :cols]
+        hits = np.bincount(beside[part][steps > 0], minlength=count + 1)[1:]
+        passes = np.bincount(labels[part][steps < 0], minlength=count + 1)[1:]
+        met[k] = hits > 0
+        through[k] = ~met[k] & (2 * passes >= sizes)
+    return met, through
+
+
+def _standing(met: int, through: int) -> float:
+    """Probability that a thing stood there all the time, from how many scans met it, and looked through.
+
+    What stands is missed by one scan in so many as make a statistic; of what walks by, or is glass, any share
+    of the scans meets something.
+    """
+    stood = special.betaln(FEWEST - 1 + met, 1 + through) - special.betaln(FEWEST - 1, 1)
+    return float(special.expit(stood - special.betaln(1 + met, 1 + through)))
+
+
+def _gone(
+    other: NDArray[np.int16], cells: NDArray[np.int64], covariance: FloatArray, resolution_m: float
+) -> float:
+    """Probability that a visit did not meet what the other met in (N, 2) cells, wherever that lies for it.
+
+    Parameters
+    ----------
+    covariance
+        (2, 2) of where the cells lie, x and y in metres; rounding to cells comes on top, twice.
+    """
+    if not np.isfinite(covariance).all():
+        return 0.0
+    spread = covariance / resolution_m**2 + np.eye(2) / 6
+    weight, reach = np.linalg.inv(spread), math.sqrt(gate(2) * float(np.linalg.eigvalsh(spread)[-1]))
+    side = np.arange(-math.ceil(reach), math.ceil(reach) + 1)
+    offsets = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
+    likely = -0.5 * np.einsum("ni,ij,nj->n", offsets[:, ::-1], weight, offsets[:, ::-1])
+    padded = np.pad(other, reach_cells := int(side[-1]))
+    there = np.array([padded[tuple((cells + offset + reach_cells).T)].mean() for offset in offsets])
+    return float(special.expit(-(likely + there / STEPS_A_UNIT).max()))

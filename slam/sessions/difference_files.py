@@ -1,0 +1,139 @@
+"""What differs between two visits, for people and for programs: lines of text, JSON, GeoJSON, a picture."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fusion.bayes import FREE, OCCUPIED
+from slam.evaluation.figure_parts import BLUE, ORANGE, RED, figure_of, png_of
+from slam.mapping.occupancy_grid import THRESHOLDS
+from slam.measurements import FloatArray
+from slam.sessions.changes import Comparison
+from slam.sessions.moved_things import ChangedThing
+from slam.storage.files import make_folder, write_bytes
+
+_COLORS = {"went": RED, "appeared": BLUE, "moved": ORANGE}
+_LONG_SIDE_PX = 1000
+
+
+def difference_text(things: Sequence[ChangedThing], passing: int, found: Comparison) -> str:
+    """A line a thing, and what could be compared at all."""
+    both, first, second = found.seen_m2()
+    lines = [_line(thing) for thing in things] or ["nothing has changed where both have looked"]
+    if passing:
+        lines.append(f"not counted: {passing} that were met at times only, as people and glass are")
+    lines.append(
+        f"compared {both:.1f} m2 that both have seen; {first:.1f} m2 only the first has, {second:.1f} m2 "
+        "only the second"
+    )
+    return "\n".join(lines)
+
+
+def difference_plain(
+    things: Sequence[ChangedThing], passing: int, found: Comparison, names: Sequence[str]
+) -> dict[str, Any]:
+    """The same as plain values; places in metres, in the frame of the first map."""
+    both, first, second = found.seen_m2()
+    return {
+        "before": names[0],
+        "after": names[1],
+        "things": [_plain(thing) for thing in things],
+        "passing": passing,
+        "seen_m2": {"both": round(both, 2), "before_only": round(first, 2), "after_only": round(second, 2)},
+    }
+
+
+def write_difference(
+    folder: Path, things: Sequence[ChangedThing], passing: int, found: Comparison, names: Sequence[str]
+) -> list[Path]:
+    """Write ``diff.json``, ``diff.geojson`` (metres of the map, no degrees) and ``diff.png``.
+
+    Raises
+    ------
+    ScanweaveError
+        Where a file cannot be written.
+    """
+    make_folder(folder)
+    features = [
+        {
+            "type": "Feature",
+            "geometry": {"type": "Polygon", "coordinates": [_rounded([*corners, corners[0]])]},
+            "properties": {"what": thing.what, "at": at, **_told(thing)},
+        }
+        for thing in things
+        for at, corners in (("before", thing.before_m), ("after", thing.after_m))
+        if corners is not None
+    ]
+    contents = {
+        "diff.json": json.dumps(difference_plain(things, passing, found, names), indent=1).encode(),
+        "diff.geojson": json.dumps({"type": "FeatureCollection", "features": features}, indent=1).encode(),
+        "diff.png": difference_picture(things, found),
+    }
+    for name, content in contents.items():
+        write_bytes(folder / name, content)
+    return [folder / name for name in contents]
+
+
+def difference_picture(things: Sequence[ChangedThing], found: Comparison) -> bytes:
+    """PNG: what both visits saw, red what went, blue what appeared, orange what moved and its way."""
+    shade = np.full((*found.steps.shape[1:], 3), 205, dtype=np.uint8)
+    states = [THRESHOLDS.states(steps) for steps in found.steps]
+    shade[(states[0] == FREE) | (states[1] == FREE)] = 254
+    shade[(states[0] == OCCUPIED) | (states[1] == OCCUPIED)] = 120
+    shade[(states[0] == OCCUPIED) & (states[1] == OCCUPIED)] = 0
+    rows, cols = shade.shape[:2]
+    side_px = _LONG_SIDE_PX / max(rows, cols)
+    figure = figure_of(max(200, round(cols * side_px)), max(200, round(rows * side_px)))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    x, y = found.corner_m
+    side_m = found.resolution_m
+    extent = (x, x + cols * side_m, y, y + rows * side_m)
+    axes.imshow(shade, origin="lower", interpolation="nearest", extent=extent)
+    for thing in things:
+        color = _COLORS[thing.what]
+        for corners, style in ((thing.before_m, "--"), (thing.after_m, "-")):
+            if corners is not None:
+                axes.plot(*np.array([*corners, corners[0]]).T, style, color=color)
+        if thing.what == "moved":
+            way = {"arrowstyle": "->", "color": color}
+            axes.annotate("", thing.places_m[1].tolist(), thing.places_m[0].tolist(), arrowprops=way)
+    axes.set_axis_off()
+    return png_of(figure)
+
+
+def _line(thing: ChangedThing) -> str:
+    """A thing in words."""
+    length_m, width_m = thing.size_m
+    size = f"a thing of {length_m:.1f} x {width_m:.1f} m"
+    places = [f"({x:.1f}, {y:.1f})" for x, y in thing.places_m]
+    if thing.what == "moved":
+        told = f"moved {thing.moved_m:.1f} m: {size} from {places[0]} to {places[1]}"
+    else:
+        told = f"{thing.what}: {size} {'at' if thing.what == 'appeared' else 'from'} {places[0]}"
+    return f"{told}, probability {thing.probability:.2f}"
+
+
+def _plain(thing: ChangedThing) -> dict[str, Any]:
+    """A thing as plain values."""
+    corners = {"before_m": thing.before_m, "after_m": thing.after_m}
+    return {"what": thing.what, **_told(thing), **{key: _rounded(value) for key, value in corners.items()}}
+
+
+def _told(thing: ChangedThing) -> dict[str, Any]:
+    """What is told of a thing beside its corners."""
+    return {
+        "probability": round(thing.probability, 3),
+        "size_m": [round(side, 2) for side in thing.size_m],
+        "places_m": _rounded(thing.places_m),
+        "moved_m": round(thing.moved_m, 2),
+    }
+
+
+def _rounded(points_m: Sequence[FloatArray] | FloatArray | None) -> list[list[float]] | None:
+    """Points to millimetres."""
+    return None if points_m is None else np.round(points_m, 3).tolist()

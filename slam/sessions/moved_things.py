@@ -1,0 +1,128 @@
+"""Things that changed as people tell of them: what went here and came there in the same shape has moved."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import ConvexHull, cKDTree
+
+from slam.measurements import FloatArray, one_line
+from slam.sessions.changes import Change
+
+# Turns at which two shapes are laid over each other: a cell or less at the rim of a piece of furniture.
+_TURNS = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
+# Of two outlines, such a share lies on the other where they are of one thing.
+_ALIKE = 0.7
+
+
+@dataclass(frozen=True, slots=True)
+class ChangedThing:
+    """A thing that went, appeared or moved between two visits.
+
+    Attributes
+    ----------
+    what
+        ``went``, ``appeared`` or ``moved``.
+    before_m, after_m
+        (M, 2) corners around it on the first and on the second visit, map frame; None where it did not stand.
+    size_m
+        Length and width of what the lidar met of it; cells are rounded.
+    probability
+        That it changed so; of what moved, that both places changed.
+    """
+
+    what: str
+    before_m: FloatArray | None
+    after_m: FloatArray | None
+    size_m: tuple[float, float]
+    probability: float
+
+    __repr__ = one_line
+
+    @property
+    def places_m(self) -> list[FloatArray]:
+        """(2,) the middle of where it stood, and of where it stands; one of both, or both."""
+        return [_middle(corners) for corners in (self.before_m, self.after_m) if corners is not None]
+
+    @property
+    def moved_m(self) -> float:
+        """How far it moved; 0 of what went or appeared."""
+        places = self.places_m
+        return math.dist(places[0], places[-1])
+
+
+def changed_things(changes: Sequence[Change], cell_m: float) -> list[ChangedThing]:
+    """What has changed, the likeliest first: pairs of the same shape as one thing that moved.
+
+    Parameters
+    ----------
+    changes
+        Those that are believed.
+    cell_m
+        Side of a cell.
+    """
+    went = [one for one in changes if not one.appeared]
+    came = [one for one in changes if one.appeared]
+    alike = np.array([[_likeness(old.cells_m, new.cells_m, cell_m) for new in came] for old in went])
+    things, paired = [], set()
+    # Of things that look alike each has moved as little as may be.
+    ways_m = [[math.dist(old.cells_m.mean(axis=0), new.cells_m.mean(axis=0)) for new in came] for old in went]
+    cost = np.where(alike > _ALIKE, ways_m, 1.0 + np.sum(ways_m)) if alike.size else np.zeros((0, 0))
+    for n, m in zip(*linear_sum_assignment(cost), strict=True):
+        old, new = went[n], came[m]
+        if alike[n, m] > _ALIKE:
+            paired |= {id(old), id(new)}
+            larger = max(old.cells_m, new.cells_m, key=len)
+            both = old.probability * new.probability
+            corners = _around(old.cells_m, cell_m), _around(new.cells_m, cell_m)
+            things.append(ChangedThing("moved", *corners, _size(larger, cell_m), both))
+    for one in changes:
+        if id(one) not in paired:
+            around, size_m = _around(one.cells_m, cell_m), _size(one.cells_m, cell_m)
+            what, before, after = ("appeared", None, around) if one.appeared else ("went", around, None)
+            things.append(ChangedThing(what, before, after, size_m, one.probability))
+    return sorted(things, key=lambda thing: -thing.probability)
+
+
+def _likeness(one: FloatArray, other: FloatArray, cell_m: float) -> float:
+    """How well two shapes, (N, 2) and (M, 2) cells, cover each other at the best turn, 0 to 1.
+
+    A lidar meets other sides of a thing that has been turned: the mean of the shares of each that lie on the
+    other. Shapes of different length are none.
+    """
+    if round(abs(_size(one, cell_m)[0] - _size(other, cell_m)[0]) / cell_m) > 2:
+        return 0.0
+    tree, reach_m, best = cKDTree(other), math.sqrt(2.0) * cell_m, 0.0
+    for turn in _TURNS:
+        c, s = math.cos(turn), math.sin(turn)
+        moved = one @ np.array([[c, s], [-s, c]])
+        moved += 0.5 * (other.min(axis=0) + other.max(axis=0) - moved.min(axis=0) - moved.max(axis=0))
+        there, back = tree.query(moved)[0], cKDTree(moved).query(other)[0]
+        best = max(best, 0.5 * float(np.mean(there <= reach_m) + np.mean(back <= reach_m)))
+    return best
+
+
+def _size(cells_m: FloatArray, cell_m: float) -> tuple[float, float]:
+    """Length and width of the smallest rectangle around the middles of (N, 2) cells, a cell at least."""
+    sides = []
+    for turn in _TURNS[: len(_TURNS) // 4]:
+        c, s = math.cos(turn), math.sin(turn)
+        sides.append(np.ptp(cells_m @ np.array([[c, -s], [s, c]]), axis=0))
+    least = np.maximum(min(sides, key=lambda side: float(np.prod(side + cell_m))), cell_m)
+    return float(least.max()), float(least.min())
+
+
+def _around(cells_m: FloatArray, cell_m: float) -> FloatArray:
+    """(M, 2) corners of the convex hull of (N, 2) cells, counter-clockwise."""
+    square = 0.5 * cell_m * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    corners = (cells_m[:, None] + square).reshape(-1, 2)
+    return np.asarray(corners[ConvexHull(corners).vertices])
+
+
+def _middle(corners_m: FloatArray) -> FloatArray:
+    """(2,) of the box around corners."""
+    return np.asarray(0.5 * (corners_m.min(axis=0) + corners_m.max(axis=0)))

@@ -1,0 +1,108 @@
+"""scanweave diff: what moved between two maps of a place is told, and what cannot be compared is refused."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from session_runs import mirror_of, run, scanweave
+
+import slam
+from slam.errors import ScanweaveError
+from slam.simulation import floor_plan
+from slam.simulation.synthetic_log import write_synthetic_log
+from slam.storage.map_file import MAP_NAME
+
+SECONDS = 20.0
+# The pillar in the corridor, and where it stands on the other day: a corner, width and depth.
+PILLAR, MOVED = (5.9, 3.1, 0.3, 0.3), (7.0, 4.6, 0.3, 0.3)
+
+
+@pytest.fixture(scope="module")
+def days(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with maps: monday, tuesday (nothing has changed), wednesday (the pillar has moved)."""
+    folder = tmp_path_factory.mktemp("days")
+    for seed, day in enumerate(("monday", "tuesday", "wednesday")):
+        with pytest.MonkeyPatch.context() as patch:
+            if day == "wednesday":
+                boxes = [MOVED if one == PILLAR else one for one in floor_plan._BOXES]
+                patch.setattr(floor_plan, "_BOXES", boxes)
+            log = write_synthetic_log(folder / f"{day}-log", seed=seed, duration_s=SECONDS).log_path
+        assert run("map", log, "-o", folder / day) == 0
+    return folder
+
+
+def test_a_pillar_that_moved_is_told(days: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    done = scanweave(capsys, "diff", days / "monday", days / "wednesday", "-o", tmp_path / "diff")
+    assert done.code == 0, done
+    assert re.match(r"moved 1\.[789] m: a thing of 0\.[34] x 0\.[234] m from", done.out)
+    assert done.out.count("probability") == 1
+    told = json.loads((tmp_path / "diff" / "diff.json").read_text())
+    (thing,) = told["things"]
+    assert thing["what"] == "moved"
+    assert thing["moved_m"] == pytest.approx(np.hypot(1.1, 1.5), abs=0.15)
+    assert told["seen_m2"]["both"] > 20.0
+    shapes = json.loads((tmp_path / "diff" / "diff.geojson").read_text())["features"]
+    assert [shape["properties"]["at"] for shape in shapes] == ["before", "after"]
+    for shape in shapes:
+        (ring,) = shape["geometry"]["coordinates"]
+        assert ring[0] == ring[-1] and len(ring) >= 4
+    picture = np.asarray(Image.open(io.BytesIO((tmp_path / "diff" / "diff.png").read_bytes())))
+    assert picture.shape[2] == 3
+    orange = (picture == (0xD9, 0x73, 0x0D)).all(axis=2)
+    assert orange.any()
+
+
+def test_where_nothing_moved_nothing_is_told(days: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for other in ("monday", "tuesday"):
+        done = scanweave(capsys, "diff", days / "monday", days / other, "--json")
+        assert done.code == 0, done
+        assert json.loads(done.out)["things"] == []
+    done = scanweave(capsys, "diff", days / "monday", days / "monday")
+    assert "nothing has changed where both have looked" in done.out
+
+
+def test_two_sessions_of_one_map(days: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    log = days / "wednesday-log" / "scans.log"
+    assert run("map", log, "--into", days / "monday", "-o", tmp_path / "both") == 0
+    done = scanweave(capsys, "diff", tmp_path / "both", "--sessions", 1, 2)
+    assert done.code == 0, done
+    assert re.match(r"moved 1\.[789] m", done.out)
+    back = scanweave(capsys, "diff", tmp_path / "both", "--sessions", 2, 1)
+    assert re.match(r"moved 1\.[789] m", back.out)
+    assert "1 to 2; name two of them, not 2 and 3" in (
+        scanweave(capsys, "diff", tmp_path / "both", "--sessions", 2, 3).error()
+    )
+    # One of the maps is a part of the other.
+    assert "are in the map already" in (scanweave(capsys, "diff", tmp_path / "both", days / "monday").error())
+
+
+def test_what_cannot_be_compared_is_refused(
+    days: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monday = days / "monday"
+    (tmp_path / MAP_NAME).write_bytes(b"no map")
+    for other in (tmp_path, tmp_path / "missing", days / "monday-log" / "scans.log"):
+        scanweave(capsys, "diff", monday, other, "-o", tmp_path / "out").error()
+        scanweave(capsys, "diff", other, monday, "-o", tmp_path / "out").error()
+    assert "give one of both" in scanweave(capsys, "diff", monday).error()
+    assert "give one of both" in scanweave(capsys, "diff", monday, monday, "--sessions", 1, 2).error()
+    mirrored = mirror_of(days / "tuesday-log" / "scans.log", tmp_path / "mirrored.log")
+    assert run("map", mirrored, "-o", tmp_path / "mirrored") == 0
+    refused = scanweave(capsys, "diff", monday, tmp_path / "mirrored", "-o", tmp_path / "out").error()
+    assert "does not connect" in refused
+    assert not (tmp_path / "out").exists()
+
+
+def test_from_python(days: Path) -> None:
+    before, after = slam.load_map(days / "monday"), slam.load_map(days / "wednesday")
+    found = slam.diff_maps(before, after)
+    assert [thing.what for thing in found.things] == ["moved"]
+    assert found.written == ()
+    with pytest.raises(ScanweaveError):
+        slam.diff_maps(before)
