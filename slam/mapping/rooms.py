@@ -1,0 +1,191 @@
+"""Rooms of a floor: free space, cut where walls have gaps no wider than a door.
+
+Narrow passages part rooms (distance transform and its kin: Bormann et al. 2016, "Room segmentation: survey,
+implementation, and analysis"), but furniture leaves narrow passages, too. So a passage counts where a wall goes on
+in one line beyond it, and where that is a wall: something thin that was seen from both sides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
+from slam.mapping.wall_gaps import Gap, Line, looked_up, wall_gaps
+from slam.mapping.wall_segments import Segment
+from slam.measurements import BoolArray, FloatArray
+
+Labels = NDArray[np.int32]
+
+# What is smaller is a cupboard, or a gap between two.
+SMALLEST_ROOM_M2 = 1.0
+# A double bed.
+LARGEST_FURNITURE_M2 = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class Passage:
+    """A gap in a wall.
+
+    Attributes
+    ----------
+    begin_m, end_m
+        (2,) ends of the wall on either side of it, map frame.
+    rooms
+        Numbers of the two rooms that it joins, the lower first.
+    driven
+        Whether the robot has gone through.
+    clear
+        Whether nothing was met in it: a door that stood open, and no pane of glass.
+    """
+
+    begin_m: FloatArray
+    end_m: FloatArray
+    rooms: tuple[int, int]
+    driven: bool
+    clear: bool
+
+    @property
+    def width_m(self) -> float:
+        """From one end of the wall to the other."""
+        return float(np.hypot(*(self.end_m - self.begin_m)))
+
+
+@dataclass(frozen=True, slots=True)
+class RoomMap:
+    """Which room each free cell belongs to.
+
+    Attributes
+    ----------
+    labels
+        (rows, cols) number of the room, from 1; 0 elsewhere.
+    resolution_m, T_map_grid
+        Of the cells.
+    passages
+        Between rooms.
+    """
+
+    labels: Labels
+    resolution_m: float
+    T_map_grid: gtsam.Pose2
+    passages: Sequence[Passage]
+
+    def at(self, points_map: FloatArray) -> Labels:
+        """(N,) the room of (N, 2) points; 0 outside."""
+        return looked_up(self.labels, _cells(points_map, self.resolution_m, self.T_map_grid))
+
+
+def segment_rooms(grid: OccupancyGrid, segments: Sequence[Segment], way_map: FloatArray) -> RoomMap:
+    """Part the free cells of a grid into rooms.
+
+    Parameters
+    ----------
+    segments
+        Of the walls, and of all that is straight.
+    way_map
+        (N, 2) where the robot has been.
+
+    Returns
+    -------
+    Rooms in the order of their size. Free space that was seen through glass or a gap and that has no walls of
+    its own is none.
+    """
+    free = grid.states() == FREE
+    gaps, walls = wall_gaps(segments, grid)
+    lines = [Line(wall.begin_m, wall.end_m) for wall in walls]
+    labels, real = _regions(free, [*gaps, *lines], grid, way_map)
+    # Between furniture only what lies outside is cut off.
+    outside = [gap for gap in gaps if not (gap.wall or gap.narrow) and not real[_sides(labels, gap, grid)].all()]
+    gaps = [gap for gap in gaps if gap.wall or gap.narrow]
+    labels, real = _regions(free, [*gaps, *outside, *lines], grid, way_map)
+    labels = _merged(labels, gaps, real, grid)
+    return RoomMap(labels, grid.resolution_m, grid.T_map_grid, _passages(labels, gaps, grid, way_map))
+
+
+def _regions(
+    free: BoolArray, lines: Sequence[Line], grid: OccupancyGrid, way_map: FloatArray
+) -> tuple[Labels, BoolArray]:
+    """What lines leave of free space, in parts, and (parts + 1,) which are indoors; what is none, is, too."""
+    labels = np.asarray(ndimage.label(free & ~_drawn(lines, grid))[0], dtype=np.int32)
+    real = _closed(labels, grid.states())
+    real[looked_up(labels, grid.cells_of(way_map))] = True
+    real[0] = True
+    return labels, real
+
+
+def _drawn(lines: Sequence[Line], grid: OccupancyGrid) -> BoolArray:
+    """(rows, cols) cells of lines, without holes over the corners of cells."""
+    drawn = np.zeros(grid.shape, np.bool_)
+    for line in lines:
+        cells = grid.cells_of(line.points(0.25 * grid.resolution_m))
+        inside = ((cells >= 0) & (cells < grid.shape)).all(axis=1)
+        drawn[tuple(cells[inside].T)] = True
+    return np.asarray(ndimage.binary_dilation(drawn, np.ones((2, 2), np.bool_)))
+
+
+def _closed(labels: Labels, states: NDArray[np.int8]) -> BoolArray:
+    """(labels + 1,) whether a region ends at what is known rather than in the unknown."""
+    unknown, known = (np.zeros(labels.max() + 1) for _ in range(2))
+    for axis in (0, 1):
+        for shift in (1, -1):
+            beside = np.roll(states, shift, axis)
+            edge = (labels > 0) & (beside != FREE)
+            unknown += np.bincount(labels[edge & (beside != OCCUPIED)], minlength=len(unknown))
+            known += np.bincount(labels[edge & (beside == OCCUPIED)], minlength=len(known))
+    return np.asarray(known > unknown)
+
+
+def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: OccupancyGrid) -> Labels:
+    """Join what no wall parts, drop what is no room, number the rest by size."""
+    areas = np.bincount(labels.ravel(), minlength=len(real)) * grid.resolution_m**2
+    areas[0] = 0.0
+    owner = np.arange(len(real))
+    edges = []
+    for gap in gaps:
+        sides = _sides(labels, gap, grid)
+        if all(sides) and real[sides].all() and sides[0] != sides[1]:
+            edges.append((SMALLEST_ROOM_M2 if gap.wall else LARGEST_FURNITURE_M2, gap.length_m, *sides))
+    while True:
+        sizes = np.bincount(owner, areas, len(owner))
+        small = [
+            (min(sizes[owner[one]], sizes[owner[other]]), -width, one, other)
+            for least, width, one, other in edges
+            if owner[one] != owner[other] and min(sizes[owner[one]], sizes[owner[other]]) < least
+        ]
+        if not small:
+            break
+        _, _, one, other = min(small)
+        owner[owner == owner[one]] = owner[other]
+    rooms = real & (sizes[owner] >= SMALLEST_ROOM_M2)
+    order = np.unique(owner[rooms])
+    number = np.zeros(len(owner), np.int32)
+    number[order[np.argsort(-sizes[order], kind="stable")]] = np.arange(1, len(order) + 1)
+    return np.where(rooms, number[owner], 0).astype(np.int32)[labels]
+
+
+def _sides(labels: Labels, gap: Gap, grid: OccupancyGrid) -> list[int]:
+    """The label that most cells have on its left and on its right; 0 where none has any."""
+    found = []
+    for side in (1.0, -1.0):
+        points = [gap.points(grid.resolution_m, side * far * grid.resolution_m) for far in (2.0, 3.0)]
+        counts = np.bincount(looked_up(labels, grid.cells_of(np.concatenate(points))), minlength=1)
+        counts[0] = 0
+        found.append(int(np.argmax(counts)))
+    return found
+
+
+def _passages(
+    labels: Labels, gaps: Sequence[Gap], grid: OccupancyGrid, way_map: FloatArray
+) -> list[Passage]:
+    """The gaps between two rooms, one of both sides of a wall."""
+    return []
+
+
+def _cells(points_map: FloatArray, resolution_m: float, T_map_grid: gtsam.Pose2) -> NDArray[np.int64]:
+    """(N, 2) row and column of points."""
+    return OccupancyGrid(np.zeros((0, 0), np.int16), resolution_m, T_map_grid).cells_of(points_map)
