@@ -75,9 +75,16 @@ class RoomMap:
     T_map_grid: gtsam.Pose2
     passages: Sequence[Passage]
 
+    def middles(self, rows: NDArray[np.int64], cols: NDArray[np.int64]) -> FloatArray:
+        """(N, 2) middles of cells, map frame; they may lie outside."""
+        points = (np.column_stack([cols, rows]) + 0.5) * self.resolution_m
+        turned: FloatArray = points @ self.T_map_grid.rotation().matrix().T + self.T_map_grid.translation()
+        return turned
+
     def at(self, points_map: FloatArray) -> Labels:
         """(N,) the room of (N, 2) points; 0 outside."""
-        return looked_up(self.labels, _cells(points_map, self.resolution_m, self.T_map_grid))
+        frame = OccupancyGrid(np.zeros((0, 0), np.int16), self.resolution_m, self.T_map_grid)
+        return looked_up(self.labels, frame.cells_of(points_map))
 
 
 def segment_rooms(grid: OccupancyGrid, segments: Sequence[Segment], way_map: FloatArray) -> RoomMap:
@@ -184,8 +191,3 @@ def _passages(
 ) -> list[Passage]:
     """The gaps between two rooms, one of both sides of a wall."""
     return []
-
-
-def _cells(points_map: FloatArray, resolution_m: float, T_map_grid: gtsam.Pose2) -> NDArray[np.int64]:
-    """(N, 2) row and column of points."""
-    return OccupancyGrid(np.zeros((0, 0), np.int16), resolution_m, T_map_grid).cells_of(points_map)
