@@ -1,7 +1,7 @@
 """The outline of a room: which faces of the arrangement of its walls' lines lie inside.
 
-All lines of what is straight cut the plane into faces (Mura et al. 2014). Inside is what was mostly seen free,
-and what furniture hides: faces before the outermost lines, no larger than the largest furniture.
+All lines of what is straight cut the plane into faces (Mura et al. 2014). Inside is what was seen free to
+a third, and what furniture hides: faces before the outermost lines, no larger than the largest furniture.
 """
 
 from __future__ import annotations
@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from fusion.estimation import FEWEST
 from slam.mapping.rooms import LARGEST_FURNITURE_M2, RoomMap
+from slam.mapping.wall_gaps import THICKEST_WALL_M, WIDEST_DOOR_M
 from slam.mapping.wall_segments import SAME_DIRECTION_RAD, Segment, WallPoints, wall_segments
 from slam.measurements import BoolArray, FloatArray
 
@@ -72,8 +74,10 @@ def room_outline(rooms: RoomMap, label: int, points: WallPoints) -> Outline | No
     of_room = rooms.labels == label
     rows, cols = np.nonzero(of_room)
     middles = rooms.middles(rows, cols)
-    faces = _faces(wall_segments(points, cell, 4.0 * cell), cell)
-    faces += _ends(faces, middles, cell)
+    segments = wall_segments(points, cell, 4.0 * cell)
+    axes = _axes(segments)
+    faces = _faces(segments, axes, cell)
+    faces += _ends(faces, axes, middles, cell)
     margin = math.ceil(LARGEST_FURNITURE_M2**0.5 / cell)
     low = np.array([rows.min(), cols.min()]) - margin
     high = np.array([rows.max(), cols.max()]) + margin + 1
@@ -87,29 +91,52 @@ def room_outline(rooms: RoomMap, label: int, points: WallPoints) -> Outline | No
     return _traced(mask, faces, everywhere.reshape(*labels.shape, 2), cell)
 
 
-def _faces(segments: list[Segment], cell_m: float) -> list[Face]:
-    """One for all segments on a line; the longest tells where it is."""
+def _axes(segments: list[Segment]) -> FloatArray:
+    """(4, 2) unit vectors along and across most of the walls."""
+    if not segments:
+        return np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
+    lengths = np.array([segment.length_m for segment in segments])
+    # Four times the angle is the same for all four directions.
+    turned = np.exp(4j * np.array([math.atan2(*segment.along[::-1]) for segment in segments]))
+    alike = np.abs(np.angle(turned[:, None] / turned)) < 0.5 * SAME_DIRECTION_RAD
+    best = alike[np.argmax(alike @ lengths)]
+    x, y = _direction(complex((turned * lengths)[best].sum()))
+    return np.array([(x, y), (-x, -y), (-y, x), (y, -x)])
+
+
+def _direction(fourfold: complex) -> tuple[float, float]:
+    """A unit vector at a quarter of a number's angle."""
+    angle = 0.25 * math.atan2(fourfold.imag, fourfold.real)
+    return math.cos(angle), math.sin(angle)
+
+
+def _faces(segments: list[Segment], axes: FloatArray, cell_m: float) -> list[Face]:
+    """One for all segments on a line, the longest first, along an axis where they may be."""
     faces: list[Face] = []
     for segment in segments:
-        middle = 0.5 * (segment.begin_m + segment.end_m)
+        middle, normal = 0.5 * (segment.begin_m + segment.end_m), segment.normal
+        nearest = axes[np.argmax(axes @ normal)]
+        # The ends of a segment lie within a cell of its line.
+        if abs(nearest[0] * normal[1] - nearest[1] * normal[0]) < 2.0 * cell_m / segment.length_m:
+            normal = nearest
+        elif segment.length_m < 0.5 * WIDEST_DOOR_M:
+            continue
         for index, face in enumerate(faces):
             if (
-                face.normal @ segment.normal > np.cos(SAME_DIRECTION_RAD)
+                face.normal @ normal > np.cos(SAME_DIRECTION_RAD)
                 and abs(face.off(middle[None])[0]) < 1.5 * cell_m
             ):
                 faces[index] = replace(face, length_m=face.length_m + segment.length_m)
                 break
         else:
-            faces.append(Face(middle, segment.normal, True, segment.length_m))
+            faces.append(Face(middle, normal, True, segment.length_m))
     return faces
 
 
-def _ends(faces: list[Face], middles_m: FloatArray, cell_m: float) -> list[Face]:
-    """Where what was seen ends without a wall: along the longest wall, and across it."""
-    normal = max(faces, key=lambda face: face.length_m).normal if faces else np.array([0.0, 1.0])
+def _ends(faces: list[Face], axes: FloatArray, middles_m: FloatArray, cell_m: float) -> list[Face]:
+    """Where what was seen ends without a wall."""
     found = []
-    for x, y in (normal, -normal, (-normal[1], normal[0]), (normal[1], -normal[0])):
-        inward = np.array([x, y])
+    for inward in axes:
         at = float(np.quantile(middles_m @ inward, 0.005)) - 0.5 * cell_m
         walls = [
             face
@@ -132,10 +159,10 @@ def _inside(labels: NDArray[np.int32], label: int, before: BoolArray, cell_m: fl
     owner = owner.reshape(labels.shape)
     sizes = np.bincount(owner.ravel())
     free = np.bincount(owner.ravel(), (labels == label).ravel())
-    inside = (free > 0.5 * sizes)[owner]
+    inside = (3.0 * free > sizes)[owner]
     hull = np.ones_like(inside)
     for side in before:
-        if np.count_nonzero(inside & ~side) < 0.02 * np.count_nonzero(inside):
+        if np.count_nonzero(inside & ~side) < FEWEST:
             hull &= side
     inside &= hull
     pockets, count = ndimage.label(hull & ~inside)
@@ -164,6 +191,12 @@ def _traced(mask: BoolArray, faces: list[Face], middles_m: FloatArray, cell_m: f
     nearest = np.where(np.isfinite(off.min(axis=0)), np.argmin(off, axis=0), -1)
     # At corners a cell lies at two lines: it goes to the one of its neighbours.
     owners = _runs(nearest, 3)
+    # Of two parallel lines in a row the step between is too short to be told.
+    owners = [
+        one
+        for index, one in enumerate(owners)
+        if abs(np.linalg.det([faces[one].normal, faces[owners[index - 1]].normal])) > SAME_DIRECTION_RAD
+    ]
     if len(owners) < 3:
         return None
     corners = []

@@ -133,10 +133,15 @@ def _share(such: BoolArray, segment: Segment, grid: OccupancyGrid) -> float:
 
 
 def _across(gap: Gap, met: BoolArray, grid: OccupancyGrid) -> bool:
-    """Whether walls stand across before both its ends."""
+    """Whether walls stand across at both its ends, or before them: it is from one to the other."""
     step_m = 0.5 * grid.resolution_m
     before = gap.points(step_m, aside_m=6.0 * step_m, beyond_m=0.5 * THICKEST_WALL_M)
-    return all(half.any() for half in np.array_split(looked_up(met, grid.cells_of(before)), 2))
+    ends = gap.points(step_m, beyond_m=-3.0 * step_m)
+    depth = int(0.5 * THICKEST_WALL_M / step_m)
+    within = looked_up(met, grid.cells_of(ends)) if gap.length_m > 3.0 * THICKEST_WALL_M else np.zeros(0)
+    return all(half.any() for half in np.array_split(looked_up(met, grid.cells_of(before)), 2)) or (
+        within[:depth].any() and within[-depth:].any() and not within[depth:-depth].any()
+    )
 
 
 def _ahead(
