@@ -7,6 +7,7 @@ a third, and what furniture hides: faces before the outermost lines, no larger t
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,6 +53,20 @@ class Outline:
 
     corners_m: FloatArray
     faces: tuple[Face, ...]
+
+    def ends(self, edge: int) -> tuple[float, float]:
+        """Where an edge begins and ends along its face, the lower first; see `slam.mapping.wall_fits.along`."""
+        x, y = self.faces[edge].normal
+        corners = self.corners_m[[edge, (edge + 1) % len(self.faces)]]
+        low, high = sorted(((corners - self.faces[edge].point_m) @ (y, -x)).tolist())
+        return low, high
+
+
+def corners_of(faces: Sequence[Face]) -> FloatArray:
+    """(n, 2) where each face meets the one before."""
+    normals = np.array([[face.normal for face in (faces[k - 1], face)] for k, face in enumerate(faces)])
+    offsets = np.array([face.normal @ face.point_m for face in faces])
+    return np.asarray(np.linalg.solve(normals, np.stack([np.roll(offsets, 1), offsets], axis=1)[..., None])[..., 0])
 
 
 def area_m2(corners_m: FloatArray) -> float:
@@ -199,20 +214,11 @@ def _traced(mask: BoolArray, faces: list[Face], middles_m: FloatArray, cell_m: f
     ]
     if len(owners) < 3:
         return None
-    corners = []
-    for one, other in zip(owners, [*owners[1:], owners[0]], strict=True):
-        normals = np.array([faces[one].normal, faces[other].normal])
-        corners.append(
-            np.linalg.solve(
-                normals, [faces[one].normal @ faces[one].point_m, faces[other].normal @ faces[other].point_m]
-            )
-        )
-    corners = [corners[-1], *corners[:-1]]
-    polygon = np.array(corners)
     edges = [faces[owner] for owner in owners]
+    polygon = corners_of(edges)
     if area_m2(polygon) < 0.0:
-        polygon = polygon[::-1]
-        edges = [*edges[-2::-1], edges[-1]]
+        edges = edges[::-1]
+        polygon = corners_of(edges)
     size = np.count_nonzero(mask) * cell_m**2
     if not 0.75 < area_m2(polygon) / size < 1.33:
         return None

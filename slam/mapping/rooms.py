@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
-from slam.mapping.wall_gaps import Gap, Line, looked_up, wall_gaps
+from slam.mapping.wall_gaps import THICKEST_WALL_M, Gap, Line, looked_up, wall_gaps
 from slam.mapping.wall_segments import Segment
 from slam.measurements import BoolArray, FloatArray
 
@@ -189,5 +189,35 @@ def _sides(labels: Labels, gap: Gap, grid: OccupancyGrid) -> list[int]:
 def _passages(
     labels: Labels, gaps: Sequence[Gap], grid: OccupancyGrid, way_map: FloatArray
 ) -> list[Passage]:
-    """The gaps between two rooms, one of both sides of a wall."""
-    return []
+    """The gaps between two rooms, one for both sides of a wall."""
+    met = grid.states() == OCCUPIED
+    found: list[Passage] = []
+    for gap in sorted(gaps, key=lambda gap: gap.length_m):
+        one, other = sorted(_sides(labels, gap, grid))
+        inner = grid.cells_of(gap.points(0.5 * grid.resolution_m, beyond_m=-2.0 * grid.resolution_m))
+        clear = not looked_up(met, inner).any()
+        driven = _crossed(gap, way_map)
+        passage = Passage(gap.begin_m, gap.end_m, (one, other), driven, clear)
+        middle = gap.begin_m + gap.end_m
+        again = [
+            index
+            for index, known in enumerate(found)
+            if known.rooms == passage.rooms
+            and np.hypot(*(known.begin_m + known.end_m - middle)) < 2.0 * THICKEST_WALL_M
+        ]
+        if one and one != other and gap.length_m > THICKEST_WALL_M and (clear or driven) and not again:
+            found.append(passage)
+    return found
+
+
+def _crossed(gap: Gap, way_map: FloatArray) -> bool:
+    """Whether a way leads through a gap."""
+    before, after = way_map[:-1], way_map[1:]
+    line = gap.end_m - gap.begin_m
+    step = after - before
+    cross = step[:, 0] * line[1] - step[:, 1] * line[0]
+    to = gap.begin_m - before
+    with np.errstate(divide="ignore", invalid="ignore"):
+        on_way = (to[:, 0] * line[1] - to[:, 1] * line[0]) / cross
+        on_gap = (to[:, 0] * step[:, 1] - to[:, 1] * step[:, 0]) / cross
+    return bool(((on_way >= 0.0) & (on_way <= 1.0) & (on_gap >= 0.0) & (on_gap <= 1.0)).any())
