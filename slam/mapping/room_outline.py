@@ -103,7 +103,8 @@ def room_outline(rooms: RoomMap, label: int, points: WallPoints) -> Outline | No
     mask = _inside(labels, label, before, cell)
     if not mask.any():
         return None
-    return _traced(mask, faces, everywhere.reshape(*labels.shape, 2), cell)
+    middles_m = everywhere.reshape(*labels.shape, 2)
+    return _traced(mask, faces, middles_m, cell) or _boxed(middles_m[mask], axes)
 
 
 def _axes(segments: list[Segment]) -> FloatArray:
@@ -223,6 +224,17 @@ def _traced(mask: BoolArray, faces: list[Face], middles_m: FloatArray, cell_m: f
     if not 0.75 < area_m2(polygon) / size < 1.33:
         return None
     return Outline(polygon, tuple(edges))
+
+
+def _boxed(middles_m: FloatArray, axes: FloatArray) -> Outline:
+    """What holds a room whose walls make no polygon."""
+    faces = [
+        Face(float((middles_m @ inward).min()) * inward, inward, False, 0.0) for inward in axes[[2, 1, 3, 0]]
+    ]
+    corners = corners_of(faces)
+    if area_m2(corners) < 0.0:
+        faces = faces[::-1]
+    return Outline(corners_of(faces), tuple(faces))
 
 
 def _runs(nearest: NDArray[np.int64], shortest: int) -> list[int]:

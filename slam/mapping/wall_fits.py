@@ -75,24 +75,23 @@ def fit_wall(
     poses
         (n, 3) of the keyframes.
     cell_m
-        Points so far off are none of the wall.
+        Points twice so far off are none of the wall.
     """
     at, off = along(face, points.points_map), face.off(points.points_map)
-    on = (points.normals_map @ face.normal > np.cos(SAME_DIRECTION_RAD)) & (np.abs(off) < cell_m)
+    on = (points.normals_map @ face.normal > np.cos(SAME_DIRECTION_RAD)) & (np.abs(off) < 2.0 * cell_m)
     on &= (at > ends_m[0]) & (at < ends_m[1])
     if np.count_nonzero(on) < FEWEST:
         return None
     at, off, owners = at[on], off[on], points.keyframes[on]
-    keep = np.ones(len(at), np.bool_)
+    keep = _mode(at, off, cell_m)
     for _ in range(ROUNDS):
-        middle = float(at[keep].mean())
-        design = np.column_stack([np.ones(len(at)), at - middle])
-        gain = np.linalg.pinv(design[keep])
-        left = off - design @ (gain @ off[keep])
-        scale = median_to_sigma() * float(np.median(np.abs(left[keep])))
-        last, keep = keep, np.abs(left) <= np.sqrt(gate()) * max(scale, 0.02 * cell_m)
         if np.count_nonzero(keep) < FEWEST:
             return None
+        middle = float(at[keep].mean())
+        design = np.column_stack([np.ones(len(at)), at - middle])
+        left = off - design @ (np.linalg.pinv(design[keep]) @ off[keep])
+        scale = median_to_sigma() * float(np.median(np.abs(left[keep])))
+        last, keep = keep, np.abs(left) <= np.sqrt(gate()) * min(scale, 0.2 * cell_m)
         if (keep == last).all():
             break
     at, off, left, owners = at[keep], off[keep], left[keep], owners[keep]
@@ -101,6 +100,34 @@ def fit_wall(
     offset, slope = gain @ off
     jacobian = _by_poses(gain, points.points_map[on][keep], owners, face.normal, poses)
     return WallFit(face, middle, float(offset), float(slope), jacobian, _noise(gain, left, owners), at)
+
+
+def _mode(at: FloatArray, off: FloatArray, cell_m: float) -> BoolArray:
+    """(N,) points near the line that the longest part of a wall lies on, whatever stands before the rest.
+
+    Two cells along the wall have one vote, however many points they have: their median.
+    """
+    bins = np.floor((at - at.min()) / (2.0 * cell_m)).astype(int)
+    order = np.lexsort((off, bins))
+    starts = np.flatnonzero(np.diff(bins[order], prepend=-1))
+    counts = np.diff(np.append(starts, len(order)))
+    rows = order[starts + counts // 2]
+    place, votes = at[rows], off[rows]
+    one, other = np.triu_indices(len(place), 1)
+    far = np.abs(place[other] - place[one]) >= 0.25 * np.ptp(place)
+    one, other = one[far], other[far]
+    slopes = np.append(0.0, (votes[other] - votes[one]) / np.maximum(np.abs(place[other] - place[one]), cell_m))
+    slopes *= np.append(1.0, np.sign(place[other] - place[one]))
+    begins = np.append(np.median(votes), votes[one] - slopes[1:] * place[one])
+    fits = (np.abs(votes - begins[:, None] - slopes[:, None] * place) < 0.2 * cell_m).sum(axis=1)
+    best = int(np.argmax(fits))
+    # Panes of glass and closed doors lie behind the wall's face.
+    middle = float(np.median(place))
+    inward = begins + slopes * middle - begins[best] - slopes[best] * middle
+    inner = (inward > 0.6 * cell_m) & (fits >= 4)
+    if inner.any():
+        best = int(np.argmax(np.where(inner, fits, 0)))
+    return np.asarray(np.abs(off - begins[best] - slopes[best] * at) < 0.4 * cell_m)
 
 
 def _by_poses(
