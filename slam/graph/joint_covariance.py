@@ -34,7 +34,9 @@ def joint_covariance(
     """
     count = len(poses)
     rows = np.array([[pose.x(), pose.y(), pose.theta()] for pose in poses])
-    source, target = (np.array([getattr(edge, end) for edge in edges], dtype=np.int64) for end in ("source", "target"))
+    source, target = (
+        np.array([getattr(edge, end) for edge in edges], dtype=np.int64) for end in ("source", "target")
+    )
     whitening = np.linalg.cholesky(np.linalg.inv([edge.covariance for edge in edges])).transpose(0, 2, 1)
     # Log(measured^-1 source^-1 target) moves with the target, and against the source as the target sees it.
     adjoints = _adjoints(rows[target], rows[source])

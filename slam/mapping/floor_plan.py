@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion.estimation import half_interval
+from fusion.estimation import TINY, half_interval
 from slam.measurements import FloatArray
 
 
@@ -155,9 +155,17 @@ class Door:
 class FloorPlan:
     """Rooms and the doors between them; all in the map frame, metres.
 
-    Lengths and areas are as uncertain as points and poses make them. A lidar that measures everything too long
-    or too short by the same, or by a share, is in none of them.
+    Lengths and areas are as uncertain as points and poses make them. A lidar that measures everything too
+    long or too short by the same, or by a share, is in none of them.
     """
 
     rooms: Sequence[Room]
     doors: Sequence[Door]
+
+    @property
+    def yaw_rad(self) -> float:
+        """Direction of most walls in the map, from -45 to 45 degrees."""
+        walls = [wall.end_m - wall.begin_m for room in self.rooms for wall in room.walls]
+        # Four times the angle is the same for all four directions.
+        turned = [complex(x, y) ** 4 / max(abs(complex(x, y)), TINY) ** 3 for x, y in walls]
+        return float(0.25 * np.angle(sum(turned))) if turned else 0.0

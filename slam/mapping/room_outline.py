@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from fusion.estimation import FEWEST
+from fusion.estimation import FEWEST, TINY
 from slam.mapping.rooms import LARGEST_FURNITURE_M2, RoomMap
 from slam.mapping.wall_gaps import THICKEST_WALL_M, WIDEST_DOOR_M
 from slam.mapping.wall_segments import SAME_DIRECTION_RAD, Segment, WallPoints, wall_segments
@@ -54,8 +54,12 @@ class Outline:
     corners_m: FloatArray
     faces: tuple[Face, ...]
 
+    def edge(self, edge: int) -> tuple[FloatArray, FloatArray]:
+        """(2,) the corner where an edge begins, and where it ends."""
+        return self.corners_m[edge], self.corners_m[(edge + 1) % len(self.faces)]
+
     def ends(self, edge: int) -> tuple[float, float]:
-        """Where an edge begins and ends along its face, the lower first; see `slam.mapping.wall_fits.along`."""
+        """Where an edge begins and ends along its face, the lower first, as `wall_fits.along` tells."""
         x, y = self.faces[edge].normal
         corners = self.corners_m[[edge, (edge + 1) % len(self.faces)]]
         low, high = sorted(((corners - self.faces[edge].point_m) @ (y, -x)).tolist())
@@ -66,7 +70,9 @@ def corners_of(faces: Sequence[Face]) -> FloatArray:
     """(n, 2) where each face meets the one before."""
     normals = np.array([[face.normal for face in (faces[k - 1], face)] for k, face in enumerate(faces)])
     offsets = np.array([face.normal @ face.point_m for face in faces])
-    return np.asarray(np.linalg.solve(normals, np.stack([np.roll(offsets, 1), offsets], axis=1)[..., None])[..., 0])
+    return np.asarray(
+        np.linalg.solve(normals, np.stack([np.roll(offsets, 1), offsets], axis=1)[..., None])[..., 0]
+    )
 
 
 def area_m2(corners_m: FloatArray) -> float:
@@ -235,6 +241,34 @@ def _boxed(middles_m: FloatArray, axes: FloatArray) -> Outline:
     if area_m2(corners) < 0.0:
         faces = faces[::-1]
     return Outline(corners_of(faces), tuple(faces))
+
+
+def confirmed(outlines: Sequence[Outline], number: int) -> list[bool]:
+    """Of each edge of a room, whether no other room says that its wall stands farther out, behind furniture.
+
+    Another room lies behind, farther away than a wall is thick; or the wall of a neighbour goes on in line
+    farther out. What has a room right behind it is a wall.
+    """
+    depth = math.sqrt(LARGEST_FURNITURE_M2)
+    sure = []
+    for edge, face in enumerate(outlines[number].faces):
+        begin, end = outlines[number].edge(edge)
+        along = (end - begin) / max(float(np.hypot(*(end - begin))), TINY)
+        backed = far = False
+        for other in (outline for index, outline in enumerate(outlines) if index != number):
+            for place, behind in enumerate(other.faces):
+                ends = np.array(other.edge(place))
+                reach = np.sort((ends - begin) @ along)
+                away = -float(((ends - begin) @ face.normal).mean())
+                over = min(reach[1], (end - begin) @ along) - max(reach[0], 0.0)
+                alike = float(behind.normal @ face.normal)
+                if alike < -np.cos(SAME_DIRECTION_RAD) and over > THICKEST_WALL_M:
+                    backed |= -THICKEST_WALL_M < away < THICKEST_WALL_M
+                    far |= THICKEST_WALL_M < away < depth
+                elif alike > np.cos(SAME_DIRECTION_RAD) and over > -THICKEST_WALL_M:
+                    far |= 0.5 * THICKEST_WALL_M < away < depth and behind.seen
+        sure.append(backed or not far)
+    return sure
 
 
 def _runs(nearest: NDArray[np.int64], shortest: int) -> list[int]:

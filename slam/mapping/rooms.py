@@ -1,8 +1,8 @@
 """Rooms of a floor: free space, cut where walls have gaps no wider than a door.
 
 Narrow passages part rooms (distance transform and its kin: Bormann et al. 2016, "Room segmentation: survey,
-implementation, and analysis"), but furniture leaves narrow passages, too. So a passage counts where a wall goes on
-in one line beyond it, and where that is a wall: something thin that was seen from both sides.
+implementation, and analysis"), but furniture leaves narrow passages, too. So a passage counts where a wall
+goes on in one line beyond it, and where that is a wall: something thin that was seen from both sides.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
-from slam.mapping.wall_gaps import THICKEST_WALL_M, Gap, Line, looked_up, wall_gaps
+from slam.mapping.wall_gaps import Gap, Line, looked_up, wall_gaps
 from slam.mapping.wall_segments import Segment
 from slam.measurements import BoolArray, FloatArray
 
@@ -29,34 +29,6 @@ LARGEST_FURNITURE_M2 = 4.0
 
 
 @dataclass(frozen=True, slots=True)
-class Passage:
-    """A gap in a wall.
-
-    Attributes
-    ----------
-    begin_m, end_m
-        (2,) ends of the wall on either side of it, map frame.
-    rooms
-        Numbers of the two rooms that it joins, the lower first.
-    driven
-        Whether the robot has gone through.
-    clear
-        Whether nothing was met in it: a door that stood open, and no pane of glass.
-    """
-
-    begin_m: FloatArray
-    end_m: FloatArray
-    rooms: tuple[int, int]
-    driven: bool
-    clear: bool
-
-    @property
-    def width_m(self) -> float:
-        """From one end of the wall to the other."""
-        return float(np.hypot(*(self.end_m - self.begin_m)))
-
-
-@dataclass(frozen=True, slots=True)
 class RoomMap:
     """Which room each free cell belongs to.
 
@@ -66,14 +38,11 @@ class RoomMap:
         (rows, cols) number of the room, from 1; 0 elsewhere.
     resolution_m, T_map_grid
         Of the cells.
-    passages
-        Between rooms.
     """
 
     labels: Labels
     resolution_m: float
     T_map_grid: gtsam.Pose2
-    passages: Sequence[Passage]
 
     def middles(self, rows: NDArray[np.int64], cols: NDArray[np.int64]) -> FloatArray:
         """(N, 2) middles of cells, map frame; they may lie outside."""
@@ -107,11 +76,13 @@ def segment_rooms(grid: OccupancyGrid, segments: Sequence[Segment], way_map: Flo
     lines = [Line(wall.begin_m, wall.end_m) for wall in walls]
     labels, real = _regions(free, [*gaps, *lines], grid, way_map)
     # Between furniture only what lies outside is cut off.
-    outside = [gap for gap in gaps if not (gap.wall or gap.narrow) and not real[_sides(labels, gap, grid)].all()]
+    outside = [
+        gap for gap in gaps if not (gap.wall or gap.narrow) and not real[_sides(labels, gap, grid)].all()
+    ]
     gaps = [gap for gap in gaps if gap.wall or gap.narrow]
     labels, real = _regions(free, [*gaps, *outside, *lines], grid, way_map)
     labels = _merged(labels, gaps, real, grid)
-    return RoomMap(labels, grid.resolution_m, grid.T_map_grid, _passages(labels, gaps, grid, way_map))
+    return RoomMap(labels, grid.resolution_m, grid.T_map_grid)
 
 
 def _regions(
@@ -154,9 +125,10 @@ def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: Occupanc
     owner = np.arange(len(real))
     edges = []
     for gap in gaps:
-        sides = _sides(labels, gap, grid)
-        if all(sides) and real[sides].all() and sides[0] != sides[1]:
-            edges.append((SMALLEST_ROOM_M2 if gap.wall else LARGEST_FURNITURE_M2, gap.length_m, *sides))
+        one, other = _sides(labels, gap, grid)
+        if one and other and real[one] and real[other] and one != other:
+            least = SMALLEST_ROOM_M2 if gap.wall else LARGEST_FURNITURE_M2
+            edges.append((least, gap.length_m, one, other))
     while True:
         sizes = np.bincount(owner, areas, len(owner))
         small = [
@@ -184,40 +156,3 @@ def _sides(labels: Labels, gap: Gap, grid: OccupancyGrid) -> list[int]:
         counts[0] = 0
         found.append(int(np.argmax(counts)))
     return found
-
-
-def _passages(
-    labels: Labels, gaps: Sequence[Gap], grid: OccupancyGrid, way_map: FloatArray
-) -> list[Passage]:
-    """The gaps between two rooms, one for both sides of a wall."""
-    met = grid.states() == OCCUPIED
-    found: list[Passage] = []
-    for gap in sorted(gaps, key=lambda gap: gap.length_m):
-        one, other = sorted(_sides(labels, gap, grid))
-        inner = grid.cells_of(gap.points(0.5 * grid.resolution_m, beyond_m=-2.0 * grid.resolution_m))
-        clear = not looked_up(met, inner).any()
-        driven = _crossed(gap, way_map)
-        passage = Passage(gap.begin_m, gap.end_m, (one, other), driven, clear)
-        middle = gap.begin_m + gap.end_m
-        again = [
-            index
-            for index, known in enumerate(found)
-            if known.rooms == passage.rooms
-            and np.hypot(*(known.begin_m + known.end_m - middle)) < 2.0 * THICKEST_WALL_M
-        ]
-        if one and one != other and gap.length_m > THICKEST_WALL_M and (clear or driven) and not again:
-            found.append(passage)
-    return found
-
-
-def _crossed(gap: Gap, way_map: FloatArray) -> bool:
-    """Whether a way leads through a gap."""
-    before, after = way_map[:-1], way_map[1:]
-    line = gap.end_m - gap.begin_m
-    step = after - before
-    cross = step[:, 0] * line[1] - step[:, 1] * line[0]
-    to = gap.begin_m - before
-    with np.errstate(divide="ignore", invalid="ignore"):
-        on_way = (to[:, 0] * line[1] - to[:, 1] * line[0]) / cross
-        on_gap = (to[:, 0] * step[:, 1] - to[:, 1] * step[:, 0]) / cross
-    return bool(((on_way >= 0.0) & (on_way <= 1.0) & (on_gap >= 0.0) & (on_gap <= 1.0)).any())

@@ -1,4 +1,4 @@
-"""Lines through the points on a room's walls, and how they depend on the poses that the points were seen from."""
+"""Lines through the points on a room's walls, and how they depend on the poses of the scans."""
 
 from __future__ import annotations
 
@@ -116,7 +116,9 @@ def _mode(at: FloatArray, off: FloatArray, cell_m: float) -> BoolArray:
     one, other = np.triu_indices(len(place), 1)
     far = np.abs(place[other] - place[one]) >= 0.25 * np.ptp(place)
     one, other = one[far], other[far]
-    slopes = np.append(0.0, (votes[other] - votes[one]) / np.maximum(np.abs(place[other] - place[one]), cell_m))
+    slopes = np.append(
+        0.0, (votes[other] - votes[one]) / np.maximum(np.abs(place[other] - place[one]), cell_m)
+    )
     slopes *= np.append(1.0, np.sign(place[other] - place[one]))
     begins = np.append(np.median(votes), votes[one] - slopes[1:] * place[one])
     fits = (np.abs(votes - begins[:, None] - slopes[:, None] * place) < 0.2 * cell_m).sum(axis=1)

@@ -1,4 +1,4 @@
-"""Gaps in walls: where one straight piece ends and another goes on in line, no farther than a door is wide."""
+"""Gaps in walls: where one straight piece ends and another goes on, no farther than a door is wide."""
 
 from __future__ import annotations
 
@@ -71,10 +71,10 @@ def looked_up(values: NDArray[np.int32] | BoolArray, cells: NDArray[np.int64]) -
 
 
 def wall_gaps(segments: Sequence[Segment], grid: OccupancyGrid) -> tuple[list[Gap], list[Segment]]:
-    """All gaps, and the segments that are walls: those that the grid knows, and what goes on in line with them.
+    """All gaps, and the segments that are walls: what the grid knows, and what goes on in line.
 
-    A gap is one in a wall, not between furniture, where a piece beside it is thin (was seen from both sides), or
-    where all pieces in line make a wall that is longer than two doors are wide.
+    A gap is one in a wall, not between furniture, where a piece beside it is thin (was seen from both
+    sides), or where all pieces in line make a wall that is longer than two doors are wide.
     """
     met = grid.states() == OCCUPIED
     near = ndimage.binary_dilation(met)
@@ -110,7 +110,11 @@ def wall_gaps(segments: Sequence[Segment], grid: OccupancyGrid) -> tuple[list[Ga
             if index not in on and sturdy[index] and sure:
                 hit_m = _ahead(end_m, along, met, grid)
                 if hit_m is not None:
-                    ends = (end_m, hit_m) if on is not following.values() and end_m is segment.end_m else (hit_m, end_m)
+                    ends = (
+                        (end_m, hit_m)
+                        if on is not following.values() and end_m is segment.end_m
+                        else (hit_m, end_m)
+                    )
                     gaps.append((Gap(*ends), index, index))
     found, walls = [], sturdy.copy()
     for gap, one, other in gaps:
@@ -139,14 +143,12 @@ def _across(gap: Gap, met: BoolArray, grid: OccupancyGrid) -> bool:
     ends = gap.points(step_m, beyond_m=-3.0 * step_m)
     depth = int(0.5 * THICKEST_WALL_M / step_m)
     within = looked_up(met, grid.cells_of(ends)) if gap.length_m > 3.0 * THICKEST_WALL_M else np.zeros(0)
-    return all(half.any() for half in np.array_split(looked_up(met, grid.cells_of(before)), 2)) or (
-        within[:depth].any() and within[-depth:].any() and not within[depth:-depth].any()
-    )
+    halves = np.array_split(looked_up(met, grid.cells_of(before)), 2)
+    walls = within[:depth].any() and within[-depth:].any() and not within[depth:-depth].any()
+    return bool(walls) or all(half.any() for half in halves)
 
 
-def _ahead(
-    end_m: FloatArray, along: FloatArray, met: BoolArray, grid: OccupancyGrid
-) -> FloatArray | None:
+def _ahead(end_m: FloatArray, along: FloatArray, met: BoolArray, grid: OccupancyGrid) -> FloatArray | None:
     """The first obstacle in line with the end of a wall, no farther than a door is wide and not at once."""
     points = Line(end_m, end_m + WIDEST_DOOR_M * along).points(0.5 * grid.resolution_m)
     hits = np.flatnonzero(looked_up(met, grid.cells_of(points)))
@@ -181,9 +183,7 @@ def _following(segments: Sequence[Segment], sturdy: BoolArray) -> dict[int, int]
         to = begins - segment.end_m
         ahead, aside = to @ segment.along, np.abs(to @ segment.normal)
         bend = np.tan(0.25 * SAME_DIRECTION_RAD) * np.maximum(ahead, 0.0)
-        same = (alongs @ segment.along > np.cos(SAME_DIRECTION_RAD)) & (
-            aside < 0.25 * THICKEST_WALL_M + bend
-        )
+        same = (alongs @ segment.along > np.cos(SAME_DIRECTION_RAD)) & (aside < 0.25 * THICKEST_WALL_M + bend)
         same[index] = False
         # What overlaps goes on beside it: no gap.
         same &= ((ends - segment.end_m) @ segment.along > 0.0) & (ahead > -0.5 * THICKEST_WALL_M)

@@ -52,7 +52,7 @@ class WallPoints:
         facing = np.floor(np.arctan2(self.normals_map[:, 1], self.normals_map[:, 0]) / SAME_DIRECTION_RAD)
         keys = np.column_stack([cells, facing.astype(np.int64)])
         _, first, owner = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-        weights = np.bincount(owner.ravel(), self.weights)
+        weights = np.asarray(np.bincount(owner.ravel(), self.weights), dtype=np.float64)
         means = [
             np.bincount(owner.ravel(), self.weights * column) / weights
             for column in (*self.points_map.T, *self.normals_map.T)
@@ -140,8 +140,8 @@ def wall_segments(points: WallPoints, cell_m: float, shortest_m: float) -> list[
     while left.any():
         # One degree a bin, with its neighbours: the wall direction that most points have.
         bins = np.floor(np.degrees(angles[left])).astype(int) % 360
-        votes = np.bincount(bins, minlength=360)
-        votes = sum((np.roll(votes, shift) for shift in range(-spread, spread + 1)), np.zeros(360))
+        votes: NDArray[np.int64] = np.bincount(bins, minlength=360)
+        votes = np.sum([np.roll(votes, shift) for shift in range(-spread, spread + 1)], axis=0)
         angle = np.radians(np.argmax(votes) + 0.5)
         alike = left & (np.abs(np.angle(np.exp(1j * (angles - angle)))) < SAME_DIRECTION_RAD)
         before = len(found)
@@ -158,7 +158,7 @@ def wall_segments(points: WallPoints, cell_m: float, shortest_m: float) -> list[
 
 
 def _strips(points: FloatArray, angle: float, cell_m: float) -> Iterator[NDArray[np.int64]]:
-    """Rows of points that lie on one line across a direction, without gaps along it, the fullest line first."""
+    """Rows of points that lie on one line across a direction, without gaps along it, the fullest first."""
     normal = np.array([np.cos(angle), np.sin(angle)])
     across, along = points @ normal, points @ (-normal[1], normal[0])
     free = np.ones(len(points), np.bool_)

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import gtsam
 import numpy as np
 
-from fusion.estimation import FEWEST
 from slam.config import Config
 from slam.errors import ScanweaveError
 from slam.graph.joint_covariance import joint_covariance
 from slam.graph.pose_covariances import told_edges
-from slam.mapping.floor_plan import Door, FloorPlan, Length, Room, Wall
-from slam.mapping.room_outline import Outline, area_m2, corners_of, points_of, room_outline
-from slam.mapping.rooms import RoomMap, segment_rooms
+from slam.mapping.doors import find_doors
+from slam.mapping.floor_plan import FloorPlan, Length, Room, Wall
+from slam.mapping.room_outline import Outline, area_m2, confirmed, corners_of, points_of, room_outline
+from slam.mapping.rooms import segment_rooms
 from slam.mapping.wall_fits import WallFit, along, fit_wall, straightened
 from slam.mapping.wall_segments import wall_points, wall_segments
 from slam.measurements import FloatArray
@@ -57,6 +56,10 @@ def floor_plan(contents: MapContents, config: Config) -> FloorPlan:
                     for face, end in zip(outline.faces, ends, strict=True)
                 ]
             )
+    fits = [
+        [fit if sure else None for fit, sure in zip(ones, confirmed(outlines, number), strict=True)]
+        for number, ones in enumerate(fits)
+    ]
     covariance = _covariance([fit for ones in fits for fit in ones if fit], contents, config)
     found, first = [], 0
     for label, outline, ones in zip(numbers, outlines, fits, strict=True):
@@ -64,7 +67,7 @@ def floor_plan(contents: MapContents, config: Config) -> FloorPlan:
         own_covariance = covariance[first:last, first:last]
         found.append(_room(numbers[label], outline, ones, own_covariance, label in entered, cell_m))
         first = last
-    return FloorPlan(found, _doors(rooms, numbers))
+    return FloorPlan(found, find_doors(found, grid, points, way))
 
 
 def _covariance(fits: Sequence[WallFit], contents: MapContents, config: Config) -> FloatArray:
@@ -90,9 +93,7 @@ def _room(
     turned, covariance = straightened([fit for fit in fits if fit is not None], covariance)
     rest = iter(turned)
     new = [next(rest) if fit is not None else None for fit in fits]
-    faces = tuple(
-        face if fit is None else fit.line() for face, fit in zip(outline.faces, new, strict=True)
-    )
+    faces = tuple(face if fit is None else fit.line() for face, fit in zip(outline.faces, new, strict=True))
     corners = corners_of(faces)
     if area_m2(corners) < 0.5 * area_m2(outline.corners_m):
         corners, faces = outline.corners_m, outline.faces
@@ -142,16 +143,21 @@ def _lengths(
     sizes = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
     middles = 0.5 * (np.roll(corners, -1, axis=0) + corners)
     found: list[Length] = []
-    for normal in (faces[int(np.argmax(sizes))].normal, faces[int(np.argmax(sizes))].normal @ [[0, 1], [-1, 0]]):
+    for normal in (
+        faces[int(np.argmax(sizes))].normal,
+        faces[int(np.argmax(sizes))].normal @ [[0, 1], [-1, 0]],
+    ):
         sides = []
         for sign in (1.0, -1.0):
-            facing = [k for k, face in enumerate(faces) if sign * (face.normal @ normal) > np.cos(np.pi / 8.0)]
+            facing = [
+                k for k, face in enumerate(faces) if sign * (face.normal @ normal) > np.cos(np.pi / 8.0)
+            ]
             facing.sort(key=lambda k: sign * (middles[k] @ normal))
             sides.append(facing[0] if facing else None)
         one, other = sides
         if one is None or other is None or fits[one] is None or fits[other] is None:
             continue
-        length = _between(one, other, middles, normal, fits, at, covariance)
+        length = _between(one, other, outline, normal, fits, at, covariance)
         if length is not None:
             found.append(length)
     return found
@@ -160,22 +166,28 @@ def _lengths(
 def _between(
     one: int,
     other: int,
-    middles: FloatArray,
+    shape: Outline,
     normal: FloatArray,
     fits: Sequence[WallFit | None],
     at: FloatArray,
     covariance: FloatArray,
 ) -> Length | None:
-    """The distance of two walls halfway between their middles."""
+    """The distance of two walls."""
     across = np.array([normal[1], -normal[0]])
-    place = 0.5 * (middles[one] + middles[other]) @ across
+    # A fifth from the end of what both walls have, aside from the middle of the room.
+    spans = np.sort([np.array(shape.edge(edge)) @ across for edge in (one, other)], axis=1)
+    low, high = spans[:, 0].max(), spans[:, 1].min()
+    place = 0.8 * low + 0.2 * high if low < high else float(spans.mean())
     ends, weights = [], np.zeros(len(covariance))
     for edge in (one, other):
         fit = fits[edge]
         assert fit is not None
         line = fit.line()
         # Where the line has that place across.
-        ends.append(line.point_m + (place - line.point_m @ across) / _along(line.normal, across) * _tangent(line.normal))
+        ends.append(
+            line.point_m
+            + (place - line.point_m @ across) / _along(line.normal, across) * _tangent(line.normal)
+        )
         weights[at[edge] : at[edge] + 2] = -fit.reach(float(along(fit.face, ends[-1][None])[0]))
     length = float((ends[1] - ends[0]) @ normal)
     sigma = float(np.sqrt(weights @ covariance @ weights))
@@ -190,12 +202,3 @@ def _tangent(normal: FloatArray) -> FloatArray:
 def _along(normal: FloatArray, across: FloatArray) -> float:
     """How far along a direction a step on a line leads."""
     return float(_tangent(normal) @ across)
-
-
-def _doors(rooms: RoomMap, numbers: dict[int, int]) -> list[Door]:
-    """The passages between rooms that have an outline."""
-    return [
-        Door(passage.begin_m, passage.end_m, (numbers[passage.rooms[0]], numbers[passage.rooms[1]]), passage.driven)
-        for passage in rooms.passages
-        if all(room in numbers for room in passage.rooms)
-    ]

@@ -65,7 +65,7 @@ def write_layers(folder: Path, layers: LayeredMap) -> list[Path]:
     written = [
         write_nav2_map(folder / name, layers.states(name), *place, _WHAT[name])[0] for name in layers.names
     ]
-    return [*written, _write_raw(folder / _PROBABILITY, layers.percent(), written[-1])]
+    return [*written, write_raw(folder / _PROBABILITY, layers.percent(), written[-1], _RAW)]
 
 
 def _remove(folder: Path, names: Iterable[str]) -> None:
@@ -77,13 +77,13 @@ def _remove(folder: Path, names: Iterable[str]) -> None:
         raise MapFileError(f"cannot write {folder}: {error.strerror or error}") from error
 
 
-def _write_raw(stem: Path, percent: StateArray, trinary_yaml: Path) -> Path:
-    """A raw map with the resolution and origin of a trinary one; -1 becomes 255."""
+def write_raw(stem: Path, percent: StateArray, trinary_yaml: Path, what: str) -> Path:
+    """Write a raw map with the resolution and origin of a trinary one; -1 becomes 255."""
     image_path, yaml_path = stem.with_name(f"{stem.name}.pgm"), stem.with_name(f"{stem.name}.yaml")
     write_pgm(image_path, percent[::-1].view(np.uint8))
     lines = trinary_yaml.read_text(encoding="utf-8").splitlines()
     reported = {"image": image_path.name, "mode": "raw"}
-    write_lines(yaml_path, [f"# {_RAW}", *(_replaced(line, reported) for line in lines[1:])])
+    write_lines(yaml_path, [f"# {what}", *(_replaced(line, reported) for line in lines[1:])])
     return yaml_path
 
 
