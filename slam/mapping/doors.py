@@ -23,7 +23,7 @@ def find_doors(
     grid
         What is free.
     points
-        Of all that is straight: where some lie in an opening that the robot has not driven through, it is glass.
+        Of all that is straight: an opening with some in it, and not driven through, is glass.
     way_map
         (N, 2) where the robot has been.
     """

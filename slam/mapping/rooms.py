@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
-from slam.mapping.wall_gaps import Gap, Line, looked_up, wall_gaps
+from slam.mapping.wall_gaps import THICKEST_WALL_M, Gap, Line, looked_up, wall_gaps
 from slam.mapping.wall_segments import Segment
 from slam.measurements import BoolArray, FloatArray
 
@@ -128,6 +128,8 @@ def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: Occupanc
         one, other = _sides(labels, gap, grid)
         if one and other and real[one] and real[other] and one != other:
             least = SMALLEST_ROOM_M2 if gap.wall else LARGEST_FURNITURE_M2
+            # From one side of a corridor to the other no wall parts the two.
+            least = least if _parted(labels, gap, (one, other), grid) else np.inf
             edges.append((least, gap.length_m, one, other))
     while True:
         sizes = np.bincount(owner, areas, len(owner))
@@ -145,6 +147,28 @@ def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: Occupanc
     number = np.zeros(len(owner), np.int32)
     number[order[np.argsort(-sizes[order], kind="stable")]] = np.arange(1, len(order) + 1)
     return np.where(rooms, number[owner], 0).astype(np.int32)[labels]
+
+
+def _parted(labels: Labels, gap: Gap, sides: tuple[int, int], grid: OccupancyGrid) -> bool:
+    """Whether a wall goes on past an end of a gap with the same two regions beside it, as far as is known."""
+    step_m = grid.resolution_m
+    for end_m, begin_m in ((gap.end_m, gap.begin_m), (gap.begin_m, gap.end_m)):
+        along = (end_m - begin_m) / max(gap.length_m, step_m)
+        beyond = Line(end_m + step_m * along, end_m + THICKEST_WALL_M * along)
+        known = []
+        for side, region in zip((1.0, -1.0) if begin_m is gap.begin_m else (-1.0, 1.0), sides, strict=True):
+            found = [
+                looked_up(labels, grid.cells_of(beyond.points(step_m, side * far)))
+                for far in np.arange(2.0 * step_m, THICKEST_WALL_M, step_m)
+            ]
+            first = found[0]
+            for further in found[1:]:
+                first = np.where(first == 0, further, first)
+            known.append((first == region, first == 0))
+        (left, no_left), (right, no_right) = known
+        if ((left & right) | (left & no_right) | (no_left & right)).any():
+            return True
+    return False
 
 
 def _sides(labels: Labels, gap: Gap, grid: OccupancyGrid) -> list[int]:

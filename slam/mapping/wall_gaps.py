@@ -140,9 +140,9 @@ def _across(gap: Gap, met: BoolArray, grid: OccupancyGrid) -> bool:
     """Whether walls stand across at both its ends, or before them: it is from one to the other."""
     step_m = 0.5 * grid.resolution_m
     before = gap.points(step_m, aside_m=6.0 * step_m, beyond_m=0.5 * THICKEST_WALL_M)
-    ends = gap.points(step_m, beyond_m=-3.0 * step_m)
+    ends = gap.points(step_m, beyond_m=-5.0 * step_m)
     depth = int(0.5 * THICKEST_WALL_M / step_m)
-    within = looked_up(met, grid.cells_of(ends)) if gap.length_m > 3.0 * THICKEST_WALL_M else np.zeros(0)
+    within = looked_up(ndimage.binary_dilation(met), grid.cells_of(ends)) if gap.length_m > 3.0 * THICKEST_WALL_M else np.zeros(0)
     halves = np.array_split(looked_up(met, grid.cells_of(before)), 2)
     walls = within[:depth].any() and within[-depth:].any() and not within[depth:-depth].any()
     return bool(walls) or all(half.any() for half in halves)

@@ -117,6 +117,6 @@ class _Drawing:
         yield f'<text class="small" x="50" y="{y - 4:.0f}">0</text>'
         yield f'<text class="small" x="550" y="{y - 4:.0f}">5 m</text>'
         yield (
-            f'<text class="small" x="50" y="{y + 26:.0f}" style="text-anchor:start">± 95 % interval, by points '
-            "and poses, as far as the lidar's ranges are right; dashed: not seen</text>"
+            f'<text class="small" x="50" y="{y + 26:.0f}" style="text-anchor:start">± 95 % interval, by '
+            "points and poses, as far as the lidar's ranges are right; dashed: not seen</text>"
         )
