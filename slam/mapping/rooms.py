@@ -75,12 +75,6 @@ def segment_rooms(grid: OccupancyGrid, segments: Sequence[Segment], way_map: Flo
     gaps, walls = wall_gaps(segments, grid)
     lines = [Line(wall.begin_m, wall.end_m) for wall in walls]
     labels, real = _regions(free, [*gaps, *lines], grid, way_map)
-    # Between furniture only what lies outside is cut off.
-    outside = [
-        gap for gap in gaps if not (gap.wall or gap.narrow) and not real[_sides(labels, gap, grid)].all()
-    ]
-    gaps = [gap for gap in gaps if gap.wall or gap.narrow]
-    labels, real = _regions(free, [*gaps, *outside, *lines], grid, way_map)
     labels = _merged(labels, gaps, real, grid)
     return RoomMap(labels, grid.resolution_m, grid.T_map_grid)
 

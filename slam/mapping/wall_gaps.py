@@ -53,13 +53,10 @@ class Gap(Line):
     Attributes
     ----------
     wall
-        Whether it is more than furniture.
-    narrow
-        Whether there is more room on both sides.
+        Whether it is surely more than furniture.
     """
 
     wall: bool = False
-    narrow: bool = False
 
 
 def looked_up(values: NDArray[np.int32] | BoolArray, cells: NDArray[np.int64]) -> NDArray[np.int32]:
@@ -81,53 +78,60 @@ def wall_gaps(segments: Sequence[Segment], grid: OccupancyGrid) -> tuple[list[Ga
     sturdy = np.array([_share(near, s, grid) > 0.5 for s in segments], dtype=np.bool_)
     following = _following(segments, sturdy)
     lengths = _in_line(following, [s.length_m for s in segments])
+    leaves = _leaves(segments, following)
+    gaps = [
+        (Gap(segments[index].end_m, segments[next_].begin_m), index, next_)
+        for index, next_ in following.items()
+    ]
+    gaps += _before_walls(segments, following, sturdy & (np.array(lengths) > 2.0 * WIDEST_DOOR_M), met, grid)
+    found, walls = [], sturdy.copy()
+    for gap, one, other in gaps:
+        if leaves[one] or leaves[other] or _across(gap, met, grid):
+            continue
+        thin = _thin(segments[one], gap.begin_m, segments) or _thin(segments[other], gap.end_m, segments)
+        found.append(replace(gap, wall=thin or lengths[one] > 2.0 * WIDEST_DOOR_M))
+        if one != other:
+            walls[[one, other]] = True
+    return found, [segment for segment, wall in zip(segments, walls, strict=True) if wall]
+
+
+def _leaves(segments: Sequence[Segment], following: dict[int, int]) -> list[bool]:
+    """Which segments are leaves of open doors. Panes of glass are as thin, but go on as walls."""
     beside = {
         end
         for index, next_ in following.items()
         if np.hypot(*(segments[index].end_m - segments[next_].begin_m)) < THICKEST_WALL_M
         for end in (index, next_)
     }
-    # Panes of glass are as thin as a leaf, but go on as walls.
-    leaves = [
+    return [
         index not in beside
         and THICKEST_WALL_M < segment.length_m < 0.5 * WIDEST_DOOR_M
         and _thin(segment, 0.5 * (segment.begin_m + segment.end_m), segments, leaf=True)
         for index, segment in enumerate(segments)
     ]
-    gaps = [
-        (Gap(segments[index].end_m, segments[next_].begin_m), index, next_)
-        for index, next_ in following.items()
-    ]
+
+
+def _before_walls(
+    segments: Sequence[Segment],
+    following: dict[int, int],
+    long: BoolArray,
+    met: BoolArray,
+    grid: OccupancyGrid,
+) -> list[tuple[Gap, int, int]]:
+    """Gaps between the end of a wall and another that stands across."""
+    gaps = []
     for index, segment in enumerate(segments):
-        for end_m, on, along in (
-            (segment.end_m, following.keys(), segment.along),
-            (segment.begin_m, following.values(), -segment.along),
+        for on, end_m, along in (
+            (following.keys(), segment.end_m, segment.along),
+            (following.values(), segment.begin_m, -segment.along),
         ):
-            # A wall, too, that ends before another one.
-            sure = lengths[index] > 2.0 * WIDEST_DOOR_M or (
-                segment.length_m > WIDEST_DOOR_M and _thin(segment, end_m, segments)
-            )
-            if index not in on and sturdy[index] and sure:
-                hit_m = _ahead(end_m, along, met, grid)
-                if hit_m is not None:
-                    ends = (
-                        (end_m, hit_m)
-                        if on is not following.values() and end_m is segment.end_m
-                        else (hit_m, end_m)
-                    )
-                    gaps.append((Gap(*ends), index, index))
-    found, walls = [], sturdy.copy()
-    for gap, one, other in gaps:
-        widths = [_width_m(gap, side, met, grid) for side in (1.0, -1.0)]
-        # From one side of a corridor to the other, it is as wide past it on both sides.
-        if leaves[one] or leaves[other] or _across(gap, met, grid) or max(widths) < _WIDER * gap.length_m:
-            continue
-        thin = _thin(segments[one], gap.begin_m, segments) or _thin(segments[other], gap.end_m, segments)
-        long = lengths[one] > 2.0 * WIDEST_DOOR_M
-        found.append(replace(gap, wall=thin or long, narrow=min(widths) > _WIDER * gap.length_m))
-        if one != other:
-            walls[[one, other]] = True
-    return found, [segment for segment, wall in zip(segments, walls, strict=True) if wall]
+            sure = long[index] or (segment.length_m > WIDEST_DOOR_M and _thin(segment, end_m, segments))
+            hit_m = _ahead(end_m, along, met, grid) if sure and index not in on else None
+            if hit_m is not None:
+                # The side that was seen stays on the left.
+                ahead = along @ segment.along > 0.0
+                gaps.append((Gap(end_m, hit_m) if ahead else Gap(hit_m, end_m), index, index))
+    return gaps
 
 
 def _share(such: BoolArray, segment: Segment, grid: OccupancyGrid) -> float:
@@ -137,15 +141,15 @@ def _share(such: BoolArray, segment: Segment, grid: OccupancyGrid) -> float:
 
 
 def _across(gap: Gap, met: BoolArray, grid: OccupancyGrid) -> bool:
-    """Whether walls stand across at both its ends, or before them: it is from one to the other."""
+    """Whether it leads from one side of a corridor to the other.
+
+    Then walls stand across before both its ends, or it is nowhere wider past it.
+    """
     step_m = 0.5 * grid.resolution_m
     before = gap.points(step_m, aside_m=6.0 * step_m, beyond_m=0.5 * THICKEST_WALL_M)
-    ends = gap.points(step_m, beyond_m=-5.0 * step_m)
-    depth = int(0.5 * THICKEST_WALL_M / step_m)
-    within = looked_up(ndimage.binary_dilation(met), grid.cells_of(ends)) if gap.length_m > 3.0 * THICKEST_WALL_M else np.zeros(0)
-    halves = np.array_split(looked_up(met, grid.cells_of(before)), 2)
-    walls = within[:depth].any() and within[-depth:].any() and not within[depth:-depth].any()
-    return bool(walls) or all(half.any() for half in halves)
+    if all(half.any() for half in np.array_split(looked_up(met, grid.cells_of(before)), 2)):
+        return True
+    return max(_width_m(gap, side, met, grid) for side in (1.0, -1.0)) < _WIDER * gap.length_m
 
 
 def _ahead(end_m: FloatArray, along: FloatArray, met: BoolArray, grid: OccupancyGrid) -> FloatArray | None:
@@ -153,11 +157,11 @@ def _ahead(end_m: FloatArray, along: FloatArray, met: BoolArray, grid: Occupancy
     points = Line(end_m, end_m + WIDEST_DOOR_M * along).points(0.5 * grid.resolution_m)
     hits = np.flatnonzero(looked_up(met, grid.cells_of(points)))
     hits = hits[hits > 2]
-    return points[hits[0]] if len(hits) and hits[0] > 6 else None
+    return np.asarray(points[hits[0]]) if len(hits) and hits[0] > 6 else None
 
 
 def _width_m(gap: Gap, side: float, met: BoolArray, grid: OccupancyGrid) -> float:
-    """How wide it is past a gap, in its direction: the median over half a wall's thickness to a step."""
+    """How wide it is past a gap, in its direction: the median from a wall's thickness on to twice that."""
     widths = []
     for far in np.linspace(1.0, 2.0, 6) * THICKEST_WALL_M:
         aside = side * far
