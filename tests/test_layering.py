@@ -35,7 +35,7 @@ FLOORS: tuple[frozenset[str], ...] = (
 MAX_LINES = 400
 NEVER_IMPORTED = {"evo", "plyfile", "tools", "tests", "conftest"}  # GPL oracles; people's scripts
 # Slow or heavy to load, and not every run needs them; or extras that need not be there.
-LAZY_ONLY = {"open3d", "embreex", "cv2", "matplotlib", "kiss_icp", "distributed", "pyarrow", "rerun"}
+LAZY_ONLY = {"open3d", "embreex", "cv2", "matplotlib", "kiss_icp", "distributed", "pyarrow", "rerun", "ezdxf"}
 
 
 @dataclass(frozen=True)

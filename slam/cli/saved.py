@@ -1,4 +1,4 @@
-"""Commands on a finished map: scanweave info, check, export."""
+"""Commands on a finished map: scanweave info, check, export, floorplan."""
 
 from __future__ import annotations
 
@@ -25,6 +25,10 @@ class Format(StrEnum):
     G2O = "g2o"
     PLY = "ply"
     BT = "bt"
+    SVG = "svg"
+    DXF = "dxf"
+    GEOJSON = "geojson"
+    NAV2_ZONES = "nav2-zones"
 
 
 @command()
@@ -55,7 +59,8 @@ def check(map_: MapArgument) -> None:
 def export(
     map_: MapArgument,
     format_: Annotated[
-        Format, typer.Option("--format", "-f", help="nav2 grid, TUM trajectory, g2o graph, PLY, OctoMap")
+        Format,
+        typer.Option("--format", "-f", help="nav2 grid, TUM trajectory, g2o graph, PLY, OctoMap; floor plan"),
     ],
     out: Annotated[
         Path,
@@ -72,3 +77,26 @@ def export(
     if not written:
         raise ScanweaveError(f"nothing was exported of {saved.path}: its images show no surface")
     say("wrote " + ", ".join(str(path) for path in written))
+
+
+@command()
+def floorplan(
+    map_: MapArgument,
+    out: Annotated[Path, typer.Option("--out", "-o", help="the drawing: .svg, .dxf or .geojson")] = Path(
+        "floorplan.svg"
+    ),
+    as_json: JsonOption = False,
+) -> None:
+    """Draw the rooms of a map with doors, lengths and areas, each with its 95 % interval."""
+    from slam.evaluation.floor_plan_text import floor_plan_text
+    from slam.outputs.finished_map import open_map
+    from slam.storage.plan_geojson import plan_geojson
+
+    formats = {".svg": Format.SVG, ".dxf": Format.DXF, ".geojson": Format.GEOJSON}
+    if out.suffix not in formats:
+        raise typer.BadParameter(f"--out is {out}; give a file that ends in {', '.join(formats)}")
+    saved = open_map(map_)
+    plan = saved.floor_plan()
+    saved.export(formats[out.suffix].value, out)
+    tell(json.dumps(plan_geojson(plan), indent=2) if as_json else floor_plan_text(plan))
+    say(f"wrote {out}")

@@ -57,8 +57,7 @@ def pose_covariances(
     (n, d, d) and (n - 1, d, d), of the motion from each base to the next: GTSAM's tangent of the base where
     it ends. Node 0 is held: it is the frame in which the others are told.
     """
-    held = [edge for edge, keep in zip(edges, kept, strict=True) if keep and not _may_repeat_a_guess(edge)]
-    told = _told(poses, held, _slips(edges, kept), config)
+    told = told_edges(poses, edges, kept, config)
     information = np.zeros((len(poses) - 1, *_unknown(poses, config).shape))
     if of_steps := [edge for edge in told if edge.target == edge.source + 1]:
         each = np.linalg.inv([edge.covariance for edge in of_steps])
@@ -69,6 +68,14 @@ def pose_covariances(
     turned = adjoints.transpose(0, 2, 1)
     nodes, steps = marginals(poses, told), np.linalg.inv(information)
     return adjoints @ nodes @ turned, adjoints[1:] @ steps @ turned[1:]
+
+
+def told_edges(
+    poses: Sequence[Pose], edges: Sequence[Edge], kept: Sequence[bool] | BoolArray, config: Config
+) -> list[Edge]:
+    """What `pose_covariances` rests on: the edges that were kept, as uncertain as they are together."""
+    held = [edge for edge, keep in zip(edges, kept, strict=True) if keep and not _may_repeat_a_guess(edge)]
+    return _told(poses, held, _slips(edges, kept), config)
 
 
 def _told(

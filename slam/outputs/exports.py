@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,20 +13,34 @@ from slam.errors import LibraryError, ScanweaveError
 from slam.mapping.camera_points import camera_cloud
 from slam.mapping.cloud_map import map_cloud
 from slam.mapping.dense_map import DenseMapSettings, fuse_keyframes
+from slam.mapping.floor_plan import FloorPlan
 from slam.mapping.keyframe_grid import PASSED_BY
 from slam.mapping.layered_map import LayeredMap
 from slam.matching.local_cloud import moved
 from slam.measurements import spatial
+from slam.outputs.floorplan import floor_plan
 from slam.storage.covariances import write_trajectory
 from slam.storage.files import make_folder
 from slam.storage.g2o import write_g2o
 from slam.storage.map_contents import MapContents
 from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers, write_passed_by
+from slam.storage.nav2_rooms import write_room_zones
 from slam.storage.nav2_zones import write_zones
 from slam.storage.octomap import write_octomap, write_octree
+from slam.storage.plan_dxf import write_plan_dxf
+from slam.storage.plan_geojson import write_plan_geojson
+from slam.storage.plan_svg import write_plan_svg
 from slam.storage.ply import write_cloud_ply, write_mesh_ply
 
+ZONES = "nav2-zones"
 _NAMES = {"tum": "trajectory.tum", "g2o": "graph.g2o", "nav2": MAP_YAML, "bt": "map.bt"}
+_PLANS: dict[str, Callable[[Path, FloorPlan], None]] = {
+    "svg": write_plan_svg,
+    "dxf": write_plan_dxf,
+    "geojson": write_plan_geojson,
+}
+# As that of `scanweave plan`.
+ROBOT_RADIUS_M = 0.2
 
 
 @dataclass(frozen=True)
@@ -58,6 +72,8 @@ class Exports:
             Where the map does not hold what the format needs, or a file cannot be written.
         """
         found = self.contents
+        if format_ in _PLANS or format_ == ZONES:
+            return self._write_plan(format_, out), []
         seen = found.frames is not None or found.clouds is not None
         if (format_ == "nav2" and self.layers is None) or (format_ in ("ply", "bt") and not seen):
             lacking = "grid" if format_ == "nav2" else "image or cloud"
@@ -114,6 +130,18 @@ class Exports:
             return [], []
         written, missing = self.write("ply", folder)
         return (written + self.write("bt", folder)[0] if dense.octomap else written), missing
+
+    def _write_plan(self, format_: str, out: Path) -> list[Path]:
+        """The plan of the floor, or what nav2 makes of it (a folder)."""
+        plan = floor_plan(self.contents, self.config)
+        if format_ == ZONES:
+            assert self.layers is not None
+            return write_room_zones(out, plan, self.layers, ROBOT_RADIUS_M)
+        if out.is_dir() or not out.suffix:
+            make_folder(out)
+            out /= f"floorplan.{format_}"
+        _PLANS[format_](out, plan)
+        return [out]
 
     def _write_ply(self, out: Path) -> tuple[list[Path], list[str]]:
         """The coloured surface of the images, and the cloud of the 3D lidar."""

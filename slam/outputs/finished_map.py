@@ -16,10 +16,12 @@ from slam.edits.edited_file import known_of, write_entries, write_unedited, writ
 from slam.edits.remaking import regions_of
 from slam.errors import MapFileError
 from slam.graph.loop_closure import LoopCandidate
+from slam.mapping.floor_plan import FloorPlan
 from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Trajectory
 from slam.outputs.exports import Exports
+from slam.outputs.floorplan import floor_plan
 from slam.storage.files import make_folder, replacing
 from slam.storage.map_contents import MapContents, SavedFactor, read_contents, refuse_misfits
 from slam.storage.map_file import MAP_NAME, MapFile
@@ -134,6 +136,25 @@ class Map:
         """Every loop candidate with its verdict."""
         return self.contents.loops
 
+    def floor_plan(self) -> FloorPlan:
+        """Rooms with walls, lengths and areas and how sure these are, and doors, by a 2D lidar's scans.
+
+        Raises
+        ------
+        ScanweaveError
+            Where the map has no such scans.
+
+        Examples
+        --------
+        >>> import slam
+        >>> from slam.simulation.synthetic_log import write_synthetic_log
+        >>> house = slam.map_log(write_synthetic_log("monday", duration_s=12.0).log_path)
+        >>> len(house.floor_plan().rooms) > 0
+        True
+        >>> house.close()
+        """
+        return floor_plan(self.contents, self.config)
+
     def check(self) -> None:
         """Read everything, images and clouds too.
 
@@ -161,11 +182,12 @@ class Map:
         Parameters
         ----------
         format_
-            nav2 (the map to drive by), tum, g2o, ply or bt.
+            nav2 (the map to drive by), tum, g2o, ply or bt; of the floor plan svg, dxf, geojson or nav2-zones
+            (keep-out and speed masks, route graph).
         out
             The file, or a folder (what is one, or has no ending) for the usual names. Of nav2 it is the yaml,
             of ply the mesh of the images or, without any, the cloud of the 3D lidar; what belongs to them
-            goes beside.
+            goes beside. Of nav2-zones it is a folder.
 
         Returns
         -------

@@ -96,7 +96,7 @@ def remove_maps(folder: Path, names: Iterable[str]) -> None:
 
 
 def write_raw(stem: Path, percent: StateArray, trinary_yaml: Path, what: str) -> Path:
-    """A raw map with the resolution and origin of a trinary one; -1 becomes 255."""
+    """Write a raw map with the resolution and origin of a trinary one; -1 becomes 255."""
     image_path, yaml_path = stem.with_name(f"{stem.name}.pgm"), stem.with_name(f"{stem.name}.yaml")
     write_pgm(image_path, percent[::-1].view(np.uint8))
     lines = trinary_yaml.read_text(encoding="utf-8").splitlines()

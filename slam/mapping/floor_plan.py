@@ -1,0 +1,171 @@
+"""A plan of a floor: rooms, walls as lines, doors, lengths and areas with how sure they are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion.estimation import TINY, half_interval
+from slam.measurements import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Wall:
+    """One side of a room.
+
+    Attributes
+    ----------
+    begin_m, end_m
+        (2,) map frame; the room lies on the left.
+    sigma_m
+        Standard deviation across it at its middle, in the map; None where it was not seen.
+    seen_m
+        (n, 2) from where to where along it anything was met.
+    """
+
+    begin_m: FloatArray
+    end_m: FloatArray
+    sigma_m: float | None
+    seen_m: FloatArray
+
+    @property
+    def length_m(self) -> float:
+        """From corner to corner."""
+        return float(np.hypot(*(self.end_m - self.begin_m)))
+
+    def at(self, along_m: float) -> FloatArray:
+        """(2,) the point so far along it."""
+        return np.asarray(self.begin_m + along_m / self.length_m * (self.end_m - self.begin_m))
+
+    def pieces(self) -> list[tuple[FloatArray, FloatArray, bool]]:
+        """Begin and end of each stretch, and whether it was seen."""
+        found, last = [], 0.0
+        for low, high in self.seen_m:
+            if low > last:
+                found.append((self.at(last), self.at(low), False))
+            found.append((self.at(low), self.at(high), True))
+            last = high
+        if last < self.length_m:
+            found.append((self.at(last), self.end_m, False))
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class Length:
+    """From one wall to the one across.
+
+    Attributes
+    ----------
+    begin_m, end_m
+        (2,) where it is measured.
+    length_m, sigma_m
+        And its standard deviation.
+    """
+
+    begin_m: FloatArray
+    end_m: FloatArray
+    length_m: float
+    sigma_m: float
+
+    @property
+    def half_interval_m(self) -> float:
+        """Half of the 95 % interval."""
+        return half_interval(self.sigma_m)
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """A room.
+
+    Attributes
+    ----------
+    number
+        From 1, the largest first.
+    walls
+        Counter-clockwise, each from where the one before ends.
+    area_m2
+        Within them.
+    area_sigma_m2
+        Its standard deviation; None where a wall was not seen.
+    lengths
+        Its extents along its walls and across, where both walls were seen.
+    entered
+        Whether the robot has been in it.
+    """
+
+    number: int
+    walls: Sequence[Wall]
+    area_m2: float
+    area_sigma_m2: float | None
+    lengths: Sequence[Length]
+    entered: bool
+
+    @property
+    def corners_m(self) -> FloatArray:
+        """(n, 2) counter-clockwise, map frame."""
+        return np.array([wall.begin_m for wall in self.walls])
+
+    @property
+    def middle_m(self) -> FloatArray:
+        """(2,) centre of its area."""
+        x, y = (self.corners_m - self.corners_m[0]).T
+        weights = x * np.roll(y, -1) - np.roll(x, -1) * y
+        sums = np.array([(v + np.roll(v, -1)) @ weights for v in (x, y)])
+        return np.asarray(self.corners_m[0] + sums / (3.0 * weights.sum()))
+
+    @property
+    def area_half_interval_m2(self) -> float | None:
+        """Half of the 95 % interval; None where a wall was not seen."""
+        return None if self.area_sigma_m2 is None else half_interval(self.area_sigma_m2)
+
+
+@dataclass(frozen=True, slots=True)
+class Door:
+    """An opening between two rooms.
+
+    Attributes
+    ----------
+    begin_m, end_m
+        (2,) its sides.
+    rooms
+        Numbers of the two.
+    driven
+        Whether the robot has gone through; else it was seen open.
+    """
+
+    begin_m: FloatArray
+    end_m: FloatArray
+    rooms: tuple[int, int]
+    driven: bool
+
+    @property
+    def width_m(self) -> float:
+        """From side to side, to a cell of the grid."""
+        return float(np.hypot(*(self.end_m - self.begin_m)))
+
+    @property
+    def middle_m(self) -> FloatArray:
+        """(2,) halfway."""
+        return np.asarray(0.5 * (self.begin_m + self.end_m))
+
+
+@dataclass(frozen=True, slots=True)
+class FloorPlan:
+    """Rooms and the doors between them; all in the map frame, metres.
+
+    Lengths and areas are as uncertain as points and poses make them. A lidar that measures everything too
+    long or too short by the same, or by a share, is in none of them.
+    """
+
+    rooms: Sequence[Room]
+    doors: Sequence[Door]
+
+    @property
+    def yaw_rad(self) -> float:
+        """Direction of most walls in the map, from -45 to 45 degrees."""
+        walls = [wall.end_m - wall.begin_m for room in self.rooms for wall in room.walls]
+        # Four times the angle is the same for all four directions.
+        turned = [complex(x, y) ** 4 / max(abs(complex(x, y)), TINY) ** 3 for x, y in walls]
+        return float(0.25 * np.angle(sum(turned))) if turned else 0.0

@@ -1,0 +1,286 @@
+"""The outline of a room: which faces of the arrangement of its walls' lines lie inside.
+
+All lines of what is straight cut the plane into faces (Mura et al. 2014). Inside is what was seen free to
+a third, and what furniture hides: faces before the outermost lines, no larger than the largest furniture.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from fusion.estimation import FEWEST, TINY
+from slam.mapping.rooms import LARGEST_FURNITURE_M2, RoomMap
+from slam.mapping.wall_gaps import THICKEST_WALL_M, WIDEST_DOOR_M
+from slam.mapping.wall_segments import SAME_DIRECTION_RAD, Segment, WallPoints, wall_segments
+from slam.measurements import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Face:
+    """An infinite line with a room before it.
+
+    Attributes
+    ----------
+    point_m
+        (2,) of it, map frame.
+    normal
+        (2,) unit vector into the room.
+    seen
+        Whether anything was met on it; else it is where what was seen ends.
+    length_m
+        How much of it was seen.
+    """
+
+    point_m: FloatArray
+    normal: FloatArray
+    seen: bool
+    length_m: float
+
+    def off(self, points_m: FloatArray) -> FloatArray:
+        """(N,) distances of (N, 2) points, positive inside."""
+        return np.asarray((points_m - self.point_m) @ self.normal)
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """A polygon, counter-clockwise; edge i leads from corner i to the next, along face i."""
+
+    corners_m: FloatArray
+    faces: tuple[Face, ...]
+
+    def edge(self, edge: int) -> tuple[FloatArray, FloatArray]:
+        """(2,) the corner where an edge begins, and where it ends."""
+        return self.corners_m[edge], self.corners_m[(edge + 1) % len(self.faces)]
+
+    def ends(self, edge: int) -> tuple[float, float]:
+        """Where an edge begins and ends along its face, the lower first, as `wall_fits.along` tells."""
+        x, y = self.faces[edge].normal
+        corners = self.corners_m[[edge, (edge + 1) % len(self.faces)]]
+        low, high = sorted(((corners - self.faces[edge].point_m) @ (y, -x)).tolist())
+        return low, high
+
+
+def corners_of(faces: Sequence[Face]) -> FloatArray:
+    """(n, 2) where each face meets the one before."""
+    normals = np.array([[face.normal for face in (faces[k - 1], face)] for k, face in enumerate(faces)])
+    offsets = np.array([face.normal @ face.point_m for face in faces])
+    return np.asarray(
+        np.linalg.solve(normals, np.stack([np.roll(offsets, 1), offsets], axis=1)[..., None])[..., 0]
+    )
+
+
+def area_m2(corners_m: FloatArray) -> float:
+    """Of a polygon, positive where it is counter-clockwise."""
+    x, y = (corners_m - corners_m.mean(axis=0)).T
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def points_of(rooms: RoomMap, label: int, points: WallPoints) -> WallPoints:
+    """The points that were seen from inside a room."""
+    inside = np.zeros(len(points), np.bool_)
+    for far in (1.5, 2.5):
+        inside |= rooms.at(points.points_map + far * rooms.resolution_m * points.normals_map) == label
+    return points.chosen(inside)
+
+
+def room_outline(rooms: RoomMap, label: int, points: WallPoints) -> Outline | None:
+    """The outline of a room by the points that were seen from inside it; None where they make none."""
+    cell = rooms.resolution_m
+    of_room = rooms.labels == label
+    rows, cols = np.nonzero(of_room)
+    middles = rooms.middles(rows, cols)
+    segments = wall_segments(points, cell, 4.0 * cell)
+    axes = _axes(segments)
+    faces = _faces(segments, axes, cell)
+    faces += _ends(faces, axes, middles, cell)
+    margin = math.ceil(LARGEST_FURNITURE_M2**0.5 / cell)
+    low = np.array([rows.min(), cols.min()]) - margin
+    high = np.array([rows.max(), cols.max()]) + margin + 1
+    grid_rows, grid_cols = np.mgrid[low[0] : high[0], low[1] : high[1]]
+    everywhere = rooms.middles(grid_rows.ravel(), grid_cols.ravel())
+    labels = rooms.at(everywhere).reshape(grid_rows.shape)
+    before = np.array([face.off(everywhere) > 0.0 for face in faces]).reshape(len(faces), *labels.shape)
+    mask = _inside(labels, label, before, cell)
+    if not mask.any():
+        return None
+    middles_m = everywhere.reshape(*labels.shape, 2)
+    return _traced(mask, faces, middles_m, cell) or _boxed(middles_m[mask], axes)
+
+
+def _axes(segments: list[Segment]) -> FloatArray:
+    """(4, 2) unit vectors along and across most of the walls."""
+    if not segments:
+        return np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
+    lengths = np.array([segment.length_m for segment in segments])
+    # Four times the angle is the same for all four directions.
+    turned = np.exp(4j * np.array([math.atan2(*segment.along[::-1]) for segment in segments]))
+    alike = np.abs(np.angle(turned[:, None] / turned)) < 0.5 * SAME_DIRECTION_RAD
+    best = alike[np.argmax(alike @ lengths)]
+    x, y = _direction(complex((turned * lengths)[best].sum()))
+    return np.array([(x, y), (-x, -y), (-y, x), (y, -x)])
+
+
+def _direction(fourfold: complex) -> tuple[float, float]:
+    """A unit vector at a quarter of a number's angle."""
+    angle = 0.25 * math.atan2(fourfold.imag, fourfold.real)
+    return math.cos(angle), math.sin(angle)
+
+
+def _faces(segments: list[Segment], axes: FloatArray, cell_m: float) -> list[Face]:
+    """One for all segments on a line, the longest first, along an axis where they may be."""
+    faces: list[Face] = []
+    for segment in segments:
+        middle, normal = 0.5 * (segment.begin_m + segment.end_m), segment.normal
+        nearest = axes[np.argmax(axes @ normal)]
+        # The ends of a segment lie within a cell of its line.
+        if abs(nearest[0] * normal[1] - nearest[1] * normal[0]) < 2.0 * cell_m / segment.length_m:
+            normal = nearest
+        elif segment.length_m < 0.5 * WIDEST_DOOR_M:
+            continue
+        for index, face in enumerate(faces):
+            if (
+                face.normal @ normal > np.cos(SAME_DIRECTION_RAD)
+                and abs(face.off(middle[None])[0]) < 1.5 * cell_m
+            ):
+                faces[index] = replace(face, length_m=face.length_m + segment.length_m)
+                break
+        else:
+            faces.append(Face(middle, normal, True, segment.length_m))
+    return faces
+
+
+def _ends(faces: list[Face], axes: FloatArray, middles_m: FloatArray, cell_m: float) -> list[Face]:
+    """Where what was seen ends without a wall."""
+    found = []
+    for inward in axes:
+        at = float(np.quantile(middles_m @ inward, 0.005)) - 0.5 * cell_m
+        walls = [
+            face
+            for face in faces
+            if face.normal @ inward > np.cos(SAME_DIRECTION_RAD)
+            and abs(face.point_m @ inward - at) < 4.0 * cell_m
+        ]
+        if not walls:
+            found.append(Face(at * inward, inward, False, 0.0))
+    return found
+
+
+def _inside(labels: NDArray[np.int32], label: int, before: BoolArray, cell_m: float) -> BoolArray:
+    """(rows, cols) what lies in the room."""
+    # Cells before and behind the same lines make a face.
+    keys = np.zeros(labels.shape, np.uint64)
+    for index, side in enumerate(before):
+        keys ^= np.where(side, np.random.default_rng(index).integers(1 << 63, dtype=np.uint64), np.uint64(0))
+    _, owner = np.unique(keys, return_inverse=True)
+    owner = owner.reshape(labels.shape)
+    sizes = np.bincount(owner.ravel())
+    free = np.bincount(owner.ravel(), (labels == label).ravel())
+    inside = (3.0 * free > sizes)[owner]
+    hull = np.ones_like(inside)
+    for side in before:
+        if np.count_nonzero(inside & ~side) < FEWEST:
+            hull &= side
+    inside &= hull
+    pockets, count = ndimage.label(hull & ~inside)
+    for pocket in range(1, count + 1):
+        where = pockets == pocket
+        size = np.count_nonzero(where)
+        others = np.count_nonzero(where & (labels > 0) & (labels != label))
+        if size * cell_m**2 <= LARGEST_FURNITURE_M2 and others < 0.1 * size:
+            inside |= where
+    parts, _ = ndimage.label(inside)
+    most = np.bincount(parts[labels == label], minlength=parts.max() + 1)
+    most[0] = 0
+    return np.asarray(ndimage.binary_fill_holes((parts == np.argmax(most)) & bool(most.any())))
+
+
+def _traced(mask: BoolArray, faces: list[Face], middles_m: FloatArray, cell_m: float) -> Outline | None:
+    """The border of cells as a polygon of the lines that made it."""
+    import cv2
+
+    contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    border = max(contours, key=len)[:, 0, ::-1]
+    points = middles_m[tuple(border.T)]
+    off = np.array([face.off(points) for face in faces])
+    # The middle of a cell inside the border lies half a cell, at most its diagonal, before the line.
+    off = np.where((off > -0.5 * cell_m) & (off < 1.5 * cell_m), np.abs(off - 0.5 * cell_m), np.inf)
+    nearest = np.where(np.isfinite(off.min(axis=0)), np.argmin(off, axis=0), -1)
+    # At corners a cell lies at two lines: it goes to the one of its neighbours.
+    owners = _runs(nearest, 3)
+    # Of two parallel lines in a row the step between is too short to be told.
+    owners = [
+        one
+        for index, one in enumerate(owners)
+        if abs(np.linalg.det([faces[one].normal, faces[owners[index - 1]].normal])) > SAME_DIRECTION_RAD
+    ]
+    if len(owners) < 3:
+        return None
+    edges = [faces[owner] for owner in owners]
+    polygon = corners_of(edges)
+    if area_m2(polygon) < 0.0:
+        edges = edges[::-1]
+        polygon = corners_of(edges)
+    size = np.count_nonzero(mask) * cell_m**2
+    if not 0.75 < area_m2(polygon) / size < 1.33:
+        return None
+    return Outline(polygon, tuple(edges))
+
+
+def _boxed(middles_m: FloatArray, axes: FloatArray) -> Outline:
+    """What holds a room whose walls make no polygon."""
+    faces = [
+        Face(float((middles_m @ inward).min()) * inward, inward, False, 0.0) for inward in axes[[2, 1, 3, 0]]
+    ]
+    corners = corners_of(faces)
+    if area_m2(corners) < 0.0:
+        faces = faces[::-1]
+    return Outline(corners_of(faces), tuple(faces))
+
+
+def confirmed(outlines: Sequence[Outline], number: int) -> list[bool]:
+    """Of each edge of a room, whether no other room says that its wall stands farther out, behind furniture.
+
+    Another room lies behind, farther away than a wall is thick; or the wall of a neighbour goes on in line
+    farther out. What has a room right behind it is a wall.
+    """
+    depth = math.sqrt(LARGEST_FURNITURE_M2)
+    sure = []
+    for edge, face in enumerate(outlines[number].faces):
+        begin, end = outlines[number].edge(edge)
+        along = (end - begin) / max(float(np.hypot(*(end - begin))), TINY)
+        backed = far = False
+        for other in (outline for index, outline in enumerate(outlines) if index != number):
+            for place, behind in enumerate(other.faces):
+                ends = np.array(other.edge(place))
+                reach = np.sort((ends - begin) @ along)
+                away = -float(((ends - begin) @ face.normal).mean())
+                over = min(reach[1], (end - begin) @ along) - max(reach[0], 0.0)
+                alike = float(behind.normal @ face.normal)
+                if alike < -np.cos(SAME_DIRECTION_RAD) and over > THICKEST_WALL_M:
+                    backed |= -THICKEST_WALL_M < away < THICKEST_WALL_M
+                    far |= THICKEST_WALL_M < away < depth
+                elif alike > np.cos(SAME_DIRECTION_RAD) and over > -THICKEST_WALL_M:
+                    far |= 0.5 * THICKEST_WALL_M < away < depth and behind.seen
+        sure.append(backed or not far)
+    return sure
+
+
+def _runs(nearest: NDArray[np.int64], shortest: int) -> list[int]:
+    """The lines along a closed border in their order, without short stretches and parallel neighbours."""
+    count = len(nearest)
+    starts = np.flatnonzero(nearest != np.roll(nearest, 1))
+    if not len(starts):
+        return []
+    lengths = np.diff(np.append(starts, starts[0] + count))
+    runs = [
+        int(nearest[start])
+        for start, length in zip(starts, lengths, strict=True)
+        if length >= shortest and nearest[start] >= 0
+    ]
+    return [run for index, run in enumerate(runs) if run != runs[index - 1]]

@@ -1,0 +1,176 @@
+"""Rooms of a floor: free space, cut where walls have gaps no wider than a door.
+
+Narrow passages part rooms (distance transform and its kin: Bormann et al. 2016, "Room segmentation: survey,
+implementation, and analysis"), but furniture leaves narrow passages, too. So a passage counts where a wall
+goes on in one line beyond it, and where that is a wall: something thin that was seen from both sides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
+from slam.mapping.wall_gaps import THICKEST_WALL_M, Gap, Line, looked_up, wall_gaps
+from slam.mapping.wall_segments import Segment
+from slam.measurements import BoolArray, FloatArray
+
+Labels = NDArray[np.int32]
+
+# What is smaller is a cupboard, or a gap between two.
+SMALLEST_ROOM_M2 = 1.0
+# A double bed.
+LARGEST_FURNITURE_M2 = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class RoomMap:
+    """Which room each free cell belongs to.
+
+    Attributes
+    ----------
+    labels
+        (rows, cols) number of the room, from 1; 0 elsewhere.
+    resolution_m, T_map_grid
+        Of the cells.
+    """
+
+    labels: Labels
+    resolution_m: float
+    T_map_grid: gtsam.Pose2
+
+    def middles(self, rows: NDArray[np.int64], cols: NDArray[np.int64]) -> FloatArray:
+        """(N, 2) middles of cells, map frame; they may lie outside."""
+        points = (np.column_stack([cols, rows]) + 0.5) * self.resolution_m
+        turned: FloatArray = points @ self.T_map_grid.rotation().matrix().T + self.T_map_grid.translation()
+        return turned
+
+    def at(self, points_map: FloatArray) -> Labels:
+        """(N,) the room of (N, 2) points; 0 outside."""
+        frame = OccupancyGrid(np.zeros((0, 0), np.int16), self.resolution_m, self.T_map_grid)
+        return looked_up(self.labels, frame.cells_of(points_map))
+
+
+def segment_rooms(grid: OccupancyGrid, segments: Sequence[Segment], way_map: FloatArray) -> RoomMap:
+    """Part the free cells of a grid into rooms.
+
+    Parameters
+    ----------
+    segments
+        Of the walls, and of all that is straight.
+    way_map
+        (N, 2) where the robot has been.
+
+    Returns
+    -------
+    Rooms in the order of their size. Free space that was seen through glass or a gap and that has no walls of
+    its own is none.
+    """
+    free = grid.states() == FREE
+    gaps, walls = wall_gaps(segments, grid)
+    lines = [Line(wall.begin_m, wall.end_m) for wall in walls]
+    labels, real = _regions(free, [*gaps, *lines], grid, way_map)
+    labels = _merged(labels, gaps, real, grid)
+    return RoomMap(labels, grid.resolution_m, grid.T_map_grid)
+
+
+def _regions(
+    free: BoolArray, lines: Sequence[Line], grid: OccupancyGrid, way_map: FloatArray
+) -> tuple[Labels, BoolArray]:
+    """What lines leave of free space, in parts, and (parts + 1,) which are indoors; what is none, is, too."""
+    labels = np.asarray(ndimage.label(free & ~_drawn(lines, grid))[0], dtype=np.int32)
+    real = _closed(labels, grid.states())
+    real[looked_up(labels, grid.cells_of(way_map))] = True
+    real[0] = True
+    return labels, real
+
+
+def _drawn(lines: Sequence[Line], grid: OccupancyGrid) -> BoolArray:
+    """(rows, cols) cells of lines, without holes over the corners of cells."""
+    drawn = np.zeros(grid.shape, np.bool_)
+    for line in lines:
+        cells = grid.cells_of(line.points(0.25 * grid.resolution_m))
+        inside = ((cells >= 0) & (cells < grid.shape)).all(axis=1)
+        drawn[tuple(cells[inside].T)] = True
+    return np.asarray(ndimage.binary_dilation(drawn, np.ones((2, 2), np.bool_)))
+
+
+def _closed(labels: Labels, states: NDArray[np.int8]) -> BoolArray:
+    """(labels + 1,) whether a region ends at what is known rather than in the unknown."""
+    unknown, known = (np.zeros(labels.max() + 1) for _ in range(2))
+    for axis in (0, 1):
+        for shift in (1, -1):
+            beside = np.roll(states, shift, axis)
+            edge = (labels > 0) & (beside != FREE)
+            unknown += np.bincount(labels[edge & (beside != OCCUPIED)], minlength=len(unknown))
+            known += np.bincount(labels[edge & (beside == OCCUPIED)], minlength=len(known))
+    return np.asarray(known > unknown)
+
+
+def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: OccupancyGrid) -> Labels:
+    """Join what no wall parts, drop what is no room, number the rest by size."""
+    areas = np.bincount(labels.ravel(), minlength=len(real)) * grid.resolution_m**2
+    areas[0] = 0.0
+    owner = np.arange(len(real))
+    edges = []
+    for gap in gaps:
+        one, other = _sides(labels, gap, grid)
+        if one and other and real[one] and real[other] and one != other:
+            least = SMALLEST_ROOM_M2 if gap.wall else LARGEST_FURNITURE_M2
+            # From one side of a corridor to the other no wall parts the two.
+            least = least if _parted(labels, gap, (one, other), grid) else np.inf
+            edges.append((least, gap.length_m, one, other))
+    while True:
+        sizes = np.bincount(owner, areas, len(owner))
+        small = [
+            (min(sizes[owner[one]], sizes[owner[other]]), -width, one, other)
+            for least, width, one, other in edges
+            if owner[one] != owner[other] and min(sizes[owner[one]], sizes[owner[other]]) < least
+        ]
+        if not small:
+            break
+        _, _, one, other = min(small)
+        owner[owner == owner[one]] = owner[other]
+    rooms = real & (sizes[owner] >= SMALLEST_ROOM_M2)
+    order = np.unique(owner[rooms])
+    number = np.zeros(len(owner), np.int32)
+    number[order[np.argsort(-sizes[order], kind="stable")]] = np.arange(1, len(order) + 1)
+    return np.where(rooms, number[owner], 0).astype(np.int32)[labels]
+
+
+def _parted(labels: Labels, gap: Gap, sides: tuple[int, int], grid: OccupancyGrid) -> bool:
+    """Whether a wall goes on past an end of a gap with the same two regions beside it, as far as is known."""
+    step_m = grid.resolution_m
+    for end_m, begin_m in ((gap.end_m, gap.begin_m), (gap.begin_m, gap.end_m)):
+        along = (end_m - begin_m) / max(gap.length_m, step_m)
+        beyond = Line(end_m + step_m * along, end_m + THICKEST_WALL_M * along)
+        known = []
+        for side, region in zip((1.0, -1.0) if begin_m is gap.begin_m else (-1.0, 1.0), sides, strict=True):
+            found = [
+                looked_up(labels, grid.cells_of(beyond.points(step_m, side * far)))
+                for far in np.arange(2.0 * step_m, THICKEST_WALL_M, step_m)
+            ]
+            first = found[0]
+            for further in found[1:]:
+                first = np.where(first == 0, further, first)
+            known.append((first == region, first == 0))
+        (left, no_left), (right, no_right) = known
+        if ((left & right) | (left & no_right) | (no_left & right)).any():
+            return True
+    return False
+
+
+def _sides(labels: Labels, gap: Gap, grid: OccupancyGrid) -> list[int]:
+    """The label that most cells have on its left and on its right; 0 where none has any."""
+    found = []
+    for side in (1.0, -1.0):
+        points = [gap.points(grid.resolution_m, side * far * grid.resolution_m) for far in (2.0, 3.0)]
+        counts = np.bincount(looked_up(labels, grid.cells_of(np.concatenate(points))), minlength=1)
+        counts[0] = 0
+        found.append(int(np.argmax(counts)))
+    return found

@@ -1,0 +1,189 @@
+"""Lines through the points on a room's walls, and how they depend on the poses of the scans."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation import FEWEST, ROUNDS, gate, median_to_sigma
+from slam.mapping.room_outline import Face
+from slam.mapping.wall_segments import SAME_DIRECTION_RAD, WallPoints
+from slam.measurements import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class WallFit:
+    """A line: ``offset + slope * (along - middle)`` before a face.
+
+    Attributes
+    ----------
+    face
+        What it is told by.
+    middle_m
+        Along the face, from its point: the mean of the points.
+    offset_m, slope
+        Of the line there, into the room.
+    jacobian
+        (2, 3 n) of offset and slope by GTSAM's tangents of the n poses.
+    noise
+        (2,) variances of both by what the poses do not tell: the points of different scans scatter by it.
+    along_m
+        (k,) where its points lie.
+    """
+
+    face: Face
+    middle_m: float
+    offset_m: float
+    slope: float
+    jacobian: FloatArray
+    noise: FloatArray
+    along_m: FloatArray
+
+    def reach(self, along_m: float) -> FloatArray:
+        """(2,) by which offset and slope move the line at a place along it."""
+        return np.array([1.0, along_m - self.middle_m])
+
+    def line(self) -> Face:
+        """The face moved and turned onto it."""
+        x, y = self.face.normal
+        along = np.array([y, -x])
+        at = self.face.point_m + self.middle_m * along + self.offset_m * self.face.normal
+        turned = self.face.normal - self.slope * along
+        return replace(self.face, point_m=at, normal=turned / np.hypot(*turned))
+
+
+def along(face: Face, points_m: FloatArray) -> FloatArray:
+    """(N,) places along a face, from its point; the room lies on the left on the way back."""
+    x, y = face.normal
+    return np.asarray((points_m - face.point_m) @ (y, -x))
+
+
+def fit_wall(
+    face: Face, ends_m: tuple[float, float], points: WallPoints, poses: FloatArray, cell_m: float
+) -> WallFit | None:
+    """The line through the points near a face; None where there are too few.
+
+    Parameters
+    ----------
+    ends_m
+        Along the face, the lower first.
+    points
+        That were seen from inside the room.
+    poses
+        (n, 3) of the keyframes.
+    cell_m
+        Points twice so far off are none of the wall.
+    """
+    at, off = along(face, points.points_map), face.off(points.points_map)
+    on = (points.normals_map @ face.normal > np.cos(SAME_DIRECTION_RAD)) & (np.abs(off) < 2.0 * cell_m)
+    on &= (at > ends_m[0]) & (at < ends_m[1])
+    if np.count_nonzero(on) < FEWEST:
+        return None
+    at, off, owners = at[on], off[on], points.keyframes[on]
+    keep = _mode(at, off, cell_m)
+    for _ in range(ROUNDS):
+        if np.count_nonzero(keep) < FEWEST:
+            return None
+        middle = float(at[keep].mean())
+        design = np.column_stack([np.ones(len(at)), at - middle])
+        left = off - design @ (np.linalg.pinv(design[keep]) @ off[keep])
+        scale = median_to_sigma() * float(np.median(np.abs(left[keep])))
+        last, keep = keep, np.abs(left) <= np.sqrt(gate()) * min(scale, 0.2 * cell_m)
+        if (keep == last).all():
+            break
+    at, off, left, owners = at[keep], off[keep], left[keep], owners[keep]
+    middle = float(at.mean())
+    gain = np.linalg.pinv(np.column_stack([np.ones(len(at)), at - middle]))
+    offset, slope = gain @ off
+    jacobian = _by_poses(gain, points.points_map[on][keep], owners, face.normal, poses)
+    return WallFit(face, middle, float(offset), float(slope), jacobian, _noise(gain, left, owners), at)
+
+
+def _mode(at: FloatArray, off: FloatArray, cell_m: float) -> BoolArray:
+    """(N,) points near the line that the longest part of a wall lies on, whatever stands before the rest.
+
+    Two cells along the wall have one vote, however many points they have: their median.
+    """
+    bins = np.floor((at - at.min()) / (2.0 * cell_m)).astype(int)
+    order = np.lexsort((off, bins))
+    starts = np.flatnonzero(np.diff(bins[order], prepend=-1))
+    counts = np.diff(np.append(starts, len(order)))
+    rows = order[starts + counts // 2]
+    place, votes = at[rows], off[rows]
+    one, other = np.triu_indices(len(place), 1)
+    far = np.abs(place[other] - place[one]) >= 0.25 * np.ptp(place)
+    one, other = one[far], other[far]
+    slopes = np.append(
+        0.0, (votes[other] - votes[one]) / np.maximum(np.abs(place[other] - place[one]), cell_m)
+    )
+    slopes *= np.append(1.0, np.sign(place[other] - place[one]))
+    begins = np.append(np.median(votes), votes[one] - slopes[1:] * place[one])
+    fits = (np.abs(votes - begins[:, None] - slopes[:, None] * place) < 0.2 * cell_m).sum(axis=1)
+    best = int(np.argmax(fits))
+    # Panes of glass and closed doors lie behind the wall's face.
+    middle = float(np.median(place))
+    inward = begins + slopes * middle - begins[best] - slopes[best] * middle
+    inner = (inward > 0.6 * cell_m) & (fits >= 4)
+    if inner.any():
+        best = int(np.argmax(np.where(inner, fits, 0)))
+    return np.asarray(np.abs(off - begins[best] - slopes[best] * at) < 0.4 * cell_m)
+
+
+def _by_poses(
+    gain: FloatArray, points_map: FloatArray, owners: NDArray[np.int64], normal: FloatArray, poses: FloatArray
+) -> FloatArray:
+    """(2, 3 n) of what is linear in the points by the poses that they were seen from."""
+    x, y, yaw = poses[owners].T
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    forward = cos * normal[0] + sin * normal[1]
+    leftward = cos * normal[1] - sin * normal[0]
+    turn = (points_map[:, 0] - x) * normal[1] - (points_map[:, 1] - y) * normal[0]
+    jacobian = np.zeros((2, 3 * len(poses)))
+    for row, weights in enumerate(gain):
+        for place, moved in enumerate((forward, leftward, turn)):
+            jacobian[row, place::3] = np.bincount(owners, weights * moved, minlength=len(poses))
+    return jacobian
+
+
+def _noise(gain: FloatArray, left: FloatArray, owners: NDArray[np.int64]) -> FloatArray:
+    """(2,) variances where the errors of one scan go together (Liang & Zeger 1986, one cluster a scan)."""
+    scans = np.unique(owners, return_inverse=True)[1]
+    sums = np.array([np.bincount(scans, weights * left) for weights in gain])
+    count = sums.shape[1]
+    one_by_one = (left**2).mean() * (gain**2).sum(axis=1)
+    return np.asarray((sums**2).sum(axis=1) * count / max(count - 2, 1) + one_by_one)
+
+
+def straightened(fits: Sequence[WallFit], covariance: FloatArray) -> tuple[list[WallFit], FloatArray]:
+    """Turn the walls of a room towards its axes, as far as their points leave that open.
+
+    How far walls are from them, the better half of the walls tells by itself.
+
+    Parameters
+    ----------
+    covariance
+        (2 m, 2 m) of offset and slope of m walls, one after the other.
+
+    Returns
+    -------
+    The walls, and the covariance of these.
+    """
+    if len(fits) < 3:
+        return list(fits), covariance
+    slopes, variances = np.array([fit.slope for fit in fits]), np.diag(covariance)[1::2]
+    sure = variances <= np.median(variances)
+    common = float(np.average(slopes, weights=1.0 / variances))
+    spread = (median_to_sigma() * float(np.median(np.abs(slopes[sure] - common)))) ** 2
+    keep = np.ones(2 * len(fits))
+    near = (slopes - common) ** 2 < gate() * (variances + spread)
+    keep[1::2][near] = (spread / (spread + variances))[near]
+    turned = [
+        replace(fit, slope=common + share * (fit.slope - common))
+        for fit, share in zip(fits, keep[1::2], strict=True)
+    ]
+    left = np.zeros(2 * len(fits))
+    left[1::2] = (1.0 - keep[1::2]) ** 2 * spread
+    return turned, np.asarray(keep[:, None] * covariance * keep + np.diag(left))

@@ -1,0 +1,223 @@
+"""Gaps in walls: where one straight piece ends and another goes on, no farther than a door is wide."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from slam.mapping.occupancy_grid import OCCUPIED, OccupancyGrid
+from slam.mapping.wall_segments import SAME_DIRECTION_RAD, Segment
+from slam.measurements import BoolArray, FloatArray
+
+# What is thinner is the leaf of an open door, what is thicker is furniture.
+THINNEST_WALL_M, THICKEST_WALL_M = 0.06, 0.45
+# The widest double door.
+WIDEST_DOOR_M = 2.2
+_WIDER = 1.25
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """From one point to another, with the side that is looked at on its left.
+
+    Attributes
+    ----------
+    begin_m, end_m
+        (2,) map frame.
+    """
+
+    begin_m: FloatArray
+    end_m: FloatArray
+
+    @property
+    def length_m(self) -> float:
+        """From end to end."""
+        return float(np.hypot(*(self.end_m - self.begin_m)))
+
+    def points(self, step_m: float, aside_m: float = 0.0, beyond_m: float = 0.0) -> FloatArray:
+        """(n, 2) along it, two or more; so far on its left, and so far past its ends."""
+        along = (self.end_m - self.begin_m) / max(self.length_m, step_m)
+        count = max(2, 1 + int(np.ceil((self.length_m + 2.0 * beyond_m) / step_m)))
+        at = np.linspace(-beyond_m, self.length_m + beyond_m, count)[:, None]
+        return np.asarray(self.begin_m + at * along + aside_m * np.array([-along[1], along[0]]))
+
+
+@dataclass(frozen=True, slots=True)
+class Gap(Line):
+    """From the end of a piece of wall to where it goes on.
+
+    Attributes
+    ----------
+    wall
+        Whether it is surely more than furniture.
+    """
+
+    wall: bool = False
+
+
+def looked_up(values: NDArray[np.int32] | BoolArray, cells: NDArray[np.int64]) -> NDArray[np.int32]:
+    """(N,) values of (N, 2) cells; 0 outside."""
+    inside = ((cells >= 0) & (cells < values.shape)).all(axis=1)
+    found = np.zeros(len(cells), np.int32)
+    found[inside] = values[tuple(cells[inside].T)]
+    return found
+
+
+def wall_gaps(segments: Sequence[Segment], grid: OccupancyGrid) -> tuple[list[Gap], list[Segment]]:
+    """All gaps, and the segments that are walls: what the grid knows, and what goes on in line.
+
+    A gap is one in a wall, not between furniture, where a piece beside it is thin (was seen from both
+    sides), or where all pieces in line make a wall that is longer than two doors are wide.
+    """
+    met = grid.states() == OCCUPIED
+    near = ndimage.binary_dilation(met)
+    sturdy = np.array([_share(near, s, grid) > 0.5 for s in segments], dtype=np.bool_)
+    following = _following(segments, sturdy)
+    lengths = _in_line(following, [s.length_m for s in segments])
+    leaves = _leaves(segments, following)
+    gaps = [
+        (Gap(segments[index].end_m, segments[next_].begin_m), index, next_)
+        for index, next_ in following.items()
+    ]
+    gaps += _before_walls(segments, following, sturdy & (np.array(lengths) > 2.0 * WIDEST_DOOR_M), met, grid)
+    found, walls = [], sturdy.copy()
+    for gap, one, other in gaps:
+        if leaves[one] or leaves[other] or _across(gap, met, grid):
+            continue
+        thin = _thin(segments[one], gap.begin_m, segments) or _thin(segments[other], gap.end_m, segments)
+        found.append(replace(gap, wall=thin or lengths[one] > 2.0 * WIDEST_DOOR_M))
+        if one != other:
+            walls[[one, other]] = True
+    return found, [segment for segment, wall in zip(segments, walls, strict=True) if wall]
+
+
+def _leaves(segments: Sequence[Segment], following: dict[int, int]) -> list[bool]:
+    """Which segments are leaves of open doors. Panes of glass are as thin, but go on as walls."""
+    beside = {
+        end
+        for index, next_ in following.items()
+        if np.hypot(*(segments[index].end_m - segments[next_].begin_m)) < THICKEST_WALL_M
+        for end in (index, next_)
+    }
+    return [
+        index not in beside
+        and THICKEST_WALL_M < segment.length_m < 0.5 * WIDEST_DOOR_M
+        and _thin(segment, 0.5 * (segment.begin_m + segment.end_m), segments, leaf=True)
+        for index, segment in enumerate(segments)
+    ]
+
+
+def _before_walls(
+    segments: Sequence[Segment],
+    following: dict[int, int],
+    long: BoolArray,
+    met: BoolArray,
+    grid: OccupancyGrid,
+) -> list[tuple[Gap, int, int]]:
+    """Gaps between the end of a wall and another that stands across."""
+    gaps = []
+    for index, segment in enumerate(segments):
+        for on, end_m, along in (
+            (following.keys(), segment.end_m, segment.along),
+            (following.values(), segment.begin_m, -segment.along),
+        ):
+            sure = long[index] or (segment.length_m > WIDEST_DOOR_M and _thin(segment, end_m, segments))
+            hit_m = _ahead(end_m, along, met, grid) if sure and index not in on else None
+            if hit_m is not None:
+                # The side that was seen stays on the left.
+                ahead = along @ segment.along > 0.0
+                gaps.append((Gap(end_m, hit_m) if ahead else Gap(hit_m, end_m), index, index))
+    return gaps
+
+
+def _share(such: BoolArray, segment: Segment, grid: OccupancyGrid) -> float:
+    """Of a segment, over cells that are such."""
+    points = Line(segment.begin_m, segment.end_m).points(0.5 * grid.resolution_m)
+    return float(looked_up(such, grid.cells_of(points)).mean())
+
+
+def _across(gap: Gap, met: BoolArray, grid: OccupancyGrid) -> bool:
+    """Whether it leads from one side of a corridor to the other.
+
+    Then walls stand across before both its ends, or it is nowhere wider past it.
+    """
+    step_m = 0.5 * grid.resolution_m
+    before = gap.points(step_m, aside_m=6.0 * step_m, beyond_m=0.5 * THICKEST_WALL_M)
+    if all(half.any() for half in np.array_split(looked_up(met, grid.cells_of(before)), 2)):
+        return True
+    return max(_width_m(gap, side, met, grid) for side in (1.0, -1.0)) < _WIDER * gap.length_m
+
+
+def _ahead(end_m: FloatArray, along: FloatArray, met: BoolArray, grid: OccupancyGrid) -> FloatArray | None:
+    """The first obstacle in line with the end of a wall, no farther than a door is wide and not at once."""
+    points = Line(end_m, end_m + WIDEST_DOOR_M * along).points(0.5 * grid.resolution_m)
+    hits = np.flatnonzero(looked_up(met, grid.cells_of(points)))
+    hits = hits[hits > 2]
+    return np.asarray(points[hits[0]]) if len(hits) and hits[0] > 6 else None
+
+
+def _width_m(gap: Gap, side: float, met: BoolArray, grid: OccupancyGrid) -> float:
+    """How wide it is past a gap, in its direction: the median from a wall's thickness on to twice that."""
+    widths = []
+    for far in np.linspace(1.0, 2.0, 6) * THICKEST_WALL_M:
+        aside = side * far
+        points = gap.points(0.5 * grid.resolution_m, aside, WIDEST_DOOR_M)
+        hit = np.flatnonzero(looked_up(met, grid.cells_of(points)))
+        middle = len(points) // 2
+        before, after = hit[hit < middle], hit[hit > middle]
+        low = before[-1] if len(before) else 0
+        high = after[0] if len(after) else len(points) - 1
+        widths.append(float(np.hypot(*(points[high] - points[low]))))
+    return float(np.median(widths))
+
+
+def _following(segments: Sequence[Segment], sturdy: BoolArray) -> dict[int, int]:
+    """For each segment the next in line with it, if there is one."""
+    found: dict[int, int] = {}
+    if not segments:
+        return found
+    begins, ends, alongs = (
+        np.array([getattr(s, name) for s in segments]) for name in ("begin_m", "end_m", "along")
+    )
+    for index, segment in enumerate(segments):
+        to = begins - segment.end_m
+        ahead, aside = to @ segment.along, np.abs(to @ segment.normal)
+        bend = np.tan(0.25 * SAME_DIRECTION_RAD) * np.maximum(ahead, 0.0)
+        same = (alongs @ segment.along > np.cos(SAME_DIRECTION_RAD)) & (aside < 0.25 * THICKEST_WALL_M + bend)
+        same[index] = False
+        # What overlaps goes on beside it: no gap.
+        same &= ((ends - segment.end_m) @ segment.along > 0.0) & (ahead > -0.5 * THICKEST_WALL_M)
+        if same.any():
+            next_ = int(np.argmin(np.where(same, ahead, np.inf)))
+            if ahead[next_] < WIDEST_DOOR_M and (sturdy[index] or sturdy[next_]):
+                found[index] = next_
+    return found
+
+
+def _thin(segment: Segment, at_m: FloatArray, segments: Sequence[Segment], *, leaf: bool = False) -> bool:
+    """Whether the other side of a wall was seen, near a point of it; or that of the leaf of a door."""
+    thinnest, thickest = (0.0, THINNEST_WALL_M) if leaf else (THINNEST_WALL_M, THICKEST_WALL_M)
+    for other in segments:
+        if other.normal @ segment.normal > -np.cos(SAME_DIRECTION_RAD):
+            continue
+        behind = [-(point - at_m) @ segment.normal for point in (other.begin_m, other.end_m)]
+        reach = [(point - at_m) @ segment.along for point in (other.begin_m, other.end_m)]
+        if (
+            thinnest < np.mean(behind) < thickest
+            and min(reach) < THICKEST_WALL_M
+            and max(reach) > -THICKEST_WALL_M
+        ):
+            return True
+    return False
+
+
+def _in_line(following: dict[int, int], lengths_m: Sequence[float]) -> list[float]:
+    """Of each segment, the length of all in its line."""
+    owner = np.arange(len(lengths_m))
+    for index, next_ in following.items():
+        owner[owner == owner[index]] = owner[next_]
+    return [float(np.sum(np.array(lengths_m)[owner == one])) for one in owner]

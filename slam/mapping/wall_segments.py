@@ -1,0 +1,201 @@
+"""Straight pieces of wall in the points of many scans, and the gaps between two that go on in one line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation import FEWEST
+from slam.matching.scan_points import extract_points
+from slam.measurements import BoolArray, FloatArray, LaserScan
+
+# Normals of one wall differ by less from its own: a degree of noise, and what stands close before it.
+SAME_DIRECTION_RAD = np.radians(12.0)
+
+
+@dataclass(frozen=True, slots=True)
+class WallPoints:
+    """Where beams have met something that is straight there.
+
+    Attributes
+    ----------
+    points_map, normals_map
+        (N, 2) metres, and unit normals that face the sensor.
+    keyframes
+        (N,) the scan of each.
+    weights
+        (N,) readings that it stands for.
+    """
+
+    points_map: FloatArray
+    normals_map: FloatArray
+    keyframes: NDArray[np.int64]
+    weights: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.points_map)
+
+    def chosen(self, which: BoolArray | NDArray[np.int64]) -> WallPoints:
+        """Some of them."""
+        return WallPoints(
+            self.points_map[which], self.normals_map[which], self.keyframes[which], self.weights[which]
+        )
+
+    def thinned(self, cell_m: float) -> WallPoints:
+        """One for all in a cell that face the same way: their mean."""
+        if not len(self):
+            return self
+        cells = np.floor(self.points_map / cell_m).astype(np.int64)
+        facing = np.floor(np.arctan2(self.normals_map[:, 1], self.normals_map[:, 0]) / SAME_DIRECTION_RAD)
+        keys = np.column_stack([cells, facing.astype(np.int64)])
+        _, first, owner = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+        weights = np.asarray(np.bincount(owner.ravel(), self.weights), dtype=np.float64)
+        means = [
+            np.bincount(owner.ravel(), self.weights * column) / weights
+            for column in (*self.points_map.T, *self.normals_map.T)
+        ]
+        normals = np.column_stack(means[2:])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        return WallPoints(np.column_stack(means[:2]), normals, self.keyframes[first], weights)
+
+
+def wall_points(
+    scans: Sequence[LaserScan | None], poses_map: FloatArray, range_m: tuple[float, float], neighbours: int
+) -> WallPoints:
+    """The straight parts of all scans.
+
+    Parameters
+    ----------
+    scans
+        K sweeps; None where there is none.
+    poses_map
+        (K, 3) x, y, yaw of the bases.
+    range_m, neighbours
+        See `slam.matching.scan_points.extract_points`.
+    """
+    points, normals, keyframes = [np.zeros((0, 2))], [np.zeros((0, 2))], [np.zeros(0, np.int64)]
+    for keyframe, (scan, (x, y, yaw)) in enumerate(zip(scans, poses_map, strict=True)):
+        if scan is None:
+            continue
+        found = extract_points(scan, *range_m, neighbours).oriented()
+        turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+        points.append(found[0] @ turn + (x, y))
+        normals.append(found[1] @ turn)
+        keyframes.append(np.full(len(found[0]), keyframe))
+    stacked = np.concatenate(points)
+    return WallPoints(stacked, np.concatenate(normals), np.concatenate(keyframes), np.ones(len(stacked)))
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """One side of a straight piece of wall, or of something that looks like one.
+
+    Attributes
+    ----------
+    begin_m, end_m
+        (2,) map frame; the side that was seen lies on the left on the way from one to the other.
+    weight
+        Readings on it.
+    """
+
+    begin_m: FloatArray
+    end_m: FloatArray
+    weight: float
+
+    @property
+    def length_m(self) -> float:
+        """From end to end."""
+        return float(np.hypot(*(self.end_m - self.begin_m)))
+
+    @property
+    def along(self) -> FloatArray:
+        """(2,) unit vector from its begin to its end."""
+        return np.asarray((self.end_m - self.begin_m) / self.length_m)
+
+    @property
+    def normal(self) -> FloatArray:
+        """(2,) unit vector to the side that was seen."""
+        x, y = self.along
+        return np.array([-y, x])
+
+
+def wall_segments(points: WallPoints, cell_m: float, shortest_m: float) -> list[Segment]:
+    """The longest straight pieces first: peaks of a Hough transform of oriented points, each fitted anew.
+
+    Parameters
+    ----------
+    cell_m
+        Points so far from a line are on it; twice as far apart along it, they are two pieces.
+    shortest_m
+        What is shorter is left out.
+    """
+    points = points.thinned(0.5 * cell_m)
+    found: list[Segment] = []
+    left = np.ones(len(points), np.bool_)
+    angles = np.arctan2(points.normals_map[:, 1], points.normals_map[:, 0])
+    spread = int(np.degrees(SAME_DIRECTION_RAD)) // 4
+    while left.any():
+        # One degree a bin, with its neighbours: the wall direction that most points have.
+        bins = np.floor(np.degrees(angles[left])).astype(int) % 360
+        votes: NDArray[np.int64] = np.bincount(bins, minlength=360)
+        votes = np.sum([np.roll(votes, shift) for shift in range(-spread, spread + 1)], axis=0)
+        angle = np.radians(np.argmax(votes) + 0.5)
+        alike = left & (np.abs(np.angle(np.exp(1j * (angles - angle)))) < SAME_DIRECTION_RAD)
+        before = len(found)
+        for piece in _strips(points.points_map[alike], angle, cell_m):
+            members = np.flatnonzero(alike)[piece]
+            members = members[left[members]]
+            segment, on = _fitted(points, members, cell_m)
+            if segment is not None and segment.length_m >= shortest_m:
+                found.append(segment)
+                left[on] = False
+        if len(found) == before:
+            left[alike] = False
+    return sorted(found, key=lambda segment: -segment.length_m)
+
+
+def _strips(points: FloatArray, angle: float, cell_m: float) -> Iterator[NDArray[np.int64]]:
+    """Rows of points that lie on one line across a direction, without gaps along it, the fullest first."""
+    normal = np.array([np.cos(angle), np.sin(angle)])
+    across, along = points @ normal, points @ (-normal[1], normal[0])
+    free = np.ones(len(points), np.bool_)
+    bins = np.floor(2.0 * (across - across.min()) / cell_m).astype(int) + 1
+    while free.any():
+        votes = np.bincount(bins[free], minlength=bins.max() + 2)
+        votes[1:-1] = votes[:-2] + votes[1:-1] + votes[2:]
+        best = int(np.argmax(votes))
+        if votes[best] < 4:
+            return
+        strip = np.flatnonzero(free & (np.abs(bins - best) <= 1))
+        free[strip] = False
+        order = strip[np.argsort(along[strip], kind="stable")]
+        yield from np.split(order, np.flatnonzero(np.diff(along[order]) > 4.0 * cell_m) + 1)
+
+
+def _fitted(
+    points: WallPoints, members: NDArray[np.int64], cell_m: float
+) -> tuple[Segment | None, NDArray[np.int64]]:
+    """A segment through points, and those that lie on it."""
+    for _ in range(3):
+        if len(members) < 4:
+            return None, members
+        chosen, weights = points.points_map[members], points.weights[members]
+        middle = np.average(chosen, axis=0, weights=weights)
+        off = chosen - middle
+        values, vectors = np.linalg.eigh((off * weights[:, None]).T @ off)
+        along, across = vectors[:, 1], vectors[:, 0]
+        near = np.abs(off @ across) < 0.5 * cell_m
+        if near.all():
+            break
+        members = members[near]
+    normal = np.average(points.normals_map[members], axis=0, weights=points.weights[members])
+    if along[0] * normal[1] - along[1] * normal[0] < 0.0:
+        along = -along
+    at = (points.points_map[members] - middle) @ along
+    if values[0] > 0.1 * values[1] or weights.sum() < FEWEST:
+        return None, members
+    low, high = at.min(), at.max()
+    return Segment(middle + low * along, middle + high * along, float(weights.sum())), members

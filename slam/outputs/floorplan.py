@@ -1,0 +1,204 @@
+"""From a finished map to a plan of its floor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import gtsam
+import numpy as np
+
+from slam.config import Config
+from slam.errors import ScanweaveError
+from slam.graph.joint_covariance import joint_covariance
+from slam.graph.pose_covariances import told_edges
+from slam.mapping.doors import find_doors
+from slam.mapping.floor_plan import FloorPlan, Length, Room, Wall
+from slam.mapping.room_outline import Outline, area_m2, confirmed, corners_of, points_of, room_outline
+from slam.mapping.rooms import segment_rooms
+from slam.mapping.wall_fits import WallFit, along, fit_wall, straightened
+from slam.mapping.wall_segments import wall_points, wall_segments
+from slam.measurements import FloatArray
+from slam.storage.map_contents import MapContents
+
+
+def floor_plan(contents: MapContents, config: Config) -> FloorPlan:
+    """The rooms of a map of a floor.
+
+    Raises
+    ------
+    ScanweaveError
+        Where the map has no scans of a 2D lidar.
+    """
+    grid = contents.grid
+    if grid is None or not contents.planar or not any(scan is not None for scan in contents.measured_scans):
+        raise ScanweaveError("a floor plan is made of a 2D lidar's scans, and this map holds none")
+    poses, scan = contents.keyframe_poses, config.scan
+    points = wall_points(
+        contents.measured_scans, poses, (scan.range_min_m, scan.range_max_m), scan.neighbours
+    )
+    cell_m = grid.resolution_m
+    way = contents.trajectory.positions_m[:, :2]
+    rooms = segment_rooms(grid, wall_segments(points, cell_m, 4.0 * cell_m), way)
+    entered = set(rooms.at(way).tolist())
+    outlines: list[Outline] = []
+    fits: list[list[WallFit | None]] = []
+    numbers: dict[int, int] = {}
+    for label in range(1, int(rooms.labels.max(initial=0)) + 1):
+        own = points_of(rooms, label, points)
+        outline = room_outline(rooms, label, own)
+        if outline is not None:
+            numbers[label] = len(numbers) + 1
+            outlines.append(outline)
+            ends = [outline.ends(edge) for edge in range(len(outline.faces))]
+            fits.append(
+                [
+                    fit_wall(face, end, own, poses, cell_m) if face.seen else None
+                    for face, end in zip(outline.faces, ends, strict=True)
+                ]
+            )
+    fits = [
+        [fit if sure else None for fit, sure in zip(ones, confirmed(outlines, number), strict=True)]
+        for number, ones in enumerate(fits)
+    ]
+    covariance = _covariance([fit for ones in fits for fit in ones if fit], contents, config)
+    found, first = [], 0
+    for label, outline, ones in zip(numbers, outlines, fits, strict=True):
+        last = first + 2 * sum(fit is not None for fit in ones)
+        own_covariance = covariance[first:last, first:last]
+        found.append(_room(numbers[label], outline, ones, own_covariance, label in entered, cell_m))
+        first = last
+    return FloorPlan(found, find_doors(found, grid, points, way))
+
+
+def _covariance(fits: Sequence[WallFit], contents: MapContents, config: Config) -> FloatArray:
+    """(2 m, 2 m) of offset and slope of all walls: by the poses together, and by the points of each."""
+    if not fits:
+        return np.zeros((0, 0))
+    edges = [factor.edge for factor in contents.factors]
+    told = told_edges(contents.node_poses, edges, [factor.kept for factor in contents.factors], config)
+    poses = [pose for pose in contents.node_poses if isinstance(pose, gtsam.Pose2)]
+    by_poses = joint_covariance(poses, told, np.concatenate([fit.jacobian for fit in fits]))
+    return by_poses + np.diag(np.concatenate([fit.noise for fit in fits]))
+
+
+def _room(
+    number: int,
+    outline: Outline,
+    fits: Sequence[WallFit | None],
+    covariance: FloatArray,
+    entered: bool,
+    cell_m: float,
+) -> Room:
+    """A room by its fitted walls."""
+    turned, covariance = straightened([fit for fit in fits if fit is not None], covariance)
+    rest = iter(turned)
+    new = [next(rest) if fit is not None else None for fit in fits]
+    faces = tuple(face if fit is None else fit.line() for face, fit in zip(outline.faces, new, strict=True))
+    corners = corners_of(faces)
+    if area_m2(corners) < 0.5 * area_m2(outline.corners_m):
+        corners, faces = outline.corners_m, outline.faces
+    shape = Outline(corners, faces)
+    count = len(faces)
+    at = np.cumsum([0, *(2 * (fit is not None) for fit in new)])
+    area = np.zeros(len(covariance))
+    walls = []
+    for edge, fit in enumerate(new):
+        begin, end = corners[edge], corners[(edge + 1) % count]
+        if fit is None:
+            walls.append(Wall(begin, end, None, np.zeros((0, 2))))
+            continue
+        places = along(fit.face, np.array([begin, end]))
+        reach = fit.reach(float(places.mean()))
+        own = slice(at[edge], at[edge] + 2)
+        area[own] = -float(np.hypot(*(end - begin))) * reach
+        sigma = float(np.sqrt(reach @ covariance[own, own] @ reach))
+        low = abs(fit.along_m - places[0])
+        walls.append(Wall(begin, end, sigma, _stretches(low, float(np.hypot(*(end - begin))), cell_m)))
+    whole = all(fit is not None for fit in new)
+    area_sigma = float(np.sqrt(area @ covariance @ area)) if whole else None
+    lengths = _lengths(shape, new, at, covariance)
+    return Room(number, walls, area_m2(corners), area_sigma, lengths, entered)
+
+
+def _stretches(along_m: FloatArray, length_m: float, cell_m: float) -> FloatArray:
+    """(n, 2) stretches of a wall on which points lie, no farther apart than four cells."""
+    at = np.sort(along_m[(along_m > 0.0) & (along_m < length_m)])
+    if not len(at):
+        return np.zeros((0, 2))
+    breaks = np.flatnonzero(np.diff(at) > 4.0 * cell_m)
+    stretches = np.column_stack([at[np.append(0, breaks + 1)], at[np.append(breaks, len(at) - 1)]])
+    stretches = stretches[stretches[:, 1] - stretches[:, 0] > cell_m]
+    # A corner hides what is nearest to it.
+    if len(stretches):
+        stretches[0, 0] = 0.0 if stretches[0, 0] < 4.0 * cell_m else stretches[0, 0]
+        stretches[-1, 1] = length_m if stretches[-1, 1] > length_m - 4.0 * cell_m else stretches[-1, 1]
+    return stretches
+
+
+def _lengths(
+    outline: Outline, fits: Sequence[WallFit | None], at: FloatArray, covariance: FloatArray
+) -> list[Length]:
+    """Between the outermost walls that face each other: along the longest wall of the room, and across it."""
+    corners, faces = outline.corners_m, outline.faces
+    sizes = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
+    middles = 0.5 * (np.roll(corners, -1, axis=0) + corners)
+    found: list[Length] = []
+    for normal in (
+        faces[int(np.argmax(sizes))].normal,
+        faces[int(np.argmax(sizes))].normal @ [[0, 1], [-1, 0]],
+    ):
+        sides = []
+        for sign in (1.0, -1.0):
+            facing = [
+                k for k, face in enumerate(faces) if sign * (face.normal @ normal) > np.cos(np.pi / 8.0)
+            ]
+            facing.sort(key=lambda k: sign * (middles[k] @ normal))
+            sides.append(facing[0] if facing else None)
+        one, other = sides
+        if one is None or other is None or fits[one] is None or fits[other] is None:
+            continue
+        length = _between(one, other, outline, normal, fits, at, covariance)
+        if length is not None:
+            found.append(length)
+    return found
+
+
+def _between(
+    one: int,
+    other: int,
+    shape: Outline,
+    normal: FloatArray,
+    fits: Sequence[WallFit | None],
+    at: FloatArray,
+    covariance: FloatArray,
+) -> Length | None:
+    """The distance of two walls."""
+    across = np.array([normal[1], -normal[0]])
+    # A fifth from the end of what both walls have, aside from the middle of the room.
+    spans = np.sort([np.array(shape.edge(edge)) @ across for edge in (one, other)], axis=1)
+    low, high = spans[:, 0].max(), spans[:, 1].min()
+    place = 0.8 * low + 0.2 * high if low < high else float(spans.mean())
+    ends, weights = [], np.zeros(len(covariance))
+    for edge in (one, other):
+        fit = fits[edge]
+        assert fit is not None
+        line = fit.line()
+        # Where the line has that place across.
+        ends.append(
+            line.point_m
+            + (place - line.point_m @ across) / _along(line.normal, across) * _tangent(line.normal)
+        )
+        weights[at[edge] : at[edge] + 2] = -fit.reach(float(along(fit.face, ends[-1][None])[0]))
+    length = float((ends[1] - ends[0]) @ normal)
+    sigma = float(np.sqrt(weights @ covariance @ weights))
+    return Length(ends[0], ends[1], length, sigma) if length > 0.0 else None
+
+
+def _tangent(normal: FloatArray) -> FloatArray:
+    """(2,) along a line."""
+    return np.array([normal[1], -normal[0]])
+
+
+def _along(normal: FloatArray, across: FloatArray) -> float:
+    """How far along a direction a step on a line leads."""
+    return float(_tangent(normal) @ across)

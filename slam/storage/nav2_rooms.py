@@ -1,0 +1,189 @@
+"""A floor plan for nav2: where to keep out, where to drive slowly, and the route graph.
+
+The masks are read by nav2's map server and costmap filters (KeepoutFilter, SpeedFilter), whose parameters are
+in ``zones.yaml``; the graph by the GeoJsonGraphFileLoader of nav2_route (format of release 1.3).
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slam.errors import ScanweaveError
+from slam.mapping.floor_plan import FloorPlan
+from slam.mapping.layered_map import LayeredMap
+from slam.mapping.navigation import FreeSpace, free_space, shortest_path
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, StateArray
+from slam.mapping.polygons import cells_inside
+from slam.measurements import FloatArray
+from slam.storage.files import make_folder, write_lines
+from slam.storage.nav2 import write_nav2_map
+from slam.storage.nav2_layers import write_raw
+
+# What drives through a door drives at half its speed.
+_DOOR_PERCENT = 50
+
+_KEEPOUT = "Keep-out mask (costmap filter type 0): all but rooms and the doors between them."
+_SPEED = "Speed mask (costmap filter type 1): the greatest speed in percent before doors, 0 for no limit."
+
+
+def write_room_zones(folder: Path, plan: FloorPlan, layers: LayeredMap, radius_m: float) -> list[Path]:
+    """Write ``keepout.yaml``, ``speed.yaml``, ``zones.yaml`` and ``route.geojson``.
+
+    Parameters
+    ----------
+    radius_m
+        Of the robot, for the ways of the route graph.
+
+    Raises
+    ------
+    ScanweaveError
+        Where the plan has no room, or a file cannot be written.
+    """
+    if not plan.rooms:
+        raise ScanweaveError("the map shows no room, so there are no zones to write")
+    make_folder(folder)
+    keepout, speed = zones(plan, layers)
+    place = (layers.resolution_m, layers.T_map_grid)
+    written = [write_nav2_map(folder / "keepout", keepout, *place, _KEEPOUT)[0]]
+    written.append(write_raw(folder / "speed", speed, written[0], _SPEED))
+    write_lines(folder / "zones.yaml", _parameters())
+    space = free_space(layers.states("decision"), *place, radius_m)
+    write_lines(folder / "route.geojson", [json.dumps(route_graph(plan, space), indent=1)])
+    return [*written, folder / "zones.yaml", folder / "route.geojson"]
+
+
+def zones(plan: FloorPlan, layers: LayeredMap) -> tuple[StateArray, StateArray]:
+    """(rows, cols) keep-out, 100 or 0, and greatest speed in percent or 0."""
+    place = layers.shape, layers.resolution_m, layers.T_map_grid
+    free = np.zeros(layers.shape, np.bool_)
+    slow = np.zeros(layers.shape, np.bool_)
+    for room in plan.rooms:
+        free |= cells_inside(room.corners_m, *place)
+    for door in plan.doors:
+        along = door.end_m - door.begin_m
+        across = 0.5 * np.array([-along[1], along[0]])
+        around = [door.begin_m + across, door.end_m + across, door.end_m - across, door.begin_m - across]
+        # What lies between the two rooms is as deep as a wall is thick, and belongs to neither.
+        box = cells_inside(np.array(around), *place)
+        free |= box
+        slow |= box
+    speed = np.where(slow & free, _DOOR_PERCENT, 0).astype(np.int8)
+    return np.where(free, FREE, OCCUPIED).astype(np.int8), speed
+
+
+def route_graph(plan: FloorPlan, space: FreeSpace) -> dict[str, Any]:
+    """Nodes in rooms and doors, and between them where the way bends; edges both ways, as long as they cost.
+
+    A room or a door that the robot cannot reach is left out.
+    """
+    graph = _Graph()
+    places = {room.number: _roomy(space, room.middle_m) for room in plan.rooms}
+    for door in plan.doors:
+        middle = _roomy(space, door.middle_m)
+        for room in door.rooms:
+            goal = places[room]
+            if middle is None or goal is None:
+                continue
+            path = shortest_path(space, middle, goal)
+            if path is not None:
+                graph.add(path.points_map, f"door {door.rooms[0]}-{door.rooms[1]}", f"room {room}", space)
+    # Nodes and edges share their numbers.
+    for number, edge in enumerate(graph.edges, len(graph.nodes)):
+        edge["properties"]["id"] = number
+    return {"type": "FeatureCollection", "name": "graph", "features": [*graph.nodes, *graph.edges]}
+
+
+class _Graph:
+    """Features as nav2_route reads them."""
+
+    def __init__(self) -> None:
+        self.nodes: list[dict[str, Any]] = []
+        self.edges: list[dict[str, Any]] = []
+        self._known: dict[tuple[float, float], int] = {}
+
+    def add(self, points_map: FloatArray, begin: str, end: str, space: FreeSpace) -> None:
+        """A way, by the corners that it has."""
+        corners = _corners(points_map, space)
+        names = [begin, *[""] * (len(corners) - 2), end]
+        ids = [self._node(point, name) for point, name in zip(corners.tolist(), names, strict=True)]
+        for one, other, a, b in zip(ids, ids[1:], corners, corners[1:], strict=False):
+            for source, target, from_, to in ((one, other, a, b), (other, one, b, a)):
+                cost = round(float(np.hypot(*(to - from_))), 3)
+                properties = {"id": 0, "startid": source, "endid": target, "cost": cost, "overridable": True}
+                line = [from_.round(3).tolist(), to.round(3).tolist()]
+                self.edges.append(_feature("MultiLineString", [line], properties))
+
+    def _node(self, point: list[float], name: str) -> int:
+        """The number of a node, made where there is none."""
+        key = (round(point[0], 3), round(point[1], 3))
+        if key not in self._known:
+            self._known[key] = len(self._known)
+            properties: dict[str, Any] = {"id": self._known[key], "frame": "map"}
+            if name:
+                properties["metadata"] = {"name": name}
+            self.nodes.append(_feature("Point", list(key), properties))
+        return self._known[key]
+
+
+def _corners(points_map: FloatArray, space: FreeSpace) -> FloatArray:
+    """A way of cells by its corners: straight on as far as the robot has room."""
+    kept = [0]
+    while kept[-1] < len(points_map) - 1:
+        last = len(points_map) - 1
+        while last > kept[-1] + 1 and not _open(points_map[kept[-1]], points_map[last], space):
+            last = kept[-1] + max(1, (last - kept[-1]) * 3 // 4)
+        kept.append(last)
+    return points_map[kept]
+
+
+def _open(begin_m: FloatArray, end_m: FloatArray, space: FreeSpace) -> bool:
+    """Whether the robot has room all along a line."""
+    count = 2 + int(2.0 * np.hypot(*(end_m - begin_m)) / space.resolution_m)
+    return all(
+        space.allowed[space.cell_of((float(x), float(y)))] for x, y in np.linspace(begin_m, end_m, count)
+    )
+
+
+def _roomy(space: FreeSpace, at_m: FloatArray) -> tuple[float, float] | None:
+    """The nearest point with room for the robot, from where most of the floor is reached."""
+    sizes = np.bincount(space.region.ravel())
+    if len(sizes) < 2:
+        return None
+    sizes[0] = 0
+    cells = np.argwhere(space.region == np.argmax(sizes))
+    middles = space.middle_of(cells)
+    x, y = middles[np.argmin(np.hypot(*(middles - at_m).T))]
+    return float(x), float(y)
+
+
+def _feature(geometry: str, coordinates: Any, properties: dict[str, Any]) -> dict[str, Any]:
+    """One of GeoJSON's features."""
+    return {
+        "type": "Feature",
+        "properties": properties,
+        "geometry": {"type": geometry, "coordinates": coordinates},
+    }
+
+
+def _parameters() -> list[str]:
+    """Parameters of the servers of both masks and of the route server."""
+    lines = []
+    for name, kind in (("keepout", 0), ("speed", 1)):
+        lines += [
+            f"{name}_filter_mask_server:",
+            "  ros__parameters:",
+            f"    yaml_filename: {name}.yaml",
+            f"    topic_name: {name}_filter_mask",
+            f"{name}_costmap_filter_info_server:",
+            "  ros__parameters:",
+            f"    type: {kind}",
+            f"    filter_info_topic: {name}_costmap_filter_info",
+            f"    mask_topic: {name}_filter_mask",
+            "    base: 0.0",
+            "    multiplier: 1.0",
+        ]
+    return [*lines, "route_server:", "  ros__parameters:", "    graph_filepath: route.geojson"]
