@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.mapping.layered_map import LayeredMap, LayerName
-from slam.mapping.occupancy_grid import FREE, OCCUPIED
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
 from slam.measurements import BoolArray
 
 # A browser draws pictures of this size smoothly; larger maps are shown in coarser cells.
@@ -23,12 +23,15 @@ _MARGIN_CELLS = 8  # of what is shown around all that is known
 _UNSEEN, _FREE, _LIDAR_HEIGHT, _WALL = range(4)
 _SHADES = ((205, 205, 205), (254, 254, 254), (232, 232, 232), (0, 0, 0))
 _CONFLICT = ((0, 0, 0), (217, 115, 13), (147, 51, 234))
+_GONE = (220, 38, 38)
 LEGENDS = {
     "map": "The map to drive by: black is what the robot must not hit, white is free.",
     "probability": "How likely a cell is occupied, by all sensors together: white 0, black 1.",
     "lidar": "The lidar alone, at its own height (layers/lidar.yaml).",
     "depth": "The cameras alone, within the robot's height (layers/depth.yaml).",
     "fused": "Both as one probability: unknown where they contradict each other (layers/fused.yaml).",
+    "what has gone": "Red: the lidar saw it stand for a while, and beams have passed since "
+    "(layers/passed_by.yaml); it is not in the map.",
     "what differs": "Orange: only the cameras see an obstacle. Violet: only the lidar does.",
 }
 
@@ -61,7 +64,7 @@ class Picture:
         return buffer.getvalue()
 
 
-def layer_pictures(layers: LayeredMap | None) -> list[dict[str, Any]]:
+def layer_pictures(layers: LayeredMap | None, passed_by: OccupancyGrid | None = None) -> list[dict[str, Any]]:
     """The map first, and what it was made of, for the head of the page's data; nothing without a map.
 
     Each tells its name, what its colours mean, the PNG as a data address, the side of a pixel, and the pose
@@ -70,6 +73,8 @@ def layer_pictures(layers: LayeredMap | None) -> list[dict[str, Any]]:
     if layers is None:
         return []
     pictures = [_map(layers), *_parts(layers)]
+    if passed_by is not None:
+        pictures.append(_gone(layers, passed_by))
     window = _known(pictures)
     rows, columns = (part.stop - part.start for part in window)
     pixel_m = layers.resolution_m * _step((rows, columns))
@@ -119,6 +124,16 @@ def _parts(layers: LayeredMap) -> list[Picture]:
         kinds[(lidar == OCCUPIED) & (depth == FREE)] = 2
         found.append(Picture("what differs", kinds, _CONFLICT))
     return found
+
+
+def _gone(layers: LayeredMap, passed_by: OccupancyGrid) -> Picture:
+    """What stood for a while, over the map; both lie on one lattice."""
+    kinds = _kinds(layers, "decision")
+    rows, columns = np.nonzero(passed_by.states() == OCCUPIED)
+    apart = layers.T_map_grid.between(passed_by.T_map_grid)
+    row, column = round(apart.y() / layers.resolution_m), round(apart.x() / layers.resolution_m)
+    kinds[rows + row, columns + column] = len(_SHADES)
+    return Picture("what has gone", kinds, (*_SHADES, _GONE))
 
 
 def _kinds(layers: LayeredMap, name: LayerName) -> NDArray[np.uint8]:

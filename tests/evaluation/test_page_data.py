@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +14,7 @@ import numpy as np
 import pytest
 from flat_worlds import room, sweep
 from page_worlds import EVIL, Frames, contents, report
+from PIL import Image
 from reading_pages import page_data
 
 import slam
@@ -25,7 +28,9 @@ from slam.evaluation.report import write_report
 from slam.evaluation.saved_page import saved_page
 from slam.localization.drive_log import DriveLog
 from slam.localization.output import LocalizerOutput, RecoveredPose, State
+from slam.mapping.keyframe_grid import OCCUPANCY, PASSED_BY
 from slam.mapping.layered_map import LayeredMap
+from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.simulation.synthetic_log import write_synthetic_log
 from slam.storage.map_contents import MapContents
 from slam.storage.map_sessions import MapSession
@@ -80,6 +85,25 @@ def test_what_fusion_changed_is_told_by_kind() -> None:
     repairs = map_data(made, Config(), title="log")["repairs"]
     assert repairs["kind"].tolist() == [0, 1, 2] and repairs["first"].tolist() == [0, 3, 3]
     np.testing.assert_allclose(np.hypot(*repairs["points"].T), [100, 300, 200], atol=1)
+
+
+def test_what_has_gone_is_shown_over_the_map() -> None:
+    made = contents()
+    shown = made.grids[OCCUPANCY]
+    steps = np.zeros((2, 3), np.int16)
+    steps[1, 2] = 4000
+    beside = gtsam.Pose2(4 * shown.resolution_m, 7 * shown.resolution_m, 0.0)
+    gone = OccupancyGrid(steps, shown.resolution_m, shown.T_map_grid.compose(beside))
+    pictures = map_data(replace(made, grids={**made.grids, PASSED_BY: gone}), Config(), title="log")["layers"]
+    (picture,) = (one for one in pictures if one["name"] == "what has gone")
+    png = base64.b64decode(picture["png"].partition(",")[2])
+    pixels = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))[::-1].astype(int)
+    rows, columns = np.nonzero((pixels == (220, 38, 38)).all(axis=2))
+    assert len(rows) == 1
+    corner = gtsam.Pose2(*picture["corner"])
+    found = corner.transformFrom((np.array([columns[0], rows[0]]) + 0.5) * picture["resolution_m"])
+    asked = gone.T_map_grid.transformFrom(np.array([2.5, 1.5]) * gone.resolution_m)
+    np.testing.assert_allclose(found, asked, atol=1e-9)
 
 
 def test_nodes_know_their_session_and_their_way() -> None:
