@@ -69,7 +69,7 @@ def map_data(
         "layers": layer_pictures(found.layers(config)),
         "trajectory": way,
         "limits": [*told, *way_told],
-        **what_if_data(found),
+        **what_if_data(found, config),
     }
 
 

@@ -85,12 +85,12 @@
 
     loops: () => [...whatIf.edges.loop.keys()].filter(edge => whatIf.edges.loop[edge] >= 0),
 
-    // Switch off one doubtful loop after the other; a breath after each, so that it can be watched.
+    // Switch off doubtful loops, one stretch after the other; a breath after each, so that it can be watched.
     async snoop() {
       whatIf.start();
       const start = whatIf.shifts ? whatIf.found.poses : whatIf.base, found = [];
-      for (const one of S.snoop(whatIf.solver, whatIf.loops(), whatIf.on, start, S.data.influence.gate_sigmas)) {
-        found.push(one.edge);
+      for (const one of S.snoop(whatIf.solver, whatIf.loops(), whatIf.on, start, S.data.influence)) {
+        found.push(...one.edges);
         await new Promise(resolve => setTimeout(resolve));
       }
       whatIf.update();
@@ -173,7 +173,7 @@
   function doubtful() {
     const told = whatIf.influence;
     if (!told) return null;
-    const gate = S.data.influence.gate_sigmas;
+    const gate = Math.sqrt(S.data.influence.gates[0]);
     const rows = [...told.edge.keys()].filter(at => whatIf.on[told.edge[at]] && told.left_out[at] > gate)
       .sort((a, b) => told.left_out[b] - told.left_out[a]);
     const head = element("h3", {textContent: `Doubtful loops: ${rows.length}`});
