@@ -86,7 +86,7 @@
 
   // Switch off a loop that is on, or all those of one stretch, each time what the map without it is farthest off,
   // against its gate, as long as that is beyond it (data snooping: Baarda 1968). gates: squares, of one loop, of two and
-  // so on. Gives {edges, poses} each time, with the map without them.
+  // so on. Gives those edges each time.
   S.snoop = function* (solver, loops, on, poses, {gates, reach}) {
     for (;;) {
       const held = loops.filter(edge => on[edge]), shares = [];
@@ -97,7 +97,7 @@
       if (worst < 0) return;
       for (const edge of units[worst]) on[edge] = 0;
       ({poses} = solver.solve(on, poses));
-      yield {edges: units[worst], poses};
+      yield units[worst];
     }
   };
 })(Scanweave);

@@ -85,16 +85,14 @@
 
     loops: () => [...whatIf.edges.loop.keys()].filter(edge => whatIf.edges.loop[edge] >= 0),
 
-    // Switch off doubtful loops, one stretch after the other; a breath after each, so that it can be watched.
+    // Switch off doubtful loops one after the other; the map is shown after each.
     async snoop() {
       whatIf.start();
-      const start = whatIf.shifts ? whatIf.found.poses : whatIf.base, found = [];
-      for (const one of S.snoop(whatIf.solver, whatIf.loops(), whatIf.on, start, S.data.influence)) {
-        found.push(...one.edges);
+      const start = whatIf.shifts ? whatIf.found.poses : whatIf.base;
+      for (const _ of S.snoop(whatIf.solver, whatIf.loops(), whatIf.on, start, S.data.influence)) {
+        whatIf.update();
         await new Promise(resolve => setTimeout(resolve));
       }
-      whatIf.update();
-      return found;
     },
   };
 
@@ -180,7 +178,7 @@
     if (!rows.length) return element("div", {}, head, element("p", {class: "soft", textContent: `No loop is more than ${gate.toFixed(1)} sigmas off the rest of the map.`}));
     return element("div", {}, head, element("ul", {class: "plain"}, ...rows.slice(0, LISTED).map(at => element("li", {},
       toggleButton(told.edge[at], "off"), " ", edgeLink(told.edge[at]), ` ${told.left_out[at].toFixed(1)} σ, ${length(told.shift_m[at])}`))),
-      element("button", {type: "button", id: "snoop", textContent: "Switch off the worst until none is left", onclick: () => whatIf.snoop()}));
+      element("button", {type: "button", id: "snoop", textContent: "Switch off the worst until none is left", onclick: whatIf.snoop}));
   }
 
   function columns() {
