@@ -117,7 +117,7 @@ def test_loops_are_sorted_selected_and_told(page: Path) -> None:
             assert button.get_attribute("aria-pressed") == "true"
             pictures.add(seen.value("document.querySelector('canvas.overlay').toDataURL()"))
         assert len(pictures) >= 1
-        seen.page.locator("#panel-details button.link").first.click()
+        seen.page.locator("#panel-details dl button.link").first.click()
         assert seen.value(SELECTED) == "node"
         assert seen.page.locator("#panel-details .pictures-of img").count() == 1
         seen.page.locator("#panel-details ul button.link").last.click()
@@ -278,7 +278,7 @@ def test_a_map_of_a_camera_alone_has_its_plan(tmp_path: Path) -> None:
     write_report(path, report(contents(**{**_bare(), "factors": bare_factors})))
     with visit(path) as seen:
         ready(seen)
-        assert seen.page.locator("#tabs button").all_inner_texts() == ["Layers", "Selected"]
+        assert seen.page.locator("#tabs button").all_inner_texts() == ["Layers", "Selected", "What if"]
         seen.value("Scanweave.select.set({kind: 'edge', index: 0})")
         assert EVIL[:9] in seen.page.locator("#panel-details").inner_text()
     sound(seen, path)
