@@ -52,10 +52,13 @@
           for (let c = r; c < size; c++) spread[(begin + r) * rows + begin + c] = covariance[at++];
         }
       });
+      const places = met(columns);
       for (let r = 0; r < rows; r++) {
+        const one = columns[r];
         for (let c = r; c < rows; c++) {
+          const other = columns[c];
           let product = 0;
-          for (let k = 0; k < columns[r].length; k++) product += columns[r][k] * columns[c][k];
+          for (const k of places) product += one[k] * other[k];
           spread[r * rows + c] += sign * product;
           spread[c * rows + r] = spread[r * rows + c];
         }
@@ -64,6 +67,17 @@
       tell(pull, Math.sqrt(Math.max(right.reduce((sum, one, k) => sum + one * pull[k], 0), 0)), columns);
     }
     return true;
+  }
+
+  // Where any of some columns is not zero: by the order of elimination in few places.
+  function met(columns) {
+    const places = [];
+    for (let k = 0; k < columns[0].length; k++) {
+      let n = 0;
+      while (n < columns.length && columns[n][k] === 0) n++;
+      if (n < columns.length) places.push(k);
+    }
+    return Int32Array.from(places);
   }
 
   // Loops whose ends both lie within `reach` keyframes of each other, or are chained so: a claim made many times.
