@@ -243,7 +243,7 @@ def test_it_fits_the_screen(page: Path, width: int, scheme: str) -> None:
         assert stage["width"] > 0.6 * width * (1 if width < 500 else 0.9) and stage["height"] > 300
         below = side["y"] >= stage["y"] + stage["height"] - 1
         assert below == (width < 500)
-        for button in seen.page.locator(".bar button:visible").all():
+        for button in seen.page.locator(".toolbar button:visible").all():
             box = button.bounding_box()
             assert box["x"] >= 0 and box["x"] + box["width"] <= width
     sound(seen, page)
