@@ -13,7 +13,9 @@ from browser import Visit, ready, visit
 from page_worlds import EVIL, contents, report
 from PIL import Image
 
+from slam.evaluation.localization_report import write_localization_report
 from slam.evaluation.report import write_report
+from slam.localization.drive_log import DriveLog
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.storage.map_contents import OCCUPANCY
 
@@ -313,3 +315,26 @@ def test_pictures_lie_where_their_cells_are(tmp_path: Path, yaw: float) -> None:
             )
         assert shades == [0, 254, 0]
     assert seen.requests == [path.resolve().as_uri()]
+
+
+def test_what_has_no_pose_at_all_has_a_page(tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    write_localization_report(path, EVIL, DriveLog(), None, [])
+    with visit(path) as seen:
+        ready(seen)
+        assert seen.page.locator("#tabs button").all_inner_texts() == ["Layers"]
+        assert not seen.page.locator("#charts").is_visible()
+    sound(seen, path)
+
+
+def test_what_differs_lies_over_the_map(page: Path) -> None:
+    with visit(page) as seen:
+        ready(seen)
+        shown = "Scanweave.plan.rasters.filter(one => one.shown).map(one => one.name)"
+        seen.click("[data-layer='what differs']")
+        assert seen.value(shown) == ["map", "what differs"]
+        seen.click("[data-layer='depth']")
+        assert seen.value(shown) == ["depth", "what differs"]
+        seen.click("[data-layer='depth']")
+        assert seen.value(shown) == ["what differs"]
+    sound(seen, page)
