@@ -83,6 +83,7 @@ def layer_pictures(layers: LayeredMap | None) -> list[dict[str, Any]]:
                 "name": picture.name,
                 "legend": LEGENDS[picture.name],
                 "png": address,
+                "over": picture.shades is _CONFLICT,
                 "resolution_m": pixel_m,
                 "corner": [corner.x(), corner.y(), corner.theta()],
                 "rows": -(-rows // _step((rows, columns))),

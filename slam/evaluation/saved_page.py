@@ -74,7 +74,10 @@ def map_work_page(
         head[name] = part
         head["limits"] += told
     layers = found.layers(config)
-    return work_page(head, "Trajectory" if layers is None else "Map", _legend(layers))
+    legend = _legend(layers)
+    for layer in head["layers"][:1]:
+        layer["legend"] = legend
+    return work_page(head, "Trajectory" if layers is None else "Map", legend)
 
 
 def _legend(layers: LayeredMap | None) -> str:

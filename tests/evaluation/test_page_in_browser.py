@@ -266,10 +266,17 @@ def test_without_scripts_or_webgl_the_rest_is_there(page: Path) -> None:
 
 
 def test_it_prints(page: Path) -> None:
-    with visit(page) as seen:
+    with visit(page, color_scheme="dark") as seen:
         ready(seen)
         seen.page.emulate_media(media="print")
-        assert not seen.page.locator(".side").is_visible() and seen.page.locator("#plan").is_visible()
+        assert not seen.page.locator("#work").is_visible() and seen.page.locator("svg.map").is_visible()
+        background = "getComputedStyle(document.querySelector('section')).backgroundColor"
+        assert seen.value(background) == "rgb(255, 255, 255)"
+        seen.page.emulate_media(media="screen")
+        seen.value("dispatchEvent(new Event('beforeprint'))")
+        assert not seen.value("Scanweave.dark()")
+        seen.value("dispatchEvent(new Event('afterprint'))")
+        assert seen.value("Scanweave.dark()")
     sound(seen, page)
 
 
