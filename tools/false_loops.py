@@ -19,10 +19,10 @@ Exit code 1 where the error grows by the limit of ``--limit`` or more.
 With ``--finished`` they are forced into the graph of a finished map, and nothing refuses them: how soon are
 they found? Loops are ranked at the bent map, by how far it moves without each, by how far it misses each, and
 by how far the map without each misses it; and by data snooping, where the last of these is asked again after
-the worst loop has been left out and the map solved again: one loop after the other, or all loops between the
-same two stretches of the way as one. Told is how many of the false are among so many first of the ranking as
-there are false ones and a tenth, and a half; and how many loops, true ones too, were left out until none was
-beyond the gate.
+the worst loop has been left out and the map solved again: one loop after the other, or also all loops between
+the same two stretches of the way as one. Told is how many of the false are among so many first of the ranking
+as there are false ones and a tenth, and a half; and how many loops, true ones too, were left out until none
+was beyond the gate.
 """
 
 from __future__ import annotations
@@ -204,9 +204,11 @@ def candidate(place: int, keyframe: int, pose: FloatArray, model: MotionEstimate
 def search(options: argparse.Namespace) -> None:
     """Force false loops into finished maps, and tell how soon they are found."""
     few, more = round(1.1 * options.count), round(1.5 * options.count)
-    names = ("shift", "residual", "left out", "one by one", "by stretches")
+    names = ("shift", "residual", "left out", "one by one", "and by stretches")
     print(f"false ones among the first {few}, {more}\n")
-    print("| map | false loops | seed | " + " | ".join(names) + " | left out, of them true | by stretches |")
+    print(
+        "| map | false loops | seed | " + " | ".join(names) + " | left out, of them true | and by stretches |"
+    )
     print("|---|---|---|" + "---|" * (len(names) + 2))
     for path in options.finished:
         found = load_map(path)
@@ -236,34 +238,43 @@ def ranked(
     loops = np.array([number for number, edge in enumerate(edges) if edge.loop is not None])
     told = LinearMap(poses, edges, kept).influences(loops)
     rankings = [loops[np.argsort(-values)] for values in (told.shifts_m, told.residuals, told.left_out)]
-    # Loops whose ends lie within a local map of each other: a chain of them is one claim.
-    ends = np.array([(edges[loop].source, edges[loop].target) for loop in loops], np.float64)
-    together = [loops[group] for group in loop_groups(ends, keyframes)]
+    ends = np.array([(edges[loop].source, edges[loop].target) for loop in loops])
     gates = []
-    for units in ([np.array([loop]) for loop in loops], together):
-        order, within = snooped(poses, edges, units, most)
+    for reach in (0, keyframes):
+        order, within = snooped(poses, edges, loops, ends, reach, most)
         rankings.append(order)
         gates.append(order[:within])
     return rankings, gates
 
 
 def snooped(
-    poses: Sequence[Pose], edges: Sequence[Edge], units: list[NDArray[np.int64]], most: int
+    poses: Sequence[Pose],
+    edges: Sequence[Edge],
+    loops: NDArray[np.int64],
+    ends: NDArray[np.int64],
+    reach: int,
+    most: int,
 ) -> tuple[NDArray[np.int64], int]:
-    """Loops in the order in which they are left out, and how many before the first within its gate."""
-    kept, order, within = np.ones(len(edges), np.bool_), [], None
-    units = list(units)
-    while units and (len(order) < most or within is None):
-        linear = LinearMap(poses, edges, kept)
-        squares = [linear.switched(unit)[3] ** 2 for unit in units]
-        # Against its gate, so that few and many loops are alike.
-        worst = int(
-            np.argmax([square / gate(3 * len(unit)) for square, unit in zip(squares, units, strict=True)])
-        )
-        if within is None and squares[worst] <= gate(3 * len(units[worst])):
+    """Loops in the order in which they are left out, and how many before the first within its gate.
+
+    As ``S.snoop`` in ``templates/page/influence.js``: each time the loop, or all those whose ends lie within
+    a reach of each other, that the map without them is farthest off, against their gate.
+    """
+    kept, within = np.ones(len(edges), np.bool_), None
+    order: list[int] = []
+    while len(order) < len(loops) and (len(order) < most or within is None):
+        linear, left = LinearMap(poses, edges, kept), np.flatnonzero(kept[loops])
+        units = [left[[n]] for n in range(len(left))]
+        if reach:
+            units += [
+                left[group] for group in loop_groups(ends[left].astype(np.float64), reach) if len(group) > 1
+            ]
+        shares = [linear.switched(loops[unit])[3] ** 2 / gate(3 * len(unit)) for unit in units]
+        worst = int(np.argmax(shares))
+        if within is None and shares[worst] <= 1.0:
             within = len(order)
-        kept[units[worst]] = False
-        order += units.pop(worst).tolist()
+        kept[loops[units[worst]]] = False
+        order += loops[units[worst]].tolist()
         poses = solved(poses, [edge for edge, keep in zip(edges, kept, strict=True) if keep])
     return np.array(order), len(order) if within is None else within
 

@@ -18,6 +18,9 @@ from slam.localization.output import State
 from slam.mapping.layered_map import LayeredMap
 from slam.measurements import FloatArray
 
+# Of the states: searching, tracking, lost.
+_COLORS = ("soft", "blue", "red")
+
 
 def write_localization_report(
     path: Path, title: str, drive: DriveLog, layers: LayeredMap | None, notes: Sequence[tuple[str, str]]
@@ -61,7 +64,13 @@ def _page(title: str, drive: DriveLog, layers: LayeredMap | None) -> WorkPage:
     later = np.isnan(drive.of_trajectory(np.zeros(len(drive))))[chosen]
     columns = [("confidence", drive.confidences), ("share that the map explains", drive.supports)]
     way["more"] = [
-        {"name": name.split(" ")[0], "title": name, "unit": "", "values": drive.of_trajectory(values)[chosen]}
+        {
+            "name": name.split(" ")[0],
+            "title": name,
+            "unit": "",
+            "range": [0, 1],
+            "values": drive.of_trajectory(values)[chosen],
+        }
         for name, values in columns
     ]
     found = {"name": "found", "title": "when it was found", "classes": ["at once", "later, by going back"]}
@@ -94,7 +103,7 @@ def _charts(drive: DriveLog, sigmas: tuple[FloatArray, FloatArray]) -> list[dict
         ("Sigma of the position, cm", 100.0 * sigmas[0], None),
         ("Time a measurement, ms", 1000.0 * drive.seconds, None),
     ]
-    charts = [chart("Confidence", "time, s", since, states, most=1.0)]
+    charts = [chart("Confidence", "time, s", since, states, most=1.0, colors=_COLORS)]
     return charts + [
         chart(title, "time, s", since, {title: values}, **({} if most is None else {"most": most}))
         for title, values, most in rows

@@ -15,6 +15,8 @@ from slam.mapper.scan_record import ScanRecord
 from slam.measurements import BoolArray, FloatArray
 
 _POINTS = 4000
+# Over the 95th percentile that much is shown; a greatest value farther off leaves the chart.
+_ABOVE, _FLATTENS = 1.25, 2.0
 _STRETCHES = 250
 _COLORS = ("blue", "orange", "green", "red", "soft", "mark")
 
@@ -32,8 +34,15 @@ def chart(
         (N,) of each name; nan is no point.
     more
         ``lines``: whether points are joined; ``most``: upper end of the axis; ``band``: whether the first two
-        series are the edges of a band.
+        series are the edges of a band; ``colors``: of the series.
     """
+    if "most" not in more:
+        # A few large values do not flatten all others.
+        known = np.concatenate([*(values[np.isfinite(values)] for values in series.values()), np.zeros(1)])
+        top = _ABOVE * float(np.percentile(known, 95.0))
+        if known.max() > _FLATTENS * top:
+            more |= {"most": max(top, 1e-9), "above": int(np.count_nonzero(known > top))}
+    colors = more.pop("colors", _COLORS)
     order = np.argsort(x, kind="stable")
     chosen = order[:: max(1, -(-len(order) // _POINTS))]
     return {
@@ -43,7 +52,7 @@ def chart(
         "series": [
             {
                 "name": name,
-                "color": _COLORS[number % len(_COLORS)],
+                "color": colors[number % len(colors)],
                 "values": values[chosen].astype(np.float32),
             }
             for number, (name, values) in enumerate(series.items())

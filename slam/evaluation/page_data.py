@@ -70,7 +70,7 @@ def map_data(
         "layers": layer_pictures(found.layers(config), found.grids.get(PASSED_BY)),
         "trajectory": way,
         "limits": [*told, *way_told],
-        **what_if_data(found),
+        **what_if_data(found, config),
     }
 
 

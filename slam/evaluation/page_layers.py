@@ -67,8 +67,8 @@ class Picture:
 def layer_pictures(layers: LayeredMap | None, passed_by: OccupancyGrid | None = None) -> list[dict[str, Any]]:
     """The map first, and what it was made of, for the head of the page's data; nothing without a map.
 
-    Each tells its name, what its colours mean, the PNG as a data address, the side of a pixel, and the pose
-    ``T_map_corner`` (x, y, yaw) of its lower-left corner.
+    Each tells its name, what its colours mean, the PNG as a data address, whether it lies over another that
+    stays, the side of a pixel, and the pose ``T_map_corner`` (x, y, yaw) of its lower-left corner.
     """
     if layers is None:
         return []
@@ -88,6 +88,7 @@ def layer_pictures(layers: LayeredMap | None, passed_by: OccupancyGrid | None = 
                 "name": picture.name,
                 "legend": LEGENDS[picture.name],
                 "png": address,
+                "over": picture.shades is _CONFLICT,
                 "resolution_m": pixel_m,
                 "corner": [corner.x(), corner.y(), corner.theta()],
                 "rows": -(-rows // _step((rows, columns))),

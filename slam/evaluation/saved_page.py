@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from slam.config import Config, dump_config
+from slam.errors import ScanweaveError
+from slam.evaluation.map_report import CLOUD_FILE
 from slam.evaluation.page_charts import sigma_charts
 from slam.evaluation.page_cloud import cloud_data, image_data
 from slam.evaluation.page_data import map_data
@@ -18,6 +20,7 @@ from slam.mapping.dense_map import ColoredCloud
 from slam.mapping.layered_map import LayeredMap
 from slam.outputs.finished_map import Map
 from slam.storage.map_contents import MapContents
+from slam.storage.ply import read_cloud_ply
 
 
 def saved_page(saved: Map, connect: str = "'none'") -> Iterator[str]:
@@ -34,7 +37,13 @@ def saved_page(saved: Map, connect: str = "'none'") -> Iterator[str]:
     head["applied"] = applied_data(found)
     if found.covariances is not None:
         head["charts"] = sigma_charts(found.trajectory.stamps_s, found.covariances)
-    page = map_work_page(head, found, config)
+    cloud, path = None, saved.path.parent / CLOUD_FILE
+    if found.frames is not None and path.is_file():
+        try:
+            cloud = read_cloud_ply(path)
+        except ScanweaveError as error:
+            head["limits"].append(f"No cloud: {error}")
+    page = map_work_page(head, found, config, cloud)
     loops = found.loops
     return page_parts(
         "saved.html",
@@ -67,7 +76,10 @@ def map_work_page(
         head[name] = part
         head["limits"] += told
     layers = found.layers(config)
-    return work_page(head, "Trajectory" if layers is None else "Map", _legend(layers))
+    legend = _legend(layers)
+    for layer in head["layers"][:1]:
+        layer["legend"] = legend
+    return work_page(head, "Trajectory" if layers is None else "Map", legend)
 
 
 def _legend(layers: LayeredMap | None) -> str:

@@ -51,15 +51,12 @@ class FusionSummary:
         One a keyframe with scan and images.
     estimate
         What the whole drive tells of the rig; None where nothing could be reported.
-    examples
-        The repaired scans before and after: pairs of scans of the same beams.
     note
         In one line, for people.
     """
 
     pairs: list[FusionPair]
     estimate: fusion.RigEstimate | None
-    examples: list[tuple[LaserScan, LaserScan]]
     note: str
 
 
@@ -141,10 +138,9 @@ class KeyframeFusion:
         estimate = self._rig.estimate() if len(self._pairs) >= self._config.least_pairs else None
         if estimate is None:
             note = f"{len(self._pairs)} pairs of scan and image do not tell the rig: nothing was repaired"
-            return list(scans), FusionSummary(self._pairs, None, [], note)
+            return list(scans), FusionSummary(self._pairs, None, note)
         repaired = list(scans)
         pairs: list[FusionPair] = []
-        examples: list[tuple[LaserScan, LaserScan]] = []
         for number, (key, (numbers, turns)) in enumerate(self._views.items()):
             scan = scans[key]
             if scan is None:
@@ -159,10 +155,8 @@ class KeyframeFusion:
             counts = np.bincount(result.lidar_source, minlength=len(fusion.Provenance))
             pairs.append(replace(self._pairs[number], repaired=counts if result.applied else None))
             if result.applied:
-                after = _with_repairs(scan, result)
-                repaired[key] = after
-                examples.append((scan, after))
-        return repaired, FusionSummary(pairs, estimate, examples, _note(pairs, estimate))
+                repaired[key] = _with_repairs(scan, result)
+        return repaired, FusionSummary(pairs, estimate, _note(pairs, estimate))
 
 
 def _with_repairs(scan: LaserScan, result: fusion.Denoised) -> LaserScan:

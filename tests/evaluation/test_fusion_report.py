@@ -54,9 +54,8 @@ def example(stamp_s: float = 1000.0) -> tuple[LaserScan, LaserScan]:
     return before, replace(before, ranges_m=after)
 
 
-def summary(repaired: bool = True, estimate: RigEstimate | None = RIG, examples: int = 2) -> FusionSummary:
-    shown = [example(1000.0 + number) for number in range(examples)]
-    return FusionSummary(pairs(repaired), estimate, shown, "fusion of <8> keyframes")
+def summary(repaired: bool = True, estimate: RigEstimate | None = RIG) -> FusionSummary:
+    return FusionSummary(pairs(repaired), estimate, "fusion of <8> keyframes")
 
 
 def frames(count: int = 8) -> ScanRecord:
@@ -101,13 +100,13 @@ def test_pairs_are_counted_by_grade_and_held_against_the_rig() -> None:
 
 
 def test_where_the_rig_was_not_told_only_the_pairs_are_shown() -> None:
-    html = fusion_section(summary(repaired=False, estimate=None, examples=0))
+    html = fusion_section(summary(repaired=False, estimate=None))
     assert "<tr><td>high<td>4<td>50%<td>–\n" in html and "<tr><td>low<td>1<td>12%<td>–\n" in html
     assert "were repaired" not in html
 
 
 def test_without_a_pair_the_note_stands_alone() -> None:
-    html = fusion_section(FusionSummary([], None, [], "no pair at all"))
+    html = fusion_section(FusionSummary([], None, "no pair at all"))
     assert "no pair at all" in html and "<table" not in html
 
 

@@ -13,7 +13,9 @@ from browser import Visit, ready, visit
 from page_worlds import EVIL, contents, report
 from PIL import Image
 
+from slam.evaluation.localization_report import write_localization_report
 from slam.evaluation.report import write_report
+from slam.localization.drive_log import DriveLog
 from slam.mapping.keyframe_grid import OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
 
@@ -117,7 +119,7 @@ def test_loops_are_sorted_selected_and_told(page: Path) -> None:
             assert button.get_attribute("aria-pressed") == "true"
             pictures.add(seen.value("document.querySelector('canvas.overlay').toDataURL()"))
         assert len(pictures) >= 1
-        seen.page.locator("#panel-details button.link").first.click()
+        seen.page.locator("#panel-details dl button.link").first.click()
         assert seen.value(SELECTED) == "node"
         assert seen.page.locator("#panel-details .pictures-of img").count() == 1
         seen.page.locator("#panel-details ul button.link").last.click()
@@ -243,7 +245,7 @@ def test_it_fits_the_screen(page: Path, width: int, scheme: str) -> None:
         assert stage["width"] > 0.6 * width * (1 if width < 500 else 0.9) and stage["height"] > 300
         below = side["y"] >= stage["y"] + stage["height"] - 1
         assert below == (width < 500)
-        for button in seen.page.locator(".bar button:visible").all():
+        for button in seen.page.locator(".toolbar button:visible").all():
             box = button.bounding_box()
             assert box["x"] >= 0 and box["x"] + box["width"] <= width
     sound(seen, page)
@@ -264,10 +266,17 @@ def test_without_scripts_or_webgl_the_rest_is_there(page: Path) -> None:
 
 
 def test_it_prints(page: Path) -> None:
-    with visit(page) as seen:
+    with visit(page, color_scheme="dark") as seen:
         ready(seen)
         seen.page.emulate_media(media="print")
-        assert not seen.page.locator(".side").is_visible() and seen.page.locator("#plan").is_visible()
+        assert not seen.page.locator("#work").is_visible() and seen.page.locator("svg.map").is_visible()
+        background = "getComputedStyle(document.querySelector('section')).backgroundColor"
+        assert seen.value(background) == "rgb(255, 255, 255)"
+        seen.page.emulate_media(media="screen")
+        seen.value("dispatchEvent(new Event('beforeprint'))")
+        assert not seen.value("Scanweave.dark()")
+        seen.value("dispatchEvent(new Event('afterprint'))")
+        assert seen.value("Scanweave.dark()")
     sound(seen, page)
 
 
@@ -278,7 +287,7 @@ def test_a_map_of_a_camera_alone_has_its_plan(tmp_path: Path) -> None:
     write_report(path, report(contents(**{**_bare(), "factors": bare_factors})))
     with visit(path) as seen:
         ready(seen)
-        assert seen.page.locator("#tabs button").all_inner_texts() == ["Layers", "Selected"]
+        assert seen.page.locator("#tabs button").all_inner_texts() == ["Layers", "Selected", "What if"]
         seen.value("Scanweave.select.set({kind: 'edge', index: 0})")
         assert EVIL[:9] in seen.page.locator("#panel-details").inner_text()
     sound(seen, path)
@@ -313,3 +322,26 @@ def test_pictures_lie_where_their_cells_are(tmp_path: Path, yaw: float) -> None:
             )
         assert shades == [0, 254, 0]
     assert seen.requests == [path.resolve().as_uri()]
+
+
+def test_what_has_no_pose_at_all_has_a_page(tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    write_localization_report(path, EVIL, DriveLog(), None, [])
+    with visit(path) as seen:
+        ready(seen)
+        assert seen.page.locator("#tabs button").all_inner_texts() == ["Layers"]
+        assert not seen.page.locator("#charts").is_visible()
+    sound(seen, path)
+
+
+def test_what_differs_lies_over_the_map(page: Path) -> None:
+    with visit(page) as seen:
+        ready(seen)
+        shown = "Scanweave.plan.rasters.filter(one => one.shown).map(one => one.name)"
+        seen.click("[data-layer='what differs']")
+        assert seen.value(shown) == ["map", "what differs"]
+        seen.click("[data-layer='depth']")
+        assert seen.value(shown) == ["depth", "what differs"]
+        seen.click("[data-layer='depth']")
+        assert seen.value(shown) == ["what differs"]
+    sound(seen, page)

@@ -1,12 +1,12 @@
 """The page's own solver in Chromium, against GTSAM on rings in the plane and in space."""
 
-import shutil
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import gtsam
 import numpy as np
 import pytest
+from browser import visit
 from ring_graphs import PLANE, RINGS, SIDES, SPACE, ring, solved
 
 from slam.graph.pose_graph import Edge, EdgeKind
@@ -26,20 +26,14 @@ WRONG = {
 
 
 @pytest.fixture(scope="module")
-def evaluate() -> Iterator[Callable[..., Any]]:
+def evaluate(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Any]]:
     """Runs JavaScript where the parts of the page's solver are."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="NOT TESTED: needs Playwright")
-    chromium = shutil.which("chromium")
-    if chromium is None:
-        pytest.skip("NOT TESTED: needs Chromium")
-    with playwright.sync_playwright() as running:
-        browser = running.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        page = browser.new_page()
-        page.evaluate("globalThis.Scanweave = {}")
+    empty = tmp_path_factory.mktemp("page") / "empty.html"
+    empty.write_text("<!DOCTYPE html><script>globalThis.Scanweave = {};</script>")
+    with visit(empty) as seen:
         for part in PARTS:
-            page.add_script_tag(path=PAGE / f"{part}.js")
-        yield page.evaluate
-        browser.close()
+            seen.page.add_script_tag(path=PAGE / f"{part}.js")
+        yield seen.page.evaluate
 
 
 def graph_of(poses: Sequence[Pose], edges: Sequence[Edge]) -> Graph:

@@ -1,6 +1,5 @@
 """The tab "What if" of a map's page in Chromium: what is switched moves the map and is written down."""
 
-import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +10,7 @@ import gtsam
 import numpy as np
 import pytest
 import yaml
+from browser import ready, visit
 from ring_graphs import PLANE, RINGS, ring, solved
 
 from slam.config import Config
@@ -61,10 +61,6 @@ def contents() -> MapContents:
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """The page of that map; no test leaves anything switched."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="NOT TESTED: needs Playwright")
-    chromium = shutil.which("chromium")
-    if chromium is None:
-        pytest.skip("NOT TESTED: needs Chromium")
     found = contents()
     session = MapSession("monday", "0" * 64, len(found.node_poses), len(found.trajectory))
     saved = SimpleNamespace(
@@ -78,17 +74,10 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     )
     file = tmp_path_factory.mktemp("page") / "map.html"
     file.write_text("".join(saved_page(cast(Map, saved))), encoding="utf-8")
-    with playwright.sync_playwright() as running:
-        browser = running.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        opened = browser.new_page(viewport={"width": 1300, "height": 900})
-        faults: list[str] = []
-        opened.on("pageerror", lambda error: faults.append(str(error)))
-        opened.on("console", lambda message: message.type == "error" and faults.append(message.text))
-        opened.goto(file.as_uri())
-        opened.wait_for_selector("html.ready")
-        yield opened
-        browser.close()
-    assert faults == []
+    with visit(file) as seen:
+        yield ready(seen).page
+        assert seen.complaints == []
+        assert seen.requests[:1] == [file.as_uri()]
 
 
 def tab(page: Any, name: str) -> None:

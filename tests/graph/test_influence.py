@@ -10,6 +10,7 @@ from ring_graphs import PLANE, RINGS, SIDES, ring, solved
 from slam.graph.influence import LinearMap, influences
 from slam.graph.pose_graph import Edge, EdgeKind
 from slam.measurements import FloatArray, Pose
+from tools.false_loops import snooped
 
 
 def shifts(one: Sequence[Pose], other: Sequence[Pose]) -> FloatArray:
@@ -92,3 +93,20 @@ def test_a_map_without_loops_or_in_pieces_has_no_influences() -> None:
     poses, edges = ring(*RINGS["plane"])
     kept = [edge.loop is not None for edge in edges]
     assert len(influences(poses, edges, kept).edges) == 0
+
+
+def test_snooping_leaves_out_false_loops_alone_and_together() -> None:
+    # The procedure of the page's button, in the trial of false loops.
+    poses, edges = ring(*RINGS["plane"], laps=6)
+    true = len(edges)
+    claims = [(2, 40), (50, 70), (51, 71), (52, 72)]
+    far = gtsam.Pose2(0.5, 2.0, 1.0)
+    edges += [
+        Edge(*ends, poses[ends[0]].between(poses[ends[1]]).compose(far), PLANE, EdgeKind.LOOP, False, 100 + n)
+        for n, ends in enumerate(claims)
+    ]
+    loops = np.array([n for n, edge in enumerate(edges) if edge.loop is not None])
+    ends = np.array([(edges[n].source, edges[n].target) for n in loops])
+    for reach in (0, 3):
+        order, within = snooped(solved(poses, edges), edges, loops, ends, reach, len(claims))
+        assert sorted(order[:within]) == list(range(true, len(edges)))

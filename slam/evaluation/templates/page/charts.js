@@ -36,7 +36,8 @@
     const columns = grid.clientWidth >= 900 ? 2 : 1;
     const width = Math.floor((grid.clientWidth - 16 * (columns - 1)) / columns);
     for (const chart of S.data.charts) {
-      const box = element("figure", {}, element("figcaption", {textContent: chart.title}));
+      const box = element("figure", {}, element("figcaption", {textContent: chart.title},
+        chart.above ? element("span", {class: "soft", textContent: ` ${S.count(chart.above)} higher`}) : null));
       grid.append(box);
       const values = chart.series.map(one => Array.from(one.values, value => Number.isFinite(value) ? value : null));
       drawn.push(new uPlot(options(chart, width), [Array.from(chart.x), ...values], box));

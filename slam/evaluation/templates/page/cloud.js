@@ -64,7 +64,7 @@
     canvas.setAttribute("aria-label", "cloud of points in space");
     document.getElementById("work").after(section);
     const box = element("div", {class: "space"}, canvas);
-    section.append(element("div", {class: "bar"}, element("h2", {textContent: "In space"})), box);
+    section.append(element("div", {class: "toolbar"}, element("h2", {textContent: "In space"})), box);
     let shown;
     try {
       shown = scene(canvas, data.cloud);

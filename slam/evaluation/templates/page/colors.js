@@ -46,5 +46,17 @@
     document.documentElement.dataset.theme = S.dark() ? "light" : "dark";
     changed();
   };
+  // Paper is light.
+  let before = null;
+  addEventListener("beforeprint", () => {
+    before = document.documentElement.dataset.theme || "";
+    document.documentElement.dataset.theme = "light";
+    changed();
+  });
+  addEventListener("afterprint", () => {
+    if (before) document.documentElement.dataset.theme = before;
+    else delete document.documentElement.dataset.theme;
+    changed();
+  });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", changed);
 })(Scanweave);

@@ -26,7 +26,7 @@
     const l11 = Math.sqrt(a), l21 = b / l11, l31 = c / l11;
     const l22 = Math.sqrt(d - l21 * l21), l32 = (e - l31 * l21) / l22, l33 = Math.sqrt(f - l31 * l31 - l32 * l32);
     const u = off[0] / l11, v = (off[1] - l21 * u) / l22, w = (off[2] - l31 * u - l32 * v) / l33;
-    return {off, sigmas: Math.hypot(u, v, w), sigma: [Math.sqrt(a), Math.sqrt(d), Math.sqrt(f)]};
+    return {off, sigmas: Math.hypot(u, v, w), sigma: [...S.way.axes(a, b, d).slice(0, 2), Math.sqrt(f)]};
   };
 
   // What was measured between two keyframes: {measured, triangle} of an edge, or of a loop that has a match.
@@ -44,10 +44,12 @@
     return at < 0 ? null : from(loops, at);
   };
 
+  const length = metres => metres >= 1 ? `${metres.toFixed(1)} m` : `${(100 * metres).toFixed(1)} cm`;
+
   function told(chosen) {
     const {edges, loops, planar} = S.data, [from, to] = S.ends(chosen);
     const match = S.measured(chosen);
-    const rows = [["from", link(from)], ["to", link(to)]];
+    const rows = [["from", link(from)], ["to", link(to)], ["keyframes", `${from} and ${to}`]];
     if (chosen.kind === "loop") {
       const {index} = chosen;
       const reason = loops.reasons[loops.reason[index]];
@@ -65,7 +67,7 @@
       const {off, sigmas, sigma} = S.residual(match.measured, match.triangle, from, to);
       rows.push(["map against match", `${(100 * Math.hypot(off[0], off[1])).toFixed(1)} cm, ${(off[2] * 180 / Math.PI).toFixed(2)}°`]);
       rows.push(["in sigmas", sigmas.toFixed(1)]);
-      rows.push(["sigma of the match", `${(100 * sigma[0]).toFixed(1)} × ${(100 * sigma[1]).toFixed(1)} cm, ${(sigma[2] * 180 / Math.PI).toFixed(2)}°`]);
+      rows.push(["sigma of the match", `${length(sigma[0])} × ${length(sigma[1])}, ${(sigma[2] * 180 / Math.PI).toFixed(2)}°`]);
     }
     return facts(rows);
   }
@@ -114,10 +116,10 @@
       const [first] = S.ends(chosen);
       panel.replaceChildren(
         element("h3", {textContent: chosen.kind === "node" ? `Keyframe: ${S.keyframe(first)}` : names[chosen.kind]}),
+        ...extensions.map(tell => tell(chosen)).filter(Boolean),
         S.overlay(chosen) || "",
         pictures(chosen) || "",
         chosen.kind === "node" ? ofNode(first) : told(chosen),
-        ...extensions.map(tell => tell(chosen)).filter(Boolean),
       );
     };
     S.select.on(chosen => {

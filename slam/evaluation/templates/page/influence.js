@@ -8,7 +8,7 @@
     const {matrix, count} = solver, {size} = solver.group, {position} = matrix.pattern;
     const found = {edge: asked, shift_m: [], node: [], left_out: []};
     const moved = new Float64Array(solver.gradient.length);
-    const told = leverages(solver, asked, on, poses, (pull, left_out, columns) => {
+    const told = leverages(solver, asked.map(edge => [edge]), on, poses, (pull, left_out, columns) => {
       moved.fill(0);
       columns.forEach((column, r) => {
         for (let at = 0; at < moved.length; at++) moved[at] += pull[r] * column[at];
@@ -27,47 +27,91 @@
     return told ? found : null;
   };
 
-  // Tell of each edge what pulls at its nodes where it is switched, and its sigmas left out; false where the edges that
-  // are on do not hold the map.
-  function leverages(solver, asked, on, poses, tell) {
+  // Tell of each unit of edges that are switched together what pulls at their nodes then, and their sigmas left out;
+  // false where the edges that are on do not hold the map.
+  function leverages(solver, units, on, poses, tell) {
     const {matrix, edges: {source, target, covariance}} = solver, {size} = solver.group, {position} = matrix.pattern;
     solver.assemble(poses, on);
     if (!matrix.factorize()) return false;
-    const wide = size * (size + 1) / 2, spread = new Float64Array(size * size);
-    const columns = Array.from({length: size}, () => new Float64Array(solver.gradient.length));
-    for (const edge of asked) {
-      const {before, after, off} = solver.jacobians(edge, poses), sign = on[edge] ? -1 : 1;
-      const ends = [[position[source[edge]], before], [position[target[edge]], after]].filter(([at]) => at >= 0);
-      columns.forEach((column, r) => {
-        column.fill(0);
-        for (const [end, jacobian] of ends) for (let k = 0; k < size; k++) column[end * size + k] += jacobian[r * size + k];
-        matrix.forward(column);
+    const wide = size * (size + 1) / 2, pool = [];
+    for (const unit of units) {
+      const rows = unit.length * size, spread = new Float64Array(rows * rows), right = new Float64Array(rows);
+      while (pool.length < rows) pool.push(new Float64Array(solver.gradient.length));
+      const columns = pool.slice(0, rows), sign = on[unit[0]] ? -1 : 1;
+      unit.forEach((edge, n) => {
+        const {before, after, off} = solver.jacobians(edge, poses), begin = n * size;
+        right.set(off, begin);
+        for (let r = 0; r < size; r++) {
+          const column = columns[begin + r].fill(0);
+          for (const [end, jacobian] of [[position[source[edge]], before], [position[target[edge]], after]]) {
+            if (end >= 0) for (let k = 0; k < size; k++) column[end * size + k] += jacobian[r * size + k];
+          }
+          matrix.forward(column);
+        }
+        for (let r = 0, at = edge * wide; r < size; r++) {
+          for (let c = r; c < size; c++) spread[(begin + r) * rows + begin + c] = covariance[at++];
+        }
       });
-      for (let r = 0, at = edge * wide; r < size; r++) {
-        for (let c = r; c < size; c++) {
+      const places = met(columns);
+      for (let r = 0; r < rows; r++) {
+        const one = columns[r];
+        for (let c = r; c < rows; c++) {
+          const other = columns[c];
           let product = 0;
-          for (let k = 0; k < columns[r].length; k++) product += columns[r][k] * columns[c][k];
-          spread[r * size + c] = spread[c * size + r] = covariance[at++] + sign * product;
+          for (const k of places) product += one[k] * other[k];
+          spread[r * rows + c] += sign * product;
+          spread[c * rows + r] = spread[r * rows + c];
         }
       }
-      const pull = S.sparse.solved(spread, Float64Array.from(off), size) || new Float64Array(size).fill(NaN);
-      const square = off.reduce((sum, one, k) => sum + one * pull[k], 0);
-      tell(pull, Math.sqrt(Math.max(square, 0)), columns);
+      const pull = S.sparse.solved(spread, right.slice(), rows) || right.slice().fill(NaN);
+      tell(pull, Math.sqrt(Math.max(right.reduce((sum, one, k) => sum + one * pull[k], 0), 0)), columns);
     }
     return true;
   }
 
-  // Switch off loops that are on, one after the other, each time the one that the map without it is farthest off, as
-  // long as it is beyond the gate (data snooping: Baarda 1968). Gives each as {edge, poses}, with the map without it.
-  S.snoop = function* (solver, loops, on, poses, gateSigmas) {
+  // Where any of some columns is not zero: by the order of elimination in few places.
+  function met(columns) {
+    const places = [];
+    for (let k = 0; k < columns[0].length; k++) {
+      let n = 0;
+      while (n < columns.length && columns[n][k] === 0) n++;
+      if (n < columns.length) places.push(k);
+    }
+    return Int32Array.from(places);
+  }
+
+  // Loops whose ends both lie within `reach` keyframes of each other, or are chained so: a claim made many times.
+  function stretches({source, target}, loops, reach) {
+    const waiting = new Set(loops), found = [];
+    for (const first of loops) {
+      if (!waiting.delete(first)) continue;
+      const unit = [first];
+      for (const one of unit) {
+        for (const other of waiting) {
+          if (Math.abs(source[one] - source[other]) > reach || Math.abs(target[one] - target[other]) > reach) continue;
+          waiting.delete(other);
+          unit.push(other);
+        }
+      }
+      found.push(unit);
+    }
+    return found;
+  }
+
+  // Switch off a loop that is on, or all those of one stretch, each time what the map without it is farthest off,
+  // against its gate, as long as that is beyond it (data snooping: Baarda 1968). gates: squares, of one loop, of two and
+  // so on. Gives those edges each time.
+  S.snoop = function* (solver, loops, on, poses, {gates, reach}) {
     for (;;) {
-      const asked = loops.filter(edge => on[edge]), sigmas = [];
-      if (!leverages(solver, asked, on, poses, (_, left_out) => sigmas.push(left_out))) return;
-      const worst = sigmas.reduce((most, one, n) => one > (sigmas[most] ?? gateSigmas) ? n : most, -1);
+      const held = loops.filter(edge => on[edge]), shares = [];
+      const units = [...held.map(edge => [edge]), ...stretches(solver.edges, held, reach).filter(unit => unit.length > 1)];
+      const tell = (_, sigmas) => shares.push(sigmas * sigmas / gates[units[shares.length].length - 1]);
+      if (!leverages(solver, units, on, poses, tell)) return;
+      const worst = shares.reduce((most, one, n) => one > (shares[most] ?? 1) ? n : most, -1);
       if (worst < 0) return;
-      on[asked[worst]] = 0;
+      for (const edge of units[worst]) on[edge] = 0;
       ({poses} = solver.solve(on, poses));
-      yield {edge: asked[worst], poses, sigmas: sigmas[worst]};
+      yield units[worst];
     }
   };
 })(Scanweave);

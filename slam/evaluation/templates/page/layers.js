@@ -12,11 +12,11 @@
       layer.legend && layer.shown ? element("p", {class: "soft", textContent: layer.legend}) : null);
   }
 
-  // Of the pictures one is shown, or none; a second press takes it away.
+  // Of the pictures one is shown, or none, and those that lie over it.
   function choice(raster) {
     const label = element("label", {});
     const box = element("input", {type: "checkbox", checked: raster.shown, onchange: () => {
-      for (const one of S.plan.rasters) if (!one.over) one.shown = false;
+      if (!raster.over) for (const one of S.plan.rasters) if (!one.over) one.shown = false;
       S.plan.show(raster.name, box.checked);
     }});
     box.dataset.layer = raster.name;

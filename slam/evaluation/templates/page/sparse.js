@@ -5,7 +5,7 @@
   // order: numbers of the blocks as they are eliminated; sources, targets: blocks that meet in the matrix, or
   // others, that have no place in it.
   function symbolic(order, sources, targets) {
-    const count = order.length, position = new Int32Array(Math.max(...order, 0) + 1).fill(-1);
+    const count = order.length, position = new Int32Array(order.reduce((most, node) => Math.max(most, node), 0) + 1).fill(-1);
     order.forEach((node, at) => { position[node] = at; });
     const below = Array.from({length: count}, () => new Set());
     for (let edge = 0; edge < sources.length; edge++) {

@@ -38,7 +38,8 @@
     if (sessions && sessions.length > 1) found.push({name: "session", title: "session", classes: sessions, values: session});
     found.push(...more);
     return found.filter(one => one.values.some(Number.isFinite)).map(one => {
-      const range = one.classes ? null : S.range(one.values);
+      const [low, high] = one.range || [];
+      const range = one.classes ? null : one.range ? {low, high, least: low, most: high} : S.range(one.values);
       return {...one, range, bins: one.classes ? one.values : binned(one.values, range)};
     });
   }
@@ -89,10 +90,10 @@
   }
 
   // The half axes of a covariance (xx, xy, yy) and the direction of the first.
-  function axes(xx, xy, yy) {
+  const axes = way.axes = (xx, xy, yy) => {
     const mean = (xx + yy) / 2, apart = Math.hypot((xx - yy) / 2, xy);
     return [Math.sqrt(mean + apart), Math.sqrt(Math.max(mean - apart, 0)), Math.atan2(2 * xy, xx - yy) / 2];
-  }
+  };
 
   // Ellipses are drawn larger by a power of ten, so that the largest can be seen; the legend tells it.
   function times(ellipses, extent) {

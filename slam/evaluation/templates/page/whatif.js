@@ -85,16 +85,14 @@
 
     loops: () => [...whatIf.edges.loop.keys()].filter(edge => whatIf.edges.loop[edge] >= 0),
 
-    // Switch off one doubtful loop after the other; a breath after each, so that it can be watched.
+    // Switch off doubtful loops one after the other; the map is shown after each.
     async snoop() {
       whatIf.start();
-      const start = whatIf.shifts ? whatIf.found.poses : whatIf.base, found = [];
-      for (const one of S.snoop(whatIf.solver, whatIf.loops(), whatIf.on, start, S.data.influence.gate_sigmas)) {
-        found.push(one.edge);
+      const start = whatIf.shifts ? whatIf.found.poses : whatIf.base;
+      for (const _ of S.snoop(whatIf.solver, whatIf.loops(), whatIf.on, start, S.data.influence)) {
+        whatIf.update();
         await new Promise(resolve => setTimeout(resolve));
       }
-      whatIf.update();
-      return found;
     },
   };
 
@@ -173,14 +171,14 @@
   function doubtful() {
     const told = whatIf.influence;
     if (!told) return null;
-    const gate = S.data.influence.gate_sigmas;
+    const gate = Math.sqrt(S.data.influence.gates[0]);
     const rows = [...told.edge.keys()].filter(at => whatIf.on[told.edge[at]] && told.left_out[at] > gate)
       .sort((a, b) => told.left_out[b] - told.left_out[a]);
     const head = element("h3", {textContent: `Doubtful loops: ${rows.length}`});
     if (!rows.length) return element("div", {}, head, element("p", {class: "soft", textContent: `No loop is more than ${gate.toFixed(1)} sigmas off the rest of the map.`}));
     return element("div", {}, head, element("ul", {class: "plain"}, ...rows.slice(0, LISTED).map(at => element("li", {},
       toggleButton(told.edge[at], "off"), " ", edgeLink(told.edge[at]), ` ${told.left_out[at].toFixed(1)} σ, ${length(told.shift_m[at])}`))),
-      element("button", {type: "button", id: "snoop", textContent: "Switch off the worst until none is left", onclick: () => whatIf.snoop()}));
+      element("button", {type: "button", id: "snoop", textContent: "Switch off the worst until none is left", onclick: whatIf.snoop}));
   }
 
   function columns() {
