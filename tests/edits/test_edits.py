@@ -248,6 +248,12 @@ def test_edits_are_read_back_as_they_were_written() -> None:
     assert edits_of(yaml.safe_load(dump_edits(edits)), "there") == edits
 
 
+def test_the_example_of_the_docs_is_understood() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "edits.md").read_text()
+    edits = edits_of(yaml.safe_load(page.split("```yaml\n")[1].split("```")[0]), "the docs")
+    assert set(edits.model_dump(exclude_defaults=True)) == set(type(edits).model_fields)
+
+
 def test_a_damaged_edit_is_blamed_by_its_row(house: Map, tmp_path: Path) -> None:
     house.edited({"turn": {"degrees": 10}}, out=tmp_path).close()
     with sqlite3.connect(tmp_path / "map.db") as connection:
