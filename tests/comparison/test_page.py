@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pytest
-from browser import Page, visit
+from browser import visit
 from tiny_comparison import Tiny
 
 COLUMN = "[...document.querySelectorAll('table.sortable')].at({table}).tBodies[0].rows"
@@ -15,33 +14,31 @@ CLICK = "[...document.querySelectorAll('table.sortable')].at({table}).tHead.rows
 
 
 @pytest.mark.browser
-def test_the_page_works_in_chromium(tiny: Tiny, tmp_path: Path) -> None:
-    async def look(page: Page) -> dict[str, Any]:
-        async def column(table: int, number: int) -> Any:
-            return await page.value(TEXTS.format(table=table, column=number))
+def test_the_page_works_in_chromium(tiny: Tiny) -> None:
+    with visit(tiny.out / "report.html") as page:
 
-        async def click(table: int, number: int) -> Any:
-            await page.value(CLICK.format(table=table, column=number))
-            return await column(table, number)
+        def column(table: int, number: int) -> Any:
+            return page.value(TEXTS.format(table=table, column=number))
 
-        heads = await page.value(
+        def click(table: int, number: int) -> Any:
+            page.value(CLICK.format(table=table, column=number))
+            return column(table, number)
+
+        heads = page.value(
             "[...document.querySelector('table.sortable').tHead.rows[0].cells].map(x => x.textContent)"
         )
         ate = heads.index("ATE RMSE, m")
-        return {
-            "title": await page.value("document.title"),
-            "heading": await page.value("document.querySelector('h1').textContent"),
-            "pictures": await page.value("[...document.images].map(i => i.complete ? i.naturalWidth : 0)"),
-            "names": await column(0, 0),
-            "up": await click(0, ate),
-            "down": await click(0, ate),
-            "named": await click(0, 0),
-            "warned": await page.value("document.querySelector('.warnings').textContent"),
-            "requests": page.requests(),
-            "complaints": page.complaints(),
+        seen = {
+            "title": page.value("document.title"),
+            "heading": page.value("document.querySelector('h1').textContent"),
+            "pictures": page.value("[...document.images].map(i => i.complete ? i.naturalWidth : 0)"),
+            "names": column(0, 0),
+            "up": click(0, ate),
+            "down": click(0, ate),
+            "named": click(0, 0),
+            "warned": page.value("document.querySelector('.warnings').textContent"),
         }
-
-    seen = visit(tiny.out / "report.html", look, tmp_path / "profile")
+    seen |= {"requests": page.requests, "complaints": page.complaints}
     assert seen["title"] == "Scanweave: Tiny <world>"
     assert seen["heading"].endswith("Tiny <world>")
     assert len(seen["pictures"]) >= 6 and min(seen["pictures"]) > 100

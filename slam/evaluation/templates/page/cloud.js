@@ -4,7 +4,9 @@
   const element = S.element;
 
   function scene(canvas, {points, colors, low, step_m, up}) {
-    const renderer = new THREE.WebGLRenderer({canvas, antialias: true});
+    const renderer = new THREE.WebGLRenderer({canvas, antialias: true, alpha: true});
+    renderer.outputColorSpace = "srgb-linear"; // the colours are shown as they are told
+    renderer.setClearColor(0, 0);
     const count = points.length / 3, places = new Float32Array(points.length);
     for (let at = 0; at < places.length; at++) places[at] = points[at] * step_m;
     const geometry = new THREE.BufferGeometry();
@@ -12,14 +14,14 @@
     geometry.setAttribute("color", new THREE.BufferAttribute(colors, 3, true));
     geometry.computeBoundingSphere();
     const {center, radius} = geometry.boundingSphere;
-    const material = new THREE.PointsMaterial({size: Math.max(radius / 400, 0.01), vertexColors: true});
+    const material = new THREE.PointsMaterial({size: 2.5 * radius / Math.sqrt(count), vertexColors: true});
     const world = new THREE.Scene();
     world.add(new THREE.Points(geometry, material));
     const {xy, z} = S.data.trajectory, way = new Float32Array(3 * z.length);
     z.forEach((height, at) => way.set([xy[2 * at] - low[0], xy[2 * at + 1] - low[1], height - low[2]], 3 * at));
     const path = new THREE.BufferGeometry();
     path.setAttribute("position", new THREE.BufferAttribute(way, 3));
-    const line = new THREE.LineBasicMaterial({color: 0xd9730d});
+    const line = new THREE.LineBasicMaterial();
     world.add(new THREE.Line(path, line));
     const camera = new THREE.PerspectiveCamera(50, 1, radius / 1000, radius * 20);
     camera.up.set(...up);
@@ -40,8 +42,7 @@
         renderer.setSize(clientWidth, clientHeight, false);
         camera.aspect = clientWidth / clientHeight;
         camera.updateProjectionMatrix();
-        const [red, green, blue] = S.color("page").match(/[\d.]+/g).map(value => Number(value) / 255);
-        renderer.setClearColor(`rgb(${Math.round(255 * red)}, ${Math.round(255 * green)}, ${Math.round(255 * blue)})`);
+        line.color.setRGB(...S.color("orange").match(/[\d.]+/g).slice(0, 3).map(value => Number(value) / 255));
         renderer.render(world, camera);
       });
     };

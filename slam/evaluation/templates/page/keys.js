@@ -18,6 +18,7 @@
   function typed(event) {
     if (event.ctrlKey || event.metaKey || event.altKey || event.defaultPrevented) return;
     if (event.target.closest("input[type=text], input[type=number], textarea, select, [contenteditable]")) return;
+    if (event.target.closest("dialog") && event.key !== "?") return;
     // What has keys of its own keeps them.
     if (event.target.closest("input[type=range], .rows") && /^Arrow|^ $/.test(event.key)) return;
     if (event.key === " " && event.target.closest("button, input, summary, a")) return;

@@ -3,21 +3,20 @@
 (S => {
   let spare = null; // a canvas of the same size as the plan's, for pixels
 
-  const rgb = color => {
-    const context = S.element("canvas", {width: 1, height: 1}).getContext("2d");
-    context.fillStyle = color;
-    context.fillRect(0, 0, 1, 1);
-    return context.getImageData(0, 0, 1, 1).data;
+  // rgb(...) as a pixel.
+  const pixel = color => {
+    const [red, green, blue] = color.match(/[\d.]+/g).map(Number);
+    return new Uint32Array(new Uint8ClampedArray([red, green, blue, 255]).buffer)[0];
   };
 
-  // Draw points of some keyframes. colors: of each kind, as CSS.
+  // Draw points of some keyframes. colors: of each kind, as S.color tells them.
   S.drawPoints = (context, frame, {first, points, kind}, colors, nodes, poses = S.plan.poses) => {
     const {width, height, transform: [a, b, c, d, e, f]} = frame;
     if (!spare || spare.width !== width || spare.height !== height) {
       spare = S.element("canvas", {width, height}).getContext("2d");
     }
     const image = spare.createImageData(width, height), pixels = new Uint32Array(image.data.buffer);
-    const packed = colors.map(color => new Uint32Array(rgb(color).buffer.slice(0))[0]);
+    const packed = colors.map(pixel);
     const side = Math.max(1, Math.min(3, Math.round(frame.pixelsAMetre / 40 * frame.ratio)));
     for (const node of nodes) {
       const x0 = poses[3 * node], y0 = poses[3 * node + 1], yaw = poses[3 * node + 2];
