@@ -2,6 +2,7 @@
 
     python tools/false_loops.py [--data ../shared/data] [--log fr079] [--count 30] [--seeds 2] [--set k=v]
     python tools/false_loops.py --log CAMPUS/scans.log --kind mixed --count 100
+    python tools/false_loops.py --finished MAP [--finished MAP] [--count 30] [--seeds 2]
 
 The false loops carry the covariances of true ones and come through the door of the true ones,
 `slam.mapper.mapper.Mapper.add_loop`. Four kinds:
@@ -14,6 +15,14 @@ The false loops carry the covariances of true ones and come through the door of 
 They come at the end, just before the final optimisation, or while mapping, as soon as their keyframe is
 there, where they also bend the estimate that later loops are proposed from.
 Exit code 1 where the error grows by the limit of ``--limit`` or more.
+
+With ``--finished`` they are forced into the graph of a finished map, and nothing refuses them: how soon are
+they found? Loops are ranked at the bent map, by how far it moves without each, by how far it misses each, and
+by how far the map without each misses it; and by data snooping, where the last of these is asked again after
+the worst loop has been left out and the map solved again: one loop after the other, or also all loops between
+the same two stretches of the way as one. Told is how many of the false are among so many first of the ranking
+as there are false ones and a tenth, and a half; and how many loops, true ones too, were left out until none
+was beyond the gate.
 """
 
 from __future__ import annotations
@@ -21,21 +30,29 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation import gate
+from slam import load_map
 from slam.config import Config, load_config
 from slam.datasets import open_dataset
 from slam.evaluation.relations import Relations, read_relations, score_relations
+from slam.graph.closings import loop_groups
+from slam.graph.influence import LinearMap
 from slam.graph.loop_closure import LoopCandidate
+from slam.graph.pose_graph import Edge, held_graph
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.map_result import MapResult
 from slam.mapper.mapper import Mapper
 from slam.matching.planar import between, compose
-from slam.measurements import FloatArray, LaserScan, MotionEstimate, pose2_from_row
+from slam.measurements import FloatArray, LaserScan, MotionEstimate, Pose, pose2_from_row
+from slam.storage.map_contents import MapContents
 
 KINDS = ("random", "alike", "runs", "mixed")
 MOMENTS = ("end", "mapping")
@@ -65,8 +82,11 @@ class Outcome:
 
 
 def main() -> None:
-    """Map once as it is, then once for every kind, moment and seed."""
+    """Map once as it is, then once for every kind, moment and seed; or search in finished maps."""
     options = parse_options()
+    if options.finished:
+        search(options)
+        return
     log = Path(options.log)
     if not log.is_file():
         log = options.data / "lidar2d" / options.log / f"{options.log}.log.gz"
@@ -86,7 +106,7 @@ def main() -> None:
         for moment in options.moment or MOMENTS:
             for seed in range(options.seeds):
                 rng = np.random.default_rng(seed)
-                false = false_loops(kind, options.count, before, rng)
+                false = false_loops(kind, options.count, before.map, rng)
                 # Loops do not touch the tracking: the keyframes are the same scans in every run.
                 come_at = before.map.readings if moment == "mapping" else None
                 after = map_log(log, config, false, come_at)
@@ -113,6 +133,7 @@ def parse_options() -> argparse.Namespace:
     parser.add_argument("--seeds", type=int, default=2, help="this many seeds, from 0")
     parser.add_argument("--kind", action="append", choices=KINDS, help="only this kind; repeatable")
     parser.add_argument("--moment", action="append", choices=MOMENTS, help="only then; repeatable")
+    parser.add_argument("--finished", type=Path, action="append", help="a map; repeatable")
     parser.add_argument("--limit", type=float, default=0.1, help="greatest growth of the error allowed")
     parser.add_argument("--set", action="append", default=[], help="as in scanweave map --set")
     parser.add_argument("--json", type=Path, help="also write the figures here")
@@ -135,7 +156,7 @@ def map_log(
     return mapper.finish()
 
 
-def false_loops(kind: str, count: int, true: MapResult, rng: np.random.Generator) -> list[LoopCandidate]:
+def false_loops(kind: str, count: int, true: MapContents, rng: np.random.Generator) -> list[LoopCandidate]:
     """``count`` false loops with the covariances of true ones."""
     if kind == "mixed":
         long = min(LONG_RUN_LENGTH, count)
@@ -145,11 +166,11 @@ def false_loops(kind: str, count: int, true: MapResult, rng: np.random.Generator
 
 
 def _false_runs(
-    kind: str, count: int, length: int, true: MapResult, rng: np.random.Generator
+    kind: str, count: int, length: int, true: MapContents, rng: np.random.Generator
 ) -> list[LoopCandidate]:
     """The same in runs of a length; the last may be shorter."""
-    poses, span = true.map.keyframe_poses, max(length, RUN_LENGTH) * RUN_STRIDE
-    models = [loop.motion for loop in true.map.loops if loop.accepted and loop.motion is not None]
+    poses, span = true.keyframe_poses, max(length, RUN_LENGTH) * RUN_STRIDE
+    models = [loop.motion for loop in true.loops if loop.accepted and loop.motion is not None]
     loops: list[LoopCandidate] = []
     while len(loops) < count:
         place, keyframe = sorted(rng.integers(0, len(poses) - span, 2).tolist())
@@ -178,6 +199,90 @@ def candidate(place: int, keyframe: int, pose: FloatArray, model: MotionEstimate
     """A false loop that looks as certain as the true one whose trust it borrows."""
     motion = replace(model, T_reference_base=pose2_from_row(pose))
     return LoopCandidate(place, keyframe, 1.0, 0.3, 1.0, motion, True, "")
+
+
+def search(options: argparse.Namespace) -> None:
+    """Force false loops into finished maps, and tell how soon they are found."""
+    few, more = round(1.1 * options.count), round(1.5 * options.count)
+    names = ("shift", "residual", "left out", "one by one", "and by stretches")
+    print(f"false ones among the first {few}, {more}\n")
+    print(
+        "| map | false loops | seed | " + " | ".join(names) + " | left out, of them true | and by stretches |"
+    )
+    print("|---|---|---|" + "---|" * (len(names) + 2))
+    for path in options.finished:
+        found = load_map(path)
+        true = [factor.edge for factor in found.factors if factor.kept]
+        for kind in options.kind or KINDS:
+            for seed in range(options.seeds):
+                false = false_loops(kind, options.count, found.contents, np.random.default_rng(seed))
+                edges = true + [loop.edge(len(found.loops) + n) for n, loop in enumerate(false)]
+                cells = [str(path), kind, str(seed)]
+                rankings, gates = ranked(
+                    found.contents.node_poses, edges, found.config.match.local_map_keyframes, more
+                )
+                for ranking in rankings:
+                    cells.append(", ".join(str(np.sum(ranking[:most] >= len(true))) for most in (few, more)))
+                for left in gates:
+                    cells.append(f"{len(left)}, {np.sum(left < len(true))}")
+                print("| " + " | ".join(cells) + " |", flush=True)
+        found.close()
+
+
+def ranked(
+    found: Sequence[Pose], edges: Sequence[Edge], keyframes: int, most: int
+) -> tuple[list[NDArray[np.int64]], list[NDArray[np.int64]]]:
+    """The numbers of loops by each ranking, and what snooping leaves out up to its gate."""
+    kept = np.ones(len(edges), np.bool_)
+    poses = solved(found, edges)
+    loops = np.array([number for number, edge in enumerate(edges) if edge.loop is not None])
+    told = LinearMap(poses, edges, kept).influences(loops)
+    rankings = [loops[np.argsort(-values)] for values in (told.shifts_m, told.residuals, told.left_out)]
+    ends = np.array([(edges[loop].source, edges[loop].target) for loop in loops])
+    gates = []
+    for reach in (0, keyframes):
+        order, within = snooped(poses, edges, loops, ends, reach, most)
+        rankings.append(order)
+        gates.append(order[:within])
+    return rankings, gates
+
+
+def snooped(
+    poses: Sequence[Pose],
+    edges: Sequence[Edge],
+    loops: NDArray[np.int64],
+    ends: NDArray[np.int64],
+    reach: int,
+    most: int,
+) -> tuple[NDArray[np.int64], int]:
+    """Loops in the order in which they are left out, and how many before the first within its gate.
+
+    As ``S.snoop`` in ``templates/page/influence.js``: each time the loop, or all those whose ends lie within
+    a reach of each other, that the map without them is farthest off, against their gate.
+    """
+    kept, within = np.ones(len(edges), np.bool_), None
+    order: list[int] = []
+    while len(order) < len(loops) and (len(order) < most or within is None):
+        linear, left = LinearMap(poses, edges, kept), np.flatnonzero(kept[loops])
+        units = [left[[n]] for n in range(len(left))]
+        if reach:
+            units += [
+                left[group] for group in loop_groups(ends[left].astype(np.float64), reach) if len(group) > 1
+            ]
+        shares = [linear.switched(loops[unit])[3] ** 2 / gate(3 * len(unit)) for unit in units]
+        worst = int(np.argmax(shares))
+        if within is None and shares[worst] <= 1.0:
+            within = len(order)
+        kept[loops[units[worst]]] = False
+        order += loops[units[worst]].tolist()
+        poses = solved(poses, [edge for edge, keep in zip(edges, kept, strict=True) if keep])
+    return np.array(order), len(order) if within is None else within
+
+
+def solved(poses: Sequence[Pose], edges: Sequence[Edge]) -> list[Pose]:
+    """Where plain least squares puts the nodes in the plane."""
+    values = gtsam.LevenbergMarquardtOptimizer(*held_graph(poses, edges)).optimize()
+    return [values.atPose2(node) for node in range(len(poses))]
 
 
 def errors(result: MapResult, relations: Relations) -> tuple[float, float]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from slam.config import Config
 from slam.evaluation.association import nearest_indices
 from slam.evaluation.page_layers import layer_pictures
+from slam.evaluation.page_what_if import what_if_data
 from slam.graph.loop_closure import LoopCandidate
 from slam.matching.planar import transform_points
 from slam.measurements import FloatArray, LaserScan, Pose, Trajectory, row_from_pose2, spatial
@@ -68,6 +69,7 @@ def map_data(
         "layers": layer_pictures(found.layers(config)),
         "trajectory": way,
         "limits": [*told, *way_told],
+        **what_if_data(found, config),
     }
 
 

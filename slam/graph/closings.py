@@ -68,7 +68,7 @@ def closings(held: Sequence[Edge], poses: Sequence[Pose], reach_m: float, most: 
     way_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rows[:, :2], axis=0).T))])
     tracked, piece = _tracked(held, poses)
     groups = []
-    for group in _groups(way_m[[(loop.source, loop.target) for loop in loops]], reach_m):
+    for group in loop_groups(way_m[[(loop.source, loop.target) for loop in loops]], reach_m):
         members = sorted((loops[n] for n in group.tolist()), key=lambda loop: (loop.target, loop.source))
         first = members[0]
         if piece[first.source] == piece[first.target]:
@@ -102,15 +102,15 @@ def _tracked(edges: Sequence[Edge], poses: Sequence[Pose]) -> tuple[list[Pose], 
     return tracked, np.cumsum(broken)
 
 
-def _groups(ends_m: FloatArray, reach_m: float) -> list[NDArray[np.int64]]:
-    """The loops that belong together, by their numbers; (n, 2) are their ends along the way."""
+def loop_groups(ends: FloatArray, reach: float) -> list[NDArray[np.int64]]:
+    """The loops that belong together, by their numbers: both ends, (n, 2) along the way, within reach."""
     # SciPy is loaded where it is used: that takes 0.1 s.
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
-    pairs = cKDTree(ends_m).query_pairs(reach_m, p=math.inf, output_type="ndarray")
-    shape = (len(ends_m), len(ends_m))
+    pairs = cKDTree(ends).query_pairs(reach, p=math.inf, output_type="ndarray")
+    shape = (len(ends), len(ends))
     joined = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=shape)
     count, numbers = connected_components(joined, directed=False)
     return [np.flatnonzero(numbers == number) for number in range(count)]

@@ -17,6 +17,7 @@ tests one observation for a blunder.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -24,13 +25,14 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.kernel import kernel
+from slam.errors import GraphError
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, held_graph
 from slam.measurements import BoolArray, FloatArray, Pose
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-    from scipy.sparse.linalg import SuperLU
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +69,11 @@ class LinearMap:
         (n,) of the nodes, as the final optimisation left them.
     edges, kept
         All that may be asked about, and which of them hold the map.
+
+    Raises
+    ------
+    GraphError
+        Where these do not join all nodes.
     """
 
     def __init__(
@@ -76,7 +83,7 @@ class LinearMap:
         self._size = 3 if self._planar else 6
         self._kept = np.array(kept, np.bool_)
         self._jacobian, self._residuals = _linearized(poses, edges, self._size)
-        self._factor = self._factorized()
+        self._factor = _Factor(self._jacobian[np.repeat(self._kept, self._size)])
         # One step to the very solution: optimisers stop a little before.
         self._residuals += self._jacobian @ self.step()
 
@@ -84,40 +91,81 @@ class LinearMap:
         """((n - 1) d,) what Gauss and Newton would move nodes 1 to n - 1 by, in their tangents."""
         rows = np.repeat(self._kept, self._size)
         gradient = self._jacobian[rows].T @ self._residuals[rows]
-        return np.asarray(-self._factor.solve(gradient), np.float64)
+        return -self._factor.backward(self._factor.forward(gradient[None])[0])
 
     def influences(self, asked: Sequence[int] | NDArray[np.int64]) -> Influences:
         """Of the edges with these numbers."""
-        found = np.array([self._influence(int(number)) for number in asked]).reshape(-1, 4)
+        found = np.array([self.switched([int(number)]) for number in asked]).reshape(-1, 4)
         shifts, nodes, residuals, left_out = found.T
         return Influences(np.array(asked, np.int64), shifts, nodes.astype(np.int64), residuals, left_out)
 
-    def _influence(self, number: int) -> tuple[float, int, float, float]:
-        """Shift, node, residual and residual when left out, of an edge."""
+    def switched(self, numbers: Sequence[int] | NDArray[np.int64]) -> tuple[float, int, float, float]:
+        """Shift, node, residual and residual when left out, of edges that are switched together."""
         size = self._size
-        own = slice(number * size, (number + 1) * size)
-        jacobian, residual = self._jacobian[own], self._residuals[own]
-        solved = self._factor.solve(jacobian.toarray().T)
-        sign = -1.0 if self._kept[number] else 1.0
-        pull = np.linalg.solve(np.eye(size) + sign * (jacobian @ solved), residual)
-        tangents = (solved @ pull).reshape(-1, size)
+        rows = (np.asarray(numbers)[:, None] * size + np.arange(size)).ravel()
+        jacobian, residual = self._jacobian[rows], self._residuals[rows]
+        pulled = self._factor.forward(jacobian.toarray())
+        signs = np.repeat(np.where(self._kept[numbers], -1.0, 1.0), size)
+        pull = np.linalg.solve(np.diag(signs) + pulled @ pulled.T, residual)
+        tangents = self._factor.backward(pull @ pulled).reshape(-1, size)
         shifts = np.linalg.norm(tangents[:, :2] if self._planar else tangents[:, 3:], axis=1)
         most, missed = int(shifts.argmax()), float(np.linalg.norm(residual))
-        # Rounding may leave less than nothing where the map without the edge is all but loose.
-        return float(shifts[most]), most + 1, missed, max(float(residual @ pull), 0.0) ** 0.5
+        return float(shifts[most]), most + 1, missed, abs(float(residual @ pull)) ** 0.5
 
-    def _factorized(self) -> SuperLU:
-        """The information of all kept edges together, ready to be solved."""
+
+class _Factor:
+    """The information of all kept edges together as L L', in an order in which it is sparse."""
+
+    def __init__(self, held: csr_array) -> None:
         from scipy.sparse.linalg import splu  # where it is used: that takes 0.1 s
 
-        held = self._jacobian[np.repeat(self._kept, self._size)]
         symmetric = {"SymmetricMode": True}
         information = (held.T @ held).tocsc()
-        return splu(information, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+        try:
+            found = splu(information, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+        except RuntimeError as error:
+            raise GraphError("the edges that are kept do not join all keyframes") from error
+        self._order = found.perm_c
+        # With its diagonal as pivots the other factor is the transpose, but for the pivots.
+        lower, self._roots = found.L.tocsc(), np.sqrt(found.U.diagonal())
+        self._lower = lower.indptr, lower.indices, lower.data
+
+    def forward(self, rows: FloatArray) -> FloatArray:
+        """(m, N) L^-1 times each row; what is zero costs nothing."""
+        found = np.zeros(rows.shape)
+        found[:, self._order] = rows
+        for row in found:
+            _forward(*self._lower, row)
+        return found / self._roots
+
+    def backward(self, row: FloatArray) -> FloatArray:
+        """(N,) L'^-1 times a row."""
+        found = row / self._roots
+        _backward(*self._lower, found)
+        return found[self._order]
+
+
+@kernel
+def _forward(first: NDArray[np.int32], below: NDArray[np.int32], lower: FloatArray, x: FloatArray) -> None:
+    """Solve by a lower triangle of ones on the diagonal, by columns."""
+    for column in range(len(x)):
+        if x[column] != 0.0:
+            for k in range(first[column], first[column + 1]):
+                if below[k] > column:
+                    x[below[k]] -= lower[k] * x[column]
+
+
+@kernel
+def _backward(first: NDArray[np.int32], below: NDArray[np.int32], lower: FloatArray, x: FloatArray) -> None:
+    """Solve by its transpose."""
+    for column in range(len(x) - 1, -1, -1):
+        for k in range(first[column], first[column + 1]):
+            if below[k] > column:
+                x[column] -= lower[k] * x[below[k]]
 
 
 def influences(poses: Sequence[Pose], edges: Sequence[Edge], kept: Sequence[bool] | BoolArray) -> Influences:
-    """Of all loops among the edges.
+    """Of all loops among the edges; of none where those that are kept do not join all nodes.
 
     Parameters
     ----------
@@ -127,7 +175,11 @@ def influences(poses: Sequence[Pose], edges: Sequence[Edge], kept: Sequence[bool
         All of the graph, and which the optimisation has kept.
     """
     loops = [number for number, edge in enumerate(edges) if edge.loop is not None]
-    return LinearMap(poses, edges, kept).influences(loops)
+    none, nothing = np.zeros(0, np.int64), np.zeros(0)
+    if loops:
+        with suppress(GraphError):
+            return LinearMap(poses, edges, kept).influences(loops)
+    return Influences(none, nothing, none, nothing, nothing)
 
 
 def all_edges(edges: Sequence[Edge], loops: Sequence[LoopCandidate]) -> list[Edge]:

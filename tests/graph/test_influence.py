@@ -85,6 +85,10 @@ def test_the_first_keyframe_is_held_and_any_edge_may_be_asked() -> None:
     assert step.shifts_m[0] > 0.0
 
 
-def test_a_map_without_loops_has_no_influences() -> None:
+def test_a_map_without_loops_or_in_pieces_has_no_influences() -> None:
     poses, edges = ring(*RINGS["plane"], laps=1)
-    assert len(influences(poses, edges, [True] * len(edges)).edges) == 0
+    chain = [edge for edge in edges if edge.loop is None]
+    assert len(influences(poses, chain, [True] * len(chain)).edges) == 0
+    poses, edges = ring(*RINGS["plane"])
+    kept = [edge.loop is not None for edge in edges]
+    assert len(influences(poses, edges, kept).edges) == 0

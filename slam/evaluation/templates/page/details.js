@@ -114,10 +114,10 @@
       const [first] = S.ends(chosen);
       panel.replaceChildren(
         element("h3", {textContent: chosen.kind === "node" ? `Keyframe: ${S.keyframe(first)}` : names[chosen.kind]}),
+        ...extensions.map(tell => tell(chosen)).filter(Boolean),
         S.overlay(chosen) || "",
         pictures(chosen) || "",
         chosen.kind === "node" ? ofNode(first) : told(chosen),
-        ...extensions.map(tell => tell(chosen)).filter(Boolean),
       );
     };
     S.select.on(chosen => {
@@ -126,6 +126,7 @@
     });
     S.on("theme", () => fill(S.select.current));
     S.on("poses", () => fill(S.select.current));
+    S.on("what-if", () => fill(S.select.current));
     fill(null);
     S.panels.add({name: "details", title: "Selected", element: panel, order: 20});
   }, 41);

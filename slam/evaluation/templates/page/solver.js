@@ -8,17 +8,14 @@
   function informations(triangles, size) {
     const wide = size * (size + 1) / 2, count = triangles.length / wide, area = size * size;
     const out = new Float64Array(count * area), full = new Float64Array(area), column = new Float64Array(size);
-    const inverse = {size, diagonal: full, lower: null, pattern: {count: 1, first: [0, 0], rows: []}};
     for (let edge = 0; edge < count; edge++) {
       for (let r = 0, at = edge * wide; r < size; r++) {
         for (let c = r; c < size; c++) full[r * size + c] = full[c * size + r] = triangles[at++];
       }
-      S.sparse.cholesky(full, 0, size);
       for (let c = 0; c < size; c++) {
         column.fill(0);
         column[c] = 1;
-        S.sparse.BlockMatrix.prototype.solve.call(inverse, column);
-        out.set(column, edge * area + c * size);
+        out.set(S.sparse.solved(full.slice(), column, size), edge * area + c * size);
       }
     }
     return out;
@@ -78,6 +75,14 @@
       return {found, off: this.group.log(this.group.between(this.measured[edge], found))};
     }
 
+    // How the residual grows with a motion of either node.
+    jacobians(edge, poses) {
+      const {found, off} = this.residual(edge, poses), after = this.group.growth(off);
+      const before = S.lie.product(after, this.group.adjoint(found), this.group.size);
+      for (let at = 0; at < before.length; at++) before[at] = -before[at];
+      return {before, after, off};
+    }
+
     squared(edge, off) {
       const {size} = this.group, from = edge * size * size;
       let sum = 0;
@@ -107,9 +112,7 @@
       gradient.fill(0);
       for (let edge = 0; edge < on.length; edge++) {
         if (!on[edge]) continue;
-        const {found, off} = this.residual(edge, poses);
-        const after = this.group.growth(off);
-        const before = S.lie.product(after, this.group.adjoint(found), size).map(one => -one);
+        const {before, after, off} = this.jacobians(edge, poses);
         const weight = this.information.subarray(edge * area, (edge + 1) * area);
         const a = position[source[edge]], b = position[target[edge]];
         const weighted = [S.lie.product(weight, before, size), S.lie.product(weight, after, size)];

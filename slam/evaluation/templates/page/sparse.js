@@ -5,7 +5,7 @@
   // order: numbers of the blocks as they are eliminated; sources, targets: blocks that meet in the matrix, or
   // others, that have no place in it.
   function symbolic(order, sources, targets) {
-    const count = order.length, position = new Int32Array(Math.max(...order, 0) + 1).fill(-1);
+    const count = order.length, position = new Int32Array(order.reduce((most, node) => Math.max(most, node), 0) + 1).fill(-1);
     order.forEach((node, at) => { position[node] = at; });
     const below = Array.from({length: count}, () => new Set());
     for (let edge = 0; edge < sources.length; edge++) {
@@ -87,9 +87,18 @@
 
     // Solve for a right-hand side by the factor, in its place; (count, size) in the order of elimination.
     solve(x) {
+      this.forward(x);
+      this.backward(x);
+    }
+
+    // By the factor L alone. Where x is nothing it stays so: a right-hand side of few blocks costs little.
+    forward(x) {
       const {pattern: {count, first, rows}, size, diagonal, lower} = this, area = size * size;
       for (let column = 0; column < count; column++) {
         const own = column * size;
+        let nothing = true;
+        for (let r = 0; r < size; r++) nothing &&= x[own + r] === 0;
+        if (nothing) continue;
         for (let r = 0; r < size; r++) {
           let sum = x[own + r];
           for (let c = 0; c < r; c++) sum -= diagonal[column * area + r * size + c] * x[own + c];
@@ -103,6 +112,11 @@
           }
         }
       }
+    }
+
+    // By the factor's transpose.
+    backward(x) {
+      const {pattern: {count, first, rows}, size, diagonal, lower} = this, area = size * size;
       for (let column = count - 1; column >= 0; column--) {
         const own = column * size;
         for (let k = first[column]; k < first[column + 1]; k++) {
@@ -157,5 +171,14 @@
     }
   }
 
-  S.sparse = {symbolic, BlockMatrix, cholesky};
+  // Solve one block's equations, both in their place; null where it is not positive definite.
+  function solved(block, right, size) {
+    if (!cholesky(block, 0, size)) return null;
+    const alone = new BlockMatrix({count: 1, first: [0, 0], rows: []}, size);
+    alone.diagonal = block;
+    alone.solve(right);
+    return right;
+  }
+
+  S.sparse = {symbolic, BlockMatrix, cholesky, solved};
 })(Scanweave);
