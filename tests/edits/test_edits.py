@@ -19,6 +19,7 @@ from slam.errors import ScanweaveError
 from slam.matching.planar import between
 from slam.outputs.finished_map import Map, open_map
 from slam.simulation.synthetic_log import write_synthetic_log
+from slam.storage.map_file import MapFile
 from slam.storage.nav2 import read_nav2_map
 from slam.storage.nav2_zones import without_keep_out
 
@@ -261,3 +262,23 @@ def test_a_damaged_edit_is_blamed_by_its_row(house: Map, tmp_path: Path) -> None
     connection.close()
     with pytest.raises(ScanweaveError, match="table edits, row 0: its checksum is wrong"):
         open_map(tmp_path)
+
+
+def test_a_map_of_an_older_version_is_edited(house: Map, tmp_path: Path) -> None:
+    """Schema 3 had neither edits nor covariances."""
+    path = tmp_path / "map.db"
+    path.write_bytes(content(house))
+    with sqlite3.connect(path) as connection:
+        connection.execute("DROP TABLE edits")
+        connection.execute("DROP TABLE covariances")
+        connection.execute("PRAGMA user_version = 3")
+        connection.execute("DELETE FROM meta WHERE key = 'seal'")
+    connection.close()
+    file = MapFile.resume(path)
+    assert file is not None
+    file.seal()
+    old = open_map(path)
+    turned = old.edited({"turn": {"degrees": 90}})
+    assert turned.covariances is not None  # they follow from the graph
+    assert turned.undone().covariances is None
+    assert turned.undone().keyframe_poses == pytest.approx(old.keyframe_poses, abs=0.0)
