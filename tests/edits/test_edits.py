@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sqlite3
+from dataclasses import replace
 from pathlib import Path
 
 import gtsam
@@ -15,10 +16,13 @@ from edit_maps import box, changed_outside, content, name, occupied
 import slam
 from slam.app.map_folder import finished_map
 from slam.config.edits import dump_edits, edits_of
+from slam.edits.remaking import solved
 from slam.errors import ScanweaveError
+from slam.graph.pose_graph import Edge, EdgeKind
 from slam.matching.planar import between
 from slam.outputs.finished_map import Map, open_map
 from slam.simulation.synthetic_log import write_synthetic_log
+from slam.storage.map_contents import SavedFactor
 from slam.storage.map_file import MapFile
 from slam.storage.nav2 import read_nav2_map
 from slam.storage.nav2_zones import without_keep_out
@@ -49,6 +53,32 @@ def test_a_forbidden_loop_is_gone_and_undo_brings_the_map_back_to_the_byte(house
     moved = np.abs(edited.keyframe_poses - house.keyframe_poses)[:, :2].max()
     assert 0.0 < moved < 0.2
     assert content(edited.undone()) == content(house)
+
+
+def test_a_verdict_that_no_edit_touches_stays(house: Map) -> None:
+    """A loop that fits, and that the run refused all the same, is not taken in because of another."""
+    numbers = [n for n, factor in enumerate(house.factors) if factor.edge.loop is not None]
+    factors = [replace(one, kept=n != numbers[2]) for n, one in enumerate(house.factors) if n != numbers[0]]
+    found, poses = solved(house.contents.node_poses, factors, house.config)
+    assert [one.kept for one in found] == [one.kept for one in factors]
+    moved = [a.translation() - b.translation() for a, b in zip(poses, house.contents.node_poses, strict=True)]
+    assert 0.0 < np.abs(moved).max() < 0.05
+
+
+def test_what_a_false_loop_had_kept_out_comes_back(house: Map) -> None:
+    """A false loop that is certain breaks the map; without it the true ones hold again."""
+    loops = [loop for loop in house.loops if loop.accepted]
+    last = max(loops, key=lambda loop: loop.keyframe - loop.place)
+    assert last.motion is not None
+    off = last.motion.T_reference_base.compose(gtsam.Pose2(1.5, 1.0, 0.5))  # type: ignore[arg-type]
+    false = SavedFactor(Edge(last.place, last.keyframe, off, 1e-6 * np.eye(3), EdgeKind.LOOP, True), True)
+    broken, poses = solved(house.contents.node_poses, [*house.factors, false], house.config)
+    refused = sum(not factor.kept for factor in broken)
+    assert refused > sum(not factor.kept for factor in house.factors)
+    mended, back = solved(poses, broken[:-1], house.config)
+    assert sum(not factor.kept for factor in mended) < refused
+    moved = [a.translation() - b.translation() for a, b in zip(back, house.contents.node_poses, strict=True)]
+    assert np.abs(moved).max() < 0.1
 
 
 def test_a_refused_loop_that_is_forced_holds(house: Map) -> None:
