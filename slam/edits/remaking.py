@@ -95,7 +95,7 @@ def settled(
     factors, loops = edited_loops(base, entries, before, config)
     poses = base.node_poses
     if _differ(factors, base.factors) or config.loops != before.loops:
-        factors, poses = solved(base.node_poses, factors, config)
+        factors, poses = solved(base.node_poses, factors, before, config)
         edges = [factor.edge for factor in factors]
         loops = judged(loops, edges, [factor.kept for factor in factors])
     T_new_old = turned_by(entries)
@@ -133,7 +133,7 @@ def settled(
 
 
 def solved(
-    poses: Sequence[Pose], factors: Sequence[SavedFactor], config: Config
+    poses: Sequence[Pose], factors: Sequence[SavedFactor], before: Config, config: Config
 ) -> tuple[list[SavedFactor], list[Pose]]:
     """A graph solved anew from where it was, with what was kept then.
 
@@ -145,8 +145,8 @@ def solved(
     graph = _graph_of(poses, certain)
     graph.optimize()
     found, edges = _poses_of(graph), [factor.edge for factor in factors]
-    probability = config.loops.inlier_probability
-    if _misfits(found, edges, kept, probability) <= _misfits(poses, edges, kept, probability):
+    told, probability = before.loops.inlier_probability, config.loops.inlier_probability
+    if _misfits(found, edges, kept, probability) <= _misfits(poses, edges, kept, told):
         return list(factors), found
     graph = _graph_of(found, edges)
     graph.begin_with(kept)

@@ -59,7 +59,7 @@ def test_a_verdict_that_no_edit_touches_stays(house: Map) -> None:
     """A loop that fits, and that the run refused all the same, is not taken in because of another."""
     numbers = [n for n, factor in enumerate(house.factors) if factor.edge.loop is not None]
     factors = [replace(one, kept=n != numbers[2]) for n, one in enumerate(house.factors) if n != numbers[0]]
-    found, poses = solved(house.contents.node_poses, factors, house.config)
+    found, poses = solved(house.contents.node_poses, factors, house.config, house.config)
     assert [one.kept for one in found] == [one.kept for one in factors]
     moved = [a.translation() - b.translation() for a, b in zip(poses, house.contents.node_poses, strict=True)]
     assert 0.0 < np.abs(moved).max() < 0.05
@@ -72,10 +72,10 @@ def test_what_a_false_loop_had_kept_out_comes_back(house: Map) -> None:
     assert last.motion is not None
     off = last.motion.T_reference_base.compose(gtsam.Pose2(1.5, 1.0, 0.5))  # type: ignore[arg-type]
     false = SavedFactor(Edge(last.place, last.keyframe, off, 1e-6 * np.eye(3), EdgeKind.LOOP, True), True)
-    broken, poses = solved(house.contents.node_poses, [*house.factors, false], house.config)
+    broken, poses = solved(house.contents.node_poses, [*house.factors, false], house.config, house.config)
     refused = sum(not factor.kept for factor in broken)
     assert refused > sum(not factor.kept for factor in house.factors)
-    mended, back = solved(poses, broken[:-1], house.config)
+    mended, back = solved(poses, broken[:-1], house.config, house.config)
     assert sum(not factor.kept for factor in mended) < refused
     moved = [a.translation() - b.translation() for a, b in zip(back, house.contents.node_poses, strict=True)]
     assert np.abs(moved).max() < 0.1
@@ -215,6 +215,8 @@ def test_what_takes_the_log_is_refused_by_its_name(house: Map) -> None:
     back = strict.remap(["loops.least_inlier_share=0.6"])
     assert sum(loop.accepted for loop in back.loops) == accepted
     assert content(back.undone().undone()) == content(house)
+    doubting = house.remap(["loops.inlier_probability=0.01"])
+    assert sum(factor.kept for factor in doubting.factors) < sum(factor.kept for factor in house.factors)
 
 
 def test_no_step_of_an_edited_map_is_forgotten_when_it_is_resumed(house: Map, tmp_path: Path) -> None:
