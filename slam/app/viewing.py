@@ -188,6 +188,14 @@ def serve(path: Path | str, port: int, tell: Callable[[str], None]) -> None:
         import uvicorn
     except ImportError as error:
         raise LibraryError(_lacking()) from error
+
+    class Told(uvicorn.Server):
+        """Tells its address when it answers there, and an interrupt ends it."""
+
+        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+            await super().startup(sockets)
+            tell(f"http://{_LOOPBACK}:{bound}/{token}/")
+
     view, token = MapView(path), secrets.token_urlsafe(_TOKEN_BYTES)
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listening:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -197,10 +205,8 @@ def serve(path: Path | str, port: int, tell: Callable[[str], None]) -> None:
             raise ScanweaveError(f"port {port}: {error.strerror}; give another --port") from error
         bound = int(listening.getsockname()[1])
         options: dict[str, Any] = {"access_log": False, "server_header": False, "log_level": "warning"}
-        server = uvicorn.Server(uvicorn.Config(application(view, token, bound), lifespan="off", **options))
-        listening.listen()
+        server = Told(uvicorn.Config(application(view, token, bound), lifespan="off", **options))
         try:
-            tell(f"http://{_LOOPBACK}:{bound}/{token}/")
             server.run(sockets=[listening])
         except KeyboardInterrupt:
             return  # as it should end

@@ -8,6 +8,7 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 
+from fusion.estimation import gate
 from slam.config import Config
 from slam.edits.evidence import scans_without
 from slam.edits.keyframes import bases_of
@@ -16,12 +17,12 @@ from slam.edits.settings import remade_config
 from slam.errors import ConfigError
 from slam.graph.loop_closure import judged
 from slam.graph.pose_covariances import pose_covariances
-from slam.graph.pose_graph import PoseGraph
+from slam.graph.pose_graph import Edge, PoseGraph, held_graph
 from slam.mapper.lidar3d import band_scans
 from slam.mapper.map_result import drawn
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.mapping.polygons import cells_inside
-from slam.measurements import FloatArray, Pose
+from slam.measurements import BoolArray, FloatArray, Pose
 from slam.storage.map_contents import MapContents, SavedFactor
 from slam.storage.map_edits import CLOUD, FRAME, MEASURED, REPAIRED, AppliedEdits, Region, erased_bits
 from slam.storage.map_sessions import MapSession
@@ -94,7 +95,7 @@ def settled(
     factors, loops = edited_loops(base, entries, before, config)
     poses = base.node_poses
     if _differ(factors, base.factors) or config.loops != before.loops:
-        factors, poses = solved(base.node_poses, factors, config)
+        factors, poses = solved(base.node_poses, factors, before, config)
         edges = [factor.edge for factor in factors]
         loops = judged(loops, edges, [factor.kept for factor in factors])
     T_new_old = turned_by(entries)
@@ -132,25 +133,55 @@ def settled(
 
 
 def solved(
-    poses: Sequence[Pose], factors: Sequence[SavedFactor], config: Config
+    poses: Sequence[Pose], factors: Sequence[SavedFactor], before: Config, config: Config
 ) -> tuple[list[SavedFactor], list[Pose]]:
     """A graph solved anew from where it was, with what was kept then.
 
-    What one edge had kept out may fit now: it is judged again until nothing changes.
+    What one edge had kept out may fit now, and what it had held may not: where an edge begins to contradict
+    its verdict, all are judged again until nothing changes. One that does so already is the run's affair.
     """
-    graph = PoseGraph(poses[0])
-    for pose in poses[1:]:
-        graph.add_node(pose)
-    for factor in factors:
-        graph.add_edge(factor.edge)
     kept = np.array([factor.kept for factor in factors], np.bool_)
+    certain = [replace(factor.edge, trusted=True) for factor in factors if factor.kept]
+    graph = _graph_of(poses, certain)
+    graph.optimize()
+    found, edges = _poses_of(graph), [factor.edge for factor in factors]
+    told, probability = before.loops.inlier_probability, config.loops.inlier_probability
+    if _misfits(found, edges, kept, probability) <= _misfits(poses, edges, kept, told):
+        return list(factors), found
+    graph = _graph_of(found, edges)
     graph.begin_with(kept)
     known = set[bytes]()
     while kept.tobytes() not in known:
         known.add(kept.tobytes())
-        kept = graph.optimize(config.loops.inlier_probability).kept
+        kept = graph.optimize(probability).kept
     held = [replace(factor, kept=bool(keep)) for factor, keep in zip(factors, kept, strict=True)]
-    return held, [graph.pose(node) for node in range(len(graph))]
+    return held, _poses_of(graph)
+
+
+def _graph_of(poses: Sequence[Pose], edges: Sequence[Edge]) -> PoseGraph:
+    """Nodes where they are, and edges."""
+    graph = PoseGraph(poses[0])
+    for pose in poses[1:]:
+        graph.add_node(pose)
+    for edge in edges:
+        graph.add_edge(edge)
+    return graph
+
+
+def _poses_of(graph: PoseGraph) -> list[Pose]:
+    """Where its nodes are."""
+    return [graph.pose(node) for node in range(len(graph))]
+
+
+def _misfits(poses: Sequence[Pose], edges: Sequence[Edge], kept: BoolArray, probability: float) -> set[int]:
+    """Edges that may be refused, and are on the other side of the gate than their verdict."""
+    graph, values = held_graph(poses, edges)
+    limit = 0.5 * gate(len(edges[0].covariance), probability)
+    return {
+        number
+        for number, edge in enumerate(edges)
+        if not edge.trusted and (graph.at(number + 1).error(values) <= limit) != kept[number]
+    }
 
 
 def _differ(factors: Sequence[SavedFactor], others: Sequence[SavedFactor]) -> bool:

@@ -244,10 +244,6 @@ class PoseGraph:
         """Estimated pose of a node."""
         return self._estimate.atPose2(key) if self._dimension == 3 else self._estimate.atPose3(key)
 
-    def spatial_pose(self, key: int) -> gtsam.Pose3:
-        """Estimated pose of a node of an SE(3) graph."""
-        return self._estimate.atPose3(key)
-
     def planar_poses(self, first: int = 0) -> FloatArray:
         """(n, 3) x, y, yaw of all nodes of an SE(2) graph, or from the first that an update has moved."""
         estimate = self._moved if first else self._estimate

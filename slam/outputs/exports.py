@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+
 from slam.config import Config
 from slam.edits.remaking import regions_of
 from slam.errors import LibraryError, ScanweaveError
@@ -23,6 +25,7 @@ from slam.storage.covariances import write_trajectory
 from slam.storage.files import make_folder
 from slam.storage.g2o import write_g2o
 from slam.storage.map_contents import MapContents
+from slam.storage.map_edits import CLOUD, FRAME, erased_bits
 from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers, write_passed_by
 from slam.storage.nav2_rooms import write_room_zones
 from slam.storage.nav2_zones import write_zones
@@ -154,6 +157,13 @@ class Exports:
             write_cloud_ply(path, map_cloud(found.clouds, poses, self.config.grid.resolution_m))
             written.append(path)
         return written, missing
+
+
+def same_surfaces(one: MapContents, other: MapContents, same_settings: bool) -> bool:
+    """Whether two maps of the same log show the same images and clouds at the same places."""
+    poses = [np.array([spatial(pose).matrix() for pose in contents.node_poses]) for contents in (one, other)]
+    erased = [[erased_bits(contents.edits, kind) for kind in (FRAME, CLOUD)] for contents in (one, other)]
+    return same_settings and np.array_equal(poses[0], poses[1]) and erased[0] == erased[1]
 
 
 def _save_cloud_octomap(path: Path, found: MapContents, config: Config) -> None:

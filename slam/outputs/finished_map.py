@@ -20,7 +20,7 @@ from slam.mapping.floor_plan import FloorPlan
 from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Trajectory
-from slam.outputs.exports import Exports
+from slam.outputs.exports import Exports, same_surfaces
 from slam.outputs.floorplan import floor_plan
 from slam.storage.files import make_folder, replacing
 from slam.storage.map_contents import MapContents, SavedFactor, read_contents, refuse_misfits
@@ -203,10 +203,14 @@ class Map:
             log.warning("%s", fault)
         return written
 
-    def write_files(self, folder: Path) -> list[Path]:
-        """Write the files for other programs that ``scanweave map`` writes; errors as in `export`."""
+    def write_files(self, folder: Path, like: Map | None = None) -> list[Path]:
+        """Write the files for other programs that ``scanweave map`` writes; errors as in `export`.
+
+        Surfaces, which take long, are left out where they would be those of another map.
+        """
         exports = Exports(self.contents, self.config)
-        surfaces, missing = exports.write_surfaces(folder)
+        same = like is not None and same_surfaces(self.contents, like.contents, self.config == like.config)
+        surfaces, missing = ([], list[str]()) if same else exports.write_surfaces(folder)
         for fault in missing:
             log.warning("%s", fault)
         sessions = [session.poses for session in self.sessions]
@@ -313,7 +317,7 @@ class Map:
             for warning in write(work / MAP_NAME):
                 log.warning("%s", warning)
             found = open_map(work)
-            found.write_files(work)
+            found.write_files(work, like=self if target.exists() else None)
             found.close()
 
         remake(folder, write_all)

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from slam.graph.loop_closure import LoopCandidate
 from slam.localization.known_map import Walls
 from slam.outputs.finished_map import Map
@@ -78,7 +80,8 @@ def _shared_scans(known: Map, session: Map) -> int:
     """How many keyframe scans of the session are the map's own, time and every range."""
     measured = (known.contents.measured_scans, session.contents.measured_scans)
     ours, theirs = (
-        [(scan.stamp_s, scan.sensor, scan.ranges_m.tobytes()) for scan in scans if scan is not None]
+        # What an edit has taken away was measured all the same.
+        [(scan.stamp_s, scan.sensor, np.abs(scan.ranges_m).tobytes()) for scan in scans if scan is not None]
         for scans in measured
     )
     known_scans = set(ours)

@@ -30,7 +30,8 @@ _BLOCK = 1 << 20
 _OUTPUTS = frozenset(
     {f"{MAP_NAME}{ending}" for ending in ("", "-wal", "-shm", "-journal")}
     | {"trajectory.tum", "graph.g2o", "map.yaml", "map.pgm", "map.bt", "mesh.ply", "cloud.ply", "lidar.ply"}
-    | {"report.html", "layers", "trajectory_covariance.csv"}
+    | {"report.html", "layers", "trajectory_covariance.csv", "edits.yaml"}
+    | {f"{name}_mask.{ending}" for name in ("keepout", "speed") for ending in ("yaml", "pgm")}
 )
 
 

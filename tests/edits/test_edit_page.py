@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 import pytest
 import yaml
+from browser import chromium
 from edit_maps import content
 from view_server import Served, served
 
@@ -69,16 +69,13 @@ class Sheet:
 @contextmanager
 def browser() -> Iterator[Sheet]:
     """A page of 1300 pixels; the test is skipped, loudly, without Chromium."""
-    found = shutil.which("chromium") or shutil.which("google-chrome")
-    if found is None:
-        pytest.skip("no Chromium here (apt-get install chromium): the edits were NOT tested in a browser")
-    playwright = pytest.importorskip("playwright.sync_api")
+    found, playwright = chromium(), pytest.importorskip("playwright.sync_api")
     with playwright.sync_playwright() as running:
-        chromium = running.chromium.launch(executable_path=found, args=["--no-sandbox"])
+        opened = running.chromium.launch(executable_path=found, args=["--no-sandbox"])
         try:
-            yield Sheet(chromium.new_page(viewport={"width": 1300, "height": 900}))
+            yield Sheet(opened.new_page(viewport={"width": 1300, "height": 900}))
         finally:
-            chromium.close()
+            opened.close()
 
 
 def test_every_control_of_the_page_that_came_by_mail(served: Served, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sqlite3
+from dataclasses import replace
 from pathlib import Path
 
 import gtsam
@@ -15,10 +16,14 @@ from edit_maps import box, changed_outside, content, name, occupied
 import slam
 from slam.app.map_folder import finished_map
 from slam.config.edits import dump_edits, edits_of
+from slam.edits.remaking import solved
 from slam.errors import ScanweaveError
+from slam.graph.pose_graph import Edge, EdgeKind
 from slam.matching.planar import between
 from slam.outputs.finished_map import Map, open_map
 from slam.simulation.synthetic_log import write_synthetic_log
+from slam.storage.map_contents import SavedFactor
+from slam.storage.map_file import MapFile
 from slam.storage.nav2 import read_nav2_map
 from slam.storage.nav2_zones import without_keep_out
 
@@ -48,6 +53,32 @@ def test_a_forbidden_loop_is_gone_and_undo_brings_the_map_back_to_the_byte(house
     moved = np.abs(edited.keyframe_poses - house.keyframe_poses)[:, :2].max()
     assert 0.0 < moved < 0.2
     assert content(edited.undone()) == content(house)
+
+
+def test_a_verdict_that_no_edit_touches_stays(house: Map) -> None:
+    """A loop that fits, and that the run refused all the same, is not taken in because of another."""
+    numbers = [n for n, factor in enumerate(house.factors) if factor.edge.loop is not None]
+    factors = [replace(one, kept=n != numbers[2]) for n, one in enumerate(house.factors) if n != numbers[0]]
+    found, poses = solved(house.contents.node_poses, factors, house.config, house.config)
+    assert [one.kept for one in found] == [one.kept for one in factors]
+    moved = [a.translation() - b.translation() for a, b in zip(poses, house.contents.node_poses, strict=True)]
+    assert 0.0 < np.abs(moved).max() < 0.05
+
+
+def test_what_a_false_loop_had_kept_out_comes_back(house: Map) -> None:
+    """A false loop that is certain breaks the map; without it the true ones hold again."""
+    loops = [loop for loop in house.loops if loop.accepted]
+    last = max(loops, key=lambda loop: loop.keyframe - loop.place)
+    assert last.motion is not None
+    off = last.motion.T_reference_base.compose(gtsam.Pose2(1.5, 1.0, 0.5))  # type: ignore[arg-type]
+    false = SavedFactor(Edge(last.place, last.keyframe, off, 1e-6 * np.eye(3), EdgeKind.LOOP, True), True)
+    broken, poses = solved(house.contents.node_poses, [*house.factors, false], house.config, house.config)
+    refused = sum(not factor.kept for factor in broken)
+    assert refused > sum(not factor.kept for factor in house.factors)
+    mended, back = solved(poses, broken[:-1], house.config, house.config)
+    assert sum(not factor.kept for factor in mended) < refused
+    moved = [a.translation() - b.translation() for a, b in zip(back, house.contents.node_poses, strict=True)]
+    assert np.abs(moved).max() < 0.1
 
 
 def test_a_refused_loop_that_is_forced_holds(house: Map) -> None:
@@ -184,6 +215,8 @@ def test_what_takes_the_log_is_refused_by_its_name(house: Map) -> None:
     back = strict.remap(["loops.least_inlier_share=0.6"])
     assert sum(loop.accepted for loop in back.loops) == accepted
     assert content(back.undone().undone()) == content(house)
+    doubting = house.remap(["loops.inlier_probability=0.01"])
+    assert sum(factor.kept for factor in doubting.factors) < sum(factor.kept for factor in house.factors)
 
 
 def test_no_step_of_an_edited_map_is_forgotten_when_it_is_resumed(house: Map, tmp_path: Path) -> None:
@@ -248,6 +281,12 @@ def test_edits_are_read_back_as_they_were_written() -> None:
     assert edits_of(yaml.safe_load(dump_edits(edits)), "there") == edits
 
 
+def test_the_example_of_the_docs_is_understood() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "edits.md").read_text()
+    edits = edits_of(yaml.safe_load(page.split("```yaml\n")[1].split("```")[0]), "the docs")
+    assert set(edits.model_dump(exclude_defaults=True)) == set(type(edits).model_fields)
+
+
 def test_a_damaged_edit_is_blamed_by_its_row(house: Map, tmp_path: Path) -> None:
     house.edited({"turn": {"degrees": 10}}, out=tmp_path).close()
     with sqlite3.connect(tmp_path / "map.db") as connection:
@@ -255,3 +294,23 @@ def test_a_damaged_edit_is_blamed_by_its_row(house: Map, tmp_path: Path) -> None
     connection.close()
     with pytest.raises(ScanweaveError, match="table edits, row 0: its checksum is wrong"):
         open_map(tmp_path)
+
+
+def test_a_map_of_an_older_version_is_edited(house: Map, tmp_path: Path) -> None:
+    """Schema 3 had neither edits nor covariances."""
+    path = tmp_path / "map.db"
+    path.write_bytes(content(house))
+    with sqlite3.connect(path) as connection:
+        connection.execute("DROP TABLE edits")
+        connection.execute("DROP TABLE covariances")
+        connection.execute("PRAGMA user_version = 3")
+        connection.execute("DELETE FROM meta WHERE key = 'seal'")
+    connection.close()
+    file = MapFile.resume(path)
+    assert file is not None
+    file.seal()
+    old = open_map(path)
+    turned = old.edited({"turn": {"degrees": 90}})
+    assert turned.covariances is not None  # they follow from the graph
+    assert turned.undone().covariances is None
+    assert turned.undone().keyframe_poses == pytest.approx(old.keyframe_poses, abs=0.0)

@@ -165,3 +165,13 @@ def square(grid: OccupancyGrid) -> FloatArray:
     row, col = np.argwhere(grid.states() == 100)[len(np.argwhere(grid.states() == 100)) // 2]
     middle = grid.T_map_grid.translation() + grid.resolution_m * (np.array([col, row]) + 0.5)
     return np.asarray(middle + 0.55 * np.array([[-1, -1.1], [1, -1], [1.1, 1], [-1, 1]]))
+
+
+def test_surfaces_are_written_again_only_where_they_would_be_others(camera: Map, tmp_path: Path) -> None:
+    saved = camera.remap(["dense_map.enabled=true", "dense_map.voxel_m=0.1"], out=tmp_path)
+    cloud = tmp_path / "cloud.ply"
+    content_, written = cloud.read_bytes(), cloud.stat().st_mtime_ns
+    named = saved.edited({"places": [{"name": "dock", "position": [0, 0]}]}, out=tmp_path)
+    assert cloud.stat().st_mtime_ns == written
+    named.edited({"turn": {"degrees": 90}}, out=tmp_path)
+    assert cloud.read_bytes() != content_

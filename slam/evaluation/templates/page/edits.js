@@ -24,6 +24,13 @@
       items.splice(items.indexOf(item), 1);
       collect();
     },
+    download() {
+      const link = element("a", {
+        href: URL.createObjectURL(new Blob([S.editsText()], {type: "application/yaml"})), download: "edits.yaml",
+      });
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+    },
     undo() {
       if (items.length) edits.remove(items[items.length - 1]);
     },
@@ -54,14 +61,6 @@
     if (part !== "loops") return `${part}: ${JSON.stringify(value)}\n`;
     return `loops:\n${Object.entries(value).map(([name, pairs]) => `  ${name}:\n${lines(pairs, "    ")}`).join("")}`;
   }).join("");
-
-  function download() {
-    const link = element("a", {
-      href: URL.createObjectURL(new Blob([S.editsText()], {type: "application/yaml"})), download: "edits.yaml",
-    });
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
-  }
 
   // In `scanweave view`: have the map changed, and show it anew.
   async function post(where, tree) {
@@ -105,7 +104,7 @@
     const made = (id, textContent, disabled, onclick) => element("button", {type: "button", id, textContent, disabled, onclick});
     return element("div", {class: "choice"},
       made("edits-undo", "Undo (Ctrl+Z)", !items.length, edits.undo),
-      made("edits-yaml", "Save edits.yaml", !some, download),
+      made("edits-yaml", "Save edits.yaml", !some, edits.download),
       edits.live ? made("edits-save", edits.busy ? "Saving …" : "Save into the map", !some || edits.busy, () => post("edits", S.edits)) : null,
       edits.live && applied.length ? made("edits-back", "Take the last saved back", edits.busy, () => post("undo", {})) : null);
   }

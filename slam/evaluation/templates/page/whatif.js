@@ -111,19 +111,6 @@
     S.emit("edits");
   }
 
-  // edits.yaml: of JSON every text is YAML, too; a pair a line can be read by people.
-  S.editsText = () => Object.entries(S.edits).map(([part, value]) => {
-    if (part !== "loops") return `${part}: ${JSON.stringify(value)}\n`;
-    const lists = Object.entries(value).map(([name, pairs]) => [`  ${name}:\n`, ...pairs.map(pair => `    - ${JSON.stringify(pair)}\n`)]);
-    return ["loops:\n", ...lists.flat()].join("");
-  }).join("");
-
-  function download() {
-    const link = element("a", {href: URL.createObjectURL(new Blob([S.editsText()], {type: "application/yaml"})), download: "edits.yaml"});
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
-  }
-
   const length = metres => metres < 0.0995 ? `${(100 * metres).toFixed(metres < 0.00995 ? 2 : 1)} cm` : `${metres.toFixed(2)} m`;
   const nodeLink = (text, node) => element("button", {
     type: "button", class: "link", textContent: text, onclick: () => {
@@ -211,7 +198,7 @@
           toggleButton(edge, whatIf.on[edge] ? "off" : "on"), " ", edgeLink(edge)))),
         element("div", {class: "choice"},
           element("button", {type: "button", id: "what-if-reset", textContent: "Back to the map", onclick: whatIf.reset}),
-          element("button", {type: "button", id: "edits-download", textContent: "Save edits.yaml", onclick: download})),
+          element("button", {type: "button", id: "edits-download", textContent: "Save edits.yaml", onclick: () => S.editing.download()})),
         changed.some(edge => whatIf.edges.loop[edge] < 0) ? element("p", {class: "soft", textContent: "Steps are only tried here; edits.yaml holds loops."}) : "",
       ] : []), doubtful() || "");
     };
