@@ -18,6 +18,7 @@ THINNEST_WALL_M, THICKEST_WALL_M = 0.06, 0.45
 # The widest double door.
 WIDEST_DOOR_M = 2.2
 _WIDER = 1.25
+_OPPOSITE = -float(np.cos(SAME_DIRECTION_RAD))
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,13 +202,15 @@ def _following(segments: Sequence[Segment], sturdy: BoolArray) -> dict[int, int]
 def _thin(segment: Segment, at_m: FloatArray, segments: Sequence[Segment], *, leaf: bool = False) -> bool:
     """Whether the other side of a wall was seen, near a point of it; or that of the leaf of a door."""
     thinnest, thickest = (0.0, THINNEST_WALL_M) if leaf else (THINNEST_WALL_M, THICKEST_WALL_M)
+    normal, along = segment.normal, segment.along
     for other in segments:
-        if other.normal @ segment.normal > -np.cos(SAME_DIRECTION_RAD):
+        # Most are not opposite; the rest is only for these.
+        if other.normal[0] * normal[0] + other.normal[1] * normal[1] > _OPPOSITE:
             continue
-        behind = [-(point - at_m) @ segment.normal for point in (other.begin_m, other.end_m)]
-        reach = [(point - at_m) @ segment.along for point in (other.begin_m, other.end_m)]
+        begin, end = other.begin_m - at_m, other.end_m - at_m
+        reach = begin @ along, end @ along
         if (
-            thinnest < np.mean(behind) < thickest
+            thinnest < -0.5 * float((begin + end) @ normal) < thickest
             and min(reach) < THICKEST_WALL_M
             and max(reach) > -THICKEST_WALL_M
         ):

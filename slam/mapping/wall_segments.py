@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +90,7 @@ def wall_points(
     return WallPoints(stacked, np.concatenate(normals), np.concatenate(keyframes), np.ones(len(stacked)))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Segment:
     """One side of a straight piece of wall, or of something that looks like one.
 
@@ -105,17 +106,17 @@ class Segment:
     end_m: FloatArray
     weight: float
 
-    @property
+    @cached_property
     def length_m(self) -> float:
         """From end to end."""
         return float(np.hypot(*(self.end_m - self.begin_m)))
 
-    @property
+    @cached_property
     def along(self) -> FloatArray:
         """(2,) unit vector from its begin to its end."""
         return np.asarray((self.end_m - self.begin_m) / self.length_m)
 
-    @property
+    @cached_property
     def normal(self) -> FloatArray:
         """(2,) unit vector to the side that was seen."""
         x, y = self.along

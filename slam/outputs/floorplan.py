@@ -46,7 +46,8 @@ def floor_plan(contents: MapContents, config: Config) -> FloorPlan:
     for label in range(1, int(rooms.labels.max(initial=0)) + 1):
         own = points_of(rooms, label, points)
         outline = room_outline(rooms, label, own)
-        if outline is not None:
+        # What nobody was in, and has no walls, lies behind a window.
+        if outline is not None and (label in entered or any(face.seen for face in outline.faces)):
             numbers[label] = len(numbers) + 1
             outlines.append(outline)
             ends = [outline.ends(edge) for edge in range(len(outline.faces))]
