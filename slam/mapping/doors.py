@@ -92,8 +92,10 @@ def _open(
             runs[-1][1] = high
         else:
             runs.append([low, high])
+    # The sides of the door lie in the cells that are not free.
+    side = (end_m - begin_m) / length * cell_m
     return [
-        (middles[low], middles[high - 1])
+        (middles[low] - side, middles[high - 1] + side)
         for low, high in runs
         if np.hypot(*(middles[high - 1] - middles[low])) > THICKEST_WALL_M
     ]

@@ -142,7 +142,7 @@ class Door:
 
     @property
     def width_m(self) -> float:
-        """From side to side, to a cell of the grid."""
+        """From side to side, to two cells of the grid."""
         return float(np.hypot(*(self.end_m - self.begin_m)))
 
     @property

@@ -17,8 +17,6 @@ from slam.measurements import BoolArray, FloatArray
 THINNEST_WALL_M, THICKEST_WALL_M = 0.06, 0.45
 # The widest double door.
 WIDEST_DOOR_M = 2.2
-_WIDER = 1.25
-_OPPOSITE = -float(np.cos(SAME_DIRECTION_RAD))
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +148,8 @@ def _across(gap: Gap, met: BoolArray, grid: OccupancyGrid) -> bool:
     before = gap.points(step_m, aside_m=6.0 * step_m, beyond_m=0.5 * THICKEST_WALL_M)
     if all(half.any() for half in np.array_split(looked_up(met, grid.cells_of(before)), 2)):
         return True
-    return max(_width_m(gap, side, met, grid) for side in (1.0, -1.0)) < _WIDER * gap.length_m
+    # Wider by a quarter is wider.
+    return 4.0 * max(_width_m(gap, side, met, grid) for side in (1.0, -1.0)) < 5.0 * gap.length_m
 
 
 def _ahead(end_m: FloatArray, along: FloatArray, met: BoolArray, grid: OccupancyGrid) -> FloatArray | None:
@@ -202,10 +201,10 @@ def _following(segments: Sequence[Segment], sturdy: BoolArray) -> dict[int, int]
 def _thin(segment: Segment, at_m: FloatArray, segments: Sequence[Segment], *, leaf: bool = False) -> bool:
     """Whether the other side of a wall was seen, near a point of it; or that of the leaf of a door."""
     thinnest, thickest = (0.0, THINNEST_WALL_M) if leaf else (THINNEST_WALL_M, THICKEST_WALL_M)
-    normal, along = segment.normal, segment.along
+    normal, along, opposite = segment.normal, segment.along, -np.cos(SAME_DIRECTION_RAD)
     for other in segments:
         # Most are not opposite; the rest is only for these.
-        if other.normal[0] * normal[0] + other.normal[1] * normal[1] > _OPPOSITE:
+        if other.normal[0] * normal[0] + other.normal[1] * normal[1] > opposite:
             continue
         begin, end = other.begin_m - at_m, other.end_m - at_m
         reach = begin @ along, end @ along
