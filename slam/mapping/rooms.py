@@ -92,7 +92,7 @@ def _drawn(lines: Sequence[Line], grid: OccupancyGrid) -> BoolArray:
     """(rows, cols) cells of lines, without holes over the corners of cells."""
     drawn = np.zeros(grid.shape, np.bool_)
     for line in lines:
-        cells = grid.cells_of(line.points(0.25 * grid.resolution_m))
+        cells = grid.cells_of(line.points(grid.resolution_m / 4))
         inside = ((cells >= 0) & (cells < grid.shape)).all(axis=1)
         drawn[tuple(cells[inside].T)] = True
     return np.asarray(ndimage.binary_dilation(drawn, np.ones((2, 2), np.bool_)))

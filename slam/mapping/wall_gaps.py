@@ -145,11 +145,11 @@ def _across(gap: Gap, met: BoolArray, grid: OccupancyGrid) -> bool:
     Then walls stand across before both its ends, or it is nowhere wider past it.
     """
     step_m = 0.5 * grid.resolution_m
-    before = gap.points(step_m, aside_m=6.0 * step_m, beyond_m=0.5 * THICKEST_WALL_M)
+    before = gap.points(step_m, aside_m=6 * step_m, beyond_m=0.5 * THICKEST_WALL_M)
     if all(half.any() for half in np.array_split(looked_up(met, grid.cells_of(before)), 2)):
         return True
     # Wider by a quarter is wider.
-    return 4.0 * max(_width_m(gap, side, met, grid) for side in (1.0, -1.0)) < 5.0 * gap.length_m
+    return 4 * max(_width_m(gap, side, met, grid) for side in (1.0, -1.0)) < 5 * gap.length_m
 
 
 def _ahead(end_m: FloatArray, along: FloatArray, met: BoolArray, grid: OccupancyGrid) -> FloatArray | None:
@@ -186,8 +186,8 @@ def _following(segments: Sequence[Segment], sturdy: BoolArray) -> dict[int, int]
     for index, segment in enumerate(segments):
         to = begins - segment.end_m
         ahead, aside = to @ segment.along, np.abs(to @ segment.normal)
-        bend = np.tan(0.25 * SAME_DIRECTION_RAD) * np.maximum(ahead, 0.0)
-        same = (alongs @ segment.along > np.cos(SAME_DIRECTION_RAD)) & (aside < 0.25 * THICKEST_WALL_M + bend)
+        bend = np.tan(SAME_DIRECTION_RAD / 4) * np.maximum(ahead, 0.0)
+        same = (alongs @ segment.along > np.cos(SAME_DIRECTION_RAD)) & (aside < THICKEST_WALL_M / 4 + bend)
         same[index] = False
         # What overlaps goes on beside it: no gap.
         same &= ((ends - segment.end_m) @ segment.along > 0.0) & (ahead > -0.5 * THICKEST_WALL_M)

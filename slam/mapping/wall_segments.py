@@ -173,7 +173,7 @@ def _strips(points: FloatArray, angle: float, cell_m: float) -> Iterator[NDArray
         strip = np.flatnonzero(free & (np.abs(bins - best) <= 1))
         free[strip] = False
         order = strip[np.argsort(along[strip], kind="stable")]
-        yield from np.split(order, np.flatnonzero(np.diff(along[order]) > 4.0 * cell_m) + 1)
+        yield from np.split(order, np.flatnonzero(np.diff(along[order]) > 4 * cell_m) + 1)
 
 
 def _fitted(
@@ -196,7 +196,7 @@ def _fitted(
     if along[0] * normal[1] - along[1] * normal[0] < 0.0:
         along = -along
     at = (points.points_map[members] - middle) @ along
-    if values[0] > 0.1 * values[1] or weights.sum() < FEWEST:
+    if 10 * values[0] > values[1] or weights.sum() < FEWEST:
         return None, members
     low, high = at.min(), at.max()
     return Segment(middle + low * along, middle + high * along, float(weights.sum())), members
