@@ -80,7 +80,7 @@ def _open(
     shares = np.linspace(0.0, 1.0, max(2, int(2.0 * length / cell_m)))
     deep = float(np.hypot(*half_m)) + cell_m
     normal = np.array([-(end_m - begin_m)[1], (end_m - begin_m)[0]]) / length
-    steps = np.linspace(-deep, deep, 3 + int(4.0 * deep / cell_m))
+    steps = np.linspace(-deep, deep, 3 + int(4 * deep / cell_m))
     middles = begin_m + shares[:, None] * (end_m - begin_m)
     across = middles[:, None, :] + steps[:, None] * normal
     seen = looked_up(free, grid.cells_of(across.reshape(-1, 2))).reshape(len(shares), -1).all(axis=1)
@@ -92,8 +92,10 @@ def _open(
             runs[-1][1] = high
         else:
             runs.append([low, high])
+    # The sides of the door lie in the cells that are not free.
+    side = (end_m - begin_m) / length * cell_m
     return [
-        (middles[low], middles[high - 1])
+        (middles[low] - side, middles[high - 1] + side)
         for low, high in runs
         if np.hypot(*(middles[high - 1] - middles[low])) > THICKEST_WALL_M
     ]
@@ -105,8 +107,8 @@ def _met(begin_m: FloatArray, end_m: FloatArray, points: WallPoints) -> bool:
     along = (end_m - begin_m) / length
     normal = np.array([-along[1], along[0]])
     off = points.points_map - begin_m
-    inside = np.abs(off @ along / length - 0.5) < 0.3
-    near = (np.abs(off @ normal) < 0.25 * THICKEST_WALL_M) & (
+    inside = np.abs(off @ along / length - 0.5) < 1 / 3
+    near = (np.abs(off @ normal) < THICKEST_WALL_M / 4) & (
         np.abs(points.normals_map @ normal) > np.cos(SAME_DIRECTION_RAD)
     )
     return bool((inside & near).any())

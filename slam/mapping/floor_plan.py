@@ -113,7 +113,7 @@ class Room:
         x, y = (self.corners_m - self.corners_m[0]).T
         weights = x * np.roll(y, -1) - np.roll(x, -1) * y
         sums = np.array([(v + np.roll(v, -1)) @ weights for v in (x, y)])
-        return np.asarray(self.corners_m[0] + sums / (3.0 * weights.sum()))
+        return np.asarray(self.corners_m[0] + sums / (3 * weights.sum()))
 
     @property
     def area_half_interval_m2(self) -> float | None:
@@ -142,7 +142,7 @@ class Door:
 
     @property
     def width_m(self) -> float:
-        """From side to side, to a cell of the grid."""
+        """From side to side, to two cells of the grid."""
         return float(np.hypot(*(self.end_m - self.begin_m)))
 
     @property
@@ -168,4 +168,4 @@ class FloorPlan:
         walls = [wall.end_m - wall.begin_m for room in self.rooms for wall in room.walls]
         # Four times the angle is the same for all four directions.
         turned = [complex(x, y) ** 4 / max(abs(complex(x, y)), TINY) ** 3 for x, y in walls]
-        return float(0.25 * np.angle(sum(turned))) if turned else 0.0
+        return float(np.angle(sum(turned)) / 4) if turned else 0.0

@@ -84,7 +84,7 @@ def area_m2(corners_m: FloatArray) -> float:
 def points_of(rooms: RoomMap, label: int, points: WallPoints) -> WallPoints:
     """The points that were seen from inside a room."""
     inside = np.zeros(len(points), np.bool_)
-    for far in (1.5, 2.5):
+    for far in (2, 3):
         inside |= rooms.at(points.points_map + far * rooms.resolution_m * points.normals_map) == label
     return points.chosen(inside)
 
@@ -95,7 +95,7 @@ def room_outline(rooms: RoomMap, label: int, points: WallPoints) -> Outline | No
     of_room = rooms.labels == label
     rows, cols = np.nonzero(of_room)
     middles = rooms.middles(rows, cols)
-    segments = wall_segments(points, cell, 4.0 * cell)
+    segments = wall_segments(points, cell, 4 * cell)
     axes = _axes(segments)
     faces = _faces(segments, axes, cell)
     faces += _ends(faces, axes, middles, cell)
@@ -128,7 +128,7 @@ def _axes(segments: list[Segment]) -> FloatArray:
 
 def _direction(fourfold: complex) -> tuple[float, float]:
     """A unit vector at a quarter of a number's angle."""
-    angle = 0.25 * math.atan2(fourfold.imag, fourfold.real)
+    angle = math.atan2(fourfold.imag, fourfold.real) / 4
     return math.cos(angle), math.sin(angle)
 
 
@@ -146,7 +146,7 @@ def _faces(segments: list[Segment], axes: FloatArray, cell_m: float) -> list[Fac
         for index, face in enumerate(faces):
             if (
                 face.normal @ normal > np.cos(SAME_DIRECTION_RAD)
-                and abs(face.off(middle[None])[0]) < 1.5 * cell_m
+                and abs(face.off(middle[None])[0]) < 3 * cell_m / 2
             ):
                 faces[index] = replace(face, length_m=face.length_m + segment.length_m)
                 break
@@ -159,12 +159,12 @@ def _ends(faces: list[Face], axes: FloatArray, middles_m: FloatArray, cell_m: fl
     """Where what was seen ends without a wall."""
     found = []
     for inward in axes:
-        at = float(np.quantile(middles_m @ inward, 0.005)) - 0.5 * cell_m
+        at = float(np.percentile(middles_m @ inward, 1)) - 0.5 * cell_m
         walls = [
             face
             for face in faces
             if face.normal @ inward > np.cos(SAME_DIRECTION_RAD)
-            and abs(face.point_m @ inward - at) < 4.0 * cell_m
+            and abs(face.point_m @ inward - at) < 4 * cell_m
         ]
         if not walls:
             found.append(Face(at * inward, inward, False, 0.0))
@@ -181,7 +181,7 @@ def _inside(labels: NDArray[np.int32], label: int, before: BoolArray, cell_m: fl
     owner = owner.reshape(labels.shape)
     sizes = np.bincount(owner.ravel())
     free = np.bincount(owner.ravel(), (labels == label).ravel())
-    inside = (3.0 * free > sizes)[owner]
+    inside = (3 * free > sizes)[owner]
     hull = np.ones_like(inside)
     for side in before:
         if np.count_nonzero(inside & ~side) < FEWEST:
@@ -192,7 +192,7 @@ def _inside(labels: NDArray[np.int32], label: int, before: BoolArray, cell_m: fl
         where = pockets == pocket
         size = np.count_nonzero(where)
         others = np.count_nonzero(where & (labels > 0) & (labels != label))
-        if size * cell_m**2 <= LARGEST_FURNITURE_M2 and others < 0.1 * size:
+        if size * cell_m**2 <= LARGEST_FURNITURE_M2 and 10 * others < size:
             inside |= where
     parts, _ = ndimage.label(inside)
     most = np.bincount(parts[labels == label], minlength=parts.max() + 1)
@@ -209,7 +209,7 @@ def _traced(mask: BoolArray, faces: list[Face], middles_m: FloatArray, cell_m: f
     points = middles_m[tuple(border.T)]
     off = np.array([face.off(points) for face in faces])
     # The middle of a cell inside the border lies half a cell, at most its diagonal, before the line.
-    off = np.where((off > -0.5 * cell_m) & (off < 1.5 * cell_m), np.abs(off - 0.5 * cell_m), np.inf)
+    off = np.where((off > -0.5 * cell_m) & (off < 3 * cell_m / 2), np.abs(off - 0.5 * cell_m), np.inf)
     nearest = np.where(np.isfinite(off.min(axis=0)), np.argmin(off, axis=0), -1)
     # At corners a cell lies at two lines: it goes to the one of its neighbours.
     owners = _runs(nearest, 3)
@@ -227,7 +227,7 @@ def _traced(mask: BoolArray, faces: list[Face], middles_m: FloatArray, cell_m: f
         edges = edges[::-1]
         polygon = corners_of(edges)
     size = np.count_nonzero(mask) * cell_m**2
-    if not 0.75 < area_m2(polygon) / size < 1.33:
+    if not 3 * size < 4 * area_m2(polygon) < 5 * size:
         return None
     return Outline(polygon, tuple(edges))
 

@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
-from slam.mapping.wall_gaps import THICKEST_WALL_M, Gap, Line, looked_up, wall_gaps
+from slam.mapping.wall_gaps import THICKEST_WALL_M, WIDEST_DOOR_M, Gap, Line, looked_up, wall_gaps
 from slam.mapping.wall_segments import Segment
 from slam.measurements import BoolArray, FloatArray
 
 Labels = NDArray[np.int32]
 
-# What is smaller is a cupboard, or a gap between two.
-SMALLEST_ROOM_M2 = 1.0
 # A double bed.
 LARGEST_FURNITURE_M2 = 4.0
 
@@ -94,7 +92,7 @@ def _drawn(lines: Sequence[Line], grid: OccupancyGrid) -> BoolArray:
     """(rows, cols) cells of lines, without holes over the corners of cells."""
     drawn = np.zeros(grid.shape, np.bool_)
     for line in lines:
-        cells = grid.cells_of(line.points(0.25 * grid.resolution_m))
+        cells = grid.cells_of(line.points(grid.resolution_m / 4))
         inside = ((cells >= 0) & (cells < grid.shape)).all(axis=1)
         drawn[tuple(cells[inside].T)] = True
     return np.asarray(ndimage.binary_dilation(drawn, np.ones((2, 2), np.bool_)))
@@ -118,10 +116,12 @@ def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: Occupanc
     areas[0] = 0.0
     owner = np.arange(len(real))
     edges = []
+    # What is no larger than a doorway is none.
+    smallest = THICKEST_WALL_M * WIDEST_DOOR_M
     for gap in gaps:
         one, other = _sides(labels, gap, grid)
         if one and other and real[one] and real[other] and one != other:
-            least = SMALLEST_ROOM_M2 if gap.wall else LARGEST_FURNITURE_M2
+            least = smallest if gap.wall else LARGEST_FURNITURE_M2
             # From one side of a corridor to the other no wall parts the two.
             least = least if _parted(labels, gap, (one, other), grid) else np.inf
             edges.append((least, gap.length_m, one, other))
@@ -136,7 +136,7 @@ def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: Occupanc
             break
         _, _, one, other = min(small)
         owner[owner == owner[one]] = owner[other]
-    rooms = real & (sizes[owner] >= SMALLEST_ROOM_M2)
+    rooms = real & (sizes[owner] >= smallest)
     order = np.unique(owner[rooms])
     number = np.zeros(len(owner), np.int32)
     number[order[np.argsort(-sizes[order], kind="stable")]] = np.arange(1, len(order) + 1)

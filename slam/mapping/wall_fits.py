@@ -91,7 +91,7 @@ def fit_wall(
         design = np.column_stack([np.ones(len(at)), at - middle])
         left = off - design @ (np.linalg.pinv(design[keep]) @ off[keep])
         scale = median_to_sigma() * float(np.median(np.abs(left[keep])))
-        last, keep = keep, np.abs(left) <= np.sqrt(gate()) * min(scale, 0.2 * cell_m)
+        last, keep = keep, np.abs(left) <= np.sqrt(gate()) * min(scale, cell_m / 5)
         if (keep == last).all():
             break
     at, off, left, owners = at[keep], off[keep], left[keep], owners[keep]
@@ -114,22 +114,22 @@ def _mode(at: FloatArray, off: FloatArray, cell_m: float) -> BoolArray:
     rows = order[starts + counts // 2]
     place, votes = at[rows], off[rows]
     one, other = np.triu_indices(len(place), 1)
-    far = np.abs(place[other] - place[one]) >= 0.25 * np.ptp(place)
+    far = np.abs(place[other] - place[one]) >= np.ptp(place) / 4
     one, other = one[far], other[far]
     slopes = np.append(
         0.0, (votes[other] - votes[one]) / np.maximum(np.abs(place[other] - place[one]), cell_m)
     )
     slopes *= np.append(1.0, np.sign(place[other] - place[one]))
     begins = np.append(np.median(votes), votes[one] - slopes[1:] * place[one])
-    fits = (np.abs(votes - begins[:, None] - slopes[:, None] * place) < 0.2 * cell_m).sum(axis=1)
+    fits = (np.abs(votes - begins[:, None] - slopes[:, None] * place) < cell_m / 5).sum(axis=1)
     best = int(np.argmax(fits))
     # Panes of glass and closed doors lie behind the wall's face.
     middle = float(np.median(place))
     inward = begins + slopes * middle - begins[best] - slopes[best] * middle
-    inner = (inward > 0.6 * cell_m) & (fits >= 4)
+    inner = (inward > 3 * cell_m / 5) & (fits >= 4)
     if inner.any():
         best = int(np.argmax(np.where(inner, fits, 0)))
-    return np.asarray(np.abs(off - begins[best] - slopes[best] * at) < 0.4 * cell_m)
+    return np.asarray(np.abs(off - begins[best] - slopes[best] * at) < 2 * cell_m / 5)
 
 
 def _by_poses(

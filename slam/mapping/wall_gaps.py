@@ -17,7 +17,6 @@ from slam.measurements import BoolArray, FloatArray
 THINNEST_WALL_M, THICKEST_WALL_M = 0.06, 0.45
 # The widest double door.
 WIDEST_DOOR_M = 2.2
-_WIDER = 1.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,10 +145,11 @@ def _across(gap: Gap, met: BoolArray, grid: OccupancyGrid) -> bool:
     Then walls stand across before both its ends, or it is nowhere wider past it.
     """
     step_m = 0.5 * grid.resolution_m
-    before = gap.points(step_m, aside_m=6.0 * step_m, beyond_m=0.5 * THICKEST_WALL_M)
+    before = gap.points(step_m, aside_m=6 * step_m, beyond_m=0.5 * THICKEST_WALL_M)
     if all(half.any() for half in np.array_split(looked_up(met, grid.cells_of(before)), 2)):
         return True
-    return max(_width_m(gap, side, met, grid) for side in (1.0, -1.0)) < _WIDER * gap.length_m
+    # Wider by a quarter is wider.
+    return 4 * max(_width_m(gap, side, met, grid) for side in (1.0, -1.0)) < 5 * gap.length_m
 
 
 def _ahead(end_m: FloatArray, along: FloatArray, met: BoolArray, grid: OccupancyGrid) -> FloatArray | None:
@@ -186,8 +186,8 @@ def _following(segments: Sequence[Segment], sturdy: BoolArray) -> dict[int, int]
     for index, segment in enumerate(segments):
         to = begins - segment.end_m
         ahead, aside = to @ segment.along, np.abs(to @ segment.normal)
-        bend = np.tan(0.25 * SAME_DIRECTION_RAD) * np.maximum(ahead, 0.0)
-        same = (alongs @ segment.along > np.cos(SAME_DIRECTION_RAD)) & (aside < 0.25 * THICKEST_WALL_M + bend)
+        bend = np.tan(SAME_DIRECTION_RAD / 4) * np.maximum(ahead, 0.0)
+        same = (alongs @ segment.along > np.cos(SAME_DIRECTION_RAD)) & (aside < THICKEST_WALL_M / 4 + bend)
         same[index] = False
         # What overlaps goes on beside it: no gap.
         same &= ((ends - segment.end_m) @ segment.along > 0.0) & (ahead > -0.5 * THICKEST_WALL_M)
@@ -201,13 +201,15 @@ def _following(segments: Sequence[Segment], sturdy: BoolArray) -> dict[int, int]
 def _thin(segment: Segment, at_m: FloatArray, segments: Sequence[Segment], *, leaf: bool = False) -> bool:
     """Whether the other side of a wall was seen, near a point of it; or that of the leaf of a door."""
     thinnest, thickest = (0.0, THINNEST_WALL_M) if leaf else (THINNEST_WALL_M, THICKEST_WALL_M)
+    normal, along, opposite = segment.normal, segment.along, -np.cos(SAME_DIRECTION_RAD)
     for other in segments:
-        if other.normal @ segment.normal > -np.cos(SAME_DIRECTION_RAD):
+        # Most are not opposite; the rest is only for these.
+        if other.normal[0] * normal[0] + other.normal[1] * normal[1] > opposite:
             continue
-        behind = [-(point - at_m) @ segment.normal for point in (other.begin_m, other.end_m)]
-        reach = [(point - at_m) @ segment.along for point in (other.begin_m, other.end_m)]
+        begin, end = other.begin_m - at_m, other.end_m - at_m
+        reach = begin @ along, end @ along
         if (
-            thinnest < np.mean(behind) < thickest
+            thinnest < -0.5 * float((begin + end) @ normal) < thickest
             and min(reach) < THICKEST_WALL_M
             and max(reach) > -THICKEST_WALL_M
         ):

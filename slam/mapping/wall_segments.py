@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +90,7 @@ def wall_points(
     return WallPoints(stacked, np.concatenate(normals), np.concatenate(keyframes), np.ones(len(stacked)))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Segment:
     """One side of a straight piece of wall, or of something that looks like one.
 
@@ -105,17 +106,17 @@ class Segment:
     end_m: FloatArray
     weight: float
 
-    @property
+    @cached_property
     def length_m(self) -> float:
         """From end to end."""
         return float(np.hypot(*(self.end_m - self.begin_m)))
 
-    @property
+    @cached_property
     def along(self) -> FloatArray:
         """(2,) unit vector from its begin to its end."""
         return np.asarray((self.end_m - self.begin_m) / self.length_m)
 
-    @property
+    @cached_property
     def normal(self) -> FloatArray:
         """(2,) unit vector to the side that was seen."""
         x, y = self.along
@@ -172,7 +173,7 @@ def _strips(points: FloatArray, angle: float, cell_m: float) -> Iterator[NDArray
         strip = np.flatnonzero(free & (np.abs(bins - best) <= 1))
         free[strip] = False
         order = strip[np.argsort(along[strip], kind="stable")]
-        yield from np.split(order, np.flatnonzero(np.diff(along[order]) > 4.0 * cell_m) + 1)
+        yield from np.split(order, np.flatnonzero(np.diff(along[order]) > 4 * cell_m) + 1)
 
 
 def _fitted(
@@ -195,7 +196,7 @@ def _fitted(
     if along[0] * normal[1] - along[1] * normal[0] < 0.0:
         along = -along
     at = (points.points_map[members] - middle) @ along
-    if values[0] > 0.1 * values[1] or weights.sum() < FEWEST:
+    if 10 * values[0] > values[1] or weights.sum() < FEWEST:
         return None, members
     low, high = at.min(), at.max()
     return Segment(middle + low * along, middle + high * along, float(weights.sum())), members

@@ -42,8 +42,6 @@ _PLANS: dict[str, Callable[[Path, FloorPlan], None]] = {
     "dxf": write_plan_dxf,
     "geojson": write_plan_geojson,
 }
-# As that of `scanweave plan`.
-ROBOT_RADIUS_M = 0.2
 
 
 @dataclass(frozen=True)
@@ -139,7 +137,7 @@ class Exports:
         plan = floor_plan(self.contents, self.config)
         if format_ == ZONES:
             assert self.layers is not None
-            return write_room_zones(out, plan, self.layers, ROBOT_RADIUS_M)
+            return write_room_zones(out, plan, self.layers)
         if out.is_dir() or not out.suffix:
             make_folder(out)
             out /= f"floorplan.{format_}"

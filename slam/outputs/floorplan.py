@@ -38,7 +38,7 @@ def floor_plan(contents: MapContents, config: Config) -> FloorPlan:
     )
     cell_m = grid.resolution_m
     way = contents.trajectory.positions_m[:, :2]
-    rooms = segment_rooms(grid, wall_segments(points, cell_m, 4.0 * cell_m), way)
+    rooms = segment_rooms(grid, wall_segments(points, cell_m, 4 * cell_m), way)
     entered = set(rooms.at(way).tolist())
     outlines: list[Outline] = []
     fits: list[list[WallFit | None]] = []
@@ -46,7 +46,8 @@ def floor_plan(contents: MapContents, config: Config) -> FloorPlan:
     for label in range(1, int(rooms.labels.max(initial=0)) + 1):
         own = points_of(rooms, label, points)
         outline = room_outline(rooms, label, own)
-        if outline is not None:
+        # What nobody was in, and has no walls, lies behind a window.
+        if outline is not None and (label in entered or any(face.seen for face in outline.faces)):
             numbers[label] = len(numbers) + 1
             outlines.append(outline)
             ends = [outline.ends(edge) for edge in range(len(outline.faces))]
@@ -125,13 +126,13 @@ def _stretches(along_m: FloatArray, length_m: float, cell_m: float) -> FloatArra
     at = np.sort(along_m[(along_m > 0.0) & (along_m < length_m)])
     if not len(at):
         return np.zeros((0, 2))
-    breaks = np.flatnonzero(np.diff(at) > 4.0 * cell_m)
+    breaks = np.flatnonzero(np.diff(at) > 4 * cell_m)
     stretches = np.column_stack([at[np.append(0, breaks + 1)], at[np.append(breaks, len(at) - 1)]])
     stretches = stretches[stretches[:, 1] - stretches[:, 0] > cell_m]
     # A corner hides what is nearest to it.
     if len(stretches):
-        stretches[0, 0] = 0.0 if stretches[0, 0] < 4.0 * cell_m else stretches[0, 0]
-        stretches[-1, 1] = length_m if stretches[-1, 1] > length_m - 4.0 * cell_m else stretches[-1, 1]
+        stretches[0, 0] = 0.0 if stretches[0, 0] < 4 * cell_m else stretches[0, 0]
+        stretches[-1, 1] = length_m if stretches[-1, 1] > length_m - 4 * cell_m else stretches[-1, 1]
     return stretches
 
 
@@ -149,9 +150,7 @@ def _lengths(
     ):
         sides = []
         for sign in (1.0, -1.0):
-            facing = [
-                k for k, face in enumerate(faces) if sign * (face.normal @ normal) > np.cos(np.pi / 8.0)
-            ]
+            facing = [k for k, face in enumerate(faces) if sign * (face.normal @ normal) > np.cos(np.pi / 8)]
             facing.sort(key=lambda k: sign * (middles[k] @ normal))
             sides.append(facing[0] if facing else None)
         one, other = sides
@@ -177,7 +176,7 @@ def _between(
     # A fifth from the end of what both walls have, aside from the middle of the room.
     spans = np.sort([np.array(shape.edge(edge)) @ across for edge in (one, other)], axis=1)
     low, high = spans[:, 0].max(), spans[:, 1].min()
-    place = 0.8 * low + 0.2 * high if low < high else float(spans.mean())
+    place = (4 * low + high) / 5 if low < high else float(spans.mean())
     ends, weights = [], np.zeros(len(covariance))
     for edge in (one, other):
         fit = fits[edge]

@@ -30,13 +30,13 @@ _KEEPOUT = "Keep-out mask (costmap filter type 0): all but rooms and the doors b
 _SPEED = "Speed mask (costmap filter type 1): the greatest speed in percent before doors, 0 for no limit."
 
 
-def write_room_zones(folder: Path, plan: FloorPlan, layers: LayeredMap, radius_m: float) -> list[Path]:
+def write_room_zones(folder: Path, plan: FloorPlan, layers: LayeredMap, radius_m: float = 0.2) -> list[Path]:
     """Write ``keepout.yaml``, ``speed.yaml``, ``zones.yaml`` and ``route.geojson``.
 
     Parameters
     ----------
     radius_m
-        Of the robot, for the ways of the route graph.
+        Of the robot, for the ways of the route graph; as `scanweave plan` has it.
 
     Raises
     ------
