@@ -156,25 +156,11 @@ class Map:
         return floor_plan(self.contents, self.config)
 
     def check(self) -> None:
-        """Read everything, images and clouds too.
-
-        Raises
-        ------
-        MapFileError
-            With the first fault, in one line that names table and row.
-        """
+        """Read everything, images and clouds too; a `MapFileError` names table and row of the first fault."""
         self._file.check_pages()
         if self.contents.edits:
             self.parts()
-        frames, clouds = self.contents.frames, self.contents.clouds
-        for index in range(len(frames) if frames else 0):
-            assert frames
-            frames.features(index)
-            frames.frame(index)
-        for key in range(len(clouds) if clouds else 0):
-            assert clouds
-            clouds.points(key)
-            clouds.T_base_lidar(key)
+        self.contents.read_all()
 
     def export(self, format_: str, out: Path | str) -> list[Path]:
         """Write the map in another program's format.
@@ -224,8 +210,8 @@ class Map:
     @property
     def places(self) -> dict[str, FloatArray]:
         """(3,) x, y, yaw of the places that a person has named, map frame."""
-        places = regions_of(self.contents.edits, "place")
-        return {place.name: place.pose(self.keyframe_poses) for place in places}
+        found = regions_of(self.contents.edits, "place")
+        return {one.name: one.pose(self.keyframe_poses) for one in found}
 
     def zones(self, kind: str = "keep_out") -> dict[str, FloatArray]:
         """(n, 2) corners of the zones of a kind, ``keep_out`` or ``slow``, by their names, map frame."""
@@ -259,10 +245,9 @@ class Map:
         >>> turned.undone().digest == house.digest
         True
         """
-        known = self.parts()
         chosen = load_edits(edits) if isinstance(edits, str | Path) else edits
         chosen = chosen if isinstance(chosen, Edits) else edits_of(chosen, "the edits")
-        return self._anew(lambda path: write_with(known, chosen, path), out)
+        return self._anew(lambda path: write_with(self.parts(), chosen, path), out)
 
     def remap(self, settings: Sequence[str] = (), *, out: Path | str | None = None) -> Map:
         """The map made anew with other settings, without its log; else as `edited`.
@@ -291,12 +276,11 @@ class Map:
         ScanweaveError
             Also where it has none.
         """
-        entries = self.contents.edits[:-1]
         if not self.contents.edits:
             raise MapFileError(f"{self.path} has no edits to undo")
-        if not entries:
-            return self._anew(lambda path: write_unedited(self._file, path), out)
-        return self._anew(lambda path: write_entries(self.parts(), entries, path), out)
+        if entries := self.contents.edits[:-1]:
+            return self._anew(lambda path: write_entries(self.parts(), entries, path), out)
+        return self._anew(lambda path: write_unedited(self._file, path), out)
 
     def parts(self) -> Known:
         """The map as it is, and as it was before all edits."""

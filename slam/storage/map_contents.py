@@ -156,6 +156,23 @@ class MapContents:
         assert self.clouds is not None
         return self.clouds.T_base_lidar(len(self.clouds) - 1)
 
+    def read_all(self) -> None:
+        """Read all images and clouds.
+
+        Raises
+        ------
+        MapFileError
+            With the first that is damaged.
+        """
+        for index in range(len(self.frames or ())):
+            assert self.frames
+            self.frames.features(index)
+            self.frames.frame(index)
+        for key in range(len(self.clouds or ())):
+            assert self.clouds
+            self.clouds.points(key)
+            self.clouds.T_base_lidar(key)
+
     @property
     def registrations(self) -> dict[str, ColorRegistration]:
         """Where colour cameras sit beside their depth cameras, as far as the run has asked, by name."""
