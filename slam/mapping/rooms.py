@@ -160,7 +160,8 @@ def _parted(labels: Labels, gap: Gap, sides: tuple[int, int], grid: OccupancyGri
                 first = np.where(first == 0, further, first)
             known.append((first == region, first == 0))
         (left, no_left), (right, no_right) = known
-        if ((left & right) | (left & no_right) | (no_left & right)).any():
+        # Of a wall one side may be hidden.
+        if ((left & right) | gap.wall & ((left & no_right) | (no_left & right))).any():
             return True
     return False
 
