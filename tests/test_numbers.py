@@ -9,7 +9,7 @@ from tools.count_numbers import bare_floats, constant_names, count_fields, count
 MOST_CONSTANTS = 277
 MOST_BARE_FLOATS = 151
 MOST_FIELDS = 154
-MOST_LINES = 43_970
+MOST_LINES = 44_282
 
 
 def test_constants_of_the_logic_do_not_grow() -> None:

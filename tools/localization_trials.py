@@ -31,7 +31,7 @@ from slam.localization.planar_sensor import PlanarSensor
 from slam.localization.scan_view import ScanView, first_in_cells
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.mapper import Mapper
-from slam.mapping.keyframe_grid import grid_of_keyframes
+from slam.mapping.keyframe_grid import OCCUPANCY, grid_of_keyframes
 from slam.matching.planar import between, compose
 from slam.measurements import (
     FloatArray,
@@ -42,7 +42,7 @@ from slam.measurements import (
     pose2_from_row,
     row_from_pose2,
 )
-from slam.storage.map_contents import OCCUPANCY, MapContents
+from slam.storage.map_contents import MapContents
 from slam.storage.tum import read_tum
 
 RIGHT_M, RIGHT_RAD = 0.25, np.radians(5.0)

@@ -11,7 +11,7 @@ from slam.app.progress import OnProgress, Progress, silent
 from slam.config import Config
 from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
-from slam.datasets.sensor_choice import SensorChoice, used_measurements
+from slam.datasets.sensor_choice import SensorChoice, UsedMeasurements
 from slam.doctor.finding import Finding
 from slam.errors import DatasetError
 from slam.evaluation.localization_report import write_localization_report
@@ -124,7 +124,7 @@ def _registrations(
     if known_map.frames is None or known_map.registrations:
         return None
     choice = SensorChoice.of(log, config.sensors)
-    return registrations_of(used_measurements(log, config.sensors), choice.cameras, config)
+    return registrations_of(UsedMeasurements(log, config.sensors), choice.cameras, config)
 
 
 def _driven(
@@ -132,7 +132,7 @@ def _driven(
 ) -> DriveLog:
     """The whole log through the localiser."""
     drive = DriveLog()
-    for measurement in used_measurements(log, config.sensors):
+    for measurement in UsedMeasurements(log, config.sensors):
         before = time.perf_counter()
         output = localizer.add(measurement)
         if output is not None:

@@ -71,14 +71,14 @@ class SensorChoice:
     def of(cls, log: Iterable[Measurement], config: SensorsConfig) -> SensorChoice:
         """Choose by configuration, and else by what the first seconds hold."""
         beginning = _Beginning()
-        for measurement in used_measurements(log, config):
+        for measurement in UsedMeasurements(log, config):
             if not beginning.add(measurement):
                 break
         return beginning.choice(config)
 
     def used(self, log: Iterable[Measurement]) -> Iterator[Measurement]:
         """The measurements of a log in its order, without those of sensors that are not used."""
-        for one in used_measurements(log, self.config):
+        for one in UsedMeasurements(log, self.config):
             # Wheels that are left out still get poses; of two odometries, mixed, nothing can be made.
             if not isinstance(one, WheelOdometry) or one.sensor == (self.wheels or one.sensor):
                 yield one
@@ -211,14 +211,21 @@ class SensorTally:
         return found + [SensorUse(*_name_and_kind(name), count, why) for name, count, why in sorted(rest)]
 
 
-def used_measurements(log: Iterable[Measurement], config: SensorsConfig) -> Iterator[Measurement]:
+@dataclass(frozen=True, slots=True)
+class UsedMeasurements:
     """The measurements of a log as they are corrected, without those of sorts that are left out."""
-    for measurement in corrected(log, config.calibration):
-        if isinstance(measurement, RgbdFrame):
-            if config.rgbd:
+
+    log: Iterable[Measurement]
+    config: SensorsConfig
+
+    def __iter__(self) -> Iterator[Measurement]:
+        """From the beginning, each time."""
+        for measurement in corrected(self.log, self.config.calibration):
+            if isinstance(measurement, RgbdFrame):
+                if self.config.rgbd:
+                    yield measurement
+            elif self.config.lidar or not isinstance(measurement, LaserScan | PointCloud):
                 yield measurement
-        elif config.lidar or not isinstance(measurement, LaserScan | PointCloud):
-            yield measurement
 
 
 def use_lines(uses: Iterable[SensorUse]) -> list[str]:

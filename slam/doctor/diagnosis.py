@@ -12,6 +12,7 @@ from fusion.estimation import FEWEST
 from slam.config import Config
 from slam.doctor.finding import Finding
 from slam.doctor.in_space import Base, camera_findings, cloud_findings, findings_against, seen_by
+from slam.doctor.lost_sign import lost_sign
 from slam.doctor.own_body import blocked_beams, blocked_finding, without
 from slam.doctor.pair import Pair
 from slam.doctor.paired_motions import BaseTrack, mended_rows
@@ -24,12 +25,12 @@ from slam.vision.registration_pairs import registrations_of
 def diagnose(log: Iterable[Measurement]) -> list[Finding]:
     """What the sensors of a log say of each other that cannot be.
 
-    The log is read once; what is matched is a bounded number of stretches spread over it.
+    What is matched is a bounded number of stretches spread over the log.
 
     Parameters
     ----------
     log
-        A dataset, or measurements in the order in which they came.
+        A dataset, or a list of measurements in the order in which they came: it is read more than once.
 
     Returns
     -------
@@ -75,6 +76,8 @@ def examine(log: Iterable[Measurement]) -> Diagnosis:
             continue
         stretches, scale = _within_reach(stretches, config)
         found, left_open = compare(Pair(wheels[0], name, wheels[1].rows(), stretches, scale), config)
+        if not (found or left_open) and (lost := lost_sign(log, wheels[0], name, wheels[1].rows(), config)):
+            found = [lost]
         findings += found
         unknown += left_open
     vouched = any(lidar.stretches for lidar in samples.lidars.values()) and not unknown

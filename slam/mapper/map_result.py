@@ -13,11 +13,11 @@ from slam.datasets.sensor_choice import SensorUse
 from slam.errors import ScanweaveError
 from slam.mapper.keyframe_fusion import FusionSummary
 from slam.mapper.scan_record import CameraRecord, ScanRecord
-from slam.mapping.keyframe_grid import depth_model, grid_of_keyframes, layer_settings
+from slam.mapping.keyframe_grid import DEPTH, OCCUPANCY, depth_model, layer_settings, lidar_grids
 from slam.mapping.layer_builder import LayerBuilder
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import RgbdFrame
-from slam.storage.map_contents import DEPTH, OCCUPANCY, MapContents
+from slam.storage.map_contents import MapContents
 from slam.storage.map_frames import MapFrames
 
 
@@ -78,11 +78,11 @@ def drawn(found: MapContents, config: Config) -> tuple[MapContents, list[str]]:
     """
     settled, warnings = config, list[str]()
     try:
-        lidar = grid_of_keyframes(found.keyframe_scans, found.keyframe_poses, config)
+        grids = lidar_grids(found.keyframe_scans, found.keyframe_poses, config)
     except ScanweaveError as error:  # a map that would not fit in memory
         warnings.append(f"No grid was built: {error}")
-        lidar = None
-    grids = {} if lidar is None else {OCCUPANCY: lidar}
+        grids = {}
+    lidar = grids.get(OCCUPANCY)
     if lidar is not None and lidar.resolution_m > config.grid.resolution_m:
         warnings.append(
             f"The map is so large that its cells are {lidar.resolution_m:g} m wide; for cells of "

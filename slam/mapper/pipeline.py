@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from slam.config import Config, calibrated
 from slam.datasets.dataset import Dataset
 from slam.datasets.recording import fewer_frames
-from slam.datasets.sensor_choice import SensorChoice, SensorTally, use_lines, used_measurements
+from slam.datasets.sensor_choice import SensorChoice, SensorTally, UsedMeasurements, use_lines
 from slam.doctor.diagnosis import diagnose
 from slam.doctor.finding import Finding, remedied
 from slam.doctor.stretches import Stretches
@@ -99,7 +99,7 @@ def findings_of(dataset: Dataset, config: Config) -> list[Finding]:
         return []
     stretches: defaultdict[str, Stretches] = defaultdict(Stretches)
     with fewer_frames(dataset, lambda camera, stamp_s: stretches[camera].wants(stamp_s)):
-        return diagnose(used_measurements(dataset, config.sensors))
+        return diagnose(UsedMeasurements(dataset, config.sensors))
 
 
 def settled(config: Config, findings: Iterable[Finding]) -> Config:

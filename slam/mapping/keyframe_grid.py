@@ -12,7 +12,11 @@ from slam.mapping.layer_builder import LayerBuilder, LayerSettings
 from slam.mapping.layered_map import DecisionRule, LayeredMap
 from slam.mapping.lidar_layer import LidarModel
 from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.mapping.passers_by import without_passers_by
 from slam.measurements import FloatArray, LaserScan, pose2_from_row
+
+# Names of grids in a map: the lidar's of what stays, what has gone, the depth cameras'.
+OCCUPANCY, PASSED_BY, DEPTH = "occupancy", "passed by", "depth layer"
 
 
 def layer_settings(config: Config, depth: DepthModel | None = None) -> LayerSettings:
@@ -50,21 +54,48 @@ def depth_model(config: Config) -> DepthModel:
     return DepthModel(band=band, depth_max_m=layers.depth_max_m)
 
 
-def grid_of_keyframes(
+def lidar_grids(
     scans: Sequence[LaserScan | None], poses: FloatArray, config: Config
-) -> OccupancyGrid | None:
-    """The lidar's grid of keyframe scans at their poses, (K, 3) map frame; None where no keyframe has a scan.
+) -> dict[str, OccupancyGrid]:
+    """The lidar's grid of keyframe scans at their poses, and what stood there for a while and has gone.
+
+    Parameters
+    ----------
+    scans
+        In the order of time.
+    poses
+        (K, 3) map frame.
+
+    Returns
+    -------
+    `OCCUPANCY`; nothing where no keyframe has a scan. `PASSED_BY` where something has gone.
 
     Raises
     ------
     ScanweaveError
         Where the grid would have too many cells.
     """
-    builder = LayerBuilder(layer_settings(config))
-    for scan, pose in zip(scans, poses, strict=True):
-        if scan is not None:
-            builder.add(scan, pose2_from_row(pose))
-    return builder.grid("lidar")
+    settings = layer_settings(config)
+    builder = LayerBuilder(settings)
+    placed = [
+        (scan, pose2_from_row(pose)) for scan, pose in zip(scans, poses, strict=True) if scan is not None
+    ]
+    for scan, T_map_base in placed:
+        builder.add(scan, T_map_base)
+    grid = builder.grid("lidar")
+    if grid is None:
+        return {}
+    if grid.resolution_m > settings.resolution_m:
+        return {OCCUPANCY: grid}
+    static, passed_by = without_passers_by(grid, placed, settings.lidar)
+    return {OCCUPANCY: static} if passed_by is None else {OCCUPANCY: static, PASSED_BY: passed_by}
+
+
+def grid_of_keyframes(
+    scans: Sequence[LaserScan | None], poses: FloatArray, config: Config
+) -> OccupancyGrid | None:
+    """The first of `lidar_grids`; None where no keyframe has a scan."""
+    return lidar_grids(scans, poses, config).get(OCCUPANCY)
 
 
 def layers_of_grids(

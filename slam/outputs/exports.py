@@ -15,6 +15,7 @@ from slam.errors import LibraryError, ScanweaveError
 from slam.mapping.camera_points import camera_cloud
 from slam.mapping.cloud_map import map_cloud
 from slam.mapping.dense_map import DenseMapSettings, fuse_keyframes
+from slam.mapping.keyframe_grid import PASSED_BY
 from slam.mapping.layered_map import LayeredMap
 from slam.matching.local_cloud import moved
 from slam.measurements import spatial
@@ -23,7 +24,7 @@ from slam.storage.files import make_folder
 from slam.storage.g2o import write_g2o
 from slam.storage.map_contents import MapContents
 from slam.storage.map_edits import CLOUD, FRAME, erased_bits
-from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers
+from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers, write_passed_by
 from slam.storage.nav2_zones import write_zones
 from slam.storage.octomap import write_octomap, write_octree
 from slam.storage.ply import write_cloud_ply, write_mesh_ply
@@ -93,7 +94,9 @@ class Exports:
         poses, edits = self.contents.keyframe_poses, self.contents.edits
         keep_out = [zone.points(poses) for zone in regions_of(edits, "keep_out")]
         slow = [(zone.points(poses), zone.value) for zone in regions_of(edits, "slow")]
-        written += write_layers(folder / "layers", self.layers)
+        beside = folder / "layers"
+        passed_by = write_passed_by(beside, self.contents.grids.get(PASSED_BY))
+        written += write_layers(beside, self.layers) + passed_by
         return written + write_zones(folder, self.layers, keep_out, slow)
 
     def write_sessions(self, folder: Path, poses: Sequence[int]) -> list[Path]:

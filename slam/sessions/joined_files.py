@@ -16,13 +16,14 @@ from slam.edits.applying import later_evidence
 from slam.edits.edited_file import write_entries
 from slam.edits.remaking import remade
 from slam.mapper.map_result import depth_grid
+from slam.mapping.keyframe_grid import DEPTH
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.matching.planar import between, compose
 from slam.outputs.finished_map import NOTES, WARNINGS, Map, open_map
 from slam.sessions.connection import Connection
 from slam.sessions.session_join import JoinedMap, join
 from slam.storage.files import make_folder
-from slam.storage.map_contents import DEPTH, write_contents
+from slam.storage.map_contents import write_contents
 from slam.storage.map_file import MAP_NAME, MapFile
 from slam.storage.map_identity import MapIdentity
 from slam.storage.map_sessions import SESSIONS, sessions_to_meta

@@ -11,12 +11,12 @@ from slam.config import Config
 from slam.graph.loop_closure import LoopCandidate, judged
 from slam.graph.pose_covariances import pose_covariances
 from slam.graph.pose_graph import PoseGraph
-from slam.mapping.keyframe_grid import grid_of_keyframes
+from slam.mapping.keyframe_grid import lidar_grids
 from slam.matching.planar import compose
 from slam.measurements import FloatArray, Trajectory, pose2_from_row, row_from_pose2
 from slam.outputs.finished_map import Map
 from slam.sessions.placing import Placing
-from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor
+from slam.storage.map_contents import MapContents, SavedFactor
 from slam.trajectory.poses import Poses
 from slam.trajectory.resettled import resettled
 
@@ -81,7 +81,6 @@ def join(
     factors = [replace(factor, kept=bool(keep)) for factor, keep in zip(factors, kept, strict=True)]
     joined = [factor for factor in factors if factor.edge.loop is not None and factor.edge.loop >= own_loops]
     scans = [*known.keyframe_scans, *session.keyframe_scans]
-    grid = grid_of_keyframes(scans, poses, config)
     before, nodes_after = known.keyframe_poses, [pose2_from_row(pose) for pose in poses]
     told = pose_covariances(nodes_after, nodes_after, [factor.edge for factor in factors], kept, config)
     both = (known_map, session_map)
@@ -104,7 +103,7 @@ def join(
             loops=loops,
             trajectory=trajectory,
             covariances=covariances,
-            grids={} if grid is None else {OCCUPANCY: grid},
+            grids=lidar_grids(scans, poses, config),
             cameras={**session.cameras, **known.cameras},
         ),
         loops_between=len(joined),

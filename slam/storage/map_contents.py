@@ -17,7 +17,7 @@ from slam.foreign import from_json
 from slam.graph.keyframe_graph import row_of
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, EdgeKind
-from slam.mapping.keyframe_grid import layers_of_grids
+from slam.mapping.keyframe_grid import DEPTH, OCCUPANCY, layers_of_grids
 from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Pose, Trajectory, spatial
@@ -54,8 +54,6 @@ from slam.vision.learned_camera import LearnedCamera
 T = TypeVar("T")
 Unpack = Callable[[bytes], Any]
 
-# The grids of lidar and depth camera; what they decide together follows from them.
-OCCUPANCY, DEPTH = "occupancy", "depth layer"
 # The fact of the file that tells `MapContents.ground_m`.
 GROUND = "ground_m"
 _STRETCH = 4096

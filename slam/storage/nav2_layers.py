@@ -9,13 +9,14 @@ import numpy as np
 
 from slam.errors import MapFileError
 from slam.mapping.layered_map import LAYERS, LayeredMap, LayerName
-from slam.mapping.occupancy_grid import StateArray
+from slam.mapping.occupancy_grid import OccupancyGrid, StateArray
 from slam.storage.files import make_folder, write_lines
 from slam.storage.nav2 import write_nav2_map
 from slam.storage.pgm import write_pgm
 
 MAP_YAML = "map.yaml"
 _PROBABILITY = "fused_probability"
+_PASSED_BY = "passed_by"
 
 _WHAT: dict[LayerName, str] = {
     "lidar": "What the lidar alone saw, at its own height; the map to drive by is ../map.yaml.",
@@ -23,6 +24,7 @@ _WHAT: dict[LayerName, str] = {
     "fused": "Lidar and cameras as one probability (Li2020 Eq. (10)); the map to drive by is ../map.yaml.",
     "decision": "What the robot must not hit, by lidar or cameras (by layers.rule): the same as ../map.yaml.",
 }
+_GONE = "What the lidar saw stand for a while and then no more, occupied here; it is not in ../map.yaml."
 _RAW = "Probability of being occupied by lidar and cameras, in percent; the map to drive by is ../map.yaml."
 
 
@@ -66,6 +68,22 @@ def write_layers(folder: Path, layers: LayeredMap) -> list[Path]:
         write_nav2_map(folder / name, layers.states(name), *place, _WHAT[name])[0] for name in layers.names
     ]
     return [*written, write_raw(folder / _PROBABILITY, layers.percent(), written[-1], _RAW)]
+
+
+def write_passed_by(folder: Path, grid: OccupancyGrid | None) -> list[Path]:
+    """Write what stood for a while and has gone as ``passed_by`` (trinary); None takes an earlier one away.
+
+    Raises
+    ------
+    MapFileError
+        Where a file cannot be written.
+    """
+    if grid is None:
+        remove_maps(folder, {_PASSED_BY})
+        return []
+    make_folder(folder)
+    stem = folder / _PASSED_BY
+    return [write_nav2_map(stem, grid.states(), grid.resolution_m, grid.T_map_grid, _GONE)[0]]
 
 
 def remove_maps(folder: Path, names: Iterable[str]) -> None:

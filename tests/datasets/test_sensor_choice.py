@@ -10,7 +10,7 @@ import pytest
 
 from slam.config.stages import SensorsConfig
 from slam.datasets.dataset import ReadReport
-from slam.datasets.sensor_choice import SensorChoice, SensorTally, SensorUse, use_lines, used_measurements
+from slam.datasets.sensor_choice import SensorChoice, SensorTally, SensorUse, UsedMeasurements, use_lines
 from slam.measurements import CameraIntrinsics, LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
 
 CAMERA = CameraIntrinsics(10.0, 10.0, 2.0, 2.0, 4, 4)
@@ -90,7 +90,7 @@ def test_a_log_whose_clock_stands_still_is_not_read_to_its_end() -> None:
 )
 def test_what_is_used_keeps_its_order(settings: dict[str, bool], kinds: str) -> None:
     letters = {WheelOdometry: "W", RgbdFrame: "F", LaserScan: "S"}
-    found = used_measurements(ALL, SensorsConfig(**settings))  # type: ignore[arg-type]
+    found = UsedMeasurements(ALL, SensorsConfig(**settings))  # type: ignore[arg-type]
     assert "".join(letters[type(measurement)] for measurement in found) == kinds
 
 

@@ -17,13 +17,13 @@ from room_world import LESS, T_BODY_CAMERA, furnished, render, turning_walk
 import slam
 from slam.config import load_config
 from slam.errors import ScanweaveError
+from slam.mapping.keyframe_grid import DEPTH, OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.mapping.polygons import inside
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, LaserScan, RgbdFrame, WheelOdometry, pose2_from_row
 from slam.outputs.finished_map import Map
 from slam.simulation.synthetic_log import write_synthetic_log
-from slam.storage.map_contents import DEPTH, OCCUPANCY
 
 __all__ = ["scanweave"]  # a fixture
 

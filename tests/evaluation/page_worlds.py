@@ -17,6 +17,7 @@ from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.mapper.scan_record import CameraRecord, ScanRecord
 from slam.mapping.dense_map import ColoredCloud
+from slam.mapping.keyframe_grid import DEPTH, OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import (
     CameraIntrinsics,
@@ -26,7 +27,7 @@ from slam.measurements import (
     Trajectory,
     pose2_from_row,
 )
-from slam.storage.map_contents import DEPTH, OCCUPANCY, MapContents, SavedFactor
+from slam.storage.map_contents import MapContents, SavedFactor
 from slam.storage.map_frames import FrameHead
 
 EVIL = '</script><script>window.harmed = 1</script>"><img src=x onerror="window.harmed = 1">\x1b[31mred\u202e'

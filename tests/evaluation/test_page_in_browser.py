@@ -14,8 +14,8 @@ from page_worlds import EVIL, contents, report
 from PIL import Image
 
 from slam.evaluation.report import write_report
+from slam.mapping.keyframe_grid import OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.storage.map_contents import OCCUPANCY
 
 pytestmark = pytest.mark.browser
 

@@ -17,10 +17,11 @@ from slam.config import Config, load_config
 from slam.errors import MapFileError
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, EdgeKind
+from slam.mapping.keyframe_grid import OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import CameraIntrinsics, LaserScan, MotionEstimate, Pose, RgbdFrame, Trajectory
 from slam.outputs.finished_map import open_map
-from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor, write_contents
+from slam.storage.map_contents import MapContents, SavedFactor, write_contents
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
 from slam.storage.map_identity import MapIdentity
