@@ -78,7 +78,8 @@ def _write(path: Path, source: UneditedFile, contents: MapContents, config: Conf
         for table in (FRAMES, IMAGES, CLOUDS):
             copy_rows(source, file, table)
         write_contents(file, contents)
-        append_edits(file, source, contents.edits)
+        if contents.edits:  # else what this version draws is the map from now on
+            append_edits(file, source, contents.edits)
         file.seal()
     finally:
         file.close()

@@ -109,8 +109,8 @@ class Exports:
         keep_out = [zone.points(poses) for zone in regions_of(edits, "keep_out")]
         slow = [(zone.points(poses), zone.value) for zone in regions_of(edits, "slow")]
         beside = folder / "layers"
-        written += write_layers(beside, self.layers)
-        written += write_passed_by(beside, self.contents.grids.get(PASSED_BY))
+        passed_by = write_passed_by(beside, self.contents.grids.get(PASSED_BY))
+        written += write_layers(beside, self.layers) + passed_by
         return written + write_zones(folder, self.layers, keep_out, slow)
 
     def write_sessions(self, folder: Path, poses: Sequence[int]) -> list[Path]:
