@@ -18,7 +18,7 @@ from slam.simulation import floor_plan
 from slam.simulation.synthetic_log import write_synthetic_log
 from slam.storage.map_file import MAP_NAME
 
-SECONDS = 20.0
+SECONDS = 48.0  # on its way back the robot sees the pillar again
 # The pillar in the corridor, and where it stands on the other day: a corner, width and depth.
 PILLAR, MOVED = (5.9, 3.1, 0.3, 0.3), (7.0, 4.6, 0.3, 0.3)
 
