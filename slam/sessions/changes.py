@@ -26,8 +26,10 @@ from slam.mapping.lidar_layer import LidarModel, lidar_board
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, THRESHOLDS, OccupancyGrid
 from slam.measurements import BoolArray, FloatArray, LaserScan, one_line, pose2_from_row
 
-# Legs of one thing stand so far apart.
+# Legs of one thing stand so far apart, and nobody is wider.
 _APART_M = 0.5
+# Somebody who waits for a robot stands no longer: what is no larger must be met for longer to be a thing.
+_WAITING_S = 15.0
 
 # Covariance (2, 2) of where one visit has a point (2,) against the other, along the axes of the map: of the
 # keyframes of the first that saw it, and of the second.
@@ -108,7 +110,8 @@ def compare(before: Visit, after: Visit, spread: Spread, config: Config) -> Comp
     """
     # What returns nothing may be a black thing as well as nothing.
     certain = config.model_copy(update={"grid": config.grid.model_copy(update={"clear_range_m": 0.0})})
-    grids = [grid_of_keyframes(visit.scans, visit.poses, certain) for visit in (before, after)]
+    visits = before, after
+    grids = [grid_of_keyframes(visit.scans, visit.poses, certain) for visit in visits]
     steps, resolution_m, corner_m = _on_one_lattice(grids)
     model = layer_settings(certain).lidar
     # Of each cell and those beside: what is off by less than a cell lies in the next.
@@ -118,7 +121,7 @@ def compare(before: Visit, after: Visit, spread: Spread, config: Config) -> Comp
         labels, count = _things(steps[own], beside[other], resolution_m)
         if not count:
             continue
-        seen = [_sightings(visit, labels, count, model, resolution_m, corner_m) for visit in (before, after)]
+        seen = [_sightings(visit, labels, count, model, resolution_m, corner_m) for visit in visits]
         for n, where in enumerate(ndimage.find_objects(labels)):
             cells = np.argwhere(labels[where] == n + 1) + [part.start for part in where]
             if len(cells) == 1:
@@ -126,6 +129,11 @@ def compare(before: Visit, after: Visit, spread: Spread, config: Config) -> Comp
             middles_m = (cells[:, ::-1] + 0.5) * resolution_m + corner_m
             met, through = seen[own][0][:, n].sum(), seen[own][1][:, n].sum()
             standing = _standing(int(met), int(through))
+            if (
+                np.ptp(middles_m, axis=0).max() <= _APART_M
+                and _met_s(visits[own], seen[own][0][:, n]) < _WAITING_S
+            ):
+                standing = 0.0
             witnesses = [np.flatnonzero(one[0][:, n] | one[1][:, n]) for one in seen]
             covariance = spread(witnesses[0], witnesses[1], middles_m.mean(axis=0))
             there = float(special.expit(steps[own][tuple(cells.T)].mean() / STEPS_A_UNIT))
@@ -210,6 +218,12 @@ def _standing(met: int, through: int) -> float:
     """
     stood = special.betaln(FEWEST - 1 + met, 1 + through) - special.betaln(FEWEST - 1, 1)
     return float(special.expit(stood - special.betaln(1 + met, 1 + through)))
+
+
+def _met_s(visit: Visit, met: BoolArray) -> float:
+    """Time from the first of the scans, of which (K,) tells, to the last."""
+    stamps_s = [scan.stamp_s for scan, one in zip(visit.scans, met, strict=True) if one and scan is not None]
+    return max(stamps_s, default=0.0) - min(stamps_s, default=0.0)
 
 
 def _gone(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fusion.bayes import FREE, OCCUPIED
-from slam.evaluation.figure_parts import BLUE, ORANGE, RED, figure_of, png_of
+from slam.evaluation.figure_parts import BLUE, DPI, ORANGE, RED, figure_of, png_of
 from slam.mapping.occupancy_grid import THRESHOLDS
 from slam.measurements import FloatArray
 from slam.sessions.changes import Comparison
@@ -18,7 +18,6 @@ from slam.sessions.moved_things import ChangedThing
 from slam.storage.files import make_folder, write_bytes
 
 _COLORS = {"went": RED, "appeared": BLUE, "moved": ORANGE}
-_LONG_SIDE_PX = 1000
 
 
 def difference_text(things: Sequence[ChangedThing], passing: int, found: Comparison) -> str:
@@ -26,7 +25,9 @@ def difference_text(things: Sequence[ChangedThing], passing: int, found: Compari
     both, first, second = found.seen_m2()
     lines = [_line(thing) for thing in things] or ["nothing has changed where both have looked"]
     if passing:
-        lines.append(f"not counted: {passing} that were met at times only, as people and glass are")
+        lines.append(
+            f"not counted: {passing} that were met at times only or briefly, as people and glass are"
+        )
     lines.append(
         f"compared {both:.1f} m2 that both have seen; {first:.1f} m2 only the first has, {second:.1f} m2 "
         "only the second"
@@ -87,7 +88,7 @@ def difference_picture(things: Sequence[ChangedThing], found: Comparison) -> byt
     shade[(states[0] == OCCUPIED) | (states[1] == OCCUPIED)] = 120
     shade[(states[0] == OCCUPIED) & (states[1] == OCCUPIED)] = 0
     rows, cols = shade.shape[:2]
-    side_px = _LONG_SIDE_PX / max(rows, cols)
+    side_px = 10 * DPI / max(rows, cols)
     figure = figure_of(max(200, round(cols * side_px)), max(200, round(rows * side_px)))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     x, y = found.corner_m

@@ -121,6 +121,18 @@ def test_somebody_who_walked_by_is_not_told() -> None:
     assert [change.standing < 0.5 for change in found.changes] == [True]
 
 
+def test_what_was_met_for_seconds_only_may_have_been_somebody() -> None:
+    before, after = visit(with_(CHAIR)), visit(with_(), seed=1)
+    brief = [replace(scan, stamp_s=0.5 * scan.stamp_s) for scan in before.scans if scan is not None]
+    (change,) = compared(Visit(brief, before.poses), after).changes
+    assert change.standing == 0.0
+    # Nobody is that wide.
+    sofa = visit(with_(box(-2.0, -2.5, -1.4, -1.0)))
+    brief = [replace(scan, stamp_s=0.5 * scan.stamp_s) for scan in sofa.scans if scan is not None]
+    (change,) = likely(compared(Visit(brief, sofa.poses), after))
+    assert not change.appeared
+
+
 def test_a_thing_that_returns_no_beam_has_not_gone() -> None:
     seen, black = visit(with_(CHAIR)), visit(with_(CHAIR), seed=1)
     scans = []
