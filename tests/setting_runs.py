@@ -120,7 +120,7 @@ def mapped(log: Log, config: Config, course: Course) -> MapResult:
         course.note(loop)
     course.note(*result.warnings, *result.notes)
     course.note(*[sweep.ranges_m for sweep in result.map.keyframe_scans if sweep is not None])
-    course.note(0 if result.fused is None else len(result.fused.examples))
+    course.note("" if result.fused is None else result.fused.note)
     layers = result.map.layers(config)
     if layers is not None:
         course.note(layers.states("decision"), layers.T_map_grid, layers.resolution_m)

@@ -147,7 +147,8 @@ def test_the_plan_is_clicked_measured_and_moved(page: Path) -> None:
         seen.click("#measure-length")
         plan.click(position=pixel(-1.0, 0.0))
         plan.dblclick(position=pixel(1.0, 0.0))
-        layer = "Scanweave.plan.map.getLayers().getArray().at(-1)"
+        vectors = "one.getSource() && one.getSource().getFeatures && one.getSource().getFeatures().length"
+        layer = f"Scanweave.plan.map.getLayers().getArray().find(one => {vectors})"
         length = f"{layer}.getSource().getFeatures()[0].getGeometry().getLength()"
         assert seen.value(length) == pytest.approx(2.0, abs=0.05)
         seen.until("!Scanweave.plan.busy")
@@ -287,7 +288,7 @@ def test_a_map_of_a_camera_alone_has_its_plan(tmp_path: Path) -> None:
     write_report(path, report(contents(**{**_bare(), "factors": bare_factors})))
     with visit(path) as seen:
         ready(seen)
-        assert seen.page.locator("#tabs button").all_inner_texts() == ["Layers", "Selected", "What if"]
+        assert seen.page.locator("#tabs button").all_inner_texts() == ["Layers", "Selected", "What if", "Edit"]
         seen.value("Scanweave.select.set({kind: 'edge', index: 0})")
         assert EVIL[:9] in seen.page.locator("#panel-details").inner_text()
     sound(seen, path)
