@@ -12,6 +12,7 @@ from slam.config import Config
 from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
 from slam.errors import MapFileError, ScanweaveError
+from slam.evaluation.saved_page import write_saved_page
 from slam.localization.known_map import has_walls
 from slam.outputs.finished_map import Map, open_map
 from slam.sessions.connection import Connection, connect
@@ -19,7 +20,7 @@ from slam.sessions.joined_files import write_joined
 from slam.storage.files import make_folder, write_bytes
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import identity_of
-from slam.storage.whole_folder import move_into, only_one_in
+from slam.storage.whole_folder import keep_report, move_into, only_one_in
 
 # Where the session is mapped and the joined map is written until it is whole.
 WORK = "joining"
@@ -117,7 +118,8 @@ def join(
                 shutil.rmtree(folder / WORK, ignore_errors=True)
                 if not was_there and not any(folder.iterdir()):
                     folder.rmdir()
-    return Joined(open_map(folder), session, connection, tuple(written))
+    joined = open_map(folder)
+    return Joined(joined, session, connection, (*written, write_saved_page(joined)))
 
 
 def _connected(log: Dataset, known: Map, session: MapRun, folder: Path) -> tuple[Connection, list[Path]]:
@@ -140,6 +142,7 @@ def _connected(log: Dataset, known: Map, session: MapRun, folder: Path) -> tuple
     session.map.close()
     report = (work / "report.html").read_bytes()
     write_bytes(whole / f"report-{len(known.sessions) + 1}.html", report)
+    keep_report(folder)
     written = move_into(folder, whole)
     shutil.rmtree(work)
     return connection, written

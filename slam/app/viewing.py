@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from slam.config.edits import dump_edits, edits_of
 from slam.errors import LibraryError, MapFileError, ScanweaveError
-from slam.evaluation.saved_page import saved_page
+from slam.evaluation.saved_page import saved_page, write_saved_page
 from slam.foreign import MOST_TEXT, from_json, plain
 from slam.outputs.finished_map import Map, open_map
 from slam.storage.files import write_bytes
@@ -102,6 +102,7 @@ class MapView:
         """Show another map from now on."""
         self._map.close()
         self._map = found
+        write_saved_page(found)
 
 
 def application(view: MapView, token: str, port: int) -> Starlette:

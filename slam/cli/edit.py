@@ -84,6 +84,7 @@ def _tell(before: Map, after: Map, started: float) -> None:
     """What became of a map."""
     import numpy as np
 
+    from slam.evaluation.saved_page import write_saved_page
     from slam.matching.planar import between
 
     # Seen from the first keyframe: a map that was turned has not changed.
@@ -98,4 +99,4 @@ def _tell(before: Map, after: Map, started: float) -> None:
     for loop in after.loops[len(before.loops) :]:
         if not loop.accepted:
             tell(f"warning: an added loop {loop.reason}; 'loops: force' keeps it", sys.stderr)
-    say(f"wrote {after.path}")
+    say(f"wrote {after.path}, {write_saved_page(after)}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from slam.config import Config, dump_config
@@ -19,8 +20,10 @@ from slam.evaluation.work_page import WorkPage, work_page
 from slam.mapping.dense_map import ColoredCloud
 from slam.mapping.layered_map import LayeredMap
 from slam.outputs.finished_map import Map
+from slam.storage.files import replacing
 from slam.storage.map_contents import MapContents
 from slam.storage.ply import read_cloud_ply
+from slam.storage.whole_folder import REPORT
 
 
 def saved_page(saved: Map, connect: str = "'none'") -> Iterator[str]:
@@ -66,6 +69,20 @@ def saved_page(saved: Map, connect: str = "'none'") -> Iterator[str]:
         loops=loop_section(found, config),
         effective_config=dump_config(config),
     )
+
+
+def write_saved_page(saved: Map) -> Path:
+    """Write the page as ``report.html`` beside the map, and tell where.
+
+    Raises
+    ------
+    MapFileError
+        Where it cannot be written.
+    """
+    path = saved.path.parent / REPORT
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+        file.writelines(saved_page(saved))
+    return path
 
 
 def map_work_page(

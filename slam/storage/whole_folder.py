@@ -15,6 +15,8 @@ from slam.storage.map_file import MAP_NAME
 
 # Where a map is made anew until it is whole.
 _WORK = "editing"
+# The page of a map as it is, and that of the run which made its first session.
+REPORT, FIRST_REPORT = "report.html", "report-1.html"
 # Maps of nav2 that not every map has: what is left of them would tell of another map.
 _NOT_ALWAYS = ("layers/*.yaml", "layers/*.pgm", "*_mask.yaml", "*_mask.pgm")
 
@@ -36,6 +38,23 @@ def only_one_in(folder: Path) -> Iterator[None]:
         raise MapFileError(f"another run changes the map in {folder}; wait for its end") from error
     finally:
         os.close(handle)
+
+
+def keep_report(folder: Path) -> None:
+    """Call the page of the run that made a map by its session: it shows what is no longer the map.
+
+    Raises
+    ------
+    MapFileError
+        Where it cannot be renamed.
+    """
+    old, kept = folder / REPORT, folder / FIRST_REPORT
+    try:
+        if old.is_file() and not kept.exists():
+            old.replace(kept)
+        old.unlink(missing_ok=True)
+    except OSError as error:
+        raise MapFileError(f"cannot write {folder}: {error.strerror or error}") from error
 
 
 def move_into(folder: Path, source: Path) -> list[Path]:
@@ -87,6 +106,7 @@ def remake(folder: Path, write: Callable[[Path], None]) -> None:
                 for old in folder.glob(pattern):
                     if not (work / old.relative_to(folder)).exists():
                         old.unlink()
+            keep_report(folder)
             move_into(folder, work)
         finally:
             shutil.rmtree(work, ignore_errors=True)

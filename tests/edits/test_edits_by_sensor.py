@@ -146,9 +146,15 @@ def test_the_commands(scanweave: Scanweave, tmp_path: Path) -> None:
     log = write_synthetic_log(tmp_path / "log", duration_s=12.0).log_path
     slam.map_log(log, out=tmp_path / "map").close()
     before = (tmp_path / "map" / "map.db").read_bytes()
+    told = (tmp_path / "map" / "report.html").read_bytes()
     (tmp_path / "edits.yaml").write_text("turn: {to_walls: true}\nplaces: [{name: dock, position: [0, 0]}]\n")
     done = scanweave("edit", tmp_path / "map", tmp_path / "edits.yaml")
     assert done.code == 0 and "1 edits" in done.out, done
+    # The page shows the map as it is now; that of the run is kept as its session's.
+    assert (tmp_path / "map" / "report-1.html").read_bytes() == told
+    page, edited = (tmp_path / "map" / "report.html").read_text(), slam.load_map(tmp_path / "map")
+    assert edited.digest[:12] in page
+    edited.close()
     listed = scanweave("edit", tmp_path / "map", "--list")
     assert "to_walls: true" in listed.out and "dock" in listed.out
     done = scanweave("remap", tmp_path / "map", "-s", "grid.resolution_m=0.1", "-o", tmp_path / "coarse")

@@ -238,6 +238,16 @@ def test_a_move_that_was_killed_is_done_again(
             assert (map_ / name).read_bytes() == whole, name
 
 
+def test_the_page_of_a_joined_map_is_of_both_and_each_session_keeps_its_own(
+    joined: Path, mapped: Path
+) -> None:
+    assert (joined / "report-1.html").read_bytes() == (mapped / "report.html").read_bytes()
+    assert (joined / "report-2.html").is_file()
+    found = open_map(joined)
+    assert found.digest[:12] in (joined / "report.html").read_text()
+    found.close()
+
+
 def test_a_calibration_alone_leaves_the_settings_of_the_map(sessions: Sessions, tmp_path: Path) -> None:
     folder, file = tmp_path / "map", tmp_path / "calibration.yaml"
     file.write_text("wheels: {odometry: {scale: 1.001}}\n")
