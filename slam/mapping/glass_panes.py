@@ -18,7 +18,7 @@ from slam.measurements import BoolArray, Float32Array, LaserScan
 # So far from the right angle a pane still returns a beam.
 _LOBE_RAD = np.radians(8.0)
 # What is shorter is a person, or a cabinet that somebody moved.
-_SHORTEST_M = 0.4
+SHORTEST_M = 0.4
 
 
 def head_on(scan: LaserScan, noise: RangeNoise, cell_m: float) -> LaserScan:
@@ -64,7 +64,7 @@ def _flat(
 
 def straight_runs(cells: BoolArray, resolution_m: float) -> BoolArray:
     """Those of (rows, cols) cells that lie in a straight row as long as the least pane."""
-    length = max(3, round(_SHORTEST_M / resolution_m))
+    length = max(3, round(SHORTEST_M / resolution_m))
     runs = np.zeros_like(cells)
     for angle in np.pi / length * np.arange(length):
         at = np.linspace(-0.5, 0.5, 4 * length) * (length - 1)

@@ -19,10 +19,10 @@ from scipy import ndimage
 from fusion.bayes import STEPS_A_UNIT, evidence_steps
 from fusion.estimation import CONFIDENCE
 from slam.mapping.evidence_tiles import Board
-from slam.mapping.glass_panes import straight_runs
+from slam.mapping.glass_panes import SHORTEST_M
 from slam.mapping.lidar_layer import LidarModel, lidar_board
 from slam.mapping.occupancy_grid import OCCUPIED, OccupancyGrid
-from slam.measurements import BoolArray, LaserScan
+from slam.measurements import BoolArray, FloatArray, LaserScan
 
 
 class StaticGrid(NamedTuple):
@@ -55,36 +55,55 @@ def without_passers_by(
     """
     cell_m, miss = grid.resolution_m, evidence_steps(model.p_miss)
     enough = math.ceil(math.log(2.0) * STEPS_A_UNIT / -miss)
+    occupied = grid.states() == OCCUPIED
+    cells = np.flatnonzero(occupied)
+    since, chance = _passed_since(grid, occupied, scans, model)
+    things, count = ndimage.label(occupied, np.ones((3, 3)))
+    of_cell = things.ravel()[cells] - 1
+    fewest = np.full(count, np.iinfo(np.int32).max)
+    np.minimum.at(fewest, of_cell, since)
+    passes, chances = (
+        np.bincount(of_cell, values, count) / np.bincount(of_cell) for values in (since, chance)
+    )
+    (passed,) = np.nonzero((fewest > 0) & (passes >= enough) & (chances < math.log(1.0 - CONFIDENCE)))
+    rows_cols = np.column_stack(np.unravel_index(cells, grid.shape))
+    gone = [thing for thing in passed if not _may_be_a_pane(rows_cols[of_cell == thing] * cell_m, cell_m)]
+    taken = cells[np.isin(of_cell, gone)]
+    if not taken.size:
+        return StaticGrid(grid, None)
+    static, stood = grid.steps.copy(), np.zeros_like(grid.steps)
+    stood.flat[taken] = static.flat[taken]
+    static.flat[taken] = enough * miss
+    return StaticGrid(replace(grid, steps=static), replace(grid, steps=stood))
+
+
+def _passed_since(
+    grid: OccupancyGrid,
+    occupied: BoolArray,
+    scans: Iterable[tuple[LaserScan, gtsam.Pose2]],
+    model: LidarModel,
+) -> tuple[NDArray[np.int32], FloatArray]:
+    """Of each occupied cell, in their order: scans that passed it since the last hit in it or beside it.
+
+    Returns
+    -------
+    (C,) how many, and the logarithm of the chance that as many of a cell that is still there hold no hit.
+    """
+    cell_m, cells = grid.resolution_m, np.flatnonzero(occupied)
     corner = np.rint([grid.T_map_grid.y() / cell_m, grid.T_map_grid.x() / cell_m]).astype(int)
     # What gives no return may be dark, and passes nothing.
     model = replace(model, max_clear_range_m=0.0)
-    hits, between, since = (np.zeros(grid.shape, np.uint16) for _ in range(3))
+    hits, between, since = (np.zeros(cells.size, np.int32) for _ in range(3))
     for scan, T_map_base in scans:
         board = _where_dense(lidar_board(scan, T_map_base, model, cell_m), scan, T_map_base, cell_m)
         (row, col), (rows, cols) = np.array([board.row, board.col]) - corner, board.steps.shape
-        part = np.s_[row : row + rows, col : col + cols]
-        met = _and_beside(board.steps > 0)
-        hits[part] += met
-        between[part] += np.where(met, since[part], np.uint16(0))
-        since[part] = np.where(met, np.uint16(0), since[part] + ((board.steps < 0) & (hits[part] > 0)))
-    # What the chance is that so many passes of a cell hold no hit.
-    chance = np.log1p(-(hits + 1.0) / (hits + between + 2.0)) * since
-    occupied = grid.states() == OCCUPIED
-    things, count = ndimage.label(occupied, np.ones((3, 3)))
-    fewest, passes, chances = (
-        np.asarray(of(values, things, np.arange(count + 1)), dtype=np.float64)
-        for of, values in ((ndimage.minimum, since), (ndimage.mean, since), (ndimage.mean, chance))
-    )
-    passed = (fewest > 0) & (passes >= enough) & (chances < math.log(1.0 - CONFIDENCE))
-    gone = occupied & passed[things]
-    panes = np.unique(things[straight_runs(gone, cell_m)])
-    passed[[thing for thing in panes if _is_straight(np.argwhere(things == thing))]] = False
-    gone &= passed[things]
-    if not gone.any():
-        return StaticGrid(grid, None)
-    free = np.where(gone, np.int16(enough * miss), grid.steps)
-    stood = np.where(gone, grid.steps, np.int16(0))
-    return StaticGrid(replace(grid, steps=free), replace(grid, steps=stood))
+        seen = np.nonzero(occupied[row : row + rows, col : col + cols])
+        at = np.searchsorted(cells, (seen[0] + row) * grid.shape[1] + seen[1] + col)
+        met, passed = _and_beside(board.steps > 0)[seen], board.steps[seen] < 0
+        hits[at] += met
+        between[at] += np.where(met, since[at], 0)
+        since[at] = np.where(met, 0, since[at] + (passed & (hits[at] > 0)))
+    return since, np.log1p(-(hits + 1.0) / (hits + between + 2.0)) * since
 
 
 def _where_dense(board: Board, scan: LaserScan, T_map_base: gtsam.Pose2, cell_m: float) -> Board:
@@ -101,11 +120,11 @@ def _where_dense(board: Board, scan: LaserScan, T_map_base: gtsam.Pose2, cell_m:
     )
 
 
-def _is_straight(cells: NDArray[np.intp]) -> bool:
-    """Whether (N, 2) cells lie within one of a line."""
-    away = cells - cells.mean(axis=0)
-    across = np.linalg.svd(away, full_matrices=False)[2][1]
-    return bool(np.abs(away @ across).max() <= 1.0)
+def _may_be_a_pane(points_m: FloatArray, cell_m: float) -> bool:
+    """Whether (N, 2) middles of cells lie within a cell of a line as long as the least pane."""
+    away = points_m - points_m.mean(axis=0)
+    along, across = (away @ np.linalg.svd(away)[2].T).T
+    return bool(np.ptp(along) >= SHORTEST_M and np.abs(across).max() <= cell_m)
 
 
 def _and_beside(cells: BoolArray) -> BoolArray:
