@@ -128,9 +128,9 @@ def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: Occupanc
         for gap in gaps:
             one, other = _sides(merged, gap, grid)
             if one and other and real[one] and real[other] and one != other:
-                wall_m = _wall_m(merged, gap, (one, other), grid) if parting else 0.0
+                wall_m = _wall_m(merged, gap, (one, other), grid) if parting else np.inf
                 edges.append((one, other, np.array([gap.length_m, wall_m])))
-        _join(owner, areas, edges, smallest, parting=parting)
+        _join(owner, areas, edges, smallest)
     sizes = np.bincount(owner, areas, len(owner))
     rooms = real & (sizes[owner] >= smallest)
     order = np.unique(owner[rooms])
@@ -140,23 +140,11 @@ def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: Occupanc
 
 
 def _join(
-    owner: NDArray[np.int64],
-    areas: FloatArray,
-    edges: Sequence[tuple[int, int, FloatArray]],
-    smallest: float,
-    *,
-    parting: bool,
+    owner: NDArray[np.int64], areas: FloatArray, edges: Sequence[tuple[int, int, FloatArray]], smallest: float
 ) -> None:
-    """Give neighbours one owner, the smallest first, then over the widest opening.
+    """Give neighbours one owner where one is smaller than that, or where there is too little wall between.
 
-    Parameters
-    ----------
-    edges
-        Two parts, with the length of the opening between them and of the wall.
-    smallest
-        What is smaller is joined whatever parts it.
-    parting
-        Whether what has too little wall is joined, too.
+    The smallest go first, over the widest opening; edges are two parts, with the lengths of gap and wall.
     """
     while True:
         sizes = np.bincount(owner, areas, len(owner))
@@ -168,7 +156,7 @@ def _join(
         open_ = [
             (min(sizes[one], sizes[other]), -gap_m, one, other)
             for (one, other), (gap_m, wall_m) in pairs.items()
-            if min(sizes[one], sizes[other]) < smallest or (parting and 2.0 * wall_m < gap_m)
+            if min(sizes[one], sizes[other]) < smallest or 2.0 * wall_m < gap_m
         ]
         if not open_:
             return
@@ -192,9 +180,8 @@ def _wall_m(labels: Labels, gap: Gap, sides: tuple[int, int], grid: OccupancyGri
             known.append((first == region, first == 0))
         (left, no_left), (right, no_right) = known
         # Of a wall one side may be hidden.
-        length_m += step_m * np.count_nonzero(
-            (left & right) | gap.wall & ((left & no_right) | (no_left & right))
-        )
+        hidden = gap.wall & ((left & no_right) | (no_left & right))
+        length_m += step_m * np.count_nonzero((left & right) | hidden)
     return length_m
 
 

@@ -82,7 +82,7 @@ def wall_gaps(segments: Sequence[Segment], grid: OccupancyGrid) -> tuple[list[Ga
         (Gap(segments[index].end_m, segments[next_].begin_m), index, next_)
         for index, next_ in following.items()
     ]
-    gaps += _before_walls(segments, following, np.array(lengths) > 2.0 * WIDEST_DOOR_M, met, grid)
+    gaps += _before_walls(segments, following, np.array(lengths) > WIDEST_DOOR_M, met, grid)
     found, walls = [], sturdy.copy()
     for gap, one, other in gaps:
         if leaves[one] or leaves[other] or _across(gap, met, grid):
@@ -124,8 +124,7 @@ def _before_walls(
             (following.keys(), segment.end_m, segment.along),
             (following.values(), segment.begin_m, -segment.along),
         ):
-            sure = long[index] or (2.0 * segment.length_m > WIDEST_DOOR_M and _thin(segment, end_m, segments))
-            hit_m = _ahead(end_m, along, met, grid) if sure and index not in on else None
+            hit_m = _ahead(end_m, along, met, grid) if long[index] and index not in on else None
             if hit_m is not None:
                 # The side that was seen stays on the left.
                 ahead = along @ segment.along > 0.0
