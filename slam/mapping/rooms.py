@@ -116,7 +116,7 @@ def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: Occupanc
     Two rooms have at least half as much wall between them, in line with their openings, as openings: across a
     corridor, or from one piece of furniture to another, there is none.
     """
-    areas = np.bincount(labels.ravel(), minlength=len(real)) * grid.resolution_m**2
+    areas = np.asarray(np.bincount(labels.ravel(), minlength=len(real)) * grid.resolution_m**2, np.float64)
     areas[0] = 0.0
     # What is no larger than a doorway is none.
     smallest = THICKEST_WALL_M * WIDEST_DOOR_M
@@ -174,9 +174,9 @@ def _wall_m(labels: Labels, gap: Gap, sides: tuple[int, int], grid: OccupancyGri
         for side, region in zip((1.0, -1.0) if begin_m is gap.begin_m else (-1.0, 1.0), sides, strict=True):
             asides = np.arange(2.0 * step_m, THICKEST_WALL_M, step_m)
             points = np.array([beyond.points(step_m, side * far) for far in asides])
-            found = looked_up(labels, grid.cells_of(points.reshape(-1, 2))).reshape(points.shape[:2])
+            found = looked_up(labels, grid.cells_of(points.reshape(-1, 2))).reshape(len(asides), -1)
             # What is nearest to the wall stands beside it.
-            first = found[np.argmax(found > 0, axis=0), np.arange(found.shape[1])]
+            first = found[np.argmax(found > 0, axis=0), np.arange(len(found.T))]
             known.append((first == region, first == 0))
         (left, no_left), (right, no_right) = known
         # Of a wall one side may be hidden.
