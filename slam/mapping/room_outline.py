@@ -247,14 +247,15 @@ def confirmed(outlines: Sequence[Outline], number: int) -> list[bool]:
     """Of each edge of a room, whether no other room says that its wall stands farther out, behind furniture.
 
     Another room lies behind, farther away than a wall is thick; or the wall of a neighbour goes on in line
-    farther out. What has a room right behind it is a wall.
+    farther out; or it juts into the room, as furniture does. What has a room right behind it is a wall.
     """
-    depth = math.sqrt(LARGEST_FURNITURE_M2)
+    depth, normals = math.sqrt(LARGEST_FURNITURE_M2), [face.normal for face in outlines[number].faces]
+    juts = [float(np.linalg.det([normals[k - 1], normal])) < 0.0 for k, normal in enumerate(normals)]
     sure = []
     for edge, face in enumerate(outlines[number].faces):
         begin, end = outlines[number].edge(edge)
         along = (end - begin) / max(float(np.hypot(*(end - begin))), TINY)
-        backed = far = False
+        backed, far = False, juts[edge] or juts[(edge + 1) % len(juts)]
         for other in (outline for index, outline in enumerate(outlines) if index != number):
             for place, behind in enumerate(other.faces):
                 ends = np.array(other.edge(place))

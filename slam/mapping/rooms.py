@@ -2,7 +2,7 @@
 
 Narrow passages part rooms (distance transform and its kin: Bormann et al. 2016, "Room segmentation: survey,
 implementation, and analysis"), but furniture leaves narrow passages, too. So a passage counts where a wall
-goes on in one line beyond it, and where that is a wall: something thin that was seen from both sides.
+goes on in line with it, between the same two rooms, half as long as the passage is wide.
 """
 
 from __future__ import annotations
@@ -111,31 +111,27 @@ def _closed(labels: Labels, states: NDArray[np.int8]) -> BoolArray:
 
 
 def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: OccupancyGrid) -> Labels:
-    """Join what no wall parts, drop what is no room, number the rest by size."""
-    areas = np.bincount(labels.ravel(), minlength=len(real)) * grid.resolution_m**2
+    """Join what no wall parts, drop what is no room, number the rest by size.
+
+    Two rooms have at least half as much wall between them, in line with their openings, as openings: across a
+    corridor, or from one piece of furniture to another, there is none.
+    """
+    areas = np.asarray(np.bincount(labels.ravel(), minlength=len(real)) * grid.resolution_m**2, np.float64)
     areas[0] = 0.0
-    owner = np.arange(len(real))
-    edges = []
     # What is no larger than a doorway is none.
     smallest = THICKEST_WALL_M * WIDEST_DOOR_M
-    for gap in gaps:
-        one, other = _sides(labels, gap, grid)
-        if one and other and real[one] and real[other] and one != other:
-            least = smallest if gap.wall else LARGEST_FURNITURE_M2
-            # From one side of a corridor to the other no wall parts the two.
-            least = least if _parted(labels, gap, (one, other), grid) else np.inf
-            edges.append((least, gap.length_m, one, other))
-    while True:
-        sizes = np.bincount(owner, areas, len(owner))
-        small = [
-            (min(sizes[owner[one]], sizes[owner[other]]), -width, one, other)
-            for least, width, one, other in edges
-            if owner[one] != owner[other] and min(sizes[owner[one]], sizes[owner[other]]) < least
-        ]
-        if not small:
-            break
-        _, _, one, other = min(small)
-        owner[owner == owner[one]] = owner[other]
+    owner = np.arange(len(real))
+    # First the doorways themselves, between the faces of a wall.
+    for parting in (False, True):
+        merged = owner[labels].astype(np.int32)
+        edges = []
+        for gap in gaps:
+            one, other = _sides(merged, gap, grid)
+            if one and other and real[one] and real[other] and one != other:
+                wall_m = _wall_m(merged, gap, (one, other), grid) if parting else np.inf
+                edges.append((one, other, np.array([gap.length_m, wall_m])))
+        _join(owner, areas, edges, smallest)
+    sizes = np.bincount(owner, areas, len(owner))
     rooms = real & (sizes[owner] >= smallest)
     order = np.unique(owner[rooms])
     number = np.zeros(len(owner), np.int32)
@@ -143,27 +139,50 @@ def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: Occupanc
     return np.where(rooms, number[owner], 0).astype(np.int32)[labels]
 
 
-def _parted(labels: Labels, gap: Gap, sides: tuple[int, int], grid: OccupancyGrid) -> bool:
-    """Whether a wall goes on past an end of a gap with the same two regions beside it, as far as is known."""
-    step_m = grid.resolution_m
+def _join(
+    owner: NDArray[np.int64], areas: FloatArray, edges: Sequence[tuple[int, int, FloatArray]], smallest: float
+) -> None:
+    """Give neighbours one owner where one is smaller than that, or where there is too little wall between.
+
+    The smallest go first, over the widest opening; edges are two parts, with the lengths of gap and wall.
+    """
+    while True:
+        sizes = np.bincount(owner, areas, len(owner))
+        pairs: dict[tuple[int, int], FloatArray] = {}
+        for one, other, lengths in edges:
+            if owner[one] != owner[other]:
+                low, high = sorted((int(owner[one]), int(owner[other])))
+                pairs[low, high] = pairs.get((low, high), np.zeros(2)) + lengths
+        open_ = [
+            (min(sizes[one], sizes[other]), -gap_m, one, other)
+            for (one, other), (gap_m, wall_m) in pairs.items()
+            if min(sizes[one], sizes[other]) < smallest or 2.0 * wall_m < gap_m
+        ]
+        if not open_:
+            return
+        _, _, one, other = min(open_)
+        owner[owner == one] = other
+
+
+def _wall_m(labels: Labels, gap: Gap, sides: tuple[int, int], grid: OccupancyGrid) -> float:
+    """How much wall, up to a door's width past each end of a gap, has the same two regions beside it."""
+    step_m, length_m = grid.resolution_m, 0.0
     for end_m, begin_m in ((gap.end_m, gap.begin_m), (gap.begin_m, gap.end_m)):
         along = (end_m - begin_m) / max(gap.length_m, step_m)
-        beyond = Line(end_m + step_m * along, end_m + THICKEST_WALL_M * along)
+        beyond = Line(end_m + step_m * along, end_m + WIDEST_DOOR_M * along)
         known = []
         for side, region in zip((1.0, -1.0) if begin_m is gap.begin_m else (-1.0, 1.0), sides, strict=True):
-            found = [
-                looked_up(labels, grid.cells_of(beyond.points(step_m, side * far)))
-                for far in np.arange(2.0 * step_m, THICKEST_WALL_M, step_m)
-            ]
-            first = found[0]
-            for further in found[1:]:
-                first = np.where(first == 0, further, first)
+            asides = np.arange(2.0 * step_m, THICKEST_WALL_M, step_m)
+            points = np.array([beyond.points(step_m, side * far) for far in asides])
+            found = looked_up(labels, grid.cells_of(points.reshape(-1, 2))).reshape(len(asides), -1)
+            # What is nearest to the wall stands beside it.
+            first = found[np.argmax(found > 0, axis=0), np.arange(len(found.T))]
             known.append((first == region, first == 0))
         (left, no_left), (right, no_right) = known
         # Of a wall one side may be hidden.
-        if ((left & right) | gap.wall & ((left & no_right) | (no_left & right))).any():
-            return True
-    return False
+        hidden = gap.wall & ((left & no_right) | (no_left & right))
+        length_m += step_m * np.count_nonzero((left & right) | hidden)
+    return length_m
 
 
 def _sides(labels: Labels, gap: Gap, grid: OccupancyGrid) -> list[int]:

@@ -82,7 +82,7 @@ def wall_gaps(segments: Sequence[Segment], grid: OccupancyGrid) -> tuple[list[Ga
         (Gap(segments[index].end_m, segments[next_].begin_m), index, next_)
         for index, next_ in following.items()
     ]
-    gaps += _before_walls(segments, following, sturdy & (np.array(lengths) > 2.0 * WIDEST_DOOR_M), met, grid)
+    gaps += _before_walls(segments, following, np.array(lengths) > WIDEST_DOOR_M, met, grid)
     found, walls = [], sturdy.copy()
     for gap, one, other in gaps:
         if leaves[one] or leaves[other] or _across(gap, met, grid):
@@ -124,8 +124,7 @@ def _before_walls(
             (following.keys(), segment.end_m, segment.along),
             (following.values(), segment.begin_m, -segment.along),
         ):
-            sure = long[index] or (segment.length_m > WIDEST_DOOR_M and _thin(segment, end_m, segments))
-            hit_m = _ahead(end_m, along, met, grid) if sure and index not in on else None
+            hit_m = _ahead(end_m, along, met, grid) if long[index] and index not in on else None
             if hit_m is not None:
                 # The side that was seen stays on the left.
                 ahead = along @ segment.along > 0.0
@@ -140,16 +139,10 @@ def _share(such: BoolArray, segment: Segment, grid: OccupancyGrid) -> float:
 
 
 def _across(gap: Gap, met: BoolArray, grid: OccupancyGrid) -> bool:
-    """Whether it leads from one side of a corridor to the other.
-
-    Then walls stand across before both its ends, or it is nowhere wider past it.
-    """
+    """Whether it leads from one side of a corridor to the other: walls stand across before both its ends."""
     step_m = 0.5 * grid.resolution_m
     before = gap.points(step_m, aside_m=6 * step_m, beyond_m=0.5 * THICKEST_WALL_M)
-    if all(half.any() for half in np.array_split(looked_up(met, grid.cells_of(before)), 2)):
-        return True
-    # Wider by a quarter is wider.
-    return 4 * max(_width_m(gap, side, met, grid) for side in (1.0, -1.0)) < 5 * gap.length_m
+    return all(half.any() for half in np.array_split(looked_up(met, grid.cells_of(before)), 2))
 
 
 def _ahead(end_m: FloatArray, along: FloatArray, met: BoolArray, grid: OccupancyGrid) -> FloatArray | None:
@@ -158,21 +151,6 @@ def _ahead(end_m: FloatArray, along: FloatArray, met: BoolArray, grid: Occupancy
     hits = np.flatnonzero(looked_up(met, grid.cells_of(points)))
     hits = hits[hits > 2]
     return np.asarray(points[hits[0]]) if len(hits) and hits[0] > 6 else None
-
-
-def _width_m(gap: Gap, side: float, met: BoolArray, grid: OccupancyGrid) -> float:
-    """How wide it is past a gap, in its direction: the median from a wall's thickness on to twice that."""
-    widths = []
-    for far in np.linspace(1.0, 2.0, 6) * THICKEST_WALL_M:
-        aside = side * far
-        points = gap.points(0.5 * grid.resolution_m, aside, WIDEST_DOOR_M)
-        hit = np.flatnonzero(looked_up(met, grid.cells_of(points)))
-        middle = len(points) // 2
-        before, after = hit[hit < middle], hit[hit > middle]
-        low = before[-1] if len(before) else 0
-        high = after[0] if len(after) else len(points) - 1
-        widths.append(float(np.hypot(*(points[high] - points[low]))))
-    return float(np.median(widths))
 
 
 def _following(segments: Sequence[Segment], sturdy: BoolArray) -> dict[int, int]:
