@@ -11,6 +11,7 @@ from slam.config import Config
 from slam.errors import MapFileError
 from slam.localization.beam_check import KnownSpace, known_space
 from slam.localization.beams import looked_up
+from slam.localization.scan_view import ScanView
 from slam.localization.whole_map_field import WholeMapField, build_whole_map_field
 from slam.mapping.occupancy_grid import FREE, OccupancyGrid
 from slam.matching.local_map import LocalMap, OrientedPoints
@@ -83,17 +84,28 @@ class Walls:
     @cached_property
     def field(self) -> WholeMapField:
         """The whole map for the global search."""
-        settings = self._config.localization
-        free = self.grid.states() == FREE
         points = np.concatenate(
             [
-                self._standing(points, pose, free)
+                transform_points(points.points_base[self._standing(points, pose)], pose)
                 for points, pose in zip(self._scans, self._poses, strict=True)
             ]
         )
-        return build_whole_map_field(points, self.grid, settings.field_cell_m)
+        return build_whole_map_field(points, self.grid, self._config.localization.field_cell_m)
 
-    def _standing(self, points: ScanPoints, pose: FloatArray, free: BoolArray) -> FloatArray:
-        """Points of a keyframe in the map, but for those where other scans saw free space: people."""
+    def view(self, key: int) -> ScanView | None:
+        """What stood of what a keyframe of the map saw, without people; None where it has no scan."""
+        scan = self.map.keyframe_scans[key]
+        if scan is None:
+            return None
+        view = ScanView.of(scan, self._config)
+        return view.only(self._standing(view.points, self.map.keyframe_poses[key]))
+
+    @cached_property
+    def _free(self) -> BoolArray:
+        """Free cells of the grid."""
+        return np.asarray(self.grid.states() == FREE)
+
+    def _standing(self, points: ScanPoints, pose: FloatArray) -> BoolArray:
+        """Which points of a keyframe lie not where other scans saw free space, as those on people do."""
         placed = transform_points(points.points_base, pose)
-        return placed[~looked_up(free, self.grid.cells_of(placed), outside=True)]
+        return ~looked_up(self._free, self.grid.cells_of(placed), outside=True)

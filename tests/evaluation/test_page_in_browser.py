@@ -288,7 +288,12 @@ def test_a_map_of_a_camera_alone_has_its_plan(tmp_path: Path) -> None:
     write_report(path, report(contents(**{**_bare(), "factors": bare_factors})))
     with visit(path) as seen:
         ready(seen)
-        assert seen.page.locator("#tabs button").all_inner_texts() == ["Layers", "Selected", "What if", "Edit"]
+        assert seen.page.locator("#tabs button").all_inner_texts() == [
+            "Layers",
+            "Selected",
+            "What if",
+            "Edit",
+        ]
         seen.value("Scanweave.select.set({kind: 'edge', index: 0})")
         assert EVIL[:9] in seen.page.locator("#panel-details").inner_text()
     sound(seen, path)
