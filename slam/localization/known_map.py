@@ -11,11 +11,11 @@ from slam.config import Config
 from slam.errors import MapFileError
 from slam.localization.beam_check import KnownSpace, known_space
 from slam.localization.beams import looked_up
+from slam.localization.scan_view import ScanView
 from slam.localization.whole_map_field import WholeMapField, build_whole_map_field
 from slam.mapping.occupancy_grid import FREE, OccupancyGrid
 from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.planar import transform_points
-from slam.matching.scan_points import ScanPoints, extract_points
 from slam.measurements import BoolArray, FloatArray
 from slam.storage.map_contents import MapContents
 
@@ -43,20 +43,12 @@ class Walls:
         self.map = known_map
         self._config = config
         self._tile = lru_cache(config.localization.tiles_cached)(self._made)
-        settings = config.scan
-        self._poses = np.array(
-            [
-                pose
-                for pose, scan in zip(known_map.keyframe_poses, known_map.keyframe_scans, strict=True)
-                if scan is not None
-            ]
-        )
-        self._scans = [
-            extract_points(scan, settings.range_min_m, settings.range_max_m, settings.neighbours)
-            for scan in known_map.keyframe_scans
+        self._poses = known_map.keyframe_poses
+        self._views = {
+            key: ScanView.of(scan, config)
+            for key, scan in enumerate(known_map.keyframe_scans)
             if scan is not None
-        ]
-        self._oriented = [OrientedPoints.from_scan(points) for points in self._scans]
+        }
 
     @cached_property
     def grid(self) -> OccupancyGrid:
@@ -72,7 +64,7 @@ class Walls:
         """A tile, of the keyframes near its middle: what is seen from there, as it was seen."""
         middle = (np.array([column, row]) + 0.5) * _TILE_M
         near = np.hypot(*(self._poses[:, :2] - middle).T) <= _TILE_REACH_M
-        parts = [self._oriented[k].moved(self._poses[k]) for k in np.flatnonzero(near).tolist()]
+        parts = [view.oriented.moved(self._poses[k]) for k, view in self._views.items() if near[k]]
         return LocalMap.build(parts or [OrientedPoints.none()], self._config.match)
 
     @cached_property
@@ -83,17 +75,23 @@ class Walls:
     @cached_property
     def field(self) -> WholeMapField:
         """The whole map for the global search."""
-        settings = self._config.localization
-        free = self.grid.states() == FREE
-        points = np.concatenate(
-            [
-                self._standing(points, pose, free)
-                for points, pose in zip(self._scans, self._poses, strict=True)
-            ]
+        placed = [self._standing(view, self._poses[k])[0] for k, view in self._views.items()]
+        return build_whole_map_field(
+            np.concatenate(placed), self.grid, self._config.localization.field_cell_m
         )
-        return build_whole_map_field(points, self.grid, settings.field_cell_m)
 
-    def _standing(self, points: ScanPoints, pose: FloatArray, free: BoolArray) -> FloatArray:
-        """Points of a keyframe in the map, but for those where other scans saw free space: people."""
-        placed = transform_points(points.points_base, pose)
-        return placed[~looked_up(free, self.grid.cells_of(placed), outside=True)]
+    def view(self, key: int) -> ScanView | None:
+        """What stood of what a keyframe of the map saw, without people; None where it has no scan."""
+        view = self._views.get(key)
+        return None if view is None else view.only(self._standing(view, self._poses[key])[1])
+
+    @cached_property
+    def _free(self) -> BoolArray:
+        """Free cells of the grid."""
+        return np.asarray(self.grid.states() == FREE)
+
+    def _standing(self, view: ScanView, pose: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """A keyframe's points in the map, less those where other scans saw free space (people); and which."""
+        placed = transform_points(view.points.points_base, pose)
+        stands = ~looked_up(self._free, self.grid.cells_of(placed), outside=True)
+        return placed[stands], stands

@@ -18,11 +18,9 @@ from slam.config import Config
 from slam.localization.hypotheses import HypothesisSet
 from slam.localization.known_map import Walls
 from slam.localization.planar_sensor import PlanarSensor
-from slam.localization.scan_view import ScanView
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
 from slam.sessions.whole_path import Followed, Sighting, follow
-from slam.storage.map_contents import MapContents
 
 # How well a sighting tells where its surroundings are, and maps bend over their length.
 SIGHT_SIGMA_M = 0.12
@@ -82,7 +80,7 @@ def place(known: Walls, session: Walls, config: Config) -> Placing:
     poses = session.map.keyframe_poses
     paths: list[tuple[Sighting, Followed]] = []
     for proposal in _distinct(_proposals(known, session, config), poses)[:_FOLLOWED]:
-        path = follow(known, session.map, proposal, config)
+        path = follow(known, session, proposal, config)
         paths.append((path.anchors[len(path.anchors) // 2] if path.anchors else proposal, path))
     if not paths:
         return Placing()
@@ -102,28 +100,28 @@ def place(known: Walls, session: Walls, config: Config) -> Placing:
 def _proposals(known: Walls, session: Walls, config: Config) -> list[Sighting]:
     """Where stretches of either may lie in the other, as keyframes of the session in the map."""
     poses, found = session.map.keyframe_poses, []
-    for key, pose, nats in _stretches(known, session.map, config):
+    for key, pose, nats in _stretches(known, session, config):
         found.append(Sighting(key, pose, compose(pose, between(poses[key], np.zeros(3))), nats))
-    for key, pose, nats in _stretches(session, known.map, config):
+    for key, pose, nats in _stretches(session, known, config):
         T_map_session = compose(known.map.keyframe_poses[key], between(pose, np.zeros(3)))
         nearest = int(np.hypot(*(poses[:, :2] - pose[:2]).T).argmin())
         found.append(Sighting(nearest, compose(T_map_session, poses[nearest]), T_map_session, nats))
     return found
 
 
-def _stretches(walls: Walls, path: MapContents, config: Config) -> Iterator[tuple[int, FloatArray, float]]:
+def _stretches(walls: Walls, path: Walls, config: Config) -> Iterator[tuple[int, FloatArray, float]]:
     """Stretch by stretch of a way: a keyframe of it, (3,) where it may be between walls, and the evidence."""
     hypotheses = HypothesisSet(PlanarSensor(walls, config), config.localization)
     kidnap_nats = config.localization.nowhere_nats
-    poses, path_m = path.keyframe_poses, path.path_m
+    poses, path_m = path.map.keyframe_poses, path.map.path_m
     apart_m = path_m[-1] / _MOST_STRETCHES
     begin_m = 0.0
     likeliest: list[tuple[int, FloatArray, float]] = []
-    for key, scan in enumerate(path.keyframe_scans):
-        if scan is None or path_m[key] < begin_m:
+    for key, row in enumerate(poses):
+        if path_m[key] < begin_m:
             continue
-        view, pose = ScanView.of(scan, config), pose2_from_row(poses[key])
-        if not hypotheses.due(view, pose):
+        view, pose = path.view(key), pose2_from_row(row)
+        if view is None or not hypotheses.due(view, pose):
             continue
         hypotheses.add_keyframe(view, pose, None)
         members = sorted(hypotheses.members, key=lambda member: -member.total(kidnap_nats))

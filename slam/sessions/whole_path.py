@@ -12,10 +12,8 @@ from slam.config import Config
 from slam.localization.hypotheses import KeyframeLog, correction
 from slam.localization.known_map import Walls
 from slam.localization.planar_sensor import PlanarSensor
-from slam.localization.scan_view import ScanView
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
-from slam.storage.map_contents import MapContents
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,23 +46,21 @@ class Followed:
     nats: float
 
 
-def follow(walls: Walls, session: MapContents, start: Sighting, config: Config) -> Followed:
+def follow(walls: Walls, session: Walls, start: Sighting, config: Config) -> Followed:
     """Follow a session from a place to both its ends, laid to the map's walls where there are any.
 
-    The evidence is that over the best of the wrong places; every surface is weighed once.
+    The evidence is that over the best of the wrong places; every surface is weighed once. Who walked about in
+    the session speaks against no place: only what stood by its own map is weighed.
     """
     sensor = PlanarSensor(walls, config)
     log = KeyframeLog(sensor, math.inf)
-    scans, poses = session.keyframe_scans, session.keyframe_poses
+    poses = session.map.keyframe_poses
     anchors, total = [], 0.0
-    for direction in (range(start.keyframe, len(scans)), range(start.keyframe - 1, -1, -1)):
+    for direction in (range(start.keyframe, len(poses)), range(start.keyframe - 1, -1, -1)):
         last, at = start.keyframe, start.pose
         for key in direction:
-            scan = scans[key]
-            if scan is None:
-                continue
-            view, pose = ScanView.of(scan, config), pose2_from_row(poses[key])
-            if not log.due(view, pose):
+            view, pose = session.view(key), pose2_from_row(poses[key])
+            if view is None or not log.due(view, pose):
                 continue
             at, last = compose(at, between(poses[last], poses[key])), key
             motion = correction(sensor, view, pose2_from_row(at), config.localization)
