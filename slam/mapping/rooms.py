@@ -128,9 +128,9 @@ def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: Occupanc
         for gap in gaps:
             one, other = _sides(merged, gap, grid)
             if one and other and real[one] and real[other] and one != other:
-                wall_m = _wall_m(merged, gap, (one, other), grid) if parting else np.inf
-                edges.append((one, other, np.array([gap.length_m, wall_m])))
-        _join(owner, areas, edges, smallest)
+                beside = _beside(merged, gap, grid) if parting else None
+                edges.append(_Opening(one, other, gap, beside))
+        _join(owner, areas, edges, smallest, grid.resolution_m)
     sizes = np.bincount(owner, areas, len(owner))
     rooms = real & (sizes[owner] >= smallest)
     order = np.unique(owner[rooms])
@@ -139,19 +139,55 @@ def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: Occupanc
     return np.where(rooms, number[owner], 0).astype(np.int32)[labels]
 
 
+@dataclass(frozen=True, slots=True)
+class _Opening:
+    """A gap between two parts of free space.
+
+    Attributes
+    ----------
+    one, other
+        The part on its left and the one on its right.
+    gap
+        Between them.
+    beside
+        (2, n) which part lies on the left and on the right of the wall in line with it, 0 where none is seen; None where
+        no wall can part the two.
+    """
+
+    one: int
+    other: int
+    gap: Gap
+    beside: Labels | None
+
+    def wall_steps(self, owner: NDArray[np.int64]) -> float:
+        """How much of that wall has what the two belong to beside it."""
+        if self.beside is None:
+            return np.inf
+        sides = np.array([[owner[self.one]], [owner[self.other]]])
+        seen, of_them = self.beside > 0, owner[self.beside] == sides
+        # Of a wall one side may be hidden.
+        hidden = self.gap.wall & (of_them != of_them[::-1]) & (seen != seen[::-1]) & of_them
+        return float(np.count_nonzero(of_them.all(axis=0) | hidden.any(axis=0)))
+
+
 def _join(
-    owner: NDArray[np.int64], areas: FloatArray, edges: Sequence[tuple[int, int, FloatArray]], smallest: float
+    owner: NDArray[np.int64],
+    areas: FloatArray,
+    openings: Sequence[_Opening],
+    smallest: float,
+    step_m: float,
 ) -> None:
     """Give neighbours one owner where one is smaller than that, or where there is too little wall between.
 
-    The smallest go first, over the widest opening; edges are two parts, with the lengths of gap and wall.
+    The smallest go first, over the widest opening. What was joined counts as one when the next are asked.
     """
     while True:
         sizes = np.bincount(owner, areas, len(owner))
         pairs: dict[tuple[int, int], FloatArray] = {}
-        for one, other, lengths in edges:
-            if owner[one] != owner[other]:
-                low, high = sorted((int(owner[one]), int(owner[other])))
+        for opening in openings:
+            low, high = sorted((int(owner[opening.one]), int(owner[opening.other])))
+            if low != high:
+                lengths = np.array([opening.gap.length_m, step_m * opening.wall_steps(owner)])
                 pairs[low, high] = pairs.get((low, high), np.zeros(2)) + lengths
         open_ = [
             (min(sizes[one], sizes[other]), -gap_m, one, other)
@@ -164,25 +200,21 @@ def _join(
         owner[owner == one] = other
 
 
-def _wall_m(labels: Labels, gap: Gap, sides: tuple[int, int], grid: OccupancyGrid) -> float:
-    """How much wall, up to a door's width past each end of a gap, has the same two regions beside it."""
-    step_m, length_m = grid.resolution_m, 0.0
+def _beside(labels: Labels, gap: Gap, grid: OccupancyGrid) -> Labels:
+    """(2, n) what stands beside the wall in line with a gap, up to a door's width past each end; 0 where none is."""
+    step_m, found = grid.resolution_m, []
+    asides = np.arange(2.0 * step_m, THICKEST_WALL_M, step_m)
     for end_m, begin_m in ((gap.end_m, gap.begin_m), (gap.begin_m, gap.end_m)):
         along = (end_m - begin_m) / max(gap.length_m, step_m)
         beyond = Line(end_m + step_m * along, end_m + WIDEST_DOOR_M * along)
-        known = []
-        for side, region in zip((1.0, -1.0) if begin_m is gap.begin_m else (-1.0, 1.0), sides, strict=True):
-            asides = np.arange(2.0 * step_m, THICKEST_WALL_M, step_m)
+        sides = []
+        for side in (1.0, -1.0) if begin_m is gap.begin_m else (-1.0, 1.0):
             points = np.array([beyond.points(step_m, side * far) for far in asides])
-            found = looked_up(labels, grid.cells_of(points.reshape(-1, 2))).reshape(len(asides), -1)
+            seen = looked_up(labels, grid.cells_of(points.reshape(-1, 2))).reshape(len(asides), -1)
             # What is nearest to the wall stands beside it.
-            first = found[np.argmax(found > 0, axis=0), np.arange(len(found.T))]
-            known.append((first == region, first == 0))
-        (left, no_left), (right, no_right) = known
-        # Of a wall one side may be hidden.
-        hidden = gap.wall & ((left & no_right) | (no_left & right))
-        length_m += step_m * np.count_nonzero((left & right) | hidden)
-    return length_m
+            sides.append(seen[np.argmax(seen > 0, axis=0), np.arange(len(seen.T))])
+        found.append(np.array(sides))
+    return np.concatenate(found, axis=1)
 
 
 def _sides(labels: Labels, gap: Gap, grid: OccupancyGrid) -> list[int]:
