@@ -213,7 +213,10 @@ def _beside(labels: Labels, gap: Gap, grid: OccupancyGrid) -> Labels:
             seen = looked_up(labels, grid.cells_of(points.reshape(-1, 2))).reshape(len(asides), -1)
             # What is nearest to the wall stands beside it.
             sides.append(seen[np.argmax(seen > 0, axis=0), np.arange(len(seen.T))])
-        found.append(np.array(sides))
+        # Where one can see across there is no wall.
+        across = np.array([beyond.points(step_m, side * step_m) for side in (-1.0, 0.0, 1.0)])
+        free = looked_up(grid.states() == FREE, grid.cells_of(across.reshape(-1, 2))).reshape(3, -1).all(axis=0)
+        found.append(np.array(sides)[:, ~free])
     return np.concatenate(found, axis=1)
 
 
