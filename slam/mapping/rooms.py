@@ -7,6 +7,7 @@ goes on in line with it, between the same two rooms, half as long as the passage
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -81,11 +82,26 @@ def _regions(
     free: BoolArray, lines: Sequence[Line], grid: OccupancyGrid, way_map: FloatArray
 ) -> tuple[Labels, BoolArray]:
     """What lines leave of free space, in parts, and (parts + 1,) which are indoors; what is none, is, too."""
-    labels = np.asarray(ndimage.label(free & ~_drawn(lines, grid))[0], dtype=np.int32)
+    labels = _wide_parts(free & ~_drawn(lines, grid), int(0.25 * THICKEST_WALL_M / grid.resolution_m))
     real = _closed(labels, grid.states())
     real[looked_up(labels, grid.cells_of(way_map))] = True
     real[0] = True
     return labels, real
+
+
+def _wide_parts(free: BoolArray, radius: int) -> Labels:
+    """Parts of free space that hang together by more than a slit, such as beams leave between two panes.
+
+    A slit is up to twice the radius wide, in cells; it goes to one of the parts that it joins.
+    """
+    block = np.ones((3, 3), np.bool_)
+    core = ndimage.binary_erosion(free, block, iterations=radius) if radius else free
+    labels = np.asarray(ndimage.label(core)[0], dtype=np.int32)
+    cross = ndimage.generate_binary_structure(2, 1)
+    for _ in range(4 * radius):
+        grown = ndimage.maximum_filter(labels, footprint=cross)
+        labels = np.where(free & (labels == 0), grown, labels)
+    return labels
 
 
 def _drawn(lines: Sequence[Line], grid: OccupancyGrid) -> BoolArray:
@@ -121,6 +137,9 @@ def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: Occupanc
     # What is no larger than a doorway is none.
     smallest = THICKEST_WALL_M * WIDEST_DOOR_M
     owner = np.arange(len(real))
+    for one, other in _touching(labels):
+        if real[one] and real[other]:
+            owner[owner == owner[one]] = owner[other]
     # First the doorways themselves, between the faces of a wall.
     for parting in (False, True):
         merged = owner[labels].astype(np.int32)
@@ -128,8 +147,8 @@ def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: Occupanc
         for gap in gaps:
             one, other = _sides(merged, gap, grid)
             if one and other and real[one] and real[other] and one != other:
-                wall_m = _wall_m(merged, gap, (one, other), grid) if parting else np.inf
-                edges.append((one, other, np.array([gap.length_m, wall_m])))
+                wall = _in_line(merged, gap, grid) if parting else None
+                edges.append(_Opening(one, other, _cells(gap.points(grid.resolution_m)), wall))
         _join(owner, areas, edges, smallest)
     sizes = np.bincount(owner, areas, len(owner))
     rooms = real & (sizes[owner] >= smallest)
@@ -139,24 +158,85 @@ def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: Occupanc
     return np.where(rooms, number[owner], 0).astype(np.int32)[labels]
 
 
-def _join(
-    owner: NDArray[np.int64], areas: FloatArray, edges: Sequence[tuple[int, int, FloatArray]], smallest: float
-) -> None:
+def _touching(labels: Labels) -> NDArray[np.int32]:
+    """(n, 2) parts that lie side by side."""
+    pairs = [
+        np.column_stack([ahead[beside], behind[beside]])
+        for ahead, behind in ((labels[1:], labels[:-1]), (labels[:, 1:], labels[:, :-1]))
+        for beside in [(ahead > 0) & (behind > 0) & (ahead != behind)]
+    ]
+    return np.unique(np.concatenate(pairs), axis=0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Opening:
+    """A gap between two parts of free space.
+
+    Attributes
+    ----------
+    one, other
+        The part on its left and the one on its right.
+    cells
+        (n, 2) where it is, in thicknesses of a wall, so that a gap seen from both sides counts once.
+    wall
+        What is in line with it; None where no wall can part the two.
+    """
+
+    one: int
+    other: int
+    cells: NDArray[np.int64]
+    wall: _InLine | None
+
+
+@dataclass(frozen=True, slots=True)
+class _InLine:
+    """What stands in line with a gap.
+
+    Attributes
+    ----------
+    cells
+        (n, 2) where, as those of the gap.
+    beside
+        (2, n) which part lies on the left and on the right; 0 where none is seen.
+    sure
+        Whether the gap is surely one in a wall.
+    """
+
+    cells: NDArray[np.int64]
+    beside: Labels
+    sure: bool
+
+    def between(self, owner: NDArray[np.int64], one: int, other: int) -> BoolArray:
+        """(n,) where what the two parts belong to lies beside it."""
+        sides = np.array([[owner[one]], [owner[other]]])
+        seen, of_them = self.beside > 0, owner[self.beside] == sides
+        # Of a wall one side may be hidden.
+        hidden = self.sure & of_them & ~seen[::-1]
+        return np.asarray(of_them.all(axis=0) | hidden.any(axis=0))
+
+
+def _join(owner: NDArray[np.int64], areas: FloatArray, openings: Sequence[_Opening], smallest: float) -> None:
     """Give neighbours one owner where one is smaller than that, or where there is too little wall between.
 
-    The smallest go first, over the widest opening; edges are two parts, with the lengths of gap and wall.
+    The smallest go first, over the widest opening. What was joined counts as one when the next are asked.
     """
     while True:
         sizes = np.bincount(owner, areas, len(owner))
-        pairs: dict[tuple[int, int], FloatArray] = {}
-        for one, other, lengths in edges:
-            if owner[one] != owner[other]:
-                low, high = sorted((int(owner[one]), int(owner[other])))
-                pairs[low, high] = pairs.get((low, high), np.zeros(2)) + lengths
+        pairs: dict[tuple[int, int], tuple[Counter[tuple[int, ...]], Counter[tuple[int, ...]] | None]] = {}
+        for opening in openings:
+            low, high = sorted((int(owner[opening.one]), int(owner[opening.other])))
+            if low == high:
+                continue
+            gap, wall = pairs.setdefault((low, high), (Counter(), Counter() if opening.wall else None))
+            gap |= Counter(map(tuple, opening.cells.tolist()))
+            if opening.wall and wall is not None:
+                between = opening.wall.between(owner, opening.one, opening.other)
+                wall |= Counter(map(tuple, opening.wall.cells[between].tolist()))
         open_ = [
-            (min(sizes[one], sizes[other]), -gap_m, one, other)
-            for (one, other), (gap_m, wall_m) in pairs.items()
-            if min(sizes[one], sizes[other]) < smallest or 2.0 * wall_m < gap_m
+            (min(sizes[one], sizes[other]), -gap.total(), one, other)
+            for (one, other), (gap, wall) in pairs.items()
+            if min(sizes[one], sizes[other]) < smallest
+            or (wall is not None and 2 * wall.total() < gap.total())
         ]
         if not open_:
             return
@@ -164,25 +244,32 @@ def _join(
         owner[owner == one] = other
 
 
-def _wall_m(labels: Labels, gap: Gap, sides: tuple[int, int], grid: OccupancyGrid) -> float:
-    """How much wall, up to a door's width past each end of a gap, has the same two regions beside it."""
-    step_m, length_m = grid.resolution_m, 0.0
+def _cells(points_m: FloatArray) -> NDArray[np.int64]:
+    """(n, 2) points in whole thicknesses of a wall."""
+    return np.asarray(np.floor(points_m / THICKEST_WALL_M), dtype=np.int64)
+
+
+def _in_line(labels: Labels, gap: Gap, grid: OccupancyGrid) -> _InLine:
+    """What stands in line with a gap, up to a door's width past each end."""
+    step_m, cells, found = grid.resolution_m, [], []
+    asides = np.arange(2.0 * step_m, THICKEST_WALL_M, step_m)
     for end_m, begin_m in ((gap.end_m, gap.begin_m), (gap.begin_m, gap.end_m)):
         along = (end_m - begin_m) / max(gap.length_m, step_m)
         beyond = Line(end_m + step_m * along, end_m + WIDEST_DOOR_M * along)
-        known = []
-        for side, region in zip((1.0, -1.0) if begin_m is gap.begin_m else (-1.0, 1.0), sides, strict=True):
-            asides = np.arange(2.0 * step_m, THICKEST_WALL_M, step_m)
+        sides = []
+        for side in (1.0, -1.0) if begin_m is gap.begin_m else (-1.0, 1.0):
             points = np.array([beyond.points(step_m, side * far) for far in asides])
-            found = looked_up(labels, grid.cells_of(points.reshape(-1, 2))).reshape(len(asides), -1)
+            seen = looked_up(labels, grid.cells_of(points.reshape(-1, 2))).reshape(len(asides), -1)
             # What is nearest to the wall stands beside it.
-            first = found[np.argmax(found > 0, axis=0), np.arange(len(found.T))]
-            known.append((first == region, first == 0))
-        (left, no_left), (right, no_right) = known
-        # Of a wall one side may be hidden.
-        hidden = gap.wall & ((left & no_right) | (no_left & right))
-        length_m += step_m * np.count_nonzero((left & right) | hidden)
-    return length_m
+            sides.append(seen[np.argmax(seen > 0, axis=0), np.arange(len(seen.T))])
+        # Where one can see across there is no wall.
+        across = np.array([beyond.points(step_m, side * step_m) for side in (-1.0, 0.0, 1.0)])
+        free = (
+            looked_up(grid.states() == FREE, grid.cells_of(across.reshape(-1, 2))).reshape(3, -1).all(axis=0)
+        )
+        found.append(np.array(sides)[:, ~free])
+        cells.append(_cells(across[1][~free]))
+    return _InLine(np.concatenate(cells), np.concatenate(found, axis=1), gap.wall)
 
 
 def _sides(labels: Labels, gap: Gap, grid: OccupancyGrid) -> list[int]:

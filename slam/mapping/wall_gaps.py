@@ -148,9 +148,11 @@ def _across(gap: Gap, met: BoolArray, grid: OccupancyGrid) -> bool:
 def _ahead(end_m: FloatArray, along: FloatArray, met: BoolArray, grid: OccupancyGrid) -> FloatArray | None:
     """The first obstacle in line with the end of a wall, no farther than a door is wide and not at once."""
     points = Line(end_m, end_m + WIDEST_DOOR_M * along).points(0.5 * grid.resolution_m)
-    hits = np.flatnonzero(looked_up(met, grid.cells_of(points)))
-    hits = hits[hits > 2]
-    return np.asarray(points[hits[0]]) if len(hits) and hits[0] > 6 else None
+    there = looked_up(met, grid.cells_of(points)) > 0
+    # The wall itself may go on for a while, as a pane seen from a slant does.
+    clear = int(np.argmin(there))
+    hits = clear + np.flatnonzero(there[clear:])
+    return np.asarray(points[hits[0]]) if len(hits) and hits[0] > clear + 4 else None
 
 
 def _following(segments: Sequence[Segment], sturdy: BoolArray) -> dict[int, int]:

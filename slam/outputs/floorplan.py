@@ -38,7 +38,7 @@ def floor_plan(contents: MapContents, config: Config) -> FloorPlan:
     )
     cell_m = grid.resolution_m
     way = contents.trajectory.positions_m[:, :2]
-    rooms = segment_rooms(grid, wall_segments(points, cell_m, 4 * cell_m), way)
+    rooms = segment_rooms(grid, wall_segments(points, cell_m, 3 * cell_m), way)
     entered = set(rooms.at(way).tolist())
     outlines: list[Outline] = []
     fits: list[list[WallFit | None]] = []
