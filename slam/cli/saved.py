@@ -25,6 +25,8 @@ class Format(StrEnum):
     G2O = "g2o"
     PLY = "ply"
     BT = "bt"
+    COLMAP = "colmap"
+    NERFSTUDIO = "nerfstudio"
     SVG = "svg"
     DXF = "dxf"
     GEOJSON = "geojson"

@@ -14,13 +14,14 @@ from slam.edits.remaking import regions_of
 from slam.errors import LibraryError, ScanweaveError
 from slam.mapping.camera_points import camera_cloud
 from slam.mapping.cloud_map import map_cloud
-from slam.mapping.dense_map import DenseMapSettings, fuse_keyframes
+from slam.mapping.dense_map import ColoredCloud, ColoredMesh, DenseMapSettings, fuse_keyframes
 from slam.mapping.floor_plan import FloorPlan
 from slam.mapping.keyframe_grid import PASSED_BY
 from slam.mapping.layered_map import LayeredMap
 from slam.matching.local_cloud import moved
 from slam.measurements import spatial
 from slam.outputs.floorplan import floor_plan
+from slam.storage.colmap import write_colmap
 from slam.storage.covariances import write_trajectory
 from slam.storage.files import make_folder
 from slam.storage.g2o import write_g2o
@@ -34,6 +35,8 @@ from slam.storage.plan_dxf import write_plan_dxf
 from slam.storage.plan_geojson import write_plan_geojson
 from slam.storage.plan_svg import write_plan_svg
 from slam.storage.ply import write_cloud_ply, write_mesh_ply
+from slam.storage.posed_images import IMAGES, write_posed_images
+from slam.storage.transforms_json import write_transforms
 
 ZONES = "nav2-zones"
 _NAMES = {"tum": "trajectory.tum", "g2o": "graph.g2o", "nav2": MAP_YAML, "bt": "map.bt"}
@@ -75,6 +78,8 @@ class Exports:
         found = self.contents
         if format_ in _PLANS or format_ == ZONES:
             return self._write_plan(format_, out), []
+        if format_ in ("colmap", "nerfstudio"):
+            return self._write_images(format_, out)
         seen = found.frames is not None or found.clouds is not None
         if (format_ == "nav2" and self.layers is None) or (format_ in ("ply", "bt") and not seen):
             lacking = "grid" if format_ == "nav2" else "image or cloud"
@@ -144,6 +149,25 @@ class Exports:
         _PLANS[format_](out, plan)
         return [out]
 
+    def _write_images(self, format_: str, folder: Path) -> tuple[list[Path], list[str]]:
+        """Images with poses and lenses and a cloud to start from, in a folder."""
+        found = self.contents
+        if found.frames is None:
+            raise ScanweaveError(f"the map holds no image, so there is nothing to write as {format_}")
+        make_folder(folder)
+        moved_colors = {name for name, one in found.registrations.items() if one.accepted}
+        images = write_posed_images(folder, found.frames, found.frame_poses(), moved_colors)
+        surface = _surface(found, self.config)
+        if format_ == "colmap":
+            written = write_colmap(folder, images, surface.cloud)
+        else:
+            written = [folder / "transforms.json"]
+            write_transforms(written[0], images, "points.ply")
+            if len(surface.cloud.points_map):
+                written.append(folder / "points.ply")
+                write_cloud_ply(written[-1], surface.cloud)
+        return [*written, folder / IMAGES], surface.missing
+
     def _write_ply(self, out: Path) -> tuple[list[Path], list[str]]:
         """The coloured surface of the images, and the cloud of the 3D lidar."""
         written, missing, path, found = list[Path](), list[str](), out, self.contents
@@ -175,32 +199,55 @@ def _save_cloud_octomap(path: Path, found: MapContents, config: Config) -> None:
     write_octree(path, views, config.grid.resolution_m, config.cloud_map.plan_range_m)
 
 
-def _save_surface(path: Path, found: MapContents, config: Config) -> tuple[list[Path], list[str]]:
-    """The coloured mesh of the camera keyframes, and their cloud beside it; nothing where they show none.
+@dataclass(frozen=True, slots=True)
+class _Surface:
+    """The surface of the camera keyframes.
 
-    Without Open3D there is no mesh, and the cloud is of the points as they were seen.
-
-    Returns
-    -------
-    What was written, and what could not be had.
+    Attributes
+    ----------
+    mesh
+        None without Open3D.
+    cloud
+        Its points, or without Open3D those that were seen.
+    missing
+        Why there is no mesh.
     """
+
+    mesh: ColoredMesh | None
+    cloud: ColoredCloud
+    missing: list[str]
+
+
+def _surface(found: MapContents, config: Config) -> _Surface:
+    """See `_Surface`; both empty where the images show none."""
     settings = DenseMapSettings(
         voxel_size_m=config.dense_map.voxel_m,
         depth_min_m=config.dense_map.nearest_m,
         depth_max_m=config.layers.depth_max_m,
     )
-    cloud_path = path.with_name("cloud.ply" if path.name == "mesh.ply" else f"{path.stem}-cloud.ply")
-    written, missing, frames, poses = [], [], found.frames or (), found.frame_poses()
+    frames, poses = found.frames or (), found.frame_poses()
     try:
         dense = fuse_keyframes(frames, poses, settings)
-        cloud = dense.cloud
-        if len(dense.mesh.faces):
-            write_mesh_ply(path, dense.mesh)
-            written.append(path)
     except LibraryError as error:
-        cloud = camera_cloud(frames, poses, settings)
-        missing.append(f"No {path.name}, and {cloud_path.name} is of points as they were seen: {error}")
-    if len(cloud.points_map):
-        write_cloud_ply(cloud_path, cloud)
+        return _Surface(None, camera_cloud(frames, poses, settings), [str(error)])
+    return _Surface(dense.mesh, dense.cloud, [])
+
+
+def _save_surface(path: Path, found: MapContents, config: Config) -> tuple[list[Path], list[str]]:
+    """The coloured mesh of the camera keyframes, and their cloud beside it; nothing where they show none.
+
+    Returns
+    -------
+    What was written, and what could not be had.
+    """
+    cloud_path = path.with_name("cloud.ply" if path.name == "mesh.ply" else f"{path.stem}-cloud.ply")
+    written, surface = list[Path](), _surface(found, config)
+    lacks = f"No {path.name}, and {cloud_path.name} is of points as they were seen"
+    missing = [f"{lacks}: {reason}" for reason in surface.missing]
+    if surface.mesh is not None and len(surface.mesh.faces):
+        write_mesh_ply(path, surface.mesh)
+        written.append(path)
+    if len(surface.cloud.points_map):
+        write_cloud_ply(cloud_path, surface.cloud)
         written.append(cloud_path)
     return written, missing
