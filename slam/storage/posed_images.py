@@ -38,6 +38,11 @@ class PosedImage:
     masked: bool
 
 
+def plain_name(sensor: str) -> str:
+    """The name of a sensor as a part of a file's name."""
+    return "".join(sign if sign.isalnum() or sign in "-_" else "_" for sign in sensor)
+
+
 def write_posed_images(
     folder: Path, frames: MapFrames, poses: Sequence[gtsam.Pose3], moved: Collection[str]
 ) -> list[PosedImage]:
@@ -61,8 +66,7 @@ def write_posed_images(
     images = []
     for number, pose in enumerate(poses):
         head = frames.head(number)
-        plain = "".join(sign if sign.isalnum() or sign in "-_" else "_" for sign in head.sensor)
-        stem = f"{number:06d}_{plain}"
+        stem = f"{number:06d}_{plain_name(head.sensor)}"
         image = PosedImage(f"{stem}.jpg", pose, head.intrinsics, head.sensor, head.sensor in moved)
         depth_m = frames.frame(number).depth_m
         files = {IMAGES: (image.name, frames.jpeg(number))}
