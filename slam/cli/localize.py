@@ -46,15 +46,18 @@ def localize(
         typer.Option(metavar="X Y YAW", help="where the robot begins in the map, metres and degrees"),
     ] = None,
     start_sigma: Annotated[
-        tuple[float, float], typer.Option(metavar="M DEGREES", help="standard deviations of --start")
-    ] = (0.5, 15.0),
+        tuple[float, float] | None,
+        typer.Option(
+            metavar="M DEGREES", help="standard deviations of --start; 0.5 15 where it is not given"
+        ),
+    ] = None,
     update: Annotated[
         bool, typer.Option("--update", help="then add the log to the map, as 'scanweave map LOG --into MAP'")
     ] = False,
 ) -> None:
     """Find and follow the robot of a log in a saved map or a nav2 map; the map stays as it is."""
     started = time.perf_counter()
-    from slam.app.localizing import localize_log
+    from slam.app.localizing import START_SIGMA, localize_log
     from slam.config import load_config
     from slam.errors import MapFileError
     from slam.localization.drive_log import STATES
@@ -70,7 +73,7 @@ def localize(
         kind = "of a 3D lidar" if saved.contents.clouds else "a grid alone"
         raise MapFileError(f"{saved.path} is {kind} and takes no other log; localise without --update")
     begin = None if start is None else (start[0], start[1], math.radians(start[2]))
-    sigma = (start_sigma[0], math.radians(start_sigma[1]))
+    sigma = START_SIGMA if start_sigma is None else (start_sigma[0], math.radians(start_sigma[1]))
     with progress_bar() as show, interruptible(show) as on_progress:
         found = localize_log(
             saved,

@@ -6,12 +6,11 @@ import numpy as np
 from scipy import ndimage
 
 from fusion.estimation import TINY
+from slam.localization.whole_map_field import BLUR
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
 from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import transform_points
 from slam.measurements import Float32Array, row_from_pose2
-
-_BESIDE = ((0, 1), (0, -1), (1, 0), (-1, 0))
 
 
 def drawn_walls(grid: OccupancyGrid) -> OrientedPoints:
@@ -23,11 +22,11 @@ def drawn_walls(grid: OccupancyGrid) -> OrientedPoints:
     states = grid.states()
     wall = states == OCCUPIED
     # So wide that the steps of a slanted wall are smoothed away.
-    filled = np.pad(ndimage.gaussian_filter(wall.astype(np.float32), 1.5, mode="nearest"), 1, "edge")
+    filled = np.pad(ndimage.gaussian_filter(wall.astype(np.float32), BLUR, mode="nearest"), 1, "edge")
     walls, free = np.pad(wall, 1), np.pad(states == FREE, 1)
     slope_y, slope_x = (np.gradient(filled, axis=axis) for axis in (0, 1))
     cells, normals = list[Float32Array](), list[Float32Array]()
-    for row, column in _BESIDE:
+    for row, column in ((0, 1), (0, -1), (1, 0), (-1, 0)):
         found = np.argwhere(free & np.roll(walls, (-row, -column), (0, 1)))
         away = -np.column_stack([slope_x[tuple(found.T)], slope_y[tuple(found.T)]])
         length = np.hypot(*away.T)

@@ -118,6 +118,12 @@ class Localizer:
             sensor = CloudSensor(known_map, field, config)
         elif has_walls(known_map) and config.sensors.lidar:
             sensor = PlanarSensor(Walls(known_map, config), config)
+            if not known_map.node_poses and known_map.grid is not None:
+                # Where in its cells a drawn wall is, the drawing does not tell.
+                half_m = 0.5 * known_map.grid.resolution_m
+                sigma_m = max(config.localization.map_sigma_m, half_m)
+                settings = config.localization.model_copy(update={"map_sigma_m": sigma_m})
+                return StateMachine(sensor, settings, start)
         else:
             return None
         return StateMachine(sensor, config.localization, start)

@@ -80,7 +80,7 @@ def load_grid_map(path: Path | str) -> GridMap:
 
 def _grid_of(drawn: Nav2Map) -> OccupancyGrid:
     """What the values say of each cell; of a free or occupied one as much as a grey of 256 can."""
-    least = 0.5 / 256.0
+    least = 1 / 512
     probability = np.clip(drawn.values / 100.0, least, 1.0 - least)
     log_odds = np.where(drawn.values == UNKNOWN, 0.0, np.log(probability / (1.0 - probability)))
     return OccupancyGrid.of_log_odds(log_odds.astype(np.float32), drawn.resolution_m, drawn.T_map_grid)

@@ -120,6 +120,10 @@ def test_points_of_the_map_project_to_their_pixels(room: slam.Map, tmp_path: Pat
     views, _ = colmap_views(tmp_path / "sparse" / "0")
     frames = room.contents.frames
     assert frames is not None and len(views) == len(frames) > 2
+    lens = frames.head(0).intrinsics  # whose pixels begin at their middle
+    np.testing.assert_allclose(
+        views[0][2], [[lens.fx, 0, lens.cx + 0.5], [0, lens.fy, lens.cy + 0.5], [0, 0, 1]]
+    )
     matcher = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
     off_px = []
     for n in range(len(views) - 1):
