@@ -58,6 +58,8 @@ if TYPE_CHECKING:
     from slam.measurements import WheelOdometry as WheelOdometry
     from slam.outputs.finished_map import Map as Map
     from slam.outputs.finished_map import load_map as load_map
+    from slam.outputs.grid_map import GridMap as GridMap
+    from slam.outputs.grid_map import load_grid_map as load_grid_map
 
 _NAMES = {
     "slam.app.differing": "Difference diff_maps",
@@ -80,6 +82,7 @@ _NAMES = {
     "slam.measurements": "CameraIntrinsics LaserScan MotionEstimate PointCloud RgbdFrame Trajectory "
     "WheelOdometry",
     "slam.outputs.finished_map": "Map load_map",
+    "slam.outputs.grid_map": "GridMap load_grid_map",
 }
 _HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 

@@ -248,6 +248,13 @@ class Trajectory:
         quaternions[:, 3] = np.cos(0.5 * poses_xyt[:, 2])
         return cls(np.asarray(stamps_s, dtype=np.float64), positions, quaternions)
 
+    def poses(self) -> list[gtsam.Pose3]:
+        """The N poses."""
+        return [
+            gtsam.Pose3(gtsam.Rot3.Quaternion(w, x, y, z), position)
+            for (x, y, z, w), position in zip(self.quaternions_xyzw.tolist(), self.positions_m, strict=True)
+        ]
+
     def to_planar(self) -> FloatArray:
         """(N, 3) rows of x, y, yaw: the projection onto the ground plane."""
         x, y, z, w = self.quaternions_xyzw.T

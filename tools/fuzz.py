@@ -211,10 +211,10 @@ def spoilt_text(content: bytes, rng: Rng) -> bytes:
 
 def spoilt_definition(path: Path, rng: Rng) -> Path:
     """A bag with another definition of one of its types."""
-    from slam.simulation import ros_messages as ros
+    from slam.storage import ros_messages as messages
 
     kind = str(rng.choice(KINDS))
-    text = ros.typestore().generate_msgdef(kind, ros_version=2)[0].encode()
+    text = messages.typestore().generate_msgdef(kind, ros_version=2)[0].encode()
     name = str(rng.choice(["mcap_plain", "bag", "db3", "idl"]))
     if name == "idl":
         fields = " ".join(

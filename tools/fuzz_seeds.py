@@ -22,14 +22,23 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from slam.measurements import CameraIntrinsics, LaserScan, RgbdFrame
 from slam.simulation import ros_messages as ros
+from slam.storage import ros_messages as messages
 
 _START_S = 1000.0
 _PACKED = "sensor_msgs/msg/CompressedImage"
-KINDS = (ros.LASER_SCAN, ros.IMAGE, ros.ODOMETRY, ros.POINT_CLOUD, ros.TRANSFORMS, _PACKED, ros.CAMERA_INFO)
+KINDS = (
+    ros.LASER_SCAN,
+    ros.IMAGE,
+    ros.ODOMETRY,
+    messages.POINT_CLOUD,
+    messages.TRANSFORMS,
+    _PACKED,
+    ros.CAMERA_INFO,
+)
 LOGS = ("carmen", "tum", "ply", "ply_text", "pcd", "pcd_packed", "bin")
 
 _ROS1 = get_typestore(Stores.ROS1_NOETIC)
-_ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", ros.TRANSFORMS))
+_ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", messages.TRANSFORMS))
 
 Sent = tuple[str, str, float, bytes]
 
@@ -42,7 +51,7 @@ def messages() -> list[Sent]:
     mounts = dict.fromkeys(
         ("laser", "lidar", "optical"), gtsam.Pose3(gtsam.Rot3(), np.array([0.1, 0.0, 0.3]))
     )
-    sent = [("/tf_static", ros.TRANSFORMS, _START_S, ros.transforms(_START_S, "base_link", mounts))]
+    sent = [("/tf_static", messages.TRANSFORMS, _START_S, messages.transforms(_START_S, "base_link", mounts))]
     for k in range(10):
         at_s = _START_S + 0.1 * k
         pose = gtsam.Pose3(gtsam.Pose2(0.05 * k, 0.0, 0.01 * k))
@@ -55,7 +64,7 @@ def messages() -> list[Sent]:
         sent += [
             ("/odom", ros.ODOMETRY, at_s, ros.odometry(at_s, pose, (0.5, 0.1), "odom", "base_link")),
             ("/scan", ros.LASER_SCAN, at_s, ros.laser_scan(scan, "laser", 0.1, 0.1)),
-            ("/points", ros.POINT_CLOUD, at_s, ros.point_cloud(points, ring, at_s, "lidar")),
+            ("/points", messages.POINT_CLOUD, at_s, ros.point_cloud(points, ring, at_s, "lidar")),
             ("/camera/depth/camera_info", ros.CAMERA_INFO, at_s, ros.camera_info(lens, at_s, "optical")),
             ("/camera/color/image_raw", ros.IMAGE, at_s, picture),
             ("/camera/depth/image_raw", ros.IMAGE, at_s, distances),
@@ -68,7 +77,7 @@ def messages() -> list[Sent]:
                 _packed(distances, depth, "16UC1; compressedDepth png", bytes(12)),
             ),
         ]
-    store = ros.typestore()
+    store = messages.typestore()
     return [
         (topic, kind, at_s, bytes(store.serialize_cdr(message, kind))) for topic, kind, at_s, message in sent
     ]
@@ -79,7 +88,7 @@ def _packed(raw: Any, pixels: np.ndarray, form: str, before: bytes) -> Any:
     done, content = cv2.imencode(".png", pixels)
     assert done
     data = np.frombuffer(before + content.tobytes(), np.uint8)
-    return ros.typestore().types[_PACKED](header=raw.header, format=form, data=data)
+    return messages.typestore().types[_PACKED](header=raw.header, format=form, data=data)
 
 
 def write(path: Path, name: str, messages: list[Sent], definitions: dict[str, str]) -> Path:
@@ -100,7 +109,7 @@ def _write_mcap(
             topics: dict[str, int] = {}
             for topic, kind, at_s, content in messages:
                 if topic not in topics:
-                    text = definitions.get(kind, ros.typestore().generate_msgdef(kind, ros_version=2)[0])
+                    text = definitions.get(kind, messages.typestore().generate_msgdef(kind, ros_version=2)[0])
                     schema = bag.register_schema(kind, language, text.encode())
                     topics[topic] = bag.register_channel(topic, "cdr", schema)
                 bag.add_message(topics[topic], round(at_s * 1e9), content, round(at_s * 1e9))
@@ -116,7 +125,7 @@ def _write_db3(path: Path, messages: list[Sent], definitions: dict[str, str]) ->
         topics: dict[str, Any] = {}
         for topic, kind, at_s, content in messages:
             if topic not in topics:
-                given: dict[str, Any] = {"typestore": ros.typestore()}
+                given: dict[str, Any] = {"typestore": messages.typestore()}
                 if kind in definitions:
                     given = {"msgdef": definitions[kind], "rihs01": "RIHS01_" + "0" * 64}
                 topics[topic] = bag.add_connection(topic, kind, **given)
@@ -140,7 +149,7 @@ def _write_ros1(packing: str) -> Callable[[Path, list[Sent], dict[str, str]], Pa
                     if kind in definitions:
                         given = {"msgdef": definitions[kind], "md5sum": "0" * 32}
                     topics[topic] = bag.add_connection(topic, kind, **given)
-                bag.write(topics[topic], round(at_s * 1e9), ros.typestore().cdr_to_ros1(content, kind))
+                bag.write(topics[topic], round(at_s * 1e9), messages.typestore().cdr_to_ros1(content, kind))
         return path.with_suffix(".bag")
 
     return written

@@ -17,6 +17,7 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from slam.simulation import ros_messages as ros
+from slam.storage import ros_messages as messages
 from tools.hostile_maps import looped
 
 Writer = Callable[[Path], Path]
@@ -24,8 +25,8 @@ Writer = Callable[[Path], Path]
 STEERING = "\x1b[31m\x1b]0;owned\x07\u202egnp.exe\n\x9b2J\r"
 BAGS: dict[str, Writer] = {}
 _HEADER: dict[str, Any] = {"stamp": {"sec": 1}}
-_SCAN, _TF, _ECHOES = ros.LASER_SCAN, ros.TRANSFORMS, "sensor_msgs/msg/MultiEchoLaserScan"
-_PACKED, _CLOUD = "sensor_msgs/msg/CompressedImage", ros.POINT_CLOUD
+_SCAN, _TF, _ECHOES = ros.LASER_SCAN, messages.TRANSFORMS, "sensor_msgs/msg/MultiEchoLaserScan"
+_PACKED, _CLOUD = "sensor_msgs/msg/CompressedImage", messages.POINT_CLOUD
 
 
 def mcap(kind: str, text: str, content: bytes = bytes(64), language: str = "ros2msg", **given: Any) -> Writer:
@@ -54,7 +55,7 @@ def mcap(kind: str, text: str, content: bytes = bytes(64), language: str = "ros2
 
 def of(kind: str, **fields: Any) -> tuple[str, bytes]:
     """The definition of a common type, and a message of it with some fields set."""
-    store = ros.typestore()
+    store = messages.typestore()
     return store.generate_msgdef(kind, ros_version=2)[0], bytes(
         store.serialize_cdr(_made(kind, fields), kind)
     )
@@ -62,7 +63,7 @@ def of(kind: str, **fields: Any) -> tuple[str, bytes]:
 
 def _made(kind: str, fields: dict[str, Any]) -> Any:
     """A message with what is not given zero or empty."""
-    store = ros.typestore()
+    store = messages.typestore()
     values = {}
     for name, (node, detail) in store.fielddefs[kind][1]:
         if name in fields and not isinstance(fields[name], dict):

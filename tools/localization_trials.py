@@ -5,6 +5,9 @@ have: how the two maps bend against each other over their length is not the loca
 the tracking error is also told against the full run aligned as a whole. Travel counts as mapped where the
 true pose explains most of the scan.
 
+With ``--drawn`` the robot is localised in the map's picture alone, or a worse one: see `tools.drawn_maps`.
+Truth, starts and the mapped part stay those of the map itself.
+
 A folder of ``scanweave simulate --campus`` is tracked only: its map is drawn from the true poses, so that no
 error of the map is the localiser's, and the drive that is localised has all its faults.
 """
@@ -15,7 +18,7 @@ import argparse
 import math
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +47,7 @@ from slam.measurements import (
 )
 from slam.storage.map_contents import MapContents
 from slam.storage.tum import read_tum
+from tools.drawn_maps import DRAWN, drawn
 
 RIGHT_M, RIGHT_RAD = 0.25, np.radians(5.0)
 MAPPED_SHARE = 0.6
@@ -79,6 +83,7 @@ def main() -> None:
     )
     parser.add_argument("--starts", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--drawn", choices=DRAWN, help="in the picture of the map alone")
     parser.add_argument("--set", action="append", default=[], help="as in scanweave localize --set")
     arguments = parser.parse_args()
     config = load_config(None, arguments.set)
@@ -88,6 +93,8 @@ def main() -> None:
             print(f"\n## {path}\n")
             tracking_trial(campus_case(Path(path), float(share), config))
     cases = [build_case(path, share, config) for path, share in named if not Path(path).is_dir()]
+    if arguments.drawn:
+        cases = [replace(case, known_map=drawn(case.known_map, arguments.drawn)) for case in cases]
     for case in cases:
         rng = np.random.default_rng(arguments.seed)
         print(f"\n## {case.name}\n")

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+import gtsam
 
 from slam.app.progress import OnProgress, Progress, silent
 from slam.config import Config
@@ -13,19 +16,24 @@ from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
 from slam.datasets.sensor_choice import SensorChoice, UsedMeasurements
 from slam.doctor.finding import Finding
-from slam.errors import DatasetError
+from slam.errors import ConfigError, DatasetError
 from slam.evaluation.localization_report import write_localization_report
 from slam.localization.drive_log import DriveLog
 from slam.localization.localizer import Localizer
+from slam.localization.poses import Measured, diagonal
 from slam.mapper.pipeline import findings_of, settled
 from slam.measurements import Trajectory
 from slam.outputs.finished_map import Map
+from slam.outputs.grid_map import GridMap
 from slam.storage.files import make_folder
 from slam.storage.map_contents import MapContents
 from slam.viewer.map_recording import record_localization
 from slam.viewer.viewer import Viewer, recording
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.registration_pairs import registrations_of
+
+# Of a start that somebody has told, metres and radians: those that RViz sends with a pose set by hand.
+START_SIGMA = (0.5, math.pi / 12.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,25 +58,32 @@ class Localization:
 
 
 def localize_log(
-    saved: Map,
+    saved: Map | GridMap,
     log: Path | str | Dataset,
     config: Config | None = None,
     *,
+    start: tuple[float, float, float] | None = None,
+    start_sigma: tuple[float, float] = START_SIGMA,
     out: Path | str | None = None,
     on_progress: OnProgress | None = None,
     strict: bool = False,
     record: Path | None = None,
 ) -> Localization:
-    """Find and follow the robot of a log in a saved map, from no start pose; the map stays as it is.
+    """Find and follow the robot of a log in a saved map; the map stays as it is.
 
     Parameters
     ----------
     saved
-        The map.
+        The map, or one of another program (`load_grid_map`).
     log
         A path that `slam.open_dataset` takes, or what it has opened.
     config
         The effective configuration; None for the default preset.
+    start
+        x, y (metres) and yaw (radians) of the base in the map at the first reading, as far as somebody knows;
+        None seeks it everywhere.
+    start_sigma
+        Standard deviations of the start, metres and radians.
     out
         Folder for ``trajectory.tum``, ``trajectory.csv`` and the report; None writes nothing.
     on_progress
@@ -104,15 +119,24 @@ def localize_log(
     with recording(record) as viewer:
         if viewer is not None and saved.grid is not None:
             viewer.grid("saved map", saved.grid.states(), saved.grid.resolution_m, saved.grid.T_map_grid)
-        localizer = Localizer(saved, config, registrations)
+        known = None if start is None else _known(start, start_sigma)
+        localizer = Localizer(saved, config, registrations, known)
         drive = _driven(localizer, log, config, viewer, on_progress or silent)
     if not len(drive):
-        wanted = "clouds of a 3D lidar" if saved.contents.clouds else "planar scans, or frames of its camera"
+        wanted = "clouds of a 3D lidar" if saved.contents.clouds else "planar scans"
+        wanted += "" if saved.contents.frames is None else ", or frames of its camera"
         raise DatasetError(
             f"{log.name} holds nothing that can be localised in {saved.path}, which takes {wanted}; see "
-            "'scanweave inspect' for what the log holds and 'scanweave info' for the map"
+            "'scanweave inspect' for what the log holds"
         )
     return Localization(drive, _written(Path(out), drive, saved, log, findings) if out is not None else ())
+
+
+def _known(start: tuple[float, float, float], sigma: tuple[float, float]) -> Measured:
+    """A start as it was told."""
+    if not (all(map(math.isfinite, (*start, *sigma))) and min(sigma) > 0.0):
+        raise ConfigError(f"start {start} with sigma {sigma}: needs finite numbers, and sigmas above zero")
+    return Measured(pose := gtsam.Pose2(*start), diagonal(pose, *sigma))
 
 
 def _registrations(
@@ -145,7 +169,7 @@ def _driven(
 
 
 def _written(
-    out: Path, drive: DriveLog, saved: Map, log: Dataset, findings: Sequence[Finding]
+    out: Path, drive: DriveLog, saved: Map | GridMap, log: Dataset, findings: Sequence[Finding]
 ) -> tuple[Path, ...]:
     """Trajectory, covariances and report in a folder."""
     make_folder(out)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -21,12 +23,16 @@ from slam.cli.app import (
     topics_override,
 )
 from slam.cli.progress import interruptible, progress_bar
-from slam.cli.saved import MapArgument
 
 
 @command()
 def localize(
-    map_: MapArgument,
+    map_: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MAP", help="a folder that 'scanweave map' has made, its map.db, or a nav2 map (.yaml)"
+        ),
+    ],
     log: LogArgument,
     out: OutOption,
     config: ConfigOption = None,
@@ -35,28 +41,50 @@ def localize(
     topics: TopicsOption = None,
     calibration: CalibrationOption = None,
     record: RecordOption = None,
+    start: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(metavar="X Y YAW", help="where the robot begins in the map, metres and degrees"),
+    ] = None,
+    start_sigma: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            metavar="M DEGREES", help="standard deviations of --start; 0.5 15 where it is not given"
+        ),
+    ] = None,
     update: Annotated[
         bool, typer.Option("--update", help="then add the log to the map, as 'scanweave map LOG --into MAP'")
     ] = False,
 ) -> None:
-    """Find and follow the robot of a log in a saved map, from no start pose; the map stays as it is."""
+    """Find and follow the robot of a log in a saved map or a nav2 map; the map stays as it is."""
     started = time.perf_counter()
-    from slam.app.localizing import localize_log
+    from slam.app.localizing import START_SIGMA, localize_log
     from slam.config import load_config
     from slam.errors import MapFileError
     from slam.localization.drive_log import STATES
     from slam.outputs.finished_map import open_map
+    from slam.outputs.grid_map import load_grid_map
     from slam.storage.map_file import MAP_NAME
 
     settings = load_config(config, [*(set_ or []), *topics_override(topics)], calibration=calibration)
     if (out / MAP_NAME).exists():
         raise MapFileError(f"{out} is the folder of a map, whose files would be replaced; give another --out")
-    saved = open_map(map_)
-    if update and saved.contents.clouds:
-        raise MapFileError(f"{saved.path} is of a 3D lidar and takes no other log; localise without --update")
+    saved = load_grid_map(map_) if map_.suffix in (".yaml", ".yml") else open_map(map_)
+    if update and (saved.contents.clouds or not saved.contents.node_poses):
+        kind = "of a 3D lidar" if saved.contents.clouds else "a grid alone"
+        raise MapFileError(f"{saved.path} is {kind} and takes no other log; localise without --update")
+    begin = None if start is None else (start[0], start[1], math.radians(start[2]))
+    sigma = START_SIGMA if start_sigma is None else (start_sigma[0], math.radians(start_sigma[1]))
     with progress_bar() as show, interruptible(show) as on_progress:
         found = localize_log(
-            saved, log, settings, out=out, on_progress=on_progress, strict=strict, record=record
+            saved,
+            log,
+            settings,
+            start=begin,
+            start_sigma=sigma,
+            out=out,
+            on_progress=on_progress,
+            strict=strict,
+            record=record,
         )
     saved.close()
     shares = ", ".join(f"{100.0 * found.drive.share_of(state):.0f} % {state.value}" for state in STATES)

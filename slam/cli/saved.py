@@ -25,6 +25,13 @@ class Format(StrEnum):
     G2O = "g2o"
     PLY = "ply"
     BT = "bt"
+    COLMAP = "colmap"
+    NERFSTUDIO = "nerfstudio"
+    GLB = "glb"
+    E57 = "e57"
+    KITTI = "kitti"
+    SENSORS = "sensors"
+    MCAP = "mcap"
     SVG = "svg"
     DXF = "dxf"
     GEOJSON = "geojson"
@@ -60,7 +67,7 @@ def export(
     map_: MapArgument,
     format_: Annotated[
         Format,
-        typer.Option("--format", "-f", help="nav2 grid, TUM trajectory, g2o graph, PLY, OctoMap; floor plan"),
+        typer.Option("--format", "-f", help="as docs/outputs.md explains them"),
     ],
     out: Annotated[
         Path,

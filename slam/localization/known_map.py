@@ -11,6 +11,7 @@ from slam.config import Config
 from slam.errors import MapFileError
 from slam.localization.beam_check import KnownSpace, known_space
 from slam.localization.beams import looked_up
+from slam.localization.drawn_walls import drawn_walls
 from slam.localization.scan_view import ScanView
 from slam.localization.whole_map_field import WholeMapField, build_whole_map_field
 from slam.mapping.occupancy_grid import FREE, OccupancyGrid
@@ -25,11 +26,14 @@ _TILE_M, _TILE_REACH_M = 4.0, 10.0
 
 def has_walls(known: MapContents) -> bool:
     """Whether a planar scan, or the plan of a cloud, can be matched to a map."""
-    return known.grid is not None and any(scan is not None for scan in known.keyframe_scans)
+    drawn = not len(known.node_poses)
+    return known.grid is not None and (drawn or any(scan is not None for scan in known.keyframe_scans))
 
 
 class Walls:
     """The walls of a map in the forms in which they are asked for, each made once.
+
+    They are those that its keyframes have seen; of a map that is nothing but a grid, those that it draws.
 
     Raises
     ------
@@ -43,12 +47,19 @@ class Walls:
         self.map = known_map
         self._config = config
         self._tile = lru_cache(config.localization.tiles_cached)(self._made)
-        self._poses = known_map.keyframe_poses
+        self._poses = known_map.keyframe_poses.reshape(-1, 3)
         self._views = {
             key: ScanView.of(scan, config)
             for key, scan in enumerate(known_map.keyframe_scans)
             if scan is not None
         }
+        # A drawing has no keyframes to be near: a tile of it is all that a scan can reach from there.
+        self._tile_m = config.scan.range_max_m if self._drawn else _TILE_M
+
+    @cached_property
+    def _drawn(self) -> OrientedPoints | None:
+        """The walls of a map that is a grid alone."""
+        return None if len(self.map.node_poses) else drawn_walls(self.grid)
 
     @cached_property
     def grid(self) -> OccupancyGrid:
@@ -58,11 +69,14 @@ class Walls:
 
     def tile(self, pose: FloatArray) -> LocalMap:
         """The local map around a pose (3,), to match to: without points far from every keyframe."""
-        return self._tile(math.floor(pose[0] / _TILE_M), math.floor(pose[1] / _TILE_M))
+        return self._tile(math.floor(pose[0] / self._tile_m), math.floor(pose[1] / self._tile_m))
 
     def _made(self, column: int, row: int) -> LocalMap:
         """A tile, of the keyframes near its middle: what is seen from there, as it was seen."""
-        middle = (np.array([column, row]) + 0.5) * _TILE_M
+        middle = (np.array([column, row]) + 0.5) * self._tile_m
+        if self._drawn is not None:
+            near = np.abs(self._drawn.points - middle).max(axis=1, initial=0.0) <= 1.5 * self._tile_m
+            return LocalMap.build([self._drawn.only(near)], self._config.match)
         near = np.hypot(*(self._poses[:, :2] - middle).T) <= _TILE_REACH_M
         parts = [view.oriented.moved(self._poses[k]) for k, view in self._views.items() if near[k]]
         return LocalMap.build(parts or [OrientedPoints.none()], self._config.match)
@@ -76,6 +90,8 @@ class Walls:
     def field(self) -> WholeMapField:
         """The whole map for the global search."""
         placed = [self._standing(view, self._poses[k])[0] for k, view in self._views.items()]
+        if self._drawn is not None:
+            placed = [self._drawn.points.astype(np.float64)]
         return build_whole_map_field(
             np.concatenate(placed), self.grid, self._config.localization.field_cell_m
         )

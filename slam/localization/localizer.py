@@ -17,6 +17,7 @@ from slam.localization.poses import Measured
 from slam.localization.visual_locator import VisualLocator
 from slam.measurements import Measurement, RgbdFrame
 from slam.outputs.finished_map import Map
+from slam.outputs.grid_map import GridMap
 from slam.storage.map_contents import MapContents
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prepared_frame import PreparedFrame
@@ -38,11 +39,15 @@ class Localizer:
     registrations
         Where colour cameras sit beside their depth cameras, by the cameras' names; None takes what the
         mapping run has learned.
+    start
+        Where the robot is at the first reading, as somebody says, in a map of a floor: it is sought there
+        until what is seen speaks against it. None seeks it everywhere.
 
     Raises
     ------
     MapFileError
-        Where the map holds nothing that the chosen sensors could be localised in.
+        Where the map holds nothing that the chosen sensors could be localised in, or is not of a floor and a
+        start was told.
 
     Examples
     --------
@@ -59,20 +64,23 @@ class Localizer:
 
     def __init__(
         self,
-        known_map: Map | MapContents,
+        known_map: Map | GridMap | MapContents,
         config: Config | None = None,
         registrations: Mapping[str, ColorRegistration] | None = None,
+        start: Measured | None = None,
     ) -> None:
-        if isinstance(known_map, Map):
+        if not isinstance(known_map, MapContents):
             known_map = known_map.contents
+        if start is not None and not known_map.planar:
+            raise MapFileError("the map is not of a floor: leave out the start, the robot is found without")
         config = config or Config()
-        self._lidar = self._lidar_of(known_map, config)
+        self._lidar = self._lidar_of(known_map, config, start)
         self._locator: VisualLocator | None = None
         if config.sensors.rgbd and known_map.frames is not None and known_map.clouds is None:
             self._locator = VisualLocator(known_map, config, registrations)
         self._camera: StateMachine[Any, Any] | None = None
         if self._lidar is None and self._locator is not None:
-            self._camera = StateMachine(CameraSensor(self._locator, config), config.localization)
+            self._camera = StateMachine(CameraSensor(self._locator, config), config.localization, start)
         if self._lidar is None and self._camera is None:
             raise MapFileError(
                 "the map holds neither scans nor camera keyframes for the sensors that are switched on; "
@@ -96,7 +104,9 @@ class Localizer:
         return self._lidar.add(measurement)
 
     @staticmethod
-    def _lidar_of(known_map: MapContents, config: Config) -> StateMachine[Any, Any] | None:
+    def _lidar_of(
+        known_map: MapContents, config: Config, start: Measured | None
+    ) -> StateMachine[Any, Any] | None:
         """What localises by the lidar; None where the map or the configuration has none."""
         sensor: PlanarSensor | CloudSensor
         if known_map.clouds is not None:
@@ -108,9 +118,15 @@ class Localizer:
             sensor = CloudSensor(known_map, field, config)
         elif has_walls(known_map) and config.sensors.lidar:
             sensor = PlanarSensor(Walls(known_map, config), config)
+            if not known_map.node_poses and known_map.grid is not None:
+                # Where in its cells a drawn wall is, the drawing does not tell.
+                half_m = 0.5 * known_map.grid.resolution_m
+                sigma_m = max(config.localization.map_sigma_m, half_m)
+                settings = config.localization.model_copy(update={"map_sigma_m": sigma_m})
+                return StateMachine(sensor, settings, start)
         else:
             return None
-        return StateMachine(sensor, config.localization)
+        return StateMachine(sensor, config.localization, start)
 
     @staticmethod
     def _help(lidar: StateMachine[Any, Any], locator: VisualLocator, frame: PreparedFrame) -> None:

@@ -17,7 +17,7 @@ class LossTest:
         self._bound = config.lost_nats
         self._lost_after_s = config.lost_after_s
         self._moment_nats = config.nowhere_nats
-        self.reset()
+        self.reset(self._bound)
 
     @property
     def lost(self) -> bool:
@@ -42,9 +42,9 @@ class LossTest:
         """Nats for the pose."""
         return min(self._log_odds, self._newest + self._moment_nats)
 
-    def reset(self) -> None:
-        """The pose has just been found."""
-        self._log_odds = self._bound
+    def reset(self, log_odds: float) -> None:
+        """The pose has just been found, or told: so likely it is."""
+        self._log_odds = min(self._bound, log_odds)
         self._newest = self._bound
         self._sound_s = math.nan
         self._stamp_s = math.nan

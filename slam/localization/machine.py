@@ -30,10 +30,18 @@ from slam.measurements import MotionEstimate, Pose
 
 
 class StateMachine(Generic[V, N]):
-    """State of one drive in a known map; feed the readings of its sensor in the order of the log."""
+    """State of one drive in a known map; feed the readings of its sensor in the order of the log.
 
-    def __init__(self, sensor: Sensor[V, N], config: LocalizationConfig) -> None:
-        self._sensor, self._config = sensor, config
+    Parameters
+    ----------
+    start
+        ``T_map_base`` at the first reading, where somebody has told it; it is believed as dead reckoning is.
+    """
+
+    def __init__(
+        self, sensor: Sensor[V, N], config: LocalizationConfig, start: Measured | None = None
+    ) -> None:
+        self._sensor, self._config, self._start = sensor, config, start
         self._hypotheses = HypothesisSet(sensor, config)
         self._loss = LossTest(config)
         self._state = State.SEARCHING
@@ -65,6 +73,10 @@ class StateMachine(Generic[V, N]):
             # Not even dead reckoning leads on from the last pose where nobody knows the motion.
             predicted = None if observed.moved is None else after(self._known, observed.moved)
             self._state = State.LOST if predicted is None else self._state
+        if self._start is not None:
+            predicted, self._start = self._start, None
+            self._state, self._contradicted = State.LOST, False
+            self._loss.reset(self._config.nowhere_nats)
         recovered: Sequence[RecoveredPose] = ()
         tracks = self._state is State.TRACKING
         if tracks and predicted is not None and position_sigma_m(predicted) <= self._config.dead_reckoning_m:
@@ -157,7 +169,7 @@ class StateMachine(Generic[V, N]):
         self._state, self._contradicted = State.TRACKING, False
         self._smoother = PoseSmoother(found)
         self._known = self._smoother.newest
-        self._loss.reset()
+        self._loss.reset(self._config.lost_nats)
         recovered = [
             RecoveredPose(stamp_s, composed(found.pose, between(odometry_pose, pose)))
             for stamp_s, pose in self._unknown[:-1]

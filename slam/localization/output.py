@@ -12,7 +12,8 @@ class State(StrEnum):
     """What a localiser knows.
 
     SEARCHING: not where the robot is; the hypotheses are listed. TRACKING: the pose. LOST: it knew, but what
-    is seen no longer fits, or nothing has confirmed the pose for long; the pose is dead reckoning.
+    is seen no longer fits, or nothing has confirmed the pose for long; the pose is dead reckoning. So it
+    begins where it was told the start, until what is seen confirms that.
     """
 
     SEARCHING = "searching"

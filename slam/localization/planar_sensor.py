@@ -95,7 +95,9 @@ class PlanarSensor:
         beside = (cells[:, None, :] + _AROUND).reshape(-1, 2)
         known = np.array([key in seen for key in cell_keys(beside).tolist()], np.bool_)
         new = ~known.reshape(-1, len(_AROUND)).any(axis=1)
-        return NovelSurfaces(view.where(first[new]), view.laser, frozenset(cell_keys(cells).tolist()) - seen)
+        return NovelSurfaces(
+            view.oriented.only(first[new]), view.laser, frozenset(cell_keys(cells).tolist()) - seen
+        )
 
     def align(self, view: ScanView, guess: Pose) -> MotionEstimate | None:
         """See `Sensor`."""

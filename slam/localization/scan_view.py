@@ -47,16 +47,12 @@ class ScanView:
 
     def thinned(self, cell_m: float) -> OrientedPoints:
         """One of the oriented points a cell of that side: near walls do not outvote far ones."""
-        return self.where(first_in_cells(self.oriented.points, cell_m)[0])
+        return self.oriented.only(first_in_cells(self.oriented.points, cell_m)[0])
 
     def only(self, keep: BoolArray) -> ScanView:
         """The scan with only some of its returns, (M,)."""
         points = ScanPoints(self.points.points_base[keep], self.points.normals_base[keep])
         return ScanView(self.stamp_s, points, OrientedPoints.from_scan(points), self.laser)
-
-    def where(self, numbers: Numbers) -> OrientedPoints:
-        """Some of the oriented points."""
-        return OrientedPoints(self.oriented.points[numbers], self.oriented.normals[numbers])
 
 
 def first_in_cells(points: AnyFloatArray, cell_m: float) -> tuple[Numbers, NDArray[np.int64]]:

@@ -22,7 +22,7 @@ from slam.measurements import AnyFloatArray, BoolArray
 Picture = NDArray[np.uint8]
 
 # Standard deviation of a wall, in pixels.
-_BLUR = 1.5
+BLUR = 1.5
 # Likelihood of a point where the map knows nothing.
 _UNKNOWN = 0.25
 # The robot may stand so far beyond what the map knows as free: its own body was there when it was mapped.
@@ -70,7 +70,7 @@ def build_whole_map_field(
     cell_m
         Edge of a pixel.
     """
-    level, origin_x, origin_y = blurred(points_map, cell_m, _BLUR * cell_m)
+    level, origin_x, origin_y = blurred(points_map, cell_m, BLUR * cell_m)
     unknown = round(255.0 * _UNKNOWN)
     free, stands = np.zeros(level.shape, np.bool_), np.ones(level.shape, np.bool_)
     if grid is not None:

@@ -15,7 +15,7 @@ from slam.errors import ConfigError, ScanweaveError
 from slam.mapping.evidence_tiles import SIDE, union
 from slam.mapping.occupancy_grid import THRESHOLDS, OccupancyGrid, StateArray, Steps, Thresholds
 from slam.mapping.ray_tracing import Box
-from slam.measurements import BoolArray
+from slam.measurements import BoolArray, FloatArray
 
 LayerName: TypeAlias = Literal["lidar", "depth", "fused", "decision"]
 
@@ -72,7 +72,8 @@ class LayeredMap:
         if self.lidar is None and self.depth is None:
             raise ScanweaveError("no reading was given to build a map from; does the log hold any?")
         for grid in self._grids():
-            apart = np.abs(_corner(grid, self.resolution_m) - np.round(_corner(grid, self.resolution_m)))
+            apart = _corner(grid, self.resolution_m) - self._phase
+            apart = np.abs(apart - np.round(apart))
             turned = abs(grid.T_map_grid.theta() - self.yaw_rad)
             if grid.resolution_m != self.resolution_m or max(apart.max(), turned) > TINY:
                 raise ScanweaveError(
@@ -99,8 +100,8 @@ class LayeredMap:
 
     @property
     def box(self) -> Box:
-        """First row, first col, rows, cols of what holds both grids, on the lattice through the origin."""
-        boxes = [_box(grid) for grid in self._grids()]
+        """First row, first col, rows, cols of what holds both grids, on their lattice."""
+        boxes = [self._box(grid) for grid in self._grids()]
         return union(boxes[0], boxes[-1])
 
     @property
@@ -111,7 +112,7 @@ class LayeredMap:
     @property
     def T_map_grid(self) -> gtsam.Pose2:
         """The lower-left corner of cell (0, 0)."""
-        row, col = self.box[:2]
+        row, col = (self.box[:2] + self._phase).tolist()
         corner = gtsam.Pose2(col * self.resolution_m, row * self.resolution_m, 0.0)
         return gtsam.Pose2(0.0, 0.0, self.yaw_rad).compose(corner)
 
@@ -170,6 +171,19 @@ class LayeredMap:
         """Those that there are."""
         return [grid for grid in (self.lidar, self.depth) if grid is not None]
 
+    @property
+    def _phase(self) -> FloatArray:
+        """(2,) part of a cell by which the lattice misses the map's origin: a map of another program may."""
+        corner = _corner(self._grids()[0], self.resolution_m)
+        apart = corner - np.round(corner)
+        return np.where(np.abs(apart) > TINY, apart, 0.0)
+
+    def _box(self, grid: OccupancyGrid) -> Box:
+        """First row, first col, rows, cols of a grid on the lattice."""
+        corner = _corner(grid, grid.resolution_m) - self._phase
+        row, col = np.round(corner).astype(int).tolist()
+        return row, col, *grid.shape
+
     def _steps(self, name: LayerName, part: slice) -> Steps:
         """Some rows of a layer; a missing sensor is unknown everywhere."""
         chosen = {"lidar": (self.lidar,), "depth": (self.depth,)}.get(name, (self.lidar, self.depth))
@@ -177,7 +191,7 @@ class LayeredMap:
         total = np.zeros((part.stop - part.start, cols), dtype=np.int16)
         for grid in chosen:
             if grid is not None:
-                row, col, rows, width = _box(grid)
+                row, col, rows, width = self._box(grid)
                 top = row - first_row
                 low, high = max(part.start, top), min(part.stop, top + rows)
                 if low < high:
@@ -188,16 +202,10 @@ class LayeredMap:
         return total
 
 
-def _corner(grid: OccupancyGrid, resolution_m: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Row and column of a grid's corner on the lattice through the map's origin."""
+def _corner(grid: OccupancyGrid, resolution_m: float) -> FloatArray:
+    """(2,) row and column of a grid's corner, in cells from the map's origin."""
     at = gtsam.Pose2(0.0, 0.0, grid.T_map_grid.theta()).between(grid.T_map_grid)
     return np.array([at.y(), at.x()]) / resolution_m
-
-
-def _box(grid: OccupancyGrid) -> Box:
-    """First row, first col, rows, cols on the lattice."""
-    row, col = np.round(_corner(grid, grid.resolution_m)).astype(int).tolist()
-    return row, col, *grid.shape
 
 
 def _blocks(rows: int) -> Iterator[slice]:

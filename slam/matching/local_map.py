@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion.estimation import TINY
 from slam.config.stages import MatchConfig
@@ -60,6 +61,10 @@ class OrientedPoints:
         transform_into(self.points, pose, points, False)
         transform_into(self.normals, pose, normals, True)
         return OrientedPoints(points, normals)
+
+    def only(self, chosen: BoolArray | NDArray[np.intp]) -> OrientedPoints:
+        """Some of the points."""
+        return OrientedPoints(self.points[chosen], self.normals[chosen])
 
     def thinned(self, count: int) -> Float32Array:
         """About ``count`` of the points, evenly taken in beam order, (K, 2)."""

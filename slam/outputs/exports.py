@@ -2,30 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+import gtsam
 import numpy as np
 
 from slam.config import Config
 from slam.edits.remaking import regions_of
-from slam.errors import LibraryError, ScanweaveError
-from slam.mapping.camera_points import camera_cloud
+from slam.errors import ScanweaveError
 from slam.mapping.cloud_map import map_cloud
-from slam.mapping.dense_map import DenseMapSettings, fuse_keyframes
+from slam.mapping.dense_map import Colors
 from slam.mapping.floor_plan import FloorPlan
 from slam.mapping.keyframe_grid import PASSED_BY
 from slam.mapping.layered_map import LayeredMap
 from slam.matching.local_cloud import moved
-from slam.measurements import spatial
+from slam.measurements import AnyFloatArray, spatial
 from slam.outputs.floorplan import floor_plan
+from slam.outputs.surface import Surface, surface_of
+from slam.storage.colmap import write_colmap
 from slam.storage.covariances import write_trajectory
+from slam.storage.e57 import write_e57
 from slam.storage.files import make_folder
 from slam.storage.g2o import write_g2o
+from slam.storage.glb import write_mesh_glb
+from slam.storage.kitti_poses import write_kitti
 from slam.storage.map_contents import MapContents
 from slam.storage.map_edits import CLOUD, FRAME, erased_bits
+from slam.storage.mcap_results import Plan, write_results_bag
 from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers, write_passed_by
 from slam.storage.nav2_rooms import write_room_zones
 from slam.storage.nav2_zones import write_zones
@@ -34,9 +40,14 @@ from slam.storage.plan_dxf import write_plan_dxf
 from slam.storage.plan_geojson import write_plan_geojson
 from slam.storage.plan_svg import write_plan_svg
 from slam.storage.ply import write_cloud_ply, write_mesh_ply
+from slam.storage.posed_images import IMAGES, plain_name, write_posed_images
+from slam.storage.transforms_json import write_transforms
+from slam.storage.tum import write_tum
+from slam.trajectory.poses import Poses
 
 ZONES = "nav2-zones"
 _NAMES = {"tum": "trajectory.tum", "g2o": "graph.g2o", "nav2": MAP_YAML, "bt": "map.bt"}
+_NAMES |= {"glb": "mesh.glb", "e57": "cloud.e57", "kitti": "poses.txt"}
 _PLANS: dict[str, Callable[[Path, FloorPlan], None]] = {
     "svg": write_plan_svg,
     "dxf": write_plan_dxf,
@@ -75,8 +86,14 @@ class Exports:
         found = self.contents
         if format_ in _PLANS or format_ == ZONES:
             return self._write_plan(format_, out), []
+        if format_ in ("colmap", "nerfstudio"):
+            return self._write_images(format_, out)
+        if format_ == "sensors":
+            return self._write_sensors(out), []
+        if format_ == "mcap":
+            return [self._write_bag(out)], []
         seen = found.frames is not None or found.clouds is not None
-        if (format_ == "nav2" and self.layers is None) or (format_ in ("ply", "bt") and not seen):
+        if (format_ == "nav2" and self.layers is None) or (format_ in ("ply", "bt", "e57") and not seen):
             lacking = "grid" if format_ == "nav2" else "image or cloud"
             raise ScanweaveError(f"the map holds no {lacking}, so there is nothing to write as {format_}")
         if out.is_dir() or not out.suffix:
@@ -87,6 +104,13 @@ class Exports:
             return list(write_driving_map(out.with_suffix(""), self.layers)), []
         if format_ == "ply":
             return self._write_ply(out)
+        if format_ == "glb":
+            return self._write_glb(out)
+        if format_ == "e57":
+            write_e57(out, self._scans())
+            return [out], []
+        if format_ == "kitti":
+            return write_kitti(out, found.trajectory), []
         if format_ == "tum":
             return write_trajectory(out, found.trajectory, found.covariances), []
         if format_ == "g2o":
@@ -144,11 +168,97 @@ class Exports:
         _PLANS[format_](out, plan)
         return [out]
 
+    def _write_images(self, format_: str, folder: Path) -> tuple[list[Path], list[str]]:
+        """Images with poses and lenses and a cloud to start from, in a folder."""
+        found = self.contents
+        if found.frames is None:
+            raise ScanweaveError(f"the map holds no image, so there is nothing to write as {format_}")
+        make_folder(folder)
+        moved_colors = {name for name, one in found.registrations.items() if one.accepted}
+        images = write_posed_images(folder, found.frames, found.frame_poses(), moved_colors)
+        surface = self._surface
+        if format_ == "colmap":
+            written = write_colmap(folder, images, surface.cloud)
+        else:
+            written = [folder / "transforms.json"]
+            write_transforms(written[0], images, "points.ply")
+            if len(surface.cloud.points_map):
+                written.append(folder / "points.ply")
+                write_cloud_ply(written[-1], surface.cloud)
+        return [*written, folder / IMAGES], surface.missing
+
+    @cached_property
+    def _surface(self) -> Surface:
+        """Of the images."""
+        return surface_of(self.contents, self.config)
+
+    def _write_glb(self, out: Path) -> tuple[list[Path], list[str]]:
+        """The coloured surface of the images."""
+        if self.contents.frames is None:
+            raise ScanweaveError("the map holds no image, so there is no surface to write as glb")
+        if self._surface.mesh is None:
+            raise ScanweaveError(f"no surface to write as glb: {self._surface.missing[0]}")
+        write_mesh_glb(out, self._surface.mesh)
+        return [out], []
+
+    def _scans(self) -> Iterator[tuple[str, gtsam.Pose3, AnyFloatArray, Colors | None]]:
+        """The clouds of the 3D lidar where they were taken; of images alone their surface as one."""
+        found = self.contents
+        if found.clouds is None:
+            yield "surface", gtsam.Pose3(), self._surface.cloud.points_map, self._surface.cloud.colors
+        for key, points in enumerate(found.clouds or ()):
+            assert found.clouds is not None
+            T_base_lidar = found.clouds.T_base_lidar(key)
+            pose = spatial(found.node_poses[key]).compose(T_base_lidar)
+            yield f"keyframe {key}", pose, moved(points, T_base_lidar.inverse()), None
+
+    def _mounts(self) -> dict[str, gtsam.Pose3]:
+        """Where each sensor sits on the base, as far as the map tells."""
+        found = self.contents
+        mounts = {name: one.T_base_camera for name, one in found.cameras.items()}
+        known = {name: pose for name, pose in mounts.items() if pose is not None}
+        for scan in found.keyframe_scans:
+            if scan is not None and found.clouds is None:
+                known.setdefault(scan.sensor, gtsam.Pose3(scan.T_base_laser))
+        return known if found.clouds is None else {**known, "lidar": found.T_base_lidar}
+
+    def _write_sensors(self, folder: Path) -> list[Path]:
+        """Where each sensor was at every reading of the log, a TUM file each in a folder."""
+        make_folder(folder)
+        written, trajectory = [], self.contents.trajectory
+        poses = trajectory.poses()
+        for name, mount in self._mounts().items():
+            written.append(folder / f"{plain_name(name)}.tum")
+            placed = Poses.of([pose.compose(mount) for pose in poses])
+            write_tum(written[-1], placed.trajectory(trajectory.stamps_s))
+        if not written:
+            raise ScanweaveError("the map tells of no sensor where it sits; export tum is where the base was")
+        return written
+
+    def _write_bag(self, folder: Path) -> Path:
+        """What was found, for Foxglove; in a folder that is there in one of its own."""
+        found, plan = self.contents, None
+        if self.layers is not None:
+            layers = self.layers
+            plan = Plan(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
+        begun_s = float(found.trajectory.stamps_s.min())
+        clouds = (
+            (
+                begun_s if found.clouds is None else found.clouds.stamp_s(n),
+                moved(points.astype(np.float64), pose),
+                colors,
+            )
+            for n, (_, pose, points, colors) in enumerate(self._scans())
+        )
+        seen = found.frames is not None or found.clouds is not None
+        folder = folder / "results" if folder.exists() else folder.with_suffix("")
+        return write_results_bag(folder, plan, found.trajectory, self._mounts(), clouds if seen else ())
+
     def _write_ply(self, out: Path) -> tuple[list[Path], list[str]]:
         """The coloured surface of the images, and the cloud of the 3D lidar."""
         written, missing, path, found = list[Path](), list[str](), out, self.contents
         if found.frames is not None:
-            written, missing = _save_surface(out, found, self.config)
+            written, missing = _save_surface(out, self._surface)
             path = out.with_name("lidar.ply" if out.name == "mesh.ply" else f"{out.stem}-lidar.ply")
         if found.clouds is not None:
             poses = [spatial(pose) for pose in found.node_poses]
@@ -175,32 +285,21 @@ def _save_cloud_octomap(path: Path, found: MapContents, config: Config) -> None:
     write_octree(path, views, config.grid.resolution_m, config.cloud_map.plan_range_m)
 
 
-def _save_surface(path: Path, found: MapContents, config: Config) -> tuple[list[Path], list[str]]:
+def _save_surface(path: Path, surface: Surface) -> tuple[list[Path], list[str]]:
     """The coloured mesh of the camera keyframes, and their cloud beside it; nothing where they show none.
-
-    Without Open3D there is no mesh, and the cloud is of the points as they were seen.
 
     Returns
     -------
     What was written, and what could not be had.
     """
-    settings = DenseMapSettings(
-        voxel_size_m=config.dense_map.voxel_m,
-        depth_min_m=config.dense_map.nearest_m,
-        depth_max_m=config.layers.depth_max_m,
-    )
     cloud_path = path.with_name("cloud.ply" if path.name == "mesh.ply" else f"{path.stem}-cloud.ply")
-    written, missing, frames, poses = [], [], found.frames or (), found.frame_poses()
-    try:
-        dense = fuse_keyframes(frames, poses, settings)
-        cloud = dense.cloud
-        if len(dense.mesh.faces):
-            write_mesh_ply(path, dense.mesh)
-            written.append(path)
-    except LibraryError as error:
-        cloud = camera_cloud(frames, poses, settings)
-        missing.append(f"No {path.name}, and {cloud_path.name} is of points as they were seen: {error}")
-    if len(cloud.points_map):
-        write_cloud_ply(cloud_path, cloud)
+    written = list[Path]()
+    lacks = f"No {path.name}, and {cloud_path.name} is of points as they were seen"
+    missing = [f"{lacks}: {reason}" for reason in surface.missing]
+    if surface.mesh is not None and len(surface.mesh.faces):
+        write_mesh_ply(path, surface.mesh)
+        written.append(path)
+    if len(surface.cloud.points_map):
+        write_cloud_ply(cloud_path, surface.cloud)
         written.append(cloud_path)
     return written, missing

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import gtsam
 
@@ -12,14 +12,13 @@ from slam.simulation import ros_messages as ros
 from slam.simulation.drive import Drive
 from slam.simulation.events import CloudEvent, DriveEvent, ImageEvent, OdometryEvent, ScanEvent
 from slam.simulation.tum_writer import depth_steps
+from slam.storage import ros_messages as messages
 
 if TYPE_CHECKING:
-    from rosbags.interfaces import Connection, Qos
+    from rosbags.interfaces import Connection
 
 BAG_FILES = ("log.mcap", "metadata.yaml")
 ODOM_FRAME, BASE_FRAME, LASER_FRAME, LASER_3D_FRAME = "odom", "base_link", "laser", "laser_3d"
-
-_BAG_VERSION: Final = 8  # the newest that ROS 2 Humble reads
 
 
 def camera_frame(camera: str) -> str:
@@ -53,7 +52,7 @@ class BagWriter:
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
         self._drive = drive
-        self._writer = Writer(folder, version=_BAG_VERSION, storage_plugin=StoragePlugin.MCAP)
+        self._writer = Writer(folder, version=messages.BAG_VERSION, storage_plugin=StoragePlugin.MCAP)
         if compress:
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         self._connections: dict[str, Connection] = {}
@@ -65,7 +64,7 @@ class BagWriter:
         self._send(
             "/tf_static",
             self._first_stamp_s,
-            ros.transforms(self._first_stamp_s, BASE_FRAME, mounts(self._drive)),
+            messages.transforms(self._first_stamp_s, BASE_FRAME, mounts(self._drive)),
         )
         return self
 
@@ -92,11 +91,11 @@ class BagWriter:
 
     def _connect(self) -> None:
         """Announce all topics in a fixed order, also those that may stay empty."""
-        topics = {"/tf_static": ros.TRANSFORMS, "/tf": ros.TRANSFORMS, "/odom": ros.ODOMETRY}
+        topics = {"/tf_static": messages.TRANSFORMS, "/tf": messages.TRANSFORMS, "/odom": ros.ODOMETRY}
         if self._drive.rig.lidar is not None:
             topics["/scan"] = ros.LASER_SCAN
         if self._drive.rig.lidar_3d is not None:
-            topics["/points"] = ros.POINT_CLOUD
+            topics["/points"] = messages.POINT_CLOUD
         for camera in self._drive.rig.cameras:
             for kind in ("color", "depth"):
                 topics[f"{camera_topic(camera.name)}/{kind}/image_raw"] = ros.IMAGE
@@ -105,15 +104,15 @@ class BagWriter:
             self._connections[topic] = self._writer.add_connection(
                 topic,
                 kind,
-                typestore=ros.typestore(),
-                offered_qos_profiles=[_latched()] if topic == "/tf_static" else (),
+                typestore=messages.typestore(),
+                offered_qos_profiles=[messages.latched()] if topic == "/tf_static" else (),
             )
 
     def _send(self, topic: str, true_stamp_s: float, message: Any) -> None:
         """Write one message."""
         connection = self._connections[topic]
-        content = ros.typestore().serialize_cdr(message, connection.msgtype)
-        self._writer.write(connection, ros.nanoseconds(true_stamp_s), content)
+        content = messages.typestore().serialize_cdr(message, connection.msgtype)
+        self._writer.write(connection, messages.nanoseconds(true_stamp_s), content)
 
     def _scan(self, event: ScanEvent) -> None:
         """The lidar."""
@@ -142,7 +141,7 @@ class BagWriter:
         stamp_s, pose = event.reading.stamp_s, gtsam.Pose3(event.reading.T_odom_base)
         message = ros.odometry(stamp_s, pose, event.twist, ODOM_FRAME, BASE_FRAME)
         self._send("/odom", event.true_stamp_s, message)
-        self._send("/tf", event.true_stamp_s, ros.transforms(stamp_s, ODOM_FRAME, {BASE_FRAME: pose}))
+        self._send("/tf", event.true_stamp_s, messages.transforms(stamp_s, ODOM_FRAME, {BASE_FRAME: pose}))
 
 
 def mounts(drive: Drive) -> dict[str, gtsam.Pose3]:
@@ -153,21 +152,3 @@ def mounts(drive: Drive) -> dict[str, gtsam.Pose3]:
     if drive.rig.lidar_3d is not None:
         found[LASER_3D_FRAME] = drive.rig.lidar_3d.T_base_laser
     return found
-
-
-def _latched() -> Qos:
-    """What late listeners of /tf_static need: the publisher keeps its message for them."""
-    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-
-    forever = QosTime(2147483647, 4294967295)
-    return Qos(
-        QosHistory.KEEP_LAST,
-        1,
-        QosReliability.RELIABLE,
-        QosDurability.TRANSIENT_LOCAL,
-        forever,
-        forever,
-        QosLiveliness.AUTOMATIC,
-        forever,
-        False,
-    )

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -11,32 +10,14 @@ from numpy.typing import NDArray
 
 from slam.measurements import CameraIntrinsics, Float32Array, LaserScan, RgbdFrame
 from slam.simulation.carmen_writer import written_ranges_m
-
-if TYPE_CHECKING:
-    from rosbags.typesys.store import Typestore
+from slam.storage.ros_messages import cloud_message, header, new, pose_message, vector
 
 IMAGE = "sensor_msgs/msg/Image"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 ODOMETRY = "nav_msgs/msg/Odometry"
-POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
-TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
-_FLOAT32, _UINT16 = 7, 4  # datatypes of a PointField
 DEPTH_STEPS_PER_M = 1000.0  # 16UC1 depth is in millimetres, by REP-118
-
-
-@cache
-def typestore() -> Typestore:
-    """The message types of ROS 2 Humble; loaded once, when first needed."""
-    from rosbags.typesys import Stores, get_typestore
-
-    return get_typestore(Stores.ROS2_HUMBLE)
-
-
-def nanoseconds(stamp_s: float) -> int:
-    """A stamp in nanoseconds, to the microsecond that stamps are rounded to."""
-    return round(stamp_s * 1e6) * 1000
 
 
 def laser_scan(scan: LaserScan, frame_id: str, range_min_m: float, period_s: float) -> Any:
@@ -47,9 +28,9 @@ def laser_scan(scan: LaserScan, frame_id: str, range_min_m: float, period_s: flo
     # As the log of the drive has them.
     printed = np.round(written_ranges_m(scan), 3)
     ranges = np.where(np.isfinite(scan.ranges_m), printed, scan.ranges_m)
-    return _new(
+    return new(
         LASER_SCAN,
-        header=_header(scan.stamp_s, frame_id),
+        header=header(scan.stamp_s, frame_id),
         angle_min=scan.start_angle_rad,
         angle_max=scan.start_angle_rad + scan.step_rad * (scan.ranges_m.size - 1),
         angle_increment=scan.step_rad,
@@ -68,27 +49,7 @@ def point_cloud(points_laser: Float32Array, ring: NDArray[np.uint8], stamp_s: fl
     packed = np.empty(len(points_laser), record)
     packed["x"], packed["y"], packed["z"] = points_laser.T
     packed["ring"] = ring
-    fields = [
-        _new("sensor_msgs/msg/PointField", name=name, offset=offset, datatype=datatype, count=1)
-        for name, offset, datatype in (
-            ("x", 0, _FLOAT32),
-            ("y", 4, _FLOAT32),
-            ("z", 8, _FLOAT32),
-            ("ring", 12, _UINT16),
-        )
-    ]
-    return _new(
-        POINT_CLOUD,
-        header=_header(stamp_s, frame_id),
-        height=1,
-        width=len(packed),
-        fields=fields,
-        is_bigendian=False,
-        point_step=record.itemsize,
-        row_step=record.itemsize * len(packed),
-        data=packed.view(np.uint8).reshape(-1),
-        is_dense=True,
-    )
+    return cloud_message(packed, stamp_s, frame_id)
 
 
 def color_image(frame: RgbdFrame, frame_id: str) -> Any:
@@ -104,12 +65,12 @@ def depth_image(steps: NDArray[np.uint16], stamp_s: float, frame_id: str) -> Any
 def camera_info(intrinsics: CameraIntrinsics, stamp_s: float, frame_id: str) -> Any:
     """A CameraInfo message of a pinhole camera without distortion."""
     k = [[intrinsics.fx, 0.0, intrinsics.cx], [0.0, intrinsics.fy, intrinsics.cy], [0.0, 0.0, 1.0]]
-    region = _new(
+    region = new(
         "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
     )
-    return _new(
+    return new(
         CAMERA_INFO,
-        header=_header(stamp_s, frame_id),
+        header=header(stamp_s, frame_id),
         height=intrinsics.height,
         width=intrinsics.width,
         distortion_model="plumb_bob",
@@ -127,71 +88,18 @@ def odometry(
     stamp_s: float, pose: gtsam.Pose3, twist: tuple[float, float], frame_id: str, child_frame_id: str
 ) -> Any:
     """An Odometry message; covariances of zero say that they are not known."""
-    twist_message = _new(
+    twist_message = new(
         "geometry_msgs/msg/Twist",
-        linear=_vector(np.array([twist[0], 0.0, 0.0])),
-        angular=_vector(np.array([0.0, 0.0, twist[1]])),
+        linear=vector(np.array([twist[0], 0.0, 0.0])),
+        angular=vector(np.array([0.0, 0.0, twist[1]])),
     )
-    x, y, z = map(float, pose.translation())
-    pose_message = _new(
-        "geometry_msgs/msg/Pose",
-        position=_new("geometry_msgs/msg/Point", x=x, y=y, z=z),
-        orientation=_quaternion(pose.rotation()),
-    )
-    return _new(
+    return new(
         ODOMETRY,
-        header=_header(stamp_s, frame_id),
+        header=header(stamp_s, frame_id),
         child_frame_id=child_frame_id,
-        pose=_new("geometry_msgs/msg/PoseWithCovariance", pose=pose_message, covariance=np.zeros(36)),
-        twist=_new("geometry_msgs/msg/TwistWithCovariance", twist=twist_message, covariance=np.zeros(36)),
+        pose=new("geometry_msgs/msg/PoseWithCovariance", pose=pose_message(pose), covariance=np.zeros(36)),
+        twist=new("geometry_msgs/msg/TwistWithCovariance", twist=twist_message, covariance=np.zeros(36)),
     )
-
-
-def transforms(stamp_s: float, parent: str, children: dict[str, gtsam.Pose3]) -> Any:
-    """A TFMessage: where each child frame sits in the parent frame."""
-    return _new(
-        TRANSFORMS,
-        transforms=[
-            _new(
-                "geometry_msgs/msg/TransformStamped",
-                header=_header(stamp_s, parent),
-                child_frame_id=child,
-                transform=_new(
-                    "geometry_msgs/msg/Transform",
-                    translation=_vector(pose.translation()),
-                    rotation=_quaternion(pose.rotation()),
-                ),
-            )
-            for child, pose in children.items()
-        ],
-    )
-
-
-def _new(kind: str, **fields: Any) -> Any:
-    """A message of a type."""
-    return typestore().types[kind](**fields)
-
-
-def _header(stamp_s: float, frame_id: str) -> Any:
-    """A Header."""
-    seconds, rest = divmod(nanoseconds(stamp_s), 1_000_000_000)
-    return _new(
-        "std_msgs/msg/Header",
-        stamp=_new("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest),
-        frame_id=frame_id,
-    )
-
-
-def _vector(values: NDArray[np.float64]) -> Any:
-    """A Vector3."""
-    x, y, z = map(float, values)
-    return _new("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
-
-
-def _quaternion(rotation: gtsam.Rot3) -> Any:
-    """A Quaternion."""
-    q: Any = rotation.toQuaternion()
-    return _new("geometry_msgs/msg/Quaternion", x=q.x(), y=q.y(), z=q.z(), w=q.w())
 
 
 def _image(
@@ -201,9 +109,9 @@ def _image(
     height, width = pixels.shape[:2]
     little = np.ascontiguousarray(pixels, dtype=pixels.dtype.newbyteorder("<"))
     data = little.view(np.uint8).reshape(-1)
-    return _new(
+    return new(
         IMAGE,
-        header=_header(stamp_s, frame_id),
+        header=header(stamp_s, frame_id),
         height=height,
         width=width,
         encoding=encoding,

@@ -120,7 +120,7 @@ class MapContents:
     @property
     def planar(self) -> bool:
         """Whether the robot stays on a floor; in space the nodes are bases with clouds, or else cameras."""
-        return isinstance(self.node_poses[0], gtsam.Pose2)
+        return all(isinstance(pose, gtsam.Pose2) for pose in self.node_poses[:1])
 
     @cached_property
     def keyframe_poses(self) -> FloatArray:

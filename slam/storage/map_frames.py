@@ -148,6 +148,12 @@ class MapFrames:
                 depth_m = np.where(gone, -depth_m if taken else np.float32(0.0), depth_m)
         return RgbdFrame(head.stamp_s, color, depth_m, head.intrinsics, head.T_base_camera, head.sensor)
 
+    def jpeg(self, index: int) -> bytes:
+        """The colours of a frame as they are kept; errors as in `frame`."""
+        if not 0 <= index < len(self):
+            raise IndexError(f"keyframe {index} of {len(self)}")
+        return cast(bytes, self._file.row(IMAGES, index)[0])
+
     def taken(self) -> Iterator[RgbdFrame]:
         """As by iteration, depth that was taken away negative."""
         return (self.frame(index, taken=True) for index in range(len(self)))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from array import array
 from collections.abc import Sequence
 
-import gtsam
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -146,10 +145,7 @@ def at_stamps(trajectory: Trajectory, stamps_s: FloatArray) -> Trajectory:
     step_s = own_s[left + 1] - own_s[left]
     share = np.where(np.arange(len(own_s)) > 0, 1.0, 0.0)
     np.divide(stamps_s - own_s[left], step_s, out=share, where=step_s > 0.0)
-    poses = [
-        gtsam.Pose3(gtsam.Rot3.Quaternion(w, x, y, z), position)
-        for (x, y, z, w), position in zip(trajectory.quaternions_xyzw, trajectory.positions_m, strict=True)
-    ]
+    poses = trajectory.poses()
     moved = [
         poses[n].slerp(float(part), poses[n + 1])
         for n, part in zip(left, np.clip(share, -1.0, 2.0), strict=True)

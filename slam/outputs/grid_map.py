@@ -1,0 +1,86 @@
+"""A map of another program that is a grid and nothing else: where its walls are, a log can be localised."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from slam.errors import MapFileError
+from slam.mapping.keyframe_grid import OCCUPANCY
+from slam.mapping.layered_map import LayeredMap
+from slam.mapping.occupancy_grid import OCCUPIED, UNKNOWN, OccupancyGrid
+from slam.measurements import Trajectory
+from slam.storage.map_contents import MapContents
+from slam.storage.nav2 import Nav2Map, read_nav2_map
+
+
+@dataclass(frozen=True)
+class GridMap:
+    """A grid map of any program.
+
+    Attributes
+    ----------
+    path
+        Of its yaml.
+    grid
+        What is known of every cell.
+    """
+
+    path: Path
+    grid: OccupancyGrid
+
+    @cached_property
+    def contents(self) -> MapContents:
+        """A map without keyframes, for `Localizer`."""
+        none = np.zeros(0)
+        nowhere = Trajectory.from_planar(none, none.reshape(0, 3))
+        return MapContents([], none, none.astype(np.int64), nowhere, grids={OCCUPANCY: self.grid})
+
+    @property
+    def layers(self) -> LayeredMap:
+        """The same as the map to drive by."""
+        return LayeredMap(self.grid, None)
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def load_grid_map(path: Path | str) -> GridMap:
+    """Load a map of nav2's map server (a yaml and its image), to localise in.
+
+    Parameters
+    ----------
+    path
+        The yaml; ``trinary``, ``scale`` or ``raw``.
+
+    Raises
+    ------
+    MapFileError
+        Where it cannot be read, or has no wall to be localised at.
+
+    Examples
+    --------
+    >>> import slam
+    >>> from slam.simulation.synthetic_log import write_synthetic_log
+    >>> slam.map_log(write_synthetic_log("monday", seed=1, duration_s=10.0).log_path, out="house").close()
+    >>> house = slam.load_grid_map("house/map.yaml")
+    >>> tuesday = write_synthetic_log("tuesday", seed=2, duration_s=10.0).log_path
+    >>> len(slam.localize_log(house, tuesday).trajectory) > 50
+    True
+    """
+    drawn = read_nav2_map(Path(path))
+    grid = _grid_of(drawn)
+    if not (grid.states() == OCCUPIED).any():
+        raise MapFileError(f"{path} shows no wall, so nothing can be localised in it")
+    return GridMap(Path(path), grid)
+
+
+def _grid_of(drawn: Nav2Map) -> OccupancyGrid:
+    """What the values say of each cell; of a free or occupied one as much as a grey of 256 can."""
+    least = 1 / 512
+    probability = np.clip(drawn.values / 100.0, least, 1.0 - least)
+    log_odds = np.where(drawn.values == UNKNOWN, 0.0, np.log(probability / (1.0 - probability)))
+    return OccupancyGrid.of_log_odds(log_odds.astype(np.float32), drawn.resolution_m, drawn.T_map_grid)

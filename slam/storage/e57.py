@@ -1,0 +1,47 @@
+"""Clouds as E57, which survey programs open: each where it was taken, with the pose of its scanner."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.errors import LibraryError
+from slam.measurements import AnyFloatArray
+from slam.storage.files import replacing
+
+
+def write_e57(
+    path: Path, scans: Iterable[tuple[str, gtsam.Pose3, AnyFloatArray, NDArray[np.uint8] | None]]
+) -> None:
+    """Write scans: name, ``T_map_scanner``, (N, 3) points in the scanner's frame, and (N, 3) RGB if known.
+
+    Raises
+    ------
+    LibraryError
+        Where pye57 is not installed.
+    MapFileError
+        Where the file cannot be written.
+    """
+    try:
+        import pye57
+    except ImportError as error:
+        raise LibraryError("E57 needs pye57: pip install '.[e57]'") from error
+    with replacing(path) as temporary:
+        file = pye57.E57(str(temporary), mode="w")
+        for name, pose, points, colors in scans:
+            columns: dict[str, Any] = {f"cartesian{axis}": points[:, k] for k, axis in enumerate("XYZ")}
+            if colors is not None:
+                columns |= {f"color{name}": colors[:, k] for k, name in enumerate(("Red", "Green", "Blue"))}
+            turn: Any = pose.rotation().toQuaternion()
+            file.write_scan_raw(
+                columns,
+                name=name,
+                rotation=np.array([turn.w(), turn.x(), turn.y(), turn.z()]),
+                translation=pose.translation(),
+            )
+        file.close()

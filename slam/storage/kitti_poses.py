@@ -1,0 +1,26 @@
+"""Trajectories as the KITTI odometry benchmark has them: a 3 x 4 matrix a line, and times beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from slam.measurements import Trajectory
+from slam.storage.files import write_lines
+
+
+def write_kitti(path: Path, trajectory: Trajectory) -> list[Path]:
+    """Write poses in the frame of the first one, row by row, and ``times.txt`` in seconds from the first.
+
+    Raises
+    ------
+    MapFileError
+        Where a file cannot be written.
+    """
+    poses = trajectory.poses()
+    first = poses[0].inverse()
+    rows = (first.compose(pose).matrix()[:3].ravel().tolist() for pose in poses)
+    write_lines(path, (" ".join(f"{value:.9e}" for value in row) for row in rows))
+    times = path.with_name("times.txt")
+    begun_s = trajectory.stamps_s[0]
+    write_lines(times, (f"{stamp_s - begun_s:.6e}" for stamp_s in trajectory.stamps_s.tolist()))
+    return [path, times]

@@ -1,0 +1,127 @@
+"""What a map has found as a ROS 2 bag in MCAP, which Foxglove and RViz show: plan, way, frames and clouds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.errors import MapFileError
+from slam.mapping.occupancy_grid import StateArray
+from slam.measurements import FloatArray, Trajectory
+from slam.storage import ros_messages as ros
+
+_MAP, _BASE = "map", "base_link"
+_GRID, _PATH, _POSE = "nav_msgs/msg/OccupancyGrid", "nav_msgs/msg/Path", "geometry_msgs/msg/PoseStamped"
+_TOPICS = {
+    "/map": _GRID,
+    "/path": _PATH,
+    "/pose": _POSE,
+    "/tf": ros.TRANSFORMS,
+    "/tf_static": ros.TRANSFORMS,
+    "/points": ros.POINT_CLOUD,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A grid of (rows, cols) states, row 0 at the lowest y, and its lower-left corner."""
+
+    states: StateArray
+    resolution_m: float
+    T_map_grid: gtsam.Pose2
+
+
+def write_results_bag(
+    folder: Path,
+    plan: Plan | None,
+    trajectory: Trajectory,
+    mounts: Mapping[str, gtsam.Pose3],
+    points: Iterable[tuple[float, FloatArray, NDArray[np.uint8] | None]],
+) -> Path:
+    """Write a bag: ``/map`` and ``/path`` once, ``/pose`` and ``/tf`` at each reading, ``/points`` in it.
+
+    Parameters
+    ----------
+    folder
+        Must not be there yet.
+    mounts
+        Where each sensor sits on the base, for ``/tf_static``.
+    points
+        Stamp, (N, 3) in the map frame and (N, 3) RGB of each cloud, if it has colours.
+
+    Raises
+    ------
+    MapFileError
+        Where the folder is there, or cannot be written.
+    """
+    from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
+
+    store = ros.typestore()
+    poses, stamps_s = trajectory.poses(), trajectory.stamps_s.tolist()
+    begin_s = min(stamps_s)
+    try:
+        with Writer(folder, version=ros.BAG_VERSION, storage_plugin=StoragePlugin.MCAP) as bag:
+            connections = {
+                topic: bag.add_connection(
+                    topic,
+                    kind,
+                    typestore=store,
+                    offered_qos_profiles=[ros.latched()] if topic in ("/map", "/path", "/tf_static") else (),
+                )
+                for topic, kind in _TOPICS.items()
+            }
+
+            def send(topic: str, stamp_s: float, message: Any) -> None:
+                content = store.serialize_cdr(message, _TOPICS[topic])
+                bag.write(connections[topic], ros.nanoseconds(stamp_s), content)
+
+            if plan is not None:
+                send("/map", begin_s, _grid(plan, begin_s))
+            stamped = [_stamped(stamp_s, pose) for stamp_s, pose in zip(stamps_s, poses, strict=True)]
+            send("/path", begin_s, ros.new(_PATH, header=ros.header(begin_s, _MAP), poses=stamped))
+            send("/tf_static", begin_s, ros.transforms(begin_s, _BASE, mounts))
+            for stamp_s, pose, message in zip(stamps_s, poses, stamped, strict=True):
+                send("/pose", stamp_s, message)
+                send("/tf", stamp_s, ros.transforms(stamp_s, _MAP, {_BASE: pose}))
+            for stamp_s, placed, colors in points:
+                send("/points", stamp_s, ros.cloud_message(_rows(placed, colors), stamp_s, _MAP))
+    except (WriterError, OSError) as error:
+        raise MapFileError(f"cannot write {folder}: {error}; give a folder that is not there yet") from error
+    return folder / f"{folder.name}.mcap"
+
+
+def _stamped(stamp_s: float, pose: gtsam.Pose3) -> Any:
+    """A pose in the map."""
+    return ros.new(_POSE, header=ros.header(stamp_s, _MAP), pose=ros.pose_message(pose))
+
+
+def _grid(plan: Plan, stamp_s: float) -> Any:
+    """The map to drive by."""
+    header = ros.header(stamp_s, _MAP)
+    rows, columns = plan.states.shape
+    about = ros.new(
+        "nav_msgs/msg/MapMetaData",
+        map_load_time=header.stamp,
+        resolution=plan.resolution_m,
+        width=columns,
+        height=rows,
+        origin=ros.pose_message(gtsam.Pose3(plan.T_map_grid)),
+    )
+    return ros.new(_GRID, header=header, info=about, data=plan.states.astype(np.int8).ravel())
+
+
+def _rows(points: FloatArray, colors: NDArray[np.uint8] | None) -> NDArray[np.void]:
+    """Points with their colours as viewers take them: 0x00RRGGBB."""
+    names = [(name, "<f4") for name in "xyz"]
+    rows = np.zeros(len(points), names if colors is None else [*names, ("rgb", "<u4")])
+    for axis, name in enumerate("xyz"):
+        rows[name] = points[:, axis]
+    if colors is not None:
+        rows["rgb"] = colors.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
+    return rows
