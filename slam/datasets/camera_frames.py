@@ -140,10 +140,11 @@ def _drawn_by(lens: Lens, color: ColorImage, seen_by: CameraIntrinsics) -> Color
     """The image of a lens as another camera in the same place sees it."""
     import cv2
 
-    known = (lens.intrinsics.width, lens.intrinsics.height)
-    if color.shape[1::-1] != known:
-        raise RecordFault(SIZES_DIFFER, f"colour {color.shape[1]} x {color.shape[0]}, its lens {known}")
-    size, maps = _lookup(lens, seen_by)
+    known = (color.shape[1], color.shape[0])
+    calibrated = (lens.intrinsics.width, lens.intrinsics.height)
+    if calibrated not in (known, (0, 0)):
+        raise RecordFault(SIZES_DIFFER, f"colour {known}, its lens {calibrated}")
+    size, maps = _lookup(lens, known, seen_by)
     shrunk = color if size == known else _resized(color, size)
     if maps is None:
         return shrunk
@@ -152,11 +153,12 @@ def _drawn_by(lens: Lens, color: ColorImage, seen_by: CameraIntrinsics) -> Color
 
 
 @lru_cache(maxsize=16)
-def _lookup(lens: Lens, seen_by: CameraIntrinsics) -> tuple[tuple[int, int], Any]:
+def _lookup(lens: Lens, stored: tuple[int, int], seen_by: CameraIntrinsics) -> tuple[tuple[int, int], Any]:
     """The size to shrink an image to before pixels are looked up, each a mean of those it stands for, and
     columns and rows to look up; None where shrinking is all.
     """
-    known = lens.intrinsics
+    known = replace(lens.intrinsics, width=stored[0], height=stored[1])
+    lens = replace(lens, intrinsics=known)
     if lens.maps(seen_by) is None:
         return (seen_by.width, seen_by.height), None
     scale = min(1.0, seen_by.fx / known.fx)

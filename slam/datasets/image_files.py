@@ -125,7 +125,9 @@ def depth_of(
         Damaged, beyond the budget, of 8 bits or of several channels: its metres would be a guess.
     """
     if content.startswith(_NPY_MAGIC):
-        return usable_metres(_array(content, name), name, budget)
+        array = _array(content, name)
+        steps_of_array = array.ndim == 2 and array.dtype == np.uint16
+        return metres_of(array, calibration) if steps_of_array else usable_metres(array, name, budget)
     if content and not content.startswith(_PNG_MAGIC):
         raise RecordFault(NOT_PNG, name)
     steps = decoded(content, name, budget)

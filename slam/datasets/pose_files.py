@@ -15,7 +15,7 @@ import numpy as np
 from slam.datasets.account import Account
 from slam.datasets.calibration import pose_from, pose_from_matrix
 from slam.datasets.dataset import RecordFault
-from slam.datasets.log_file import numbered_lines
+from slam.datasets.log_file import MAX_LINE_BYTES, numbered_lines
 from slam.datasets.stamped_files import BAD_POSE, BAD_STAMP
 from slam.measurements import FloatArray, Trajectory
 
@@ -34,7 +34,7 @@ class PoseTable:
     ----------
     stamp_units_s
         Of the first columns, whose sum is the stamp: (1.0, 1e-9) for seconds and nanoseconds beside them.
-        A single zero where the size of the number tells its unit.
+        A single zero where the size of the number tells its unit, none where there are no stamps.
     position, rotation
         Columns of x and of the first number of the rotation.
     order
@@ -121,15 +121,22 @@ def trajectory_of(stamped: Iterable[tuple[float, gtsam.Pose3]]) -> Trajectory | 
     return Trajectory(np.array(stamps), table[:, :3].copy(), table[:, 3:].copy())
 
 
-def square_matrix(path: Path, size: int) -> FloatArray | None:
-    """Square matrix of finite numbers in a text file, None where it holds anything else."""
+def numbers_of(path: Path) -> FloatArray | None:
+    """The finite numbers of a small text file without comments, None where it holds anything else."""
     try:
-        numbers = np.array([float(field) for field in _PARTED.split(path.read_bytes()) if field])
+        if path.stat().st_size > MAX_LINE_BYTES:
+            return None
+        text = b" ".join(line for line in path.read_bytes().splitlines() if not line.startswith(b"#"))
+        numbers = np.array([float(field) for field in _PARTED.split(text) if field])
     except (OSError, ValueError):
         return None
-    if numbers.size != size * size or not np.isfinite(numbers).all():
-        return None
-    return numbers.reshape(size, size)
+    return numbers if np.isfinite(numbers).all() else None
+
+
+def square_matrix(path: Path, size: int) -> FloatArray | None:
+    """Square matrix of finite numbers in a text file, None where it holds anything else."""
+    numbers = numbers_of(path)
+    return None if numbers is None or numbers.size != size * size else numbers.reshape(size, size)
 
 
 def pose_file(path: Path) -> gtsam.Pose3:
