@@ -27,6 +27,7 @@ __all__ = ["FORMATS", "Dataset", "DatasetFormat", "ReadReport", "open_dataset"]
 
 
 _LOOKED_AT = 64  # names in a folder that is no dataset, to say what it lacks
+_LEVELS = 3  # a recording of KITTI lies two folders below what is unpacked
 
 
 # The one place where a new reader is registered; the first that recognises a path reads it.
@@ -111,6 +112,9 @@ def open_dataset(
                 dataset.read_images = images
             return dataset
     if path.is_dir():
+        inside = _recordings(path)
+        if len(inside) == 1:
+            return open_dataset(inside[0], strict=strict, topics=topics, images=images)
         raise DatasetError(f"{path} {_what_is_wrong(path)}; supported: {supported}")
     raise DatasetError(f"{path} is a file of no known format; supported: {supported}")
 
@@ -123,11 +127,21 @@ def _what_is_wrong(folder: Path) -> str:
     for color, depths in (("rgb.txt", ("depth.txt",)), ("color.txt", ("aligned_depth.txt", "depth.txt"))):
         if color in names or names.intersection(depths):
             return f"needs both {color} and {depths[0]}"
-    inside = [
-        name
-        for name in sorted(names)
-        if (folder / name).is_dir() and any(known.recognises(folder / name, b"") for known in FORMATS)
-    ]
+    inside = [str(found.relative_to(folder)) for found in _recordings(folder)]
     if inside:
         return f"is no log itself but holds some; give one of {', '.join(inside[:8])}"
     return "is a directory of no known format"
+
+
+def _recordings(folder: Path) -> list[Path]:
+    """Recordings in a folder, or else two folders below it, as data sets are unpacked."""
+    level = [folder]
+    for _ in range(_LEVELS):
+        below = [
+            one for place in level for one in islice(sorted(place.iterdir()), _LOOKED_AT) if one.is_dir()
+        ]
+        found = [one for one in below if any(known.recognises(one, b"") for known in FORMATS)]
+        if found:
+            return found
+        level = below[:_LOOKED_AT]
+    return []

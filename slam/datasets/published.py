@@ -8,10 +8,17 @@ from __future__ import annotations
 from slam.datasets import (
     arkitscenes,
     bonn_rgbd,
+    boreas,
     eth3d_slam,
     euroc,
+    helipr,
     icl_nuim,
+    kitti_raw,
+    mulran,
+    nclt,
+    newer_college,
     open3d_folder,
+    oxford_spires,
     polycam,
     record3d,
     replica,
@@ -38,8 +45,14 @@ PUBLISHED: tuple[DatasetFormat, ...] = tuple(
         record3d,
         polycam,
         rtabmap_database,
+        kitti_raw,
+        nclt,
+        mulran,
+        helipr,
+        boreas,
+        newer_college,
         euroc,
     )
 )
 # Of names that others have, too: asked when nobody else knows a folder.
-LOOSE: tuple[DatasetFormat, ...] = (open3d_folder.FORMAT,)
+LOOSE: tuple[DatasetFormat, ...] = (open3d_folder.FORMAT, oxford_spires.FORMAT)
