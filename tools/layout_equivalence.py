@@ -95,7 +95,7 @@ def main() -> None:
     print(f"{'layout':16} {'frames':>6} {'position mm':>12} {'turn mrad':>10}")
     for name in given.layouts:
         place = given.output / name
-        path = CAMERAS[name](place, footage[name in JPEG])
+        path = CAMERAS[name](place, sharp)
         trajectory = mapped(path)
         distance_m, turn_rad = apart(wanted[name in JPEG], trajectory)
         print(f"{name:16} {len(trajectory):6} {1e3 * distance_m:12.4f} {2e3 * turn_rad:10.4f}", flush=True)

@@ -36,11 +36,11 @@ def open_boreas(path: Path, strict: bool) -> Recording:
         files = clouds_by_name(path / _INSIDE, NAMED_BY_CLOCK, account, stamp_of_clock)
         return Contents(log=CloudFolder(tuple(files), parse=_ROWS).numbered(account))
 
-    return Recording(path, load, lambda account: _groundtruth(path / _POSES_FILE, account), strict=strict)
+    return Recording(path, load, lambda account: read_poses(path / _POSES_FILE, account), strict=strict)
 
 
-def _groundtruth(path: Path, account: Account) -> Trajectory | None:
-    """Of the lidar; the publishers' angles turn the world into the sensor."""
+def read_poses(path: Path, account: Account) -> Trajectory | None:
+    """Of the sensor that a file is of; the publishers' angles turn the world into it. None without a pose."""
     rows = _POSES.rows(path, account) if path.is_file() else ()
     return trajectory_of(
         (stamp_s, gtsam.Pose3(pose.rotation().inverse(), pose.translation())) for _, stamp_s, pose in rows

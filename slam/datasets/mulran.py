@@ -43,7 +43,7 @@ def open_mulran(path: Path, strict: bool) -> Recording:
         clouds = CloudFolder(tuple(files), mounting, with_column_times(KITTI_ROWS))
         return Contents(log=clouds.numbered(account))
 
-    return Recording(path, load, lambda account: _groundtruth(path / _POSES, account), strict=strict)
+    return Recording(path, load, lambda account: read_poses(path / _POSES, account), strict=strict)
 
 
 def stamp_of_clock(match: re.Match[str]) -> float:
@@ -51,8 +51,8 @@ def stamp_of_clock(match: re.Match[str]) -> float:
     return by_its_size(int(match[1]))
 
 
-def _groundtruth(path: Path, account: Account) -> Trajectory | None:
-    """Lines of nanoseconds and the twelve numbers of a pose of the car."""
+def read_poses(path: Path, account: Account) -> Trajectory | None:
+    """Lines of nanoseconds and the twelve numbers of a pose of the car; None without a pose."""
 
     def good() -> Iterator[tuple[float, gtsam.Pose3]]:
         for number, fields in rows_of(path, account, 13):

@@ -76,7 +76,12 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
         *sorted(path.glob("groundtruth_*.csv")),
     )
     file = next((place for place in places if place.is_file()), None)
-    rows = _POSES.rows(file, account) if file else ()
+    return read_poses(file, account) if file else None
+
+
+def read_poses(file: Path, account: Account) -> Trajectory | None:
+    """Lines of microseconds, position and angles, turned so that z is up; None without a pose."""
+    rows = _POSES.rows(file, account)
     turned = ((stamp_s, _T_DOWN_UP.compose(pose).compose(_T_DOWN_UP)) for _, stamp_s, pose in rows)
     return trajectory_of(turned)
 

@@ -59,7 +59,12 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     places = (path, *above[:2])
     files = (place / inside / _TRUTH for place in places for inside in ("", "ground_truth"))
     file = next((one for one in files if one.is_file()), None)
-    rows = _POSES.rows(file, account) if file else ()
+    return read_poses(file, account) if file else None
+
+
+def read_poses(file: Path, account: Account) -> Trajectory | None:
+    """Lines of seconds, nanoseconds, position and quaternion as poses of the lidar; None without a pose."""
+    rows = _POSES.rows(file, account)
     return trajectory_of((stamp_s, pose.compose(_T_TRUTH_LIDAR)) for _, stamp_s, pose in rows)
 
 

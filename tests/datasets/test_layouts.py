@@ -12,9 +12,21 @@ import pytest
 from rgbd_files import color_image, dropped, frames, read
 
 from slam.datasets import open_dataset
+from slam.datasets.truth_files import read_truth
 from slam.errors import DatasetError
 from slam.measurements import CameraIntrinsics, LaserScan, PointCloud, Trajectory, WheelOdometry
-from tools.pack_layouts import CAMERAS, Footage, eth3d, put, rtabmap, scannet, stray_scanner
+from tools.pack_layouts import (
+    CAMERAS,
+    Footage,
+    eth3d,
+    numbers,
+    put,
+    quaternion,
+    rows,
+    rtabmap,
+    scannet,
+    stray_scanner,
+)
 from tools.pack_lidars import LIDARS, Turns
 
 LENS = CameraIntrinsics(61.5, 62.0, 31.0, 24.5, 64, 48)
@@ -170,3 +182,36 @@ def test_scans_of_a_database_of_rtabmap_get_their_angles_back(tmp_path: Path) ->
     np.testing.assert_allclose(got.ranges_m[10:], ranges[10:], rtol=1e-5)
     assert got.T_base_laser.x() == pytest.approx(0.2) and got.range_max_m == 8.0
     assert "odometry" in dataset.report.ignored  # poses in space are not those of wheels
+
+
+def test_truths_are_read_from_the_files_of_their_publishers(tmp_path: Path) -> None:
+    given = turns()
+    for name, file in (
+        ("nclt", "2012-01-08/groundtruth_2012-01-08.csv"),
+        ("mulran", "global_pose.csv"),
+        ("boreas", "applanix/lidar_poses.csv"),
+        ("newer_college", "ground_truth/registered_poses.csv"),
+    ):
+        LIDARS[name](tmp_path / name, given)
+        truth = read_truth(tmp_path / name / file)
+        assert truth is not None and np.diff(truth.stamps_s) == pytest.approx(0.1, abs=2e-6)
+        if name != "mulran":  # of the car, not of the lidar
+            assert_same_shape(truth, given.poses)
+    head = (
+        "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []\n"
+    )
+    lines = ""
+    for k, pose in enumerate(given.poses):
+        x, y, z, w = quaternion(pose)
+        lines += (
+            f"{1403636580838555648 + 10**8 * k}," + numbers([*pose[:3, 3], w, x, y, z, 0, 0, 0], ",") + "\n"
+        )
+    assert_same_shape(read_truth(put(tmp_path / "data.csv", head + lines)), given.poses)
+    blocks = "".join(f"{k} {k} {k + 1}\n" + rows(pose) for k, pose in enumerate(given.poses))
+    assert_same_shape(read_truth(put(tmp_path / "trajectory.log", blocks)), given.poses)
+    kitti = put(tmp_path / "poses" / "03.txt", "".join(numbers(pose[:3]) + "\n" for pose in given.poses))
+    with pytest.raises(DatasetError, match=r"times\.txt"):
+        read_truth(kitti)
+    put(tmp_path / "sequences" / "03" / "times.txt", "0.0\n0.1\n0.2\n0.3\n")
+    assert_same_shape(read_truth(kitti), given.poses)
+    assert read_truth(put(tmp_path / "tum.txt", "1.0 0 0 0 0 0 0 1\n")) is None
