@@ -22,11 +22,14 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from slam.measurements import CameraIntrinsics, LaserScan, RgbdFrame
 from slam.simulation import ros_messages as ros
+from tools.pack_layouts import CAMERAS, Footage
+from tools.pack_lidars import LIDARS, Turns
 
 _START_S = 1000.0
+_PUBLISHED = tuple(name for name in (*CAMERAS, *LIDARS) if name != "tum")
 _PACKED = "sensor_msgs/msg/CompressedImage"
 KINDS = (ros.LASER_SCAN, ros.IMAGE, ros.ODOMETRY, ros.POINT_CLOUD, ros.TRANSFORMS, _PACKED, ros.CAMERA_INFO)
-LOGS = ("carmen", "tum", "ply", "ply_text", "pcd", "pcd_packed", "bin")
+LOGS = ("carmen", "tum", "ply", "ply_text", "pcd", "pcd_packed", "bin", *_PUBLISHED)
 
 _ROS1 = get_typestore(Stores.ROS1_NOETIC)
 _ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", ros.TRANSFORMS))
@@ -158,6 +161,8 @@ BAGS: dict[str, Callable[[Path, list[Sent], dict[str, str]], Path]] = {
 
 def write_log(folder: Path, name: str) -> Path:
     """A log that is no bag; the path to open it by. What is to be spoilt are its files."""
+    if name in _PUBLISHED:
+        return _write_published(folder, name)
     return (
         _write_carmen(folder)
         if name == "carmen"
@@ -165,6 +170,19 @@ def write_log(folder: Path, name: str) -> Path:
         if name == "tum"
         else _write_points(folder, name)
     )
+
+
+def _write_published(folder: Path, name: str) -> Path:
+    """Three frames of a camera, or three turns of a lidar, in the layout of a data set."""
+    rng = np.random.default_rng(0)
+    poses = [gtsam.Pose3(gtsam.Rot3.Yaw(0.1 * k), np.array([0.1 * k, 0.0, 0.0])).matrix() for k in range(3)]
+    if name in LIDARS:
+        points = [rng.uniform(-40.0, 40.0, (60, 3)).astype(np.float32) for _ in poses]
+        return LIDARS[name](folder, Turns([0.0, 0.1, 0.2], points, [np.linspace(0.0, 0.09, 60)] * 3, poses))
+    colors = [rng.integers(0, 256, (24, 32, 3), np.uint8) for _ in poses]
+    depths = [rng.integers(500, 4000, (24, 32)).astype(np.uint16) for _ in poses]
+    lens = CameraIntrinsics(30.0, 30.0, 15.5, 11.5, 32, 24)
+    return CAMERAS[name](folder, Footage([0.0, 1 / 30, 2 / 30], colors, depths, poses, lens))
 
 
 def _write_carmen(folder: Path) -> Path:

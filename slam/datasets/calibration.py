@@ -162,7 +162,7 @@ def pose_from_matrix(matrix: FloatArray) -> gtsam.Pose3:
     left, stretch, right = np.linalg.svd(matrix[:3, :3])
     rotation = left @ right
     if np.abs(stretch - 1.0).max() > _STRETCH_TOLERANCE or np.linalg.det(rotation) < 0.0:
-        raise ValueError(f"stretched by {stretch.round(4).tolist()}, or mirrored")
+        raise ValueError(f"stretched by {stretch.min():.4g} to {stretch.max():.4g}, or mirrored")
     return gtsam.Pose3(gtsam.Rot3(rotation), matrix[:3, 3])
 
 

@@ -5,6 +5,7 @@ Depth is packed by Apple's LZFSE, which the extra ``phones`` unpacks.
 
 from __future__ import annotations
 
+import struct
 import zipfile
 import zlib
 from collections.abc import Iterator
@@ -34,7 +35,8 @@ from slam.measurements import CameraIntrinsics, ColorImage, Float32Array, Trajec
 
 _METADATA, _IMAGES = "metadata", "rgbd"
 _ZIP_MAGIC = b"PK\x03\x04"
-_GROWTH = 512  # what LZFSE may make of a byte at most before it is taken for a bomb
+# Blocks of LZFSE begin so, and with how many bytes they unpack to: as they are, by LZVN, by LZFSE, the end.
+_PLAIN, _LZVN, _LZFSE, _END = b"bvx-", b"bvxn", b"bvx2", b"bvx$"
 
 
 class _Archive:
@@ -44,7 +46,7 @@ class _Archive:
         self._path = path
         try:
             self._zip = None if path.is_dir() else zipfile.ZipFile(path)
-        except (OSError, zipfile.BadZipFile) as error:
+        except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as error:
             raise DatasetError(f"{path} is no whole .r3d file ({error}); export it again") from error
         self.depth_size = (0, 0)
 
@@ -104,12 +106,12 @@ class _Archive:
         packed = self._paid(name, budget)
         width, height = self.depth_size
         wanted = width * height * np.dtype(kind).itemsize
-        if wanted > _GROWTH * len(packed):
-            raise RecordFault(DAMAGED, f"{name}: {len(packed)} bytes for {wanted}")
         budget.take(wanted, 0)
         try:
+            if unpacked_bytes(packed) != wanted:
+                raise ValueError(f"not {wanted} bytes for {width} x {height}")
             content = liblzfse.decompress(packed)
-        except (liblzfse.error, MemoryError) as error:
+        except (liblzfse.error, MemoryError, ValueError, struct.error) as error:
             raise RecordFault(DAMAGED, f"{name}: {error}") from error
         if len(content) != wanted:
             raise RecordFault(DAMAGED, f"{name}: {len(content)} bytes for {width} x {height}")
@@ -120,6 +122,31 @@ class _Archive:
         content = self.content(name)
         budget.add_file(self._path / name, len(content))
         return content
+
+
+def unpacked_bytes(packed: bytes) -> int:
+    """How much the blocks of LZFSE say that they unpack to: a few bytes could be made into gigabytes.
+
+    Raises
+    ------
+    ValueError, struct.error
+        They are damaged, or of a kind that nobody writes.
+    """
+    at, total = 0, 0
+    while (magic := packed[at : at + 4]) != _END:
+        (count,) = struct.unpack_from("<I", packed, at + 4)
+        total += count
+        if magic == _PLAIN:
+            at += 8 + count
+        elif magic == _LZVN:
+            at += 12 + struct.unpack_from("<I", packed, at + 8)[0]
+        elif magic == _LZFSE:
+            # Sizes of literals and of matches, 20 bits each, and of the head itself.
+            first, second, third = struct.unpack_from("<3Q", packed, at + 8)
+            at += max(32, third & 0xFFFFFFFF) + (first >> 20 & 0xFFFFF) + (second >> 40 & 0xFFFFF)
+        else:
+            raise ValueError(f"a block {magic!r} of LZFSE")
+    return total
 
 
 def looks_like_record3d(path: Path, head: bytes) -> bool:

@@ -30,7 +30,7 @@ from slam.datasets.lens_files import median_lens
 from slam.datasets.phone_poses import LENS_MOVES
 from slam.datasets.pose_files import trajectory_of
 from slam.datasets.recording import Contents, Numbered, Recording
-from slam.datasets.rtabmap_models import ScanInfo, camera_models, pose_of, scan_info, scan_points
+from slam.datasets.rtabmap_models import ScanInfo, camera_models, floats_of, pose_of, scan_info, scan_points
 from slam.datasets.sqlite_reading import foreign_database, tables_of
 from slam.datasets.stamped_files import StampedFile
 from slam.errors import DatasetError
@@ -72,7 +72,7 @@ class _Database:
         try:
             with self._lock:
                 return self._open.execute(query, values).fetchall()
-        except (sqlite3.Error, MemoryError) as error:
+        except (sqlite3.Error, UnicodeDecodeError, MemoryError) as error:
             raise DatasetError(
                 f"{self.path} cannot be read as RTAB-Map's ({error}); open it once with a new rtabmap, "
                 "or repair it with rtabmap-recovery"
@@ -128,7 +128,7 @@ def looks_like_rtabmap_database(path: Path, head: bytes) -> bool:
     try:
         with closing(foreign_database(path, immutable=True, views=False)) as database:
             return {"Node", "Link", "Word"} <= tables_of(database) or {"Node", "Data"} <= tables_of(database)
-    except sqlite3.Error:
+    except (sqlite3.Error, UnicodeDecodeError):
         return False
 
 
@@ -165,7 +165,7 @@ def _pose(blob: Any) -> gtsam.Pose3 | None:
     if not isinstance(blob, bytes) or len(blob) != 48:
         return None
     try:
-        return pose_of(np.frombuffer(blob, "<f4").astype(np.float64))
+        return pose_of(floats_of(blob))
     except ValueError:
         return None
 

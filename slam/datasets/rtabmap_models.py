@@ -53,7 +53,7 @@ def camera_models(blob: bytes) -> list[tuple[CameraIntrinsics, gtsam.Pose3]]:
         # The first number of a serialised model is the major version, of older ones a focal length.
         if len(blob) >= _HEAD.size and 0 <= struct.unpack_from("<i", blob)[0] < 1000:
             return _serialised(blob)
-        return _plain(np.frombuffer(blob, "<f4").astype(np.float64))
+        return _plain(floats_of(blob))
     except (ValueError, struct.error) as error:
         raise RecordFault(BAD_MODEL, str(error)) from error
 
@@ -71,7 +71,7 @@ def _serialised(blob: bytes) -> list[tuple[CameraIntrinsics, gtsam.Pose3]]:
         at += _HEAD.size
         numbers = np.frombuffer(blob, "<f8", sum(sizes), at)
         at += numbers.nbytes
-        mounting = np.frombuffer(blob, "<f4", head[10], at).astype(np.float64)
+        mounting = floats_of(blob[at : at + 4 * head[10]])
         at += 4 * head[10]
         # Images are kept rectified: P holds for them where there is one.
         matrix = numbers[-12:].reshape(3, 4) if sizes[3] else numbers[:9].reshape(3, 3)
@@ -95,6 +95,12 @@ def _plain(numbers: FloatArray) -> list[tuple[CameraIntrinsics, gtsam.Pose3]]:
     raise ValueError(f"{numbers.size} numbers")
 
 
+def floats_of(blob: bytes) -> FloatArray:
+    """Floats of four bytes as doubles; ValueError where the bytes are not that many."""
+    with np.errstate(invalid="ignore"):
+        return np.frombuffer(blob, "<f4").astype(np.float64)
+
+
 def pose_of(numbers: FloatArray) -> gtsam.Pose3:
     """A pose from three rows of its matrix, or the robot's own place; ValueError where it is none."""
     if not numbers.size:
@@ -104,7 +110,7 @@ def pose_of(numbers: FloatArray) -> gtsam.Pose3:
 
 def scan_info(blob: bytes) -> ScanInfo:
     """What stands beside a scan; RecordFault where it is damaged."""
-    numbers = np.frombuffer(blob[: len(blob) // 4 * 4], "<f4").astype(np.float64)
+    numbers = floats_of(blob[: len(blob) // 4 * 4])
     before = numbers.size - _POSE_NUMBERS
     try:
         pose = pose_of(numbers[before:]) if before in (2, 3, 7) else None

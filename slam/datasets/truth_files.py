@@ -27,8 +27,8 @@ def read_truth(path: Path) -> Trajectory | None:
     """A trajectory in a form other than TUM's; None where it is TUM's or none that is known.
 
     Known are EuRoC's and TUM-VI's ``data.csv``, KITTI's poses with ``times.txt`` in the folder or in that
-    of the sequence, Newer College's, NCLT's, Boreas' and MulRan's tables, and Redwood's ``.log``. Poses are those
-    of the file, in the frame of the robot, camera or lidar that it means. Bad lines are left out.
+    of the sequence, Newer College's, NCLT's, Boreas' and MulRan's tables, and Redwood's ``.log``. Poses are
+    those of the file, in the frame of the robot, camera or lidar that it means. Bad lines are left out.
 
     Raises
     ------

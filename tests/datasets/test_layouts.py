@@ -7,11 +7,14 @@ import zlib
 from pathlib import Path
 
 import gtsam
+import liblzfse
 import numpy as np
 import pytest
 from rgbd_files import color_image, dropped, frames, read
 
 from slam.datasets import open_dataset
+from slam.datasets.budget import LARGEST_BYTES
+from slam.datasets.record3d import unpacked_bytes
 from slam.datasets.truth_files import read_truth
 from slam.errors import DatasetError
 from slam.measurements import CameraIntrinsics, LaserScan, PointCloud, Trajectory, WheelOdometry
@@ -215,3 +218,19 @@ def test_truths_are_read_from_the_files_of_their_publishers(tmp_path: Path) -> N
     put(tmp_path / "sequences" / "03" / "times.txt", "0.0\n0.1\n0.2\n0.3\n")
     assert_same_shape(read_truth(kitti), given.poses)
     assert read_truth(put(tmp_path / "tum.txt", "1.0 0 0 0 0 0 0 1\n")) is None
+
+
+def test_what_lzfse_unpacks_to_is_known_before() -> None:
+    rng = np.random.default_rng(0)
+    for content in (
+        b"a" * 300_000,
+        rng.bytes(5000),
+        b"hello " * 900,
+        rng.random(300_000).astype("f4").tobytes(),
+    ):
+        packed = liblzfse.compress(content)
+        assert unpacked_bytes(packed) == len(content)
+        with pytest.raises((ValueError, struct.error)):
+            unpacked_bytes(packed[:-4])
+    huge = b"bvx2" + struct.pack("<I3Q", 2**32 - 1, 0, 0, 0) + b"bvx$"
+    assert unpacked_bytes(huge) > LARGEST_BYTES
