@@ -14,6 +14,7 @@ from rgbd_files import color_image, dropped, frames, read
 
 from slam.datasets import open_dataset
 from slam.datasets.budget import LARGEST_BYTES
+from slam.datasets.corrections_in_space import raised
 from slam.datasets.record3d import unpacked_bytes
 from slam.datasets.truth_files import read_truth
 from slam.errors import DatasetError
@@ -234,3 +235,15 @@ def test_what_lzfse_unpacks_to_is_known_before() -> None:
             unpacked_bytes(packed[:-4])
     huge = b"bvx2" + struct.pack("<I3Q", 2**32 - 1, 0, 0, 0) + b"bvx$"
     assert unpacked_bytes(huge) > LARGEST_BYTES
+
+
+def test_beams_that_look_too_low_are_raised_about_the_lidar() -> None:
+    points = turns(1).points[0]
+    got = raised(points, 0.205).astype(np.float64)
+    elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
+    now = np.arctan2(got[:, 2], np.hypot(got[:, 0], got[:, 1]))
+    np.testing.assert_allclose(now, elevation + np.radians(0.205), atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(got, axis=1), np.linalg.norm(points, axis=1), rtol=1e-6)
+    bearing = np.arctan2(points[:, 1], points[:, 0])
+    np.testing.assert_allclose(np.arctan2(got[:, 1], got[:, 0]), bearing, atol=1e-6)
+    assert raised(points, 0.0) is points
