@@ -43,6 +43,8 @@ def open_kitti_raw(path: Path, strict: bool) -> Recording:
     """
 
     def load(account: Account) -> Contents:
+        for camera in sorted(path.glob("image_*")):
+            account.report.ignore(camera.name, "a camera without depth")
         clouds = CloudFolder(tuple(_clouds(path, account)), parse=_WithTimes(_turn(path)).parse)
         return Contents(log=clouds.numbered(account))
 

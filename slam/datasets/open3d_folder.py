@@ -27,8 +27,9 @@ from slam.datasets.stamped_files import StampedFile
 from slam.errors import DatasetError
 from slam.measurements import CameraIntrinsics, Float32Array, Trajectory
 
-_COLORS = ("color", "colors", "rgb", "image", "images")
-_DEPTHS = ("depth", "depths", "depth_noisy", "depthTSDF")
+# Redwood's scenes put their own name before: livingroom1-color, livingroom1-depth-clean.
+_COLORS = re.compile(r"(?:.+-)?(?:colors?|rgb|images?)")
+_DEPTHS = re.compile(r"(?:.+-)?depths?(?:TSDF|[-_](?:clean|simulated|noisy))?")
 _LENSES = (
     *("camera_intrinsic.json", "camera_intrinsics.json", "intrinsic.json", "intrinsics.json"),
     *("camera_primesense.json", "intrinsics.txt", "intrinsic.txt", "camera.txt", "camera-intrinsics.txt"),
@@ -83,8 +84,10 @@ def open_open3d_folder(path: Path, strict: bool) -> Recording:
 
 def _places(path: Path) -> tuple[Path, Path] | None:
     """The folders of colour and of depth."""
-    inside = {entry.name: entry for entry in path.iterdir() if entry.is_dir()}
-    colors, depths = ([inside[name] for name in names if name in inside] for names in (_COLORS, _DEPTHS))
+    inside = sorted((len(entry.name), entry) for entry in path.iterdir() if entry.is_dir())
+    colors, depths = (
+        [entry for _, entry in inside if pattern.fullmatch(entry.name)] for pattern in (_COLORS, _DEPTHS)
+    )
     return (colors[0], depths[0]) if colors and depths else None
 
 

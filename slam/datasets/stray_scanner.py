@@ -70,6 +70,8 @@ def open_stray_scanner(path: Path, strict: bool) -> Recording:
 
     def load(account: Account) -> Contents:
         account.report.note(COMPARED, 1)
+        if (path / _IMU).is_file():
+            account.report.ignore(_IMU, "an IMU beside images is not read")
         rows = _rows(path / _POSES, account)
         depths = numbered_files(path / "depth", r"(\d{1,9})\.(?:png|npy)")
         listed = {number: file for number, file in depths.items() if number in rows}

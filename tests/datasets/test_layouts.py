@@ -247,3 +247,14 @@ def test_beams_that_look_too_low_are_raised_about_the_lidar() -> None:
     bearing = np.arctan2(points[:, 1], points[:, 0])
     np.testing.assert_allclose(np.arctan2(got[:, 1], got[:, 0]), bearing, atol=1e-6)
     assert raised(points, 0.0) is points
+
+
+def test_folders_of_redwood_may_begin_with_the_name_of_their_scene(tmp_path: Path) -> None:
+    CAMERAS["open3d"](tmp_path, footage(2))
+    (tmp_path / "color").rename(tmp_path / "livingroom1-color")
+    (tmp_path / "depth").rename(tmp_path / "livingroom1-depth-clean")
+    (tmp_path / "camera_intrinsic.json").unlink()
+    (tmp_path / "trajectory.log").rename(tmp_path / "livingroom1-traj.txt")
+    found, dataset = read(tmp_path)
+    assert len(frames(found)) == 2 and any("assumed" in note for note in dataset.report.notes)
+    assert_same_shape(dataset.groundtruth(), footage(2).poses)
