@@ -75,7 +75,7 @@ _WORDS = (
         "/dev/zero",
     ),
 )
-_TEXT_ENDS = (".log", ".txt", ".yaml", ".ply", ".pcd")
+_TEXT_ENDS = (".log", ".txt", ".yaml", ".ply", ".pcd", ".csv", ".json", ".traj", ".pincam", ".freiburg")
 _WORD = re.compile(rb"[^\s,:=\[\]{}();]+")
 
 Rng = np.random.Generator
@@ -102,12 +102,14 @@ class Tally:
 
 
 def log_content(path: Path) -> dict[str, list[str]]:
-    """The readings of a log, and what is told of it: skips, topics that are not read, notes."""
+    """The readings of a log and its truth, and what is told of it: skips, topics that are not read, notes."""
     from slam.datasets import open_dataset
 
     dataset = open_dataset(path)
     readings = [_digest(reading) for reading in dataset]
-    report = dataset.report
+    report, truth = dataset.report, dataset.groundtruth()
+    if truth is not None:
+        readings.append(_digest(truth))
     return {"readings": readings, "told": sorted([*report.dropped, *report.ignored, *report.notes])}
 
 
@@ -288,7 +290,12 @@ class Fuzzer:
         if self.name == "map row":
             spoil_row(path, rng)
             return path
-        files = sorted(place.iterdir()) if path.is_dir() else [path]
+        # Of each kind as often: of a folder with many images the few lists and lenses matter most.
+        kinds: dict[str, list[Path]] = {}
+        for file in [path] if self.name in BAGS else sorted(place.rglob("*")):
+            if file.is_file():
+                kinds.setdefault(f"{file.parent.name}{file.suffix}", []).append(file)
+        files = kinds[str(rng.choice(sorted(kinds)))]
         file = files[int(rng.integers(len(files)))]
         as_text = file.name.endswith(_TEXT_ENDS) and rng.integers(3)
         file.write_bytes((spoilt_text if as_text else spoilt_bytes)(file.read_bytes(), rng))

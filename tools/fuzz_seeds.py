@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -22,23 +23,28 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from slam.measurements import CameraIntrinsics, LaserScan, RgbdFrame
 from slam.simulation import ros_messages as ros
-from slam.storage import ros_messages as messages
+from slam.storage import ros_messages as kinds
+from tools.pack_layouts import CAMERAS, Footage
+from tools.pack_lidars import LIDARS, Turns
 
 _START_S = 1000.0
+# Record3D packs by a library that not every machine has.
+_LEFT_OUT = {"tum"} if find_spec("liblzfse") else {"tum", "record3d"}
+_PUBLISHED = tuple(name for name in (*CAMERAS, *LIDARS) if name not in _LEFT_OUT)
 _PACKED = "sensor_msgs/msg/CompressedImage"
 KINDS = (
     ros.LASER_SCAN,
     ros.IMAGE,
     ros.ODOMETRY,
-    messages.POINT_CLOUD,
-    messages.TRANSFORMS,
+    kinds.POINT_CLOUD,
+    kinds.TRANSFORMS,
     _PACKED,
     ros.CAMERA_INFO,
 )
-LOGS = ("carmen", "tum", "ply", "ply_text", "pcd", "pcd_packed", "bin")
+LOGS = ("carmen", "tum", "ply", "ply_text", "pcd", "pcd_packed", "bin", *_PUBLISHED)
 
 _ROS1 = get_typestore(Stores.ROS1_NOETIC)
-_ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", messages.TRANSFORMS))
+_ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kinds.TRANSFORMS))
 
 Sent = tuple[str, str, float, bytes]
 
@@ -51,7 +57,7 @@ def messages() -> list[Sent]:
     mounts = dict.fromkeys(
         ("laser", "lidar", "optical"), gtsam.Pose3(gtsam.Rot3(), np.array([0.1, 0.0, 0.3]))
     )
-    sent = [("/tf_static", messages.TRANSFORMS, _START_S, messages.transforms(_START_S, "base_link", mounts))]
+    sent = [("/tf_static", kinds.TRANSFORMS, _START_S, kinds.transforms(_START_S, "base_link", mounts))]
     for k in range(10):
         at_s = _START_S + 0.1 * k
         pose = gtsam.Pose3(gtsam.Pose2(0.05 * k, 0.0, 0.01 * k))
@@ -64,7 +70,7 @@ def messages() -> list[Sent]:
         sent += [
             ("/odom", ros.ODOMETRY, at_s, ros.odometry(at_s, pose, (0.5, 0.1), "odom", "base_link")),
             ("/scan", ros.LASER_SCAN, at_s, ros.laser_scan(scan, "laser", 0.1, 0.1)),
-            ("/points", messages.POINT_CLOUD, at_s, ros.point_cloud(points, ring, at_s, "lidar")),
+            ("/points", kinds.POINT_CLOUD, at_s, ros.point_cloud(points, ring, at_s, "lidar")),
             ("/camera/depth/camera_info", ros.CAMERA_INFO, at_s, ros.camera_info(lens, at_s, "optical")),
             ("/camera/color/image_raw", ros.IMAGE, at_s, picture),
             ("/camera/depth/image_raw", ros.IMAGE, at_s, distances),
@@ -77,7 +83,7 @@ def messages() -> list[Sent]:
                 _packed(distances, depth, "16UC1; compressedDepth png", bytes(12)),
             ),
         ]
-    store = messages.typestore()
+    store = kinds.typestore()
     return [
         (topic, kind, at_s, bytes(store.serialize_cdr(message, kind))) for topic, kind, at_s, message in sent
     ]
@@ -88,7 +94,7 @@ def _packed(raw: Any, pixels: np.ndarray, form: str, before: bytes) -> Any:
     done, content = cv2.imencode(".png", pixels)
     assert done
     data = np.frombuffer(before + content.tobytes(), np.uint8)
-    return messages.typestore().types[_PACKED](header=raw.header, format=form, data=data)
+    return kinds.typestore().types[_PACKED](header=raw.header, format=form, data=data)
 
 
 def write(path: Path, name: str, messages: list[Sent], definitions: dict[str, str]) -> Path:
@@ -109,7 +115,7 @@ def _write_mcap(
             topics: dict[str, int] = {}
             for topic, kind, at_s, content in messages:
                 if topic not in topics:
-                    text = definitions.get(kind, messages.typestore().generate_msgdef(kind, ros_version=2)[0])
+                    text = definitions.get(kind, kinds.typestore().generate_msgdef(kind, ros_version=2)[0])
                     schema = bag.register_schema(kind, language, text.encode())
                     topics[topic] = bag.register_channel(topic, "cdr", schema)
                 bag.add_message(topics[topic], round(at_s * 1e9), content, round(at_s * 1e9))
@@ -125,7 +131,7 @@ def _write_db3(path: Path, messages: list[Sent], definitions: dict[str, str]) ->
         topics: dict[str, Any] = {}
         for topic, kind, at_s, content in messages:
             if topic not in topics:
-                given: dict[str, Any] = {"typestore": messages.typestore()}
+                given: dict[str, Any] = {"typestore": kinds.typestore()}
                 if kind in definitions:
                     given = {"msgdef": definitions[kind], "rihs01": "RIHS01_" + "0" * 64}
                 topics[topic] = bag.add_connection(topic, kind, **given)
@@ -149,7 +155,7 @@ def _write_ros1(packing: str) -> Callable[[Path, list[Sent], dict[str, str]], Pa
                     if kind in definitions:
                         given = {"msgdef": definitions[kind], "md5sum": "0" * 32}
                     topics[topic] = bag.add_connection(topic, kind, **given)
-                bag.write(topics[topic], round(at_s * 1e9), messages.typestore().cdr_to_ros1(content, kind))
+                bag.write(topics[topic], round(at_s * 1e9), kinds.typestore().cdr_to_ros1(content, kind))
         return path.with_suffix(".bag")
 
     return written
@@ -167,6 +173,8 @@ BAGS: dict[str, Callable[[Path, list[Sent], dict[str, str]], Path]] = {
 
 def write_log(folder: Path, name: str) -> Path:
     """A log that is no bag; the path to open it by. What is to be spoilt are its files."""
+    if name in _PUBLISHED:
+        return _write_published(folder, name)
     return (
         _write_carmen(folder)
         if name == "carmen"
@@ -174,6 +182,19 @@ def write_log(folder: Path, name: str) -> Path:
         if name == "tum"
         else _write_points(folder, name)
     )
+
+
+def _write_published(folder: Path, name: str) -> Path:
+    """Three frames of a camera, or three turns of a lidar, in the layout of a data set."""
+    rng = np.random.default_rng(0)
+    poses = [gtsam.Pose3(gtsam.Rot3.Yaw(0.1 * k), np.array([0.1 * k, 0.0, 0.0])).matrix() for k in range(3)]
+    if name in LIDARS:
+        points = [rng.uniform(-40.0, 40.0, (60, 3)).astype(np.float32) for _ in poses]
+        return LIDARS[name](folder, Turns([0.0, 0.1, 0.2], points, [np.linspace(0.0, 0.09, 60)] * 3, poses))
+    colors = [rng.integers(0, 256, (24, 32, 3), np.uint8) for _ in poses]
+    depths = [rng.integers(500, 4000, (24, 32)).astype(np.uint16) for _ in poses]
+    lens = CameraIntrinsics(30.0, 30.0, 15.5, 11.5, 32, 24)
+    return CAMERAS[name](folder, Footage([0.0, 1 / 30, 2 / 30], colors, depths, poses, lens))
 
 
 def _write_carmen(folder: Path) -> Path:

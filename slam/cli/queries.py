@@ -55,7 +55,8 @@ def evaluate(
         Path | None, typer.Option(help="relations file (Kuemmerle 2009): t1 t2 x y z roll pitch yaw")
     ] = None,
     groundtruth: Annotated[
-        Path | None, typer.Option(help="true trajectory in TUM format, or a dataset folder that has one")
+        Path | None,
+        typer.Option(help="true trajectory as data sets publish it, or a folder that has one"),
     ] = None,
     tolerance: Annotated[
         float | None, typer.Option(min=0.0, help="greatest time between a pose and its true pose, seconds")

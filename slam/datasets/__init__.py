@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
 
@@ -12,8 +11,10 @@ from slam.datasets.bags.files import looks_like_bag
 from slam.datasets.carmen import HEAD_BYTES, looks_like_carmen, open_carmen
 from slam.datasets.cloud_folder import looks_like_cloud_folder, open_cloud_folder
 from slam.datasets.dataset import Dataset, ReadReport
+from slam.datasets.dataset_format import DatasetFormat
 from slam.datasets.log_file import read_head
 from slam.datasets.open_loris import looks_like_open_loris, open_open_loris
+from slam.datasets.published import LOOSE, PUBLISHED
 from slam.datasets.recorded_folder import looks_like_recorded_folder, open_recorded_folder
 from slam.datasets.recording import Recording
 from slam.datasets.robot_at_home import looks_like_robot_at_home, open_robot_at_home
@@ -26,30 +27,13 @@ __all__ = ["FORMATS", "Dataset", "DatasetFormat", "ReadReport", "open_dataset"]
 
 
 _LOOKED_AT = 64  # names in a folder that is no dataset, to say what it lacks
-
-
-@dataclass(frozen=True, slots=True)
-class DatasetFormat:
-    """One file format.
-
-    Attributes
-    ----------
-    description
-        For the message that lists what is supported.
-    recognises
-        Told a path and the first decompressed bytes (empty for a directory), whether this is the format.
-    open
-        Told a path and ``strict``, the dataset.
-    """
-
-    description: str
-    recognises: Callable[[Path, bytes], bool]
-    open: Callable[[Path, bool], Dataset]
+_LEVELS = 3  # a recording of KITTI lies two folders below what is unpacked
 
 
 # The one place where a new reader is registered; the first that recognises a path reads it.
 FORMATS: tuple[DatasetFormat, ...] = (
     DatasetFormat("CARMEN log (.log, .clf, plain or .gz)", looks_like_carmen, open_carmen),
+    *PUBLISHED,
     DatasetFormat("7-Scenes folder", looks_like_seven_scenes, open_seven_scenes),
     DatasetFormat("folder of a CARMEN log and TUM images", looks_like_recorded_folder, open_recorded_folder),
     DatasetFormat("TUM RGB-D folder", looks_like_tum, open_tum),
@@ -62,6 +46,7 @@ FORMATS: tuple[DatasetFormat, ...] = (
         looks_like_cloud_folder,
         open_cloud_folder,
     ),
+    *LOOSE,
 )
 
 
@@ -127,6 +112,9 @@ def open_dataset(
                 dataset.read_images = images
             return dataset
     if path.is_dir():
+        inside = _recordings(path)
+        if len(inside) == 1:
+            return open_dataset(inside[0], strict=strict, topics=topics, images=images)
         raise DatasetError(f"{path} {_what_is_wrong(path)}; supported: {supported}")
     raise DatasetError(f"{path} is a file of no known format; supported: {supported}")
 
@@ -139,11 +127,21 @@ def _what_is_wrong(folder: Path) -> str:
     for color, depths in (("rgb.txt", ("depth.txt",)), ("color.txt", ("aligned_depth.txt", "depth.txt"))):
         if color in names or names.intersection(depths):
             return f"needs both {color} and {depths[0]}"
-    inside = [
-        name
-        for name in sorted(names)
-        if (folder / name).is_dir() and any(known.recognises(folder / name, b"") for known in FORMATS)
-    ]
+    inside = [str(found.relative_to(folder)) for found in _recordings(folder)]
     if inside:
         return f"is no log itself but holds some; give one of {', '.join(inside[:8])}"
     return "is a directory of no known format"
+
+
+def _recordings(folder: Path) -> list[Path]:
+    """Recordings in a folder, or else two folders below it, as data sets are unpacked."""
+    level = [folder]
+    for _ in range(_LEVELS):
+        below = [
+            one for place in level for one in islice(sorted(place.iterdir()), _LOOKED_AT) if one.is_dir()
+        ]
+        found = [one for one in below if any(known.recognises(one, b"") for known in FORMATS)]
+        if found:
+            return found
+        level = below[:_LOOKED_AT]
+    return []

@@ -10,6 +10,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from slam.datasets.bags.lens import Lens
 from slam.datasets.dataset import RecordFault
 from slam.errors import DatasetError
 from slam.foreign import from_yaml
@@ -40,6 +41,9 @@ class Calibration:
         Of the optical frame of the upright image; None where the log does not tell.
     assumed
         Why the intrinsics are a guess, for the report; empty where the log or its publisher gives them.
+    color_lens
+        Of the stored colour image where it is another, in the same place: colour is then drawn as
+        ``intrinsics`` see it. None where one lens holds for both.
     """
 
     intrinsics: CameraIntrinsics
@@ -47,6 +51,7 @@ class Calibration:
     invalid_codes: tuple[int, ...] = ()
     T_base_camera: gtsam.Pose3 | None = None
     assumed: str = ""
+    color_lens: Lens | None = None
 
     def intrinsics_for(self, width: int, height: int) -> CameraIntrinsics:
         """The intrinsics of images of a size, pixel (0, 0) having its centre at (0, 0).
@@ -157,7 +162,7 @@ def pose_from_matrix(matrix: FloatArray) -> gtsam.Pose3:
     left, stretch, right = np.linalg.svd(matrix[:3, :3])
     rotation = left @ right
     if np.abs(stretch - 1.0).max() > _STRETCH_TOLERANCE or np.linalg.det(rotation) < 0.0:
-        raise ValueError(f"stretched by {stretch.round(4).tolist()}, or mirrored")
+        raise ValueError(f"stretched by {stretch.min():.4g} to {stretch.max():.4g}, or mirrored")
     return gtsam.Pose3(gtsam.Rot3(rotation), matrix[:3, 3])
 
 

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from slam.datasets.account import Account
+from slam.datasets.bags.lens import Lens
 from slam.datasets.budget import Budget
 from slam.datasets.calibration import Calibration, same_aspect
 from slam.datasets.dataset import RecordFault
 from slam.datasets.frame_pairs import FramePair
-from slam.datasets.image_files import read_color, read_depth
+from slam.datasets.image_files import FILES, ImageSource
 from slam.measurements import CameraIntrinsics, ColorImage, Float32Array, RgbdFrame
 from slam.vision.prefetch import prefetched
 
@@ -35,12 +38,15 @@ class Camera:
         Of the upright images.
     quarter_turns
         Turns of 90 degrees, counter-clockwise, that set the stored images upright.
+    source
+        Where its images lie.
     """
 
     sensor: str
     pairs: list[FramePair]
     calibration: Calibration
     quarter_turns: int = 0
+    source: ImageSource = FILES
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,11 +110,10 @@ def _decode(request: tuple[Camera, FramePair], budget: Budget) -> _Images:
     camera, pair = request
     calibration = camera.calibration
     try:
-        codes = calibration.invalid_codes
-        depth_m = read_depth(pair.depth.path, calibration.depth_steps_per_m, budget, codes)
-        color = read_color(pair.color.path, budget)
+        depth_m = camera.source.depth(pair.depth, calibration, budget)
+        color = camera.source.color(pair.color, budget)
         stored = (color.shape[1], color.shape[0])
-        color = _fitted(color, depth_m)
+        color = _fitted(color, depth_m, calibration)
     except RecordFault as fault:
         return _Images(camera, pair, fault=fault)
     if turns := camera.quarter_turns % 4:
@@ -118,16 +123,63 @@ def _decode(request: tuple[Camera, FramePair], budget: Budget) -> _Images:
     return _Images(camera, pair, color, depth_m, stored if resized else None)
 
 
-def _fitted(color: ColorImage, depth_m: Float32Array) -> ColorImage:
-    """The colour image at the size of the depth image, where both see the same."""
-    if color.shape[:2] == depth_m.shape:
-        return color
+def _fitted(color: ColorImage, depth_m: Float32Array, calibration: Calibration) -> ColorImage:
+    """The colour image at the size of the depth image, as the depth image's lens sees it."""
     size, wanted = (color.shape[1], color.shape[0]), (depth_m.shape[1], depth_m.shape[0])
+    lens = calibration.color_lens
+    if lens is not None:
+        return _drawn_by(lens, color, calibration.intrinsics_for(*wanted))
+    if size == wanted:
+        return color
     if not same_aspect(size, wanted):
         raise RecordFault(SIZES_DIFFER, f"{size[0]} x {size[1]} and {wanted[0]} x {wanted[1]}")
+    return _resized(color, wanted)
+
+
+def _drawn_by(lens: Lens, color: ColorImage, seen_by: CameraIntrinsics) -> ColorImage:
+    """The image of a lens as another camera in the same place sees it."""
     import cv2
 
-    shrinks = wanted[0] < size[0]
+    known = (color.shape[1], color.shape[0])
+    calibrated = (lens.intrinsics.width, lens.intrinsics.height)
+    if calibrated not in (known, (0, 0)):
+        raise RecordFault(SIZES_DIFFER, f"colour {known}, its lens {calibrated}")
+    size, maps = _lookup(lens, known, seen_by)
+    shrunk = color if size == known else _resized(color, size)
+    if maps is None:
+        return shrunk
+    columns, rows = maps
+    return np.asarray(cv2.remap(shrunk, columns, rows, cv2.INTER_LINEAR))
+
+
+@lru_cache(maxsize=16)
+def _lookup(lens: Lens, stored: tuple[int, int], seen_by: CameraIntrinsics) -> tuple[tuple[int, int], Any]:
+    """The size to shrink an image to before pixels are looked up, each a mean of those it stands for, and
+    columns and rows to look up; None where shrinking is all.
+    """
+    known = replace(lens.intrinsics, width=stored[0], height=stored[1])
+    lens = replace(lens, intrinsics=known)
+    if lens.maps(seen_by) is None:
+        return (seen_by.width, seen_by.height), None
+    scale = min(1.0, seen_by.fx / known.fx)
+    width, height = (max(1, round(side * scale)) for side in (known.width, known.height))
+    across, down = width / known.width, height / known.height
+    shrunk = CameraIntrinsics(
+        known.fx * across,
+        known.fy * down,
+        (known.cx + 0.5) * across - 0.5,
+        (known.cy + 0.5) * down - 0.5,
+        width,
+        height,
+    )
+    return (width, height), replace(lens, intrinsics=shrunk).maps(seen_by)
+
+
+def _resized(color: ColorImage, wanted: tuple[int, int]) -> ColorImage:
+    """The image at another width and height."""
+    import cv2
+
+    shrinks = wanted[0] < color.shape[1]
     return np.asarray(
         cv2.resize(color, wanted, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
     )

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +22,6 @@ MISSING = "cloud file missing"
 UNREADABLE = "cloud file cannot be read"
 DAMAGED = "cloud file truncated or damaged"
 NO_POINTS = "cloud without a valid point"
-
-_FLOATS_A_POINT = 4  # x, y, z and the intensity
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +40,18 @@ class CloudFile:
     fields: dict[str, NDArray[Any]]
 
 
-def read_cloud(path: Path) -> CloudFile:
+Parsed: TypeAlias = tuple[NDArray[Any], dict[str, NDArray[Any]]]
+
+
+def read_cloud(path: Path, parse: Callable[[Path], Parsed] | None = None) -> CloudFile:
     """The valid points of a file.
 
     Points at the origin are what lidars write for no return, and left out.
+
+    Parameters
+    ----------
+    parse
+        What reads a file as (N, 3) points and further values, (N,) each; None for what its suffix tells.
 
     Raises
     ------
@@ -59,7 +66,9 @@ def read_cloud(path: Path) -> CloudFile:
         raise RecordFault(UNREADABLE, f"{path.name}: {error}") from error
     if not 0 < size <= LARGEST_BYTES:
         raise RecordFault(DAMAGED, f"{path.name}: {size} bytes")
-    points, fields = _from_bin(path) if path.suffix.lower() == ".bin" else _from_fields(path)
+    if parse is None:
+        parse = KITTI_ROWS if path.suffix.lower() == ".bin" else read_fields
+    points, fields = parse(path)
     with np.errstate(invalid="ignore", over="ignore"):
         points = points.astype(np.float32)
         valid = np.isfinite(points).all(axis=1) & points.any(axis=1)
@@ -69,18 +78,39 @@ def read_cloud(path: Path) -> CloudFile:
     return CloudFile(np.ascontiguousarray(points[valid]), kept)
 
 
-def _from_bin(path: Path) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
-    """Four little-endian floats a point."""
-    try:
-        floats = np.fromfile(path, dtype="<f4")
-    except OSError as error:
-        raise RecordFault(UNREADABLE, f"{path.name}: {error}") from error
-    if floats.nbytes != path.stat().st_size or floats.size % _FLOATS_A_POINT:
-        raise RecordFault(DAMAGED, f"{path.name}: {path.stat().st_size} bytes are no rows of four floats")
-    return floats.reshape(-1, _FLOATS_A_POINT)[:, :3], {}
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """A file of nothing but points, each a row of the same fields; ``x``, ``y`` and ``z`` are among them."""
+
+    row: np.dtype[np.void]
+
+    def __call__(self, path: Path) -> Parsed:
+        """Points and further fields, as `read_cloud` wants them."""
+        rows = self.rows(path)
+        others = {name: rows[name] for name in rows.dtype.names or () if name not in "xyz"}
+        return np.column_stack([rows[axis] for axis in "xyz"]), others
+
+    def rows(self, path: Path) -> NDArray[np.void]:
+        """The rows; RecordFault where the file is not made of whole ones."""
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise RecordFault(UNREADABLE, f"{path.name}: {error}") from error
+        if len(content) % self.row.itemsize:
+            detail = f"{path.name}: {len(content)} bytes are no rows of {self.row.itemsize}"
+            raise RecordFault(DAMAGED, detail)
+        return np.frombuffer(content, self.row)
 
 
-def _from_fields(path: Path) -> tuple[NDArray[Any], dict[str, NDArray[Any]]]:
+def row_of(fields: str) -> np.dtype[np.void]:
+    """The type of rows by names and kinds: ``"x f4, y f4"``, little-endian without gaps."""
+    return np.dtype([(name, f"<{kind}") for name, kind in (field.split() for field in fields.split(","))])
+
+
+KITTI_ROWS = Rows(row_of("x f4, y f4, z f4, intensity f4"))
+
+
+def read_fields(path: Path) -> Parsed:
     """Points, and what else the file says of each."""
     read = read_pcd_points if path.suffix.lower() == ".pcd" else read_ply_points
     try:

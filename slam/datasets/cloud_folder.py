@@ -5,20 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 import gtsam
-import numpy as np
 
 from slam.datasets.account import Account
-from slam.datasets.calibration import pose_from, pose_from_matrix, read_yaml
+from slam.datasets.calibration import pose_from, read_yaml
 from slam.datasets.clouds_over_time import CloudFolder, cloud_files, stamped_clouds, times_of
-from slam.datasets.dataset import RecordFault
 from slam.datasets.log_file import numbered_lines
+from slam.datasets.pose_files import pose_lines, pose_of_row, trajectory_of
 from slam.datasets.recording import Contents, Recording
 from slam.datasets.stamped_files import read_poses
 from slam.errors import DatasetError
-from slam.measurements import FloatArray, Trajectory
+from slam.measurements import Trajectory
 
 LIDAR_CALIBRATION = "calibration.yaml"
-BAD_POSE_ROW = "pose line without the twelve numbers of a pose"
 
 _INSIDE = ("velodyne", "points", "clouds")  # of KITTI, of the simulator, of others
 _KITTI_CALIBRATION = "calib.txt"
@@ -95,30 +93,11 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     if T_camera_lidar is None:
         return None
     stamps = [file.stamp_s for file in stamped_clouds(times, _cloud_places(path)[0], account)]
-    rows, used = [], []
-    for stamp_s, T_world_camera in zip(stamps, _kitti_poses(found[0], account), strict=False):
-        if T_world_camera is None:
-            continue
-        pose = T_camera_lidar.inverse().compose(T_world_camera).compose(T_camera_lidar)
-        q = pose.rotation().toQuaternion()
-        rows.append([*pose.translation(), q.x(), q.y(), q.z(), q.w()])  # type: ignore[attr-defined]
-        used.append(stamp_s)
-    if not rows:
-        return None
-    table = np.array(rows)
-    return Trajectory(np.array(used), table[:, :3].copy(), table[:, 3:].copy())
-
-
-def _kitti_poses(path: Path, account: Account) -> list[gtsam.Pose3 | None]:
-    """A pose a line, None where the line has none."""
-    poses: list[gtsam.Pose3 | None] = []
-    for number, line in numbered_lines(path, lambda fault, at: account.refuse(fault, path.name, at)):
-        try:
-            poses.append(_pose_of_row(line.split()))
-        except ValueError as error:
-            account.refuse(RecordFault(BAD_POSE_ROW, str(error)), path.name, number)
-            poses.append(None)
-    return poses
+    poses = zip(stamps, pose_lines(found[0], account), strict=False)
+    T_lidar_camera = T_camera_lidar.inverse()
+    return trajectory_of(
+        (stamp_s, T_lidar_camera.compose(pose).compose(T_camera_lidar)) for stamp_s, pose in poses if pose
+    )
 
 
 def _kitti_rows(path: Path, account: Account) -> dict[str, gtsam.Pose3]:
@@ -127,15 +106,7 @@ def _kitti_rows(path: Path, account: Account) -> dict[str, gtsam.Pose3]:
     for _, line in numbered_lines(path, lambda fault, at: account.refuse(fault, path.name, at)):
         name, _, numbers = line.partition(b":")
         try:
-            found[name.decode("ascii", "replace").strip()] = _pose_of_row(numbers.split())
+            found[name.decode("ascii", "replace").strip()] = pose_of_row(numbers.split())
         except ValueError:
             continue
     return found
-
-
-def _pose_of_row(fields: list[bytes]) -> gtsam.Pose3:
-    """A pose from the first three rows of its matrix."""
-    numbers: FloatArray = np.array([float(field) for field in fields])
-    if numbers.size != 12:
-        raise ValueError(f"{numbers.size} numbers")
-    return pose_from_matrix(np.vstack([numbers.reshape(3, 4), [0.0, 0.0, 0.0, 1.0]]))

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from collections import deque
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import gtsam
 
 from slam.datasets.account import Account
-from slam.datasets.cloud_files import CLOUD_SUFFIXES, read_cloud
+from slam.datasets.cloud_files import CLOUD_SUFFIXES, Parsed, read_cloud
 from slam.datasets.dataset import RecordFault
 from slam.datasets.point_times import PointTimes
 from slam.datasets.recording import Numbered
-from slam.datasets.stamped_files import StampedFile, fields_of, image_path, stamp_of
+from slam.datasets.stamped_files import BAD_STAMP, StampedFile, fields_of, image_path, stamp_of
 from slam.datasets.wheels_between import WHEELS_KEPT, wheels_at
 from slam.errors import DatasetError
 from slam.measurements import PointCloud, WheelOdometry
@@ -36,10 +37,13 @@ class CloudFolder:
         With their stamps, in the order of the list.
     T_base_lidar
         Mounting of the lidar.
+    parse
+        What reads a file, see `read_cloud`.
     """
 
     files: tuple[StampedFile, ...]
-    T_base_lidar: gtsam.Pose3
+    T_base_lidar: gtsam.Pose3 = field(default_factory=gtsam.Pose3)
+    parse: Callable[[Path], Parsed] | None = None
 
     def numbered(self, account: Account) -> Iterator[tuple[int, PointCloud]]:
         """The clouds with their lines in the list; what cannot be read is counted."""
@@ -48,7 +52,7 @@ class CloudFolder:
             account.report.line_count += 1
             account.report.note_share(index / len(self.files))
             try:
-                cloud = read_cloud(file.path)
+                cloud = read_cloud(file.path, self.parse)
             except RecordFault as fault:
                 account.refuse(fault, file.path.name, file.number)
                 continue
@@ -92,6 +96,23 @@ def stamped_clouds(times: Path, folder: Path, account: Account) -> list[StampedF
     for place in range(len(lines), len(files)):
         account.refuse(RecordFault(UNPAIRED, f"{len(files)} and {len(lines)}"), times.name, place + 1)
     return found
+
+
+def clouds_by_name(
+    folder: Path, pattern: str, account: Account, stamp_of_name: Callable[[re.Match[str]], float]
+) -> list[StampedFile]:
+    """The clouds whose names match a pattern, by the stamps that the names tell, in the order of time."""
+    name, found = re.compile(pattern), []
+    for path in cloud_files(folder):
+        match = name.fullmatch(path.name)
+        if match is None:
+            continue
+        try:
+            found.append(StampedFile(stamp_of_name(match), path, 0))
+        except ValueError as error:
+            account.refuse(RecordFault(BAD_STAMP, f"{path.name}: {error}"), folder.name, 1)
+    found.sort(key=lambda file: (file.stamp_s, file.path.name))
+    return [replace(file, number=number) for number, file in enumerate(found, 1)]
 
 
 def merged(log: Iterable[Numbered], clouds: Iterator[tuple[int, PointCloud]]) -> Iterator[Numbered]:

@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from slam.config.calibration import CameraCorrection, CloudCorrection, Mounting
-from slam.measurements import PointCloud, RgbdFrame
+from slam.measurements import Float32Array, PointCloud, RgbdFrame
 from slam.vision.camera_frame import T_BODY_CAMERA
 
 
@@ -48,10 +48,21 @@ class CloudCorrector:
         given = self._correction
         return replace(
             cloud,
-            points_lidar=cloud.points_lidar * np.float32(given.range_scale),
+            points_lidar=raised(cloud.points_lidar, given.elevation_deg) * np.float32(given.range_scale),
             times_s=None if cloud.times_s is None else cloud.times_s * given.times_scale,
             T_base_lidar=cloud.T_base_lidar if self._mounting is None else self._mounting,
         )
+
+
+def raised(points_lidar: Float32Array, elevation_deg: float) -> Float32Array:
+    """Points with every beam turned up about the lidar, (N, 3); its bearing and range stay."""
+    if elevation_deg == 0.0:
+        return points_lidar
+    across = np.maximum(np.hypot(points_lidar[:, 0], points_lidar[:, 1]), np.finfo(np.float32).tiny)
+    turn_rad = math.radians(elevation_deg)
+    outward = across * math.cos(turn_rad) - points_lidar[:, 2] * math.sin(turn_rad)
+    up = across * math.sin(turn_rad) + points_lidar[:, 2] * math.cos(turn_rad)
+    return np.column_stack([points_lidar[:, :2] * (outward / across)[:, None], up]).astype(np.float32)
 
 
 def mounted(mounting: Mounting) -> gtsam.Pose3:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import stat
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.datasets.budget import LARGEST_BYTES, Budget
+from slam.datasets.budget import LARGEST_BYTES, MOST_PIXELS, Budget
+from slam.datasets.calibration import Calibration
 from slam.datasets.dataset import RecordFault
 from slam.datasets.quiet_decoder import decode_quietly
+from slam.datasets.stamped_files import StampedFile
 from slam.measurements import ColorImage, Float32Array
 
 MISSING = "image file missing"
@@ -21,8 +25,62 @@ NOT_COLOR = "colour image not 8-bit RGB or grey"
 NOT_16_BIT = "depth image not 16-bit"
 MANY_CHANNELS = "depth image has several channels"
 NOT_PNG = "depth image not PNG"
+NOT_METRES = "depth array not of metres"
+OTHER_CONFIDENCE = "confidence image does not fit the depth"
 
 _PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+_NPY_MAGIC = b"\x93NUMPY"
+
+
+class ImageSource(Protocol):
+    """Where a camera's images lie; asked on the thread that prefetches, in the order of the log.
+
+    Both raise `RecordFault` where an image is missing, damaged, of another kind, or beyond the budget.
+    """
+
+    def color(self, file: StampedFile, budget: Budget) -> ColorImage:
+        """(H, W, 3) RGB."""
+        ...
+
+    def depth(self, file: StampedFile, calibration: Calibration, budget: Budget) -> Float32Array:
+        """(H, W) in metres, 0 where there is no reading."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class ImageFiles:
+    """Images in a file each.
+
+    Attributes
+    ----------
+    confidence
+        The folder of images of the same names that tell how far depth is to be trusted; where one says 0,
+        there is no reading. None where there are none.
+    float_png
+        Whether the four bytes of a pixel of a depth PNG are a float in metres.
+    """
+
+    confidence: Path | None = None
+    float_png: bool = False
+
+    def color(self, file: StampedFile, budget: Budget) -> ColorImage:
+        """See `ImageSource`."""
+        return read_color(file.path, budget)
+
+    def depth(self, file: StampedFile, calibration: Calibration, budget: Budget) -> Float32Array:
+        """See `ImageSource`."""
+        content = file_content(file.path, budget)
+        depth_m = depth_of(content, file.path.name, calibration, budget, float_png=self.float_png)
+        beside = self.confidence / file.path.name if self.confidence else None
+        if beside is not None and beside.is_file():
+            trust = decoded(file_content(beside, budget), beside.name, budget)
+            if trust.shape != depth_m.shape:
+                raise RecordFault(OTHER_CONFIDENCE, f"{beside.name}: {trust.shape}, {depth_m.shape}")
+            depth_m[trust == 0] = 0.0
+        return depth_m
+
+
+FILES = ImageFiles()
 
 
 def read_color(path: Path, budget: Budget) -> ColorImage:
@@ -33,10 +91,15 @@ def read_color(path: Path, budget: Budget) -> ColorImage:
     RecordFault
         Missing, unreadable, damaged, not 8-bit, or beyond the budget.
     """
-    image = _decode(path, budget)
+    return color_of(file_content(path, budget), path.name, budget)
+
+
+def color_of(content: bytes, name: str, budget: Budget) -> ColorImage:
+    """As `read_color`, of the bytes of an image."""
+    image = decoded(content, name, budget)
     color = rgb_of(image)
     if color is None:
-        raise RecordFault(NOT_COLOR, f"{path.name}: {image.dtype} {image.shape}")
+        raise RecordFault(NOT_COLOR, f"{name}: {image.dtype} {image.shape}")
     return color
 
 
@@ -51,37 +114,61 @@ def rgb_of(image: NDArray[Any]) -> ColorImage | None:
     return np.ascontiguousarray(cv2.cvtColor(image, conversion))
 
 
-def read_depth(
-    path: Path, steps_per_m: float, budget: Budget, invalid_codes: tuple[int, ...] = ()
+def depth_of(
+    content: bytes, name: str, calibration: Calibration, budget: Budget, *, float_png: bool = False
 ) -> Float32Array:
-    """A 16-bit PNG as metres, (H, W).
-
-    Parameters
-    ----------
-    steps_per_m
-        What the file writes for one metre.
-    invalid_codes
-        Values that mean "no reading", besides 0.
+    """A 16-bit PNG, or an array of metres by NumPy, as metres, (H, W).
 
     Raises
     ------
     RecordFault
-        Missing, unreadable, damaged, beyond the budget, of 8 bits or of several channels: its metres would be
-        a guess.
+        Damaged, beyond the budget, of 8 bits or of several channels: its metres would be a guess.
     """
-    steps = _decode(path, budget, _PNG_MAGIC)
+    if content.startswith(_NPY_MAGIC):
+        array = _array(content, name)
+        steps_of_array = array.ndim == 2 and array.dtype == np.uint16
+        return metres_of(array, calibration) if steps_of_array else usable_metres(array, name, budget)
+    if content and not content.startswith(_PNG_MAGIC):
+        raise RecordFault(NOT_PNG, name)
+    steps = decoded(content, name, budget)
+    if float_png and steps.dtype == np.uint8 and steps.shape[2:] == (4,):
+        return usable_metres(steps.view("<f4")[..., 0], name, budget)
     if steps.ndim != 2:
-        raise RecordFault(MANY_CHANNELS, f"{path.name}: {steps.shape}")
+        raise RecordFault(MANY_CHANNELS, f"{name}: {steps.shape}")
     if steps.dtype != np.uint16:
-        raise RecordFault(NOT_16_BIT, f"{path.name}: {steps.dtype}")
-    for code in invalid_codes:
+        raise RecordFault(NOT_16_BIT, f"{name}: {steps.dtype}")
+    return metres_of(steps, calibration)
+
+
+def metres_of(steps: NDArray[Any], calibration: Calibration) -> Float32Array:
+    """Metres of what a camera wrote; its codes for "no reading" become 0."""
+    for code in calibration.invalid_codes:
         steps[steps == code] = 0
     # Divided, not multiplied: 4020 / 5000 then is the float nearest to 0.804.
-    depth_m: Float32Array = np.divide(steps, steps_per_m, dtype=np.float32)
+    depth_m: Float32Array = np.divide(steps, calibration.depth_steps_per_m, dtype=np.float32)
     return depth_m
 
 
-def _content(path: Path, budget: Budget) -> bytes:
+def usable_metres(depth: NDArray[Any], name: str, budget: Budget) -> Float32Array:
+    """Depth written as floats, what is not finite or not in front of the camera as 0."""
+    if depth.ndim != 2 or depth.dtype.kind != "f" or not 0 < depth.size <= MOST_PIXELS:
+        raise RecordFault(NOT_METRES, f"{name}: {depth.dtype} {depth.shape}")
+    budget.take(depth.nbytes, 0)
+    with np.errstate(invalid="ignore", over="ignore"):
+        depth_m = depth.astype(np.float32)
+        depth_m[~(np.isfinite(depth_m) & (depth_m > 0.0))] = 0.0
+    return depth_m
+
+
+def _array(content: bytes, name: str) -> NDArray[Any]:
+    """An array that NumPy wrote; of objects there is none."""
+    try:
+        return np.asarray(np.load(io.BytesIO(content), allow_pickle=False))
+    except (ValueError, EOFError, OSError, SyntaxError, MemoryError) as error:
+        raise RecordFault(DAMAGED, f"{name}: {error}") from error
+
+
+def file_content(path: Path, budget: Budget) -> bytes:
     """All of a file; pipes and devices are none."""
     try:
         found = path.stat()
@@ -95,12 +182,9 @@ def _content(path: Path, budget: Budget) -> bytes:
         raise RecordFault(UNREADABLE, f"{path.name}: {error}") from error
 
 
-def _decode(path: Path, budget: Budget, magic: bytes = b"") -> NDArray[Any]:
-    """Pixels as stored, all of them; where the file must begin so, it is a PNG."""
-    content = _content(path, budget)
-    if content and not content.startswith(magic):
-        raise RecordFault(NOT_PNG, path.name)
+def decoded(content: bytes, name: str, budget: Budget) -> NDArray[Any]:
+    """Pixels as stored, all of them."""
     image = decode_quietly(content, budget) if content else None
     if image is None:
-        raise RecordFault(DAMAGED, path.name)
+        raise RecordFault(DAMAGED, name)
     return image

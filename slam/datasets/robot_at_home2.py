@@ -99,7 +99,7 @@ def _connected(path: Path) -> Iterator[sqlite3.Connection]:
     try:
         with closing(foreign_database(path)) as database:
             yield database
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:
         raise DatasetError(f"{path} cannot be read: {error}; download the database again") from error
 
 

@@ -107,7 +107,7 @@ def numbered_poses(path: Path, account: Account) -> Iterator[tuple[int, FloatArr
         except ValueError:
             row = np.full(8, np.nan)
         sound = bool(np.isfinite(row).all()) and abs(row[0]) < _STAMP_LIMIT_S
-        norm = float(np.linalg.norm(row[4:])) if sound else math.inf
+        norm = math.hypot(*row[4:].tolist()) if sound else math.inf
         if not abs(norm - 1.0) <= _QUATERNION_TOLERANCE:
             account.refuse(RecordFault(BAD_POSE, f"quaternion of length {norm:.4g}"), path.name, number)
             continue

@@ -5,6 +5,7 @@ Sturm et al. 2012, "A Benchmark for the Evaluation of RGB-D SLAM Systems".
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from slam.datasets.account import Account
@@ -16,9 +17,9 @@ from slam.datasets.stamped_files import StampedFile, read_associations, read_ima
 from slam.measurements import CameraIntrinsics, Trajectory
 
 _LISTS = ("rgb.txt", "depth.txt")
-_ASSOCIATIONS = ("associations.txt", "associate.txt", "association.txt")
+_ASSOCIATIONS = ("associations.txt", "associate.txt", "association.txt", "associated.txt")
 _GROUNDTRUTH = "groundtruth.txt"
-_DEPTH_STEPS_PER_M = 5000.0
+DEPTH_STEPS_PER_M = 5000.0
 
 # The benchmark's own calibration of its three Kinects (of the colour image, distortion left aside).
 _PUBLISHED = {
@@ -59,10 +60,26 @@ def tum_camera(folder: Path, sensor: str, account: Account) -> Camera:
     Without ``calibration.yaml`` the intrinsics are the published ones where the folder is named after one
     of the benchmark's three cameras (freiburg1, freiburg2, freiburg3), else assumed.
     """
-    colors, depths = _image_lists(folder, account)
     known = [lens for name, lens in _PUBLISHED.items() if name in folder.resolve().name.lower()]
     default = Calibration(
-        known[0] if known else _DEFAULT, _DEPTH_STEPS_PER_M, assumed="" if known else ASSUMED
+        known[0] if known else _DEFAULT, DEPTH_STEPS_PER_M, assumed="" if known else ASSUMED
+    )
+    return listed_camera(folder, sensor, default, account)
+
+
+def listed_camera(
+    folder: Path, sensor: str, default: Calibration, account: Account, rate_hz: float = 1.0
+) -> Camera:
+    """The camera whose lists lie in a folder, its calibration corrected by the one beside them.
+
+    Parameters
+    ----------
+    rate_hz
+        What a stamp is to be divided by, where the lists count frames.
+    """
+    colors, depths = (
+        [replace(image, stamp_s=image.stamp_s / rate_hz) for image in images]
+        for images in _image_lists(folder, account)
     )
     return Camera(sensor, pair_images(colors, depths, account, sensor), read_calibration(folder, default))
 

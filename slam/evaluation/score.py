@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from slam.datasets import open_dataset
+from slam.datasets.truth_files import read_truth
 from slam.errors import EvaluationError
 from slam.evaluation.coverage import coverage
 from slam.evaluation.relations import Relations, read_relations, score_relations
@@ -36,7 +37,8 @@ def evaluate(
     trajectory
         Poses in a frame of their own, or a TUM file of them.
     groundtruth
-        True poses, a TUM file, or the folder of a dataset that comes with its truth. The ATE is taken after
+        True poses, a file of them (TUM's, EuRoC's, KITTI's, Newer College's, NCLT's, Boreas', MulRan's or
+        Redwood's form), or the folder of a dataset that comes with its truth. The ATE is taken after
         the rigid alignment of Umeyama 1991 without scale, or in the plane where the poses never leave it.
     relations
         Relative poses that people have checked, or a file of them: ``t1 t2 x y z roll pitch yaw``.
@@ -111,9 +113,11 @@ def _poses(source: Trajectory | Path | str) -> Trajectory:
 
 
 def _truth(source: Trajectory | Path | str) -> Trajectory:
-    """As `_poses`, or what a dataset folder knows of its truth."""
-    if isinstance(source, Trajectory) or not Path(source).is_dir():
-        return _poses(source)
+    """As `_poses`, what a data set publishes of its recordings, or what a recording knows of its truth."""
+    if isinstance(source, Trajectory):
+        return source
+    if Path(source).is_file():
+        return read_truth(Path(source)) or read_tum(Path(source))
     truth = open_dataset(source).groundtruth()
     if truth is None:
         raise EvaluationError(f"{source} has no true trajectory; give a file in TUM format")

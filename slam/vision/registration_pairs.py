@@ -21,7 +21,7 @@ log = logging.getLogger(__name__)
 
 Seen: TypeAlias = tuple[RgbdFrame, Features]
 
-_EVERY_S = 0.2
+_EVERY_S = 0.19  # less than six frames at 30 Hz: stamps of two logs of one drive round apart
 _LONGEST_S = 40.0
 _PAIRS = 24
 # Median motion of the matched features, in shares of the image's width: enough to tell, and still matched.

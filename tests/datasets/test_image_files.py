@@ -17,6 +17,7 @@ from rgbd_files import color_image, depth_image, write_color, write_depth
 
 from slam.datasets import image_files
 from slam.datasets.budget import Budget
+from slam.datasets.calibration import Calibration
 from slam.datasets.dataset import RecordFault
 from slam.datasets.image_files import (
     DAMAGED,
@@ -27,6 +28,8 @@ from slam.datasets.image_files import (
     NOT_PNG,
     UNREADABLE,
 )
+from slam.datasets.stamped_files import StampedFile
+from slam.measurements import CameraIntrinsics
 
 REDKITCHEN = Path(__file__).parents[3] / "shared" / "data" / "rgbd" / "redkitchen"
 
@@ -36,7 +39,8 @@ def read_color(path: Path) -> np.ndarray:
 
 
 def read_depth(path: Path, steps_per_m: float, codes: tuple[int, ...] = ()) -> np.ndarray:
-    return image_files.read_depth(path, steps_per_m, Budget(0), codes)
+    calibration = Calibration(CameraIntrinsics(1.0, 1.0, 0.0, 0.0, 0, 0), steps_per_m, codes)
+    return image_files.FILES.depth(StampedFile(0.0, path, 1), calibration, Budget(0))
 
 
 def reason(read: Callable[[], object]) -> str:

@@ -22,7 +22,7 @@ from rgbd_files import (
 from slam.datasets import open_dataset
 from slam.datasets.frame_pairs import NO_COLOR, NO_DEPTH
 from slam.datasets.image_files import DAMAGED
-from slam.datasets.seven_scenes import BAD_POSE
+from slam.datasets.pose_files import BAD_MATRIX
 from slam.errors import BadRecordError, DatasetError
 from slam.measurements import CameraIntrinsics
 
@@ -77,7 +77,7 @@ def test_poses_become_true_rotations_and_bad_ones_are_left_out(tmp_path: Path) -
     assert truth.stamps_s.tolist() == [0.0, 1 / 30]
     np.testing.assert_allclose(truth.positions_m[1], [1, 2, 3])
     np.testing.assert_allclose(truth.quaternions_xyzw[1], [0, 0, np.sin(0.05), np.cos(0.05)], atol=1e-12)
-    with pytest.raises(BadRecordError, match=BAD_POSE):
+    with pytest.raises(BadRecordError, match=BAD_MATRIX):
         open_dataset(tmp_path, strict=True).groundtruth()
 
 

@@ -1,0 +1,100 @@
+"""ARKitScenes: the low-resolution images and depth of an iPad, and the poses of ARKit.
+
+Baruch et al. 2021, "ARKitScenes: A Diverse Real-World Dataset For 3D Indoor Scene Understanding Using Mobile
+RGB-D Data".
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import gtsam
+import numpy as np
+
+from slam.datasets.account import Account
+from slam.datasets.calibration import Calibration, read_calibration
+from slam.datasets.camera_frames import Camera
+from slam.datasets.dataset import RecordFault
+from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.frame_pairs import pair_images
+from slam.datasets.image_files import ImageFiles
+from slam.datasets.lens_files import checked, median_lens
+from slam.datasets.phone_poses import COMPARED, LENS_MOVES
+from slam.datasets.pose_files import from_axis_angle, numbers_of, rows_of, trajectory_of
+from slam.datasets.recording import Contents, Recording
+from slam.datasets.stamped_files import BAD_POSE, StampedFile
+from slam.errors import DatasetError
+from slam.measurements import CameraIntrinsics, Trajectory
+
+_COLORS, _DEPTHS, _LENSES, _POSES = (
+    "lowres_wide",
+    "lowres_depth",
+    "lowres_wide_intrinsics",
+    "lowres_wide.traj",
+)
+_NAME = re.compile(r"(?:.*_)?(\d+\.\d+)\.(?:png|pincam)")  # VIDEO_SECONDS.png
+
+
+def looks_like_arkitscenes(path: Path, head: bytes) -> bool:
+    """Whether a path is a folder of one video with depth."""
+    return (path / _COLORS).is_dir() and (path / _DEPTHS).is_dir()
+
+
+def open_arkitscenes(path: Path, strict: bool) -> Recording:
+    """A folder of one video; depth that ARKit has no trust in is left out."""
+
+    def load(account: Account) -> Contents:
+        account.report.note(COMPARED, 1)
+        calibration = read_calibration(path, Calibration(_lens(path, account), 1000.0))
+        pairs = pair_images(_stamped(path / _COLORS), _stamped(path / _DEPTHS), account, "camera")
+        return Contents([Camera("camera", pairs, calibration, source=ImageFiles(path / "confidence"))])
+
+    return Recording(path, load, lambda account: _poses(path / _POSES, account), strict=strict)
+
+
+def _stamped(folder: Path) -> list[StampedFile]:
+    """Files in the order of the stamps in their names."""
+    found = [
+        (match, entry)
+        for entry in (folder.iterdir() if folder.is_dir() else ())
+        if (match := _NAME.fullmatch(entry.name))
+    ]
+    found.sort(key=lambda item: (float(item[0][1]), item[1].name))
+    return [StampedFile(float(match[1]), entry, number) for number, (match, entry) in enumerate(found, 1)]
+
+
+def _lens(path: Path, account: Account) -> CameraIntrinsics:
+    """The median of the frames': width, height, fx, fy, cx, cy in a file each."""
+    lenses = []
+    for file in _stamped(path / _LENSES):
+        numbers = numbers_of(file.path)
+        if numbers is None or numbers.size != 6:
+            account.refuse(RecordFault("lens file without six numbers", file.path.name), _LENSES, file.number)
+            continue
+        width, height, fx, fy, cx, cy = numbers.tolist()
+        matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy]])
+        lenses.append(checked(file.path, matrix, int(width), int(height)))
+    if not lenses:
+        raise DatasetError(f"{path} has no lens: {_LENSES} is missing or empty; download it, too")
+    lens, share = median_lens(lenses)
+    account.report.note(LENS_MOVES.format(share=share), 1)
+    return lens
+
+
+def _poses(path: Path, account: Account) -> Trajectory | None:
+    """Lines of a stamp, a turn and a shift that take the world into the camera."""
+
+    def good() -> Iterator[tuple[float, gtsam.Pose3]]:
+        for number, fields in rows_of(path, account, 7):
+            try:
+                numbers = np.array([float(field) for field in fields[:7]])
+                yield float(numbers[0]), from_axis_angle(numbers[1:4], numbers[4:]).inverse()
+            except ValueError as error:
+                account.refuse(RecordFault(BAD_POSE, str(error)), path.name, number)
+
+    return trajectory_of(good()) if path.is_file() else None
+
+
+FORMAT = DatasetFormat("ARKitScenes video", looks_like_arkitscenes, open_arkitscenes)

@@ -1,0 +1,82 @@
+"""HeLiPR: the streets of MulRan by four lidars, of which one is read.
+
+Jung et al. 2024, "HeLiPR: Heterogeneous LiDAR Dataset for inter-LiDAR Place Recognition under Spatiotemporal
+Variations".
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from slam.datasets.account import Account
+from slam.datasets.cloud_files import Rows, row_of
+from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
+from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.mulran import NAMED_BY_CLOCK, stamp_of_clock
+from slam.datasets.pose_files import PoseTable
+from slam.datasets.recording import Contents, Recording
+from slam.measurements import Trajectory
+
+# By the publishers' file player; the lidar that sees all around comes first.
+_LIDARS = {
+    "Ouster": ("x f4, y f4, z f4, intensity f4, t u4, reflectivity u2, ring u2, ambient u2",),
+    "Velodyne": ("x f4, y f4, z f4, intensity f4, ring u2, time f4",),
+    # Of the first recordings without the intensity.
+    "Aeva": (
+        "x f4, y f4, z f4, reflectivity f4, velocity f4, time_offset i4, line u1, intensity f4",
+        "x f4, y f4, z f4, reflectivity f4, velocity f4, time_offset i4, line u1",
+    ),
+    "Avia": ("x f4, y f4, z f4, reflectivity u1, tag u1, line u1, offset_time u4",),
+}
+_POSES = PoseTable(stamp_units_s=(0.0,))
+_PROBED = 8
+
+
+def looks_like_helipr(path: Path, head: bytes) -> bool:
+    """Whether a path is the folder of a sequence, of its lidars, or of one of them."""
+    return path.is_dir() and bool(_lidars(path))
+
+
+def open_helipr(path: Path, strict: bool) -> Recording:
+    """A folder of one sequence; of several lidars the first of Ouster, Velodyne, Aeva, Avia is read."""
+
+    def load(account: Account) -> Contents:
+        places = _lidars(path)
+        name, folder = next(iter(places.items()))
+        for other in list(places)[1:]:
+            account.report.ignore(other, f"one lidar of several is read; give {places[other]} for it")
+        files = clouds_by_name(folder, NAMED_BY_CLOCK, account, stamp_of_clock)
+        return Contents(log=CloudFolder(tuple(files), parse=_row(name, folder)).numbered(account))
+
+    return Recording(path, load, lambda account: _groundtruth(path, account), strict=strict)
+
+
+def _lidars(path: Path) -> dict[str, Path]:
+    """Folders of lidars by their names whose files are rows of that lidar."""
+    own = path.resolve().name
+    places = {name: one / name for name in _LIDARS for one in (path, path / "LiDAR") if (one / name).is_dir()}
+    places |= {own: path} if own in _LIDARS else {}
+    return {name: folder for name, folder in places.items() if _row(name, folder)}
+
+
+def _row(name: str, folder: Path) -> Rows | None:
+    """The rows of which the first files are made, None where none fits."""
+    sizes = [
+        file.stat().st_size for _, file in zip(range(_PROBED), sorted(folder.glob("*.bin")), strict=False)
+    ]
+    kinds = (Rows(row_of(fields)) for fields in _LIDARS[name])
+    return next(
+        (rows for rows in kinds if sizes and not any(size % rows.row.itemsize for size in sizes)), None
+    )
+
+
+def _groundtruth(path: Path, account: Account) -> Trajectory | None:
+    """The poses of the lidar that is read."""
+    name, folder = next(iter(_lidars(path).items()))
+    above = (path, folder.resolve().parent, folder.resolve().parent.parent)
+    places = [place / inside / f"{name}_gt.txt" for place in above for inside in ("", "LiDAR_GT")]
+    file = next((place for place in places if place.is_file()), None)
+    return _POSES.read(file, account) if file else None
+
+
+FORMAT = DatasetFormat("HeLiPR sequence", looks_like_helipr, open_helipr)

@@ -1,0 +1,67 @@
+"""MulRan: a car with an Ouster OS1-64 on its roof.
+
+Kim et al. 2020, "MulRan: Multimodal Range Dataset for Urban Place Recognition".
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import gtsam
+import numpy as np
+
+from slam.datasets.account import Account
+from slam.datasets.cloud_files import KITTI_ROWS
+from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
+from slam.datasets.dataset import RecordFault
+from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.ouster_order import with_column_times
+from slam.datasets.pose_files import BAD_MATRIX, by_its_size, pose_of_row, rows_of, trajectory_of
+from slam.datasets.recording import Contents, Recording
+from slam.measurements import Trajectory
+
+_INSIDE, _POSES = "Ouster", "global_pose.csv"
+NAMED_BY_CLOCK = r"(\d{9,19})\.bin"
+# calib_base2ouster.txt, which is published beside all sequences: metres, then roll, pitch and yaw in degrees.
+_SHIFT_M, _TURN_DEG = (1.7042, -0.021, 1.8047), (0.0001, 0.0003, 179.6654)
+
+
+def looks_like_mulran(path: Path, head: bytes) -> bool:
+    """Whether a path is the folder of one sequence."""
+    return (path / _INSIDE).is_dir() and ((path / _POSES).is_file() or (path / "sensor_data").is_dir())
+
+
+def open_mulran(path: Path, strict: bool) -> Recording:
+    """A folder of one sequence; the lidar sits where the publishers say."""
+
+    def load(account: Account) -> Contents:
+        files = clouds_by_name(path / _INSIDE, NAMED_BY_CLOCK, account, stamp_of_clock)
+        roll, pitch, yaw = np.radians(_TURN_DEG).tolist()
+        mounting = gtsam.Pose3(gtsam.Rot3.Ypr(yaw, pitch, roll), np.array(_SHIFT_M))
+        clouds = CloudFolder(tuple(files), mounting, with_column_times(KITTI_ROWS))
+        return Contents(log=clouds.numbered(account))
+
+    return Recording(path, load, lambda account: read_poses(path / _POSES, account), strict=strict)
+
+
+def stamp_of_clock(match: re.Match[str]) -> float:
+    """Seconds of a name whose first group is a clock's."""
+    return by_its_size(int(match[1]))
+
+
+def read_poses(path: Path, account: Account) -> Trajectory | None:
+    """Lines of nanoseconds and the twelve numbers of a pose of the car; None without a pose."""
+
+    def good() -> Iterator[tuple[float, gtsam.Pose3]]:
+        for number, fields in rows_of(path, account, 13):
+            try:
+                yield by_its_size(float(fields[0])), pose_of_row(fields[1:13])
+            except ValueError as error:
+                account.refuse(RecordFault(BAD_MATRIX, str(error)), path.name, number)
+
+    return trajectory_of(good()) if path.is_file() else None
+
+
+FORMAT = DatasetFormat("MulRan sequence", looks_like_mulran, open_mulran)

@@ -1,0 +1,89 @@
+"""NCLT: a Segway with a Velodyne on a campus over a year.
+
+Carlevaris-Bianco et al. 2016, "University of Michigan North Campus Long-Term Vision and Lidar Dataset". Its
+frames have z down; here they are turned about x, z up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import gtsam
+import numpy as np
+
+from slam.datasets.account import Account
+from slam.datasets.cloud_files import Parsed, Rows, row_of
+from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name, merged
+from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.pose_files import PoseTable, trajectory_of
+from slam.datasets.recording import Contents, Numbered, Recording
+from slam.measurements import Trajectory, WheelOdometry
+
+_INSIDE = "velodyne_sync"
+_ROWS = Rows(row_of("x u2, y u2, z u2, intensity u1, laser u1"))
+_STEP_M, _FIRST_M = 0.005, -100.0  # of the whole numbers in a row
+_TICK_S = 1e-6
+_POSES = PoseTable(stamp_units_s=(_TICK_S,), order="rpy")
+_ODOMETRY = ("odometry_mu_100hz.csv", "odometry_mu.csv")
+_T_DOWN_UP = gtsam.Pose3(gtsam.Rot3(np.diag([1.0, -1.0, -1.0])), np.zeros(3))
+
+
+def looks_like_nclt(path: Path, head: bytes) -> bool:
+    """Whether a path is the folder of one day with clouds."""
+    return (path / _INSIDE).is_dir()
+
+
+def open_nclt(path: Path, strict: bool) -> Recording:
+    """A folder of one day, the robot's frame that of the clouds; they are free of the robot's motion."""
+
+    def load(account: Account) -> Contents:
+        files = clouds_by_name(
+            path / _INSIDE, r"(\d{10,17})\.bin", account, lambda match: int(match[1]) * _TICK_S
+        )
+        clouds = CloudFolder(tuple(files), parse=_parse).numbered(account)
+        found = next((path / name for name in _ODOMETRY if (path / name).is_file()), None)
+        if found is None:
+            return Contents(log=clouds)
+        return Contents(log=merged(_wheels(found, account), clouds))
+
+    return Recording(path, load, lambda account: _groundtruth(path, account), strict=strict)
+
+
+def _parse(path: Path) -> Parsed:
+    """Points with z up; a row of zeros is none."""
+    rows = _ROWS.rows(path)
+    points = np.column_stack([rows[axis] for axis in "xyz"]).astype(np.float64) * _STEP_M + _FIRST_M
+    return points * (1.0, -1.0, -1.0), {}
+
+
+def _wheels(file: Path, account: Account) -> Iterator[Numbered]:
+    """The way by wheels and gyroscope, on the ground."""
+    for number, stamp_s, pose in _POSES.rows(file, account):
+        account.report.line_count += 1
+        account.report.accept("odometry")
+        yield number, WheelOdometry(stamp_s, gtsam.Pose2(pose.x(), -pose.y(), -pose.rotation().yaw()))
+
+
+def _groundtruth(path: Path, account: Account) -> Trajectory | None:
+    """The publishers' poses, in the folder or beside it."""
+    name = f"groundtruth_{path.resolve().name}.csv"
+    above = path.resolve().parent
+    places = (
+        path / name,
+        above / name,
+        above / "ground_truth" / name,
+        *sorted(path.glob("groundtruth_*.csv")),
+    )
+    file = next((place for place in places if place.is_file()), None)
+    return read_poses(file, account) if file else None
+
+
+def read_poses(file: Path, account: Account) -> Trajectory | None:
+    """Lines of microseconds, position and angles, turned so that z is up; None without a pose."""
+    rows = _POSES.rows(file, account)
+    turned = ((stamp_s, _T_DOWN_UP.compose(pose).compose(_T_DOWN_UP)) for _, stamp_s, pose in rows)
+    return trajectory_of(turned)
+
+
+FORMAT = DatasetFormat("NCLT day", looks_like_nclt, open_nclt)

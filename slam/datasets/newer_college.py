@@ -1,0 +1,71 @@
+"""Newer College 2020 as folders: clouds of a hand-held Ouster OS1-64.
+
+Ramezani et al. 2020, "The Newer College Dataset: Handheld LiDAR, Inertial and Vision with Ground Truth".
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import gtsam
+import numpy as np
+
+from slam.datasets.account import Account
+from slam.datasets.cloud_files import read_fields
+from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
+from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.ouster_order import with_column_times
+from slam.datasets.pose_files import PoseTable, trajectory_of
+from slam.datasets.recording import Contents, Recording
+from slam.measurements import Trajectory
+
+_CLOUDS = r"cloud_(\d{1,10})_(\d{1,9})\.(?:pcd|ply)"
+_PLACES = ("raw_format/ouster_scan", "ouster_scan", "")
+_TRUTH = "registered_poses.csv"
+_POSES = PoseTable(stamp_units_s=(1.0, 1e-9), position=2, rotation=5)
+# The lidar in the frame of the published poses: turned by 135 degrees about z.
+_T_TRUTH_LIDAR = gtsam.Pose3(
+    gtsam.Rot3.Quaternion(0.382683, 0.0, 0.0, 0.923880), np.array([-0.084, -0.025, 0.050])
+)
+
+
+def looks_like_newer_college(path: Path, head: bytes) -> bool:
+    """Whether a path is the folder of one walk, or of its clouds."""
+    return path.is_dir() and _clouds_folder(path) is not None
+
+
+def open_newer_college(path: Path, strict: bool) -> Recording:
+    """A folder of one walk; the lidar is the robot's frame."""
+
+    def load(account: Account) -> Contents:
+        folder = _clouds_folder(path)
+        assert folder is not None
+        files = clouds_by_name(folder, _CLOUDS, account, lambda match: int(match[1]) + int(match[2]) * 1e-9)
+        clouds = CloudFolder(tuple(files), parse=with_column_times(read_fields))
+        return Contents(log=clouds.numbered(account))
+
+    return Recording(path, load, lambda account: _groundtruth(path, account), strict=strict)
+
+
+def _clouds_folder(path: Path) -> Path | None:
+    """Where the clouds are."""
+    places = (path / inside for inside in _PLACES)
+    return next((one for one in places if next(one.glob("cloud_*_*.p*"), None)), None)
+
+
+def _groundtruth(path: Path, account: Account) -> Trajectory | None:
+    """Of the lidar, by the poses in the folder or near it."""
+    above = path.resolve().parents
+    places = (path, *above[:2])
+    files = (place / inside / _TRUTH for place in places for inside in ("", "ground_truth"))
+    file = next((one for one in files if one.is_file()), None)
+    return read_poses(file, account) if file else None
+
+
+def read_poses(file: Path, account: Account) -> Trajectory | None:
+    """Lines of seconds, nanoseconds, position and quaternion as poses of the lidar; None without a pose."""
+    rows = _POSES.rows(file, account)
+    return trajectory_of((stamp_s, pose.compose(_T_TRUTH_LIDAR)) for _, stamp_s, pose in rows)
+
+
+FORMAT = DatasetFormat("Newer College walk (folders)", looks_like_newer_college, open_newer_college)

@@ -1,0 +1,160 @@
+"""Folders of numbered or stamped images beside a lens: Open3D's own, Redwood's, SUN3D's, and many a tool's.
+
+Choi et al. 2015, "Robust Reconstruction of Indoor Scenes" (Redwood); Xiao et al. 2013, "SUN3D".
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from slam.datasets.account import Account
+from slam.datasets.budget import Budget
+from slam.datasets.calibration import FILE_NAME, Calibration, read_calibration
+from slam.datasets.camera_frames import Camera
+from slam.datasets.dataset import RecordFault
+from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.frame_pairs import pair_images
+from slam.datasets.image_files import FILES, MANY_CHANNELS, ImageFiles, decoded, file_content, metres_of
+from slam.datasets.lens_files import camera_matrix, four_numbers, open3d_lens
+from slam.datasets.numbered_frames import NO_STAMPS, RATE_HZ, at_rate, numbered_camera, numbered_files
+from slam.datasets.pose_files import by_its_size, numbers_of, pose_blocks, trajectory_of
+from slam.datasets.recording import Contents, Recording
+from slam.datasets.stamped_files import StampedFile
+from slam.errors import DatasetError
+from slam.measurements import CameraIntrinsics, Float32Array, Trajectory
+
+# Redwood's scenes put their own name before: livingroom1-color, livingroom1-depth-clean.
+_COLORS = re.compile(r"(?:.+-)?(?:colors?|rgb|images?)")
+_DEPTHS = re.compile(r"(?:.+-)?depths?(?:TSDF|[-_](?:clean|simulated|noisy))?")
+_LENSES = (
+    *("camera_intrinsic.json", "camera_intrinsics.json", "intrinsic.json", "intrinsics.json"),
+    *("camera_primesense.json", "intrinsics.txt", "intrinsic.txt", "camera.txt", "camera-intrinsics.txt"),
+)
+_POSES = ("trajectory.log", "*-traj.txt", "*.log", "scene/trajectory.log")
+_PRIMESENSE = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)
+ASSUMED = (
+    "intrinsics and millimetres assumed (525 525 319.5 239.5 at 640 x 480, as Redwood's); "
+    "give a camera_intrinsic.json or calibration.yaml"
+)
+STAMPS_IN_NAMES = "stamps from the names of the files"
+
+_NUMBER = re.compile(r"[a-z_-]*0*(\d{1,8})", re.IGNORECASE)  # 000012, frame000012, color_12
+_FRAME_AND_STAMP = re.compile(r"(\d{1,9})-(\d{6,15})")  # 0000012-000000400400: a frame, microseconds
+_CLOCK = re.compile(r"[a-z_-]*(\d{9,19}(?:\.\d{1,9})?|\d{1,8}\.\d{1,9})", re.IGNORECASE)
+_IMAGES = frozenset({".png", ".jpg", ".jpeg"})
+
+
+@dataclass(frozen=True, slots=True)
+class _RotatedDepth(ImageFiles):
+    """SUN3D's depth: millimetres whose 16 bits are turned by three."""
+
+    def depth(self, file: StampedFile, calibration: Calibration, budget: Budget) -> Float32Array:
+        """See `slam.datasets.image_files.ImageSource`."""
+        steps = decoded(file_content(file.path, budget), file.path.name, budget)
+        if steps.ndim != 2 or steps.dtype != np.uint16:
+            raise RecordFault(MANY_CHANNELS, f"{file.path.name}: {steps.dtype} {steps.shape}")
+        return metres_of((steps >> 3) | (steps << 13), calibration)
+
+
+def looks_like_open3d_folder(path: Path, head: bytes) -> bool:
+    """Whether a path is a folder with a folder of colour and one of depth."""
+    places = _places(path) if path.is_dir() else None
+    return places is not None and all(_named(place) for place in places)
+
+
+def open_open3d_folder(path: Path, strict: bool) -> Recording:
+    """A folder of one camera.
+
+    Raises
+    ------
+    DatasetError
+        Names of colour and depth images count differently.
+    """
+    return Recording(
+        path,
+        lambda account: Contents([_camera(path, account)]),
+        lambda account: _groundtruth(path, account),
+        strict=strict,
+    )
+
+
+def _places(path: Path) -> tuple[Path, Path] | None:
+    """The folders of colour and of depth."""
+    inside = sorted((len(entry.name), entry) for entry in path.iterdir() if entry.is_dir())
+    colors, depths = (
+        [entry for _, entry in inside if pattern.fullmatch(entry.name)] for pattern in (_COLORS, _DEPTHS)
+    )
+    return (colors[0], depths[0]) if colors and depths else None
+
+
+def _named(folder: Path) -> list[tuple[str, Path]]:
+    """Images by the names of their files without the suffix."""
+    return sorted((entry.stem, entry) for entry in folder.iterdir() if entry.suffix.lower() in _IMAGES)
+
+
+def _camera(path: Path, account: Account) -> Camera:
+    """Pairs by number, or by the stamps in the names."""
+    places = _places(path)
+    assert places is not None
+    colors, depths = (_named(place) for place in places)
+    sun3d = places[0].name == "image" and (path / "intrinsics.txt").is_file()
+    source = _RotatedDepth() if sun3d else FILES
+    calibration = _calibration(path)
+    if all(_NUMBER.fullmatch(name) for name, _ in (*colors, *depths)):
+        account.report.note(NO_STAMPS.format(rate=RATE_HZ), 1)
+        numbered = [numbered_files(place, _NUMBER.pattern + r"\.(?:png|jpe?g)") for place in places]
+        return numbered_camera(numbered[0], numbered[1], calibration, account, at_rate(), source)
+    account.report.note(STAMPS_IN_NAMES, 1)
+    stamped = [_stamped(place, named) for place, named in zip(places, (colors, depths), strict=True)]
+    return Camera(
+        "camera", pair_images(stamped[0], stamped[1], account, "camera"), calibration, source=source
+    )
+
+
+def _stamped(folder: Path, named: list[tuple[str, Path]]) -> list[StampedFile]:
+    """Images with the stamps in their names, in the order of time."""
+    found = []
+    for number, (name, file) in enumerate(named, 1):
+        if match := _FRAME_AND_STAMP.fullmatch(name):
+            found.append(StampedFile(int(match[2]) * 1e-6, file, number))
+        elif match := _CLOCK.fullmatch(name):
+            found.append(StampedFile(by_its_size(float(match[1])), file, number))
+        else:
+            raise DatasetError(
+                f"{folder} holds '{file.name}', which is no number and no stamp; "
+                "list the images with their stamps in rgb.txt and depth.txt, as TUM does"
+            )
+    return sorted(found, key=lambda image: image.stamp_s)
+
+
+def _calibration(path: Path) -> Calibration:
+    """By the lens beside the images, else PrimeSense's, as Redwood and Open3D take it."""
+    places = (path, path.resolve().parent)
+    found = next((place / name for place in places for name in _LENSES if (place / name).is_file()), None)
+    if found is None:
+        assumed = "" if (path / FILE_NAME).is_file() else ASSUMED
+        return read_calibration(path, Calibration(_PRIMESENSE, 1000.0, assumed=assumed))
+    return read_calibration(path, Calibration(_lens(found), 1000.0))
+
+
+def _lens(file: Path) -> CameraIntrinsics:
+    """JSON, a matrix of nine numbers or sixteen, or four numbers."""
+    if file.suffix == ".json":
+        return open3d_lens(file)
+    numbers = numbers_of(file)
+    size = 0 if numbers is None else numbers.size
+    return camera_matrix(file, 3 if size == 9 else 4) if size in (9, 16) else four_numbers(file)
+
+
+def _groundtruth(path: Path, account: Account) -> Trajectory | None:
+    """Camera to world by blocks of numbered matrices; frame N is N / 30 s old."""
+    found = next((file for pattern in _POSES for file in sorted(path.glob(pattern))), None)
+    poses = pose_blocks(found, account) if found else {}
+    return trajectory_of((number / RATE_HZ, pose) for number, pose in sorted(poses.items()))
+
+
+FORMAT = DatasetFormat("Open3D, Redwood or SUN3D folder", looks_like_open3d_folder, open_open3d_folder)

@@ -1,0 +1,98 @@
+"""Clouds whose files are named by a clock: Oxford Spires, and what others export so.
+
+Tao et al. 2025, "The Oxford Spires Dataset".
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+
+import gtsam
+import numpy as np
+
+from slam.datasets.account import Account
+from slam.datasets.cloud_files import CLOUD_SUFFIXES
+from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
+from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.pose_files import by_its_size, trajectory_of
+from slam.datasets.recording import Contents, Recording
+from slam.datasets.stamped_files import numbered_poses, read_poses
+from slam.measurements import Trajectory
+
+STAMPS_IN_NAMES = "stamps from the names of the clouds in {place}"
+
+# Seconds with a fraction behind a dot, seconds and nanoseconds, or a whole number of any unit.
+_NAME = r"(?:[a-z]+_)?(\d{9,19}(?:\.\d{1,9})?|\d{9,10}_\d{1,9})\.(?:bin|pcd|ply)"
+_FOLDER = re.compile(r"cloud|lidar|hesai|ouster|velodyne|livox|pandar|points|scans", re.IGNORECASE)
+_TRUTH, _OWN_TRUTH = (
+    "groundtruth.txt",
+    ("gt-tum.txt", "processed/trajectory/gt-tum.txt", "trajectory/gt-tum.txt"),
+)
+# The publishers' sensor.yaml: the lidar in the frame of their poses.
+_T_TRUTH_LIDAR = gtsam.Pose3(gtsam.Rot3.Yaw(np.pi), np.array([0.0, 0.0, 0.124]))
+_LOOKED_AT = 200
+
+
+def looks_like_oxford_spires(path: Path, head: bytes) -> bool:
+    """Whether a path is a folder with such clouds in it or two folders below."""
+    return path.is_dir() and _place(path) is not None
+
+
+def open_oxford_spires(path: Path, strict: bool) -> Recording:
+    """The clouds of one folder; the lidar is the robot's frame."""
+
+    def load(account: Account) -> Contents:
+        place = _place(path)
+        assert place is not None
+        account.report.note(STAMPS_IN_NAMES.format(place=place.name), 1)
+        files = clouds_by_name(place, _NAME, account, _stamp)
+        return Contents(log=CloudFolder(tuple(files)).numbered(account))
+
+    return Recording(path, load, lambda account: _groundtruth(path, account), strict=strict)
+
+
+def _stamp(match: re.Match[str]) -> float:
+    """Seconds."""
+    seconds, parted, rest = match[1].partition("_")
+    return int(seconds) + int(rest) * 1e-9 if parted else by_its_size(float(seconds))
+
+
+def _place(path: Path) -> Path | None:
+    """The folder of the clouds, the nearest first."""
+    name = re.compile(_NAME)
+    for place in _folders(path):
+        files = (file.name for file in islice(place.iterdir(), _LOOKED_AT) if file.suffix in CLOUD_SUFFIXES)
+        names = list(files)
+        if names and all(name.fullmatch(one) for one in names):
+            return place
+    return None
+
+
+def _folders(path: Path) -> Iterator[Path]:
+    """The folder, and those below that are named after clouds or a lidar."""
+    yield path
+    below = sorted(one for one in islice(path.iterdir(), _LOOKED_AT) if one.is_dir())
+    yield from (one for one in below if _FOLDER.search(one.name))
+    for one in below:
+        inner = sorted(two for two in islice(one.iterdir(), _LOOKED_AT) if two.is_dir())
+        yield from (two for two in inner if _FOLDER.search(two.name))
+
+
+def _groundtruth(path: Path, account: Account) -> Trajectory | None:
+    """Of the lidar: the publishers' poses turned into it, or a trajectory as it is."""
+    above = path.resolve().parents
+    if (path / _TRUTH).is_file():
+        return read_poses(path / _TRUTH, account)
+    files = (place / name for place in (path, *above[:2]) for name in _OWN_TRUTH)
+    file = next((one for one in files if one.is_file()), None)
+    rows = numbered_poses(file, account) if file else ()
+    poses = ((row[0], gtsam.Pose3(gtsam.Rot3.Quaternion(*row[[7, 4, 5, 6]]), row[1:4])) for _, row in rows)
+    return trajectory_of((float(stamp_s), pose.compose(_T_TRUTH_LIDAR)) for stamp_s, pose in poses)
+
+
+FORMAT = DatasetFormat(
+    "clouds named by their stamps (Oxford Spires)", looks_like_oxford_spires, open_oxford_spires
+)

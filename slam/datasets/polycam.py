@@ -1,0 +1,104 @@
+"""Polycam's raw data of a scan with lidar: key frames of an iPhone or iPad with depth and lenses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import gtsam
+import numpy as np
+
+from slam.datasets.account import Account
+from slam.datasets.calibration import Calibration, pose_from_matrix, read_calibration
+from slam.datasets.dataset import RecordFault
+from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.image_files import ImageFiles
+from slam.datasets.lens_files import json_object, lens_of_json, median_lens
+from slam.datasets.numbered_frames import numbered_camera, numbered_files
+from slam.datasets.phone_poses import COMPARED, LENS_MOVES, T_ARKIT_OPTICAL
+from slam.datasets.pose_files import BAD_MATRIX, trajectory_of
+from slam.datasets.recording import Contents, Recording
+from slam.errors import DatasetError
+from slam.measurements import CameraIntrinsics, Trajectory
+
+_TICK_S = 1e-6  # names of files are microseconds since the phone started
+_STAMPED = r"(\d{1,18})\.%s"
+
+
+def looks_like_polycam(path: Path, head: bytes) -> bool:
+    """Whether a path is the folder of one scan, or its ``keyframes``."""
+    return path.is_dir() and _keyframes(path) is not None
+
+
+def open_polycam(path: Path, strict: bool) -> Recording:
+    """A folder of one scan; depth that the phone has no trust in is left out.
+
+    Raises
+    ------
+    DatasetError
+        The scan has no depth.
+    """
+    inside = _keyframes(path)
+    assert inside is not None
+    if not (inside / "depth").is_dir():
+        raise DatasetError(
+            f"{path} is a scan from photographs, without depth; scan in LiDAR mode and export the raw data"
+        )
+
+    def load(account: Account) -> Contents:
+        account.report.note(COMPARED, 1)
+        images, cameras = _images_and_cameras(inside)
+        calibration = read_calibration(path, Calibration(_lens(cameras, account), 1000.0))
+        colors = numbered_files(images, _STAMPED % "(?:jpe?g|png)")
+        depths = numbered_files(inside / "depth", _STAMPED % "png")
+        source = ImageFiles(inside / "confidence")
+        return Contents([numbered_camera(colors, depths, calibration, account, _stamp, source)])
+
+    return Recording(path, load, lambda account: _truth(inside, account), strict=strict)
+
+
+def _stamp(number: int) -> float:
+    """Seconds."""
+    return number * _TICK_S
+
+
+def _keyframes(path: Path) -> Path | None:
+    """Where the images are."""
+    places = (path / "keyframes", path)
+    return next((one for one in places if (one / "cameras").is_dir() and (one / "images").is_dir()), None)
+
+
+def _images_and_cameras(inside: Path) -> tuple[Path, Path]:
+    """The images and cameras of the app's bundle adjustment where it was done, else those of the phone."""
+    corrected = inside / "corrected_images", inside / "corrected_cameras"
+    return (
+        corrected if all(place.is_dir() for place in corrected) else (inside / "images", inside / "cameras")
+    )
+
+
+def _lens(cameras: Path, account: Account) -> CameraIntrinsics:
+    """The median of the key frames'."""
+    files = numbered_files(cameras, _STAMPED % "json").values()
+    lenses = [lens_of_json(file, json_object(file)) for file in files]
+    if not lenses:
+        raise DatasetError(f"{cameras} holds no cameras; export the raw data again")
+    lens, share = median_lens(lenses)
+    account.report.note(LENS_MOVES.format(share=share), 1)
+    return lens
+
+
+def _truth(inside: Path, account: Account) -> Trajectory | None:
+    """The poses of the app."""
+    found: list[tuple[float, gtsam.Pose3]] = []
+    for number, file in sorted(numbered_files(_images_and_cameras(inside)[1], _STAMPED % "json").items()):
+        fields = json_object(file)
+        try:
+            rows = [[float(fields[f"t_{row}{column}"]) for column in range(4)] for row in range(3)]
+            pose = pose_from_matrix(np.array([*rows, [0.0, 0.0, 0.0, 1.0]]))
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            account.refuse(RecordFault(BAD_MATRIX, str(error)), file.name, number)
+            continue
+        found.append((_stamp(number), pose.compose(T_ARKIT_OPTICAL)))
+    return trajectory_of(found)
+
+
+FORMAT = DatasetFormat("Polycam raw data", looks_like_polycam, open_polycam)

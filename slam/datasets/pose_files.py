@@ -1,0 +1,197 @@
+"""Poses as data sets write them: matrices, tables of any columns, blocks; and trajectories made of them."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from slam.datasets.account import Account
+from slam.datasets.calibration import pose_from, pose_from_matrix
+from slam.datasets.dataset import RecordFault
+from slam.datasets.log_file import MAX_LINE_BYTES, numbered_lines
+from slam.datasets.stamped_files import BAD_POSE, BAD_STAMP
+from slam.measurements import FloatArray, Trajectory
+
+BAD_MATRIX = "pose without a 4 x 4 rigid transform"
+
+# A clock that was ever set tells its unit by its size: seconds until the year 5138, and so on.
+_LARGEST = ((1e11, 1.0), (1e14, 1e-3), (1e17, 1e-6), (1e20, 1e-9))
+_PARTED = re.compile(rb"[\s,;]+")
+
+
+@dataclass(frozen=True, slots=True)
+class PoseTable:
+    """Which columns of a table hold what; a comma, a semicolon or blanks part them.
+
+    Attributes
+    ----------
+    stamp_units_s
+        Of the first columns, whose sum is the stamp: (1.0, 1e-9) for seconds and nanoseconds beside them.
+        A single zero where the size of the number tells its unit, none where there are no stamps.
+    position, rotation
+        Columns of x and of the first number of the rotation.
+    order
+        Of the rotation: ``xyzw`` and ``wxyz`` for quaternions, ``rpy`` for roll, pitch and yaw in radians.
+    """
+
+    stamp_units_s: tuple[float, ...] = (1.0,)
+    position: int = 1
+    rotation: int = 4
+    order: str = "xyzw"
+
+    def rows(self, path: Path, account: Account) -> Iterator[tuple[int, float, gtsam.Pose3]]:
+        """Line number, stamp and pose of each line; what is none is counted, a heading is not."""
+        least = max(self.position + 3, self.rotation + len(self.order))
+        for number, fields in rows_of(path, account, least):
+            try:
+                numbers = np.array([float(field) for field in fields[:least]])
+                yield number, self._stamp(numbers), self._pose(numbers)
+            except (ValueError, OverflowError) as error:
+                if number > 1:
+                    account.refuse(RecordFault(BAD_POSE, str(error)), path.name, number)
+
+    def _stamp(self, numbers: FloatArray) -> float:
+        """Seconds."""
+        units_s = self.stamp_units_s
+        if not np.isfinite(numbers[: len(units_s)]).all():
+            raise ValueError("stamp not finite")
+        if units_s == (0.0,):
+            return by_its_size(float(numbers[0]))
+        return float(numbers[: len(units_s)] @ np.array(units_s))
+
+    def _pose(self, numbers: FloatArray) -> gtsam.Pose3:
+        """The pose of a line."""
+        position = numbers[self.position : self.position + 3]
+        turn = numbers[self.rotation : self.rotation + len(self.order)]
+        if self.order != "rpy":
+            return pose_from(position, turn if self.order == "xyzw" else turn[[1, 2, 3, 0]])
+        if not np.isfinite(numbers).all():
+            raise ValueError("not finite")
+        return gtsam.Pose3(gtsam.Rot3.Ypr(turn[2], turn[1], turn[0]), position)
+
+    def read(self, path: Path, account: Account) -> Trajectory | None:
+        """The trajectory of a file, None where it holds no pose."""
+        return trajectory_of((stamp_s, pose) for _, stamp_s, pose in self.rows(path, account))
+
+
+def rows_of(path: Path, account: Account, least: int) -> Iterator[tuple[int, list[bytes]]]:
+    """Line numbers and fields of a table, comments and empty lines left out, short lines counted."""
+    for number, line in numbered_lines(path, lambda fault, at: account.refuse(fault, path.name, at)):
+        text = line.strip()
+        if not text or text.startswith(b"#"):
+            continue
+        fields = [field for field in _PARTED.split(text) if field]
+        if len(fields) < least:
+            account.refuse(RecordFault(BAD_POSE, f"{len(fields)} of {least} numbers"), path.name, number)
+            continue
+        yield number, fields
+
+
+def by_its_size(number: float) -> float:
+    """Seconds of a stamp since 1970 in seconds, milli-, micro- or nanoseconds.
+
+    Raises
+    ------
+    ValueError
+        No clock shows that.
+    """
+    for largest, unit_s in _LARGEST:
+        if abs(number) < largest:
+            return number * unit_s
+    raise ValueError(f"{BAD_STAMP}: {number}")
+
+
+def trajectory_of(stamped: Iterable[tuple[float, gtsam.Pose3]]) -> Trajectory | None:
+    """Poses as a trajectory; None where there is none."""
+    stamps, rows = [], []
+    for stamp_s, pose in stamped:
+        q: Any = pose.rotation().toQuaternion()
+        stamps.append(stamp_s)
+        rows.append([*pose.translation(), q.x(), q.y(), q.z(), q.w()])
+    if not rows:
+        return None
+    table = np.array(rows)
+    return Trajectory(np.array(stamps), table[:, :3].copy(), table[:, 3:].copy())
+
+
+def numbers_of(path: Path) -> FloatArray | None:
+    """The finite numbers of a small text file without comments, None where it holds anything else."""
+    try:
+        if path.stat().st_size > MAX_LINE_BYTES:
+            return None
+        text = b" ".join(line for line in path.read_bytes().splitlines() if not line.startswith(b"#"))
+        numbers = np.array([float(field) for field in _PARTED.split(text) if field])
+    except (OSError, ValueError):
+        return None
+    return numbers if np.isfinite(numbers).all() else None
+
+
+def square_matrix(path: Path, size: int) -> FloatArray | None:
+    """Square matrix of finite numbers in a text file, None where it holds anything else."""
+    numbers = numbers_of(path)
+    return None if numbers is None or numbers.size != size * size else numbers.reshape(size, size)
+
+
+def pose_file(path: Path) -> gtsam.Pose3:
+    """The 4 x 4 transform in a text file, its rotation replaced by the nearest true one.
+
+    Raises
+    ------
+    RecordFault
+        No finite numbers, or no rotation.
+    """
+    matrix = square_matrix(path, 4)
+    if matrix is None:
+        raise RecordFault(BAD_MATRIX, path.name)
+    try:
+        return pose_from_matrix(matrix)
+    except ValueError as error:
+        raise RecordFault(BAD_MATRIX, f"{path.name}: {error}") from error
+
+
+def pose_lines(path: Path, account: Account) -> list[gtsam.Pose3 | None]:
+    """A pose a line by the rows of its matrix, 12 or 16 numbers; None where the line has none."""
+    poses: list[gtsam.Pose3 | None] = []
+    for number, fields in rows_of(path, account, 1):
+        try:
+            poses.append(pose_of_row(fields))
+        except ValueError as error:
+            account.refuse(RecordFault(BAD_MATRIX, str(error)), path.name, number)
+            poses.append(None)
+    return poses
+
+
+def pose_of_row(fields: list[bytes]) -> gtsam.Pose3:
+    """A pose from the rows of its matrix; ValueError where it is none."""
+    numbers: FloatArray = np.array([float(field) for field in fields])
+    if numbers.size not in (12, 16):
+        raise ValueError(f"{numbers.size} numbers")
+    return pose_from_matrix(np.vstack([numbers[:12].reshape(3, 4), [0.0, 0.0, 0.0, 1.0]]))
+
+
+def pose_blocks(path: Path, account: Account) -> dict[int, gtsam.Pose3]:
+    """Poses by number from a ``.log`` of Redwood and Open3D: a line of three numbers, four of a matrix."""
+    lines = list(rows_of(path, account, 3))
+    poses = {}
+    for start in range(0, len(lines) - 4, 5):
+        number, head = lines[start]
+        try:
+            index = int(float(head[0]))
+            poses[index] = pose_of_row([field for _, row in lines[start + 1 : start + 5] for field in row])
+        except (ValueError, OverflowError) as error:
+            account.refuse(RecordFault(BAD_MATRIX, str(error)), path.name, number)
+    return poses
+
+
+def from_axis_angle(vector: FloatArray, translation: FloatArray) -> gtsam.Pose3:
+    """A pose from a rotation vector and a translation; ValueError where they are not finite."""
+    if not math.isfinite(float(np.abs(vector).sum() + np.abs(translation).sum())):
+        raise ValueError("not finite")
+    return gtsam.Pose3(gtsam.Rot3.Expmap(vector), translation)

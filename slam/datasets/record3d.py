@@ -1,0 +1,265 @@
+"""Record3D, an app for iPhones and iPads: a ``.r3d`` file, which is a ZIP archive, or one unpacked.
+
+Depth is packed by Apple's LZFSE, which the extra ``phones`` unpacks.
+"""
+
+from __future__ import annotations
+
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.datasets.account import Account
+from slam.datasets.budget import LARGEST_BYTES, Budget
+from slam.datasets.calibration import Calibration, pose_from, read_calibration
+from slam.datasets.camera_frames import Camera
+from slam.datasets.dataset import RecordFault
+from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.frame_pairs import FramePair
+from slam.datasets.image_files import DAMAGED, MISSING, OTHER_CONFIDENCE, color_of, usable_metres
+from slam.datasets.lens_files import checked, median_lens
+from slam.datasets.phone_poses import COMPARED, LENS_MOVES, T_ARKIT_OPTICAL
+from slam.datasets.pose_files import trajectory_of
+from slam.datasets.recording import Contents, Recording
+from slam.datasets.stamped_files import BAD_POSE, BAD_STAMP, StampedFile, stamp_of
+from slam.errors import DatasetError
+from slam.foreign import from_json
+from slam.measurements import CameraIntrinsics, ColorImage, Float32Array, Trajectory
+
+_METADATA, _IMAGES = "metadata", "rgbd"
+_ZIP_MAGIC = b"PK\x03\x04"
+# Blocks of LZFSE begin so, and with how many bytes they unpack to: as they are, by LZVN, by LZFSE, the end.
+_PLAIN, _LZVN, _LZFSE, _END = b"bvx-", b"bvxn", b"bvx2", b"bvx$"
+
+
+class _Archive:
+    """The files of a recording, packed or not; see `slam.datasets.image_files.ImageSource`."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            self._zip = None if path.is_dir() else zipfile.ZipFile(path)
+        except (OSError, zipfile.BadZipFile, NotImplementedError, ValueError) as error:
+            raise DatasetError(f"{path} is no whole .r3d file ({error}); export it again") from error
+        self.depth_size = (0, 0)
+
+    def content(self, name: str) -> bytes:
+        """A file's bytes.
+
+        Raises
+        ------
+        RecordFault
+            Missing, damaged, or larger than any.
+        """
+        try:
+            if self._zip is None:
+                file = self._path / name
+                if file.stat().st_size > LARGEST_BYTES:
+                    raise RecordFault(DAMAGED, f"{name}: {file.stat().st_size} bytes")
+                return file.read_bytes()
+            if self._zip.getinfo(name).file_size > LARGEST_BYTES:
+                raise RecordFault(DAMAGED, f"{name}: {self._zip.getinfo(name).file_size} bytes")
+            return self._zip.read(name)
+        except (KeyError, FileNotFoundError) as error:
+            raise RecordFault(MISSING, name) from error
+        except (
+            OSError,
+            zipfile.BadZipFile,
+            zlib.error,
+            EOFError,
+            RuntimeError,
+            NotImplementedError,
+        ) as error:
+            raise RecordFault(DAMAGED, f"{name}: {error}") from error
+
+    def color(self, file: StampedFile, budget: Budget) -> ColorImage:
+        """See `slam.datasets.image_files.ImageSource`."""
+        return color_of(self._paid(f"{_IMAGES}/{file.number}.jpg", budget), f"{file.number}.jpg", budget)
+
+    def depth(self, file: StampedFile, calibration: Calibration, budget: Budget) -> Float32Array:
+        """See `slam.datasets.image_files.ImageSource`; what the phone has no trust in is left out."""
+        name = f"{_IMAGES}/{file.number}.depth"
+        metres = self._unpacked(name, "<f4", budget)
+        depth_m = usable_metres(metres, name, budget)
+        try:
+            trust = self._unpacked(f"{_IMAGES}/{file.number}.conf", "u1", budget)
+        except RecordFault as fault:
+            if fault.reason == MISSING:  # cameras without lidar have none
+                return depth_m
+            raise
+        if trust.shape != depth_m.shape:
+            raise RecordFault(OTHER_CONFIDENCE, f"frame {file.number}: {trust.shape}, {depth_m.shape}")
+        depth_m[trust == 0] = 0.0
+        return depth_m
+
+    def _unpacked(self, name: str, kind: str, budget: Budget) -> NDArray[Any]:
+        """An image of depth or of trust in it."""
+        import liblzfse
+
+        packed = self._paid(name, budget)
+        width, height = self.depth_size
+        wanted = width * height * np.dtype(kind).itemsize
+        budget.take(wanted, 0)
+        try:
+            if unpacked_bytes(packed) != wanted:
+                raise ValueError(f"not {wanted} bytes for {width} x {height}")
+            content = liblzfse.decompress(packed)
+        except (liblzfse.error, MemoryError, ValueError, struct.error) as error:
+            raise RecordFault(DAMAGED, f"{name}: {error}") from error
+        if len(content) != wanted:
+            raise RecordFault(DAMAGED, f"{name}: {len(content)} bytes for {width} x {height}")
+        return np.frombuffer(content, kind).reshape(height, width)
+
+    def _paid(self, name: str, budget: Budget) -> bytes:
+        """A file's bytes, taken from the budget."""
+        content = self.content(name)
+        budget.add_file(self._path / name, len(content))
+        return content
+
+
+def unpacked_bytes(packed: bytes) -> int:
+    """How much the blocks of LZFSE say that they unpack to: a few bytes could be made into gigabytes.
+
+    Raises
+    ------
+    ValueError, struct.error
+        They are damaged, or of a kind that nobody writes.
+    """
+    at, total = 0, 0
+    while (magic := packed[at : at + 4]) != _END:
+        (count,) = struct.unpack_from("<I", packed, at + 4)
+        total += count
+        if magic == _PLAIN:
+            at += 8 + count
+        elif magic == _LZVN:
+            at += 12 + struct.unpack_from("<I", packed, at + 8)[0]
+        elif magic == _LZFSE:
+            # Sizes of literals and of matches, 20 bits each, and of the head itself.
+            first, second, third = struct.unpack_from("<3Q", packed, at + 8)
+            at += max(32, third & 0xFFFFFFFF) + (first >> 20 & 0xFFFFF) + (second >> 40 & 0xFFFFF)
+        else:
+            raise ValueError(f"a block {magic!r} of LZFSE")
+    return total
+
+
+def looks_like_record3d(path: Path, head: bytes) -> bool:
+    """Whether a path is such an archive or what was in it."""
+    if path.is_dir():
+        return (path / _METADATA).is_file() and (path / _IMAGES).is_dir()
+    return path.suffix.lower() == ".r3d" and head.startswith(_ZIP_MAGIC)
+
+
+def open_record3d(path: Path, strict: bool) -> Recording:
+    """One recording; depth that the phone has no trust in is left out.
+
+    Raises
+    ------
+    DatasetError
+        The archive is damaged, or what unpacks its depth is not installed.
+    """
+    try:
+        import liblzfse  # noqa: F401
+    except ImportError as error:
+        raise DatasetError(
+            f"{path} packs its depth by LZFSE; install pyliblzfse, or pip install 'scanweave[phones]'"
+        ) from error
+
+    def load(account: Account) -> Contents:
+        account.report.note(COMPARED, 1)
+        archive = _Archive(path)
+        metadata = _metadata(path, archive)
+        lens = _lens(path, metadata, account)
+        archive.depth_size = _depth_size(path, metadata)
+        folder = path if path.is_dir() else path.parent
+        calibration = read_calibration(folder, Calibration(lens, 1.0))
+        images = [StampedFile(stamp_s, path, number) for number, stamp_s in _stamps(metadata, account)]
+        pairs = [FramePair(image.stamp_s, image, image) for image in images]
+        return Contents([Camera("camera", pairs, calibration, source=archive)])
+
+    return Recording(path, load, lambda account: _truth(path, account), strict=strict)
+
+
+def _metadata(path: Path, archive: _Archive) -> dict[str, Any]:
+    """What the app says of a recording."""
+    try:
+        content = from_json(archive.content(_METADATA))
+    except (RecordFault, ValueError) as error:
+        raise DatasetError(f"{path}: its metadata cannot be read ({error}); export it again") from error
+    if not isinstance(content, dict):
+        raise DatasetError(f"{path}: its metadata holds no named values; export it again")
+    return content
+
+
+def _lens(path: Path, metadata: dict[str, Any], account: Account) -> CameraIntrinsics:
+    """Of the colour image: the median of the frames' where they are told, else the one matrix."""
+    try:
+        size = int(metadata["w"]), int(metadata["h"])
+        frames = metadata.get("perFrameIntrinsicCoeffs") or []
+        numbers = [[float(value) for value in one[:4]] for one in frames]
+        if not numbers:
+            k = np.array(metadata["K"], dtype=np.float64).reshape(3, 3).T
+            numbers = [[k[0, 0], k[1, 1], k[0, 2], k[1, 2]]]
+        matrices = [np.array([[fx, 0.0, cx], [0.0, fy, cy]]) for fx, fy, cx, cy in numbers]
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise DatasetError(f"{path}: its metadata gives no lens ({error}); export it again") from error
+    lens, share = median_lens([checked(path, matrix, *size) for matrix in matrices])
+    if frames:
+        account.report.note(LENS_MOVES.format(share=share), 1)
+    return lens
+
+
+def _depth_size(path: Path, metadata: dict[str, Any]) -> tuple[int, int]:
+    """Width and height of the depth images; recordings before they were told are of the lidar's size."""
+    try:
+        across = int(metadata["w"]) >= int(metadata["h"])
+        usual = (256, 192) if across else (192, 256)
+        width, height = int(metadata.get("dw", usual[0])), int(metadata.get("dh", usual[1]))
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise DatasetError(f"{path}: its metadata gives no size ({error}); export it again") from error
+    if min(width, height) < 1 or width * height > LARGEST_BYTES:
+        raise DatasetError(f"{path}: depth of {width} x {height}; export it again")
+    return width, height
+
+
+def _stamps(metadata: dict[str, Any], account: Account) -> Iterator[tuple[int, float]]:
+    """Frames with their stamps; without stamps, by the rate of the recording."""
+    told = metadata.get("frameTimestamps")
+    if not isinstance(told, list) or not told:
+        poses, rate = metadata.get("poses"), metadata.get("fps")
+        rate_hz = float(rate) if isinstance(rate, (int, float)) and 0 < rate < 1000 else 60.0
+        account.report.note(f"no stamps: frame N taken as N / {rate_hz:g} s old", 1)
+        told = [number / rate_hz for number in range(len(poses) if isinstance(poses, list) else 0)]
+    for number, stamp in enumerate(told):
+        try:
+            yield number, stamp_of(str(stamp).encode("ascii", "replace"))
+        except RecordFault as fault:
+            account.refuse(RecordFault(BAD_STAMP, fault.detail), _METADATA, number)
+
+
+def _truth(path: Path, account: Account) -> Trajectory | None:
+    """What ARKit says: quaternion and position of each frame."""
+    metadata = _metadata(path, _Archive(path))
+    poses = metadata.get("poses")
+
+    def good() -> Iterator[tuple[float, gtsam.Pose3]]:
+        if not isinstance(poses, list):
+            return
+        for number, stamp_s in _stamps(metadata, account):
+            try:
+                pose = pose_from(poses[number][4:7], poses[number][:4])
+            except (IndexError, TypeError, ValueError) as error:
+                account.refuse(RecordFault(BAD_POSE, str(error)), _METADATA, number)
+                continue
+            yield stamp_s, pose.compose(T_ARKIT_OPTICAL)
+
+    return trajectory_of(good())
+
+
+FORMAT = DatasetFormat("Record3D recording (.r3d)", looks_like_record3d, open_record3d)

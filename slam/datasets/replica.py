@@ -1,0 +1,72 @@
+"""Replica as NICE-SLAM and iMAP render it: ``results/`` of images, and a trajectory.
+
+Zhu et al. 2022, "NICE-SLAM: Neural Implicit Scalable Encoding for SLAM".
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from slam.datasets.account import Account
+from slam.datasets.calibration import Calibration, read_calibration
+from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.lens_files import json_object, lens_of_json
+from slam.datasets.numbered_frames import NO_STAMPS, RATE_HZ, at_rate, numbered_camera, numbered_files
+from slam.datasets.pose_files import pose_lines, trajectory_of
+from slam.datasets.recording import Contents, Recording
+from slam.errors import DatasetError
+from slam.measurements import CameraIntrinsics, Trajectory
+
+_LENS_FILE = "cam_params.json"
+# What cam_params.json, which is published beside the rooms, says for all of them.
+_PUBLISHED = Calibration(CameraIntrinsics(600.0, 600.0, 599.5, 339.5, 1200, 680), 6553.5)
+
+
+def looks_like_replica(path: Path, head: bytes) -> bool:
+    """Whether a path is a folder with rendered images inside."""
+    inside = path / "results"
+    return inside.is_dir() and bool(_depths(path))
+
+
+def open_replica(path: Path, strict: bool) -> Recording:
+    """A folder of one room; frame N is N / 30 s old."""
+
+    def load(account: Account) -> Contents:
+        account.report.note(NO_STAMPS.format(rate=RATE_HZ), 1)
+        colors = numbered_files(path / "results", r"frame(\d{1,9})\.(?:jpe?g|png)")
+        calibration = read_calibration(path, _calibration(path))
+        return Contents([numbered_camera(colors, _depths(path), calibration, account, at_rate())])
+
+    return Recording(path, load, lambda account: _groundtruth(path, account), strict=strict)
+
+
+def _depths(path: Path) -> dict[int, Path]:
+    return numbered_files(path / "results", r"depth(\d{1,9})\.png")
+
+
+def _calibration(path: Path) -> Calibration:
+    """By the file in the folder or above it, else as published."""
+    places = (path / _LENS_FILE, path.resolve().parent / _LENS_FILE)
+    found = next((file for file in places if file.is_file()), None)
+    if found is None:
+        return _PUBLISHED
+    fields = json_object(found).get("camera")
+    if not isinstance(fields, dict):
+        raise DatasetError(f"{found} describes no camera; correct it, or remove the file")
+    try:
+        scale = float(fields.get("scale", 0.0))
+    except (TypeError, ValueError):
+        scale = 0.0
+    if not 0.0 < scale < 1e9:
+        raise DatasetError(f"{found}: scale {str(fields.get('scale'))[:24]} is none; correct the file")
+    return Calibration(lens_of_json(found, fields, "w", "h"), scale)
+
+
+def _groundtruth(path: Path, account: Account) -> Trajectory | None:
+    """Camera to world, line N of frame N."""
+    file = path / "traj.txt"
+    poses = enumerate(pose_lines(file, account)) if file.is_file() else ()
+    return trajectory_of((number / RATE_HZ, pose) for number, pose in poses if pose)
+
+
+FORMAT = DatasetFormat("Replica room as in NICE-SLAM", looks_like_replica, open_replica)

@@ -1,0 +1,86 @@
+"""TartanAir and TartanAir V2: simulated cameras, depth in metres, poses in north-east-down.
+
+Wang et al. 2020, "TartanAir: A Dataset to Push the Limits of Visual SLAM".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import gtsam
+import numpy as np
+
+from slam.datasets.account import Account
+from slam.datasets.calibration import Calibration, read_calibration
+from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.image_files import ImageFiles
+from slam.datasets.numbered_frames import NO_STAMPS, at_rate, numbered_camera, numbered_files
+from slam.datasets.pose_files import PoseTable, trajectory_of
+from slam.datasets.recording import Contents, Recording
+from slam.measurements import CameraIntrinsics, Trajectory
+
+_RATE_HZ = 10.0  # of the publishers' recordings
+# The camera's own axes, forward, right and down, hold the optical ones: right, down, forward.
+_T_NED_OPTICAL = gtsam.Pose3(gtsam.Rot3(np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])), np.zeros(3))
+_POSES = PoseTable(stamp_units_s=(), position=0, rotation=3)
+
+
+@dataclass(frozen=True, slots=True)
+class _Release:
+    """Where one of the two has its files; both have a field of view of 90 degrees across."""
+
+    colors: str
+    depths: str
+    poses: str
+    lens: CameraIntrinsics
+
+
+_RELEASES = (
+    _Release(
+        "image_left", "depth_left", "pose_left.txt", CameraIntrinsics(320.0, 320.0, 320.0, 240.0, 640, 480)
+    ),
+    _Release(
+        "image_lcam_front",
+        "depth_lcam_front",
+        "pose_lcam_front.txt",
+        CameraIntrinsics(320.0, 320.0, 320.0, 320.0, 640, 640),
+    ),
+)
+
+
+def looks_like_tartanair(path: Path, head: bytes) -> bool:
+    """Whether a path is a folder of one trajectory with depth."""
+    return _release(path) is not None
+
+
+def open_tartanair(path: Path, strict: bool) -> Recording:
+    """A folder of one trajectory, its left camera; frame N is N / 10 s old."""
+    release = _release(path)
+    assert release is not None
+
+    def load(account: Account) -> Contents:
+        account.report.note(NO_STAMPS.format(rate=_RATE_HZ), 1)
+        colors = numbered_files(path / release.colors, r"(\d{1,9})_\w+\.(?:png|jpe?g)")
+        depths = numbered_files(path / release.depths, r"(\d{1,9})_\w+\.(?:npy|png)")
+        calibration = read_calibration(path, Calibration(release.lens, 1.0))
+        source = ImageFiles(float_png=True)
+        return Contents([numbered_camera(colors, depths, calibration, account, at_rate(_RATE_HZ), source)])
+
+    truth = path / release.poses
+    return Recording(path, load, lambda account: _groundtruth(truth, account), strict=strict)
+
+
+def _release(path: Path) -> _Release | None:
+    """Which of the two it is."""
+    places = ((path / one.colors, path / one.depths, one) for one in _RELEASES)
+    return next((one for colors, depths, one in places if colors.is_dir() and depths.is_dir()), None)
+
+
+def _groundtruth(path: Path, account: Account) -> Trajectory | None:
+    """Of the optical frame; the world stays north-east-down."""
+    rows = _POSES.rows(path, account) if path.is_file() else ()
+    return trajectory_of((k / _RATE_HZ, pose.compose(_T_NED_OPTICAL)) for k, (_, _, pose) in enumerate(rows))
+
+
+FORMAT = DatasetFormat("TartanAir trajectory", looks_like_tartanair, open_tartanair)

@@ -1,0 +1,81 @@
+"""True trajectories in files of their own, in the forms in which data sets publish them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+
+import gtsam
+
+from slam.datasets import boreas, mulran, nclt, newer_college
+from slam.datasets.account import Account
+from slam.datasets.dataset import ReadReport
+from slam.datasets.log_file import read_head
+from slam.datasets.numbered_frames import RATE_HZ
+from slam.datasets.pose_files import PoseTable, numbers_of, pose_blocks, pose_lines, rows_of, trajectory_of
+from slam.errors import DatasetError
+from slam.measurements import Trajectory
+
+_EUROC = PoseTable(stamp_units_s=(0.0,), order="wxyz")
+_HEAD_BYTES = 4096
+_TUM_FIELDS = 8
+_KITTI, _MULRAN, _NEWER, _NCLT, _BLOCK = 12, 13, 9, 7, 3
+
+
+def read_truth(path: Path) -> Trajectory | None:
+    """A trajectory in a form other than TUM's; None where it is TUM's or none that is known.
+
+    Known are EuRoC's and TUM-VI's ``data.csv``, KITTI's poses with ``times.txt`` in the folder or in that
+    of the sequence, Newer College's, NCLT's, Boreas' and MulRan's tables, and Redwood's ``.log``. Poses are
+    those of the file, in the frame of the robot, camera or lidar that it means. Bad lines are left out.
+
+    Raises
+    ------
+    DatasetError
+        The file holds no pose, or KITTI's poses are without their times.
+    """
+    head = read_head(path, _HEAD_BYTES).decode("ascii", "replace")
+    account = Account(path.name, ReadReport(), strict=False)
+    lines = list(islice(rows_of(path, account, 1), 2))
+    counts = [len(fields) for _, fields in lines]
+    if not counts:
+        raise DatasetError(f"{path} holds no pose; give a trajectory")
+    commas = "," in head
+    truth: Trajectory | None
+    if "GPSTime" in head:
+        truth = boreas.read_poses(path, account)
+    elif counts[0] == _MULRAN:
+        truth = mulran.read_poses(path, account)
+    elif counts[0] == _KITTI:
+        truth = _kitti(path, account)
+    elif counts[0] == _NCLT and commas:
+        truth = nclt.read_poses(path, account)
+    elif counts[0] == _NEWER and commas:
+        truth = newer_college.read_poses(path, account)
+    elif counts[0] >= _TUM_FIELDS and commas:
+        truth = _EUROC.read(path, account)
+    elif counts == [_BLOCK, 4]:
+        blocks = sorted(pose_blocks(path, account).items())
+        truth = trajectory_of((number / RATE_HZ, pose) for number, pose in blocks)
+    else:
+        return None
+    if truth is None:
+        raise DatasetError(f"{path} holds no pose that can be read; give a trajectory")
+    return truth
+
+
+def _kitti(path: Path, account: Account) -> Trajectory | None:
+    """Lines of twelve numbers by the times of the sequence that they belong to."""
+    places = (path.parent, path.resolve().parent.parent / "sequences" / path.stem)
+    file = next((place / "times.txt" for place in places if (place / "times.txt").is_file()), None)
+    stamps_s = None if file is None else numbers_of(file)
+    if stamps_s is None:
+        raise DatasetError(f"{path} has poses without stamps; put the times.txt of its sequence beside it")
+
+    def placed() -> Iterator[tuple[float, gtsam.Pose3]]:
+        for stamp_s, pose in zip(stamps_s.tolist(), pose_lines(path, account), strict=False):
+            if pose is not None:
+                yield stamp_s, pose
+
+    return trajectory_of(placed())

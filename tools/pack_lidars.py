@@ -1,0 +1,175 @@
+"""Turns of a lidar written as public data sets lay them out; see `tools/pack_layouts.py`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from tools.pack_layouts import numbers, put, quaternion, tum_line
+
+
+@dataclass(frozen=True)
+class Turns:
+    """Turns of a lidar: stamps, (N, 3) points with z up, (N,) times after the stamp, poses of the lidar."""
+
+    stamps_s: list[float]
+    points: list[Any]
+    times_s: list[Any]
+    poses: list[Any]
+
+
+def _structured(fields: str, **columns: Any) -> bytes:
+    """Rows of named columns, little-endian without gaps."""
+    kinds = [(name, f"<{kind}") for name, kind in (field.split() for field in fields.split(","))]
+    table = np.zeros(len(columns["x"]), np.dtype(kinds))
+    for name, values in columns.items():
+        table[name] = values
+    return table.tobytes()
+
+
+def _xyz(points: Any) -> dict[str, Any]:
+    return dict(zip("xyz", points.T, strict=True))
+
+
+def _rpy(pose: Any) -> list[float]:
+    roll, pitch, yaw = gtsam.Rot3(pose[:3, :3]).rpy()
+    return [roll, pitch, yaw]
+
+
+def kitti_raw(folder: Path, turns: Turns) -> Path:
+    """KITTI raw, synced; latitude and longitude are a car's near Karlsruhe."""
+    drive = folder / "2011_09_26" / "2011_09_26_drive_0001_sync"
+    put(drive.parent / "calib_imu_to_velo.txt", "calib_time: x\nR: 1 0 0 0 1 0 0 0 1\nT: -0.8 0.3 -0.8\n")
+    T_imu_velo = np.eye(4)
+    T_imu_velo[:3, 3] = (0.8, -0.3, 0.8)
+    radius, first = 6378137.0, np.radians([49.0, 8.4])
+    scale, stamps = np.cos(first[0]), ""
+    for number, (stamp_s, points, _, pose) in enumerate(_turns(turns)):
+        row = np.column_stack([points, np.ones(len(points))]).astype("<f4")
+        put(drive / "velodyne_points" / "data" / f"{number:010d}.bin", row.tobytes())
+        stamps += f"2011-09-26 13:02:{25 + stamp_s:012.9f}\n"
+        imu = pose @ np.linalg.inv(T_imu_velo)
+        east = scale * radius * first[1] + imu[0, 3]
+        north = scale * radius * np.log(np.tan(np.pi / 4 + first[0] / 2)) + imu[1, 3]
+        latitude = np.degrees(2 * np.arctan(np.exp(north / (scale * radius))) - np.pi / 2)
+        place = [latitude, np.degrees(east / (scale * radius)), 112.0 + imu[2, 3], *_rpy(imu)]
+        put(drive / "oxts" / "data" / f"{number:010d}.txt", numbers([*place, *[0.0] * 24]) + "\n")
+    put(drive / "velodyne_points" / "timestamps.txt", stamps)
+    put(drive / "oxts" / "timestamps.txt", stamps)
+    return drive
+
+
+def _turns(turns: Turns) -> Any:
+    return zip(turns.stamps_s, turns.points, turns.times_s, turns.poses, strict=True)
+
+
+def nclt(folder: Path, turns: Turns) -> Path:
+    """NCLT, z down."""
+    day, down, truth = folder / "2012-01-08", np.diag([1.0, -1.0, -1.0, 1.0]), ""
+    for stamp_s, points, _, pose in _turns(turns):
+        ticks = round(1e6 * (stamp_s + 1326030975))
+        steps = np.rint((points * (1, -1, -1) + 100.0) / 0.005)
+        row = _structured("x u2, y u2, z u2, intensity u1, laser u1", **_xyz(steps))
+        put(day / "velodyne_sync" / f"{ticks}.bin", row)
+        turned = down @ pose @ down
+        truth += f"{ticks}," + numbers([*turned[:3, 3], *_rpy(turned)], ",") + "\n"
+    put(day / "odometry_mu_100hz.csv", truth)
+    put(day / "groundtruth_2012-01-08.csv", truth)
+    return day
+
+
+def mulran(folder: Path, turns: Turns) -> Path:
+    """MulRan; poses are the car's."""
+    mount = np.eye(4)
+    mount[:3, :3] = gtsam.Rot3.Ypr(*np.radians([179.6654, 0.0003, 0.0001])).matrix()
+    mount[:3, 3] = (1.7042, -0.021, 1.8047)
+    truth = ""
+    for stamp_s, points, _, pose in _turns(turns):
+        ticks = round(1e9 * (stamp_s + 1561000444))
+        put(
+            folder / "Ouster" / f"{ticks}.bin",
+            np.column_stack([points, np.ones(len(points))]).astype("<f4").tobytes(),
+        )
+        truth += f"{ticks}," + numbers((pose @ np.linalg.inv(mount))[:3], ",") + "\n"
+    put(folder / "global_pose.csv", truth)
+    return folder
+
+
+def helipr(folder: Path, turns: Turns) -> Path:
+    """HeLiPR's Ouster."""
+    truth = ""
+    for stamp_s, points, times_s, pose in _turns(turns):
+        ticks = round(1e9 * (stamp_s + 1689519044))
+        fields = "x f4, y f4, z f4, intensity f4, t u4, reflectivity u2, ring u2, ambient u2"
+        put(
+            folder / "LiDAR" / "Ouster" / f"{ticks}.bin", _structured(fields, **_xyz(points), t=times_s * 1e9)
+        )
+        truth += tum_line(ticks, pose)
+    put(folder / "LiDAR_GT" / "Ouster_gt.txt", truth)
+    return folder
+
+
+def boreas(folder: Path, turns: Turns) -> Path:
+    """Boreas; angles turn the world into the sensor."""
+    heading = "GPSTime,easting,northing,altitude,vel_east,vel_north,vel_up,roll,pitch,heading,w_z,w_y,w_x\n"
+    truth = heading
+    for stamp_s, points, times_s, pose in _turns(turns):
+        ticks = round(1e6 * (stamp_s + 1606417097))
+        fields = "x f4, y f4, z f4, intensity f4, laser f4, time f4"
+        put(folder / "lidar" / f"{ticks}.bin", _structured(fields, **_xyz(points), time=times_s))
+        angles = _rpy(np.linalg.inv(pose))
+        truth += f"{ticks}," + numbers([*pose[:3, 3], 0, 0, 0, *angles, 0, 0, 0], ",") + "\n"
+    put(folder / "applanix" / "lidar_poses.csv", truth)
+    return folder
+
+
+def newer_college(folder: Path, turns: Turns) -> Path:
+    """Newer College 2020 as folders."""
+    mount = np.eye(4)
+    mount[:3, :3] = gtsam.Rot3.Yaw(np.radians(135.0)).matrix()
+    mount[:3, 3] = (-0.084, -0.025, 0.050)
+    truth = "#sec,nsec,x,y,z,qx,qy,qz,qw\n"
+    for stamp_s, points, _, pose in _turns(turns):
+        second, rest = divmod(round(1e9 * (stamp_s + 1583836591)), 10**9)
+        content = _pcd(points)
+        put(folder / "raw_format" / "ouster_scan" / f"cloud_{second}_{rest:09d}.pcd", content)
+        of_base = pose @ np.linalg.inv(mount)
+        truth += f"{second},{rest}," + numbers([*of_base[:3, 3], *quaternion(of_base)], ",") + "\n"
+    put(folder / "ground_truth" / "registered_poses.csv", truth)
+    return folder
+
+
+def _pcd(points: Any) -> bytes:
+    head = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+    head += f"WIDTH {len(points)}\nHEIGHT 1\nPOINTS {len(points)}\nDATA binary\n"
+    return head.encode() + points.astype("<f4").tobytes()
+
+
+def oxford_spires(folder: Path, turns: Turns) -> Path:
+    """Oxford Spires: clouds named by the clock, poses of the base."""
+    mount = np.eye(4)
+    mount[:3, :3] = np.diag([-1.0, -1.0, 1.0])
+    mount[2, 3] = 0.124
+    truth = ""
+    for stamp_s, points, _, pose in _turns(turns):
+        second, rest = divmod(round(1e9 * (stamp_s + 1710338123)), 10**9)
+        put(folder / "raw" / "lidar-clouds" / f"{second}.{rest:09d}.pcd", _pcd(points))
+        truth += tum_line(f"{second}.{rest:09d}", pose @ np.linalg.inv(mount))
+    put(folder / "processed" / "trajectory" / "gt-tum.txt", truth)
+    return folder
+
+
+LIDARS: dict[str, Callable[[Path, Turns], Path]] = {
+    "kitti_raw": kitti_raw,
+    "nclt": nclt,
+    "mulran": mulran,
+    "helipr": helipr,
+    "boreas": boreas,
+    "newer_college": newer_college,
+    "oxford_spires": oxford_spires,
+}
