@@ -100,7 +100,7 @@ def lens_of(message: Any, *, rectified: bool) -> Lens:
     intrinsics = CameraIntrinsics(fx, fy, cx, cy, width, height)
     model = str(message.distortion_model)
     plain = rectified or not d.size or not np.isfinite(d).all() or np.abs(d).max() < _NEGLIGIBLE
-    if plain or not width:
+    if plain:
         return Lens(intrinsics, np.zeros(0))
     fisheye = model in _FISHEYE and d.size >= 4
     if not fisheye and (model not in _PLUMB or d.size not in (4, 5, 8, 12, 14)):
