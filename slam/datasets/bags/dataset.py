@@ -137,7 +137,7 @@ class BagDataset:
         """Files, topics and mounts: found once, so that each pass reads the same."""
         if self._opened is None:
             bag = find_bag(self.path)
-            survey = survey_bag(bag)
+            survey = survey_bag(bag, self._topics)
             self._opened = bag, survey, layout_of(bag, survey, self._topics)
         return self._opened
 

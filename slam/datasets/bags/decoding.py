@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
 from slam.datasets.bags.definitions import message_parts, simple_idl
+from slam.datasets.bags.livox import livox_cloud
 from slam.datasets.bags.records import BagRecord, Channel
+from slam.datasets.bags.topics import LIVOX
 from slam.datasets.budget import LARGEST_BYTES, Budget
 from slam.datasets.dataset import RecordFault
 from slam.foreign import plain
@@ -35,6 +38,14 @@ class Decoder:
         self._types: dict[Channel, _Types | None] = {}
         self._budget = budget
 
+    def _livox(self, record: BagRecord) -> Any:
+        """A CustomMsg as a cloud."""
+        try:
+            return livox_cloud(record.content, record.channel.wire)
+        except (struct.error, ValueError, IndexError) as error:
+            text = f"{record.channel.kind} on {record.channel.topic}: {error}"
+            raise RecordFault(UNDECODED, text) from error
+
     def decode(self, record: BagRecord) -> Any:
         """A message; its fields have the names of its definition.
 
@@ -44,6 +55,8 @@ class Decoder:
             It is damaged, or its type is not known.
         """
         channel = record.channel
+        if channel.kind in LIVOX and channel.wire in _WIRES:
+            return self._livox(record)
         if channel not in self._types:
             fits = self._budget.takes_definition(channel.definition)
             self._types[channel] = _typestore(channel if fits else replace(channel, definition=""))

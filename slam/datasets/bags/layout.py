@@ -11,9 +11,9 @@ import gtsam
 import numpy as np
 
 from slam.datasets.bags.camera import BagCamera
-from slam.datasets.bags.camera_clouds import camera_clouds
 from slam.datasets.bags.clouds import CloudReader
 from slam.datasets.bags.decoding import frame_name, stamp_of
+from slam.datasets.bags.evidence import ODOM_FRAMES, evidence_of, never_read
 from slam.datasets.bags.files import Bag
 from slam.datasets.bags.laser import LaserMount, scan_from
 from slam.datasets.bags.lens import Lens, lens_of
@@ -22,7 +22,6 @@ from slam.datasets.bags.topics import (
     CAMERA_INFO,
     SENSORS,
     TRANSFORMS,
-    AmbiguousError,
     CameraTopics,
     Choice,
     choose,
@@ -34,7 +33,6 @@ from slam.datasets.frame_pairs import tolerance_of
 from slam.errors import DatasetError
 from slam.measurements import Measurement, WheelOdometry
 
-_ODOM_FRAMES = ("odom", "odom_combined")
 _APART_M = 0.001  # colour and depth that are nearer than that are one camera
 
 
@@ -55,7 +53,7 @@ class Layout:
     notes
         What was concluded, for the report.
     lenses
-        CameraInfo topics that told a lens.
+        Topics that told a lens, a depth unit, or where colour sits beside depth.
     left_out
         Why a topic of a sensor is not read.
     """
@@ -72,7 +70,8 @@ class Layout:
 
     def reads(self, topic: str, kind: str) -> bool:
         """Whether messages of a topic are decoded."""
-        return topic in self.readers or topic in self.images or kind in TRANSFORMS
+        known = topic in self.readers or topic in self.images
+        return known or (kind in TRANSFORMS and topic not in self.left_out)
 
     def makes(self, topic: str, kind: str) -> str:
         """What the report calls the measurements of a topic; empty where they are none."""
@@ -107,17 +106,21 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Layout:
         A topic that the bag does not have, or several of a sort and none named.
     """
     choice = _choice(bag, survey, wanted)
-    layout = Layout(survey.base_frame())
+    layout = Layout(survey.base_frame(choice.odometry))
     layout.left_out = choice.left_out
+    for topic, channel in survey.channels.items():
+        if channel.kind in TRANSFORMS and survey.robots.of_another(topic):
+            layout.left_out[topic] = f"it is of another robot than {survey.robots.read}"
     for topic in choice.scans:
         layout.readers[topic] = _scan_reader(survey, layout, topic)
     for topic in choice.clouds:
         layout.readers[topic] = _cloud_reader(survey, layout, topic)
     for topic in choice.odometry:
-        layout.readers[topic] = lambda message, topic=topic: _wheels(message, topic)  # type: ignore[misc]
+        layout.readers[topic] = _wheel_reader(survey, layout, topic)
     for place, camera in enumerate(choice.cameras):
         layout.cameras.append(_camera(survey, layout, camera))
         layout.images[camera.color], layout.images[camera.depth] = (place, False), (place, True)
+    layout.lenses |= survey.facts.told if layout.cameras else set()
     for topic in choice.lonely:
         layout.left_out[topic] = f"no {'colour' if survey.depths.get(topic) else 'depth'} beside it"
         layout.notes.append(f"{topic} is not read: {layout.left_out[topic]}")
@@ -128,6 +131,9 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Layout:
 
 def _choice(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Choice:
     """Which topics; what cannot be chosen is listed with its messages."""
+    wanted = tuple(
+        topic for topic in wanted if topic.rstrip("/") != survey.robots.read or not topic.strip("/")
+    )
     if unknown := [topic for topic in wanted if topic not in survey.channels]:
         raise DatasetError(f"{bag.path} has no topic {unknown[0]}; it holds {_listing(bag, survey, SENSORS)}")
     kinds = {topic: survey.channels[topic].kind for topic in sorted(survey.seen)}
@@ -139,16 +145,9 @@ def _choice(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Choice:
                 f"it holds {_listing(bag, survey, SENSORS)}"
             )
         kinds[topic] = kind
-    try:
-        # Where no image could be decoded, its name must tell.
-        depths = {topic: survey.depths.get(topic, "depth" in topic.lower()) for topic in kinds}
-        return choose(kinds, depths, wanted, camera_clouds(survey))
-    except AmbiguousError as error:
-        listing = _listing(bag, survey, SENSORS, set(error.topics))
-        raise DatasetError(
-            f"{bag.path} holds {len(error.topics)} {error.what} topics: {listing}; "
-            f"choose by --topics, as in --topics {error.topics[0]} (several with commas)"
-        ) from error
+    # Where no image could be decoded, its name must tell.
+    depths = {topic: survey.depths.get(topic, "depth" in topic.lower()) for topic in kinds}
+    return choose(kinds, depths, wanted, never_read(survey), evidence_of(survey))
 
 
 def _listing(bag: Bag, survey: Survey, kinds: frozenset[str], topics: set[str] | None = None) -> str:
@@ -199,23 +198,52 @@ def _cloud_reader(survey: Survey, layout: Layout, topic: str) -> Callable[[Any],
 
 def _camera(survey: Survey, layout: Layout, topics: CameraTopics) -> BagCamera:
     """A camera with its lenses and its place on the robot."""
-    depth_frame, color_frame = survey.frames.get(topics.depth, ""), survey.frames.get(topics.color, "")
-    between = survey.tree.between(depth_frame, color_frame) if depth_frame != color_frame else gtsam.Pose3()
-    turn = np.eye(3) if between is None else np.asarray(between.rotation().matrix())
-    if between is not None and (apart_m := float(np.linalg.norm(between.translation()))) > _APART_M:
-        layout.notes.append(f"{topics.name}: colour sits {apart_m:.3f} m beside depth")
+    T_depth_color = _color_in_depth(survey, layout, topics)
     stamps = [survey.stamps_s.get(topic, []) for topic in (topics.color, topics.depth)]
     camera = BagCamera(
         topics.name,
         _lens(survey, layout, topics.depth),
         _lens(survey, layout, topics.color),
-        turn,
+        T_depth_color,
         _mount(survey, layout, topics.depth),
         tolerance_of(*(np.array(of_one, dtype=np.float64) for of_one in stamps)),
     )
+    if unit_m := survey.facts.unit_m(topics.depth):
+        camera.depth_steps_per_m = 1.0 / unit_m
+        layout.notes.append(f"{topics.name}: a step of depth is {unit_m:g} m, by its option in the bag")
     if camera.assumed:
         layout.notes.append(f"{topics.name}: {camera.assumed}")
     return camera
+
+
+def _color_in_depth(survey: Survey, layout: Layout, topics: CameraTopics) -> gtsam.Pose3:
+    """Pose of the colour camera in the depth camera: by the driver's own messages, else by tf."""
+    told = survey.facts.color_in_depth(topics.color, topics.depth)
+    frames = survey.frames.get(topics.depth, ""), survey.frames.get(topics.color, "")
+    if frames[0] == frames[1] and survey.lens_topic(topics.depth) == survey.lens_topic(topics.color):
+        return gtsam.Pose3()  # one camera, or images that were registered
+    known = [(told[0], told[1])] if told else []
+    if frames[0] != frames[1] and (between := survey.tree.between(*frames)) is not None:
+        known.append((between, "tf"))
+    if not known:
+        return gtsam.Pose3()
+    pose, source = known[0]
+    values = [np.asarray(one.translation()) for one, _ in known]
+    if float(np.abs(values[0] - values[-1]).max()) > _APART_M:
+        layout.notes.append(
+            f"warning: {topics.name}: colour beside depth at {_xyz(values[0])} m by {source}, at "
+            f"{_xyz(values[-1])} m by {known[-1][1]}; that of {source} is used"
+        )
+    if (apart_m := float(np.linalg.norm(values[0]))) > _APART_M:
+        layout.notes.append(
+            f"{topics.name}: colour sits {apart_m:.3f} m beside depth by {source}; drawn as depth sees it"
+        )
+    return pose
+
+
+def _xyz(translation: Any) -> str:
+    """Three numbers for people."""
+    return " ".join(f"{number:.3f}" for number in translation)
 
 
 def _lens(survey: Survey, layout: Layout, topic: str) -> Lens | None:
@@ -239,17 +267,27 @@ def _lens(survey: Survey, layout: Layout, topic: str) -> Lens | None:
     return lens
 
 
-def _wheels(message: Any, topic: str) -> WheelOdometry:
-    """The wheels from an Odometry message, in the plane."""
-    return WheelOdometry(
-        stamp_of(message.header), _flat(message.pose.pose.position, message.pose.pose.orientation), topic
-    )
+def _wheel_reader(survey: Survey, layout: Layout, topic: str) -> Callable[[Any], Measurement]:
+    """What reads Odometry messages of a topic, as the way of the robot's frame in the plane."""
+    child, base = survey.odometry.get(topic, ("", ""))[1], layout.base or ""
+    between = survey.tree.between(child, base) if child != base and base else gtsam.Pose3()
+    if between is None:
+        layout.notes.append(
+            f"{topic}: tf does not connect {child or 'its frame'} with {base}; taken as the same"
+        )
+    T_child_base = between or gtsam.Pose3()
+
+    def read(message: Any) -> Measurement:
+        pose = pose_of(message.pose.pose.position, message.pose.pose.orientation)
+        return WheelOdometry(stamp_of(message.header), _planar(pose.compose(T_child_base)), topic)
+
+    return read
 
 
 def _read_wheels_from_tf(survey: Survey, layout: Layout, base: str) -> None:
     """Take the wheels from tf, where it has an odom frame."""
     child, parent = base, survey.tree.parent_of(base)
-    while parent is not None and parent not in _ODOM_FRAMES:
+    while parent is not None and parent.rpartition("/")[2] not in ODOM_FRAMES:
         child, parent = parent, survey.tree.parent_of(parent)
     if parent is None:
         return
@@ -263,11 +301,6 @@ def _read_wheels_from_tf(survey: Survey, layout: Layout, base: str) -> None:
                 yield WheelOdometry(stamp_of(item.header), _planar(pose), "tf")
 
     layout.wheels_from = read
-
-
-def _flat(position: Any, rotation: Any) -> gtsam.Pose2:
-    """A pose in the plane."""
-    return _planar(pose_of(position, rotation))
 
 
 def _planar(pose: gtsam.Pose3) -> gtsam.Pose2:

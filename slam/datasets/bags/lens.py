@@ -14,7 +14,7 @@ from slam.measurements import CameraIntrinsics, FloatArray
 
 NO_LENS = "CameraInfo without usable intrinsics"
 
-_PLUMB = frozenset({"", "plumb_bob", "rational_polynomial"})
+_PLUMB = frozenset({"", "plumb_bob", "rational_polynomial", "brown_conrady", "none"})
 _FISHEYE = frozenset({"equidistant", "fisheye", "kannala_brandt4"})
 _NEGLIGIBLE = 1e-9
 _TENTH = 0.1  # pixels
@@ -98,7 +98,7 @@ def lens_of(message: Any, *, rectified: bool) -> Lens:
     if not known or min(width, height) < 0 or width * height > MOST_PIXELS or (width > 0) != (height > 0):
         raise RecordFault(NO_LENS, f"{width} x {height}, {fx} {fy} {cx} {cy}")
     intrinsics = CameraIntrinsics(fx, fy, cx, cy, width, height)
-    model = str(message.distortion_model)
+    model = str(message.distortion_model).lower().replace(" ", "_")
     plain = rectified or not d.size or not np.isfinite(d).all() or np.abs(d).max() < _NEGLIGIBLE
     if plain:
         return Lens(intrinsics, np.zeros(0))

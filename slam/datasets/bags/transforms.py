@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from typing import Any
 
 import gtsam
@@ -89,6 +90,11 @@ class FrameTree:
         while (above := self._parents.get(chain[-1])) and above[0] not in chain:
             chain.append(above[0])
         return chain
+
+    def named(self, names: Iterable[str]) -> list[str]:
+        """Frames by their last names, in the order of the names: robot1/base_link is a base_link, too."""
+        frames = sorted({*self._parents, *(parent for parent, _ in self._parents.values())})
+        return [frame for name in names for frame in frames if frame.rpartition("/")[2] == name]
 
     def root(self) -> str | None:
         """The only frame that sits in no other; None where there is none or more than one."""
