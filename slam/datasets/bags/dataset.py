@@ -93,7 +93,7 @@ class BagDataset:
         """
         bag, survey, layout = self._open()
         report = self.report = ReadReport()
-        self.figures = BagFigures(survey.tree, layout.base)
+        self.figures = BagFigures(survey.tree, layout.base, survey.robots, survey.frames)
         account = Account(self.name, report, self._strict)
         for note in layout.notes:
             report.note(note, 1)

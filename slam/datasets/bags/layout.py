@@ -17,6 +17,7 @@ from slam.datasets.bags.evidence import ODOM_FRAMES, evidence_of, never_read
 from slam.datasets.bags.files import Bag
 from slam.datasets.bags.laser import LaserMount, scan_from
 from slam.datasets.bags.lens import Lens, lens_of
+from slam.datasets.bags.mending import mended
 from slam.datasets.bags.survey import Survey, count_messages
 from slam.datasets.bags.topics import (
     CAMERA_INFO,
@@ -88,7 +89,7 @@ class Layout:
         if topic in self.left_out:
             return self.left_out[topic]
         if kind not in SENSORS:
-            return f"{kind} is not read"
+            return f"{kind} is not read{mended(kind)}"
         return f"its first message comes late; --topics {topic} reads it" if count else "it has no message"
 
 

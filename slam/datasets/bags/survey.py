@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections import Counter
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, field
@@ -33,7 +32,6 @@ from slam.datasets.dataset import ReadReport, RecordFault
 LOOK_S = 10.0  # of the bag's time, at most
 _LEAST_S = 2.0  # of the bag's time, for stamps of images and for transforms that come once a second
 _STAMPS_KEPT = 200
-_ON_A_SENSOR = re.compile(r"optical|camera|imu|lidar|laser", re.IGNORECASE)
 
 
 @dataclass(slots=True)
@@ -91,11 +89,14 @@ class Survey:
             The odometry topics that are read; all where there are none.
         """
         children = [self.odometry[topic][1] for topic in wheels or self.odometry if topic in self.odometry]
-        moved = [child for child in children if child in self.tree]
-        sensors = {frame for topic, frame in self.frames.items() if self.channels[topic].kind != ODOMETRY}
-        robot = [child for child in moved if child not in sensors and not _ON_A_SENSOR.search(child)]
-        for frame in [*robot, *self.tree.named(BASE_FRAMES), *moved]:
-            return frame
+        named = self.tree.named(BASE_FRAMES)
+        for child in children:
+            if child in self.tree:
+                # Odometry of a camera moves the camera, which sits on the robot.
+                above = [frame for frame in named if self.tree.sits_on(child, frame)]
+                return child if child in named or not above else above[0]
+        if named:
+            return named[0]
         return self.tree.root()
 
     def is_enough(self, seconds: float) -> bool:

@@ -84,6 +84,10 @@ class FrameTree:
         """Whether a joint on the way from the base to a sensor has been seen to move."""
         return bool(self.moving & set(self._chain(base)) ^ self.moving & set(self._chain(sensor)))
 
+    def sits_on(self, frame: str, other: str) -> bool:
+        """Whether a frame sits on another, by whatever is between."""
+        return other in self._chain(frame)[1:]
+
     def _chain(self, frame: str) -> list[str]:
         """A frame and what it sits on, up to the root."""
         chain = [frame]
