@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 
 import gtsam
 import numpy as np
 
+from slam.datasets.account import Account
 from slam.datasets.bags.lens import Lens
 from slam.datasets.calibration import FILE_NAME
 from slam.datasets.calibration_formats import FileCamera, FileTransform, read_calibration_file
+from slam.datasets.camera_frames import Camera
 from slam.errors import DatasetError
 from slam.foreign import plain
 from slam.measurements import CameraIntrinsics
@@ -131,6 +133,33 @@ def known_beside(path: Path, given: Sequence[Path] = ()) -> KnownCalibration:
     return known
 
 
+def by_files(camera: Camera, known: KnownCalibration, account: Account) -> Camera:
+    """A camera of image files with the lens that files tell, where one was given or its own is assumed.
+
+    Its colour image stands for both, as data sets give them; distortion is left in the images, and told.
+    """
+    calibration = camera.calibration
+    file = known.lens("color", [camera.sensor])
+    sure = known.sure - {FILE_NAME}  # the reader of the folder has seen that already
+    if file is not None and file.lens is not None and (calibration.assumed or file.source in sure):
+        lens = file.lens
+        if calibration.assumed:
+            account.report.note(f"{camera.sensor}: lens by {file.source}", 1)
+        else:
+            told = contradiction(
+                camera.sensor,
+                (lens, file.source),
+                (Lens(calibration.intrinsics, np.zeros(0)), "the data set"),
+            )
+            account.report.note(told or f"{camera.sensor}: lens by {file.source}", 1)
+        if lens.distortion.size or lens.unknown_model:
+            account.report.note(f"{camera.sensor}: the distortion in {file.source} is left in the images", 1)
+        calibration = replace(calibration, intrinsics=lens.intrinsics, assumed="")
+        if file.depth_steps_per_m is not None:
+            calibration = replace(calibration, depth_steps_per_m=file.depth_steps_per_m)
+    return replace(camera, calibration=calibration)
+
+
 def contradiction(what: str, used: tuple[Lens, str], other: tuple[Lens, str]) -> str:
     """What two sources say of one lens, where they contradict each other; else empty."""
     first, second = used[0].intrinsics, other[0].intrinsics
@@ -140,7 +169,8 @@ def contradiction(what: str, used: tuple[Lens, str], other: tuple[Lens, str]) ->
     if np.abs(values[0] - scale * values[1]).max() <= _APART_SHARE * max(width, first.fx):
         return ""
     return (
-        f"{what}: {used[1]} says {_told(first)}, {other[1]} says {_told(second)}; that of {used[1]} is used"
+        f"warning: {what}: {used[1]} says {_told(first)}, {other[1]} says {_told(second)}; "
+        f"that of {used[1]} is used"
     )
 
 

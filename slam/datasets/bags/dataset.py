@@ -21,6 +21,7 @@ from slam.datasets.bags.survey import Survey, survey_bag
 from slam.datasets.bags.time_merge import TimeMerge
 from slam.datasets.bags.topics import TRANSFORMS
 from slam.datasets.budget import Budget
+from slam.datasets.calibration_files import known_beside
 from slam.datasets.dataset import ReadReport, RecordFault
 from slam.errors import DatasetError
 from slam.foreign import plain
@@ -68,6 +69,8 @@ class BagDataset:
     ----------
     figures
         What the latest pass found out about topics, clocks and frames.
+    calibration_files
+        Files of lenses and mountings that are believed before the bag.
     read_images
         Whether frames come at all; without them the other sensors are read many times as fast.
     """
@@ -78,6 +81,7 @@ class BagDataset:
         self.report = ReadReport()
         self.figures = BagFigures()
         self.read_images = True
+        self.calibration_files: tuple[Path, ...] = ()
         self._strict, self._topics = strict, topics
         self._opened: tuple[Bag, Survey, Layout] | None = None
 
@@ -137,8 +141,9 @@ class BagDataset:
         """Files, topics and mounts: found once, so that each pass reads the same."""
         if self._opened is None:
             bag = find_bag(self.path)
+            known = known_beside(self.path, self.calibration_files)
             survey = survey_bag(bag, self._topics)
-            self._opened = bag, survey, layout_of(bag, survey, self._topics)
+            self._opened = bag, survey, layout_of(bag, survey, self._topics, known)
         return self._opened
 
 

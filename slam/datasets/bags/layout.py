@@ -10,6 +10,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from slam.datasets.bags.by_files import FileFacts
 from slam.datasets.bags.camera import BagCamera
 from slam.datasets.bags.clouds import CloudReader
 from slam.datasets.bags.decoding import frame_name, stamp_of
@@ -29,6 +30,7 @@ from slam.datasets.bags.topics import (
     is_rectified,
 )
 from slam.datasets.bags.transforms import pose_of
+from slam.datasets.calibration_files import KnownCalibration
 from slam.datasets.dataset import RecordFault
 from slam.datasets.frame_pairs import tolerance_of
 from slam.errors import DatasetError
@@ -45,6 +47,8 @@ class Layout:
     ----------
     base
         The robot's frame, None where the bag has no tf.
+    files
+        What files tell of the sensors.
     readers
         By topic, what makes a reading of a message.
     images
@@ -60,6 +64,7 @@ class Layout:
     """
 
     base: str | None
+    files: FileFacts
     readers: dict[str, Callable[[Any], Measurement]] = field(default_factory=dict)
     clouds: list[CloudReader] = field(default_factory=list)
     cameras: list[BagCamera] = field(default_factory=list)
@@ -98,8 +103,13 @@ def frames_of(camera: str) -> str:
     return f"{camera} frame"
 
 
-def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Layout:
+def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...], known: KnownCalibration) -> Layout:
     """How to read a bag.
+
+    Parameters
+    ----------
+    known
+        What files beside the bag, and files that were given, tell of its lenses and mountings.
 
     Raises
     ------
@@ -107,7 +117,9 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Layout:
         A topic that the bag does not have, or several of a sort and none named.
     """
     choice = _choice(bag, survey, wanted)
-    layout = Layout(survey.base_frame(choice.odometry))
+    files = FileFacts(known)
+    files.place(survey)
+    layout = Layout(survey.base_frame(choice.odometry), files)
     layout.left_out = choice.left_out
     for topic, channel in survey.channels.items():
         if channel.kind in TRANSFORMS and survey.robots.of_another(topic):
@@ -115,11 +127,11 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Layout:
     for topic in choice.scans:
         layout.readers[topic] = _scan_reader(survey, layout, topic)
     for topic in choice.clouds:
-        layout.readers[topic] = _cloud_reader(survey, layout, topic)
+        layout.readers[topic] = _cloud_reader(survey, layout, topic, only=len(choice.clouds) == 1)
     for topic in choice.odometry:
         layout.readers[topic] = _wheel_reader(survey, layout, topic)
     for place, camera in enumerate(choice.cameras):
-        layout.cameras.append(_camera(survey, layout, camera))
+        layout.cameras.append(_camera(survey, layout, camera, only=len(choice.cameras) == 1))
         layout.images[camera.color], layout.images[camera.depth] = (place, False), (place, True)
     layout.lenses |= survey.facts.told if layout.cameras else set()
     for topic in choice.lonely:
@@ -127,6 +139,7 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Layout:
         layout.notes.append(f"{topic} is not read: {layout.left_out[topic]}")
     if not choice.odometry and layout.base:
         _read_wheels_from_tf(survey, layout, layout.base)
+    layout.notes += [*files.notes, *files.unused()]
     return layout
 
 
@@ -162,7 +175,19 @@ def _listing(bag: Bag, survey: Survey, kinds: frozenset[str], topics: set[str] |
     return ", ".join(found) or "no topic of a sensor"
 
 
-def _mount(survey: Survey, layout: Layout, topic: str) -> gtsam.Pose3 | None:
+def _mount(
+    survey: Survey, layout: Layout, topic: str, kind: str = "", *, only: bool = False
+) -> gtsam.Pose3 | None:
+    """``T_base_sensor`` by our own file for the only of a kind, else by tf; a note where neither tells."""
+    notes = len(layout.notes)
+    own = _mount_by_tf(survey, layout, topic)
+    told = layout.files.mount(kind, topic, own, only=only) if kind else own
+    if own is None and told is not None:
+        del layout.notes[notes:]
+    return told
+
+
+def _mount_by_tf(survey: Survey, layout: Layout, topic: str) -> gtsam.Pose3 | None:
     """``T_base_sensor`` by tf, with a note where it cannot be reported."""
     frame = survey.frames.get(topic, "")
     if not layout.base:
@@ -190,28 +215,30 @@ def _scan_reader(survey: Survey, layout: Layout, topic: str) -> Callable[[Any], 
     return lambda message: scan_from(message, mount, topic)
 
 
-def _cloud_reader(survey: Survey, layout: Layout, topic: str) -> Callable[[Any], Measurement]:
+def _cloud_reader(survey: Survey, layout: Layout, topic: str, *, only: bool) -> Callable[[Any], Measurement]:
     """What reads clouds of a topic."""
-    reader = CloudReader(topic, _mount(survey, layout, topic) or gtsam.Pose3())
+    mount = _mount(survey, layout, topic, "lidar", only=only)
+    reader = CloudReader(topic, mount or gtsam.Pose3())
     layout.clouds.append(reader)
     return reader.read
 
 
-def _camera(survey: Survey, layout: Layout, topics: CameraTopics) -> BagCamera:
+def _camera(survey: Survey, layout: Layout, topics: CameraTopics, *, only: bool) -> BagCamera:
     """A camera with its lenses and its place on the robot."""
     T_depth_color = _color_in_depth(survey, layout, topics)
     stamps = [survey.stamps_s.get(topic, []) for topic in (topics.color, topics.depth)]
     camera = BagCamera(
         topics.name,
-        _lens(survey, layout, topics.depth),
-        _lens(survey, layout, topics.color),
+        layout.files.lens(survey, topics.depth, _lens(survey, layout, topics.depth)),
+        layout.files.lens(survey, topics.color, _lens(survey, layout, topics.color)),
         T_depth_color,
-        _mount(survey, layout, topics.depth),
+        _mount(survey, layout, topics.depth, "camera", only=only),
         tolerance_of(*(np.array(of_one, dtype=np.float64) for of_one in stamps)),
     )
     if unit_m := survey.facts.unit_m(topics.depth):
-        camera.depth_steps_per_m = 1.0 / unit_m
         layout.notes.append(f"{topics.name}: a step of depth is {unit_m:g} m, by its option in the bag")
+    steps = layout.files.depth_steps_per_m(topics.name, 1.0 / unit_m if unit_m else None)
+    camera.depth_steps_per_m = steps or camera.depth_steps_per_m
     if camera.assumed:
         layout.notes.append(f"{topics.name}: {camera.assumed}")
     return camera

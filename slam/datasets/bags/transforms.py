@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import gtsam
@@ -26,13 +26,28 @@ class FrameTree:
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, gtsam.Pose3]] = {}
+        self._told: dict[tuple[str, str], gtsam.Pose3] = {}
         self.moving: set[str] = set()
 
     def __contains__(self, frame: str) -> bool:
-        return frame in self._parents or any(parent == frame for parent, _ in self._parents.values())
+        return any(frame in (parent, child) for parent, child, _ in self._steps())
 
     def __bool__(self) -> bool:
-        return bool(self._parents)
+        return bool(self._parents or self._told)
+
+    def set(self, parent: str, child: str, pose: gtsam.Pose3) -> None:
+        """Put ``T_parent_child`` in place of what the tree says, where it says anything."""
+        if (self._parents.get(child) or ("",))[0] == parent:
+            self._parents[child] = parent, pose
+        elif (self._parents.get(parent) or ("",))[0] == child:
+            self._parents[parent] = child, pose.inverse()
+        else:
+            self._told[parent, child] = pose
+
+    def _steps(self) -> Iterator[tuple[str, str, gtsam.Pose3]]:
+        """Parent, child and pose of all that is known; what was told comes first."""
+        yield from ((parent, child, pose) for (parent, child), pose in self._told.items())
+        yield from ((parent, child, pose) for child, (parent, pose) in self._parents.items())
 
     def add(self, message: Any) -> None:
         """Take in a TFMessage.
@@ -67,7 +82,7 @@ class FrameTree:
     def between(self, base: str, sensor: str) -> gtsam.Pose3 | None:
         """``T_base_sensor``, None where no chain of transforms connects the two."""
         neighbours: dict[str, list[tuple[str, gtsam.Pose3]]] = {}
-        for child, (parent, pose) in self._parents.items():
+        for parent, child, pose in self._steps():
             neighbours.setdefault(parent, []).append((child, pose))
             neighbours.setdefault(child, []).append((parent, pose.inverse()))
         found = {base: gtsam.Pose3()}
@@ -97,7 +112,7 @@ class FrameTree:
 
     def named(self, names: Iterable[str]) -> list[str]:
         """Frames by their last names, in the order of the names: robot1/base_link is a base_link, too."""
-        frames = sorted({*self._parents, *(parent for parent, _ in self._parents.values())})
+        frames = sorted({frame for parent, child, _ in self._steps() for frame in (parent, child)})
         return [frame for name in names for frame in frames if frame.rpartition("/")[2] == name]
 
     def root(self) -> str | None:
