@@ -20,6 +20,7 @@ from slam.datasets.bags.records import BagRecord
 from slam.datasets.bags.survey import Survey, survey_bag
 from slam.datasets.bags.time_merge import TimeMerge
 from slam.datasets.bags.topics import TRANSFORMS
+from slam.datasets.bags.truth import read_truth, truth_topic
 from slam.datasets.budget import Budget
 from slam.datasets.calibration_files import known_beside
 from slam.datasets.dataset import ReadReport, RecordFault
@@ -121,8 +122,14 @@ class BagDataset:
             raise DatasetError(_nothing_usable(self.path, report, survey))
 
     def groundtruth(self) -> Trajectory | None:
-        """None: what a bag says of its poses is the robot's own belief."""
-        return None
+        """The poses of a topic that is named as the truth, or that the user named; else None.
+
+        What else a bag says of its poses is the robot's own belief.
+        """
+        bag, survey, _ = self._open()
+        kinds = {topic: channel.kind for topic, channel in survey.channels.items()}
+        topic = truth_topic(kinds, self._topics)
+        return read_truth(bag, topic, Account(self.name, ReadReport(), self._strict)) if topic else None
 
     def _tell_topics(self, survey: Survey, layout: Layout) -> None:
         """Tell of every topic whose messages are no measurements what it is for, or why not read."""

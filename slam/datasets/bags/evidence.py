@@ -12,13 +12,11 @@ import numpy as np
 
 from slam.datasets.bags.camera_clouds import camera_clouds
 from slam.datasets.bags.survey import Survey
-from slam.datasets.bags.topics import CLOUDS, ODOMETRY, SCANS, Evidence
+from slam.datasets.bags.topics import CLOUDS, SCANS, Evidence
 from slam.datasets.bags.transforms import BASE_FRAMES
+from slam.datasets.bags.truth import IS_TRUTH, is_truth
 
 ODOM_FRAMES = ("odom", "odom_combined")
-TRUTH = re.compile(
-    r"ground_?truth|(^|[/_])(gt|truth|vicon|vrpn|mocap|optitrack|qualisys)([/_]|$)", re.IGNORECASE
-)
 _ESTIMATE = re.compile(
     r"filter|ekf|ukf|fus(ed|ion)|estimat|amcl|slam|loam|(^|[/_])[a-z]*(lio|vio|vo)([/_]|$)|vins|visual|rtabmap"
     r"|icp|lidar|laser|scan|camera|zed|t265|gps|gnss|utm|global|local|map|correct|optimi",
@@ -53,8 +51,8 @@ def never_read(survey: Survey) -> dict[str, str]:
         frame = survey.frames.get(topic, "")
         if survey.robots.of_another(topic):
             found[topic] = f"it is of another robot than {survey.robots.read}"
-        elif kind == ODOMETRY and TRUTH.search(topic):
-            found[topic] = "by its name it is the truth, which is compared with and not mapped by"
+        elif is_truth(topic, kind):
+            found[topic] = IS_TRUTH
         elif kind in CLOUDS and _last(frame) in _WORLDS:
             found[topic] = f"it stands in {frame}, moved by somebody's estimate already"
     made = camera_clouds(survey)

@@ -30,6 +30,7 @@ from slam.datasets.bags.topics import (
     is_rectified,
 )
 from slam.datasets.bags.transforms import pose_of
+from slam.datasets.bags.truth import IS_TRUTH, TRUTHS, is_truth
 from slam.datasets.calibration_files import KnownCalibration
 from slam.datasets.dataset import RecordFault
 from slam.datasets.frame_pairs import tolerance_of
@@ -124,6 +125,9 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...], known: KnownCal
     for topic, channel in survey.channels.items():
         if channel.kind in TRANSFORMS and survey.robots.of_another(topic):
             layout.left_out[topic] = f"it is of another robot than {survey.robots.read}"
+    for topic, channel in survey.channels.items():
+        if channel.kind not in SENSORS and (is_truth(topic, channel.kind) or topic in wanted):
+            layout.left_out[topic] = IS_TRUTH
     for topic in choice.scans:
         layout.readers[topic] = _scan_reader(survey, layout, topic)
     for topic in choice.clouds:
@@ -153,6 +157,8 @@ def _choice(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Choice:
     kinds = {topic: survey.channels[topic].kind for topic in sorted(survey.seen)}
     for topic in wanted:
         kind = survey.channels[topic].kind
+        if kind in TRUTHS - SENSORS:
+            continue
         if kind not in SENSORS:
             raise DatasetError(
                 f"{topic} of {bag.path} holds {kind}, which is not read; "

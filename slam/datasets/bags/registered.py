@@ -61,7 +61,8 @@ class CameraFacts:
             What it tells is none.
         """
         if unit := _UNIT.fullmatch(topic):
-            if not _SMALLEST_M <= (value := float(message.data)) <= _LARGEST_M:
+            value = float(str(np.float32(message.data)))  # 0.001, not what is nearest to it in four bytes
+            if not _SMALLEST_M <= value <= _LARGEST_M:
                 raise ValueError(f"a depth unit of {value} m")
             self.units_m[unit[1]] = value
         elif stream := _STREAM.fullmatch(topic):

@@ -15,6 +15,7 @@ from bag_writing import (
     START_S,
     Sent,
     cloud,
+    header,
     image,
     info,
     odometry,
@@ -316,3 +317,46 @@ def test_choices_do_not_hang_on_the_order_of_topics() -> None:
     turned = dict(reversed(kinds.items()))
     assert choose(kinds, {}, ()) == choose(turned, {}, ())
     assert choose(kinds, {}, ()).scans == ("/a/scan",)
+
+
+def pose(x: float) -> dict[str, Any]:
+    return {"position": {"x": x, "y": 1.0, "z": 2.0}, "orientation": {"z": 0.6, "w": 0.8}}
+
+
+@pytest.mark.parametrize("kind", ["PoseStamped", "TransformStamped", "Path", "Odometry"])
+def test_the_truth_is_read_and_compared_with(tmp_path: Path, kind: str) -> None:
+    stamps = [START_S + 0.1 * n for n in range(3)]
+    package, topic = "geometry_msgs/msg/", "/vicon/robot/pose"
+    if kind == "Path":
+        package, topic = "nav_msgs/msg/", "/gt/path"
+        poses = [{"header": header(at, "map"), "pose": pose(10.0 * n)} for n, at in enumerate(stamps)]
+        sent = [Sent(topic, f"{package}Path", at, {"poses": poses[: n + 1]}) for n, at in enumerate(stamps)]
+    elif kind == "TransformStamped":
+        moved = [
+            {"translation": {"x": 10.0 * n, "y": 1.0, "z": 2.0}, "rotation": {"z": 0.6, "w": 0.8}}
+            for n in range(3)
+        ]
+        sent = [
+            Sent(topic, f"{package}{kind}", at, {"transform": one})
+            for at, one in zip(stamps, moved, strict=True)
+        ]
+    elif kind == "Odometry":
+        sent = [Sent(topic, ODOMETRY, at, {"pose": {"pose": pose(10.0 * n)}}) for n, at in enumerate(stamps)]
+    else:
+        sent = [Sent(topic, f"{package}{kind}", at, {"pose": pose(10.0 * n)}) for n, at in enumerate(stamps)]
+    _, dataset = read(tmp_path, [scan(), *sent])
+    truth = dataset.groundtruth()
+    assert np.allclose(truth.stamps_s, stamps)
+    assert np.allclose(truth.positions_m, [[10.0 * n, 1.0, 2.0] for n in range(3)])
+    assert np.allclose(truth.quaternions_xyzw, [[0, 0, 0.6, 0.8]] * 3)
+    assert any(
+        name.startswith(topic) and "it is the truth" in why for name, why in dataset.report.reasons.items()
+    )
+
+
+def test_a_pose_of_another_name_is_the_truth_where_it_is_named(tmp_path: Path) -> None:
+    sent = [scan(), Sent("/tracker", "geometry_msgs/msg/PoseStamped", START_S, {"pose": pose(1.0)})]
+    _, dataset = read(tmp_path, sent)
+    assert dataset.groundtruth() is None
+    _, dataset = read(tmp_path, sent, "/tracker")
+    assert len(dataset.groundtruth()) == 1
