@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 from slam.datasets.bags.definitions import message_parts, simple_idl
 from slam.datasets.bags.livox import livox_cloud
 from slam.datasets.bags.records import BagRecord, Channel
-from slam.datasets.bags.topics import LIVOX
+from slam.datasets.bags.topics import LIVOX, VELODYNE
+from slam.datasets.bags.velodyne import VelodyneDecoder
 from slam.datasets.budget import LARGEST_BYTES, Budget
 from slam.datasets.dataset import RecordFault
 from slam.foreign import plain
@@ -36,6 +37,7 @@ class Decoder:
 
     def __init__(self, budget: Budget) -> None:
         self._types: dict[Channel, _Types | None] = {}
+        self._velodynes: dict[str, VelodyneDecoder] = {}
         self._budget = budget
 
     def _livox(self, record: BagRecord) -> Any:
@@ -64,12 +66,15 @@ class Decoder:
         if types is None or channel.wire not in _WIRES:
             raise RecordFault(NO_TYPE, f"{channel.kind} on {channel.topic}, {channel.wire}")
         try:
-            return types.decode(record.content, channel.wire)
+            message = types.decode(record.content, channel.wire)
         # The generated code fails in any way on damaged bytes: lengths, text, alignment.
         except Exception as error:
             raise RecordFault(UNDECODED, f"{channel.kind} on {channel.topic}: {error}") from error
         finally:
             self._budget.take_elements(types.elements)
+        if channel.kind == VELODYNE:
+            return self._velodynes.setdefault(channel.topic, VelodyneDecoder()).cloud(message)
+        return message
 
 
 def stamp_of(header: Any) -> float:

@@ -14,13 +14,14 @@ CLOUD = "sensor_msgs/msg/PointCloud2"
 LIVOX = frozenset(
     {f"livox_{package}/msg/CustomMsg" for package in ("ros_driver", "ros_driver2", "interfaces")}
 )
+VELODYNE = "velodyne_msgs/msg/VelodyneScan"
 ODOMETRY = "nav_msgs/msg/Odometry"
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 TRANSFORMS = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
 SCANS = frozenset({LASER_SCAN, MULTI_ECHO})
-CLOUDS = LIVOX | {CLOUD}
+CLOUDS = LIVOX | {CLOUD, VELODYNE}
 IMAGES = frozenset({IMAGE, COMPRESSED})
 SENSORS = SCANS | CLOUDS | IMAGES | {ODOMETRY}
 

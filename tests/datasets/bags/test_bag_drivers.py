@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -360,3 +361,50 @@ def test_a_pose_of_another_name_is_the_truth_where_it_is_named(tmp_path: Path) -
     assert dataset.groundtruth() is None
     _, dataset = read(tmp_path, sent, "/tracker")
     assert len(dataset.groundtruth()) == 1
+
+
+def velodyne_scan() -> Sent:
+    """A turn of a VLP-16 that sees a wall 5 m away all around."""
+    packets = []
+    for number in range(75):
+        blocks = b""
+        for block in range(12):
+            azimuth = round((number * 12 + block) * 0.4 * 100) % 36000
+            returns = np.zeros(32, [("away", "<u2"), ("light", "u1")])
+            returns["away"], returns["light"] = 2500, 10
+            blocks += b"\xff\xee" + azimuth.to_bytes(2, "little") + returns.tobytes()
+        data = blocks + round(number * 1333).to_bytes(4, "little") + b"\x37\x22"
+        at_ns = round((START_S + number * 0.001333) * 1e9)
+        stamp = {"sec": at_ns // 10**9, "nanosec": at_ns % 10**9}
+        packets.append({"stamp": stamp, "data": np.frombuffer(data, np.uint8)})
+    return Sent(
+        "/velodyne_packets", "velodyne_msgs/msg/VelodyneScan", START_S + 0.1, {"packets": packets}, "v"
+    )
+
+
+def test_packets_of_a_velodyne_are_a_cloud(tmp_path: Path) -> None:
+    pytest.importorskip("velodyne_decoder")
+    (found,), dataset = read(tmp_path, [velodyne_scan()])
+    assert isinstance(found, PointCloud) and found.stamp_s == pytest.approx(START_S, abs=1e-3)
+    assert np.linalg.norm(found.points_lidar, axis=1) == pytest.approx(5.0, abs=0.05)
+    assert np.ptp(np.arcsin(found.points_lidar[:, 2] / 5.0)) == pytest.approx(np.radians(30.0), abs=0.02)
+    assert found.times_s is not None and np.ptp(found.times_s) == pytest.approx(0.1, abs=0.005)
+    assert dataset.report.dropped_count == 0
+
+
+def test_without_the_extra_the_command_that_installs_it_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "velodyne_decoder", None)
+    bag = write_bag(tmp_path / "log", "mcap", [velodyne_scan()])
+    refusal = inspect_dataset(open_dataset(bag))["refusal"]
+    assert r"pip install 'scanweave[velodyne]'" in refusal
+
+
+def test_packets_that_are_damaged_are_counted(tmp_path: Path) -> None:
+    pytest.importorskip("velodyne_decoder")
+    bad = velodyne_scan()
+    for packet in bad.fields["packets"]:
+        packet["data"] = np.zeros(1206, np.uint8)
+    found, dataset = read(tmp_path, [bad, scan()])
+    assert len(found) == 1 and dataset.report.dropped_count == 1
