@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from slam.datasets.bags.files import Bag, find_bag
 from slam.datasets.bags.layout import Layout, frames_of, layout_of
 from slam.datasets.bags.pairing import ImagePair, PairStream, StampedImage
 from slam.datasets.bags.records import BagRecord
-from slam.datasets.bags.survey import Survey, survey_bag
+from slam.datasets.bags.survey import Survey, restamp, survey_bag
 from slam.datasets.bags.time_merge import TimeMerge
 from slam.datasets.bags.topics import TRANSFORMS
 from slam.datasets.bags.truth import read_truth, truth_topic
@@ -243,6 +244,9 @@ class _Reader:
         if record.channel.kind in TRANSFORMS:
             self._figures.tree.add(message)
             return list(layout.wheels_from(message)) if layout.wheels_from else []
+        if shift_s := layout.shifts_s.get(topic):
+            at_s = record.recorded_s if math.isinf(shift_s) else stamp_of(message.header) - shift_s
+            restamp(message, at_s)
         stamp_s = stamp_of(message.header)
         self._figures.stamped(record, stamp_s)
         if topic in layout.images:

@@ -28,6 +28,12 @@ BAD_STAMP = "stamp of the header is not a time"
 
 _MOST_ELEMENTS = 1 << 13  # of the lists in one message: beams of several echoes, transforms
 _WIRES = frozenset({"cdr", "ros1"})
+# Of drivers; a rosbag2 of SQLite before ROS 2 Iron tells no definitions.
+_OF_DRIVERS = {
+    "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data",
+    "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
+    "realsense2_camera_msgs/msg/Extrinsics": "float64[9] rotation\nfloat64[3] translation",
+}
 # The old name of the same type.
 _BUILT_IN_NAMES = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 
@@ -135,9 +141,12 @@ def _built_in(wire: str, kind: str) -> _Types | None:
 @cache
 def _common(wire: str) -> Typestore:
     """The message types of ROS 1 Noetic or ROS 2 Humble."""
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    return get_typestore(Stores.ROS1_NOETIC if wire == "ros1" else Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.ROS1_NOETIC if wire == "ros1" else Stores.ROS2_HUMBLE)
+    for name, text in _OF_DRIVERS.items():
+        store.register(get_types_from_msg(text, name))
+    return store
 
 
 class _Types:

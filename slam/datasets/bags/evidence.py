@@ -53,6 +53,8 @@ def never_read(survey: Survey) -> dict[str, str]:
             found[topic] = f"it is of another robot than {survey.robots.read}"
         elif is_truth(topic, kind):
             found[topic] = IS_TRUTH
+        elif kind in SCANS and (cloud := _made_of(survey, topic)):
+            found[topic] = f"it is made of {cloud}, which has its frame and stamps and tells more"
         elif kind in CLOUDS and _last(frame) in _WORLDS:
             found[topic] = f"it stands in {frame}, moved by somebody's estimate already"
     made = camera_clouds(survey)
@@ -66,6 +68,20 @@ def never_read(survey: Survey) -> dict[str, str]:
             if topic not in found
         }
     return found
+
+
+def _made_of(survey: Survey, scan: str) -> str | None:
+    """The cloud of a lidar that a scan is a ring or a slice of."""
+    return next(
+        (
+            topic
+            for topic, view in sorted(survey.clouds.items())
+            if not view.along
+            and view.stamp_s in survey.scan_stamps_s.get(scan, ())
+            and survey.frames.get(topic) == survey.frames.get(scan)
+        ),
+        None,
+    )
 
 
 def _scan_rank(survey: Survey, topic: str) -> tuple[Any, ...]:

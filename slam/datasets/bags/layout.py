@@ -19,7 +19,7 @@ from slam.datasets.bags.files import Bag
 from slam.datasets.bags.laser import LaserMount, scan_from
 from slam.datasets.bags.lens import Lens, lens_of
 from slam.datasets.bags.mending import mended
-from slam.datasets.bags.survey import Survey, count_messages
+from slam.datasets.bags.survey import Survey, clock_shifts, count_messages
 from slam.datasets.bags.topics import (
     CAMERA_INFO,
     SENSORS,
@@ -32,7 +32,7 @@ from slam.datasets.bags.topics import (
 from slam.datasets.bags.transforms import pose_of
 from slam.datasets.bags.truth import IS_TRUTH, TRUTHS, is_truth
 from slam.datasets.calibration_files import KnownCalibration
-from slam.datasets.dataset import RecordFault
+from slam.datasets.dataset import WARNING, RecordFault
 from slam.datasets.frame_pairs import tolerance_of
 from slam.errors import DatasetError
 from slam.measurements import Measurement, WheelOdometry
@@ -58,6 +58,8 @@ class Layout:
         Gives the wheels from a tf message, where no odometry topic does.
     notes
         What was concluded, for the report.
+    shifts_s
+        By how much stamps of topics are ahead of the common clock; infinite where they have none.
     lenses
         Topics that told a lens, a depth unit, or where colour sits beside depth.
     left_out
@@ -72,6 +74,7 @@ class Layout:
     images: dict[str, tuple[int, bool]] = field(default_factory=dict)
     wheels_from: Callable[[Any], Iterator[WheelOdometry]] | None = None
     notes: list[str] = field(default_factory=list)
+    shifts_s: dict[str, float] = field(default_factory=dict)
     lenses: set[str] = field(default_factory=set)
     left_out: dict[str, str] = field(default_factory=dict)
 
@@ -143,8 +146,22 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...], known: KnownCal
         layout.notes.append(f"{topic} is not read: {layout.left_out[topic]}")
     if not choice.odometry and layout.base:
         _read_wheels_from_tf(survey, layout, layout.base)
+    _read_clocks(survey, layout)
     layout.notes += [*files.notes, *files.unused()]
     return layout
+
+
+def _read_clocks(survey: Survey, layout: Layout) -> None:
+    """Stamps that are none, and those of a clock of their own."""
+    for topic in sorted({*layout.readers, *layout.images}):
+        if topic in survey.late_s and survey.late_s[topic] is None:
+            layout.shifts_s[topic] = math.inf
+            layout.notes.append(f"{WARNING}{topic} has no stamps; the recorder's clock is taken")
+    for topic, shift_s in clock_shifts(survey).items():
+        if topic in layout.readers or topic in layout.images:
+            layout.shifts_s[topic] = shift_s
+            ahead = f"{abs(shift_s):.1f} s {'ahead of' if shift_s > 0 else 'behind'} the other topics'"
+            layout.notes.append(f"{WARNING}{topic}: its clock is {ahead}; taken off, by when its first came")
 
 
 def _choice(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Choice:
@@ -265,7 +282,7 @@ def _color_in_depth(survey: Survey, layout: Layout, topics: CameraTopics) -> gts
     values = [np.asarray(one.translation()) for one, _ in known]
     if float(np.abs(values[0] - values[-1]).max()) > _APART_M:
         layout.notes.append(
-            f"warning: {topics.name}: colour beside depth at {_xyz(values[0])} m by {source}, at "
+            f"{WARNING}{topics.name}: colour beside depth at {_xyz(values[0])} m by {source}, at "
             f"{_xyz(values[-1])} m by {known[-1][1]}; that of {source} is used"
         )
     if (apart_m := float(np.linalg.norm(values[0]))) > _APART_M:

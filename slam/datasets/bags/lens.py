@@ -97,7 +97,7 @@ def lens_of(message: Any, *, rectified: bool) -> Lens:
     known = bool(np.isfinite([fx, fy, cx, cy]).all()) and min(fx, fy) > 0.0
     if not known or min(width, height) < 0 or width * height > MOST_PIXELS or (width > 0) != (height > 0):
         raise RecordFault(NO_LENS, f"{width} x {height}, {fx} {fy} {cx} {cy}")
-    intrinsics = CameraIntrinsics(fx, fy, cx, cy, width, height)
+    intrinsics = _cut(CameraIntrinsics(fx, fy, cx, cy, width, height), getattr(message, "roi", None))
     model = str(message.distortion_model).lower().replace(" ", "_")
     plain = rectified or not d.size or not np.isfinite(d).all() or np.abs(d).max() < _NEGLIGIBLE
     if plain:
@@ -106,6 +106,14 @@ def lens_of(message: Any, *, rectified: bool) -> Lens:
     if not fisheye and (model not in _PLUMB or d.size not in (4, 5, 8, 12, 14)):
         return Lens(intrinsics, np.zeros(0), unknown_model=model or f"{d.size} coefficients")
     return Lens(intrinsics, d[:4] if fisheye else d, fisheye)
+
+
+def _cut(lens: CameraIntrinsics, region: Any) -> CameraIntrinsics:
+    """Of the region of the sensor that images show; none is the whole."""
+    if region is None or not (region.width and region.height):
+        return lens
+    cx, cy = lens.cx - region.x_offset, lens.cy - region.y_offset
+    return CameraIntrinsics(lens.fx, lens.fy, cx, cy, int(region.width), int(region.height))
 
 
 def _numbers(message: Any, name: str) -> FloatArray:

@@ -32,6 +32,7 @@ from slam.datasets.dataset import ReadReport, RecordFault
 LOOK_S = 10.0  # of the bag's time, at most
 _LEAST_S = 2.0  # of the bag's time, for stamps of images and for transforms that come once a second
 _STAMPS_KEPT = 200
+_OTHER_CLOCK_S = 60.0  # no message waits so long for its recorder; clocks that were never set are years apart
 
 
 @dataclass(slots=True)
@@ -54,10 +55,14 @@ class Survey:
         For each image topic whether it holds depth.
     stamps_s
         First stamps of each image topic.
+    late_s
+        Of each sensor's topic the record time less the stamp of its first message; None where that has none.
     clouds
         What the first sound cloud of each topic looks like.
     scans
         Of each topic of scans the angle that it sees, and its range.
+    scan_stamps_s
+        First stamps of each topic of scans.
     sizes
         Width and height of the images of each topic that tells them before they are decoded.
     facts
@@ -73,8 +78,10 @@ class Survey:
     lenses: dict[str, Any] = field(default_factory=dict)
     depths: dict[str, bool] = field(default_factory=dict)
     stamps_s: dict[str, list[float]] = field(default_factory=dict)
+    late_s: dict[str, float | None] = field(default_factory=dict)
     clouds: dict[str, CloudView] = field(default_factory=dict)
     scans: dict[str, tuple[float, float]] = field(default_factory=dict)
+    scan_stamps_s: dict[str, set[float]] = field(default_factory=dict)
     sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
     facts: CameraFacts = field(default_factory=CameraFacts)
     robots: Robots = field(default_factory=Robots)
@@ -161,6 +168,27 @@ def survey_bag(bag: Bag, wanted: Sequence[str] = ()) -> Survey:
     return survey
 
 
+def clock_shifts(survey: Survey) -> dict[str, float]:
+    """By how much stamps of topics are ahead of the others' clock, where that is another one altogether.
+
+    The clock of the topics is the one that is nearest to the recorder's.
+    """
+    told = {topic: late_s for topic, late_s in survey.late_s.items() if late_s is not None}
+    reference_s = min(told.values(), key=abs, default=0.0)
+    return {
+        topic: reference_s - late_s
+        for topic, late_s in told.items()
+        if abs(late_s - reference_s) > _OTHER_CLOCK_S
+    }
+
+
+def restamp(message: Any, stamp_s: float) -> None:
+    """Give a message another stamp."""
+    seconds = math.floor(stamp_s)
+    message.header.stamp.sec = seconds
+    message.header.stamp.nanosec = min(round((stamp_s - seconds) * 1e9), 999_999_999)
+
+
 def count_messages(bag: Bag) -> Counter[str]:
     """Messages on each topic, by reading all of the bag."""
     quiet = Account(bag.path.name, ReadReport(), strict=False)
@@ -174,7 +202,7 @@ def _look(survey: Survey, record: BagRecord, decoder: Decoder) -> None:
         survey.seen.add(topic)
     wanted = kind in SENSORS | TRANSFORMS or kind == CAMERA_INFO or survey.facts.tells(topic, kind)
     known: Container[str] = survey.clouds if kind in CLOUDS else survey.frames
-    seen = (topic in known and kind not in IMAGES) or topic in survey.lenses
+    seen = (topic in known and kind not in IMAGES | SCANS) or topic in survey.lenses
     if not wanted or seen or survey.robots.of_another(topic):
         return
     try:
@@ -186,17 +214,24 @@ def _look(survey: Survey, record: BagRecord, decoder: Decoder) -> None:
         elif kind == CAMERA_INFO:
             survey.lenses[topic] = message
         else:
-            _look_at_reading(survey, topic, kind, message)
+            _look_at_reading(survey, record, message)
     except (RecordFault, AttributeError, TypeError, ValueError, RuntimeError):
         return
 
 
-def _look_at_reading(survey: Survey, topic: str, kind: str, message: Any) -> None:
+def _look_at_reading(survey: Survey, record: BagRecord, message: Any) -> None:
     """Take in a message of a sensor."""
+    topic, kind = record.channel.topic, record.channel.kind
     survey.frames[topic] = frame_name(message.header.frame_id)
+    if topic not in survey.late_s:
+        unset = message.header.stamp.sec == 0 and message.header.stamp.nanosec == 0
+        survey.late_s[topic] = None if unset else record.recorded_s - stamp_of(message.header)
+    if survey.late_s[topic] is None:
+        restamp(message, record.recorded_s)
     if kind in CLOUDS:
         survey.clouds[topic] = cloud_view(message)
     elif kind in SCANS:
+        survey.scan_stamps_s.setdefault(topic, set()).add(stamp_of(message.header))
         span_rad = float(abs(message.angle_max - message.angle_min))
         view = span_rad, float(message.range_max)
         survey.scans[topic] = view if all(map(math.isfinite, view)) else (0.0, 0.0)
