@@ -173,3 +173,27 @@ def test_a_contradiction_tells_both_values() -> None:
     assert contradiction("/image", (one, "a.yaml"), (half, "the bag")) == ""
     told = contradiction("/image", (one, "a.yaml"), (other, "the bag"))
     assert "600.0" in told and "525.0" in told and "a.yaml" in told and "the bag" in told
+
+
+@pytest.mark.parametrize(
+    "text", [CAMERA_INFO, CAMCHAIN, ORB_SLAM, OWN, URDF, PRINTED_TF, opencv_text(".yml"), opencv_text(".xml")]
+)
+def test_damage_is_told_in_a_line_or_tells_nothing(tmp_path: Path, text: str) -> None:
+    rng = np.random.default_rng(5)
+    for number in range(200):
+        damaged = list(text)
+        for _ in range(rng.integers(1, 4)):
+            at, kind = int(rng.integers(len(damaged))), int(rng.integers(3))
+            if kind == 0:
+                damaged[at] = chr(int(rng.integers(1, 0x250)))
+            elif kind == 1:
+                damaged[at : at + int(rng.integers(1, 9))] = list(
+                    str(rng.choice(["9" * 400, "-1", "[", ": ", "nan"]))
+                )
+            else:
+                del damaged[at : at + int(rng.integers(1, 60))]
+        (tmp_path / "calibration.yaml").write_text("".join(damaged), encoding="utf-8", errors="replace")
+        try:
+            known_beside(tmp_path)
+        except DatasetError as error:
+            assert "\n" not in str(error), number

@@ -29,7 +29,12 @@ from bag_writing import (
 from typer.testing import CliRunner
 
 from slam.datasets import open_dataset
+from slam.datasets.bags.clouds import CloudReader
+from slam.datasets.bags.decoding import Decoder
+from slam.datasets.bags.records import BagRecord, Channel
 from slam.datasets.bags.topics import choose
+from slam.datasets.budget import Budget
+from slam.datasets.dataset import RecordFault
 from slam.datasets.inspection import inspect_dataset
 from slam.measurements import LaserScan, PointCloud, WheelOdometry
 
@@ -408,3 +413,18 @@ def test_packets_that_are_damaged_are_counted(tmp_path: Path) -> None:
         packet["data"] = np.zeros(1206, np.uint8)
     found, dataset = read(tmp_path, [bad, scan()])
     assert len(found) == 1 and dataset.report.dropped_count == 1
+
+
+@pytest.mark.parametrize("wire", ["ros1", "cdr"])
+def test_damaged_livox_messages_are_counted(tmp_path: Path, wire: str) -> None:
+    rng = np.random.default_rng(4)
+    channel = Channel("/l", "livox_ros_driver2/msg/CustomMsg", wire)
+    decoder, refused = Decoder(Budget(10**9)), 0
+    for size in range(0, 400, 2):
+        content = rng.integers(0, 256, size, dtype=np.uint8).tobytes()
+        try:
+            message = decoder.decode(BagRecord(1, channel, 1.0, content))
+            CloudReader("/l", gtsam.Pose3()).read(message)
+        except RecordFault:
+            refused += 1
+    assert refused > 150
