@@ -20,7 +20,7 @@ from slam.datasets.bags.pairing import ImagePair, PairStream, StampedImage
 from slam.datasets.bags.records import BagRecord
 from slam.datasets.bags.survey import Survey, restamp, survey_bag
 from slam.datasets.bags.time_merge import TimeMerge
-from slam.datasets.bags.topics import TRANSFORMS
+from slam.datasets.bags.topics import IMAGES, TRANSFORMS
 from slam.datasets.bags.truth import read_truth, truth_topic
 from slam.datasets.budget import Budget
 from slam.datasets.calibration_files import known_beside
@@ -263,6 +263,10 @@ def _nothing_usable(path: Path, report: ReadReport, survey: Survey) -> str:
     """The message for a bag without a single measurement."""
     reasons = "; ".join(f"{tally.count} x {reason}" for reason, tally in report.dropped.items())
     topics = ", ".join(f"{topic} ({channel.kind})" for topic, channel in list(survey.channels.items())[:8])
+    if any(channel.kind in IMAGES for channel in survey.channels.values()) and not any(
+        survey.depths.values()
+    ):
+        reasons += f"{'; ' if reasons else ''}its images have no depth beside them: record that as well"
     return (
         f"{path} holds no usable scan, cloud, RGB-D pair or odometry{f' ({reasons})' if reasons else ''}; "
         f"its topics: {topics or 'none'}"

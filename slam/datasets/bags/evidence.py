@@ -12,14 +12,15 @@ import numpy as np
 
 from slam.datasets.bags.camera_clouds import camera_clouds
 from slam.datasets.bags.survey import Survey
-from slam.datasets.bags.topics import CLOUDS, SCANS, Evidence
+from slam.datasets.bags.topics import CLOUDS, ODOMETRY, SCANS, Evidence
 from slam.datasets.bags.transforms import BASE_FRAMES
 from slam.datasets.bags.truth import IS_TRUTH, is_truth
 
 ODOM_FRAMES = ("odom", "odom_combined")
-_ESTIMATE = re.compile(
-    r"filter|ekf|ukf|fus(ed|ion)|estimat|amcl|slam|loam|(^|[/_])[a-z]*(lio|vio|vo)([/_]|$)|vins|visual|rtabmap"
-    r"|icp|lidar|laser|scan|camera|zed|t265|gps|gnss|utm|global|local|map|correct|optimi",
+_FUSED = re.compile(r"filter|ekf|ukf|fus(ed|ion)|estimat|combined|local|global|correct|optimi", re.IGNORECASE)
+_NO_WHEELS = re.compile(
+    r"(^|[/_])(camera|zed\w*|t265|vins\w*|vio|lio|visual|orb\w*|rtabmap|icp|\w*loam\w*|slam|lidar|laser|scan|kiss|rf2o"
+    r"|gps|gnss|utm|amcl|map\w*)\d*([/_]|$)",
     re.IGNORECASE,
 )
 _WHEELS = re.compile(r"wheel|encoder|diff|drive|raw|chassis|base", re.IGNORECASE)
@@ -53,6 +54,8 @@ def never_read(survey: Survey) -> dict[str, str]:
             found[topic] = f"it is of another robot than {survey.robots.read}"
         elif is_truth(topic, kind):
             found[topic] = IS_TRUTH
+        elif kind == ODOMETRY and (estimate := _no_wheels(survey, topic)):
+            found[topic] = estimate
         elif kind in SCANS and (cloud := _made_of(survey, topic)):
             found[topic] = f"it is made of {cloud}, which has its frame and stamps and tells more"
         elif kind in CLOUDS and _last(frame) in _WORLDS:
@@ -68,6 +71,14 @@ def never_read(survey: Survey) -> dict[str, str]:
             if topic not in found
         }
     return found
+
+
+def _no_wheels(survey: Survey, topic: str) -> str:
+    """Why an odometry is none of wheels; empty where it may be."""
+    parent = _last(survey.odometry.get(topic, ("", ""))[0])
+    if parent in _WORLDS.difference(ODOM_FRAMES):
+        return f"it is somebody's estimate in {parent} and none of wheels"
+    return "by its name it is what was seen of the way and none of wheels" if _NO_WHEELS.search(topic) else ""
 
 
 def _made_of(survey: Survey, scan: str) -> str | None:
@@ -101,9 +112,8 @@ def _cloud_rank(survey: Survey, topic: str) -> tuple[Any, ...]:
 def _odometry_rank(survey: Survey, topic: str) -> tuple[Any, ...]:
     """Wheels before estimates; then what tf has the base moved by."""
     parent, child = survey.odometry.get(topic, ("", ""))
-    estimated = bool(_ESTIMATE.search(topic)) or _last(parent) in _WORLDS.difference(ODOM_FRAMES)
     return (
-        estimated,
+        bool(_FUSED.search(topic)),
         _last(child) not in BASE_FRAMES,
         not _WHEELS.search(topic),
         survey.tree.parent_of(child) != parent,
