@@ -98,7 +98,8 @@ def join(
         why = "lies in a temporary folder" if known.in_memory else f"is not named {MAP_NAME}"
         raise MapFileError(f"{known.path} {why}; say with --out (out=) where the joined map goes")
     if isinstance(log, str | Path):
-        log = open_dataset(log, strict=strict, topics=config.sensors.topics if config else ())
+        sensors = (config or Config()).sensors
+        log = open_dataset(log, strict=strict, topics=sensors.topics, calibration=sensors.calibration_files)
     identity = identity_of(log.path, config or known.config)
     if any(session.log_fingerprint == identity.log_fingerprint for session in known.sessions):
         raise ScanweaveError(f"{log.path} is in {known.path} already; the map is as it was")

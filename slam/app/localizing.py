@@ -112,7 +112,13 @@ def localize_log(
     config = config or Config()
     if isinstance(log, str | Path):
         sensors = config.sensors
-        log = open_dataset(log, strict=strict, topics=sensors.topics, images=sensors.rgbd)
+        log = open_dataset(
+            log,
+            strict=strict,
+            topics=sensors.topics,
+            images=sensors.rgbd,
+            calibration=sensors.calibration_files,
+        )
     findings = [] if saved.contents.clouds else findings_of(log, config)
     config = settled(config, findings)
     registrations = _registrations(saved.contents, log, config)

@@ -159,7 +159,14 @@ def _opened(log: Path | str | Dataset, config: Config, strict: bool) -> Dataset:
     """The log as a dataset."""
     if not isinstance(log, str | Path):
         return log
-    return open_dataset(log, strict=strict, topics=config.sensors.topics, images=config.sensors.rgbd)
+    sensors = config.sensors
+    return open_dataset(
+        log,
+        strict=strict,
+        topics=sensors.topics,
+        images=sensors.rgbd,
+        calibration=sensors.calibration_files,
+    )
 
 
 def _in_memory(dataset: Dataset, identity: MapIdentity, on_progress: OnProgress | None) -> MapRun:

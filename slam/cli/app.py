@@ -113,7 +113,11 @@ RecordOption = Annotated[
 JsonOption = Annotated[bool, typer.Option("--json", help="JSON instead of text")]
 CalibrationOption = Annotated[
     Path | None,
-    typer.Option("--calibration", help="a file of corrections of sensors, as 'scanweave doctor' writes it"),
+    typer.Option(
+        "--calibration",
+        help="a file of corrections of sensors, as 'scanweave doctor' writes it, or of lenses and mountings: "
+        "camera_info, Kalibr, URDF, tf, OpenCV",
+    ),
 ]
 TopicsOption = Annotated[
     list[str] | None,

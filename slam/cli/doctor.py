@@ -34,15 +34,16 @@ def doctor(
     calibration: CalibrationOption = None,
 ) -> None:
     """Tell what the sensors of a log say of each other that cannot be, and what mends it."""
-    from slam.config import Config, load_calibration
+    from slam.config import load_config
     from slam.datasets import open_dataset
     from slam.datasets.corrections import Corrected
     from slam.doctor.diagnosis import examine
     from slam.doctor.finding import calibration_text, remedied
     from slam.storage.files import write_bytes
 
-    known = load_calibration(calibration) if calibration else Config().sensors.calibration
-    dataset = open_dataset(log, strict=strict, topics=topics_of(topics))
+    sensors = load_config(calibration=calibration).sensors
+    known, files = sensors.calibration, sensors.calibration_files
+    dataset = open_dataset(log, strict=strict, topics=topics_of(topics), calibration=files)
     diagnosis = examine(Corrected(dataset, known))
     findings = diagnosis.findings
     if as_json:

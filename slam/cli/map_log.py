@@ -141,12 +141,12 @@ def map_into(
     """Map a log as one more session of a saved map, by its settings where none are given, and tell of it."""
     started = time.perf_counter()
     from slam.app.joining import WORK, join
-    from slam.config import calibrated, load_calibration
+    from slam.config import with_calibration
     from slam.outputs.finished_map import open_map
 
     known = open_map(map_)
     if config is None and calibration is not None:
-        config = calibrated(known.config, load_calibration(calibration))
+        config = with_calibration(known.config, calibration)
     work = (out or known.path.parent) / WORK / "session"
     try:
         with progress_bar(first=_beginning(work, resume)) as show, interruptible(show) as on_progress:

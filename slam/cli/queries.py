@@ -32,17 +32,19 @@ def inspect(
     calibration: CalibrationOption = None,
 ) -> None:
     """Tell what is in a log: sensors, rates, gaps, clock steps, dropped records."""
-    from slam.config import Config, load_calibration
+    from slam.config import load_config
     from slam.datasets import open_dataset
     from slam.datasets.corrections import Corrected
-    from slam.datasets.inspection import inspect_dataset
+    from slam.datasets.inspection import inspect_dataset, map_commands
     from slam.doctor.diagnosis import diagnose
     from slam.evaluation.pages import inspection_text
 
-    dataset = open_dataset(log, strict=strict, topics=topics_of(topics))
-    known = load_calibration(calibration) if calibration else Config().sensors.calibration
+    sensors = load_config(calibration=calibration).sensors
+    known, files = sensors.calibration, sensors.calibration_files
+    dataset = open_dataset(log, strict=strict, topics=topics_of(topics), calibration=files)
     inspection = inspect_dataset(dataset, known)
-    findings = diagnose(Corrected(dataset, known))
+    inspection["commands"] = map_commands(inspection, log, topics_of(topics), calibration)
+    findings = [] if inspection["refusal"] else diagnose(Corrected(dataset, known))
     inspection["findings"] = [{"line": finding.line, **finding.plain()} for finding in findings]
     lines = [inspection_text(inspection), *(f"  finding: {finding.line}" for finding in findings)]
     tell(json.dumps(inspection, indent=2) if as_json else "\n".join(lines))

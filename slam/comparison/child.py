@@ -64,7 +64,10 @@ def _measured(run: Run, folder: Path) -> dict[str, Any]:
 
     config = Config.model_validate_json(run.config) if run.config else Config()
     images = config.sensors.rgbd and run.method not in WITHOUT_IMAGES
-    dataset = open_dataset(Path(run.log), topics=config.sensors.topics, images=images)
+    sensors = config.sensors
+    dataset = open_dataset(
+        Path(run.log), topics=sensors.topics, images=images, calibration=sensors.calibration_files
+    )
     if run.method == "external":
         return _scored(run, Product(read_tum(Path(run.trajectory))), folder)
     if run.method == SCANWEAVE:

@@ -43,6 +43,12 @@ from slam.foreign import Loader, from_yaml
 
 DEFAULT_PRESET = "lidar2d"
 
+# What files of lenses and mountings begin with, or have at the beginning of a line.
+_FOREIGN = re.compile(
+    r"\A\s*<|^(%YAML|cam\d+:|Camera1?\.|transforms:|child_frame_id:|sensor_type:|trans_matrix:|intrinsics:"
+    r"|depth_steps_per_m:|T_base_(camera|lidar):|\w*(camera|intrinsic)_?matrix\w*:|[kK]:|image_width:|distortion_model:)",
+    re.MULTILINE,
+)
 # A link to the top-level configs/, so that a wheel carries the presets as package data of slam.
 _PRESET_FOLDER = Path(__file__).parents[1] / "presets"
 
@@ -93,8 +99,9 @@ def load_config(
     overrides
         Texts like ``keyframes.distance_m=0.3``; the right side is read as YAML. Later ones win.
     calibration
-        File of corrections of the log's sensors, see `load_calibration`; it takes the place of
-        ``sensors.calibration``.
+        File of corrections of the log's sensors, see `load_calibration`, which takes the place of
+        ``sensors.calibration``; or one of lenses and mountings, which is added to
+        ``sensors.calibration_files``.
 
     Raises
     ------
@@ -117,7 +124,23 @@ def load_config(
         for override in overrides:
             _apply_override(tree, override)
         config = _validated(tree, source="override")
-    return config if calibration is None else calibrated(config, load_calibration(calibration))
+    return config if calibration is None else with_calibration(config, calibration)
+
+
+def with_calibration(config: Config, file: Path | str) -> Config:
+    """A configuration with a file of corrections, or with one of lenses and mountings by other tools.
+
+    Raises
+    ------
+    ConfigError
+        As `load_calibration`, unless the file is of the other sort: those are read with the log.
+    """
+    path = Path(file)
+    if path.is_file() and _FOREIGN.search(path.read_text(encoding="utf-8", errors="replace")):
+        files = (*config.sensors.calibration_files, str(path.resolve()))
+        sensors = config.sensors.model_copy(update={"calibration_files": files})
+        return config.model_copy(update={"sensors": sensors})
+    return calibrated(config, load_calibration(path))
 
 
 def load_calibration(file: Path | str) -> Calibration:

@@ -39,6 +39,11 @@ class SensorsConfig(StrictModel):
         default=True, description="compare the sensors first, and correct what is wrong beyond doubt"
     )
     calibration: Calibration = Calibration()
+    calibration_files: tuple[str, ...] = Field(
+        default=(),
+        description="files of lenses and mountings by other tools (camera_info, Kalibr, URDF, tf, OpenCV), "
+        "believed before the log",
+    )
 
 
 class ScanConfig(StrictModel):

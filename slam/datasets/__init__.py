@@ -51,7 +51,12 @@ FORMATS: tuple[DatasetFormat, ...] = (
 
 
 def open_dataset(
-    path: Path | str, *, strict: bool = False, topics: Sequence[str] = (), images: bool = True
+    path: Path | str,
+    *,
+    strict: bool = False,
+    topics: Sequence[str] = (),
+    images: bool = True,
+    calibration: Sequence[Path | str] = (),
 ) -> Dataset:
     """Open a log by its content, whatever its name.
 
@@ -66,6 +71,9 @@ def open_dataset(
         as without.
     images
         False leaves the images of a folder unread, where nobody will look at them.
+    calibration
+        Files of lenses and mountings by other tools, which are believed before the log; see
+        `slam.datasets.calibration_files`.
 
     Returns
     -------
@@ -103,13 +111,13 @@ def open_dataset(
         if known.recognises(path, head):
             if known.open is open_bag:
                 bag = open_bag(path, strict, tuple(topics))
-                bag.read_images = images
+                bag.read_images, bag.calibration_files = images, tuple(map(Path, calibration))
                 return bag
             if topics:
                 raise DatasetError(f"{path} is a {known.description} and has no topics; leave out --topics")
             dataset = known.open(path, strict)
             if isinstance(dataset, Recording):
-                dataset.read_images = images
+                dataset.read_images, dataset.calibration_files = images, tuple(map(Path, calibration))
             return dataset
     if path.is_dir():
         inside = _recordings(path)

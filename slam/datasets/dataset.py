@@ -26,6 +26,7 @@ _LINES_KEPT = 3  # examples kept of each kind of event
 MOST_TOPICS = 2000  # a robot has some dozens; damaged names must not fill the memory
 _KEYS_KEPT = 32  # kinds of event; the rest share one key, so that garbage cannot grow the report
 _OTHER = "(others)"
+WARNING = "warning: "  # begins a note that is one
 
 
 class RecordFault(Exception):
@@ -132,6 +133,12 @@ class ReadReport:
     def dropped_count(self) -> int:
         """Refused records, all reasons."""
         return sum(tally.count for tally in self.dropped.values())
+
+    @property
+    def warnings(self) -> list[str]:
+        """The notes that a person should see before trusting a map."""
+        found = [note for note in self.notes if note.startswith(WARNING)]
+        return [note.removeprefix(WARNING) for note in sorted(found)]
 
     def accept(self, kind: str) -> None:
         """Count an accepted record."""

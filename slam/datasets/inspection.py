@@ -6,8 +6,11 @@ Told in plain values, as JSON has them: angles in radians, every number finite, 
 from __future__ import annotations
 
 import math
+import shlex
 from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,13 +23,18 @@ from slam.datasets.inspection_bag import bag_facts
 from slam.datasets.inspection_camera import CameraFigures
 from slam.datasets.inspection_cloud import CloudFigures
 from slam.datasets.sensor_choice import SensorTally
-from slam.measurements import LaserScan, PointCloud, RgbdFrame, WheelOdometry
+from slam.errors import BadRecordError, DatasetError
+from slam.measurements import LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
+
+_SEEING = {"2D lidar", "3D lidar", "RGB-D camera"}
+_BLIND = "nothing that sees is used: neither a scan, nor a cloud, nor colour with depth"
 
 
 def inspect_dataset(dataset: Dataset, calibration: Calibration | None = None) -> dict[str, Any]:
     """Read a log once, from end to end, and tell what it holds.
 
-    ``first_stamp_s`` is the earliest stamp, ``duration_s`` the latest less that; ``uses`` tells of every
+    ``first_stamp_s`` is the earliest stamp, ``duration_s`` the latest less that; ``refusal`` says why it
+    cannot be mapped, where that is so: of a bag all else is told even then. ``uses`` tells of every
     sensor and topic whether mapping by the default settings uses it, and else why not; ``dropped``
     has the damaged records by reason and ``notes`` what is odd, each with a count, its first lines and the
     largest.
@@ -39,15 +47,15 @@ def inspect_dataset(dataset: Dataset, calibration: Calibration | None = None) ->
     Raises
     ------
     DatasetError
-        The log cannot be read or holds nothing.
+        The log cannot be read; it is no bag and holds nothing.
     BadRecordError
         A damaged record, where the dataset was opened with ``strict``.
     """
     calibration = calibration or Calibration()
     tally = SensorTally(config=SensorsConfig(calibration=calibration))
     streams: dict[str, _Stream] = {}
-    earliest_s, latest_s = math.inf, -math.inf
-    for measurement in corrected(tally.counted(dataset), calibration):
+    earliest_s, latest_s, refusals = math.inf, -math.inf, list[str]()
+    for measurement in _as_far_as_it_goes(corrected(tally.counted(dataset), calibration), dataset, refusals):
         stream = streams.setdefault(measurement.sensor, _Stream())
         stream.add_stamp(measurement.stamp_s)
         if isinstance(measurement, LaserScan):
@@ -60,23 +68,62 @@ def inspect_dataset(dataset: Dataset, calibration: Calibration | None = None) ->
             stream.add_odometry(measurement)
         earliest_s = min(earliest_s, measurement.stamp_s)
         latest_s = max(latest_s, measurement.stamp_s)
-    report = dataset.report
-    return {
+    report, uses = dataset.report, tally.uses(dataset.report)
+    if not refusals and not any(use.kind in _SEEING and not use.why_not for use in uses):
+        refusals.append(_BLIND)
+    inspection = {
         "name": dataset.name,
         "path": str(dataset.path),
-        "first_stamp_s": earliest_s,
-        "duration_s": latest_s - earliest_s,
+        "first_stamp_s": earliest_s if streams else 0.0,
+        "duration_s": latest_s - earliest_s if streams else 0.0,
+        "refusal": " ".join(refusals),
         "sensors": [
             streams[name].facts(name, earliest_s, report.backward_steps.get(name, Tally()))
             for name in sorted(streams)
         ],
         "records": dict(report.records),
-        "uses": [asdict(use) for use in tally.uses(report)],
+        "uses": [asdict(use) for use in uses],
         "dropped": {reason: asdict(tally) for reason, tally in report.dropped.items()},
         "notes": {text: asdict(tally) for text, tally in report.notes.items()},
         "odometry_jumps": asdict(report.odometry_jumps),
         "bag": bag_facts(dataset),
     }
+    return {**inspection, "commands": map_commands(inspection, Path(dataset.path))}
+
+
+def map_commands(
+    inspection: Mapping[str, Any],
+    log: Path,
+    topics: Sequence[str] = (),
+    calibration: Path | None = None,
+) -> list[str]:
+    """The commands that map a log as it was inspected: one for each robot in it, none where none can."""
+    if inspection["refusal"]:
+        return []
+    bag = inspection["bag"] or {}
+    others = [space for space in bag.get("robots", ()) if space != bag["robot"]]
+    commands = []
+    for space in ("", *others):
+        chosen = [space] if space else list(topics)
+        out = f"{log.resolve().name.split('.')[0]}{space.replace('/', '-')}-map"
+        words = ["scanweave", "map", str(log), *(["--topics", ",".join(chosen)] if chosen else [])]
+        words += ["--calibration", str(calibration)] if calibration else []
+        commands.append(shlex.join([*words, "-o", out]))
+    return commands
+
+
+def _as_far_as_it_goes(
+    log: Iterable[Measurement], dataset: Dataset, refusals: list[str]
+) -> Iterator[Measurement]:
+    """A log; where a bag turns out to hold nothing that can be mapped, why not is put down."""
+    try:
+        yield from log
+    except BadRecordError:
+        raise
+    except DatasetError as error:
+        if not (bag_facts(dataset) or {}).get("topics"):
+            raise
+        refusals.append(str(error))
 
 
 @dataclass(slots=True)

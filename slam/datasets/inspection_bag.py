@@ -13,7 +13,8 @@ def bag_facts(dataset: Dataset) -> dict[str, Any] | None:
 
     ``late_s`` of a topic is the median of record time less header stamp. ``clock_offsets_s`` tells how far
     its stamps are ahead of those of ``reference``, the topic with most messages, if both arrive equally fast.
-    ``base`` is the robot's frame, ``frames`` the tree of frames, one a line.
+    ``base`` is the robot's frame, ``frames`` the tree of frames, one a line. Of several robots ``robots`` are
+    the namespaces, and ``robot`` is that of the one that is read.
     """
     if not isinstance(dataset, BagDataset):
         return None
@@ -27,6 +28,7 @@ def bag_facts(dataset: Dataset) -> dict[str, Any] | None:
             "rate_hz": topic.rate_hz,
             "longest_gap_s": topic.gap_s,
             "longest_gap_at_s": topic.gap_at_s - first_s if topic.gap_s else 0.0,
+            "frame": topic.frame,
             "late_s": topic.late_s.median(),
         }
         for name, topic in sorted(figures.topics.items())
@@ -38,4 +40,6 @@ def bag_facts(dataset: Dataset) -> dict[str, Any] | None:
         "clock_offsets_s": {one["topic"]: read[0]["late_s"] - one["late_s"] for one in read[1:]},
         "base": figures.base,
         "frames": list(figures.tree.lines()),
+        "robots": list(figures.robots.spaces),
+        "robot": figures.robots.read,
     }

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from slam.datasets.account import Account
+from slam.datasets.calibration_files import by_files, known_beside
 from slam.datasets.camera_frames import Camera, read_frames
 from slam.datasets.dataset import ReadReport
 from slam.datasets.frame_pairs import FramePair
@@ -91,6 +92,7 @@ class Recording:
         self.name = plain(path.resolve().name)
         self.report = ReadReport()
         self.read_images = True
+        self.calibration_files: tuple[Path, ...] = ()
         self.wants_frame: Callable[[str, float], bool] | None = None
         self._load, self._truth, self._strict, self._remedy = load, truth, strict, remedy
 
@@ -108,6 +110,11 @@ class Recording:
         account = Account(self.name, report, self._strict)
         contents = self._load(account)
         cameras = contents.cameras if self.read_images else []
+        if cameras or self.calibration_files:
+            known = known_beside(self.path, self.calibration_files)
+            cameras = [by_files(camera, known, account) for camera in cameras]
+            for note in known.notes:
+                report.note(note, 1)
         # Frames take the time, where there are any; else the log beside them tells how far it was read.
         frames_in_all, frames_read = sum(len(camera.pairs) for camera in cameras), 0
         pairs, wants = _by_time(cameras), self.wants_frame

@@ -175,13 +175,15 @@ class SensorTally:
     def counted(self, log: Iterable[Measurement]) -> Iterator[Measurement]:
         """A log as it is."""
         beginning = _Beginning() if self.choice is None else None
-        for measurement in log:
-            self.counts[type(measurement), measurement.sensor] += 1
-            if beginning is not None and not beginning.add(measurement):
-                self.choice, beginning = beginning.choice(self.config), None
-            yield measurement
-        if beginning is not None:
-            self.choice = beginning.choice(self.config)
+        try:
+            for measurement in log:
+                self.counts[type(measurement), measurement.sensor] += 1
+                if beginning is not None and not beginning.add(measurement):
+                    self.choice, beginning = beginning.choice(self.config), None
+                yield measurement
+        finally:
+            if beginning is not None:
+                self.choice = beginning.choice(self.config)
 
     def uses(self, report: ReadReport, unused: Mapping[str, str] | None = None) -> list[SensorUse]:
         """What became of everything in the log: its sensors by name, then what the reader did not read.

@@ -90,6 +90,7 @@ def build_map(
     result.notes += [f"{finding.line} (used)" for finding in findings if finding.sure and finding.remedies]
     result.notes += use_lines(result.uses)
     result.warnings += [finding.line for finding in findings if not (finding.sure and finding.remedies)]
+    result.warnings += dataset.report.warnings
     return result
 
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.datasets.bags.images import color_of, depth_of
+from slam.datasets.bags.images import MILLIMETRES_PER_M, color_of, depth_of
 from slam.datasets.bags.lens import Lens
 from slam.datasets.bags.pairing import ImagePair
+from slam.datasets.bags.registered import ColorView
 from slam.datasets.budget import Budget
 from slam.datasets.calibration import Calibration, same_aspect
 from slam.datasets.camera_frames import SIZES_DIFFER
@@ -18,6 +19,8 @@ from slam.datasets.dataset import RecordFault
 from slam.measurements import CameraIntrinsics, ColorImage, Float32Array, RgbdFrame
 
 _Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
+_View = tuple[_Maps | None, ColorView | None]
+_APART_M = 0.001  # colour and depth that are nearer than that are one camera
 
 # What drivers give for a Kinect without calibration; scaled to the width of the images.
 _ASSUMED = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)
@@ -34,22 +37,25 @@ class BagCamera:
         Its name.
     depth_lens, color_lens
         None where no CameraInfo goes with the topic.
-    turn_depth_color
-        (3, 3) rotation of the colour camera in the depth camera's frame.
+    T_depth_color
+        Of the colour camera's optical frame in that of the depth camera.
     T_base_camera
         Of the depth camera's optical frame; None where tf does not tell it.
     tolerance_s
         Greatest time between the two images of a pair.
+    depth_steps_per_m
+        What 16-bit depth images write for a metre.
     """
 
     sensor: str
     depth_lens: Lens | None
     color_lens: Lens | None
-    turn_depth_color: NDArray[np.float64]
+    T_depth_color: gtsam.Pose3
     T_base_camera: gtsam.Pose3 | None
     tolerance_s: float
+    depth_steps_per_m: float = MILLIMETRES_PER_M
     _depth_maps: dict[tuple[int, int], _Maps | None] = field(default_factory=dict, repr=False)
-    _color_maps: dict[tuple[int, int, int, int], _Maps | None] = field(default_factory=dict, repr=False)
+    _color_views: dict[tuple[int, int, int, int], _View] = field(default_factory=dict, repr=False)
 
     @property
     def assumed(self) -> str:
@@ -65,10 +71,11 @@ class BagCamera:
             An image is damaged or of an encoding that is not read, the sizes fit no known lens, or the
             budget is used up.
         """
-        depth_m = self._flat_depth(depth_of(pair.depth.message, budget))
+        depth_m = depth_of(pair.depth.message, budget, self.depth_steps_per_m)
+        depth_m = self._flat_depth(depth_m)
         height, width = depth_m.shape
         intrinsics = self._intrinsics(width, height)
-        color = self._fitted(color_of(pair.color.message, budget), intrinsics)
+        color = self._fitted(color_of(pair.color.message, budget), depth_m, intrinsics)
         return RgbdFrame(pair.color.stamp_s, color, depth_m, intrinsics, self.T_base_camera, self.sensor)
 
     def _intrinsics(self, width: int, height: int) -> CameraIntrinsics:
@@ -81,9 +88,8 @@ class BagCamera:
         """Depth without distortion: each pixel takes the nearest reading, none are mixed."""
         size = (depth_m.shape[1], depth_m.shape[0])
         if size not in self._depth_maps:
-            lens = self.depth_lens
-            fits = lens is not None and size == (lens.intrinsics.width, lens.intrinsics.height)
-            self._depth_maps[size] = lens.maps() if lens is not None and fits else None
+            lens = _at(self.depth_lens, size)
+            self._depth_maps[size] = None if lens is None else lens.maps()
         maps = self._depth_maps[size]
         if maps is None:
             return depth_m
@@ -91,31 +97,48 @@ class BagCamera:
 
         return np.asarray(cv2.remap(depth_m, *maps, cv2.INTER_NEAREST), dtype=np.float32)
 
-    def _fitted(self, color: ColorImage, wanted: CameraIntrinsics) -> ColorImage:
-        """Colour as the depth camera would see it from the colour camera's place."""
+    def _fitted(self, color: ColorImage, depth_m: Float32Array, wanted: CameraIntrinsics) -> ColorImage:
+        """Colour as the depth camera would see it."""
         size = (color.shape[1], color.shape[0])
         key = (*size, wanted.width, wanted.height)
-        if key not in self._color_maps:
-            self._color_maps.clear()  # one image may be of any size: the maps of none but the latest are kept
-            self._color_maps[key] = self._maps_of_color(size, wanted)
-        maps = self._color_maps[key]
+        if key not in self._color_views:
+            self._color_views.clear()  # one image may be of any size: what the latest needs is kept
+            self._color_views[key] = self._view_of_color(size, wanted)
+        maps, beside = self._color_views[key]
         import cv2
 
         if maps is not None:
-            return np.asarray(cv2.remap(color, *maps, cv2.INTER_LINEAR))
-        if size == (wanted.width, wanted.height):
+            color = np.asarray(cv2.remap(color, *maps, cv2.INTER_LINEAR))
+        if beside is not None:
+            return beside.of(color, depth_m)
+        if color.shape[:2] == depth_m.shape:
             return color
-        shrinks = wanted.width < size[0]
-        how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+        how = cv2.INTER_AREA if wanted.width < size[0] else cv2.INTER_LINEAR
         return np.asarray(cv2.resize(color, (wanted.width, wanted.height), interpolation=how))
 
-    def _maps_of_color(self, size: tuple[int, int], wanted: CameraIntrinsics) -> _Maps | None:
-        """Where each pixel of the depth image is looked up; None where the views differ in size alone."""
-        lens = self.color_lens
-        if lens is None or size != (lens.intrinsics.width, lens.intrinsics.height):
+    def _view_of_color(self, size: tuple[int, int], wanted: CameraIntrinsics) -> _View:
+        """Where pixels are looked up; neither where the views differ in size alone.
+
+        By one map from the same place, where nothing depends on depth; else without distortion first, and
+        then by the depth of each pixel.
+        """
+        lens = _at(self.color_lens, size)
+        if lens is None:
             # Without a lens of its own, colour of the same proportions is taken as already registered.
             if not same_aspect(size, (wanted.width, wanted.height)):
                 text = f"{size[0]} x {size[1]} and {wanted.width} x {wanted.height}"
-                raise RecordFault(SIZES_DIFFER, text)
-            return None
-        return lens.maps(wanted, self.turn_depth_color)
+                raise RecordFault(SIZES_DIFFER, f"{text}; a lens of each by --calibration tells how they see")
+            return None, None
+        if float(np.linalg.norm(self.T_depth_color.translation())) > _APART_M:
+            return lens.maps(), ColorView(wanted, lens.intrinsics, self.T_depth_color)
+        return lens.maps(wanted, np.asarray(self.T_depth_color.rotation().matrix())), None
+
+
+def _at(lens: Lens | None, size: tuple[int, int]) -> Lens | None:
+    """A lens for images of a size; None where there is none, or the images show another part of the scene."""
+    if lens is None:
+        return None
+    try:
+        return replace(lens, intrinsics=Calibration(lens.intrinsics, 1.0).intrinsics_for(*size))
+    except RecordFault:
+        return None

@@ -9,8 +9,9 @@ from slam.datasets.bags.survey import Survey
 def camera_clouds(survey: Survey) -> dict[str, str]:
     """Topics of such clouds, with what tells so.
 
-    All their points are within a camera's view, and their axes, frame, order or stamps are a camera's: a
-    lidar that turns sees all around, and one that does not is in a frame, and at times, of its own.
+    Their frame is a camera's, and their points have no times of their own; or all their points are within a
+    camera's view, and their axes, frame, order or stamps are a camera's: a lidar that turns sees all around,
+    and one that does not is in a frame, and at times, of its own.
     """
     frames = {frame_name(lens.header.frame_id): topic for topic, lens in survey.lenses.items()}
     frames |= {survey.frames[topic]: topic for topic in survey.stamps_s if topic in survey.frames}
@@ -18,7 +19,8 @@ def camera_clouds(survey: Survey) -> dict[str, str]:
     found = {}
     for topic, view in survey.clouds.items():
         frame = survey.frames[topic]
-        if not view.along:
+        in_camera = "optical" in frame or (frame and frame in frames)
+        if not view.along and (view.timed or not in_camera):
             continue
         if "optical" in frame:
             found[topic] = f"its frame is {frame}"

@@ -21,6 +21,7 @@ BAD_LAYOUT = "point cloud with a layout that cannot be"
 NO_POINTS = "point cloud without a valid point"
 
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
+_DIRECTIONS = 36  # of ten degrees each
 _HALF_VIEW_RAD = math.radians(65.0)  # of the widest depth cameras (Azure Kinect, 120 degrees), with slack
 
 
@@ -73,11 +74,20 @@ class CloudView:
         Rows of its points; 1 where they are not in the order of an image.
     along
         The axis, x, y or z, about which all points lie within what a camera can see; empty where they do not.
+    points
+        How many there are.
+    around
+        Share of all directions about z in which there is a point.
+    timed
+        Whether its points tell their times.
     """
 
     stamp_s: float
     rows: int
     along: str
+    points: int = 0
+    around: float = 0.0
+    timed: bool = False
 
 
 def cloud_view(message: Any) -> CloudView:
@@ -92,7 +102,12 @@ def cloud_view(message: Any) -> CloudView:
     ahead = cloud.points_lidar / np.linalg.norm(cloud.points_lidar, axis=1, keepdims=True)
     seen = (ahead > math.cos(_HALF_VIEW_RAD)).mean(axis=0)
     along = [axis for axis, share in zip("xyz", seen, strict=True) if share > CONFIDENCE]
-    return CloudView(cloud.stamp_s, int(message.height), "".join(along[:1]))
+    bearings = np.arctan2(cloud.points_lidar[:, 1], cloud.points_lidar[:, 0]) / (2.0 * math.pi)
+    around = np.unique(np.floor(bearings * _DIRECTIONS)).size / _DIRECTIONS
+    timed = cloud.times_s is not None
+    return CloudView(
+        cloud.stamp_s, int(message.height), "".join(along[:1]), len(cloud.points_lidar), around, timed
+    )
 
 
 def _rows(message: Any) -> NDArray[Any]:

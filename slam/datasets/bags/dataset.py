@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,10 +18,12 @@ from slam.datasets.bags.files import Bag, find_bag
 from slam.datasets.bags.layout import Layout, frames_of, layout_of
 from slam.datasets.bags.pairing import ImagePair, PairStream, StampedImage
 from slam.datasets.bags.records import BagRecord
-from slam.datasets.bags.survey import Survey, survey_bag
+from slam.datasets.bags.survey import Survey, restamp, survey_bag
 from slam.datasets.bags.time_merge import TimeMerge
-from slam.datasets.bags.topics import TRANSFORMS
+from slam.datasets.bags.topics import IMAGES, TRANSFORMS
+from slam.datasets.bags.truth import read_truth, truth_topic
 from slam.datasets.budget import Budget
+from slam.datasets.calibration_files import known_beside
 from slam.datasets.dataset import ReadReport, RecordFault
 from slam.errors import DatasetError
 from slam.foreign import plain
@@ -68,6 +71,8 @@ class BagDataset:
     ----------
     figures
         What the latest pass found out about topics, clocks and frames.
+    calibration_files
+        Files of lenses and mountings that are believed before the bag.
     read_images
         Whether frames come at all; without them the other sensors are read many times as fast.
     """
@@ -78,6 +83,7 @@ class BagDataset:
         self.report = ReadReport()
         self.figures = BagFigures()
         self.read_images = True
+        self.calibration_files: tuple[Path, ...] = ()
         self._strict, self._topics = strict, topics
         self._opened: tuple[Bag, Survey, Layout] | None = None
 
@@ -93,7 +99,7 @@ class BagDataset:
         """
         bag, survey, layout = self._open()
         report = self.report = ReadReport()
-        self.figures = BagFigures(survey.tree, layout.base)
+        self.figures = BagFigures(survey.tree, layout.base, survey.robots, survey.frames)
         account = Account(self.name, report, self._strict)
         for note in layout.notes:
             report.note(note, 1)
@@ -117,8 +123,14 @@ class BagDataset:
             raise DatasetError(_nothing_usable(self.path, report, survey))
 
     def groundtruth(self) -> Trajectory | None:
-        """None: what a bag says of its poses is the robot's own belief."""
-        return None
+        """The poses of a topic that is named as the truth, or that the user named; else None.
+
+        What else a bag says of its poses is the robot's own belief.
+        """
+        bag, survey, _ = self._open()
+        kinds = {topic: channel.kind for topic, channel in survey.channels.items()}
+        topic = truth_topic(kinds, self._topics)
+        return read_truth(bag, topic, Account(self.name, ReadReport(), self._strict)) if topic else None
 
     def _tell_topics(self, survey: Survey, layout: Layout) -> None:
         """Tell of every topic whose messages are no measurements what it is for, or why not read."""
@@ -137,8 +149,9 @@ class BagDataset:
         """Files, topics and mounts: found once, so that each pass reads the same."""
         if self._opened is None:
             bag = find_bag(self.path)
-            survey = survey_bag(bag)
-            self._opened = bag, survey, layout_of(bag, survey, self._topics)
+            known = known_beside(self.path, self.calibration_files)
+            survey = survey_bag(bag, self._topics)
+            self._opened = bag, survey, layout_of(bag, survey, self._topics, known)
         return self._opened
 
 
@@ -231,6 +244,9 @@ class _Reader:
         if record.channel.kind in TRANSFORMS:
             self._figures.tree.add(message)
             return list(layout.wheels_from(message)) if layout.wheels_from else []
+        if shift_s := layout.shifts_s.get(topic):
+            at_s = record.recorded_s if math.isinf(shift_s) else stamp_of(message.header) - shift_s
+            restamp(message, at_s)
         stamp_s = stamp_of(message.header)
         self._figures.stamped(record, stamp_s)
         if topic in layout.images:
@@ -247,6 +263,10 @@ def _nothing_usable(path: Path, report: ReadReport, survey: Survey) -> str:
     """The message for a bag without a single measurement."""
     reasons = "; ".join(f"{tally.count} x {reason}" for reason, tally in report.dropped.items())
     topics = ", ".join(f"{topic} ({channel.kind})" for topic, channel in list(survey.channels.items())[:8])
+    if any(channel.kind in IMAGES for channel in survey.channels.values()) and not any(
+        survey.depths.values()
+    ):
+        reasons += f"{'; ' if reasons else ''}its images have no depth beside them: record that as well"
     return (
         f"{path} holds no usable scan, cloud, RGB-D pair or odometry{f' ({reasons})' if reasons else ''}; "
         f"its topics: {topics or 'none'}"

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
 from slam.datasets.bags.definitions import message_parts, simple_idl
+from slam.datasets.bags.livox import livox_cloud
 from slam.datasets.bags.records import BagRecord, Channel
+from slam.datasets.bags.topics import LIVOX, VELODYNE
+from slam.datasets.bags.velodyne import VelodyneDecoder
 from slam.datasets.budget import LARGEST_BYTES, Budget
 from slam.datasets.dataset import RecordFault
 from slam.foreign import plain
@@ -24,6 +28,12 @@ BAD_STAMP = "stamp of the header is not a time"
 
 _MOST_ELEMENTS = 1 << 13  # of the lists in one message: beams of several echoes, transforms
 _WIRES = frozenset({"cdr", "ros1"})
+# Of drivers; a rosbag2 of SQLite before ROS 2 Iron tells no definitions.
+_OF_DRIVERS = {
+    "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data",
+    "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
+    "realsense2_camera_msgs/msg/Extrinsics": "float64[9] rotation\nfloat64[3] translation",
+}
 # The old name of the same type.
 _BUILT_IN_NAMES = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 
@@ -33,7 +43,16 @@ class Decoder:
 
     def __init__(self, budget: Budget) -> None:
         self._types: dict[Channel, _Types | None] = {}
+        self._velodynes: dict[str, VelodyneDecoder] = {}
         self._budget = budget
+
+    def _livox(self, record: BagRecord) -> Any:
+        """A CustomMsg as a cloud."""
+        try:
+            return livox_cloud(record.content, record.channel.wire)
+        except (struct.error, ValueError, IndexError) as error:
+            text = f"{record.channel.kind} on {record.channel.topic}: {error}"
+            raise RecordFault(UNDECODED, text) from error
 
     def decode(self, record: BagRecord) -> Any:
         """A message; its fields have the names of its definition.
@@ -44,6 +63,8 @@ class Decoder:
             It is damaged, or its type is not known.
         """
         channel = record.channel
+        if channel.kind in LIVOX and channel.wire in _WIRES:
+            return self._livox(record)
         if channel not in self._types:
             fits = self._budget.takes_definition(channel.definition)
             self._types[channel] = _typestore(channel if fits else replace(channel, definition=""))
@@ -51,12 +72,15 @@ class Decoder:
         if types is None or channel.wire not in _WIRES:
             raise RecordFault(NO_TYPE, f"{channel.kind} on {channel.topic}, {channel.wire}")
         try:
-            return types.decode(record.content, channel.wire)
+            message = types.decode(record.content, channel.wire)
         # The generated code fails in any way on damaged bytes: lengths, text, alignment.
         except Exception as error:
             raise RecordFault(UNDECODED, f"{channel.kind} on {channel.topic}: {error}") from error
         finally:
             self._budget.take_elements(types.elements)
+        if channel.kind == VELODYNE:
+            return self._velodynes.setdefault(channel.topic, VelodyneDecoder()).cloud(message)
+        return message
 
 
 def stamp_of(header: Any) -> float:
@@ -117,9 +141,12 @@ def _built_in(wire: str, kind: str) -> _Types | None:
 @cache
 def _common(wire: str) -> Typestore:
     """The message types of ROS 1 Noetic or ROS 2 Humble."""
-    from rosbags.typesys import Stores, get_typestore
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    return get_typestore(Stores.ROS1_NOETIC if wire == "ros1" else Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.ROS1_NOETIC if wire == "ros1" else Stores.ROS2_HUMBLE)
+    for name, text in _OF_DRIVERS.items():
+        store.register(get_types_from_msg(text, name))
+    return store
 
 
 class _Types:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from slam.datasets.bags.records import BagRecord
+from slam.datasets.bags.robots import Robots
 from slam.datasets.bags.transforms import FrameTree
 from slam.datasets.dataset import MOST_TOPICS, Thinned
 
@@ -15,11 +16,14 @@ class TopicFigures:
 
     Attributes
     ----------
+    frame
+        Of its readings; empty where it is none of a sensor's.
     late_s
         An even sample of record time less header stamp, of the messages that are read.
     """
 
     kind: str
+    frame: str = ""
     count: int = 0
     first_s: float = 0.0
     last_s: float = 0.0
@@ -51,10 +55,16 @@ class BagFigures:
     ----------
     base
         The robot's frame, None where the bag has no tf.
+    robots
+        Those of the bag.
+    frames
+        Of the sensors' topics.
     """
 
     tree: FrameTree = field(default_factory=FrameTree)
     base: str | None = None
+    robots: Robots = field(default_factory=Robots)
+    frames: dict[str, str] = field(default_factory=dict)
     topics: dict[str, TopicFigures] = field(default_factory=dict)
 
     def saw(self, record: BagRecord) -> None:
@@ -63,7 +73,7 @@ class BagFigures:
         if topic not in self.topics:
             if len(self.topics) >= MOST_TOPICS:
                 return
-            self.topics[topic] = TopicFigures(record.channel.kind)
+            self.topics[topic] = TopicFigures(record.channel.kind, self.frames.get(topic, ""))
         self.topics[topic].saw(record.recorded_s)
 
     def stamped(self, record: BagRecord, stamp_s: float) -> None:

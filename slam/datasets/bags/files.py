@@ -76,7 +76,8 @@ def looks_like_bag(path: Path, head: bytes) -> bool:
     """Whether a path is a ROS bag: a file by its first bytes (or its name), a folder by its files."""
     if path.is_dir():
         return bool(_parts_inside(path) or _listed(path / _INDEX))
-    return _container_of(path) is not None or path.suffix.lower() in _SUFFIXES
+    packed = path.suffix.lower() in (".zstd", ".zst") and Path(path.stem).suffix in _SUFFIXES
+    return _container_of(path) is not None or path.suffix.lower() in _SUFFIXES or packed
 
 
 def find_bag(path: Path) -> Bag:
@@ -94,10 +95,16 @@ def find_bag(path: Path) -> Bag:
         if container is None:
             raise DatasetError(
                 f"{part} does not begin as a bag (ROS 1 .bag 2.0, .db3 or .mcap); copy it again, "
-                "and unpack it where it is compressed as a whole"
+                f"and unpack it where it is compressed as a whole{_unpacking(part)}"
             )
         containers.append(container)
     return Bag(path, tuple(parts), tuple(containers))
+
+
+def _unpacking(path: Path) -> str:
+    """The command that unpacks a file, by its name."""
+    tool = {".zstd": "zstd -d", ".zst": "zstd -d", ".gz": "gunzip", ".bz2": "bunzip2", ".xz": "unxz"}
+    return f": {tool[path.suffix]} {path}" if path.suffix in tool else ""
 
 
 def _container_of(path: Path) -> Container | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.datasets.bags.run_length_depth import unpacked
+from slam.datasets.bags.topics import is_infrared
 from slam.datasets.budget import MOST_PIXELS, Budget
 from slam.datasets.dataset import RecordFault
 from slam.datasets.image_files import rgb_of
@@ -19,9 +21,20 @@ BAD_SIZE = "image with fewer bytes than its size says"
 BAD_ENCODING = "image encoding that is not read"
 DAMAGED = "image truncated or damaged"
 
-_MILLIMETRES_PER_M = 1000.0  # REP-118
+MILLIMETRES_PER_M = 1000.0  # REP-118
 _CONFIG_BYTES = 12  # of compressedDepth: a format number and two parameters
 _DEPTH = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
+# Two pixels share their colour, in one plane or interleaved: how OpenCV calls them, and bytes a pixel.
+_SHARED_COLOR = {
+    **dict.fromkeys(("yuv422", "uyvy"), ("COLOR_YUV2RGB_UYVY", 2)),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv", "yuy2"), ("COLOR_YUV2RGB_YUY2", 2)),
+    "nv12": ("COLOR_YUV2RGB_NV12", 1),
+    "nv21": ("COLOR_YUV2RGB_NV21", 1),
+}
+# By the colours of the first two pixels of a row and of the row below; OpenCV goes by those of the second.
+_MOSAIC = {"rggb": "BG", "bggr": "RG", "gbrg": "GR", "grbg": "GB"}
+_DEPTH_NAME = re.compile(r"depth|tof|range|stereo", re.IGNORECASE)
+_PNG_16_BIT_GREY = (b"\x89PNG", b"\x10\x00")
 _COLOR: dict[str, tuple[int, tuple[int, ...]]] = {
     "rgb8": (3, (0, 1, 2)),
     "bgr8": (3, (2, 1, 0)),
@@ -34,12 +47,17 @@ _COLOR: dict[str, tuple[int, tuple[int, ...]]] = {
 }
 
 
-def is_depth(message: Any) -> bool:
-    """Whether an image holds distances, by its encoding or format."""
-    if hasattr(message, "encoding"):
-        return str(message.encoding) in _DEPTH
-    words = str(message.format)
-    return "compressedDepth" in words or words.startswith(("16UC1", "32FC1"))
+def is_depth(message: Any, topic: str) -> bool:
+    """Whether an image holds distances: by encoding or format, and by topic where these leave it open."""
+    if not hasattr(message, "encoding"):
+        words, head = str(message.format), bytes(message.data[:26])
+        told = "compressedDepth" in words or words.startswith(("16UC1", "32FC1"))
+        grey = (head[:4], head[24:26]) == _PNG_16_BIT_GREY
+        return told or (grey and not is_infrared(topic))
+    encoding = str(message.encoding)
+    if encoding == "mono16":
+        return bool(_DEPTH_NAME.search(topic)) and not is_infrared(topic)
+    return encoding in _DEPTH and not is_infrared(topic)
 
 
 def color_of(message: Any, budget: Budget) -> ColorImage:
@@ -53,15 +71,58 @@ def color_of(message: Any, budget: Budget) -> ColorImage:
     if not hasattr(message, "encoding"):
         return _compressed_color(message, budget)
     encoding = str(message.encoding)
-    if encoding not in _COLOR:
-        raise RecordFault(BAD_ENCODING, f"colour {encoding[:24]!r}")
-    channels, order = _COLOR[encoding]
-    pixels = _pixels(message, np.dtype(np.uint8), channels)
-    return np.ascontiguousarray(pixels[..., list(order)])
+    if encoding in _COLOR:
+        channels, order = _COLOR[encoding]
+        pixels = _pixels(message, np.dtype(np.uint8), channels)
+        return np.ascontiguousarray(pixels[..., list(order)])
+    if encoding.lower() in _SHARED_COLOR:
+        return _from_shared_color(message, *_SHARED_COLOR[encoding.lower()])
+    if encoding.startswith("bayer_") and encoding[6:10] in _MOSAIC and encoding[10:] in ("8", "16"):
+        return _from_mosaic(message, encoding[6:10], int(encoding[10:]))
+    if encoding in ("mono16", "16UC1"):
+        return _from_wide_grey(_pixels(message, _order(message, "u2"), 1)[..., 0])
+    raise RecordFault(BAD_ENCODING, f"colour {encoding[:24]!r}")
 
 
-def depth_of(message: Any, budget: Budget) -> Float32Array:
-    """(H, W) metres, 0 where the reading is invalid; 16-bit images are in millimetres (REP-118).
+def _from_shared_color(message: Any, conversion: str, size: int) -> ColorImage:
+    """Of YUV, as cameras send it."""
+    import cv2
+
+    height, width = int(message.height), int(message.width)
+    if size == 1:  # a plane of brightness, and half a plane of colour below
+        rows = _pixels(message, np.dtype(np.uint8), 1, 3 * height // 2)
+    else:
+        rows = _pixels(message, np.dtype(np.uint8), size)
+    if width % 2 or (size == 1 and height % 2):
+        raise RecordFault(BAD_SIZE, f"{width} x {height} of an encoding that takes pixels by twos")
+    return np.ascontiguousarray(cv2.cvtColor(rows, getattr(cv2, conversion)))
+
+
+def _from_mosaic(message: Any, pattern: str, bits: int) -> ColorImage:
+    """Of a sensor's own pixels, each of one colour."""
+    import cv2
+
+    pixels = _pixels(message, _order(message, f"u{bits // 8}"), 1)[..., 0]
+    if min(pixels.shape) < 2:
+        raise RecordFault(BAD_SIZE, f"{pixels.shape} of an encoding that takes pixels by twos")
+    brightest = pixels if bits == 8 else (pixels >> 8).astype(np.uint8)
+    return np.ascontiguousarray(cv2.cvtColor(brightest, getattr(cv2, f"COLOR_Bayer{_MOSAIC[pattern]}2RGB")))
+
+
+def _from_wide_grey(pixels: NDArray[Any]) -> ColorImage:
+    """Of 16 bits of infrared or heat: the brightest pixel becomes white, whatever its number."""
+    brightest = max(int(pixels.max(initial=0)), 255)
+    grey = (pixels.astype(np.uint32) * 255 // brightest).astype(np.uint8)
+    return np.repeat(grey[..., None], 3, axis=2)
+
+
+def depth_of(message: Any, budget: Budget, steps_per_m: float = MILLIMETRES_PER_M) -> Float32Array:
+    """(H, W) metres, 0 where the reading is invalid.
+
+    Parameters
+    ----------
+    steps_per_m
+        What 16-bit images write for a metre.
 
     Raises
     ------
@@ -69,30 +130,34 @@ def depth_of(message: Any, budget: Budget) -> Float32Array:
         Damaged, or of an encoding that is not read.
     """
     if not hasattr(message, "encoding"):
-        return _compressed_depth(message, budget)
+        return _compressed_depth(message, budget, steps_per_m)
     encoding = str(message.encoding)
     if encoding not in _DEPTH:
         raise RecordFault(BAD_ENCODING, f"depth {encoding[:24]!r}")
-    order = ">" if message.is_bigendian else "<"
-    return _metres(_pixels(message, np.dtype(order + _DEPTH[encoding]), 1)[..., 0])
+    return _metres(_pixels(message, _order(message, _DEPTH[encoding]), 1)[..., 0], steps_per_m)
 
 
-def _pixels(message: Any, kind: np.dtype[Any], channels: int) -> NDArray[Any]:
-    """(H, W, C) pixels of a raw image, the padding of its rows left out."""
-    height, width, step = int(message.height), int(message.width), int(message.step)
+def _order(message: Any, kind: str) -> np.dtype[Any]:
+    """Numbers in the order of bytes that a message tells."""
+    return np.dtype((">" if message.is_bigendian else "<") + kind)
+
+
+def _pixels(message: Any, kind: np.dtype[Any], channels: int, rows: int = 0) -> NDArray[Any]:
+    """(H, W, C) pixels of a raw image, the padding of its rows left out; so many rows where that is given."""
+    height, width, step = rows or int(message.height), int(message.width), int(message.step)
     data = np.asarray(message.data, dtype=np.uint8).ravel()
     row = width * channels * kind.itemsize
     if min(height, width) < 1 or height * width > MOST_PIXELS or step < row or data.size < step * height:
         text = f"{width} x {height} in rows of {step} bytes, {data.size} there"
         raise RecordFault(BAD_SIZE, text)
-    rows = np.ascontiguousarray(data[: step * height].reshape(height, step)[:, :row])
-    return rows.view(kind).reshape(height, width, channels)
+    packed = np.ascontiguousarray(data[: step * height].reshape(height, step)[:, :row])
+    return packed.view(kind).reshape(height, width, channels)
 
 
-def _metres(steps: NDArray[Any]) -> Float32Array:
-    """Distances of millimetres (integers) or metres; nothing below zero, nothing infinite."""
+def _metres(steps: NDArray[Any], steps_per_m: float = MILLIMETRES_PER_M) -> Float32Array:
+    """Distances of steps (integers) or metres; nothing below zero, nothing infinite."""
     if steps.dtype.kind == "u":
-        depth_m: Float32Array = np.divide(steps, _MILLIMETRES_PER_M, dtype=np.float32)
+        depth_m: Float32Array = np.divide(steps, steps_per_m, dtype=np.float32)
         return depth_m
     with np.errstate(invalid="ignore"):
         metres = steps.astype(np.float32)
@@ -109,7 +174,7 @@ def _compressed_color(message: Any, budget: Budget) -> ColorImage:
     return color
 
 
-def _compressed_depth(message: Any, budget: Budget) -> Float32Array:
+def _compressed_depth(message: Any, budget: Budget, steps_per_m: float) -> Float32Array:
     """PNG or RVL after the header of compressedDepth; of 32-bit images they hold inverse depth."""
     content, words = bytes(message.data), str(message.format)
     with_header = "compressedDepth" in words
@@ -118,7 +183,7 @@ def _compressed_depth(message: Any, budget: Budget) -> Float32Array:
     if steps.ndim != 2 or steps.dtype != np.uint16:
         raise RecordFault(BAD_ENCODING, f"compressed depth {steps.dtype} {steps.shape}")
     if not (with_header and words.startswith("32FC1")):
-        return _metres(steps)
+        return _metres(steps, steps_per_m)
     _, scale, offset = struct.unpack_from("<iff", content)
     # The transport writes round(a / depth + b), and 0 for an invalid reading.
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -10,31 +10,33 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from slam.datasets.bags.by_files import FileFacts
 from slam.datasets.bags.camera import BagCamera
-from slam.datasets.bags.camera_clouds import camera_clouds
 from slam.datasets.bags.clouds import CloudReader
 from slam.datasets.bags.decoding import frame_name, stamp_of
+from slam.datasets.bags.evidence import ODOM_FRAMES, evidence_of, never_read
 from slam.datasets.bags.files import Bag
 from slam.datasets.bags.laser import LaserMount, scan_from
 from slam.datasets.bags.lens import Lens, lens_of
-from slam.datasets.bags.survey import Survey, count_messages
+from slam.datasets.bags.mending import mended
+from slam.datasets.bags.survey import Survey, clock_shifts, count_messages
 from slam.datasets.bags.topics import (
     CAMERA_INFO,
     SENSORS,
     TRANSFORMS,
-    AmbiguousError,
     CameraTopics,
     Choice,
     choose,
     is_rectified,
 )
 from slam.datasets.bags.transforms import pose_of
-from slam.datasets.dataset import RecordFault
+from slam.datasets.bags.truth import IS_TRUTH, TRUTHS, is_truth
+from slam.datasets.calibration_files import KnownCalibration
+from slam.datasets.dataset import WARNING, RecordFault
 from slam.datasets.frame_pairs import tolerance_of
 from slam.errors import DatasetError
 from slam.measurements import Measurement, WheelOdometry
 
-_ODOM_FRAMES = ("odom", "odom_combined")
 _APART_M = 0.001  # colour and depth that are nearer than that are one camera
 
 
@@ -46,6 +48,8 @@ class Layout:
     ----------
     base
         The robot's frame, None where the bag has no tf.
+    files
+        What files tell of the sensors.
     readers
         By topic, what makes a reading of a message.
     images
@@ -54,25 +58,30 @@ class Layout:
         Gives the wheels from a tf message, where no odometry topic does.
     notes
         What was concluded, for the report.
+    shifts_s
+        By how much stamps of topics are ahead of the common clock; infinite where they have none.
     lenses
-        CameraInfo topics that told a lens.
+        Topics that told a lens, a depth unit, or where colour sits beside depth.
     left_out
         Why a topic of a sensor is not read.
     """
 
     base: str | None
+    files: FileFacts
     readers: dict[str, Callable[[Any], Measurement]] = field(default_factory=dict)
     clouds: list[CloudReader] = field(default_factory=list)
     cameras: list[BagCamera] = field(default_factory=list)
     images: dict[str, tuple[int, bool]] = field(default_factory=dict)
     wheels_from: Callable[[Any], Iterator[WheelOdometry]] | None = None
     notes: list[str] = field(default_factory=list)
+    shifts_s: dict[str, float] = field(default_factory=dict)
     lenses: set[str] = field(default_factory=set)
     left_out: dict[str, str] = field(default_factory=dict)
 
     def reads(self, topic: str, kind: str) -> bool:
         """Whether messages of a topic are decoded."""
-        return topic in self.readers or topic in self.images or kind in TRANSFORMS
+        known = topic in self.readers or topic in self.images
+        return known or (kind in TRANSFORMS and topic not in self.left_out)
 
     def makes(self, topic: str, kind: str) -> str:
         """What the report calls the measurements of a topic; empty where they are none."""
@@ -89,7 +98,7 @@ class Layout:
         if topic in self.left_out:
             return self.left_out[topic]
         if kind not in SENSORS:
-            return f"{kind} is not read"
+            return f"{kind} is not read{mended(kind)}"
         return f"its first message comes late; --topics {topic} reads it" if count else "it has no message"
 
 
@@ -98,8 +107,13 @@ def frames_of(camera: str) -> str:
     return f"{camera} frame"
 
 
-def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Layout:
+def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...], known: KnownCalibration) -> Layout:
     """How to read a bag.
+
+    Parameters
+    ----------
+    known
+        What files beside the bag, and files that were given, tell of its lenses and mountings.
 
     Raises
     ------
@@ -107,48 +121,70 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Layout:
         A topic that the bag does not have, or several of a sort and none named.
     """
     choice = _choice(bag, survey, wanted)
-    layout = Layout(survey.base_frame())
+    files = FileFacts(known)
+    files.place(survey)
+    layout = Layout(survey.base_frame(choice.odometry), files)
     layout.left_out = choice.left_out
+    for topic, channel in survey.channels.items():
+        if channel.kind in TRANSFORMS and survey.robots.of_another(topic):
+            layout.left_out[topic] = f"it is of another robot than {survey.robots.read}"
+    for topic, channel in survey.channels.items():
+        if channel.kind not in SENSORS and (is_truth(topic, channel.kind) or topic in wanted):
+            layout.left_out[topic] = IS_TRUTH
     for topic in choice.scans:
         layout.readers[topic] = _scan_reader(survey, layout, topic)
     for topic in choice.clouds:
-        layout.readers[topic] = _cloud_reader(survey, layout, topic)
+        layout.readers[topic] = _cloud_reader(survey, layout, topic, only=len(choice.clouds) == 1)
     for topic in choice.odometry:
-        layout.readers[topic] = lambda message, topic=topic: _wheels(message, topic)  # type: ignore[misc]
+        layout.readers[topic] = _wheel_reader(survey, layout, topic)
     for place, camera in enumerate(choice.cameras):
-        layout.cameras.append(_camera(survey, layout, camera))
+        layout.cameras.append(_camera(survey, layout, camera, only=len(choice.cameras) == 1))
         layout.images[camera.color], layout.images[camera.depth] = (place, False), (place, True)
+    layout.lenses |= survey.facts.told if layout.cameras else set()
     for topic in choice.lonely:
         layout.left_out[topic] = f"no {'colour' if survey.depths.get(topic) else 'depth'} beside it"
         layout.notes.append(f"{topic} is not read: {layout.left_out[topic]}")
     if not choice.odometry and layout.base:
         _read_wheels_from_tf(survey, layout, layout.base)
+    _read_clocks(survey, layout)
+    layout.notes += [*files.notes, *files.unused()]
     return layout
+
+
+def _read_clocks(survey: Survey, layout: Layout) -> None:
+    """Stamps that are none, and those of a clock of their own."""
+    for topic in sorted({*layout.readers, *layout.images}):
+        if topic in survey.late_s and survey.late_s[topic] is None:
+            layout.shifts_s[topic] = math.inf
+            layout.notes.append(f"{WARNING}{topic} has no stamps; the recorder's clock is taken")
+    for topic, shift_s in clock_shifts(survey).items():
+        if topic in layout.readers or topic in layout.images:
+            layout.shifts_s[topic] = shift_s
+            ahead = f"{abs(shift_s):.1f} s {'ahead of' if shift_s > 0 else 'behind'} the other topics'"
+            layout.notes.append(f"{WARNING}{topic}: its clock is {ahead}; taken off, by when its first came")
 
 
 def _choice(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Choice:
     """Which topics; what cannot be chosen is listed with its messages."""
+    wanted = tuple(
+        topic for topic in wanted if topic.rstrip("/") != survey.robots.read or not topic.strip("/")
+    )
     if unknown := [topic for topic in wanted if topic not in survey.channels]:
         raise DatasetError(f"{bag.path} has no topic {unknown[0]}; it holds {_listing(bag, survey, SENSORS)}")
     kinds = {topic: survey.channels[topic].kind for topic in sorted(survey.seen)}
     for topic in wanted:
         kind = survey.channels[topic].kind
+        if kind in TRUTHS - SENSORS:
+            continue
         if kind not in SENSORS:
             raise DatasetError(
                 f"{topic} of {bag.path} holds {kind}, which is not read; "
                 f"it holds {_listing(bag, survey, SENSORS)}"
             )
         kinds[topic] = kind
-    try:
-        # Where no image could be decoded, its name must tell.
-        depths = {topic: survey.depths.get(topic, "depth" in topic.lower()) for topic in kinds}
-        return choose(kinds, depths, wanted, camera_clouds(survey))
-    except AmbiguousError as error:
-        listing = _listing(bag, survey, SENSORS, set(error.topics))
-        raise DatasetError(
-            f"{bag.path} holds {len(error.topics)} {error.what} topics: {listing}; "
-            f"choose by --topics, as in --topics {error.topics[0]} (several with commas)"
-        ) from error
+    # Where no image could be decoded, its name must tell.
+    depths = {topic: survey.depths.get(topic, "depth" in topic.lower()) for topic in kinds}
+    return choose(kinds, depths, wanted, never_read(survey), evidence_of(survey))
 
 
 def _listing(bag: Bag, survey: Survey, kinds: frozenset[str], topics: set[str] | None = None) -> str:
@@ -162,7 +198,19 @@ def _listing(bag: Bag, survey: Survey, kinds: frozenset[str], topics: set[str] |
     return ", ".join(found) or "no topic of a sensor"
 
 
-def _mount(survey: Survey, layout: Layout, topic: str) -> gtsam.Pose3 | None:
+def _mount(
+    survey: Survey, layout: Layout, topic: str, kind: str = "", *, only: bool = False
+) -> gtsam.Pose3 | None:
+    """``T_base_sensor`` by our own file for the only of a kind, else by tf; a note where neither tells."""
+    notes = len(layout.notes)
+    own = _mount_by_tf(survey, layout, topic)
+    told = layout.files.mount(kind, topic, own, only=only) if kind else own
+    if own is None and told is not None:
+        del layout.notes[notes:]
+    return told
+
+
+def _mount_by_tf(survey: Survey, layout: Layout, topic: str) -> gtsam.Pose3 | None:
     """``T_base_sensor`` by tf, with a note where it cannot be reported."""
     frame = survey.frames.get(topic, "")
     if not layout.base:
@@ -190,32 +238,63 @@ def _scan_reader(survey: Survey, layout: Layout, topic: str) -> Callable[[Any], 
     return lambda message: scan_from(message, mount, topic)
 
 
-def _cloud_reader(survey: Survey, layout: Layout, topic: str) -> Callable[[Any], Measurement]:
+def _cloud_reader(survey: Survey, layout: Layout, topic: str, *, only: bool) -> Callable[[Any], Measurement]:
     """What reads clouds of a topic."""
-    reader = CloudReader(topic, _mount(survey, layout, topic) or gtsam.Pose3())
+    mount = _mount(survey, layout, topic, "lidar", only=only)
+    reader = CloudReader(topic, mount or gtsam.Pose3())
     layout.clouds.append(reader)
     return reader.read
 
 
-def _camera(survey: Survey, layout: Layout, topics: CameraTopics) -> BagCamera:
+def _camera(survey: Survey, layout: Layout, topics: CameraTopics, *, only: bool) -> BagCamera:
     """A camera with its lenses and its place on the robot."""
-    depth_frame, color_frame = survey.frames.get(topics.depth, ""), survey.frames.get(topics.color, "")
-    between = survey.tree.between(depth_frame, color_frame) if depth_frame != color_frame else gtsam.Pose3()
-    turn = np.eye(3) if between is None else np.asarray(between.rotation().matrix())
-    if between is not None and (apart_m := float(np.linalg.norm(between.translation()))) > _APART_M:
-        layout.notes.append(f"{topics.name}: colour sits {apart_m:.3f} m beside depth")
+    T_depth_color = _color_in_depth(survey, layout, topics)
     stamps = [survey.stamps_s.get(topic, []) for topic in (topics.color, topics.depth)]
     camera = BagCamera(
         topics.name,
-        _lens(survey, layout, topics.depth),
-        _lens(survey, layout, topics.color),
-        turn,
-        _mount(survey, layout, topics.depth),
+        layout.files.lens(survey, topics.depth, _lens(survey, layout, topics.depth)),
+        layout.files.lens(survey, topics.color, _lens(survey, layout, topics.color)),
+        T_depth_color,
+        _mount(survey, layout, topics.depth, "camera", only=only),
         tolerance_of(*(np.array(of_one, dtype=np.float64) for of_one in stamps)),
     )
+    if unit_m := survey.facts.unit_m(topics.depth):
+        layout.notes.append(f"{topics.name}: a step of depth is {unit_m:g} m, by its option in the bag")
+    steps = layout.files.depth_steps_per_m(topics.name, 1.0 / unit_m if unit_m else None)
+    camera.depth_steps_per_m = steps or camera.depth_steps_per_m
     if camera.assumed:
         layout.notes.append(f"{topics.name}: {camera.assumed}")
     return camera
+
+
+def _color_in_depth(survey: Survey, layout: Layout, topics: CameraTopics) -> gtsam.Pose3:
+    """Pose of the colour camera in the depth camera: by the driver's own messages, else by tf."""
+    told = survey.facts.color_in_depth(topics.color, topics.depth)
+    frames = survey.frames.get(topics.depth, ""), survey.frames.get(topics.color, "")
+    if frames[0] == frames[1] and survey.lens_topic(topics.depth) == survey.lens_topic(topics.color):
+        return gtsam.Pose3()  # one camera, or images that were registered
+    known = [(told[0], told[1])] if told else []
+    if frames[0] != frames[1] and (between := survey.tree.between(*frames)) is not None:
+        known.append((between, "tf"))
+    if not known:
+        return gtsam.Pose3()
+    pose, source = known[0]
+    values = [np.asarray(one.translation()) for one, _ in known]
+    if float(np.abs(values[0] - values[-1]).max()) > _APART_M:
+        layout.notes.append(
+            f"{WARNING}{topics.name}: colour beside depth at {_xyz(values[0])} m by {source}, at "
+            f"{_xyz(values[-1])} m by {known[-1][1]}; that of {source} is used"
+        )
+    if (apart_m := float(np.linalg.norm(values[0]))) > _APART_M:
+        layout.notes.append(
+            f"{topics.name}: colour sits {apart_m:.3f} m beside depth by {source}; drawn as depth sees it"
+        )
+    return pose
+
+
+def _xyz(translation: Any) -> str:
+    """Three numbers for people."""
+    return " ".join(f"{number:.3f}" for number in translation)
 
 
 def _lens(survey: Survey, layout: Layout, topic: str) -> Lens | None:
@@ -239,17 +318,27 @@ def _lens(survey: Survey, layout: Layout, topic: str) -> Lens | None:
     return lens
 
 
-def _wheels(message: Any, topic: str) -> WheelOdometry:
-    """The wheels from an Odometry message, in the plane."""
-    return WheelOdometry(
-        stamp_of(message.header), _flat(message.pose.pose.position, message.pose.pose.orientation), topic
-    )
+def _wheel_reader(survey: Survey, layout: Layout, topic: str) -> Callable[[Any], Measurement]:
+    """What reads Odometry messages of a topic, as the way of the robot's frame in the plane."""
+    child, base = survey.odometry.get(topic, ("", ""))[1], layout.base or ""
+    between = survey.tree.between(child, base) if child != base and base else gtsam.Pose3()
+    if between is None:
+        layout.notes.append(
+            f"{topic}: tf does not connect {child or 'its frame'} with {base}; taken as the same"
+        )
+    T_child_base = between or gtsam.Pose3()
+
+    def read(message: Any) -> Measurement:
+        pose = pose_of(message.pose.pose.position, message.pose.pose.orientation)
+        return WheelOdometry(stamp_of(message.header), _planar(pose.compose(T_child_base)), topic)
+
+    return read
 
 
 def _read_wheels_from_tf(survey: Survey, layout: Layout, base: str) -> None:
     """Take the wheels from tf, where it has an odom frame."""
     child, parent = base, survey.tree.parent_of(base)
-    while parent is not None and parent not in _ODOM_FRAMES:
+    while parent is not None and parent.rpartition("/")[2] not in ODOM_FRAMES:
         child, parent = parent, survey.tree.parent_of(parent)
     if parent is None:
         return
@@ -263,11 +352,6 @@ def _read_wheels_from_tf(survey: Survey, layout: Layout, base: str) -> None:
                 yield WheelOdometry(stamp_of(item.header), _planar(pose), "tf")
 
     layout.wheels_from = read
-
-
-def _flat(position: Any, rotation: Any) -> gtsam.Pose2:
-    """A pose in the plane."""
-    return _planar(pose_of(position, rotation))
 
 
 def _planar(pose: gtsam.Pose3) -> gtsam.Pose2:

@@ -14,7 +14,7 @@ from slam.measurements import CameraIntrinsics, FloatArray
 
 NO_LENS = "CameraInfo without usable intrinsics"
 
-_PLUMB = frozenset({"", "plumb_bob", "rational_polynomial"})
+_PLUMB = frozenset({"", "plumb_bob", "rational_polynomial", "brown_conrady", "none"})
 _FISHEYE = frozenset({"equidistant", "fisheye", "kannala_brandt4"})
 _NEGLIGIBLE = 1e-9
 _TENTH = 0.1  # pixels
@@ -97,15 +97,23 @@ def lens_of(message: Any, *, rectified: bool) -> Lens:
     known = bool(np.isfinite([fx, fy, cx, cy]).all()) and min(fx, fy) > 0.0
     if not known or min(width, height) < 0 or width * height > MOST_PIXELS or (width > 0) != (height > 0):
         raise RecordFault(NO_LENS, f"{width} x {height}, {fx} {fy} {cx} {cy}")
-    intrinsics = CameraIntrinsics(fx, fy, cx, cy, width, height)
-    model = str(message.distortion_model)
+    intrinsics = _cut(CameraIntrinsics(fx, fy, cx, cy, width, height), getattr(message, "roi", None))
+    model = str(message.distortion_model).lower().replace(" ", "_")
     plain = rectified or not d.size or not np.isfinite(d).all() or np.abs(d).max() < _NEGLIGIBLE
-    if plain or not width:
+    if plain:
         return Lens(intrinsics, np.zeros(0))
     fisheye = model in _FISHEYE and d.size >= 4
     if not fisheye and (model not in _PLUMB or d.size not in (4, 5, 8, 12, 14)):
         return Lens(intrinsics, np.zeros(0), unknown_model=model or f"{d.size} coefficients")
     return Lens(intrinsics, d[:4] if fisheye else d, fisheye)
+
+
+def _cut(lens: CameraIntrinsics, region: Any) -> CameraIntrinsics:
+    """Of the region of the sensor that images show; none is the whole."""
+    if region is None or not (region.width and region.height):
+        return lens
+    cx, cy = lens.cx - region.x_offset, lens.cy - region.y_offset
+    return CameraIntrinsics(lens.fx, lens.fy, cx, cy, int(region.width), int(region.height))
 
 
 def _numbers(message: Any, name: str) -> FloatArray:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
+from collections.abc import Container, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,11 +14,14 @@ from slam.datasets.bags.decoding import Decoder, frame_name, stamp_of
 from slam.datasets.bags.files import Bag
 from slam.datasets.bags.images import is_depth
 from slam.datasets.bags.records import BagRecord, Channel
+from slam.datasets.bags.registered import EXTRINSICS, CameraFacts
+from slam.datasets.bags.robots import Robots
 from slam.datasets.bags.topics import (
     CAMERA_INFO,
-    CLOUD,
+    CLOUDS,
     IMAGES,
     ODOMETRY,
+    SCANS,
     SENSORS,
     TRANSFORMS,
     camera_info_topics,
@@ -27,6 +32,7 @@ from slam.datasets.dataset import ReadReport, RecordFault
 LOOK_S = 10.0  # of the bag's time, at most
 _LEAST_S = 2.0  # of the bag's time, for stamps of images and for transforms that come once a second
 _STAMPS_KEPT = 200
+_OTHER_CLOCK_S = 60.0  # no message waits so long for its recorder; clocks that were never set are years apart
 
 
 @dataclass(slots=True)
@@ -41,33 +47,63 @@ class Survey:
         Sensor topics that have had a message, also if it is damaged.
     frames
         Frame of each sensor topic that has had a sound message.
-    bases
-        What odometry messages say to be moving: their child frames.
+    odometry
+        Of each odometry topic its frame, and the child frame that it says to be moving.
     lenses
         First usable CameraInfo message of each topic.
     depths
         For each image topic whether it holds depth.
     stamps_s
         First stamps of each image topic.
+    late_s
+        Of each sensor's topic the record time less the stamp of its first message; None where that has none.
     clouds
         What the first sound cloud of each topic looks like.
+    scans
+        Of each topic of scans the angle that it sees, and its range.
+    scan_stamps_s
+        First stamps of each topic of scans.
+    sizes
+        Width and height of the images of each topic that tells them before they are decoded.
+    facts
+        What drivers tell of their cameras in messages of their own.
+    robots
+        Of several robots in the bag the one that is read.
     """
 
     channels: dict[str, Channel] = field(default_factory=dict)
     seen: set[str] = field(default_factory=set)
     frames: dict[str, str] = field(default_factory=dict)
-    bases: list[str] = field(default_factory=list)
+    odometry: dict[str, tuple[str, str]] = field(default_factory=dict)
     lenses: dict[str, Any] = field(default_factory=dict)
     depths: dict[str, bool] = field(default_factory=dict)
     stamps_s: dict[str, list[float]] = field(default_factory=dict)
+    late_s: dict[str, float | None] = field(default_factory=dict)
     clouds: dict[str, CloudView] = field(default_factory=dict)
+    scans: dict[str, tuple[float, float]] = field(default_factory=dict)
+    scan_stamps_s: dict[str, set[float]] = field(default_factory=dict)
+    sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
+    facts: CameraFacts = field(default_factory=CameraFacts)
+    robots: Robots = field(default_factory=Robots)
     tree: FrameTree = field(default_factory=FrameTree)
 
-    def base_frame(self) -> str | None:
-        """The robot's frame: what the wheels move, else by its usual names, else the root of all."""
-        for frame in [*self.bases, *BASE_FRAMES]:
-            if frame in self.tree:
-                return frame
+    def base_frame(self, wheels: Sequence[str] = ()) -> str | None:
+        """The robot's frame: what the wheels move, else by its usual names, else the root of all.
+
+        Parameters
+        ----------
+        wheels
+            The odometry topics that are read; all where there are none.
+        """
+        children = [self.odometry[topic][1] for topic in wheels or self.odometry if topic in self.odometry]
+        named = self.tree.named(BASE_FRAMES)
+        for child in children:
+            if child in self.tree:
+                # Odometry of a camera moves the camera, which sits on the robot.
+                above = [frame for frame in named if self.tree.sits_on(child, frame)]
+                return child if child in named or not above else above[0]
+        if named:
+            return named[0]
         return self.tree.root()
 
     def is_enough(self, seconds: float) -> bool:
@@ -78,7 +114,8 @@ class Survey:
         if not sensors <= set(self.frames):
             return False
         infos = {topic for topic, channel in self.channels.items() if channel.kind == CAMERA_INFO}
-        if not infos <= set(self.lenses):
+        placed = {topic for topic, channel in self.channels.items() if EXTRINSICS.search(channel.kind)}
+        if not infos <= set(self.lenses) or not placed <= set(self.facts.extrinsics):
             return False
         base = self.base_frame()
         reported = any(channel.kind in TRANSFORMS for channel in self.channels.values())
@@ -97,8 +134,13 @@ class Survey:
         return same[0] if frame and same else None
 
 
-def survey_bag(bag: Bag) -> Survey:
+def survey_bag(bag: Bag, wanted: Sequence[str] = ()) -> Survey:
     """Look at the beginning of a bag, at all of it where its index is missing.
+
+    Parameters
+    ----------
+    wanted
+        Topics or namespaces named by the user: of several robots they tell which.
 
     Raises
     ------
@@ -109,6 +151,7 @@ def survey_bag(bag: Bag) -> Survey:
     announced = bag.announced()
     for channel in announced or []:
         survey.channels.setdefault(channel.topic, channel)
+    survey.robots = Robots.of({topic: one.kind for topic, one in survey.channels.items()}, wanted)
     budget = bag.budget()
     decoder, quiet = Decoder(budget), Account(bag.path.name, ReadReport(), strict=False)
     first_s: float | None = None
@@ -125,6 +168,27 @@ def survey_bag(bag: Bag) -> Survey:
     return survey
 
 
+def clock_shifts(survey: Survey) -> dict[str, float]:
+    """By how much stamps of topics are ahead of the others' clock, where that is another one altogether.
+
+    The clock of the topics is the one that is nearest to the recorder's.
+    """
+    told = {topic: late_s for topic, late_s in survey.late_s.items() if late_s is not None}
+    reference_s = min(told.values(), key=abs, default=0.0)
+    return {
+        topic: reference_s - late_s
+        for topic, late_s in told.items()
+        if abs(late_s - reference_s) > _OTHER_CLOCK_S
+    }
+
+
+def restamp(message: Any, stamp_s: float) -> None:
+    """Give a message another stamp."""
+    seconds = math.floor(stamp_s)
+    message.header.stamp.sec = seconds
+    message.header.stamp.nanosec = min(round((stamp_s - seconds) * 1e9), 999_999_999)
+
+
 def count_messages(bag: Bag) -> Counter[str]:
     """Messages on each topic, by reading all of the bag."""
     quiet = Account(bag.path.name, ReadReport(), strict=False)
@@ -136,28 +200,47 @@ def _look(survey: Survey, record: BagRecord, decoder: Decoder) -> None:
     kind, topic = record.channel.kind, record.channel.topic
     if kind in SENSORS:
         survey.seen.add(topic)
-    wanted = kind in SENSORS | TRANSFORMS or kind == CAMERA_INFO
-    known = survey.clouds if kind == CLOUD else survey.frames
-    if not wanted or (topic in known and kind not in IMAGES) or topic in survey.lenses:
+    wanted = kind in SENSORS | TRANSFORMS or kind == CAMERA_INFO or survey.facts.tells(topic, kind)
+    known: Container[str] = survey.clouds if kind in CLOUDS else survey.frames
+    seen = (topic in known and kind not in IMAGES | SCANS) or topic in survey.lenses
+    if not wanted or seen or survey.robots.of_another(topic):
         return
     try:
         message = decoder.decode(record)
         if kind in TRANSFORMS:
             survey.tree.add(message)
-            return
-        frame = frame_name(message.header.frame_id)
-        if kind == CAMERA_INFO:
+        elif survey.facts.tells(topic, kind):
+            survey.facts.add(topic, kind, message)
+        elif kind == CAMERA_INFO:
             survey.lenses[topic] = message
-            return
-        survey.frames[topic] = frame
-        if kind == CLOUD:
-            survey.clouds[topic] = cloud_view(message)
-        if kind == ODOMETRY and (child := frame_name(message.child_frame_id)) not in survey.bases:
-            survey.bases.append(child)
-        if kind in IMAGES:
-            survey.depths.setdefault(topic, is_depth(message))
-            stamps = survey.stamps_s.setdefault(topic, [])
-            if len(stamps) < _STAMPS_KEPT:
-                stamps.append(stamp_of(message.header))
-    except (RecordFault, AttributeError, TypeError, ValueError):
+        else:
+            _look_at_reading(survey, record, message)
+    except (RecordFault, AttributeError, TypeError, ValueError, RuntimeError):
         return
+
+
+def _look_at_reading(survey: Survey, record: BagRecord, message: Any) -> None:
+    """Take in a message of a sensor."""
+    topic, kind = record.channel.topic, record.channel.kind
+    survey.frames[topic] = frame_name(message.header.frame_id)
+    if topic not in survey.late_s:
+        unset = message.header.stamp.sec == 0 and message.header.stamp.nanosec == 0
+        survey.late_s[topic] = None if unset else record.recorded_s - stamp_of(message.header)
+    if survey.late_s[topic] is None:
+        restamp(message, record.recorded_s)
+    if kind in CLOUDS:
+        survey.clouds[topic] = cloud_view(message)
+    elif kind in SCANS:
+        survey.scan_stamps_s.setdefault(topic, set()).add(stamp_of(message.header))
+        span_rad = float(abs(message.angle_max - message.angle_min))
+        view = span_rad, float(message.range_max)
+        survey.scans[topic] = view if all(map(math.isfinite, view)) else (0.0, 0.0)
+    elif kind == ODOMETRY:
+        survey.odometry[topic] = survey.frames[topic], frame_name(message.child_frame_id)
+    elif kind in IMAGES:
+        survey.depths.setdefault(topic, is_depth(message, topic))
+        if hasattr(message, "encoding"):
+            survey.sizes.setdefault(topic, (int(message.width), int(message.height)))
+        stamps = survey.stamps_s.setdefault(topic, [])
+        if len(stamps) < _STAMPS_KEPT:
+            stamps.append(stamp_of(message.header))

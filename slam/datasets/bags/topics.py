@@ -1,36 +1,34 @@
-"""Which topics of a bag are read: by their types, and by name where the types leave a choice."""
+"""Which topics of a bag are read: by type, and by name and by what they hold where that leaves a choice."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import takewhile
+from typing import Any
 
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
 CLOUD = "sensor_msgs/msg/PointCloud2"
+LIVOX = frozenset(
+    {f"livox_{package}/msg/CustomMsg" for package in ("ros_driver", "ros_driver2", "interfaces")}
+)
+VELODYNE = "velodyne_msgs/msg/VelodyneScan"
 ODOMETRY = "nav_msgs/msg/Odometry"
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 TRANSFORMS = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
 SCANS = frozenset({LASER_SCAN, MULTI_ECHO})
+CLOUDS = LIVOX | {CLOUD, VELODYNE}
 IMAGES = frozenset({IMAGE, COMPRESSED})
-SENSORS = SCANS | IMAGES | {CLOUD, ODOMETRY}
+SENSORS = SCANS | CLOUDS | IMAGES | {ODOMETRY}
 
-_KIND_WORD = re.compile(r"rgb|colou?r|depth|image|infra|^ir$|mono|left|right", re.IGNORECASE)
+_KIND_WORD = re.compile(r"rgb|colou?r|depth|image|infra|^ir$|mono|stereo|left|right|^sensor_", re.IGNORECASE)
 _REGISTERED = re.compile(r"aligned_depth|depth_registered|depth_to_(rgb|color)|registered", re.IGNORECASE)
-_INFRARED = re.compile(r"infra|(^|[/_])ir([/_]|$)|confidence", re.IGNORECASE)
+_INFRARED = re.compile(r"infra|(^|[/_])ir\d?([/_]|$)|thermal|flir|confidence|disparity", re.IGNORECASE)
 _TRANSPORT = re.compile(r"/(compressed|compressedDepth|theora|ffmpeg|zstd)$")
-
-
-class AmbiguousError(Exception):
-    """Several topics could be meant; ``topics`` are they, ``what`` they hold."""
-
-    def __init__(self, what: str, topics: Iterable[str]) -> None:
-        self.what, self.topics = what, sorted(topics)
-        super().__init__(what)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,11 +62,42 @@ class Choice:
     left_out: dict[str, str] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What speaks for one of several topics of a sort.
+
+    Attributes
+    ----------
+    scan, cloud, odometry
+        The rank of a topic; the least is the best.
+    frame
+        The frame of an image topic.
+    apart
+        Whether two laser scanners see from different places, both of them known.
+    """
+
+    scan: Callable[[str], tuple[Any, ...]] = lambda topic: (topic,)
+    cloud: Callable[[str], tuple[Any, ...]] = lambda topic: (topic,)
+    odometry: Callable[[str], tuple[Any, ...]] = lambda topic: (topic,)
+    frame: Callable[[str], str] = lambda topic: ""
+    apart: Callable[[str, str], bool] = lambda first, second: False
+
+
+NO_EVIDENCE = Evidence()
+
+_WHY = {
+    ODOMETRY: "wheels before estimates, what moves the robot's frame before others",
+    **dict.fromkeys(SCANS, "of one place the wider view"),
+    **dict.fromkeys(CLOUDS, "a lidar's own points before what was made of them, then the wider view"),
+}
+
+
 def choose(
     kinds: Mapping[str, str],
     depths: Mapping[str, bool],
     wanted: tuple[str, ...],
-    camera_clouds: Mapping[str, str] | None = None,
+    never: Mapping[str, str] | None = None,
+    evidence: Evidence = NO_EVIDENCE,
 ) -> Choice:
     """The topics to read.
 
@@ -80,58 +109,65 @@ def choose(
         For each image topic whether it holds depth.
     wanted
         Topics named by the user: of their sort (scans, clouds, wheels, images) no others are read.
-    camera_clouds
-        Clouds that a depth camera has made, with what tells so: read only where they are named, or the bag
-        has nothing else that sees.
-
-    Raises
-    ------
-    AmbiguousError
-        Several topics of a sort, and none of them named.
+    never
+        Topics that are read only where they are named, with the reason.
     """
-    made = {topic: why for topic, why in (camera_clouds or {}).items() if topic not in wanted}
-    if made:
-        without = {topic: kind for topic, kind in kinds.items() if topic not in made}
-        choice = choose(without, depths, wanted)
-        if choice.scans or choice.clouds or choice.cameras:
-            why = "it is no lidar's but a depth camera's cloud ({}); --topics {} reads it as a lidar's"
-            choice.left_out.update({topic: why.format(told, topic) for topic, told in made.items()})
-            return choice
-    scans = _one("laser", [topic for topic, kind in kinds.items() if kind in SCANS], wanted)
-    clouds = _one("point cloud", [topic for topic, kind in kinds.items() if kind == CLOUD], wanted)
-    odometry = _one("odometry", [topic for topic, kind in kinds.items() if kind == ODOMETRY], wanted)
-    images = [topic for topic, kind in kinds.items() if kind in IMAGES]
+    never = {topic: why for topic, why in (never or {}).items() if topic not in wanted}
+    left_out = {topic: f"{why}; --topics {topic} reads it" for topic, why in never.items()}
+
+    def of(*sort: str) -> list[str]:
+        return [topic for topic, kind in kinds.items() if kind in sort and topic not in never]
+
+    scans = _named(of(*SCANS), wanted) or _lasers(of(*SCANS), evidence)
+    clouds = _named(of(*CLOUDS), wanted) or tuple(sorted(of(*CLOUDS), key=evidence.cloud)[:1])
+    odometry = _named(of(ODOMETRY), wanted) or tuple(sorted(of(ODOMETRY), key=evidence.odometry)[:1])
+    images = of(*IMAGES)
     named = [topic for topic in images if topic in wanted]
-    cameras, lonely = _cameras(named or _raw_first(images), depths, given=bool(named))
+    cameras, lonely = _cameras(named or _raw_first(images), depths, evidence, given=bool(named))
     read = {*scans, *clouds, *odometry, *lonely, *(t for one in cameras for t in (one.color, one.depth))}
-    left_out = {
-        topic: f"another image topic of its camera is read; --topics {topic} reads it"
-        if kind in IMAGES
-        else "--topics names others of its sort"
-        for topic, kind in kinds.items()
-        if topic not in read
-    }
+    for topic, kind in kinds.items():
+        if topic in read or topic in left_out or kind not in SENSORS:
+            continue
+        if kind in IMAGES:
+            left_out[topic] = f"another image topic of its camera is read; --topics {topic} reads it"
+        elif any(name in wanted for name in of(kind)):
+            left_out[topic] = "--topics names others of its sort"
+        else:
+            instead = ", ".join(other for other in (*scans, *clouds, *odometry) if kinds[other] == kind)
+            left_out[topic] = f"{instead} is read, {_WHY[kind]}; --topics {topic} reads this one"
     return Choice(scans, clouds, odometry, cameras, lonely, left_out)
+
+
+def _named(topics: list[str], wanted: tuple[str, ...]) -> tuple[str, ...]:
+    """Those that the user named."""
+    return tuple(topic for topic in topics if topic in wanted)
+
+
+def _lasers(topics: list[str], evidence: Evidence) -> tuple[str, ...]:
+    """The scanner of the widest view, and those that see from elsewhere on the robot."""
+    chosen: list[str] = []
+    for topic in sorted(topics, key=evidence.scan):
+        if all(evidence.apart(topic, other) for other in chosen):
+            chosen.append(topic)
+    return tuple(sorted(chosen))
+
+
+def is_infrared(topic: str) -> bool:
+    """Whether a topic's name says that its images are of infrared light, or of what is no light at all."""
+    return bool(_INFRARED.search(topic))
 
 
 def camera_info_topics(image_topic: str) -> tuple[str, ...]:
     """Where the CameraInfo of an image topic is: beside it, by the rule of image_transport."""
     base = _TRANSPORT.sub("", image_topic)
     parent = base.rpartition("/")[0]
-    return f"{parent}/camera_info", f"{base}/camera_info"
+    recorded = base.removesuffix("/image/data")  # by librealsense
+    return f"{parent}/camera_info", f"{base}/camera_info", f"{recorded}/info/camera_info"
 
 
 def is_rectified(image_topic: str) -> bool:
     """Whether a topic's name says that distortion is taken out of its images already."""
     return "rect" in _TRANSPORT.sub("", image_topic).rpartition("/")[2]
-
-
-def _one(what: str, topics: list[str], wanted: tuple[str, ...]) -> tuple[str, ...]:
-    """The only topic of a sort, or those that are named."""
-    named = tuple(topic for topic in topics if topic in wanted)
-    if not named and len(topics) > 1:
-        raise AmbiguousError(what, topics)
-    return named or tuple(topics)
 
 
 def _raw_first(images: list[str]) -> list[str]:
@@ -142,7 +178,7 @@ def _raw_first(images: list[str]) -> list[str]:
 
 
 def _cameras(
-    images: list[str], depths: Mapping[str, bool], *, given: bool
+    images: list[str], depths: Mapping[str, bool], evidence: Evidence, *, given: bool
 ) -> tuple[tuple[CameraTopics, ...], tuple[str, ...]]:
     """Cameras, and the image topics that are none."""
     groups: dict[str, list[str]] = {}
@@ -151,23 +187,37 @@ def _cameras(
     cameras: list[CameraTopics] = []
     lonely: list[str] = []
     for space, topics in groups.items():
-        depth = _best([topic for topic in topics if depths.get(topic)], _depth_rank, given=given)
-        color = _best([topic for topic in topics if not depths.get(topic)], _color_rank, given=given)
-        if not depth or not color:
-            lonely += topics
-            continue
-        if len(depth) > 1 or len(color) > 1:
-            if not given:
-                raise AmbiguousError("camera" if not space else f"{space} camera", [*color, *depth])
-            cameras += _paired(color, depth)
-            continue
-        cameras.append(CameraTopics(space or "/camera", color[0], depth[0]))
-    # Where names share nothing, the only colour and the only depth still belong together.
-    sorts = [[t for t in lonely if depths.get(t)], [t for t in lonely if not depths.get(t)]]
-    if not cameras and all(len(sort) == 1 for sort in sorts):
-        cameras.append(CameraTopics("/camera", sorts[1][0], sorts[0][0]))
+        found = _of_one_place(topics, depths, evidence, given=given)
+        if len(found) == 1:
+            found = [CameraTopics(space or "/camera", found[0].color, found[0].depth)]
+        cameras += found
+        lonely += [] if found else topics
+    # Where names share nothing, what is of one frame or alone of its sort still belongs together.
+    if not cameras and (found := _of_one_place(lonely, depths, evidence, given=given)):
+        cameras = [CameraTopics("/camera", found[0].color, found[0].depth)]
         lonely = []
     return tuple(cameras), tuple(lonely)
+
+
+def _of_one_place(
+    topics: list[str], depths: Mapping[str, bool], evidence: Evidence, *, given: bool
+) -> list[CameraTopics]:
+    """The cameras of one namespace; none where it has no depth or no colour."""
+    depth = _best([topic for topic in topics if depths.get(topic)], _depth_rank, given=given)
+    frames = {evidence.frame(topic) for topic in depth}
+
+    def color_rank(topic: str) -> tuple[bool, ...]:
+        infrared, *rest = _color_rank(topic)
+        return infrared, evidence.frame(topic) not in frames, *rest
+
+    color = _best([topic for topic in topics if not depths.get(topic)], color_rank, given=given)
+    if not depth or not color:
+        return []
+    if len(depth) == len(color) > 1:
+        return _paired(color, depth)
+    if given and len(depth) != len(color):
+        depth, color = _best(depth, _depth_rank, given=False), _best(color, color_rank, given=False)
+    return [CameraTopics("", color[0], depth[0])]
 
 
 def _namespace(topic: str) -> str:
@@ -181,9 +231,8 @@ def _namespace(topic: str) -> str:
     return "/" + "/".join(own) if own else ""
 
 
-def _best(topics: list[str], rank: object, *, given: bool) -> list[str]:
+def _best(topics: list[str], rank: Callable[[str], tuple[bool, ...]], *, given: bool) -> list[str]:
     """The topics of the best rank; all where they are the user's own choice."""
-    assert callable(rank)
     if given or len(topics) < 2:
         return topics
     ranks = {topic: rank(topic) for topic in topics}
@@ -212,8 +261,6 @@ def _paired(colors: list[str], depths: list[str]) -> list[CameraTopics]:
     """Each depth topic with the colour topic whose name begins most alike."""
     cameras, left = [], list(colors)
     for depth in depths:
-        if not left:
-            raise AmbiguousError("camera", [*colors, *depths])
         color = max(left, key=lambda topic: len(_shared(topic, depth)))
         left.remove(color)
         name = _shared(color, depth).rstrip("/_") or depth

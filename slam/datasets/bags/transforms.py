@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import gtsam
@@ -25,13 +26,28 @@ class FrameTree:
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, gtsam.Pose3]] = {}
+        self._told: dict[tuple[str, str], gtsam.Pose3] = {}
         self.moving: set[str] = set()
 
     def __contains__(self, frame: str) -> bool:
-        return frame in self._parents or any(parent == frame for parent, _ in self._parents.values())
+        return any(frame in (parent, child) for parent, child, _ in self._steps())
 
     def __bool__(self) -> bool:
-        return bool(self._parents)
+        return bool(self._parents or self._told)
+
+    def set(self, parent: str, child: str, pose: gtsam.Pose3) -> None:
+        """Put ``T_parent_child`` in place of what the tree says, where it says anything."""
+        if (self._parents.get(child) or ("",))[0] == parent:
+            self._parents[child] = parent, pose
+        elif (self._parents.get(parent) or ("",))[0] == child:
+            self._parents[parent] = child, pose.inverse()
+        else:
+            self._told[parent, child] = pose
+
+    def _steps(self) -> Iterator[tuple[str, str, gtsam.Pose3]]:
+        """Parent, child and pose of all that is known; what was told comes first."""
+        yield from ((parent, child, pose) for (parent, child), pose in self._told.items())
+        yield from ((parent, child, pose) for child, (parent, pose) in self._parents.items())
 
     def add(self, message: Any) -> None:
         """Take in a TFMessage.
@@ -66,7 +82,7 @@ class FrameTree:
     def between(self, base: str, sensor: str) -> gtsam.Pose3 | None:
         """``T_base_sensor``, None where no chain of transforms connects the two."""
         neighbours: dict[str, list[tuple[str, gtsam.Pose3]]] = {}
-        for child, (parent, pose) in self._parents.items():
+        for parent, child, pose in self._steps():
             neighbours.setdefault(parent, []).append((child, pose))
             neighbours.setdefault(child, []).append((parent, pose.inverse()))
         found = {base: gtsam.Pose3()}
@@ -83,12 +99,21 @@ class FrameTree:
         """Whether a joint on the way from the base to a sensor has been seen to move."""
         return bool(self.moving & set(self._chain(base)) ^ self.moving & set(self._chain(sensor)))
 
+    def sits_on(self, frame: str, other: str) -> bool:
+        """Whether a frame sits on another, by whatever is between."""
+        return other in self._chain(frame)[1:]
+
     def _chain(self, frame: str) -> list[str]:
         """A frame and what it sits on, up to the root."""
         chain = [frame]
         while (above := self._parents.get(chain[-1])) and above[0] not in chain:
             chain.append(above[0])
         return chain
+
+    def named(self, names: Iterable[str]) -> list[str]:
+        """Frames by their last names, in the order of the names: robot1/base_link is a base_link, too."""
+        frames = sorted({frame for parent, child, _ in self._steps() for frame in (parent, child)})
+        return [frame for name in names for frame in frames if frame.rpartition("/")[2] == name]
 
     def root(self) -> str | None:
         """The only frame that sits in no other; None where there is none or more than one."""

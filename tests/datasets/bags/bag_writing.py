@@ -22,6 +22,17 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
 ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+for _store in (ROS1, ROS2):
+    for _name, _text in {
+        "livox_ros_driver2/msg/CustomPoint": "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\n"
+        "uint8 reflectivity\nuint8 tag\nuint8 line",
+        "livox_ros_driver2/msg/CustomMsg": "std_msgs/Header header\nuint64 timebase\nuint32 point_num\n"
+        "uint8 lidar_id\nuint8[3] rsvd\nlivox_ros_driver2/CustomPoint[] points",
+        "realsense2_camera_msgs/msg/Extrinsics": "float64[9] rotation\nfloat64[3] translation",
+        "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data",
+        "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
+    }.items():
+        _store.register(get_types_from_msg(_text, _name))
 START_S = 1_700_000_000.0
 WRITERS = ("mcap", "mcap_plain", "mcap_lz4", "rosbags_mcap", "db3", "db3_packed", "bag", "bag_bz2", "bag_lz4")
 
@@ -120,7 +131,7 @@ def one_file(bag: Path) -> Path:
 def built(store: Any, sent: Sent) -> Any:
     """The message of a store's types."""
     fields = dict(sent.fields)
-    if sent.kind != TF:
+    if "header" in dict(store.fielddefs[sent.kind][1]):
         fields["header"] = header(sent.stamp_s, sent.frame)
     return _made(store, sent.kind, fields)
 

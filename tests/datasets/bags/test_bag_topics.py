@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from slam.cli.app import topics_of, topics_override
 from slam.config import load_config
 from slam.datasets import open_dataset
-from slam.datasets.bags.topics import AmbiguousError, choose
+from slam.datasets.bags.topics import choose
 from slam.datasets.inspection import inspect_dataset
 from slam.errors import DatasetError
 from slam.evaluation.pages import inspection_text
@@ -32,16 +32,17 @@ def two_lasers() -> list[Sent]:
     return [*front, scan("/rear", START_S), odometry(START_S), odometry(START_S + 0.2)]
 
 
-def test_two_lasers_are_listed_with_their_messages_and_chosen_by_name(tmp_path: Path) -> None:
+def test_of_two_lasers_without_tf_the_wider_view_is_read_and_both_where_they_are_named(
+    tmp_path: Path,
+) -> None:
     bag = write_bag(tmp_path / "log", "mcap", two_lasers())
-    said = (
-        r"2 laser topics: /front \(LaserScan, 3 messages\), /rear \(LaserScan, 1 messages\); choose by --top"
-    )
-    with pytest.raises(DatasetError, match=said):
-        list(open_dataset(bag))
-    chosen = open_dataset(bag, topics=["/front"])
-    assert {m.sensor for m in chosen} == {"/front", "/odom"}  # the wheels were no question
-    assert chosen.report.ignored == {"/rear (sensor_msgs/msg/LaserScan)": 1}
+    dataset = open_dataset(bag)
+    assert {m.sensor for m in dataset} == {"/front", "/odom"}
+    told = dataset.report.reasons["/rear (sensor_msgs/msg/LaserScan)"]
+    assert told.startswith("/front is read") and "--topics /rear" in told
+    chosen = open_dataset(bag, topics=["/rear"])
+    assert {m.sensor for m in chosen} == {"/rear", "/odom"}  # the wheels were no question
+    assert chosen.report.reasons["/front (sensor_msgs/msg/LaserScan)"] == "--topics names others of its sort"
     assert {m.sensor for m in open_dataset(bag, topics=["/front", "/rear"])} == {"/front", "/rear", "/odom"}
 
 
@@ -93,10 +94,11 @@ def test_colour_finds_its_depth_by_the_names_of_usual_drivers(
     assert (camera.name, camera.color, camera.depth) == wanted
 
 
-def test_two_depths_of_a_rank_are_ambiguous_until_named() -> None:
+def test_of_two_depths_of_a_rank_the_first_is_read_or_the_one_that_is_named() -> None:
     topics = {"/a/rgb/image": False, "/a/depth_left/image": True, "/a/depth_right/image": True}
-    with pytest.raises(AmbiguousError):
-        choose(dict.fromkeys(topics, IMAGE), topics, ())
+    choice = choose(dict.fromkeys(topics, IMAGE), topics, ())
+    assert choice.cameras[0].depth == "/a/depth_left/image"
+    assert "--topics /a/depth_right/image reads it" in choice.left_out["/a/depth_right/image"]
     (camera,) = choose(dict.fromkeys(topics, IMAGE), topics, ("/a/rgb/image", "/a/depth_right/image")).cameras
     assert camera.depth == "/a/depth_right/image"
 

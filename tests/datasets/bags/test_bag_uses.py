@@ -30,8 +30,10 @@ def points(seen: str) -> NDArray[np.float32]:
     return np.column_stack(rows).astype(np.float32)
 
 
-def clouds(seen: str, frame: str, late_s: float = 0.0, **fields: Any) -> list[Sent]:
+def clouds(seen: str, frame: str, late_s: float = 0.0, timed: bool = False, **fields: Any) -> list[Sent]:
     columns = dict(zip("xyz", points(seen).T.copy(), strict=True))
+    if timed:
+        columns["time"] = np.linspace(0.0, 0.1, len(columns["x"])).astype(np.float32)
     sent = [cloud(columns, START_S + 0.1 * k + late_s, "/depth/points", **fields) for k in range(30)]
     for one in sent:
         one.frame = frame
@@ -58,6 +60,7 @@ def uses(folder: Path, sent: list[Sent], topics: tuple[str, ...] = ()) -> dict[s
     [
         (clouds("optical", OPTICAL, 0.03), "its frame is"),
         (clouds("body", "optical", 0.03), "its frame is optical"),
+        (clouds("around", OPTICAL, 0.03), "its frame is"),
         (clouds("body", "camera_link"), "its stamps are those of"),
         (clouds("optical", "camera_link", 0.03), "it looks along z"),
         (clouds("body", "camera_link", 0.03, height=4, width=75), "in the order of an image"),
@@ -74,7 +77,7 @@ def test_a_depth_cameras_cloud_is_no_lidar(tmp_path: Path, sent: list[Sent], bec
 @pytest.mark.parametrize(
     "sent",
     [
-        clouds("around", OPTICAL),
+        clouds("around", OPTICAL, timed=True),
         clouds("body", "livox_frame", 0.03),
         clouds("around", "lidar", height=4, width=75),
     ],

@@ -1,0 +1,133 @@
+"""Lenses and mountings of a bag's sensors by files, beside what the bag itself tells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+
+from slam.datasets.bags.lens import Lens
+from slam.datasets.bags.survey import Survey
+from slam.datasets.bags.topics import CLOUDS
+from slam.datasets.calibration_files import KnownCalibration, contradiction
+from slam.datasets.calibration_formats import FileTransform
+
+_STILL_M, _STILL_RAD = 0.005, np.radians(0.5)  # nearer than that two mountings are the same
+
+
+@dataclass(slots=True)
+class FileFacts:
+    """What files tell of a bag's sensors.
+
+    Attributes
+    ----------
+    known
+        All that the files tell.
+    notes
+        What was taken from which file, and where it contradicts the bag.
+    used
+        Names of the files that something was taken from.
+    """
+
+    known: KnownCalibration
+    notes: list[str] = field(default_factory=list)
+    used: set[str] = field(default_factory=set)
+
+    def place(self, survey: Survey) -> None:
+        """Add the mountings to a bag's tree of frames: where files are believed first in place of its own."""
+        self.notes += self.known.notes
+        names = self._frames_of_names(survey)
+        for told in self.known.transforms:
+            parent, child = names.get(told.parent, told.parent), names.get(told.child, told.child)
+            in_tree = survey.tree.between(parent, child)
+            sure = told.source in self.known.sure
+            if in_tree is None or sure:
+                survey.tree.set(parent, child, told.pose)
+                self.used.add(told.source)
+            if in_tree is not None:
+                self._compare(f"{child} on {parent}", told, in_tree, sure=sure)
+        for source in sorted(self.used):
+            self.notes.append(f"mountings by {source}")
+
+    def lens(self, survey: Survey, topic: str, own: Lens | None) -> Lens | None:
+        """The lens of an image topic: of a file that is believed first, else the bag's, else of any file."""
+        role = "depth" if survey.depths.get(topic) else "color"
+        names = [topic, survey.frames.get(topic, "")]
+        found = self.known.lens(role, names, survey.sizes.get(topic))
+        if found is None or found.lens is None:
+            return own
+        sure = found.source in self.known.sure
+        if own is not None:
+            file, bag = (found.lens, found.source), (own, "the bag")
+            told = contradiction(topic, file, bag) if sure else contradiction(topic, bag, file)
+            self.notes += [told] if told else []
+        if own is not None and not sure:
+            return own
+        self.used.add(found.source)
+        self.notes.append(f"{topic}: lens by {found.source}")
+        return found.lens
+
+    def mount(self, kind: str, topic: str, own: gtsam.Pose3 | None, *, only: bool) -> gtsam.Pose3 | None:
+        """Where the only "camera" or "lidar" sits: by our own file, else as the bag tells."""
+        told = self.known.T_base_camera if kind == "camera" else self.known.T_base_lidar
+        if told is None or not only:
+            return own
+        pose, source = told
+        self.used.add(source)
+        self.notes.append(f"{topic}: mounting by {source}")
+        if own is not None:
+            self._compare(topic, FileTransform("", "", pose, source), own, sure=True)
+        return pose
+
+    def depth_steps_per_m(self, name: str, own: float | None) -> float | None:
+        """What a camera's depth images write for a metre, None where nothing tells."""
+        told = self.known.depth_steps_per_m()
+        if told is None:
+            return own
+        steps, source = told
+        if own is not None and source not in self.known.sure:
+            return own
+        self.used.add(source)
+        self.notes.append(f"{name}: {steps:g} steps of depth a metre by {source}")
+        return steps
+
+    def unused(self) -> list[str]:
+        """Files that were given and from which nothing was taken."""
+        return [
+            f"warning: {source} tells of no sensor that is read"
+            for source in sorted(self.known.sure - self.used)
+        ]
+
+    def _frames_of_names(self, survey: Survey) -> dict[str, str]:
+        """The bag's frames by names of the files: cameras by their topics, one lidar or IMU by its kind."""
+        names = {}
+        for camera in self.known.cameras:
+            if camera.frame and (
+                frame := survey.frames.get(camera.topic) or survey.frames.get(f"/{camera.topic}")
+            ):
+                names[camera.frame] = frame
+        kinds = {topic: survey.channels[topic].kind for topic in survey.frames}
+        lidars = {frame for topic, frame in survey.frames.items() if kinds[topic] in CLOUDS}
+        imus = {frame for topic, frame in survey.frames.items() if kinds[topic].endswith("/Imu")}
+        for name, frames in (("lidar", lidars), ("imu", imus)):
+            if len(frames) == 1 and name not in survey.tree:
+                names[name] = next(iter(frames))
+        return names
+
+    def _compare(self, what: str, told: FileTransform, other: gtsam.Pose3, *, sure: bool) -> None:
+        """Tell both values where a file and the bag contradict each other."""
+        step = gtsam.Pose3.Logmap(told.pose.between(other))
+        apart = float(np.linalg.norm(step[3:])) > _STILL_M or float(np.linalg.norm(step[:3])) > _STILL_RAD
+        if apart:
+            self.notes.append(
+                f"warning: {what}: {told.source} says {_told(told.pose)}, the bag says {_told(other)}; "
+                f"that of {told.source if sure else 'the bag'} is used"
+            )
+
+
+def _told(pose: gtsam.Pose3) -> str:
+    """A mounting for people."""
+    x, y, z = pose.translation()
+    roll, pitch, yaw = np.degrees(pose.rotation().rpy())
+    return f"x {x:.3f} y {y:.3f} z {z:.3f} m, roll {roll:.1f} pitch {pitch:.1f} yaw {yaw:.1f} degrees"

@@ -1,0 +1,140 @@
+"""What the beginning of a bag says for and against its topics, by tf, by names and by what was seen."""
+
+from __future__ import annotations
+
+import math
+import re
+from functools import partial
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from slam.datasets.bags.camera_clouds import camera_clouds
+from slam.datasets.bags.survey import Survey
+from slam.datasets.bags.topics import CLOUDS, ODOMETRY, SCANS, Evidence
+from slam.datasets.bags.transforms import BASE_FRAMES
+from slam.datasets.bags.truth import IS_TRUTH, is_truth
+
+ODOM_FRAMES = ("odom", "odom_combined")
+_FUSED = re.compile(r"filter|ekf|ukf|fus(ed|ion)|estimat|combined|local|global|correct|optimi", re.IGNORECASE)
+_NO_WHEELS = re.compile(
+    r"(^|[/_])(camera|zed\w*|t265|vins\w*|vio|lio|visual|orb\w*|rtabmap|icp|\w*loam\w*|slam|lidar|laser|scan|kiss|rf2o"
+    r"|gps|gnss|utm|amcl|map\w*)\d*([/_]|$)",
+    re.IGNORECASE,
+)
+_WHEELS = re.compile(r"wheel|encoder|diff|drive|raw|chassis|base", re.IGNORECASE)
+_MADE = re.compile(
+    r"filter|regist|ground|obstacle|segment|cluster|down_?sampl|deskew|voxel|map|local|global|effect|surround"
+    r"|corner|surf|feature|crop|second|aggregat|concat|object|undistort|colou?r",
+    re.IGNORECASE,
+)
+_WORLDS = {"map", "world", "earth", "camera_init", "global", *ODOM_FRAMES}
+_APART_M, _APART_RAD = 0.01, math.radians(1.0)
+
+
+def evidence_of(survey: Survey) -> Evidence:
+    """What speaks for one of several topics of a sort."""
+    return Evidence(
+        scan=partial(_scan_rank, survey),
+        cloud=partial(_cloud_rank, survey),
+        odometry=partial(_odometry_rank, survey),
+        frame=lambda topic: survey.frames.get(topic, ""),
+        apart=partial(_apart, survey),
+    )
+
+
+def never_read(survey: Survey) -> dict[str, str]:
+    """Topics of sensors that are read only where they are named, with the reason."""
+    found: dict[str, str] = {}
+    kinds = {topic: survey.channels[topic].kind for topic in sorted(survey.seen)}
+    for topic, kind in kinds.items():
+        frame = survey.frames.get(topic, "")
+        if survey.robots.of_another(topic):
+            found[topic] = f"it is of another robot than {survey.robots.read}"
+        elif is_truth(topic, kind):
+            found[topic] = IS_TRUTH
+        elif kind == ODOMETRY and (estimate := _no_wheels(survey, topic)):
+            found[topic] = estimate
+        elif kind in SCANS and (cloud := _made_of(survey, topic)):
+            found[topic] = f"it is made of {cloud}, which has its frame and stamps and tells more"
+        elif kind in CLOUDS and _last(frame) in _WORLDS:
+            found[topic] = f"it stands in {frame}, moved by somebody's estimate already"
+    made = camera_clouds(survey)
+    rest = {topic for topic in kinds if topic not in found and topic not in made}
+    cameras = {topic for topic in rest & set(survey.depths) if survey.depths[topic]}
+    if cameras or any(kinds[topic] in SCANS | CLOUDS for topic in rest):
+        # Where nothing else sees, such a cloud is better than none.
+        found |= {
+            topic: f"it is no lidar's but a depth camera's cloud ({why})"
+            for topic, why in made.items()
+            if topic not in found
+        }
+    return found
+
+
+def _no_wheels(survey: Survey, topic: str) -> str:
+    """Why an odometry is none of wheels; empty where it may be."""
+    parent = _last(survey.odometry.get(topic, ("", ""))[0])
+    if parent in _WORLDS.difference(ODOM_FRAMES):
+        return f"it is somebody's estimate in {parent} and none of wheels"
+    return "by its name it is what was seen of the way and none of wheels" if _NO_WHEELS.search(topic) else ""
+
+
+def _made_of(survey: Survey, scan: str) -> str | None:
+    """The cloud of a lidar that a scan is a ring or a slice of."""
+    return next(
+        (
+            topic
+            for topic, view in sorted(survey.clouds.items())
+            if not view.along
+            and view.stamp_s in survey.scan_stamps_s.get(scan, ())
+            and survey.frames.get(topic) == survey.frames.get(scan)
+        ),
+        None,
+    )
+
+
+def _scan_rank(survey: Survey, topic: str) -> tuple[Any, ...]:
+    """The wider view first, then the farther."""
+    span_rad, range_m = survey.scans.get(topic, (0.0, 0.0))
+    return -round(math.degrees(span_rad)), -range_m, topic
+
+
+def _cloud_rank(survey: Survey, topic: str) -> tuple[Any, ...]:
+    """What a lidar gave before what was made of it, then with times, all around, of many points."""
+    view = survey.clouds.get(topic)
+    if view is None:
+        return True, True, 0.0, 0, topic
+    return bool(_MADE.search(topic)), not view.timed, -view.around, -view.points, topic
+
+
+def _odometry_rank(survey: Survey, topic: str) -> tuple[Any, ...]:
+    """Wheels before estimates; then what tf has the base moved by."""
+    parent, child = survey.odometry.get(topic, ("", ""))
+    return (
+        bool(_FUSED.search(topic)),
+        _last(child) not in BASE_FRAMES,
+        not _WHEELS.search(topic),
+        survey.tree.parent_of(child) != parent,
+        topic,
+    )
+
+
+def _apart(survey: Survey, first: str, second: str) -> bool:
+    """Whether two scanners sit at places that tf tells, and not at the same."""
+    base = survey.base_frame()
+    frames = [survey.frames.get(topic, "") for topic in (first, second)]
+    if base is None or frames[0] == frames[1]:
+        return False
+    poses = [survey.tree.between(base, frame) for frame in frames]
+    if poses[0] is None or poses[1] is None:
+        return False
+    step = poses[0].between(poses[1])
+    turned_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(step.rotation())))
+    return float(np.linalg.norm(step.translation())) > _APART_M or turned_rad > _APART_RAD
+
+
+def _last(frame: str) -> str:
+    """A frame's name without its robot's."""
+    return frame.rpartition("/")[2]

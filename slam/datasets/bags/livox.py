@@ -1,0 +1,55 @@
+"""Livox's own messages as clouds; a point's offset in time is nanoseconds after the stamp."""
+
+from __future__ import annotations
+
+import struct
+from types import SimpleNamespace
+
+from slam.datasets.budget import LARGEST_BYTES
+
+_FIELDS = (("offset_time", 6, 0), ("x", 7, 4), ("y", 7, 8), ("z", 7, 12), ("reflectivity", 2, 16))
+_POINT = 19  # bytes of what a point tells
+_ALIGNED = 20  # to where the next begins in ROS 2
+
+
+def livox_cloud(content: bytes, wire: str) -> SimpleNamespace:
+    """A CustomMsg with the fields of a PointCloud2.
+
+    Decoded here since a message has tens of thousands of points, each a record of its own.
+
+    Raises
+    ------
+    struct.error, ValueError
+        Bytes are missing, or there are too many.
+    """
+    ros1 = wire == "ros1"
+    little = ros1 or content[1] & 1
+    order = "<" if little else ">"
+    at, start = (4, 0) if ros1 else (4, 4)
+    sec, nanosec, named = struct.unpack_from(f"{order}III", content, at)
+    at += 12
+    if named > len(content):
+        raise ValueError(f"a frame's name of {named} letters")
+    frame = content[at : at + named].rstrip(b"\0").decode("utf-8", "replace")
+    at += named
+    if not ros1:
+        at += -(at - start) % 8
+    at += 16  # base of time, number of points, lidar, reserved
+    (count,) = struct.unpack_from(f"{order}I", content, at)
+    at += 4
+    step = _POINT if ros1 else _ALIGNED
+    if not 0 < count * step <= LARGEST_BYTES or len(content) < at + count * step - (step - _POINT):
+        raise ValueError(f"{count} points in {len(content)} bytes")
+    return SimpleNamespace(
+        header=SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec), frame_id=frame),
+        height=1,
+        width=count,
+        fields=[
+            SimpleNamespace(name=name, datatype=kind, offset=offset, count=1)
+            for name, kind, offset in _FIELDS
+        ],
+        is_bigendian=not little,
+        point_step=step,
+        row_step=count * step,
+        data=bytearray(content[at:].ljust(count * step, b"\0")[: count * step]),
+    )

@@ -1,0 +1,154 @@
+"""What camera drivers tell in messages of their own, and colour as the depth camera sees it.
+
+librealsense records a camera in topics ``/device_0/sensor_0/Depth_0/...`` with the depth unit as an option,
+and transforms of streams from the first; drivers of RealSense and Orbbec for ROS send Extrinsics messages.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.datasets.bags.transforms import pose_of
+from slam.datasets.calibration import pose_from_matrix
+from slam.measurements import CameraIntrinsics, ColorImage, Float32Array
+
+EXTRINSICS = re.compile(r"(realsense|orbbec).*/Extrinsics$")
+_UNIT = re.compile(r"(/device_\d+/sensor_\d+)/option/Depth[_ ]Units/value")
+_STREAM = re.compile(r"(/device_\d+/sensor_\d+/\w+)/tf/\d+")
+_FARTHEST_M = 1.0  # between the lenses of one camera; a translation beyond it is in millimetres
+_SMALLEST_M, _LARGEST_M = 1e-6, 1e-1  # units of depth
+_FAR_M = 1e3  # where the way between two cameras does not show in the image
+
+
+@dataclass(slots=True)
+class CameraFacts:
+    """What drivers tell of their cameras.
+
+    Attributes
+    ----------
+    units_m
+        Metres a step of depth, by the namespace of the sensor.
+    streams
+        Pose of the reference stream in each stream of a recording by librealsense, by the stream's namespace.
+    extrinsics
+        ``T_to_from`` of each topic of Extrinsics.
+    told
+        The topics that told all this.
+    """
+
+    units_m: dict[str, float] = field(default_factory=dict)
+    streams: dict[str, gtsam.Pose3] = field(default_factory=dict)
+    extrinsics: dict[str, gtsam.Pose3] = field(default_factory=dict)
+    told: set[str] = field(default_factory=set)
+
+    def tells(self, topic: str, kind: str) -> bool:
+        """Whether a topic tells such."""
+        return bool(EXTRINSICS.search(kind) or _UNIT.fullmatch(topic) or _STREAM.fullmatch(topic))
+
+    def add(self, topic: str, kind: str, message: Any) -> None:
+        """Take in a message of such a topic.
+
+        Raises
+        ------
+        ValueError
+            What it tells is none.
+        """
+        if unit := _UNIT.fullmatch(topic):
+            value = float(str(np.float32(message.data)))  # 0.001, not what is nearest to it in four bytes
+            if not _SMALLEST_M <= value <= _LARGEST_M:
+                raise ValueError(f"a depth unit of {value} m")
+            self.units_m[unit[1]] = value
+        elif stream := _STREAM.fullmatch(topic):
+            self.streams[stream[1]] = pose_of(message.translation, message.rotation)
+        else:
+            self.extrinsics[topic] = _pose_of_extrinsics(message, by_columns="realsense" in kind)
+        self.told.add(topic)
+
+    def unit_m(self, topic: str) -> float | None:
+        """Metres a step of an image topic; None where nothing tells it."""
+        return next((unit for space, unit in self.units_m.items() if topic.startswith(f"{space}/")), None)
+
+    def color_in_depth(self, color: str, depth: str) -> tuple[gtsam.Pose3, str] | None:
+        """Pose of the colour camera in the depth camera by their topics, and which topic says so."""
+        places = [_of_stream(self.streams, topic) for topic in (depth, color)]
+        if any(places):
+            # The reference is a stream itself, and has no transform or that of itself.
+            T_depth_reference, T_color_reference = (place or gtsam.Pose3() for place in places)
+            source = f"{color.rpartition('/image/')[0]}/tf"
+            return T_depth_reference.compose(T_color_reference.inverse()), source
+        if "depth" not in depth or "color" not in color:
+            return None
+        for topic, T_to_from in self.extrinsics.items():
+            name = topic.rpartition("/")[2]
+            own = _shared_parts(topic, depth) and _shared_parts(topic, color)
+            if own and name in ("depth_to_color", "depth_to_rgb"):
+                return T_to_from.inverse(), topic
+            if own and name in ("color_to_depth", "rgb_to_depth"):
+                return T_to_from, topic
+        return None
+
+
+def _of_stream(streams: dict[str, gtsam.Pose3], topic: str) -> gtsam.Pose3 | None:
+    """The transform of an image's stream."""
+    return next((pose for space, pose in streams.items() if topic.startswith(f"{space}/")), None)
+
+
+def _shared_parts(first: str, second: str) -> bool:
+    """Whether two topics are of one namespace, or one of them of none."""
+    parts = [topic.strip("/").split("/") for topic in (first, second)]
+    return parts[0][0] == parts[1][0] or min(map(len, parts)) <= 2
+
+
+def _pose_of_extrinsics(message: Any, *, by_columns: bool) -> gtsam.Pose3:
+    """Of an Extrinsics message, which brings points of the first camera into the second."""
+    matrix = np.eye(4)
+    rotation = np.asarray(message.rotation, dtype=np.float64).reshape(3, 3)
+    matrix[:3, :3] = rotation.T if by_columns else rotation
+    translation = np.asarray(message.translation, dtype=np.float64)
+    apart = float(np.linalg.norm(translation))
+    matrix[:3, 3] = translation if apart < _FARTHEST_M else translation / 1000.0
+    if not math.isfinite(apart):
+        raise ValueError(f"translation {translation}")
+    return pose_from_matrix(matrix)
+
+
+class ColorView:
+    """Looks up the colour of each pixel of a depth image, by what the pixel's depth is.
+
+    Parameters
+    ----------
+    depth, color
+        The two pin-holes, each of its images.
+    T_depth_color
+        Pose of the colour camera.
+    """
+
+    def __init__(self, depth: CameraIntrinsics, color: CameraIntrinsics, T_depth_color: gtsam.Pose3) -> None:
+        T_color_depth = T_depth_color.inverse()
+        turn = np.asarray(T_color_depth.rotation().matrix())
+        columns, rows = np.meshgrid(np.arange(depth.width), np.arange(depth.height))
+        rays = np.stack(
+            [(columns - depth.cx) / depth.fx, (rows - depth.cy) / depth.fy, np.ones(columns.shape)]
+        )
+        self._rays = np.einsum("ij,jhw->ihw", turn, rays).astype(np.float32)
+        self._shift = T_color_depth.translation().astype(np.float32)
+        self._lens = color
+
+    def of(self, color: ColorImage, depth_m: Float32Array) -> ColorImage:
+        """(H, W, 3) at the depth image's size; black where the colour camera does not look."""
+        import cv2
+
+        away: NDArray[np.float32] = np.where(depth_m > 0.0, depth_m, np.float32(_FAR_M))
+        x, y, z = (ray * away + shift for ray, shift in zip(self._rays, self._shift, strict=True))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            columns = np.where(z > 0.0, np.float32(self._lens.fx) * x / z + np.float32(self._lens.cx), -1.0)
+            rows = np.where(z > 0.0, np.float32(self._lens.fy) * y / z + np.float32(self._lens.cy), -1.0)
+        maps = columns.astype(np.float32), rows.astype(np.float32)
+        return np.asarray(cv2.remap(color, *maps, cv2.INTER_LINEAR))

@@ -1,0 +1,56 @@
+"""Several robots in one bag: each in a namespace of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from slam.datasets.bags.topics import CLOUDS, IMAGES, ODOMETRY, SCANS, TRANSFORMS
+
+
+@dataclass(frozen=True, slots=True)
+class Robots:
+    """The robots of a bag.
+
+    Attributes
+    ----------
+    spaces
+        Their namespaces; none where the bag is of one robot.
+    read
+        That of the robot that is read.
+    """
+
+    spaces: tuple[str, ...] = ()
+    read: str = ""
+
+    @classmethod
+    def of(cls, kinds: Mapping[str, str], wanted: Sequence[str]) -> Robots:
+        """By the namespaces that each have wheels or transforms, and what sees.
+
+        Parameters
+        ----------
+        kinds
+            Message type of each topic.
+        wanted
+            Topics or namespaces named by the user: theirs is the robot, else it is the first by name.
+        """
+        found: dict[str, set[str]] = {}
+        for topic, kind in kinds.items():
+            found.setdefault(_space(topic), set()).add(kind)
+        sees, moves = SCANS | CLOUDS | IMAGES, TRANSFORMS | {ODOMETRY}
+        spaces = tuple(sorted(space for space, own in found.items() if space and own & sees and own & moves))
+        if len(spaces) < 2:
+            return cls()
+        named = [space for space in spaces if any(_space(f"{name}/") == space for name in wanted)]
+        return cls(spaces, (named or spaces)[0])
+
+    def of_another(self, topic: str) -> bool:
+        """Whether a topic is of a robot that is not read."""
+        space = _space(topic)
+        return space in self.spaces and space != self.read
+
+
+def _space(topic: str) -> str:
+    """The first part of a topic's name where it has several."""
+    first, _, rest = topic.strip("/").partition("/")
+    return f"/{first}" if rest or topic.endswith("/") else ""

@@ -1,0 +1,74 @@
+"""The true trajectory in a bag: poses of a motion capture, a survey or a simulator, by name of the topic."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from slam.datasets.account import Account
+from slam.datasets.bags.decoding import Decoder, stamp_of
+from slam.datasets.bags.files import Bag
+from slam.datasets.bags.topics import ODOMETRY
+from slam.datasets.bags.transforms import pose_of
+from slam.datasets.dataset import RecordFault
+from slam.measurements import Trajectory
+
+PATH = "nav_msgs/msg/Path"
+_POSE, _POSE_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
+_TRANSFORM = "geometry_msgs/msg/TransformStamped"
+TRUTHS = frozenset({PATH, _POSE, _POSE_COVARIANCE, _TRANSFORM, ODOMETRY})
+_NAME = re.compile(
+    r"ground_?truth|(^|[/_])(gt|truth|vicon|vrpn\w*|mocap|optitrack|qualisys|leica)([/_]|$)", re.IGNORECASE
+)
+IS_TRUTH = "by its name it is the truth, which is compared with and not mapped by"
+
+
+def is_truth(topic: str, kind: str) -> bool:
+    """Whether a topic tells the truth, by its type and name."""
+    return kind in TRUTHS and bool(_NAME.search(topic))
+
+
+def truth_topic(kinds: Mapping[str, str], wanted: Sequence[str]) -> str | None:
+    """The topic of the truth: named by the user, else by its name; of several the first."""
+    named = [topic for topic in wanted if kinds.get(topic) in TRUTHS - {ODOMETRY}]
+    return next(
+        iter([*named, *sorted(topic for topic, kind in kinds.items() if is_truth(topic, kind))]), None
+    )
+
+
+def read_truth(bag: Bag, topic: str, account: Account) -> Trajectory | None:
+    """The poses of a topic in the order of the bag; of a Path those of its longest message."""
+    budget = bag.budget()
+    decoder = Decoder(budget)
+    rows: list[list[float]] = []
+    for record in bag.records(account, budget):
+        if record.channel.topic != topic:
+            continue
+        try:
+            message = decoder.decode(record)
+            if record.channel.kind == PATH:
+                rows = max(rows, [_row(pose) for pose in message.poses], key=len)
+            else:
+                rows.append(_row(message))
+        except RecordFault as fault:
+            account.refuse(fault, topic, record.number)
+        except (AttributeError, TypeError, ValueError, OverflowError, RuntimeError) as error:
+            account.refuse(RecordFault("pose that is none", str(error)), topic, record.number)
+    if not rows:
+        return None
+    table = np.array(rows)
+    return Trajectory(table[:, 0].copy(), table[:, 1:4].copy(), table[:, 4:8].copy())
+
+
+def _row(message: Any) -> list[float]:
+    """Stamp, position and quaternion of a message of any of the types."""
+    if hasattr(message, "transform"):
+        pose = pose_of(message.transform.translation, message.transform.rotation)
+    else:
+        inner = message.pose.pose if hasattr(message.pose, "pose") else message.pose
+        pose = pose_of(inner.position, inner.orientation)
+    q = pose.rotation().toQuaternion()
+    return [stamp_of(message.header), *pose.translation().tolist(), q.x(), q.y(), q.z(), q.w()]  # type: ignore[attr-defined]

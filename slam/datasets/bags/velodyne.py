@@ -1,0 +1,71 @@
+"""Packets of Velodyne's lidars as clouds, by the decoder of its own package (the extra 'velodyne')."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from slam.datasets.dataset import RecordFault
+
+NO_DECODER = "packets of a Velodyne, which the extra reads: pip install 'scanweave[velodyne]'"
+NOT_DECODED = "packets of a Velodyne that tell no cloud"
+_FIELDS = (("x", 7), ("y", 7), ("z", 7), ("time", 7))  # sensor_msgs/PointField
+_SIZE = 4
+
+
+class VelodyneDecoder:
+    """Scans of one lidar; its model is told by its packets."""
+
+    def __init__(self) -> None:
+        self._decoder: Any = None
+
+    def cloud(self, message: Any) -> SimpleNamespace:
+        """A VelodyneScan with the fields of a PointCloud2, stamped with its first packet.
+
+        Raises
+        ------
+        RecordFault
+            The extra is not installed, or the packets are damaged or of no known model.
+        """
+        try:
+            import velodyne_decoder
+        except ImportError as error:
+            raise RecordFault(NO_DECODER, "not installed") from error
+        if self._decoder is None:
+            config = velodyne_decoder.Config()
+            config.timestamp_first_packet = True
+            self._decoder = velodyne_decoder.ScanDecoder(config)
+        packets = velodyne_decoder.PacketVector()
+        for packet in message.packets:
+            stamp_s = packet.stamp.sec + packet.stamp.nanosec * 1e-9
+            packets.append(velodyne_decoder.VelodynePacket(stamp_s, bytes(packet.data)))
+        try:
+            stamp, points = self._decoder.decode(packets, as_pcl_structs=True)
+        except (RuntimeError, ValueError, IndexError) as error:
+            raise RecordFault(NOT_DECODED, str(error)) from error
+        return _as_cloud(message.header.frame_id, stamp.host, points)
+
+
+def _as_cloud(frame: str, stamp_s: float, points: Any) -> SimpleNamespace:
+    """Structured points as a message."""
+    columns = [np.asarray(points[name], dtype="<f4").ravel() for name, _ in _FIELDS]
+    table = np.stack(columns, axis=1)
+    if not table.size:
+        raise RecordFault(NOT_DECODED, "no point")
+    sec = int(stamp_s)
+    stamp = SimpleNamespace(sec=sec, nanosec=min(round((stamp_s - sec) * 1e9), 999_999_999))
+    return SimpleNamespace(
+        header=SimpleNamespace(stamp=stamp, frame_id=frame),
+        height=1,
+        width=len(table),
+        fields=[
+            SimpleNamespace(name=name, datatype=kind, offset=_SIZE * place, count=1)
+            for place, (name, kind) in enumerate(_FIELDS)
+        ],
+        is_bigendian=False,
+        point_step=_SIZE * len(_FIELDS),
+        row_step=table.nbytes,
+        data=np.frombuffer(table.tobytes(), np.uint8),
+    )

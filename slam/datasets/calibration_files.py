@@ -1,0 +1,213 @@
+"""What files beside a recording, and files that were given, tell of its lenses and mountings.
+
+A file that was given, and our own ``calibration.yaml``, are believed before the recording; others fill what
+it does not tell. Where two sources contradict each other, both values are told.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from pathlib import Path
+
+import gtsam
+import numpy as np
+
+from slam.datasets.account import Account
+from slam.datasets.bags.lens import Lens
+from slam.datasets.calibration import FILE_NAME
+from slam.datasets.calibration_formats import FileCamera, FileTransform, read_calibration_file
+from slam.datasets.camera_frames import Camera
+from slam.errors import DatasetError
+from slam.foreign import plain
+from slam.measurements import CameraIntrinsics
+
+_SUFFIXES = {".yaml", ".yml", ".urdf", ".xml"}
+_NO_CALIBRATION = {"metadata.yaml"}  # the index of a bag
+_INSIDE = ("calibration", "calib")
+_MOST_FILES = 64  # of a folder that may hold anything
+_APART_SHARE = 0.005  # of focal lengths and of the width: no two calibrations of one lens agree better
+_ROLES = {
+    "depth": re.compile(r"depth|(^|[^a-z])(ir|infra|tof)", re.IGNORECASE),
+    "color": re.compile(r"rgb|colou?r", re.IGNORECASE),
+}
+
+
+@dataclass(slots=True)
+class KnownCalibration:
+    """Lenses and mountings by files.
+
+    Attributes
+    ----------
+    cameras, transforms
+        Of all files; those that are believed before the recording come first.
+    T_base_camera, T_base_lidar
+        Of the only camera or 3D lidar, with the file that says so.
+    sure
+        Names of the files that are believed before the recording.
+    notes
+        Files that look as if they told something, and cannot be read.
+    """
+
+    cameras: list[FileCamera] = field(default_factory=list)
+    transforms: list[FileTransform] = field(default_factory=list)
+    T_base_camera: tuple[gtsam.Pose3, str] | None = None
+    T_base_lidar: tuple[gtsam.Pose3, str] | None = None
+    sure: set[str] = field(default_factory=set)
+    notes: list[str] = field(default_factory=list)
+
+    def lens(
+        self, role: str, names: Iterable[str] = (), size: tuple[int, int] | None = None
+    ) -> FileCamera | None:
+        """The camera of the files whose lens is that of an image.
+
+        By its topic or frame; else by what it is called, "depth" or "color"; else the only one of the image's
+        size. None where no file tells it, or several could be meant.
+
+        Parameters
+        ----------
+        role
+            "depth" or "color".
+        names
+            Topic and frame of the image.
+        size
+            Its width and height; None where it is not known.
+        """
+        lenses = [one for one in self.cameras if one.lens is not None]
+        own = {name.strip("/") for name in names if name}
+        for one in lenses:
+            if {one.topic.strip("/"), one.frame.strip("/")} & own - {""}:
+                return one
+        fit = [one for one in lenses if size is None or _size(one) in (size, (0, 0))]
+        called = [one for one in fit if _ROLES[role].search(f"{one.name} {one.topic}")]
+        other = "color" if role == "depth" else "depth"
+        nameless = [one for one in fit if not _ROLES[other].search(f"{one.name} {one.topic}")]
+        for found in (called, nameless):
+            if len(found) == 1 or (found and found[0].source in self.sure):
+                return found[0]
+        return None
+
+    def depth_steps_per_m(self) -> tuple[float, str] | None:
+        """What depth images write for a metre, with the file that says so."""
+        told = [(one.depth_steps_per_m, one.source) for one in self.cameras]
+        return next(((steps, source) for steps, source in told if steps is not None), None)
+
+
+def known_beside(path: Path, given: Sequence[Path] = ()) -> KnownCalibration:
+    """What the files that were given, and those beside a recording, tell.
+
+    Parameters
+    ----------
+    path
+        The recording: of a file its folder is looked through, of a folder itself.
+    given
+        Files that a person has named.
+
+    Raises
+    ------
+    DatasetError
+        A file that was given, or our own beside the recording, tells nothing or cannot be read.
+    """
+    known = KnownCalibration()
+    folder = path if path.is_dir() else path.parent
+    own = [folder / FILE_NAME] if (folder / FILE_NAME).is_file() else []
+    for file in [*given, *own]:
+        try:
+            _add(known, file, sure=True)
+        except (OSError, ValueError) as error:
+            raise DatasetError(f"{file}: {plain(error)}; correct the calibration, or leave it out") from error
+    if silent := [file for file in given if file.name not in known.sure]:
+        raise DatasetError(
+            f"{silent[0]} tells no lens and no mounting; give a calibration.yaml, a camera_info yaml, a "
+            "Kalibr camchain, a URDF, a yaml of tf or what OpenCV wrote"
+        )
+    for file in _candidates(folder):
+        if file in own or file in given:
+            continue
+        try:
+            _add(known, file, sure=False)
+        except (OSError, ValueError) as error:
+            known.notes.append(f"{file.name}, beside the recording, is not used: {plain(error)}")
+    return known
+
+
+def by_files(camera: Camera, known: KnownCalibration, account: Account) -> Camera:
+    """A camera of image files with the lens that files tell, where one was given or its own is assumed.
+
+    Its colour image stands for both, as data sets give them; distortion is left in the images, and told.
+    """
+    calibration = camera.calibration
+    file = known.lens("color", [camera.sensor])
+    sure = known.sure - {FILE_NAME}  # the reader of the folder has seen that already
+    if file is not None and file.lens is not None and (calibration.assumed or file.source in sure):
+        lens = file.lens
+        if calibration.assumed:
+            account.report.note(f"{camera.sensor}: lens by {file.source}", 1)
+        else:
+            told = contradiction(
+                camera.sensor,
+                (lens, file.source),
+                (Lens(calibration.intrinsics, np.zeros(0)), "the data set"),
+            )
+            account.report.note(told or f"{camera.sensor}: lens by {file.source}", 1)
+        if lens.distortion.size or lens.unknown_model:
+            account.report.note(f"{camera.sensor}: the distortion in {file.source} is left in the images", 1)
+        calibration = replace(calibration, intrinsics=lens.intrinsics, assumed="")
+        if file.depth_steps_per_m is not None:
+            calibration = replace(calibration, depth_steps_per_m=file.depth_steps_per_m)
+    return replace(camera, calibration=calibration)
+
+
+def contradiction(what: str, used: tuple[Lens, str], other: tuple[Lens, str]) -> str:
+    """What two sources say of one lens, where they contradict each other; else empty."""
+    first, second = used[0].intrinsics, other[0].intrinsics
+    scale = first.width / second.width if first.width and second.width else 1.0
+    values = [np.array([lens.fx, lens.fy, lens.cx, lens.cy]) for lens in (first, second)]
+    width = first.width or 2.0 * first.cx
+    if np.abs(values[0] - scale * values[1]).max() <= _APART_SHARE * max(width, first.fx):
+        return ""
+    return (
+        f"warning: {what}: {used[1]} says {_told(first)}, {other[1]} says {_told(second)}; "
+        f"that of {used[1]} is used"
+    )
+
+
+def _told(lens: CameraIntrinsics) -> str:
+    """A lens for people."""
+    size = f" at {lens.width} x {lens.height}" if lens.width else ""
+    return f"fx {lens.fx:.1f} fy {lens.fy:.1f} cx {lens.cx:.1f} cy {lens.cy:.1f}{size}"
+
+
+def _add(known: KnownCalibration, file: Path, *, sure: bool) -> None:
+    """Take in one file."""
+    found = read_calibration_file(file)
+    if not found:
+        return
+    known.cameras += found.cameras
+    known.transforms += found.transforms
+    if found.T_base_camera is not None:
+        known.T_base_camera = known.T_base_camera or (found.T_base_camera, file.name)
+    if found.T_base_lidar is not None:
+        known.T_base_lidar = known.T_base_lidar or (found.T_base_lidar, file.name)
+    if sure:
+        known.sure.add(file.name)
+
+
+def _candidates(folder: Path) -> list[Path]:
+    """Files that may tell something, in the order of their names."""
+    found: list[Path] = []
+    for place in (folder, *(folder / name for name in _INSIDE)):
+        if place.is_dir():
+            files = (file for file in place.iterdir() if file.suffix.lower() in _SUFFIXES)
+            found += sorted(
+                islice((f for f in files if f.is_file() and f.name not in _NO_CALIBRATION), _MOST_FILES)
+            )
+    return found
+
+
+def _size(camera: FileCamera) -> tuple[int, int]:
+    """Width and height of the images of a camera's lens."""
+    assert camera.lens is not None
+    return camera.lens.intrinsics.width, camera.lens.intrinsics.height

@@ -1,0 +1,93 @@
+"""Stamps that are none or of another clock, scans made of clouds, images of a region of the sensor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bag_writing import START_S, Sent, cloud, image, info, odometry, scan, write_bag
+
+from slam.datasets import open_dataset
+from slam.datasets.bags.decoding import _built_in
+from slam.errors import DatasetError
+from slam.measurements import LaserScan, PointCloud, RgbdFrame
+
+
+def read(tmp_path: Path, sent: list[Sent], *topics: str) -> tuple[list[Any], Any]:
+    dataset = open_dataset(write_bag(tmp_path / "log", "mcap", sent), topics=topics)
+    return list(dataset), dataset
+
+
+def late(sent: Sent, late_s: float) -> Sent:
+    sent.late_s = late_s
+    return sent
+
+
+def test_where_a_driver_sets_no_stamps_the_recorders_clock_is_taken(tmp_path: Path) -> None:
+    scans = [late(scan(stamp_s=0.0), START_S + 0.1 * n) for n in range(3)]
+    found, dataset = read(tmp_path, [*scans, odometry(START_S)])
+    stamps = [one.stamp_s for one in found if isinstance(one, LaserScan)]
+    assert stamps == pytest.approx([START_S, START_S + 0.1, START_S + 0.2], abs=1e-6)
+    assert any("recorder's clock is taken" in text for text in dataset.report.warnings)
+
+
+def test_a_clock_since_the_start_of_the_sensor_is_brought_to_the_others(tmp_path: Path) -> None:
+    scans = [late(scan(stamp_s=100.0 + 0.1 * n), START_S - 100.0) for n in range(3)]
+    wheels = [odometry(START_S + 0.1 * n) for n in range(3)]
+    found, dataset = read(tmp_path, [sent for pair in zip(wheels, scans, strict=True) for sent in pair])
+    stamps = [one.stamp_s for one in found if isinstance(one, LaserScan)]
+    assert stamps == pytest.approx([START_S, START_S + 0.1, START_S + 0.2], abs=1e-3)
+    (told,) = dataset.report.warnings
+    assert told.startswith("/scan: its clock is") and "behind the other topics'" in told
+
+
+def test_clocks_that_run_alike_stay_whatever_the_recorders_says(tmp_path: Path) -> None:
+    sent = [late(one, 1e6) for one in (scan(), odometry(START_S))]
+    found, dataset = read(tmp_path, sent)
+    assert {one.stamp_s for one in found} == {START_S} and not dataset.report.warnings
+
+
+def ring(frame: str) -> list[Sent]:
+    around = np.linspace(-np.pi, np.pi, 100)
+    columns = {"x": np.cos(around), "y": np.sin(around), "z": 0.1 * around}
+    made = cloud({name: values.astype("<f4") for name, values in columns.items()}, topic="/points")
+    made.frame = "lidar"
+    return [made, scan(frame=frame)]
+
+
+def test_a_scan_that_is_made_of_a_cloud_gives_way_to_it(tmp_path: Path) -> None:
+    found, dataset = read(tmp_path, ring("lidar"))
+    assert [type(one) for one in found] == [PointCloud]
+    assert any("made of /points" in why for why in dataset.report.reasons.values())
+    found, _ = read(tmp_path, ring("lidar"), "/scan")
+    assert {type(one) for one in found} == {PointCloud, LaserScan}
+    # A scanner of its own may have the same stamps, as a simulator gives them, but not the same place.
+    found, _ = read(tmp_path, ring("laser"))
+    assert {type(one) for one in found} == {PointCloud, LaserScan}
+
+
+def test_images_of_a_region_of_the_sensor_have_their_own_centre(tmp_path: Path) -> None:
+    roi = {"x_offset": 10, "y_offset": 4, "width": 64, "height": 48}
+    sent = [
+        info("/camera/depth/camera_info", 128, 96, 50.0, roi=roi),
+        image("/camera/depth/image_raw", np.full((48, 64), 1000, np.uint16), "16UC1"),
+        image("/camera/rgb/image_raw", np.zeros((48, 64, 3), np.uint8), "rgb8"),
+    ]
+    (frame,), _ = read(tmp_path, sent)
+    assert isinstance(frame, RgbdFrame)
+    assert (frame.intrinsics.cx, frame.intrinsics.cy) == (54.0, 44.0)
+    assert (frame.intrinsics.width, frame.intrinsics.height) == (64, 48)
+
+
+@pytest.mark.parametrize("kind", ["velodyne_msgs/msg/VelodyneScan", "realsense2_camera_msgs/msg/Extrinsics"])
+def test_drivers_messages_are_known_without_a_definition_in_the_bag(kind: str) -> None:
+    assert _built_in("cdr", kind) is not None
+
+
+def test_a_bag_that_is_packed_as_a_whole_has_its_command(tmp_path: Path) -> None:
+    packed = tmp_path / "log_0.mcap.zstd"
+    packed.write_bytes(b"\x28\xb5\x2f\xfd" + bytes(100))
+    with pytest.raises(DatasetError, match="zstd -d"):
+        list(open_dataset(packed))
