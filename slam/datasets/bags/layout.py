@@ -28,6 +28,7 @@ from slam.datasets.bags.topics import (
     Choice,
     choose,
     is_rectified,
+    is_registered,
 )
 from slam.datasets.bags.transforms import pose_of
 from slam.datasets.bags.truth import IS_TRUTH, TRUTHS, is_truth
@@ -271,12 +272,13 @@ def _color_in_depth(survey: Survey, layout: Layout, topics: CameraTopics) -> gts
     """Pose of the colour camera in the depth camera: by the driver's own messages, else by tf."""
     told = survey.facts.color_in_depth(topics.color, topics.depth)
     frames = survey.frames.get(topics.depth, ""), survey.frames.get(topics.color, "")
-    if frames[0] == frames[1] and survey.lens_topic(topics.depth) == survey.lens_topic(topics.color):
-        return gtsam.Pose3()  # one camera, or images that were registered
+    if is_registered(topics.depth) or (frames[0] == frames[1] and not survey.facts.streams):
+        return gtsam.Pose3()  # one camera, or depth that its driver has drawn as colour sees it
     known = [(told[0], told[1])] if told else []
     if frames[0] != frames[1] and (between := survey.tree.between(*frames)) is not None:
         known.append((between, "tf"))
     if not known:
+        layout.notes.append(f"{topics.name}: nothing tells where colour sits beside depth; taken as one")
         return gtsam.Pose3()
     pose, source = known[0]
     values = [np.asarray(one.translation()) for one, _ in known]

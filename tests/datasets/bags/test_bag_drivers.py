@@ -104,6 +104,20 @@ def test_the_extrinsics_message_places_colour_and_tf_that_says_otherwise_is_told
     assert "0.050 0.005" in told.replace("-", "") and "0.020 0.000 0.000 m by tf" in told
 
 
+def test_depth_that_the_driver_has_registered_stays_where_it_is(tmp_path: Path) -> None:
+    ramp = np.repeat(GREY_RAMP[..., None], 3, axis=2)[:48, :64]
+    placed = {"rotation": np.eye(3).ravel(), "translation": [-0.05, 0.0, 0.0]}
+    sent = [
+        Sent("/camera/extrinsics/depth_to_color", "realsense2_camera_msgs/msg/Extrinsics", START_S, placed),
+        info("/camera/color/camera_info", 64, 48, 50.0, frame="color"),
+        info("/camera/aligned_depth_to_color/camera_info", 64, 48, 50.0, frame="color"),
+        image("/camera/color/image_raw", ramp, "rgb8", frame="color"),
+        image("/camera/aligned_depth_to_color/image_raw", DEPTH, "16UC1", frame="color"),
+    ]
+    (frame,), _ = read(tmp_path, sent)
+    assert (frame.color == ramp).all()
+
+
 @pytest.mark.parametrize("writer", ["bag", "mcap"])
 def test_livox_messages_are_clouds_with_times(tmp_path: Path, writer: str) -> None:
     points = [
