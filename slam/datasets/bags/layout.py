@@ -99,7 +99,7 @@ class Layout:
         if topic in self.left_out:
             return self.left_out[topic]
         if kind not in SENSORS:
-            return f"{kind} is not read{mended(kind)}"
+            return f"{kind or 'a type without a name'} is not read{mended(kind)}"
         return f"its first message comes late; --topics {topic} reads it" if count else "it has no message"
 
 
@@ -225,9 +225,17 @@ def _mount_by_tf(survey: Survey, layout: Layout, topic: str) -> gtsam.Pose3 | No
     return pose
 
 
+def _warn_of_middle(layout: Layout, topic: str, mount: gtsam.Pose3 | None) -> None:
+    """Warn where a lidar of a robot with tf has no place on it."""
+    if mount is None and layout.base:
+        text = f"{topic}: tf does not tell where it sits; taken to sit at {layout.base}"
+        layout.notes.append(f"{WARNING}{text}, unless --calibration tells (a URDF, a yaml of tf)")
+
+
 def _scan_reader(survey: Survey, layout: Layout, topic: str) -> Callable[[Any], Measurement]:
     """What reads scans of a topic."""
     pose = _mount(survey, layout, topic)
+    _warn_of_middle(layout, topic, pose)
     mount = LaserMount(gtsam.Pose2())
     if pose is not None:
         try:
@@ -242,6 +250,7 @@ def _scan_reader(survey: Survey, layout: Layout, topic: str) -> Callable[[Any], 
 def _cloud_reader(survey: Survey, layout: Layout, topic: str, *, only: bool) -> Callable[[Any], Measurement]:
     """What reads clouds of a topic."""
     mount = _mount(survey, layout, topic, "lidar", only=only)
+    _warn_of_middle(layout, topic, mount)
     reader = CloudReader(topic, mount or gtsam.Pose3())
     layout.clouds.append(reader)
     return reader.read
