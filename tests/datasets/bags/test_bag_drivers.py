@@ -104,6 +104,24 @@ def test_the_extrinsics_message_places_colour_and_tf_that_says_otherwise_is_told
     assert "0.050 0.005" in told.replace("-", "") and "0.020 0.000 0.000 m by tf" in told
 
 
+def test_extrinsics_are_those_of_their_own_camera(tmp_path: Path) -> None:
+    sent = []
+    for name, x in (("/robot/left", 0.01), ("/robot/right", 0.02)):
+        placed = {"rotation": np.eye(3).ravel(), "translation": [-x, 0.0, 0.0]}
+        kind = "realsense2_camera_msgs/msg/Extrinsics"
+        sent += [
+            Sent(f"{name}/extrinsics/depth_to_color", kind, START_S, placed),
+            info(f"{name}/color/camera_info", 64, 48, 50.0, frame=f"{name}_color"),
+            info(f"{name}/depth/camera_info", 64, 48, 50.0, frame=f"{name}_depth"),
+            image(f"{name}/color/image_raw", COLOR, "rgb8", frame=f"{name}_color"),
+            image(f"{name}/depth/image_rect_raw", DEPTH, "16UC1", frame=f"{name}_depth"),
+        ]
+    _, dataset = read(tmp_path, sent)
+    opened: Any = dataset
+    found = {camera.sensor: camera.T_depth_color.x() for camera in opened._open()[2].cameras}
+    assert found == {"/robot/left": pytest.approx(0.01), "/robot/right": pytest.approx(0.02)}
+
+
 def test_depth_that_the_driver_has_registered_stays_where_it_is(tmp_path: Path) -> None:
     ramp = np.repeat(GREY_RAMP[..., None], 3, axis=2)[:48, :64]
     placed = {"rotation": np.eye(3).ravel(), "translation": [-0.05, 0.0, 0.0]}
