@@ -28,6 +28,7 @@ from slam.datasets.bags.topics import (
     Choice,
     choose,
     is_rectified,
+    is_registered,
 )
 from slam.datasets.bags.transforms import pose_of
 from slam.datasets.bags.truth import IS_TRUTH, TRUTHS, is_truth
@@ -98,7 +99,7 @@ class Layout:
         if topic in self.left_out:
             return self.left_out[topic]
         if kind not in SENSORS:
-            return f"{kind} is not read{mended(kind)}"
+            return f"{kind or 'a type without a name'} is not read{mended(kind)}"
         return f"its first message comes late; --topics {topic} reads it" if count else "it has no message"
 
 
@@ -224,9 +225,17 @@ def _mount_by_tf(survey: Survey, layout: Layout, topic: str) -> gtsam.Pose3 | No
     return pose
 
 
+def _warn_of_middle(layout: Layout, topic: str, mount: gtsam.Pose3 | None) -> None:
+    """Warn where a lidar of a robot with tf has no place on it."""
+    if mount is None and layout.base:
+        text = f"{topic}: tf does not tell where it sits; taken to sit at {layout.base}"
+        layout.notes.append(f"{WARNING}{text}, unless --calibration tells (a URDF, a yaml of tf)")
+
+
 def _scan_reader(survey: Survey, layout: Layout, topic: str) -> Callable[[Any], Measurement]:
     """What reads scans of a topic."""
     pose = _mount(survey, layout, topic)
+    _warn_of_middle(layout, topic, pose)
     mount = LaserMount(gtsam.Pose2())
     if pose is not None:
         try:
@@ -241,6 +250,7 @@ def _scan_reader(survey: Survey, layout: Layout, topic: str) -> Callable[[Any], 
 def _cloud_reader(survey: Survey, layout: Layout, topic: str, *, only: bool) -> Callable[[Any], Measurement]:
     """What reads clouds of a topic."""
     mount = _mount(survey, layout, topic, "lidar", only=only)
+    _warn_of_middle(layout, topic, mount)
     reader = CloudReader(topic, mount or gtsam.Pose3())
     layout.clouds.append(reader)
     return reader.read
@@ -271,12 +281,13 @@ def _color_in_depth(survey: Survey, layout: Layout, topics: CameraTopics) -> gts
     """Pose of the colour camera in the depth camera: by the driver's own messages, else by tf."""
     told = survey.facts.color_in_depth(topics.color, topics.depth)
     frames = survey.frames.get(topics.depth, ""), survey.frames.get(topics.color, "")
-    if frames[0] == frames[1] and survey.lens_topic(topics.depth) == survey.lens_topic(topics.color):
-        return gtsam.Pose3()  # one camera, or images that were registered
+    if is_registered(topics.depth) or (frames[0] == frames[1] and not survey.facts.streams):
+        return gtsam.Pose3()  # one camera, or depth that its driver has drawn as colour sees it
     known = [(told[0], told[1])] if told else []
     if frames[0] != frames[1] and (between := survey.tree.between(*frames)) is not None:
         known.append((between, "tf"))
     if not known:
+        layout.notes.append(f"{topics.name}: nothing tells where colour sits beside depth; taken as one")
         return gtsam.Pose3()
     pose, source = known[0]
     values = [np.asarray(one.translation()) for one, _ in known]

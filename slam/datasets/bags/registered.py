@@ -87,7 +87,8 @@ class CameraFacts:
             return None
         for topic, T_to_from in self.extrinsics.items():
             name = topic.rpartition("/")[2]
-            own = _shared_parts(topic, depth) and _shared_parts(topic, color)
+            space = topic.rpartition("/")[0].removesuffix("/extrinsics")
+            own = depth.startswith(f"{space}/") and color.startswith(f"{space}/")
             if own and name in ("depth_to_color", "depth_to_rgb"):
                 return T_to_from.inverse(), topic
             if own and name in ("color_to_depth", "rgb_to_depth"):
@@ -98,12 +99,6 @@ class CameraFacts:
 def _of_stream(streams: dict[str, gtsam.Pose3], topic: str) -> gtsam.Pose3 | None:
     """The transform of an image's stream."""
     return next((pose for space, pose in streams.items() if topic.startswith(f"{space}/")), None)
-
-
-def _shared_parts(first: str, second: str) -> bool:
-    """Whether two topics are of one namespace, or one of them of none."""
-    parts = [topic.strip("/").split("/") for topic in (first, second)]
-    return parts[0][0] == parts[1][0] or min(map(len, parts)) <= 2
 
 
 def _pose_of_extrinsics(message: Any, *, by_columns: bool) -> gtsam.Pose3:

@@ -152,6 +152,11 @@ def _lasers(topics: list[str], evidence: Evidence) -> tuple[str, ...]:
     return tuple(sorted(chosen))
 
 
+def is_registered(topic: str) -> bool:
+    """Whether a topic's name says that its depth is drawn as the colour camera sees it."""
+    return bool(_REGISTERED.search(topic))
+
+
 def is_infrared(topic: str) -> bool:
     """Whether a topic's name says that its images are of infrared light, or of what is no light at all."""
     return bool(_INFRARED.search(topic))
@@ -242,7 +247,7 @@ def _best(topics: list[str], rank: Callable[[str], tuple[bool, ...]], *, given: 
 
 def _depth_rank(topic: str) -> tuple[bool, bool, bool]:
     """Depth that is registered to colour first, then without distortion, then as the camera gave it."""
-    return not _REGISTERED.search(topic), not is_rectified(topic), "raw" not in topic
+    return not is_registered(topic), not is_rectified(topic), "raw" not in topic
 
 
 def _color_rank(topic: str) -> tuple[bool, bool, bool, bool]:

@@ -129,3 +129,12 @@ def test_the_option_takes_either_sort_of_file(tmp_path: Path, text: str, is_fore
     sensors = load_config(calibration=file).sensors
     assert sensors.calibration_files == ((str(file),) if is_foreign else ())
     assert bool(sensors.calibration.wheels) == (not is_foreign)
+
+
+def test_a_scanner_that_tf_leaves_out_is_a_warning_until_a_file_places_it(tmp_path: Path) -> None:
+    log = robot(tmp_path, transforms({"camera": gtsam.Pose3()}))
+    _, notes = scan_mount(log)
+    assert any(note.startswith("warning: /scan: tf does not tell where it sits") for note in notes)
+    (tmp_path / "robot.urdf").write_text(URDF.format(child="laser"))
+    mount, notes = scan_mount(log)
+    assert mount.x() == pytest.approx(0.3) and not any(note.startswith("warning") for note in notes)

@@ -104,6 +104,38 @@ def test_the_extrinsics_message_places_colour_and_tf_that_says_otherwise_is_told
     assert "0.050 0.005" in told.replace("-", "") and "0.020 0.000 0.000 m by tf" in told
 
 
+def test_extrinsics_are_those_of_their_own_camera(tmp_path: Path) -> None:
+    sent = []
+    for name, x in (("/robot/left", 0.01), ("/robot/right", 0.02)):
+        placed = {"rotation": np.eye(3).ravel(), "translation": [-x, 0.0, 0.0]}
+        kind = "realsense2_camera_msgs/msg/Extrinsics"
+        sent += [
+            Sent(f"{name}/extrinsics/depth_to_color", kind, START_S, placed),
+            info(f"{name}/color/camera_info", 64, 48, 50.0, frame=f"{name}_color"),
+            info(f"{name}/depth/camera_info", 64, 48, 50.0, frame=f"{name}_depth"),
+            image(f"{name}/color/image_raw", COLOR, "rgb8", frame=f"{name}_color"),
+            image(f"{name}/depth/image_rect_raw", DEPTH, "16UC1", frame=f"{name}_depth"),
+        ]
+    _, dataset = read(tmp_path, sent)
+    opened: Any = dataset
+    found = {camera.sensor: camera.T_depth_color.x() for camera in opened._open()[2].cameras}
+    assert found == {"/robot/left": pytest.approx(0.01), "/robot/right": pytest.approx(0.02)}
+
+
+def test_depth_that_the_driver_has_registered_stays_where_it_is(tmp_path: Path) -> None:
+    ramp = np.repeat(GREY_RAMP[..., None], 3, axis=2)[:48, :64]
+    placed = {"rotation": np.eye(3).ravel(), "translation": [-0.05, 0.0, 0.0]}
+    sent = [
+        Sent("/camera/extrinsics/depth_to_color", "realsense2_camera_msgs/msg/Extrinsics", START_S, placed),
+        info("/camera/color/camera_info", 64, 48, 50.0, frame="color"),
+        info("/camera/aligned_depth_to_color/camera_info", 64, 48, 50.0, frame="color"),
+        image("/camera/color/image_raw", ramp, "rgb8", frame="color"),
+        image("/camera/aligned_depth_to_color/image_raw", DEPTH, "16UC1", frame="color"),
+    ]
+    (frame,), _ = read(tmp_path, sent)
+    assert (frame.color == ramp).all()
+
+
 @pytest.mark.parametrize("writer", ["bag", "mcap"])
 def test_livox_messages_are_clouds_with_times(tmp_path: Path, writer: str) -> None:
     points = [
