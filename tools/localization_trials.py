@@ -6,7 +6,8 @@ the tracking error is also told against the full run aligned as a whole. Travel 
 true pose explains most of the scan.
 
 With ``--drawn`` the robot is localised in the map's picture alone, or a worse one: see `tools.drawn_maps`.
-Truth, starts and the mapped part stay those of the map itself.
+Truth, starts and the mapped part stay those of the map itself. With ``--told`` every start is told as well
+as a person points at it (``right``), or is told to be where another one is (``wrong``).
 
 A folder of ``scanweave simulate --campus`` is tracked only: its map is drawn from the true poses, so that no
 error of the map is the localiser's, and the drive that is localised has all its faults.
@@ -24,6 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from fusion.estimation import gate
+from slam.app.localizing import START_SIGMA
 from slam.config import Config, load_config
 from slam.datasets import open_dataset
 from slam.localization.global_search import search_map
@@ -31,6 +33,7 @@ from slam.localization.known_map import Walls
 from slam.localization.localizer import Localizer
 from slam.localization.output import LocalizerOutput, State
 from slam.localization.planar_sensor import PlanarSensor
+from slam.localization.poses import Measured
 from slam.localization.scan_view import ScanView, first_in_cells
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.mapper import Mapper
@@ -84,6 +87,7 @@ def main() -> None:
     parser.add_argument("--starts", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--drawn", choices=DRAWN, help="in the picture of the map alone")
+    parser.add_argument("--told", choices=("right", "wrong"), help="tell where each start is")
     parser.add_argument("--set", action="append", default=[], help="as in scanweave localize --set")
     arguments = parser.parse_args()
     config = load_config(None, arguments.set)
@@ -99,7 +103,7 @@ def main() -> None:
         rng = np.random.default_rng(arguments.seed)
         print(f"\n## {case.name}\n")
         search_trial(case, rng)
-        starts_trial(case, arguments.starts, rng)
+        starts_trial(case, arguments.starts, rng, arguments.told)
         tracking_trial(case)
         teleport_trial(case)
         for other in cases:
@@ -224,13 +228,20 @@ def search_trial(case: Case, rng: np.random.Generator) -> None:
     )
 
 
-def starts_trial(case: Case, count: int, rng: np.random.Generator) -> None:
-    """Global localisation from random starts."""
+def starts_trial(case: Case, count: int, rng: np.random.Generator, told: str | None = None) -> None:
+    """Localisation from random starts."""
     found, confident_and_wrong = 0, 0
     print("\n| start | first found after m | of them mapped | error m | degrees | wrong and sure |")
     print("|---|---|---|---|---|---|")
-    for start in sorted(rng.choice(scans_of(case), count, replace=False)):
-        path_m, mapped_m, first, errors = run_from(case, int(start))
+    starts = sorted(rng.choice(scans_of(case), count, replace=False))
+    sigmas = np.array([START_SIGMA[0], *START_SIGMA])
+    for n, start in enumerate(starts):
+        known = None
+        if told:
+            true = case.truth[start if told == "right" else starts[n - count // 2]]
+            pose = pose2_from_row(compose(true, sigmas * rng.standard_normal(3)))
+            known = Measured(pose, np.diag(sigmas**2))
+        path_m, mapped_m, first, errors = run_from(case, int(start), known)
         good = first is not None and mapped_m <= WITHIN_M and first[0] <= RIGHT_M and first[1] <= RIGHT_RAD
         found += good
         confident_and_wrong += errors
@@ -243,9 +254,11 @@ def starts_trial(case: Case, count: int, rng: np.random.Generator) -> None:
     )
 
 
-def run_from(case: Case, start: int) -> tuple[float, float, tuple[float, float] | None, int]:
+def run_from(
+    case: Case, start: int, known: Measured | None = None
+) -> tuple[float, float, tuple[float, float] | None, int]:
     """Travel and mapped travel until found, the error there, and wrong outputs in the 10 m after it."""
-    localizer = Localizer(case.known_map, case.config)
+    localizer = Localizer(case.known_map, case.config, start=known)
     path_m = mapped_m = 0.0
     found: tuple[float, float, tuple[float, float]] | None = None
     errors, last = 0, case.truth[start]

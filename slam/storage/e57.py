@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.errors import LibraryError
+from slam.errors import LibraryError, MapFileError
 from slam.measurements import AnyFloatArray
 from slam.storage.files import replacing
 
@@ -31,17 +31,22 @@ def write_e57(
         import pye57
     except ImportError as error:
         raise LibraryError("E57 needs pye57: pip install '.[e57]'") from error
-    with replacing(path) as temporary:
-        file = pye57.E57(str(temporary), mode="w")
-        for name, pose, points, colors in scans:
-            columns: dict[str, Any] = {f"cartesian{axis}": points[:, k] for k, axis in enumerate("XYZ")}
-            if colors is not None:
-                columns |= {f"color{name}": colors[:, k] for k, name in enumerate(("Red", "Green", "Blue"))}
-            turn: Any = pose.rotation().toQuaternion()
-            file.write_scan_raw(
-                columns,
-                name=name,
-                rotation=np.array([turn.w(), turn.x(), turn.y(), turn.z()]),
-                translation=pose.translation(),
-            )
-        file.close()
+    try:
+        with replacing(path) as temporary:
+            file = pye57.E57(str(temporary), mode="w")
+            for name, pose, points, colors in scans:
+                columns: dict[str, Any] = {f"cartesian{axis}": points[:, k] for k, axis in enumerate("XYZ")}
+                if colors is not None:
+                    columns |= {
+                        f"color{name}": colors[:, k] for k, name in enumerate(("Red", "Green", "Blue"))
+                    }
+                turn: Any = pose.rotation().toQuaternion()
+                file.write_scan_raw(
+                    columns,
+                    name=name,
+                    rotation=np.array([turn.w(), turn.x(), turn.y(), turn.z()]),
+                    translation=pose.translation(),
+                )
+            file.close()
+    except pye57.libe57.E57Exception as error:
+        raise MapFileError(f"cannot write {path}: {error}; check the folder and its free space") from error
