@@ -171,7 +171,34 @@ class PointCloud:
     __repr__ = one_line
 
 
-Measurement: TypeAlias = LaserScan | WheelOdometry | RgbdFrame | PointCloud
+@dataclass(frozen=True, slots=True)
+class ImuReading:
+    """What an inertial measurement unit (IMU) says at an instant, in its own frame.
+
+    Attributes
+    ----------
+    stamp_s
+        Time of the reading, as the sensor stamps it.
+    gyro_rad_s
+        (3,) turn rate.
+    specific_force_m_s2
+        (3,) by the accelerometer: at rest the reaction to gravity, 9.8 upward.
+    T_base_imu
+        Mounting of the IMU on the robot; None where the log does not tell it.
+    sensor
+        Name of the sensor, as the log tells it.
+    """
+
+    stamp_s: float
+    gyro_rad_s: FloatArray
+    specific_force_m_s2: FloatArray
+    T_base_imu: gtsam.Pose3 | None = None
+    sensor: str = "imu"
+
+    __repr__ = one_line
+
+
+Measurement: TypeAlias = LaserScan | WheelOdometry | RgbdFrame | PointCloud | ImuReading
 
 
 @dataclass(frozen=True, slots=True)

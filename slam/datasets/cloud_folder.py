@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import gtsam
@@ -11,10 +12,12 @@ from slam.datasets.account import Account
 from slam.datasets.calibration import pose_from, pose_from_matrix, read_yaml
 from slam.datasets.clouds_over_time import CloudFolder, cloud_files, stamped_clouds, times_of
 from slam.datasets.dataset import RecordFault
+from slam.datasets.imu_files import imu_file, read_imu, with_imu
 from slam.datasets.log_file import numbered_lines
-from slam.datasets.recording import Contents, Recording
+from slam.datasets.recording import Contents, Numbered, Recording
 from slam.datasets.stamped_files import read_poses
 from slam.errors import DatasetError
+from slam.matching.cloud_points import LONGEST_TURN_S
 from slam.measurements import FloatArray, Trajectory
 
 LIDAR_CALIBRATION = "calibration.yaml"
@@ -34,10 +37,16 @@ def open_cloud_folder(path: Path, strict: bool) -> Recording:
     """A folder of clouds; the lidar's frame is the robot's unless ``calibration.yaml`` says where it sits."""
     return Recording(
         path,
-        lambda account: Contents(log=read_clouds(path, account).numbered(account)),
+        lambda account: Contents(log=beside_imu(path, read_clouds(path, account).numbered(account), account)),
         lambda account: _groundtruth(path, account),
         strict=strict,
     )
+
+
+def beside_imu(path: Path, log: Iterable[Numbered], account: Account) -> Iterable[Numbered]:
+    """A log with the IMU whose file lies in its folder; as it is where there is none."""
+    file = imu_file(path)
+    return log if file is None else with_imu(log, read_imu(file, account), LONGEST_TURN_S)
 
 
 def has_clouds(path: Path) -> bool:

@@ -1,4 +1,4 @@
-"""Frames and clouds as a calibration corrects them."""
+"""Frames, clouds and readings of IMUs as a calibration corrects them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 
-from slam.config.calibration import CameraCorrection, CloudCorrection, Mounting
-from slam.measurements import PointCloud, RgbdFrame
+from slam.config.calibration import CameraCorrection, CloudCorrection, ImuCorrection, Mounting
+from slam.measurements import ImuReading, PointCloud, RgbdFrame
 from slam.vision.camera_frame import T_BODY_CAMERA
 
 
@@ -52,6 +52,18 @@ class CloudCorrector:
             times_s=None if cloud.times_s is None else cloud.times_s * given.times_scale,
             T_base_lidar=cloud.T_base_lidar if self._mounting is None else self._mounting,
         )
+
+
+class ImuCorrector:
+    """Readings of one IMU."""
+
+    def __init__(self, correction: ImuCorrection) -> None:
+        told = correction.T_base_imu
+        self._mounting = None if told is None else mounted(told)
+
+    def __call__(self, reading: ImuReading) -> ImuReading:
+        """A reading."""
+        return reading if self._mounting is None else replace(reading, T_base_imu=self._mounting)
 
 
 def mounted(mounting: Mounting) -> gtsam.Pose3:

@@ -19,8 +19,9 @@ from slam.datasets.dataset import Dataset, Tally, Thinned
 from slam.datasets.inspection_bag import bag_facts
 from slam.datasets.inspection_camera import CameraFigures
 from slam.datasets.inspection_cloud import CloudFigures
+from slam.datasets.inspection_imu import ImuFigures
 from slam.datasets.sensor_choice import SensorTally
-from slam.measurements import LaserScan, PointCloud, RgbdFrame, WheelOdometry
+from slam.measurements import ImuReading, LaserScan, PointCloud, RgbdFrame, WheelOdometry
 
 
 def inspect_dataset(dataset: Dataset, calibration: Calibration | None = None) -> dict[str, Any]:
@@ -56,6 +57,8 @@ def inspect_dataset(dataset: Dataset, calibration: Calibration | None = None) ->
             stream.camera.add(measurement)
         elif isinstance(measurement, PointCloud):
             stream.cloud.add(measurement)
+        elif isinstance(measurement, ImuReading):
+            stream.imu.add(measurement)
         else:
             stream.add_odometry(measurement)
         earliest_s = min(earliest_s, measurement.stamp_s)
@@ -98,6 +101,7 @@ class _Stream:
     rotation_rad: float = 0.0
     camera: CameraFigures = field(default_factory=CameraFigures)
     cloud: CloudFigures = field(default_factory=CloudFigures)
+    imu: ImuFigures = field(default_factory=ImuFigures)
 
     def add_stamp(self, stamp_s: float) -> None:
         """Rate and gaps; a backward step is no interval."""
@@ -147,6 +151,7 @@ class _Stream:
             "odometry": wheels if self.last_odometry else None,
             "camera": self.camera.facts(),
             "cloud": self.cloud.facts(),
+            "imu": self.imu.facts(),
         }
 
     def _laser(self, scan: LaserScan) -> dict[str, Any]:

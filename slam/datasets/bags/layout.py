@@ -15,6 +15,7 @@ from slam.datasets.bags.camera_clouds import camera_clouds
 from slam.datasets.bags.clouds import CloudReader
 from slam.datasets.bags.decoding import frame_name, stamp_of
 from slam.datasets.bags.files import Bag
+from slam.datasets.bags.imu import ImuReader
 from slam.datasets.bags.laser import LaserMount, scan_from
 from slam.datasets.bags.lens import Lens, lens_of
 from slam.datasets.bags.survey import Survey, count_messages
@@ -63,6 +64,7 @@ class Layout:
     base: str | None
     readers: dict[str, Callable[[Any], Measurement]] = field(default_factory=dict)
     clouds: list[CloudReader] = field(default_factory=list)
+    imus: list[ImuReader] = field(default_factory=list)
     cameras: list[BagCamera] = field(default_factory=list)
     images: dict[str, tuple[int, bool]] = field(default_factory=dict)
     wheels_from: Callable[[Any], Iterator[WheelOdometry]] | None = None
@@ -115,6 +117,10 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Layout:
         layout.readers[topic] = _cloud_reader(survey, layout, topic)
     for topic in choice.odometry:
         layout.readers[topic] = lambda message, topic=topic: _wheels(message, topic)  # type: ignore[misc]
+    for topic in choice.imus:
+        reader = ImuReader(topic, _mount(survey, layout, topic))
+        layout.imus.append(reader)
+        layout.readers[topic] = reader.read
     for place, camera in enumerate(choice.cameras):
         layout.cameras.append(_camera(survey, layout, camera))
         layout.images[camera.color], layout.images[camera.depth] = (place, False), (place, True)

@@ -11,13 +11,14 @@ LASER_SCAN = "sensor_msgs/msg/LaserScan"
 MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
 CLOUD = "sensor_msgs/msg/PointCloud2"
 ODOMETRY = "nav_msgs/msg/Odometry"
+IMU = "sensor_msgs/msg/Imu"
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 TRANSFORMS = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
 SCANS = frozenset({LASER_SCAN, MULTI_ECHO})
 IMAGES = frozenset({IMAGE, COMPRESSED})
-SENSORS = SCANS | IMAGES | {CLOUD, ODOMETRY}
+SENSORS = SCANS | IMAGES | {CLOUD, ODOMETRY, IMU}
 
 _KIND_WORD = re.compile(r"rgb|colou?r|depth|image|infra|^ir$|mono|left|right", re.IGNORECASE)
 _REGISTERED = re.compile(r"aligned_depth|depth_registered|depth_to_(rgb|color)|registered", re.IGNORECASE)
@@ -50,6 +51,8 @@ class Choice:
     ----------
     scans, clouds, odometry
         Of one laser each, of one lidar each, and of the wheels.
+    imus
+        Of one inertial measurement unit each; all are read, and the mapper takes one.
     lonely
         Image topics that are not read since the colour or the depth beside them is missing.
     left_out
@@ -62,6 +65,7 @@ class Choice:
     cameras: tuple[CameraTopics, ...]
     lonely: tuple[str, ...]
     left_out: dict[str, str] = field(default_factory=dict)
+    imus: tuple[str, ...] = ()
 
 
 def choose(
@@ -100,10 +104,19 @@ def choose(
     scans = _one("laser", [topic for topic, kind in kinds.items() if kind in SCANS], wanted)
     clouds = _one("point cloud", [topic for topic, kind in kinds.items() if kind == CLOUD], wanted)
     odometry = _one("odometry", [topic for topic, kind in kinds.items() if kind == ODOMETRY], wanted)
+    imus = [topic for topic, kind in kinds.items() if kind == IMU]
+    imus = [topic for topic in imus if topic in wanted] or imus
     images = [topic for topic, kind in kinds.items() if kind in IMAGES]
     named = [topic for topic in images if topic in wanted]
     cameras, lonely = _cameras(named or _raw_first(images), depths, given=bool(named))
-    read = {*scans, *clouds, *odometry, *lonely, *(t for one in cameras for t in (one.color, one.depth))}
+    read = {
+        *scans,
+        *clouds,
+        *odometry,
+        *imus,
+        *lonely,
+        *(t for one in cameras for t in (one.color, one.depth)),
+    }
     left_out = {
         topic: f"another image topic of its camera is read; --topics {topic} reads it"
         if kind in IMAGES
@@ -111,7 +124,7 @@ def choose(
         for topic, kind in kinds.items()
         if topic not in read
     }
-    return Choice(scans, clouds, odometry, cameras, lonely, left_out)
+    return Choice(scans, clouds, odometry, cameras, lonely, left_out, tuple(imus))
 
 
 def camera_info_topics(image_topic: str) -> tuple[str, ...]:
