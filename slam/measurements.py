@@ -42,6 +42,8 @@ def _shown(value: Any) -> str:
     return repr(value.item() if isinstance(value, np.generic) else value)
 
 
+# Standard gravity, by which a reading in g is told (ISO 80000-3).
+GRAVITY_M_S2 = 9.80665
 # x, y and yaw in GTSAM's order of a tangent in space: roll, pitch, yaw, x, y, z.
 IN_PLANE = [3, 4, 2]
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from slam.measurements import FloatArray
-
-GRAVITY_M_S2 = 9.80665  # standard gravity, by which a reading in g is told (ISO 80000-3)
+from slam.measurements import GRAVITY_M_S2, FloatArray
 
 
 class ForceUnit:

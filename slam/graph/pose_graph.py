@@ -16,7 +16,8 @@ import numpy as np
 
 from fusion.estimation import TINY, gate
 from slam.errors import GraphError
-from slam.measurements import BoolArray, FloatArray, Pose
+from slam.matching.upright import Gravity, upright_of
+from slam.measurements import BoolArray, FloatArray, Pose, spatial
 
 # Scale of the Cauchy kernel on uncertain edges while mapping, in standard deviations.
 _CAUCHY_SIGMAS = 1.0
@@ -27,6 +28,8 @@ _GNC_STEP, _GREATEST_CONTROL = 2.0, 100.0
 # while it doubles or so: the last ones cost as much as all before.
 _NODES_A_WINDOW, _WINDOWS_A_MAP = 3000, 8
 
+_DOWN = gtsam.Unit3(0.0, 0.0, -1.0)
+
 
 class EdgeKind(StrEnum):
     """Where an edge comes from."""
@@ -36,6 +39,7 @@ class EdgeKind(StrEnum):
     WHEEL = "wheel odometry"
     LOOP = "loop"
     ASSUMED = "assumed motion"
+    IMU = "IMU"
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +128,7 @@ class PoseGraph:
         self.edges: list[Edge] = []
         self._dimension = 3 if isinstance(origin, gtsam.Pose2) else 6
         self._origin = origin
+        self._down: dict[int, Gravity] = {}
         self._pending = gtsam.NonlinearFactorGraph()
         self._pending_values = gtsam.Values()
         self._estimate = gtsam.Values()
@@ -218,6 +223,27 @@ class PoseGraph:
         self._estimate = _solved(graph, self._estimate)
         return BatchResult(float(graph.error(self._estimate)), kept)
 
+    def level(self, down: dict[int, Gravity]) -> None:
+        """Let the next optimisation put a graph in space upright.
+
+        Node 0 is then held in place and heading alone.
+
+        Parameters
+        ----------
+        down
+            Gravity at nodes, by their numbers.
+        """
+        weights = {key: one.sigma_rad**-2 for key, one in down.items()}
+        seen = [weights[key] * self.pose(key).rotation().rotate(one.down) for key, one in down.items()]
+        mean = np.sum(seen, axis=0)
+        turn = gtsam.Pose3(upright_of(mean / np.linalg.norm(mean)), np.zeros(3))
+        poses = [turn.compose(spatial(self.pose(key))) for key in range(self._count)]
+        self._estimate, self._origin, self._down = gtsam.Values(), poses[0], down
+        for key, pose in enumerate(poses):
+            self._estimate.insert(key, pose)
+        self._isam, self._held = None, self._count
+        self._pending, self._pending_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+
     def begin_with(self, kept: Iterable[bool]) -> None:
         """Let the next optimisation begin with what an earlier one has kept of the edges so far."""
         self._kept = np.fromiter(kept, np.bool_)
@@ -291,11 +317,20 @@ class PoseGraph:
         graph.add(self._prior())
         for edge in edges:
             graph.add(_between(edge, gtsam.noiseModel.Gaussian.Covariance(edge.covariance)))
+        # Behind the edges, which are found by their place.
+        for key, one in self._down.items():
+            noise = gtsam.noiseModel.Isotropic.Sigma(2, one.sigma_rad)
+            graph.add(gtsam.AttitudeFactorPose3(key, _DOWN, noise, gtsam.Unit3(one.down)))
         return graph
 
     def _prior(self) -> gtsam.NonlinearFactor:
-        """Hold node 0."""
-        return _gauge(self._origin)
+        """Hold node 0; where gravity is known, not its roll and pitch."""
+        if not self._down:
+            return _gauge(self._origin)
+        upright = np.asarray(self._origin.rotation().matrix())[2]
+        covariance = 1e-8 * np.eye(6)
+        covariance[:3, :3] += np.eye(3) - np.outer(upright, upright)
+        return _prior(0, self._origin, gtsam.noiseModel.Gaussian.Covariance(covariance))
 
     def _check(self, edge: Edge) -> None:
         """Refuse what GTSAM would take silently."""
