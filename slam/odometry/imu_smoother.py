@@ -202,10 +202,10 @@ class ImuSmoother:
 
     def _renew_down(self, stamp_s: float) -> None:
         """Let gravity turn a little: the odometry does."""
-        sigma_rad = float(np.hypot(self.down_sigma_rad(), _DRIFT_RAD))
         self._downs, self._down_s = self._downs + 1, stamp_s
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        graph.add(self._down_prior(self._state.down, sigma_rad))
+        noise = gtsam.noiseModel.Isotropic.Sigma(3, _DRIFT_RAD)
+        graph.add(gtsam.CustomFactor(noise, [_G(self._downs - 1), _G(self._downs)], _turned))
         values.insert(_G(self._downs), gtsam.Unit3(self._state.down))
         self._update(graph, values, stamp_s)
 
@@ -227,6 +227,17 @@ class ImuSmoother:
     def _marginals(self) -> gtsam.Marginals:
         """Of all that is kept."""
         return gtsam.Marginals(self._smoother.getFactors(), self._smoother.calculateEstimate())
+
+
+def _turned(
+    factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[FloatArray] | None
+) -> FloatArray:
+    """How far one direction (3,) is from another; not in their tangents, whose axes may differ."""
+    first, last = factor.keys()
+    before, now = values.atUnit3(first), values.atUnit3(last)
+    if jacobians is not None:
+        jacobians[0], jacobians[1] = -before.basis(), now.basis()
+    return np.asarray(now.unitVector() - before.unitVector())
 
 
 def _X(number: int) -> int:

@@ -130,16 +130,17 @@ class ImuTracker:
                 force - state.bias.accelerometer() + GRAVITY_M_S2 * pose.rotation().unrotate(state.down)
             )
         edges_s = np.linspace(first_s, last_s, _SLICES + 1)
-        middles_s = 0.5 * (edges_s[1:] + edges_s[:-1])
-        turns = self._readings.turns(cloud.stamp_s + middles_s, cloud.stamp_s, bias)
-        shifts = middles_s[:, None] * velocity + 0.5 * middles_s[:, None] ** 2 * acceleration
-        # In the frame of the lidar, where the points are.
-        T_imu_lidar = T_imu_base.compose(cloud.T_base_lidar)
-        mounting, lever = T_imu_lidar.rotation().matrix(), np.asarray(T_imu_lidar.translation())
-        shifts = (shifts + turns @ lever - lever) @ mounting
-        turns = mounting.T @ turns @ mounting
+        turns = self._readings.turns(cloud.stamp_s + edges_s, cloud.stamp_s, bias)
         slices = np.clip(np.searchsorted(edges_s, cloud.times_s, side="right") - 1, 0, _SLICES - 1)
-        points = np.einsum("nij,nj->ni", turns[slices], cloud.points_lidar) + shifts[slices]
+        share = (cloud.times_s - edges_s[slices])[:, None] / (edges_s[1] - edges_s[0])
+        T_imu_lidar = T_imu_base.compose(cloud.T_base_lidar)
+        mounting = T_imu_lidar.rotation().matrix()
+        points = cloud.points_lidar @ mounting.T + T_imu_lidar.translation()
+        # Within a slice a turn is so small that its chord is its arc.
+        begun, ended = (np.einsum("nij,nj->ni", turns[slices + n], points) for n in (0, 1))
+        times_s = cloud.times_s[:, None]
+        points = begun + share * (ended - begun) + times_s * velocity + 0.5 * times_s**2 * acceleration
+        points = (points - T_imu_lidar.translation()) @ mounting
         return replace(cloud, points_lidar=points.astype(np.float32), times_s=None)
 
     def took(
