@@ -148,7 +148,7 @@ class CloudLidar:
 
     def settle(self, graph: KeyframeGraph) -> None:
         """Put the map upright, where gravity is known; every step was settled when it was made."""
-        if self._down:
+        if self._down and self._imu is not None and not self._imu.unfit:
             graph.graph.level(apart_in_time(self._down))
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
+from fusion.estimation import gate
 from slam.config import Config
 from slam.matching.cloud_points import base_points, deskewed, voxel_of
 from slam.matching.planar import between
@@ -15,6 +16,7 @@ from slam.measurements import FloatArray, ImuReading, MotionEstimate, PointCloud
 from slam.odometry.cloud_odometry import CloudOdometry
 from slam.odometry.cloud_velocity import LONGEST_STEP_S, CloudVelocity
 from slam.odometry.imu_tracker import ImuTracker
+from slam.odometry.open_way import OpenWay
 from slam.odometry.turn_matcher import DeskewedCloud, TurnMatcher, pose_of
 from slam.odometry.wheel_tracker import WheelTracker
 from slam.result_cache import COMPUTED, ResultCache
@@ -61,6 +63,8 @@ class CloudTracker:
         self._odometry: CloudOdometry | None = None
         self._matcher: TurnMatcher | None = None
         self._velocity = CloudVelocity()
+        # Without wheels or an IMU nobody knows the way along a tunnel.
+        self._open = OpenWay(config.wheels.greatest_speed_m_s)
         self._pose = gtsam.Pose3()
         self._keyframe = gtsam.Pose3()
         self._stamp_s: float | None = None
@@ -87,7 +91,7 @@ class CloudTracker:
         motion = self._result_cache.cached(
             "cloud", float(expected.x()), lambda: matcher.match(cloud, seen, guesses, before)
         )
-        if motion is None:
+        if motion is None or not self._believed(motion):
             self._lost += 1
             return self._guessed(
                 seen.points, expected, new_keyframe=self._lost >= self._config.match.lost_after
@@ -111,6 +115,7 @@ class CloudTracker:
             self._velocity.forget()
             if self._imu is not None:
                 self._imu.restart()
+        self._open.add_keyframe()
         self._odometry.add_keyframe(tracked.points, tracked.pose)
         self._keyframe = tracked.pose
 
@@ -150,17 +155,24 @@ class CloudTracker:
         """Where the robot is, and with which velocity."""
         self._lost = 0
         self._pose = pose_of(motion)
-        points = seen.points
+        points, measured = seen.points, motion.covariance
         if motion.converged:
             self._velocity.learn(self._pose, cloud.stamp_s, seen.lever_m, motion)
             if deskewed(cloud, self._turns):
                 points = base_points(cloud, self._velocity.twist, self._turns)
-            self._tell(
-                motion.covariance + _UNSEEN_M**2 * np.outer(motion.weak_direction, motion.weak_direction)
-            )
-        else:
-            self._tell(None)
+        self._tell(measured + _UNSEEN_M**2 * np.outer(motion.weak_direction, motion.weak_direction))
+        spread = None if self._imu is None else self._imu.spread()
+        motion = self._open.widened(cloud.stamp_s, motion, self._velocity.twist, spread)
         return TrackedCloud(points, self._pose, motion, self._moved_on(self._pose))
+
+    def _believed(self, motion: MotionEstimate) -> bool:
+        """Whether a match that fits only in part agrees with where the IMU leads."""
+        told = self._imu is not None and self._stamp_s is not None and self._imu.predicted(self._stamp_s)
+        if motion.converged or not told or self._imu is None:
+            return True
+        apart, spread = gtsam.Pose3.Logmap(told.between(pose_of(motion))), self._imu.spread()
+        assert spread is not None
+        return bool(apart @ np.linalg.solve(motion.covariance + spread, apart) <= gate(6))
 
     def _guessed(self, points: FloatArray, pose: gtsam.Pose3, *, new_keyframe: bool) -> TrackedCloud:
         """A cloud that did not match."""

@@ -54,7 +54,7 @@ class ImuReadings:
         if self._rows[0][0] > begin_s + longest_s or self.newest_s < end_s - longest_s:
             return False
         stamps_s = self._between(begin_s, end_s)[0]
-        return bool(len(stamps_s) and np.diff([begin_s, *stamps_s, end_s]).max() <= longest_s)
+        return bool(np.diff([begin_s, *stamps_s, end_s]).max() <= longest_s)
 
     def mean(self, begin_s: float, end_s: float) -> FloatArray:
         """(6,) mean turn rate and force, IMU frame."""
