@@ -17,14 +17,14 @@ from slam.odometry.imu_readings import ImuReadings
 from slam.odometry.imu_smoother import ImuSmoother, ImuSpread, ImuState
 
 # Poses over this time tell velocity and gravity; where none comes for as long, readings alone go on.
-_BEGIN_S = 1.0
+_BEGIN_S, _LEAST_POSES = 1.0, 4
 _SLICES = 64
 # Of the first guess: velocity in m/s, gravity in radians.
 _GUESS = ImuSpread.of_guess(0.5, 0.1)
 # Turns that the lidar and the gyroscope tell differ by more than this plus a share of the turn: one of such
 # steps may be a bad match, most of them are a wrong mounting or clock.
 _APART_RAD, _APART_SHARE = 0.02, 0.1
-_JUDGED = 4 * FEWEST
+_JUDGED = 2 * FEWEST
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,7 +248,7 @@ class ImuTracker:
         if covariance is None:
             return
         self._poses.append((stamp_s, pose, covariance))
-        if stamp_s - self._poses[0][0] < _BEGIN_S or len(self._poses) < FEWEST:
+        if stamp_s - self._poses[0][0] < _BEGIN_S or len(self._poses) < _LEAST_POSES:
             return
         poses, self._poses = self._poses, []
         self._parameters = self._readings.parameters()
