@@ -37,6 +37,7 @@ RUN_OF = {
     "loops.by_appearance": "spatial",
     "loops.least_overlap": "spatial",
     "sensors.topics": "from_a_file",
+    "sensors.imu": "with_imu",
     "sensors.doctor": "planar",
     "sensors.calibration": "planar",
     "visual_loops.least_features": "frames_alone",

@@ -8,6 +8,7 @@ from pathlib import Path
 import gtsam
 import numpy as np
 
+from fusion.time_alignment import GAP_S
 from slam.datasets.account import Account
 from slam.datasets.calibration import pose_from, pose_from_matrix, read_yaml
 from slam.datasets.clouds_over_time import CloudFolder, cloud_files, stamped_clouds, times_of
@@ -17,7 +18,6 @@ from slam.datasets.log_file import numbered_lines
 from slam.datasets.recording import Contents, Numbered, Recording
 from slam.datasets.stamped_files import read_poses
 from slam.errors import DatasetError
-from slam.matching.cloud_points import LONGEST_TURN_S
 from slam.measurements import FloatArray, Trajectory
 
 LIDAR_CALIBRATION = "calibration.yaml"
@@ -46,7 +46,7 @@ def open_cloud_folder(path: Path, strict: bool) -> Recording:
 def beside_imu(path: Path, log: Iterable[Numbered], account: Account) -> Iterable[Numbered]:
     """A log with the IMU whose file lies in its folder; as it is where there is none."""
     file = imu_file(path)
-    return log if file is None else with_imu(log, read_imu(file, account), LONGEST_TURN_S)
+    return log if file is None else with_imu(log, read_imu(file, account), GAP_S)
 
 
 def has_clouds(path: Path) -> bool:

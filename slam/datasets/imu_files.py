@@ -40,6 +40,7 @@ _SECONDS, _REST = (
 # EuRoC's order, for files without a head.
 _PLAIN = (0, 1, 2, 3, 4, 5, 6)
 # Stamps that large count no seconds but parts of them; a clock of the world tells 1.7e9 s.
+_UNITS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
 _SCALES = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
 
 
@@ -51,12 +52,15 @@ class _Columns:
     gyro: tuple[int, ...]
     force: tuple[int, ...]
     gyro_scale: float = 1.0
+    time_scale: float | None = None
 
     def stamp_s(self, row: NDArray[np.float64]) -> float:
         """Seconds of a line."""
         if len(self.time) == 2:
             return float(row[self.time[0]] + 1e-9 * row[self.time[1]])
         told = float(row[self.time[0]])
+        if self.time_scale is not None:
+            return told * self.time_scale
         return told * next((scale for least, scale in _SCALES if abs(told) > least), 1.0)
 
 
@@ -108,9 +112,8 @@ def with_imu(log: Iterable[Numbered], readings: Iterator[Numbered], ahead_s: flo
 
 def _columns(head: str) -> _Columns | None:
     """The columns by their names; None where the line names none."""
-    names = [
-        name.strip().lower() for name in re.split(r"[,;]" if "," in head or ";" in head else r"\s+", head)
-    ]
+    parted = re.split(r"[,;]" if "," in head or ";" in head else r"\s+", head.strip())
+    names = [name.strip().lower() for name in parted]
     plain = [re.split(r"[\[(]", name)[0].strip() for name in names]
     gyro, force = _axes(plain, _GYRO), _axes(plain, _FORCE)
     seconds = [n for n, name in enumerate(plain) if name in _SECONDS]
@@ -118,13 +121,11 @@ def _columns(head: str) -> _Columns | None:
     time = [n for n, name in enumerate(plain) if name.startswith(_TIMES[:3]) or name == _TIMES[3]]
     if not gyro or not force or not (time or (seconds and rest)):
         return None
-    in_degrees = "deg" in names[gyro[0]]
-    return _Columns(
-        (seconds[0], rest[0]) if seconds and rest else (time[0],),
-        gyro,
-        force,
-        math.radians(1.0) if in_degrees else 1.0,
-    )
+    gyro_scale = math.radians(1.0) if "deg" in names[gyro[0]] else 1.0
+    if seconds and rest:
+        return _Columns((seconds[0], rest[0]), gyro, force, gyro_scale)
+    told = next((scale for unit, scale in _UNITS.items() if f"[{unit}]" in names[time[0]]), None)
+    return _Columns((time[0],), gyro, force, gyro_scale, told)
 
 
 def _axes(names: list[str], pattern: re.Pattern[str]) -> tuple[int, ...]:

@@ -84,7 +84,7 @@ class CloudLidar:
         elif isinstance(measurement, PreparedFrame):
             self._cameras.add(measurement)
         elif isinstance(measurement, WheelOdometry) and self._wheels is not None:
-            self._wheels.add(measurement)
+            self._tracker.roll(measurement.stamp_s, self._wheels.add(measurement))
         return None
 
     def origin(self) -> Pose:

@@ -12,7 +12,7 @@ from slam.config.clouds import CloudOdometryConfig
 from slam.measurements import FloatArray, PointCloud
 
 # Times that span less than the first are no turn, more than the second are by no clock of a lidar.
-_SHORTEST_TURN_S, LONGEST_TURN_S = 2e-3, 2.0
+_SHORTEST_TURN_S, _LONGEST_TURN_S = 2e-3, 2.0
 # A turn is cut into so many slices; within one the robot stands.
 _SLICES = 64
 
@@ -59,7 +59,7 @@ def turn_known(times_s: FloatArray) -> bool:
     if not len(times_s) or not np.isfinite(times_s).all():
         return False
     span_s = float(np.ptp(times_s))
-    return _SHORTEST_TURN_S <= span_s <= LONGEST_TURN_S and bool(np.abs(times_s).max() <= LONGEST_TURN_S)
+    return _SHORTEST_TURN_S <= span_s <= _LONGEST_TURN_S and bool(np.abs(times_s).max() <= _LONGEST_TURN_S)
 
 
 def voxel_of(points: FloatArray, config: CloudOdometryConfig) -> float:

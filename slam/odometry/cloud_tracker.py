@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,6 +10,7 @@ import gtsam
 import numpy as np
 
 from fusion.estimation import gate
+from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.matching.cloud_points import base_points, deskewed, voxel_of
 from slam.matching.planar import between
@@ -23,6 +25,8 @@ from slam.result_cache import COMPUTED, ResultCache
 
 # A direction in which nothing was seen, for the IMU: it must not take its own guess for a measurement.
 _UNSEEN_M = 100.0
+# Of the wheels so much is kept: more than the longest time between two states of the IMU.
+_ROLLS_S = 4.0 * LONGEST_STEP_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +74,7 @@ class CloudTracker:
         self._stamp_s: float | None = None
         self._wheel_pose: FloatArray | None = None
         self._lost = 0
+        self._rolls: deque[tuple[float, FloatArray]] = deque()
         self.voxel_m = 0.0
 
     def track(self, cloud: PointCloud) -> TrackedCloud:
@@ -97,6 +102,12 @@ class CloudTracker:
                 seen.points, expected, new_keyframe=self._lost >= self._config.match.lost_after
             )
         return self._matched(cloud, seen, motion)
+
+    def roll(self, stamp_s: float, pose: FloatArray) -> None:
+        """Take where the wheels say that the robot is, (3,) in their odom frame."""
+        self._rolls.append((stamp_s, pose))
+        while stamp_s - self._rolls[0][0] > _ROLLS_S:
+            self._rolls.popleft()
 
     def hear(self, reading: ImuReading) -> None:
         """Take a reading of the IMU; where no cloud has come for long, it goes on alone, and with wheels."""
@@ -166,12 +177,18 @@ class CloudTracker:
         return TrackedCloud(points, self._pose, motion, self._moved_on(self._pose))
 
     def _believed(self, motion: MotionEstimate) -> bool:
-        """Whether a match that fits only in part agrees with where the IMU leads."""
+        """Whether a match agrees with where the IMU leads; one that fits as usual may be off by a voxel more.
+
+        After seconds that nobody saw a street fits where it looks the same.
+        """
         told = self._imu is not None and self._stamp_s is not None and self._imu.predicted(self._stamp_s)
-        if motion.converged or not told or self._imu is None:
+        if not told or self._imu is None:
             return True
         apart, spread = gtsam.Pose3.Logmap(told.between(pose_of(motion))), self._imu.spread()
         assert spread is not None
+        if motion.converged:
+            slack = [self._config.keyframes.angle_rad] * 3 + [self.voxel_m] * 3
+            spread = spread + np.diag(np.square(slack))
         return bool(apart @ np.linalg.solve(motion.covariance + spread, apart) <= gate(6))
 
     def _guessed(self, points: FloatArray, pose: gtsam.Pose3, *, new_keyframe: bool) -> TrackedCloud:
@@ -193,12 +210,14 @@ class CloudTracker:
         state = self._imu.state
         if self._wheels is None or state is None:
             return None
-        before, now = self._wheels.pose_at(state.stamp_s), self._wheels.pose_at(stamp_s)
-        if (
-            before is None
-            or now is None
-            or not self._wheels.plausible(moved := between(before, now), stamp_s - state.stamp_s)
-        ):
+        stamps_s = [told_s for told_s, _ in self._rolls]
+        if not stamps_s or stamps_s[0] > state.stamp_s or stamps_s[-1] < stamp_s - GAP_S:
+            return None
+        rows = np.array([pose for _, pose in self._rolls])
+        rows[:, 2] = np.unwrap(rows[:, 2])
+        ends = np.array([np.interp([state.stamp_s, stamp_s], stamps_s, column) for column in rows.T])
+        moved = between(*ends.T)
+        if not self._wheels.plausible(moved, stamp_s - state.stamp_s):
             return None
         planar = self._wheels.covariance(moved)
         # Wheels know nothing of roll and pitch; up and down they move as little as aside.

@@ -96,7 +96,10 @@ class ImuSmoother:
     """
 
     def __init__(self, start: ImuState, spread: ImuSpread) -> None:
-        self._smoother = gtsam.BatchFixedLagSmoother(_LAG_S)
+        parameters = gtsam.LevenbergMarquardtParams()
+        # After a long bridge metres stand beside readings of a millimetre.
+        parameters.setLinearSolverType("MULTIFRONTAL_QR")
+        self._smoother = gtsam.BatchFixedLagSmoother(_LAG_S, parameters)
         self._count, self._downs = 0, 0
         self._first_s = self._down_s = start.stamp_s
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
@@ -162,11 +165,11 @@ class ImuSmoother:
 
     def spread(self) -> FloatArray:
         """(6, 6) covariance of the newest pose, in its tangent."""
-        return np.asarray(self._marginals().marginalCovariance(_X(self._count)))
+        return np.asarray(self._marginal(_X(self._count)))
 
     def down_sigma_rad(self) -> float:
         """How uncertain the direction of gravity is in the frame of the base: its worse axis."""
-        return float(np.sqrt(np.linalg.eigvalsh(self._marginals().marginalCovariance(_G(self._downs)))[-1]))
+        return float(np.sqrt(np.linalg.eigvalsh(self._marginal(_G(self._downs)))[-1]))
 
     def first(self) -> ImuState:
         """The first state, as all since then have it; while it is not older than the lag."""
@@ -181,12 +184,8 @@ class ImuSmoother:
 
     def restarted(self) -> ImuSmoother:
         """A smoother that begins at the newest state: the odometry's frame has begun anew there."""
-        number, marginals = self._count, self._marginals()
-        spread = ImuSpread(
-            marginals.marginalCovariance(_V(number)),
-            marginals.marginalCovariance(_B(number)),
-            self.down_sigma_rad(),
-        )
+        number = self._count
+        spread = ImuSpread(self._marginal(_V(number)), self._marginal(_B(number)), self.down_sigma_rad())
         return ImuSmoother(self._state, spread)
 
     def _down_prior(self, down: FloatArray, sigma_rad: float) -> gtsam.NonlinearFactor:
@@ -224,9 +223,23 @@ class ImuSmoother:
             np.asarray(found.atUnit3(_G(self._downs)).unitVector()),
         )
 
-    def _marginals(self) -> gtsam.Marginals:
-        """Of all that is kept."""
-        return gtsam.Marginals(self._smoother.getFactors(), self._smoother.calculateEstimate())
+    def _marginal(self, key: int) -> FloatArray:
+        """Covariance of one variable."""
+        graph, found = self._smoother.getFactors(), self._smoother.calculateEstimate()
+        try:
+            return np.asarray(gtsam.Marginals(graph, found).marginalCovariance(key))
+        except RuntimeError:
+            # Of a long bridge the normal equations have too few digits; the equations themselves do not.
+            rows = graph.linearize(found).jacobian()[0]
+            sizes = {"x": 6, "v": 3, "b": 6, "g": 2}
+            keys = sorted(found.keys())
+            widths = [sizes[chr(gtsam.symbolChr(one))] for one in keys]
+            begin = sum(widths[: keys.index(key)])
+            unit = np.eye(rows.shape[1])[:, begin : begin + widths[keys.index(key)]]
+            scale = 1.0 / np.linalg.norm(rows, axis=0)
+            triangle: FloatArray = np.asarray(np.linalg.qr(rows * scale, mode="r"))
+            half = np.linalg.solve(triangle.T, scale[:, None] * unit)
+            return np.asarray(half.T @ half)
 
 
 def _turned(
