@@ -108,6 +108,9 @@ def with_imu(log: Iterable[Numbered], readings: Iterator[Numbered], ahead_s: flo
             yield waiting
             waiting = next(readings, None)
         yield number, measurement
+    if waiting is not None:
+        yield waiting
+        yield from readings
 
 
 def _columns(head: str) -> _Columns | None:
