@@ -17,7 +17,7 @@ from slam.doctor.finding import Finding, Remedy
 from slam.measurements import GRAVITY_M_S2, FloatArray, ImuReading
 
 # Clocks are sought up to half a second apart, first in steps of a hundredth.
-_MOST_S, _STEP_S = GAP_S, 0.01
+_STEP_S = 0.01
 # By so much may a clock and a mounting be off without harm: at a turn of 1 rad/s a hundredth of a radian.
 _CLOCK_S, _ANGLE_RAD = 0.005, math.radians(2.0)
 # Turns about a second axis have this share of those about the first at least, or the mounting stays open.
@@ -91,7 +91,7 @@ def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
         As `ImuSamples.rows`.
     """
     spans = np.array([[step.begun_s, step.ended_s] for step in steps]).reshape(-1, 2)
-    within = (spans[:, 0] - _MOST_S > rows[0, 0]) & (spans[:, 1] + _MOST_S < rows[-1, 0])
+    within = (spans[:, 0] - GAP_S > rows[0, 0]) & (spans[:, 1] + GAP_S < rows[-1, 0])
     if within.sum() < FEWEST:
         return None
     seen = np.array([gtsam.Rot3.Logmap(step.motion.rotation()) for step in steps])[within]
@@ -109,7 +109,7 @@ def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
     def error(ahead_s: float) -> float:
         return float(np.median(np.sum(_apart(seen, told(ahead_s))[0] ** 2, axis=1)))
 
-    coarse = np.arange(-_MOST_S, _MOST_S + 0.5 * _STEP_S, _STEP_S)
+    coarse = np.arange(-GAP_S, GAP_S + 0.5 * _STEP_S, _STEP_S)
     best_s = float(min(coarse, key=error))
     for step_s in (0.1 * _STEP_S, 0.01 * _STEP_S):
         best_s = float(min(best_s + step_s * np.arange(-10, 11), key=error))
@@ -143,7 +143,7 @@ def _apart(seen: FloatArray, told: FloatArray) -> tuple[FloatArray, FloatArray, 
 def _clock(name: str, fit: TurnFit) -> list[Finding]:
     """Stamps that are ahead of the lidar's or behind."""
     half_s = half_interval(fit.ahead_sigma_s)
-    if abs(fit.ahead_s) <= _CLOCK_S + half_s or half_s > _MOST_S / FEWEST:
+    if abs(fit.ahead_s) <= _CLOCK_S + half_s or half_s > GAP_S / FEWEST:
         return []
     return [
         Finding(

@@ -10,8 +10,6 @@ import numpy as np
 from slam.matching.upright import Gravity, upright_of
 from slam.measurements import FloatArray, Pose, spatial
 
-_DOWN = gtsam.Unit3(0.0, 0.0, -1.0)
-
 
 def upright_poses(poses: Sequence[Pose], down: dict[int, Gravity]) -> list[gtsam.Pose3]:
     """All poses of a map, turned as one so that gravity at its nodes points down on average."""
@@ -25,7 +23,7 @@ def gravity_factors(down: dict[int, Gravity]) -> Iterator[gtsam.NonlinearFactor]
     """One for each node at which gravity is known."""
     for key, one in down.items():
         noise = gtsam.noiseModel.Isotropic.Sigma(2, one.sigma_rad)
-        yield gtsam.AttitudeFactorPose3(key, _DOWN, noise, gtsam.Unit3(one.down))
+        yield gtsam.AttitudeFactorPose3(key, gtsam.Unit3(0.0, 0.0, -1.0), noise, gtsam.Unit3(one.down))
 
 
 def heading_alone(origin: Pose, held: FloatArray) -> FloatArray:

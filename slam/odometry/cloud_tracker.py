@@ -25,8 +25,6 @@ from slam.result_cache import COMPUTED, ResultCache
 
 # A direction in which nothing was seen, for the IMU: it must not take its own guess for a measurement.
 _UNSEEN_M = 100.0
-# Of the wheels so much is kept: more than the longest time between two states of the IMU.
-_ROLLS_S = 4.0 * LONGEST_STEP_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +104,8 @@ class CloudTracker:
     def roll(self, stamp_s: float, pose: FloatArray) -> None:
         """Take where the wheels say that the robot is, (3,) in their odom frame."""
         self._rolls.append((stamp_s, pose))
-        while stamp_s - self._rolls[0][0] > _ROLLS_S:
+        # More than the longest time between two states of the IMU.
+        while stamp_s - self._rolls[0][0] > 4.0 * LONGEST_STEP_S:
             self._rolls.popleft()
 
     def hear(self, reading: ImuReading) -> None:

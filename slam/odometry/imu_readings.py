@@ -13,9 +13,8 @@ from slam.measurements import GRAVITY_M_S2, FloatArray, ImuReading
 # A step from reading to reading that is so many times the usual one is a gap.
 _GAP = 10.0
 _KEPT_S = 30.0
-# Where the noise is not known yet: a density of 0.01 degrees a second, or a milligravity, is a phone's
-# (Woodman 2007), and no accelerometer or gyroscope is taken to be better than a tenth of it.
-_GYRO_DENSITY, _FORCE_DENSITY, _BEST = 2e-4, 1e-2, 0.1
+# No gyroscope and no accelerometer is taken to be better than a tenth of a phone's (Woodman 2007).
+_GYRO_DENSITY, _FORCE_DENSITY = 2e-5, 1e-3
 # Biases wander: by Forster 2017, Sec. VIII, ten times a tactical unit's.
 _GYRO_WALK, FORCE_WALK = 1e-4, 1e-3
 
@@ -130,11 +129,9 @@ class ImuReadings:
 
     def _densities(self) -> tuple[float, float]:
         """Noise of turn rates and forces, for the square root of a hertz."""
-        if len(self._rows) < FEWEST:
-            return _GYRO_DENSITY, _FORCE_DENSITY
         told = np.array([row[1] for row in self._rows])
         # Second differences leave out what a motion adds; of white noise their variance is six times its own.
         apart = np.abs(np.diff(told, n=2, axis=0))
         root_s = float(np.sqrt(np.median(self._steps_s) / 6.0))
         noise = median_to_sigma() * np.median(apart, axis=0) * root_s
-        return max(noise[:3].max(), _BEST * _GYRO_DENSITY), max(noise[3:].max(), _BEST * _FORCE_DENSITY)
+        return max(noise[:3].max(), _GYRO_DENSITY), max(noise[3:].max(), _FORCE_DENSITY)

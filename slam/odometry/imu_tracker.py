@@ -11,6 +11,7 @@ import gtsam
 import numpy as np
 
 from fusion.estimation import FEWEST
+from slam.matching.cloud_points import SLICES
 from slam.matching.upright import Gravity
 from slam.measurements import GRAVITY_M_S2, FloatArray, ImuReading, PointCloud
 from slam.odometry.imu_readings import ImuReadings
@@ -18,13 +19,11 @@ from slam.odometry.imu_smoother import ImuSmoother, ImuSpread, ImuState
 
 # Poses over this time tell velocity and gravity; where none comes for as long, readings alone go on.
 _BEGIN_S, _LEAST_POSES = 1.0, 4
-_SLICES = 64
 # Of the first guess: velocity in m/s, gravity in radians.
 _GUESS = ImuSpread.of_guess(0.5, 0.1)
 # Turns that the lidar and the gyroscope tell differ by more than this plus a share of the turn: one of such
 # steps may be a bad match, most of them are a wrong mounting or clock.
 _APART_RAD, _APART_SHARE = 0.02, 0.1
-_JUDGED = 2 * FEWEST
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +68,7 @@ class ImuTracker:
         if start is not None:
             self._parameters, self._smoother = start.parameters, ImuSmoother(start.state, start.spread)
         self._poses: list[tuple[float, gtsam.Pose3, FloatArray]] = []
-        self._agree: deque[bool] = deque(maxlen=_JUDGED)
+        self._agree: deque[bool] = deque(maxlen=2 * FEWEST)
 
     def add(self, reading: ImuReading) -> None:
         """Take the next reading."""
@@ -129,9 +128,9 @@ class ImuTracker:
             acceleration = (
                 force - state.bias.accelerometer() + GRAVITY_M_S2 * pose.rotation().unrotate(state.down)
             )
-        edges_s = np.linspace(first_s, last_s, _SLICES + 1)
+        edges_s = np.linspace(first_s, last_s, SLICES + 1)
         turns = self._readings.turns(cloud.stamp_s + edges_s, cloud.stamp_s, bias)
-        slices = np.clip(np.searchsorted(edges_s, cloud.times_s, side="right") - 1, 0, _SLICES - 1)
+        slices = np.clip(np.searchsorted(edges_s, cloud.times_s, side="right") - 1, 0, SLICES - 1)
         share = (cloud.times_s - edges_s[slices])[:, None] / (edges_s[1] - edges_s[0])
         T_imu_lidar = T_imu_base.compose(cloud.T_base_lidar)
         mounting = T_imu_lidar.rotation().matrix()
@@ -286,7 +285,7 @@ class ImuTracker:
         turn_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(seen)))
         apart_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(told.between(seen))))
         self._agree.append(apart_rad <= _APART_RAD + _APART_SHARE * turn_rad)
-        if len(self._agree) == _JUDGED and 2 * sum(self._agree) < _JUDGED:
+        if len(self._agree) == 2 * FEWEST and sum(self._agree) < FEWEST:
             self.unfit = "its turns are not those of the lidar: a wrong mounting, clock or unit"
 
     def _lose(self) -> None:
