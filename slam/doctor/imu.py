@@ -184,7 +184,8 @@ def _sits(name: str, samples: ImuSamples, fit: TurnFit, T_base_lidar: gtsam.Pose
             return []
         text = f"it turns as if it sat {math.degrees(value):.1f} degrees otherwise: {angles}"
     effect = "what it feels is put on the wrong axes"
-    sure = half_rad < _ANGLE_RAD
+    # Where nothing is told, any rotation that is known to some degrees is better than none.
+    sure = half_rad < (_ANGLE_RAD if told is not None else 2.0 * _ANGLE_RAD)
     return [Finding(name, "mounting", text, effect, (remedy,), sure=sure, value=math.degrees(value))]
 
 
