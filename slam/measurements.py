@@ -42,6 +42,8 @@ def _shown(value: Any) -> str:
     return repr(value.item() if isinstance(value, np.generic) else value)
 
 
+# Standard gravity, by which a reading in g is told (ISO 80000-3).
+GRAVITY_M_S2 = 9.80665
 # x, y and yaw in GTSAM's order of a tangent in space: roll, pitch, yaw, x, y, z.
 IN_PLANE = [3, 4, 2]
 
@@ -171,7 +173,34 @@ class PointCloud:
     __repr__ = one_line
 
 
-Measurement: TypeAlias = LaserScan | WheelOdometry | RgbdFrame | PointCloud
+@dataclass(frozen=True, slots=True)
+class ImuReading:
+    """What an inertial measurement unit (IMU) says at an instant, in its own frame.
+
+    Attributes
+    ----------
+    stamp_s
+        Time of the reading, as the sensor stamps it.
+    gyro_rad_s
+        (3,) turn rate.
+    specific_force_m_s2
+        (3,) by the accelerometer: at rest the reaction to gravity, 9.8 upward.
+    T_base_imu
+        Mounting of the IMU on the robot; None where the log does not tell it.
+    sensor
+        Name of the sensor, as the log tells it.
+    """
+
+    stamp_s: float
+    gyro_rad_s: FloatArray
+    specific_force_m_s2: FloatArray
+    T_base_imu: gtsam.Pose3 | None = None
+    sensor: str = "imu"
+
+    __repr__ = one_line
+
+
+Measurement: TypeAlias = LaserScan | WheelOdometry | RgbdFrame | PointCloud | ImuReading
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,9 @@ from typing import Any, TypeVar
 import gtsam
 import numpy as np
 import pytest
-from cloud_world import look_on_the_way, way_round
+from cloud_world import look, look_on_the_way, way_round
 from flat_worlds import box, room, sweep
+from imu_world import readings, stands
 from room_world import SMALL, T_BODY_CAMERA, blind, furnished, render, turning_walk
 
 from slam.app.mapping import run_log
@@ -253,6 +254,21 @@ def first_clouds(config: Config, course: Course) -> None:
 
 
 @cache
+def imu_log() -> Log:
+    """A 3D lidar that stands on a slope, and its IMU."""
+    felt, found = list(readings(stands, 2.0)), list[Measurement]()
+    for n in range(18):
+        found += felt[20 * n : 20 * n + 40 if n == 17 else 20 * n + 20]
+        found.append(look(stands(0.0), 0.1 * n + 0.05, seed=n))
+    return Log(found)
+
+
+def with_imu(config: Config, course: Course) -> None:
+    """A slope that only an IMU knows of."""
+    mapped(imu_log(), config, course)
+
+
+@cache
 def _result(run: Callable[[], Log], *settings: str) -> MapResult:
     """The map that files are written of, or in which a robot is found."""
     return build_map(run(), load_config(None, settings))  # type: ignore[arg-type]
@@ -368,6 +384,7 @@ RUNS: dict[str, Run] = {
         spatial,
         clouds,
         first_clouds,
+        with_imu,
         in_plan,
         in_room,
         frames_alone,

@@ -38,6 +38,7 @@ RUN_OF = {
     "loops.least_overlap": "spatial",
     "sensors.topics": "from_a_file",
     "sensors.calibration_files": "from_a_file",
+    "sensors.imu": "with_imu",
     "sensors.doctor": "planar",
     "sensors.calibration": "planar",
     "visual_loops.least_features": "frames_alone",

@@ -6,9 +6,9 @@ import ast
 
 from tools.count_numbers import bare_floats, constant_names, count_fields, count_lines, count_logic
 
-MOST_CONSTANTS = 289
-MOST_BARE_FLOATS = 157
-MOST_FIELDS = 154
+MOST_CONSTANTS = 313
+MOST_BARE_FLOATS = 167
+MOST_FIELDS = 157
 MOST_LINES = 53_672
 
 

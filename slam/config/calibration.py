@@ -113,6 +113,12 @@ class CloudCorrection(SensorCorrection):
     )
 
 
+class ImuCorrection(SensorCorrection):
+    """An inertial measurement unit."""
+
+    T_base_imu: Mounting | None = Field(default=None, description="where it sits")
+
+
 class Calibration(StrictModel):
     """Corrections by the sensors' names, as 'scanweave inspect' lists them."""
 
@@ -120,6 +126,7 @@ class Calibration(StrictModel):
     lidars: dict[str, LidarCorrection] = Field(default={}, description="corrections of 2D lidars, by name")
     cameras: dict[str, CameraCorrection] = Field(default={}, description="corrections of cameras, by name")
     lidars_3d: dict[str, CloudCorrection] = Field(default={}, description="corrections of 3D lidars, by name")
+    imus: dict[str, ImuCorrection] = Field(default={}, description="corrections of IMUs, by name")
 
     def merged(self, entries: Mapping[str, Mapping[str, Mapping[str, object]]]) -> Calibration:
         """With more entries, by kind and name of the sensor; what is there already stays as it is."""

@@ -30,6 +30,7 @@ class SensorsConfig(StrictModel):
         default=(),
         description="of a bag with several topics of a sort (scans, clouds, odometry, images): those to read",
     )
+    imu: bool = Field(default=True, description="use the IMU where there is one")
     motion: Literal["auto", "planar", "spatial"] = Field(
         default="auto",
         description="planar: a robot on a floor, SE(2); spatial: a 3D lidar or a hand-held camera, SE(3); "

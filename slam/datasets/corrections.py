@@ -14,12 +14,19 @@ import gtsam
 import numpy as np
 
 from slam.config.calibration import Calibration, LidarCorrection, SensorCorrection, WheelCorrection
-from slam.datasets.corrections_in_space import CloudCorrector, FrameCorrector, same_cloud, same_frame
+from slam.datasets.corrections_in_space import (
+    CloudCorrector,
+    FrameCorrector,
+    ImuCorrector,
+    same_cloud,
+    same_frame,
+)
 from slam.datasets.dataset import Dataset, ReadReport
 from slam.errors import DatasetError
 from slam.matching.planar import wrap
 from slam.measurements import (
     FloatArray,
+    ImuReading,
     LaserScan,
     Measurement,
     PointCloud,
@@ -83,6 +90,7 @@ def _by_name(calibration: Calibration) -> dict[tuple[type, str], SensorCorrectio
         LaserScan: calibration.lidars,
         RgbdFrame: calibration.cameras,
         PointCloud: calibration.lidars_3d,
+        ImuReading: calibration.imus,
     }
     return {(kind, name): one for kind, sensors in kinds.items() for name, one in sensors.items()}
 
@@ -95,6 +103,7 @@ def _corrected_one_by_one(log: Iterable[Measurement], calibration: Calibration) 
         LaserScan: _Lidar,
         RgbdFrame: FrameCorrector,
         PointCloud: CloudCorrector,
+        ImuReading: ImuCorrector,
     }
     correctors = {key: makers[key[0]](correction) for key, correction in by_name.items()}
     newest: dict[tuple[type, str], Measurement] = {}

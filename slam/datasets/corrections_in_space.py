@@ -1,4 +1,4 @@
-"""Frames and clouds as a calibration corrects them."""
+"""Frames, clouds and readings of IMUs as a calibration corrects them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 
-from slam.config.calibration import CameraCorrection, CloudCorrection, Mounting
-from slam.measurements import Float32Array, PointCloud, RgbdFrame
+from slam.config.calibration import CameraCorrection, CloudCorrection, ImuCorrection, Mounting
+from slam.measurements import Float32Array, ImuReading, PointCloud, RgbdFrame
 from slam.vision.camera_frame import T_BODY_CAMERA
 
 
@@ -63,6 +63,18 @@ def raised(points_lidar: Float32Array, elevation_deg: float) -> Float32Array:
     outward = across * math.cos(turn_rad) - points_lidar[:, 2] * math.sin(turn_rad)
     up = across * math.sin(turn_rad) + points_lidar[:, 2] * math.cos(turn_rad)
     return np.column_stack([points_lidar[:, :2] * (outward / across)[:, None], up]).astype(np.float32)
+
+
+class ImuCorrector:
+    """Readings of one IMU."""
+
+    def __init__(self, correction: ImuCorrection) -> None:
+        told = correction.T_base_imu
+        self._mounting = None if told is None else mounted(told)
+
+    def __call__(self, reading: ImuReading) -> ImuReading:
+        """A reading."""
+        return reading if self._mounting is None else replace(reading, T_base_imu=self._mounting)
 
 
 def mounted(mounting: Mounting) -> gtsam.Pose3:

@@ -22,9 +22,10 @@ from slam.datasets.dataset import Dataset, Tally, Thinned
 from slam.datasets.inspection_bag import bag_facts
 from slam.datasets.inspection_camera import CameraFigures
 from slam.datasets.inspection_cloud import CloudFigures
+from slam.datasets.inspection_imu import ImuFigures
 from slam.datasets.sensor_choice import SensorTally
 from slam.errors import BadRecordError, DatasetError
-from slam.measurements import LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
+from slam.measurements import ImuReading, LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
 
 _SEEING = {"2D lidar", "3D lidar", "RGB-D camera"}
 _BLIND = "nothing that sees is used: neither a scan, nor a cloud, nor colour with depth"
@@ -64,6 +65,8 @@ def inspect_dataset(dataset: Dataset, calibration: Calibration | None = None) ->
             stream.camera.add(measurement)
         elif isinstance(measurement, PointCloud):
             stream.cloud.add(measurement)
+        elif isinstance(measurement, ImuReading):
+            stream.imu.add(measurement)
         else:
             stream.add_odometry(measurement)
         earliest_s = min(earliest_s, measurement.stamp_s)
@@ -145,6 +148,7 @@ class _Stream:
     rotation_rad: float = 0.0
     camera: CameraFigures = field(default_factory=CameraFigures)
     cloud: CloudFigures = field(default_factory=CloudFigures)
+    imu: ImuFigures = field(default_factory=ImuFigures)
 
     def add_stamp(self, stamp_s: float) -> None:
         """Rate and gaps; a backward step is no interval."""
@@ -194,6 +198,7 @@ class _Stream:
             "odometry": wheels if self.last_odometry else None,
             "camera": self.camera.facts(),
             "cloud": self.cloud.facts(),
+            "imu": self.imu.facts(),
         }
 
     def _laser(self, scan: LaserScan) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from slam.datasets.account import Account
 from slam.datasets.carmen import HEAD_BYTES, looks_like_carmen, read_carmen
-from slam.datasets.cloud_folder import has_clouds, read_clouds
+from slam.datasets.cloud_folder import beside_imu, has_clouds, read_clouds
 from slam.datasets.clouds_over_time import merged
 from slam.datasets.log_file import read_head
 from slam.datasets.recording import Contents, Numbered, Recording
@@ -48,6 +48,7 @@ def open_recorded_folder(path: Path, strict: bool) -> Recording:
             log = read_carmen(logs[0], account)
         if has_clouds(path):
             log = merged(log, read_clouds(path, account).numbered(account))
+        log = beside_imu(path, log, account)
         return Contents(cameras, log)
 
     return Recording(path, load, lambda account: read_groundtruth(path, account), strict=strict)

@@ -10,12 +10,18 @@ from itertools import groupby
 from slam.config.stages import SensorsConfig
 from slam.datasets.corrections import corrected, left_out
 from slam.datasets.dataset import ReadReport
-from slam.measurements import LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
+from slam.measurements import ImuReading, LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
 
 _LOOK_S = 3.0
 _LOOK_COUNT = 1000
 _LATE = f"it begins later than the first {_LOOK_S:g} s of the log, which decide what leads"
-_KINDS = {LaserScan: "2D lidar", PointCloud: "3D lidar", RgbdFrame: "RGB-D camera", WheelOdometry: "wheels"}
+_KINDS = {
+    LaserScan: "2D lidar",
+    PointCloud: "3D lidar",
+    RgbdFrame: "RGB-D camera",
+    WheelOdometry: "wheels",
+    ImuReading: "IMU",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +63,9 @@ class SensorChoice:
         Whether a 3D lidar makes the map.
     wheels
         Name of the odometry that is used, the first that appears; empty where there is none.
+    imu
+        Name of the IMU that helps a 3D lidar: the first that appears, of those whose mounting is told if
+        any; empty where there is none.
     config
         What was asked for.
     """
@@ -65,6 +74,7 @@ class SensorChoice:
     cameras: tuple[str, ...]
     cloud: bool = False
     wheels: str = ""
+    imu: str = ""
     config: SensorsConfig = field(default_factory=SensorsConfig)
 
     @classmethod
@@ -80,7 +90,9 @@ class SensorChoice:
         """The measurements of a log in its order, without those of sensors that are not used."""
         for one in UsedMeasurements(log, self.config):
             # Wheels that are left out still get poses; of two odometries, mixed, nothing can be made.
-            if not isinstance(one, WheelOdometry) or one.sensor == (self.wheels or one.sensor):
+            if isinstance(one, WheelOdometry) and one.sensor != (self.wheels or one.sensor):
+                continue
+            if not isinstance(one, ImuReading) or not self.why_not(ImuReading, one.sensor):
                 yield one
 
     def why_not(self, kind: type, sensor: str) -> str:
@@ -91,6 +103,8 @@ class SensorChoice:
             return self._why_not_camera(sensor)
         if kind is WheelOdometry:
             return self._why_not_wheels(sensor)
+        if kind is ImuReading:
+            return self._why_not_imu(sensor)
         if kind not in _KINDS:
             return ""
         if not self.config.lidar:
@@ -114,6 +128,16 @@ class SensorChoice:
             return f"in space only the first camera is used, {self.cameras[0]}; --topics takes others"
         return ""
 
+    def _why_not_imu(self, sensor: str) -> str:
+        """Of an IMU."""
+        if not self.config.imu:
+            return "sensors.imu=false leaves it out"
+        if not self.cloud:
+            return "only a 3D lidar is helped by it so far"
+        if sensor != self.imu:
+            return f"one IMU is used, {self.imu}; --topics takes another" if self.imu else _LATE
+        return ""
+
     def _why_not_wheels(self, sensor: str) -> str:
         """Of wheels."""
         if not self.config.wheels:
@@ -131,6 +155,7 @@ class _Beginning:
 
     cameras: dict[str, None] = field(default_factory=dict)
     wheels: str = ""
+    imus: dict[str, bool] = field(default_factory=dict)
     kinds: set[type] = field(default_factory=set)
     first_s: float | None = None
     count: int = 0
@@ -143,6 +168,10 @@ class _Beginning:
             self.cameras[measurement.sensor] = None
         elif isinstance(measurement, WheelOdometry):
             self.wheels = self.wheels or measurement.sensor
+        elif isinstance(measurement, ImuReading):
+            self.imus[measurement.sensor] = measurement.T_base_imu is not None
+            # Hundreds a second: they would fill the beginning alone.
+            self.count -= 1
         self.count += 1
         return measurement.stamp_s - self.first_s <= _LOOK_S and self.count <= _LOOK_COUNT
 
@@ -153,8 +182,9 @@ class _Beginning:
         cloud = spatial
         if config.motion == "auto":
             spatial, cloud = bool(self.cameras) and not vehicle, LaserScan not in self.kinds
+        imu = max(self.imus, key=self.imus.__getitem__, default="")
         return SensorChoice(
-            spatial, tuple(self.cameras), cloud and PointCloud in self.kinds, self.wheels, config
+            spatial, tuple(self.cameras), cloud and PointCloud in self.kinds, self.wheels, imu, config
         )
 
 

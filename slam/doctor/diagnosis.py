@@ -11,6 +11,7 @@ import numpy as np
 from fusion.estimation import FEWEST
 from slam.config import Config
 from slam.doctor.finding import Finding
+from slam.doctor.imu import imu_findings
 from slam.doctor.in_space import Base, camera_findings, cloud_findings, findings_against, seen_by
 from slam.doctor.lost_sign import lost_sign
 from slam.doctor.own_body import blocked_beams, blocked_finding, without
@@ -102,6 +103,10 @@ def _in_space(
     found = [one for name, camera in samples.cameras.items() for one in camera_findings(name, camera)]
     doubtful = frozenset(one.sensor for one in found if one.kind == "lens")
     found += [one for name, clouds in samples.clouds.items() for one in cloud_findings(name, clouds)]
+    for clouds in list(samples.clouds.values())[:1]:
+        steps = [step for stretch in clouds.steps for step in stretch]
+        for name, imu in samples.imus.items():
+            found += imu_findings(name, imu, steps, clouds.T_base_lidar)
     known = None if wheels is None else mended_rows(wheels[0], wheels[1].rows(), findings)
     if wheels is None or known is None:
         return found

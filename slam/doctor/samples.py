@@ -12,7 +12,16 @@ from fusion.estimation import FEWEST
 from slam.datasets.corrections import Unwound, repeats
 from slam.doctor.camera_samples import CameraSamples
 from slam.doctor.cloud_samples import CloudSamples
-from slam.measurements import FloatArray, LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
+from slam.doctor.imu import ImuSamples
+from slam.measurements import (
+    FloatArray,
+    ImuReading,
+    LaserScan,
+    Measurement,
+    PointCloud,
+    RgbdFrame,
+    WheelOdometry,
+)
 
 # Scans of a stretch lie no nearer: a robot hardly moves between.
 _SPACING_S = 0.1
@@ -96,11 +105,12 @@ class Samples:
     lidars: dict[str, LidarSamples]
     cameras: dict[str, CameraSamples]
     clouds: dict[str, CloudSamples]
+    imus: dict[str, ImuSamples]
 
     @classmethod
     def of(cls, log: Iterable[Measurement]) -> Samples:
         """Read a log once."""
-        samples = cls({}, {}, {}, {})
+        samples = cls({}, {}, {}, {}, {})
         for measurement in log:
             if isinstance(measurement, LaserScan):
                 samples.lidars.setdefault(measurement.sensor, LidarSamples()).add(measurement)
@@ -110,6 +120,8 @@ class Samples:
                 samples.cameras.setdefault(measurement.sensor, CameraSamples()).add(measurement)
             elif isinstance(measurement, PointCloud):
                 samples.clouds.setdefault(measurement.sensor, CloudSamples()).add(measurement)
+            elif isinstance(measurement, ImuReading):
+                samples.imus.setdefault(measurement.sensor, ImuSamples()).add(measurement)
         for lidar in samples.lidars.values():
             lidar.close()
         return samples

@@ -7,7 +7,7 @@ least squares (Yang 2020) decides which loops and wheel steps are true. SE(2) an
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -16,6 +16,8 @@ import numpy as np
 
 from fusion.estimation import TINY, gate
 from slam.errors import GraphError
+from slam.graph.gravity import gravity_factors, heading_alone, upright_poses
+from slam.matching.upright import Gravity
 from slam.measurements import BoolArray, FloatArray, Pose
 
 # Scale of the Cauchy kernel on uncertain edges while mapping, in standard deviations.
@@ -36,6 +38,7 @@ class EdgeKind(StrEnum):
     WHEEL = "wheel odometry"
     LOOP = "loop"
     ASSUMED = "assumed motion"
+    IMU = "IMU"
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +127,7 @@ class PoseGraph:
         self.edges: list[Edge] = []
         self._dimension = 3 if isinstance(origin, gtsam.Pose2) else 6
         self._origin = origin
+        self._down: dict[int, Gravity] = {}
         self._pending = gtsam.NonlinearFactorGraph()
         self._pending_values = gtsam.Values()
         self._estimate = gtsam.Values()
@@ -186,7 +190,7 @@ class PoseGraph:
     def _pend(self, edge: Edge) -> None:
         """Let the next update know of an edge; nodes that are held are where they are."""
         if min(edge.source, edge.target) >= self._held:
-            self._pending.add(_between(edge, _noise(edge)))
+            self._pending.add(between_factor(edge, _noise(edge)))
         elif max(edge.source, edge.target) >= self._held:
             edge = edge if edge.target >= self._held else edge.turned()
             place = self.pose(edge.source).compose(edge.T_source_target)  # type: ignore[arg-type]
@@ -197,7 +201,7 @@ class PoseGraph:
         graph = gtsam.NonlinearFactorGraph()
         graph.add(self._prior())
         for edge in self.edges:
-            graph.add(_between(edge, _noise(edge)))
+            graph.add(between_factor(edge, _noise(edge)))
         # A few steps bring a map that was solved before up to date.
         self._estimate = _solved(graph, self._estimate, most_steps=3 if held else 100)
         self._isam, self._held = None, held
@@ -218,6 +222,23 @@ class PoseGraph:
         self._estimate = _solved(graph, self._estimate)
         return BatchResult(float(graph.error(self._estimate)), kept)
 
+    def level(self, down: dict[int, Gravity]) -> None:
+        """Let the next optimisation put a graph in space upright.
+
+        Node 0 is then held in place and heading alone.
+
+        Parameters
+        ----------
+        down
+            Gravity at nodes, by their numbers.
+        """
+        poses = upright_poses([self.pose(key) for key in range(self._count)], down)
+        self._estimate, self._origin, self._down = gtsam.Values(), poses[0], down
+        for key, pose in enumerate(poses):
+            self._estimate.insert(key, pose)
+        self._isam, self._held = None, self._count
+        self._pending, self._pending_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+
     def begin_with(self, kept: Iterable[bool]) -> None:
         """Let the next optimisation begin with what an earlier one has kept of the edges so far."""
         self._kept = np.fromiter(kept, np.bool_)
@@ -237,7 +258,7 @@ class PoseGraph:
         graph.add(self._prior())
         for edge in self.edges:
             # LAGO takes no correlated noise; for a start the variances are enough.
-            graph.add(_between(edge, gtsam.noiseModel.Diagonal.Variances(np.diag(edge.covariance))))
+            graph.add(between_factor(edge, gtsam.noiseModel.Diagonal.Variances(np.diag(edge.covariance))))
         self._estimate = gtsam.lago.initialize(graph)
 
     def pose(self, key: int) -> Pose:
@@ -290,12 +311,18 @@ class PoseGraph:
         graph = gtsam.NonlinearFactorGraph()
         graph.add(self._prior())
         for edge in edges:
-            graph.add(_between(edge, gtsam.noiseModel.Gaussian.Covariance(edge.covariance)))
+            graph.add(between_factor(edge, gtsam.noiseModel.Gaussian.Covariance(edge.covariance)))
+        # Behind the edges, which are found by their place.
+        for factor in gravity_factors(self._down):
+            graph.add(factor)
         return graph
 
     def _prior(self) -> gtsam.NonlinearFactor:
-        """Hold node 0."""
-        return _gauge(self._origin)
+        """Hold node 0; where gravity is known, not its roll and pitch."""
+        if not self._down:
+            return gauge(self._origin)
+        covariance = heading_alone(self._origin, 1e-8 * np.eye(6))
+        return _prior(0, self._origin, gtsam.noiseModel.Gaussian.Covariance(covariance))
 
     def _check(self, edge: Edge) -> None:
         """Refuse what GTSAM would take silently."""
@@ -312,41 +339,6 @@ class PoseGraph:
             raise GraphError(f"{name}: the covariance is not positive definite")
 
 
-def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
-    """Covariance of every node where node 0 is held, by QR: what is long and stiff loses no digits.
-
-    Parameters
-    ----------
-    poses
-        (n,) estimates, at which the edges are linearised.
-    edges
-        That hold all of them together.
-
-    Returns
-    -------
-    (n, d, d), GTSAM's tangent of each pose.
-    """
-    graph, values = held_graph(poses, edges)
-    parameters = gtsam.ISAM2Params()
-    parameters.setFactorization("QR")
-    solver = gtsam.ISAM2(parameters)
-    solver.update(graph, values)
-    return np.array([solver.marginalCovariance(node) for node in range(len(poses))])
-
-
-def held_graph(
-    poses: Sequence[Pose], edges: Iterable[Edge]
-) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """GTSAM's graph of some edges, factor 0 holding node 0, and its values at the poses."""
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    graph.add(_gauge(poses[0]))
-    for edge in edges:
-        graph.add(_between(edge, gtsam.noiseModel.Gaussian.Covariance(edge.covariance)))
-    for node, pose in enumerate(poses):
-        values.insert(node, pose)
-    return graph, values
-
-
 def _noise(edge: Edge) -> gtsam.noiseModel.Base:
     """Noise of an edge while mapping: robust where it may be refused."""
     noise = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
@@ -356,7 +348,7 @@ def _noise(edge: Edge) -> gtsam.noiseModel.Base:
     return gtsam.noiseModel.Robust.Create(kernel, noise)
 
 
-def _between(edge: Edge, noise: gtsam.noiseModel.Base) -> gtsam.NonlinearFactor:
+def between_factor(edge: Edge, noise: gtsam.noiseModel.Base) -> gtsam.NonlinearFactor:
     """The factor of an edge."""
     if isinstance(edge.T_source_target, gtsam.Pose2):
         return gtsam.BetweenFactorPose2(edge.source, edge.target, edge.T_source_target, noise)
@@ -366,10 +358,10 @@ def _between(edge: Edge, noise: gtsam.noiseModel.Base) -> gtsam.NonlinearFactor:
 def _weighted(edge: Edge, weight: float) -> gtsam.NonlinearFactor:
     """The factor of an edge, less certain by a weight, 0..1."""
     # Next to nothing, for GTSAM knows no weight of zero.
-    return _between(edge, gtsam.noiseModel.Gaussian.Covariance(edge.covariance / max(weight, TINY)))
+    return between_factor(edge, gtsam.noiseModel.Gaussian.Covariance(edge.covariance / max(weight, TINY)))
 
 
-def _gauge(origin: Pose) -> gtsam.NonlinearFactor:
+def gauge(origin: Pose) -> gtsam.NonlinearFactor:
     """Hold node 0: the gauge, not a measurement."""
     dimension = 3 if isinstance(origin, gtsam.Pose2) else 6
     return _prior(0, origin, gtsam.noiseModel.Isotropic.Sigma(dimension, 1e-4))

@@ -28,9 +28,12 @@ from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.protocol import Tracked
 from slam.mapping.band_scan import band_scan, ground_of
 from slam.matching.cloud_points import at_middle_of_turn, thinned
-from slam.measurements import BoolArray, LaserScan, PointCloud, Pose, WheelOdometry
+from slam.matching.upright import Gravity
+from slam.measurements import BoolArray, ImuReading, LaserScan, PointCloud, Pose, WheelOdometry
 from slam.odometry.clock_learner import Turns
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
+from slam.odometry.imu_gravity import apart_in_time
+from slam.odometry.imu_tracker import ImuStart, ImuTracker
 from slam.odometry.wheel_tracker import WheelTracker
 from slam.storage.map_clouds import MapClouds
 from slam.trajectory.readings import Readings
@@ -47,12 +50,18 @@ class CloudLidar:
     """Clouds, wheels and cameras of a robot in space; see `slam.mapper.protocol.FrontEnd`."""
 
     def __init__(
-        self, config: Config, checkpoint: Checkpoint, registrations: Mapping[str, ColorRegistration]
+        self,
+        config: Config,
+        checkpoint: Checkpoint,
+        registrations: Mapping[str, ColorRegistration],
+        start: ImuStart | None = None,
     ) -> None:
         self.readings = Readings()
         self._config, self._checkpoint = config, checkpoint
         self._wheels = WheelTracker(config.wheels) if config.sensors.wheels else None
-        self._tracker = CloudTracker(config, self._wheels, checkpoint)
+        self._imu = ImuTracker(start) if config.sensors.imu else None
+        self._tracker = CloudTracker(config, self._wheels, checkpoint, self._imu)
+        self._down: dict[int, Gravity] = {}
         self._clouds = checkpoint.cloud_spool()
         turns = Turns() if self._wheels is None else self._wheels.turns
         self._cameras = CloudCameras(config, checkpoint, registrations, turns)
@@ -70,10 +79,12 @@ class CloudLidar:
         """Take the next measurement; where the robot is then, if it tells that."""
         if isinstance(measurement, PointCloud):
             return self._track(measurement)
-        if isinstance(measurement, PreparedFrame):
+        if isinstance(measurement, ImuReading):
+            self._tracker.hear(measurement)
+        elif isinstance(measurement, PreparedFrame):
             self._cameras.add(measurement)
         elif isinstance(measurement, WheelOdometry) and self._wheels is not None:
-            self._wheels.add(measurement)
+            self._tracker.roll(measurement.stamp_s, self._wheels.add(measurement))
         return None
 
     def origin(self) -> Pose:
@@ -94,6 +105,8 @@ class CloudLidar:
             elif (seen := self._cameras.step(self._stamp_s)) is not None:
                 step, covariance = seen
                 edges.append(Edge(key - 1, key, step, covariance, EdgeKind.RGBD, trusted=True))
+            elif self._imu is not None and (spread := self._imu.spread()) is not None:
+                edges.append(Edge(key - 1, key, step, spread, EdgeKind.IMU, trusted=True))
             self._travelled_m += float(np.linalg.norm(step.translation()))
         if motion is None:
             self._steps.begin(key, tracked.pose)
@@ -104,6 +117,8 @@ class CloudLidar:
         """Remember a keyframe, and try the places that it may have come back to."""
         tracked = self._newest
         assert tracked is not None
+        if self._imu is not None and (gravity := self._imu.gravity()) is not None:
+            self._down[key] = gravity
         if self._closer is None:
             self._closer = CloudLoopCloser(
                 self._config, self._tracker.voxel_m, self._clouds, self._checkpoint
@@ -132,7 +147,9 @@ class CloudLidar:
             )
 
     def settle(self, graph: KeyframeGraph) -> None:
-        """Every step was settled when it was made."""
+        """Put the map upright, where gravity is known; every step was settled when it was made."""
+        if self._down and self._imu is not None and not self._imu.unfit:
+            graph.graph.level(apart_in_time(self._down))
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
         """All places were tried while mapping."""
@@ -150,6 +167,10 @@ class CloudLidar:
         self._draw_plan(result)
         result.warnings += [*self._doubts(), *self._cameras.warnings()]
         result.notes += self._cameras.notes()
+        if self._imu is not None:
+            told = self._imu.told()
+            result.notes += told.notes
+            result.warnings += told.warnings
         result.unused |= self._cameras.unused()
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:

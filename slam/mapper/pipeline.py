@@ -15,6 +15,7 @@ from slam.doctor.finding import Finding, remedied
 from slam.doctor.stretches import Stretches
 from slam.errors import DatasetError
 from slam.mapper.checkpoint import Checkpoint
+from slam.mapper.imu_start import start_of
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.lidar3d import CloudLidar
 from slam.mapper.map_result import MapResult
@@ -68,7 +69,8 @@ def build_map(
     prepare = None
     if choice.cameras:
         prepare = FramePreparer(config.rgbd, registrations, lambda: checkpoint.replaying)
-    mapper = Mapper(config, _front_end(choice, config, checkpoint, registrations, mountings, odometries))
+    leader = _front_end(choice, dataset, config, checkpoint, registrations, mountings, odometries)
+    mapper = Mapper(config, leader)
     clock += [time.perf_counter()] * 2
     tally = _feed(mapper, dataset, choice, prepare, on_scan)
     if not mountings and (mountings := mapper.learned_mountings()):
@@ -110,6 +112,7 @@ def settled(config: Config, findings: Iterable[Finding]) -> Config:
 
 def _front_end(
     choice: SensorChoice,
+    dataset: Dataset,
     config: Config,
     checkpoint: Checkpoint,
     registrations: Mapping[str, ColorRegistration],
@@ -118,7 +121,8 @@ def _front_end(
 ) -> FrontEnd:
     """The sensor that leads."""
     if choice.cloud:
-        return CloudLidar(config, checkpoint, registrations)
+        start = start_of(choice.used(dataset), config) if choice.imu and config.sensors.imu else None
+        return CloudLidar(config, checkpoint, registrations, start)
     if choice.spatial:
         return FreeCamera(config, checkpoint, registrations, odometries)
     return PlanarRobot(config, checkpoint, registrations, mountings, odometries)

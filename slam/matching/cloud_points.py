@@ -14,7 +14,7 @@ from slam.measurements import FloatArray, PointCloud
 # Times that span less than the first are no turn, more than the second are by no clock of a lidar.
 _SHORTEST_TURN_S, _LONGEST_TURN_S = 2e-3, 2.0
 # A turn is cut into so many slices; within one the robot stands.
-_SLICES = 64
+SLICES = 64
 
 
 def base_points(cloud: PointCloud, twist: FloatArray, config: CloudOdometryConfig) -> FloatArray:
@@ -80,8 +80,8 @@ def _deskewed(points: FloatArray, times_s: FloatArray, twist: FloatArray) -> Flo
     first_s, last_s = float(times_s.min()), float(times_s.max())
     if last_s <= first_s:
         return points
-    slices = np.minimum(((times_s - first_s) / (last_s - first_s) * _SLICES).astype(np.int64), _SLICES - 1)
-    middles_s = first_s + (np.arange(_SLICES) + 0.5) * (last_s - first_s) / _SLICES
+    slices = np.minimum(((times_s - first_s) / (last_s - first_s) * SLICES).astype(np.int64), SLICES - 1)
+    middles_s = first_s + (np.arange(SLICES) + 0.5) * (last_s - first_s) / SLICES
     poses = [gtsam.Pose3.Expmap(twist * time_s) for time_s in middles_s]
     rotations = np.array([pose.rotation().matrix() for pose in poses])
     shifts = np.array([pose.translation() for pose in poses])

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 
+from fusion.estimation import gate
+from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.matching.cloud_points import base_points, deskewed, voxel_of
 from slam.matching.planar import between
-from slam.measurements import FloatArray, MotionEstimate, PointCloud
+from slam.measurements import FloatArray, ImuReading, MotionEstimate, PointCloud
 from slam.odometry.cloud_odometry import CloudOdometry
 from slam.odometry.cloud_velocity import LONGEST_STEP_S, CloudVelocity
+from slam.odometry.imu_tracker import ImuTracker
+from slam.odometry.open_way import OpenWay
 from slam.odometry.turn_matcher import DeskewedCloud, TurnMatcher, pose_of
 from slam.odometry.wheel_tracker import WheelTracker
 from slam.result_cache import COMPUTED, ResultCache
+
+# A direction in which nothing was seen, for the IMU: it must not take its own guess for a measurement.
+_UNSEEN_M = 100.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,18 +53,26 @@ class CloudTracker:
     """State of the odometry."""
 
     def __init__(
-        self, config: Config, wheels: WheelTracker | None, result_cache: ResultCache = COMPUTED
+        self,
+        config: Config,
+        wheels: WheelTracker | None,
+        result_cache: ResultCache = COMPUTED,
+        imu: ImuTracker | None = None,
     ) -> None:
         self._config, self._wheels, self._result_cache = config, wheels, result_cache
+        self._imu = imu
         self._turns = config.cloud_odometry
         self._odometry: CloudOdometry | None = None
         self._matcher: TurnMatcher | None = None
         self._velocity = CloudVelocity()
+        # Without wheels or an IMU nobody knows the way along a tunnel.
+        self._open = OpenWay(config.wheels.greatest_speed_m_s)
         self._pose = gtsam.Pose3()
         self._keyframe = gtsam.Pose3()
         self._stamp_s: float | None = None
         self._wheel_pose: FloatArray | None = None
         self._lost = 0
+        self._rolls: deque[tuple[float, FloatArray]] = deque()
         self.voxel_m = 0.0
 
     def track(self, cloud: PointCloud) -> TrackedCloud:
@@ -65,6 +81,8 @@ class CloudTracker:
         guesses, before = self._guesses(cloud.stamp_s, step_s), self._pose
         expected = guesses[0] if guesses else before
         self._stamp_s = cloud.stamp_s
+        if self._imu is not None and deskewed(cloud, self._turns):
+            cloud = self._imu.straightened(cloud, self._velocity.twist)
         twist = self._velocity.to(expected, cloud.stamp_s) if guesses else np.zeros(6)
         seen = DeskewedCloud.of(cloud, twist, self._turns)
         if len(seen.points) < self._turns.least_pairs:
@@ -76,12 +94,27 @@ class CloudTracker:
         motion = self._result_cache.cached(
             "cloud", float(expected.x()), lambda: matcher.match(cloud, seen, guesses, before)
         )
-        if motion is None:
+        if motion is None or not self._believed(motion):
             self._lost += 1
             return self._guessed(
                 seen.points, expected, new_keyframe=self._lost >= self._config.match.lost_after
             )
         return self._matched(cloud, seen, motion)
+
+    def roll(self, stamp_s: float, pose: FloatArray) -> None:
+        """Take where the wheels say that the robot is, (3,) in their odom frame."""
+        self._rolls.append((stamp_s, pose))
+        # More than the longest time between two states of the IMU.
+        while stamp_s - self._rolls[0][0] > 4.0 * LONGEST_STEP_S:
+            self._rolls.popleft()
+
+    def hear(self, reading: ImuReading) -> None:
+        """Take a reading of the IMU; where no cloud has come for long, it goes on alone, and with wheels."""
+        assert self._imu is not None
+        self._imu.add(reading)
+        due_s = self._imu.due_s()
+        if due_s is not None and (pose := self._imu.predicted(due_s)) is not None:
+            self._imu.took(due_s, pose, None, self._rolled(due_s))
 
     def add_keyframe(self, tracked: TrackedCloud) -> None:
         """Take a tracked cloud into the local map; of a lost one it is made anew."""
@@ -90,12 +123,17 @@ class CloudTracker:
             self._odometry.restart()
             self._lost = 0
             self._velocity.forget()
+            if self._imu is not None:
+                self._imu.restart()
+        self._open.add_keyframe()
         self._odometry.add_keyframe(tracked.points, tracked.pose)
         self._keyframe = tracked.pose
 
     def _guesses(self, stamp_s: float, step_s: float) -> Sequence[gtsam.Pose3]:
         """Where the robot may be by now: by its wheels, by its velocity."""
         guesses = []
+        if self._imu is not None and (told := self._imu.predicted(stamp_s)) is not None:
+            guesses.append(told)
         if self._wheels is not None:
             before, now = self._wheel_pose, self._wheels.pose_at(stamp_s)
             self._wheel_pose = now
@@ -120,23 +158,71 @@ class CloudTracker:
         self._odometry = CloudOdometry(self._config, self.voxel_m)
         self._matcher = TurnMatcher(self._turns, self._odometry, self._velocity, self.voxel_m)
         self._velocity.begin(cloud.stamp_s)
+        self._tell(np.diag([self._config.match.floor_rad**2] * 3 + [self._config.match.floor_m**2] * 3))
         return TrackedCloud(seen.points, self._pose, None, new_keyframe=True)
 
     def _matched(self, cloud: PointCloud, seen: DeskewedCloud, motion: MotionEstimate) -> TrackedCloud:
         """Where the robot is, and with which velocity."""
         self._lost = 0
         self._pose = pose_of(motion)
-        points = seen.points
+        points, measured = seen.points, motion.covariance
         if motion.converged:
             self._velocity.learn(self._pose, cloud.stamp_s, seen.lever_m, motion)
             if deskewed(cloud, self._turns):
                 points = base_points(cloud, self._velocity.twist, self._turns)
+        self._tell(measured + _UNSEEN_M**2 * np.outer(motion.weak_direction, motion.weak_direction))
+        spread = None if self._imu is None else self._imu.spread()
+        motion = self._open.widened(cloud.stamp_s, motion, self._velocity.twist, spread)
         return TrackedCloud(points, self._pose, motion, self._moved_on(self._pose))
+
+    def _believed(self, motion: MotionEstimate) -> bool:
+        """Whether a match agrees with where the IMU leads; one that fits as usual may be off by a voxel more.
+
+        After seconds that nobody saw a street fits where it looks the same.
+        """
+        told = self._imu is not None and self._stamp_s is not None and self._imu.predicted(self._stamp_s)
+        if not told or self._imu is None:
+            return True
+        apart, spread = gtsam.Pose3.Logmap(told.between(pose_of(motion))), self._imu.spread()
+        assert spread is not None
+        if motion.converged:
+            slack = [self._config.keyframes.angle_rad] * 3 + [self.voxel_m] * 3
+            spread = spread + np.diag(np.square(slack))
+        return bool(apart @ np.linalg.solve(motion.covariance + spread, apart) <= gate(6))
 
     def _guessed(self, points: FloatArray, pose: gtsam.Pose3, *, new_keyframe: bool) -> TrackedCloud:
         """A cloud that did not match."""
         self._pose = pose
+        self._tell(None)
         return TrackedCloud(points, pose, None, new_keyframe)
+
+    def _tell(self, covariance: FloatArray | None) -> None:
+        """Tell the IMU where the robot is, (6, 6); None where that was guessed."""
+        if self._imu is None or self._stamp_s is None:
+            return
+        unseen = covariance is None or float(np.trace(covariance)) > _UNSEEN_M**2
+        self._imu.took(self._stamp_s, self._pose, covariance, self._rolled(self._stamp_s) if unseen else None)
+
+    def _rolled(self, stamp_s: float) -> tuple[gtsam.Pose3, FloatArray] | None:
+        """Motion since the newest state of the IMU by the wheels, with its covariance (6, 6)."""
+        assert self._imu is not None
+        state = self._imu.state
+        if self._wheels is None or state is None:
+            return None
+        stamps_s = [told_s for told_s, _ in self._rolls]
+        if not stamps_s or stamps_s[0] > state.stamp_s or stamps_s[-1] < stamp_s - GAP_S:
+            return None
+        rows = np.array([pose for _, pose in self._rolls])
+        rows[:, 2] = np.unwrap(rows[:, 2])
+        ends = np.array([np.interp([state.stamp_s, stamp_s], stamps_s, column) for column in rows.T])
+        moved = between(*ends.T)
+        if not self._wheels.plausible(moved, stamp_s - state.stamp_s):
+            return None
+        planar = self._wheels.covariance(moved)
+        # Wheels know nothing of roll and pitch; up and down they move as little as aside.
+        covariance = np.diag([1.0, 1.0, planar[2, 2], planar[0, 0], planar[1, 1], planar[1, 1]])
+        turn, shift = gtsam.Rot3.Yaw(float(moved[2])), np.array([moved[0], moved[1], 0.0])
+        return gtsam.Pose3(turn, shift), covariance
 
     def _moved_on(self, pose: gtsam.Pose3) -> bool:
         """Whether the last keyframe is far enough behind."""

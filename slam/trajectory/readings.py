@@ -136,14 +136,18 @@ class Readings:
 def at_stamps(trajectory: Trajectory, stamps_s: FloatArray) -> Trajectory:
     """A pose for each of other stamps (N,), in the order of the trajectory's own and near them.
 
-    The motion to the pose before, or for the first to the one after, is taken as even.
+    The motion to the pose before, or to the one after where that is nearer in time, is taken as even.
     """
     own_s = trajectory.stamps_s
     if len(own_s) < 2 or np.array_equal(own_s, stamps_s):
         return Trajectory(stamps_s, trajectory.positions_m, trajectory.quaternions_xyzw)
-    left = np.maximum(np.arange(len(own_s)) - 1, 0)
+    steps_s = np.diff(own_s)
+    # After a gap the motion is that to the next one.
+    back = np.append(np.inf, steps_s) <= np.append(steps_s, np.inf)
+    back[0], back[-1] = False, True
+    left = np.arange(len(own_s)) - back
     step_s = own_s[left + 1] - own_s[left]
-    share = np.where(np.arange(len(own_s)) > 0, 1.0, 0.0)
+    share = back.astype(np.float64)
     np.divide(stamps_s - own_s[left], step_s, out=share, where=step_s > 0.0)
     poses = trajectory.poses()
     moved = [

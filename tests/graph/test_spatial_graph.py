@@ -12,6 +12,7 @@ from slam.config.stages import GraphConfig
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, EdgeKind
+from slam.matching.upright import Gravity
 from slam.measurements import MotionEstimate
 
 SIDES = 12
@@ -142,3 +143,16 @@ def test_a_step_that_nothing_measured_yields_to_a_loop() -> None:
     assert graph.loops[0].accepted
     assert np.linalg.norm(graph.poses()[4].translation() - moved.translation()) < 0.03
     assert np.linalg.norm(graph.poses()[2].translation() - (STEP * STEP).translation()) < 0.03
+
+
+def test_gravity_puts_a_bent_and_tilted_walk_upright() -> None:
+    origin = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.3, -0.2, 0.0), np.array([1.0, 2.0, 3.0]))
+    true, graph = truth(origin, SIDES), walked(gtsam.Pose3())
+    down = np.array([0.0, 0.0, -1.0])
+    told = {key: Gravity(0.0, pose.rotation().unrotate(down), 1e-3) for key, pose in enumerate(true)}
+    before = [pose.rotation().unrotate(down) @ told[key].down for key, pose in enumerate(graph.poses())]
+    graph.graph.level(told)
+    graph.optimize(0.99)
+    after = [pose.rotation().unrotate(down) @ told[key].down for key, pose in enumerate(graph.poses())]
+    assert math.acos(min(before)) > 0.3 and math.acos(min(1.0, *after)) < 0.01
+    assert graph.poses()[0].translation() == pytest.approx(np.zeros(3), abs=1e-3)

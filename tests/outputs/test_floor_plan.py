@@ -17,8 +17,9 @@ from slam.app.parts import grid_of_scans
 from slam.config import Config
 from slam.errors import ScanweaveError
 from slam.evaluation.floor_plan_text import floor_plan_text
+from slam.graph.held_graph import marginals
 from slam.graph.joint_covariance import joint_covariance
-from slam.graph.pose_graph import Edge, EdgeKind, marginals
+from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapping.floor_plan import FloorPlan
 from slam.measurements import LaserScan, Trajectory
 from slam.outputs.exports import Exports

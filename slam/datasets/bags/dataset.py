@@ -119,6 +119,9 @@ class BagDataset:
         for cloud in layout.clouds:
             if cloud.times.choice:
                 report.note(f"{cloud.topic}: {cloud.times.choice}", 1)
+        for imu in layout.imus:
+            if imu.unit.choice:
+                report.note(f"{imu.topic}: {imu.unit.choice}", 1)
         if report.measurement_count == 0 and self.read_images:
             raise DatasetError(_nothing_usable(self.path, report, survey))
 

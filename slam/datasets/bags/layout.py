@@ -16,6 +16,7 @@ from slam.datasets.bags.clouds import CloudReader
 from slam.datasets.bags.decoding import frame_name, stamp_of
 from slam.datasets.bags.evidence import ODOM_FRAMES, evidence_of, never_read
 from slam.datasets.bags.files import Bag
+from slam.datasets.bags.imu import ImuReader
 from slam.datasets.bags.laser import LaserMount, scan_from
 from slam.datasets.bags.lens import Lens, lens_of
 from slam.datasets.bags.mending import mended
@@ -71,6 +72,7 @@ class Layout:
     files: FileFacts
     readers: dict[str, Callable[[Any], Measurement]] = field(default_factory=dict)
     clouds: list[CloudReader] = field(default_factory=list)
+    imus: list[ImuReader] = field(default_factory=list)
     cameras: list[BagCamera] = field(default_factory=list)
     images: dict[str, tuple[int, bool]] = field(default_factory=dict)
     wheels_from: Callable[[Any], Iterator[WheelOdometry]] | None = None
@@ -138,6 +140,10 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...], known: KnownCal
         layout.readers[topic] = _cloud_reader(survey, layout, topic, only=len(choice.clouds) == 1)
     for topic in choice.odometry:
         layout.readers[topic] = _wheel_reader(survey, layout, topic)
+    for topic in choice.imus:
+        reader = ImuReader(topic, _mount(survey, layout, topic))
+        layout.imus.append(reader)
+        layout.readers[topic] = reader.read
     for place, camera in enumerate(choice.cameras):
         layout.cameras.append(_camera(survey, layout, camera, only=len(choice.cameras) == 1))
         layout.images[camera.color], layout.images[camera.depth] = (place, False), (place, True)

@@ -1,0 +1,150 @@
+"""Text files of IMUs beside clouds: EuRoC's ``imu0/data.csv``, and others by their head."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.datasets.account import Account
+from slam.datasets.calibration import pose_from, read_yaml
+from slam.datasets.dataset import RecordFault
+from slam.datasets.imu_units import ForceUnit
+from slam.datasets.log_file import numbered_lines
+from slam.datasets.recording import Numbered
+from slam.errors import DatasetError
+from slam.measurements import ImuReading
+
+BAD_ROW = "IMU line without a stamp, turn rate and acceleration"
+
+# Of EuRoC and those after it (TUM-VI), of others; in the folder of the clouds or above it.
+_NAMES = ("imu0/data.csv", "imu/data.csv", "imu.csv", "imu.txt", "imu_data.csv", "ouster_imu.csv")
+# EuRoC's sensor.yaml tells where an IMU sits in a frame that is not the robot's here.
+_SIDECAR = "calibration.yaml"
+# How the columns of the two sensors begin; each ends in its axis.
+_GYRO = re.compile(
+    r"^(w|g|gyro?|gyroscope|omega|ang|angular|angular_?velocity|rotation_?rate)([_. ].*)?[_. ]?([xyz])$"
+)
+_FORCE = re.compile(r"^(a|acc|accel|accelerometer|lin|linear|linear_?acceleration)([_. ].*)?[_. ]?([xyz])$")
+_TIMES = ("timestamp", "time", "stamp", "t")
+_SECONDS, _REST = (
+    frozenset({"sec", "secs", "seconds"}),
+    frozenset({"nsec", "nsecs", "nanosec", "nanoseconds"}),
+)
+# EuRoC's order, for files without a head.
+_PLAIN = (0, 1, 2, 3, 4, 5, 6)
+# Stamps that large count no seconds but parts of them; a clock of the world tells 1.7e9 s.
+_UNITS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
+_SCALES = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
+
+
+@dataclass(frozen=True, slots=True)
+class _Columns:
+    """Where the numbers of a line are."""
+
+    time: tuple[int, ...]
+    gyro: tuple[int, ...]
+    force: tuple[int, ...]
+    gyro_scale: float = 1.0
+    time_scale: float | None = None
+
+    def stamp_s(self, row: NDArray[np.float64]) -> float:
+        """Seconds of a line."""
+        if len(self.time) == 2:
+            return float(row[self.time[0]] + 1e-9 * row[self.time[1]])
+        told = float(row[self.time[0]])
+        if self.time_scale is not None:
+            return told * self.time_scale
+        return told * next((scale for least, scale in _SCALES if abs(told) > least), 1.0)
+
+
+def imu_file(folder: Path) -> Path | None:
+    """The file of an IMU beside clouds."""
+    return next((folder / name for name in _NAMES if (folder / name).is_file()), None)
+
+
+def read_imu(path: Path, account: Account) -> Iterator[tuple[int, ImuReading]]:
+    """Readings with their lines; what is none is counted."""
+    mounting, unit = _mounting(path), ForceUnit()
+    columns = _Columns(_PLAIN[:1], _PLAIN[1:4], _PLAIN[4:7])
+    for number, line in numbered_lines(path, lambda fault, at: account.refuse(fault, path.name, at)):
+        fields = re.split(rb"[,;\s]+", line.strip()) if b"," not in line else line.strip().split(b",")
+        text = line.strip()
+        if not text:
+            continue
+        if text.startswith(b"#") or text[:1].isalpha():
+            columns = _columns(text.lstrip(b"#").decode("utf-8", "replace")) or columns
+            continue
+        try:
+            row = np.array([float(field) for field in fields if field.strip()])
+            stamp_s = columns.stamp_s(row)
+            gyro = row[list(columns.gyro)] * columns.gyro_scale
+            force = row[list(columns.force)]
+            if not np.isfinite([stamp_s, *gyro, *force]).all() or not force.any():
+                raise RecordFault(BAD_ROW, text[:60].decode("ascii", "replace"))
+        except (ValueError, IndexError) as error:
+            account.refuse(RecordFault(BAD_ROW, str(error)), path.name, number)
+            continue
+        except RecordFault as fault:
+            account.refuse(fault, path.name, number)
+            continue
+        account.report.accept("IMU reading")
+        yield number, ImuReading(stamp_s, gyro, unit.m_s2(force), mounting)
+    if unit.choice:
+        account.report.note(f"imu: {unit.choice}", 1)
+
+
+def with_imu(log: Iterable[Numbered], readings: Iterator[Numbered], ahead_s: float) -> Iterator[Numbered]:
+    """A log with the readings of an IMU, which come ahead of it so that they cover the turn of a cloud."""
+    waiting = next(readings, None)
+    for number, measurement in log:
+        while waiting is not None and waiting[1].stamp_s <= measurement.stamp_s + ahead_s:
+            yield waiting
+            waiting = next(readings, None)
+        yield number, measurement
+    if waiting is not None:
+        yield waiting
+        yield from readings
+
+
+def _columns(head: str) -> _Columns | None:
+    """The columns by their names; None where the line names none."""
+    parted = re.split(r"[,;]" if "," in head or ";" in head else r"\s+", head.strip())
+    names = [name.strip().lower() for name in parted]
+    plain = [re.split(r"[\[(]", name)[0].strip() for name in names]
+    gyro, force = _axes(plain, _GYRO), _axes(plain, _FORCE)
+    seconds = [n for n, name in enumerate(plain) if name in _SECONDS]
+    rest = [n for n, name in enumerate(plain) if name in _REST]
+    time = [n for n, name in enumerate(plain) if name.startswith(_TIMES[:3]) or name == _TIMES[3]]
+    if not gyro or not force or not (time or (seconds and rest)):
+        return None
+    gyro_scale = math.radians(1.0) if "deg" in names[gyro[0]] else 1.0
+    if seconds and rest:
+        return _Columns((seconds[0], rest[0]), gyro, force, gyro_scale)
+    told = next((scale for unit, scale in _UNITS.items() if f"[{unit}]" in names[time[0]]), None)
+    return _Columns((time[0],), gyro, force, gyro_scale, told)
+
+
+def _axes(names: list[str], pattern: re.Pattern[str]) -> tuple[int, ...]:
+    """Where the three axes of a sensor are; empty where they are not all there."""
+    found = {match[3]: n for n, name in reversed(list(enumerate(names))) if (match := pattern.match(name))}
+    return tuple(found[axis] for axis in "xyz") if len(found) == 3 else ()
+
+
+def _mounting(path: Path) -> gtsam.Pose3 | None:
+    """``T_base_imu`` by the calibration beside the file, as the simulator writes it."""
+    sidecar = path.parent / _SIDECAR
+    content = read_yaml(sidecar) if sidecar.is_file() else {}
+    if content.get("T_base_imu") is None:
+        return None
+    try:
+        fields = content["T_base_imu"]
+        return pose_from(fields["translation_m"], fields["quaternion_xyzw"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise DatasetError(f"{sidecar}: {error}; correct the mounting of the IMU, or remove it") from error

@@ -1,0 +1,210 @@
+"""What an IMU says of itself, and how it sits and ticks beside a 3D lidar that turns with it."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+
+from fusion.estimation import FEWEST, half_interval, median_to_sigma
+from fusion.time_alignment import GAP_S
+from slam.doctor.camera_samples import SensorStep
+from slam.doctor.finding import Finding, Remedy
+from slam.measurements import GRAVITY_M_S2, FloatArray, ImuReading
+
+# Clocks are sought up to half a second apart, first in steps of a hundredth.
+_STEP_S = 0.01
+# By so much may a clock and a mounting be off without harm: at a turn of 1 rad/s a hundredth of a radian.
+_CLOCK_S, _ANGLE_RAD = 0.005, math.radians(2.0)
+# Turns about a second axis have this share of those about the first at least, or the mounting stays open.
+_SECOND_AXIS = 0.05
+# The mean force of any sensor on Earth is gravity; more than this off, a scale or an axis is wrong.
+_GRAVITY_SHARE = 0.05
+
+
+@dataclass(slots=True)
+class ImuSamples:
+    """One IMU: every reading."""
+
+    T_base_imu: gtsam.Pose3 | None = None
+    _rows: array[float] = field(default_factory=lambda: array("d"))
+
+    def add(self, reading: ImuReading) -> None:
+        """Take the next reading."""
+        self.T_base_imu = reading.T_base_imu
+        self._rows.append(reading.stamp_s)
+        self._rows.extend(reading.gyro_rad_s)
+        self._rows.extend(reading.specific_force_m_s2)
+
+    def rows(self) -> FloatArray:
+        """(N, 7) stamp, turn rate, force; stamps rise, a reading older than one before is left out."""
+        rows = np.array(self._rows).reshape(-1, 7)
+        newest = np.maximum.accumulate(np.concatenate([[-np.inf], rows[:-1, 0]]))
+        return np.asarray(rows[rows[:, 0] > newest])
+
+
+@dataclass(frozen=True, slots=True)
+class TurnFit:
+    """How an IMU turns beside a lidar.
+
+    Attributes
+    ----------
+    ahead_s, ahead_sigma_s
+        By how much its stamps are ahead of the lidar's.
+    R_lidar_imu
+        (3, 3).
+    sigma_rad
+        Of the worst axis of the rotation; infinite where the turns leave one open.
+    residual_rad
+        Root mean square of what a step's turns differ by.
+    """
+
+    ahead_s: float
+    ahead_sigma_s: float
+    R_lidar_imu: FloatArray
+    sigma_rad: float
+    residual_rad: float
+
+
+def imu_findings(
+    name: str, samples: ImuSamples, steps: Sequence[SensorStep], T_base_lidar: gtsam.Pose3
+) -> list[Finding]:
+    """What is wrong with an IMU, by itself and beside the lidar whose motions are given."""
+    rows = samples.rows()
+    if len(rows) < FEWEST:
+        return []
+    found = [*_saturated(name, rows), *_weight(name, rows)]
+    fit = turn_fit(rows, steps)
+    return found if fit is None else [*found, *_clock(name, fit), *_sits(name, samples, fit, T_base_lidar)]
+
+
+def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
+    """Clock and rotation by which the turns of both fit best; None where there are too few of them.
+
+    Parameters
+    ----------
+    rows
+        As `ImuSamples.rows`.
+    """
+    spans = np.array([[step.begun_s, step.ended_s] for step in steps]).reshape(-1, 2)
+    within = (spans[:, 0] - GAP_S > rows[0, 0]) & (spans[:, 1] + GAP_S < rows[-1, 0])
+    if within.sum() < FEWEST:
+        return None
+    seen = np.array([gtsam.Rot3.Logmap(step.motion.rotation()) for step in steps])[within]
+    spans = spans[within]
+    turned = np.zeros((len(rows), 3))
+    turned[1:] = np.cumsum(0.5 * (rows[1:, 1:4] + rows[:-1, 1:4]) * np.diff(rows[:, 0])[:, None], axis=0)
+
+    def told(ahead_s: float) -> FloatArray:
+        begun, ended = (
+            np.column_stack([np.interp(spans[:, n] + ahead_s, rows[:, 0], axis) for axis in turned.T])
+            for n in (0, 1)
+        )
+        return np.asarray(ended - begun)
+
+    def error(ahead_s: float) -> float:
+        return float(np.median(np.sum(_apart(seen, told(ahead_s))[0] ** 2, axis=1)))
+
+    coarse = np.arange(-GAP_S, GAP_S + 0.5 * _STEP_S, _STEP_S)
+    best_s = float(min(coarse, key=error))
+    for step_s in (0.1 * _STEP_S, 0.01 * _STEP_S):
+        best_s = float(min(best_s + step_s * np.arange(-10, 11), key=error))
+    apart, rotation, spread = _apart(seen, told(best_s))
+    sigma = median_to_sigma(3) * math.sqrt(float(np.median(np.sum(apart**2, axis=1))))
+    slope = (told(best_s + _STEP_S) - told(best_s - _STEP_S)) / (2.0 * _STEP_S)
+    slope -= slope.mean(axis=0)
+    moved = math.sqrt(float(np.sum(slope**2)))
+    if not moved:
+        return None
+    # A rotation about an axis is told by what turns about the other two.
+    information = np.linalg.eigvalsh(np.trace(spread) * np.eye(3) - spread)[0]
+    main = np.linalg.eigvalsh(spread)
+    open_ = main[1] < _SECOND_AXIS**2 * main[2]
+    axis_rad = math.inf if open_ or information <= 0.0 else sigma / math.sqrt(float(information))
+    return TurnFit(best_s, sigma / moved, rotation, axis_rad, sigma)
+
+
+def _apart(seen: FloatArray, told: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What turns (N, 3) differ by, the rotation (3, 3) that fits best (Kabsch 1976), and their spread.
+
+    Means are taken off: the gyroscope has a bias.
+    """
+    first, second = seen - seen.mean(axis=0), told - told.mean(axis=0)
+    left, _, right = np.linalg.svd(first.T @ second)
+    flip = np.diag([1.0, 1.0, np.linalg.det(left @ right)])
+    rotation = left @ flip @ right
+    return first - second @ rotation.T, rotation, second.T @ second
+
+
+def _clock(name: str, fit: TurnFit) -> list[Finding]:
+    """Stamps that are ahead of the lidar's or behind."""
+    half_s = half_interval(fit.ahead_sigma_s)
+    if abs(fit.ahead_s) <= _CLOCK_S + half_s or half_s > GAP_S / FEWEST:
+        return []
+    return [
+        Finding(
+            name,
+            "clock",
+            f"its stamps are {1e3 * fit.ahead_s:+.1f} +- {1e3 * half_s:.1f} ms ahead of the 3D lidar's",
+            "turns are straightened by what was before or after",
+            ({"imus": {name: {"clock_offset_s": round(fit.ahead_s, 4)}}},),
+            sure=True,
+            value=fit.ahead_s,
+            interval=(fit.ahead_s - half_s, fit.ahead_s + half_s),
+        )
+    ]
+
+
+def _sits(name: str, samples: ImuSamples, fit: TurnFit, T_base_lidar: gtsam.Pose3) -> list[Finding]:
+    """A rotation that the log does not tell, or tells otherwise; of the place nothing is learned."""
+    if not math.isfinite(fit.sigma_rad):
+        return []
+    rotation = T_base_lidar.rotation().compose(gtsam.Rot3(fit.R_lidar_imu))
+    told, half_rad = samples.T_base_imu, half_interval(fit.sigma_rad)
+    place = (T_base_lidar if told is None else told).translation()
+    roll, pitch, yaw = np.degrees(rotation.rpy()).round(2).tolist()
+    mounting = {
+        **dict(zip(("x_m", "y_m", "z_m"), (round(float(one), 3) for one in place), strict=True)),
+        "roll_deg": roll,
+        "pitch_deg": pitch,
+        "yaw_deg": yaw,
+    }
+    remedy: Remedy = {"imus": {name: {"T_base_imu": mounting}}}
+    interval = f"+- {math.degrees(half_rad):.2f} degrees"
+    angles = f"roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f} {interval}"
+    if told is None:
+        text, value = f"the log does not tell how it sits; it turns as if at {angles}, at the lidar", half_rad
+    else:
+        value = float(np.linalg.norm(gtsam.Rot3.Logmap(told.rotation().between(rotation))))
+        if value <= _ANGLE_RAD + half_rad:
+            return []
+        text = f"it turns as if it sat {math.degrees(value):.1f} degrees otherwise: {angles}"
+    effect = "what it feels is put on the wrong axes"
+    # Where nothing is told, any rotation that is known to some degrees is better than none.
+    sure = half_rad < (_ANGLE_RAD if told is not None else 2.0 * _ANGLE_RAD)
+    return [Finding(name, "mounting", text, effect, (remedy,), sure=sure, value=math.degrees(value))]
+
+
+def _saturated(name: str, rows: FloatArray) -> list[Finding]:
+    """Readings at the end of a range: the greatest of an axis comes again and again."""
+    found = []
+    for what, columns in (("turn rates", rows[:, 1:4]), ("forces", rows[:, 4:7])):
+        greatest = np.abs(columns).max()
+        count = int(np.count_nonzero(np.abs(columns).max(axis=1) == greatest))
+        if count >= FEWEST * 2 and greatest > 0.0 and np.unique(columns).size > FEWEST * FEWEST:
+            text = f"{count} of its {what} are the same greatest one, {greatest:.4g}: it saturates"
+            found.append(Finding(name, "saturation", text, "there its motion is wrong", value=float(count)))
+    return found
+
+
+def _weight(name: str, rows: FloatArray) -> list[Finding]:
+    """A mean force that is not gravity."""
+    force = float(np.median(np.linalg.norm(rows[:, 4:7], axis=1)))
+    if abs(force / GRAVITY_M_S2 - 1.0) <= _GRAVITY_SHARE:
+        return []
+    text = f"the median of its forces is {force:.2f} m/s^2, gravity is {GRAVITY_M_S2:.2f}"
+    return [Finding(name, "gravity", text, "an axis or a scale of its accelerometer is wrong", value=force)]

@@ -1,0 +1,46 @@
+"""A graph as it stands, its first node held: for covariances, and for what one edge does to the others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import gtsam
+import numpy as np
+
+from slam.graph.pose_graph import Edge, between_factor, gauge
+from slam.measurements import FloatArray, Pose
+
+
+def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
+    """Covariance of every node where node 0 is held, by QR: what is long and stiff loses no digits.
+
+    Parameters
+    ----------
+    poses
+        (n,) estimates, at which the edges are linearised.
+    edges
+        That hold all of them together.
+
+    Returns
+    -------
+    (n, d, d), GTSAM's tangent of each pose.
+    """
+    graph, values = held_graph(poses, edges)
+    parameters = gtsam.ISAM2Params()
+    parameters.setFactorization("QR")
+    solver = gtsam.ISAM2(parameters)
+    solver.update(graph, values)
+    return np.array([solver.marginalCovariance(node) for node in range(len(poses))])
+
+
+def held_graph(
+    poses: Sequence[Pose], edges: Iterable[Edge]
+) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """GTSAM's graph of some edges, factor 0 holding node 0, and its values at the poses."""
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.add(gauge(poses[0]))
+    for edge in edges:
+        graph.add(between_factor(edge, gtsam.noiseModel.Gaussian.Covariance(edge.covariance)))
+    for node, pose in enumerate(poses):
+        values.insert(node, pose)
+    return graph, values

@@ -1,0 +1,26 @@
+"""Gravity at the keyframes, as it may enter the graph of the map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from slam.matching.upright import Gravity
+from slam.measurements import GRAVITY_M_S2
+from slam.odometry.imu_readings import FORCE_WALK
+
+
+def apart_in_time(told: dict[int, Gravity]) -> dict[int, Gravity]:
+    """Directions by keyframe, less certain by as many as share one error.
+
+    What bends gravity is the accelerometer's bias, and that stays for as long as it takes to wander off by
+    what it is uncertain of: the directions of that time count as one.
+    """
+    stamps_s = np.array([one.stamp_s for one in told.values()])
+    found = {}
+    for key, one in told.items():
+        shared_s = (one.sigma_rad * GRAVITY_M_S2 / FORCE_WALK) ** 2
+        sharing = int(np.count_nonzero(np.abs(stamps_s - one.stamp_s) <= 0.5 * shared_s))
+        found[key] = replace(one, sigma_rad=one.sigma_rad * float(np.sqrt(sharing)))
+    return found

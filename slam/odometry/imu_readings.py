@@ -1,0 +1,137 @@
+"""The newest readings of an inertial measurement unit, and what they integrate to."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import gtsam
+import numpy as np
+
+from fusion.estimation import FEWEST, median_to_sigma
+from slam.measurements import GRAVITY_M_S2, FloatArray, ImuReading
+
+# A step from reading to reading that is so many times the usual one is a gap.
+_GAP = 10.0
+_KEPT_S = 30.0
+# No gyroscope and no accelerometer is taken to be better than a tenth of a phone's (Woodman 2007).
+_GYRO_DENSITY, _FORCE_DENSITY = 2e-5, 1e-3
+# Biases wander: by Forster 2017, Sec. VIII, ten times a tactical unit's.
+_GYRO_WALK, FORCE_WALK = 1e-4, 1e-3
+
+
+class ImuReadings:
+    """Stamps, turn rates and forces of one IMU."""
+
+    def __init__(self) -> None:
+        self._rows: deque[tuple[float, FloatArray]] = deque()
+        self._steps_s: deque[float] = deque(maxlen=FEWEST * FEWEST)
+        self.T_base_imu = gtsam.Pose3()
+
+    def add(self, reading: ImuReading) -> None:
+        """Take the next reading; one that is not later than the one before is left out."""
+        if self._rows:
+            step_s = reading.stamp_s - self._rows[-1][0]
+            if step_s <= 0.0:
+                return
+            self._steps_s.append(step_s)
+        self.T_base_imu = reading.T_base_imu or gtsam.Pose3()
+        told = np.concatenate([reading.gyro_rad_s, reading.specific_force_m_s2])
+        self._rows.append((reading.stamp_s, told))
+        while self._rows[-1][0] - self._rows[0][0] > _KEPT_S:
+            self._rows.popleft()
+
+    @property
+    def newest_s(self) -> float:
+        """Stamp of the newest reading."""
+        return self._rows[-1][0] if self._rows else -np.inf
+
+    def covers(self, begin_s: float, end_s: float) -> bool:
+        """Whether there are readings all the way; beyond the newest by a few steps counts."""
+        if len(self._rows) < 2:
+            return False
+        longest_s = _GAP * float(np.median(self._steps_s))
+        if self._rows[0][0] > begin_s + longest_s or self.newest_s < end_s - longest_s:
+            return False
+        stamps_s = self._between(begin_s, end_s)[0]
+        return bool(np.diff([begin_s, *stamps_s, end_s]).max() <= longest_s)
+
+    def mean(self, begin_s: float, end_s: float) -> FloatArray:
+        """(6,) mean turn rate and force, IMU frame."""
+        return np.asarray(self._between(begin_s, end_s)[1].mean(axis=0))
+
+    def parameters(self) -> gtsam.PreintegrationCombinedParams:
+        """Of GTSAM's preintegration, the noise by what neighbouring readings show."""
+        parameters = gtsam.PreintegrationCombinedParams.MakeSharedU(GRAVITY_M_S2)
+        gyro, force = self._densities()
+        parameters.setGyroscopeCovariance(gyro**2 * np.eye(3))
+        parameters.setAccelerometerCovariance(force**2 * np.eye(3))
+        parameters.setIntegrationCovariance(1e-8 * np.eye(3))
+        parameters.setBiasOmegaCovariance(_GYRO_WALK**2 * np.eye(3))
+        parameters.setBiasAccCovariance(FORCE_WALK**2 * np.eye(3))
+        return parameters
+
+    def integrated(
+        self,
+        begin_s: float,
+        end_s: float,
+        parameters: gtsam.PreintegrationCombinedParams,
+        bias: gtsam.imuBias.ConstantBias,
+    ) -> gtsam.PreintegratedCombinedMeasurements:
+        """The readings between two stamps; the nearest one stands where none is."""
+        whole = gtsam.PreintegratedCombinedMeasurements(parameters, bias)
+        stamps_s, told = self._with_ends(begin_s, end_s)
+        for step_s, row in zip(np.diff(stamps_s), 0.5 * (told[1:] + told[:-1]), strict=True):
+            if step_s > 0.0:
+                whole.integrateMeasurement(row[3:], row[:3], float(step_s))
+        return whole
+
+    def turns(self, times_s: FloatArray, at_s: float, gyro_bias: FloatArray) -> FloatArray:
+        """(n, 3, 3) how the IMU is turned at rising stamps (n,), in its frame at another stamp."""
+        spans = np.array([min(times_s[0], at_s), max(times_s[-1], at_s)])
+        stamps_s, told = self._with_ends(*spans)
+        rates = told[:, :3] - gyro_bias
+        turn, turns = gtsam.Rot3(), [gtsam.Rot3()]
+        for step_s, rate in zip(np.diff(stamps_s), 0.5 * (rates[1:] + rates[:-1]), strict=True):
+            turn = turn.compose(gtsam.Rot3.Expmap(rate * step_s))
+            turns.append(turn)
+
+        def turned(stamp_s: float) -> gtsam.Rot3:
+            last = min(max(int(np.searchsorted(stamps_s, stamp_s, side="right")) - 1, 0), len(turns) - 1)
+            return turns[last].compose(gtsam.Rot3.Expmap(rates[last] * (stamp_s - stamps_s[last])))
+
+        back = turned(at_s).inverse()
+        return np.array([back.compose(turned(float(time_s))).matrix() for time_s in times_s])
+
+    def _between(self, begin_s: float, end_s: float) -> tuple[FloatArray, FloatArray]:
+        """Stamps (n,) and readings (n, 6) within a span, its ends taken in."""
+        rows = []
+        for stamp_s, told in reversed(self._rows):
+            if stamp_s < begin_s:
+                break
+            if stamp_s <= end_s:
+                rows.append((stamp_s, told))
+        rows.reverse()
+        return np.array([row[0] for row in rows]), np.array([row[1] for row in rows]).reshape(-1, 6)
+
+    def _with_ends(self, begin_s: float, end_s: float) -> tuple[FloatArray, FloatArray]:
+        """As `_between` with a reading at either end, between its neighbours by their line."""
+        stamps_s, told = self._between(begin_s - self._around_s, end_s + self._around_s)
+        if not len(stamps_s):
+            stamps_s, told = np.array([self._rows[-1][0]]), self._rows[-1][1][None]
+        within = stamps_s[(stamps_s > begin_s) & (stamps_s < end_s)]
+        wanted = np.array([begin_s, *within, end_s])
+        return wanted, np.column_stack([np.interp(wanted, stamps_s, column) for column in told.T])
+
+    @property
+    def _around_s(self) -> float:
+        """A span that holds the readings next to a stamp."""
+        return _GAP * float(np.median(self._steps_s)) if self._steps_s else 0.0
+
+    def _densities(self) -> tuple[float, float]:
+        """Noise of turn rates and forces, for the square root of a hertz."""
+        told = np.array([row[1] for row in self._rows])
+        # Second differences leave out what a motion adds; of white noise their variance is six times its own.
+        apart = np.abs(np.diff(told, n=2, axis=0))
+        root_s = float(np.sqrt(np.median(self._steps_s) / 6.0))
+        noise = median_to_sigma() * np.median(apart, axis=0) * root_s
+        return max(noise[:3].max(), _GYRO_DENSITY), max(noise[3:].max(), _FORCE_DENSITY)

@@ -1,0 +1,273 @@
+"""Velocity, biases and gravity beside an odometry: GTSAM's preintegrated readings over the last seconds.
+
+The graph of the map stays one of poses. What an IMU knows beyond them, it knows of seconds: here they are
+smoothed with the poses that the front end measures (Forster 2017), and what goes into the map's graph is
+steps with their covariance, and which way gravity points.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import SupportsFloat, SupportsIndex, SupportsInt
+
+import gtsam
+import numpy as np
+
+from slam.matching.upright import upright_of
+from slam.measurements import GRAVITY_M_S2, FloatArray
+
+# Poses older than this are summed up in one Gaussian.
+_LAG_S = 3.0
+# How far the biases of a cheap sensor are from zero when it is switched on: a degree a second, and twenty
+# milligravities (data sheets of the Bosch BMI085 and BMI270).
+_GYRO_BIAS_RAD_S, _FORCE_BIAS_M_S2 = 0.017, 0.2
+# By so much may gravity turn in the frame of the odometry while a lag passes: that of its own drift.
+_DRIFT_RAD = 1e-3
+# Of a pose that is the frame of all others: radians and metres.
+_HELD = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class ImuState:
+    """What is known at a stamp.
+
+    It is of the IMU, not of the robot's base: where a turn begins, the base is accelerated otherwise, and
+    GTSAM's lever arm leaves that out.
+
+    Attributes
+    ----------
+    pose
+        ``T_odom_imu``.
+    velocity_m_s
+        (3,) odometry frame.
+    bias
+        Of both sensors, IMU frame.
+    down
+        (3,) unit vector along gravity, odometry frame.
+    """
+
+    stamp_s: float
+    pose: gtsam.Pose3
+    velocity_m_s: FloatArray
+    bias: gtsam.imuBias.ConstantBias
+    down: FloatArray
+
+    def carried(self, whole: gtsam.PreintegratedCombinedMeasurements) -> tuple[gtsam.Pose3, FloatArray]:
+        """Pose and velocity (3,) after the readings that were integrated from here on."""
+        upright = upright_of(self.down)
+        start = gtsam.NavState(
+            gtsam.Pose3(upright, np.zeros(3)).compose(self.pose), upright.rotate(self.velocity_m_s)
+        )
+        end = whole.predict(start, self.bias)
+        pose = gtsam.Pose3(upright, np.zeros(3)).inverse().compose(end.pose())
+        return pose, np.asarray(upright.unrotate(end.velocity()))
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSpread:
+    """How uncertain a state is, its pose left out.
+
+    Attributes
+    ----------
+    velocity, bias
+        (3, 3) and (6, 6) covariance.
+    down_rad
+        Standard deviation of the direction of gravity.
+    """
+
+    velocity: FloatArray
+    bias: FloatArray
+    down_rad: float
+
+    @classmethod
+    def of_guess(cls, velocity_m_s: float, down_rad: float) -> ImuSpread:
+        """By standard deviations; nothing is known of the biases but what such sensors have."""
+        sigmas = np.repeat([_FORCE_BIAS_M_S2, _GYRO_BIAS_RAD_S], 3)
+        return cls(velocity_m_s**2 * np.eye(3), np.diag(sigmas**2), down_rad)
+
+
+class ImuSmoother:
+    """The newest states, and how certain they are.
+
+    Parameters
+    ----------
+    start, spread
+        The first state; its pose is held.
+    """
+
+    def __init__(self, start: ImuState, spread: ImuSpread) -> None:
+        parameters = gtsam.LevenbergMarquardtParams()
+        # After a long bridge metres stand beside readings of a millimetre.
+        parameters.setLinearSolverType("MULTIFRONTAL_QR")
+        self._smoother = gtsam.BatchFixedLagSmoother(_LAG_S, parameters)
+        self._count, self._downs = 0, 0
+        self._first_s = self._down_s = start.stamp_s
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        noise = gtsam.noiseModel.Gaussian.Covariance
+        graph.add(gtsam.PriorFactorPose3(_X(0), start.pose, noise(np.diag([_HELD**2] * 6))))
+        graph.add(gtsam.PriorFactorVector(_V(0), start.velocity_m_s, noise(spread.velocity)))
+        graph.add(gtsam.PriorFactorConstantBias(_B(0), start.bias, noise(spread.bias)))
+        graph.add(self._down_prior(start.down, spread.down_rad))
+        self._insert(values, start)
+        values.insert(_G(0), gtsam.Unit3(start.down))
+        self._state = start
+        self._update(graph, values, start.stamp_s)
+
+    @property
+    def state(self) -> ImuState:
+        """The newest."""
+        return self._state
+
+    def advance(
+        self,
+        stamp_s: float,
+        whole: gtsam.PreintegratedCombinedMeasurements,
+        pose: gtsam.Pose3 | None,
+        covariance: FloatArray | None,
+        step: tuple[gtsam.Pose3, FloatArray] | None = None,
+    ) -> None:
+        """Add a state.
+
+        Parameters
+        ----------
+        whole
+            The readings since the newest state.
+        pose, covariance
+            ``T_odom_imu`` as it was measured, (6, 6) in its tangent; None where nothing was.
+        step
+            Motion since the newest state by other sensors, with its covariance (6, 6).
+
+        Raises
+        ------
+        RuntimeError
+            It cannot be solved.
+        """
+        guess, velocity = self._state.carried(whole)
+        graph, values, before = gtsam.NonlinearFactorGraph(), gtsam.Values(), self._count
+        self._count += 1
+        key = self._count
+        graph.add(
+            gtsam.CombinedImuFactorWithGravityDirection(
+                _X(before), _V(before), _X(key), _V(key), _B(before), _B(key), _G(self._downs), whole,
+                GRAVITY_M_S2,
+            )
+        )  # fmt: skip
+        if pose is not None and covariance is not None:
+            graph.add(gtsam.PriorFactorPose3(_X(key), pose, gtsam.noiseModel.Gaussian.Covariance(covariance)))
+        if step is not None:
+            noise = gtsam.noiseModel.Gaussian.Covariance(step[1])
+            graph.add(gtsam.BetweenFactorPose3(_X(before), _X(key), step[0], noise))
+        state = ImuState(stamp_s, guess, velocity, self._state.bias, self._state.down)
+        self._insert(values, state)
+        self._update(graph, values, stamp_s)
+        if stamp_s - self._down_s > _LAG_S:
+            self._renew_down(stamp_s)
+
+    def spread(self) -> FloatArray:
+        """(6, 6) covariance of the newest pose, in its tangent."""
+        return np.asarray(self._marginal(_X(self._count)))
+
+    def down_sigma_rad(self) -> float:
+        """How uncertain the direction of gravity is in the frame of the base: its worse axis."""
+        return float(np.sqrt(np.linalg.eigvalsh(self._marginal(_G(self._downs)))[-1]))
+
+    def first(self) -> ImuState:
+        """The first state, as all since then have it; while it is not older than the lag."""
+        found = self._smoother.calculateEstimate()
+        return ImuState(
+            self._first_s,
+            found.atPose3(_X(0)),
+            np.asarray(found.atVector(_V(0))),
+            found.atConstantBias(_B(0)),
+            self._state.down,
+        )
+
+    def restarted(self) -> ImuSmoother:
+        """A smoother that begins at the newest state: the odometry's frame has begun anew there."""
+        number = self._count
+        spread = ImuSpread(self._marginal(_V(number)), self._marginal(_B(number)), self.down_sigma_rad())
+        return ImuSmoother(self._state, spread)
+
+    def _down_prior(self, down: FloatArray, sigma_rad: float) -> gtsam.NonlinearFactor:
+        """The newest direction of gravity."""
+        noise = gtsam.noiseModel.Isotropic.Sigma(2, sigma_rad)
+        return gtsam.PriorFactorUnit3(_G(self._downs), gtsam.Unit3(down), noise)
+
+    def _insert(self, values: gtsam.Values, state: ImuState) -> None:
+        """First values of the newest state."""
+        values.insert(_X(self._count), state.pose)
+        values.insert(_V(self._count), state.velocity_m_s)
+        values.insert(_B(self._count), state.bias)
+
+    def _renew_down(self, stamp_s: float) -> None:
+        """Let gravity turn a little: the odometry does."""
+        self._downs, self._down_s = self._downs + 1, stamp_s
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        noise = gtsam.noiseModel.Isotropic.Sigma(3, _DRIFT_RAD)
+        graph.add(gtsam.CustomFactor(noise, [_G(self._downs - 1), _G(self._downs)], _turned))
+        values.insert(_G(self._downs), gtsam.Unit3(self._state.down))
+        self._update(graph, values, stamp_s)
+
+    def _update(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamp_s: float) -> None:
+        """Solve, and let go of what is older than the lag."""
+        stamps: dict[SupportsInt | SupportsIndex, SupportsFloat | SupportsIndex] = dict.fromkeys(
+            [*values.keys(), _G(self._downs)], stamp_s
+        )
+        self._smoother.update(graph, values, stamps)
+        found = self._smoother.calculateEstimate()
+        self._state = ImuState(
+            stamp_s,
+            found.atPose3(_X(self._count)),
+            np.asarray(found.atVector(_V(self._count))),
+            found.atConstantBias(_B(self._count)),
+            np.asarray(found.atUnit3(_G(self._downs)).unitVector()),
+        )
+
+    def _marginal(self, key: int) -> FloatArray:
+        """Covariance of one variable."""
+        graph, found = self._smoother.getFactors(), self._smoother.calculateEstimate()
+        try:
+            return np.asarray(gtsam.Marginals(graph, found).marginalCovariance(key))
+        except RuntimeError:
+            # Of a long bridge the normal equations have too few digits; the equations themselves do not.
+            rows = graph.linearize(found).jacobian()[0]
+            sizes = {"x": 6, "v": 3, "b": 6, "g": 2}
+            keys = sorted(found.keys())
+            widths = [sizes[chr(gtsam.symbolChr(one))] for one in keys]
+            begin = sum(widths[: keys.index(key)])
+            unit = np.eye(rows.shape[1])[:, begin : begin + widths[keys.index(key)]]
+            scale = 1.0 / np.linalg.norm(rows, axis=0)
+            triangle: FloatArray = np.asarray(np.linalg.qr(rows * scale, mode="r"))
+            half = np.linalg.solve(triangle.T, scale[:, None] * unit)
+            return np.asarray(half.T @ half)
+
+
+def _turned(
+    factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[FloatArray] | None
+) -> FloatArray:
+    """How far one direction (3,) is from another; not in their tangents, whose axes may differ."""
+    first, last = factor.keys()
+    before, now = values.atUnit3(first), values.atUnit3(last)
+    if jacobians is not None:
+        jacobians[0], jacobians[1] = -before.basis(), now.basis()
+    return np.asarray(now.unitVector() - before.unitVector())
+
+
+def _X(number: int) -> int:
+    """Key of a pose."""
+    return gtsam.symbol("x", number)
+
+
+def _V(number: int) -> int:
+    """Key of a velocity."""
+    return gtsam.symbol("v", number)
+
+
+def _B(number: int) -> int:
+    """Key of the biases."""
+    return gtsam.symbol("b", number)
+
+
+def _G(number: int) -> int:
+    """Key of a direction of gravity."""
+    return gtsam.symbol("g", number)

@@ -1,0 +1,303 @@
+"""An IMU as the helper of a 3D lidar: it straightens turns, foretells poses, and bridges what is not seen."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import gtsam
+import numpy as np
+
+from fusion.estimation import FEWEST
+from slam.matching.cloud_points import SLICES
+from slam.matching.upright import Gravity
+from slam.measurements import GRAVITY_M_S2, FloatArray, ImuReading, PointCloud
+from slam.odometry.imu_readings import ImuReadings
+from slam.odometry.imu_smoother import ImuSmoother, ImuSpread, ImuState
+
+# Poses over this time tell velocity and gravity; where none comes for as long, readings alone go on.
+_BEGIN_S, _LEAST_POSES = 1.0, 4
+# Of the first guess: velocity in m/s, gravity in radians.
+_GUESS = ImuSpread.of_guess(0.5, 0.1)
+# Turns that the lidar and the gyroscope tell differ by more than this plus a share of the turn: one of such
+# steps may be a bad match, most of them are a wrong mounting or clock.
+_APART_RAD, _APART_SHARE = 0.02, 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """Lines for people."""
+
+    notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class ImuStart:
+    """What is known of a robot at its first cloud, which may be seen while it moves."""
+
+    state: ImuState
+    spread: ImuSpread
+    parameters: gtsam.PreintegrationCombinedParams
+
+
+class ImuTracker:
+    """State of one IMU beside the tracker of a lidar.
+
+    Parameters
+    ----------
+    start
+        What is known already; None where the first poses must tell it.
+
+    Attributes
+    ----------
+    unfit
+        Why it is not used after all; empty where it is.
+    bridged_s
+        Time over which readings alone told the way.
+    """
+
+    def __init__(self, start: ImuStart | None = None) -> None:
+        self.unfit, self.bridged_s = "", 0.0
+        self._sensor = ""
+        self._readings = ImuReadings()
+        self._parameters: gtsam.PreintegrationCombinedParams | None = None
+        self._smoother: ImuSmoother | None = None
+        if start is not None:
+            self._parameters, self._smoother = start.parameters, ImuSmoother(start.state, start.spread)
+        self._poses: list[tuple[float, gtsam.Pose3, FloatArray]] = []
+        self._agree: deque[bool] = deque(maxlen=2 * FEWEST)
+
+    def add(self, reading: ImuReading) -> None:
+        """Take the next reading."""
+        self._sensor = reading.sensor
+        self._readings.add(reading)
+
+    @property
+    def state(self) -> ImuState | None:
+        """The newest state, once velocity and gravity are known."""
+        return None if self._smoother is None or self.unfit else self._smoother.state
+
+    def start(self) -> ImuStart | None:
+        """What is known of the first cloud by now."""
+        if self.state is None or self._smoother is None or self._parameters is None:
+            return None
+        # Velocities hold. Biases and gravity may have taken up how the first clouds were smeared.
+        first = self._smoother.first()
+        state = replace(first, bias=gtsam.imuBias.ConstantBias(np.zeros(3), first.bias.gyroscope()))
+        return ImuStart(state, _GUESS, self._parameters)
+
+    def due_s(self) -> float | None:
+        """A stamp up to which readings alone must go on, since no cloud has come; None where that is not."""
+        state, newest_s = self.state, self._readings.newest_s
+        return None if state is None or newest_s - state.stamp_s <= _BEGIN_S else newest_s - 0.5 * _BEGIN_S
+
+    def predicted(self, stamp_s: float) -> gtsam.Pose3 | None:
+        """``T_odom_base`` at a stamp after the newest state; None where the readings do not tell."""
+        state = self.state
+        if state is None or stamp_s <= state.stamp_s or not self._readings.covers(state.stamp_s, stamp_s):
+            return None
+        pose = state.carried(self._integrated(state, stamp_s))[0]
+        return pose.compose(self._readings.T_base_imu.inverse())
+
+    def straightened(self, cloud: PointCloud, twist: FloatArray) -> PointCloud:
+        """A turn as it would be seen at its stamp: turned by the gyroscope, moved by velocity and force.
+
+        As it was where the readings do not cover it.
+
+        Parameters
+        ----------
+        twist
+            (6,) of the base, by the clouds before: its velocity is taken until the IMU's is known.
+        """
+        if self.unfit or cloud.times_s is None:
+            return cloud
+        first_s, last_s = float(cloud.times_s.min()), float(cloud.times_s.max())
+        if not self._readings.covers(cloud.stamp_s + first_s, cloud.stamp_s + last_s):
+            return cloud
+        T_imu_base = self._readings.T_base_imu.inverse()
+        bias, acceleration = np.zeros(3), np.zeros(3)
+        velocity = (T_imu_base.AdjointMap() @ twist)[3:]
+        state = self.state
+        if state is not None and state.stamp_s <= cloud.stamp_s and self._covered(state, cloud.stamp_s):
+            pose, moving = state.carried(self._integrated(state, cloud.stamp_s))
+            bias, velocity = np.asarray(state.bias.gyroscope()), np.asarray(pose.rotation().unrotate(moving))
+            force = self._readings.mean(cloud.stamp_s + first_s, cloud.stamp_s + last_s)[3:]
+            acceleration = (
+                force - state.bias.accelerometer() + GRAVITY_M_S2 * pose.rotation().unrotate(state.down)
+            )
+        edges_s = np.linspace(first_s, last_s, SLICES + 1)
+        turns = self._readings.turns(cloud.stamp_s + edges_s, cloud.stamp_s, bias)
+        slices = np.clip(np.searchsorted(edges_s, cloud.times_s, side="right") - 1, 0, SLICES - 1)
+        share = (cloud.times_s - edges_s[slices])[:, None] / (edges_s[1] - edges_s[0])
+        T_imu_lidar = T_imu_base.compose(cloud.T_base_lidar)
+        mounting = T_imu_lidar.rotation().matrix()
+        points = cloud.points_lidar @ mounting.T + T_imu_lidar.translation()
+        # Within a slice a turn is so small that its chord is its arc.
+        begun, ended = (np.einsum("nij,nj->ni", turns[slices + n], points) for n in (0, 1))
+        times_s = cloud.times_s[:, None]
+        points = begun + share * (ended - begun) + times_s * velocity + 0.5 * times_s**2 * acceleration
+        points = (points - T_imu_lidar.translation()) @ mounting
+        return replace(cloud, points_lidar=points.astype(np.float32), times_s=None)
+
+    def took(
+        self,
+        stamp_s: float,
+        pose: gtsam.Pose3,
+        covariance: FloatArray | None,
+        step: tuple[gtsam.Pose3, FloatArray] | None = None,
+    ) -> None:
+        """Take where the lidar says that the robot is.
+
+        Parameters
+        ----------
+        pose, covariance
+            ``T_odom_base``, (6, 6) in its tangent; no covariance where it was not seen.
+        step
+            Motion since the newest state by the wheels, with its covariance (6, 6).
+        """
+        if self.unfit:
+            return
+        T_base_imu = self._readings.T_base_imu
+        pose, there = pose.compose(T_base_imu), T_base_imu.inverse().AdjointMap()
+        if covariance is not None:
+            covariance = there @ covariance @ there.T
+        if step is not None:
+            moved = T_base_imu.inverse().compose(step[0]).compose(T_base_imu)
+            step = moved, there @ step[1] @ there.T
+        if self._smoother is None:
+            self._begin(stamp_s, pose, covariance)
+        else:
+            self._advance(self._smoother, stamp_s, pose, covariance, step)
+
+    def _advance(
+        self,
+        smoother: ImuSmoother,
+        stamp_s: float,
+        pose: gtsam.Pose3,
+        covariance: FloatArray | None,
+        step: tuple[gtsam.Pose3, FloatArray] | None = None,
+    ) -> None:
+        """As `took`, of the IMU."""
+        state = smoother.state
+        if stamp_s <= state.stamp_s:
+            return
+        if not self._covered(state, stamp_s):
+            self._lose()
+            return
+        whole = self._integrated(state, stamp_s)
+        if covariance is not None:
+            self._judge(state.pose.between(pose).rotation(), whole, state)
+        try:
+            smoother.advance(stamp_s, whole, pose if covariance is not None else None, covariance, step)
+        except RuntimeError:  # indeterminate: the lidar contradicts it beyond all bounds
+            self._lose()
+            return
+        if covariance is None:
+            self.bridged_s += stamp_s - state.stamp_s
+
+    def restart(self) -> None:
+        """The lidar's map begins anew where the newest state is."""
+        if self._smoother is not None:
+            self._smoother = self._smoother.restarted()
+        self._poses.clear()
+
+    def spread(self) -> FloatArray | None:
+        """(6, 6) covariance of the newest ``T_odom_base``; None before there is a state."""
+        if self.state is None or self._smoother is None:
+            return None
+        back = self._readings.T_base_imu.AdjointMap()
+        return np.asarray(back @ self._smoother.spread() @ back.T)
+
+    def gravity(self) -> Gravity | None:
+        """As the base feels it at the newest state."""
+        state = self.state
+        if state is None or self._smoother is None:
+            return None
+        down_imu = state.pose.rotation().unrotate(state.down)
+        down = np.asarray(self._readings.T_base_imu.rotation().rotate(down_imu))
+        return Gravity(state.stamp_s, down, self._smoother.down_sigma_rad())
+
+    def told(self) -> Told:
+        """What people should know of it, once the log is read."""
+        if not self._sensor:
+            return Told()
+        if self.unfit:
+            return Told(warnings=[f"{self._sensor} is not used: {self.unfit}"])
+        state, gravity = self.state, self.gravity()
+        if state is None or gravity is None:
+            why = "velocity and gravity were not found; it needs a second of clouds that match"
+            return Told(warnings=[f"{self._sensor} is not used: {why}"])
+        gyro, force = np.abs(state.bias.gyroscope()).max(), np.abs(state.bias.accelerometer()).max()
+        notes = [
+            f"{self._sensor}: gravity to {math.degrees(gravity.sigma_rad):.2f} degrees (sigma); biases up to "
+            f"{math.degrees(gyro):.2f} degrees/s and {force:.3f} m/s^2"
+        ]
+        if self.bridged_s:
+            notes.append(f"{self._sensor}: {self.bridged_s:.1f} s without a usable cloud were bridged")
+        return Told(notes)
+
+    def _begin(self, stamp_s: float, pose: gtsam.Pose3, covariance: FloatArray | None) -> None:
+        """Gather poses until they tell velocity and gravity; those after a gap begin anew."""
+        before_s = self._poses[-1][0] if self._poses else stamp_s
+        if covariance is None or not self._readings.covers(before_s, stamp_s):
+            self._poses.clear()
+        if covariance is None:
+            return
+        self._poses.append((stamp_s, pose, covariance))
+        if stamp_s - self._poses[0][0] < _BEGIN_S or len(self._poses) < _LEAST_POSES:
+            return
+        poses, self._poses = self._poses, []
+        self._parameters = self._readings.parameters()
+        self._smoother = ImuSmoother(self._first(poses), _GUESS)
+        for told in poses[1:]:
+            if self._smoother is not None:
+                self._advance(self._smoother, *told)
+
+    def _first(self, poses: list[tuple[float, gtsam.Pose3, FloatArray]]) -> ImuState:
+        """The state at the first pose: velocity by differences, gravity by forces less its change."""
+        stamps_s = np.array([stamp_s for stamp_s, _, _ in poses])
+        places = np.array([pose.translation() for _, pose, _ in poses])
+        velocities = np.diff(places, axis=0) / np.diff(stamps_s)[:, None]
+        forces = [
+            pose.rotation().rotate(self._readings.mean(begin_s, end_s)[3:])
+            for (begin_s, _, _), (end_s, pose, _) in pairwise(poses)
+        ]
+        mean = np.average(forces, axis=0, weights=np.diff(stamps_s))
+        middles_s = 0.5 * (stamps_s[1:] + stamps_s[:-1])
+        change = (velocities[-1] - velocities[0]) / (middles_s[-1] - middles_s[0])
+        down = np.asarray(change - mean)
+        return ImuState(
+            float(stamps_s[0]),
+            poses[0][1],
+            velocities[0],
+            gtsam.imuBias.ConstantBias(),
+            down / np.linalg.norm(down),
+        )
+
+    def _judge(
+        self, seen: gtsam.Rot3, whole: gtsam.PreintegratedCombinedMeasurements, state: ImuState
+    ) -> None:
+        """Whether the lidar and the gyroscope tell the same turns; where mostly not, the IMU is left out."""
+        told = state.pose.rotation().between(state.carried(whole)[0].rotation())
+        turn_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(seen)))
+        apart_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(told.between(seen))))
+        self._agree.append(apart_rad <= _APART_RAD + _APART_SHARE * turn_rad)
+        if len(self._agree) == 2 * FEWEST and sum(self._agree) < FEWEST:
+            self.unfit = "its turns are not those of the lidar: a wrong mounting, clock or unit"
+
+    def _lose(self) -> None:
+        """What was known is of no use after a gap in the readings."""
+        self._smoother = None
+        self._poses.clear()
+
+    def _covered(self, state: ImuState, stamp_s: float) -> bool:
+        """Whether there are readings from a state to a stamp."""
+        return self._readings.covers(state.stamp_s, stamp_s)
+
+    def _integrated(self, state: ImuState, stamp_s: float) -> gtsam.PreintegratedCombinedMeasurements:
+        """The readings from a state to a stamp."""
+        assert self._parameters is not None
+        return self._readings.integrated(state.stamp_s, stamp_s, self._parameters, state.bias)

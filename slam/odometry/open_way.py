@@ -1,0 +1,67 @@
+"""How little is known of a way along which clouds tell nothing: a tunnel, a long wall, an open field."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from slam.measurements import FloatArray, MotionEstimate
+
+
+class OpenWay:
+    """The time since all directions were last determined, and what was added to the keyframes meanwhile.
+
+    Parameters
+    ----------
+    greatest_speed_m_s
+        Of a robot that nothing has seen move.
+    """
+
+    def __init__(self, greatest_speed_m_s: float) -> None:
+        self._greatest_m_s = greatest_speed_m_s
+        self._known_s: float | None = None
+        self._speed_m_s = 0.0
+        self._variance_m2 = self._told_m2 = 0.0
+        self._direction = np.zeros(6)
+
+    def add_keyframe(self) -> None:
+        """What is not known up to here is in the edges."""
+        self._told_m2 = self._variance_m2
+
+    def widened(
+        self, stamp_s: float, motion: MotionEstimate, twist: FloatArray, spread: FloatArray | None
+    ) -> MotionEstimate:
+        """A match, as uncertain as the way since the last keyframe where nothing determines it.
+
+        Of a robot that may have stopped, or gone twice as fast, the way is anything from nothing to twice the
+        guess: evenly spread, its deviation is the guess over the root of three. Guesses of keyframes in a row
+        are wrong together, so the deviation grows with the time, not with its root.
+
+        Parameters
+        ----------
+        twist
+            (6,) of the base as it last was determined.
+        spread
+            (6, 6) covariance of the pose by an IMU that goes on where clouds tell nothing; None without.
+        """
+        if motion.converged and not motion.degenerate:
+            self._known_s, self._variance_m2 = stamp_s, 0.0
+            self._told_m2, self._direction = 0.0, np.zeros(6)
+            self._speed_m_s = float(np.linalg.norm(twist[3:]))
+            return motion
+        if motion.degenerate and (ahead := float(np.linalg.norm(motion.weak_direction[3:]))) > 0.5:
+            self._direction = motion.weak_direction / ahead
+        if not self._direction.any():
+            return motion
+        if spread is not None:
+            variance = float(self._direction @ spread @ self._direction)
+        elif self._known_s is None:
+            self._known_s, variance = stamp_s, 0.0
+        else:
+            speed = max(self._speed_m_s, self._greatest_m_s)
+            variance = (speed * (stamp_s - self._known_s)) ** 2 / 3.0
+        self._variance_m2 = max(variance, self._variance_m2)
+        more = math.sqrt(max(self._variance_m2 - self._told_m2, 0.0)) * self._direction
+        return replace(motion, covariance=motion.covariance + np.outer(more, more))

@@ -1,0 +1,69 @@
+"""An IMU judged by itself and beside a 3D lidar."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+from imu_world import T_BASE_IMU, readings, walk
+
+from slam.doctor.camera_samples import SensorStep
+from slam.doctor.finding import Finding
+from slam.doctor.imu import ImuSamples, imu_findings
+from slam.measurements import ImuReading
+
+T_BASE_LIDAR = gtsam.Pose3(gtsam.Rot3.Yaw(0.5), np.array([0.1, 0.0, 0.3]))
+
+
+def steps() -> list[SensorStep]:
+    """What a lidar matches, to a milliradian."""
+    rng, found = np.random.default_rng(3), []
+    for n in range(10, 110):
+        ends = [walk(0.1 * k).compose(T_BASE_LIDAR) for k in (n, n + 1)]
+        off = gtsam.Pose3.Expmap(1e-3 * rng.standard_normal(6))
+        found.append(SensorStep(0.1 * n, 0.1 * n + 0.1, ends[0].between(ends[1]).compose(off)))
+    return found
+
+
+def findings(said: list[ImuReading]) -> dict[str, Finding]:
+    samples = ImuSamples()
+    for reading in said:
+        samples.add(reading)
+    return {one.kind: one for one in imu_findings("imu", samples, steps(), T_BASE_LIDAR)}
+
+
+SAID = list(readings(walk, 12.0))
+
+
+def test_nothing_is_wrong_with_a_sound_one() -> None:
+    assert findings(SAID) == {}
+
+
+@pytest.mark.parametrize("ahead_s", [0.04, -0.2])
+def test_a_clock_is_told_with_its_interval(ahead_s: float) -> None:
+    found = findings([replace(one, stamp_s=one.stamp_s + ahead_s) for one in SAID])
+    assert set(found) == {"clock"}
+    low_s, high_s = found["clock"].interval or (0.0, 0.0)
+    assert low_s <= ahead_s <= high_s and high_s - low_s < 0.02 and found["clock"].sure
+
+
+def test_a_mounting_is_learned() -> None:
+    found = findings([replace(one, T_base_imu=None) for one in SAID])
+    entries = found["mounting"].remedies[0]["imus"]["imu"]["T_base_imu"]
+    roll, pitch, yaw = np.degrees(T_BASE_IMU.rotation().rpy())
+    assert [entries["roll_deg"], entries["pitch_deg"], entries["yaw_deg"]] == pytest.approx(
+        [roll, pitch, yaw], abs=1.0
+    )
+    wrong = findings([replace(one, T_base_imu=gtsam.Pose3(gtsam.Rot3.Yaw(1.5), np.zeros(3))) for one in SAID])
+    assert "otherwise" in wrong["mounting"].text and wrong["mounting"].sure
+
+
+def test_saturation_and_a_scale_that_is_not_gravity() -> None:
+    def clipped(one: ImuReading) -> ImuReading:
+        rate, force = np.clip(one.gyro_rad_s, -0.5, 0.5), 1.2 * one.specific_force_m_s2
+        return replace(one, gyro_rad_s=rate, specific_force_m_s2=force)
+
+    found = findings([clipped(one) for one in SAID])
+    assert "saturates" in found["saturation"].text and "gravity" in found

@@ -1,0 +1,163 @@
+"""An IMU beside a lidar: gravity, velocity, bridges, straightened turns, and when it is left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import gtsam
+import numpy as np
+import pytest
+from imu_world import GYRO_BIAS, T_BASE_IMU, Way, readings, stands, walk
+
+from slam.matching.upright import Gravity, upright_of
+from slam.measurements import FloatArray, ImuReading, PointCloud
+from slam.odometry.imu_gravity import apart_in_time
+from slam.odometry.imu_readings import ImuReadings
+from slam.odometry.imu_tracker import ImuTracker
+
+MATCHED = np.diag([1e-6] * 3 + [4e-6] * 3)
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+def tracked(
+    way: Way,
+    until_s: float,
+    seen: Callable[[float], bool] = lambda time_s: True,
+    *,
+    told: gtsam.Pose3 = T_BASE_IMU,
+    wheels: bool = False,
+) -> ImuTracker:
+    """Ten poses a second as a lidar matches them, where it sees; the odometry begins level at the first."""
+    imu, rng, last = ImuTracker(), np.random.default_rng(1), 0.0
+    T_odom_map = way(0.05).inverse()
+    for reading in readings(way, until_s, told=told):
+        imu.add(reading)
+        time_s = reading.stamp_s - 0.05
+        if time_s < last + 0.1 - 1e-9 or time_s < 0.05:
+            continue
+        noise = gtsam.Pose3.Expmap(rng.multivariate_normal(np.zeros(6), MATCHED))
+        pose = T_odom_map.compose(way(time_s)).compose(noise)
+        step = (way(last).between(way(time_s)), 1e-4 * np.eye(6)) if wheels else None
+        imu.took(time_s, pose, MATCHED if seen(time_s) else None, None if seen(time_s) else step)
+        last = time_s
+    return imu
+
+
+def apart_rad(first: FloatArray, second: FloatArray) -> float:
+    return float(np.arccos(np.clip(first @ second, -1.0, 1.0)))
+
+
+def test_a_walk_tells_gravity_velocity_and_biases() -> None:
+    imu = tracked(walk, 8.0)
+    state, gravity = imu.state, imu.gravity()
+    assert state is not None and gravity is not None
+    down = walk(gravity.stamp_s).rotation().unrotate(DOWN)
+    assert apart_rad(gravity.down, down) < np.radians(0.2)
+    assert apart_rad(gravity.down, down) < 4.0 * gravity.sigma_rad
+    assert np.abs(state.bias.gyroscope() - GYRO_BIAS).max() < 1e-3
+    ends = [walk(state.stamp_s + dt).compose(T_BASE_IMU).translation() for dt in (-1e-3, 1e-3)]
+    velocity = walk(0.05).rotation().unrotate((ends[1] - ends[0]) / 2e-3)
+    assert np.linalg.norm(state.velocity_m_s - velocity) < 0.05
+
+
+def test_who_stands_knows_gravity_only_as_well_as_the_accelerometer() -> None:
+    gravity = tracked(stands, 12.0).gravity()
+    assert gravity is not None
+    # Twenty milligravities, for good: to stand on tells nothing new.
+    assert 0.01 < gravity.sigma_rad < 0.04
+    assert apart_rad(gravity.down, stands(0.0).rotation().unrotate(DOWN)) < 2.0 * gravity.sigma_rad
+
+
+def test_three_seconds_without_a_cloud_are_bridged_and_owned_up_to() -> None:
+    imu = tracked(walk, 9.1, lambda time_s: time_s < 6.0)
+    spread, state = imu.spread(), imu.state
+    assert spread is not None and state is not None
+    true = walk(0.05).between(walk(state.stamp_s))
+    off = gtsam.Pose3.Logmap(true.between(state.pose.compose(T_BASE_IMU.inverse())))
+    way_m = sum(
+        float(np.linalg.norm(walk(6.0 + 0.1 * n).between(walk(6.1 + 0.1 * n)).translation()))
+        for n in range(30)
+    )
+    assert np.linalg.norm(off[3:]) < 0.1 * way_m
+    assert off @ np.linalg.solve(spread, off) / 6.0 < 5.0
+    assert imu.bridged_s == pytest.approx(3.0, abs=0.2)
+    told = imu.told()
+    assert any("without a usable cloud" in note for note in told.notes) and not told.warnings
+
+
+def test_wheels_hold_a_long_bridge() -> None:
+    imu = tracked(walk, 12.0, lambda time_s: time_s < 4.0, wheels=True)
+    state = imu.state
+    assert state is not None
+    true = walk(0.05).between(walk(state.stamp_s)).translation()
+    assert np.linalg.norm(state.pose.compose(T_BASE_IMU.inverse()).translation() - true) < 0.1
+
+
+def test_a_wrong_mounting_is_found_out() -> None:
+    imu = tracked(walk, 8.0, told=gtsam.Pose3(gtsam.Rot3.Roll(1.5), np.zeros(3)))
+    assert imu.unfit and imu.state is None and imu.gravity() is None
+    assert "not used" in imu.told().warnings[0]
+
+
+def test_readings_with_a_gap_begin_anew() -> None:
+    imu, way = ImuTracker(), walk
+    for reading in readings(way, 6.0):
+        if not 3.0 < reading.stamp_s < 4.0:
+            imu.add(reading)
+        if abs(reading.stamp_s * 10.0 - round(reading.stamp_s * 10.0)) < 1e-6 and reading.stamp_s > 0.2:
+            imu.took(reading.stamp_s, way(reading.stamp_s), MATCHED)
+            if reading.stamp_s == pytest.approx(4.1):
+                assert imu.state is None
+    assert imu.state is not None
+
+
+def test_a_turn_is_straightened() -> None:
+    world = np.random.default_rng(2).uniform(-8.0, 8.0, (400, 3))
+    stamp_s, times_s = 4.0, np.linspace(-0.05, 0.05, 400)
+    T_base_lidar = gtsam.Pose3(gtsam.Rot3.Yaw(0.7), np.array([0.1, 0.0, 0.3]))
+    imu = tracked(walk, 4.1)
+    seen = [
+        walk(stamp_s + dt).compose(T_base_lidar).transformTo(point)
+        for dt, point in zip(times_s, world, strict=True)
+    ]
+    # The newest state is at 4.0: a cloud is straightened before it is matched.
+    cloud = PointCloud(stamp_s, np.array(seen, np.float32), times_s, T_base_lidar)
+    imu_before = tracked(walk, 3.96)
+    for reading in readings(walk, 4.1):
+        if reading.stamp_s >= 3.96:
+            imu_before.add(reading)
+    straight = imu_before.straightened(cloud, np.zeros(6))
+    still = np.array([walk(stamp_s).compose(T_base_lidar).transformTo(point) for point in world])
+    assert straight.times_s is None
+    assert np.abs(np.array(seen) - still).max() > 0.1
+    assert np.abs(straight.points_lidar - still).max() < 0.01
+    assert imu.straightened(PointCloud(99.0, cloud.points_lidar, times_s), np.zeros(6)).times_s is not None
+
+
+def test_noise_is_told_by_the_readings_of_a_robot_that_moves() -> None:
+    held = ImuReadings()
+    for reading in readings(walk, 3.0):
+        held.add(reading)
+    parameters = held.parameters()
+    # 2e-3 rad/s and 2e-2 m/s^2 at 200 Hz.
+    assert parameters.getGyroscopeCovariance()[0, 0] ** 0.5 == pytest.approx(2e-3 / 200**0.5, rel=0.2)
+    assert parameters.getAccelerometerCovariance()[0, 0] ** 0.5 == pytest.approx(2e-2 / 200**0.5, rel=0.2)
+
+
+def test_what_shares_an_error_counts_once() -> None:
+    together = {key: Gravity(0.1 * key, DOWN, 1e-3) for key in range(16)}
+    assert apart_in_time(together)[3].sigma_rad == pytest.approx(4e-3)
+    apart = {key: Gravity(1e4 * key, DOWN, 1e-3) for key in range(4)}
+    assert apart_in_time(apart)[3].sigma_rad == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize("down", [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0], [0.6, 0.0, -0.8], [0.0, -1.0, 0.0]])
+def test_upright(down: list[float]) -> None:
+    assert upright_of(np.array(down)).rotate(np.array(down)) == pytest.approx(DOWN, abs=1e-9)
+
+
+def test_a_reading_that_is_not_later_is_left_out() -> None:
+    held = ImuReadings()
+    for stamp_s in (0.0, 0.01, 0.01, 0.005, 0.02):
+        held.add(ImuReading(stamp_s, np.zeros(3), -9.8 * DOWN))
+    assert held.newest_s == 0.02 and held.covers(0.0, 0.02) and not held.covers(0.0, 5.0)
