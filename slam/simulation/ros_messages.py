@@ -22,7 +22,7 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
-_FLOAT32, _UINT16 = 7, 4  # datatypes of a PointField
+_DATATYPES = {"float32": 7, "uint16": 4, "uint32": 6}  # of a PointField
 DEPTH_STEPS_PER_M = 1000.0  # 16UC1 depth is in millimetres, by REP-118
 
 
@@ -62,20 +62,25 @@ def laser_scan(scan: LaserScan, frame_id: str, range_min_m: float, period_s: flo
     )
 
 
-def point_cloud(points_laser: Float32Array, ring: NDArray[np.uint8], stamp_s: float, frame_id: str) -> Any:
-    """A PointCloud2 message of x, y, z and ring, one unordered row."""
-    record = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2")])
-    packed = np.empty(len(points_laser), record)
-    packed["x"], packed["y"], packed["z"] = points_laser.T
-    packed["ring"] = ring
+def point_cloud(
+    points_laser: Float32Array, further: dict[str, NDArray[Any]], stamp_s: float, frame_id: str
+) -> Any:
+    """A PointCloud2 message of x, y, z and further fields (N,) of the points, one unordered row."""
+    columns = {**dict(zip("xyz", points_laser.T.astype(np.float32), strict=True)), **further}
+    kinds = [(name, values.dtype.newbyteorder("<")) for name, values in columns.items()]
+    offsets = np.cumsum([0, *(kind.itemsize for _, kind in kinds)])
+    packed = np.empty(len(points_laser), np.dtype(kinds))
+    for name, values in columns.items():
+        packed[name] = values
     fields = [
-        _new("sensor_msgs/msg/PointField", name=name, offset=offset, datatype=datatype, count=1)
-        for name, offset, datatype in (
-            ("x", 0, _FLOAT32),
-            ("y", 4, _FLOAT32),
-            ("z", 8, _FLOAT32),
-            ("ring", 12, _UINT16),
+        _new(
+            "sensor_msgs/msg/PointField",
+            name=name,
+            offset=int(offset),
+            datatype=_DATATYPES[values.dtype.name],
+            count=1,
         )
+        for (name, values), offset in zip(columns.items(), offsets, strict=False)
     ]
     return _new(
         POINT_CLOUD,
@@ -84,8 +89,8 @@ def point_cloud(points_laser: Float32Array, ring: NDArray[np.uint8], stamp_s: fl
         width=len(packed),
         fields=fields,
         is_bigendian=False,
-        point_step=record.itemsize,
-        row_step=record.itemsize * len(packed),
+        point_step=packed.itemsize,
+        row_step=packed.itemsize * len(packed),
         data=packed.view(np.uint8).reshape(-1),
         is_dense=True,
     )
