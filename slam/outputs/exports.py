@@ -15,6 +15,7 @@ from slam.errors import LibraryError, ScanweaveError
 from slam.mapping.camera_points import camera_cloud
 from slam.mapping.cloud_map import map_cloud
 from slam.mapping.dense_map import DenseMapSettings, fuse_keyframes
+from slam.mapping.elevation import Elevation, elevation
 from slam.mapping.floor_plan import FloorPlan
 from slam.mapping.keyframe_grid import PASSED_BY
 from slam.mapping.layered_map import LayeredMap
@@ -24,6 +25,7 @@ from slam.outputs.floorplan import floor_plan
 from slam.storage.covariances import write_trajectory
 from slam.storage.files import make_folder
 from slam.storage.g2o import write_g2o
+from slam.storage.ground_layers import write_ground_layers
 from slam.storage.map_contents import MapContents
 from slam.storage.map_edits import CLOUD, FRAME, erased_bits
 from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers, write_passed_by
@@ -63,6 +65,15 @@ class Exports:
     def layers(self) -> LayeredMap | None:
         """The map of the floor to drive by; None of a camera in space."""
         return self.contents.layers(self.config)
+
+    @cached_property
+    def ground(self) -> Elevation | None:
+        """The ground under a 3D lidar's clouds; None of other maps, and where it was not seen."""
+        found = self.contents
+        if found.clouds is None or found.ground_m is None:
+            return None
+        poses = [spatial(pose) for pose in found.node_poses]
+        return elevation(found.clouds, poses, found.ground_m, self.config.cloud_map.plan_range_m)
 
     def write(self, format_: str, out: Path) -> tuple[list[Path], list[str]]:
         """Write one format, see `slam.Map.export`; what was written, and what of it could not be had.
@@ -111,6 +122,7 @@ class Exports:
         beside = folder / "layers"
         passed_by = write_passed_by(beside, self.contents.grids.get(PASSED_BY))
         written += write_layers(beside, self.layers) + passed_by
+        written += write_ground_layers(beside, self.ground, folder / MAP_YAML)
         return written + write_zones(folder, self.layers, keep_out, slow)
 
     def write_sessions(self, folder: Path, poses: Sequence[int]) -> list[Path]:
