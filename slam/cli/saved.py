@@ -25,6 +25,11 @@ class Format(StrEnum):
     G2O = "g2o"
     PLY = "ply"
     BT = "bt"
+    LAS = "las"
+    PCD = "pcd"
+    PLY_TILES = "ply-tiles"
+    LAS_TILES = "las-tiles"
+    PCD_TILES = "pcd-tiles"
     SVG = "svg"
     DXF = "dxf"
     GEOJSON = "geojson"
@@ -60,7 +65,11 @@ def export(
     map_: MapArgument,
     format_: Annotated[
         Format,
-        typer.Option("--format", "-f", help="nav2 grid, TUM trajectory, g2o graph, PLY, OctoMap; floor plan"),
+        typer.Option(
+            "--format",
+            "-f",
+            help="nav2 grid, TUM trajectory, g2o graph, PLY, OctoMap, a lidar's cloud; floor plan",
+        ),
     ],
     out: Annotated[
         Path,

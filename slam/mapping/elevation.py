@@ -18,7 +18,7 @@ from scipy.sparse import csgraph
 from slam.mapping.band_scan import LEVEL_SHARE
 from slam.mapping.cloud_map import BATCH
 from slam.matching.local_cloud import moved
-from slam.measurements import BoolArray, FloatArray
+from slam.measurements import AnyFloatArray, BoolArray, FloatArray
 
 _CELL_M = 0.4
 _STEEPEST = 0.5  # of the ground, kerbs included; what rises faster stands on it
@@ -49,6 +49,13 @@ class Elevation:
         at = (points_map[:, 1::-1] - self.origin_xy[::-1]) / self.cell_m - 0.5
         ground = ndimage.map_coordinates(self.height_m, at.T, order=1, mode="nearest")
         return np.asarray(points_map[:, 2] - ground)
+
+    def seen_at(self, points_map: AnyFloatArray) -> BoolArray:
+        """(N,) whether ground was seen under points (N, 3)."""
+        at = np.floor((points_map[:, 1::-1] - self.origin_xy[::-1]) / self.cell_m).astype(np.int64)
+        inside = ((at >= 0) & (at < self.seen.shape)).all(axis=1)
+        at[~inside] = 0
+        return np.asarray(inside & self.seen[at[:, 0], at[:, 1]])
 
     def slope(self) -> FloatArray:
         """(rows, cols) rise of the ground a metre, the steepest way."""
@@ -92,6 +99,7 @@ def elevation(
     low = np.full(at.max(axis=0) + 1, np.nan)
     low[at[:, 0], at[:, 1]] = rows[:, 2]
     feet = np.array([pose.transformFrom(np.array([0.0, 0.0, ground_m])) for pose in poses])
+    feet = feet[np.isfinite(feet).all(axis=1)]
     ground = _hanging_together(low, feet, first * _CELL_M)
     if not ground.any():
         return None

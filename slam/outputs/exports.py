@@ -13,7 +13,6 @@ from slam.config import Config
 from slam.edits.remaking import regions_of
 from slam.errors import LibraryError, ScanweaveError
 from slam.mapping.camera_points import camera_cloud
-from slam.mapping.cloud_map import map_cloud
 from slam.mapping.dense_map import DenseMapSettings, fuse_keyframes
 from slam.mapping.elevation import Elevation, elevation
 from slam.mapping.floor_plan import FloorPlan
@@ -22,10 +21,12 @@ from slam.mapping.layered_map import LayeredMap
 from slam.matching.local_cloud import moved
 from slam.measurements import spatial
 from slam.outputs.floorplan import floor_plan
+from slam.outputs.lidar_cloud import lidar_cloud
 from slam.storage.covariances import write_trajectory
 from slam.storage.files import make_folder
 from slam.storage.g2o import write_g2o
 from slam.storage.ground_layers import write_ground_layers
+from slam.storage.lidar_cloud_files import CLOUD_FORMATS, export_cloud, write_lidar_cloud
 from slam.storage.map_contents import MapContents
 from slam.storage.map_edits import CLOUD, FRAME, erased_bits
 from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers, write_passed_by
@@ -86,6 +87,10 @@ class Exports:
         found = self.contents
         if format_ in _PLANS or format_ == ZONES:
             return self._write_plan(format_, out), []
+        if format_ in CLOUD_FORMATS:
+            if found.clouds is None:
+                raise ScanweaveError(f"the map holds no cloud, so there is nothing to write as {format_}")
+            return export_cloud(format_, out, lidar_cloud(found, self.config, self.ground)), []
         seen = found.frames is not None or found.clouds is not None
         if (format_ == "nav2" and self.layers is None) or (format_ in ("ply", "bt") and not seen):
             lacking = "grid" if format_ == "nav2" else "image or cloud"
@@ -163,9 +168,7 @@ class Exports:
             written, missing = _save_surface(out, found, self.config)
             path = out.with_name("lidar.ply" if out.name == "mesh.ply" else f"{out.stem}-lidar.ply")
         if found.clouds is not None:
-            poses = [spatial(pose) for pose in found.node_poses]
-            write_cloud_ply(path, map_cloud(found.clouds, poses, self.config.grid.resolution_m))
-            written.append(path)
+            written += write_lidar_cloud(path, lidar_cloud(found, self.config, self.ground))
         return written, missing
 
 
