@@ -13,12 +13,15 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
-from fusion.estimation import CONFIDENCE
+from fusion.estimation import FEWEST
 from slam.mapping.cloud_map import BATCH
 from slam.mapping.elevation import Elevation
 from slam.matching.local_cloud import moved
 from slam.measurements import BoolArray, FloatArray
+
+IntArray = NDArray[np.int64]
 
 _PIXEL_RAD = math.radians(1.0)  # of the picture in which a cloud tells how far it sees
 
@@ -35,7 +38,7 @@ class PassedBy:
         Their side.
     """
 
-    keys: NDArray[np.int64]
+    keys: IntArray
     voxel_m: float
 
     def parts(
@@ -56,9 +59,10 @@ def passed_by(
     """Find them; asked is only what stands on the ground.
 
     A keyframe hits a voxel that holds a point of it, or where the beam through its middle ends; it passes one
-    where that beam ends behind. A voxel has gone where it was passed before its first hit and after its last
-    one more often than its own share of hits between them allows (Laplace's rule of succession), in the mean
-    with the voxels that it touches.
+    where that beam and all beside it end behind, for along a wall they end before and behind. A voxel has
+    gone where it was passed before its first hit and after its last one more often than its own share of hits
+    between them allows (Laplace's rule of succession) once in `FEWEST` times, in the mean with the voxels
+    that it touches.
 
     Parameters
     ----------
@@ -70,7 +74,7 @@ def passed_by(
         Voxels farther from a lidar are not asked.
     """
     voxel_m = 0.5 * ground.cell_m
-    known, waiting = np.zeros(0, np.int64), list[NDArray[np.int64]]()
+    known, waiting = np.zeros(0, np.int64), list[IntArray]()
     for points, pose in zip(clouds, poses, strict=True):
         waiting.append(_keys(moved(points, pose), voxel_m))
         if len(waiting) == BATCH:
@@ -90,10 +94,10 @@ def passed_by(
         before[near] += passed & (hits[near] == 0)
         since[near] = np.where(met, 0, since[near] + (passed & (hits[near] > 0)))
     chances = np.log1p(-(hits + 1.0) / (hits + between + 2.0)) * (since + before)
-    return PassedBy(known[_mean_around(known, chances) < math.log(1.0 - CONFIDENCE)], voxel_m)
+    return PassedBy(known[_mean_around(known, chances) < -math.log(FEWEST)], voxel_m)
 
 
-def _near(known: NDArray[np.int64], place: FloatArray, reach_m: float, voxel_m: float) -> NDArray[np.int64]:
+def _near(known: IntArray, place: FloatArray, reach_m: float, voxel_m: float) -> IntArray:
     """(M,) numbers of the voxels around a place; they are sorted along x first."""
     ends = place + reach_m * np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     first, last = np.searchsorted(known, _keys(ends, voxel_m))
@@ -105,24 +109,29 @@ def _looked(
     points_lidar: FloatArray, middles_lidar: FloatArray, voxel_m: float
 ) -> tuple[BoolArray, BoolArray]:
     """Which voxels a cloud's picture hits, and which it passes, (V,) each."""
-    pixels, range_m = _pixels(points_lidar)
-    picture = np.full(round(2.0 * (math.pi / _PIXEL_RAD + 1.0) ** 2), np.inf)
-    np.minimum.at(picture, pixels, range_m)
-    pixels, away_m = _pixels(middles_lidar)
-    ends, half_m = picture[pixels], 0.5 * math.sqrt(3) * voxel_m
-    return np.abs(ends - away_m) <= half_m, np.isfinite(ends) & (ends > away_m + half_m)
+    rows_cols, range_m = _pixels(points_lidar)
+    half_turn = round(math.pi / _PIXEL_RAD)
+    picture = np.full((half_turn + 1, 2 * half_turn + 1), np.inf)
+    np.minimum.at(picture, rows_cols, range_m)
+    rows_cols, away_m = _pixels(middles_lidar)
+    ends, half_m = picture[rows_cols], 0.5 * math.sqrt(3) * voxel_m
+    nearest = ndimage.minimum_filter(picture, 3, mode="nearest")[rows_cols]
+    # Between rings far apart nobody knows what the beams beside would have met.
+    known = ndimage.maximum_filter(np.isfinite(picture), (1, 3), mode="nearest")
+    known[1:-1] = known[:-2] & known[2:]
+    told = np.isfinite(ends) & known[rows_cols]
+    return np.abs(ends - away_m) <= half_m, told & (nearest > away_m + half_m)
 
 
-def _pixels(points: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
-    """Pixel and range of points (N, 3)."""
+def _pixels(points: FloatArray) -> tuple[tuple[IntArray, IntArray], FloatArray]:
+    """Rows and columns, and ranges, of points (N, 3)."""
     level = np.hypot(points[:, 0], points[:, 1])
     row = np.rint((np.arctan2(points[:, 2], level) + 0.5 * math.pi) / _PIXEL_RAD)
     col = np.rint((np.arctan2(points[:, 1], points[:, 0]) + math.pi) / _PIXEL_RAD)
-    cols = round(2.0 * math.pi / _PIXEL_RAD) + 1
-    return (row * cols + col).astype(np.int64), np.hypot(level, points[:, 2])
+    return (row.astype(np.int64), col.astype(np.int64)), np.hypot(level, points[:, 2])
 
 
-def _mean_around(known: NDArray[np.int64], values: FloatArray) -> FloatArray:
+def _mean_around(known: IntArray, values: FloatArray) -> FloatArray:
     """(V,) means of the values of voxels and of those that they touch."""
     total, count = values.copy(), np.ones(len(known))
     around = _keys(np.array(list(itertools.product((-1, 0, 1), repeat=3))), 1.0)
@@ -135,13 +144,13 @@ def _mean_around(known: NDArray[np.int64], values: FloatArray) -> FloatArray:
     return total / count
 
 
-def _keys(points: FloatArray, voxel_m: float) -> NDArray[np.int64]:
+def _keys(points: FloatArray, voxel_m: float) -> IntArray:
     """(N,) one number for the voxel of each point (N, 3): 21 bits an axis."""
     x, y, z = (np.floor(points / voxel_m).astype(np.int64) + (1 << 20)).T
     return np.asarray(x << 42 | y << 21 | z)
 
 
-def _middles(keys: NDArray[np.int64], voxel_m: float) -> FloatArray:
+def _middles(keys: IntArray, voxel_m: float) -> FloatArray:
     """(N, 3) middles of voxels."""
     cells = (np.column_stack([keys >> 42, keys >> 21, keys]) & (1 << 21) - 1) - (1 << 20)
     return np.asarray((cells + 0.5) * voxel_m)
