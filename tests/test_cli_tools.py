@@ -150,6 +150,8 @@ def test_simulate_then_map_recovers_the_drive(scanweave: Scanweave, tmp_path: Pa
         (("--faults", "x"), "no fault preset 'x'"),
         (("--campus", "--faults", "harsh"), "no fault preset 'harsh'; there are none, usual"),
         (("--campus", "--office"), "leave out --rig, --office"),
+        (("--street", "--rig", "xu2024x"), "there are car64, car16"),
+        (("--tunnel",), "add it"),
     ],
 )
 def test_simulate_tells_what_there_is(

@@ -43,17 +43,30 @@ def simulate(
     campus: Annotated[
         bool, typer.Option("--campus", help="two kilometres of corridors, a SICK lidar, bad wheels; no --rig")
     ] = False,
+    street: Annotated[
+        bool,
+        typer.Option("--street", help="a car with a 3D lidar in a town; --rig car64 or car16, no wheels"),
+    ] = False,
+    tunnel: Annotated[
+        bool, typer.Option("--tunnel", help="with --street: one road, 200 m of it in a smooth tunnel")
+    ] = False,
+    undistorted: Annotated[
+        bool, typer.Option("--undistorted", help="with --street: the folder's clouds as if taken at once")
+    ] = False,
     duration: Annotated[
-        float | None, typer.Option(min=1.0, help="seconds; one tour, or the campus' whole way, if not given")
+        float | None,
+        typer.Option(
+            min=1.0, help="seconds; one tour, the campus' whole way, or 34 of a street, if not given"
+        ),
     ] = None,
     faults: Annotated[
-        str, typer.Option(help="none, usual or, in a home, harsh: clocks, losses, people")
+        str, typer.Option(help="none, usual or, but for a campus, harsh: clocks, losses, people, traffic")
     ] = "usual",
     formats: Annotated[
         list[str] | None, typer.Option("--format", help="folder (CARMEN + TUM) or mcap; both if not given")
     ] = None,
 ) -> None:
-    """Drive a simulated robot through a home or a campus and record its sensors with the truth."""
+    """Drive a simulated robot through a home, a campus or a town and record its sensors with the truth."""
     from slam.errors import ConfigError
     from slam.simulation.campus import record_campus
     from slam.simulation.campus_wheels import CAMPUS_FAULTS
@@ -61,7 +74,34 @@ def simulate(
     from slam.simulation.home import generate_home
     from slam.simulation.record import FORMATS
     from slam.simulation.rigs import RIGS
+    from slam.simulation.street import STREET_FAULTS, STREET_RIGS, record_street
 
+    if (tunnel or undistorted) and not street:
+        raise ConfigError("--tunnel and --undistorted are of --street; add it")
+    if street:
+        if campus or office or moved:
+            raise ConfigError("--street has no furniture; leave out --campus, --office and --moved")
+        rig = "car64" if rig == _RIG else rig
+        if rig not in STREET_RIGS or faults not in STREET_FAULTS:
+            raise ConfigError(
+                f"no rig '{rig}' or no fault preset '{faults}'; there are {', '.join(STREET_RIGS)}, and "
+                f"{', '.join(STREET_FAULTS)}"
+            )
+        with _seconds_shown() as on_progress:
+            seen = record_street(
+                home,
+                seed,
+                out,
+                STREET_RIGS[rig],
+                STREET_FAULTS[faults],
+                duration,
+                on_progress,
+                tunnel=tunnel,
+                undistorted=undistorted,
+                formats=tuple(formats) if formats else FORMATS,
+            )
+        say(f"{seen.text}\nwrote {out}")
+        return
     if rig not in RIGS:
         raise ConfigError(f"no rig '{rig}'; there are {', '.join(sorted(RIGS))}")
     if campus and (office or formats or moved or rig != _RIG):

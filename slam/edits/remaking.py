@@ -23,7 +23,7 @@ from slam.mapper.lidar3d import band_scans
 from slam.mapper.map_result import drawn
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.mapping.polygons import cells_inside
-from slam.measurements import BoolArray, FloatArray, Pose
+from slam.measurements import BoolArray, FloatArray, Pose, spatial
 from slam.storage.map_contents import MapContents, SavedFactor
 from slam.storage.map_edits import CLOUD, FRAME, MEASURED, REPAIRED, AppliedEdits, Region, erased_bits
 from slam.storage.map_sessions import MapSession
@@ -216,7 +216,9 @@ def _seen(
                 "layers.robot_height_m, layers.climb_m and cloud_map take the log where the fusion has "
                 "repaired scans; 'fusion.enabled=false' beside them makes the map without it"
             )
-        measured = mended = band_scans(clouds, base.ground_m, config)
+        measured = mended = band_scans(
+            clouds, [spatial(pose) for pose in base.node_poses], base.ground_m, config
+        )
     else:
         same = mended is measured
         left = scans_without(mended, erased_bits(entries, REPAIRED))

@@ -27,9 +27,20 @@ from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.protocol import Tracked
 from slam.mapping.band_scan import band_scan, ground_of
+from slam.mapping.elevation import elevation
 from slam.matching.cloud_points import at_middle_of_turn, thinned
+from slam.matching.local_cloud import moved
 from slam.matching.upright import Gravity
-from slam.measurements import BoolArray, ImuReading, LaserScan, PointCloud, Pose, WheelOdometry
+from slam.measurements import (
+    BoolArray,
+    FloatArray,
+    ImuReading,
+    LaserScan,
+    PointCloud,
+    Pose,
+    WheelOdometry,
+    spatial,
+)
 from slam.odometry.clock_learner import Turns
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
 from slam.odometry.imu_gravity import apart_in_time
@@ -212,7 +223,8 @@ class CloudLidar:
         source = "the mounting" if ground.by_mounting else "sight"
         result.notes.append(f"ground: {ground.height_m:+.2f} m in the base frame, by {source}")
         try:
-            measured = band_scans(self._clouds, ground.height_m, self._config)
+            poses = [spatial(pose) for pose in result.map.node_poses]
+            measured = band_scans(self._clouds, poses, ground.height_m, self._config)
             in_band = layers.climb_m < lidar_m - ground.height_m < layers.robot_height_m
             scans, result.fused = self._cameras.repaired(measured, in_band=in_band)
         except ScanweaveError as error:
@@ -225,13 +237,17 @@ class CloudLidar:
         result.draw(self._config)
 
 
-def band_scans(clouds: MapClouds, ground_m: float, config: Config) -> list[LaserScan | None]:
-    """The flat scan of each keyframe: what of its cloud stands in the robot's way.
+def band_scans(
+    clouds: MapClouds, poses: Sequence[gtsam.Pose3], ground_m: float, config: Config
+) -> list[LaserScan | None]:
+    """The flat scan of each keyframe: what stands in the robot's way, and the ground that is free.
 
     Parameters
     ----------
+    poses
+        ``T_map_base`` of each keyframe.
     ground_m
-        Height of the ground in the base frame.
+        Height of the ground in the base frame, where the robot stands.
 
     Raises
     ------
@@ -242,7 +258,29 @@ def band_scans(clouds: MapClouds, ground_m: float, config: Config) -> list[Laser
     if layers.climb_m >= layers.robot_height_m:
         raise DatasetError("layers.climb_m leaves no height to layers.robot_height_m; make it lower")
     band = HeightBand(0.0, layers.robot_height_m, layers.climb_m)
-    return [
-        band_scan(points, clouds.stamp_s(key), T_base_lidar, band, ground_m, config.cloud_map)
-        for key, points in enumerate(clouds)
-    ]
+    ground = elevation(clouds, poses, ground_m, config.cloud_map.plan_range_m)
+    scans = list[LaserScan | None]()
+    for key, (points, T_map_base) in enumerate(zip(clouds, poses, strict=True)):
+        T_level_base = level(T_map_base)
+        upright, lidar = moved(points, T_level_base), T_level_base.compose(T_base_lidar)
+        below_m: float | FloatArray = ground_m
+        if ground is not None:
+            below_m = upright[:, 2] - ground.above_m(moved(points, T_map_base))
+        scans.append(
+            band_scan(
+                upright,
+                clouds.stamp_s(key),
+                lidar,
+                band,
+                below_m,
+                config.cloud_map,
+                clears=ground is not None,
+            )
+        )
+    return scans
+
+
+def level(T_map_base: gtsam.Pose3) -> gtsam.Pose3:
+    """``T_level_base``: the base as it leans, in a frame at its place that looks along its yaw."""
+    turn = gtsam.Rot3.Yaw(T_map_base.rotation().yaw())
+    return gtsam.Pose3(turn.inverse().compose(T_map_base.rotation()), np.zeros(3))

@@ -30,8 +30,10 @@ def band_scan(
     stamp_s: float,
     T_base_lidar: gtsam.Pose3,
     band: HeightBand,
-    ground_m: float,
+    ground_m: float | FloatArray,
     config: CloudMapConfig,
+    *,
+    clears: bool = False,
 ) -> LaserScan:
     """What a flat lidar would see that stops at every obstacle.
 
@@ -42,23 +44,30 @@ def band_scan(
     T_base_lidar
         Where the rays come from.
     ground_m
-        Height of the ground in the base frame.
+        Height of the ground in the base frame; one for all points or (N,).
+    clears
+        Whether ground that is seen is known to be free.
 
     Returns
     -------
-    A bearing without obstacle is no reading: a 3D lidar does not tell how far it is free.
+    A bearing without obstacle is no reading, for nobody knows how far it is free; or where ground clears what
+    it covers, minus the distance of the farthest: free so far, and nothing stands there.
     """
     origin = T_base_lidar.translation()
-    offset = points - np.array([origin[0], origin[1], ground_m])
-    distance = np.hypot(offset[:, 0], offset[:, 1])
+    away = points[:, :2] - origin[:2]
+    distance = np.hypot(away[:, 0], away[:, 1])
     # By so many sigmas heights are noisy at most, or thousands of floor points would stand in the way.
     margin_m = math.sqrt(gate()) * config.ground_share * (2.0 + distance)
-    stops = band.holds(offset[:, 2], margin_m) & (distance < config.plan_range_m)
-    distance, offset = distance[stops], offset[stops]
+    near, over_m = distance < config.plan_range_m, points[:, 2] - ground_m
+    stops = band.holds(over_m, margin_m) & near
     step_rad = 2.0 * math.pi / config.bearings
-    bearing = np.floor((np.arctan2(offset[:, 1], offset[:, 0]) + math.pi) / step_rad).astype(np.int64)
+    bearing = np.floor((np.arctan2(away[:, 1], away[:, 0]) + math.pi) / step_rad).astype(np.int64)
     bearing = np.minimum(bearing, config.bearings - 1)
     ranges = np.full(config.bearings, np.nan, dtype=np.float32)
+    if clears:
+        ground = near & (np.abs(over_m) <= band.low_m + margin_m)
+        np.fmin.at(ranges, bearing[ground], -distance[ground].astype(np.float32))
+    bearing, distance = bearing[stops], distance[stops]
     order = np.lexsort((distance, bearing))
     bearing, distance = bearing[order], distance[order]
     if len(bearing):

@@ -13,14 +13,15 @@ import numpy as np
 from slam.config import Config
 from slam.edits.remaking import regions_of
 from slam.errors import ScanweaveError
-from slam.mapping.cloud_map import map_cloud
 from slam.mapping.dense_map import Colors
+from slam.mapping.elevation import Elevation, elevation
 from slam.mapping.floor_plan import FloorPlan
 from slam.mapping.keyframe_grid import PASSED_BY
 from slam.mapping.layered_map import LayeredMap
 from slam.matching.local_cloud import moved
 from slam.measurements import AnyFloatArray, spatial
 from slam.outputs.floorplan import floor_plan
+from slam.outputs.lidar_cloud import lidar_cloud
 from slam.outputs.surface import Surface, surface_of
 from slam.storage.colmap import write_colmap
 from slam.storage.covariances import write_trajectory
@@ -28,7 +29,9 @@ from slam.storage.e57 import write_e57
 from slam.storage.files import make_folder
 from slam.storage.g2o import write_g2o
 from slam.storage.glb import write_mesh_glb
+from slam.storage.ground_layers import write_ground_layers
 from slam.storage.kitti_poses import write_kitti
+from slam.storage.lidar_cloud_files import CLOUD_FORMATS, export_cloud, write_lidar_cloud
 from slam.storage.map_contents import MapContents
 from slam.storage.map_edits import CLOUD, FRAME, erased_bits
 from slam.storage.mcap_results import Plan, write_results_bag
@@ -75,6 +78,15 @@ class Exports:
         """The map of the floor to drive by; None of a camera in space."""
         return self.contents.layers(self.config)
 
+    @cached_property
+    def ground(self) -> Elevation | None:
+        """The ground under a 3D lidar's clouds; None of other maps, and where it was not seen."""
+        found = self.contents
+        if found.clouds is None or found.ground_m is None:
+            return None
+        poses = [spatial(pose) for pose in found.node_poses]
+        return elevation(found.clouds, poses, found.ground_m, self.config.cloud_map.plan_range_m)
+
     def write(self, format_: str, out: Path) -> tuple[list[Path], list[str]]:
         """Write one format, see `slam.Map.export`; what was written, and what of it could not be had.
 
@@ -92,6 +104,10 @@ class Exports:
             return self._write_sensors(out), []
         if format_ == "mcap":
             return [self._write_bag(out)], []
+        if format_ in CLOUD_FORMATS:
+            if found.clouds is None:
+                raise ScanweaveError(f"the map holds no cloud, so there is nothing to write as {format_}")
+            return export_cloud(format_, out, lidar_cloud(found, self.config, self.ground)), []
         seen = found.frames is not None or found.clouds is not None
         if (format_ == "nav2" and self.layers is None) or (format_ in ("ply", "bt", "e57") and not seen):
             lacking = "grid" if format_ == "nav2" else "image or cloud"
@@ -135,6 +151,7 @@ class Exports:
         beside = folder / "layers"
         passed_by = write_passed_by(beside, self.contents.grids.get(PASSED_BY))
         written += write_layers(beside, self.layers) + passed_by
+        written += write_ground_layers(beside, self.ground, folder / MAP_YAML)
         return written + write_zones(folder, self.layers, keep_out, slow)
 
     def write_sessions(self, folder: Path, poses: Sequence[int]) -> list[Path]:
@@ -261,9 +278,7 @@ class Exports:
             written, missing = _save_surface(out, self._surface)
             path = out.with_name("lidar.ply" if out.name == "mesh.ply" else f"{out.stem}-lidar.ply")
         if found.clouds is not None:
-            poses = [spatial(pose) for pose in found.node_poses]
-            write_cloud_ply(path, map_cloud(found.clouds, poses, self.config.grid.resolution_m))
-            written.append(path)
+            written += write_lidar_cloud(path, lidar_cloud(found, self.config, self.ground))
         return written, missing
 
 

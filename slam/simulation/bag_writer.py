@@ -7,6 +7,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import gtsam
+import numpy as np
 
 from slam.simulation import ros_messages as ros
 from slam.simulation.drive import Drive
@@ -82,7 +83,8 @@ class BagWriter:
         if isinstance(event, ScanEvent):
             self._scan(event)
         elif isinstance(event, CloudEvent):
-            message = ros.point_cloud(event.points_laser, event.ring, event.stamp_s, LASER_3D_FRAME)
+            ring = {"ring": event.ring.astype(np.uint16)}
+            message = ros.point_cloud(event.points_laser, ring, event.stamp_s, LASER_3D_FRAME)
             self._send("/points", event.true_stamp_s, message)
         elif isinstance(event, ImageEvent):
             self._image(event)

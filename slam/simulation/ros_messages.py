@@ -43,12 +43,15 @@ def laser_scan(scan: LaserScan, frame_id: str, range_min_m: float, period_s: flo
     )
 
 
-def point_cloud(points_laser: Float32Array, ring: NDArray[np.uint8], stamp_s: float, frame_id: str) -> Any:
-    """A PointCloud2 message of x, y, z and ring, one unordered row."""
-    record = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("ring", "<u2")])
-    packed = np.empty(len(points_laser), record)
-    packed["x"], packed["y"], packed["z"] = points_laser.T
-    packed["ring"] = ring
+def point_cloud(
+    points_laser: Float32Array, further: dict[str, NDArray[Any]], stamp_s: float, frame_id: str
+) -> Any:
+    """A PointCloud2 message of x, y, z and further fields (N,) of the points, one unordered row."""
+    columns = {**dict(zip("xyz", points_laser.T.astype(np.float32), strict=True)), **further}
+    kinds = [(name, values.dtype.newbyteorder("<")) for name, values in columns.items()]
+    packed = np.empty(len(points_laser), np.dtype(kinds))
+    for name, values in columns.items():
+        packed[name] = values
     return cloud_message(packed, stamp_s, frame_id)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -95,12 +95,14 @@ def remove_maps(folder: Path, names: Iterable[str]) -> None:
         raise MapFileError(f"cannot write {folder}: {error.strerror or error}") from error
 
 
-def write_raw(stem: Path, percent: StateArray, trinary_yaml: Path, what: str) -> Path:
-    """Write a raw map with the resolution and origin of a trinary one; -1 becomes 255."""
+def write_raw(
+    stem: Path, percent: StateArray, trinary_yaml: Path, what: str, place: Sequence[str] = ()
+) -> Path:
+    """Write a raw map with the resolution and origin of a trinary one, or those given; -1 becomes 255."""
     image_path, yaml_path = stem.with_name(f"{stem.name}.pgm"), stem.with_name(f"{stem.name}.yaml")
     write_pgm(image_path, percent[::-1].view(np.uint8))
     lines = trinary_yaml.read_text(encoding="utf-8").splitlines()
-    reported = {"image": image_path.name, "mode": "raw"}
+    reported = {"image": image_path.name, "mode": "raw", **dict(line.split(": ", 1) for line in place)}
     write_lines(yaml_path, [f"# {what}", *(_replaced(line, reported) for line in lines[1:])])
     return yaml_path
 

@@ -1,4 +1,4 @@
-"""Grey images in the PGM format, eight bits: nav2's own, read and written without an image library."""
+"""Grey images in the PGM format: nav2's own of eight bits and of sixteen, without an image library."""
 
 from __future__ import annotations
 
@@ -20,11 +20,13 @@ _GAP = rb"(?:\s|#[^\r\n]*[\r\n])+"
 _HEADER = re.compile(rb"(P[25])" + _GAP + rb"(\d+)" + _GAP + rb"(\d+)" + _GAP + rb"(\d+)\s")
 
 
-def write_pgm(path: Path, image: GreyImage, pixel_of: GreyImage | None = None) -> None:
+def write_pgm(path: Path, image: GreyImage | NDArray[np.uint16], pixel_of: GreyImage | None = None) -> None:
     """Write a (rows, cols) image, row 0 on top, as binary PGM (P5), whole or not at all.
 
     Parameters
     ----------
+    image
+        Of two bytes a pixel if it is uint16, else of one.
     pixel_of
         (256,) what is written for each value; None for the value itself.
 
@@ -35,10 +37,11 @@ def write_pgm(path: Path, image: GreyImage, pixel_of: GreyImage | None = None) -
     """
     rows, cols = image.shape
     with replacing(path) as temporary, temporary.open("wb") as file:
-        file.write(b"P5\n%d %d\n255\n" % (cols, rows))
+        kind = np.dtype(">u2" if image.dtype == np.uint16 else np.uint8)
+        file.write(b"P5\n%d %d\n%d\n" % (cols, rows, np.iinfo(kind).max))
         # A large map is not held a second time.
         for first in range(0, rows, _ROWS_AT_ONCE):
-            part = image[first : first + _ROWS_AT_ONCE].astype(np.uint8, copy=False)
+            part = image[first : first + _ROWS_AT_ONCE].astype(kind, copy=False)
             file.write((part if pixel_of is None else pixel_of[part]).tobytes())
 
 

@@ -46,6 +46,16 @@ def test_what_stops_the_robot(points: FloatArray, range_m: float) -> None:
     assert ahead(points) == pytest.approx(range_m, abs=0.01, nan_ok=True)
 
 
+def test_ground_clears_what_it_covers_up_to_an_obstacle() -> None:
+    floor = np.column_stack([np.linspace(1.0, 6.0, 200), np.full(200, 0.005), np.zeros(200)])
+    for points, range_m in ((floor, -6.0), (np.vstack([floor, bar(4.0, 0.1, 0.5)]), 4.0)):
+        scan = band_scan(points, 1.0, gtsam.Pose3(), BAND, np.zeros(len(points)), CONFIG, clears=True)
+        assert np.nanmin(scan.ranges_m[np.abs(scan.bearings_rad()) < 0.006]) == pytest.approx(
+            range_m, abs=0.01
+        )
+        assert np.isnan(scan.ranges_m[0])
+
+
 def test_heights_are_above_the_ground() -> None:
     assert np.isnan(ahead(bar(2.0, 0.1, 0.5), ground_m=-1.0))
     assert ahead(bar(2.0, -0.9, -0.5), ground_m=-1.0) == pytest.approx(2.0, abs=0.01)

@@ -1,0 +1,149 @@
+"""The ground under a 3D lidar's map: its height everywhere, by what hangs together with where the robot was.
+
+So the height band (Yang2021 Eq. (16)-(18)) is cut upright on ramps, behind kerbs and for a lidar that is
+carried, where one level for all would not do. One height a place: of storeys above each other the plan shows
+a mixture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from scipy import ndimage, sparse
+from scipy.sparse import csgraph
+
+from slam.mapping.band_scan import LEVEL_SHARE
+from slam.mapping.cloud_map import BATCH
+from slam.matching.local_cloud import moved
+from slam.measurements import AnyFloatArray, BoolArray, FloatArray
+
+_CELL_M = 0.4
+_STEEPEST = 0.5  # of the ground, kerbs included; what rises faster stands on it
+_BESIDE_CELLS = 5.0  # ground is looked for so near to where the robot stood
+
+
+@dataclass(frozen=True, slots=True)
+class Elevation:
+    """Heights of the ground.
+
+    Attributes
+    ----------
+    height_m
+        (rows, cols) in the map; where none was seen, that of the nearest.
+    seen
+        (rows, cols) where it was.
+    cell_m, origin_xy
+        Side of a cell, and the lower left corner of cell (0, 0) in the map.
+    """
+
+    height_m: FloatArray
+    seen: BoolArray
+    cell_m: float
+    origin_xy: FloatArray
+
+    def above_m(self, points_map: FloatArray) -> FloatArray:
+        """(N,) heights of points (N, 3) over the ground."""
+        at = (points_map[:, 1::-1] - self.origin_xy[::-1]) / self.cell_m - 0.5
+        ground = ndimage.map_coordinates(self.height_m, at.T, order=1, mode="nearest")
+        return np.asarray(points_map[:, 2] - ground)
+
+    def seen_at(self, points_map: AnyFloatArray) -> BoolArray:
+        """(N,) whether ground was seen under points (N, 3)."""
+        at = np.floor((points_map[:, 1::-1] - self.origin_xy[::-1]) / self.cell_m).astype(np.int64)
+        inside = ((at >= 0) & (at < self.seen.shape)).all(axis=1)
+        at[~inside] = 0
+        return np.asarray(inside & self.seen[at[:, 0], at[:, 1]])
+
+    def slope(self) -> FloatArray:
+        """(rows, cols) rise of the ground a metre, the steepest way."""
+        if min(self.height_m.shape) < 2:
+            return np.zeros_like(self.height_m)
+        rise: FloatArray = np.hypot(*np.gradient(self.height_m, self.cell_m))
+        return rise
+
+
+def elevation(
+    clouds: Iterable[FloatArray], poses: Sequence[gtsam.Pose3], ground_m: float, reach_m: float
+) -> Elevation | None:
+    """The ground of a map.
+
+    Parameters
+    ----------
+    clouds
+        (N, 3) points of each keyframe, base frame.
+    poses
+        ``T_map_base`` of each.
+    ground_m
+        Height of the ground in the base frame, where the robot stands.
+    reach_m
+        Points farther from the robot are too few to tell.
+
+    Returns
+    -------
+    None where no ground hangs together with the robot's way.
+    """
+    batches, waiting = list[FloatArray](), list[FloatArray]()
+    for points, pose in zip(clouds, poses, strict=True):
+        waiting.append(_lows(moved(points, pose), pose.translation(), reach_m))
+        if len(waiting) == BATCH:
+            batches.append(_quantiles(np.vstack(waiting), 0.5))
+            waiting = []
+    rows = _quantiles(np.vstack([*batches, *waiting]), 0.5) if batches or waiting else np.zeros((0, 3))
+    if not len(rows):
+        return None
+    first = rows[:, :2].min(axis=0)
+    at = (rows[:, :2] - first).astype(np.int64)
+    low = np.full(at.max(axis=0) + 1, np.nan)
+    low[at[:, 0], at[:, 1]] = rows[:, 2]
+    feet = np.array([pose.transformFrom(np.array([0.0, 0.0, ground_m])) for pose in poses])
+    feet = feet[np.isfinite(feet).all(axis=1)]
+    ground = _hanging_together(low, feet, first * _CELL_M)
+    if not ground.any():
+        return None
+    nearest = ndimage.distance_transform_edt(~ground, return_distances=False, return_indices=True)
+    return Elevation(low[tuple(nearest)], ground, _CELL_M, first[::-1] * _CELL_M)
+
+
+def _lows(points_map: FloatArray, position: FloatArray, reach_m: float) -> FloatArray:
+    """(C, 3) row, column and height of the cells that one cloud tells of."""
+    near = np.hypot(*(points_map - position)[:, :2].T) < reach_m
+    cells = np.floor(points_map[near, 1::-1] / _CELL_M)
+    return _quantiles(np.column_stack([cells, points_map[near, 2]]), LEVEL_SHARE)
+
+
+def _quantiles(rows: FloatArray, share: float) -> FloatArray:
+    """(C, 3) of rows (N, 3) of row, column and height: one a cell, of its heights that above a share."""
+    rows = rows[np.lexsort(rows.T[::-1])]
+    new = np.ones(len(rows), dtype=np.bool_)
+    new[1:] = (rows[1:, :2] != rows[:-1, :2]).any(axis=1)
+    (starts,) = np.nonzero(new)
+    counts = np.diff(np.append(starts, len(rows)))
+    return rows[starts + (share * counts).astype(np.int64)]
+
+
+def _hanging_together(low: FloatArray, feet: FloatArray, origin_yx: FloatArray) -> BoolArray:
+    """(rows, cols) cells that one may reach from where the robot stood without too high a step."""
+    from scipy.spatial import cKDTree
+
+    known, step_m = np.isfinite(low), _STEEPEST * _CELL_M
+    number = np.where(known, np.cumsum(known.ravel()).reshape(low.shape) - 1, -1)
+    pairs = []
+    for here, there in (
+        ((slice(None, -1), slice(None)), (slice(1, None), slice(None))),
+        ((slice(None), slice(None, -1)), (slice(None), slice(1, None))),
+    ):
+        with np.errstate(invalid="ignore"):
+            flat = np.abs(low[here] - low[there]) <= step_m
+        pairs.append(np.column_stack([number[here][flat], number[there][flat]]))
+    ends, count = np.vstack(pairs), int(known.sum())
+    graph = sparse.csr_array((np.ones(len(ends), np.int32), (ends[:, 0], ends[:, 1])), shape=(count, count))
+    _, parts = csgraph.connected_components(graph, directed=False)
+    at = np.argwhere(known)
+    away, foot = cKDTree((feet[:, 1::-1] - origin_yx) / _CELL_M - 0.5).query(at)
+    stands = (away <= _BESIDE_CELLS) & (np.abs(low[known] - feet[foot, 2]) <= step_m)
+    ground = np.zeros(low.shape, dtype=np.bool_)
+    ground[known] = np.isin(parts, parts[stands])
+    return ground

@@ -1,0 +1,230 @@
+"""A car's drive through streets on disk: a KITTI odometry folder, a bag of clouds with times, the truth."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.measurements import FloatArray, Trajectory
+from slam.simulation import ros_messages as ros
+from slam.simulation.bag_writer import BAG_FILES, BASE_FRAME, LASER_3D_FRAME
+from slam.simulation.drive import FIRST_STAMP_S
+from slam.simulation.record import FORMATS, Progress, appearing_whole
+from slam.simulation.rigs import MountedRingLidar, laser_pose
+from slam.simulation.sensor_clock import generator
+from slam.simulation.sensor_models import HDL_64E, VLP_16
+from slam.simulation.street_drive import drive_street
+from slam.simulation.street_lidar import StreetLidar, StreetTurn
+from slam.simulation.street_mesh import Label
+from slam.simulation.street_plan import generate_town
+from slam.simulation.street_traffic import Traffic
+from slam.storage import ros_messages as messages
+from slam.storage.files import write_lines
+from slam.storage.tum import write_tum
+
+if TYPE_CHECKING:
+    from rosbags.interfaces import Connection
+
+STREET_RIGS = {
+    "car64": MountedRingLidar(HDL_64E, laser_pose(0.0, 0.0, 1.73)),
+    "car16": MountedRingLidar(VLP_16, laser_pose(0.0, 0.0, 1.73)),
+}
+# KITTI's left camera: x right, y down, z ahead.
+_T_CAMERA_LIDAR = gtsam.Pose3(
+    gtsam.Rot3(np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])), np.zeros(3)
+)
+_DURATION_S = 34.0
+_TRUTH_HZ = 100.0
+_BAG = "log"
+
+
+@dataclass(frozen=True, slots=True)
+class StreetFaults:
+    """What makes a street hard.
+
+    Attributes
+    ----------
+    density
+        Cars, cyclists and people in 100 m of street.
+    lost_share
+        Of the turns.
+    """
+
+    density: float = 0.0
+    lost_share: float = 0.0
+
+
+STREET_FAULTS = {"none": StreetFaults(), "usual": StreetFaults(3.0), "harsh": StreetFaults(9.0, 0.05)}
+
+
+@dataclass(frozen=True, slots=True)
+class StreetSummary:
+    """What was recorded: length in time and space, turns, points, and how many of them on what moves."""
+
+    duration_s: float
+    path_m: float
+    turns: int
+    points: int
+    moving: int
+
+    @property
+    def text(self) -> str:
+        """In a line."""
+        return (
+            f"{self.duration_s:.0f} s, {self.path_m:.1f} m of streets: {self.turns} clouds, {self.points:,} "
+            f"points, {self.moving:,} of them on traffic"
+        )
+
+
+def record_street(
+    home: int,
+    seed: int,
+    out_dir: Path,
+    rig: MountedRingLidar,
+    faults: StreetFaults,
+    duration_s: float | None = None,
+    progress: Progress | None = None,
+    *,
+    tunnel: bool = False,
+    undistorted: bool = False,
+    formats: tuple[str, ...] = FORMATS,
+) -> StreetSummary:
+    """Drive through the town of seed ``home`` and write what the lidar sees, with the truth.
+
+    Parameters
+    ----------
+    out_dir
+        Made at the very end, whole; must not exist yet, or be empty. With ``folder`` it holds
+        ``velodyne/`` (x, y, z, intensity), ``times.txt``, ``calib.txt`` and ``poses.txt`` of KITTI, all at
+        the middle of a turn; with ``mcap`` a rosbag2 with ``/points``, stamped at the beginning of a turn,
+        with ``intensity``, ``ring`` and ``t`` (ns after the stamp). Always ``groundtruth.txt`` (TUM, the
+        lidar in an upright map, 100 Hz) and ``labels/``, a file a turn, of SemanticKITTI.
+    duration_s
+        34 s if not given: 340 turns.
+    progress
+        Called at each turn with the seconds done and those in all.
+    tunnel
+        A single street through a tunnel instead of the grid.
+    undistorted
+        Clouds of the folder as if taken at once; the bag's always are as measured.
+
+    Raises
+    ------
+    DatasetError
+        ``out_dir`` holds something, or cannot be written.
+    """
+    town = generate_town(home, tunnel=tunnel)
+    drive = drive_street(town, generator(seed, "street", home))
+    traffic = Traffic(town, drive, faults.density, generator(seed, "street traffic", home))
+    lidar = StreetLidar(town, drive, traffic, rig.model, rig.T_base_laser)
+    end_s = min(duration_s or _DURATION_S, drive.duration_s - 1.0)
+    rng, turn_s = generator(seed, "street lidar", home), 1.0 / rig.model.rate_hz
+    begins_s: FloatArray = np.arange(int(end_s * rig.model.rate_hz + 1e-9), dtype=np.float64) * turn_s
+    begins_s = begins_s[rng.random(len(begins_s)) >= faults.lost_share]
+    points = moving = 0
+    with appearing_whole(out_dir) as folder:
+        with ExitStack() as stack:
+            bag = stack.enter_context(_CloudBag(folder / _BAG, rig)) if "mcap" in formats else None
+            for name in ("labels", *(["velodyne"] if "folder" in formats else [])):
+                (folder / name).mkdir()
+            for number, begin_s in enumerate(begins_s.tolist()):
+                turn = lidar.turn(begin_s, rng)
+                turn.label.astype("<u4").tofile(folder / "labels" / f"{number:06d}.label")
+                if "folder" in formats:
+                    _write_bin(folder / "velodyne" / f"{number:06d}.bin", turn, undistorted=undistorted)
+                if bag is not None:
+                    bag.write(FIRST_STAMP_S + begin_s, turn)
+                points += len(turn.label)
+                moving += int(np.count_nonzero(turn.label & 0xFFFF >= Label.MOVING_CAR))
+                if progress is not None:
+                    progress(begin_s, end_s)
+        if bag is not None:
+            for name in BAG_FILES:
+                (folder / _BAG / name).rename(folder / name)
+            (folder / _BAG).rmdir()
+        if "folder" in formats:
+            _write_kitti(folder, lidar, begins_s + 0.5 * turn_s)
+        times_s = np.arange(round(end_s * _TRUTH_HZ) + 1) / _TRUTH_HZ
+        write_tum(folder / "groundtruth.txt", _trajectory(lidar, times_s))
+    return StreetSummary(end_s, float(drive.path_m(end_s)), len(begins_s), points, moving)
+
+
+def _write_bin(path: Path, turn: StreetTurn, *, undistorted: bool) -> None:
+    """Four floats a point."""
+    points = turn.undistorted_lidar if undistorted else turn.points_lidar
+    np.column_stack([points, turn.brightness]).astype("<f4").tofile(path)
+
+
+def _write_kitti(folder: Path, lidar: StreetLidar, times_s: FloatArray) -> None:
+    """Stamps, calibration, and poses of the left camera in its first frame."""
+    write_lines(folder / "times.txt", [f"{FIRST_STAMP_S + time_s:.6f}" for time_s in times_s])
+    write_lines(folder / "calib.txt", [f"Tr: {_kitti_row(_T_CAMERA_LIDAR)}"])
+    rotations, positions = lidar.poses_at(times_s)
+    poses = [
+        gtsam.Pose3(gtsam.Rot3(rotation), position).compose(_T_CAMERA_LIDAR.inverse())
+        for rotation, position in zip(rotations, positions, strict=True)
+    ]
+    write_lines(folder / "poses.txt", [_kitti_row(poses[0].between(pose)) for pose in poses])
+
+
+def _kitti_row(pose: gtsam.Pose3) -> str:
+    """The first three rows of the matrix."""
+    return " ".join(f"{value:.9e}" for value in pose.matrix()[:3].ravel())
+
+
+def _trajectory(lidar: StreetLidar, times_s: FloatArray) -> Trajectory:
+    """Of the lidar in the map."""
+    from scipy.spatial.transform import Rotation
+
+    rotations, positions = lidar.poses_at(times_s)
+    stamps_s = np.round(FIRST_STAMP_S + times_s, 6)
+    return Trajectory(stamps_s, positions, Rotation.from_matrix(rotations).as_quat())
+
+
+class _CloudBag:
+    """A rosbag2 of clouds alone; use it as a context manager."""
+
+    def __init__(self, folder: Path, rig: MountedRingLidar) -> None:
+        from rosbags.rosbag2 import StoragePlugin, Writer
+
+        self._writer = Writer(folder, version=8, storage_plugin=StoragePlugin.MCAP)
+        self._rig, self._connections = rig, dict[str, "Connection"]()
+
+    def __enter__(self) -> Self:
+        self._writer.open()
+        for topic, kind in (("/tf_static", messages.TRANSFORMS), ("/points", messages.POINT_CLOUD)):
+            self._connections[topic] = self._writer.add_connection(
+                topic, kind, typestore=messages.typestore()
+            )
+        # The robot's frame is the lidar's, as in the folder and in the truth.
+        mounting = messages.transforms(FIRST_STAMP_S, BASE_FRAME, {LASER_3D_FRAME: gtsam.Pose3()})
+        self._send("/tf_static", FIRST_STAMP_S, mounting)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._writer.__exit__(kind, error, trace)
+
+    def write(self, stamp_s: float, turn: StreetTurn) -> None:
+        """One turn; it arrives when it is over."""
+        further: dict[str, NDArray[Any]] = {
+            "intensity": turn.brightness,
+            "ring": turn.ring,
+            "t": np.rint(turn.after_s * 1e9).astype(np.uint32),
+        }
+        message = ros.point_cloud(turn.points_lidar, further, stamp_s, LASER_3D_FRAME)
+        self._send("/points", stamp_s + 1.0 / self._rig.model.rate_hz, message)
+
+    def _send(self, topic: str, at_s: float, message: object) -> None:
+        """Write one message."""
+        connection = self._connections[topic]
+        content = messages.typestore().serialize_cdr(message, connection.msgtype)
+        self._writer.write(connection, messages.nanoseconds(at_s), content)

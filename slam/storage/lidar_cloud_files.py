@@ -1,0 +1,102 @@
+"""The cloud of a 3D lidar's map as other programs open it, whole or in tiles; what has gone beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from slam.mapping.dense_map import ColoredCloud
+from slam.measurements import BoolArray
+from slam.storage.files import make_folder
+from slam.storage.las import write_las
+from slam.storage.pcd import write_pcd
+from slam.storage.ply import write_cloud_ply
+
+_TILE_M = 50.0
+_WRITERS: dict[str, Callable[[Path, ColoredCloud, BoolArray], None]] = {
+    "las": write_las,
+    "pcd": write_pcd,
+    "ply": lambda path, cloud, _: write_cloud_ply(path, cloud),
+}
+TILES = "-tiles"
+CLOUD_FORMATS = ("las", "pcd", *(name + TILES for name in _WRITERS))
+
+
+@dataclass(frozen=True, slots=True)
+class LidarCloud:
+    """What clouds show.
+
+    Attributes
+    ----------
+    stays
+        Of the map.
+    is_ground
+        (N,) which of its points are the ground.
+    gone
+        What only passed by; None where nothing did.
+    """
+
+    stays: ColoredCloud
+    is_ground: BoolArray
+    gone: ColoredCloud | None
+
+
+def write_lidar_cloud(path: Path, cloud: LidarCloud) -> list[Path]:
+    """Write ``path``, a PLY file, and what has gone beside it, as ``cloud_passed_by.ply`` of ``cloud.ply``.
+
+    Raises
+    ------
+    MapFileError
+        Where the map shows nothing, or a file cannot be written.
+    """
+    write_cloud_ply(path, cloud.stays)
+    beside = path.with_name(f"{path.stem}_passed_by.ply")
+    if cloud.gone is None:
+        beside.unlink(missing_ok=True)  # of an earlier map
+        return [path]
+    write_cloud_ply(beside, cloud.gone)
+    return [path, beside]
+
+
+def export_cloud(format_: str, out: Path, cloud: LidarCloud) -> list[Path]:
+    """Write what stays in one of `CLOUD_FORMATS`: a file, or a folder of tiles of 50 m.
+
+    A tile is named after its lower left corner in metres.
+
+    Raises
+    ------
+    LibraryError
+        Where LAS is asked for without laspy.
+    MapFileError
+        Where the map shows nothing, or a file cannot be written.
+    """
+    name = format_.removesuffix(TILES)
+    write = _WRITERS[name]
+    if name == format_:
+        if out.is_dir() or not out.suffix:
+            make_folder(out)
+            out /= f"cloud.{name}"
+        write(out, cloud.stays, cloud.is_ground)
+        return [out]
+    make_folder(out)
+    corners = np.floor(cloud.stays.points_map[:, :2] / _TILE_M).astype(np.int64)
+    written = []
+    for corner in np.unique(corners, axis=0):
+        inside = (corners == corner).all(axis=1)
+        x, y = (corner * round(_TILE_M)).tolist()
+        written.append(out / f"{x}_{y}.{name}")
+        write(written[-1], _part(cloud.stays, inside), cloud.is_ground[inside])
+    return written
+
+
+def _part(cloud: ColoredCloud, chosen: BoolArray) -> ColoredCloud:
+    """Some of the points."""
+    return replace(
+        cloud,
+        points_map=cloud.points_map[chosen],
+        colors=cloud.colors[chosen],
+        normals_map=cloud.normals_map[chosen],
+    )

@@ -1,0 +1,57 @@
+"""Clouds as binary PCD of the Point Cloud Library: place, normal, colour, and whether it is ground."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from slam.errors import MapFileError
+from slam.mapping.dense_map import ColoredCloud
+from slam.measurements import BoolArray
+from slam.storage.files import replacing
+
+_NAMES = ("x", "y", "z", "normal_x", "normal_y", "normal_z")
+_FIELDS = (*_NAMES, "rgb", "label")
+_ROW = np.dtype([*((name, "<f4") for name in _NAMES), ("rgb", "<u4"), ("label", "<u4")])
+_GROUND = 2  # as in LAS; else 1
+
+
+def write_pcd(path: Path, cloud: ColoredCloud, is_ground: BoolArray) -> None:
+    """Write a cloud in the map frame, whole or not at all.
+
+    Parameters
+    ----------
+    is_ground
+        (N,) of the points.
+
+    Raises
+    ------
+    MapFileError
+        Where the cloud is empty or the file cannot be written.
+    """
+    count = len(cloud.points_map)
+    if not count:
+        raise MapFileError(f"there are no points to write to {path}; the map shows none")
+    rows = np.empty(count, _ROW)
+    for name, values in zip(_NAMES, np.hstack([cloud.points_map, cloud.normals_map]).T, strict=True):
+        rows[name] = values
+    red, green, blue = cloud.colors.T.astype(np.uint32)
+    rows["rgb"] = red << 16 | green << 8 | blue
+    rows["label"] = np.where(is_ground, _GROUND, 1)
+    header = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        "VERSION 0.7",
+        f"FIELDS {' '.join(_FIELDS)}",
+        f"SIZE {' '.join(['4'] * len(_FIELDS))}",
+        f"TYPE {' '.join(['F'] * len(_NAMES))} U U",
+        f"COUNT {' '.join(['1'] * len(_FIELDS))}",
+        f"WIDTH {count}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {count}",
+        "DATA binary",
+    ]
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.write("".join(f"{line}\n" for line in header).encode("ascii"))
+        file.write(rows.tobytes())

@@ -1,0 +1,86 @@
+"""What passed by in clouds: it goes, and what is fixed stays."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+import pytest
+
+from slam.mapping.cloud_passers_by import PassedBy, passed_by
+from slam.mapping.elevation import elevation
+from slam.measurements import BoolArray, FloatArray
+
+LIDAR_M = 1.5
+COUNT = 12
+
+
+def rays() -> FloatArray:
+    """Beams of a lidar, unit vectors."""
+    turn, up = np.meshgrid(np.radians(np.arange(-180.0, 180.0, 0.8)), np.radians(np.arange(-25.0, 8.0, 0.8)))
+    level = np.cos(up)
+    return np.column_stack(
+        [(level * np.cos(turn)).ravel(), (level * np.sin(turn)).ravel(), np.sin(up).ravel()]
+    )
+
+
+def seen_from(x: float, box_x: float | None) -> tuple[FloatArray, BoolArray]:
+    """Ground, walls at y = +-8 and x = 20, a box of 2 x 1 x 1.6 m at y = 3: points, and which are on it."""
+    beams, start = rays(), np.array([x, 0.0, LIDAR_M])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        far = [(0.0 - start[2]) / beams[:, 2], (20.0 - x) / beams[:, 0], 8.0 / np.abs(beams[:, 1])]
+        away = np.min([np.where(one > 0.0, one, np.inf) for one in far], axis=0)
+        on_box = np.zeros(len(beams), np.bool_)
+        if box_x is not None:
+            corners = np.array([[box_x, 2.5, 0.0], [box_x + 2.0, 3.5, 1.6]]) - start
+            near, back = np.sort(corners[:, None] / beams, axis=0)
+            enter, leave = near.max(axis=1), back.min(axis=1)
+            on_box = (enter > 0.0) & (enter < leave) & (enter < away)
+            away = np.where(on_box, enter, away)
+    kept = away < 40.0
+    return (beams * away[:, None])[kept], on_box[kept]
+
+
+def gone(boxes: list[float | None]) -> tuple[PassedBy, list[FloatArray], list[BoolArray], list[gtsam.Pose3]]:
+    """What is taken out of a drive along x, the box where it is told."""
+    steps = 0.8 * np.arange(len(boxes))
+    clouds, marks = zip(*(seen_from(x, box) for x, box in zip(steps, boxes, strict=True)), strict=True)
+    poses = [gtsam.Pose3(gtsam.Rot3(), np.array([x, 0.0, LIDAR_M])) for x in steps]
+    ground = elevation(clouds, poses, -LIDAR_M, 15.0)
+    assert ground is not None
+    return passed_by(clouds, poses, gtsam.Pose3(), ground, 50.0), list(clouds), list(marks), poses
+
+
+def left_of(
+    found: PassedBy, clouds: list[FloatArray], marks: list[BoolArray], poses: list[gtsam.Pose3]
+) -> tuple[float, float]:
+    """Shares of points that stay: of the box above its foot, of all else."""
+    boxes = [
+        points[mark & (points[:, 2] > 0.5 - LIDAR_M)] for points, mark in zip(clouds, marks, strict=True)
+    ]
+    others = [points[~mark] for points, mark in zip(clouds, marks, strict=True)]
+    box, other = (
+        sum(len(one) for one in found.parts(parts, poses, gone=False)) / max(sum(map(len, parts)), 1)
+        for parts in (boxes, others)
+    )
+    return box, other
+
+
+@pytest.mark.parametrize("backward", [False, True], ids=["goes", "comes"])
+def test_a_car_that_drives_by_goes(backward: bool) -> None:
+    boxes: list[float | None] = [2.0 + 2.5 * n if n < 6 else None for n in range(COUNT)]
+    box, other = left_of(*gone(boxes[::-1] if backward else boxes))
+    assert box < 0.15
+    assert other > 0.995
+
+
+def test_a_parked_car_and_the_walls_stay() -> None:
+    box, other = left_of(*gone([6.0] * COUNT))
+    assert box > 0.99
+    assert other > 0.999
+
+
+def test_of_what_is_fixed_nearly_nothing_goes() -> None:
+    found, clouds, marks, poses = gone([None] * COUNT)
+    assert left_of(found, clouds, marks, poses)[1] > 0.9999
+    empty = passed_by([], [], gtsam.Pose3(), elevation(clouds, poses, -LIDAR_M, 15.0) or pytest.fail(), 50.0)
+    assert not len(empty.keys)

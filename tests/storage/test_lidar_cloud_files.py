@@ -1,0 +1,74 @@
+"""Clouds for other programs, read as those read them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slam.datasets.pcd_points import read_pcd_points
+from slam.errors import MapFileError
+from slam.mapping.dense_map import ColoredCloud
+from slam.storage.lidar_cloud_files import CLOUD_FORMATS, LidarCloud, export_cloud, write_lidar_cloud
+from slam.storage.ply import read_cloud_ply
+
+COUNT = 400
+
+
+@pytest.fixture
+def cloud() -> LidarCloud:
+    rng = np.random.default_rng(3)
+    places = rng.uniform([-70.0, -20.0, -1.0], [60.0, 40.0, 9.0], (COUNT, 3)).astype(np.float32)
+    normals = np.tile(np.array([[0.0, 0.6, 0.8]], np.float32), (COUNT, 1))
+    stays = ColoredCloud(places, rng.integers(0, 256, (COUNT, 3)).astype(np.uint8), normals)
+    return LidarCloud(stays, places[:, 2] < 0.0, None)
+
+
+def test_las(cloud: LidarCloud, tmp_path: Path) -> None:
+    laspy = pytest.importorskip("laspy")
+    (path,) = export_cloud("las", tmp_path, cloud)
+    rows = laspy.read(path)
+    np.testing.assert_allclose(np.asarray(rows.xyz), cloud.stays.points_map, atol=6e-4)
+    np.testing.assert_array_equal(np.asarray(rows.classification) == 2, cloud.is_ground)
+    np.testing.assert_array_equal(np.asarray(rows.green) // 257, cloud.stays.colors[:, 1])
+    before = path.read_bytes()
+    export_cloud("las", path, cloud)
+    assert path.read_bytes() == before
+
+
+def test_pcd(cloud: LidarCloud, tmp_path: Path) -> None:
+    (path,) = export_cloud("pcd", tmp_path / "mine.pcd", cloud)
+    columns = read_pcd_points(path)
+    np.testing.assert_array_equal(columns["x"], cloud.stays.points_map[:, 0])
+    np.testing.assert_array_equal(columns["normal_z"], cloud.stays.normals_map[:, 2])
+    np.testing.assert_array_equal(columns["rgb"] >> 16 & 255, cloud.stays.colors[:, 0])
+    np.testing.assert_array_equal(columns["label"] == 2, cloud.is_ground)
+
+
+def test_tiles_hold_every_point_once(cloud: LidarCloud, tmp_path: Path) -> None:
+    written = export_cloud("ply-tiles", tmp_path / "tiles", cloud)
+    assert len(written) == 4 * 2
+    parts = {path.stem: read_cloud_ply(path).points_map for path in written}
+    assert sum(map(len, parts.values())) == COUNT
+    for name, points in parts.items():
+        corner = np.array(name.split("_"), dtype=float)
+        assert ((points[:, :2] >= corner) & (points[:, :2] < corner + 50.0)).all()
+
+
+def test_what_has_gone_lies_beside_the_cloud(cloud: LidarCloud, tmp_path: Path) -> None:
+    path = tmp_path / "cloud.ply"
+    both = LidarCloud(cloud.stays, cloud.is_ground, cloud.stays)
+    assert [one.name for one in write_lidar_cloud(path, both)] == ["cloud.ply", "cloud_passed_by.ply"]
+    assert write_lidar_cloud(path, cloud) == [path]
+    assert [one.name for one in tmp_path.iterdir()] == ["cloud.ply"]
+
+
+@pytest.mark.parametrize("format_", [name for name in CLOUD_FORMATS if not name.endswith("-tiles")])
+def test_nothing_is_no_file(format_: str, tmp_path: Path) -> None:
+    pytest.importorskip("laspy")
+    none = ColoredCloud(
+        np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), np.zeros((0, 3), np.float32)
+    )
+    with pytest.raises(MapFileError, match="no points"):
+        export_cloud(format_, tmp_path / "x", LidarCloud(none, np.zeros(0, np.bool_), None))
