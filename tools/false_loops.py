@@ -44,9 +44,10 @@ from slam.config import Config, load_config
 from slam.datasets import open_dataset
 from slam.evaluation.relations import Relations, read_relations, score_relations
 from slam.graph.closings import loop_groups
+from slam.graph.held_graph import held_graph
 from slam.graph.influence import LinearMap
 from slam.graph.loop_closure import LoopCandidate
-from slam.graph.pose_graph import Edge, held_graph
+from slam.graph.pose_graph import Edge
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.map_result import MapResult
 from slam.mapper.mapper import Mapper
