@@ -7,17 +7,17 @@ from collections.abc import Iterable, Sequence
 import gtsam
 import numpy as np
 
-from fusion.estimation import FEWEST
 from fusion.height_band import thin_to_voxels
 from slam.errors import ScanweaveError
 from slam.mapping.dense_map import ColoredCloud, Colors
 from slam.matching.local_cloud import moved
+from slam.matching.plane_voxels import surface_normals
 from slam.measurements import FloatArray
 
 # What keyframes saw is thinned together by so many, so that no more than these and the map are held.
 BATCH = 32
-_NORMAL_VOXELS = 4.0
-_CHUNK = 1 << 14  # points whose neighbours are held at a time
+# Side of a cell of neighbours: wider than what a lidar is off by.
+_NORMAL_VOXELS = 1.5
 # Blue, green, yellow, red from the lowest to the highest usual height.
 _RAMP = np.array([[40, 60, 160], [40, 160, 120], [230, 210, 60], [200, 60, 40]], dtype=np.float64)
 _USUAL_PERCENT = (1.0, 99.0)
@@ -49,35 +49,8 @@ def map_cloud(clouds: Iterable[FloatArray], poses: Sequence[gtsam.Pose3], voxel_
             waiting = []
     gathered = [*batches, *waiting]
     points_map = thin_to_voxels(np.vstack(gathered), voxel_m) if gathered else np.zeros((0, 3))
-    normals = _towards_the_path(points_map, plane_normals(points_map, voxel_m), poses)
+    normals = _towards_the_path(points_map, surface_normals(points_map, _NORMAL_VOXELS * voxel_m), poses)
     return ColoredCloud(points_map.astype(np.float32), by_height(points_map), normals.astype(np.float32))
-
-
-def plane_normals(points: FloatArray, voxel_m: float) -> FloatArray:
-    """Normals of points that lie a voxel apart.
-
-    Returns
-    -------
-    (N, 3) unit vectors across the plane through the neighbours of each, either way; upright without one.
-    """
-    from scipy.spatial import cKDTree
-
-    normals = np.tile([0.0, 0.0, 1.0], (len(points), 1))
-    tree = cKDTree(points)
-    # Where there are fewer neighbours the tree names the one behind the last.
-    padded = np.vstack([points, np.zeros(3)])
-    for start in range(0, len(points), _CHUNK):
-        chunk = slice(start, start + _CHUNK)
-        near = tree.query(points[chunk], FEWEST, distance_upper_bound=_NORMAL_VOXELS * voxel_m)[1]
-        there = np.asarray(near < len(points))
-        offsets = (padded[near] - points[chunk, None]) * there[..., None]
-        count = np.count_nonzero(there, axis=1)
-        mean = offsets.sum(axis=1) / count[:, None]
-        scatter = offsets.transpose(0, 2, 1) @ offsets / count[:, None, None]
-        covariance = scatter - mean[:, :, None] * mean[:, None]
-        plane = count >= 3
-        normals[chunk][plane] = np.linalg.eigh(covariance[plane])[1][:, :, 0]
-    return normals
 
 
 def _towards_the_path(points: FloatArray, normals: FloatArray, poses: Sequence[gtsam.Pose3]) -> FloatArray:

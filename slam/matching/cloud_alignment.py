@@ -196,20 +196,12 @@ class _Linear:
 
 def _linearise(points: FloatArray, planes: PlaneVoxels, pose: gtsam.Pose3, kernel_m: float) -> _Linear | None:
     """Hessian and gradient for a motion of the base in its own frame."""
-    rotation = pose.rotation().matrix()
-    points_map = points @ rotation.T + pose.translation()
-    pairs = planes.pairs(points_map)
-    if int(pairs.found.sum()) < 6:
+    T_map_base = pose.matrix()
+    found = planes.residuals(points, T_map_base)
+    residuals = found.distances_m
+    if len(residuals) < 6:
         return None
-    residuals = np.einsum("ij,ij->i", points_map[pairs.found] - pairs.centers, pairs.normals)
     spread = median_to_sigma() * float(np.median(np.abs(residuals)))
     kernel_m = float(np.clip(math.sqrt(gate()) * spread, _LEAST_KERNEL_M, kernel_m))
-    weights = 1.0 / (1.0 + (residuals / kernel_m) ** 2)
-    weights[np.abs(residuals) > 2.0 * kernel_m] = 0.0
-    normals_base = pairs.normals @ rotation
-    rows = np.hstack([np.cross(points[pairs.found], normals_base), normals_base])
-    weighted = rows * weights[:, None]
-    gradients = weighted * residuals[:, None]
-    return _Linear(
-        weighted.T @ rows, gradients.sum(axis=0), residuals, weights, kernel_m, gradients, pairs.planes
-    )
+    weights, gradients, sums = planes.normal_equations(points, T_map_base, found, kernel_m)
+    return _Linear(sums[:6], sums[6], residuals, weights, kernel_m, gradients, found.voxels)

@@ -38,8 +38,7 @@ class CloudOdometry:
 
     def __init__(self, config: Config, voxel_m: float) -> None:
         self._config, self._voxel_m = config, voxel_m
-        self._clouds: deque[FloatArray] = deque(maxlen=config.match.local_map_keyframes)
-        self._planes = self._no_planes()
+        self._window = self._empty_window()
         self._points: VoxelHashMap | None = None
         self._grown = 0
         self._map: LocalCloud | None = None
@@ -48,12 +47,11 @@ class CloudOdometry:
 
     def restart(self) -> None:
         """Forget the local map."""
-        self._clouds.clear()
-        self._planes = self._no_planes()
+        self._window = self._empty_window()
         self._map = self._points = None
         self._known.clear()
 
-    def _no_planes(self) -> PlaneWindow:
+    def _empty_window(self) -> PlaneWindow:
         """The planes of no keyframe."""
         thickness_m = self._config.cloud_odometry.thickness_m
         return PlaneWindow(self._voxel_m, thickness_m, self._config.match.local_map_keyframes)
@@ -64,15 +62,15 @@ class CloudOdometry:
             return
         before = self.agreement(points, pose)
         cloud = moved(thinned(points, 0.5 * self._voxel_m), pose)
-        self._clouds.append(cloud)
+        self._window.add(cloud)
         self._grown += 1
         # KISS-ICP's map forgets by distance only; now and then it is made anew of what is still in the map.
         if self._points is None or self._grown * _RENEWED_SHARE >= self._config.match.local_map_keyframes:
-            self._points = kiss_map(np.vstack(self._clouds), self._voxel_m, self._config)
+            self._points = kiss_map(np.vstack(self._window.clouds), self._voxel_m, self._config)
             self._grown = 0
         else:
             self._points.add_points(cloud)
-        self._map = LocalCloud(self._points, self._planes.add(cloud), self._voxel_m, self._config)
+        self._map = LocalCloud(self._points, self._window.planes, self._voxel_m, self._config)
         own = self.agreement(points, pose)
         if before > 0.0 and own > 0.0:
             self._known.append(before / own)

@@ -3,10 +3,11 @@
 import gtsam
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from slam.errors import ScanweaveError
-from slam.mapping import cloud_map
-from slam.mapping.cloud_map import map_cloud, plane_normals
+from slam.mapping.cloud_map import map_cloud
+from slam.matching.plane_voxels import surface_normals
 
 RNG = np.random.default_rng(2)
 HERE = gtsam.Pose3(gtsam.Rot3.Ypr(0.3, 0.1, -0.2), np.array([4.0, -1.0, 0.5]))
@@ -39,26 +40,27 @@ def test_points_without_neighbours_look_up_or_down():
     np.testing.assert_array_equal(np.abs(cloud.normals_map), np.tile([0, 0, 1], (4, 1)))
 
 
-def test_the_plane_of_neighbours_need_not_hold_the_point():
-    side = 0.05 * np.arange(-20, 21)
-    floor = np.column_stack([*(axis.ravel() for axis in np.meshgrid(side, side)), np.zeros(side.size**2)])
-    over = plane_normals(np.vstack([floor, [0.0, 0.0, 0.2]]), 0.1)[-1]
-    assert abs(over[2]) > 0.99
-
-
-def test_how_many_points_are_held_at_a_time_changes_nothing(monkeypatch):
-    points = np.vstack([wall((1, 0, 0), 3.0)[0], wall((0, 1, 0.1), 2.0)[0]])
-    at_once = map_cloud([points], [HERE], 0.1)
-    monkeypatch.setattr(cloud_map, "_CHUNK", 7)
-    np.testing.assert_array_equal(map_cloud([points], [HERE], 0.1).normals_map, at_once.normals_map)
+def test_normals_near_an_edge_are_those_of_one_side():
+    side = np.arange(0.0, 2.0, 0.05)
+    one, other = (axis.ravel() for axis in np.meshgrid(side, side))
+    floor = np.column_stack([one, other, np.zeros(one.size)])
+    back = np.column_stack([one, np.zeros(one.size), other + 0.05])
+    near = np.abs(np.vstack([surface_normals(floor, 0.05), surface_normals(back, 0.05)[:, [0, 2, 1]]])[:, 2])
+    both = surface_normals(np.vstack([floor, back]), 0.05)
+    found = np.abs(np.concatenate([both[: len(floor), 2], both[len(floor) :, 1]]))
+    assert (near > 0.999).all()
+    assert (found > 0.99).mean() > 0.96
 
 
 def test_the_normals_are_those_of_open3d(open3d):
-    points = np.vstack([wall((1, 0, 0), 3.0)[0], wall((0, 1, 0.1), 2.0)[0], RNG.normal(size=(500, 3))])
-    found = plane_normals(points, 0.075)
+    walls = [wall((1, 0, 0), 3.0)[0], wall((0, 1, 0.1), 2.0)[0]]
+    points = np.vstack(walls)
+    apart = cKDTree(walls[0]).query(walls[1])[0] > 0.4, cKDTree(walls[1]).query(walls[0])[0] > 0.4
+    found = surface_normals(points, 0.15)
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     cloud.estimate_normals(open3d.geometry.KDTreeSearchParamHybrid(radius=0.3, max_nn=20))
-    assert (np.abs(np.sum(found * np.asarray(cloud.normals), axis=1)) > 0.999).mean() > 0.998
+    same = np.abs(np.sum(found * np.asarray(cloud.normals), axis=1)) > 0.999
+    assert same[np.concatenate(apart[::-1])].mean() > 0.998
 
 
 def test_nothing_gives_nothing_and_a_bad_pose_is_named():
