@@ -110,7 +110,7 @@ class CloudTiles:
         merged = PlaneVoxels(voxel_m, self._thickness_m)
         for frame in frames:
             merged.add(frame.dense)
-        local = LocalCloud.of_planes(merged, voxel_m, self._config)
+        local = LocalCloud(merged, voxel_m, self._config)
         own = [
             local.agreement(thinned(frame.points, voxel_m), pose)
             for frame, pose in zip(frames, poses, strict=True)

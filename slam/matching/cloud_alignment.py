@@ -18,6 +18,8 @@ from slam.measurements import FloatArray, MotionEstimate
 _LEAST_KERNEL_M = 0.02
 # A point this share of the widest kernel from its plane lies on it.
 _ON_PLANE = 0.2
+# A share of the reach: what is nearer need not be drawn nearer.
+_ARRIVED = 0.004
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +93,7 @@ def align_cloud(
         found = _linearise(points, planes, pose, kernel_m)
         if found is None:
             return None
-        hessian, gradient = found.hessian, found.gradient
-        damping = np.diag(np.maximum(np.diag(hessian), LEAST_EIGENVALUE)) * TINY
-        step = -np.linalg.solve(hessian + damping, gradient)
+        step = _step(found.hessian, found.gradient)
         pose = pose.compose(gtsam.Pose3.Expmap(step))
         if np.abs(step).max() < SETTLED:
             converged = True
@@ -117,6 +117,25 @@ def align_cloud(
         converged,
         found.agreement(kernel_m, len(points)),
     )
+
+
+def drawn_near(
+    points: FloatArray, planes: PlaneVoxels, guess: gtsam.Pose3, iterations: int, reach_m: float
+) -> gtsam.Pose3:
+    """Roughly where points (N, 3), base frame, lie from ``T_map_base``, drawn to the middles of large voxels.
+
+    Where planes hold on to what they meet first, middles of voxels pull along streets and through walls. A
+    plane with a wide kernel then has what they leave.
+    """
+    pose = guess
+    for _ in range(iterations):
+        hessian, gradient = planes.pulls(points, pose.matrix(), reach_m)
+        step = _step(hessian, gradient)
+        pose = pose.compose(gtsam.Pose3.Expmap(step))
+        if np.linalg.norm(step[3:]) < _ARRIVED * reach_m:
+            break
+    found = align_cloud(points, planes, pose, iterations, reach_m)
+    return pose if found is None else found.pose
 
 
 def agreement(points: FloatArray, planes: PlaneVoxels, pose: gtsam.Pose3, kernel_m: float) -> float:
@@ -192,6 +211,12 @@ class _Linear:
         starts = np.flatnonzero(np.concatenate([[True], planes[1:] != planes[:-1]]))
         sums = np.add.reduceat(self.gradients[order], starts)
         return np.asarray(sums.T @ sums)
+
+
+def _step(hessian: FloatArray, gradient: FloatArray) -> FloatArray:
+    """Gauss and Newton's, (6,)."""
+    damping = np.diag(np.maximum(np.diag(hessian), LEAST_EIGENVALUE)) * TINY
+    return np.asarray(-np.linalg.solve(hessian + damping, gradient))
 
 
 def _linearise(points: FloatArray, planes: PlaneVoxels, pose: gtsam.Pose3, kernel_m: float) -> _Linear | None:

@@ -300,6 +300,74 @@ def pair_up(points, pose, sizes, table, keys, flat, planes, which, plane, residu
 
 
 @kernel
+def pull(points, pose, size_m, table, keys, sums, reach_m, pulls):  # type: ignore[no-untyped-def]
+    """Sums (16,) of what the middles of the largest voxels pull points (N, 3) by, seen from the base.
+
+    Of weights, points, their products, and the pulls that turn and shift. The nearest middle pulls of those
+    in the voxel of a point and in the 26 around it; weights are Geman and McClure's, as wide as a voxel.
+    """
+    mask = table.shape[0] - 1
+    for i in range(points.shape[0]):
+        a = points[i, 0]
+        b = points[i, 1]
+        c = points[i, 2]
+        x = pose[0, 0] * a + pose[0, 1] * b + pose[0, 2] * c + pose[0, 3]
+        y = pose[1, 0] * a + pose[1, 1] * b + pose[1, 2] * c + pose[1, 3]
+        z = pose[2, 0] * a + pose[2, 1] * b + pose[2, 2] * c + pose[2, 3]
+        own = key_of(x, y, z, size_m)
+        # From here on about the corner of the voxel.
+        x -= math.floor(x / size_m) * size_m
+        y -= math.floor(y / size_m) * size_m
+        z -= math.floor(z / size_m) * size_m
+        least = reach_m * reach_m
+        dx = dy = dz = 0.0
+        for near in range(27):
+            column = near // 9 - 1
+            row = near // 3 % 3 - 1
+            layer = near % 3 - 1
+            key = own + (column << 2 * AXIS_BITS) + (row << AXIS_BITS) + layer
+            slot = slot_of(key, mask)
+            k = np.int64(table[slot])
+            while k >= 0 and keys[k] != key:
+                slot = (slot + 1) & mask
+                k = np.int64(table[slot])
+            if k < 0 or sums[k, 0] < 0.5:
+                continue
+            ux = x - column * size_m - sums[k, 1] / sums[k, 0]
+            uy = y - row * size_m - sums[k, 2] / sums[k, 0]
+            uz = z - layer * size_m - sums[k, 3] / sums[k, 0]
+            square = ux * ux + uy * uy + uz * uz
+            if square < least:
+                least = square
+                dx = ux
+                dy = uy
+                dz = uz
+        if least >= reach_m * reach_m:
+            continue
+        weight = size_m * size_m / (size_m * size_m + least)
+        weight *= weight
+        ex = pose[0, 0] * dx + pose[1, 0] * dy + pose[2, 0] * dz
+        ey = pose[0, 1] * dx + pose[1, 1] * dy + pose[2, 1] * dz
+        ez = pose[0, 2] * dx + pose[1, 2] * dy + pose[2, 2] * dz
+        pulls[0] += weight
+        pulls[1] += weight * a
+        pulls[2] += weight * b
+        pulls[3] += weight * c
+        pulls[4] += weight * a * a
+        pulls[5] += weight * a * b
+        pulls[6] += weight * a * c
+        pulls[7] += weight * b * b
+        pulls[8] += weight * b * c
+        pulls[9] += weight * c * c
+        pulls[10] += weight * (b * ez - c * ey)
+        pulls[11] += weight * (c * ex - a * ez)
+        pulls[12] += weight * (a * ey - b * ex)
+        pulls[13] += weight * ex
+        pulls[14] += weight * ey
+        pulls[15] += weight * ez
+
+
+@kernel
 def normal_equations(points, pose, planes, which, plane, residuals, kernel_m, weights, gradients, sums):  # type: ignore[no-untyped-def]
     """Weights (M,) and gradients (M, 6) of squared distances, for a motion of the base.
 

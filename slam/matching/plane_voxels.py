@@ -18,6 +18,7 @@ from slam.matching.plane_kernels import (
     index_keys,
     normal_equations,
     pair_up,
+    pull,
     smooth_normals,
 )
 from slam.measurements import BoolArray, FloatArray
@@ -123,6 +124,20 @@ class PlaneVoxels:
         pairs = residuals.which, residuals.voxels, residuals.distances_m
         normal_equations(points, T_map_base, self._planes, *pairs, kernel_m, weights, gradients, sums)
         return weights, gradients, sums
+
+    def pulls(
+        self, points: FloatArray, T_map_base: FloatArray, reach_m: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Hessian (6, 6) and gradient (6,) of squared distances to the nearest middles of largest voxels."""
+        sums = np.zeros(16)
+        pull(points, T_map_base, self._sizes_m[0], self._table, self._keys, self._sums, reach_m, sums)
+        weight, (x, y, z), hessian = sums[0], sums[1:4], np.zeros((6, 6))
+        row, column = np.triu_indices(3)
+        hessian[row, column] = hessian[column, row] = -sums[4:10]
+        hessian[:3, :3] -= np.trace(hessian[:3, :3]) * np.eye(3)
+        hessian[:3, 3:] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+        hessian[3:, :3], hessian[3:, 3:] = hessian[:3, 3:].T, weight * np.eye(3)
+        return hessian, sums[10:]
 
     def pairs(self, points: FloatArray) -> PlanePairs:
         """The plane of the largest voxel around each point (N, 3), map frame, that has one."""

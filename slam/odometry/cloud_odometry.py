@@ -5,21 +5,16 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import gtsam
 import numpy as np
 
 from slam.config import Config
 from slam.matching.cloud_points import thinned
-from slam.matching.local_cloud import REACH, Aligned, LocalCloud, kiss_map, moved
+from slam.matching.local_cloud import REACH, Aligned, LocalCloud, moved
 from slam.matching.plane_window import PlaneWindow
 from slam.measurements import FloatArray, MotionEstimate
 
-if TYPE_CHECKING:
-    from kiss_icp.mapping import VoxelHashMap
-
-_RENEWED_SHARE = 4
 # This share of the points on planes is nearly as many; of what is expected a smaller one is no match at all.
 _NEARLY, _HARDLY = 0.85, 0.4
 # How many points of a keyframe lie on the planes of those before it, as a share of those on its own too: by
@@ -39,8 +34,6 @@ class CloudOdometry:
     def __init__(self, config: Config, voxel_m: float) -> None:
         self._config, self._voxel_m = config, voxel_m
         self._window = self._empty_window()
-        self._points: VoxelHashMap | None = None
-        self._grown = 0
         self._map: LocalCloud | None = None
         self._expected = 0.0
         self._known: deque[float] = deque(maxlen=_KNOWN_KEYFRAMES)
@@ -48,7 +41,7 @@ class CloudOdometry:
     def restart(self) -> None:
         """Forget the local map."""
         self._window = self._empty_window()
-        self._map = self._points = None
+        self._map = None
         self._known.clear()
 
     def _empty_window(self) -> PlaneWindow:
@@ -63,14 +56,7 @@ class CloudOdometry:
         before = self.agreement(points, pose)
         cloud = moved(thinned(points, 0.5 * self._voxel_m), pose)
         self._window.add(cloud)
-        self._grown += 1
-        # KISS-ICP's map forgets by distance only; now and then it is made anew of what is still in the map.
-        if self._points is None or self._grown * _RENEWED_SHARE >= self._config.match.local_map_keyframes:
-            self._points = kiss_map(np.vstack(self._window.clouds), self._voxel_m, self._config)
-            self._grown = 0
-        else:
-            self._points.add_points(cloud)
-        self._map = LocalCloud(self._points, self._window.planes, self._voxel_m, self._config)
+        self._map = LocalCloud(self._window.planes, self._voxel_m, self._config)
         own = self.agreement(points, pose)
         if before > 0.0 and own > 0.0:
             self._known.append(before / own)
