@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from fusion.curves import Intrinsics
 from fusion.height_band import back_project, pixel_rays, to_frame
-from slam.mapping.cloud_map import BATCH
 from slam.mapping.dense_map import ColoredCloud, DenseMapSettings
 from slam.mapping.posed_frames import posed_frames
 from slam.matching.plane_voxels import surface_normals
 from slam.measurements import FloatArray, RgbdFrame
 
+# What frames saw is added up by so many, so that no more than these and the map are held.
+_BATCH = 32
 _AXIS_BITS = 21  # three axes make a key
 
 
@@ -49,7 +50,7 @@ def camera_cloud(
     seen = [_VoxelSums(np.empty(0, np.int64), np.empty((0, 10)))]
     for frame, T_map_camera in posed_frames(frames, poses):
         seen.append(_seen(frame, T_map_camera.matrix(), settings))
-        if len(seen) > BATCH:
+        if len(seen) > _BATCH:
             seen = [_added(seen)]
             if seen[0].sums.nbytes > 1e6 * settings.memory_limit_mb:
                 raise settings.too_large()

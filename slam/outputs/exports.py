@@ -201,6 +201,6 @@ def _save_surface(path: Path, found: MapContents, config: Config) -> tuple[list[
         cloud = camera_cloud(frames, poses, settings)
         missing.append(f"No {path.name}, and {cloud_path.name} is of points as they were seen: {error}")
     if len(cloud.points_map):
-        write_cloud_ply(cloud_path, cloud)
+        write_cloud_ply(cloud_path, [cloud])
         written.append(cloud_path)
     return written, missing

@@ -7,8 +7,10 @@ from scipy.spatial import cKDTree
 
 from slam.errors import ScanweaveError
 from slam.mapping.cloud_map import map_cloud
+from slam.mapping.dense_map import ColoredCloud
 from slam.matching.plane_voxels import surface_normals
 
+COLUMNS = "points_map", "colors", "normals_map"
 RNG = np.random.default_rng(2)
 HERE = gtsam.Pose3(gtsam.Rot3.Ypr(0.3, 0.1, -0.2), np.array([4.0, -1.0, 0.5]))
 
@@ -21,10 +23,16 @@ def wall(normal, distance_m, count=6000):
     return spread @ along - normal * (distance_m + 0.002 * RNG.normal(size=(count, 1))), normal
 
 
+def whole(clouds, poses, voxel_m):
+    """All tiles of a map as one cloud."""
+    parts = list(map_cloud(clouds, poses, voxel_m))
+    return ColoredCloud(*(np.vstack([getattr(part, name) for part in parts]) for name in COLUMNS))
+
+
 @pytest.mark.parametrize("normal", [(1, 0, 0), (0.2, -0.9, 0.3), (0, 0, 1)])
 def test_normals_of_a_wall_look_at_the_robot(normal):
     points, normal = wall(normal, 3.0)
-    cloud = map_cloud([points], [HERE], 0.1)
+    cloud = whole([points], [HERE], 0.1)
     in_map = HERE.rotation().matrix() @ normal
     assert 800 < len(cloud.points_map) < 3000
     np.testing.assert_allclose(np.linalg.norm(cloud.normals_map, axis=1), 1.0, atol=1e-5)
@@ -36,7 +44,7 @@ def test_normals_of_a_wall_look_at_the_robot(normal):
 
 def test_points_without_neighbours_look_up_or_down():
     lonely = np.array([[5.0, 0, 0], [0, 5, 0], [0, 5.1, 0], [0, 0, 5]])
-    cloud = map_cloud([lonely], [gtsam.Pose3()], 0.05)
+    cloud = whole([lonely], [gtsam.Pose3()], 0.05)
     np.testing.assert_array_equal(np.abs(cloud.normals_map), np.tile([0, 0, 1], (4, 1)))
 
 
@@ -64,9 +72,23 @@ def test_the_normals_are_those_of_open3d(open3d):
 
 
 def test_nothing_gives_nothing_and_a_bad_pose_is_named():
-    cloud = map_cloud([np.zeros((0, 3))], [gtsam.Pose3()], 0.1)
-    assert cloud.points_map.shape == cloud.normals_map.shape == cloud.colors.shape == (0, 3)
-    assert len(map_cloud([], [], 0.1).points_map) == 0
+    assert not list(map_cloud([np.zeros((0, 3))], [gtsam.Pose3()], 0.1))
+    assert not list(map_cloud([], [], 0.1))
     lost = gtsam.Pose3(gtsam.Rot3(), np.array([np.nan, 0, 0]))
     with pytest.raises(ScanweaveError, match="pose 1 of 2 keyframes is not finite"):
-        map_cloud([np.ones((1, 3)), np.ones((1, 3))], [gtsam.Pose3(), lost], 0.1)
+        list(map_cloud([np.ones((1, 3)), np.ones((1, 3))], [gtsam.Pose3(), lost], 0.1))
+
+
+def test_tiles_make_one_cloud_with_a_point_a_voxel():
+    """However many tiles: every voxel once, its first point, seen from the keyframe that saw it."""
+    points, _ = wall((0, 0, 1), 1.0)
+    seen = [points, points + np.array([0.0, 0.0, 6.0])]
+    there = gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, -5.0]))
+    parts = list(map_cloud(seen, [gtsam.Pose3(), there], 0.1))
+    assert len(parts) > 1
+    cloud = whole(seen, [gtsam.Pose3(), there], 0.1)
+    voxels = np.unique(np.floor(np.vstack([points, seen[1] + there.translation()]) / 0.1), axis=0)
+    assert len(cloud.points_map) == pytest.approx(len(voxels), abs=3)
+    up = cloud.normals_map[:, 2] > 0.0
+    assert up[cloud.points_map[:, 2] < -0.5].all()
+    assert not up[cloud.points_map[:, 2] > -0.5].any()
