@@ -7,11 +7,13 @@ import zlib
 
 import numpy as np
 
+from fusion.kernel import ZERO, kernel
 from slam.errors import ScanweaveError
 from slam.measurements import FloatArray
 
 STEP_M = 0.001  # a thirtieth of a 3D lidar's noise; coarser only for a cloud that reaches beyond 500 km
 _MOST_BYTES = 1 << 27  # unpacked
+_WRAP = 1 << 31
 _HEAD = struct.Struct("<dI")
 
 
@@ -56,7 +58,20 @@ def unpacked_cloud(content: bytes) -> FloatArray:
         raise ValueError(f"a packed cloud that is damaged: {error}") from error
     if len(plain) != size or not unpacker.eof or unpacker.unused_data:
         raise ValueError(f"a packed cloud that is not of {count} points")
-    planes = np.frombuffer(plain, np.uint8).reshape(4, -1)
-    signless = np.ascontiguousarray(planes.T).view("<i4").reshape(3, -1).T.astype(np.int32)
-    differences = ((signless >> 1) & 0x7FFFFFFF) ^ -(signless & 1)
-    return np.cumsum(differences, axis=0, dtype=np.int32) * step_m
+    points = np.empty((count, 3))
+    _added_up(np.frombuffer(plain, np.uint8).reshape(4, 3, count), step_m, points)
+    return points
+
+
+@kernel
+def _added_up(planes, step_m, points):  # type: ignore[no-untyped-def]
+    """Points (N, 3) of the bytes (4, 3, N) of the ways from each to the next."""
+    for axis in range(3):
+        steps = ZERO
+        for i in range(points.shape[0]):
+            signless = np.int64(planes[0, axis, i]) | (np.int64(planes[1, axis, i]) << 8)
+            signless |= (np.int64(planes[2, axis, i]) << 16) | (np.int64(planes[3, axis, i]) << 24)
+            steps += (signless >> 1) ^ -(signless & 1)
+            # As whole numbers of 32 bits, which a damaged cloud may leave.
+            steps = ((steps + _WRAP) & (2 * _WRAP - 1)) - _WRAP
+            points[i, axis] = steps * step_m

@@ -108,7 +108,7 @@ def align_cloud(
         found.hessian,
         found.spread(),
         float(found.weights.sum()),
-        float(np.sqrt(np.mean(np.sum(points**2, axis=1)))),
+        float(np.sqrt(np.einsum("ij,ij->", points, points) / len(points))),
         len(found.residuals),
         len(found.residuals) / len(points),
         float(agree.mean()),

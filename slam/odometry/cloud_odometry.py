@@ -53,11 +53,12 @@ class CloudOdometry:
         """Take points (N, 3), base frame, at ``T_odom_base`` into the local map."""
         if not len(points):
             return
-        before = self.agreement(points, pose)
+        scan = thinned(points, self._voxel_m)
+        before = self._agreement(scan, pose)
         cloud = moved(thinned(points, 0.5 * self._voxel_m), pose)
         self._window.add(cloud)
         self._map = LocalCloud(self._window.planes, self._voxel_m, self._config)
-        own = self.agreement(points, pose)
+        own = self._agreement(scan, pose)
         if before > 0.0 and own > 0.0:
             self._known.append(before / own)
         self._expected = own * max(float(np.median(self._known or [0.0])), _LEAST_KNOWN)
@@ -104,7 +105,11 @@ class CloudOdometry:
 
     def agreement(self, points: FloatArray, pose: gtsam.Pose3) -> float:
         """Share of a scan (N, 3), base frame, that lies on planes from ``T_odom_base``."""
-        return 0.0 if self._map is None else self._map.agreement(thinned(points, self._voxel_m), pose)
+        return self._agreement(thinned(points, self._voxel_m), pose)
+
+    def _agreement(self, scan: FloatArray, pose: gtsam.Pose3) -> float:
+        """The same of a scan that is thinned."""
+        return 0.0 if self._map is None else self._map.agreement(scan, pose)
 
     @property
     def _usual(self) -> float:
