@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.voxel_hash import table_for
+from slam.matching.normal_kernels import smooth_normals
 from slam.matching.plane_kernels import (
     count_points,
     fit_planes,
@@ -19,7 +20,6 @@ from slam.matching.plane_kernels import (
     normal_equations,
     pair_up,
     pull,
-    smooth_normals,
 )
 from slam.measurements import BoolArray, FloatArray
 
