@@ -11,7 +11,7 @@ from fusion.kernel import ZERO, kernel
 
 # Three axes make a key, and a level above them.
 AXIS_BITS = 20
-_HALF, _AXIS = 1 << AXIS_BITS - 1, (1 << AXIS_BITS) - 1
+HALF, AXIS = 1 << AXIS_BITS - 1, (1 << AXIS_BITS) - 1
 # Teschner 2003, "Optimized spatial hashing for collision detection of deformable objects", section 4.1.
 _PRIMES = (73856093, 19349663)
 
@@ -24,9 +24,9 @@ def table_for(count: int) -> NDArray[np.int32]:
 @kernel(inline="always")
 def key_of(x, y, z, size_m):  # type: ignore[no-untyped-def]
     """One integer for the voxel of a point; it comes again 2^20 voxels farther."""
-    column = (math.floor(x / size_m) + _HALF) & _AXIS
-    row = (math.floor(y / size_m) + _HALF) & _AXIS
-    layer = (math.floor(z / size_m) + _HALF) & _AXIS
+    column = (math.floor(x / size_m) + HALF) & AXIS
+    row = (math.floor(y / size_m) + HALF) & AXIS
+    layer = (math.floor(z / size_m) + HALF) & AXIS
     return (column << 2 * AXIS_BITS) | (row << AXIS_BITS) | layer
 
 

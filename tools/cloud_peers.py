@@ -1,4 +1,4 @@
-"""Scanweave beside KISS-ICP and small_gicp on the same clouds of a 3D lidar: CPU, memory, sharpness of the map.
+"""Scanweave beside KISS-ICP and small_gicp on the same clouds of a 3D lidar: CPU, memory, sharpness.
 
     python tools/cloud_peers.py FOLDER [--repeat N]      a KITTI folder (velodyne/*.bin, times.txt)
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fusion.curves import Intrinsics
 from fusion.height_band import back_project, pixel_rays, to_frame
+from fusion.voxel_hash import AXIS_BITS
 from slam.mapping.dense_map import ColoredCloud, DenseMapSettings
 from slam.mapping.posed_frames import posed_frames
 from slam.matching.plane_voxels import surface_normals
@@ -18,7 +19,6 @@ from slam.measurements import FloatArray, RgbdFrame
 
 # What frames saw is added up by so many, so that no more than these and the map are held.
 _BATCH = 32
-_AXIS_BITS = 21  # three axes make a key
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,5 +101,5 @@ def _summed(keys: NDArray[np.int64], rows: FloatArray) -> _VoxelSums:
 
 def _voxel_keys(points: FloatArray, size_m: float) -> NDArray[np.int64]:
     """One integer for the voxel of each point."""
-    whole = np.floor(points / size_m).astype(np.int64) + (1 << _AXIS_BITS - 1)
-    return (whole[:, 0] << 2 * _AXIS_BITS) | (whole[:, 1] << _AXIS_BITS) | whole[:, 2]
+    whole = np.floor(points / size_m).astype(np.int64) + (1 << AXIS_BITS - 1)
+    return (whole[:, 0] << 2 * AXIS_BITS) | (whole[:, 1] << AXIS_BITS) | whole[:, 2]

@@ -11,6 +11,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation import FEWEST
 from fusion.height_band import thin_to_voxels
 from slam.errors import ScanweaveError
 from slam.mapping.dense_map import ColoredCloud, Colors
@@ -20,10 +21,6 @@ from slam.measurements import FloatArray
 
 # Side of a tile in voxels; of a cell of neighbours: wider than what a lidar is off by.
 _TILE_VOXELS, _NORMAL_VOXELS = 512.0, 1.5
-# Rows of a tile that wait to be thinned together.
-_WAITING = 1 << 17
-# Every so manyth point tells the usual heights.
-_TELLING = 64
 # Blue, green, yellow, red from the lowest to the highest usual height.
 _RAMP = np.array([[40, 60, 160], [40, 160, 120], [230, 210, 60], [200, 60, 40]], dtype=np.float64)
 _USUAL_PERCENT = (1.0, 99.0)
@@ -52,7 +49,7 @@ def map_cloud(
         pieces: defaultdict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
         heights = [np.zeros(0)]
         for rows in _placed(clouds, poses, voxel_m):
-            heights.append(rows[::_TELLING, 2].copy())
+            heights.append(rows[::FEWEST, 2].copy())
             tiles = np.floor(rows[:, :2] / side_m).astype(np.int64)
             order = np.lexsort(tiles.T)
             rows, tiles = rows[order], tiles[order]
@@ -91,7 +88,7 @@ def _read(spool: BinaryIO, pieces: Sequence[tuple[int, int]], voxel_m: float) ->
         spool.seek(begin)
         waiting.append(np.frombuffer(spool.read(4 * 4 * count), np.float32).reshape(-1, 4))
         most += count
-        if most > max(_WAITING, len(kept)):
+        if most > max(_TILE_VOXELS**2, len(kept)):
             kept, waiting, most = thin_to_voxels(np.concatenate([kept, *waiting]), voxel_m), [], 0
     return thin_to_voxels(np.concatenate([kept, *waiting]), voxel_m)
 

@@ -13,7 +13,6 @@ from slam.measurements import FloatArray
 
 STEP_M = 0.001  # a thirtieth of a 3D lidar's noise; coarser only for a cloud that reaches beyond 500 km
 _MOST_BYTES = 1 << 27  # unpacked
-_WRAP = 1 << 31
 _HEAD = struct.Struct("<dI")
 
 
@@ -73,5 +72,5 @@ def _added_up(planes, step_m, points):  # type: ignore[no-untyped-def]
             signless |= (np.int64(planes[2, axis, i]) << 16) | (np.int64(planes[3, axis, i]) << 24)
             steps += (signless >> 1) ^ -(signless & 1)
             # As whole numbers of 32 bits, which a damaged cloud may leave.
-            steps = ((steps + _WRAP) & (2 * _WRAP - 1)) - _WRAP
+            steps = ((steps + (1 << 31)) & ((1 << 32) - 1)) - (1 << 31)
             points[i, axis] = steps * step_m

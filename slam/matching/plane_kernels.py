@@ -7,13 +7,12 @@ import math
 import numpy as np
 
 from fusion.kernel import NONE, ZERO, kernel
-from fusion.voxel_hash import AXIS_BITS, key_of, slot_of
+from fusion.voxel_hash import AXIS, AXIS_BITS, HALF, key_of, slot_of
 
 # A ring of the lidar alone is a line: its second extent is noise, which tells no plane.
 _LEAST_EXTENT = 0.12
 _LEAST_FLATNESS = 9.0
 _LEAST_POINTS = 6
-_HALF, _AXIS = 1 << AXIS_BITS - 1, (1 << AXIS_BITS) - 1
 
 
 @kernel
@@ -167,9 +166,9 @@ def fit_planes(keys, sums, sizes, thickness_m, marks, touched, flat, planes):  #
             and middle > extent_m * extent_m
             and middle > _LEAST_FLATNESS * least
         )
-        planes[i, 0] = x + (((keys[i] >> 2 * AXIS_BITS) & _AXIS) - _HALF) * size_m
-        planes[i, 1] = y + (((keys[i] >> AXIS_BITS) & _AXIS) - _HALF) * size_m
-        planes[i, 2] = z + ((keys[i] & _AXIS) - _HALF) * size_m
+        planes[i, 0] = x + (((keys[i] >> 2 * AXIS_BITS) & AXIS) - HALF) * size_m
+        planes[i, 1] = y + (((keys[i] >> AXIS_BITS) & AXIS) - HALF) * size_m
+        planes[i, 2] = z + ((keys[i] & AXIS) - HALF) * size_m
         planes[i, 3] = nx
         planes[i, 4] = ny
         planes[i, 5] = nz

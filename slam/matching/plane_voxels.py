@@ -24,7 +24,6 @@ from slam.matching.plane_kernels import (
 from slam.measurements import BoolArray, FloatArray
 
 _SIZES = np.array([4.0, 2.0, 1.0])
-_ROOM = 1 << 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +76,10 @@ class PlaneVoxels:
 
     def __init__(self, voxel_m: float, thickness_m: float) -> None:
         self._sizes_m, self._thickness_m = _SIZES * voxel_m, thickness_m
-        self._count, self._table = 0, table_for(_ROOM)
-        self._keys, self._sums = np.empty(_ROOM, np.int64), np.empty((_ROOM, 10))
-        self._flat, self._marks = np.zeros(_ROOM, np.bool_), np.zeros(_ROOM, np.bool_)
-        self._planes = np.empty((_ROOM, 6))
+        self._count, self._table = 0, table_for(1)
+        self._keys, self._sums = np.empty(1, np.int64), np.empty((1, 10))
+        self._flat, self._marks = np.zeros(1, np.bool_), np.zeros(1, np.bool_)
+        self._planes = np.empty((1, 6))
 
     @classmethod
     def build(cls, points: FloatArray, voxel_m: float, thickness_m: float) -> PlaneVoxels:
@@ -171,7 +170,7 @@ class PlaneVoxels:
     def _store(self, room: int, kept: NDArray[np.int64]) -> None:
         """Make room for so many voxels, of which some are those of before."""
         count = self._count = len(kept)
-        room = max(room, _ROOM)
+        room = max(room, 1)
         keys, sums, planes = np.empty(room, np.int64), np.empty((room, 10)), np.empty((room, 6))
         flat, self._marks = np.zeros(room, np.bool_), np.zeros(room, np.bool_)
         keys[:count], sums[:count] = self._keys[kept], self._sums[kept]
