@@ -95,19 +95,19 @@ def across(xx, xy, xz, yy, yz, zz):  # type: ignore[no-untyped-def]
     By the angle of Smith 1961, "Eigenvalues of a symmetric 3 x 3 matrix"; exact to the square root of the
     machine's where the lower two are the same, as on a line.
     """
-    mean = (xx + yy + zz) / 3.0
+    mean = (xx + yy + zz) / 3
     a = xx - mean
     b = yy - mean
     c = zz - mean
     off = xy * xy + xz * xz + yz * yz
-    p = math.sqrt((a * a + b * b + c * c + 2.0 * off) / 6.0)
+    p = math.sqrt((a * a + b * b + c * c + 2.0 * off) / 6)
     least = mean
     middle = mean
     if p > 0.0:
         det = a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
-        angle = math.acos(min(max(det / (2.0 * p * p * p), -1.0), 1.0)) / 3.0
-        least = mean + 2.0 * p * math.cos(angle + 2.0 * math.pi / 3.0)
-        middle = 3.0 * mean - least - (mean + 2.0 * p * math.cos(angle))
+        angle = math.acos(min(max(det / (2.0 * p * p * p), -1.0), 1.0)) / 3
+        least = mean + 2.0 * p * math.cos(angle + 2.0 * math.pi / 3)
+        middle = 3 * mean - least - (mean + 2.0 * p * math.cos(angle))
     a = xx - least
     b = yy - least
     c = zz - least
