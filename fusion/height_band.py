@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.curves import Intrinsics
+from fusion.voxel_hash import first_in_voxels, table_for
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -92,11 +93,8 @@ def thin_to_voxels(points: FloatArray, voxel_m: float) -> FloatArray:
     """(M, 3) one of the points in each voxel, the first; so near surfaces weigh no more than far ones."""
     if not len(points):
         return points
-    cells = np.floor(points / voxel_m).astype(np.int64)
-    cells -= cells.min(axis=0)
-    _, across, up = cells.max(axis=0) + 1
-    keys = (cells[:, 0] * across + cells[:, 1]) * up + cells[:, 2]
-    return points[np.sort(np.unique(keys, return_index=True)[1])]
+    first, keys = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
+    return points[first[: first_in_voxels(points, voxel_m, table_for(len(points)), keys, first)]]
 
 
 def dense_enough(points: FloatArray, radius_m: float, least_neighbours: int) -> BoolArray:

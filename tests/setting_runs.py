@@ -249,8 +249,8 @@ def first_clouds(config: Config, course: Course) -> None:
     """The beginning of it, and the cloud of the map."""
     result = mapped(Log(cloud_log().measurements[:16]), config, course)
     assert result.map.clouds is not None
-    cloud = map_cloud(result.map.clouds, result.map.node_poses, config.grid.resolution_m)  # type: ignore[arg-type]
-    course.note(cloud.points_map)
+    for cloud in map_cloud(result.map.clouds, result.map.node_poses, config.grid.resolution_m):  # type: ignore[arg-type]
+        course.note(cloud.points_map)
 
 
 @cache

@@ -128,7 +128,7 @@ def write_3d(out: Path, seed: int) -> bytes:
         np.concatenate([seen.colors, np.full((len(lidar), 3), (220, 40, 40), np.uint8)]),
         np.concatenate([seen.normals_map, np.tile(np.float32([0, 0, 1]), (len(lidar), 1))]),
     )
-    write_cloud_ply(out / "scene.ply", cloud)
+    write_cloud_ply(out / "scene.ply", [cloud])
     return cloud_picture(cloud)
 
 

@@ -71,9 +71,13 @@ def read_cloud(path: Path, parse: Callable[[Path], Parsed] | None = None) -> Clo
     points, fields = parse(path)
     with np.errstate(invalid="ignore", over="ignore"):
         points = points.astype(np.float32)
-        valid = np.isfinite(points).all(axis=1) & points.any(axis=1)
+        x, y, z = points.T
+        # Axis by axis: a reduction over rows of three takes ten times as long.
+        valid = np.isfinite(x) & np.isfinite(y) & np.isfinite(z) & ((x != 0.0) | (y != 0.0) | (z != 0.0))
     if not valid.any():
         raise RecordFault(NO_POINTS, f"{path.name}: {len(points)} points")
+    if valid.all():
+        return CloudFile(np.ascontiguousarray(points), fields)
     kept = {name: values[valid] for name, values in fields.items()}
     return CloudFile(np.ascontiguousarray(points[valid]), kept)
 

@@ -42,8 +42,8 @@ class CloudSamples:
     _tracked: tuple[float, TrackedCloud] | None = None
     _newest: PointCloud | None = None
 
-    def add(self, cloud: PointCloud) -> None:
-        """Take the next cloud."""
+    def add(self, cloud: PointCloud, *, compared: bool) -> None:
+        """Take the next cloud; its motion is found only where it will be compared with that of another."""
         self.count += 1
         if repeats(self._newest, cloud):
             self.repeated += 1
@@ -60,7 +60,8 @@ class CloudSamples:
                 del self.steps[1::2], self.points[1::2]
             self.steps.append([])
             self.points.append(cloud.points_lidar[::_THINNED].astype(np.float64))
-        self._track(replace(cloud, T_base_lidar=gtsam.Pose3()))
+        if compared:
+            self._track(replace(cloud, T_base_lidar=gtsam.Pose3()))
 
     def _track(self, cloud: PointCloud) -> None:
         """The step from the cloud before; after a gap everything begins anew."""

@@ -119,7 +119,9 @@ class Samples:
             elif isinstance(measurement, RgbdFrame):
                 samples.cameras.setdefault(measurement.sensor, CameraSamples()).add(measurement)
             elif isinstance(measurement, PointCloud):
-                samples.clouds.setdefault(measurement.sensor, CloudSamples()).add(measurement)
+                samples.clouds.setdefault(measurement.sensor, CloudSamples()).add(
+                    measurement, compared=bool(samples.wheels)
+                )
             elif isinstance(measurement, ImuReading):
                 samples.imus.setdefault(measurement.sensor, ImuSamples()).add(measurement)
         for lidar in samples.lidars.values():

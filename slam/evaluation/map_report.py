@@ -67,7 +67,7 @@ def beside_of(
     Parameters
     ----------
     written
-        The files of the run; the coloured cloud is read from there, not fused again.
+        The files of the run; the cloud of the images is read from there, not fused again.
     warnings
         Of what could not be written.
     """
@@ -82,7 +82,7 @@ def beside_of(
         lines.append(f"Not compared with the ground truth: {error}")
     try:
         for path in written:
-            if path.name == CLOUD_FILE:
+            if path.name == CLOUD_FILE and result.map.frames is not None:
                 cloud = read_cloud_ply(path)
     except ScanweaveError as error:
         lines.append(f"No picture of the coloured map: {error}")

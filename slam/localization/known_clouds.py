@@ -15,7 +15,7 @@ from slam.localization.cloud_space import CloudSpace, cloud_space
 from slam.localization.plane_sides import SidedPlanes
 from slam.matching.cloud_points import thinned, voxel_of
 from slam.matching.local_cloud import LocalCloud, moved
-from slam.matching.plane_voxels import PlaneVoxels, VoxelMoments, voxel_moments
+from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray, spatial
 from slam.storage.map_contents import MapContents
 
@@ -28,11 +28,11 @@ SIGHT = 2.0
 
 
 class _Keyframe(NamedTuple):
-    """The points of a keyframe in its base frame; and in the map, thinned to voxels, with their moments."""
+    """The points of a keyframe in its base frame; in the map; and there thinned to voxels."""
 
     points: FloatArray
+    dense: FloatArray
     placed: FloatArray
-    moments: list[VoxelMoments]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ class CloudTiles:
         """A keyframe, as dense as its planes need."""
         points = thinned(self._clouds.points(key), 0.5 * self.voxel_m)
         placed = moved(points, self._poses[key])
-        return _Keyframe(points, thinned(placed, self.voxel_m), voxel_moments(placed, self.voxel_m))
+        return _Keyframe(points, placed, thinned(placed, self.voxel_m))
 
     def _made(self, x: int, y: int, z: int) -> CloudTile | None:
         """The tile of those numbers, of the keyframes nearest to its middle."""
@@ -107,8 +107,10 @@ class CloudTiles:
             return None
         poses = [self._poses[k] for k in members]
         frames = [self._frame(k) for k in members]
-        merged = PlaneVoxels.merged([frame.moments for frame in frames], voxel_m, self._thickness_m)
-        local = LocalCloud.of_planes(merged, voxel_m, self._config)
+        merged = PlaneVoxels(voxel_m, self._thickness_m)
+        for frame in frames:
+            merged.add(frame.dense)
+        local = LocalCloud(merged, voxel_m, self._config)
         own = [
             local.agreement(thinned(frame.points, voxel_m), pose)
             for frame, pose in zip(frames, poses, strict=True)

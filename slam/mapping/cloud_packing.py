@@ -7,6 +7,7 @@ import zlib
 
 import numpy as np
 
+from fusion.kernel import ZERO, kernel
 from slam.errors import ScanweaveError
 from slam.measurements import FloatArray
 
@@ -56,7 +57,20 @@ def unpacked_cloud(content: bytes) -> FloatArray:
         raise ValueError(f"a packed cloud that is damaged: {error}") from error
     if len(plain) != size or not unpacker.eof or unpacker.unused_data:
         raise ValueError(f"a packed cloud that is not of {count} points")
-    planes = np.frombuffer(plain, np.uint8).reshape(4, -1)
-    signless = np.ascontiguousarray(planes.T).view("<i4").reshape(3, -1).T.astype(np.int32)
-    differences = ((signless >> 1) & 0x7FFFFFFF) ^ -(signless & 1)
-    return np.cumsum(differences, axis=0, dtype=np.int32) * step_m
+    points = np.empty((count, 3))
+    _added_up(np.frombuffer(plain, np.uint8).reshape(4, 3, count), step_m, points)
+    return points
+
+
+@kernel
+def _added_up(planes, step_m, points):  # type: ignore[no-untyped-def]
+    """Points (N, 3) of the bytes (4, 3, N) of the ways from each to the next."""
+    for axis in range(3):
+        steps = ZERO
+        for i in range(points.shape[0]):
+            signless = np.int64(planes[0, axis, i]) | (np.int64(planes[1, axis, i]) << 8)
+            signless |= (np.int64(planes[2, axis, i]) << 16) | (np.int64(planes[3, axis, i]) << 24)
+            steps += (signless >> 1) ^ -(signless & 1)
+            # As whole numbers of 32 bits, which a damaged cloud may leave.
+            steps = ((steps + (1 << 31)) & ((1 << 32) - 1)) - (1 << 31)
+            points[i, axis] = steps * step_m

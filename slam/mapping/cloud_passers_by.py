@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from fusion.estimation import FEWEST
-from slam.mapping.cloud_map import BATCH
-from slam.mapping.elevation import Elevation
+from slam.mapping.elevation import BATCH, Elevation
 from slam.matching.local_cloud import moved
 from slam.measurements import BoolArray, FloatArray
 

@@ -16,10 +16,10 @@ from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
 from slam.mapping.band_scan import LEVEL_SHARE
-from slam.mapping.cloud_map import BATCH
 from slam.matching.local_cloud import moved
 from slam.measurements import AnyFloatArray, BoolArray, FloatArray
 
+BATCH = 32  # clouds before what they share is counted once
 _CELL_M = 0.4
 _STEEPEST = 0.5  # of the ground, kerbs included; what rises faster stands on it
 _BESIDE_CELLS = 5.0  # ground is looked for so near to where the robot stood

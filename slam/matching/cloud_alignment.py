@@ -18,6 +18,8 @@ from slam.measurements import FloatArray, MotionEstimate
 _LEAST_KERNEL_M = 0.02
 # A point this share of the widest kernel from its plane lies on it.
 _ON_PLANE = 0.2
+# A share of the reach: what is nearer need not be drawn nearer.
+_ARRIVED = 0.004
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,9 +93,7 @@ def align_cloud(
         found = _linearise(points, planes, pose, kernel_m)
         if found is None:
             return None
-        hessian, gradient = found.hessian, found.gradient
-        damping = np.diag(np.maximum(np.diag(hessian), LEAST_EIGENVALUE)) * TINY
-        step = -np.linalg.solve(hessian + damping, gradient)
+        step = _step(found.hessian, found.gradient)
         pose = pose.compose(gtsam.Pose3.Expmap(step))
         if np.abs(step).max() < SETTLED:
             converged = True
@@ -108,7 +108,7 @@ def align_cloud(
         found.hessian,
         found.spread(),
         float(found.weights.sum()),
-        float(np.sqrt(np.mean(np.sum(points**2, axis=1)))),
+        float(np.sqrt(np.einsum("ij,ij->", points, points) / len(points))),
         len(found.residuals),
         len(found.residuals) / len(points),
         float(agree.mean()),
@@ -117,6 +117,25 @@ def align_cloud(
         converged,
         found.agreement(kernel_m, len(points)),
     )
+
+
+def drawn_near(
+    points: FloatArray, planes: PlaneVoxels, guess: gtsam.Pose3, iterations: int, reach_m: float
+) -> gtsam.Pose3:
+    """Roughly where points (N, 3), base frame, lie from ``T_map_base``, drawn to the middles of large voxels.
+
+    Where planes hold on to what they meet first, middles of voxels pull along streets and through walls. A
+    plane with a wide kernel then has what they leave.
+    """
+    pose = guess
+    for _ in range(iterations):
+        hessian, gradient = planes.pulls(points, pose.matrix(), reach_m)
+        step = _step(hessian, gradient)
+        pose = pose.compose(gtsam.Pose3.Expmap(step))
+        if np.linalg.norm(step[3:]) < _ARRIVED * reach_m:
+            break
+    found = align_cloud(points, planes, pose, iterations, reach_m)
+    return pose if found is None else found.pose
 
 
 def agreement(points: FloatArray, planes: PlaneVoxels, pose: gtsam.Pose3, kernel_m: float) -> float:
@@ -194,22 +213,20 @@ class _Linear:
         return np.asarray(sums.T @ sums)
 
 
+def _step(hessian: FloatArray, gradient: FloatArray) -> FloatArray:
+    """Gauss and Newton's, (6,)."""
+    damping = np.diag(np.maximum(np.diag(hessian), LEAST_EIGENVALUE)) * TINY
+    return np.asarray(-np.linalg.solve(hessian + damping, gradient))
+
+
 def _linearise(points: FloatArray, planes: PlaneVoxels, pose: gtsam.Pose3, kernel_m: float) -> _Linear | None:
     """Hessian and gradient for a motion of the base in its own frame."""
-    rotation = pose.rotation().matrix()
-    points_map = points @ rotation.T + pose.translation()
-    pairs = planes.pairs(points_map)
-    if int(pairs.found.sum()) < 6:
+    T_map_base = pose.matrix()
+    found = planes.residuals(points, T_map_base)
+    residuals = found.distances_m
+    if len(residuals) < 6:
         return None
-    residuals = np.einsum("ij,ij->i", points_map[pairs.found] - pairs.centers, pairs.normals)
     spread = median_to_sigma() * float(np.median(np.abs(residuals)))
     kernel_m = float(np.clip(math.sqrt(gate()) * spread, _LEAST_KERNEL_M, kernel_m))
-    weights = 1.0 / (1.0 + (residuals / kernel_m) ** 2)
-    weights[np.abs(residuals) > 2.0 * kernel_m] = 0.0
-    normals_base = pairs.normals @ rotation
-    rows = np.hstack([np.cross(points[pairs.found], normals_base), normals_base])
-    weighted = rows * weights[:, None]
-    gradients = weighted * residuals[:, None]
-    return _Linear(
-        weighted.T @ rows, gradients.sum(axis=0), residuals, weights, kernel_m, gradients, pairs.planes
-    )
+    weights, gradients, sums = planes.normal_equations(points, T_map_base, found, kernel_m)
+    return _Linear(sums[:6], sums[6], residuals, weights, kernel_m, gradients, found.voxels)

@@ -8,6 +8,7 @@ import gtsam
 import numpy as np
 
 from fusion.height_band import thin_to_voxels
+from fusion.kernel import ZERO, kernel
 from slam.config.clouds import CloudOdometryConfig
 from slam.measurements import FloatArray, PointCloud
 
@@ -26,15 +27,15 @@ def base_points(cloud: PointCloud, twist: FloatArray, config: CloudOdometryConfi
         (6,) motion of the base a second, GTSAM's tangent, by which the turn is deskewed where the points'
         times are known.
     """
-    points = np.asarray(cloud.points_lidar, dtype=np.float64).reshape(-1, 3)
-    with np.errstate(invalid="ignore", over="ignore"):
-        squares = np.einsum("ij,ij->i", points, points)
-        usable = (squares >= config.range_min_m**2) & (squares <= config.range_max_m**2)
+    points = np.asarray(cloud.points_lidar).reshape(-1, 3)
     T = cloud.T_base_lidar
-    points = points[usable] @ T.rotation().matrix().T + T.translation()
-    if not deskewed(cloud, config) or not twist.any():
-        return points
-    return _deskewed(points, np.asarray(cloud.times_s)[usable], twist)
+    placed, numbers = np.empty((len(points), 3)), np.empty(len(points), np.int64)
+    rotation, least_m, most_m = T.rotation().matrix(), config.range_min_m, config.range_max_m
+    count = _within(points, rotation, T.translation(), least_m**2, most_m**2, placed, numbers)
+    placed = placed[:count]
+    if count and cloud.times_s is not None and deskewed(cloud, config) and twist.any():
+        _straighten(placed, np.asarray(cloud.times_s, dtype=np.float64)[numbers[:count]], twist)
+    return placed
 
 
 def deskewed(cloud: PointCloud, config: CloudOdometryConfig) -> bool:
@@ -75,14 +76,45 @@ def thinned(points: FloatArray, voxel_m: float) -> FloatArray:
     return thin_to_voxels(points, voxel_m)
 
 
-def _deskewed(points: FloatArray, times_s: FloatArray, twist: FloatArray) -> FloatArray:
-    """Points as they would be seen at the stamp, by a constant twist."""
+def _straighten(points: FloatArray, times_s: FloatArray, twist: FloatArray) -> None:
+    """Move points to where they would be seen at the stamp, by a constant twist."""
     first_s, last_s = float(times_s.min()), float(times_s.max())
     if last_s <= first_s:
-        return points
-    slices = np.minimum(((times_s - first_s) / (last_s - first_s) * SLICES).astype(np.int64), SLICES - 1)
+        return
     middles_s = first_s + (np.arange(SLICES) + 0.5) * (last_s - first_s) / SLICES
     poses = [gtsam.Pose3.Expmap(twist * time_s) for time_s in middles_s]
     rotations = np.array([pose.rotation().matrix() for pose in poses])
     shifts = np.array([pose.translation() for pose in poses])
-    return np.asarray(np.einsum("nij,nj->ni", rotations[slices], points) + shifts[slices])
+    _move(points, (times_s - first_s) / (last_s - first_s) * SLICES, rotations, shifts)
+
+
+@kernel
+def _within(points, rotation, shift, least, most, placed, numbers):  # type: ignore[no-untyped-def]
+    """Points (N, 3) between two squared distances, turned and shifted, and their numbers; how many."""
+    count = ZERO
+    for i in range(points.shape[0]):
+        x = np.float64(points[i, 0])
+        y = np.float64(points[i, 1])
+        z = np.float64(points[i, 2])
+        square = x * x + y * y + z * z
+        if least <= square <= most:
+            for k in range(3):
+                placed[count, k] = rotation[k, 0] * x + rotation[k, 1] * y + rotation[k, 2] * z + shift[k]
+            numbers[count] = i
+            count += 1
+    return count
+
+
+@kernel
+def _move(points, slices, rotations, shifts):  # type: ignore[no-untyped-def]
+    """Turn and shift each point (N, 3), in place, as its slice (N,) of the turn asks."""
+    last = rotations.shape[0] - 1
+    for i in range(points.shape[0]):
+        n = min(int(slices[i]), last)
+        x = points[i, 0]
+        y = points[i, 1]
+        z = points[i, 2]
+        for k in range(3):
+            points[i, k] = (
+                rotations[n, k, 0] * x + rotations[n, k, 1] * y + rotations[n, k, 2] * z + shifts[n, k]
+            )

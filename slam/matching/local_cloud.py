@@ -1,36 +1,27 @@
-"""A map of clouds to match to: planes from a near guess, else KISS-ICP (Vizzo 2023) first finds the way.
+"""A map of clouds to match to: planes from a near guess; else the middles of large voxels first find the way.
 
 Indoors the rings on floor and ceiling travel with the lidar, and as points they pull every motion short; as
-planes they tell only height and tilt. So a point-to-plane alignment has the last word, and its Hessian gives
-the covariance that KISS-ICP has not. Where it does not settle within a voxel of the guess, KISS-ICP's
-registration, which nearly always arrives, comes before it; it takes more time than all the rest.
+planes they tell only height and tilt. So a point-to-plane alignment has the last word.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import gtsam
 import numpy as np
 
-from fusion.estimation import FEWEST, SETTLED
+from fusion.estimation import FEWEST
 from slam.config import Config
-from slam.matching.cloud_alignment import CloudAlignment, agreement, align_cloud, motion_of
+from slam.matching.cloud_alignment import CloudAlignment, agreement, align_cloud, drawn_near, motion_of
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray, MotionEstimate
 
-if TYPE_CHECKING:
-    from kiss_icp.mapping import VoxelHashMap
-
-# Points of a voxel that KISS-ICP keeps, as its authors do (Vizzo 2023).
-KISS_POINTS_A_VOXEL = 20
-_KISS_ITERATIONS = 50
-# In voxels: how far a pose may be off that KISS-ICP is to find. All kernels are a voxel wide.
+# In voxels: how far a pose may be off that is looked for from afar.
 REACH = 5.0
 # Points that find the way: what follows takes them all.
-_ARRIVING_POINTS = 3000
+_ARRIVING_POINTS = 1500
 # Points that know nothing of the planes lie evenly within the kernel; so many voxels RMS are nearly that.
 _CHANCE = 0.45
 
@@ -51,32 +42,24 @@ class Aligned:
 
 
 class LocalCloud:
-    """A map to match to: points for KISS-ICP, planes for what follows.
+    """A map to match to.
 
     Parameters
     ----------
-    points
-        KISS-ICP's map.
     planes
-        Of the same clouds.
+        Of its clouds.
     voxel_m
         Side of a voxel.
     """
 
-    def __init__(self, points: VoxelHashMap, planes: PlaneVoxels, voxel_m: float, config: Config) -> None:
-        self._points, self.planes = points, planes
+    def __init__(self, planes: PlaneVoxels, voxel_m: float, config: Config) -> None:
+        self.planes = planes
         self._config, self._voxel_m = config, voxel_m
 
     @classmethod
     def of(cls, points: FloatArray, voxel_m: float, config: Config) -> LocalCloud:
         """The map of a cloud (N, 3)."""
-        planes = PlaneVoxels.build(points, voxel_m, config.cloud_odometry.thickness_m)
-        return cls(kiss_map(points, voxel_m, config), planes, voxel_m, config)
-
-    @classmethod
-    def of_planes(cls, planes: PlaneVoxels, voxel_m: float, config: Config) -> LocalCloud:
-        """A map of planes, to which nothing arrives from afar."""
-        return cls(kiss_map(np.zeros((0, 3)), voxel_m, config), planes, voxel_m, config)
+        return cls(PlaneVoxels.build(points, voxel_m, config.cloud_odometry.thickness_m), voxel_m, config)
 
     def align(
         self,
@@ -121,11 +104,8 @@ class LocalCloud:
         return Aligned(found, motion_of(found, self._config, guess), near)
 
     def best_of(self, scan: FloatArray, starts: Sequence[gtsam.Pose3]) -> gtsam.Pose3:
-        """The start ``T_map_base``, moved to where a part of the scan fits, with most points on planes there.
-
-        KISS-ICP holds on to where it starts along a street of flat walls, since rings travel with the lidar.
-        """
-        part = _part(scan, _ARRIVING_POINTS // 2)
+        """The start ``T_map_base`` that leads a part of the scan to most points on planes, moved there."""
+        part = _part(scan, _ARRIVING_POINTS)
         found = [self._by_planes(part, start) for start in starts]
         best = max(found, key=lambda one: 0.0 if one is None else one.agreement)
         return starts[0] if best is None else best.pose
@@ -145,28 +125,11 @@ class LocalCloud:
         return bool(confident and moved_m.max() <= self._voxel_m)
 
     def _arrive(self, scan: FloatArray, guess: gtsam.Pose3, reach_m: float) -> gtsam.Pose3:
-        """KISS-ICP's registration of a part of the scan; the guess itself where it breaks down."""
-        from kiss_icp.registration import Registration
-
-        registration = Registration(_KISS_ITERATIONS, SETTLED, max_num_threads=1)
-        matrix = registration.align_points_to_map(
-            points=_part(scan, _ARRIVING_POINTS),
-            voxel_map=self._points,
-            initial_guess=guess.matrix(),
-            max_correspondance_distance=reach_m,
-            kernel=self._voxel_m,
+        """Where a part of the scan is drawn to; the guess itself where nothing draws it."""
+        pose = drawn_near(
+            _part(scan, _ARRIVING_POINTS), self.planes, guess, 2 * self._config.match.iterations, reach_m
         )
-        return gtsam.Pose3(matrix) if np.isfinite(matrix).all() else guess
-
-
-def kiss_map(points: FloatArray, voxel_m: float, config: Config) -> VoxelHashMap:
-    """KISS-ICP's map of a cloud (N, 3)."""
-    from kiss_icp.mapping import VoxelHashMap
-
-    made = VoxelHashMap(voxel_m, config.cloud_odometry.range_max_m, KISS_POINTS_A_VOXEL)
-    if len(points):
-        made.add_points(points)
-    return made
+        return pose if np.isfinite(pose.matrix()).all() else guess
 
 
 def _part(scan: FloatArray, count: int) -> FloatArray:

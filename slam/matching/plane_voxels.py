@@ -1,4 +1,4 @@
-"""Planes in the voxels of a cloud, at several sizes at once: what points are matched to.
+"""Planes in the voxels of clouds, at several sizes at once: what points are matched to.
 
 Where a large voxel holds one plane it is taken, since more points tell its normal; where it does not, smaller
 ones are asked (as the voxel map of Yuan 2022, "Efficient and probabilistic adaptive voxel mapping").
@@ -6,57 +6,24 @@ ones are asked (as the voxel map of Yuan 2022, "Efficient and probabilistic adap
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.voxel_hash import table_for
+from slam.matching.normal_kernels import smooth_normals
+from slam.matching.plane_kernels import (
+    count_points,
+    fit_planes,
+    index_keys,
+    normal_equations,
+    pair_up,
+    pull,
+)
 from slam.measurements import BoolArray, FloatArray
 
-# Three axes make a key.
-_AXIS_BITS = 21
-_LEAST_POINTS = 6
-# A ring of the lidar alone is a line: its second extent is noise, which tells no plane.
-_LEAST_EXTENT = 0.12
-_LEAST_FLATNESS = 9.0
-SIZES = (4.0, 2.0, 1.0)
-
-
-@dataclass(frozen=True, slots=True)
-class VoxelMoments:
-    """Sums over the points in each voxel of one size, about the voxel's corner; those of two clouds add up.
-
-    Attributes
-    ----------
-    keys
-        (V,) of the voxels, in order.
-    sums
-        (V, C) one row a voxel; of a surface (V, 10): number, sum of x, y, z, sums of their products.
-    """
-
-    keys: NDArray[np.int64]
-    sums: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class PlaneLevel:
-    """The planes of one size of voxel.
-
-    Attributes
-    ----------
-    size_m
-        Side of a voxel.
-    keys
-        (V,) of the voxels that hold a plane, in order.
-    centers, normals
-        (V, 3) of their planes.
-    """
-
-    size_m: float
-    keys: NDArray[np.int64]
-    centers: FloatArray
-    normals: FloatArray
+_SIZES = np.array([4.0, 2.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,126 +46,147 @@ class PlanePairs:
     planes: NDArray[np.int64]
 
 
-class PlaneVoxels:
-    """The planes of a cloud."""
+@dataclass(frozen=True, slots=True)
+class Residuals:
+    """Distances of M of a cloud's points from their planes.
 
-    def __init__(self, levels: Sequence[PlaneLevel]) -> None:
-        self._levels = levels
+    Attributes
+    ----------
+    which, voxels
+        (M,) numbers of the points, and of the voxels that hold their planes.
+    distances_m
+        (M,), with the sign of the side.
+    """
+
+    which: NDArray[np.int64]
+    voxels: NDArray[np.int64]
+    distances_m: FloatArray
+
+
+class PlaneVoxels:
+    """Voxels in which clouds are counted, and the planes that they hold.
+
+    Parameters
+    ----------
+    voxel_m
+        Side of the smallest voxels.
+    thickness_m
+        Standard deviation across a plane, at most.
+    """
+
+    def __init__(self, voxel_m: float, thickness_m: float) -> None:
+        self._sizes_m, self._thickness_m = _SIZES * voxel_m, thickness_m
+        self._count, self._table = 0, table_for(1)
+        self._keys, self._sums = np.empty(1, np.int64), np.empty((1, 10))
+        self._flat, self._marks = np.zeros(1, np.bool_), np.zeros(1, np.bool_)
+        self._planes = np.empty((1, 6))
 
     @classmethod
     def build(cls, points: FloatArray, voxel_m: float, thickness_m: float) -> PlaneVoxels:
-        """Fit planes.
-
-        Parameters
-        ----------
-        points
-            (N, 3).
-        voxel_m
-            Side of the smallest voxels.
-        thickness_m
-            Standard deviation across a plane, at most.
-        """
-        return cls.merged([voxel_moments(points, voxel_m)], voxel_m, thickness_m)
-
-    @classmethod
-    def merged(
-        cls, parts: Collection[Sequence[VoxelMoments]], voxel_m: float, thickness_m: float
-    ) -> PlaneVoxels:
-        """Fit planes to several clouds at once, at least one, each as `voxel_moments` tells it."""
-        levels = []
-        for of_size, size in zip(zip(*parts, strict=True), SIZES, strict=True):
-            moments = added(of_size)
-            flat, centers, normals = fitted(moments, voxel_m * size, thickness_m)
-            levels.append(PlaneLevel(voxel_m * size, moments.keys[flat], centers[flat], normals[flat]))
-        return cls(levels)
+        """The planes of a cloud (N, 3); the rest as above."""
+        made = cls(voxel_m, thickness_m)
+        made.add(points)
+        return made
 
     def __len__(self) -> int:
-        return sum(len(level.keys) for level in self._levels)
+        return int(np.count_nonzero(self._flat[: self._count]))
+
+    def add(self, points: FloatArray) -> None:
+        """Count a cloud (N, 3) in."""
+        self._change(points, 1.0)
+
+    def take(self, points: FloatArray) -> None:
+        """Count a cloud (N, 3) out that was counted in."""
+        self._change(points, -1.0)
+        left = self._sums[: self._count, 0] > 0.5
+        if 2 * np.count_nonzero(left) < self._count:
+            kept = np.flatnonzero(left)
+            self._store(len(kept), kept)
+
+    def residuals(self, points: FloatArray, T_map_base: FloatArray) -> Residuals:
+        """Of points (N, 3), base frame, from a pose (4, 4)."""
+        which, voxels = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
+        distances_m = np.empty(len(points))
+        known = self._sizes_m, self._table, self._keys, self._flat, self._planes
+        count = pair_up(points, T_map_base, *known, which, voxels, distances_m)
+        return Residuals(which[:count], voxels[:count], distances_m[:count])
+
+    def normal_equations(
+        self, points: FloatArray, T_map_base: FloatArray, residuals: Residuals, kernel_m: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Robust weights (M,), weighted gradients (M, 6), and Hessian over their sum (7, 6).
+
+        In GTSAM's tangent of the base.
+        """
+        weights, gradients = np.empty(len(residuals.which)), np.empty((len(residuals.which), 6))
+        sums = np.zeros((7, 6))
+        pairs = residuals.which, residuals.voxels, residuals.distances_m
+        normal_equations(points, T_map_base, self._planes, *pairs, kernel_m, weights, gradients, sums)
+        return weights, gradients, sums
+
+    def pulls(
+        self, points: FloatArray, T_map_base: FloatArray, reach_m: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Hessian (6, 6) and gradient (6,) of squared distances to the nearest middles of largest voxels."""
+        sums = np.zeros(16)
+        pull(points, T_map_base, self._sizes_m[0], self._table, self._keys, self._sums, reach_m, sums)
+        weight, (x, y, z), hessian = sums[0], sums[1:4], np.zeros((6, 6))
+        row, column = np.triu_indices(3)
+        hessian[row, column] = hessian[column, row] = -sums[4:10]
+        hessian[:3, :3] -= np.trace(hessian[:3, :3]) * np.eye(3)
+        hessian[:3, 3:] = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+        hessian[3:, :3], hessian[3:, 3:] = hessian[:3, 3:].T, weight * np.eye(3)
+        return hessian, sums[10:]
 
     def pairs(self, points: FloatArray) -> PlanePairs:
-        """The plane of the largest voxel around each point (N, 3) that has one."""
+        """The plane of the largest voxel around each point (N, 3), map frame, that has one."""
+        residuals = self.residuals(points, np.eye(4))
         found = np.zeros(len(points), dtype=np.bool_)
-        centers, normals = np.zeros((len(points), 3)), np.zeros((len(points), 3))
-        planes, before = np.zeros(len(points), dtype=np.int64), 0
-        for level in self._levels:
-            if not len(level.keys):
-                continue
-            open_ = np.flatnonzero(~found)
-            keys = voxel_keys(points[open_], level.size_m)
-            place = np.minimum(np.searchsorted(level.keys, keys), len(level.keys) - 1)
-            hit = level.keys[place] == keys
-            rows, place = open_[hit], place[hit]
-            found[rows] = True
-            centers[rows], normals[rows] = level.centers[place], level.normals[place]
-            planes[rows] = before + place
-            before += len(level.keys)
-        return PlanePairs(found, centers[found], normals[found], planes[found])
+        found[residuals.which] = True
+        planes = self._planes[residuals.voxels]
+        numbers = np.cumsum(self._flat[: self._count])[residuals.voxels] - 1
+        return PlanePairs(found, planes[:, :3], planes[:, 3:], numbers)
+
+    def _change(self, points: FloatArray, sign: float) -> None:
+        """Count a cloud in or out, and fit what it touched anew."""
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        touched = np.empty(len(points) * len(self._sizes_m), np.int64)
+        most = self._count + len(touched)
+        if sign > 0.0 and most > len(self._keys):
+            self._store(max(most, 2 * len(self._keys)), np.arange(self._count))
+        voxels = self._table, self._keys, self._sums, self._marks, touched
+        self._count, changed = count_points(points, sign, self._sizes_m, self._count, *voxels)
+        fit_planes(
+            self._keys,
+            self._sums,
+            self._sizes_m,
+            self._thickness_m,
+            self._marks,
+            touched[:changed],
+            self._flat,
+            self._planes,
+        )
+
+    def _store(self, room: int, kept: NDArray[np.int64]) -> None:
+        """Make room for so many voxels, of which some are those of before."""
+        count = self._count = len(kept)
+        room = max(room, 1)
+        keys, sums, planes = np.empty(room, np.int64), np.empty((room, 10)), np.empty((room, 6))
+        flat, self._marks = np.zeros(room, np.bool_), np.zeros(room, np.bool_)
+        keys[:count], sums[:count] = self._keys[kept], self._sums[kept]
+        planes[:count], flat[:count] = self._planes[kept], self._flat[kept]
+        self._keys, self._sums, self._planes, self._flat = keys, sums, planes, flat
+        self._table = table_for(room)
+        index_keys(keys[:count], self._table)
 
 
-def voxel_moments(points: FloatArray, voxel_m: float) -> list[VoxelMoments]:
-    """What a cloud (N, 3) adds to the voxels of every size."""
-    return [_moments(points, voxel_m * size) for size in SIZES]
-
-
-def _moments(points: FloatArray, size_m: float) -> VoxelMoments:
-    """Of one size."""
-    keys = voxel_keys(points, size_m)
-    order = np.argsort(keys, kind="stable")
-    keys, ordered = keys[order], points[order]
-    # About the corner of its voxel a moment loses no digits.
-    local = ordered - np.floor(ordered / size_m) * size_m
-    row, column = np.triu_indices(3)
-    rows = np.column_stack([np.ones(len(local)), local, local[:, row] * local[:, column]])
-    return summed(keys, rows)
-
-
-def added(parts: Sequence[VoxelMoments]) -> VoxelMoments:
-    """The moments of several clouds together."""
-    if len(parts) == 1:
-        return parts[0]
-    keys, sums = np.concatenate([part.keys for part in parts]), np.vstack([part.sums for part in parts])
-    order = np.argsort(keys, kind="stable")
-    return summed(keys[order], sums[order])
-
-
-def summed(keys: NDArray[np.int64], rows: FloatArray) -> VoxelMoments:
-    """Rows of equal keys, which stand together, added up."""
-    if not len(keys):
-        return VoxelMoments(keys, rows)
-    starts = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
-    return VoxelMoments(keys[starts], np.add.reduceat(rows, starts))
-
-
-def fitted(
-    moments: VoxelMoments, size_m: float, thickness_m: float
-) -> tuple[BoolArray, FloatArray, FloatArray]:
-    """Whether each voxel (V,) of one size holds a plane, and the planes' centers and normals, both (V, 3)."""
-    keys, sums = moments.keys, moments.sums
-    flat = sums[:, 0] >= _LEAST_POINTS
-    centers, normals = np.zeros((len(keys), 3)), np.zeros((len(keys), 3))
-    if not flat.any():
-        return flat, centers, normals
-    means = sums[flat, 1:4] / sums[flat, :1]
-    row, column = np.triu_indices(3)
-    spread = sums[flat, 4:] / sums[flat, :1] - means[:, row] * means[:, column]
-    covariances = np.empty((len(means), 3, 3))
-    covariances[:, row, column] = spread
-    covariances[:, column, row] = spread
-    values, vectors = np.linalg.eigh(covariances)
-    axes = np.stack([keys >> 2 * _AXIS_BITS, keys >> _AXIS_BITS, keys], axis=1)[flat] & (
-        (1 << _AXIS_BITS) - 1
-    )
-    centers[flat] = means + (axes - (1 << _AXIS_BITS - 1)) * size_m
-    normals[flat] = vectors[:, :, 0]
-    flat[flat] = (
-        (values[:, 0] < thickness_m**2)
-        & (values[:, 1] > (_LEAST_EXTENT * size_m) ** 2)
-        & (values[:, 1] > _LEAST_FLATNESS * values[:, 0])
-    )
-    return flat, centers, normals
-
-
-def voxel_keys(points: FloatArray, size_m: float) -> NDArray[np.int64]:
-    """One integer for the voxel of each point."""
-    whole = np.floor(points / size_m).astype(np.int64) + (1 << _AXIS_BITS - 1)
-    return (whole[:, 0] << 2 * _AXIS_BITS) | (whole[:, 1] << _AXIS_BITS) | whole[:, 2]
+def surface_normals(points: FloatArray, size_m: float) -> FloatArray:
+    """Normals (N, 3), either way, across the points in the cell of each and in those around; else upright."""
+    points = np.ascontiguousarray(points, dtype=np.float64)
+    count, table = len(points), table_for(len(points))
+    keys, sums, marks = np.empty(count, np.int64), np.empty((count, 10)), np.zeros(count, np.bool_)
+    touched, normals = np.empty(count, np.int64), np.empty((count, 3))
+    cells, _ = count_points(points, 1.0, np.array([size_m]), 0, table, keys, sums, marks, touched)
+    known, of_cells = np.zeros(cells, np.bool_), np.zeros((cells, 3))
+    smooth_normals(points, size_m, table, keys, sums, known, of_cells, normals)
+    return normals

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation import TINY
+from fusion.kernel import kernel
 from slam.measurements import Float32Array, FloatArray
 
 RINGS, SECTORS = 20, 60
@@ -33,16 +34,21 @@ def scan_context(points: FloatArray, voxel_m: float) -> Float32Array:
     """
     reach_m = 4 * RINGS * voxel_m
     context = np.zeros((RINGS, SECTORS), dtype=np.float32)
-    distance = np.hypot(points[:, 0], points[:, 1])
-    near = distance < reach_m
-    if not near.any():
-        return context
-    kept = points[near]
-    ring = (distance[near] / reach_m * RINGS).astype(np.int64)
-    sector = ((np.arctan2(kept[:, 1], kept[:, 0]) / (2.0 * math.pi) % 1.0) * SECTORS).astype(np.int64)
-    height = np.maximum(kept[:, 2] - np.percentile(kept[:, 2], _LOWEST_PERCENT), 0.0)
-    np.maximum.at(context, (ring, np.minimum(sector, SECTORS - 1)), height.astype(np.float32))
+    near = np.hypot(points[:, 0], points[:, 1]) < reach_m
+    if near.any():
+        _greatest(points, reach_m, float(np.percentile(points[near, 2], _LOWEST_PERCENT)), context)
     return context
+
+
+@kernel
+def _greatest(points, reach_m, lowest_m, context):  # type: ignore[no-untyped-def]
+    """Write the greatest height over the lowest in each part of the surroundings."""
+    for i in range(points.shape[0]):
+        ring = int(math.hypot(points[i, 0], points[i, 1]) / reach_m * RINGS)
+        if ring < RINGS:
+            turn = math.atan2(points[i, 1], points[i, 0]) / (2.0 * math.pi) % 1.0
+            sector = min(int(turn * SECTORS), SECTORS - 1)
+            context[ring, sector] = max(context[ring, sector], points[i, 2] - lowest_m)
 
 
 def dissimilarity(one: Float32Array, other: Float32Array) -> tuple[float, float]:

@@ -5,21 +5,16 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import gtsam
 import numpy as np
 
 from slam.config import Config
 from slam.matching.cloud_points import thinned
-from slam.matching.local_cloud import REACH, Aligned, LocalCloud, kiss_map, moved
+from slam.matching.local_cloud import REACH, Aligned, LocalCloud, moved
 from slam.matching.plane_window import PlaneWindow
 from slam.measurements import FloatArray, MotionEstimate
 
-if TYPE_CHECKING:
-    from kiss_icp.mapping import VoxelHashMap
-
-_RENEWED_SHARE = 4
 # This share of the points on planes is nearly as many; of what is expected a smaller one is no match at all.
 _NEARLY, _HARDLY = 0.85, 0.4
 # How many points of a keyframe lie on the planes of those before it, as a share of those on its own too: by
@@ -38,22 +33,18 @@ class CloudOdometry:
 
     def __init__(self, config: Config, voxel_m: float) -> None:
         self._config, self._voxel_m = config, voxel_m
-        self._clouds: deque[FloatArray] = deque(maxlen=config.match.local_map_keyframes)
-        self._planes = self._no_planes()
-        self._points: VoxelHashMap | None = None
-        self._grown = 0
+        self._window = self._empty_window()
         self._map: LocalCloud | None = None
         self._expected = 0.0
         self._known: deque[float] = deque(maxlen=_KNOWN_KEYFRAMES)
 
     def restart(self) -> None:
         """Forget the local map."""
-        self._clouds.clear()
-        self._planes = self._no_planes()
-        self._map = self._points = None
+        self._window = self._empty_window()
+        self._map = None
         self._known.clear()
 
-    def _no_planes(self) -> PlaneWindow:
+    def _empty_window(self) -> PlaneWindow:
         """The planes of no keyframe."""
         thickness_m = self._config.cloud_odometry.thickness_m
         return PlaneWindow(self._voxel_m, thickness_m, self._config.match.local_map_keyframes)
@@ -62,18 +53,12 @@ class CloudOdometry:
         """Take points (N, 3), base frame, at ``T_odom_base`` into the local map."""
         if not len(points):
             return
-        before = self.agreement(points, pose)
+        scan = thinned(points, self._voxel_m)
+        before = self._agreement(scan, pose)
         cloud = moved(thinned(points, 0.5 * self._voxel_m), pose)
-        self._clouds.append(cloud)
-        self._grown += 1
-        # KISS-ICP's map forgets by distance only; now and then it is made anew of what is still in the map.
-        if self._points is None or self._grown * _RENEWED_SHARE >= self._config.match.local_map_keyframes:
-            self._points = kiss_map(np.vstack(self._clouds), self._voxel_m, self._config)
-            self._grown = 0
-        else:
-            self._points.add_points(cloud)
-        self._map = LocalCloud(self._points, self._planes.add(cloud), self._voxel_m, self._config)
-        own = self.agreement(points, pose)
+        self._window.add(cloud)
+        self._map = LocalCloud(self._window.planes, self._voxel_m, self._config)
+        own = self._agreement(scan, pose)
         if before > 0.0 and own > 0.0:
             self._known.append(before / own)
         self._expected = own * max(float(np.median(self._known or [0.0])), _LEAST_KNOWN)
@@ -120,7 +105,11 @@ class CloudOdometry:
 
     def agreement(self, points: FloatArray, pose: gtsam.Pose3) -> float:
         """Share of a scan (N, 3), base frame, that lies on planes from ``T_odom_base``."""
-        return 0.0 if self._map is None else self._map.agreement(thinned(points, self._voxel_m), pose)
+        return self._agreement(thinned(points, self._voxel_m), pose)
+
+    def _agreement(self, scan: FloatArray, pose: gtsam.Pose3) -> float:
+        """The same of a scan that is thinned."""
+        return 0.0 if self._map is None else self._map.agreement(scan, pose)
 
     @property
     def _usual(self) -> float:

@@ -43,7 +43,7 @@ class DeskewedCloud:
     @property
     def lever_m(self) -> float:
         """Root mean square distance of the points."""
-        return float(np.sqrt(np.mean(np.sum(self.points**2, axis=1))))
+        return float(np.sqrt(np.einsum("ij,ij->", self.points, self.points) / max(len(self.points), 1)))
 
 
 class TurnMatcher:

@@ -201,7 +201,7 @@ class Exports:
             write_transforms(written[0], images, "points.ply")
             if len(surface.cloud.points_map):
                 written.append(folder / "points.ply")
-                write_cloud_ply(written[-1], surface.cloud)
+                write_cloud_ply(written[-1], [surface.cloud])
         return [*written, folder / IMAGES], surface.missing
 
     @cached_property
@@ -315,6 +315,6 @@ def _save_surface(path: Path, surface: Surface) -> tuple[list[Path], list[str]]:
         write_mesh_ply(path, surface.mesh)
         written.append(path)
     if len(surface.cloud.points_map):
-        write_cloud_ply(cloud_path, surface.cloud)
+        write_cloud_ply(cloud_path, [surface.cloud])
         written.append(cloud_path)
     return written, missing

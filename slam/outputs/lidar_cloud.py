@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
 import numpy as np
 
 from slam.config import Config
 from slam.mapping.cloud_map import map_cloud
 from slam.mapping.cloud_passers_by import passed_by
+from slam.mapping.dense_map import ColoredCloud
 from slam.mapping.elevation import Elevation
-from slam.measurements import spatial
+from slam.measurements import BoolArray, Float32Array, spatial
 from slam.storage.lidar_cloud_files import LidarCloud
 from slam.storage.map_contents import MapContents
 
@@ -30,12 +34,28 @@ def lidar_cloud(found: MapContents, config: Config, ground: Elevation | None) ->
     clouds = found.clouds
     assert clouds is not None
     if ground is None:
-        stays = map_cloud(clouds, poses, cell_m)
-        return LidarCloud(stays, np.zeros(len(stays.points_map), np.bool_), None)
+        stays = _Parts(lambda: map_cloud(clouds, poses, cell_m))
+        return LidarCloud(stays, lambda points: np.zeros(len(points), np.bool_), None)
     reach_m = config.cloud_odometry.range_max_m
     passed = passed_by(clouds, poses, found.T_base_lidar, ground, reach_m)
-    stays, gone = (map_cloud(passed.parts(clouds, poses, gone=one), poses, cell_m) for one in (False, True))
-    above_m = np.abs(ground.above_m(stays.points_map.astype(np.float64)))
-    # Where no ground was seen, its height is a guess.
-    is_ground = (above_m < 0.5 * passed.voxel_m) & ground.seen_at(stays.points_map)
-    return LidarCloud(stays, is_ground, gone if len(gone.points_map) else None)
+    stays, gone = (
+        _Parts(lambda one=one: map_cloud(passed.parts(clouds, poses, gone=one), poses, cell_m))  # type: ignore[misc]
+        for one in (False, True)
+    )
+
+    def is_ground(points: Float32Array) -> BoolArray:
+        above_m = np.abs(ground.above_m(points.astype(np.float64)))
+        # Where no ground was seen, its height is a guess.
+        return np.asarray((above_m < 0.5 * passed.voxel_m) & ground.seen_at(points))
+
+    return LidarCloud(stays, is_ground, gone if len(passed.keys) else None)
+
+
+@dataclass(frozen=True, slots=True)
+class _Parts:
+    """Parts of a cloud, made anew each time that they are asked for."""
+
+    make: Callable[[], Iterator[ColoredCloud]]
+
+    def __iter__(self) -> Iterator[ColoredCloud]:
+        return self.make()

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from slam.mapping.dense_map import ColoredCloud
-from slam.measurements import BoolArray
+from slam.measurements import BoolArray, Float32Array
 from slam.storage.files import make_folder
 from slam.storage.las import write_las
 from slam.storage.pcd import write_pcd
@@ -19,7 +19,7 @@ _TILE_M = 50.0
 _WRITERS: dict[str, Callable[[Path, ColoredCloud, BoolArray], None]] = {
     "las": write_las,
     "pcd": write_pcd,
-    "ply": lambda path, cloud, _: write_cloud_ply(path, cloud),
+    "ply": lambda path, cloud, _: write_cloud_ply(path, [cloud]),
 }
 TILES = "-tiles"
 CLOUD_FORMATS = ("las", "pcd", *(name + TILES for name in _WRITERS))
@@ -32,16 +32,16 @@ class LidarCloud:
     Attributes
     ----------
     stays
-        Of the map.
+        Of the map, in parts; read more than once.
     is_ground
-        (N,) which of its points are the ground.
+        Of points (N, 3), which (N,) are the ground.
     gone
-        What only passed by; None where nothing did.
+        What only passed by, in parts; None where nothing did.
     """
 
-    stays: ColoredCloud
-    is_ground: BoolArray
-    gone: ColoredCloud | None
+    stays: Iterable[ColoredCloud]
+    is_ground: Callable[[Float32Array], BoolArray]
+    gone: Iterable[ColoredCloud] | None
 
 
 def write_lidar_cloud(path: Path, cloud: LidarCloud) -> list[Path]:
@@ -75,21 +75,33 @@ def export_cloud(format_: str, out: Path, cloud: LidarCloud) -> list[Path]:
     """
     name = format_.removesuffix(TILES)
     write = _WRITERS[name]
+    whole = _joined(cloud.stays)
+    is_ground = cloud.is_ground(whole.points_map)
     if name == format_:
         if out.is_dir() or not out.suffix:
             make_folder(out)
             out /= f"cloud.{name}"
-        write(out, cloud.stays, cloud.is_ground)
+        write(out, whole, is_ground)
         return [out]
     make_folder(out)
-    corners = np.floor(cloud.stays.points_map[:, :2] / _TILE_M).astype(np.int64)
+    corners = np.floor(whole.points_map[:, :2] / _TILE_M).astype(np.int64)
     written = []
     for corner in np.unique(corners, axis=0):
         inside = (corners == corner).all(axis=1)
         x, y = (corner * round(_TILE_M)).tolist()
         written.append(out / f"{x}_{y}.{name}")
-        write(written[-1], _part(cloud.stays, inside), cloud.is_ground[inside])
+        write(written[-1], _part(whole, inside), is_ground[inside])
     return written
+
+
+def _joined(parts: Iterable[ColoredCloud]) -> ColoredCloud:
+    """All parts as one."""
+    nothing = ColoredCloud(
+        np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), np.zeros((0, 3), np.float32)
+    )
+    held = [nothing, *parts]
+    columns = ([getattr(part, name) for part in held] for name in ("points_map", "colors", "normals_map"))
+    return ColoredCloud(*(np.concatenate(column) for column in columns))
 
 
 def _part(cloud: ColoredCloud, chosen: BoolArray) -> ColoredCloud:

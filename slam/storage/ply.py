@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
+import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -38,17 +41,24 @@ def write_mesh_ply(path: Path, mesh: ColoredMesh) -> None:
     _write(path, {"vertex": (_VERTEX_LINES, vertices), "face": ([_FACE_LINE], faces)})
 
 
-def write_cloud_ply(path: Path, cloud: ColoredCloud) -> None:
-    """Write a point cloud with normals and colours, whole or not at all.
+def write_cloud_ply(path: Path, parts: Iterable[ColoredCloud]) -> None:
+    """Write the parts of a point cloud with normals and colours, whole or not at all; one is held at a time.
 
     Raises
     ------
     MapFileError
         Where the cloud is empty or the file cannot be written.
     """
-    _refuse_nothing(path, len(cloud.points_map), "points")
-    vertices = _vertices(cloud.points_map, cloud.normals_map, cloud.colors)
-    _write(path, {"vertex": (_VERTEX_LINES, vertices)})
+    count = 0
+    with replacing(path) as temporary, tempfile.TemporaryFile(prefix="scanweave-cloud-") as body:
+        for part in parts:
+            body.write(_vertices(part.points_map, part.normals_map, part.colors).data)
+            count += len(part.points_map)
+        _refuse_nothing(path, count, "points")
+        body.seek(0)
+        with temporary.open("wb") as stream:
+            stream.write(_header({"vertex": (_VERTEX_LINES, count)}))
+            shutil.copyfileobj(body, stream)
 
 
 def read_cloud_ply(path: Path) -> ColoredCloud:
@@ -86,13 +96,18 @@ def _vertices(points: Float32Array, normals: Float32Array, colors: Colors) -> ND
 
 def _write(path: Path, elements: dict[str, tuple[list[str], NDArray[Any]]]) -> None:
     """Write rows of elements, each under the lines that name its properties."""
-    header = ["ply", "format binary_little_endian 1.0", "comment Scanweave: metres, map frame"]
-    for name, (properties, rows) in elements.items():
-        header += [f"element {name} {len(rows)}", *properties]
     with replacing(path) as temporary, temporary.open("wb") as stream:
-        stream.write("\n".join([*header, "end_header\n"]).encode("ascii"))
+        stream.write(_header({name: (lines, len(rows)) for name, (lines, rows) in elements.items()}))
         for _, rows in elements.values():
             stream.write(rows.data)
+
+
+def _header(elements: dict[str, tuple[list[str], int]]) -> bytes:
+    """What tells a reader which properties the elements have, and how many there are."""
+    lines = ["ply", "format binary_little_endian 1.0", "comment Scanweave: metres, map frame"]
+    for name, (properties, count) in elements.items():
+        lines += [f"element {name} {count}", *properties]
+    return "\n".join([*lines, "end_header\n"]).encode("ascii")
 
 
 def _refuse_nothing(path: Path, count: int, what: str) -> None:

@@ -59,7 +59,7 @@ def test_what_too_few_frames_saw_and_what_has_no_depth_is_left_out():
 
 def test_how_many_frames_wait_changes_nothing_but_memory(monkeypatch):
     at_once = camera_cloud(box_frames(), camera_poses(), SETTINGS)
-    monkeypatch.setattr(camera_points, "BATCH", 1)
+    monkeypatch.setattr(camera_points, "_BATCH", 1)
     one_by_one = camera_cloud(box_frames(), camera_poses(), SETTINGS)
     np.testing.assert_allclose(one_by_one.points_map, at_once.points_map, atol=1e-6)
     with pytest.raises(

@@ -3,11 +3,14 @@
 import gtsam
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from slam.errors import ScanweaveError
-from slam.mapping import cloud_map
-from slam.mapping.cloud_map import map_cloud, plane_normals
+from slam.mapping.cloud_map import map_cloud
+from slam.mapping.dense_map import ColoredCloud
+from slam.matching.plane_voxels import surface_normals
 
+COLUMNS = "points_map", "colors", "normals_map"
 RNG = np.random.default_rng(2)
 HERE = gtsam.Pose3(gtsam.Rot3.Ypr(0.3, 0.1, -0.2), np.array([4.0, -1.0, 0.5]))
 
@@ -20,10 +23,16 @@ def wall(normal, distance_m, count=6000):
     return spread @ along - normal * (distance_m + 0.002 * RNG.normal(size=(count, 1))), normal
 
 
+def whole(clouds, poses, voxel_m):
+    """All tiles of a map as one cloud."""
+    parts = list(map_cloud(clouds, poses, voxel_m))
+    return ColoredCloud(*(np.vstack([getattr(part, name) for part in parts]) for name in COLUMNS))
+
+
 @pytest.mark.parametrize("normal", [(1, 0, 0), (0.2, -0.9, 0.3), (0, 0, 1)])
 def test_normals_of_a_wall_look_at_the_robot(normal):
     points, normal = wall(normal, 3.0)
-    cloud = map_cloud([points], [HERE], 0.1)
+    cloud = whole([points], [HERE], 0.1)
     in_map = HERE.rotation().matrix() @ normal
     assert 800 < len(cloud.points_map) < 3000
     np.testing.assert_allclose(np.linalg.norm(cloud.normals_map, axis=1), 1.0, atol=1e-5)
@@ -35,36 +44,51 @@ def test_normals_of_a_wall_look_at_the_robot(normal):
 
 def test_points_without_neighbours_look_up_or_down():
     lonely = np.array([[5.0, 0, 0], [0, 5, 0], [0, 5.1, 0], [0, 0, 5]])
-    cloud = map_cloud([lonely], [gtsam.Pose3()], 0.05)
+    cloud = whole([lonely], [gtsam.Pose3()], 0.05)
     np.testing.assert_array_equal(np.abs(cloud.normals_map), np.tile([0, 0, 1], (4, 1)))
 
 
-def test_the_plane_of_neighbours_need_not_hold_the_point():
-    side = 0.05 * np.arange(-20, 21)
-    floor = np.column_stack([*(axis.ravel() for axis in np.meshgrid(side, side)), np.zeros(side.size**2)])
-    over = plane_normals(np.vstack([floor, [0.0, 0.0, 0.2]]), 0.1)[-1]
-    assert abs(over[2]) > 0.99
-
-
-def test_how_many_points_are_held_at_a_time_changes_nothing(monkeypatch):
-    points = np.vstack([wall((1, 0, 0), 3.0)[0], wall((0, 1, 0.1), 2.0)[0]])
-    at_once = map_cloud([points], [HERE], 0.1)
-    monkeypatch.setattr(cloud_map, "_CHUNK", 7)
-    np.testing.assert_array_equal(map_cloud([points], [HERE], 0.1).normals_map, at_once.normals_map)
+def test_normals_near_an_edge_are_those_of_one_side():
+    side = np.arange(0.0, 2.0, 0.05)
+    one, other = (axis.ravel() for axis in np.meshgrid(side, side))
+    floor = np.column_stack([one, other, np.zeros(one.size)])
+    back = np.column_stack([one, np.zeros(one.size), other + 0.05])
+    near = np.abs(np.vstack([surface_normals(floor, 0.05), surface_normals(back, 0.05)[:, [0, 2, 1]]])[:, 2])
+    both = surface_normals(np.vstack([floor, back]), 0.05)
+    found = np.abs(np.concatenate([both[: len(floor), 2], both[len(floor) :, 1]]))
+    assert (near > 0.999).all()
+    assert (found > 0.99).mean() > 0.96
 
 
 def test_the_normals_are_those_of_open3d(open3d):
-    points = np.vstack([wall((1, 0, 0), 3.0)[0], wall((0, 1, 0.1), 2.0)[0], RNG.normal(size=(500, 3))])
-    found = plane_normals(points, 0.075)
+    walls = [wall((1, 0, 0), 3.0)[0], wall((0, 1, 0.1), 2.0)[0]]
+    points = np.vstack(walls)
+    apart = cKDTree(walls[0]).query(walls[1])[0] > 0.4, cKDTree(walls[1]).query(walls[0])[0] > 0.4
+    found = surface_normals(points, 0.15)
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     cloud.estimate_normals(open3d.geometry.KDTreeSearchParamHybrid(radius=0.3, max_nn=20))
-    assert (np.abs(np.sum(found * np.asarray(cloud.normals), axis=1)) > 0.999).mean() > 0.998
+    same = np.abs(np.sum(found * np.asarray(cloud.normals), axis=1)) > 0.999
+    assert same[np.concatenate(apart[::-1])].mean() > 0.998
 
 
 def test_nothing_gives_nothing_and_a_bad_pose_is_named():
-    cloud = map_cloud([np.zeros((0, 3))], [gtsam.Pose3()], 0.1)
-    assert cloud.points_map.shape == cloud.normals_map.shape == cloud.colors.shape == (0, 3)
-    assert len(map_cloud([], [], 0.1).points_map) == 0
+    assert not list(map_cloud([np.zeros((0, 3))], [gtsam.Pose3()], 0.1))
+    assert not list(map_cloud([], [], 0.1))
     lost = gtsam.Pose3(gtsam.Rot3(), np.array([np.nan, 0, 0]))
     with pytest.raises(ScanweaveError, match="pose 1 of 2 keyframes is not finite"):
-        map_cloud([np.ones((1, 3)), np.ones((1, 3))], [gtsam.Pose3(), lost], 0.1)
+        list(map_cloud([np.ones((1, 3)), np.ones((1, 3))], [gtsam.Pose3(), lost], 0.1))
+
+
+def test_tiles_make_one_cloud_with_a_point_a_voxel():
+    """However many tiles: every voxel once, its first point, seen from the keyframe that saw it."""
+    points, _ = wall((0, 0, 1), 1.0)
+    seen = [points, points + np.array([0.0, 0.0, 6.0])]
+    there = gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, -5.0]))
+    parts = list(map_cloud(seen, [gtsam.Pose3(), there], 0.1))
+    assert len(parts) > 1
+    cloud = whole(seen, [gtsam.Pose3(), there], 0.1)
+    voxels = np.unique(np.floor(np.vstack([points, seen[1] + there.translation()]) / 0.1), axis=0)
+    assert len(cloud.points_map) == pytest.approx(len(voxels), abs=3)
+    up = cloud.normals_map[:, 2] > 0.0
+    assert up[cloud.points_map[:, 2] < -0.5].all()
+    assert not up[cloud.points_map[:, 2] > -0.5].any()

@@ -65,8 +65,8 @@ def test_planes_of_clouds_add_up() -> None:
     whole = PlaneVoxels.build(points, 0.2, 0.06)
     window = PlaneWindow(0.2, 0.06, 2)
     for part in (points[::3] + 1.0, points[::2], points[1::2]):
-        halves = window.add(part)
-    one, two = whole.pairs(points), halves.pairs(points)
+        window.add(part)
+    one, two = whole.pairs(points), window.planes.pairs(points)
     np.testing.assert_array_equal(one.found, two.found)
     np.testing.assert_allclose(one.centers, two.centers, atol=1e-9)
     np.testing.assert_allclose(np.abs(np.einsum("ij,ij->i", one.normals, two.normals)), 1.0, atol=1e-6)

@@ -10,6 +10,7 @@ import pytest
 from slam.datasets.pcd_points import read_pcd_points
 from slam.errors import MapFileError
 from slam.mapping.dense_map import ColoredCloud
+from slam.measurements import AnyFloatArray, BoolArray, Float32Array
 from slam.storage.lidar_cloud_files import CLOUD_FORMATS, LidarCloud, export_cloud, write_lidar_cloud
 from slam.storage.ply import read_cloud_ply
 
@@ -22,16 +23,28 @@ def cloud() -> LidarCloud:
     places = rng.uniform([-70.0, -20.0, -1.0], [60.0, 40.0, 9.0], (COUNT, 3)).astype(np.float32)
     normals = np.tile(np.array([[0.0, 0.6, 0.8]], np.float32), (COUNT, 1))
     stays = ColoredCloud(places, rng.integers(0, 256, (COUNT, 3)).astype(np.uint8), normals)
-    return LidarCloud(stays, places[:, 2] < 0.0, None)
+    halves = [
+        ColoredCloud(stays.points_map[part], stays.colors[part], stays.normals_map[part])
+        for part in (slice(COUNT // 3), slice(COUNT // 3, None))
+    ]
+    return LidarCloud(halves, low, None)
+
+
+def low(points: Float32Array) -> BoolArray:
+    return np.asarray(points[:, 2] < 0.0)
+
+
+def column(cloud: LidarCloud, name: str) -> AnyFloatArray:
+    return np.concatenate([getattr(part, name) for part in cloud.stays])
 
 
 def test_las(cloud: LidarCloud, tmp_path: Path) -> None:
     laspy = pytest.importorskip("laspy")
     (path,) = export_cloud("las", tmp_path, cloud)
     rows = laspy.read(path)
-    np.testing.assert_allclose(np.asarray(rows.xyz), cloud.stays.points_map, atol=6e-4)
-    np.testing.assert_array_equal(np.asarray(rows.classification) == 2, cloud.is_ground)
-    np.testing.assert_array_equal(np.asarray(rows.green) // 257, cloud.stays.colors[:, 1])
+    np.testing.assert_allclose(np.asarray(rows.xyz), column(cloud, "points_map"), atol=6e-4)
+    np.testing.assert_array_equal(np.asarray(rows.classification) == 2, low(column(cloud, "points_map")))
+    np.testing.assert_array_equal(np.asarray(rows.green) // 257, column(cloud, "colors")[:, 1])
     before = path.read_bytes()
     export_cloud("las", path, cloud)
     assert path.read_bytes() == before
@@ -40,10 +53,10 @@ def test_las(cloud: LidarCloud, tmp_path: Path) -> None:
 def test_pcd(cloud: LidarCloud, tmp_path: Path) -> None:
     (path,) = export_cloud("pcd", tmp_path / "mine.pcd", cloud)
     columns = read_pcd_points(path)
-    np.testing.assert_array_equal(columns["x"], cloud.stays.points_map[:, 0])
-    np.testing.assert_array_equal(columns["normal_z"], cloud.stays.normals_map[:, 2])
-    np.testing.assert_array_equal(columns["rgb"] >> 16 & 255, cloud.stays.colors[:, 0])
-    np.testing.assert_array_equal(columns["label"] == 2, cloud.is_ground)
+    np.testing.assert_array_equal(columns["x"], column(cloud, "points_map")[:, 0])
+    np.testing.assert_array_equal(columns["normal_z"], column(cloud, "normals_map")[:, 2])
+    np.testing.assert_array_equal(columns["rgb"] >> 16 & 255, column(cloud, "colors")[:, 0])
+    np.testing.assert_array_equal(columns["label"] == 2, low(column(cloud, "points_map")))
 
 
 def test_tiles_hold_every_point_once(cloud: LidarCloud, tmp_path: Path) -> None:
@@ -71,4 +84,4 @@ def test_nothing_is_no_file(format_: str, tmp_path: Path) -> None:
         np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), np.zeros((0, 3), np.float32)
     )
     with pytest.raises(MapFileError, match="no points"):
-        export_cloud(format_, tmp_path / "x", LidarCloud(none, np.zeros(0, np.bool_), None))
+        export_cloud(format_, tmp_path / "x", LidarCloud([none], low, None))

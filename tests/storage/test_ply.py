@@ -44,7 +44,7 @@ def test_a_mesh_comes_back_bit_for_bit(tmp_path):
 def test_open3d_reads_what_is_written(tmp_path, open3d):
     mesh, cloud = some_mesh(), some_cloud()
     write_mesh_ply(tmp_path / "mesh.ply", mesh)
-    write_cloud_ply(tmp_path / "cloud.ply", cloud)
+    write_cloud_ply(tmp_path / "cloud.ply", [cloud])
     found = open3d.t.io.read_triangle_mesh(tmp_path / "mesh.ply")
     np.testing.assert_array_equal(found.triangle.indices.numpy(), mesh.faces)
     np.testing.assert_array_equal(np.rint(found.vertex.colors.numpy() * 255.0), mesh.colors)
@@ -57,7 +57,7 @@ def test_open3d_reads_what_is_written(tmp_path, open3d):
 
 def test_a_cloud_comes_back_bit_for_bit(tmp_path):
     cloud = some_cloud()
-    write_cloud_ply(tmp_path / "cloud.ply", cloud)
+    write_cloud_ply(tmp_path / "cloud.ply", [cloud])
     back = read_cloud_ply(tmp_path / "cloud.ply")
     for name in ("points_map", "colors", "normals_map"):
         np.testing.assert_array_equal(getattr(back, name), getattr(cloud, name))
@@ -68,7 +68,7 @@ def test_a_cloud_comes_back_bit_for_bit(tmp_path):
 @pytest.mark.parametrize("kept", [0.01, 0.5, 0.999])
 def test_a_file_that_is_cut_off_is_refused(tmp_path, kept):
     path = tmp_path / "cut.ply"
-    write_cloud_ply(path, some_cloud())
+    write_cloud_ply(path, [some_cloud()])
     whole = path.read_bytes()
     path.write_bytes(whole[: int(kept * len(whole))])
     with pytest.raises(MapFileError, match=r"cut\.ply: (cut off|no end of the header)"):
@@ -82,7 +82,7 @@ def test_a_full_disk_leaves_the_old_file(tmp_path):
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
     try:
         with pytest.raises(MapFileError, match=r"cannot write .*cloud\.ply: .* free space"):
-            write_cloud_ply(path, some_cloud())
+            write_cloud_ply(path, [some_cloud()])
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert path.read_bytes() == b"old"
@@ -99,7 +99,7 @@ def test_nothing_to_write_is_an_error_and_no_file(tmp_path):
     with pytest.raises(MapFileError, match=r"no points for .*cloud\.ply"):
         write_cloud_ply(
             tmp_path / "cloud.ply",
-            ColoredCloud(cloud.points_map[:0], cloud.colors[:0], cloud.normals_map[:0]),
+            [ColoredCloud(cloud.points_map[:0], cloud.colors[:0], cloud.normals_map[:0])],
         )
     assert not list(tmp_path.iterdir())
 
@@ -116,7 +116,7 @@ def test_a_missing_folder_a_missing_file_and_other_formats(tmp_path):
     other.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex many\nend_header\n")
     with pytest.raises(MapFileError, match="'element vertex many' in the header"):
         read_cloud_ply(other)
-    write_cloud_ply(other, some_cloud())
+    write_cloud_ply(other, [some_cloud()])
     other.write_bytes(other.read_bytes().replace(b"uchar", b"char"))
     with pytest.raises(MapFileError, match="colours of type int8"):
         read_cloud_ply(other)

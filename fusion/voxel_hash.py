@@ -1,0 +1,62 @@
+"""Voxels by hash: tables of slots with the numbers of entries, -1 where a slot is empty."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.kernel import ZERO, kernel
+
+# Three axes make a key, and a level above them.
+AXIS_BITS = 20
+HALF, AXIS = 1 << AXIS_BITS - 1, (1 << AXIS_BITS) - 1
+# Teschner 2003, "Optimized spatial hashing for collision detection of deformable objects", section 4.1.
+_PRIMES = (73856093, 19349663)
+
+
+def table_for(count: int) -> NDArray[np.int32]:
+    """Empty slots for so many entries: a power of two, at least half of them left empty."""
+    return np.full(1 << max(2 * count - 1, 1).bit_length(), -1, np.int32)
+
+
+@kernel(inline="always")
+def key_of(x, y, z, size_m):  # type: ignore[no-untyped-def]
+    """One integer for the voxel of a point; it comes again 2^20 voxels farther."""
+    column = (math.floor(x / size_m) + HALF) & AXIS
+    row = (math.floor(y / size_m) + HALF) & AXIS
+    layer = (math.floor(z / size_m) + HALF) & AXIS
+    return (column << 2 * AXIS_BITS) | (row << AXIS_BITS) | layer
+
+
+@kernel(inline="always")
+def slot_of(key, mask):  # type: ignore[no-untyped-def]
+    """Where the search for a key begins."""
+    return (key ^ ((key >> AXIS_BITS) * _PRIMES[0]) ^ ((key >> 2 * AXIS_BITS) * _PRIMES[1])) & mask
+
+
+@kernel
+def first_in_voxels(points, size_m, table, keys, first):  # type: ignore[no-untyped-def]
+    """Numbers of the first point (N, 3) of each voxel, in order, into ``first`` (N,); how many there are.
+
+    Parameters
+    ----------
+    table, keys
+        Empty slots for N entries, and room (N,) for their keys.
+    """
+    count = ZERO
+    mask = table.shape[0] - 1
+    for i in range(points.shape[0]):
+        key = key_of(points[i, 0], points[i, 1], points[i, 2], size_m)
+        slot = slot_of(key, mask)
+        k = table[slot]
+        while k >= 0 and keys[k] != key:
+            slot = (slot + 1) & mask
+            k = table[slot]
+        if k < 0:
+            table[slot] = count
+            keys[count] = key
+            first[count] = i
+            count += 1
+    return count

@@ -1,0 +1,327 @@
+"""Compiled kernels of planes in voxels: moments, fits, and the normal equations of points on planes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fusion.kernel import NONE, ZERO, kernel
+from fusion.voxel_hash import AXIS, AXIS_BITS, HALF, key_of, slot_of
+
+# A ring of the lidar alone is a line: its second extent is noise, which tells no plane.
+_LEAST_EXTENT = 0.12
+_LEAST_FLATNESS = 9.0
+_LEAST_POINTS = 6
+
+
+@kernel
+def index_keys(keys, table):  # type: ignore[no-untyped-def]
+    """Enter the numbers of keys (V,), each of them once, into empty slots."""
+    mask = table.shape[0] - 1
+    for i in range(keys.shape[0]):
+        slot = slot_of(keys[i], mask)
+        while table[slot] >= 0:
+            slot = (slot + 1) & mask
+        table[slot] = i
+
+
+@kernel
+def count_points(points, sign, sizes, known, table, keys, sums, marks, touched):  # type: ignore[no-untyped-def]
+    """Count points (N, 3) into the moments of their voxels of every size, or out again.
+
+    Parameters
+    ----------
+    sign
+        1.0 or -1.0.
+    known
+        Voxels so far; the arrays have room for a voxel more of each size a point.
+    table, keys, sums
+        Slots, keys (V,) and moments (V, 10).
+    marks, touched
+        (V,) all False; set for the voxels whose numbers are written into ``touched``.
+
+    Returns
+    -------
+    How many voxels there are now, and how many were touched.
+    """
+    count = np.int64(known)
+    changed = ZERO
+    mask = table.shape[0] - 1
+    for i in range(points.shape[0]):
+        for level in range(sizes.shape[0]):
+            size_m = sizes[level]
+            x = points[i, 0]
+            y = points[i, 1]
+            z = points[i, 2]
+            key = key_of(x, y, z, size_m) | (level << 3 * AXIS_BITS)
+            slot = slot_of(key, mask)
+            k = np.int64(table[slot])
+            while k >= 0 and keys[k] != key:
+                slot = (slot + 1) & mask
+                k = np.int64(table[slot])
+            if k < 0:
+                k = count
+                table[slot] = k
+                keys[k] = key
+                for column in range(10):
+                    sums[k, column] = 0.0
+                count += 1
+            if not marks[k]:
+                marks[k] = True
+                touched[changed] = k
+                changed += 1
+            # About the corner of its voxel a moment loses no digits.
+            x -= math.floor(x / size_m) * size_m
+            y -= math.floor(y / size_m) * size_m
+            z -= math.floor(z / size_m) * size_m
+            sums[k, 0] += sign
+            sums[k, 1] += sign * x
+            sums[k, 2] += sign * y
+            sums[k, 3] += sign * z
+            sums[k, 4] += sign * x * x
+            sums[k, 5] += sign * x * y
+            sums[k, 6] += sign * x * z
+            sums[k, 7] += sign * y * y
+            sums[k, 8] += sign * y * z
+            sums[k, 9] += sign * z * z
+    return count, changed
+
+
+@kernel(inline="always")
+def across(xx, xy, xz, yy, yz, zz):  # type: ignore[no-untyped-def]
+    """Least and middle eigenvalue of a symmetric matrix, and the unit eigenvector of the least.
+
+    By the angle of Smith 1961, "Eigenvalues of a symmetric 3 x 3 matrix"; exact to the square root of the
+    machine's where the lower two are the same, as on a line.
+    """
+    mean = (xx + yy + zz) / 3
+    a = xx - mean
+    b = yy - mean
+    c = zz - mean
+    off = xy * xy + xz * xz + yz * yz
+    p = math.sqrt((a * a + b * b + c * c + 2.0 * off) / 6)
+    least = mean
+    middle = mean
+    if p > 0.0:
+        det = a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
+        angle = math.acos(min(max(det / (2.0 * p * p * p), -1.0), 1.0)) / 3
+        least = mean + 2.0 * p * math.cos(angle + 2.0 * math.pi / 3)
+        middle = 3 * mean - least - (mean + 2.0 * p * math.cos(angle))
+    a = xx - least
+    b = yy - least
+    c = zz - least
+    # The longest cross product of two rows of what is left of the matrix.
+    nx = xy * yz - xz * b
+    ny = xz * xy - a * yz
+    nz = a * b - xy * xy
+    square = nx * nx + ny * ny + nz * nz
+    ux = xy * c - xz * yz
+    uy = xz * xz - a * c
+    uz = a * yz - xy * xz
+    other = ux * ux + uy * uy + uz * uz
+    if other > square:
+        nx, ny, nz, square = ux, uy, uz, other
+    ux = b * c - yz * yz
+    uy = yz * xz - xy * c
+    uz = xy * yz - b * xz
+    other = ux * ux + uy * uy + uz * uz
+    if other > square:
+        nx, ny, nz, square = ux, uy, uz, other
+    if square > 0.0:
+        length = math.sqrt(square)
+        nx /= length
+        ny /= length
+        nz /= length
+    else:
+        nx, ny, nz = 0.0, 0.0, 1.0
+    return least, middle, nx, ny, nz
+
+
+@kernel
+def fit_planes(keys, sums, sizes, thickness_m, marks, touched, flat, planes):  # type: ignore[no-untyped-def]
+    """Whether each touched voxel holds a plane, its center and normal (V, 6); their marks are taken off."""
+    for n in range(touched.shape[0]):
+        i = touched[n]
+        marks[i] = False
+        flat[i] = False
+        count = sums[i, 0]
+        if count < _LEAST_POINTS:
+            continue
+        size_m = sizes[keys[i] >> 3 * AXIS_BITS]
+        x = sums[i, 1] / count
+        y = sums[i, 2] / count
+        z = sums[i, 3] / count
+        least, middle, nx, ny, nz = across(
+            sums[i, 4] / count - x * x,
+            sums[i, 5] / count - x * y,
+            sums[i, 6] / count - x * z,
+            sums[i, 7] / count - y * y,
+            sums[i, 8] / count - y * z,
+            sums[i, 9] / count - z * z,
+        )
+        extent_m = _LEAST_EXTENT * size_m
+        flat[i] = (
+            least < thickness_m * thickness_m
+            and middle > extent_m * extent_m
+            and middle > _LEAST_FLATNESS * least
+        )
+        planes[i, 0] = x + (((keys[i] >> 2 * AXIS_BITS) & AXIS) - HALF) * size_m
+        planes[i, 1] = y + (((keys[i] >> AXIS_BITS) & AXIS) - HALF) * size_m
+        planes[i, 2] = z + ((keys[i] & AXIS) - HALF) * size_m
+        planes[i, 3] = nx
+        planes[i, 4] = ny
+        planes[i, 5] = nz
+
+
+@kernel
+def pair_up(points, pose, sizes, table, keys, flat, planes, which, plane, residuals):  # type: ignore[no-untyped-def]
+    """The plane of the largest voxel around each point (N, 3) that has one; how many points have.
+
+    Parameters
+    ----------
+    pose
+        (4, 4) or (3, 4) ``T_map_base``, of points in the base frame.
+    sizes
+        Sides of the voxels, largest first.
+    table, keys, flat, planes
+        Of the voxels: slots, keys (V,), whether they hold a plane (V,), its center and normal (V, 6).
+    which, plane, residuals
+        (N,) each: room for numbers of points, of their voxels, and distances.
+    """
+    count = ZERO
+    mask = table.shape[0] - 1
+    for i in range(points.shape[0]):
+        a = points[i, 0]
+        b = points[i, 1]
+        c = points[i, 2]
+        x = pose[0, 0] * a + pose[0, 1] * b + pose[0, 2] * c + pose[0, 3]
+        y = pose[1, 0] * a + pose[1, 1] * b + pose[1, 2] * c + pose[1, 3]
+        z = pose[2, 0] * a + pose[2, 1] * b + pose[2, 2] * c + pose[2, 3]
+        k = NONE
+        for level in range(sizes.shape[0]):
+            key = key_of(x, y, z, sizes[level]) | (level << 3 * AXIS_BITS)
+            slot = slot_of(key, mask)
+            k = np.int64(table[slot])
+            while k >= 0 and keys[k] != key:
+                slot = (slot + 1) & mask
+                k = np.int64(table[slot])
+            if k >= 0:
+                if flat[k]:
+                    break
+                k = NONE
+        if k < 0:
+            continue
+        which[count] = i
+        plane[count] = k
+        x -= planes[k, 0]
+        y -= planes[k, 1]
+        z -= planes[k, 2]
+        residuals[count] = x * planes[k, 3] + y * planes[k, 4] + z * planes[k, 5]
+        count += 1
+    return count
+
+
+@kernel
+def pull(points, pose, size_m, table, keys, sums, reach_m, pulls):  # type: ignore[no-untyped-def]
+    """Sums (16,) of what the middles of the largest voxels pull points (N, 3) by, seen from the base.
+
+    Of weights, points, their products, and the pulls that turn and shift. The nearest middle pulls of those
+    in the voxel of a point and in the 26 around it; weights are Geman and McClure's, as wide as a voxel.
+    """
+    mask = table.shape[0] - 1
+    for i in range(points.shape[0]):
+        a = points[i, 0]
+        b = points[i, 1]
+        c = points[i, 2]
+        x = pose[0, 0] * a + pose[0, 1] * b + pose[0, 2] * c + pose[0, 3]
+        y = pose[1, 0] * a + pose[1, 1] * b + pose[1, 2] * c + pose[1, 3]
+        z = pose[2, 0] * a + pose[2, 1] * b + pose[2, 2] * c + pose[2, 3]
+        own = key_of(x, y, z, size_m)
+        # From here on about the corner of the voxel.
+        x -= math.floor(x / size_m) * size_m
+        y -= math.floor(y / size_m) * size_m
+        z -= math.floor(z / size_m) * size_m
+        least = reach_m * reach_m
+        dx = dy = dz = 0.0
+        for near in range(27):
+            column = near // 9 - 1
+            row = near // 3 % 3 - 1
+            layer = near % 3 - 1
+            key = own + (column << 2 * AXIS_BITS) + (row << AXIS_BITS) + layer
+            slot = slot_of(key, mask)
+            k = np.int64(table[slot])
+            while k >= 0 and keys[k] != key:
+                slot = (slot + 1) & mask
+                k = np.int64(table[slot])
+            if k < 0 or sums[k, 0] < 0.5:
+                continue
+            ux = x - column * size_m - sums[k, 1] / sums[k, 0]
+            uy = y - row * size_m - sums[k, 2] / sums[k, 0]
+            uz = z - layer * size_m - sums[k, 3] / sums[k, 0]
+            square = ux * ux + uy * uy + uz * uz
+            if square < least:
+                least = square
+                dx = ux
+                dy = uy
+                dz = uz
+        if least >= reach_m * reach_m:
+            continue
+        weight = size_m * size_m / (size_m * size_m + least)
+        weight *= weight
+        ex = pose[0, 0] * dx + pose[1, 0] * dy + pose[2, 0] * dz
+        ey = pose[0, 1] * dx + pose[1, 1] * dy + pose[2, 1] * dz
+        ez = pose[0, 2] * dx + pose[1, 2] * dy + pose[2, 2] * dz
+        pulls[0] += weight
+        pulls[1] += weight * a
+        pulls[2] += weight * b
+        pulls[3] += weight * c
+        pulls[4] += weight * a * a
+        pulls[5] += weight * a * b
+        pulls[6] += weight * a * c
+        pulls[7] += weight * b * b
+        pulls[8] += weight * b * c
+        pulls[9] += weight * c * c
+        pulls[10] += weight * (b * ez - c * ey)
+        pulls[11] += weight * (c * ex - a * ez)
+        pulls[12] += weight * (a * ey - b * ex)
+        pulls[13] += weight * ex
+        pulls[14] += weight * ey
+        pulls[15] += weight * ez
+
+
+@kernel
+def normal_equations(points, pose, planes, which, plane, residuals, kernel_m, weights, gradients, sums):  # type: ignore[no-untyped-def]
+    """Weights (M,) and gradients (M, 6) of squared distances, for a motion of the base.
+
+    Cauchy's weights; none beyond two kernels. Into ``sums`` (7, 6) go the Hessian and the gradients' sum.
+    """
+    for n in range(residuals.shape[0]):
+        i = which[n]
+        k = plane[n]
+        residual = residuals[n]
+        u = residual / kernel_m
+        weight = 1.0 / (1.0 + u * u) if abs(u) <= 2.0 else 0.0
+        weights[n] = weight
+        x = points[i, 0]
+        y = points[i, 1]
+        z = points[i, 2]
+        j3 = pose[0, 0] * planes[k, 3] + pose[1, 0] * planes[k, 4] + pose[2, 0] * planes[k, 5]
+        j4 = pose[0, 1] * planes[k, 3] + pose[1, 1] * planes[k, 4] + pose[2, 1] * planes[k, 5]
+        j5 = pose[0, 2] * planes[k, 3] + pose[1, 2] * planes[k, 4] + pose[2, 2] * planes[k, 5]
+        gradients[n, 0] = y * j5 - z * j4
+        gradients[n, 1] = z * j3 - x * j5
+        gradients[n, 2] = x * j4 - y * j3
+        gradients[n, 3] = j3
+        gradients[n, 4] = j4
+        gradients[n, 5] = j5
+        for row in range(6):
+            weighted = weight * gradients[n, row]
+            for column in range(row, 6):
+                sums[row, column] += weighted * gradients[n, column]
+        for row in range(6):
+            gradients[n, row] *= weight * residual
+            sums[6, row] += gradients[n, row]
+    for row in range(1, 6):
+        for column in range(row):
+            sums[row, column] = sums[column, row]
