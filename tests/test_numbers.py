@@ -9,7 +9,7 @@ from tools.count_numbers import bare_floats, constant_names, count_fields, count
 MOST_CONSTANTS = 288
 MOST_BARE_FLOATS = 155
 MOST_FIELDS = 154
-MOST_LINES = 53_693
+MOST_LINES = 53_710
 
 
 def test_constants_of_the_logic_do_not_grow() -> None:
