@@ -69,7 +69,7 @@ def decode_quietly(content: bytes, budget: Budget) -> NDArray[Any] | None:
 
 
 def _chunks_fit(content: bytes) -> bool:
-    """Whether no chunk of a PNG is longer than the file: OpenCV takes the memory that one names, up to 2 GB."""
+    """Whether no chunk of a PNG is longer than the file: OpenCV takes the memory that one names."""
     at = len(_PNG)
     while at + 8 <= len(content):
         size, kind = struct.unpack_from(">I4s", content, at)
