@@ -69,11 +69,18 @@ def mapped(path: Path) -> Trajectory:
 
 
 def apart(first: Trajectory, second: Trajectory) -> tuple[float, float]:
-    """Largest distance and largest difference of quaternions of the same frames."""
+    """Largest distance of the same frames, and largest angle between their turns since the first.
+
+    A turn in the frame of the map is that of the robot, however its camera is mounted.
+    """
     assert len(first) == len(second), f"{len(first)} and {len(second)} poses"
     distance_m = float(np.abs(first.positions_m - second.positions_m).max())
-    turned = np.abs(np.sum(first.quaternions_xyzw * second.quaternions_xyzw, axis=1))
-    return distance_m, float(np.sqrt(np.maximum(0.0, 1.0 - turned**2)).max())
+    turns = (
+        [_turn(*row) @ _turn(*way.quaternions_xyzw[0]).T for row in way.quaternions_xyzw]
+        for way in (first, second)
+    )
+    cosines = [0.5 * (np.trace(a.T @ b) - 1.0) for a, b in zip(*turns, strict=True)]
+    return distance_m, float(np.arccos(np.clip(cosines, -1.0, 1.0)).max())
 
 
 def main() -> None:
@@ -98,7 +105,7 @@ def main() -> None:
         path = CAMERAS[name](place, sharp)
         trajectory = mapped(path)
         distance_m, turn_rad = apart(wanted[name in JPEG], trajectory)
-        print(f"{name:16} {len(trajectory):6} {1e3 * distance_m:12.4f} {2e3 * turn_rad:10.4f}", flush=True)
+        print(f"{name:16} {len(trajectory):6} {1e3 * distance_m:12.4f} {1e3 * turn_rad:10.4f}", flush=True)
         shutil.rmtree(place)
 
 

@@ -351,8 +351,8 @@ def rtabmap(folder: Path, footage: Footage, scan: bytes = b"", info: bytes = b""
     """A database of RTAB-Map 0.21, the tables that matter."""
     lens = footage.lens
     head = struct.pack("<11i", 0, 21, 4, 0, lens.width, lens.height, 9, 0, 0, 0, 12)
-    mount = np.eye(4)[:3]
-    model = head + matrix(lens).astype("<f8").tobytes() + mount.astype("<f4").tobytes()
+    mount = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # x forward, z up
+    model = head + matrix(lens).astype("<f8").tobytes() + mount[:3].astype("<f4").tobytes()
     folder.mkdir(parents=True, exist_ok=True)
     database = sqlite3.connect(folder / "rtabmap.db")
     database.executescript(
@@ -367,7 +367,7 @@ def rtabmap(folder: Path, footage: Footage, scan: bytes = b"", info: bytes = b""
         "INSERT INTO Admin VALUES ('0.21.4', NULL);"
     )
     for number, (stamp_s, color, depth, pose) in enumerate(_frames(footage), 1):
-        place = pose[:3].astype("<f4").tobytes()
+        place = (pose @ np.linalg.inv(mount))[:3].astype("<f4").tobytes()
         row = (number, 0, 0, stamp_s + 1.7e9, place, place, None)
         database.execute("INSERT INTO Node VALUES (?, ?, ?, ?, ?, ?, ?)", row)
         data = (number, packed(color, ".png"), packed(depth, ".png"), model, info or None, scan or None, None)

@@ -1,12 +1,22 @@
-"""EuRoC and what is laid out like it (ASL): cameras without depth, which are told of and not read."""
+"""EuRoC and what is laid out like it (ASL, TUM-VI): cameras without depth, of which only the truth is read.
+
+Burri et al. 2016, "The EuRoC Micro Aerial Vehicle Datasets".
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+from slam.datasets.account import Account
 from slam.datasets.dataset_format import DatasetFormat
-from slam.datasets.recording import Recording
+from slam.datasets.pose_files import PoseTable
+from slam.datasets.recording import Contents, Recording
 from slam.errors import DatasetError
+from slam.measurements import Trajectory
+
+# Nanoseconds, position and quaternion; velocities and biases after them are left.
+POSES = PoseTable(stamp_units_s=(0.0,), order="wxyz")
+_TRUTHS = ("state_groundtruth_estimate0/data.csv", "mocap0/data.csv", "gt/data.csv")
 
 
 def looks_like_euroc(path: Path, head: bytes) -> bool:
@@ -15,17 +25,22 @@ def looks_like_euroc(path: Path, head: bytes) -> bool:
 
 
 def open_euroc(path: Path, strict: bool) -> Recording:
-    """Nothing.
+    """A sequence whose truth can score a trajectory; reading it raises DatasetError."""
 
-    Raises
-    ------
-    DatasetError
-        Always.
-    """
-    raise DatasetError(
-        f"{path} holds stereo images and an IMU (EuRoC's layout) but neither depth nor a lidar, and nothing "
-        "else is mapped; give a recording of a depth camera or of a lidar"
-    )
+    def load(account: Account) -> Contents:
+        raise DatasetError(
+            f"{path} holds stereo images and an IMU (EuRoC's layout) but neither depth nor a lidar, and "
+            "nothing else is mapped; give a recording of a depth camera or of a lidar"
+        )
+
+    return Recording(path, load, lambda account: _groundtruth(path, account), strict=strict)
 
 
-FORMAT = DatasetFormat("EuRoC folder (refused: no depth)", looks_like_euroc, open_euroc)
+def _groundtruth(path: Path, account: Account) -> Trajectory | None:
+    """Of the IMU, or of the markers on the robot."""
+    files = (place / name for place in (path / "mav0", path) for name in _TRUTHS)
+    file = next((one for one in files if one.is_file()), None)
+    return POSES.read(file, account) if file else None
+
+
+FORMAT = DatasetFormat("EuRoC folder (its truth; it has no depth)", looks_like_euroc, open_euroc)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+import struct
 import tempfile
 import threading
 from typing import Any
@@ -19,6 +20,7 @@ from slam.datasets.budget import MOST_PIXELS, Budget
 # OpenCV takes it when it is loaded: a few bytes may say that they are a gigapixel.
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
 _STDERR = 2
+_PNG = b"\x89PNG\r\n\x1a\n"
 # libjpeg's own words, libpng's, and OpenCV's log.
 _CHATTER = re.compile(
     rb"^(?:Corrupt JPEG|Premature end of JPEG|Invalid JPEG|Inconsistent|Unsupported|libpng |\[ ?\w+:).*\n?",
@@ -43,6 +45,8 @@ def decode_quietly(content: bytes, budget: Budget) -> NDArray[Any] | None:
     import cv2
 
     budget.take(0, 0)
+    if content.startswith(_PNG) and not _chunks_fit(content):
+        return None
     with _one_at_a_time, tempfile.TemporaryFile() as sink:
         stderr = os.dup(_STDERR)
         try:
@@ -62,3 +66,16 @@ def decode_quietly(content: bytes, budget: Budget) -> NDArray[Any] | None:
     budget.take(0 if image is None else image.nbytes, 0)
     damaged = any(not _HARMLESS.search(line) for line in _CHATTER.findall(said))
     return None if image is None or damaged else np.asarray(image)
+
+
+def _chunks_fit(content: bytes) -> bool:
+    """Whether no chunk of a PNG is longer than the file: OpenCV takes the memory that one names."""
+    at = len(_PNG)
+    while at + 8 <= len(content):
+        size, kind = struct.unpack_from(">I4s", content, at)
+        at += 12 + size
+        if at > len(content):
+            return False
+        if kind == b"IEND":
+            break
+    return True

@@ -8,16 +8,15 @@ from pathlib import Path
 
 import gtsam
 
-from slam.datasets import boreas, mulran, nclt, newer_college
+from slam.datasets import boreas, euroc, mulran, nclt, newer_college
 from slam.datasets.account import Account
 from slam.datasets.dataset import ReadReport
 from slam.datasets.log_file import read_head
 from slam.datasets.numbered_frames import RATE_HZ
-from slam.datasets.pose_files import PoseTable, numbers_of, pose_blocks, pose_lines, rows_of, trajectory_of
+from slam.datasets.pose_files import numbers_of, pose_blocks, pose_lines, rows_of, trajectory_of
 from slam.errors import DatasetError
 from slam.measurements import Trajectory
 
-_EUROC = PoseTable(stamp_units_s=(0.0,), order="wxyz")
 _HEAD_BYTES = 4096
 _TUM_FIELDS = 8
 _KITTI, _MULRAN, _NEWER, _NCLT, _BLOCK = 12, 13, 9, 7, 3
@@ -54,7 +53,7 @@ def read_truth(path: Path) -> Trajectory | None:
     elif counts[0] == _NEWER and commas:
         truth = newer_college.read_poses(path, account)
     elif counts[0] >= _TUM_FIELDS and commas:
-        truth = _EUROC.read(path, account)
+        truth = euroc.POSES.read(path, account)
     elif counts == [_BLOCK, 4]:
         blocks = sorted(pose_blocks(path, account).items())
         truth = trajectory_of((number / RATE_HZ, pose) for number, pose in blocks)

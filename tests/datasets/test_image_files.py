@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import threading
 import zlib
 from collections.abc import Callable
@@ -187,3 +188,13 @@ def test_real_images_are_whole() -> None:
         pytest.skip(f"REAL LOG ABSENT, not tested: {REDKITCHEN}")
     for path in sorted(REDKITCHEN.glob("*.color.jpg"))[::50]:
         assert read_color(path).shape == (480, 640, 3)
+
+
+def test_a_chunk_longer_than_its_png_takes_no_memory(tmp_path: Path) -> None:
+    path = write_depth(tmp_path / "d.png", depth_image())
+    content = path.read_bytes()
+    at = content.rindex(b"IEND")
+    path.write_bytes(content[: at - 4] + (2**31 - 1).to_bytes(4, "big") + content[at:])
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert reason(lambda: read_depth(path, 5000.0)) == DAMAGED
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # kB
