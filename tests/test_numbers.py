@@ -6,10 +6,10 @@ import ast
 
 from tools.count_numbers import bare_floats, constant_names, count_fields, count_lines, count_logic
 
-MOST_CONSTANTS = 317
-MOST_BARE_FLOATS = 167
+MOST_CONSTANTS = 320
+MOST_BARE_FLOATS = 168
 MOST_FIELDS = 157
-MOST_LINES = 53_672
+MOST_LINES = 59_648
 
 
 def test_constants_of_the_logic_do_not_grow() -> None:
