@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.curves import Intrinsics
+from fusion.kernel import kernel
 from fusion.voxel_hash import first_in_voxels, table_for
 
 FloatArray = NDArray[np.float64]
@@ -86,7 +87,20 @@ def back_project(depth_m: NDArray[np.floating[Any]], rays: FloatArray) -> FloatA
 
 def to_frame(points: FloatArray, T_a_b: FloatArray) -> FloatArray:
     """(N, 3) points of frame b in frame a, Yang2021 Eq. (16)."""
-    return np.asarray(points @ T_a_b[:3, :3].T + T_a_b[:3, 3])
+    placed = np.empty((len(points), 3))
+    _place(np.ascontiguousarray(points, np.float64), np.ascontiguousarray(T_a_b, np.float64), placed)
+    return placed
+
+
+@kernel
+def _place(points, T_a_b, placed):  # type: ignore[no-untyped-def]
+    """Points (N, 3) by a matrix into ``placed``; a product of matrices so thin takes ten times as long."""
+    for i in range(points.shape[0]):
+        x = points[i, 0]
+        y = points[i, 1]
+        z = points[i, 2]
+        for k in range(3):
+            placed[i, k] = T_a_b[k, 0] * x + T_a_b[k, 1] * y + T_a_b[k, 2] * z + T_a_b[k, 3]
 
 
 def thin_to_voxels(points: FloatArray, voxel_m: float) -> FloatArray:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from fusion.estimation import FEWEST
+from fusion.height_band import thin_to_voxels
 from slam.mapping.elevation import BATCH, Elevation
 from slam.matching.local_cloud import moved
 from slam.measurements import BoolArray, FloatArray
@@ -45,7 +46,11 @@ class PassedBy:
     ) -> Iterator[FloatArray]:
         """The points of each keyframe's cloud (N, 3), base frame, that have gone, or those that stay."""
         for points, pose in zip(clouds, poses, strict=True):
-            yield points[np.isin(_keys(moved(points, pose), self.voxel_m), self.keys) == gone]
+            if not len(self.keys):
+                yield points[: 0 if gone else None]
+                continue
+            _, there = _found(self.keys, _keys(moved(points, pose), self.voxel_m))
+            yield points[there == gone]
 
 
 def passed_by(
@@ -75,25 +80,35 @@ def passed_by(
     voxel_m = 0.5 * ground.cell_m
     known, waiting = np.zeros(0, np.int64), list[IntArray]()
     for points, pose in zip(clouds, poses, strict=True):
-        waiting.append(_keys(moved(points, pose), voxel_m))
+        waiting.append(_keys(thin_to_voxels(moved(points, pose), voxel_m), voxel_m))
         if len(waiting) == BATCH:
             known, waiting = np.unique(np.concatenate([known, *waiting])), []
     known = np.unique(np.concatenate([known, *waiting]))
     known = known[ground.above_m(_middles(known, voxel_m)) > voxel_m]
+    if not len(known):
+        return PassedBy(known, voxel_m)
     hits, between, since, before = (np.zeros(len(known), np.int32) for _ in range(4))
     for points, pose in zip(clouds, poses, strict=True):
         T_map_lidar = pose.compose(T_base_lidar)
         near = _near(known, T_map_lidar.translation(), reach_m, voxel_m)
         middles = moved(_middles(known[near], voxel_m), T_map_lidar.inverse())
         met, passed = _looked(moved(points, T_base_lidar.inverse()), middles, voxel_m)
-        own = np.isin(known[near], _keys(moved(points, pose), voxel_m))
-        met, passed = met | own, passed & ~own
+        own = np.zeros(len(known), np.bool_)
+        at, there = _found(known, _keys(thin_to_voxels(moved(points, pose), voxel_m), voxel_m))
+        own[at[there]] = True
+        met, passed = met | own[near], passed & ~own[near]
         hits[near] += met
         between[near] += np.where(met, since[near], 0)
         before[near] += passed & (hits[near] == 0)
         since[near] = np.where(met, 0, since[near] + (passed & (hits[near] > 0)))
     chances = np.log1p(-(hits + 1.0) / (hits + between + 2.0)) * (since + before)
     return PassedBy(known[_mean_around(known, chances) < -math.log(FEWEST)], voxel_m)
+
+
+def _found(known: IntArray, keys: IntArray) -> tuple[IntArray, BoolArray]:
+    """Where keys (N,) are among those known, which are sorted and some, and whether they are, (N,) each."""
+    at = np.minimum(np.searchsorted(known, keys), len(known) - 1)
+    return at, known[at] == keys
 
 
 def _near(known: IntArray, place: FloatArray, reach_m: float, voxel_m: float) -> IntArray:
@@ -136,8 +151,8 @@ def _mean_around(known: IntArray, values: FloatArray) -> FloatArray:
     around = _keys(np.array(list(itertools.product((-1, 0, 1), repeat=3))), 1.0)
     for away in (around - around[len(around) // 2]).tolist():
         beside = known + away
-        at = np.minimum(np.searchsorted(known, beside), max(len(known) - 1, 0))
-        there = (known[at] == beside) & (beside != known)
+        at, there = _found(known, beside)
+        there &= beside != known
         total += np.where(there, values[at], 0.0)
         count += there
     return total / count

@@ -12,15 +12,22 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
 from slam.mapping.band_scan import LEVEL_SHARE
+from slam.mapping.cloud_packing import STEP_M
 from slam.matching.local_cloud import moved
 from slam.measurements import AnyFloatArray, BoolArray, FloatArray
 
+Keys = NDArray[np.int64]
+
 BATCH = 32  # clouds before what they share is counted once
 _CELL_M = 0.4
+# A cell and a height in one number, which sorts ten times as fast: 21 bits each, heights in steps of clouds.
+_BITS = 21
+_MIDDLE = 1 << _BITS - 1
 _STEEPEST = 0.5  # of the ground, kerbs included; what rises faster stands on it
 _BESIDE_CELLS = 5.0  # ground is looked for so near to where the robot stood
 
@@ -85,13 +92,14 @@ def elevation(
     -------
     None where no ground hangs together with the robot's way.
     """
-    batches, waiting = list[FloatArray](), list[FloatArray]()
+    batches, waiting = list[Keys](), list[Keys]()
     for points, pose in zip(clouds, poses, strict=True):
         waiting.append(_lows(moved(points, pose), pose.translation(), reach_m))
         if len(waiting) == BATCH:
-            batches.append(_quantiles(np.vstack(waiting), 0.5))
+            batches.append(_quantiles(np.concatenate(waiting), 0.5))
             waiting = []
-    rows = _quantiles(np.vstack([*batches, *waiting]), 0.5) if batches or waiting else np.zeros((0, 3))
+    none = np.zeros(0, np.int64)
+    rows = _rows(_quantiles(np.concatenate([none, *batches, *waiting]), 0.5))
     if not len(rows):
         return None
     first = rows[:, :2].min(axis=0)
@@ -107,21 +115,28 @@ def elevation(
     return Elevation(low[tuple(nearest)], ground, _CELL_M, first[::-1] * _CELL_M)
 
 
-def _lows(points_map: FloatArray, position: FloatArray, reach_m: float) -> FloatArray:
-    """(C, 3) row, column and height of the cells that one cloud tells of."""
-    near = np.hypot(*(points_map - position)[:, :2].T) < reach_m
-    cells = np.floor(points_map[near, 1::-1] / _CELL_M)
-    return _quantiles(np.column_stack([cells, points_map[near, 2]]), LEVEL_SHARE)
+def _lows(points_map: FloatArray, position: FloatArray, reach_m: float) -> Keys:
+    """(C,) the cells that one cloud tells of, with their heights."""
+    near = points_map[np.hypot(points_map[:, 0] - position[0], points_map[:, 1] - position[1]) < reach_m]
+    row, col = (np.floor(near[:, axis] / _CELL_M).astype(np.int64) + _MIDDLE for axis in (1, 0))
+    height = np.clip(np.rint(near[:, 2] / STEP_M).astype(np.int64) + _MIDDLE, 0, 2 * _MIDDLE - 1)
+    return _quantiles(row << 2 * _BITS | col << _BITS | height, LEVEL_SHARE)
 
 
-def _quantiles(rows: FloatArray, share: float) -> FloatArray:
-    """(C, 3) of rows (N, 3) of row, column and height: one a cell, of its heights that above a share."""
-    rows = rows[np.lexsort(rows.T[::-1])]
-    new = np.ones(len(rows), dtype=np.bool_)
-    new[1:] = (rows[1:, :2] != rows[:-1, :2]).any(axis=1)
-    (starts,) = np.nonzero(new)
-    counts = np.diff(np.append(starts, len(rows)))
-    return rows[starts + (share * counts).astype(np.int64)]
+def _quantiles(keys: Keys, share: float) -> Keys:
+    """(C,) of keys (N,): one a cell, of its heights that above a share."""
+    keys = np.sort(keys)
+    cells = keys >> _BITS
+    starts = np.flatnonzero(np.diff(cells, prepend=-1))
+    counts = np.diff(np.append(starts, len(keys)))
+    return keys[starts + (share * counts).astype(np.int64)]
+
+
+def _rows(keys: Keys) -> FloatArray:
+    """(C, 3) row, column and height of keys (C,)."""
+    below = (1 << _BITS) - 1
+    row, col, height = keys >> 2 * _BITS, keys >> _BITS & below, keys & below
+    return np.column_stack([row - _MIDDLE, col - _MIDDLE, (height - _MIDDLE) * STEP_M])
 
 
 def _hanging_together(low: FloatArray, feet: FloatArray, origin_yx: FloatArray) -> BoolArray:

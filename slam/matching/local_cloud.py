@@ -13,6 +13,7 @@ import gtsam
 import numpy as np
 
 from fusion.estimation import FEWEST
+from fusion.height_band import to_frame
 from slam.config import Config
 from slam.matching.cloud_alignment import CloudAlignment, agreement, align_cloud, drawn_near, motion_of
 from slam.matching.plane_voxels import PlaneVoxels
@@ -139,4 +140,4 @@ def _part(scan: FloatArray, count: int) -> FloatArray:
 
 def moved(points: FloatArray, pose: gtsam.Pose3) -> FloatArray:
     """Points (N, 3) of frame b in frame a by ``T_a_b``."""
-    return np.asarray(points @ pose.rotation().matrix().T + pose.translation())
+    return to_frame(points, pose.matrix())
