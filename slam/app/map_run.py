@@ -95,7 +95,7 @@ def run_into(
         readings = result.scans.stamps_s.size
         on_progress(Progress("mapping", readings, 1.0))
         on_progress(Progress("writing", readings))
-        made = Exports(result.map, config)
+        made = Exports(result.map, config, result.ground)
         before = time.perf_counter()
         files, missing = _written(folder, made) if exports else ([], [])
         result.stage_seconds["files for other programs"] = time.perf_counter() - before

@@ -21,6 +21,7 @@ from slam.graph.pose_covariances import pose_covariances
 from slam.graph.pose_graph import Edge, PoseGraph
 from slam.mapper.lidar3d import band_scans
 from slam.mapper.map_result import drawn
+from slam.mapping.elevation import elevation
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.mapping.polygons import cells_inside
 from slam.measurements import BoolArray, FloatArray, Pose, spatial
@@ -216,9 +217,9 @@ def _seen(
                 "layers.robot_height_m, layers.climb_m and cloud_map take the log where the fusion has "
                 "repaired scans; 'fusion.enabled=false' beside them makes the map without it"
             )
-        measured = mended = band_scans(
-            clouds, [spatial(pose) for pose in base.node_poses], base.ground_m, config
-        )
+        poses = [spatial(pose) for pose in base.node_poses]
+        ground = elevation(clouds, poses, base.ground_m, config.cloud_map.plan_range_m)
+        measured = mended = band_scans(clouds, poses, base.ground_m, ground, config)
     else:
         same = mended is measured
         left = scans_without(mended, erased_bits(entries, REPAIRED))

@@ -27,7 +27,7 @@ from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.protocol import Tracked
 from slam.mapping.band_scan import band_scan, ground_of
-from slam.mapping.elevation import elevation
+from slam.mapping.elevation import Elevation, elevation
 from slam.matching.cloud_points import at_middle_of_turn, thinned
 from slam.matching.local_cloud import moved
 from slam.matching.upright import Gravity
@@ -224,7 +224,9 @@ class CloudLidar:
         result.notes.append(f"ground: {ground.height_m:+.2f} m in the base frame, by {source}")
         try:
             poses = [spatial(pose) for pose in result.map.node_poses]
-            measured = band_scans(self._clouds, poses, ground.height_m, self._config)
+            reach_m = self._config.cloud_map.plan_range_m
+            result.ground = elevation(self._clouds, poses, ground.height_m, reach_m)
+            measured = band_scans(self._clouds, poses, ground.height_m, result.ground, self._config)
             in_band = layers.climb_m < lidar_m - ground.height_m < layers.robot_height_m
             scans, result.fused = self._cameras.repaired(measured, in_band=in_band)
         except ScanweaveError as error:
@@ -238,7 +240,11 @@ class CloudLidar:
 
 
 def band_scans(
-    clouds: MapClouds, poses: Sequence[gtsam.Pose3], ground_m: float, config: Config
+    clouds: MapClouds,
+    poses: Sequence[gtsam.Pose3],
+    ground_m: float,
+    ground: Elevation | None,
+    config: Config,
 ) -> list[LaserScan | None]:
     """The flat scan of each keyframe: what stands in the robot's way, and the ground that is free.
 
@@ -248,6 +254,8 @@ def band_scans(
         ``T_map_base`` of each keyframe.
     ground_m
         Height of the ground in the base frame, where the robot stands.
+    ground
+        Of the map; where none is known, it is level under each keyframe.
 
     Raises
     ------
@@ -258,7 +266,6 @@ def band_scans(
     if layers.climb_m >= layers.robot_height_m:
         raise DatasetError("layers.climb_m leaves no height to layers.robot_height_m; make it lower")
     band = HeightBand(0.0, layers.robot_height_m, layers.climb_m)
-    ground = elevation(clouds, poses, ground_m, config.cloud_map.plan_range_m)
     scans = list[LaserScan | None]()
     for key, (points, T_map_base) in enumerate(zip(clouds, poses, strict=True)):
         T_level_base = level(T_map_base)

@@ -13,6 +13,7 @@ from slam.datasets.sensor_choice import SensorUse
 from slam.errors import ScanweaveError
 from slam.mapper.keyframe_fusion import FusionSummary
 from slam.mapper.scan_record import CameraRecord, ScanRecord
+from slam.mapping.elevation import Elevation
 from slam.mapping.keyframe_grid import DEPTH, OCCUPANCY, depth_model, layer_settings, lidar_grids
 from slam.mapping.layer_builder import LayerBuilder
 from slam.mapping.occupancy_grid import OccupancyGrid
@@ -45,6 +46,8 @@ class MapResult:
         Why the run could not use a sensor that was chosen, by its name.
     uses
         What became of everything in the log.
+    ground
+        Under a 3D lidar's clouds; None of other maps, and where it was not seen.
     """
 
     map: MapContents
@@ -56,6 +59,7 @@ class MapResult:
     cameras: Mapping[str, CameraRecord] = field(default_factory=dict)
     unused: dict[str, str] = field(default_factory=dict)
     uses: list[SensorUse] = field(default_factory=list)
+    ground: Elevation | None = None
 
     def add_cameras(self, cameras: Mapping[str, CameraRecord], frames: MapFrames) -> None:
         """Take what became of cameras, and their keyframes."""

@@ -75,9 +75,10 @@ def passed_by(
     poses
         ``T_map_base`` of each.
     reach_m
-        Voxels farther from a lidar are not asked.
+        Voxels farther from a lidar are not asked, nor where a pixel is four of them wide.
     """
     voxel_m = 0.5 * ground.cell_m
+    reach_m = min(reach_m, 4 * voxel_m / _PIXEL_RAD)
     known, waiting = np.zeros(0, np.int64), list[IntArray]()
     for points, pose in zip(clouds, poses, strict=True):
         waiting.append(_keys(thin_to_voxels(moved(points, pose), voxel_m), voxel_m))

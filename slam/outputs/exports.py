@@ -68,10 +68,13 @@ class Exports:
         The map.
     config
         Its settings.
+    known_ground
+        As `ground`, where it is known already.
     """
 
     contents: MapContents
     config: Config
+    known_ground: Elevation | None = None
 
     @cached_property
     def layers(self) -> LayeredMap | None:
@@ -82,8 +85,8 @@ class Exports:
     def ground(self) -> Elevation | None:
         """The ground under a 3D lidar's clouds; None of other maps, and where it was not seen."""
         found = self.contents
-        if found.clouds is None or found.ground_m is None:
-            return None
+        if self.known_ground is not None or found.clouds is None or found.ground_m is None:
+            return self.known_ground
         poses = [spatial(pose) for pose in found.node_poses]
         return elevation(found.clouds, poses, found.ground_m, self.config.cloud_map.plan_range_m)
 
