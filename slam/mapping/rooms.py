@@ -132,6 +132,7 @@ def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: Occupanc
     Two rooms have at least half as much wall between them, in line with their openings, as openings: across a
     corridor, or from one piece of furniture to another, there is none.
     """
+    free = grid.states() == FREE
     areas = np.asarray(np.bincount(labels.ravel(), minlength=len(real)) * grid.resolution_m**2, np.float64)
     areas[0] = 0.0
     # What is no larger than a doorway is none.
@@ -147,7 +148,7 @@ def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: Occupanc
         for gap in gaps:
             one, other = _sides(merged, gap, grid)
             if one and other and real[one] and real[other] and one != other:
-                wall = _in_line(merged, gap, grid) if parting else None
+                wall = _in_line(merged, free, gap, grid) if parting else None
                 edges.append(_Opening(one, other, _cells(gap.points(grid.resolution_m)), wall))
         _join(owner, areas, edges, smallest)
     sizes = np.bincount(owner, areas, len(owner))
@@ -249,7 +250,7 @@ def _cells(points_m: FloatArray) -> NDArray[np.int64]:
     return np.asarray(np.floor(points_m / THICKEST_WALL_M), dtype=np.int64)
 
 
-def _in_line(labels: Labels, gap: Gap, grid: OccupancyGrid) -> _InLine:
+def _in_line(labels: Labels, free: BoolArray, gap: Gap, grid: OccupancyGrid) -> _InLine:
     """What stands in line with a gap, up to a door's width past each end."""
     step_m, cells, found = grid.resolution_m, [], []
     asides = np.arange(2.0 * step_m, THICKEST_WALL_M, step_m)
@@ -264,11 +265,9 @@ def _in_line(labels: Labels, gap: Gap, grid: OccupancyGrid) -> _InLine:
             sides.append(seen[np.argmax(seen > 0, axis=0), np.arange(len(seen.T))])
         # Where one can see across there is no wall.
         across = np.array([beyond.points(step_m, side * step_m) for side in (-1.0, 0.0, 1.0)])
-        free = (
-            looked_up(grid.states() == FREE, grid.cells_of(across.reshape(-1, 2))).reshape(3, -1).all(axis=0)
-        )
-        found.append(np.array(sides)[:, ~free])
-        cells.append(_cells(across[1][~free]))
+        stands = ~looked_up(free, grid.cells_of(across.reshape(-1, 2))).reshape(3, -1).all(axis=0)
+        found.append(np.array(sides)[:, stands])
+        cells.append(_cells(across[1][stands]))
     return _InLine(np.concatenate(cells), np.concatenate(found, axis=1), gap.wall)
 
 
