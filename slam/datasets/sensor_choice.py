@@ -237,7 +237,11 @@ class SensorTally:
             )
             for (kind, sensor), count in sorted(self.counts.items(), key=lambda item: item[0][1])
         ]
-        rest = [(name, count, "") for name, count in report.beside.items()]
+        why_not = {use.sensor: use.why_not for use in found}
+        rest = [
+            (name, count, why_not.get(report.part_of.get(name, ""), ""))
+            for name, count in report.beside.items()
+        ]
         rest += [
             (name, count, report.reasons.get(name, "nothing reads it"))
             for name, count in report.ignored.items()

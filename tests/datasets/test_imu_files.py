@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bags.bag_writing import Sent, write_bag
+from bags.bag_writing import Sent, cloud, scan, write_bag
 from point_files import write_ply
 
 from slam.config.stages import SensorsConfig
 from slam.datasets import open_dataset
-from slam.datasets.bags.imu import NOT_BOTH
+from slam.datasets.bags.imu import NO_FORCES, NOT_BOTH
 from slam.datasets.imu_files import BAD_ROW, NO_RATES
 from slam.datasets.inspection import inspect_dataset
 from slam.datasets.kitti_raw import ONCE_A_CLOUD
@@ -187,3 +187,62 @@ def test_a_camera_is_not_said_to_use_an_imu() -> None:
     reading = ImuReading(1.0, np.zeros(3), np.ones(3))
     choice = SensorChoice.of([rgbd, reading], SensorsConfig())
     assert choice.why_not(ImuReading, "imu") == NO_HELP_TO_CAMERAS
+
+
+def half(topic: str, stamp_s: float, rates: float = 0.0, forces: float = 0.0) -> Sent:
+    """A message that tells one of the two, as the driver of RealSense does by default."""
+    fields = {
+        "angular_velocity": {"x": rates, "y": 0.0, "z": 0.0},
+        "linear_acceleration": {"x": 0.0, "y": forces, "z": 0.0},
+    }
+    return Sent(topic, "sensor_msgs/msg/Imu", 1000.0 + stamp_s, fields, "imu")
+
+
+RATES, FORCES = "/camera/gyro/sample", "/camera/accel/sample"
+
+
+@pytest.mark.parametrize(
+    ("rates", "forces"),
+    [(RATES, FORCES), ("/device_0/sensor_2/Gyro_0/imu/data", "/device_0/sensor_2/Accel_0/imu/data")],
+)
+def test_an_imu_on_two_topics_is_joined(tmp_path: Path, rates: str, forces: str) -> None:
+    # The gyroscope reads zero at first; accelerations rise by 1 a hundredth, turn rates by 0.1.
+    sent = [half(rates, 0.0025 * n, rates=0.1 * n) for n in range(14)]
+    sent += [half(forces, 0.005 + 0.01 * n, forces=9.0 + n) for n in range(3)]
+    sent += [cloud(dict(zip("xyz", POINTS.T, strict=True)), 1000.0 + 0.01 * n) for n in range(4)]
+    sent.sort(key=lambda one: one.stamp_s)
+    dataset = open_dataset(write_bag(tmp_path / "log", "mcap", sent))
+    for _ in range(2):
+        found = [one for one in dataset if isinstance(one, ImuReading)]
+        assert [one.stamp_s - 1000.0 for one in found] == pytest.approx(np.arange(2, 11) * 0.0025, abs=1e-6)
+        assert [one.gyro_rad_s[0] for one in found] == pytest.approx(0.1 * np.arange(2, 11))
+        assert [one.specific_force_m_s2[1] for one in found] == pytest.approx(
+            9.0 + 0.25 * np.arange(9), abs=1e-4
+        )
+        assert {one.sensor for one in found} == {rates} and not dataset.report.dropped
+        (note,) = [note for note in dataset.report.notes if "joined" in note]
+        assert forces in note and "5 turn rates" in note
+    uses = {use["sensor"]: use["why_not"] for use in inspect_dataset(dataset)["uses"]}
+    assert uses[rates] == uses[forces] == ""
+
+
+def test_accelerations_are_not_bridged_over_a_gap(tmp_path: Path) -> None:
+    sent = [half(RATES, 0.01 * n, rates=0.1) for n in range(100)]
+    sent += [half(FORCES, stamp_s, forces=9.8) for stamp_s in (0.0, 0.1, 0.8, 0.9)]
+    sent.sort(key=lambda one: one.stamp_s)
+    found = imu_of(write_bag(tmp_path / "log", "mcap", sent))
+    assert len(found) == 22 and not any(1000.101 < one.stamp_s < 1000.799 for one in found)
+
+
+def test_half_an_imu_is_used_with_its_other_half(tmp_path: Path) -> None:
+    scans = [scan(stamp_s=1000.0 + 0.1 * n) for n in range(4)]
+    sent = [half(RATES, 0.1 * n, rates=0.1) for n in range(4)]
+    dataset = open_dataset(write_bag(tmp_path / "alone", "mcap", [*scans, *sent]))
+    list(dataset)
+    assert dataset.report.reasons[f"{RATES} (sensor_msgs/msg/Imu)"] == NO_FORCES
+    sent += [half(FORCES, 0.1 * n, forces=9.8) for n in range(4)]
+    both = open_dataset(
+        write_bag(tmp_path / "both", "mcap", sorted([*scans, *sent], key=lambda s: s.stamp_s))
+    )
+    reasons = [use["why_not"] for use in inspect_dataset(both)["uses"] if use["sensor"] in (RATES, FORCES)]
+    assert len(reasons) == 2 and all("only a 3D lidar" in reason for reason in reasons)
