@@ -23,7 +23,7 @@ from slam.datasets.pose_files import BAD_MATRIX, by_its_size, pose_of_row, rows_
 from slam.datasets.recording import Contents, Recording
 from slam.measurements import Trajectory
 
-_INSIDE, _POSES = "Ouster", "global_pose.csv"
+_INSIDE, _POSES, _SENSORS = "Ouster", "global_pose.csv", "sensor_data"
 NAMED_BY_CLOCK = r"(\d{9,19})\.bin"
 # By the publishers' file player; lines of the first recordings end behind the angles.
 _XSENS = "time [ns],qx,qy,qz,qw,roll,pitch,yaw,gx,gy,gz,ax,ay,az,magnetic x,magnetic y,magnetic z"
@@ -33,14 +33,16 @@ _SHIFT_M, _TURN_DEG = (1.7042, -0.021, 1.8047), (0.0001, 0.0003, 179.6654)
 
 def looks_like_mulran(path: Path, head: bytes) -> bool:
     """Whether a path is the folder of one sequence."""
-    return (path / _INSIDE).is_dir() and ((path / _POSES).is_file() or (path / "sensor_data").is_dir())
+    told = (path / _POSES).is_file() or (path / _SENSORS).is_dir()
+    return told and any((place / _INSIDE).is_dir() for place in _folders(path))
 
 
 def open_mulran(path: Path, strict: bool) -> Recording:
     """A folder of one sequence; the lidar sits where the publishers say."""
 
     def load(account: Account) -> Contents:
-        files = clouds_by_name(path / _INSIDE, NAMED_BY_CLOCK, account, stamp_of_clock)
+        place = next(one / _INSIDE for one in _folders(path) if (one / _INSIDE).is_dir())
+        files = clouds_by_name(place, NAMED_BY_CLOCK, account, stamp_of_clock)
         roll, pitch, yaw = np.radians(_TURN_DEG).tolist()
         mounting = gtsam.Pose3(gtsam.Rot3.Ypr(yaw, pitch, roll), np.array(_SHIFT_M))
         clouds = CloudFolder(tuple(files), mounting, with_column_times(KITTI_ROWS))
@@ -49,6 +51,11 @@ def open_mulran(path: Path, strict: bool) -> Recording:
         )
 
     return Recording(path, load, lambda account: read_poses(path / _POSES, account), strict=strict)
+
+
+def _folders(path: Path) -> tuple[Path, Path]:
+    """Where sensors may be: the file player has them a folder further down, archives do not."""
+    return path / _SENSORS, path
 
 
 def xsens(folders: Iterable[Path]) -> ImuFile | None:

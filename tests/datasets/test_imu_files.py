@@ -12,7 +12,7 @@ from point_files import write_ply
 
 from slam.config.stages import SensorsConfig
 from slam.datasets import open_dataset
-from slam.datasets.bags.imu import NO_FORCES, NOT_BOTH
+from slam.datasets.bags.imu import NO_FORCES, NOT_BOTH, paired_halves
 from slam.datasets.imu_files import BAD_ROW, NO_RATES
 from slam.datasets.inspection import inspect_dataset
 from slam.datasets.kitti_raw import ONCE_A_CLOUD
@@ -169,6 +169,16 @@ def test_what_is_no_imu_is_named_with_its_reason(tmp_path: Path) -> None:
     assert "gravity" in reasons(boreas)["imu.csv"]
 
 
+def test_sensors_are_found_from_a_folder_above_or_below(tmp_path: Path) -> None:
+    helipr = LIDARS["helipr"](tmp_path / "helipr", turns())
+    assert len(imu_of(helipr / "LiDAR" / "Ouster")) == len(imu_of(helipr / "LiDAR")) == 20
+    newer = LIDARS["newer_college"](tmp_path / "newer", turns())
+    assert len(imu_of(newer / "raw_format" / "ouster_scan")) == len(imu_of(newer / "raw_format")) == 20
+    mulran = LIDARS["mulran"](tmp_path / "mulran", turns())
+    (mulran / "Ouster").rename(mulran / "sensor_data" / "Ouster")
+    assert len(imu_of(mulran)) == 20
+
+
 def test_the_second_imu_of_boreas_comes_before_that_of_its_truth(tmp_path: Path) -> None:
     path = LIDARS["boreas"](tmp_path, turns())
     rows = "".join(f"{1606417097000000000 + 10**7 * n},.1,.2,.3,0,0,-9.8\n" for n in range(3))
@@ -246,3 +256,11 @@ def test_half_an_imu_is_used_with_its_other_half(tmp_path: Path) -> None:
     )
     reasons = [use["why_not"] for use in inspect_dataset(both)["uses"] if use["sensor"] in (RATES, FORCES)]
     assert len(reasons) == 2 and all("only a 3D lidar" in reason for reason in reasons)
+
+
+def test_halves_are_paired_by_name_and_a_whole_imu_is_none() -> None:
+    told = {"/a/gyro": (False, False), "/b/gyro": (True, False), "/imu": (True, True)}
+    told |= {"/b/accel": (False, True), "/a/accel": (False, True)}
+    assert paired_halves(told, told) == {"/a/gyro": "/a/accel", "/b/gyro": "/b/accel"}
+    del told["/a/accel"], told["/b/accel"]
+    assert paired_halves(told, told) == {"/a/gyro": "", "/b/gyro": ""}

@@ -140,7 +140,7 @@ class JoinedImu:
         force, stamp_s = _vector(message.linear_acceleration), stamp_of(message.header)
         if not np.isfinite(force).all() or not force.any():
             raise RecordFault(NO_HALF, f"{force}")
-        if self._forces and not 0.0 < stamp_s - self._forces[-1][0] <= GAP_S:
+        if self._forces and stamp_s <= self._forces[-1][0]:
             self._forces.clear()
         self._forces.append((stamp_s, self.unit.m_s2(force)))
         while stamp_s - self._forces[0][0] > GAP_S:
