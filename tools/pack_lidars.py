@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +15,32 @@ from tools.pack_layouts import numbers, put, quaternion, tum_line
 
 @dataclass(frozen=True)
 class Turns:
-    """Turns of a lidar: stamps, (N, 3) points with z up, (N,) times after the stamp, poses of the lidar."""
+    """Turns of a lidar: stamps, (N, 3) points with z up, (N,) times after the stamp, poses of the lidar.
+
+    Of an IMU (M, 7) stamps, turn rates and forces in its own frame; without rows there is none.
+    """
 
     stamps_s: list[float]
     points: list[Any]
     times_s: list[Any]
     poses: list[Any]
+    imu: Any = field(default_factory=lambda: np.zeros((0, 7)))
+
+
+def _imu(path: Path, turns: Turns, line: Callable[[float, Any, Any], str], head: str = "") -> None:
+    """The file of an IMU, a line for each stamp, rate and force; none where there is no IMU."""
+    if len(turns.imu):
+        put(path, head + "".join(line(row[0], row[1:4], row[4:7]) + "\n" for row in turns.imu))
+
+
+def _xsens(first_s: float) -> Callable[[float, Any, Any], str]:
+    """Of MulRan and HeLiPR: quaternion, angles, rates, forces, magnetic field."""
+
+    def line(stamp_s: float, rates: Any, forces: Any) -> str:
+        others = numbers([0, 0, 0, 1, 0, 0, 0], ",")
+        return f"{round(1e9 * (stamp_s + first_s))},{others},{numbers([*rates, *forces, 7, 8, 9], ',')}"
+
+    return line
 
 
 def _structured(fields: str, **columns: Any) -> bytes:
@@ -48,19 +68,27 @@ def kitti_raw(folder: Path, turns: Turns) -> Path:
     T_imu_velo = np.eye(4)
     T_imu_velo[:3, 3] = (0.8, -0.3, 0.8)
     radius, first = 6378137.0, np.radians([49.0, 8.4])
-    scale, stamps = np.cos(first[0]), ""
-    for number, (stamp_s, points, _, pose) in enumerate(_turns(turns)):
+    scale, stamps, felt_at = np.cos(first[0]), "", ""
+    for number, (stamp_s, points, _, _) in enumerate(_turns(turns)):
         row = np.column_stack([points, np.ones(len(points))]).astype("<f4")
         put(drive / "velodyne_points" / "data" / f"{number:010d}.bin", row.tobytes())
         stamps += f"2011-09-26 13:02:{25 + stamp_s:012.9f}\n"
-        imu = pose @ np.linalg.inv(T_imu_velo)
+    once_a_cloud = np.column_stack([turns.stamps_s, np.zeros((len(turns.stamps_s), 6))])
+    for number, felt in enumerate(turns.imu if len(turns.imu) else once_a_cloud):
+        felt_at += f"2011-09-26 13:02:{25 + felt[0]:012.9f}\n"
+        imu = turns.poses[int(np.searchsorted(turns.stamps_s, felt[0], "right")) - 1] @ np.linalg.inv(
+            T_imu_velo
+        )
         east = scale * radius * first[1] + imu[0, 3]
         north = scale * radius * np.log(np.tan(np.pi / 4 + first[0] / 2)) + imu[1, 3]
         latitude = np.degrees(2 * np.arctan(np.exp(north / (scale * radius))) - np.pi / 2)
         place = [latitude, np.degrees(east / (scale * radius)), 112.0 + imu[2, 3], *_rpy(imu)]
-        put(drive / "oxts" / "data" / f"{number:010d}.txt", numbers([*place, *[0.0] * 24]) + "\n")
+        # Five speeds, forces and rates on the vehicle's axes and on level ones, two errors, five states.
+        rates, forces, level = felt[1:4], felt[4:7], [0.0] * 3
+        told = [*place, *[0.0] * 5, *forces, *level, *rates, *level, 0.1, 0.1, *[4.0] * 5]
+        put(drive / "oxts" / "data" / f"{number:010d}.txt", numbers(told) + "\n")
     put(drive / "velodyne_points" / "timestamps.txt", stamps)
-    put(drive / "oxts" / "timestamps.txt", stamps)
+    put(drive / "oxts" / "timestamps.txt", felt_at)
     return drive
 
 
@@ -80,6 +108,11 @@ def nclt(folder: Path, turns: Turns) -> Path:
         truth += f"{ticks}," + numbers([*turned[:3, 3], *_rpy(turned)], ",") + "\n"
     put(day / "odometry_mu_100hz.csv", truth)
     put(day / "groundtruth_2012-01-08.csv", truth)
+
+    def line(stamp_s: float, rates: Any, forces: Any) -> str:
+        return f"{round(1e6 * (stamp_s + 1326030975))},{numbers([0.1, 0.2, 0.3, *forces, *rates], ',')}"
+
+    _imu(day / "ms25.csv", turns, line)
     return day
 
 
@@ -97,6 +130,7 @@ def mulran(folder: Path, turns: Turns) -> Path:
         )
         truth += f"{ticks}," + numbers((pose @ np.linalg.inv(mount))[:3], ",") + "\n"
     put(folder / "global_pose.csv", truth)
+    _imu(folder / "sensor_data" / "xsens_imu.csv", turns, _xsens(1561000444))
     return folder
 
 
@@ -111,6 +145,7 @@ def helipr(folder: Path, turns: Turns) -> Path:
         )
         truth += tum_line(ticks, pose)
     put(folder / "LiDAR_GT" / "Ouster_gt.txt", truth)
+    _imu(folder / "Inertial_data" / "xsens_imu.csv", turns, _xsens(1689519044))
     return folder
 
 
@@ -125,6 +160,14 @@ def boreas(folder: Path, turns: Turns) -> Path:
         angles = _rpy(np.linalg.inv(pose))
         truth += f"{ticks}," + numbers([*pose[:3, 3], 0, 0, 0, *angles, 0, 0, 0], ",") + "\n"
     put(folder / "applanix" / "lidar_poses.csv", truth)
+    put(folder / "calib" / "T_applanix_lidar.txt", "0 -1 0 0\n1 0 0 0\n0 0 1 0.13\n0 0 0 1\n")
+
+    def line(stamp_s: float, rates: Any, forces: Any) -> str:
+        backward = numbers([*rates[::-1], *forces[::-1]], ",")
+        return f"{stamp_s + 1606417097:.6f},{backward}"
+
+    head = "GPSTime,angvel_z,angvel_y,angvel_x,accelz,accely,accelx\n"
+    _imu(folder / "applanix" / "imu_raw.csv", turns, line, head)
     return folder
 
 
@@ -141,6 +184,12 @@ def newer_college(folder: Path, turns: Turns) -> Path:
         of_base = pose @ np.linalg.inv(mount)
         truth += f"{second},{rest}," + numbers([*of_base[:3, 3], *quaternion(of_base)], ",") + "\n"
     put(folder / "ground_truth" / "registered_poses.csv", truth)
+
+    def line(stamp_s: float, rates: Any, forces: Any) -> str:
+        second, rest = divmod(round(1e9 * (stamp_s + 1583836591)), 10**9)
+        return f"7,{second},{rest},{numbers([*rates, *forces], ',')}"
+
+    _imu(folder / "raw_format" / "ouster_imu" / "ouster_imu.csv", turns, line)
     return folder
 
 

@@ -8,13 +8,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import gtsam
+import numpy as np
 
 from slam.datasets.account import Account
 from slam.datasets.cloud_files import Rows, row_of
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
+from slam.datasets.dataset import RecordFault
 from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.imu_files import ImuFile, beside_imu, first_file
 from slam.datasets.mulran import NAMED_BY_CLOCK, stamp_of_clock
-from slam.datasets.pose_files import PoseTable, trajectory_of
+from slam.datasets.pose_files import PoseTable, pose_file, trajectory_of
 from slam.datasets.recording import Contents, Recording
 from slam.measurements import Trajectory
 
@@ -22,6 +25,12 @@ _INSIDE, _POSES_FILE = "lidar", "applanix/lidar_poses.csv"
 _ROWS = Rows(row_of("x f4, y f4, z f4, intensity f4, laser f4, time f4"))
 # GPSTime, easting, northing, altitude, three velocities, roll, pitch, heading, three rates.
 _POSES = PoseTable(stamp_units_s=(0.0,), rotation=7, order="rpy")
+# By the guide to Boreas Road Trip; of an IMU that has no part in the truth.
+_DMU = ("dmu_imu.csv", "dmu_imu_infilled.csv")
+# By the publishers' own odometry, steam_icp: the last axis first, and how they lie in the Applanix frame.
+_RAW, _RAW_HEAD = "imu_raw.csv", "time,wz,wy,wx,az,ay,ax"
+_R_APPLANIX_RAW = gtsam.Rot3(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]))
+_SMOOTHED = "imu.csv"
 
 
 def looks_like_boreas(path: Path, head: bytes) -> bool:
@@ -34,9 +43,37 @@ def open_boreas(path: Path, strict: bool) -> Recording:
 
     def load(account: Account) -> Contents:
         files = clouds_by_name(path / _INSIDE, NAMED_BY_CLOCK, account, stamp_of_clock)
-        return Contents(log=CloudFolder(tuple(files), parse=_ROWS).numbered(account))
+        clouds = CloudFolder(tuple(files), parse=_ROWS).numbered(account)
+        return Contents(log=beside_imu(clouds, _imu(path, account), account))
 
     return Recording(path, load, lambda account: read_poses(path / _POSES_FILE, account), strict=strict)
+
+
+def _imu(path: Path, account: Account) -> ImuFile | None:
+    """The IMU that has no part in the truth, else the raw one that has; mounted as the calibration says."""
+    if (path / "applanix" / _SMOOTHED).is_file():
+        account.report.ignore(_SMOOTHED, "whether its accelerations hold gravity is not documented")
+    T_applanix_lidar = _calibrated(path / "calib" / "T_applanix_lidar.txt", account)
+    T_applanix_imu: gtsam.Pose3 | None = gtsam.Pose3(_R_APPLANIX_RAW, np.zeros(3))
+    file, head = first_file(path / "imu" / name for name in _DMU), ""
+    if file is not None:
+        T_applanix_imu = _calibrated(path / "calib" / "T_applanix_dmu.txt", account)
+    elif (path / "applanix" / _RAW).is_file():
+        file, head = path / "applanix" / _RAW, _RAW_HEAD
+    if file is None:
+        return None
+    if T_applanix_lidar is None or T_applanix_imu is None:
+        return ImuFile(file, head)
+    return ImuFile(file, head, T_applanix_lidar.inverse().compose(T_applanix_imu))
+
+
+def _calibrated(file: Path, account: Account) -> gtsam.Pose3 | None:
+    """A transform of the calibration; None where there is none."""
+    try:
+        return pose_file(file) if file.is_file() else None
+    except RecordFault as fault:
+        account.refuse(fault, file.name, 1)
+        return None
 
 
 def read_poses(path: Path, account: Account) -> Trajectory | None:

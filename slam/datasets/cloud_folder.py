@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 
 import gtsam
 
-from fusion.time_alignment import GAP_S
 from slam.datasets.account import Account
 from slam.datasets.calibration import pose_from, read_yaml
 from slam.datasets.clouds_over_time import CloudFolder, cloud_files, stamped_clouds, times_of
-from slam.datasets.imu_files import imu_file, read_imu, with_imu
+from slam.datasets.imu_files import beside_imu, imu_file
 from slam.datasets.log_file import numbered_lines
 from slam.datasets.pose_files import pose_lines, pose_of_row, trajectory_of
-from slam.datasets.recording import Contents, Numbered, Recording
+from slam.datasets.recording import Contents, Recording
 from slam.datasets.stamped_files import read_poses
 from slam.errors import DatasetError
 from slam.measurements import Trajectory
@@ -35,16 +33,12 @@ def open_cloud_folder(path: Path, strict: bool) -> Recording:
     """A folder of clouds; the lidar's frame is the robot's unless ``calibration.yaml`` says where it sits."""
     return Recording(
         path,
-        lambda account: Contents(log=beside_imu(path, read_clouds(path, account).numbered(account), account)),
+        lambda account: Contents(
+            log=beside_imu(read_clouds(path, account).numbered(account), imu_file(path), account)
+        ),
         lambda account: _groundtruth(path, account),
         strict=strict,
     )
-
-
-def beside_imu(path: Path, log: Iterable[Numbered], account: Account) -> Iterable[Numbered]:
-    """A log with the IMU whose file lies in its folder; as it is where there is none."""
-    file = imu_file(path)
-    return log if file is None else with_imu(log, read_imu(file, account), GAP_S)
 
 
 def has_clouds(path: Path) -> bool:

@@ -96,6 +96,8 @@ class ReadReport:
         Accepted records by their type in the file.
     beside
         Records that tell of sensors: mountings, lenses, the images that make a camera's frames.
+    part_of
+        The sensor that such records are a part of, by the keys of ``beside``: they are used if it is.
     ignored
         Records that this reader does not use, by topic or type.
     reasons
@@ -118,6 +120,7 @@ class ReadReport:
     share: float | None = None
     records: Counter[str] = field(default_factory=Counter)
     beside: Counter[str] = field(default_factory=Counter)
+    part_of: dict[str, str] = field(default_factory=dict)
     ignored: Counter[str] = field(default_factory=Counter)
     reasons: dict[str, str] = field(default_factory=dict)
     dropped: dict[str, Tally] = field(default_factory=dict)

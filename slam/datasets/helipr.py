@@ -12,7 +12,8 @@ from slam.datasets.account import Account
 from slam.datasets.cloud_files import Rows, row_of
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
 from slam.datasets.dataset_format import DatasetFormat
-from slam.datasets.mulran import NAMED_BY_CLOCK, stamp_of_clock
+from slam.datasets.imu_files import beside_imu, first_file
+from slam.datasets.mulran import NAMED_BY_CLOCK, stamp_of_clock, xsens
 from slam.datasets.pose_files import PoseTable
 from slam.datasets.recording import Contents, Recording
 from slam.measurements import Trajectory
@@ -46,7 +47,9 @@ def open_helipr(path: Path, strict: bool) -> Recording:
         for other in list(places)[1:]:
             account.report.ignore(other, f"one lidar of several is read; give {places[other]} for it")
         files = clouds_by_name(folder, NAMED_BY_CLOCK, account, stamp_of_clock)
-        return Contents(log=CloudFolder(tuple(files), parse=_row(name, folder)).numbered(account))
+        clouds = CloudFolder(tuple(files), parse=_row(name, folder)).numbered(account)
+        imu = xsens(place / "Inertial_data" for place in _above(path, folder))
+        return Contents(log=beside_imu(clouds, imu, account))
 
     return Recording(path, load, lambda account: _groundtruth(path, account), strict=strict)
 
@@ -57,6 +60,11 @@ def _lidars(path: Path) -> dict[str, Path]:
     places = {name: one / name for name in _LIDARS for one in (path, path / "LiDAR") if (one / name).is_dir()}
     places |= {own: path} if own in _LIDARS else {}
     return {name: folder for name, folder in places.items() if _row(name, folder)}
+
+
+def _above(path: Path, folder: Path) -> tuple[Path, ...]:
+    """The folder that was given, and those above that of a lidar."""
+    return path, folder.resolve().parent, folder.resolve().parent.parent
 
 
 def _row(name: str, folder: Path) -> Rows | None:
@@ -73,9 +81,9 @@ def _row(name: str, folder: Path) -> Rows | None:
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     """The poses of the lidar that is read."""
     name, folder = next(iter(_lidars(path).items()))
-    above = (path, folder.resolve().parent, folder.resolve().parent.parent)
-    places = [place / inside / f"{name}_gt.txt" for place in above for inside in ("", "LiDAR_GT")]
-    file = next((place for place in places if place.is_file()), None)
+    file = first_file(
+        place / inside / f"{name}_gt.txt" for place in _above(path, folder) for inside in ("", "LiDAR_GT")
+    )
     return _POSES.read(file, account) if file else None
 
 

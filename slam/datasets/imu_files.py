@@ -1,4 +1,4 @@
-"""Text files of IMUs beside clouds: EuRoC's ``imu0/data.csv``, and others by their head."""
+"""Text files of IMUs beside clouds: EuRoC's ``imu0/data.csv``, others by their head or a publisher's."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.time_alignment import GAP_S
 from slam.datasets.account import Account
 from slam.datasets.calibration import pose_from, read_yaml
 from slam.datasets.dataset import RecordFault
@@ -22,6 +23,8 @@ from slam.errors import DatasetError
 from slam.measurements import ImuReading
 
 BAD_ROW = "IMU line without a stamp, turn rate and acceleration"
+
+NO_RATES = "its lines hold no turn rates and accelerations"
 
 # Of EuRoC and those after it (TUM-VI), of others; in the folder of the clouds or above it.
 _NAMES = ("imu0/data.csv", "imu/data.csv", "imu.csv", "imu.txt", "imu_data.csv", "ouster_imu.csv")
@@ -64,25 +67,68 @@ class _Columns:
         return told * next((scale for least, scale in _SCALES if abs(told) > least), 1.0)
 
 
+@dataclass(frozen=True, slots=True)
+class ImuFile:
+    """A file of an IMU, and what its publisher says of it.
+
+    Attributes
+    ----------
+    path
+        One reading a line.
+    head
+        Names of its columns, where it has none itself or others than we know.
+    T_base_imu
+        Its mounting; None where nobody tells it.
+    """
+
+    path: Path
+    head: str = ""
+    T_base_imu: gtsam.Pose3 | None = None
+
+
 def imu_file(folder: Path) -> Path | None:
     """The file of an IMU beside clouds."""
-    return next((folder / name for name in _NAMES if (folder / name).is_file()), None)
+    return first_file(folder / name for name in _NAMES)
 
 
-def read_imu(path: Path, account: Account) -> Iterator[tuple[int, ImuReading]]:
+def first_file(places: Iterable[Path]) -> Path | None:
+    """The first of several places where there is a file."""
+    return next((place for place in places if place.is_file()), None)
+
+
+def beside_imu(log: Iterable[Numbered], imu: ImuFile | Path | None, account: Account) -> Iterable[Numbered]:
+    """A log with the IMU of a file; as it is where there is none, or where the file holds no readings."""
+    if imu is None:
+        return log
+    imu = ImuFile(imu) if isinstance(imu, Path) else imu
+    if imu.head and not _has_columns(imu):
+        account.report.ignore(imu.path.name, NO_RATES)
+        return log
+    return with_imu(log, _read_imu(imu, account))
+
+
+def _has_columns(imu: ImuFile) -> bool:
+    """Whether the first line of numbers is as long as the publisher's head."""
+    lines = (line.strip() for _, line in numbered_lines(imu.path, lambda fault, at: None))
+    first = next((line for line in lines if line and not _is_head(line)), b"")
+    return len(_parted(first)) >= len(_names(imu.head))
+
+
+def _read_imu(imu: ImuFile, account: Account) -> Iterator[tuple[int, ImuReading]]:
     """Readings with their lines; what is none is counted."""
-    mounting, unit = _mounting(path), ForceUnit()
-    columns = _Columns(_PLAIN[:1], _PLAIN[1:4], _PLAIN[4:7])
+    path, unit = imu.path, ForceUnit()
+    mounting = _mounting(path) or imu.T_base_imu
+    columns = _columns(imu.head) or _Columns(_PLAIN[:1], _PLAIN[1:4], _PLAIN[4:7])
     for number, line in numbered_lines(path, lambda fault, at: account.refuse(fault, path.name, at)):
-        fields = re.split(rb"[,;\s]+", line.strip()) if b"," not in line else line.strip().split(b",")
         text = line.strip()
         if not text:
             continue
-        if text.startswith(b"#") or text[:1].isalpha():
-            columns = _columns(text.lstrip(b"#").decode("utf-8", "replace")) or columns
+        if _is_head(text):
+            told = text.lstrip(b"#").decode("utf-8", "replace")
+            columns = columns if imu.head else _columns(told) or columns
             continue
         try:
-            row = np.array([float(field) for field in fields if field.strip()])
+            row = np.array([float(field) for field in _parted(text) if field.strip()])
             stamp_s = columns.stamp_s(row)
             gyro = row[list(columns.gyro)] * columns.gyro_scale
             force = row[list(columns.force)]
@@ -100,11 +146,11 @@ def read_imu(path: Path, account: Account) -> Iterator[tuple[int, ImuReading]]:
         account.report.note(f"imu: {unit.choice}", 1)
 
 
-def with_imu(log: Iterable[Numbered], readings: Iterator[Numbered], ahead_s: float) -> Iterator[Numbered]:
+def with_imu(log: Iterable[Numbered], readings: Iterator[Numbered]) -> Iterator[Numbered]:
     """A log with the readings of an IMU, which come ahead of it so that they cover the turn of a cloud."""
     waiting = next(readings, None)
     for number, measurement in log:
-        while waiting is not None and waiting[1].stamp_s <= measurement.stamp_s + ahead_s:
+        while waiting is not None and waiting[1].stamp_s <= measurement.stamp_s + GAP_S:
             yield waiting
             waiting = next(readings, None)
         yield number, measurement
@@ -113,10 +159,25 @@ def with_imu(log: Iterable[Numbered], readings: Iterator[Numbered], ahead_s: flo
         yield from readings
 
 
+def _is_head(line: bytes) -> bool:
+    """Whether a line tells of the columns instead of filling them."""
+    return line.startswith(b"#") or line[:1].isalpha()
+
+
+def _parted(line: bytes) -> list[bytes]:
+    """The numbers of a line."""
+    return line.split(b",") if b"," in line else re.split(rb"[;\s]+", line)
+
+
+def _names(head: str) -> list[str]:
+    """The names of columns."""
+    parted = re.split(r"[,;]" if "," in head or ";" in head else r"\s+", head.strip())
+    return [name.strip().lower() for name in parted]
+
+
 def _columns(head: str) -> _Columns | None:
     """The columns by their names; None where the line names none."""
-    parted = re.split(r"[,;]" if "," in head or ";" in head else r"\s+", head.strip())
-    names = [name.strip().lower() for name in parted]
+    names = _names(head)
     plain = [re.split(r"[\[(]", name)[0].strip() for name in names]
     gyro, force = _axes(plain, _GYRO), _axes(plain, _FORCE)
     seconds = [n for n, name in enumerate(plain) if name in _SECONDS]

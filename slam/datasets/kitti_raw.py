@@ -18,14 +18,19 @@ from slam.datasets.cloud_files import DAMAGED, KITTI_ROWS, Parsed
 from slam.datasets.clouds_over_time import UNPAIRED, WITHOUT_CLOUD, CloudFolder
 from slam.datasets.dataset import RecordFault
 from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.imu_files import first_file, with_imu
 from slam.datasets.log_file import numbered_lines
 from slam.datasets.numbered_frames import numbered_files
 from slam.datasets.pose_files import BAD_MATRIX, numbers_of, pose_of_row, trajectory_of
-from slam.datasets.recording import Contents, Recording
+from slam.datasets.recording import Contents, Numbered, Recording
 from slam.datasets.stamped_files import BAD_POSE, BAD_STAMP, StampedFile
-from slam.measurements import FloatArray, Trajectory
+from slam.measurements import FloatArray, ImuReading, Trajectory
 
-_INSIDE = "velodyne_points"
+ONCE_A_CLOUD = "an IMU that is told once a cloud tells nothing of the turn; drives that are not synced do"
+
+_INSIDE, _OXTS = "velodyne_points", "oxts"
+# Places of turn rates and accelerations about the vehicle's own axes, by the publishers' dataformat.txt.
+_RATES, _FORCES = slice(17, 20), slice(11, 14)
 _EARTH_RADIUS_M = 6378137.0  # of WGS 84, as in the publishers' own tools
 _MOST_TURN_S = 1.0
 
@@ -45,8 +50,15 @@ def open_kitti_raw(path: Path, strict: bool) -> Recording:
     def load(account: Account) -> Contents:
         for camera in sorted(path.glob("image_*")):
             account.report.ignore(camera.name, "a camera without depth")
-        clouds = CloudFolder(tuple(_clouds(path, account)), parse=_WithTimes(_turn(path)).parse)
-        return Contents(log=clouds.numbered(account))
+        files = _clouds(path, account)
+        clouds = CloudFolder(tuple(files), parse=_WithTimes(_turn(path)).parse).numbered(account)
+        stamps = _stamps_of_oxts(path, account)
+        if not stamps:
+            return Contents(log=clouds)
+        if len(stamps) <= len(files):
+            account.report.ignore(_OXTS, ONCE_A_CLOUD, len(stamps))
+            return Contents(log=clouds)
+        return Contents(log=with_imu(clouds, _imu(path, stamps, account)))
 
     return Recording(path, load, lambda account: _groundtruth(path, account), strict=strict)
 
@@ -115,40 +127,55 @@ def _turn(path: Path) -> float:
     return turn_s if 0.0 < turn_s < _MOST_TURN_S else 0.0
 
 
+def _stamps_of_oxts(path: Path, account: Account) -> dict[int, float]:
+    """Stamps of the readings of GPS and IMU by their numbers; none where there is no such file."""
+    file = path / _OXTS / "timestamps.txt"
+    return dict(_stamps(file, account)) if file.is_file() else {}
+
+
+def _oxts(
+    path: Path, stamps: dict[int, float], least: int, account: Account
+) -> Iterator[tuple[int, float, list[float]]]:
+    """Number, stamp and numbers of each reading of GPS and IMU; one without so many is counted."""
+    for number, file in sorted(numbered_files(path / _OXTS / "data", r"(\d{1,10})\.txt").items()):
+        numbers = numbers_of(file)
+        if number not in stamps or numbers is None or numbers.size < least or abs(numbers[0]) >= 90.0:
+            account.refuse(RecordFault(BAD_POSE, file.name), _OXTS, number)
+        else:
+            yield number, stamps[number], numbers.tolist()
+
+
+def _imu(path: Path, stamps: dict[int, float], account: Account) -> Iterator[Numbered]:
+    """What the IMU feels, mounted as the calibration says."""
+    T_velo_imu = _calibration(path, account)
+    for number, stamp_s, numbers in _oxts(path, stamps, _RATES.stop, account):
+        account.report.accept("IMU reading")
+        rates, forces = np.array(numbers[_RATES]), np.array(numbers[_FORCES])
+        yield number, ImuReading(stamp_s, rates, forces, T_velo_imu)
+
+
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     """Of the lidar, by latitude, longitude, height and angles in ``oxts``, projected as published."""
-    place = path / "oxts"
-    stamps_file = place / "timestamps.txt"
-    if not stamps_file.is_file():
-        return None
-    stamps = dict(_stamps(stamps_file, account))
-    T_velo_imu = _calibration(path, account)
-    T_imu_velo = T_velo_imu.inverse()
+    # Without a calibration the lidar is taken to be where the IMU is.
+    T_imu_velo = (_calibration(path, account) or gtsam.Pose3()).inverse()
     found: list[tuple[float, gtsam.Pose3]] = []
     scale = None
-    for number, file in sorted(numbered_files(place / "data", r"(\d{1,10})\.txt").items()):
-        numbers = numbers_of(file)
-        if number not in stamps or numbers is None or numbers.size < 6 or abs(numbers[0]) >= 90.0:
-            account.refuse(RecordFault(BAD_POSE, file.name), "oxts", number)
-            continue
-        latitude, longitude, height, roll, pitch, yaw = numbers[:6].tolist()
+    for _, stamp_s, numbers in _oxts(path, _stamps_of_oxts(path, account), 6, account):
+        latitude, longitude, height, roll, pitch, yaw = numbers[:6]
         scale = math.cos(math.radians(latitude)) if scale is None else scale
         east = scale * _EARTH_RADIUS_M * math.radians(longitude)
         north = scale * _EARTH_RADIUS_M * math.log(math.tan(math.radians(90.0 + latitude) / 2.0))
         place_m = np.array([east, north, height])
         T_world_imu = gtsam.Pose3(gtsam.Rot3.Ypr(yaw, pitch, roll), place_m)
-        found.append((stamps[number], T_world_imu.compose(T_imu_velo)))
+        found.append((stamp_s, T_world_imu.compose(T_imu_velo)))
     return trajectory_of(found)
 
 
-def _calibration(path: Path, account: Account) -> gtsam.Pose3:
-    """``calib_imu_to_velo.txt`` beside the drive or in it; without one the lidar is where the IMU is."""
-    places = (path, path.resolve().parent)
-    file = next(
-        (one / "calib_imu_to_velo.txt" for one in places if (one / "calib_imu_to_velo.txt").is_file()), None
-    )
+def _calibration(path: Path, account: Account) -> gtsam.Pose3 | None:
+    """``T_velo_imu`` by ``calib_imu_to_velo.txt`` beside the drive or in it; None without one."""
+    file = first_file(one / "calib_imu_to_velo.txt" for one in (path, path.resolve().parent))
     if file is None:
-        return gtsam.Pose3()
+        return None
     rows: dict[bytes, list[bytes]] = {}
     for _, line in numbered_lines(file, lambda fault, at: account.refuse(fault, file.name, at)):
         name, _, numbers = line.partition(b":")
@@ -160,7 +187,7 @@ def _calibration(path: Path, account: Account) -> gtsam.Pose3:
         return pose_of_row([*turn[:3], shift[0], *turn[3:6], shift[1], *turn[6:], shift[2]])
     except ValueError as error:
         account.refuse(RecordFault(BAD_MATRIX, str(error)), file.name, 1)
-        return gtsam.Pose3()
+        return None
 
 
 FORMAT = DatasetFormat("KITTI raw drive", looks_like_kitti_raw, open_kitti_raw)

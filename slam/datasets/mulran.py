@@ -6,7 +6,7 @@ Kim et al. 2020, "MulRan: Multimodal Range Dataset for Urban Place Recognition".
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import gtsam
@@ -17,33 +17,51 @@ from slam.datasets.cloud_files import KITTI_ROWS
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
 from slam.datasets.dataset import RecordFault
 from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.imu_files import ImuFile, beside_imu, first_file
 from slam.datasets.ouster_order import with_column_times
 from slam.datasets.pose_files import BAD_MATRIX, by_its_size, pose_of_row, rows_of, trajectory_of
 from slam.datasets.recording import Contents, Recording
 from slam.measurements import Trajectory
 
-_INSIDE, _POSES = "Ouster", "global_pose.csv"
+_INSIDE, _POSES, _SENSORS = "Ouster", "global_pose.csv", "sensor_data"
 NAMED_BY_CLOCK = r"(\d{9,19})\.bin"
+# By the publishers' file player; lines of the first recordings end behind the angles.
+_XSENS = "time [ns],qx,qy,qz,qw,roll,pitch,yaw,gx,gy,gz,ax,ay,az,magnetic x,magnetic y,magnetic z"
 # calib_base2ouster.txt, which is published beside all sequences: metres, then roll, pitch and yaw in degrees.
 _SHIFT_M, _TURN_DEG = (1.7042, -0.021, 1.8047), (0.0001, 0.0003, 179.6654)
 
 
 def looks_like_mulran(path: Path, head: bytes) -> bool:
     """Whether a path is the folder of one sequence."""
-    return (path / _INSIDE).is_dir() and ((path / _POSES).is_file() or (path / "sensor_data").is_dir())
+    told = (path / _POSES).is_file() or (path / _SENSORS).is_dir()
+    return told and any((place / _INSIDE).is_dir() for place in _folders(path))
 
 
 def open_mulran(path: Path, strict: bool) -> Recording:
     """A folder of one sequence; the lidar sits where the publishers say."""
 
     def load(account: Account) -> Contents:
-        files = clouds_by_name(path / _INSIDE, NAMED_BY_CLOCK, account, stamp_of_clock)
+        place = next(one / _INSIDE for one in _folders(path) if (one / _INSIDE).is_dir())
+        files = clouds_by_name(place, NAMED_BY_CLOCK, account, stamp_of_clock)
         roll, pitch, yaw = np.radians(_TURN_DEG).tolist()
         mounting = gtsam.Pose3(gtsam.Rot3.Ypr(yaw, pitch, roll), np.array(_SHIFT_M))
         clouds = CloudFolder(tuple(files), mounting, with_column_times(KITTI_ROWS))
-        return Contents(log=clouds.numbered(account))
+        return Contents(
+            log=beside_imu(clouds.numbered(account), xsens((path / "sensor_data", path)), account)
+        )
 
     return Recording(path, load, lambda account: read_poses(path / _POSES, account), strict=strict)
+
+
+def _folders(path: Path) -> tuple[Path, Path]:
+    """Where sensors may be: the file player has them a folder further down, archives do not."""
+    return path / _SENSORS, path
+
+
+def xsens(folders: Iterable[Path]) -> ImuFile | None:
+    """The IMU whose file is in one of several folders; its mounting is not published."""
+    file = first_file(folder / "xsens_imu.csv" for folder in folders)
+    return ImuFile(file, _XSENS) if file else None
 
 
 def stamp_of_clock(match: re.Match[str]) -> float:

@@ -16,6 +16,7 @@ from slam.datasets.account import Account
 from slam.datasets.cloud_files import Parsed, Rows, row_of
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name, merged
 from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.imu_files import ImuFile, beside_imu, first_file
 from slam.datasets.pose_files import PoseTable, trajectory_of
 from slam.datasets.recording import Contents, Numbered, Recording
 from slam.measurements import Trajectory, WheelOdometry
@@ -26,6 +27,9 @@ _STEP_M, _FIRST_M = 0.005, -100.0  # of the whole numbers in a row
 _TICK_S = 1e-6
 _POSES = PoseTable(stamp_units_s=(_TICK_S,), order="rpy")
 _ODOMETRY = ("odometry_mu_100hz.csv", "odometry_mu.csv")
+# Magnetometer, metres a second squared, radians a second; its mounting is not in a file.
+_IMU = "ms25.csv"
+_IMU_HEAD = "time [us],mag x,mag y,mag z,accel_x,accel_y,accel_z,gyro_x,gyro_y,gyro_z"
 _T_DOWN_UP = gtsam.Pose3(gtsam.Rot3(np.diag([1.0, -1.0, -1.0])), np.zeros(3))
 
 
@@ -42,10 +46,10 @@ def open_nclt(path: Path, strict: bool) -> Recording:
             path / _INSIDE, r"(\d{10,17})\.bin", account, lambda match: int(match[1]) * _TICK_S
         )
         clouds = CloudFolder(tuple(files), parse=_parse).numbered(account)
-        found = next((path / name for name in _ODOMETRY if (path / name).is_file()), None)
-        if found is None:
-            return Contents(log=clouds)
-        return Contents(log=merged(_wheels(found, account), clouds))
+        found = first_file(path / name for name in _ODOMETRY)
+        log = merged(_wheels(found, account), clouds) if found else clouds
+        imu = ImuFile(path / _IMU, _IMU_HEAD) if (path / _IMU).is_file() else None
+        return Contents(log=beside_imu(log, imu, account))
 
     return Recording(path, load, lambda account: _groundtruth(path, account), strict=strict)
 

@@ -14,6 +14,7 @@ from slam.datasets.account import Account
 from slam.datasets.cloud_files import read_fields
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
 from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.imu_files import ImuFile, beside_imu, first_file
 from slam.datasets.ouster_order import with_column_times
 from slam.datasets.pose_files import PoseTable, trajectory_of
 from slam.datasets.recording import Contents, Recording
@@ -21,6 +22,7 @@ from slam.measurements import Trajectory
 
 _CLOUDS = r"cloud_(\d{1,10})_(\d{1,9})\.(?:pcd|ply)"
 _PLACES = ("raw_format/ouster_scan", "ouster_scan", "")
+_IMU, _IMU_HEAD = "ouster_imu", "counter,sec,nsec,wx,wy,wz,ax,ay,az"
 _TRUTH = "registered_poses.csv"
 _POSES = PoseTable(stamp_units_s=(1.0, 1e-9), position=2, rotation=5)
 # The lidar in the frame of the published poses: turned by 135 degrees about z.
@@ -42,7 +44,10 @@ def open_newer_college(path: Path, strict: bool) -> Recording:
         assert folder is not None
         files = clouds_by_name(folder, _CLOUDS, account, lambda match: int(match[1]) + int(match[2]) * 1e-9)
         clouds = CloudFolder(tuple(files), parse=with_column_times(read_fields))
-        return Contents(log=clouds.numbered(account))
+        beside = [*sorted((folder.parent / _IMU).glob("*.csv")), folder.parent / f"{_IMU}.csv"]
+        file = first_file([*beside, folder / f"{_IMU}.csv"])
+        imu = ImuFile(file, _IMU_HEAD) if file else None
+        return Contents(log=beside_imu(clouds.numbered(account), imu, account))
 
     return Recording(path, load, lambda account: _groundtruth(path, account), strict=strict)
 

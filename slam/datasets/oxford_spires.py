@@ -17,6 +17,7 @@ from slam.datasets.account import Account
 from slam.datasets.cloud_files import CLOUD_SUFFIXES
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
 from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.imu_files import beside_imu, imu_file
 from slam.datasets.pose_files import by_its_size, trajectory_of
 from slam.datasets.recording import Contents, Recording
 from slam.datasets.stamped_files import numbered_poses, read_poses
@@ -49,7 +50,8 @@ def open_oxford_spires(path: Path, strict: bool) -> Recording:
         assert place is not None
         account.report.note(STAMPS_IN_NAMES.format(place=place.name), 1)
         files = clouds_by_name(place, _NAME, account, _stamp)
-        return Contents(log=CloudFolder(tuple(files)).numbered(account))
+        clouds, imu = CloudFolder(tuple(files)).numbered(account), imu_file(path) or imu_file(place)
+        return Contents(log=beside_imu(clouds, imu, account))
 
     return Recording(path, load, lambda account: _groundtruth(path, account), strict=strict)
 

@@ -7,8 +7,9 @@ from pathlib import Path
 
 from slam.datasets.account import Account
 from slam.datasets.carmen import HEAD_BYTES, looks_like_carmen, read_carmen
-from slam.datasets.cloud_folder import beside_imu, has_clouds, read_clouds
+from slam.datasets.cloud_folder import has_clouds, read_clouds
 from slam.datasets.clouds_over_time import merged
+from slam.datasets.imu_files import beside_imu, imu_file
 from slam.datasets.log_file import read_head
 from slam.datasets.recording import Contents, Numbered, Recording
 from slam.datasets.tum import has_tum_layout, read_groundtruth, tum_camera
@@ -48,7 +49,7 @@ def open_recorded_folder(path: Path, strict: bool) -> Recording:
             log = read_carmen(logs[0], account)
         if has_clouds(path):
             log = merged(log, read_clouds(path, account).numbered(account))
-        log = beside_imu(path, log, account)
+        log = beside_imu(log, imu_file(path), account)
         return Contents(cameras, log)
 
     return Recording(path, load, lambda account: read_groundtruth(path, account), strict=strict)

@@ -12,6 +12,8 @@ from slam.datasets.corrections import corrected, left_out
 from slam.datasets.dataset import ReadReport
 from slam.measurements import ImuReading, LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
 
+NO_HELP_TO_CAMERAS = "cameras are not helped by an IMU yet"
+
 _LOOK_S = 3.0
 _LOOK_COUNT = 1000
 _LATE = f"it begins later than the first {_LOOK_S:g} s of the log, which decide what leads"
@@ -133,7 +135,7 @@ class SensorChoice:
         if not self.config.imu:
             return "sensors.imu=false leaves it out"
         if not self.cloud:
-            return "only a 3D lidar is helped by it so far"
+            return NO_HELP_TO_CAMERAS if self.spatial else "only a 3D lidar is helped by it so far"
         if sensor != self.imu:
             return f"one IMU is used, {self.imu}; --topics takes another" if self.imu else _LATE
         return ""
@@ -235,7 +237,11 @@ class SensorTally:
             )
             for (kind, sensor), count in sorted(self.counts.items(), key=lambda item: item[0][1])
         ]
-        rest = [(name, count, "") for name, count in report.beside.items()]
+        why_not = {use.sensor: use.why_not for use in found}
+        rest = [
+            (name, count, why_not.get(report.part_of.get(name, ""), ""))
+            for name, count in report.beside.items()
+        ]
         rest += [
             (name, count, report.reasons.get(name, "nothing reads it"))
             for name, count in report.ignored.items()

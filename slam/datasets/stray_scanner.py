@@ -23,6 +23,7 @@ from slam.datasets.numbered_frames import numbered_camera, numbered_files
 from slam.datasets.phone_poses import COMPARED, LENS_MOVES, T_ARKIT_OPTICAL
 from slam.datasets.pose_files import rows_of, trajectory_of
 from slam.datasets.recording import Contents, Recording
+from slam.datasets.sensor_choice import NO_HELP_TO_CAMERAS
 from slam.datasets.stamped_files import BAD_POSE, StampedFile, stamp_of
 from slam.errors import DatasetError
 from slam.measurements import CameraIntrinsics, ColorImage, Float32Array, Trajectory
@@ -71,7 +72,7 @@ def open_stray_scanner(path: Path, strict: bool) -> Recording:
     def load(account: Account) -> Contents:
         account.report.note(COMPARED, 1)
         if (path / _IMU).is_file():
-            account.report.ignore(_IMU, "an IMU beside images is not read")
+            account.report.ignore(_IMU, NO_HELP_TO_CAMERAS)
         rows = _rows(path / _POSES, account)
         depths = numbered_files(path / "depth", r"(\d{1,9})\.(?:png|npy)")
         listed = {number: file for number, file in depths.items() if number in rows}

@@ -120,7 +120,7 @@ class Samples:
                 samples.cameras.setdefault(measurement.sensor, CameraSamples()).add(measurement)
             elif isinstance(measurement, PointCloud):
                 samples.clouds.setdefault(measurement.sensor, CloudSamples()).add(
-                    measurement, compared=bool(samples.wheels)
+                    measurement, compared=bool(samples.wheels or samples.imus)
                 )
             elif isinstance(measurement, ImuReading):
                 samples.imus.setdefault(measurement.sensor, ImuSamples()).add(measurement)

@@ -7,11 +7,13 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
+from cloud_world import look
 from imu_world import T_BASE_IMU, readings, walk
 
 from slam.doctor.camera_samples import SensorStep
 from slam.doctor.finding import Finding
 from slam.doctor.imu import ImuSamples, imu_findings
+from slam.doctor.samples import Samples
 from slam.measurements import ImuReading
 
 T_BASE_LIDAR = gtsam.Pose3(gtsam.Rot3.Yaw(0.5), np.array([0.1, 0.0, 0.3]))
@@ -67,3 +69,9 @@ def test_saturation_and_a_scale_that_is_not_gravity() -> None:
 
     found = findings([clipped(one) for one in SAID])
     assert "saturates" in found["saturation"].text and "gravity" in found
+
+
+def test_clouds_are_matched_for_an_imu_where_there_are_no_wheels() -> None:
+    clouds = [look(walk(0.1 * n), 0.1 * n, seed=n) for n in range(4)]
+    assert Samples.of([SAID[0], *clouds]).clouds["lidar"].steps[0]
+    assert not Samples.of(clouds).clouds["lidar"].steps[0]

@@ -15,6 +15,7 @@ from slam.datasets.bags.camera import BagCamera
 from slam.datasets.bags.decoding import Decoder, stamp_of
 from slam.datasets.bags.figures import BagFigures
 from slam.datasets.bags.files import Bag, find_bag
+from slam.datasets.bags.imu import JoinedImu
 from slam.datasets.bags.layout import Layout, frames_of, layout_of
 from slam.datasets.bags.pairing import ImagePair, PairStream, StampedImage
 from slam.datasets.bags.records import BagRecord
@@ -103,6 +104,9 @@ class BagDataset:
         account = Account(self.name, report, self._strict)
         for note in layout.notes:
             report.note(note, 1)
+        for imu in layout.imus:
+            if isinstance(imu, JoinedImu):
+                imu.restart()
         budget = bag.budget()
         for done in prefetched(
             _stream(bag, layout, account, budget, self.figures, images=self.read_images),
@@ -119,9 +123,8 @@ class BagDataset:
         for cloud in layout.clouds:
             if cloud.times.choice:
                 report.note(f"{cloud.topic}: {cloud.times.choice}", 1)
-        for imu in layout.imus:
-            if imu.unit.choice:
-                report.note(f"{imu.topic}: {imu.unit.choice}", 1)
+        for note in (note for imu in layout.imus for note in imu.told()):
+            report.note(note, 1)
         if report.measurement_count == 0 and self.read_images:
             raise DatasetError(_nothing_usable(self.path, report, survey))
 
@@ -147,6 +150,9 @@ class BagDataset:
                 self.report.ignore(name, "none of its messages could be read", count)
             elif topic not in layout.readers:
                 self.report.beside[name] = count
+            elif topic in layout.joined:
+                self.report.beside[name] = count
+                self.report.part_of[name] = layout.joined[topic]
 
     def _open(self) -> tuple[Bag, Survey, Layout]:
         """Files, topics and mounts: found once, so that each pass reads the same."""
@@ -255,11 +261,13 @@ class _Reader:
         if topic in layout.images:
             size = int(message.data.nbytes)
             return [StampedImage(stamp_s, record.number, record.recorded_s, message, size)]
-        reading: Measurement = layout.readers[topic](message)
-        if isinstance(reading, LaserScan):
-            self._account.report.invalid_ranges += int(np.count_nonzero(np.isnan(reading.ranges_m)))
-        self._account.report.accept(layout.makes(topic, record.channel.kind))
-        return [reading]
+        made = layout.readers[topic](message)
+        readings = made if isinstance(made, list) else [made]
+        for reading in readings:
+            if isinstance(reading, LaserScan):
+                self._account.report.invalid_ranges += int(np.count_nonzero(np.isnan(reading.ranges_m)))
+            self._account.report.accept(layout.makes(topic, record.channel.kind))
+        return [*readings]
 
 
 def _nothing_usable(path: Path, report: ReadReport, survey: Survey) -> str:

@@ -2,18 +2,54 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import gtsam
 import numpy as np
 
+from fusion.time_alignment import GAP_S
 from slam.datasets.bags.decoding import stamp_of
+from slam.datasets.bags.topics import shared
 from slam.datasets.dataset import RecordFault
 from slam.datasets.imu_units import ForceUnit
-from slam.measurements import ImuReading
+from slam.measurements import FloatArray, ImuReading, Measurement
 
 NOT_BOTH = "IMU message without turn rate or without acceleration"
+NO_HALF = "IMU message without the half that its topic tells"
+NO_FORCES = "it tells no accelerations, and no topic beside it does"
+
+
+def told_by(message: Any) -> tuple[bool, bool]:
+    """Whether a message tells turn rates, and whether accelerations.
+
+    What is not told is zero on every axis, or its covariance begins with -1 (sensor_msgs).
+    """
+    rates = message.angular_velocity_covariance[0] != -1.0 and _vector(message.angular_velocity).any()
+    forces = message.linear_acceleration_covariance[0] != -1.0 and _vector(message.linear_acceleration).any()
+    return bool(rates), bool(forces)
+
+
+def paired_halves(topics: Iterable[str], told: Mapping[str, tuple[bool, bool]]) -> dict[str, str]:
+    """For each topic of turn rates alone that of the accelerations, empty where there is none.
+
+    A gyroscope may read zero at first; an accelerometer never does.
+    """
+    known = {topic: told[topic] for topic in topics if topic in told}
+    left = [topic for topic, (rates, forces) in known.items() if forces and not rates]
+    pairs = {}
+    for topic in (topic for topic, (_, forces) in known.items() if not forces):
+        pairs[topic] = max(left, key=lambda other: len(shared(other, topic)), default="")
+        left = [other for other in left if other != pairs[topic]]
+    return pairs
+
+
+def _vector(vector: Any) -> FloatArray:
+    """(3,) of a message."""
+    return np.array([vector.x, vector.y, vector.z], dtype=np.float64)
 
 
 @dataclass(slots=True)
@@ -34,6 +70,10 @@ class ImuReader:
     T_base_imu: gtsam.Pose3 | None
     unit: ForceUnit = field(default_factory=ForceUnit)
 
+    def told(self) -> list[str]:
+        """What was concluded, for people."""
+        return [f"{self.topic}: {self.unit.choice}"] if self.unit.choice else []
+
     def read(self, message: Any) -> ImuReading:
         """A reading.
 
@@ -43,11 +83,90 @@ class ImuReader:
             A number that is not finite, or one of the two sensors is missing: it reads zero on every axis,
             or its covariance begins with -1 (sensor_msgs).
         """
-        gyro, force = (
-            np.array([vector.x, vector.y, vector.z], dtype=np.float64)
-            for vector in (message.angular_velocity, message.linear_acceleration)
-        )
+        gyro, force = _vector(message.angular_velocity), _vector(message.linear_acceleration)
         missing = -1.0 in (message.angular_velocity_covariance[0], message.linear_acceleration_covariance[0])
         if missing or not np.isfinite([gyro, force]).all() or not force.any():
             raise RecordFault(NOT_BOTH, f"{gyro}, {force}")
         return ImuReading(stamp_of(message.header), gyro, self.unit.m_s2(force), self.T_base_imu, self.topic)
+
+
+@dataclass(slots=True)
+class JoinedImu:
+    """One IMU of two topics, as cameras tell it: accelerations between their stamps at those of turn rates.
+
+    So does the driver of RealSense where ``unite_imu_method`` is ``linear_interpolation``.
+
+    Attributes
+    ----------
+    topic, forces_topic
+        Of the turn rates, which names the sensor, and of the accelerations.
+    T_base_imu
+        Mounting of the gyroscope; None where tf does not tell it.
+    unit
+        In which unit its accelerations are.
+    """
+
+    topic: str
+    forces_topic: str
+    T_base_imu: gtsam.Pose3 | None
+    unit: ForceUnit = field(default_factory=ForceUnit)
+    _rates: deque[tuple[float, FloatArray]] = field(default_factory=deque)
+    _forces: deque[tuple[float, FloatArray]] = field(default_factory=deque)
+    _alone: int = 0
+
+    def restart(self) -> None:
+        """Forget what waits from a pass before."""
+        self._rates.clear()
+        self._forces.clear()
+        self._alone = 0
+
+    def told(self) -> list[str]:
+        """What was concluded, for people."""
+        alone = self._alone + len(self._rates)
+        rest = f"; {alone} turn rates without accelerations around them are left out" if alone else ""
+        text = f"joined with {self.forces_topic}, accelerations between its stamps by interpolation{rest}"
+        return [f"{self.topic}: {one}" for one in (text, self.unit.choice) if one]
+
+    def read_rates(self, message: Any) -> list[Measurement]:
+        """The readings that a message of the gyroscope completes; RecordFault where it is damaged."""
+        gyro = _vector(message.angular_velocity)
+        if not np.isfinite(gyro).all():
+            raise RecordFault(NO_HALF, f"{gyro}")
+        self._rates.append((stamp_of(message.header), gyro))
+        return self._complete()
+
+    def read_forces(self, message: Any) -> list[Measurement]:
+        """The readings that a message of the accelerometer completes; RecordFault where it is damaged."""
+        force, stamp_s = _vector(message.linear_acceleration), stamp_of(message.header)
+        if not np.isfinite(force).all() or not force.any():
+            raise RecordFault(NO_HALF, f"{force}")
+        if self._forces and stamp_s <= self._forces[-1][0]:
+            self._forces.clear()
+        self._forces.append((stamp_s, self.unit.m_s2(force)))
+        while stamp_s - self._forces[0][0] > GAP_S:
+            self._forces.popleft()
+        return self._complete()
+
+    def _complete(self) -> list[Measurement]:
+        """Readings at the stamps of turn rates between accelerations; those that can get none are counted."""
+        found: list[Measurement] = []
+        while self._rates and (self._forces or abs(self._rates[-1][0] - self._rates[0][0]) > GAP_S):
+            stamp_s, gyro = self._rates[0]
+            if self._forces and self._forces[-1][0] < stamp_s <= self._forces[-1][0] + GAP_S:
+                break
+            self._rates.popleft()
+            force = self._force_at(stamp_s)
+            if force is None:
+                self._alone += 1
+            else:
+                found.append(ImuReading(stamp_s, gyro, force, self.T_base_imu, self.topic))
+        return found
+
+    def _force_at(self, stamp_s: float) -> FloatArray | None:
+        """(3,) by the line between neighbours; None where there are none."""
+        if self._forces and self._forces[-1][0] == stamp_s:
+            return self._forces[-1][1]
+        for (late_s, late), (early_s, early) in pairwise(reversed(self._forces)):
+            if early_s <= stamp_s <= late_s:
+                return early + (stamp_s - early_s) / (late_s - early_s) * (late - early)
+        return None

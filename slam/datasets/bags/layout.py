@@ -16,7 +16,7 @@ from slam.datasets.bags.clouds import CloudReader
 from slam.datasets.bags.decoding import frame_name, stamp_of
 from slam.datasets.bags.evidence import ODOM_FRAMES, evidence_of, never_read
 from slam.datasets.bags.files import Bag
-from slam.datasets.bags.imu import ImuReader
+from slam.datasets.bags.imu import NO_FORCES, ImuReader, JoinedImu, paired_halves
 from slam.datasets.bags.laser import LaserMount, scan_from
 from slam.datasets.bags.lens import Lens, lens_of
 from slam.datasets.bags.mending import mended
@@ -53,7 +53,9 @@ class Layout:
     files
         What files tell of the sensors.
     readers
-        By topic, what makes a reading of a message.
+        By topic, what makes a reading of a message, or those that it completes.
+    joined
+        For each topic of accelerations alone that of the turn rates beside it.
     images
         For each image topic the place of its camera in ``cameras``, and whether it holds depth.
     wheels_from
@@ -70,9 +72,10 @@ class Layout:
 
     base: str | None
     files: FileFacts
-    readers: dict[str, Callable[[Any], Measurement]] = field(default_factory=dict)
+    readers: dict[str, Callable[[Any], Measurement | list[Measurement]]] = field(default_factory=dict)
+    joined: dict[str, str] = field(default_factory=dict)
     clouds: list[CloudReader] = field(default_factory=list)
-    imus: list[ImuReader] = field(default_factory=list)
+    imus: list[ImuReader | JoinedImu] = field(default_factory=list)
     cameras: list[BagCamera] = field(default_factory=list)
     images: dict[str, tuple[int, bool]] = field(default_factory=dict)
     wheels_from: Callable[[Any], Iterator[WheelOdometry]] | None = None
@@ -90,7 +93,8 @@ class Layout:
         """What the report calls the measurements of a topic; empty where they are none."""
         if topic in self.images:
             return frames_of(self.cameras[self.images[topic][0]].sensor)
-        return f"{topic} ({kind.rpartition('/')[2]})" if topic in self.readers else ""
+        own = self.joined.get(topic, topic)
+        return f"{own} ({kind.rpartition('/')[2]})" if topic in self.readers else ""
 
     def why_not(self, topic: str, kind: str, count: int) -> str:
         """Why nothing is made of a topic's messages; empty where something is."""
@@ -140,10 +144,7 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...], known: KnownCal
         layout.readers[topic] = _cloud_reader(survey, layout, topic, only=len(choice.clouds) == 1)
     for topic in choice.odometry:
         layout.readers[topic] = _wheel_reader(survey, layout, topic)
-    for topic in choice.imus:
-        reader = ImuReader(topic, _mount(survey, layout, topic))
-        layout.imus.append(reader)
-        layout.readers[topic] = reader.read
+    _read_imus(survey, layout, choice.imus)
     for place, camera in enumerate(choice.cameras):
         layout.cameras.append(_camera(survey, layout, camera, only=len(choice.cameras) == 1))
         layout.images[camera.color], layout.images[camera.depth] = (place, False), (place, True)
@@ -260,6 +261,25 @@ def _cloud_reader(survey: Survey, layout: Layout, topic: str, *, only: bool) -> 
     reader = CloudReader(topic, mount or gtsam.Pose3())
     layout.clouds.append(reader)
     return reader.read
+
+
+def _read_imus(survey: Survey, layout: Layout, topics: tuple[str, ...]) -> None:
+    """What reads IMUs, those of two topics as one."""
+    pairs = paired_halves(topics, survey.imus)
+    for topic in topics:
+        if topic in pairs.values():
+            continue
+        if forces := pairs.get(topic):
+            joined = JoinedImu(topic, forces, _mount(survey, layout, topic))
+            layout.imus.append(joined)
+            layout.readers |= {topic: joined.read_rates, forces: joined.read_forces}
+            layout.joined[forces] = topic
+        elif topic in pairs:
+            layout.left_out[topic] = NO_FORCES
+        else:
+            reader = ImuReader(topic, _mount(survey, layout, topic))
+            layout.imus.append(reader)
+            layout.readers[topic] = reader.read
 
 
 def _camera(survey: Survey, layout: Layout, topics: CameraTopics, *, only: bool) -> BagCamera:

@@ -13,6 +13,7 @@ from slam.datasets.bags.clouds import CloudView, cloud_view
 from slam.datasets.bags.decoding import Decoder, frame_name, stamp_of
 from slam.datasets.bags.files import Bag
 from slam.datasets.bags.images import is_depth
+from slam.datasets.bags.imu import told_by
 from slam.datasets.bags.records import BagRecord, Channel
 from slam.datasets.bags.registered import EXTRINSICS, CameraFacts
 from slam.datasets.bags.robots import Robots
@@ -20,6 +21,7 @@ from slam.datasets.bags.topics import (
     CAMERA_INFO,
     CLOUDS,
     IMAGES,
+    IMU,
     ODOMETRY,
     SCANS,
     SENSORS,
@@ -63,6 +65,8 @@ class Survey:
         Of each topic of scans the angle that it sees, and its range.
     scan_stamps_s
         First stamps of each topic of scans.
+    imus
+        Of each topic of an IMU whether its first message tells turn rates, and whether accelerations.
     sizes
         Width and height of the images of each topic that tells them before they are decoded.
     facts
@@ -82,6 +86,7 @@ class Survey:
     clouds: dict[str, CloudView] = field(default_factory=dict)
     scans: dict[str, tuple[float, float]] = field(default_factory=dict)
     scan_stamps_s: dict[str, set[float]] = field(default_factory=dict)
+    imus: dict[str, tuple[bool, bool]] = field(default_factory=dict)
     sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
     facts: CameraFacts = field(default_factory=CameraFacts)
     robots: Robots = field(default_factory=Robots)
@@ -235,6 +240,8 @@ def _look_at_reading(survey: Survey, record: BagRecord, message: Any) -> None:
         span_rad = float(abs(message.angle_max - message.angle_min))
         view = span_rad, float(message.range_max)
         survey.scans[topic] = view if all(map(math.isfinite, view)) else (0.0, 0.0)
+    elif kind == IMU:
+        survey.imus[topic] = told_by(message)
     elif kind == ODOMETRY:
         survey.odometry[topic] = survey.frames[topic], frame_name(message.child_frame_id)
     elif kind in IMAGES:

@@ -272,14 +272,14 @@ def _paired(colors: list[str], depths: list[str]) -> list[CameraTopics]:
     """Each depth topic with the colour topic whose name begins most alike."""
     cameras, left = [], list(colors)
     for depth in depths:
-        color = max(left, key=lambda topic: len(_shared(topic, depth)))
+        color = max(left, key=lambda topic: len(shared(topic, depth)))
         left.remove(color)
-        name = _shared(color, depth).rstrip("/_") or depth
+        name = shared(color, depth).rstrip("/_") or depth
         cameras.append(CameraTopics(name, color, depth))
     return cameras
 
 
-def _shared(first: str, second: str) -> str:
+def shared(first: str, second: str) -> str:
     """The letters with which two names begin alike."""
     same = takewhile(lambda pair: pair[0] == pair[1], zip(first, second, strict=False))
     return "".join(letter for letter, _ in same)
