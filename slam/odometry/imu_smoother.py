@@ -153,10 +153,9 @@ class ImuSmoother:
             )
         )  # fmt: skip
         if pose is not None and covariance is not None:
-            graph.add(gtsam.PriorFactorPose3(_X(key), pose, gtsam.noiseModel.Gaussian.Covariance(covariance)))
+            graph.add(gtsam.PriorFactorPose3(_X(key), pose, noise_of(covariance)))
         if step is not None:
-            noise = gtsam.noiseModel.Gaussian.Covariance(step[1])
-            graph.add(gtsam.BetweenFactorPose3(_X(before), _X(key), step[0], noise))
+            graph.add(gtsam.BetweenFactorPose3(_X(before), _X(key), step[0], noise_of(step[1])))
         state = ImuState(stamp_s, guess, velocity, self._state.bias, self._state.down)
         self._insert(values, state)
         self._update(graph, values, stamp_s)
@@ -240,6 +239,15 @@ class ImuSmoother:
             triangle: FloatArray = np.asarray(np.linalg.qr(rows * scale, mode="r"))
             half = np.linalg.solve(triangle.T, scale[:, None] * unit)
             return np.asarray(half.T @ half)
+
+
+def noise_of(covariance: FloatArray) -> gtsam.noiseModel.Gaussian:
+    """Noise of a covariance (N, N) in which one direction may be open.
+
+    Its inverse, which GTSAM would factorise, has too few digits: what is open came out as known to a hair.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    return gtsam.noiseModel.Gaussian.SqrtInformation((vectors / np.sqrt(values)).T)
 
 
 def _turned(

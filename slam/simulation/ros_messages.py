@@ -8,12 +8,13 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.measurements import CameraIntrinsics, Float32Array, LaserScan, RgbdFrame
+from slam.measurements import CameraIntrinsics, Float32Array, FloatArray, LaserScan, RgbdFrame
 from slam.simulation.carmen_writer import written_ranges_m
 from slam.storage.ros_messages import cloud_message, header, new, pose_message, vector
 
 IMAGE = "sensor_msgs/msg/Image"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+IMU = "sensor_msgs/msg/Imu"
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 ODOMETRY = "nav_msgs/msg/Odometry"
 
@@ -53,6 +54,20 @@ def point_cloud(
     for name, values in columns.items():
         packed[name] = values
     return cloud_message(packed, stamp_s, frame_id)
+
+
+def imu(stamp_s: float, gyro_rad_s: FloatArray, specific_force_m_s2: FloatArray, frame_id: str) -> Any:
+    """An Imu message without an orientation; covariances of zero say that they are not known."""
+    return new(
+        IMU,
+        header=header(stamp_s, frame_id),
+        orientation=new("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0),
+        orientation_covariance=np.array([-1.0, *[0.0] * 8]),
+        angular_velocity=vector(gyro_rad_s),
+        angular_velocity_covariance=np.zeros(9),
+        linear_acceleration=vector(specific_force_m_s2),
+        linear_acceleration_covariance=np.zeros(9),
+    )
 
 
 def color_image(frame: RgbdFrame, frame_id: str) -> Any:

@@ -1,9 +1,9 @@
-"""A car's drive through streets on disk: a KITTI odometry folder, a bag of clouds with times, the truth."""
+"""A car's drive through streets on disk: a KITTI odometry folder, a bag of lidar and IMU, the truth."""
 
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -16,6 +16,14 @@ from slam.measurements import FloatArray, Trajectory
 from slam.simulation import ros_messages as ros
 from slam.simulation.bag_writer import BAG_FILES, BASE_FRAME, LASER_3D_FRAME
 from slam.simulation.drive import FIRST_STAMP_S
+from slam.simulation.imu import (
+    ADIS_16448,
+    ImuFaults,
+    ImuRecord,
+    MountedImu,
+    record_imu,
+    write_euroc,
+)
 from slam.simulation.record import FORMATS, Progress, appearing_whole
 from slam.simulation.rigs import MountedRingLidar, laser_pose
 from slam.simulation.sensor_clock import generator
@@ -32,9 +40,20 @@ from slam.storage.tum import write_tum
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
+
+@dataclass(frozen=True, slots=True)
+class StreetRig:
+    """What a car carries: a lidar, and an IMU in the lidar's frame."""
+
+    lidar: MountedRingLidar
+    imu: MountedImu | None
+
+
+# Where KITTI's IMU sits beside its lidar (calib_imu_to_velo.txt), to the centimetre; here it looks left.
+_IMU = MountedImu(ADIS_16448, gtsam.Pose3(gtsam.Rot3.Yaw(0.5 * np.pi), np.array([-0.81, 0.32, -0.80])))
 STREET_RIGS = {
-    "car64": MountedRingLidar(HDL_64E, laser_pose(0.0, 0.0, 1.73)),
-    "car16": MountedRingLidar(VLP_16, laser_pose(0.0, 0.0, 1.73)),
+    "car64": StreetRig(MountedRingLidar(HDL_64E, laser_pose(0.0, 0.0, 1.73)), _IMU),
+    "car16": StreetRig(MountedRingLidar(VLP_16, laser_pose(0.0, 0.0, 1.73)), _IMU),
 }
 # KITTI's left camera: x right, y down, z ahead.
 _T_CAMERA_LIDAR = gtsam.Pose3(
@@ -42,7 +61,7 @@ _T_CAMERA_LIDAR = gtsam.Pose3(
 )
 _DURATION_S = 34.0
 _TRUTH_HZ = 100.0
-_BAG = "log"
+_BAG, _IMU_FRAME = "log", "imu"
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,13 +74,21 @@ class StreetFaults:
         Cars, cyclists and people in 100 m of street.
     lost_share
         Of the turns.
+    imu
+        What the IMU is off by.
     """
 
     density: float = 0.0
     lost_share: float = 0.0
+    imu: ImuFaults = field(default_factory=ImuFaults)
 
 
-STREET_FAULTS = {"none": StreetFaults(), "usual": StreetFaults(3.0), "harsh": StreetFaults(9.0, 0.05)}
+# Biases of a good sensor and of a cheap one (1 degree/s and 20 mg: data sheet of the Bosch BMI085).
+STREET_FAULTS = {
+    "none": StreetFaults(),
+    "usual": StreetFaults(3.0, 0.0, ImuFaults(0.002, 0.07, 0.002)),
+    "harsh": StreetFaults(9.0, 0.05, ImuFaults(0.017, 0.2, 0.02)),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +114,7 @@ def record_street(
     home: int,
     seed: int,
     out_dir: Path,
-    rig: MountedRingLidar,
+    rig: StreetRig,
     faults: StreetFaults,
     duration_s: float | None = None,
     progress: Progress | None = None,
@@ -103,8 +130,9 @@ def record_street(
     out_dir
         Made at the very end, whole; must not exist yet, or be empty. With ``folder`` it holds
         ``velodyne/`` (x, y, z, intensity), ``times.txt``, ``calib.txt`` and ``poses.txt`` of KITTI, all at
-        the middle of a turn; with ``mcap`` a rosbag2 with ``/points``, stamped at the beginning of a turn,
-        with ``intensity``, ``ring`` and ``t`` (ns after the stamp). Always ``groundtruth.txt`` (TUM, the
+        the middle of a turn, and ``imu0/data.csv`` of EuRoC; with ``mcap`` a rosbag2 with ``/points``,
+        stamped at the beginning of a turn, with ``intensity``, ``ring`` and ``t`` (ns after the stamp), and
+        ``/imu``. Always ``groundtruth.txt`` (TUM, the
         lidar in an upright map, 100 Hz) and ``labels/``, a file a turn, of SemanticKITTI.
     duration_s
         34 s if not given: 340 turns.
@@ -123,15 +151,19 @@ def record_street(
     town = generate_town(home, tunnel=tunnel)
     drive = drive_street(town, generator(seed, "street", home))
     traffic = Traffic(town, drive, faults.density, generator(seed, "street traffic", home))
-    lidar = StreetLidar(town, drive, traffic, rig.model, rig.T_base_laser)
+    model = rig.lidar.model
+    lidar = StreetLidar(town, drive, traffic, model, rig.lidar.T_base_laser)
     end_s = min(duration_s or _DURATION_S, drive.duration_s - 1.0)
-    rng, turn_s = generator(seed, "street lidar", home), 1.0 / rig.model.rate_hz
-    begins_s: FloatArray = np.arange(int(end_s * rig.model.rate_hz + 1e-9), dtype=np.float64) * turn_s
+    imu = None
+    if rig.imu is not None:
+        imu = record_imu(rig.imu, lidar.poses_at, faults.imu, end_s, FIRST_STAMP_S, seed, home)
+    rng, turn_s = generator(seed, "street lidar", home), 1.0 / model.rate_hz
+    begins_s: FloatArray = np.arange(int(end_s * model.rate_hz + 1e-9), dtype=np.float64) * turn_s
     begins_s = begins_s[rng.random(len(begins_s)) >= faults.lost_share]
     points = moving = 0
     with appearing_whole(out_dir) as folder:
         with ExitStack() as stack:
-            bag = stack.enter_context(_CloudBag(folder / _BAG, rig)) if "mcap" in formats else None
+            bag = stack.enter_context(_StreetBag(folder / _BAG, rig, imu)) if "mcap" in formats else None
             for name in ("labels", *(["velodyne"] if "folder" in formats else [])):
                 (folder / name).mkdir()
             for number, begin_s in enumerate(begins_s.tolist()):
@@ -151,6 +183,8 @@ def record_street(
             (folder / _BAG).rmdir()
         if "folder" in formats:
             _write_kitti(folder, lidar, begins_s + 0.5 * turn_s)
+            if rig.imu is not None and imu is not None:
+                write_euroc(folder / "imu0", imu, rig.imu.T_body_imu)
         times_s = np.arange(round(end_s * _TRUTH_HZ) + 1) / _TRUTH_HZ
         write_tum(folder / "groundtruth.txt", _trajectory(lidar, times_s))
     return StreetSummary(end_s, float(drive.path_m(end_s)), len(begins_s), points, moving)
@@ -188,40 +222,59 @@ def _trajectory(lidar: StreetLidar, times_s: FloatArray) -> Trajectory:
     return Trajectory(stamps_s, positions, Rotation.from_matrix(rotations).as_quat())
 
 
-class _CloudBag:
-    """A rosbag2 of clouds alone; use it as a context manager."""
+class _StreetBag:
+    """A rosbag2 of clouds and an IMU; use it as a context manager."""
 
-    def __init__(self, folder: Path, rig: MountedRingLidar) -> None:
+    def __init__(self, folder: Path, rig: StreetRig, imu: ImuRecord | None) -> None:
         from rosbags.rosbag2 import StoragePlugin, Writer
 
-        self._writer = Writer(folder, version=8, storage_plugin=StoragePlugin.MCAP)
-        self._rig, self._connections = rig, dict[str, "Connection"]()
+        self._writer = Writer(folder, version=messages.BAG_VERSION, storage_plugin=StoragePlugin.MCAP)
+        self._rig, self._imu, self._felt = rig, imu, 0
+        self._connections = dict[str, "Connection"]()
 
     def __enter__(self) -> Self:
         self._writer.open()
-        for topic, kind in (("/tf_static", messages.TRANSFORMS), ("/points", messages.POINT_CLOUD)):
+        # The robot's frame is the lidar's, as in the folder and in the truth.
+        frames = {LASER_3D_FRAME: gtsam.Pose3()}
+        topics = {"/tf_static": messages.TRANSFORMS, "/points": messages.POINT_CLOUD}
+        if self._rig.imu is not None:
+            frames[_IMU_FRAME], topics["/imu"] = self._rig.imu.T_body_imu, ros.IMU
+        for topic, kind in topics.items():
             self._connections[topic] = self._writer.add_connection(
                 topic, kind, typestore=messages.typestore()
             )
-        # The robot's frame is the lidar's, as in the folder and in the truth.
-        mounting = messages.transforms(FIRST_STAMP_S, BASE_FRAME, {LASER_3D_FRAME: gtsam.Pose3()})
-        self._send("/tf_static", FIRST_STAMP_S, mounting)
+        self._send("/tf_static", FIRST_STAMP_S, messages.transforms(FIRST_STAMP_S, BASE_FRAME, frames))
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if kind is None:
+            self._feel(np.inf)
         self._writer.__exit__(kind, error, trace)
 
     def write(self, stamp_s: float, turn: StreetTurn) -> None:
-        """One turn; it arrives when it is over."""
+        """One turn; it arrives when it is over, after what the IMU has told by then."""
         further: dict[str, NDArray[Any]] = {
             "intensity": turn.brightness,
             "ring": turn.ring,
             "t": np.rint(turn.after_s * 1e9).astype(np.uint32),
         }
         message = ros.point_cloud(turn.points_lidar, further, stamp_s, LASER_3D_FRAME)
-        self._send("/points", stamp_s + 1.0 / self._rig.model.rate_hz, message)
+        over_s = stamp_s + 1.0 / self._rig.lidar.model.rate_hz
+        self._feel(over_s - FIRST_STAMP_S)
+        self._send("/points", over_s, message)
+
+    def _feel(self, until_s: float) -> None:
+        """Write what the IMU tells until a time of the drive."""
+        if self._imu is None:
+            return
+        last = int(np.searchsorted(self._imu.true_s, until_s))
+        for n in range(self._felt, last):
+            gyro, force = self._imu.gyro_rad_s[n], self._imu.specific_force_m_s2[n]
+            message = ros.imu(float(self._imu.stamps_s[n]), gyro, force, _IMU_FRAME)
+            self._send("/imu", FIRST_STAMP_S + float(self._imu.true_s[n]), message)
+        self._felt = last
 
     def _send(self, topic: str, at_s: float, message: object) -> None:
         """Write one message."""

@@ -13,6 +13,7 @@ from slam.matching.upright import Gravity, upright_of
 from slam.measurements import FloatArray, ImuReading, PointCloud
 from slam.odometry.imu_gravity import apart_in_time
 from slam.odometry.imu_readings import ImuReadings
+from slam.odometry.imu_smoother import noise_of
 from slam.odometry.imu_tracker import ImuTracker
 
 MATCHED = np.diag([1e-6] * 3 + [4e-6] * 3)
@@ -83,6 +84,21 @@ def test_three_seconds_without_a_cloud_are_bridged_and_owned_up_to() -> None:
     assert imu.bridged_s == pytest.approx(3.0, abs=0.2)
     told = imu.told()
     assert any("without a usable cloud" in note for note in told.notes) and not told.warnings
+
+
+def test_a_direction_that_is_open_weighs_nothing_and_the_others_what_they_should() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        open_, turn = rng.standard_normal(6), np.linalg.qr(rng.standard_normal((6, 6)))[0]
+        open_ /= np.linalg.norm(open_)
+        there = T_BASE_IMU.AdjointMap()
+        noise = noise_of(there @ (MATCHED + 1e4 * np.outer(open_, open_)) @ there.T)
+        assert np.linalg.norm(noise.whiten(1e-2 * there @ open_)) < 1e-2
+        # A unit error in the measured rest, by Woodbury's identity.
+        error = 1e-3 * turn[0]
+        weak = np.linalg.solve(MATCHED, open_)
+        squared = error @ np.linalg.solve(MATCHED, error) - (weak @ error) ** 2 / (1e-4 + weak @ open_)
+        assert np.linalg.norm(noise.whiten(there @ error)) == pytest.approx(squared**0.5, rel=1e-3)
 
 
 def test_wheels_hold_a_long_bridge() -> None:
