@@ -1,4 +1,4 @@
-"""The IMU of a street: its readings integrate to the drive, its faults are what was asked for, readers read it."""
+"""The IMU of a street: readings integrate to the drive, faults are those asked for, readers read it."""
 
 from __future__ import annotations
 
