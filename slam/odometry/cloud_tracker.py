@@ -83,7 +83,7 @@ class CloudTracker:
         self._stamp_s = cloud.stamp_s
         if self._imu is not None and deskewed(cloud, self._turns):
             cloud = self._imu.straightened(cloud, self._velocity.twist)
-        twist = self._velocity.to(expected, cloud.stamp_s) if guesses else np.zeros(6)
+        twist = self._velocity.at(expected, cloud.stamp_s) if guesses else np.zeros(6)
         seen = DeskewedCloud.of(cloud, twist, self._turns)
         if len(seen.points) < self._turns.least_pairs:
             self._lost += 1
@@ -167,9 +167,9 @@ class CloudTracker:
         self._pose = pose_of(motion)
         points, measured = seen.points, motion.covariance
         if motion.converged:
-            self._velocity.learn(self._pose, cloud.stamp_s, seen.lever_m, motion)
             if deskewed(cloud, self._turns):
-                points = base_points(cloud, self._velocity.twist, self._turns)
+                points = base_points(cloud, self._velocity.at(self._pose, cloud.stamp_s), self._turns)
+            self._velocity.learn(self._pose, cloud.stamp_s, seen.lever_m, motion)
         self._tell(measured + _UNSEEN_M**2 * np.outer(motion.weak_direction, motion.weak_direction))
         spread = None if self._imu is None else self._imu.spread()
         motion = self._open.widened(cloud.stamp_s, motion, self._velocity.twist, spread)

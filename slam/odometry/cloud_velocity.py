@@ -26,7 +26,7 @@ class CloudVelocity:
         self.twist: FloatArray = np.zeros(6)
         self.known = False
         self._determined: FloatArray = np.zeros(6)
-        self._pose, self._stamp_s = gtsam.Pose3(), -np.inf
+        self._pose, self._stamp_s, self._step_s = gtsam.Pose3(), -np.inf, np.inf
 
     def begin(self, stamp_s: float) -> None:
         """The first cloud, at the origin."""
@@ -42,6 +42,15 @@ class CloudVelocity:
         if not 0.0 < step_s < LONGEST_STEP_S:
             return self.twist
         return np.asarray(gtsam.Pose3.Logmap(self._pose.between(pose)) / step_s)
+
+    def at(self, pose: gtsam.Pose3, stamp_s: float) -> FloatArray:
+        """The twist (6,) at the moment of a pose.
+
+        As if it changed evenly: the mean of the way there is that of half a step ago.
+        """
+        mean, step_s = self.to(pose, stamp_s), stamp_s - self._stamp_s
+        share = step_s / (step_s + self._step_s) if 0.0 < step_s < LONGEST_STEP_S else 0.0
+        return np.asarray(mean + share * (mean - self.twist))
 
     def carry_on(self, twist: FloatArray, stamp_s: float) -> gtsam.Pose3 | None:
         """Where a twist (6,) leads from the last sure pose; None after a gap."""
@@ -69,5 +78,7 @@ class CloudVelocity:
             twist = twist - weak * (weak @ (units * (twist - self._determined))) / units
         else:
             self._determined = twist
-        self.known = self.known or stamp_s - self._stamp_s < LONGEST_STEP_S
+        step_s = stamp_s - self._stamp_s
+        self.known = self.known or step_s < LONGEST_STEP_S
+        self._step_s = step_s if step_s < LONGEST_STEP_S else np.inf
         self._pose, self._stamp_s, self.twist = pose, stamp_s, twist

@@ -15,7 +15,7 @@ from slam.odometry.cloud_odometry import CloudOdometry
 from slam.odometry.cloud_velocity import CloudVelocity
 
 # A turn is deskewed again where the match tells a motion that moves its ends by more voxels than this.
-_SKEWED_VOXELS, _DESKEWED_TIMES = 0.25, 3
+_SKEWED_VOXELS, _DESKEWED_TIMES = 0.05, 3
 # Turn rates that are tried where a cloud does not fit, as offsets from the rate of before.
 _TURN_RATE_OFFSETS_RAD_S = (0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, -2.0)
 
@@ -73,7 +73,7 @@ class TurnMatcher:
         for _ in range(_DESKEWED_TIMES):
             if motion is None or not self._is_skewed(cloud, seen, motion):
                 break
-            again = DeskewedCloud.of(cloud, self._velocity.to(pose_of(motion), cloud.stamp_s), self._config)
+            again = DeskewedCloud.of(cloud, self._velocity.at(pose_of(motion), cloud.stamp_s), self._config)
             better = self._odometry.match(again.points, [pose_of(motion)])
             if self._share(again, better) <= self._share(seen, motion):
                 break
@@ -106,7 +106,7 @@ class TurnMatcher:
         """Whether the match tells another twist than the one by which a cloud was deskewed."""
         if cloud.times_s is None or not deskewed(cloud, self._config):
             return False
-        off = self._velocity.to(pose_of(motion), cloud.stamp_s) - seen.twist
+        off = self._velocity.at(pose_of(motion), cloud.stamp_s) - seen.twist
         turned_rad, moved_m = 0.5 * np.ptp(cloud.times_s) * np.linalg.norm(off.reshape(2, 3), axis=1)
         return bool(turned_rad * seen.lever_m + moved_m > _SKEWED_VOXELS * self._voxel_m)
 

@@ -58,3 +58,16 @@ def test_an_open_direction_does_not_gather_speed(roll_rad: float) -> None:
         np.testing.assert_allclose(velocity.twist[2:4], AHEAD[2:4], atol=0.05)
     velocity.learn(pose.compose(gtsam.Pose3.Expmap(0.1 * AHEAD + 0.01 * ROLL)), 5.8, 4.0, match(pose))
     assert abs(velocity.twist[0]) > 0.05
+
+
+def test_a_twist_that_changes_evenly_is_told_as_it_is_at_the_end_of_a_step() -> None:
+    velocity, place_m = CloudVelocity(), 0.0
+    velocity.begin(5.0)
+    for stamp_s, step_s in ((5.1, 0.1), (5.3, 0.2)):
+        begun, place_m = place_m, 3.0 * (stamp_s - 5.0) ** 2
+        pose = gtsam.Pose3(gtsam.Rot3(), np.array([place_m, 0.0, 0.0]))
+        mean = (place_m - begun) / step_s
+        assert velocity.to(pose, stamp_s)[3] == pytest.approx(mean)
+        assert velocity.at(pose, stamp_s)[3] == pytest.approx(mean if stamp_s == 5.1 else 6.0 * 0.3)
+        velocity.learn(pose, stamp_s, 4.0, match(pose))
+    assert velocity.at(pose, 9.0) == pytest.approx(velocity.twist)
