@@ -190,7 +190,9 @@ def _write_published(folder: Path, name: str) -> Path:
     poses = [gtsam.Pose3(gtsam.Rot3.Yaw(0.1 * k), np.array([0.1 * k, 0.0, 0.0])).matrix() for k in range(3)]
     if name in LIDARS:
         points = [rng.uniform(-40.0, 40.0, (60, 3)).astype(np.float32) for _ in poses]
-        return LIDARS[name](folder, Turns([0.0, 0.1, 0.2], points, [np.linspace(0.0, 0.09, 60)] * 3, poses))
+        imu = np.column_stack([0.05 * np.arange(6), np.full((6, 3), 0.1), np.full((6, 3), 5.0)])
+        times = [np.linspace(0.0, 0.09, 60)] * 3
+        return LIDARS[name](folder, Turns([0.0, 0.1, 0.2], points, times, poses, imu))
     colors = [rng.integers(0, 256, (24, 32, 3), np.uint8) for _ in poses]
     depths = [rng.integers(500, 4000, (24, 32)).astype(np.uint16) for _ in poses]
     lens = CameraIntrinsics(30.0, 30.0, 15.5, 11.5, 32, 24)

@@ -182,6 +182,7 @@ class CloudLidar:
             told = self._imu.told()
             result.notes += told.notes
             result.warnings += told.warnings
+            result.unused |= told.unused
         result.unused |= self._cameras.unused()
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:

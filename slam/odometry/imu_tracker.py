@@ -28,10 +28,15 @@ _APART_RAD, _APART_SHARE = 0.02, 0.1
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """Lines for people."""
+    """Lines for people, and by its name why an IMU was not used after all."""
 
     notes: list[str] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
+    unused: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What a person should see before trusting a map."""
+        return [f"{name} is not used: {why}" for name, why in self.unused.items()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,11 +230,11 @@ class ImuTracker:
         if not self._sensor:
             return Told()
         if self.unfit:
-            return Told(warnings=[f"{self._sensor} is not used: {self.unfit}"])
+            return Told(unused={self._sensor: self.unfit})
         state, gravity = self.state, self.gravity()
         if state is None or gravity is None:
             why = "velocity and gravity were not found; it needs a second of clouds that match"
-            return Told(warnings=[f"{self._sensor} is not used: {why}"])
+            return Told(unused={self._sensor: why})
         gyro, force = np.abs(state.bias.gyroscope()).max(), np.abs(state.bias.accelerometer()).max()
         notes = [
             f"{self._sensor}: gravity to {math.degrees(gravity.sigma_rad):.2f} degrees (sigma); biases up to "

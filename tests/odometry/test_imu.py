@@ -113,6 +113,7 @@ def test_a_wrong_mounting_is_found_out() -> None:
     imu = tracked(walk, 8.0, told=gtsam.Pose3(gtsam.Rot3.Roll(1.5), np.zeros(3)))
     assert imu.unfit and imu.state is None and imu.gravity() is None
     assert "not used" in imu.told().warnings[0]
+    assert "turns" in imu.told().unused["imu"]
 
 
 def test_readings_with_a_gap_begin_anew() -> None:

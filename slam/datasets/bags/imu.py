@@ -16,6 +16,7 @@ from slam.datasets.bags.decoding import stamp_of
 from slam.datasets.bags.topics import shared
 from slam.datasets.dataset import RecordFault
 from slam.datasets.imu_units import ForceUnit
+from slam.datasets.wheels_between import WHEELS_KEPT
 from slam.measurements import FloatArray, ImuReading, Measurement
 
 NOT_BOTH = "IMU message without turn rate or without acceleration"
@@ -110,8 +111,9 @@ class JoinedImu:
     forces_topic: str
     T_base_imu: gtsam.Pose3 | None
     unit: ForceUnit = field(default_factory=ForceUnit)
-    _rates: deque[tuple[float, FloatArray]] = field(default_factory=deque)
-    _forces: deque[tuple[float, FloatArray]] = field(default_factory=deque)
+    # However stamps run, no more than so many wait.
+    _rates: deque[tuple[float, FloatArray]] = field(default_factory=lambda: deque(maxlen=WHEELS_KEPT))
+    _forces: deque[tuple[float, FloatArray]] = field(default_factory=lambda: deque(maxlen=WHEELS_KEPT))
     _alone: int = 0
 
     def restart(self) -> None:
@@ -132,7 +134,9 @@ class JoinedImu:
         gyro = _vector(message.angular_velocity)
         if not np.isfinite(gyro).all():
             raise RecordFault(NO_HALF, f"{gyro}")
-        self._rates.append((stamp_of(message.header), gyro))
+        stamp_s = stamp_of(message.header)
+        self._alone += len(self._rates) == self._rates.maxlen
+        self._rates.append((stamp_s, gyro))
         return self._complete()
 
     def read_forces(self, message: Any) -> list[Measurement]:
@@ -166,6 +170,8 @@ class JoinedImu:
         """(3,) by the line between neighbours; None where there are none."""
         if self._forces and self._forces[-1][0] == stamp_s:
             return self._forces[-1][1]
+        if not self._forces or stamp_s < self._forces[0][0]:
+            return None
         for (late_s, late), (early_s, early) in pairwise(reversed(self._forces)):
             if early_s <= stamp_s <= late_s:
                 return early + (stamp_s - early_s) / (late_s - early_s) * (late - early)
