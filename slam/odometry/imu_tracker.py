@@ -11,6 +11,7 @@ import gtsam
 import numpy as np
 
 from fusion.estimation import FEWEST
+from fusion.kernel import kernel
 from slam.matching.cloud_points import SLICES
 from slam.matching.upright import Gravity
 from slam.measurements import GRAVITY_M_S2, FloatArray, ImuReading, PointCloud
@@ -136,14 +137,12 @@ class ImuTracker:
         edges_s = np.linspace(first_s, last_s, SLICES + 1)
         turns = self._readings.turns(cloud.stamp_s + edges_s, cloud.stamp_s, bias)
         slices = np.clip(np.searchsorted(edges_s, cloud.times_s, side="right") - 1, 0, SLICES - 1)
-        share = (cloud.times_s - edges_s[slices])[:, None] / (edges_s[1] - edges_s[0])
+        share = (cloud.times_s - edges_s[slices]) / (edges_s[1] - edges_s[0])
         T_imu_lidar = T_imu_base.compose(cloud.T_base_lidar)
         mounting = T_imu_lidar.rotation().matrix()
         points = cloud.points_lidar @ mounting.T + T_imu_lidar.translation()
-        # Within a slice a turn is so small that its chord is its arc.
-        begun, ended = (np.einsum("nij,nj->ni", turns[slices + n], points) for n in (0, 1))
-        times_s = cloud.times_s[:, None]
-        points = begun + share * (ended - begun) + times_s * velocity + 0.5 * times_s**2 * acceleration
+        times_s = np.asarray(cloud.times_s, dtype=np.float64)
+        _turned(points, slices, share, np.asarray(turns), times_s, np.stack([velocity, 0.5 * acceleration]))
         points = (points - T_imu_lidar.translation()) @ mounting
         return replace(cloud, points_lidar=points.astype(np.float32), times_s=None)
 
@@ -306,3 +305,22 @@ class ImuTracker:
         """The readings from a state to a stamp."""
         assert self._parameters is not None
         return self._readings.integrated(state.stamp_s, stamp_s, self._parameters, state.bias)
+
+
+@kernel
+def _turned(points, slices, share, turns, times_s, ways):  # type: ignore[no-untyped-def]
+    """Turn points (N, 3), in place, by the turns (S + 1, 3, 3) about their slices, and move them on.
+
+    Within a slice a turn is so small that its chord is its arc.
+    """
+    for i in range(points.shape[0]):
+        n = slices[i]
+        t = times_s[i]
+        part = share[i]
+        x = points[i, 0]
+        y = points[i, 1]
+        z = points[i, 2]
+        for k in range(3):
+            begun = turns[n, k, 0] * x + turns[n, k, 1] * y + turns[n, k, 2] * z
+            ended = turns[n + 1, k, 0] * x + turns[n + 1, k, 1] * y + turns[n + 1, k, 2] * z
+            points[i, k] = begun + part * (ended - begun) + t * (ways[0, k] + t * ways[1, k])
