@@ -180,7 +180,8 @@ def _sits(name: str, samples: ImuSamples, fit: TurnFit, T_base_lidar: gtsam.Pose
         text, value = f"the log does not tell how it sits; it turns as if at {angles}, at the lidar", half_rad
     else:
         value = float(np.linalg.norm(gtsam.Rot3.Logmap(told.rotation().between(rotation))))
-        if value <= _ANGLE_RAD + half_rad:
+        # Of a robot that hardly turns the rest is noise, and an interval of tens of degrees is none.
+        if value <= _ANGLE_RAD + half_rad or half_rad >= 2.0 * _ANGLE_RAD:
             return []
         text = f"it turns as if it sat {math.degrees(value):.1f} degrees otherwise: {angles}"
     effect = "what it feels is put on the wrong axes"

@@ -75,3 +75,21 @@ def test_clouds_are_matched_for_an_imu_where_there_are_no_wheels() -> None:
     clouds = [look(walk(0.1 * n), 0.1 * n, seed=n) for n in range(4)]
     assert Samples.of([SAID[0], *clouds]).clouds["lidar"].steps[0]
     assert not Samples.of(clouds).clouds["lidar"].steps[0]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_robot_that_hardly_turns_tells_of_no_mounting(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    swaying = 3e-3 * np.cumsum(rng.standard_normal((110, 3)), axis=0)
+    straight = [
+        SensorStep(
+            0.1 * n, 0.1 * n + 0.1, gtsam.Pose3.Expmap(np.array([*(3e-3 * rng.standard_normal(3)), 0, 0, 0]))
+        )
+        for n in range(10, 110)
+    ]
+    samples = ImuSamples()
+    for one in SAID:
+        turn = 0.1 * swaying[min(int(10 * one.stamp_s), 109)] + 0.01 * rng.standard_normal(3)
+        samples.add(replace(one, gyro_rad_s=turn))
+    found = imu_findings("imu", samples, straight, T_BASE_LIDAR)
+    assert "mounting" not in {one.kind for one in found}
