@@ -83,7 +83,7 @@ def test_a_robot_that_hardly_turns_tells_of_no_mounting(seed: int) -> None:
     swaying = 3e-3 * np.cumsum(rng.standard_normal((110, 3)), axis=0)
     straight = [
         SensorStep(
-            0.1 * n, 0.1 * n + 0.1, gtsam.Pose3.Expmap(np.array([*(3e-3 * rng.standard_normal(3)), 0, 0, 0]))
+            0.1 * n, 0.1 * n + 0.1, gtsam.Pose3.Expmap(np.array([*(1e-3 * rng.standard_normal(3)), 0, 0, 0]))
         )
         for n in range(10, 110)
     ]
