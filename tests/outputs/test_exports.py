@@ -177,6 +177,11 @@ def test_poses_as_kitti(room: slam.Map, tmp_path: Path) -> None:
     np.testing.assert_allclose(steps, moved, atol=1e-8)
     assert len(np.loadtxt(tmp_path / "times.txt")) == len(rows)
 
+    (tmp_path / "times.txt").write_text("of a data set\n")
+    room.export("kitti", tmp_path / "mine.txt")
+    assert (tmp_path / "times.txt").read_text() == "of a data set\n"
+    assert len(np.loadtxt(tmp_path / "mine_times.txt")) == len(rows)
+
 
 def test_a_robots_results_as_a_bag_and_its_lidars_way(tmp_path: Path) -> None:
     from mcap.reader import make_reader
