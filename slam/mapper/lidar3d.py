@@ -5,6 +5,7 @@ Cameras beside it see what it passes: the map's colours and depth layer, see `sl
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -18,7 +19,7 @@ from slam.config import Config
 from slam.errors import DatasetError, ScanweaveError
 from slam.graph.anchored_steps import AnchoredSteps
 from slam.graph.cloud_loops import CloudLoopCloser
-from slam.graph.keyframe_graph import KeyframeGraph
+from slam.graph.keyframe_graph import KeyframeGraph, unmeasured
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapper.checkpoint import Checkpoint
@@ -118,6 +119,12 @@ class CloudLidar:
                 edges.append(Edge(key - 1, key, step, covariance, EdgeKind.RGBD, trusted=True))
             elif self._imu is not None and (spread := self._imu.spread()) is not None:
                 edges.append(Edge(key - 1, key, step, spread, EdgeKind.IMU, trusted=True))
+            elif tracked.unseen_m:
+                # Any way from none to twice the guess, evenly spread, and any heading.
+                spread = unmeasured(self._config.graph, planar=False)
+                spread[2, 2] = math.pi**2 / 3.0
+                spread[[3, 4], [3, 4]] = max(spread[3, 3], tracked.unseen_m**2 / 3.0)
+                edges.append(Edge(key - 1, key, step, spread, EdgeKind.ASSUMED, trusted=True))
             self._travelled_m += float(np.linalg.norm(step.translation()))
         if motion is None:
             self._steps.begin(key, tracked.pose)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -13,6 +13,7 @@ from fusion.estimation import gate
 from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.matching.cloud_points import base_points, deskewed, voxel_of
+from slam.matching.local_cloud import REACH
 from slam.matching.planar import between
 from slam.measurements import FloatArray, ImuReading, MotionEstimate, PointCloud
 from slam.odometry.cloud_odometry import CloudOdometry
@@ -41,12 +42,16 @@ class TrackedCloud:
         The match; None where nothing matched, and the pose is a guess.
     new_keyframe
         Whether the robot has moved on enough.
+    unseen_m
+        How far it would have come by its velocity since the cloud before, where nothing has told of that way
+        and it is longer than a match finds; else 0.
     """
 
     points: FloatArray
     pose: gtsam.Pose3
     motion: MotionEstimate | None
     new_keyframe: bool
+    unseen_m: float = 0.0
 
 
 class CloudTracker:
@@ -90,6 +95,13 @@ class CloudTracker:
             return self._guessed(seen.points, expected, new_keyframe=False)
         if self._matcher is None:
             return self._begun(cloud, seen)
+        unseen_m = 0.0 if guesses or step_s < LONGEST_STEP_S else self._velocity.speed_m_s * step_s
+        if unseen_m > REACH * self.voxel_m:
+            # What fits around the place of before is another place that looks like it.
+            self._lost = self._config.match.lost_after
+            ahead = gtsam.Pose3(gtsam.Rot3(), step_s * self._velocity.twist[3:])
+            guessed = self._guessed(seen.points, before.compose(ahead), new_keyframe=True)
+            return replace(guessed, unseen_m=unseen_m)
         matcher = self._matcher
         motion = self._result_cache.cached(
             "cloud", float(expected.x()), lambda: matcher.match(cloud, seen, guesses, before)

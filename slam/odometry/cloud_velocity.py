@@ -28,6 +28,11 @@ class CloudVelocity:
         self._determined: FloatArray = np.zeros(6)
         self._pose, self._stamp_s, self._step_s = gtsam.Pose3(), -np.inf, np.inf
 
+    @property
+    def speed_m_s(self) -> float:
+        """Speed by the last sure matches; 0 where there were none in this local map."""
+        return float(np.linalg.norm(self.twist[3:])) if self.known else 0.0
+
     def begin(self, stamp_s: float) -> None:
         """The first cloud, at the origin."""
         self._stamp_s = stamp_s

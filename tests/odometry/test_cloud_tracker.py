@@ -78,3 +78,19 @@ def test_it_goes_on_after_clouds_without_a_point(blind: int) -> None:
         assert not lost.new_keyframe
     found: PointCloud = look(PATH[1], 0.1 * (blind + 1), seed=1)
     assert error_m(tracker.track(found), PATH[:2]) < 0.02
+
+
+def test_after_a_gap_at_speed_what_fits_nearby_is_another_place() -> None:
+    tracker, driven_m = CloudTracker(CONFIG, None), 0.3
+    for n in range(6):
+        tracked = tracker.track(look(base(-1.5 + driven_m * n, -0.5, 0.0), 0.1 * n, seed=n))
+        if tracked.new_keyframe:
+            tracker.add_keyframe(tracked)
+    late = tracker.track(look(base(0.3, -0.5, 0.0), 3.5, seed=9))
+    assert late.motion is None
+    assert late.new_keyframe
+    assert late.unseen_m == pytest.approx(driven_m / 0.1 * 3.0, rel=0.05)
+    tracker.add_keyframe(late)
+    again = tracker.track(look(base(0.35, -0.5, 0.0), 3.6, seed=10))
+    assert again.motion is not None
+    assert np.linalg.norm(late.pose.between(again.pose).translation() - [0.05, 0.0, 0.0]) < 0.02
