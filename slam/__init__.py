@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from slam.mapper.protocol import register_sensor as register_sensor
     from slam.mapping.occupancy_grid import OccupancyGrid as OccupancyGrid
     from slam.measurements import CameraIntrinsics as CameraIntrinsics
+    from slam.measurements import GnssFix as GnssFix
     from slam.measurements import ImuReading as ImuReading
     from slam.measurements import LaserScan as LaserScan
     from slam.measurements import MotionEstimate as MotionEstimate
@@ -80,8 +81,8 @@ _NAMES = {
     "slam.localization.output": "LocalizerOutput State",
     "slam.mapper.protocol": "register_sensor",
     "slam.mapping.occupancy_grid": "OccupancyGrid",
-    "slam.measurements": "CameraIntrinsics ImuReading LaserScan MotionEstimate PointCloud RgbdFrame "
-    "Trajectory WheelOdometry",
+    "slam.measurements": "CameraIntrinsics GnssFix ImuReading LaserScan MotionEstimate PointCloud "
+    "RgbdFrame Trajectory WheelOdometry",
     "slam.outputs.finished_map": "Map load_map",
     "slam.outputs.grid_map": "GridMap load_grid_map",
 }

@@ -200,7 +200,36 @@ class ImuReading:
     __repr__ = one_line
 
 
-Measurement: TypeAlias = LaserScan | WheelOdometry | RgbdFrame | PointCloud | ImuReading
+@dataclass(frozen=True, slots=True)
+class GnssFix:
+    """Where a satellite receiver says its antenna is, on the ellipsoid WGS 84.
+
+    Attributes
+    ----------
+    stamp_s
+        Time of the fix, as the sensor stamps it.
+    latitude_deg, longitude_deg, altitude_m
+        North, east, and above the ellipsoid.
+    covariance_m2
+        (3, 3) of east, north, up; None where the receiver does not tell it.
+    antenna_m
+        (3,) where the antenna sits on the robot; None where the log does not tell it.
+    sensor
+        Name of the sensor, as the log tells it.
+    """
+
+    stamp_s: float
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+    covariance_m2: FloatArray | None = None
+    antenna_m: FloatArray | None = None
+    sensor: str = "gnss"
+
+    __repr__ = one_line
+
+
+Measurement: TypeAlias = LaserScan | WheelOdometry | RgbdFrame | PointCloud | ImuReading | GnssFix
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"slam.doctor", "slam.storage"}),
     frozenset({"slam.odometry", "slam.graph", "slam.mapping", "slam.datasets", "slam.trajectory"}),
     # kernels shared by odometry, graph and localization
-    frozenset({"slam.matching", "slam.vision"}),
+    frozenset({"slam.matching", "slam.vision", "slam.earth"}),
     frozenset({"slam.config", "slam.measurements"}),
     frozenset({"slam.errors", "slam.result_cache", "fusion"}),
     frozenset({"slam.foreign", "slam.temporary"}),

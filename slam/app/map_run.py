@@ -19,7 +19,8 @@ from slam.mapper.pipeline import build_map
 from slam.outputs.exports import Exports
 from slam.outputs.finished_map import NOTES, WARNINGS, Map, open_map
 from slam.storage.files import make_folder
-from slam.storage.map_contents import GROUND, write_contents
+from slam.storage.map_contents import write_contents
+from slam.storage.map_facts import write_facts
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import MapIdentity
 from slam.viewer.map_recording import record_map
@@ -103,8 +104,7 @@ def run_into(
             record_map(viewer, result, config)
         before = time.perf_counter()
         write_contents(file, result.map)
-        if result.map.ground_m is not None:
-            file.add_meta(GROUND, json.dumps(result.map.ground_m))
+        write_facts(file, result.map.ground_m, result.map.georeference, result.map.node_poses[0])
         file.add_meta(NOTES, json.dumps(result.notes))
         file.add_meta(WARNINGS, json.dumps(result.warnings))
         file.seal()

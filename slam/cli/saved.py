@@ -30,6 +30,7 @@ class Format(StrEnum):
     GLB = "glb"
     E57 = "e57"
     KITTI = "kitti"
+    GPX = "gpx"
     SENSORS = "sensors"
     MCAP = "mcap"
     LAS = "las"

@@ -119,6 +119,14 @@ class ImuCorrection(SensorCorrection):
     T_base_imu: Mounting | None = Field(default=None, description="where it sits")
 
 
+class GnssCorrection(SensorCorrection):
+    """A satellite receiver."""
+
+    antenna_m: tuple[float, float, float] | None = Field(
+        default=None, description="x, y, z where its antenna sits"
+    )
+
+
 class Calibration(StrictModel):
     """Corrections by the sensors' names, as 'scanweave inspect' lists them."""
 
@@ -127,6 +135,9 @@ class Calibration(StrictModel):
     cameras: dict[str, CameraCorrection] = Field(default={}, description="corrections of cameras, by name")
     lidars_3d: dict[str, CloudCorrection] = Field(default={}, description="corrections of 3D lidars, by name")
     imus: dict[str, ImuCorrection] = Field(default={}, description="corrections of IMUs, by name")
+    gnss: dict[str, GnssCorrection] = Field(
+        default={}, description="corrections of satellite receivers, by name"
+    )
 
     def merged(self, entries: Mapping[str, Mapping[str, Mapping[str, object]]]) -> Calibration:
         """With more entries, by kind and name of the sensor; what is there already stays as it is."""

@@ -17,6 +17,7 @@ from slam.config.calibration import Calibration, LidarCorrection, SensorCorrecti
 from slam.datasets.corrections_in_space import (
     CloudCorrector,
     FrameCorrector,
+    GnssCorrector,
     ImuCorrector,
     same_cloud,
     same_frame,
@@ -26,6 +27,7 @@ from slam.errors import DatasetError
 from slam.matching.planar import wrap
 from slam.measurements import (
     FloatArray,
+    GnssFix,
     ImuReading,
     LaserScan,
     Measurement,
@@ -91,6 +93,7 @@ def _by_name(calibration: Calibration) -> dict[tuple[type, str], SensorCorrectio
         RgbdFrame: calibration.cameras,
         PointCloud: calibration.lidars_3d,
         ImuReading: calibration.imus,
+        GnssFix: calibration.gnss,
     }
     return {(kind, name): one for kind, sensors in kinds.items() for name, one in sensors.items()}
 
@@ -104,6 +107,7 @@ def _corrected_one_by_one(log: Iterable[Measurement], calibration: Calibration) 
         RgbdFrame: FrameCorrector,
         PointCloud: CloudCorrector,
         ImuReading: ImuCorrector,
+        GnssFix: GnssCorrector,
     }
     correctors = {key: makers[key[0]](correction) for key, correction in by_name.items()}
     newest: dict[tuple[type, str], Measurement] = {}

@@ -8,8 +8,8 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 
-from slam.config.calibration import CameraCorrection, CloudCorrection, ImuCorrection, Mounting
-from slam.measurements import Float32Array, ImuReading, PointCloud, RgbdFrame
+from slam.config.calibration import CameraCorrection, CloudCorrection, GnssCorrection, ImuCorrection, Mounting
+from slam.measurements import Float32Array, GnssFix, ImuReading, PointCloud, RgbdFrame
 from slam.vision.camera_frame import T_BODY_CAMERA
 
 
@@ -75,6 +75,17 @@ class ImuCorrector:
     def __call__(self, reading: ImuReading) -> ImuReading:
         """A reading."""
         return reading if self._mounting is None else replace(reading, T_base_imu=self._mounting)
+
+
+class GnssCorrector:
+    """Fixes of one receiver."""
+
+    def __init__(self, correction: GnssCorrection) -> None:
+        self._antenna_m = correction.antenna_m
+
+    def __call__(self, fix: GnssFix) -> GnssFix:
+        """A fix."""
+        return fix if self._antenna_m is None else replace(fix, antenna_m=np.array(self._antenna_m))
 
 
 def mounted(mounting: Mounting) -> gtsam.Pose3:

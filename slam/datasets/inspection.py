@@ -22,10 +22,19 @@ from slam.datasets.dataset import Dataset, Tally, Thinned
 from slam.datasets.inspection_bag import bag_facts
 from slam.datasets.inspection_camera import CameraFigures
 from slam.datasets.inspection_cloud import CloudFigures
+from slam.datasets.inspection_gnss import GnssFigures
 from slam.datasets.inspection_imu import ImuFigures
 from slam.datasets.sensor_choice import SensorTally
 from slam.errors import BadRecordError, DatasetError
-from slam.measurements import ImuReading, LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
+from slam.measurements import (
+    GnssFix,
+    ImuReading,
+    LaserScan,
+    Measurement,
+    PointCloud,
+    RgbdFrame,
+    WheelOdometry,
+)
 
 _SEEING = {"2D lidar", "3D lidar", "RGB-D camera"}
 _BLIND = "nothing that sees is used: neither a scan, nor a cloud, nor colour with depth"
@@ -67,6 +76,8 @@ def inspect_dataset(dataset: Dataset, calibration: Calibration | None = None) ->
             stream.cloud.add(measurement)
         elif isinstance(measurement, ImuReading):
             stream.imu.add(measurement)
+        elif isinstance(measurement, GnssFix):
+            stream.gnss.add(measurement)
         else:
             stream.add_odometry(measurement)
         earliest_s = min(earliest_s, measurement.stamp_s)
@@ -149,6 +160,7 @@ class _Stream:
     camera: CameraFigures = field(default_factory=CameraFigures)
     cloud: CloudFigures = field(default_factory=CloudFigures)
     imu: ImuFigures = field(default_factory=ImuFigures)
+    gnss: GnssFigures = field(default_factory=GnssFigures)
 
     def add_stamp(self, stamp_s: float) -> None:
         """Rate and gaps; a backward step is no interval."""
@@ -199,6 +211,7 @@ class _Stream:
             "camera": self.camera.facts(),
             "cloud": self.cloud.facts(),
             "imu": self.imu.facts(),
+            "gnss": self.gnss.facts(),
         }
 
     def _laser(self, scan: LaserScan) -> dict[str, Any]:

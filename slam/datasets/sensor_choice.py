@@ -10,7 +10,15 @@ from itertools import groupby
 from slam.config.stages import SensorsConfig
 from slam.datasets.corrections import corrected, left_out
 from slam.datasets.dataset import ReadReport
-from slam.measurements import ImuReading, LaserScan, Measurement, PointCloud, RgbdFrame, WheelOdometry
+from slam.measurements import (
+    GnssFix,
+    ImuReading,
+    LaserScan,
+    Measurement,
+    PointCloud,
+    RgbdFrame,
+    WheelOdometry,
+)
 
 NO_HELP_TO_CAMERAS = "cameras are not helped by an IMU yet"
 
@@ -23,6 +31,7 @@ _KINDS = {
     RgbdFrame: "RGB-D camera",
     WheelOdometry: "wheels",
     ImuReading: "IMU",
+    GnssFix: "GNSS",
 }
 
 
@@ -68,6 +77,9 @@ class SensorChoice:
     imu
         Name of the IMU that helps a 3D lidar: the first that appears, of those whose mounting is told if
         any; empty where there is none.
+    gnss
+        Name of the satellite receiver that lays the map on the earth, the first that appears; empty where
+        there is none.
     config
         What was asked for.
     """
@@ -77,6 +89,7 @@ class SensorChoice:
     cloud: bool = False
     wheels: str = ""
     imu: str = ""
+    gnss: str = ""
     config: SensorsConfig = field(default_factory=SensorsConfig)
 
     @classmethod
@@ -94,7 +107,7 @@ class SensorChoice:
             # Wheels that are left out still get poses; of two odometries, mixed, nothing can be made.
             if isinstance(one, WheelOdometry) and one.sensor != (self.wheels or one.sensor):
                 continue
-            if not isinstance(one, ImuReading) or not self.why_not(ImuReading, one.sensor):
+            if not isinstance(one, ImuReading | GnssFix) or not self.why_not(type(one), one.sensor):
                 yield one
 
     def why_not(self, kind: type, sensor: str) -> str:
@@ -107,6 +120,9 @@ class SensorChoice:
             return self._why_not_wheels(sensor)
         if kind is ImuReading:
             return self._why_not_imu(sensor)
+        if kind is GnssFix:
+            other = sensor != (self.gnss or sensor)
+            return f"one receiver is used, {self.gnss}; --topics takes another" if other else ""
         if kind not in _KINDS:
             return ""
         if not self.config.lidar:
@@ -158,6 +174,7 @@ class _Beginning:
     cameras: dict[str, None] = field(default_factory=dict)
     wheels: str = ""
     imus: dict[str, bool] = field(default_factory=dict)
+    gnss: str = ""
     kinds: set[type] = field(default_factory=set)
     first_s: float | None = None
     count: int = 0
@@ -174,6 +191,8 @@ class _Beginning:
             self.imus[measurement.sensor] = measurement.T_base_imu is not None
             # Hundreds a second: they would fill the beginning alone.
             self.count -= 1
+        elif isinstance(measurement, GnssFix):
+            self.gnss = self.gnss or measurement.sensor
         self.count += 1
         return measurement.stamp_s - self.first_s <= _LOOK_S and self.count <= _LOOK_COUNT
 
@@ -185,9 +204,8 @@ class _Beginning:
         if config.motion == "auto":
             spatial, cloud = bool(self.cameras) and not vehicle, LaserScan not in self.kinds
         imu = max(self.imus, key=self.imus.__getitem__, default="")
-        return SensorChoice(
-            spatial, tuple(self.cameras), cloud and PointCloud in self.kinds, self.wheels, imu, config
-        )
+        cloud = cloud and PointCloud in self.kinds
+        return SensorChoice(spatial, tuple(self.cameras), cloud, self.wheels, imu, self.gnss, config)
 
 
 @dataclass(slots=True)

@@ -119,10 +119,12 @@ class KeyframeGraph:
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import connected_components
 
-        edges = (edge for edge, keep in zip(self.graph.edges, kept, strict=True) if keep)
+        edges = [edge for edge, keep in zip(self.graph.edges, kept, strict=True) if keep]
         most = self._config.lost_sigma_m**2
         motions = together(edges).items()
         held = [ends for ends, motion in motions if np.linalg.eigvalsh(motion.covariance[:2, :2])[-1] <= most]
+        # A fix may be off by metres, and yet is no guess.
+        held += [(edge.source, edge.target) for edge in edges if edge.kind is EdgeKind.GNSS]
         sources, targets = np.array(held, np.int64).reshape(-1, 2).T
         joined = coo_array((np.ones(len(held)), (sources, targets)), shape=(len(self), len(self)))
         return np.asarray(connected_components(joined, directed=False)[1], np.int64)

@@ -29,6 +29,7 @@ import numpy as np
 
 from fusion.estimation import FEWEST
 from slam.config import Config
+from slam.graph.anchors import with_alignment
 from slam.graph.held_graph import marginals
 from slam.graph.keyframe_graph import unmeasured
 from slam.graph.pose_graph import Edge, EdgeKind
@@ -76,7 +77,7 @@ def told_edges(
 ) -> list[Edge]:
     """What `pose_covariances` rests on: the edges that were kept, as uncertain as they are together."""
     held = [edge for edge, keep in zip(edges, kept, strict=True) if keep and not _may_repeat_a_guess(edge)]
-    return _told(poses, held, _slips(edges, kept), config)
+    return _told(poses, with_alignment(held), _slips(edges, kept), config)
 
 
 def _told(

@@ -39,6 +39,7 @@ class EdgeKind(StrEnum):
     LOOP = "loop"
     ASSUMED = "assumed motion"
     IMU = "IMU"
+    GNSS = "GNSS"
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +204,7 @@ class PoseGraph:
         for edge in self.edges:
             graph.add(between_factor(edge, _noise(edge)))
         # A few steps bring a map that was solved before up to date.
-        self._estimate = _solved(graph, self._estimate, most_steps=3 if held else 100)
+        self._estimate = solved(graph, self._estimate, most_steps=3 if held else 100)
         self._isam, self._held = None, held
         self._pending = gtsam.NonlinearFactorGraph() if held else graph
         self._pending_values = gtsam.Values() if held else gtsam.Values(self._estimate)
@@ -219,7 +220,7 @@ class PoseGraph:
         kept = self._gnc_weights(inlier_probability) > 0.5
         self._kept = kept.copy()
         graph = self._graph(edge for edge, keep in zip(self.edges, kept, strict=True) if keep)
-        self._estimate = _solved(graph, self._estimate)
+        self._estimate = solved(graph, self._estimate)
         return BatchResult(float(graph.error(self._estimate)), kept)
 
     def level(self, down: dict[int, Gravity]) -> None:
@@ -290,7 +291,7 @@ class PoseGraph:
             graph.replace(k + 1, _weighted(self.edges[k], 0.0))
         # Remark 5: where the surrogate cost begins to be convex.
         worst = max((factors[k].error(self._estimate) for k in begun), default=0.0)
-        self._estimate = _solved(graph, self._estimate)
+        self._estimate = solved(graph, self._estimate)
         control = limit / (2.0 * worst - limit) if 2.0 * worst > limit else math.inf
         while control < _GREATEST_CONTROL:
             for k, factor in factors.items():
@@ -300,7 +301,7 @@ class PoseGraph:
                 if weight != weights[k]:
                     weights[k] = weight
                     graph.replace(k + 1, _weighted(self.edges[k], weight))
-            self._estimate = _solved(graph, self._estimate, most_steps=1)
+            self._estimate = solved(graph, self._estimate, most_steps=1)
             if ((weights == 0.0) | (weights == 1.0)).all():
                 break
             control *= _GNC_STEP
@@ -374,7 +375,7 @@ def _prior(node: int, pose: Pose, noise: gtsam.noiseModel.Base) -> gtsam.Nonline
     return gtsam.PriorFactorPose3(node, pose, noise)
 
 
-def _solved(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values, most_steps: int = 100) -> gtsam.Values:
+def solved(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values, most_steps: int = 100) -> gtsam.Values:
     """Least squares by damped steps; as many as GTSAM takes, or fewer."""
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setMaxIterations(most_steps)

@@ -14,11 +14,12 @@ from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_covariances import pose_covariances
 from slam.graph.pose_graph import Edge, EdgeKind
+from slam.mapper.gnss import GnssAnchors
 from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.protocol import SENSORS, FrontEnd, Sensor, Tracked
 from slam.mapper.scan_record import ScanRecorder
-from slam.measurements import FloatArray
+from slam.measurements import FloatArray, GnssFix
 from slam.storage.map_contents import MapContents, SavedFactor
 from slam.trajectory.carried import carried_covariances
 
@@ -37,7 +38,7 @@ class Mapper:
         self._config, self._front_end = config, front_end
         self._sensors: dict[type, Sensor] = {}
         self._graph: KeyframeGraph | None = None
-        self._record = ScanRecorder()
+        self._record, self._gnss = ScanRecorder(), GnssAnchors()
         self._keyframes_s = self._beside_s = 0.0
 
     @property
@@ -68,6 +69,9 @@ class Mapper:
                 self._sensors[kind] = SENSORS[kind](self._config)
             self._sensors[kind].observe(measurement)
             self._beside_s += time.perf_counter() - started
+            return
+        if kind is GnssFix:
+            self._gnss.observe(measurement)
             return
         tracked = self._front_end.observe(measurement)
         if tracked is None:
@@ -101,14 +105,19 @@ class Mapper:
             for candidate in found:
                 graph.add_loop(candidate)
             outcome = graph.optimize(self._config.loops.inlier_probability)
-        clock.append(time.perf_counter())
+        scans, numbers = self._record.finish(), front_end.readings.keyframe_scans()
         bases, edges = front_end.bases(graph.poses()), graph.graph.edges
         trajectory = front_end.readings.trajectory(bases)
+        if self._gnss:
+            stamps_s = scans.stamps_s[numbers]
+            probability = self._config.loops.inlier_probability
+            outcome = self._gnss.anchor(graph, bases, stamps_s, trajectory, outcome, probability)
+            bases = front_end.bases(graph.poses())
+            trajectory = front_end.readings.trajectory(bases)
+        clock.append(time.perf_counter())
         told = pose_covariances(graph.poses(), bases, edges, outcome.kept, self._config)
         covariances = carried_covariances(trajectory, front_end.readings.keyframe_readings(), *told)
         clock.append(time.perf_counter())
-        scans = self._record.finish()
-        numbers = front_end.readings.keyframe_scans()
         factors = zip(edges, outcome.kept.tolist(), strict=True)
         result = MapResult(
             MapContents(
@@ -119,6 +128,7 @@ class Mapper:
                 covariances=covariances,
                 factors=[SavedFactor(edge, kept) for edge, kept in factors],
                 loops=graph.loops,
+                georeference=self._gnss.georeference,
             ),
             scans,
             {
@@ -131,6 +141,9 @@ class Mapper:
         drawing_s = time.perf_counter() - clock[2]
         result.stage_seconds["map"] = drawing_s - result.stage_seconds.get("fusion", 0.0)
         result.notes += [note for sensor in self._sensors.values() for note in sensor.notes()]
+        result.notes += self._gnss.notes()
+        if self._gnss.unused:
+            result.unused[self._gnss.sensor] = self._gnss.unused
         result.warnings += _apart(graph.pieces(outcome.kept), result.map.stamps_s - scans.stamps_s[0])
         return result
 

@@ -28,6 +28,7 @@ from slam.storage.covariances import write_trajectory
 from slam.storage.e57 import write_e57
 from slam.storage.files import make_folder
 from slam.storage.g2o import write_g2o
+from slam.storage.georeferenced import write_georeference, write_gpx
 from slam.storage.glb import write_mesh_glb
 from slam.storage.ground_layers import write_ground_layers
 from slam.storage.kitti_poses import write_kitti
@@ -50,7 +51,7 @@ from slam.trajectory.poses import Poses
 
 ZONES = "nav2-zones"
 _NAMES = {"tum": "trajectory.tum", "g2o": "graph.g2o", "nav2": MAP_YAML, "bt": "map.bt"}
-_NAMES |= {"glb": "mesh.glb", "e57": "cloud.e57", "kitti": "poses.txt"}
+_NAMES |= {"glb": "mesh.glb", "e57": "cloud.e57", "kitti": "poses.txt", "gpx": "trajectory.gpx"}
 _PLANS: dict[str, Callable[[Path, FloorPlan], None]] = {
     "svg": write_plan_svg,
     "dxf": write_plan_dxf,
@@ -130,6 +131,11 @@ class Exports:
             return [out], []
         if format_ == "kitti":
             return write_kitti(out, found.trajectory), []
+        if format_ == "gpx":
+            if found.georeference is None:
+                raise ScanweaveError("the map does not tell where on the earth it lies: its log had no GNSS")
+            write_gpx(out, found.trajectory, found.georeference)
+            return [out], []
         if format_ == "tum":
             return write_trajectory(out, found.trajectory, found.covariances), []
         if format_ == "g2o":
@@ -146,6 +152,9 @@ class Exports:
         """Write trajectory and graph, of a floor the map to drive by, layers, zones; errors as in `write`."""
         formats = ["tum", "g2o"] if self.layers is None else ["tum", "g2o", "nav2"]
         written = [path for name in formats for path in self.write(name, folder)[0]]
+        if self.contents.georeference is not None:
+            written.append(folder / "georeference.yaml")
+            write_georeference(written[-1], self.contents.georeference)
         if self.layers is None:
             return written
         poses, edits = self.contents.keyframe_poses, self.contents.edits

@@ -24,6 +24,7 @@ from slam.sessions.connection import Connection
 from slam.sessions.session_join import JoinedMap, join
 from slam.storage.files import make_folder
 from slam.storage.map_contents import write_contents
+from slam.storage.map_facts import write_facts
 from slam.storage.map_file import MAP_NAME, MapFile
 from slam.storage.map_identity import MapIdentity
 from slam.storage.map_sessions import SESSIONS, sessions_to_meta
@@ -101,6 +102,7 @@ def _write(path: Path, known: Map, session: Map, joined: JoinedMap) -> None:
             if part.frames is not None:
                 part.frames.copy_to(file, nodes)
         write_contents(file, contents)
+        write_facts(file, contents.ground_m, known.contents.georeference, contents.node_poses[0])
         file.seal()
     finally:
         file.close()

@@ -8,13 +8,14 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.measurements import CameraIntrinsics, Float32Array, FloatArray, LaserScan, RgbdFrame
+from slam.measurements import CameraIntrinsics, Float32Array, FloatArray, GnssFix, LaserScan, RgbdFrame
 from slam.simulation.carmen_writer import written_ranges_m
 from slam.storage.ros_messages import cloud_message, header, new, pose_message, vector
 
 IMAGE = "sensor_msgs/msg/Image"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 IMU = "sensor_msgs/msg/Imu"
+NAVSAT = "sensor_msgs/msg/NavSatFix"
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 ODOMETRY = "nav_msgs/msg/Odometry"
 
@@ -67,6 +68,21 @@ def imu(stamp_s: float, gyro_rad_s: FloatArray, specific_force_m_s2: FloatArray,
         angular_velocity_covariance=np.zeros(9),
         linear_acceleration=vector(specific_force_m_s2),
         linear_acceleration_covariance=np.zeros(9),
+    )
+
+
+def navsat(fix: GnssFix, frame_id: str) -> Any:
+    """A NavSatFix message of GPS without corrections."""
+    assert fix.covariance_m2 is not None
+    return new(
+        NAVSAT,
+        header=header(fix.stamp_s, frame_id),
+        status=new("sensor_msgs/msg/NavSatStatus", status=0, service=1),
+        latitude=fix.latitude_deg,
+        longitude=fix.longitude_deg,
+        altitude=fix.altitude_m,
+        position_covariance=fix.covariance_m2.ravel(),
+        position_covariance_type=2,  # its diagonal is known
     )
 
 

@@ -12,10 +12,11 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.measurements import FloatArray, Trajectory
+from slam.measurements import FloatArray, GnssFix, Trajectory
 from slam.simulation import ros_messages as ros
 from slam.simulation.bag_writer import BAG_FILES, BASE_FRAME, LASER_3D_FRAME
 from slam.simulation.drive import FIRST_STAMP_S
+from slam.simulation.gnss import GnssFaults, record_gnss
 from slam.simulation.imu import (
     ADIS_16448,
     ImuFaults,
@@ -43,10 +44,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class StreetRig:
-    """What a car carries: a lidar, and an IMU in the lidar's frame."""
+    """What a car carries: a lidar, in its frame an IMU, and the antenna of a satellite receiver."""
 
     lidar: MountedRingLidar
     imu: MountedImu | None
+    antenna_m: tuple[float, float, float] | None = (-0.8, 0.3, 0.1)
 
 
 # Where KITTI's IMU sits beside its lidar (calib_imu_to_velo.txt), to the centimetre; here it looks left.
@@ -61,7 +63,7 @@ _T_CAMERA_LIDAR = gtsam.Pose3(
 )
 _DURATION_S = 34.0
 _TRUTH_HZ = 100.0
-_BAG, _IMU_FRAME = "log", "imu"
+_BAG, _IMU_FRAME, _ANTENNA_FRAME, _FIX = "log", "imu", "antenna", "/gnss/fix"
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,20 +76,21 @@ class StreetFaults:
         Cars, cyclists and people in 100 m of street.
     lost_share
         Of the turns.
-    imu
-        What the IMU is off by.
+    imu, gnss
+        What the IMU and the satellite receiver are off by.
     """
 
     density: float = 0.0
     lost_share: float = 0.0
     imu: ImuFaults = field(default_factory=ImuFaults)
+    gnss: GnssFaults = field(default_factory=GnssFaults)
 
 
 # Biases of a good sensor and of a cheap one (1 degree/s and 20 mg: data sheet of the Bosch BMI085).
 STREET_FAULTS = {
     "none": StreetFaults(),
-    "usual": StreetFaults(3.0, 0.0, ImuFaults(0.002, 0.07, 0.002)),
-    "harsh": StreetFaults(9.0, 0.05, ImuFaults(0.017, 0.2, 0.02)),
+    "usual": StreetFaults(3.0, 0.0, ImuFaults(0.002, 0.07, 0.002), GnssFaults(0.3, 1.0)),
+    "harsh": StreetFaults(9.0, 0.05, ImuFaults(0.017, 0.2, 0.02), GnssFaults(0.5, 2.0, mirrored_share=0.2)),
 }
 
 
@@ -131,8 +134,8 @@ def record_street(
         Made at the very end, whole; must not exist yet, or be empty. With ``folder`` it holds
         ``velodyne/`` (x, y, z, intensity), ``times.txt``, ``calib.txt`` and ``poses.txt`` of KITTI, all at
         the middle of a turn, and ``imu0/data.csv`` of EuRoC; with ``mcap`` a rosbag2 with ``/points``,
-        stamped at the beginning of a turn, with ``intensity``, ``ring`` and ``t`` (ns after the stamp), and
-        ``/imu``. Always ``groundtruth.txt`` (TUM, the
+        stamped at the beginning of a turn, with ``intensity``, ``ring`` and ``t`` (ns after the stamp),
+        ``/imu``, and outside of tunnels ``/gnss/fix`` (NavSatFix). Always ``groundtruth.txt`` (TUM, the
         lidar in an upright map, 100 Hz) and ``labels/``, a file a turn, of SemanticKITTI.
     duration_s
         34 s if not given: 340 turns.
@@ -157,13 +160,24 @@ def record_street(
     imu = None
     if rig.imu is not None:
         imu = record_imu(rig.imu, lidar.poses_at, faults.imu, end_s, FIRST_STAMP_S, seed, home)
+    fixes = list[GnssFix]()
+    if rig.antenna_m is not None:
+        antenna_m = np.array(rig.antenna_m)
+        fixes = record_gnss(antenna_m, lidar.poses_at, faults.gnss, end_s, FIRST_STAMP_S, seed, home)
+    if town.tunnel_m is not None:
+        _, positions = lidar.poses_at(np.array([fix.stamp_s - FIRST_STAMP_S for fix in fixes]))
+        entry_m, exit_m = town.tunnel_m
+        in_sight = (positions[:, 0] < entry_m) | (positions[:, 0] > exit_m)
+        fixes = [fix for fix, seen in zip(fixes, in_sight.tolist(), strict=True) if seen]
     rng, turn_s = generator(seed, "street lidar", home), 1.0 / model.rate_hz
     begins_s: FloatArray = np.arange(int(end_s * model.rate_hz + 1e-9), dtype=np.float64) * turn_s
     begins_s = begins_s[rng.random(len(begins_s)) >= faults.lost_share]
     points = moving = 0
     with appearing_whole(out_dir) as folder:
         with ExitStack() as stack:
-            bag = stack.enter_context(_StreetBag(folder / _BAG, rig, imu)) if "mcap" in formats else None
+            bag = (
+                stack.enter_context(_StreetBag(folder / _BAG, rig, imu, fixes)) if "mcap" in formats else None
+            )
             for name in ("labels", *(["velodyne"] if "folder" in formats else [])):
                 (folder / name).mkdir()
             for number, begin_s in enumerate(begins_s.tolist()):
@@ -223,13 +237,14 @@ def _trajectory(lidar: StreetLidar, times_s: FloatArray) -> Trajectory:
 
 
 class _StreetBag:
-    """A rosbag2 of clouds and an IMU; use it as a context manager."""
+    """A rosbag2 of clouds, an IMU and GNSS; use it as a context manager."""
 
-    def __init__(self, folder: Path, rig: StreetRig, imu: ImuRecord | None) -> None:
+    def __init__(self, folder: Path, rig: StreetRig, imu: ImuRecord | None, fixes: list[GnssFix]) -> None:
         from rosbags.rosbag2 import StoragePlugin, Writer
 
         self._writer = Writer(folder, version=messages.BAG_VERSION, storage_plugin=StoragePlugin.MCAP)
         self._rig, self._imu, self._felt = rig, imu, 0
+        self._fixes = fixes[::-1]
         self._connections = dict[str, "Connection"]()
 
     def __enter__(self) -> Self:
@@ -239,6 +254,9 @@ class _StreetBag:
         topics = {"/tf_static": messages.TRANSFORMS, "/points": messages.POINT_CLOUD}
         if self._rig.imu is not None:
             frames[_IMU_FRAME], topics["/imu"] = self._rig.imu.T_body_imu, ros.IMU
+        if self._rig.antenna_m is not None and self._fixes:
+            frames[_ANTENNA_FRAME] = gtsam.Pose3(gtsam.Rot3(), np.array(self._rig.antenna_m))
+            topics[_FIX] = ros.NAVSAT
         for topic, kind in topics.items():
             self._connections[topic] = self._writer.add_connection(
                 topic, kind, typestore=messages.typestore()
@@ -266,7 +284,10 @@ class _StreetBag:
         self._send("/points", over_s, message)
 
     def _feel(self, until_s: float) -> None:
-        """Write what the IMU tells until a time of the drive."""
+        """Write what IMU and receiver tell until a time of the drive."""
+        while self._fixes and self._fixes[-1].stamp_s - FIRST_STAMP_S < until_s:
+            fix = self._fixes.pop()
+            self._send(_FIX, fix.stamp_s, ros.navsat(fix, _ANTENNA_FRAME))
         if self._imu is None:
             return
         last = int(np.searchsorted(self._imu.true_s, until_s))

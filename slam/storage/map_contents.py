@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.config import Config
+from slam.earth import Georeference
 from slam.errors import MapFileError
-from slam.foreign import from_json
 from slam.graph.keyframe_graph import row_of
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, EdgeKind
@@ -24,6 +24,7 @@ from slam.measurements import FloatArray, LaserScan, Pose, Trajectory, spatial
 from slam.storage.covariances import of_upper_triangles, upper_triangles
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_edits import CLOUD, FRAME, AppliedEdits, erased_bits, read_edits
+from slam.storage.map_facts import georeference_of_file, ground_of_file
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
 from slam.storage.map_soundness import (
@@ -43,7 +44,6 @@ from slam.storage.map_tables import (
     GRIDS,
     KEYFRAMES,
     LOOPS,
-    META,
     TRAJECTORY,
     Table,
 )
@@ -54,8 +54,6 @@ from slam.vision.learned_camera import LearnedCamera
 T = TypeVar("T")
 Unpack = Callable[[bytes], Any]
 
-# The fact of the file that tells `MapContents.ground_m`.
-GROUND = "ground_m"
 _STRETCH = 4096
 _MOST_GRIDS = 4
 _KINDS = frozenset(EdgeKind)
@@ -99,6 +97,8 @@ class MapContents:
         Height of the floor in the base frame of a robot in space; None of another, or where it is not known.
     edits
         What a person has decided of the map; all else is as it is with them.
+    georeference
+        Where it lies on the earth; None where no satellite receiver has told that.
     """
 
     node_poses: Sequence[Pose]
@@ -116,6 +116,7 @@ class MapContents:
     covariances: FloatArray | None = None
     ground_m: float | None = None
     edits: Sequence[AppliedEdits] = ()
+    georeference: Georeference | None = None
 
     @property
     def planar(self) -> bool:
@@ -274,8 +275,9 @@ def read_contents(file: MapFile) -> MapContents:
         cameras=dict(_read(file, CAMERAS, _camera)),
         frames=frames if len(frames) else None,
         clouds=clouds if len(clouds) else None,
-        ground_m=_ground_m(file),
+        ground_m=ground_of_file(file),
         edits=edits,
+        georeference=georeference_of_file(file, poses[0]),
     )
 
 
@@ -296,13 +298,6 @@ def refuse_misfits(file: MapFile, contents: MapContents) -> None:
                 raise MapFileError("it belongs to no node")
             if clouds is not None and head.T_base_camera is None:
                 raise MapFileError("it does not tell where the camera was on the robot")
-
-
-def _ground_m(file: MapFile) -> float | None:
-    """The height of the floor, where the map tells it."""
-    with file.blaming(META, 0):
-        told = file.meta().get(GROUND)
-        return None if told is None else float(of(float, from_json(told)))
 
 
 def _read(file: MapFile, table: Table, parse: Callable[[tuple[Any, ...]], T]) -> Iterator[T]:

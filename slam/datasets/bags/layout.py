@@ -16,6 +16,7 @@ from slam.datasets.bags.clouds import CloudReader
 from slam.datasets.bags.decoding import frame_name, stamp_of
 from slam.datasets.bags.evidence import ODOM_FRAMES, evidence_of, never_read
 from slam.datasets.bags.files import Bag
+from slam.datasets.bags.gnss import gnss_reader
 from slam.datasets.bags.imu import NO_FORCES, ImuReader, JoinedImu, paired_halves
 from slam.datasets.bags.laser import LaserMount, scan_from
 from slam.datasets.bags.lens import Lens, lens_of
@@ -145,6 +146,7 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...], known: KnownCal
     for topic in choice.odometry:
         layout.readers[topic] = _wheel_reader(survey, layout, topic)
     _read_imus(survey, layout, choice.imus)
+    layout.readers |= {topic: gnss_reader(topic, _mount(survey, layout, topic)) for topic in choice.receivers}
     for place, camera in enumerate(choice.cameras):
         layout.cameras.append(_camera(survey, layout, camera, only=len(choice.cameras) == 1))
         layout.images[camera.color], layout.images[camera.depth] = (place, False), (place, True)

@@ -17,6 +17,7 @@ LIVOX = frozenset(
 VELODYNE = "velodyne_msgs/msg/VelodyneScan"
 ODOMETRY = "nav_msgs/msg/Odometry"
 IMU = "sensor_msgs/msg/Imu"
+NAVSAT = "sensor_msgs/msg/NavSatFix"
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
@@ -24,7 +25,7 @@ TRANSFORMS = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
 SCANS = frozenset({LASER_SCAN, MULTI_ECHO})
 CLOUDS = LIVOX | {CLOUD, VELODYNE}
 IMAGES = frozenset({IMAGE, COMPRESSED})
-SENSORS = SCANS | CLOUDS | IMAGES | {ODOMETRY, IMU}
+SENSORS = SCANS | CLOUDS | IMAGES | {ODOMETRY, IMU, NAVSAT}
 
 _KIND_WORD = re.compile(r"rgb|colou?r|depth|image|infra|^ir$|mono|stereo|left|right|^sensor_", re.IGNORECASE)
 _REGISTERED = re.compile(r"aligned_depth|depth_registered|depth_to_(rgb|color)|registered", re.IGNORECASE)
@@ -49,8 +50,9 @@ class Choice:
     ----------
     scans, clouds, odometry
         Of one laser each, of one lidar each, and of the wheels.
-    imus
-        Of one inertial measurement unit each; all are read, and the mapper takes one.
+    imus, receivers
+        Of one inertial measurement unit, and of one satellite receiver each; all are read, and the mapper
+        takes one.
     lonely
         Image topics that are not read since the colour or the depth beside them is missing.
     left_out
@@ -64,6 +66,7 @@ class Choice:
     lonely: tuple[str, ...]
     left_out: dict[str, str] = field(default_factory=dict)
     imus: tuple[str, ...] = ()
+    receivers: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,11 +128,11 @@ def choose(
     scans = _named(of(*SCANS), wanted) or _lasers(of(*SCANS), evidence)
     clouds = _named(of(*CLOUDS), wanted) or tuple(sorted(of(*CLOUDS), key=evidence.cloud)[:1])
     odometry = _named(of(ODOMETRY), wanted) or tuple(sorted(of(ODOMETRY), key=evidence.odometry)[:1])
-    imus = _named(of(IMU), wanted) or tuple(of(IMU))
+    imus, receivers = (_named(of(kind), wanted) or tuple(of(kind)) for kind in (IMU, NAVSAT))
     images = of(*IMAGES)
     named = [topic for topic in images if topic in wanted]
     cameras, lonely = _cameras(named or _raw_first(images), depths, evidence, given=bool(named))
-    read = {*scans, *clouds, *odometry, *imus, *lonely}
+    read = {*scans, *clouds, *odometry, *imus, *receivers, *lonely}
     read |= {topic for one in cameras for topic in (one.color, one.depth)}
     for topic, kind in kinds.items():
         if topic in read or topic in left_out or kind not in SENSORS:
@@ -141,7 +144,7 @@ def choose(
         else:
             instead = ", ".join(other for other in (*scans, *clouds, *odometry) if kinds[other] == kind)
             left_out[topic] = f"{instead} is read, {_WHY[kind]}; --topics {topic} reads this one"
-    return Choice(scans, clouds, odometry, cameras, lonely, left_out, imus)
+    return Choice(scans, clouds, odometry, cameras, lonely, left_out, imus, receivers)
 
 
 def _named(topics: list[str], wanted: tuple[str, ...]) -> tuple[str, ...]:

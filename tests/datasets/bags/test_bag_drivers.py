@@ -28,7 +28,7 @@ from slam.datasets.bags.records import BagRecord, Channel
 from slam.datasets.budget import Budget
 from slam.datasets.dataset import RecordFault
 from slam.datasets.inspection import inspect_dataset
-from slam.measurements import PointCloud
+from slam.measurements import GnssFix, PointCloud
 
 RNG = np.random.default_rng(3)
 DEPTH = np.full((48, 64), 20_000, np.uint16)
@@ -277,3 +277,34 @@ def test_damaged_livox_messages_are_counted(tmp_path: Path, wire: str) -> None:
         except RecordFault:
             refused += 1
     assert refused > 150
+
+
+def test_fixes_of_a_satellite_receiver_are_read_and_those_without_one_counted(tmp_path: Path) -> None:
+    def fix(stamp_s: float, status: int = 0, known: int = 2, **place: float) -> Sent:
+        fields = {
+            "latitude": 49.0,
+            "longitude": 8.4,
+            "altitude": 116.0,
+            "status": {"status": status},
+            **place,
+        }
+        fields |= {
+            "position_covariance": [4.0, 0, 0, 0, 4.0, 0, 0, 0, 9.0],
+            "position_covariance_type": known,
+        }
+        return Sent("/gps/fix", "sensor_msgs/msg/NavSatFix", START_S + stamp_s, fields, "antenna")
+
+    antenna = transforms({"antenna": gtsam.Pose3(gtsam.Rot3(), np.array([0.1, 0.2, 1.0]))})
+    sent = [antenna, scan(), fix(0.1), fix(0.2, known=0), fix(0.3, status=-1), fix(0.4, latitude=np.nan)]
+    dataset = open_dataset(write_bag(tmp_path / "log", "bag", sent))
+    first, second = (one for one in dataset if isinstance(one, GnssFix))
+    assert (first.latitude_deg, first.longitude_deg, first.altitude_m) == (49.0, 8.4, 116.0)
+    assert first.covariance_m2 is not None
+    assert np.diag(first.covariance_m2).tolist() == [4.0, 4.0, 9.0]
+    assert first.antenna_m is not None
+    assert first.antenna_m.tolist() == [0.1, 0.2, 1.0]
+    assert second.covariance_m2 is None
+    assert dataset.report.dropped["GNSS message without a fix"].count == 2
+    (told,) = (one for one in inspect_dataset(dataset)["sensors"] if one["gnss"])
+    assert told["gnss"]["first"] == [49.0, 8.4, 116.0]
+    assert told["gnss"]["median_sigma_m"] == 2.0

@@ -1,0 +1,239 @@
+"""Places on the earth as edges of the pose graph, and where the map lies on the earth.
+
+The earth joins the graph as one more node, a measured place as an edge from it that tells no heading. All are
+solved together, the places' errors by Student's t with three degrees of freedom (Lange, Little and Taylor
+1989), for walls mirror signals. Receivers tell too small covariances, too: neighbours show by how much.
+Then what the earth has shown is told from node 0, which lies where the map does, so that these edges are as
+others: they may be refused, are saved, and hold when the map is edited or joined.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import gtsam
+import numpy as np
+
+from fusion.estimation import TINY, gate
+from slam.graph.held_graph import held_graph
+from slam.graph.pose_graph import Edge, EdgeKind, solved
+from slam.measurements import IN_PLANE, FloatArray, Pose, spatial
+
+_FREEDOM = 3.0
+_MOST_ROUNDS = 20
+# Whitened errors settle to that.
+_SETTLED_SIGMAS = 0.01
+# A map that is begun without gravity leans by some degrees; where the earth is nobody knows.
+_LEANS_RAD, _NOWHERE_M = 0.05, 1e5
+
+
+@dataclass(frozen=True, slots=True)
+class Anchor:
+    """A place that was measured at a node.
+
+    Attributes
+    ----------
+    node
+        Its number.
+    place_m, covariance_m2
+        (3,) and (3, 3) east, north, up.
+    arm_m
+        (3,) what was measured, an antenna, in the node's frame.
+    together
+        How many anchors share their error with it, itself among them: so many are one witness.
+    """
+
+    node: int
+    place_m: FloatArray
+    covariance_m2: FloatArray
+    arm_m: FloatArray
+    together: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Anchored:
+    """What anchors tell of a map.
+
+    Attributes
+    ----------
+    T_enu_map
+        Where the map lies; of the plane by the median of the heights.
+    edges
+        From node 0 to those of the anchors that fit, but its own.
+    scale
+        By how much errors are larger than the anchors claim; 1 where they are not.
+    contradicted
+        Whether most anchors do not fit.
+    """
+
+    T_enu_map: gtsam.Pose3
+    edges: list[Edge]
+    scale: float
+    contradicted: bool
+
+
+def anchored(poses: Sequence[Pose], edges: Sequence[Edge], anchors: Sequence[Anchor]) -> Anchored | None:
+    """Solve a graph with its anchors.
+
+    Parameters
+    ----------
+    poses
+        (n,) of the nodes, optimised.
+    edges
+        That hold.
+
+    Returns
+    -------
+    None where the way is no longer than the anchors are uncertain: they do not tell how the map is turned.
+    """
+    axes = 3 if isinstance(poses[0], gtsam.Pose3) else 2
+    places = np.array([one.place_m for one in anchors])
+    spreads = np.array([one.covariance_m2[:axes, :axes] for one in anchors])
+    variances = np.trace(spreads, axis1=1, axis2=2) / axes
+    far_m = np.linalg.norm(places[:, :2] - np.median(places[:, :2], axis=0), axis=1).max()
+    if far_m <= _FREEDOM * math.sqrt(float(np.median(variances))):
+        return None
+    seen = _seen(poses, anchors)
+    laid = _laid(seen, places, 1.0 / variances)
+    nodes, scale2 = [*poses, _like(poses[0], laid)], _scale2(seen, places, spreads, laid)
+    held = [*edges, _upright(nodes)]
+    together = np.array([one.together for one in anchors])
+    weights, before = np.ones(len(anchors)), np.full(len(anchors), np.inf)
+    for _ in range(_MOST_ROUNDS):
+        told = _edges(nodes, len(poses), anchors, together * scale2 / weights)
+        values = solved(*held_graph(nodes, [*held, *told]))
+        nodes = [values.atPose3(n) if axes == 3 else values.atPose2(n) for n in range(len(nodes))]
+        T_enu_map = spatial(nodes[-1]).inverse()
+        off = np.array([T_enu_map.transformFrom(seen) for seen in _seen(nodes, anchors)]) - places
+        if axes == 2:
+            height_m = np.array([0.0, 0.0, -np.median(off[:, 2])])
+            T_enu_map = gtsam.Pose3(T_enu_map.rotation(), T_enu_map.translation() + height_m)
+        squares = np.einsum("ki,kij,kj->k", off[:, :axes], np.linalg.inv(spreads), off[:, :axes])
+        squares /= scale2
+        weights = (_FREEDOM + axes) / (_FREEDOM + squares)
+        sigmas = np.sqrt(squares)
+        if np.abs(sigmas - before).max() < _SETTLED_SIGMAS:
+            break
+        before = sigmas
+    told = _edges(nodes, 0, anchors, together * scale2)
+    fits = squares <= gate(axes)
+    return Anchored(
+        T_enu_map,
+        [edge for edge, fit in zip(told, fits.tolist(), strict=True) if edge.target and fit],
+        math.sqrt(scale2),
+        bool(2 * np.count_nonzero(fits) < len(anchors)),
+    )
+
+
+def _scale2(seen_m: FloatArray, places_m: FloatArray, spreads: FloatArray, T_map_enu: gtsam.Pose3) -> float:
+    """How much larger squared errors are than claimed: by each anchor and the middle of its neighbours.
+
+    A way that has drifted is off by nearly the same at three places in a row.
+    """
+    off_m = np.array([T_map_enu.transformFrom(place) for place in places_m])[:, :2] - seen_m[:, :2]
+    apart_m = off_m[1:-1] - 0.5 * (off_m[:-2] + off_m[2:])
+    turn = np.asarray(T_map_enu.rotation().matrix())[:2, :2]
+    within = turn @ spreads[:, :2, :2] @ turn.T
+    within = within[1:-1] + 0.25 * (within[:-2] + within[2:])
+    squares = np.einsum("ki,kij,kj->k", apart_m, np.linalg.inv(within), apart_m)
+    return max(1.0, float(np.median(squares)) / gate(2, 0.5))
+
+
+def with_alignment(edges: Sequence[Edge]) -> list[Edge]:
+    """Edges, those of anchors as uncertain as the place of the earth beside: they share its error.
+
+    How it lies was found with all of them, so that their sum tells how well.
+    """
+    found, groups = list(edges), dict[int, list[int]]()
+    for number, edge in enumerate(edges):
+        if edge.kind is EdgeKind.GNSS:
+            groups.setdefault(edge.source, []).append(number)
+    for members in groups.values():
+        poses = [spatial(edges[number].T_source_target) for number in members]
+        turns = np.array([pose.rotation().matrix() for pose in poses])
+        places = np.array([pose.translation() for pose in poses])
+        covariances = np.array([_of_place(edges[number]) for number in members])
+        spreads = turns @ covariances @ turns.transpose(0, 2, 1)
+        # x, y, z of the earth, and its heading about the middle.
+        slopes = np.tile(np.eye(3, 4), (len(members), 1, 1))
+        away = places - places.mean(axis=0)
+        slopes[:, 0, 3], slopes[:, 1, 3] = -away[:, 1], away[:, 0]
+        information = np.einsum("kia,kij,kjb->ab", slopes, np.linalg.inv(spreads), slopes)
+        shared = slopes @ np.linalg.inv(information + TINY * np.eye(4)) @ slopes.transpose(0, 2, 1)
+        shared = turns.transpose(0, 2, 1) @ shared @ turns
+        for number, more in zip(members, shared, strict=True):
+            covariance = edges[number].covariance.copy()
+            if len(covariance) == 6:
+                covariance[3:, 3:] += more
+            else:
+                covariance[:2, :2] += more[:2, :2]
+            found[number] = replace(edges[number], covariance=covariance)
+    return found
+
+
+def _of_place(edge: Edge) -> FloatArray:
+    """Covariance (3, 3) of an anchor's place in the node's axes; in the plane a height of 1 m."""
+    if len(edge.covariance) == 6:
+        return edge.covariance[3:, 3:]
+    covariance = np.eye(3)
+    covariance[:2, :2] = edge.covariance[:2, :2]
+    return covariance
+
+
+def _seen(poses: Sequence[Pose], anchors: Sequence[Anchor]) -> FloatArray:
+    """(k, 3) where what the anchors measured is in the map."""
+    return np.array([spatial(poses[one.node]).transformFrom(one.arm_m) for one in anchors])
+
+
+def _laid(seen_m: FloatArray, places_m: FloatArray, weights: FloatArray) -> gtsam.Pose3:
+    """``T_map_enu`` that lays places (k, 3) on what was seen, upright; Umeyama 1991, in the plane."""
+    middles = [np.average(points, axis=0, weights=weights) for points in (seen_m, places_m)]
+    (x, y), (east, north) = (
+        (points - middle)[:, :2].T for points, middle in zip((seen_m, places_m), middles, strict=True)
+    )
+    turn = gtsam.Rot3.Yaw(math.atan2(weights @ (east * y - north * x), weights @ (east * x + north * y)))
+    return gtsam.Pose3(turn, middles[0] - np.asarray(turn.rotate(middles[1])))
+
+
+def _upright(nodes: Sequence[Pose]) -> Edge:
+    """From node 0 to the earth, the last: that a map hardly leans, and nothing else."""
+    nothing, leans = _NOWHERE_M**2, _LEANS_RAD**2
+    planar = isinstance(nodes[0], gtsam.Pose2)
+    variances = [nothing, nothing, math.pi**2] if planar else [leans, leans, math.pi**2, *[nothing] * 3]
+    return Edge(
+        0, len(nodes) - 1, _between(nodes[0], nodes[-1]), np.diag(variances), EdgeKind.GNSS, trusted=True
+    )
+
+
+def _edges(nodes: Sequence[Pose], source: int, anchors: Sequence[Anchor], scales: FloatArray) -> list[Edge]:
+    """Each anchor from a node as the earth, the last of the nodes, lies: its place, and no heading.
+
+    ``scales`` (k,) is what the covariances are multiplied by.
+    """
+    earth, found = nodes[-1], list[Edge]()
+    T_source_earth = spatial(_between(nodes[source], earth))
+    for one, scale in zip(anchors, scales.tolist(), strict=True):
+        turn = spatial(_between(earth, nodes[one.node])).rotation()
+        place = gtsam.Pose3(turn, one.place_m - np.asarray(turn.rotate(one.arm_m)))
+        axes = np.asarray(turn.matrix())
+        covariance = np.full(6, math.pi**2) * np.eye(6)
+        covariance[3:, 3:] = scale * axes.T @ one.covariance_m2 @ axes
+        pose = _like(earth, T_source_earth.compose(place))
+        if isinstance(pose, gtsam.Pose2):
+            covariance = covariance[np.ix_(IN_PLANE, IN_PLANE)]
+        found.append(Edge(source, one.node, pose, covariance, EdgeKind.GNSS, trusted=False))
+    return found
+
+
+def _like(pose: Pose, other: gtsam.Pose3) -> Pose:
+    """A pose of the plane, seen from above, where the first is one."""
+    if isinstance(pose, gtsam.Pose3):
+        return other
+    return gtsam.Pose2(other.x(), other.y(), other.rotation().yaw())
+
+
+def _between(one: Pose, other: Pose) -> Pose:
+    """The other seen from one; GTSAM has no type for a pose of the plane or of space."""
+    return one.between(other)  # type: ignore[arg-type]

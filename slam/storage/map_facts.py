@@ -1,0 +1,73 @@
+"""Facts of a map beside its tables: the height of the floor, and where it lies on the earth."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from slam.earth import Georeference, TangentPlane
+from slam.foreign import from_json
+from slam.measurements import Pose, spatial
+from slam.storage.map_file import MapFile
+from slam.storage.map_soundness import of, require
+from slam.storage.map_tables import META
+
+_GROUND, _EARTH = "ground_m", "georeference"
+_PLANE = ("latitude_deg", "longitude_deg", "altitude_m")
+
+
+def write_facts(
+    file: MapFile, ground_m: float | None, georeference: Georeference | None, first: Pose
+) -> None:
+    """Take down what is known.
+
+    Of the earth that is where the first node, at ``first`` in the map, lies on it: that stays where a map is
+    turned.
+
+    Raises
+    ------
+    MapFileError
+        Where the file cannot be written.
+    """
+    if ground_m is not None:
+        file.add_meta(_GROUND, json.dumps(ground_m))
+    if georeference is not None:
+        plane = {name: getattr(georeference.plane, name) for name in _PLANE}
+        matrix = np.asarray(georeference.T_enu_map.compose(spatial(first)).matrix())[:3].tolist()
+        file.add_meta(_EARTH, json.dumps({**plane, "T_enu_first": matrix}))
+
+
+def ground_of_file(file: MapFile) -> float | None:
+    """Height of the floor in the base frame, where the map tells it; MapFileError where that is no number."""
+    with file.blaming(META, 0):
+        told = file.meta().get(_GROUND)
+        return None if told is None else float(of(float, from_json(told)))
+
+
+def georeference_of_file(file: MapFile, first: Pose) -> Georeference | None:
+    """Where a map lies on the earth whose first node is at ``first``; None where it does not tell that.
+
+    Raises
+    ------
+    MapFileError
+        What it tells is none.
+    """
+    with file.blaming(META, 0):
+        told = file.meta().get(_EARTH)
+        return None if told is None else _georeference(of(dict, from_json(told)), first)
+
+
+def _georeference(told: dict[str, Any], first: Pose) -> Georeference:
+    """By its fact."""
+    matrix = np.array(told.get("T_enu_first"), dtype=np.float64)
+    place = np.array([told.get(name) for name in _PLANE], dtype=np.float64)
+    require(matrix.shape == (3, 4) and np.isfinite(matrix).all(), "its place on the earth is no pose")
+    require(np.isfinite(place).all() and abs(place[0]) <= 90.0, "its place on the earth is none")
+    turn = gtsam.Rot3(matrix[:, :3])
+    upright = np.abs(np.asarray(turn.matrix()) @ np.asarray(turn.matrix()).T - np.eye(3)).max()
+    require(upright < 1e-6 and np.linalg.det(matrix[:, :3]) > 0.0, "its place on the earth is no pose")
+    T_enu_first = gtsam.Pose3(turn, matrix[:, 3])
+    return Georeference(TangentPlane(*place.tolist()), T_enu_first.compose(spatial(first).inverse()))

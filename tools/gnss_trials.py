@@ -1,0 +1,80 @@
+"""What fixes of a satellite receiver are worth: streets without an IMU, with a gap of the lidar.
+
+    python tools/gnss_trials.py STREET/log.mcap [...] [--gap BEGIN END] [--until SECONDS]
+
+Each is a bag of ``scanweave simulate --street``, with ``groundtruth.txt`` beside it. It is mapped without its
+IMU, with its fixes and without; a line each tells the error of the way as laid on the truth, and how often
+the 95 % ellipses hold it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from pathlib import Path
+
+import slam
+from slam.datasets import open_dataset
+from slam.datasets.dataset import Dataset, ReadReport
+from slam.evaluation.coverage import coverage
+from slam.evaluation.trajectory_error import absolute_error
+from slam.measurements import GnssFix, ImuReading, Measurement, PointCloud, Trajectory
+from slam.storage.tum import read_tum
+
+
+class Cut:
+    """A log without what is left out."""
+
+    def __init__(self, log: Dataset, gap_s: tuple[float, float], until_s: float, *, fixes: bool) -> None:
+        self._log, self._gap_s, self._until_s, self._fixes = log, gap_s, until_s, fixes
+        self.name, self.path = log.name, Path(log.path)
+
+    @property
+    def report(self) -> ReadReport:
+        """Of the latest pass."""
+        return self._log.report
+
+    def __iter__(self) -> Iterator[Measurement]:
+        """Without the IMU, the clouds of the gap, and perhaps the fixes."""
+        begun_s = None
+        for one in self._log:
+            begun_s = one.stamp_s if begun_s is None else begun_s
+            at_s = one.stamp_s - begun_s
+            blind = isinstance(one, PointCloud) and self._gap_s[0] < at_s < self._gap_s[1]
+            if at_s > self._until_s:
+                return
+            if blind or isinstance(one, ImuReading) or (isinstance(one, GnssFix) and not self._fixes):
+                continue
+            yield one
+
+    def groundtruth(self) -> Trajectory | None:
+        """None in the bag."""
+        return None
+
+
+def main() -> None:
+    """Map every street with and without fixes."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("streets", nargs="+", type=Path)
+    parser.add_argument("--gap", nargs=2, type=float, default=(0.0, 0.0), help="seconds without clouds")
+    parser.add_argument("--until", type=float, default=float("inf"), help="seconds that are mapped")
+    arguments = parser.parse_args()
+    for street in arguments.streets:
+        truth = read_tum(street.parent / "groundtruth.txt")
+        for fixes in (False, True):
+            log = Cut(open_dataset(street), tuple(arguments.gap), arguments.until, fixes=fixes)
+            made = slam.map_log(log)
+            error = absolute_error(made.trajectory, truth).translation_m
+            assert made.covariances is not None
+            held = coverage(made.trajectory, made.covariances, truth, 0.02)
+            told = [note for note in made.notes if note.startswith("GNSS")]
+            drive = f"{street.parent.name}, {'with' if fixes else 'without'} fixes"
+            figures = f"{error.rmse:.3f} m, worst {error.max:.3f}; covered {held.position:.2f}"
+            print(f"{drive}: {figures}; {'; '.join([*told, *made.warnings])}", flush=True)
+            made.close()
+
+
+if __name__ == "__main__":
+    main()
