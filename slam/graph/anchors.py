@@ -64,14 +64,14 @@ class Anchored:
         From node 0 to those of the anchors that fit, but its own.
     scale
         By how much errors are larger than the anchors claim; 1 where they are not.
-    contradicted
-        Whether most anchors do not fit.
+    misfits
+        Share of the anchors that do not fit.
     """
 
     T_enu_map: gtsam.Pose3
     edges: list[Edge]
     scale: float
-    contradicted: bool
+    misfits: float
 
 
 def anchored(poses: Sequence[Pose], edges: Sequence[Edge], anchors: Sequence[Anchor]) -> Anchored | None:
@@ -123,7 +123,7 @@ def anchored(poses: Sequence[Pose], edges: Sequence[Edge], anchors: Sequence[Anc
         T_enu_map,
         [edge for edge, fit in zip(told, fits.tolist(), strict=True) if edge.target and fit],
         math.sqrt(scale2),
-        bool(2 * np.count_nonzero(fits) < len(anchors)),
+        1.0 - float(fits.mean()),
     )
 
 

@@ -20,6 +20,8 @@ from slam.measurements import FloatArray, GnssFix, Pose, Trajectory, spatial
 _SIGMA_M, _SIGMA_UP_M = 5.0, 10.0
 # Clouds of the sky and mirrored signals stay for a while: what comes within it is one witness.
 _SHARED_S = 10.0
+# More of them than are mirrored as a rule.
+_MIRRORED_SHARE = 0.1
 
 
 class GnssAnchors:
@@ -94,11 +96,11 @@ class GnssAnchors:
         if found is None:
             self.unused = "the way is no longer than its fixes are uncertain"
             return outcome
-        if found.contradicted:
-            # A false loop outweighs any fix. Where all fit without loops, those begin refused that do not.
+        if found.misfits > _MIRRORED_SHARE:
+            # A false loop outweighs any fix. Where far more fit without loops, those begin refused.
             chain = [edge for edge in held if edge.loop is None]
             other = anchored(graph.poses(), chain, anchors)
-            if other is not None and not other.contradicted:
+            if other is not None and other.misfits < 0.5 * found.misfits:
                 found, kept = other, kept & np.array([edge.loop is None for edge in edges])
         for edge in found.edges:
             graph.graph.add_edge(edge)
@@ -166,7 +168,6 @@ class GnssAnchors:
             if one.node in used
         ]
         larger = f", errors {found.scale:.1f} times what they claim" if found.scale > 1.0 else ""
-        larger += "; the way contradicts most of them" if found.contradicted else ""
         rms = f"; those used are {np.sqrt(np.mean(np.square(off_m))):.2f} m off (RMS)" if off_m else ""
         all_ = sum(one.node > 0 for one in anchors)
         self._told = (

@@ -85,7 +85,7 @@ class CloudLidar:
         self._stamps_s: list[float] = []
         self._stamp_s = 0.0
         self._T_base_lidar = gtsam.Pose3()
-        self._matched, self._doubtful = 0, 0
+        self._matched, self._doubtful, self._unseen = 0, 0, list[str]()
 
     def observe(self, measurement: Any) -> Tracked | None:
         """Take the next measurement; where the robot is then, if it tells that."""
@@ -120,6 +120,9 @@ class CloudLidar:
             elif self._imu is not None and (spread := self._imu.spread()) is not None:
                 edges.append(Edge(key - 1, key, step, spread, EdgeKind.IMU, trusted=True))
             elif tracked.unseen_m:
+                self._unseen.append(
+                    f"{tracked.unseen_m:.0f} m before {self._stamp_s - self._stamps_s[0]:.0f} s"
+                )
                 # Any way from none to twice the guess, evenly spread, and any heading.
                 spread = unmeasured(self._config.graph, planar=False)
                 spread[2, 2] = math.pi**2 / 3.0
@@ -211,12 +214,19 @@ class CloudLidar:
         return Tracked(told_s, tracked.motion, tracked.new_keyframe)
 
     def _doubts(self) -> list[str]:
-        """A warning where clouds fitted the map only in part."""
+        """A warning of ways that nothing has seen, and where clouds fitted the map only in part."""
+        unseen = []
+        if self._unseen:
+            unseen = [
+                f"nothing saw the way of about {', '.join(self._unseen)}: how what follows lies to what was "
+                "before rests on loops or GNSS, and is wrong where those are"
+            ]
         if self._doubtful <= _MOST_DOUBTFUL * self._matched:
-            return []
+            return unseen
         return [
+            *unseen,
             f"{self._doubtful:,} of {self._matched:,} clouds fit only in part; their motions count as "
-            f"uncertain"
+            f"uncertain",
         ]
 
     def _draw_plan(self, result: MapResult) -> None:
