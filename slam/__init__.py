@@ -21,6 +21,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from slam.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from slam.app.differing import Difference as Difference
     from slam.app.differing import diff_maps as diff_maps

@@ -31,6 +31,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"slam.errors", "slam.result_cache", "fusion"}),
     frozenset({"slam.foreign", "slam.temporary"}),
     frozenset({"slam"}),  # the package's own __init__: it names what is public, and loads none of it
+    frozenset({"slam.version"}),
 )
 MAX_LINES = 400
 NEVER_IMPORTED = {"evo", "plyfile", "tools", "tests", "conftest"}  # GPL oracles; people's scripts
