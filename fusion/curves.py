@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.kernel import ZERO, kernel
+from fusion.showing import drawn, one_line, shaded, with_pictures
 
 Float32Array: TypeAlias = NDArray[np.float32]
 FloatArray: TypeAlias = NDArray[np.float64]
@@ -51,6 +52,12 @@ class LidarCurve:
     start_angle_rad: float
     step_rad: float
     range_max_m: float = math.inf
+
+    __repr__ = one_line
+
+    def _repr_html_(self) -> str:
+        points = Curve(self.valid_ranges_m(), self.start_angle_rad, self.step_rad).points()
+        return with_pictures(self, drawn(black=points, red=np.zeros((1, 2))))
 
     def __post_init__(self) -> None:
         if np.ndim(self.ranges_m) != 1 or not np.isfinite([self.start_angle_rad, self.step_rad]).all():
@@ -103,6 +110,11 @@ class DepthImage:
     intrinsics: Intrinsics
     R_level_camera: FloatArray = field(default_factory=FORWARD.copy)
     range_max_m: float = CAMERA_REACH_M
+
+    __repr__ = one_line
+
+    def _repr_html_(self) -> str:
+        return with_pictures(self, shaded(np.where(self.depth_m > 0.0, self.depth_m, np.nan)))
 
     def __post_init__(self) -> None:
         if np.ndim(self.depth_m) != 2 or min(np.shape(self.depth_m)) < 2:

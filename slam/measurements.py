@@ -6,12 +6,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
+
+from fusion.showing import drawn, shaded, with_pictures
+from fusion.showing import one_line as one_line
 
 FloatArray: TypeAlias = NDArray[np.float64]
 Float32Array: TypeAlias = NDArray[np.float32]
@@ -19,27 +22,6 @@ AnyFloatArray: TypeAlias = NDArray[np.floating[Any]]
 BoolArray: TypeAlias = NDArray[np.bool_]
 ColorImage: TypeAlias = NDArray[np.uint8]
 Pose: TypeAlias = gtsam.Pose2 | gtsam.Pose3
-
-
-def one_line(record: Any) -> str:
-    """A dataclass in one line, as the ``__repr__`` of those that hold arrays: arrays by type and shape."""
-    shown = (f"{item.name}={_shown(getattr(record, item.name))}" for item in fields(record) if item.repr)
-    return f"{type(record).__name__}({', '.join(shown)})"
-
-
-def _shown(value: Any) -> str:
-    """A field in `one_line`; what is long by its type and size."""
-    if isinstance(value, np.ndarray):
-        return f"{value.dtype}{list(value.shape)}"
-    if isinstance(value, list | tuple):
-        return f"{type(value).__name__}[{len(value)}]"
-    if isinstance(value, gtsam.Pose2):
-        return f"Pose2({value.x():.6g}, {value.y():.6g}, {value.theta():.6g})"
-    if isinstance(value, gtsam.Pose3):
-        x, y, z = value.translation()
-        roll, pitch, yaw = value.rotation().rpy()
-        return f"Pose3(xyz=({x:.6g}, {y:.6g}, {z:.6g}), rpy=({roll:.6g}, {pitch:.6g}, {yaw:.6g}))"
-    return repr(value.item() if isinstance(value, np.generic) else value)
 
 
 # Standard gravity, by which a reading in g is told (ISO 80000-3).
@@ -79,6 +61,9 @@ class LaserScan:
     sensor: str = "laser"
 
     __repr__ = one_line
+
+    def _repr_html_(self) -> str:
+        return with_pictures(self, drawn(black=self.points_laser(), red=np.zeros((1, 2))))
 
     def bearings_rad(self) -> FloatArray:
         """Bearing of every beam in the laser frame, (N,)."""
@@ -145,6 +130,9 @@ class RgbdFrame:
 
     __repr__ = one_line
 
+    def _repr_html_(self) -> str:
+        return with_pictures(self, shaded(self.color), shaded(self.depth_m))
+
 
 @dataclass(frozen=True, slots=True)
 class PointCloud:
@@ -171,6 +159,9 @@ class PointCloud:
     sensor: str = "lidar"
 
     __repr__ = one_line
+
+    def _repr_html_(self) -> str:
+        return with_pictures(self, drawn(black=self.points_lidar[:, :2], red=np.zeros((1, 2))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,6 +250,9 @@ class Trajectory:
     quaternions_xyzw: FloatArray
 
     __repr__ = one_line
+
+    def _repr_html_(self) -> str:
+        return with_pictures(self, drawn(blue=self.positions_m[:, :2]))
 
     def __len__(self) -> int:
         return int(self.stamps_s.size)

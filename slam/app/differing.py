@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from fusion.showing import one_line, with_pictures
 from slam.errors import ScanweaveError
 from slam.localization.known_map import has_walls
 from slam.outputs.finished_map import Map
 from slam.sessions.between_visits import BetweenVisits
 from slam.sessions.changes import Comparison, Visit, compare
 from slam.sessions.connection import connect
-from slam.sessions.difference_files import write_difference
+from slam.sessions.difference_files import difference_picture, write_difference
 from slam.sessions.moved_things import ChangedThing, changed_things
 from slam.storage.map_contents import MapContents
 
@@ -41,6 +42,11 @@ class Difference:
     passing: int
     comparison: Comparison
     written: tuple[Path, ...] = ()
+
+    __repr__ = one_line
+
+    def _repr_html_(self) -> str:
+        return with_pictures(self, difference_picture(self.things, self.comparison))
 
 
 def diff_maps(

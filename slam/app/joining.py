@@ -6,6 +6,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+from fusion.showing import one_line
 from slam.app.map_run import MapRun, run_into
 from slam.app.progress import OnProgress, Progress, silent
 from slam.config import Config
@@ -46,6 +47,8 @@ class Joined:
     session: MapRun
     connection: Connection
     written: tuple[Path, ...]
+
+    __repr__ = one_line
 
 
 def join(

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import gtsam
 
+from fusion.showing import drawn, one_line, with_pictures
 from slam.app.progress import OnProgress, Progress, silent
 from slam.config import Config
 from slam.datasets import open_dataset
@@ -50,6 +51,11 @@ class Localization:
 
     drive: DriveLog
     written: tuple[Path, ...]
+
+    __repr__ = one_line
+
+    def _repr_html_(self) -> str:
+        return with_pictures(self, drawn(blue=self.trajectory.positions_m[:, :2]))
 
     @property
     def trajectory(self) -> Trajectory:

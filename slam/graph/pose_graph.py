@@ -15,6 +15,7 @@ import gtsam
 import numpy as np
 
 from fusion.estimation import TINY, gate
+from fusion.showing import one_line
 from slam.errors import GraphError
 from slam.graph.gravity import gravity_factors, heading_alone, upright_poses
 from slam.matching.upright import Gravity
@@ -68,6 +69,8 @@ class Edge:
     kind: str
     trusted: bool
     loop: int | None = None
+
+    __repr__ = one_line
 
     def turned(self) -> Edge:
         """The same, seen from its target."""
@@ -139,6 +142,8 @@ class PoseGraph:
         self._kept = np.zeros(0, np.bool_)
         self.add_node(origin)
         self._pending.add(self._prior())
+
+    __repr__ = one_line
 
     def __len__(self) -> int:
         return self._count

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.bayes import FREE, OCCUPIED, STEPS_A_UNIT, UNKNOWN, log_odds
+from fusion.showing import shrunk, with_pictures
 from slam.errors import ConfigError
 from slam.measurements import Float32Array, FloatArray, one_line
 
@@ -66,6 +67,9 @@ class OccupancyGrid:
 
     __repr__ = one_line
 
+    def _repr_html_(self) -> str:
+        return with_pictures(self, self.picture())
+
     @classmethod
     def of_log_odds(
         cls, log_odds: Float32Array, resolution_m: float, T_map_grid: gtsam.Pose2 | None = None
@@ -94,6 +98,16 @@ class OccupancyGrid:
     def states(self, thresholds: Thresholds = THRESHOLDS) -> StateArray:
         """(rows, cols) of OCCUPIED, FREE and UNKNOWN."""
         return thresholds.states(self.steps)
+
+    def picture(self, way_map: FloatArray | None = None) -> NDArray[np.uint8]:
+        """A small drawing (H, W, 3), y up: walls black, free cells white, (N, 2) points of a way blue."""
+        shades = np.select([self.states() == OCCUPIED, self.states() == FREE], [0, 255], 205)
+        drawing = np.repeat(shades.astype(np.uint8)[..., None], 3, axis=2)
+        if way_map is not None:
+            cells = self.cells_of(way_map)
+            row, col = cells[((cells >= 0) & (cells < self.shape)).all(axis=1)].T
+            drawing[row, col] = 0, 0, 255
+        return shrunk(drawing[::-1])
 
     def cells_of(self, points_map: FloatArray) -> NDArray[np.int64]:
         """(N, 2) row and column of (N, 2) points; they may lie outside the grid."""

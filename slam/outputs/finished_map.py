@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from fusion.showing import drawn, extent, with_pictures
 from slam.config import Config
 from slam.config.edits import Edits, edits_of, load_edits
 from slam.edits.applying import Known
@@ -69,13 +70,16 @@ class Map:
     _folder: TemporaryFolder | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
-        found = self.contents
-        sizes = (
-            f"sessions={len(self.sessions)}, keyframes={len(found.node_poses)}, "
-            f"poses={len(found.trajectory)}, loops={len(found.loops)}, frames={len(found.frames or ())}, "
-            f"clouds={len(found.clouds or ())}"
+        found, way = self.contents, self.trajectory
+        return (
+            f"Map({str(self.path)!r}, sessions={len(self.sessions)}, keyframes={len(found.node_poses)}, "
+            f"poses={len(way)} over {extent(way.positions_m)} m, loops={len(found.loops)}, "
+            f"frames={len(found.frames or ())}, clouds={len(found.clouds or ())})"
         )
-        return f"Map({str(self.path)!r}, {sizes})"
+
+    def _repr_html_(self) -> str:
+        way = self.trajectory.positions_m[:, :2]
+        return with_pictures(self, drawn(blue=way) if self.grid is None else self.grid.picture(way))
 
     @property
     def in_memory(self) -> bool:
@@ -151,7 +155,6 @@ class Map:
         >>> house = slam.map_log(write_synthetic_log("monday", duration_s=12.0).log_path)
         >>> len(house.floor_plan().rooms) > 0
         True
-        >>> house.close()
         """
         return floor_plan(self.contents, self.config)
 
@@ -215,8 +218,7 @@ class Map:
 
     def zones(self, kind: str = "keep_out") -> dict[str, FloatArray]:
         """(n, 2) corners of the zones of a kind, ``keep_out`` or ``slow``, by their names, map frame."""
-        zones = regions_of(self.contents.edits, kind)
-        return {zone.name: zone.points(self.keyframe_poses) for zone in zones}
+        return {zone.name: zone.points(self.keyframe_poses) for zone in regions_of(self.contents.edits, kind)}
 
     def edited(self, edits: Edits | Mapping[str, Any] | Path | str, *, out: Path | str | None = None) -> Map:
         """The map with edits on top of those that it has; this one stays open, and shows what it was.
@@ -336,7 +338,6 @@ class Map:
         ['graph.g2o', 'map.db', 'map.pgm']
         >>> slam.load_map("house").digest == house.digest
         True
-        >>> house.close()
         """
         folder = Path(folder)
         target = folder / MAP_NAME

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fusion.showing import with_pictures
 from slam.errors import MapFileError
 from slam.mapping.keyframe_grid import OCCUPANCY
 from slam.mapping.layered_map import LayeredMap
@@ -31,6 +32,9 @@ class GridMap:
 
     path: Path
     grid: OccupancyGrid
+
+    def _repr_html_(self) -> str:
+        return with_pictures(self, self.grid.picture())
 
     @cached_property
     def contents(self) -> MapContents:
