@@ -93,6 +93,17 @@ class Localizer:
         Returns
         -------
         What is known after a scan or frame; None after one that is only kept (wheels), or not used.
+
+        Examples
+        --------
+        >>> import slam
+        >>> from slam.simulation.synthetic_log import write_synthetic_log
+        >>> log = write_synthetic_log("monday", duration_s=10.0).log_path
+        >>> localizer = slam.Localizer(slam.map_log(log))
+        >>> wheels, scan = (next(one for one in slam.open_dataset(log) if isinstance(one, kind))
+        ...                 for kind in (slam.WheelOdometry, slam.LaserScan))
+        >>> localizer.add(wheels) is None, localizer.add(scan).stamp_s == scan.stamp_s
+        (True, True)
         """
         if self._lidar is None:
             assert self._camera is not None

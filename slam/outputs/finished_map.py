@@ -57,6 +57,17 @@ class Map:
         Of everything; equal for equal maps.
     notes, warnings
         What the mapping run found out, and what a person should know before trusting the map: a line each.
+
+    Examples
+    --------
+    >>> import slam
+    >>> from slam.simulation.synthetic_log import write_synthetic_log
+    >>> house = slam.map_log(write_synthetic_log("monday", duration_s=10.0).log_path)
+    >>> house.grid.resolution_m, house.keyframe_poses.shape[1], house.covariances.shape[1:]
+    (0.05, 3, (3, 3))
+    >>> house.notes
+    ['used: FLASER (2D lidar, 51), odometry (wheels, 101)']
+    >>> house.check()  # it is sound, else an error tells what is wrong
     """
 
     path: Path
@@ -186,6 +197,14 @@ class Map:
         ------
         ScanweaveError
             Where the map does not hold what the format needs, or a file cannot be written.
+
+        Examples
+        --------
+        >>> import slam
+        >>> from slam.simulation.synthetic_log import write_synthetic_log
+        >>> house = slam.map_log(write_synthetic_log("monday", duration_s=10.0).log_path)
+        >>> [path.name for path in house.export("nav2", "for-the-robot/")]
+        ['map.yaml', 'map.pgm']
         """
         written, missing = Exports(self.contents, self.config).write(format_, Path(out))
         for fault in missing:
@@ -217,7 +236,17 @@ class Map:
         return {one.name: one.pose(self.keyframe_poses) for one in found}
 
     def zones(self, kind: str = "keep_out") -> dict[str, FloatArray]:
-        """(n, 2) corners of the zones of a kind, ``keep_out`` or ``slow``, by their names, map frame."""
+        """(n, 2) corners of the zones of a kind, ``keep_out`` or ``slow``, by their names, map frame.
+
+        Examples
+        --------
+        >>> import slam
+        >>> from slam.simulation.synthetic_log import write_synthetic_log
+        >>> house = slam.map_log(write_synthetic_log("monday", duration_s=10.0).log_path)
+        >>> stairs = {"name": "stairs", "polygon": [[0, 0], [1, 0], [1, 1]]}
+        >>> house.edited({"keep_out": [stairs]}).zones()["stairs"].round(2).tolist()
+        [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]
+        """
         return {zone.name: zone.points(self.keyframe_poses) for zone in regions_of(self.contents.edits, kind)}
 
     def edited(self, edits: Edits | Mapping[str, Any] | Path | str, *, out: Path | str | None = None) -> Map:
