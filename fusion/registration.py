@@ -131,6 +131,9 @@ def register(
     >>> round(pair.yaw_rad, 1), pair.grade.name
     (0.9, 'HIGH')
     """
+    if not isinstance(scan, LidarCurve):
+        given = type(scan).__name__
+        raise ValueError(f"scan is {given}; give fusion.LidarCurve(ranges_m, start_angle_rad, step_rad)")
     stacks = tuple(height_slices(image, heights_m, step_rad) for image in as_images(depth))
     curve, stack = resample(scan, step_rad), join(stacks)
     scores = log_ratio_map(stack.ranges_m, curve.ranges_m)

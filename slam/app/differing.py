@@ -12,7 +12,7 @@ import numpy as np
 from fusion.showing import one_line, with_pictures
 from slam.errors import ScanweaveError
 from slam.localization.known_map import has_walls
-from slam.outputs.finished_map import Map
+from slam.outputs.finished_map import Map, open_map
 from slam.sessions.between_visits import BetweenVisits
 from slam.sessions.changes import Comparison, Visit, compare
 from slam.sessions.connection import connect
@@ -50,8 +50,8 @@ class Difference:
 
 
 def diff_maps(
-    before: Map,
-    after: Map | None = None,
+    before: Map | Path | str,
+    after: Map | Path | str | None = None,
     *,
     sessions: tuple[int, int] | None = None,
     out: Path | str | None = None,
@@ -63,7 +63,8 @@ def diff_maps(
     Parameters
     ----------
     before, after
-        The maps, of a robot on a floor with a lidar; ``after`` is None where ``sessions`` tells two of one.
+        The maps or their paths, of a robot on a floor with a lidar; ``after`` is None where ``sessions``
+        tells two of one.
     sessions
         Numbers of two sessions of ``before``, from 1.
     out
@@ -84,6 +85,8 @@ def diff_maps(
     >>> slam.diff_maps(monday, tuesday).things
     []
     """
+    before = before if isinstance(before, Map) else open_map(before)
+    after = open_map(after) if isinstance(after, str | Path) else after
     for one in (before, after):
         if one is not None:
             _refuse_unfit(one)

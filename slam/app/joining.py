@@ -52,7 +52,7 @@ class Joined:
 
 
 def join(
-    known: Map,
+    known: Map | Path | str,
     log: Path | str | Dataset,
     config: Config | None = None,
     *,
@@ -66,7 +66,7 @@ def join(
     Parameters
     ----------
     known
-        The map; it stays open, and shows what it was.
+        The map, which stays open and shows what it was, or its path.
     log
         A path that `slam.open_dataset` takes, or what it has opened.
     config
@@ -96,6 +96,7 @@ def join(
     >>> len(joined.map.sessions), len(joined.map.keyframe_poses) > len(house.keyframe_poses)
     (2, True)
     """
+    known = known if isinstance(known, Map) else open_map(known)
     _refuse_unfit(known, str(known.path))
     if out is None and (known.in_memory or known.path.name != MAP_NAME):
         why = "lies in a temporary folder" if known.in_memory else f"is not named {MAP_NAME}"

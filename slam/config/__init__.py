@@ -133,6 +133,7 @@ def load_config(
     >>> config.keyframes.distance_m, config.grid.resolution_m
     (0.3, 0.05)
     """
+    overrides = [overrides] if isinstance(overrides, str) else overrides
     file = _find_file(preset_or_path or DEFAULT_PRESET)
     tree = _read_tree(file)
     # The file is judged alone first, so that a message blames the file or the override, not both.
@@ -142,6 +143,11 @@ def load_config(
             _apply_override(tree, override)
         config = _validated(tree, source="override")
     return config if calibration is None else with_calibration(config, calibration)
+
+
+def config_of(config: Config | str | None) -> Config:
+    """A configuration, or what `load_config` makes of a preset's or a file's name; errors as there."""
+    return config if isinstance(config, Config) else load_config(config)
 
 
 def with_calibration(config: Config, file: Path | str) -> Config:
@@ -238,6 +244,9 @@ ConfigLoader.add_implicit_resolver(
 
 def _find_file(preset_or_path: str) -> Path:
     """Path of a preset or of a file of one's own."""
+    if not isinstance(preset_or_path, str | Path):
+        given = type(preset_or_path).__name__
+        raise ConfigError(f"a {given} is no configuration; give one by slam.load_config, or a preset or file")
     if Path(preset_or_path).suffix in {".yaml", ".yml"}:
         file = Path(preset_or_path)
         if not file.is_file():

@@ -88,6 +88,12 @@ class Map:
             f"frames={len(found.frames or ())}, clouds={len(found.clouds or ())})"
         )
 
+    def __enter__(self) -> Map:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
     def _repr_html_(self) -> str:
         way = self.trajectory.positions_m[:, :2]
         return with_pictures(self, drawn(blue=way) if self.grid is None else self.grid.picture(way))
