@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.kernel import ZERO, kernel
+from fusion.showing import drawn, one_line, shaded, with_pictures
 
 Float32Array: TypeAlias = NDArray[np.float32]
 FloatArray: TypeAlias = NDArray[np.float64]
@@ -45,12 +46,24 @@ class LidarCurve:
         Bearing of beam 0, and from beam to beam; a negative step is a clockwise sweep.
     range_max_m
         What the lidar can measure.
+
+    Examples
+    --------
+    >>> import fusion, numpy as np
+    >>> fusion.LidarCurve(np.linspace(1.0, 4.0, 181), start_angle_rad=-np.pi / 2, step_rad=np.pi / 180)
+    LidarCurve(ranges_m=float64[181] 1..4, start_angle_rad=-1.5708, step_rad=0.0174533, range_max_m=inf)
     """
 
     ranges_m: Float32Array
     start_angle_rad: float
     step_rad: float
     range_max_m: float = math.inf
+
+    __repr__ = one_line
+
+    def _repr_html_(self) -> str:
+        points = Curve(self.valid_ranges_m(), self.start_angle_rad, self.step_rad).points()
+        return with_pictures(self, drawn(black=points, red=np.zeros((1, 2))))
 
     def __post_init__(self) -> None:
         if np.ndim(self.ranges_m) != 1 or not np.isfinite([self.start_angle_rad, self.step_rad]).all():
@@ -59,17 +72,41 @@ class LidarCurve:
             raise ValueError("step_rad is 0; give the angle between two beams")
 
     def bearings_rad(self) -> FloatArray:
-        """(N,) bearing of each beam."""
+        """(N,) bearing of each beam.
+
+        Examples
+        --------
+        >>> import fusion, numpy as np
+        >>> clockwise = fusion.LidarCurve(np.ones(3), start_angle_rad=0.5, step_rad=-0.5)
+        >>> clockwise.bearings_rad().tolist()
+        [0.5, 0.0, -0.5]
+        """
         return self.start_angle_rad + self.step_rad * np.arange(len(self.ranges_m), dtype=np.float64)
 
     def valid_ranges_m(self) -> Float32Array:
-        """(N,) with ``nan`` for every invalid reading."""
+        """(N,) with ``nan`` for every invalid reading.
+
+        Examples
+        --------
+        >>> import fusion, numpy as np
+        >>> scan = fusion.LidarCurve(np.array([1.5, np.inf, 0.0, 12.0]), 0.0, 0.1, range_max_m=10.0)
+        >>> scan.valid_ranges_m().tolist()
+        [1.5, nan, nan, nan]
+        """
         return masked(self.ranges_m, self.range_max_m)
 
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """A pin-hole camera in pixels; pixel (0, 0) has its centre at (0, 0)."""
+    """A pin-hole camera in pixels; pixel (0, 0) has its centre at (0, 0).
+
+    Examples
+    --------
+    >>> import fusion, math
+    >>> camera = fusion.Intrinsics(fx=120.0, fy=120.0, cx=79.5, cy=59.5)  # of 160 by 120 pixels
+    >>> round(math.degrees(2 * math.atan(80 / camera.fx)))  # how wide it looks
+    67
+    """
 
     fx: float
     fy: float
@@ -97,12 +134,29 @@ class DepthImage:
         be the true one: the yaw to the lidar is what registration finds.
     range_max_m
         Depths beyond are invalid.
+
+    Examples
+    --------
+    A camera that looks 20 degrees down; columns are its right, down and ahead in the level frame.
+
+    >>> import fusion, numpy as np
+    >>> tilt = np.radians(20)
+    >>> R = np.array([[0, -np.sin(tilt), np.cos(tilt)], [-1, 0, 0], [0, -np.cos(tilt), -np.sin(tilt)]])
+    >>> camera = fusion.Intrinsics(fx=120, fy=120, cx=79.5, cy=59.5)
+    >>> image = fusion.DepthImage(np.full((120, 160), 2.0, np.float32), camera, R)
+    >>> (image.R_level_camera @ [0.0, 0.0, 1.0]).round(2).tolist()  # ahead, and down
+    [0.94, 0.0, -0.34]
     """
 
     depth_m: Float32Array
     intrinsics: Intrinsics
     R_level_camera: FloatArray = field(default_factory=FORWARD.copy)
     range_max_m: float = CAMERA_REACH_M
+
+    __repr__ = one_line
+
+    def _repr_html_(self) -> str:
+        return with_pictures(self, shaded(np.where(self.depth_m > 0.0, self.depth_m, np.nan)))
 
     def __post_init__(self) -> None:
         if np.ndim(self.depth_m) != 2 or min(np.shape(self.depth_m)) < 2:
@@ -139,7 +193,15 @@ class Curve:
 
 
 def masked(ranges_m: NDArray[np.floating[Any]], range_max_m: float) -> Float32Array:
-    """A copy with ``nan`` for all that is not finite, not above zero, or beyond the reach."""
+    """A copy with ``nan`` for all that is not finite, not above zero, or beyond the reach.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion.curves import masked
+    >>> masked(np.array([0.5, -1.0, np.inf, 7.0]), range_max_m=6.0).tolist()
+    [0.5, nan, nan, nan]
+    """
     ranges = np.array(ranges_m, dtype=np.float32)
     with np.errstate(invalid="ignore"):
         ranges[~((ranges > 0.0) & (ranges <= range_max_m) & np.isfinite(ranges))] = np.nan
@@ -162,6 +224,15 @@ def resample(scan: LidarCurve, step_rad: float = SAMPLE_STEP_RAD) -> Curve:
     ------
     ValueError
         A step that is not above zero, or a sweep of more than one turn.
+
+    Examples
+    --------
+    >>> import fusion, numpy as np
+    >>> from fusion.curves import resample
+    >>> fine = fusion.LidarCurve(np.full(721, 2.0), start_angle_rad=0.0, step_rad=np.radians(0.25))
+    >>> coarse = resample(fine, step_rad=np.radians(1.0))
+    >>> coarse.ranges_m.size, float(np.nanmax(coarse.ranges_m))
+    (181, 2.0)
     """
     if not step_rad > 0.0:
         raise ValueError(f"step_rad is {step_rad}; give an angle above 0")

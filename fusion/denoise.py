@@ -28,6 +28,7 @@ from fusion.repair_pixels import pixel_candidates
 from fusion.reprojection import reproject, smooth, without_bumps
 from fusion.rig import RigEstimate
 from fusion.rigid_fit import EPS_OVER_E, rigid_fit
+from fusion.showing import one_line, shaded, with_pictures
 from fusion.similarity import Grade
 
 LEAST_EPS_SHARE = 0.025  # of the range: below, the lidar's own noise would be called burrs
@@ -64,6 +65,11 @@ class Denoised:
     lidar_sigma_m: Float32Array
     depth_sigma_m: tuple[Float32Array, ...]
     applied: bool
+
+    __repr__ = one_line
+
+    def _repr_html_(self) -> str:
+        return with_pictures(self, *(shaded(np.where(one > 0.0, one, np.nan)) for one in self.depth_m))
 
 
 def denoise(

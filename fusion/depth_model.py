@@ -26,6 +26,13 @@ class RangeNoise:
         Of the range, as data sheets of lidars have it.
     per_m
         Growth with the square, 1/m: what an error of the disparity makes of a depth (Li2020 Eq. (4)).
+
+    Examples
+    --------
+    >>> import fusion, numpy as np
+    >>> camera = fusion.RangeNoise(floor_m=0.002, per_m=0.003)  # of structured light
+    >>> camera.sigma_m(np.array([1.0, 2.0, 4.0])).round(3).tolist()
+    [0.005, 0.014, 0.05]
     """
 
     floor_m: float
@@ -37,7 +44,15 @@ class RangeNoise:
             raise ValueError(f"{self}: floor_m must be positive, share and per_m not negative")
 
     def sigma_m(self, range_m: Array) -> Array:
-        """Standard deviation at each range, metres."""
+        """Standard deviation at each range, metres.
+
+        Examples
+        --------
+        >>> import fusion, numpy as np
+        >>> lidar = fusion.RangeNoise(floor_m=0.01, share=0.005)
+        >>> lidar.sigma_m(np.array([2.0, 10.0])).round(3).tolist()
+        [0.02, 0.06]
+        """
         return np.asarray(self.floor_m + self.share * range_m + self.per_m * np.square(range_m))
 
 

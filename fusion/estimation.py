@@ -25,6 +25,12 @@ def gate(degrees: int = 1, confidence: float = CONFIDENCE) -> float:
         Of freedom: how many numbers differ.
     confidence
         Share of true differences that lie within.
+
+    Examples
+    --------
+    >>> from fusion.estimation import gate
+    >>> round(gate(2, 0.95), 2)  # chi-square of two degrees of freedom
+    5.99
     """
     from scipy.special import chdtri  # here, for it takes longer to load than the rest of a short command
 
@@ -32,7 +38,14 @@ def gate(degrees: int = 1, confidence: float = CONFIDENCE) -> float:
 
 
 def half_interval(sigma: float) -> float:
-    """Half the width of the 95 % interval of a normal estimate: what people are told."""
+    """Half the width of the 95 % interval of a normal estimate: what people are told.
+
+    Examples
+    --------
+    >>> from fusion.estimation import half_interval
+    >>> round(half_interval(0.01), 4)
+    0.0196
+    """
     return math.sqrt(gate(1, 0.95)) * sigma
 
 
@@ -44,5 +57,11 @@ def median_to_sigma(degrees: int = 1) -> float:
     ----------
     degrees
         Axes of which a residual is the root mean square.
+
+    Examples
+    --------
+    >>> from fusion.estimation import median_to_sigma
+    >>> round(median_to_sigma(), 4)
+    1.4826
     """
     return math.sqrt(degrees / gate(degrees, 0.5))

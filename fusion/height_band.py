@@ -34,6 +34,15 @@ class HeightBand:
     ------
     ValueError
         Where the band is empty or begins below the ground.
+
+    Examples
+    --------
+    A robot of 0.6 m whose wheels climb 1 cm.
+
+    >>> import fusion
+    >>> band = fusion.HeightBand(base_height_m=0.1, workspace_m=0.5, climb_m=0.01)
+    >>> band.low_m, round(band.high_m, 2)
+    (0.01, 0.61)
     """
 
     base_height_m: float
@@ -58,12 +67,27 @@ class HeightBand:
         """Whether points at these heights are obstacles: sigma < z < d + l + sigma.
 
         ``margin_m`` raises the lower end, for heights that noise alone could lift so far.
+
+        Examples
+        --------
+        >>> import fusion, numpy as np
+        >>> band = fusion.HeightBand(base_height_m=0.1, workspace_m=0.5, climb_m=0.01)
+        >>> band.holds(np.array([0.0, 0.3, 1.2])).tolist()  # the floor, a chair's seat, a table's lamp
+        [False, True, False]
         """
         return np.asarray((z_ground > self.low_m + margin_m) & (z_ground < self.high_m))
 
 
 def pixel_rays(shape: tuple[int, int], intrinsics: Intrinsics) -> FloatArray:
-    """Where each pixel looks: (H, W, 2) x/z, y/z in the optical frame by Yang2021 Eq. (13)."""
+    """Where each pixel looks: (H, W, 2) x/z, y/z in the optical frame by Yang2021 Eq. (13).
+
+    Examples
+    --------
+    >>> import fusion
+    >>> from fusion.height_band import pixel_rays
+    >>> pixel_rays((2, 3), fusion.Intrinsics(fx=1.0, fy=1.0, cx=1.0, cy=0.5))[0].tolist()
+    [[-1.0, -0.5], [0.0, -0.5], [1.0, -0.5]]
+    """
     rows, cols = shape
     x = np.broadcast_to((np.arange(cols) - intrinsics.cx) / intrinsics.fx, shape)
     y = np.broadcast_to(((np.arange(rows) - intrinsics.cy) / intrinsics.fy)[:, None], shape)
@@ -79,6 +103,14 @@ def back_project(depth_m: NDArray[np.floating[Any]], rays: FloatArray) -> FloatA
         (H, W) along the optical axis; zero and what is not finite is no reading.
     rays
         (H, W, 2) from `pixel_rays`.
+
+    Examples
+    --------
+    >>> import fusion, numpy as np
+    >>> from fusion.height_band import back_project, pixel_rays
+    >>> depth_m = np.array([[2.0, 0.0, 2.0]])  # the middle pixel has no reading
+    >>> back_project(depth_m, pixel_rays((1, 3), fusion.Intrinsics(fx=2.0, fy=2.0, cx=1.0, cy=0.0))).tolist()
+    [[-1.0, 0.0, 2.0], [1.0, 0.0, 2.0]]
     """
     valid = np.isfinite(depth_m) & (depth_m > 0.0)
     z = depth_m[valid].astype(np.float64)
@@ -104,7 +136,15 @@ def _place(points, T_a_b, placed):  # type: ignore[no-untyped-def]
 
 
 def thin_to_voxels(points: FloatArray, voxel_m: float) -> FloatArray:
-    """(M, 3) one of the points in each voxel, the first; so near surfaces weigh no more than far ones."""
+    """(M, 3) one of the points in each voxel, the first; so near surfaces weigh no more than far ones.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion.height_band import thin_to_voxels
+    >>> thin_to_voxels(np.array([[0.01, 0.0, 0.0], [0.02, 0.0, 0.0], [1.0, 0.0, 0.0]]), voxel_m=0.1).tolist()
+    [[0.01, 0.0, 0.0], [1.0, 0.0, 0.0]]
+    """
     if not len(points):
         return points
     first, keys = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
@@ -112,7 +152,16 @@ def thin_to_voxels(points: FloatArray, voxel_m: float) -> FloatArray:
 
 
 def dense_enough(points: FloatArray, radius_m: float, least_neighbours: int) -> BoolArray:
-    """Radius outlier removal: (N,) whether at least so many other points lie within the radius."""
+    """Radius outlier removal: (N,) whether at least so many other points lie within the radius.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion.height_band import dense_enough
+    >>> points = np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [5.0, 0.0, 0.0]])
+    >>> dense_enough(points, radius_m=0.1, least_neighbours=1).tolist()
+    [True, True, False]
+    """
     from scipy.spatial import cKDTree
 
     if not len(points):

@@ -89,11 +89,12 @@ def as_images(depth: Depths) -> tuple[DepthImage, ...]:
     Raises
     ------
     ValueError
-        None at all.
+        None at all, or something else.
     """
     images = (depth,) if isinstance(depth, DepthImage) else tuple(depth)
-    if not images:
-        raise ValueError("no depth image was given")
+    if not images or not all(isinstance(image, DepthImage) for image in images):
+        given = type(images[0]).__name__ if images else "nothing"
+        raise ValueError(f"depth is {given}; give fusion.DepthImage(depth_m, intrinsics), or several")
     return images
 
 

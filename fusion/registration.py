@@ -26,6 +26,7 @@ from fusion.curves import (
 )
 from fusion.likelihood import log_ratio_map
 from fusion.panorama import CurveStack, Depths, as_images, height_slices, join
+from fusion.showing import drawn, one_line, shaded, with_pictures
 from fusion.similarity import Grade, grade_of, masked_sums, pearson
 
 HEIGHTS_M = HEIGHT_STEP_M * np.arange(-60.0, 21.0)  # of the lidar's plane above the camera
@@ -72,6 +73,15 @@ class Registration:
     score_map: Float32Array
     curve: Curve
     stacks: tuple[CurveStack, ...]
+
+    __repr__ = one_line
+
+    def _repr_html_(self) -> str:
+        """What the lidar sees, and in red what the cameras see where they were found to look."""
+        seen = join(self.stacks).curve(self.v)
+        turned = Curve(seen.ranges_m, seen.start_angle_rad + self.yaw_rad, seen.step_rad)
+        both = drawn(black=self.curve.points(), red=turned.points())
+        return with_pictures(self, both, shaded(self.score_map[::-1]))
 
     @property
     def first_yaw_step(self) -> int:
@@ -121,6 +131,9 @@ def register(
     >>> round(pair.yaw_rad, 1), pair.grade.name
     (0.9, 'HIGH')
     """
+    if not isinstance(scan, LidarCurve):
+        given = type(scan).__name__
+        raise ValueError(f"scan is {given}; give fusion.LidarCurve(ranges_m, start_angle_rad, step_rad)")
     stacks = tuple(height_slices(image, heights_m, step_rad) for image in as_images(depth))
     curve, stack = resample(scan, step_rad), join(stacks)
     scores = log_ratio_map(stack.ranges_m, curve.ranges_m)

@@ -13,7 +13,15 @@ from fusion.kernel import kernel
 
 
 class Provenance(IntEnum):
-    """Where a sample comes from."""
+    """Where a sample comes from.
+
+    Examples
+    --------
+    >>> import fusion, numpy as np
+    >>> source = np.array([0, 1, 1, 3], np.uint8)  # as `fusion.denoise` tells it of each beam
+    >>> int((source == fusion.Provenance.FILLED).sum()), fusion.Provenance(3).name
+    (2, 'HOLE')
+    """
 
     MEASURED = 0
     FILLED = 1  # from the other sensor

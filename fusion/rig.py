@@ -17,6 +17,7 @@ from fusion.curves import Float32Array
 from fusion.likelihood import OFFSETS_M, log_ratios_at
 from fusion.registration import Registration
 from fusion.rig_height import LEAST_COVER, HeightContest
+from fusion.showing import one_line
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,8 @@ class RigEstimate:
     alignments: tuple[Alignment | None, ...]
     drift: int
 
+    __repr__ = one_line
+
 
 class Rig:
     """The pairs of one robot so far: the sum of all score maps, and the curves of the last ones.
@@ -82,6 +85,9 @@ class Rig:
     >>> round(known.yaw_rad, 1), known.pairs, known.drift
     (0.3, 5, 0)
     """
+
+    def __repr__(self) -> str:
+        return f"Rig({self._pairs} pairs)"
 
     def __init__(self, kept: int = 96) -> None:
         self._last: deque[Registration] = deque(maxlen=kept)

@@ -67,7 +67,16 @@ def ransac(
 
 
 def rigid_motion(source: FloatArray, target: FloatArray) -> FloatArray:
-    """The turn and shift of least squares, (3, 3)."""
+    """The turn and shift of least squares, (3, 3).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion.rigid_fit import rigid_motion
+    >>> square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    >>> rigid_motion(square, square + [2.0, 0.0])[:2, 2].round(3).tolist()
+    [2.0, 0.0]
+    """
     from_center, to_center = source.mean(axis=0), target.mean(axis=0)
     s, t = source - from_center, target - to_center
     angle = math.atan2(float((s[:, 0] * t[:, 1] - s[:, 1] * t[:, 0]).sum()), float((s * t).sum()))

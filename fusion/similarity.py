@@ -20,7 +20,14 @@ _TINY = np.float32(TINY)
 
 
 class Grade(IntEnum):
-    """How far a pair can be trusted, by its PCC (Xu2024, Table 1)."""
+    """How far a pair can be trusted, by its PCC (Xu2024, Table 1).
+
+    Examples
+    --------
+    >>> import fusion
+    >>> fusion.Grade.HIGH > fusion.Grade.MIDDLE > fusion.Grade.LOW
+    True
+    """
 
     LOW = 0
     MIDDLE = 1
@@ -54,7 +61,14 @@ class Sums:
 
 
 def grade_of(pcc: float) -> Grade:
-    """The paper's class of a PCC."""
+    """The paper's class of a PCC.
+
+    Examples
+    --------
+    >>> from fusion.similarity import grade_of
+    >>> [grade_of(pcc).name for pcc in (0.2, 0.5, 0.9)]
+    ['LOW', 'MIDDLE', 'HIGH']
+    """
     if pcc > MIDDLE_MAX:
         return Grade.HIGH
     return Grade.MIDDLE if pcc > LOW_MAX else Grade.LOW
@@ -111,7 +125,17 @@ def enough(sums: Sums) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
 
 
 def pearson(sums: Sums) -> Float32Array:
-    """Xu2024 Eq. (2), (V, U) in -1..1; 0 where a curve is flat or too little is shared."""
+    """Xu2024 Eq. (2), (V, U) in -1..1; 0 where a curve is flat or too little is shared.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion.similarity import masked_sums, pearson
+    >>> curve = np.random.default_rng(0).uniform(1.0, 4.0, 90).astype(np.float32)
+    >>> alike = pearson(masked_sums(curve[None, 25:75], curve))  # one candidate at each offset
+    >>> int(alike[0].argmax()), alike.shape
+    (25, (1, 41))
+    """
     n = np.maximum(sums.n, np.float32(1.0))
     var_d = np.maximum(sums.dd / n - (sums.d / n) ** 2, np.float32(0.0))
     var_l = np.maximum(sums.ll / n - (sums.l / n) ** 2, np.float32(0.0))

@@ -114,7 +114,16 @@ def clock_offset(
 
 
 def turns_between(told_s: FloatArray, turned_rad: FloatArray, spans_s: FloatArray) -> FloatArray:
-    """(...) turns over spans (..., 2), by (M,) turns over (M, 2) rising spans, each taken as even."""
+    """(...) turns over spans (..., 2), by (M,) turns over (M, 2) rising spans, each taken as even.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion.time_alignment import turns_between
+    >>> told_s, turned_rad = np.array([[0.0, 1.0], [1.0, 2.0]]), np.array([0.2, 0.4])
+    >>> turns_between(told_s, turned_rad, np.array([[0.5, 1.5]])).round(3).tolist()
+    [0.3]
+    """
     yaw_rad = np.column_stack([np.cumsum(turned_rad) - turned_rad, np.cumsum(turned_rad)])
     found = np.interp(spans_s, told_s.ravel(), yaw_rad.ravel())
     return np.asarray(found[..., 1] - found[..., 0])

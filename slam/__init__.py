@@ -21,6 +21,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from slam.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from slam.app.differing import Difference as Difference
     from slam.app.differing import diff_maps as diff_maps
@@ -99,4 +101,4 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     """What is here, loaded or not."""
-    return sorted({*globals(), *_HOMES})
+    return sorted({*_HOMES, *(name for name in globals() if name.startswith("__"))})

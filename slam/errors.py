@@ -9,6 +9,15 @@ class ScanweaveError(Exception):
     """Base of every expected failure; the command line prints it in one line and exits with 1.
 
     What a message quotes of a file or its name is made plain here, wherever it is shown.
+
+    Examples
+    --------
+    >>> import slam
+    >>> try:
+    ...     slam.open_dataset("no-such.log")
+    ... except slam.ScanweaveError as error:
+    ...     print(str(error)[:46])
+    no-such.log does not exist; give the path of a
     """
 
     def __init__(self, message: object = "") -> None:

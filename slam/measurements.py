@@ -6,12 +6,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
+
+from fusion.showing import drawn, shaded, with_pictures
+from fusion.showing import one_line as one_line
 
 FloatArray: TypeAlias = NDArray[np.float64]
 Float32Array: TypeAlias = NDArray[np.float32]
@@ -19,27 +22,6 @@ AnyFloatArray: TypeAlias = NDArray[np.floating[Any]]
 BoolArray: TypeAlias = NDArray[np.bool_]
 ColorImage: TypeAlias = NDArray[np.uint8]
 Pose: TypeAlias = gtsam.Pose2 | gtsam.Pose3
-
-
-def one_line(record: Any) -> str:
-    """A dataclass in one line, as the ``__repr__`` of those that hold arrays: arrays by type and shape."""
-    shown = (f"{item.name}={_shown(getattr(record, item.name))}" for item in fields(record) if item.repr)
-    return f"{type(record).__name__}({', '.join(shown)})"
-
-
-def _shown(value: Any) -> str:
-    """A field in `one_line`; what is long by its type and size."""
-    if isinstance(value, np.ndarray):
-        return f"{value.dtype}{list(value.shape)}"
-    if isinstance(value, list | tuple):
-        return f"{type(value).__name__}[{len(value)}]"
-    if isinstance(value, gtsam.Pose2):
-        return f"Pose2({value.x():.6g}, {value.y():.6g}, {value.theta():.6g})"
-    if isinstance(value, gtsam.Pose3):
-        x, y, z = value.translation()
-        roll, pitch, yaw = value.rotation().rpy()
-        return f"Pose3(xyz=({x:.6g}, {y:.6g}, {z:.6g}), rpy=({roll:.6g}, {pitch:.6g}, {yaw:.6g}))"
-    return repr(value.item() if isinstance(value, np.generic) else value)
 
 
 # Standard gravity, by which a reading in g is told (ISO 80000-3).
@@ -68,6 +50,16 @@ class LaserScan:
         Mounting of the laser on the robot.
     sensor
         Name of the sensor, as the log tells it.
+
+    Examples
+    --------
+    A lidar that looks ahead, to the left, back and to the right; nothing is behind it.
+
+    >>> import numpy as np, slam
+    >>> ranges_m = np.array([2.0, 1.0, np.inf, 3.0], np.float32)
+    >>> scan = slam.LaserScan(0.0, ranges_m, start_angle_rad=0.0, step_rad=np.pi / 2, range_max_m=20.0)
+    >>> (scan.points_laser().round(3) + 0.0).tolist()
+    [[2.0, 0.0], [0.0, 1.0], [0.0, -3.0]]
     """
 
     stamp_s: float
@@ -80,12 +72,32 @@ class LaserScan:
 
     __repr__ = one_line
 
+    def _repr_html_(self) -> str:
+        return with_pictures(self, drawn(black=self.points_laser(), red=np.zeros((1, 2))))
+
     def bearings_rad(self) -> FloatArray:
-        """Bearing of every beam in the laser frame, (N,)."""
+        """Bearing of every beam in the laser frame, (N,).
+
+        Examples
+        --------
+        >>> import numpy as np, slam
+        >>> scan = slam.LaserScan(0.0, np.ones(3), start_angle_rad=-0.5, step_rad=0.5, range_max_m=20.0)
+        >>> scan.bearings_rad().tolist()
+        [-0.5, 0.0, 0.5]
+        """
         return self.start_angle_rad + self.step_rad * np.arange(self.ranges_m.size, dtype=np.float64)
 
     def points_laser(self) -> FloatArray:
-        """(N, 2) points of the beams that met something, laser frame."""
+        """(N, 2) points of the beams that met something, laser frame.
+
+        Examples
+        --------
+        >>> import numpy as np, slam
+        >>> seen = np.array([1.0, np.nan, np.inf, 25.0], np.float32)  # one hit; invalid, no return, too far
+        >>> scan = slam.LaserScan(0.0, seen, start_angle_rad=0.0, step_rad=0.1, range_max_m=20.0)
+        >>> scan.points_laser().tolist()
+        [[1.0, 0.0]]
+        """
         ranges = self.ranges_m.astype(np.float64)
         met = np.isfinite(ranges) & (ranges > 0.0) & (ranges < self.range_max_m)
         bearings = self.bearings_rad()[met]
@@ -94,7 +106,14 @@ class LaserScan:
 
 @dataclass(frozen=True, slots=True)
 class WheelOdometry:
-    """The robot's pose by its own wheels, in the drifting odom frame."""
+    """The robot's pose by its own wheels, in the drifting odom frame.
+
+    Examples
+    --------
+    >>> import gtsam, slam
+    >>> slam.WheelOdometry(stamp_s=0.1, T_odom_base=gtsam.Pose2(0.05, 0.0, 0.01))
+    WheelOdometry(stamp_s=0.1, T_odom_base=Pose2(0.05, 0, 0.01), sensor='odometry')
+    """
 
     stamp_s: float
     T_odom_base: gtsam.Pose2
@@ -105,7 +124,16 @@ class WheelOdometry:
 
 @dataclass(frozen=True, slots=True)
 class CameraIntrinsics:
-    """A pin-hole camera without lens distortion, in pixels; pixel (0, 0) has its centre at (0, 0)."""
+    """A pin-hole camera without lens distortion, in pixels; pixel (0, 0) has its centre at (0, 0).
+
+    Examples
+    --------
+    >>> import slam
+    >>> lens = slam.CameraIntrinsics(fx=525.0, fy=525.0, cx=319.5, cy=239.5, width=640, height=480)
+    >>> x_m, z_m = 0.4, 2.0  # a point 2 m ahead and 0.4 m to the right
+    >>> lens.fx * x_m / z_m + lens.cx  # its column
+    424.5
+    """
 
     fx: float
     fy: float
@@ -134,6 +162,16 @@ class RgbdFrame:
         log does not tell it.
     sensor
         Name of the camera, as the log tells it.
+
+    Examples
+    --------
+    >>> import gtsam, numpy as np, slam
+    >>> lens = slam.CameraIntrinsics(fx=525.0, fy=525.0, cx=319.5, cy=239.5, width=640, height=480)
+    >>> color, depth_m = np.zeros((480, 640, 3), np.uint8), np.full((480, 640), 2.0, np.float32)
+    >>> ahead = gtsam.Rot3(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]))  # optical axes to the robot's
+    >>> frame = slam.RgbdFrame(0.0, color, depth_m, lens, gtsam.Pose3(ahead, np.array([0.1, 0.0, 0.4])))
+    >>> frame.T_base_camera.transformFrom(np.array([0.0, 0.0, 2.0])).round(3).tolist()  # 2 m before it
+    [2.1, 0.0, 0.4]
     """
 
     stamp_s: float
@@ -144,6 +182,9 @@ class RgbdFrame:
     sensor: str = "camera"
 
     __repr__ = one_line
+
+    def _repr_html_(self) -> str:
+        return with_pictures(self, shaded(self.color), shaded(self.depth_m))
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +203,14 @@ class PointCloud:
         Mounting of the lidar on the robot.
     sensor
         Name of the sensor, as the log tells it.
+
+    Examples
+    --------
+    >>> import gtsam, numpy as np, slam
+    >>> points = np.array([[5.0, 0.0, -1.0], [0.0, 4.0, 0.5]], np.float32)
+    >>> mounting = gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, 1.2]))
+    >>> slam.PointCloud(0.0, points, times_s=np.array([0.0, 0.05]), T_base_lidar=mounting).points_lidar.shape
+    (2, 3)
     """
 
     stamp_s: float
@@ -171,6 +220,9 @@ class PointCloud:
     sensor: str = "lidar"
 
     __repr__ = one_line
+
+    def _repr_html_(self) -> str:
+        return with_pictures(self, drawn(black=self.points_lidar[:, :2], red=np.zeros((1, 2))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,6 +241,13 @@ class ImuReading:
         Mounting of the IMU on the robot; None where the log does not tell it.
     sensor
         Name of the sensor, as the log tells it.
+
+    Examples
+    --------
+    >>> import numpy as np, slam
+    >>> at_rest = slam.ImuReading(0.0, gyro_rad_s=np.zeros(3), specific_force_m_s2=np.array([0.0, 0.0, 9.81]))
+    >>> at_rest.specific_force_m_s2.tolist()  # the reaction to gravity points up
+    [0.0, 0.0, 9.81]
     """
 
     stamp_s: float
@@ -255,6 +314,16 @@ class MotionEstimate:
         Whether a direction of motion is not determined by the readings (a corridor).
     weak_direction
         (d,) unit tangent vector of the undetermined direction; zero where all are determined.
+
+    Examples
+    --------
+    >>> import numpy as np, slam
+    >>> bearings = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+    >>> ranges_m = np.minimum(3.0 / np.abs(np.cos(bearings)), 2.0 / np.abs(np.sin(bearings) + 1e-9))
+    >>> points = ranges_m[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])  # a room
+    >>> motion = slam.match_scans(points, points)
+    >>> motion.converged, motion.degenerate, bool(np.sqrt(motion.covariance[0, 0]) < 0.02)  # metres
+    (True, False, True)
     """
 
     T_reference_base: Pose
@@ -281,6 +350,14 @@ class Trajectory:
         (N, 3) of the base frame in the map frame.
     quaternions_xyzw
         (N, 4), unit length.
+
+    Examples
+    --------
+    >>> import numpy as np, slam
+    >>> rows = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 1.57]])  # x, y, yaw
+    >>> way = slam.Trajectory.from_planar(np.array([0.0, 0.5, 1.0]), rows)
+    >>> len(way), way.positions_m[-1].tolist(), way[1:].stamps_s.tolist()
+    (3, [1.0, 1.0, 0.0], [0.5, 1.0])
     """
 
     stamps_s: FloatArray
@@ -288,6 +365,9 @@ class Trajectory:
     quaternions_xyzw: FloatArray
 
     __repr__ = one_line
+
+    def _repr_html_(self) -> str:
+        return with_pictures(self, drawn(blue=self.positions_m[:, :2]))
 
     def __len__(self) -> int:
         return int(self.stamps_s.size)
@@ -297,7 +377,16 @@ class Trajectory:
 
     @classmethod
     def from_planar(cls, stamps_s: FloatArray, poses_xyt: FloatArray) -> Trajectory:
-        """Lift (N, 3) rows of x, y, yaw into the plane z = 0."""
+        """Lift (N, 3) rows of x, y, yaw into the plane z = 0.
+
+        Examples
+        --------
+        >>> import numpy as np, slam
+        >>> rows = np.array([[0.0, 0.0, 0.0], [2.0, 1.0, np.pi]])
+        >>> way = slam.Trajectory.from_planar(np.array([0.0, 1.0]), rows)
+        >>> way.quaternions_xyzw[1].round(3).tolist()  # half a turn about z
+        [0.0, 0.0, 1.0, 0.0]
+        """
         count = len(stamps_s)
         positions = np.zeros((count, 3))
         positions[:, :2] = poses_xyt[:, :2]
@@ -307,14 +396,31 @@ class Trajectory:
         return cls(np.asarray(stamps_s, dtype=np.float64), positions, quaternions)
 
     def poses(self) -> list[gtsam.Pose3]:
-        """The N poses."""
+        """The N poses.
+
+        Examples
+        --------
+        >>> import numpy as np, slam
+        >>> way = slam.Trajectory.from_planar(np.array([0.0, 1.0]), np.array([[0.0, 0, 0], [2.0, 1.0, 0.5]]))
+        >>> first, last = way.poses()
+        >>> round(first.between(last).x(), 3)
+        2.0
+        """
         return [
             gtsam.Pose3(gtsam.Rot3.Quaternion(w, x, y, z), position)
             for (x, y, z, w), position in zip(self.quaternions_xyzw.tolist(), self.positions_m, strict=True)
         ]
 
     def to_planar(self) -> FloatArray:
-        """(N, 3) rows of x, y, yaw: the projection onto the ground plane."""
+        """(N, 3) rows of x, y, yaw: the projection onto the ground plane.
+
+        Examples
+        --------
+        >>> import numpy as np, slam
+        >>> rows = np.array([[0.0, 0.0, 0.0], [2.0, 1.0, 0.5]])
+        >>> slam.Trajectory.from_planar(np.array([0.0, 1.0]), rows).to_planar().round(3).tolist()
+        [[0.0, 0.0, 0.0], [2.0, 1.0, 0.5]]
+        """
         x, y, z, w = self.quaternions_xyzw.T
         yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
         return np.column_stack([self.positions_m[:, :2], yaw])

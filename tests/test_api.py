@@ -217,14 +217,6 @@ def test_the_example_of_mapping(
     assert (tmp_path / "house" / "map.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_map_is_shown_in_one_line(house: Path) -> None:
-    map_ = slam.load_map(house)
-    shown = repr(map_)
-    assert shown.startswith(f"Map('{house}/map.db', sessions=1, keyframes={len(map_.keyframe_poses)}, ")
-    assert "\n" not in shown and len(shown) < len(str(house)) + 100
-    map_.close()
-
-
 @pytest.mark.parametrize("given", [[], [1.0], ["scan"], [None]])
 def test_what_is_no_measurement_is_named(given: list[object]) -> None:
     with pytest.raises(slam.ScanweaveError, match=r"measurement|is a (float|str|NoneType)") as caught:

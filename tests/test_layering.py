@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tools.count_numbers import without_examples
+
 REPO = Path(__file__).parents[1]
 
 # From the roof down; a file imports only from floors below its own, rooms on one floor do not meet.
@@ -31,6 +33,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"slam.errors", "slam.result_cache", "fusion"}),
     frozenset({"slam.foreign", "slam.temporary"}),
     frozenset({"slam"}),  # the package's own __init__: it names what is public, and loads none of it
+    frozenset({"slam.version"}),
 )
 MAX_LINES = 400
 NEVER_IMPORTED = {"evo", "plyfile", "tools", "tests", "conftest"}  # GPL oracles; people's scripts
@@ -123,7 +126,7 @@ def file_faults(module: str, source: str, tree: ast.Module) -> Iterator[str]:
     """Faults of a file by itself: its place, its length, its prints."""
     if floor_of(module) is None:
         yield f"room {room_of(module)} has no floor; give it one in FLOORS"
-    if (lines := len(source.splitlines())) >= MAX_LINES:
+    if (lines := len(without_examples(source).splitlines())) >= MAX_LINES:
         yield f"{lines} lines, the limit is {MAX_LINES}"
     calls = [
         node for node in ast.walk(tree) if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)

@@ -176,25 +176,3 @@ class TestGrid:
             slam.grid_of_scans([sweep(room(), (0, 0, 0))], self.POSES)
         with pytest.raises(slam.ScanweaveError, match="the poses of 1 scans: 1 of 3 numbers are not finite"):
             slam.grid_of_scans([sweep(room(), (0, 0, 0))], [[0.0, np.nan, 0.0]])
-
-
-def test_records_with_arrays_are_shown_in_one_line() -> None:
-    scan = sweep(room(), (0, 0, 0))
-    camera = slam.CameraIntrinsics(100.0, 100.0, 50.0, 50.0, 101, 101)
-    images = np.zeros((101, 101, 3), np.uint8), np.zeros((101, 101), np.float32)
-    shown = [
-        repr(record)
-        for record in (
-            scan,
-            slam.WheelOdometry(0.0, gtsam.Pose2()),
-            slam.RgbdFrame(np.float64(2.5), *images, camera, gtsam.Pose3()),
-            slam.PointCloud(0.0, np.zeros((5000, 3), np.float32)),
-            slam.Trajectory.from_planar(np.arange(2000.0), np.zeros((2000, 3))),
-            slam.grid_of_scans([scan], [[0.0, 0.0, 0.0]]),
-            slam.check_loop(scan, scan),
-        )
-    ]
-    assert not [text for text in shown if "\n" in text or len(text) > 400]
-    assert shown[0].startswith("LaserScan(stamp_s=0.0, ranges_m=float32[361], ")
-    assert "stamp_s=2.5, color=uint8[101, 101, 3], " in shown[2] and "Pose3(xyz=(0, 0, 0), rpy=(" in shown[2]
-    assert "T_base_laser=Pose2(0, 0, 0)" in shown[0] and "times_s=None" in shown[3]

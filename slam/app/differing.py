@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from fusion.showing import one_line, with_pictures
 from slam.errors import ScanweaveError
 from slam.localization.known_map import has_walls
-from slam.outputs.finished_map import Map
+from slam.outputs.finished_map import Map, open_map
 from slam.sessions.between_visits import BetweenVisits
 from slam.sessions.changes import Comparison, Visit, compare
 from slam.sessions.connection import connect
-from slam.sessions.difference_files import write_difference
+from slam.sessions.difference_files import difference_picture, write_difference
 from slam.sessions.moved_things import ChangedThing, changed_things
 from slam.storage.map_contents import MapContents
 
@@ -42,10 +43,15 @@ class Difference:
     comparison: Comparison
     written: tuple[Path, ...] = ()
 
+    __repr__ = one_line
+
+    def _repr_html_(self) -> str:
+        return with_pictures(self, difference_picture(self.things, self.comparison))
+
 
 def diff_maps(
-    before: Map,
-    after: Map | None = None,
+    before: Map | Path | str,
+    after: Map | Path | str | None = None,
     *,
     sessions: tuple[int, int] | None = None,
     out: Path | str | None = None,
@@ -57,7 +63,8 @@ def diff_maps(
     Parameters
     ----------
     before, after
-        The maps, of a robot on a floor with a lidar; ``after`` is None where ``sessions`` tells two of one.
+        The maps or their paths, of a robot on a floor with a lidar; ``after`` is None where ``sessions``
+        tells two of one.
     sessions
         Numbers of two sessions of ``before``, from 1.
     out
@@ -78,6 +85,8 @@ def diff_maps(
     >>> slam.diff_maps(monday, tuesday).things
     []
     """
+    before = before if isinstance(before, Map) else open_map(before)
+    after = open_map(after) if isinstance(after, str | Path) else after
     for one in (before, after):
         if one is not None:
             _refuse_unfit(one)

@@ -6,6 +6,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+from fusion.showing import one_line
 from slam.app.map_run import MapRun, run_into
 from slam.app.progress import OnProgress, Progress, silent
 from slam.config import Config
@@ -47,9 +48,11 @@ class Joined:
     connection: Connection
     written: tuple[Path, ...]
 
+    __repr__ = one_line
+
 
 def join(
-    known: Map,
+    known: Map | Path | str,
     log: Path | str | Dataset,
     config: Config | None = None,
     *,
@@ -63,7 +66,7 @@ def join(
     Parameters
     ----------
     known
-        The map; it stays open, and shows what it was.
+        The map, which stays open and shows what it was, or its path.
     log
         A path that `slam.open_dataset` takes, or what it has opened.
     config
@@ -93,6 +96,7 @@ def join(
     >>> len(joined.map.sessions), len(joined.map.keyframe_poses) > len(house.keyframe_poses)
     (2, True)
     """
+    known = known if isinstance(known, Map) else open_map(known)
     _refuse_unfit(known, str(known.path))
     if out is None and (known.in_memory or known.path.name != MAP_NAME):
         why = "lies in a temporary folder" if known.in_memory else f"is not named {MAP_NAME}"

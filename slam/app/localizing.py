@@ -10,8 +10,9 @@ from pathlib import Path
 
 import gtsam
 
+from fusion.showing import drawn, one_line, with_pictures
 from slam.app.progress import OnProgress, Progress, silent
-from slam.config import Config
+from slam.config import Config, config_of
 from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
 from slam.datasets.sensor_choice import SensorChoice, UsedMeasurements
@@ -24,7 +25,7 @@ from slam.localization.poses import Measured, diagonal
 from slam.mapper.pipeline import findings_of, settled
 from slam.measurements import Trajectory
 from slam.outputs.finished_map import Map
-from slam.outputs.grid_map import GridMap
+from slam.outputs.grid_map import GridMap, opened
 from slam.storage.files import make_folder
 from slam.storage.map_contents import MapContents
 from slam.viewer.map_recording import record_localization
@@ -51,6 +52,11 @@ class Localization:
     drive: DriveLog
     written: tuple[Path, ...]
 
+    __repr__ = one_line
+
+    def _repr_html_(self) -> str:
+        return with_pictures(self, drawn(blue=self.trajectory.positions_m[:, :2]))
+
     @property
     def trajectory(self) -> Trajectory:
         """Poses in the map while it was known where the robot is, those found later included; by stamp."""
@@ -58,9 +64,9 @@ class Localization:
 
 
 def localize_log(
-    saved: Map | GridMap,
+    saved: Map | GridMap | Path | str,
     log: Path | str | Dataset,
-    config: Config | None = None,
+    config: Config | str | None = None,
     *,
     start: tuple[float, float, float] | None = None,
     start_sigma: tuple[float, float] = START_SIGMA,
@@ -74,11 +80,11 @@ def localize_log(
     Parameters
     ----------
     saved
-        The map, or one of another program (`load_grid_map`).
+        The map, or one of another program (`load_grid_map`), or the path of either.
     log
         A path that `slam.open_dataset` takes, or what it has opened.
     config
-        The effective configuration; None for the default preset.
+        The effective configuration, or its preset or file; None for the default preset.
     start
         x, y (metres) and yaw (radians) of the base in the map at the first reading, as far as somebody knows;
         None seeks it everywhere.
@@ -109,7 +115,7 @@ def localize_log(
     >>> len(found.trajectory) > 50
     True
     """
-    config = config or Config()
+    saved, config = opened(saved), config_of(config)
     if isinstance(log, str | Path):
         sensors = config.sensors
         log = open_dataset(

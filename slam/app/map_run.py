@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from fusion.showing import one_line
 from slam.app.map_folder import finished_map, opened_map
 from slam.app.progress import OnProgress, Progress
 from slam.datasets.dataset import Dataset
@@ -47,6 +48,8 @@ class MapRun:
     report: ReportData | None
     written: tuple[Path, ...]
     dropped: int = 0
+
+    __repr__ = one_line
 
 
 def run_into(

@@ -9,7 +9,7 @@ from slam.app.map_folder import Left, left_in
 from slam.app.map_run import MapRun, run_into
 from slam.app.measured import Measured
 from slam.app.progress import OnProgress, silent
-from slam.config import Config
+from slam.config import Config, config_of
 from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
 from slam.errors import MapFileError
@@ -23,7 +23,7 @@ from slam.temporary import TemporaryFolder
 
 def map_log(
     log: Path | str | Dataset,
-    config: Config | None = None,
+    config: Config | str | None = None,
     *,
     out: Path | str | None = None,
     on_progress: OnProgress | None = None,
@@ -37,7 +37,7 @@ def map_log(
     log
         A path that `slam.open_dataset` takes, or what it has opened.
     config
-        The effective configuration; None for the default preset.
+        The effective configuration, or its preset or file; None for the default preset.
     out
         Folder for ``map.db``, the files of other programs and the report, made where it is missing. None
         keeps the map in a temporary folder that goes with it; `Map.save` writes it elsewhere.
@@ -72,7 +72,7 @@ def map_log(
 
 def run_log(
     log: Path | str | Dataset,
-    config: Config | None = None,
+    config: Config | str | None = None,
     *,
     out: Path | str | None = None,
     on_progress: OnProgress | None = None,
@@ -90,7 +90,7 @@ def run_log(
     record
         Where a recording for the Rerun viewer goes; None for none.
     """
-    config = config or Config()
+    config = config_of(config)
     dataset = _opened(log, config, strict)
     identity = identity_of(dataset.path, config)
     if out is None:
@@ -109,7 +109,7 @@ def run_log(
 
 def build_map(
     measurements: Iterable[Measurement],
-    config: Config | None = None,
+    config: Config | str | None = None,
     *,
     on_progress: OnProgress | None = None,
 ) -> Map:
@@ -121,7 +121,7 @@ def build_map(
         `slam.LaserScan`, `slam.WheelOdometry`, `slam.PointCloud`, `slam.RgbdFrame`. They are read several
         times: a list, a dataset, or whatever else can be iterated again; an iterator is gathered in memory.
     config
-        The effective configuration; None for the default preset.
+        The effective configuration, or its preset or file; None for the default preset.
     on_progress
         As in `map_log`.
 
@@ -149,7 +149,7 @@ def build_map(
     >>> bool(abs(np.ptp(columns) * room.grid.resolution_m - 6.0) < 0.2)
     True
     """
-    config = config or Config()
+    config = config_of(config)
     measured = Measured(measurements)
     identity = MapIdentity(config, plain(measured.name), measured.fingerprint(), current_versions())
     return _in_memory(measured, identity, on_progress).map

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
 
 from slam.datasets.dataset import ReadReport
 from slam.errors import DatasetError
 from slam.mapper.protocol import SENSORS
-from slam.measurements import Measurement, Trajectory
+from slam.measurements import Measurement, Trajectory, WheelOdometry
 
 
 class Measured:
@@ -43,6 +48,7 @@ class Measured:
             if not isinstance(measurement, Measurement) and type(measurement) not in SENSORS:
                 kind = type(measurement).__name__
                 raise DatasetError(f"number {number} is a {kind}; give scans, wheels, clouds or frames")
+            measurement = _with_arrays(measurement, number)
             report.observe(measurement, number)
             if count:
                 report.note_share(number / count)
@@ -60,3 +66,26 @@ class Measured:
         for measurement in self:
             digest.update(f"{measurement.sensor}\0{measurement.stamp_s!r}\0".encode())
         return digest.hexdigest()
+
+
+def _with_arrays(measurement: Any, number: int) -> Any:
+    """The measurement with arrays of the types that a map keeps, made of lists and other numbers."""
+    if not isinstance(measurement, Measurement):
+        return measurement
+    pose = getattr(measurement, "T_odom_base", None)
+    if isinstance(measurement, WheelOdometry) and not isinstance(pose, gtsam.Pose2):
+        raise DatasetError(f"number {number}: T_odom_base is {pose!r}; give gtsam.Pose2(x_m, y_m, yaw_rad)")
+    changed: dict[str, Any] = {}
+    singles = (("ranges_m", 1), ("points_lidar", 2), ("depth_m", 2))
+    doubles = (("times_s", 1), ("gyro_rad_s", 1), ("specific_force_m_s2", 1))
+    kinds = ((np.float32, singles), (np.float64, doubles), (np.uint8, (("color", 3),)))
+    for kind, name, axes in ((kind, *one) for kind, names in kinds for one in names):
+        given = getattr(measurement, name, None)
+        if given is None or (isinstance(given, np.ndarray) and given.dtype == kind and given.ndim == axes):
+            continue
+        found = np.asarray(given)
+        if found.dtype.kind not in ("iu" if kind == np.uint8 else "iuf") or found.ndim != axes:
+            told = f"{name} is {found.dtype}{list(found.shape)}"
+            raise DatasetError(f"number {number}: {told}; give {np.dtype(kind)} of {axes} dimension(s)")
+        changed[name] = found.astype(kind)
+    return replace(measurement, **changed) if changed else measurement

@@ -19,6 +19,15 @@ class Progress:
         Scans and frames so far.
     share
         Of the log that has been read, 0..1; None where its reader cannot tell.
+
+    Examples
+    --------
+    >>> import slam
+    >>> def show(progress: slam.Progress) -> None:
+    ...     share = "?" if progress.share is None else f"{progress.share:.0%}"
+    ...     print(f"{progress.stage}: {progress.readings} readings, {share}")
+    >>> show(slam.Progress("mapping", 120, 0.5))  # what `slam.map_log(log, on_progress=show)` prints
+    mapping: 120 readings, 50%
     """
 
     stage: str

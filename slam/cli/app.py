@@ -7,13 +7,13 @@ import json
 import logging
 import sys
 from collections.abc import Callable
-from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, TextIO, TypeVar
 
 import typer
 
 from slam.foreign import plain_lines
+from slam.version import __version__
 
 _Command = TypeVar("_Command", bound=Callable[..., None])
 _verbosity = {"quiet": False}
@@ -144,7 +144,7 @@ def topics_override(option: list[str] | None) -> list[str]:
 def _show_version(wanted: bool) -> None:
     """Print the version and stop."""
     if wanted:
-        tell(f"scanweave {version('scanweave')}")
+        tell(f"scanweave {__version__}")
         raise typer.Exit
 
 

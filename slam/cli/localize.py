@@ -61,14 +61,13 @@ def localize(
     from slam.config import load_config
     from slam.errors import MapFileError
     from slam.localization.drive_log import STATES
-    from slam.outputs.finished_map import open_map
-    from slam.outputs.grid_map import load_grid_map
+    from slam.outputs.grid_map import opened
     from slam.storage.map_file import MAP_NAME
 
     settings = load_config(config, [*(set_ or []), *topics_override(topics)], calibration=calibration)
     if (out / MAP_NAME).exists():
         raise MapFileError(f"{out} is the folder of a map, whose files would be replaced; give another --out")
-    saved = load_grid_map(map_) if map_.suffix in (".yaml", ".yml") else open_map(map_)
+    saved = opened(map_)
     if update and (saved.contents.clouds or not saved.contents.node_poses):
         kind = "of a 3D lidar" if saved.contents.clouds else "a grid alone"
         raise MapFileError(f"{saved.path} is {kind} and takes no other log; localise without --update")

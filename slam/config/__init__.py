@@ -54,7 +54,17 @@ _PRESET_FOLDER = Path(__file__).parents[1] / "presets"
 
 
 class Config(StrictModel):
-    """Everything that decides a run, besides the log itself."""
+    """Everything that decides a run, besides the log itself.
+
+    Examples
+    --------
+    >>> import slam
+    >>> config = slam.load_config(overrides=["grid.resolution_m=0.1"])
+    >>> config  # what differs from the defaults
+    Config(grid=GridConfig(resolution_m=0.1))
+    >>> config.keyframes.distance_m == slam.Config().keyframes.distance_m
+    True
+    """
 
     seed: int = Field(default=0, ge=0, description="seed of every random generator of the run")
     sensors: SensorsConfig = SensorsConfig()
@@ -80,7 +90,14 @@ class Config(StrictModel):
 
 
 def preset_names() -> list[str]:
-    """Names that ``load_config`` takes instead of a path, sorted."""
+    """Names that ``load_config`` takes instead of a path, sorted.
+
+    Examples
+    --------
+    >>> from slam.config import preset_names
+    >>> preset_names()
+    ['lidar2d']
+    """
     return sorted(file.stem for file in _PRESET_FOLDER.glob("*.yaml"))
 
 
@@ -116,6 +133,7 @@ def load_config(
     >>> config.keyframes.distance_m, config.grid.resolution_m
     (0.3, 0.05)
     """
+    overrides = [overrides] if isinstance(overrides, str) else overrides
     file = _find_file(preset_or_path or DEFAULT_PRESET)
     tree = _read_tree(file)
     # The file is judged alone first, so that a message blames the file or the override, not both.
@@ -125,6 +143,11 @@ def load_config(
             _apply_override(tree, override)
         config = _validated(tree, source="override")
     return config if calibration is None else with_calibration(config, calibration)
+
+
+def config_of(config: Config | str | None) -> Config:
+    """A configuration, or what `load_config` makes of a preset's or a file's name; errors as there."""
+    return config if isinstance(config, Config) else load_config(config)
 
 
 def with_calibration(config: Config, file: Path | str) -> Config:
@@ -172,7 +195,15 @@ def calibrated(config: Config, calibration: Calibration) -> Config:
 
 
 def with_settings(config: Config, overrides: Sequence[str]) -> Config:
-    """A configuration with other values, given as `load_config` takes them; `ConfigError` as there."""
+    """A configuration with other values, given as `load_config` takes them; `ConfigError` as there.
+
+    Examples
+    --------
+    >>> import slam
+    >>> from slam.config import with_settings
+    >>> with_settings(slam.Config(), ["grid.resolution_m=0.02"]).grid.resolution_m
+    0.02
+    """
     tree = config.model_dump(mode="json")
     for override in overrides:
         _apply_override(tree, override)
@@ -189,7 +220,16 @@ def leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any
 
 
 def dump_config(config: StrictModel) -> str:
-    """YAML text of a configuration, each field under its description; ``load_config`` reads it back."""
+    """YAML text of a configuration, each field under its description; ``load_config`` reads it back.
+
+    Examples
+    --------
+    >>> import slam
+    >>> from slam.config import dump_config
+    >>> print(dump_config(slam.load_config().grid)[:47])
+    # side of a cell (> 0, <= 1)
+    resolution_m: 0.05
+    """
     return "\n".join(_dump_lines(config, indent="")) + "\n"
 
 
@@ -204,6 +244,9 @@ ConfigLoader.add_implicit_resolver(
 
 def _find_file(preset_or_path: str) -> Path:
     """Path of a preset or of a file of one's own."""
+    if not isinstance(preset_or_path, str | Path):
+        given = type(preset_or_path).__name__
+        raise ConfigError(f"a {given} is no configuration; give one by slam.load_config, or a preset or file")
     if Path(preset_or_path).suffix in {".yaml", ".yml"}:
         file = Path(preset_or_path)
         if not file.is_file():
@@ -286,7 +329,14 @@ def _nearest_key(dotted: str) -> str:
 
 
 def nearest(name: str, candidates: Sequence[str]) -> str:
-    """A hint at the most similar candidate, or nothing."""
+    """A hint at the most similar candidate, or nothing.
+
+    Examples
+    --------
+    >>> from slam.config import nearest
+    >>> nearest("resolution", ["resolution_m", "margin_m"])
+    "; did you mean 'resolution_m'?"
+    """
     match = difflib.get_close_matches(name, candidates, n=1)
     return f"; did you mean '{match[0]}'?" if match else ""
 

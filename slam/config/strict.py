@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import Any
+
 from pydantic import BaseModel, ConfigDict
 
 
 class StrictModel(BaseModel):
     """Base of every stage model: unknown keys and silent type changes are errors, values are final."""
+
+    def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
+        """What differs from the defaults: all that `repr` shows."""
+        fields = type(self).model_fields
+        shown = super().__repr_args__()
+        return [one for one in shown if one[1] != fields[str(one[0])].get_default(call_default_factory=True)]
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)

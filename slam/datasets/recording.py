@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from fusion.showing import one_line
 from slam.datasets.account import Account
 from slam.datasets.calibration_files import by_files, known_beside
 from slam.datasets.camera_frames import Camera, read_frames
@@ -78,6 +79,8 @@ class Recording:
     wants_frame
         Which frames come, by camera and stamp; None for all.
     """
+
+    __repr__ = one_line
 
     def __init__(
         self,

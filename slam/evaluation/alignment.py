@@ -47,6 +47,17 @@ def align(estimate: Trajectory, truth: Trajectory) -> Alignment:
     ------
     EvaluationError
         Where the poses leave the alignment open.
+
+    Examples
+    --------
+    >>> import numpy as np, slam
+    >>> from slam.evaluation.alignment import align
+    >>> at_s = np.arange(3.0)
+    >>> truth = slam.Trajectory.from_planar(at_s, np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0]]))
+    >>> moved = slam.Trajectory.from_planar(at_s, np.array([[2.0, 0, 0], [3, 0, 0], [3, 1, 0]]))
+    >>> found = align(moved, truth)
+    >>> found.name, (found.T_target_point[:3, 3].round(6) + 0.0).tolist()
+    ('se2', [-2.0, 0.0, 0.0])
     """
     level = _level(truth) if _in_plane(estimate) else None
     if level is None:
@@ -76,6 +87,15 @@ def umeyama(points: FloatArray, targets: FloatArray) -> FloatArray:
     ------
     EvaluationError
         Where the points or the targets lie on a line or in one place.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from slam.evaluation.alignment import umeyama
+    >>> points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 1]])
+    >>> turned = points @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])  # a quarter turn about z
+    >>> (umeyama(points, turned)[:3, :3].round(6) + 0.0).tolist()
+    [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
     """
     mean_points, mean_targets = points.mean(axis=0), targets.mean(axis=0)
     covariance = (targets - mean_targets).T @ (points - mean_points) / len(points)

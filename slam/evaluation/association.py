@@ -27,6 +27,13 @@ def nearest_indices(stamps_s: FloatArray, queries_s: FloatArray) -> NDArray[np.i
     Returns
     -------
     (M,) indices into ``stamps_s``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from slam.evaluation.association import nearest_indices
+    >>> nearest_indices(np.array([0.0, 1.0, 2.0]), np.array([0.4, 0.6, 5.0])).tolist()
+    [0, 1, 2]
     """
     order = np.argsort(stamps_s, kind="stable")
     ordered = stamps_s[order]

@@ -27,9 +27,10 @@ from slam.measurements import BoolArray
 from slam.storage.map_contents import SavedFactor
 from slam.storage.map_sessions import MapSession
 from slam.storage.ply import read_cloud_ply
+from slam.version import __version__
 
 CLOUD_FILE = "cloud.ply"
-_LIBRARIES = ("scanweave", "gtsam", "numpy", "numba", "kiss-icp", "open3d-cpu", "opencv-python-headless")
+_LIBRARIES = ("gtsam", "numpy", "numba", "open3d-cpu", "opencv-python-headless")
 # More unmatched scans than this share deserve a line at the top of the page.
 _UNMATCHED_SHARE = 0.01
 
@@ -166,7 +167,8 @@ class ReportData:
     @staticmethod
     def versions() -> list[tuple[str, str]]:
         """Version by library."""
-        return [(name, found) for name in _LIBRARIES if (found := _version(name))]
+        found = [(name, _version(name)) for name in _LIBRARIES]
+        return [("scanweave", __version__), *(row for row in found if row[1])]
 
 
 def _reader_notes(reading: ReadReport) -> list[tuple[str, str]]:

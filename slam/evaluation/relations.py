@@ -90,6 +90,16 @@ def read_relations(path: Path) -> Relations:
     ------
     EvaluationError
         Naming the line and the reason, where it has not eight finite numbers; or where the file holds none.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from slam.evaluation.relations import read_relations
+    >>> line = "10.0 12.5 1.20 0.05 0.0 0.0 0.0 0.31"  # t1 t2 x y z roll pitch yaw
+    >>> Path("checked.relations").write_text(line) > 0
+    True
+    >>> read_relations(Path("checked.relations")).xyz_rpy[0, [0, 1, 5]].tolist()
+    [1.2, 0.05, 0.31]
     """
     rows: list[list[float]] = []
     for number, fields in numbered_fields(path, EvaluationError):
@@ -116,6 +126,15 @@ def score_relations(trajectory: Trajectory, relations: Relations) -> RelationSco
     ------
     EvaluationError
         Where not one relation has poses at both its stamps.
+
+    Examples
+    --------
+    >>> import numpy as np, slam
+    >>> from slam.evaluation.relations import Relations, score_relations
+    >>> way = slam.Trajectory.from_planar(np.array([10.0, 12.0]), np.array([[0.0, 0, 0], [1.25, 0, 0]]))
+    >>> checked = Relations(np.array([10.0]), np.array([12.0]), np.array([[1.2, 0, 0, 0, 0, 0]]))
+    >>> round(score_relations(way, checked).all.translation_m.mean, 3)
+    0.05
     """
     if not len(trajectory) or not len(relations):
         raise EvaluationError(f"nothing to score: {len(trajectory)} poses and {len(relations)} relations")

@@ -15,6 +15,7 @@ from slam.evaluation.coverage import coverage
 from slam.evaluation.relations import Relations, read_relations, score_relations
 from slam.evaluation.trajectory_error import absolute_error, relative_error
 from slam.measurements import FloatArray, Trajectory
+from slam.outputs.finished_map import Map
 from slam.storage.covariances import covariance_path, read_covariances
 from slam.storage.tum import read_tum
 
@@ -22,9 +23,9 @@ _TOLERANCE_S = 0.05
 
 
 def evaluate(
-    trajectory: Trajectory | Path | str,
+    trajectory: Trajectory | Map | Path | str,
     *,
-    groundtruth: Trajectory | Path | str | None = None,
+    groundtruth: Trajectory | Map | Path | str | None = None,
     relations: Relations | Path | str | None = None,
     tolerance_s: float | None = None,
     delta_m: float = 1.0,
@@ -35,7 +36,7 @@ def evaluate(
     Parameters
     ----------
     trajectory
-        Poses in a frame of their own, or a TUM file of them.
+        Poses in a frame of their own, a map of such, or a TUM file of them.
     groundtruth
         True poses, a file of them (TUM's, EuRoC's, KITTI's, Newer College's, NCLT's, Boreas', MulRan's or
         Redwood's form), or the folder of a dataset that comes with its truth. The ATE is taken after
@@ -89,7 +90,9 @@ def evaluate(
         "ate": absolute_error(poses, truth, max_difference_s=limit_s).to_dict(),
         "rpe": None if relative is None else asdict(relative),
     }
-    if covariances is None and not isinstance(trajectory, Trajectory):
+    if isinstance(trajectory, Map) and covariances is None:
+        covariances = trajectory.covariances
+    if covariances is None and isinstance(trajectory, str | Path):
         covariances = _beside(Path(trajectory), poses)
     if covariances is not None:
         scores["coverage"] = coverage(poses, covariances, truth, limit_s).to_dict()
@@ -107,15 +110,16 @@ def _beside(path: Path, poses: Trajectory) -> FloatArray | None:
     return covariances
 
 
-def _poses(source: Trajectory | Path | str) -> Trajectory:
-    """A trajectory, or that of a TUM file."""
+def _poses(source: Trajectory | Map | Path | str) -> Trajectory:
+    """A trajectory, or that of a map or a TUM file."""
+    source = source.trajectory if isinstance(source, Map) else source
     return source if isinstance(source, Trajectory) else read_tum(Path(source))
 
 
-def _truth(source: Trajectory | Path | str) -> Trajectory:
+def _truth(source: Trajectory | Map | Path | str) -> Trajectory:
     """As `_poses`, what a data set publishes of its recordings, or what a recording knows of its truth."""
-    if isinstance(source, Trajectory):
-        return source
+    if isinstance(source, Trajectory | Map):
+        return _poses(source)
     if Path(source).is_file():
         return read_truth(Path(source)) or read_tum(Path(source))
     truth = open_dataset(source).groundtruth()

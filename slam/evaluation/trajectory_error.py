@@ -81,6 +81,16 @@ def associate(
     ------
     EvaluationError
         Where not one pair is within ``max_difference_s``.
+
+    Examples
+    --------
+    >>> import numpy as np, slam
+    >>> from slam.evaluation.trajectory_error import associate
+    >>> fast, slow = np.arange(0.0, 2.0, 0.1), np.arange(0.0, 2.0, 0.5) + 0.004
+    >>> ours, truth = (slam.Trajectory.from_planar(at_s, np.zeros((at_s.size, 3))) for at_s in (fast, slow))
+    >>> pairs = associate(ours, truth)
+    >>> pairs[0].stamps_s.tolist(), len(pairs[1])
+    ([0.0, 0.5, 1.0, 1.5], 4)
     """
     if not len(trajectory) or not len(reference):
         raise EvaluationError(
@@ -112,6 +122,17 @@ def absolute_error(
     EvaluationError
         Where no poses can be associated, or they leave the alignment open: in space on a line, in the plane
         in one place.
+
+    Examples
+    --------
+    >>> import numpy as np, slam
+    >>> from slam.evaluation.trajectory_error import absolute_error
+    >>> at_s = np.arange(0.0, 6.0, 0.1)
+    >>> way = np.column_stack([np.cos(at_s), np.sin(at_s), at_s])
+    >>> truth = slam.Trajectory.from_planar(at_s, way)
+    >>> moved = slam.Trajectory.from_planar(at_s, way + [5.0, 0.0, 0.0])  # the same way in another frame
+    >>> round(absolute_error(moved, truth).translation_m.rmse, 6)
+    0.0
     """
     estimate, truth = associate(trajectory, reference, max_difference_s)
     aligned = align(estimate, truth)
@@ -147,6 +168,16 @@ def relative_error(
     ------
     EvaluationError
         Where no poses can be associated, or ``delta_m`` is not positive.
+
+    Examples
+    --------
+    >>> import numpy as np, slam
+    >>> from slam.evaluation.trajectory_error import relative_error
+    >>> at_s = np.arange(0.0, 10.0, 0.1)
+    >>> way = np.column_stack([at_s, np.zeros_like(at_s), np.zeros_like(at_s)])
+    >>> truth, longer = (slam.Trajectory.from_planar(at_s, way * scale) for scale in (1.0, 1.02))
+    >>> round(relative_error(longer, truth, delta_m=1.0).translation_m.mean, 2)  # metres on each metre
+    0.02
     """
     if not delta_m > 0.0:
         raise EvaluationError(f"delta must be positive; it is {delta_m:g} m")

@@ -46,6 +46,16 @@ class LoopCandidate:
         Whether the loop is in the final graph.
     reason
         Why not; empty where accepted.
+
+    Examples
+    --------
+    >>> import numpy as np, slam
+    >>> bearings = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+    >>> ranges_m = np.minimum(3.0 / np.abs(np.cos(bearings)), 2.0 / np.abs(np.sin(bearings) + 1e-9))
+    >>> points = ranges_m[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])  # a room
+    >>> loop = slam.check_loop(points, points)
+    >>> loop.accepted, loop.reason, loop.motion.converged
+    (True, '', True)
     """
 
     place: int
@@ -60,11 +70,33 @@ class LoopCandidate:
     __repr__ = one_line
 
     def refused(self, reason: str) -> LoopCandidate:
-        """The same candidate, refused."""
+        """The same candidate, refused.
+
+        Examples
+        --------
+        >>> import numpy as np, slam
+        >>> bearings = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+        >>> ranges_m = np.minimum(3.0 / np.abs(np.cos(bearings)), 2.0 / np.abs(np.sin(bearings) + 1e-9))
+        >>> points = ranges_m[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])  # a room
+        >>> loop = slam.check_loop(points, points).refused("a person says that these are two rooms")
+        >>> loop.accepted, loop.reason
+        (False, 'a person says that these are two rooms')
+        """
         return replace(self, accepted=False, reason=reason)
 
     def edge(self, number: int) -> Edge:
-        """What an accepted loop adds to the graph; ``number`` is its place among the candidates."""
+        """What an accepted loop adds to the graph; ``number`` is its place among the candidates.
+
+        Examples
+        --------
+        >>> import gtsam, numpy as np, slam
+        >>> bearings = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+        >>> ranges_m = np.minimum(3.0 / np.abs(np.cos(bearings)), 2.0 / np.abs(np.sin(bearings) + 1e-9))
+        >>> points = ranges_m[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])  # a room
+        >>> edge = slam.check_loop(points, points).edge(number=0)
+        >>> edge.kind is slam.EdgeKind.LOOP, edge.loop
+        (True, 0)
+        """
         assert self.motion is not None
         return Edge(
             self.place,

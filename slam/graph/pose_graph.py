@@ -15,6 +15,7 @@ import gtsam
 import numpy as np
 
 from fusion.estimation import TINY, gate
+from fusion.showing import one_line
 from slam.errors import GraphError
 from slam.graph.gravity import gravity_factors, heading_alone, upright_poses
 from slam.matching.upright import Gravity
@@ -31,7 +32,14 @@ _NODES_A_WINDOW, _WINDOWS_A_MAP = 3000, 8
 
 
 class EdgeKind(StrEnum):
-    """Where an edge comes from."""
+    """Where an edge comes from.
+
+    Examples
+    --------
+    >>> import slam
+    >>> slam.EdgeKind.LOOP == "loop", [str(kind) for kind in slam.EdgeKind][:2]
+    (True, ['lidar match', 'RGB-D match'])
+    """
 
     LIDAR = "lidar match"
     RGBD = "RGB-D match"
@@ -60,6 +68,14 @@ class Edge:
         Part of the chain that holds the graph together; others may be refused as outliers.
     loop
         Number of the loop candidate that it comes from; None for other edges.
+
+    Examples
+    --------
+    >>> import gtsam, numpy as np, slam
+    >>> step = gtsam.Pose2(1.0, 0.0, 0.1)
+    >>> edge = slam.Edge(0, 1, step, np.diag([0.02, 0.02, 0.01]) ** 2, slam.EdgeKind.LIDAR, trusted=True)
+    >>> edge.source, edge.target, edge.loop
+    (0, 1, None)
     """
 
     source: int
@@ -70,8 +86,19 @@ class Edge:
     trusted: bool
     loop: int | None = None
 
+    __repr__ = one_line
+
     def turned(self) -> Edge:
-        """The same, seen from its target."""
+        """The same, seen from its target.
+
+        Examples
+        --------
+        >>> import gtsam, numpy as np, slam
+        >>> edge = slam.Edge(0, 1, gtsam.Pose2(1.0, 0.0, 0.0), np.eye(3), slam.EdgeKind.LIDAR, trusted=True)
+        >>> back = edge.turned()
+        >>> back.source, back.target, back.T_source_target.x()
+        (1, 0, -1.0)
+        """
         adjoint = self.T_source_target.AdjointMap()
         covariance = adjoint @ self.covariance @ adjoint.T
         back = self.T_source_target.inverse()
@@ -141,11 +168,21 @@ class PoseGraph:
         self.add_node(origin)
         self._pending.add(self._prior())
 
+    __repr__ = one_line
+
     def __len__(self) -> int:
         return self._count
 
     def add_node(self, guess: Pose) -> int:
-        """Add a pose with its initial guess and return its number."""
+        """Add a pose with its initial guess and return its number.
+
+        Examples
+        --------
+        >>> import gtsam, slam
+        >>> graph = slam.PoseGraph(gtsam.Pose2())
+        >>> graph.add_node(gtsam.Pose2(1.0, 0.0, 0.0)), len(graph)
+        (1, 2)
+        """
         _check_finite(guess)
         key = self._count
         self._pending_values.insert(key, guess)
@@ -161,6 +198,17 @@ class PoseGraph:
         GraphError
             Where the edge names a node that is not there, is not finite, or its covariance is not
             positive definite.
+
+        Examples
+        --------
+        >>> import gtsam, numpy as np, slam
+        >>> graph = slam.PoseGraph(gtsam.Pose2())
+        >>> flat = np.diag([1.0, 1.0, 0.0])  # a covariance must not be zero in any direction
+        >>> new, step = graph.add_node(gtsam.Pose2()), gtsam.Pose2()
+        >>> graph.add_edge(slam.Edge(0, new, step, flat, slam.EdgeKind.WHEEL, trusted=True))
+        Traceback (most recent call last):
+        ...
+        slam.errors.GraphError: wheel odometry edge 0 -> 1: the covariance is not positive definite
         """
         self._check(edge)
         self.edges.append(edge)
@@ -171,6 +219,16 @@ class PoseGraph:
 
         What iSAM2 costs grows with how often a place was passed. So after many nodes everything is solved at
         once, and from then on held: newer nodes alone move, until they are many again.
+
+        Examples
+        --------
+        >>> import gtsam, numpy as np, slam
+        >>> graph = slam.PoseGraph(gtsam.Pose2())
+        >>> guessed = graph.add_node(gtsam.Pose2(0.9, 0.1, 0.0))
+        >>> step, noise = gtsam.Pose2(1.0, 0.0, 0.0), 1e-4 * np.eye(3)
+        >>> graph.add_edge(slam.Edge(0, guessed, step, noise, slam.EdgeKind.LIDAR, trusted=True))
+        >>> graph.update(), round(graph.pose(guessed).x(), 3)
+        (0, 1.0)
         """
         if self._count - self._held > max(_NODES_A_WINDOW, self._held // _WINDOWS_A_MAP):
             self._start_anew(held=self._count)
@@ -232,6 +290,17 @@ class PoseGraph:
         ----------
         down
             Gravity at nodes, by their numbers.
+
+        Examples
+        --------
+        A camera that looks ahead, but whose first pose was said to look down by a quarter turn.
+
+        >>> import gtsam, numpy as np, slam
+        >>> from slam.matching.upright import Gravity
+        >>> graph = slam.PoseGraph(gtsam.Pose3(gtsam.Rot3.Ry(np.pi / 2), np.zeros(3)))
+        >>> graph.level({0: Gravity(0.0, np.array([0.0, 0.0, -1.0]), sigma_rad=0.01)})
+        >>> np.abs(graph.pose(0).rotation().rpy()).round(3).tolist()
+        [0.0, 0.0, 0.0]
         """
         poses = upright_poses([self.pose(key) for key in range(self._count)], down)
         self._estimate, self._origin, self._down = gtsam.Values(), poses[0], down
@@ -241,7 +310,20 @@ class PoseGraph:
         self._pending, self._pending_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
 
     def begin_with(self, kept: Iterable[bool]) -> None:
-        """Let the next optimisation begin with what an earlier one has kept of the edges so far."""
+        """Let the next optimisation begin with what an earlier one has kept of the edges so far.
+
+        Examples
+        --------
+        >>> import gtsam, numpy as np, slam
+        >>> graph = slam.PoseGraph(gtsam.Pose2())
+        >>> new, noise = graph.add_node(gtsam.Pose2(1.0, 0.0, 0.0)), 1e-4 * np.eye(3)
+        >>> step, far = gtsam.Pose2(1.0, 0.0, 0.0), gtsam.Pose2(5.0, 0.0, 0.0)
+        >>> graph.add_edge(slam.Edge(0, new, step, noise, slam.EdgeKind.WHEEL, trusted=True))
+        >>> graph.add_edge(slam.Edge(0, new, far, noise, slam.EdgeKind.LOOP, trusted=False))
+        >>> graph.begin_with([True, False])  # the loop was refused before
+        >>> graph.optimize().kept.tolist()
+        [True, False]
+        """
         self._kept = np.fromiter(kept, np.bool_)
 
     def doubt(self, first: int, last: int) -> None:
@@ -251,7 +333,19 @@ class PoseGraph:
                 self._kept[k] = False
 
     def initialize(self) -> None:
-        """Start from the edges alone: LAGO (Carlone 2014) in the plane, chordal initialisation in space."""
+        """Start from the edges alone: LAGO (Carlone 2014) in the plane, chordal initialisation in space.
+
+        Examples
+        --------
+        >>> import gtsam, numpy as np, slam
+        >>> graph = slam.PoseGraph(gtsam.Pose2())
+        >>> lost = graph.add_node(gtsam.Pose2(50.0, 0.0, 2.0))
+        >>> step = gtsam.Pose2(1.0, 0.0, 0.0)
+        >>> graph.add_edge(slam.Edge(0, lost, step, np.eye(3), slam.EdgeKind.WHEEL, trusted=True))
+        >>> graph.initialize()
+        >>> round(graph.pose(lost).x(), 3)
+        1.0
+        """
         if self._dimension == 6:
             self._estimate = gtsam.InitializePose3.initialize(self._graph(self.edges))
             return
@@ -263,11 +357,28 @@ class PoseGraph:
         self._estimate = gtsam.lago.initialize(graph)
 
     def pose(self, key: int) -> Pose:
-        """Estimated pose of a node."""
+        """Estimated pose of a node.
+
+        Examples
+        --------
+        >>> import gtsam, slam
+        >>> slam.PoseGraph(gtsam.Pose2(1.0, 2.0, 0.0)).pose(0).y()
+        2.0
+        """
         return self._estimate.atPose2(key) if self._dimension == 3 else self._estimate.atPose3(key)
 
     def planar_poses(self, first: int = 0) -> FloatArray:
-        """(n, 3) x, y, yaw of all nodes of an SE(2) graph, or from the first that an update has moved."""
+        """(n, 3) x, y, yaw of all nodes of an SE(2) graph, or from the first that an update has moved.
+
+        Examples
+        --------
+        >>> import gtsam, slam
+        >>> graph = slam.PoseGraph(gtsam.Pose2())
+        >>> for x_m in (1.0, 2.0):
+        ...     node = graph.add_node(gtsam.Pose2(x_m, 0.0, 0.0))
+        >>> graph.planar_poses().tolist()
+        [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]
+        """
         estimate = self._moved if first else self._estimate
         rows: FloatArray = gtsam.utilities.extractPose2(estimate)
         return rows.reshape(-1, 3)

@@ -11,6 +11,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.showing import one_line
 from slam.localization.output import LocalizerOutput, State
 from slam.measurements import BoolArray, FloatArray, Pose, Trajectory
 from slam.storage.files import write_lines
@@ -31,6 +32,8 @@ class DriveLog:
         self._poses = array("d")
         self._covariances: list[FloatArray | None] = []
         self._recovered: list[tuple[float, list[float]]] = []
+
+    __repr__ = one_line
 
     def __len__(self) -> int:
         return len(self._covariances)

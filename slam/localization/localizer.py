@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
-from slam.config import Config
+from slam.config import Config, config_of
 from slam.errors import MapFileError
 from slam.localization.camera_sensor import CameraSensor
 from slam.localization.cloud_sensor import CloudSensor
@@ -17,7 +18,7 @@ from slam.localization.poses import Measured
 from slam.localization.visual_locator import VisualLocator
 from slam.measurements import Measurement, RgbdFrame
 from slam.outputs.finished_map import Map
-from slam.outputs.grid_map import GridMap
+from slam.outputs.grid_map import GridMap, opened
 from slam.storage.map_contents import MapContents
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prepared_frame import PreparedFrame
@@ -33,7 +34,7 @@ class Localizer:
     Parameters
     ----------
     known_map
-        Where to localise: a saved map, or one that a run has just made; it is not changed.
+        Where to localise: a saved map or its path, or one that a run has just made; it is not changed.
     config
         The effective configuration; ``sensors.lidar`` and ``sensors.rgbd`` choose what is used.
     registrations
@@ -64,16 +65,16 @@ class Localizer:
 
     def __init__(
         self,
-        known_map: Map | GridMap | MapContents,
-        config: Config | None = None,
+        known_map: Map | GridMap | MapContents | Path | str,
+        config: Config | str | None = None,
         registrations: Mapping[str, ColorRegistration] | None = None,
         start: Measured | None = None,
     ) -> None:
         if not isinstance(known_map, MapContents):
-            known_map = known_map.contents
+            known_map = opened(known_map).contents
         if start is not None and not known_map.planar:
             raise MapFileError("the map is not of a floor: leave out the start, the robot is found without")
-        config = config or Config()
+        config = config_of(config)
         self._lidar = self._lidar_of(known_map, config, start)
         self._locator: VisualLocator | None = None
         if config.sensors.rgbd and known_map.frames is not None and known_map.clouds is None:
@@ -93,6 +94,17 @@ class Localizer:
         Returns
         -------
         What is known after a scan or frame; None after one that is only kept (wheels), or not used.
+
+        Examples
+        --------
+        >>> import slam
+        >>> from slam.simulation.synthetic_log import write_synthetic_log
+        >>> log = write_synthetic_log("monday", duration_s=10.0).log_path
+        >>> localizer = slam.Localizer(slam.map_log(log))
+        >>> wheels, scan = (next(one for one in slam.open_dataset(log) if isinstance(one, kind))
+        ...                 for kind in (slam.WheelOdometry, slam.LaserScan))
+        >>> localizer.add(wheels) is None, localizer.add(scan).stamp_s == scan.stamp_s
+        (True, True)
         """
         if self._lidar is None:
             assert self._camera is not None

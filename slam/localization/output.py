@@ -14,6 +14,12 @@ class State(StrEnum):
     SEARCHING: not where the robot is; the hypotheses are listed. TRACKING: the pose. LOST: it knew, but what
     is seen no longer fits, or nothing has confirmed the pose for long; the pose is dead reckoning. So it
     begins where it was told the start, until what is seen confirms that.
+
+    Examples
+    --------
+    >>> import slam
+    >>> slam.State("tracking") is slam.State.TRACKING, list(map(str, slam.State))
+    (True, ['searching', 'tracking', 'lost'])
     """
 
     SEARCHING = "searching"
@@ -59,6 +65,15 @@ class LocalizerOutput:
         Share of the measurement that the map explains; NaN where that was not asked.
     recovered
         Poses of earlier measurements that this one has made known, oldest first.
+
+    Examples
+    --------
+    >>> import gtsam, numpy as np, slam
+    >>> pose, covariance = gtsam.Pose2(1.0, 2.0, 0.0), 1e-4 * np.eye(3)
+    >>> output = slam.LocalizerOutput(0.1, slam.State.TRACKING, pose, covariance, 0.98, (), 0.9)
+    >>> if output.state is slam.State.TRACKING:
+    ...     print(output.pose.x(), np.sqrt(np.diag(output.covariance))[:2])  # metres
+    1.0 [0.01 0.01]
     """
 
     stamp_s: float

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion.estimation import TINY, half_interval
+from fusion.showing import one_line
 from slam.measurements import FloatArray
 
 
@@ -29,6 +30,8 @@ class Wall:
     end_m: FloatArray
     sigma_m: float | None
     seen_m: FloatArray
+
+    __repr__ = one_line
 
     @property
     def length_m(self) -> float:
@@ -102,6 +105,8 @@ class Room:
     lengths: Sequence[Length]
     entered: bool
 
+    __repr__ = one_line
+
     @property
     def corners_m(self) -> FloatArray:
         """(n, 2) counter-clockwise, map frame."""
@@ -161,6 +166,8 @@ class FloorPlan:
 
     rooms: Sequence[Room]
     doors: Sequence[Door]
+
+    __repr__ = one_line
 
     @property
     def yaw_rad(self) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.bayes import FREE, OCCUPIED, STEPS_A_UNIT, UNKNOWN, log_odds
+from fusion.showing import shrunk, with_pictures
 from slam.errors import ConfigError
 from slam.measurements import Float32Array, FloatArray, one_line
 
@@ -58,6 +59,14 @@ class OccupancyGrid:
         Side of a cell.
     T_map_grid
         The lower-left corner of cell (0, 0); columns run along its x, rows along its y.
+
+    Examples
+    --------
+    >>> import gtsam, numpy as np, slam
+    >>> log_odds = np.array([[2.0, -2.0, 0.0]], np.float32)  # a wall, free, unknown
+    >>> grid = slam.OccupancyGrid.of_log_odds(log_odds, resolution_m=0.05)
+    >>> grid.shape, grid.states().tolist(), grid.log_odds.tolist()
+    ((1, 3), [[100, 0, -1]], [[2.0, -2.0, 0.0]])
     """
 
     steps: Steps
@@ -66,11 +75,22 @@ class OccupancyGrid:
 
     __repr__ = one_line
 
+    def _repr_html_(self) -> str:
+        return with_pictures(self, self.picture())
+
     @classmethod
     def of_log_odds(
         cls, log_odds: Float32Array, resolution_m: float, T_map_grid: gtsam.Pose2 | None = None
     ) -> OccupancyGrid:
-        """A grid of (rows, cols) log-odds, rounded to steps."""
+        """A grid of (rows, cols) log-odds, rounded to steps.
+
+        Examples
+        --------
+        >>> import gtsam, numpy as np, slam
+        >>> corner = gtsam.Pose2(-1.0, -2.0, 0.0)  # of cell (0, 0)
+        >>> slam.OccupancyGrid.of_log_odds(np.zeros((4, 6), np.float32), 0.5, corner)
+        OccupancyGrid(steps=int16[4, 6] 0..0, resolution_m=0.5, T_map_grid=Pose2(-1, -2, 0))
+        """
         steps = np.rint(log_odds * np.float32(STEPS_A_UNIT)).astype(np.int16)
         return cls(steps, resolution_m, T_map_grid or gtsam.Pose2())
 
@@ -86,17 +106,58 @@ class OccupancyGrid:
         return np.asarray(self.steps / np.float32(STEPS_A_UNIT))
 
     def probabilities(self) -> Float32Array:
-        """(rows, cols) probability of being occupied."""
+        """(rows, cols) probability of being occupied.
+
+        Examples
+        --------
+        >>> import numpy as np, slam
+        >>> slam.OccupancyGrid.of_log_odds(np.zeros((1, 1), np.float32), 0.05).probabilities().tolist()
+        [[0.5]]
+        """
         half = np.float32(0.5)
         probabilities: Float32Array = half + half * np.tanh(half * self.log_odds)
         return probabilities
 
     def states(self, thresholds: Thresholds = THRESHOLDS) -> StateArray:
-        """(rows, cols) of OCCUPIED, FREE and UNKNOWN."""
+        """(rows, cols) of OCCUPIED, FREE and UNKNOWN.
+
+        Examples
+        --------
+        >>> import numpy as np, slam
+        >>> grid = slam.OccupancyGrid.of_log_odds(np.array([[3.0, 3.0, -3.0]], np.float32), 0.05)
+        >>> int((grid.states() == 100).sum())  # occupied cells
+        2
+        """
         return thresholds.states(self.steps)
 
+    def picture(self, way_map: FloatArray | None = None) -> NDArray[np.uint8]:
+        """A small drawing (H, W, 3), y up: walls black, free cells white, (N, 2) points of a way blue.
+
+        Examples
+        --------
+        >>> import numpy as np, slam
+        >>> grid = slam.OccupancyGrid.of_log_odds(np.array([[3.0, -3.0, 0.0]], np.float32), 0.05)
+        >>> grid.picture()[0, :, 0].tolist()  # black, white, grey
+        [0, 255, 205]
+        """
+        shades = np.select([self.states() == OCCUPIED, self.states() == FREE], [0, 255], 205)
+        drawing = np.repeat(shades.astype(np.uint8)[..., None], 3, axis=2)
+        if way_map is not None:
+            cells = self.cells_of(way_map)
+            row, col = cells[((cells >= 0) & (cells < self.shape)).all(axis=1)].T
+            drawing[row, col] = 0, 0, 255
+        return shrunk(drawing[::-1])
+
     def cells_of(self, points_map: FloatArray) -> NDArray[np.int64]:
-        """(N, 2) row and column of (N, 2) points; they may lie outside the grid."""
+        """(N, 2) row and column of (N, 2) points; they may lie outside the grid.
+
+        Examples
+        --------
+        >>> import gtsam, numpy as np, slam
+        >>> grid = slam.OccupancyGrid(np.zeros((40, 60), np.int16), 0.1, gtsam.Pose2(-3.0, -2.0, 0.0))
+        >>> grid.cells_of(np.array([[0.0, 0.0], [-2.95, 1.0]])).tolist()  # row and column
+        [[20, 30], [30, 0]]
+        """
         points_grid = _to_frame(points_map, self.T_map_grid) / self.resolution_m
         return np.floor(points_grid[:, ::-1]).astype(np.int64)
 

@@ -11,7 +11,16 @@ from slam.measurements import BoolArray, FloatArray
 
 
 def inside(points: FloatArray, polygon: FloatArray) -> BoolArray:
-    """(N,) whether points (N, 2) lie in a polygon of (M, 2) corners, the last joined to the first."""
+    """(N,) whether points (N, 2) lie in a polygon of (M, 2) corners, the last joined to the first.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from slam.mapping.polygons import inside
+    >>> triangle = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 4.0]])
+    >>> inside(np.array([[1.0, 1.0], [3.0, 3.0]]), triangle).tolist()
+    [True, False]
+    """
     found = np.zeros(len(points), np.bool_)
     low, high = polygon.min(axis=0), polygon.max(axis=0)
     (near,) = np.nonzero(((points >= low) & (points <= high)).all(axis=1))

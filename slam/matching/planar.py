@@ -11,7 +11,15 @@ from slam.measurements import AnyFloatArray, FloatArray
 
 
 def compose(a: FloatArray, b: FloatArray) -> FloatArray:
-    """T_a * T_b for two rows (3,)."""
+    """T_a * T_b for two rows (3,).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from slam.matching.planar import compose
+    >>> compose(np.array([1.0, 0.0, np.pi / 2]), np.array([2.0, 0.0, 0.0])).round(3).tolist()
+    [1.0, 2.0, 1.571]
+    """
     x, y, yaw = a.tolist()
     bx, by, b_yaw = b.tolist()
     cos, sin = math.cos(yaw), math.sin(yaw)
@@ -19,7 +27,15 @@ def compose(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def between(a: FloatArray, b: FloatArray) -> FloatArray:
-    """inverse(T_a) * T_b for two rows (3,)."""
+    """inverse(T_a) * T_b for two rows (3,).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from slam.matching.planar import between
+    >>> between(np.array([1.0, 0.0, np.pi / 2]), np.array([1.0, 2.0, np.pi / 2])).round(3).tolist()
+    [2.0, 0.0, 0.0]
+    """
     x, y, yaw = a.tolist()
     bx, by, b_yaw = b.tolist()
     cos, sin = math.cos(yaw), math.sin(yaw)
@@ -28,7 +44,15 @@ def between(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def wrap(angle_rad: float) -> float:
-    """The same angle in [-pi, pi)."""
+    """The same angle in [-pi, pi).
+
+    Examples
+    --------
+    >>> import math
+    >>> from slam.matching.planar import wrap
+    >>> round(wrap(3 * math.pi / 2), 3)
+    -1.571
+    """
     return angle_rad - 2.0 * math.pi * math.floor((angle_rad + math.pi) / (2.0 * math.pi))
 
 
@@ -47,7 +71,15 @@ def transform_into(rows, pose, out, rotate_only):  # type: ignore[no-untyped-def
 
 
 def transform_points(points: AnyFloatArray, pose: FloatArray) -> FloatArray:
-    """(M, 2) points moved by a pose row (3,), float64."""
+    """(M, 2) points moved by a pose row (3,), float64.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from slam.matching.planar import transform_points
+    >>> transform_points(np.array([[1.0, 0.0]]), np.array([0.0, 5.0, np.pi / 2])).round(3).tolist()
+    [[0.0, 6.0]]
+    """
     tx, ty, yaw = np.asarray(pose, np.float64).tolist()
     cos, sin = math.cos(yaw), math.sin(yaw)
     x, y = np.asarray(points, np.float64).T

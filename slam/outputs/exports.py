@@ -10,7 +10,7 @@ from pathlib import Path
 import gtsam
 import numpy as np
 
-from slam.config import Config
+from slam.config import Config, nearest
 from slam.edits.remaking import regions_of
 from slam.errors import ScanweaveError
 from slam.mapping.dense_map import Colors
@@ -57,6 +57,7 @@ _PLANS: dict[str, Callable[[Path, FloorPlan], None]] = {
     "dxf": write_plan_dxf,
     "geojson": write_plan_geojson,
 }
+FORMATS = (*_NAMES, "ply", "colmap", "nerfstudio", "sensors", "mcap", *CLOUD_FORMATS, *_PLANS, ZONES)
 
 
 @dataclass(frozen=True)
@@ -100,6 +101,9 @@ class Exports:
             Where the map does not hold what the format needs, or a file cannot be written.
         """
         found = self.contents
+        if format_ not in FORMATS:
+            hint = nearest(format_, FORMATS)
+            raise ScanweaveError(f"no format '{format_}'{hint}; formats are: {', '.join(FORMATS)}")
         if format_ in _PLANS or format_ == ZONES:
             return self._write_plan(format_, out), []
         if format_ in ("colmap", "nerfstudio"):

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from fusion.showing import drawn, extent, with_pictures
 from slam.config import Config
 from slam.config.edits import Edits, edits_of, load_edits
 from slam.edits.applying import Known
@@ -56,6 +57,17 @@ class Map:
         Of everything; equal for equal maps.
     notes, warnings
         What the mapping run found out, and what a person should know before trusting the map: a line each.
+
+    Examples
+    --------
+    >>> import slam
+    >>> from slam.simulation.synthetic_log import write_synthetic_log
+    >>> house = slam.map_log(write_synthetic_log("monday", duration_s=10.0).log_path)
+    >>> house.grid.resolution_m, house.keyframe_poses.shape[1], house.covariances.shape[1:]
+    (0.05, 3, (3, 3))
+    >>> house.notes
+    ['used: FLASER (2D lidar, 51), odometry (wheels, 101)']
+    >>> house.check()  # it is sound, else an error tells what is wrong
     """
 
     path: Path
@@ -69,13 +81,22 @@ class Map:
     _folder: TemporaryFolder | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
-        found = self.contents
-        sizes = (
-            f"sessions={len(self.sessions)}, keyframes={len(found.node_poses)}, "
-            f"poses={len(found.trajectory)}, loops={len(found.loops)}, frames={len(found.frames or ())}, "
-            f"clouds={len(found.clouds or ())}"
+        found, way = self.contents, self.trajectory
+        return (
+            f"Map({str(self.path)!r}, sessions={len(self.sessions)}, keyframes={len(found.node_poses)}, "
+            f"poses={len(way)} over {extent(way.positions_m)} m, loops={len(found.loops)}, "
+            f"frames={len(found.frames or ())}, clouds={len(found.clouds or ())})"
         )
-        return f"Map({str(self.path)!r}, {sizes})"
+
+    def __enter__(self) -> Map:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _repr_html_(self) -> str:
+        way = self.trajectory.positions_m[:, :2]
+        return with_pictures(self, drawn(blue=way) if self.grid is None else self.grid.picture(way))
 
     @property
     def in_memory(self) -> bool:
@@ -151,7 +172,6 @@ class Map:
         >>> house = slam.map_log(write_synthetic_log("monday", duration_s=12.0).log_path)
         >>> len(house.floor_plan().rooms) > 0
         True
-        >>> house.close()
         """
         return floor_plan(self.contents, self.config)
 
@@ -183,6 +203,14 @@ class Map:
         ------
         ScanweaveError
             Where the map does not hold what the format needs, or a file cannot be written.
+
+        Examples
+        --------
+        >>> import slam
+        >>> from slam.simulation.synthetic_log import write_synthetic_log
+        >>> house = slam.map_log(write_synthetic_log("monday", duration_s=10.0).log_path)
+        >>> [path.name for path in house.export("nav2", "for-the-robot/")]
+        ['map.yaml', 'map.pgm']
         """
         written, missing = Exports(self.contents, self.config).write(format_, Path(out))
         for fault in missing:
@@ -214,9 +242,18 @@ class Map:
         return {one.name: one.pose(self.keyframe_poses) for one in found}
 
     def zones(self, kind: str = "keep_out") -> dict[str, FloatArray]:
-        """(n, 2) corners of the zones of a kind, ``keep_out`` or ``slow``, by their names, map frame."""
-        zones = regions_of(self.contents.edits, kind)
-        return {zone.name: zone.points(self.keyframe_poses) for zone in zones}
+        """(n, 2) corners of the zones of a kind, ``keep_out`` or ``slow``, by their names, map frame.
+
+        Examples
+        --------
+        >>> import slam
+        >>> from slam.simulation.synthetic_log import write_synthetic_log
+        >>> house = slam.map_log(write_synthetic_log("monday", duration_s=10.0).log_path)
+        >>> stairs = {"name": "stairs", "polygon": [[0, 0], [1, 0], [1, 1]]}
+        >>> house.edited({"keep_out": [stairs]}).zones()["stairs"].round(2).tolist()
+        [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]
+        """
+        return {zone.name: zone.points(self.keyframe_poses) for zone in regions_of(self.contents.edits, kind)}
 
     def edited(self, edits: Edits | Mapping[str, Any] | Path | str, *, out: Path | str | None = None) -> Map:
         """The map with edits on top of those that it has; this one stays open, and shows what it was.
@@ -336,7 +373,6 @@ class Map:
         ['graph.g2o', 'map.db', 'map.pgm']
         >>> slam.load_map("house").digest == house.digest
         True
-        >>> house.close()
         """
         folder = Path(folder)
         target = folder / MAP_NAME

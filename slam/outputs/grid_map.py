@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from fusion.showing import with_pictures
 from slam.errors import MapFileError
 from slam.mapping.keyframe_grid import OCCUPANCY
 from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OCCUPIED, UNKNOWN, OccupancyGrid
 from slam.measurements import Trajectory
+from slam.outputs.finished_map import Map, open_map
 from slam.storage.map_contents import MapContents
 from slam.storage.nav2 import Nav2Map, read_nav2_map
 
@@ -31,6 +33,9 @@ class GridMap:
 
     path: Path
     grid: OccupancyGrid
+
+    def _repr_html_(self) -> str:
+        return with_pictures(self, self.grid.picture())
 
     @cached_property
     def contents(self) -> MapContents:
@@ -76,6 +81,19 @@ def load_grid_map(path: Path | str) -> GridMap:
     if not (grid.states() == OCCUPIED).any():
         raise MapFileError(f"{path} shows no wall, so nothing can be localised in it")
     return GridMap(Path(path), grid)
+
+
+def opened(known: Map | GridMap | Path | str) -> Map | GridMap:
+    """A map, or what is at its path: a folder, its ``map.db``, or the yaml of a grid.
+
+    Raises
+    ------
+    MapFileError
+        As `open_map` and `load_grid_map`.
+    """
+    if not isinstance(known, str | Path):
+        return known
+    return load_grid_map(known) if Path(known).suffix in (".yaml", ".yml") else open_map(known)
 
 
 def _grid_of(drawn: Nav2Map) -> OccupancyGrid:

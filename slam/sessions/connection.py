@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fusion.showing import one_line
 from slam.graph.loop_closure import LoopCandidate
 from slam.localization.known_map import Walls
 from slam.outputs.finished_map import Map
@@ -42,6 +43,8 @@ class Connection:
     loops: Sequence[LoopCandidate]
     joined: JoinedMap | None
     reason: str
+
+    __repr__ = one_line
 
 
 def connect(known: Map, session: Map) -> Connection:

@@ -25,6 +25,17 @@ def write_g2o(path: Path, poses: Sequence[Pose], edges: Iterable[Edge]) -> None:
     ------
     MapFileError
         Where a pose or an information matrix is not finite, or the file cannot be written.
+
+    Examples
+    --------
+    >>> import gtsam, numpy as np, slam
+    >>> from pathlib import Path
+    >>> from slam.storage.g2o import write_g2o
+    >>> step = gtsam.Pose2(1.0, 0.0, 0.0)
+    >>> edge = slam.Edge(0, 1, step, np.eye(3), slam.EdgeKind.LIDAR, trusted=True)
+    >>> write_g2o(Path("graph.g2o"), [gtsam.Pose2(), step], [edge])
+    >>> print(Path("graph.g2o").read_text().splitlines()[2])
+    EDGE_SE2 0 1 1.0 0.0 0.0 1.0 0.0 0.0 1.0 0.0 1.0
     """
     write_lines(path, list(_lines(path, poses, edges)))
 

@@ -11,6 +11,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.showing import one_line
 from slam.config import Config
 from slam.earth import Georeference
 from slam.errors import MapFileError
@@ -117,6 +118,8 @@ class MapContents:
     ground_m: float | None = None
     edits: Sequence[AppliedEdits] = ()
     georeference: Georeference | None = None
+
+    __repr__ = one_line
 
     @property
     def planar(self) -> bool:
@@ -286,10 +289,8 @@ def refuse_misfits(file: MapFile, contents: MapContents) -> None:
     frames, clouds, nodes = contents.frames, contents.clouds, contents.node_poses
     in_space = sum(isinstance(pose, gtsam.Pose3) for pose in nodes)
     if clouds is not None and not len(clouds) == len(nodes) == in_space:
-        raise MapFileError(
-            f"{file.path} holds {len(clouds)} clouds for {len(nodes)} nodes, {in_space} of them in "
-            "space; make the map anew"
-        )
+        held = f"{len(clouds)} clouds for {len(nodes)} nodes, {in_space} of them in space"
+        raise MapFileError(f"{file.path} holds {held}; make the map anew")
     for index in range(len(frames) if frames else 0):
         assert frames
         with file.blaming(FRAMES, index):

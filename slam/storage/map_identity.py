@@ -19,8 +19,9 @@ from slam.config import Config, leaves
 from slam.errors import DatasetError, MapFileError
 from slam.foreign import from_json, plain
 from slam.storage.map_file import MAP_NAME
+from slam.version import __version__
 
-_LIBRARIES = ("scanweave", "gtsam", "numpy", "numba", "scipy", "kiss-icp", "opencv-python-headless")
+_LIBRARIES = ("gtsam", "numpy", "numba", "scipy", "opencv-python-headless")
 # The fact of the file that holds the settings.
 CONFIG = "config"
 # Images are known by name and size; anything else by its content.
@@ -170,7 +171,7 @@ def _files(root: Path) -> list[Path]:
 
 def _versions() -> dict[str, str]:
     """Versions of the libraries."""
-    found = {}
+    found = {"scanweave": __version__}
     for name in _LIBRARIES:
         try:
             found[name] = version(name)

@@ -34,6 +34,15 @@ def write_pgm(path: Path, image: GreyImage | NDArray[np.uint16], pixel_of: GreyI
     ------
     MapFileError
         Where the file cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pathlib import Path
+    >>> from slam.storage.pgm import read_pgm, write_pgm
+    >>> write_pgm(Path("map.pgm"), np.array([[0, 254], [205, 205]], np.uint8))
+    >>> read_pgm(Path("map.pgm")).tolist()
+    [[0, 254], [205, 205]]
     """
     rows, cols = image.shape
     with replacing(path) as temporary, temporary.open("wb") as file:
@@ -52,6 +61,15 @@ def read_pgm(path: Path) -> GreyImage:
     ------
     MapFileError
         Where the file cannot be read, is not PGM, or has too few or too bright pixels.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from slam.storage.pgm import read_pgm
+    >>> Path("plain.pgm").write_text("P2 2 1 100 0 100") > 0
+    True
+    >>> read_pgm(Path("plain.pgm")).tolist()
+    [[0, 255]]
     """
     try:
         content = path.read_bytes()

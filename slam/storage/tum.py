@@ -26,6 +26,15 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
     MapFileError
         Where the trajectory holds a value that is not finite or a quaternion that is not of unit length,
         its arrays do not fit each other, or the file cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np, slam
+    >>> from pathlib import Path
+    >>> from slam.storage.tum import write_tum
+    >>> write_tum(Path("way.tum"), slam.Trajectory.from_planar(np.array([10.5]), np.array([[1.0, 2.0, 0.0]])))
+    >>> print(Path("way.tum").read_text().strip())
+    10.500000000 1.0 2.0 0.0 0.0 0.0 0.0 1.0
     """
     _check_trajectory(path, trajectory)
     stamps = trajectory.stamps_s.tolist()
@@ -47,6 +56,15 @@ def read_tum(path: Path) -> Trajectory:
     MapFileError
         Naming the line, where it has not eight finite numbers or its quaternion is not of unit length
         within 0.01; or where the file holds no pose at all.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from slam.storage.tum import read_tum
+    >>> Path("way.tum").write_text("10.5 1 2 0 0 0 0 1") > 0
+    True
+    >>> read_tum(Path("way.tum")).positions_m.tolist()
+    [[1.0, 2.0, 0.0]]
     """
     rows: list[list[float]] = []
     for number, fields in numbered_fields(path):
@@ -65,7 +83,14 @@ def read_tum(path: Path) -> Trajectory:
 
 
 def stamp_text(stamp_s: float) -> str:
-    """A stamp without exponent, exact, with nine decimals at the least."""
+    """A stamp without exponent, exact, with nine decimals at the least.
+
+    Examples
+    --------
+    >>> from slam.storage.tum import stamp_text
+    >>> stamp_text(1305031102.175304)
+    '1305031102.175304000'
+    """
     whole, _, decimals = np.format_float_positional(stamp_s, unique=True).partition(".")
     return f"{whole}.{decimals.ljust(_STAMP_DECIMALS, '0')}"
 

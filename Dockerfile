@@ -1,0 +1,24 @@
+# The command in a container, without a compiler and not as root:
+#   docker build -t scanweave .
+#   docker run --rm -v "$PWD:/data" scanweave demo
+#   docker run --rm -v "$PWD:/data" scanweave map monday.log -o house
+# As the owner of the folder: docker run --user "$(id -u):$(id -g)" ...
+FROM python:3.13-slim AS build
+WORKDIR /src
+COPY requirements.lock .
+RUN python -m venv /venv && /venv/bin/pip install --no-cache-dir --require-hashes --requirement requirements.lock
+COPY pyproject.toml README.md LICENSE ./
+COPY configs configs
+COPY fusion fusion
+COPY slam slam
+RUN /venv/bin/pip install --no-cache-dir --no-deps .
+
+FROM python:3.13-slim
+# What Numba compiles and Matplotlib finds is kept where any user may write.
+ENV PATH=/venv/bin:$PATH NUMBA_CACHE_DIR=/tmp/numba MPLCONFIGDIR=/tmp/matplotlib
+COPY --from=build /venv /venv
+RUN useradd --create-home scanweave && mkdir /data && chown scanweave /data
+USER scanweave
+WORKDIR /data
+ENTRYPOINT ["scanweave"]
+CMD ["--help"]
