@@ -7,8 +7,8 @@
 For every log and variant the real command runs in a process of its own: once to warm numba's cache, then
 ``--repeat`` times for wall and CPU seconds (medians) and peak memory (greatest), from the kernel's account of
 the child. The time a scan comes from one more run through the Python API. ``--cold`` adds, for the first
-log, a first run ever: with an empty numba cache. ``--docs`` writes the table into docs/figures/lidar2d.md; ``--json``
-has more: errors over short and long relations, wall seconds, times a scan.
+log, a first run ever: with an empty numba cache. ``--docs`` writes the table into docs/figures/lidar2d.md;
+``--json`` has more: errors over short and long relations, wall seconds, times a scan.
 
 Seconds drift between machines and from day to day; compare ratios within one run.
 """
