@@ -80,7 +80,9 @@ def main() -> None:
     if options.json:
         options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     if options.docs:
-        write_between(FIGURES / "lidar2d.md", "bench", text)
+        from date_figures import mark_of_now
+
+        write_between(FIGURES / "lidar2d.md", "bench", f"{mark_of_now()}\n{text}")
 
 
 def parse_options() -> argparse.Namespace:

@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmark import FIGURES, REPO, machine, run, scanweave, write_between
+from date_figures import mark_of_now
 
 OURS: dict[str, list[str]] = {
     "Scanweave": [],
@@ -67,7 +68,7 @@ def main() -> None:
         report = {"machine": machine(), "repeat": options.repeat, "rows": rows}
         options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     if options.docs:
-        write_between(FIGURES / "rgbd.md", "bench-rgbd", text)
+        write_between(FIGURES / "rgbd.md", "bench-rgbd", f"{mark_of_now()}\n{text}")
 
 
 def parse_options() -> argparse.Namespace:
