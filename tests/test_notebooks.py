@@ -1,6 +1,6 @@
 """The notebooks in examples/: each runs from its first cell to its last, and is stored without its outputs.
 
-The cells run one after the other in this process, as a kernel would run them, without the cost of starting one.
+The cells run one after the other in this process, as a kernel would, without the cost of starting one.
 """
 
 from __future__ import annotations
