@@ -19,6 +19,7 @@ from slam.evaluation.truth_comparison import compare_with_truth
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, StateArray
 from slam.measurements import FloatArray
 from slam.simulation.campus import record_campus
+from slam.simulation.campus_wheels import CAMPUS_FAULTS
 from slam.simulation.drive_faults import FAULT_PRESETS
 from slam.simulation.home import generate_home
 from slam.simulation.record import record_drive
@@ -94,6 +95,11 @@ class Work:
         return self._driven(self.folder / f"visit{seed}", RIGS["sick2d"], seed)
 
     @cached_property
+    def rooms(self) -> Path:
+        """The map of another home, whose rooms are told apart."""
+        return self._mapped(self._driven(self.folder / "tour", RIGS["sick2d"], 1, home=1), "rooms")
+
+    @cached_property
     def visited(self) -> Path:
         """The map of the first such visit."""
         return self._mapped(self.visit(1), "visited")
@@ -102,7 +108,7 @@ class Work:
         """The map of a campus of corridors, with loops or without."""
         drive = self.folder / "campus"
         if not (drive / "scans.log").is_file():
-            record_campus(CAMPUS, CAMPUS, drive)
+            record_campus(CAMPUS, CAMPUS, drive, CAMPUS_FAULTS["usual"])
         return self._mapped(drive, f"campus-loops-{loops}", f"loops.enabled={str(loops).lower()}")
 
     @cached_property
@@ -111,9 +117,9 @@ class Work:
         assert self.log is not None
         return self._mapped(self.log, "log")
 
-    def _driven(self, folder: Path, rig: Rig, seed: int) -> Path:
+    def _driven(self, folder: Path, rig: Rig, seed: int, home: int = HOME) -> Path:
         if not (folder / "scans.log").is_file():
-            record_drive(generate_home(HOME), rig, seed, folder, FAULT_PRESETS["usual"], formats=("folder",))
+            record_drive(generate_home(home), rig, seed, folder, FAULT_PRESETS["usual"], formats=("folder",))
         return folder
 
     def _mapped(self, log: Path, name: str, *overrides: str) -> Path:
