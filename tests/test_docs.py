@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 import shlex
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ REPO = Path(__file__).parents[1]
 PAGES = [REPO / "README.md", REPO / "CONTRIBUTING.md", *sorted((REPO / "docs").rglob("*.md"))]
 MOST_WORDS = 900  # of the README, as `wc -w` counts
 MOST_BYTES = 300_000  # of all pictures
+STRANGERS = {"ns-train"}  # other programs that are named
 
 FENCE = re.compile(r"^```(.*?)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)\)|<img src=\"([^\"]+)\"")
@@ -47,9 +49,10 @@ def prose(page: Path) -> str:
 
 
 def anchors(page: Path) -> set[str]:
-    """What GitHub makes of the headings of a page."""
+    """What GitHub and the site make of the headings of a page."""
     heads = re.findall(r"^#+ (.*)$", prose(page), re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
+    names = re.findall(r"^::: (\S+)$", prose(page), re.MULTILINE)  # what mkdocstrings makes of them
+    return {*names, *(re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads)}
 
 
 def command_lines(text: str, program: str) -> list[list[str]]:
@@ -95,6 +98,7 @@ def test_contributing_names_every_room() -> None:
 def test_every_page_is_in_the_index() -> None:
     docs = REPO / "docs"
     told = "".join((docs / name).read_text("utf-8") for name in ("index.md", "figures.md"))
+    told += (docs / "decisions" / "index.md").read_text("utf-8").replace("](", "](decisions/")
     names = [str(page.relative_to(docs)) for page in PAGES if page.is_relative_to(docs)]
     assert [name for name in names if f"({name}" not in told and name != "index.md"] == []
 
@@ -157,9 +161,18 @@ def test_tools_have_the_options_that_are_shown(page: Path) -> None:
 
 
 @every_page
-def test_python_compiles(page: Path) -> None:
-    for code in blocks(page, "python"):
-        compile(code, str(page), "exec")
+def test_every_block_is_looked_at(page: Path) -> None:
+    # Python is run below; YAML is read, text is what a command printed; else a line is a command that exists.
+    targets = re.findall(r"^([a-z]+):", (REPO / "Makefile").read_text("utf-8"), re.MULTILINE)
+    extras = tomllib.loads((REPO / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
+    for info, code in FENCE.findall(page.read_text("utf-8")):
+        assert info in ("", "python", "yaml", "text"), f"{page.name}: a block of {info}"
+        for line in code.splitlines() if not info else ():
+            program, *rest = shlex.split(line.removeprefix("PYTHONPATH=. "), comments=True) or [""]
+            assert program in ("", "scanweave", "python", "make", "pip", *STRANGERS), f"{page.name}: {line}"
+            assert program != "make" or set(rest) <= set(targets), f"{page.name}: {line}"
+            for extra in re.findall(r"\[(\w+)\]", line) if program == "pip" else ():
+                assert extra in extras, f"{page.name}: {line}"
 
 
 def test_yaml_examples_are_read(tmp_path: Path) -> None:
@@ -186,15 +199,15 @@ def two_days(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(
-    "page", [page for page in PAGES if blocks(page, "python run")], ids=lambda page: page.name
+    "page", [page for page in PAGES if blocks(page, "python")], ids=lambda page: page.name
 )
 def test_examples_run(page: Path, two_days: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Blocks marked `python run` run one after the other, as a reader would type them.
+    # The blocks of a page run one after the other, as a reader would type them.
     for log in two_days.glob("*.log"):
         (tmp_path / log.name).symlink_to(log)
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
-    for code in blocks(page, "python run"):
+    for code in blocks(page, "python"):
         exec(compile(code, str(page), "exec"), names)
 
 

@@ -128,7 +128,7 @@ def loops(work: Work) -> Image.Image:
         axes.plot(*way.T, color=BLUE, linewidth=1.2)
         kept = [loop for loop in candidates if loop.accepted]
         if taken:
-            title = f"{len(kept)} loops of {len(candidates)} candidates (red): {rmse_m:.2f} m RMSE"
+            title = f"{len(kept)} loops (red) of {len(candidates)} candidates, {rmse_m:.2f} m RMSE"
             for loop in kept:
                 axes.plot(*poses[[loop.place, loop.keyframe], :2].T, color=RED, linewidth=2.5)
         else:

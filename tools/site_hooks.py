@@ -5,11 +5,9 @@ from __future__ import annotations
 import re
 from typing import Any
 
-RUN = re.compile(r"^(```python) run$", re.MULTILINE)
 MEASURED = re.compile(r"^( *)<!-- measured: (\w+) ([\d-]+)(, earlier version)? -->$", re.MULTILINE)
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Tell in words what the files tell in comments; a block that tests run is a block of Python."""
-    markdown = RUN.sub(r"\1", markdown)
+    """Tell in words what the files of figures tell in comments."""
     return MEASURED.sub(r'\n\1<p class="measured">oldest row: commit \2 of \3\4</p>\n', markdown)

@@ -14,6 +14,10 @@ if (location.protocol === "file:")
       frame.contentDocument.body.append(script);
     }
     postMessage(data) {
-      this.ready.then(() => this.inside.dispatchEvent(new MessageEvent("message", { data })));
+      // One after the other: a query that came before the index was built would be lost.
+      this.ready = this.ready.then(() => {
+        this.inside.dispatchEvent(new MessageEvent("message", { data }));
+        return new Promise((resolve) => setTimeout(resolve));
+      });
     }
   };
