@@ -185,7 +185,7 @@ def test_yaml_examples_are_read(tmp_path: Path) -> None:
     assert load_config(calibration=written("doctor.md", "calibration.yaml")).sensors.calibration.lidars
     load_experiment(written("compare.md", "experiment.yaml"))
     guess = Calibration(slam.CameraIntrinsics(1.0, 1.0, 0.0, 0.0, 0, 0), 1.0, assumed="no file")
-    calibration = read_calibration(written("own-data.md", "calibration.yaml").parent, guess)
+    calibration = read_calibration(written("calibration.md", "calibration.yaml").parent, guess)
     assert not calibration.assumed and calibration.T_base_camera is not None
 
 
