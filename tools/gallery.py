@@ -35,6 +35,7 @@ from PIL import Image
 
 import slam
 from slam.evaluation.figure_parts import BLUE, ORANGE
+from slam.evaluation.saved_page import saved_page
 from slam.mapping.occupancy_grid import OCCUPIED
 
 REPO = Path(__file__).parents[1]
@@ -118,15 +119,18 @@ def report(work: Work) -> Image.Image:
     """The page of a map, as a browser shows it."""
     from playwright.sync_api import sync_playwright
 
-    with sync_playwright() as play:
+    house = slam.load_map(work.home)
+    with TemporaryDirectory() as folder, sync_playwright() as play:
+        page_file = Path(folder) / "report.html"
+        page_file.write_text("".join(saved_page(house)), "utf-8")
+        house.close()
         arguments = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
         browser = play.chromium.launch(executable_path=shutil.which("chromium"), args=arguments)
-        shown = browser.new_page(viewport={"width": 1400, "height": 1000})
-        shown.goto((work.home / "report.html").as_uri())
+        shown = browser.new_page(viewport={"width": 1400, "height": 900})
+        shown.goto(page_file.as_uri())
         shown.wait_for_selector("html.ready", timeout=60_000)
         shown.get_by_text("+", exact=True).first.click()
         shown.get_by_text("Loops", exact=True).first.click()
-        shown.locator("#plan").scroll_into_view_if_needed()
         shown.wait_for_timeout(2000)
         picture = Image.open(io.BytesIO(shown.screenshot())).convert("RGB")
         browser.close()
