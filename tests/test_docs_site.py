@@ -76,3 +76,16 @@ def test_the_reference_has_every_public_name() -> None:
 def test_the_picture_of_the_architecture_is_that_of_the_imports() -> None:
     drawn = (REPO / "docs" / "images" / "architecture.svg").read_text("utf-8")
     assert drawn == drawing(), "draw it anew: python tools/gallery.py architecture.svg"
+
+
+def test_the_gallery_draws_every_picture_and_each_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(REPO / "tools"))
+    from gallery import PICTURES
+
+    names = {path.name for path in (REPO / "docs" / "images").iterdir()}
+    assert names == set(PICTURES)
+    pages = [REPO / "README.md", *(REPO / "docs").rglob("*.md")]
+    shown = "".join(page.read_text("utf-8") for page in pages)
+    assert [name for name in names if f"images/{name}" not in shown] == []
+    drawn = PICTURES["repair.png"](None)  # the one that needs no drive
+    assert drawn.size == (1300, 360) and len(drawn.getcolors()) > 10
