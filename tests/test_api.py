@@ -1,10 +1,9 @@
-"""The names in slam: loaded when asked for, and at work in the example."""
+"""The names in slam: loaded when asked for, and at work."""
 
 from __future__ import annotations
 
 import gzip
 import itertools
-import runpy
 import subprocess
 import sys
 from collections.abc import Callable
@@ -21,7 +20,6 @@ from slam.simulation.record import record_drive
 from slam.simulation.rigs import RIGS
 from slam.simulation.synthetic_log import SyntheticLog, write_synthetic_log
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
 DATA = Path(__file__).parents[2] / "shared" / "data"
 
 
@@ -192,29 +190,6 @@ def test_progress_rises_to_the_whole(from_memory: bool, another_day: SyntheticLo
         assert stage[-1].readings == another_day.scan_count
 
 
-def test_the_example_of_localising(
-    house: Path,
-    another_day: SyntheticLog,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["example", str(house), str(another_day.log_path)])
-    runpy.run_path(str(EXAMPLES / "localize_step_by_step.py"))
-    out = capsys.readouterr().out
-    assert "found at 100" in out and "% sure" in out
-
-
-def test_the_example_of_mapping(
-    another_day: SyntheticLog,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["example", str(another_day.log_path), str(tmp_path / "house")])
-    runpy.run_path(str(EXAMPLES / "map_step_by_step.py"))
-    out = capsys.readouterr().out
-    assert "keyframes" in out and "localised at" in out
-    assert (tmp_path / "house" / "map.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("given", [[], [1.0], ["scan"], [None]])

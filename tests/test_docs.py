@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 import shlex
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,13 @@ from slam.comparison.experiment import load_experiment
 from slam.config import Config, load_config
 from slam.datasets.calibration import Calibration, read_calibration
 from slam.simulation.synthetic_log import write_synthetic_log
-from tools.benchmark import cost_cells, table, write_between
+from tools.benchmark import FIGURES, cost_cells, table, write_between
 
 REPO = Path(__file__).parents[1]
-PAGES = [REPO / "README.md", REPO / "CONTRIBUTING.md", *sorted((REPO / "docs").glob("*.md"))]
+PAGES = [REPO / "README.md", REPO / "CONTRIBUTING.md", *sorted((REPO / "docs").rglob("*.md"))]
 MOST_WORDS = 900  # of the README, as `wc -w` counts
 MOST_BYTES = 300_000  # of all pictures
+STRANGERS = {"ns-train"}  # other programs that are named
 
 FENCE = re.compile(r"^```(.*?)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)\s]+)\)|<img src=\"([^\"]+)\"")
@@ -33,7 +35,7 @@ COMMANDS: Any = typer.main.get_command(app).commands  # type: ignore[attr-define
 # Typer brings a click of its own in some versions; this is UsageError of the one in use.
 USAGE_ERROR = typer.BadParameter.__bases__[0]
 
-every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(REPO)))
 
 
 def blocks(page: Path, language: str = "") -> list[str]:
@@ -47,9 +49,10 @@ def prose(page: Path) -> str:
 
 
 def anchors(page: Path) -> set[str]:
-    """What GitHub makes of the headings of a page."""
+    """What GitHub and the site make of the headings of a page."""
     heads = re.findall(r"^#+ (.*)$", prose(page), re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
+    names = re.findall(r"^::: (\S+)$", prose(page), re.MULTILINE)  # what mkdocstrings makes of them
+    return {*names, *(re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads)}
 
 
 def command_lines(text: str, program: str) -> list[list[str]]:
@@ -86,16 +89,18 @@ def test_links_lead_somewhere(page: Path) -> None:
         assert not anchor or anchor in anchors(file), f"{page.name}: {target}"
 
 
-def test_contributing_names_every_room() -> None:
-    text = (REPO / "CONTRIBUTING.md").read_text("utf-8")
+def test_the_architecture_names_every_room() -> None:
+    text = (REPO / "docs" / "develop" / "architecture.md").read_text("utf-8")
     rooms = {room.removeprefix("slam.") for floor in FLOORS for room in floor}
     assert [room for room in sorted(rooms) if f"`{room}`" not in text] == []
 
 
 def test_every_page_is_in_the_index() -> None:
-    index = (REPO / "docs" / "index.md").read_text("utf-8")
-    names = [page.name for page in PAGES if page.parent == REPO / "docs" and page.name != "index.md"]
-    assert [name for name in names if f"({name})" not in index] == []
+    docs = REPO / "docs"
+    told = "".join((docs / name).read_text("utf-8") for name in ("index.md", "figures.md"))
+    told += (docs / "decisions" / "index.md").read_text("utf-8").replace("](", "](decisions/")
+    names = [str(page.relative_to(docs)) for page in PAGES if page.is_relative_to(docs)]
+    assert [name for name in names if f"({name}" not in told and name != "index.md"] == []
 
 
 @every_page
@@ -131,7 +136,7 @@ def test_settings_named_in_the_text_exist(page: Path) -> None:
 @every_page
 def test_public_names_and_files_of_the_text_exist(page: Path) -> None:
     text = page.read_text("utf-8")
-    for name in re.findall(r"\bslam\.([A-Za-z]\w*)", text):
+    for name in re.findall(r"\bslam\.(?!md\b)([A-Za-z]\w*)", text):
         assert name in slam._HOMES or (REPO / "slam" / name).is_dir() or name == "cli", f"{page.name}: {name}"
     for name in re.findall(r"\b((?:tools|tests|examples|configs|slam|fusion)/[\w/]*\.(?:py|yaml))", text):
         assert (REPO / name).is_file(), f"{page.name}: {name}"
@@ -156,9 +161,18 @@ def test_tools_have_the_options_that_are_shown(page: Path) -> None:
 
 
 @every_page
-def test_python_compiles(page: Path) -> None:
-    for code in blocks(page, "python"):
-        compile(code, str(page), "exec")
+def test_every_block_is_looked_at(page: Path) -> None:
+    # Python is run below; YAML is read, text is what a command printed; else a line is a command that exists.
+    targets = re.findall(r"^([a-z]+):", (REPO / "Makefile").read_text("utf-8"), re.MULTILINE)
+    extras = tomllib.loads((REPO / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
+    for info, code in FENCE.findall(page.read_text("utf-8")):
+        assert info in ("", "python", "yaml", "text"), f"{page.name}: a block of {info}"
+        for line in code.splitlines() if not info else ():
+            program, *rest = shlex.split(line.removeprefix("PYTHONPATH=. "), comments=True) or [""]
+            assert program in ("", "scanweave", "python", "make", "pip", *STRANGERS), f"{page.name}: {line}"
+            assert program != "make" or set(rest) <= set(targets), f"{page.name}: {line}"
+            for extra in re.findall(r"\[(\w+)\]", line) if program == "pip" else ():
+                assert extra in extras, f"{page.name}: {line}"
 
 
 def test_yaml_examples_are_read(tmp_path: Path) -> None:
@@ -171,7 +185,7 @@ def test_yaml_examples_are_read(tmp_path: Path) -> None:
     assert load_config(calibration=written("doctor.md", "calibration.yaml")).sensors.calibration.lidars
     load_experiment(written("compare.md", "experiment.yaml"))
     guess = Calibration(slam.CameraIntrinsics(1.0, 1.0, 0.0, 0.0, 0, 0), 1.0, assumed="no file")
-    calibration = read_calibration(written("own-data.md", "calibration.yaml").parent, guess)
+    calibration = read_calibration(written("calibration.md", "calibration.yaml").parent, guess)
     assert not calibration.assumed and calibration.T_base_camera is not None
 
 
@@ -185,24 +199,24 @@ def two_days(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(
-    "page", [page for page in PAGES if blocks(page, "python run")], ids=lambda page: page.name
+    "page", [page for page in PAGES if blocks(page, "python")], ids=lambda page: page.name
 )
 def test_examples_run(page: Path, two_days: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Blocks marked `python run` run one after the other, as a reader would type them.
+    # The blocks of a page run one after the other, as a reader would type them.
     for log in two_days.glob("*.log"):
         (tmp_path / log.name).symlink_to(log)
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
-    for code in blocks(page, "python run"):
+    for code in blocks(page, "python"):
         exec(compile(code, str(page), "exec"), names)
 
 
 def test_the_benchmarks_find_their_tables() -> None:
-    figures = (REPO / "docs" / "figures.md").read_text("utf-8")
-    for mark in ("bench", "bench-rgbd"):
-        assert figures.count(f"<!-- {mark} -->\n") == figures.count(f"<!-- /{mark} -->\n") == 1
+    figures = {name: (FIGURES / name).read_text("utf-8") for name in ("lidar2d.md", "rgbd.md")}
+    for mark, page in (("bench", "lidar2d.md"), ("bench-rgbd", "rgbd.md")):
+        assert figures[page].count(f"<!-- {mark} -->\n") == figures[page].count(f"<!-- /{mark} -->\n") == 1
     head = table([]).splitlines()[0]
-    assert head in figures and len(cost_cells({})) == head.count("|") - 1 - 4
+    assert head in figures["lidar2d.md"] and len(cost_cells({})) == head.count("|") - 1 - 4
 
 
 def test_a_table_is_written_between_its_marks(tmp_path: Path) -> None:

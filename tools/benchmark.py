@@ -7,8 +7,8 @@
 For every log and variant the real command runs in a process of its own: once to warm numba's cache, then
 ``--repeat`` times for wall and CPU seconds (medians) and peak memory (greatest), from the kernel's account of
 the child. The time a scan comes from one more run through the Python API. ``--cold`` adds, for the first
-log, a first run ever: with an empty numba cache. ``--docs`` writes the table into docs/figures.md; ``--json``
-has more: errors over short and long relations, wall seconds, times a scan.
+log, a first run ever: with an empty numba cache. ``--docs`` writes the table into docs/figures/lidar2d.md;
+``--json`` has more: errors over short and long relations, wall seconds, times a scan.
 
 Seconds drift between machines and from day to day; compare ratios within one run.
 """
@@ -31,7 +31,7 @@ from time import perf_counter
 from typing import Any
 
 REPO = Path(__file__).parents[1]
-FIGURES = REPO / "docs" / "figures.md"
+FIGURES = REPO / "docs" / "figures"
 
 # Options of `scanweave map`, and the logs that they are measured on (None: all).
 VARIANTS: dict[str, tuple[list[str], set[str] | None]] = {
@@ -80,7 +80,9 @@ def main() -> None:
     if options.json:
         options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     if options.docs:
-        write_between(FIGURES, "bench", text)
+        from date_figures import mark_of_now
+
+        write_between(FIGURES / "lidar2d.md", "bench", f"{mark_of_now()}\n{text}")
 
 
 def parse_options() -> argparse.Namespace:
@@ -95,7 +97,9 @@ def parse_options() -> argparse.Namespace:
     parser.add_argument("--repeat", type=int, default=1, help="measured runs a row")
     parser.add_argument("--cold", action="store_true", help="also measure a first run ever")
     parser.add_argument("--json", type=Path, help="also write the figures here")
-    parser.add_argument("--docs", action="store_true", help="also write the table into docs/figures.md")
+    parser.add_argument(
+        "--docs", action="store_true", help="also write the table into docs/figures/lidar2d.md"
+    )
     parser.add_argument("--child", choices=("profile", "wheels"), help=argparse.SUPPRESS)
     parser.add_argument("arguments", nargs="*", help=argparse.SUPPRESS)
     return parser.parse_args()

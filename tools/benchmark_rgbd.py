@@ -8,7 +8,7 @@ trajectory. Accuracy is the ATE RMSE after rigid alignment, by ``scanweave evalu
 (least of ``--repeat`` runs) and peak memory are the kernel's account of the child.
 
 Two more rows tell how cost grows: the sequence at half its width, and four times its length (forward and
-backward by turns). ``--docs`` writes the table into docs/figures.md.
+backward by turns). ``--docs`` writes the table into docs/figures/rgbd.md.
 
 Seconds drift with the machine and its load; compare ratios within one run: ``CPU ratio`` is relative to the
 first row.
@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmark import FIGURES, REPO, machine, run, scanweave, write_between
+from date_figures import mark_of_now
 
 OURS: dict[str, list[str]] = {
     "Scanweave": [],
@@ -67,7 +68,7 @@ def main() -> None:
         report = {"machine": machine(), "repeat": options.repeat, "rows": rows}
         options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     if options.docs:
-        write_between(FIGURES, "bench-rgbd", text)
+        write_between(FIGURES / "rgbd.md", "bench-rgbd", f"{mark_of_now()}\n{text}")
 
 
 def parse_options() -> argparse.Namespace:
@@ -82,7 +83,7 @@ def parse_options() -> argparse.Namespace:
     )
     parser.add_argument("--repeat", type=int, default=1, help="measured runs a row")
     parser.add_argument("--json", type=Path, help="also write the figures here")
-    parser.add_argument("--docs", action="store_true", help="also write the table into docs/figures.md")
+    parser.add_argument("--docs", action="store_true", help="also write the table into docs/figures/rgbd.md")
     return parser.parse_args()
 
 

@@ -1,0 +1,70 @@
+"""Tables of figures say when they were measured, and none is old without saying so."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tools.date_figures import faults, mark_tables, pages
+
+REPO = Path(__file__).parents[1]
+TABLE = "| | m |\n|---|---|\n| fr079 | 0.03 |\n"
+
+
+def git(repo: Path, *arguments: str) -> str:
+    who = ["-c", "user.name=a", "-c", "user.email=a@b"]
+    told = subprocess.run(["git", *who, *arguments], cwd=repo, check=True, capture_output=True, text=True)
+    return told.stdout.strip()
+
+
+def commit(repo: Path, text: str) -> str:
+    """Commit a page of figures; the short name of the commit."""
+    (repo / "docs" / "figures").mkdir(parents=True, exist_ok=True)
+    (repo / "docs" / "figures.md").write_text(text)
+    git(repo, "add", "-A")
+    git(repo, "commit", "-qm", "figures", "--allow-empty")
+    return git(repo, "log", "-1", "--format=%h")
+
+
+@pytest.fixture
+def repo(tmp_path: Path) -> Path:
+    git(tmp_path, "init", "-q")
+    return tmp_path
+
+
+@pytest.mark.parametrize("page", pages(REPO), ids=lambda page: page.name)
+def test_every_table_says_when_it_was_measured(page: Path) -> None:
+    if not (REPO / ".git").exists():
+        pytest.skip("no history here: that tables are of this version was NOT tested")
+    assert faults(REPO, page) == []
+
+
+def test_a_table_without_a_mark_is_seen_and_gets_one(repo: Path) -> None:
+    first = commit(repo, f"text\n\n{TABLE}")
+    page = repo / "docs" / "figures.md"
+    assert "does not say when" in faults(repo, page)[0]
+    commit(repo, f"text\n\n{TABLE}| intel | 0.04 |\n")
+    mark_tables(repo, page)
+    assert f"<!-- measured: {first} " in page.read_text()
+    assert faults(repo, page) == []
+    assert page.read_text().count("measured") == 1
+
+
+def test_a_commit_that_is_none_is_seen(repo: Path) -> None:
+    commit(repo, f"<!-- measured: 0123456 2026-11-22 -->\n{TABLE}")
+    assert "which is no commit" in faults(repo, repo / "docs" / "figures.md")[0]
+
+
+def test_a_table_of_two_releases_ago_must_say_so(repo: Path) -> None:
+    first, page = commit(repo, ""), repo / "docs" / "figures.md"
+    marked = f"<!-- measured: {first} 2026-11-22 -->\n{TABLE}"
+    for number in (1, 2):
+        commit(repo, marked)
+        git(repo, "tag", f"v{number}")
+        if number == 1:
+            assert faults(repo, page) == []
+    assert "before the last release but one" in faults(repo, page)[0]
+    page.write_text(marked.replace(" -->", ", earlier version -->"))
+    assert faults(repo, page) == []
