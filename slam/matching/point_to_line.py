@@ -117,6 +117,7 @@ def _align(  # type: ignore[no-untyped-def]
     start,
     guess,
     cells,
+    after,
     surfels,
     origin_x,
     origin_y,
@@ -146,7 +147,7 @@ def _align(  # type: ignore[no-untyped-def]
             y = sin * bx + cos * by + py
             nx = cos * normals[i, 0] - sin * normals[i, 1]
             ny = sin * normals[i, 0] + cos * normals[i, 1]
-            k = nearest_surfel(cells, surfels, origin_x, origin_y, cell_m, x, y, nx, ny)
+            k = nearest_surfel(cells, after, surfels, origin_x, origin_y, cell_m, x, y, nx, ny)
             if k < 0:
                 continue
             mx = surfels[k, 2]
