@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ from slam.matching.point_to_line import Alignment, align, terms_at
 from slam.matching.scan_points import ScanPoints
 from slam.matching.score_spread import score_spread
 from slam.matching.surfel_map import SurfelMap, build_surfel_map
-from slam.matching.visibility import RangeImage, seen_through
+from slam.matching.visibility import RangeImage, before, seen_through
 from slam.measurements import AnyFloatArray, BoolArray, Float32Array, FloatArray
 
 # Enough to hold a direction that the points determine badly against their noise.
@@ -97,12 +96,6 @@ class LocalMap:
             images,
         )
 
-    @cached_property
-    def standing(self) -> AnyFloatArray:
-        """(N, 2) all but what scans have looked through since: who walks leaves a trail in the map."""
-        margins_m = np.full(len(self.points), 0.5 * self.config.coarse_cell_m)
-        return self.points.points[~seen_through(self.points.points, self.images, margins_m)]
-
     def align(self, scan: OrientedPoints, guess: FloatArray) -> Alignment:
         """Align a scan (base frame) from a guess (3,), coarse first, then fine.
 
@@ -162,8 +155,12 @@ class LocalMap:
         )
         margins_m = 0.5 * self.config.coarse_cell_m + np.sqrt(variance)
         passed = seen_through(transform_points(scan.points, at.pose), self.images, margins_m)
-        here = transform_points(self.standing, between(at.pose, np.zeros(3)))
-        crossed = RangeImage.of(here, at.pose, scan.points).less_far(scan.points, margins_m, -1)
+        here = transform_points(self.points.points, between(at.pose, np.zeros(3)))
+        # All but what scans have looked through since: who walks leaves a trail in the map.
+        standing = before(here, scan.points, margins_m)
+        reach_m = np.full(np.count_nonzero(standing), 0.5 * self.config.coarse_cell_m)
+        standing[standing] = ~seen_through(self.points.points[standing], self.images, reach_m)
+        crossed = RangeImage.of(here[standing], at.pose, scan.points).less_far(scan.points, margins_m, -1)
         return weights, passed | crossed
 
     def _align(self, scan: OrientedPoints, guess: FloatArray, prior: FloatArray) -> Alignment:

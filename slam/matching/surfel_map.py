@@ -57,7 +57,7 @@ def build_surfel_map(points: AnyFloatArray, normals: AnyFloatArray, cell_m: floa
     cells, after = np.full((rows, columns), -1, np.int32), np.empty(len(points), np.int32)
     sums = np.empty((len(points), 6))
     count = _build(points, normals, origin_x, origin_y, cell_m, cells, after, sums)
-    return SurfelMap(cells, after[:count], sums[:count], origin_x, origin_y, cell_m)
+    return SurfelMap(cells, after[:count].copy(), sums[:count].copy(), origin_x, origin_y, cell_m)
 
 
 @kernel

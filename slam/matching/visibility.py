@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.estimation import TINY
 from fusion.kernel import kernel
@@ -32,11 +31,10 @@ class RangeImage(NamedTuple):
     @classmethod
     def of(cls, points: AnyFloatArray, pose: FloatArray, beams: AnyFloatArray) -> RangeImage:
         """Of points (M, 2), base frame, for a base at a pose (3,); two of the ``beams`` (N, 2) a bearing."""
-        bearings = np.sort(np.arctan2(beams[:, 1], beams[:, 0]))
-        spacing_rad = np.median(np.diff(bearings)) if len(beams) > 1 else 1.0
-        nearest_m = np.full(max(int(np.pi / max(spacing_rad, TINY)), 1), np.inf)
-        np.minimum.at(nearest_m, _bearings(points, len(nearest_m)), np.hypot(points[:, 0], points[:, 1]))
-        return cls(pose, np.where(np.isfinite(nearest_m), nearest_m, np.nan))
+        nearest_m = np.full(_bearing_count(beams), np.inf)
+        _take_nearest(points, nearest_m)
+        nearest_m[nearest_m == np.inf] = np.nan
+        return cls(pose, nearest_m)
 
     def less_far(self, points: AnyFloatArray, margins_m: FloatArray, sign: int) -> BoolArray:
         """(M,) whether points (M, 2), base frame, are nearer than the image; farther where the sign is minus.
@@ -54,6 +52,56 @@ def seen_through(points: AnyFloatArray, images: Sequence[RangeImage], margins_m:
     for image in images:
         _less_far(points, between(image.pose, np.zeros(3)), image.nearest_m, margins_m, 1, seen)
     return seen
+
+
+def before(points: AnyFloatArray, scan: AnyFloatArray, margins_m: FloatArray) -> BoolArray:
+    """(M,) which of points (M, 2), base frame, may be in the way of a scan's (N, 2), by its margins (N,).
+
+    A point that is not may be left out of the image that `RangeImage.less_far` compares with the scan.
+    """
+    chosen = np.empty(len(points), np.bool_)
+    _before(points, scan, margins_m, np.zeros(_bearing_count(scan)), chosen)
+    return chosen
+
+
+def _bearing_count(beams: AnyFloatArray) -> int:
+    """Bearings of an image, two of the beams (N, 2) each."""
+    if len(beams) < 2:
+        return int(np.pi)
+    spacings_rad = np.diff(np.sort(np.arctan2(beams[:, 1], beams[:, 0])))
+    spacings_rad.sort()
+    # The median, at a twentieth of what numpy takes for it.
+    spacing_rad = 0.5 * (spacings_rad[(len(spacings_rad) - 1) // 2] + spacings_rad[len(spacings_rad) // 2])
+    return max(int(np.pi / max(spacing_rad, TINY)), 1)
+
+
+@kernel
+def _take_nearest(points, nearest_m):  # type: ignore[no-untyped-def]
+    """Write the distance of the nearest of points (M, 2) by bearing."""
+    for i in range(points.shape[0]):
+        x = np.float64(points[i, 0])
+        y = np.float64(points[i, 1])
+        bearing = math.floor(math.atan2(y, x) / (2.0 * math.pi) * nearest_m.size) % nearest_m.size
+        nearest_m[bearing] = min(nearest_m[bearing], math.sqrt(x * x + y * y))
+
+
+@kernel
+def _before(points, scan, margins_m, reach_m, chosen):  # type: ignore[no-untyped-def]
+    """See `before`; ``reach_m`` (B,) are zeros, for how far the scan has to be free by bearing."""
+    count = reach_m.size
+    for i in range(scan.shape[0]):
+        x = np.float64(scan[i, 0])
+        y = np.float64(scan[i, 1])
+        range_m = math.sqrt(x * x + y * y)
+        bearing = math.floor(math.atan2(y, x) / (2.0 * math.pi) * count)
+        aside = math.ceil(math.asin(margins_m[i] / max(range_m, margins_m[i])) * count / (2.0 * math.pi))
+        for near in range(bearing - aside, bearing + aside + 1):
+            reach_m[near % count] = max(reach_m[near % count], range_m - margins_m[i])
+    for i in range(points.shape[0]):
+        x = points[i, 0]
+        y = points[i, 1]
+        bearing = math.floor(math.atan2(y, x) / (2.0 * math.pi) * count) % count
+        chosen[i] = math.sqrt(x * x + y * y) < reach_m[bearing] + TINY
 
 
 @kernel
@@ -75,9 +123,3 @@ def _less_far(points, pose, nearest_m, margins_m, sign, less):  # type: ignore[n
         aside = math.ceil(math.asin(margin_m / max(range_m, margin_m)) * count / (2.0 * math.pi))
         left = sign * (nearest_m[(bearing - aside) % count] - range_m) > margin_m
         less[i] = left and sign * (nearest_m[(bearing + aside) % count] - range_m) > margin_m
-
-
-def _bearings(points: AnyFloatArray, count: int) -> NDArray[np.int64]:
-    """(M,) number of the bearing of each point (M, 2), of so many."""
-    turns = np.arctan2(points[:, 1], points[:, 0]) / (2.0 * np.pi)
-    return np.floor(turns * count).astype(np.int64) % count
