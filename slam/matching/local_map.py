@@ -19,7 +19,7 @@ from slam.matching.scan_points import ScanPoints
 from slam.matching.score_spread import score_spread
 from slam.matching.surfel_map import SurfelMap, build_surfel_map
 from slam.matching.visibility import RangeImage, before, seen_through
-from slam.measurements import AnyFloatArray, BoolArray, Float32Array, FloatArray
+from slam.measurements import BoolArray, Float32Array, FloatArray
 
 # Enough to hold a direction that the points determine badly against their noise.
 _HELD_POINTS = 300.0
