@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation import TINY
 from slam.config.stages import MatchConfig
+from slam.matching.coarse_to_fine import align_coarse_to_fine
 from slam.matching.match_covariance import points_a_witness, weak_direction
 from slam.matching.motion import Motion
 from slam.matching.object_evidence import object_evidence
@@ -116,10 +117,11 @@ class LocalMap:
 
     def judge(self, scan: OrientedPoints, pose: FloatArray) -> Alignment:
         """Hessian, residual and inlier share of a scan (base frame) at a pose (3,), without moving it."""
-        judged = align(
-            scan.points, scan.normals, pose, pose, self.fine, 0.5 * self.config.cell_m, 1, np.eye(3) / TINY
-        )
-        return self._with_spread(scan, judged._replace(pose=pose, converged=True))
+        config = self.config
+        kernel_m = 0.5 * config.cell_m
+        judged = align(scan.points, scan.normals, pose, pose, self.fine, kernel_m, 1, np.eye(3) / TINY)
+        spread = score_spread(scan.points, scan.normals, pose, self.fine, kernel_m, config.correlated_beams)
+        return judged._replace(pose=pose, converged=True, spread=spread)
 
     def evidence(self, scan: OrientedPoints, pose: FloatArray, other: Motion) -> FloatArray:
         """What every object of a scan (base frame) says for a pose (3,) over another, in independent points.
@@ -166,37 +168,15 @@ class LocalMap:
     def _align(self, scan: OrientedPoints, guess: FloatArray, prior: FloatArray) -> Alignment:
         """Coarse, then fine, both tied to the same guess."""
         config = self.config
-        coarse = align(
+        return align_coarse_to_fine(
             scan.points,
             scan.normals,
-            guess,
             guess,
             self.coarse,
+            self.fine,
             config.cell_m,
-            config.iterations,
-            prior,
-        )
-        fine = align(
-            scan.points,
-            scan.normals,
-            coarse.pose,
-            guess,
-            self.fine,
             0.5 * config.cell_m,
             config.iterations,
             prior,
-        )
-        return self._with_spread(scan, fine)
-
-    def _with_spread(self, scan: OrientedPoints, alignment: Alignment) -> Alignment:
-        """The alignment with the spread of its gradient at its pose."""
-        config = self.config
-        spread = score_spread(
-            scan.points,
-            scan.normals,
-            alignment.pose,
-            self.fine,
-            0.5 * config.cell_m,
             config.correlated_beams,
         )
-        return alignment._replace(spread=spread)
