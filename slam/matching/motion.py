@@ -50,7 +50,7 @@ class Motion:
 
 @kernel(error_model="numpy")
 def _squared(step, covariance):  # type: ignore[no-untyped-def]
-    """A step (3,) squared over its covariance (3, 3), by Cholesky; calling LAPACK takes five times as long."""
+    """A step (3,) squared over its covariance (3, 3), by Cholesky; LAPACK takes five times as long."""
     d0 = covariance[0, 0]
     l10 = covariance[1, 0] / d0
     l20 = covariance[2, 0] / d0
