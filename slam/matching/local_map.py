@@ -14,12 +14,12 @@ from slam.matching.coarse_to_fine import align_coarse_to_fine
 from slam.matching.match_covariance import points_a_witness, weak_direction
 from slam.matching.motion import Motion
 from slam.matching.object_evidence import object_evidence
-from slam.matching.planar import between, transform_into, transform_points
+from slam.matching.planar import transform_into, transform_points
 from slam.matching.point_to_line import Alignment, align, terms_at
 from slam.matching.scan_points import ScanPoints
 from slam.matching.score_spread import score_spread
 from slam.matching.surfel_map import SurfelMap, build_surfel_map
-from slam.matching.visibility import RangeImage, before, seen_through
+from slam.matching.visibility import RangeImage, seen_through, standing_before
 from slam.measurements import BoolArray, Float32Array, FloatArray
 
 # Enough to hold a direction that the points determine badly against their noise.
@@ -157,12 +157,11 @@ class LocalMap:
         )
         margins_m = 0.5 * self.config.coarse_cell_m + np.sqrt(variance)
         passed = seen_through(transform_points(scan.points, at.pose), self.images, margins_m)
-        here = transform_points(self.points.points, between(at.pose, np.zeros(3)))
         # All but what scans have looked through since: who walks leaves a trail in the map.
-        standing = before(here, scan.points, margins_m)
-        reach_m = np.full(np.count_nonzero(standing), 0.5 * self.config.coarse_cell_m)
-        standing[standing] = ~seen_through(self.points.points[standing], self.images, reach_m)
-        crossed = RangeImage.of(here[standing], at.pose, scan.points).less_far(scan.points, margins_m, -1)
+        reach_m = 0.5 * self.config.coarse_cell_m
+        map_points = self.points.points
+        standing = standing_before(map_points, self.images, reach_m, at.pose, scan.points, margins_m)
+        crossed = standing.less_far(scan.points, margins_m, -1)
         return weights, passed | crossed
 
     def _align(self, scan: OrientedPoints, guess: FloatArray, prior: FloatArray) -> Alignment:

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fusion.estimation import TINY
-from fusion.kernel import kernel
-from slam.matching.planar import between
+from fusion.kernel import NONE, kernel
+from slam.matching.planar import between, transform_points
 from slam.measurements import AnyFloatArray, BoolArray, FloatArray
 
 
@@ -54,14 +54,35 @@ def seen_through(points: AnyFloatArray, images: Sequence[RangeImage], margins_m:
     return seen
 
 
-def before(points: AnyFloatArray, scan: AnyFloatArray, margins_m: FloatArray) -> BoolArray:
-    """(M,) which of points (M, 2), base frame, may be in the way of a scan's (N, 2), by its margins (N,).
+def standing_before(
+    points: AnyFloatArray,
+    images: Sequence[RangeImage],
+    reach_m: float,
+    pose: FloatArray,
+    scan: AnyFloatArray,
+    margins_m: FloatArray,
+) -> RangeImage:
+    """What stands nearest of points (M, 2) of a map, seen from a pose (3,), where it may be in a scan's way.
 
-    A point that is not may be left out of the image that `RangeImage.less_far` compares with the scan.
+    No image may have seen through what stands there, and ``reach_m`` around. A point that lies farther than
+    the scan's (N, 2), base frame, by their margins (N,), says nothing of it: so most need not be looked at.
     """
-    chosen = np.empty(len(points), np.bool_)
-    _before(points, scan, margins_m, np.zeros(_bearing_count(scan)), chosen)
-    return chosen
+    here = transform_points(points, between(pose, np.zeros(3)))
+    nearest_m = np.full(_bearing_count(scan), np.nan)
+    bearings, ranges_m = np.empty(len(points), np.int64), np.empty(len(points))
+    _before(here, scan, margins_m, np.zeros(len(nearest_m)), bearings, ranges_m)
+    left = np.flatnonzero(bearings >= 0)
+    while len(left):
+        numbers = np.full(len(nearest_m), -1)
+        _nearest(left, bearings, ranges_m, numbers)
+        asked = numbers[numbers >= 0]
+        seen = seen_through(points[asked], images, np.full(len(asked), reach_m))
+        stands = asked[~seen]
+        nearest_m[bearings[stands]] = ranges_m[stands]
+        # Behind what was seen through the next one may stand.
+        bearings[asked[seen]] = -1
+        left = left[(bearings[left] >= 0) & np.isnan(nearest_m[bearings[left]])]
+    return RangeImage(pose, nearest_m)
 
 
 def _bearing_count(beams: AnyFloatArray) -> int:
@@ -86,8 +107,11 @@ def _take_nearest(points, nearest_m):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _before(points, scan, margins_m, reach_m, chosen):  # type: ignore[no-untyped-def]
-    """See `before`; ``reach_m`` (B,) are zeros, for how far the scan has to be free by bearing."""
+def _before(points, scan, margins_m, reach_m, bearings, ranges_m):  # type: ignore[no-untyped-def]
+    """Write the bearing and the distance of points (M, 2); -1 for what cannot be in the scan's way.
+
+    ``reach_m`` (B,) are zeros, for how far it has to be free by bearing.
+    """
     count = reach_m.size
     for i in range(scan.shape[0]):
         x = np.float64(scan[i, 0])
@@ -100,8 +124,19 @@ def _before(points, scan, margins_m, reach_m, chosen):  # type: ignore[no-untype
     for i in range(points.shape[0]):
         x = points[i, 0]
         y = points[i, 1]
-        bearing = math.floor(math.atan2(y, x) / (2.0 * math.pi) * count) % count
-        chosen[i] = math.sqrt(x * x + y * y) < reach_m[bearing] + TINY
+        ranges_m[i] = math.sqrt(x * x + y * y)
+        bearings[i] = math.floor(math.atan2(y, x) / (2.0 * math.pi) * count) % count
+        if ranges_m[i] >= reach_m[bearings[i]] + TINY:
+            bearings[i] = NONE
+
+
+@kernel
+def _nearest(left, bearings, ranges_m, numbers):  # type: ignore[no-untyped-def]
+    """Write which of the points with these numbers is nearest, by bearing."""
+    for i in left:
+        other = numbers[bearings[i]]
+        if other < 0 or ranges_m[i] < ranges_m[other]:
+            numbers[bearings[i]] = i
 
 
 @kernel
