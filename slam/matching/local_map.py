@@ -45,6 +45,8 @@ class OrientedPoints:
     def surface(cls, scan: ScanPoints) -> OrientedPoints:
         """What a map learns of a scan, base frame: its oriented part, and the walls between far readings."""
         points, normals = scan.oriented()
+        if not len(scan.walls_base):
+            return cls(points, normals)
         return cls(
             np.concatenate([points, scan.walls_base]), np.concatenate([normals, scan.wall_normals_base])
         )
@@ -62,7 +64,7 @@ class OrientedPoints:
         transform_into(self.normals, pose, normals, True)
         return OrientedPoints(points, normals)
 
-    def only(self, chosen: BoolArray | NDArray[np.intp]) -> OrientedPoints:
+    def only(self, chosen: BoolArray | NDArray[np.intp] | slice) -> OrientedPoints:
         """Some of the points."""
         return OrientedPoints(self.points[chosen], self.normals[chosen])
 
