@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from slam.matching.point_to_line import Alignment, align, terms_at
 from slam.matching.scan_points import ScanPoints
 from slam.matching.score_spread import score_spread
 from slam.matching.surfel_map import SurfelMap, build_surfel_map
-from slam.matching.visibility import RangeImage, seen_through, standing_before
+from slam.matching.visibility import RangeImage, RangeImages, seen_through, standing_before
 from slam.measurements import BoolArray, Float32Array, FloatArray
 
 # Enough to hold a direction that the points determine badly against their noise.
@@ -82,6 +83,11 @@ class LocalMap:
     fine: SurfelMap
     config: MatchConfig
     images: Sequence[RangeImage] = ()
+
+    @cached_property
+    def _images(self) -> RangeImages:
+        """What the keyframes have looked through, joined when first asked for."""
+        return RangeImages.of(self.images)
 
     @classmethod
     def build(
@@ -158,11 +164,11 @@ class LocalMap:
             for axis in (np.stack([one, none, -y]), np.stack([none, one, x]))
         )
         margins_m = 0.5 * self.config.coarse_cell_m + np.sqrt(variance)
-        passed = seen_through(transform_points(scan.points, at.pose), self.images, margins_m)
+        passed = seen_through(transform_points(scan.points, at.pose), self._images, margins_m)
         # All but what scans have looked through since: who walks leaves a trail in the map.
         reach_m = 0.5 * self.config.coarse_cell_m
         map_points = self.points.points
-        standing = standing_before(map_points, self.images, reach_m, at.pose, scan.points, margins_m)
+        standing = standing_before(map_points, self._images, reach_m, at.pose, scan.points, margins_m)
         crossed = standing.less_far(scan.points, margins_m, -1)
         return weights, passed | crossed
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion.estimation import TINY
 from fusion.kernel import NONE, kernel
@@ -42,21 +43,50 @@ class RangeImage(NamedTuple):
         By a margin (M,), and so are those beside them by as much, or by a bearing.
         """
         less = np.zeros(len(points), np.bool_)
-        _less_far(np.asarray(points, np.float64), np.zeros(3), self.nearest_m, margins_m, sign, less)
+        own = np.zeros((1, 3)), np.array([0, len(self.nearest_m)]), self.nearest_m
+        _less_far(np.asarray(points, np.float64), *own, margins_m, sign, less)
         return less
 
 
-def seen_through(points: AnyFloatArray, images: Sequence[RangeImage], margins_m: FloatArray) -> BoolArray:
+class RangeImages(NamedTuple):
+    """Several range images, looked at together.
+
+    Attributes
+    ----------
+    poses
+        (I, 3) of them.
+    first
+        (I + 1,) where the bearings of each begin, and the end.
+    nearest_m
+        Of all.
+    """
+
+    poses: FloatArray
+    first: NDArray[np.int64]
+    nearest_m: FloatArray
+
+    @classmethod
+    def of(cls, images: Iterable[RangeImage]) -> RangeImages:
+        """In their order."""
+        images = list(images)
+        counts = [len(image.nearest_m) for image in images]
+        return cls(
+            np.array([image.pose for image in images]).reshape(-1, 3),
+            np.cumsum([0, *counts]),
+            np.concatenate([np.zeros(0), *[image.nearest_m for image in images]]),
+        )
+
+
+def seen_through(points: AnyFloatArray, images: RangeImages, margins_m: FloatArray) -> BoolArray:
     """(M,) whether a scan saw through where points (M, 2) of the map lie, and a margin (M,) around."""
-    seen, points = np.zeros(len(points), np.bool_), np.asarray(points, np.float64)
-    for image in images:
-        _less_far(points, between(image.pose, np.zeros(3)), image.nearest_m, margins_m, 1, seen)
+    seen = np.zeros(len(points), np.bool_)
+    _less_far(np.asarray(points, np.float64), *images, margins_m, 1, seen)
     return seen
 
 
 def standing_before(
     points: AnyFloatArray,
-    images: Sequence[RangeImage],
+    images: RangeImages,
     reach_m: float,
     pose: FloatArray,
     scan: AnyFloatArray,
@@ -140,21 +170,25 @@ def _nearest(left, bearings, ranges_m, numbers):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _less_far(points, pose, nearest_m, margins_m, sign, less):  # type: ignore[no-untyped-def]
-    """See `RangeImage.less_far`, of points (M, 2) moved by a pose (3,); what is marked is passed over."""
-    count = nearest_m.size
-    cos = math.cos(pose[2])
-    sin = math.sin(pose[2])
-    for i in range(less.size):
-        if less[i]:
-            continue
-        x = cos * points[i, 0] - sin * points[i, 1] + pose[0]
-        y = sin * points[i, 0] + cos * points[i, 1] + pose[1]
-        range_m = math.sqrt(x * x + y * y)
-        margin_m = margins_m[i]
-        bearing = math.floor(math.atan2(y, x) / (2.0 * math.pi) * count) % count
-        if not sign * (nearest_m[bearing] - range_m) > margin_m:
-            continue
-        aside = math.ceil(math.asin(margin_m / max(range_m, margin_m)) * count / (2.0 * math.pi))
-        left = sign * (nearest_m[(bearing - aside) % count] - range_m) > margin_m
-        less[i] = left and sign * (nearest_m[(bearing + aside) % count] - range_m) > margin_m
+def _less_far(points, poses, first, nearest_m, margins_m, sign, less):  # type: ignore[no-untyped-def]
+    """See `RangeImage.less_far`, of points (M, 2) and `RangeImages`; what is marked is passed over."""
+    for image in range(poses.shape[0]):
+        begun = first[image]
+        count = first[image + 1] - begun
+        cos = math.cos(poses[image, 2])
+        sin = math.sin(poses[image, 2])
+        for i in range(less.size):
+            if less[i]:
+                continue
+            dx = points[i, 0] - poses[image, 0]
+            dy = points[i, 1] - poses[image, 1]
+            x = cos * dx + sin * dy
+            y = cos * dy - sin * dx
+            range_m = math.sqrt(x * x + y * y)
+            margin_m = margins_m[i]
+            bearing = math.floor(math.atan2(y, x) / (2.0 * math.pi) * count) % count
+            if not sign * (nearest_m[begun + bearing] - range_m) > margin_m:
+                continue
+            aside = math.ceil(math.asin(margin_m / max(range_m, margin_m)) * count / (2.0 * math.pi))
+            left = sign * (nearest_m[begun + (bearing - aside) % count] - range_m) > margin_m
+            less[i] = left and sign * (nearest_m[begun + (bearing + aside) % count] - range_m) > margin_m
