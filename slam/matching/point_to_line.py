@@ -115,7 +115,7 @@ def terms_at(
     return terms
 
 
-@kernel
+@kernel(error_model="numpy")
 def align_into(  # type: ignore[no-untyped-def]
     points,
     normals,

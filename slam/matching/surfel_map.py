@@ -130,15 +130,17 @@ def nearest_surfel(cells, after, surfels, origin_x, origin_y, cell_m, x, y, nx, 
     best_squared = (1.5 * cell_m) * (1.5 * cell_m)
     for r in range(max(row - 1, 0), min(row + 2, cells.shape[0])):
         for c in range(max(column - 1, 0), min(column + 2, cells.shape[1])):
-            k = cells[r, c]
+            k = cells[np.uint64(r), np.uint64(c)]
             while k >= 0:
                 # 0.6: normals within 53 degrees of each other.
-                if surfels[k, 2] * nx + surfels[k, 3] * ny >= 0.6:
-                    dx = surfels[k, 0] - x
-                    dy = surfels[k, 1] - y
+                # Without a sign it cannot count from the end.
+                at = np.uint64(k)
+                if surfels[at, 2] * nx + surfels[at, 3] * ny >= 0.6:
+                    dx = surfels[at, 0] - x
+                    dy = surfels[at, 1] - y
                     squared = dx * dx + dy * dy
                     if squared < best_squared:
                         best_squared = squared
                         best = k
-                k = after[k]
+                k = after[at]
     return best
