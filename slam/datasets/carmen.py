@@ -23,7 +23,13 @@ from slam.datasets.carmen_records import (
     parse_plain_laser,
 )
 from slam.datasets.dataset import ReadReport, RecordFault
-from slam.datasets.laser_geometry import BeamLayout, beam_layout, classify_ranges, no_return_limit_m
+from slam.datasets.laser_geometry import (
+    BeamLayout,
+    beam_layout,
+    classify_ranges,
+    largest_return_m,
+    no_return_limit_m,
+)
 from slam.datasets.log_file import numbered_lines, read_head
 from slam.datasets.recording import Contents, Numbered, Recording
 from slam.foreign import plain
@@ -169,8 +175,7 @@ class _Decoder:
         self._report.invalid_ranges += invalid
         if invalid == ranges_m.size:
             raise RecordFault(NO_VALID_RANGE, f"{invalid} beams")
-        returns = np.where(np.isfinite(ranges_m), ranges_m, 0.0)
-        self._largest_return_m[record.kind] = max(seen_m, float(returns.max()))
+        self._largest_return_m[record.kind] = largest_return_m(ranges_m, seen_m)
         return LaserScan(
             stamp_s=record.stamp_s,
             ranges_m=ranges_m,

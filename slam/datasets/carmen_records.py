@@ -19,6 +19,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from fusion.kernel import ZERO, kernel
 from slam.datasets.dataset import RecordFault
 from slam.measurements import FloatArray
 
@@ -33,6 +34,8 @@ Row: TypeAlias = tuple[float, float, float]
 _POSITION_LIMIT_M = 1e6
 _YAW_LIMIT_RAD = 1e6  # some counters never wrap
 _STAMP_LIMIT_S = 1e11  # year 5138; milliseconds or ticks by mistake are beyond it
+# Integers and powers of ten up to these are exact as floats.
+_EXACT, _MOST_DIGITS = 2**53, 18
 # All three, always: were some optional, a wrong count could shift poses and stamp and still fit.
 _TAIL = 3
 
@@ -88,7 +91,7 @@ def parse_plain_laser(tokens: list[bytes]) -> LaserRecord:
     return LaserRecord(
         kind=tokens[0].decode(),
         stamp_s=_stamp(values[count + 6]),
-        ranges_m=np.array(values[:count]),
+        ranges_m=values[:count],
         laser=_row(laser),
         robot=_row(robot),
     )
@@ -108,14 +111,14 @@ def parse_configured_laser(tokens: list[bytes]) -> LaserRecord:
     after = remission_at + 1 + _count(tokens, remission_at)
     pose_fields = 11 if kind.startswith("ROBOTLASER") else 0
     _check_tail(tokens, after + pose_fields)
-    start_rad, fov_rad, step_rad, max_m = _numbers(tokens[2:6])
+    start_rad, fov_rad, step_rad, max_m = _numbers(tokens[2:6]).tolist()
     if not all(map(math.isfinite, (start_rad, fov_rad, step_rad))):
         raise RecordFault(BAD_GEOMETRY, f"start {start_rad}, field of view {fov_rad}, step {step_rad}")
     tail = _numbers(tokens[after : after + pose_fields + 1])
     return LaserRecord(
         kind=kind,
         stamp_s=_stamp(tail[pose_fields]),
-        ranges_m=np.array(_numbers(tokens[9:remission_at])),
+        ranges_m=_numbers(tokens[9:remission_at]),
         laser=_row(tail[0:3]) if pose_fields else None,
         robot=_row(tail[3:6]) if pose_fields else None,
         start_rad=start_rad,
@@ -163,16 +166,55 @@ def _check_tail(tokens: list[bytes], stamp_at: int) -> None:
         raise RecordFault(WRONG_COUNT, f"{len(tokens)} values, {stamp_at + _TAIL} expected")
 
 
-def _numbers(tokens: list[bytes]) -> list[float]:
-    """The tokens as floats; Python's digit underscores are no numbers in a log."""
+def _numbers(tokens: list[bytes]) -> FloatArray:
+    """The tokens as floats (N,); Python's digit underscores are no numbers in a log."""
+    values, text = np.empty(len(tokens)), b" ".join(tokens)
+    if _plain_numbers(np.frombuffer(text, np.uint8), values) == len(tokens):
+        return values
     try:
-        values = list(map(float, tokens))
+        values[:] = list(map(float, tokens))
     except ValueError:
         bad = next(token for token in tokens if not _is_number(token))
         raise RecordFault(NOT_A_NUMBER, _shown(bad)) from None
-    if b"_" in b"".join(tokens):
+    if b"_" in text:
         raise RecordFault(NOT_A_NUMBER, _shown(next(token for token in tokens if b"_" in token)))
     return values
+
+
+@kernel
+def _plain_numbers(text, values):  # type: ignore[no-untyped-def]
+    """Read numbers with a blank between, to the bit as ``float`` does; how many, up to one that is not plain.
+
+    Plain are a sign, digits and a point, of an exact integer over an exact power of ten: then one division
+    rounds as it should (Clinger 1990).
+    """
+    count = ZERO
+    whole = ZERO
+    scale, sign = 1.0, 1.0
+    digits, begun, point = 0, True, False
+    for i in range(text.size + 1):
+        letter = text[i] if i < text.size else 32
+        if 48 <= letter <= 57:
+            whole = 10 * whole + (letter - 48)
+            digits += 1
+            begun = False
+            if point:
+                scale *= 10.0
+            if whole > _EXACT or digits > _MOST_DIGITS:
+                break
+        elif letter == 46 and not point:
+            point, begun = True, False
+        elif letter == 45 and begun:
+            sign, begun = -1.0, False
+        elif letter == 32 and digits > 0:
+            values[count] = sign * whole / scale
+            count += 1
+            whole = ZERO
+            scale, sign = 1.0, 1.0
+            digits, begun, point = 0, True, False
+        else:
+            break
+    return count
 
 
 def _is_number(token: bytes) -> bool:
@@ -184,9 +226,9 @@ def _is_number(token: bytes) -> bool:
     return True
 
 
-def _row(values: list[float]) -> Row:
-    """A pose, finite and within reach."""
-    x, y, yaw = values
+def _row(values: FloatArray) -> Row:
+    """A pose (3,), finite and within reach."""
+    x, y, yaw = values.tolist()
     # The comparisons are false for NaN, so NaN is refused too.
     if not (abs(x) < _POSITION_LIMIT_M and abs(y) < _POSITION_LIMIT_M and abs(yaw) < _YAW_LIMIT_RAD):
         raise RecordFault(BAD_POSE, f"{x} {y} {yaw}")
@@ -195,6 +237,7 @@ def _row(values: list[float]) -> Row:
 
 def _stamp(stamp_s: float) -> float:
     """A stamp, finite and of this age."""
+    stamp_s = float(stamp_s)
     if not abs(stamp_s) < _STAMP_LIMIT_S:
         raise RecordFault(BAD_STAMP, f"{stamp_s}")
     return stamp_s

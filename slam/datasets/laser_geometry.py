@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fusion.kernel import kernel
 from slam.datasets.budget import MOST_BEAMS
 from slam.datasets.dataset import RecordFault
 from slam.measurements import Float32Array, FloatArray
@@ -129,6 +130,13 @@ def no_return_limit_m(stated_max_m: float | None, ranges_m: FloatArray, largest_
     return DEFAULT_NO_RETURN_M
 
 
+def largest_return_m(ranges_m: Float32Array, before_m: float) -> float:
+    """Largest true reading so far, by those of a scan and by one before; of no more than tells of a mode."""
+    if before_m > _SICK_SHORT_LARGEST_M:
+        return before_m
+    return float(np.max(ranges_m, where=np.isfinite(ranges_m), initial=before_m))
+
+
 def classify_ranges(ranges_m: FloatArray, limit_m: float) -> Float32Array:
     """Readings as `slam.measurements.LaserScan` wants them, (N,).
 
@@ -141,6 +149,15 @@ def classify_ranges(ranges_m: FloatArray, limit_m: float) -> Float32Array:
     """
     if ranges_m.size > MOST_BEAMS:
         raise RecordFault(MANY_BEAMS, f"{ranges_m.size}, at most {MOST_BEAMS}")
+    classified = np.empty(ranges_m.size, np.float32)
     # A stated 81.83 and a written 81.83 must meet, whatever their last bit.
-    clean = np.where(ranges_m >= limit_m - _CODE_TOLERANCE_M, np.inf, ranges_m)
-    return np.where(clean > 0.0, clean, np.nan).astype(np.float32)
+    _classify(ranges_m, limit_m - _CODE_TOLERANCE_M, classified)
+    return classified
+
+
+@kernel
+def _classify(ranges_m, limit_m, classified):  # type: ignore[no-untyped-def]
+    """Write what `classify_ranges` returns."""
+    for i in range(ranges_m.size):
+        range_m = ranges_m[i]
+        classified[i] = math.inf if range_m >= limit_m else range_m if range_m > 0.0 else math.nan

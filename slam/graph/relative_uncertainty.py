@@ -159,16 +159,58 @@ class UncertaintyGraph:
 
 def _then(a: FloatArray, b: FloatArray) -> FloatArray:
     """(N, 13) motions, one after the other."""
-    back = inverse(b[:, _POSE])
-    covariance = moved(_covariance(a), back) + _covariance(b)
-    pose = composed(a[:, _POSE], b[:, _POSE])
-    return np.hstack([pose, covariance.reshape(-1, 9), a[:, _COST:] + b[:, _COST:]])
+    both = np.empty_like(b)
+    _join(a, b, both)
+    return both
 
 
 def _back(a: FloatArray) -> FloatArray:
     """(N, 13) motions from their ends to their beginnings."""
-    covariance = moved(_covariance(a), a[:, _POSE])
-    return np.hstack([inverse(a[:, _POSE]), covariance.reshape(-1, 9), a[:, _COST:]])
+    back = np.empty_like(a)
+    _turn_round(a, back)
+    return back
+
+
+@kernel
+def _join(a, b, both):  # type: ignore[no-untyped-def]
+    """Write motions (N, 13), one after the other."""
+    for n in range(a.shape[0]):
+        cos, sin = math.cos(a[n, 2]), math.sin(a[n, 2])
+        both[n, 0] = a[n, 0] + cos * b[n, 0] - sin * b[n, 1]
+        both[n, 1] = a[n, 1] + sin * b[n, 0] + cos * b[n, 1]
+        both[n, 2] = a[n, 2] + b[n, 2]
+        both[n, 12] = a[n, 12] + b[n, 12]
+        # The covariance of the first as the end of the second sees it.
+        cos, sin = math.cos(b[n, 2]), math.sin(b[n, 2])
+        _move(a, n, -cos * b[n, 0] - sin * b[n, 1], sin * b[n, 0] - cos * b[n, 1], cos, -sin, both)
+        for k in range(3, 12):
+            both[n, k] += b[n, k]
+
+
+@kernel
+def _turn_round(a, back):  # type: ignore[no-untyped-def]
+    """Write motions (N, 13) from their ends to their beginnings."""
+    for n in range(a.shape[0]):
+        x, y, cos, sin = a[n, 0], a[n, 1], math.cos(a[n, 2]), math.sin(a[n, 2])
+        back[n, 0] = -cos * x - sin * y
+        back[n, 1] = sin * x - cos * y
+        back[n, 2] = -a[n, 2]
+        back[n, 12] = a[n, 12]
+        _move(a, n, x, y, cos, sin, back)
+
+
+@kernel
+def _move(a, n, x, y, cos, sin, found):  # type: ignore[no-untyped-def]
+    """Write the covariance of a motion (13,) as it is seen through a pose: Ad C Ad^T, see `moved`."""
+    for column in range(3, 6):
+        xx, yy, tt = a[n, column], a[n, column + 3], a[n, column + 6]
+        found[n, column + 6] = tt
+        found[n, column] = cos * xx - sin * yy + y * tt
+        found[n, column + 3] = sin * xx + cos * yy - x * tt
+    for row in range(3, 12, 3):
+        xx, yy, tt = found[n, row], found[n, row + 1], found[n, row + 2]
+        found[n, row] = cos * xx - sin * yy + y * tt
+        found[n, row + 1] = sin * xx + cos * yy - x * tt
 
 
 def _covariance(a: FloatArray) -> FloatArray:

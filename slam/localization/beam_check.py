@@ -126,7 +126,7 @@ def check_beams(
 
 
 @kernel
-def _explain(cells, surfels, origin_x, origin_y, cell_m, pose, points, normals, explained):  # type: ignore[no-untyped-def]
+def _explain(cells, after, surfels, origin_x, origin_y, cell_m, pose, points, normals, explained):  # type: ignore[no-untyped-def]
     """Tell which points lie on a surfel that faces the same way."""
     cos = math.cos(pose[2])
     sin = math.sin(pose[2])
@@ -135,7 +135,7 @@ def _explain(cells, surfels, origin_x, origin_y, cell_m, pose, points, normals, 
         y = sin * points[i, 0] + cos * points[i, 1] + pose[1]
         nx = cos * normals[i, 0] - sin * normals[i, 1]
         ny = sin * normals[i, 0] + cos * normals[i, 1]
-        k = nearest_surfel(cells, surfels, origin_x, origin_y, cell_m, x, y, nx, ny)
+        k = nearest_surfel(cells, after, surfels, origin_x, origin_y, cell_m, x, y, nx, ny)
         if k >= 0:
             away = surfels[k, 2] * (x - surfels[k, 0]) + surfels[k, 3] * (y - surfels[k, 1])
             explained[i] = abs(away) < _WALL_REACH_M

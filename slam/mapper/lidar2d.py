@@ -119,6 +119,8 @@ class PlanarRobot:
         if moment.points is not None:
             self._tracker.add_keyframe(moment.points, moment.tracked)
         surface = OrientedPoints.surface(moment.points or ScanPoints.none())
+        # What is seen is the first part of it: kept once.
+        self._seen = surface.only(slice(len(self._seen)))
         self._closer.add_keyframe(self._seen, moment.tracked.pose, self._travelled_m, surface=surface)
         self._keyframe_scans.append(moment.scan)
         if self._fusion is not None and moment.scan is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from fusion.bayes import evidence_steps
 from fusion.depth_model import RangeNoise, hit_evidence
+from fusion.kernel import kernel
 from slam.errors import ConfigError
 from slam.mapping.evidence_tiles import Board
 from slam.mapping.occupancy_grid import Steps
@@ -120,16 +122,35 @@ def weigh_beams(
     -------
     (rows, cols); where several beams end in one cell, the nearest decides.
     """
-    met, away = kinds == HIT, ends - laser_cells
-    stopped = met | (kinds == TAKEN)
-    range_m = np.hypot(*away.T) * cell_m
-    share = 1.0 - margin_sigmas * noise.sigma_m(range_m) / np.maximum(range_m, 1e-6)
-    short = laser_cells + np.where(stopped, np.maximum(0.0, share), 1.0)[:, None] * away
+    away = ends - laser_cells
+    range_m = np.hypot(away[:, 0], away[:, 1]) * cell_m
+    margins = margin_sigmas * noise.sigma_m(range_m) / np.maximum(range_m, 1e-6)
+    short = np.empty_like(ends)
+    _shorten(ends, kinds, *laser_cells, margins, short)
     steps: Steps = draw_lines(short, kinds, box, *laser_cells, miss_step)
-    cells = np.minimum(np.floor(ends[met, ::-1]).astype(np.intp) - box[:2], np.array(box[2:]) - 1)
-    place = np.minimum((range_m[met] / cell_m).astype(np.intp), hit_steps.size - 1)
-    np.maximum.at(steps, (cells[:, 0], cells[:, 1]), hit_steps[place])
+    _mark_hits(ends, kinds, box, range_m / cell_m, hit_steps, steps)
     return steps
+
+
+@kernel
+def _shorten(ends, kinds, x_cells, y_cells, margins, short):  # type: ignore[no-untyped-def]
+    """Write where beams that were stopped clear no more, their margins (N,) shares of their length."""
+    for beam in range(kinds.size):
+        stopped = kinds[beam] == HIT or kinds[beam] == TAKEN
+        share = max(0.0, 1.0 - margins[beam]) if stopped else 1.0
+        short[beam, 0] = x_cells + share * (ends[beam, 0] - x_cells)
+        short[beam, 1] = y_cells + share * (ends[beam, 1] - y_cells)
+
+
+@kernel
+def _mark_hits(ends, kinds, box, range_cells, hit_steps, steps):  # type: ignore[no-untyped-def]
+    """Put the evidence of each hit into its cell, unless there is more in it."""
+    for beam in range(kinds.size):
+        if kinds[beam] == HIT:
+            row = min(math.floor(ends[beam, 1]) - box[0], box[2] - 1)
+            column = min(math.floor(ends[beam, 0]) - box[1], box[3] - 1)
+            place = min(np.int64(range_cells[beam]), hit_steps.size - 1)
+            steps[row, column] = max(steps[row, column], hit_steps[place])
 
 
 @lru_cache(maxsize=8)

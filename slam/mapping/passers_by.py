@@ -18,6 +18,7 @@ from scipy import ndimage
 
 from fusion.bayes import STEPS_A_UNIT, evidence_steps
 from fusion.estimation import CONFIDENCE
+from fusion.kernel import ZERO, kernel
 from slam.mapping.evidence_tiles import Board
 from slam.mapping.glass_panes import SHORTEST_M
 from slam.mapping.lidar_layer import LidarModel, lidar_board
@@ -90,34 +91,61 @@ def _passed_since(
     (C,) how many, and the logarithm of the chance that as many of a cell that is still there hold no hit.
     """
     cell_m, cells = grid.resolution_m, np.flatnonzero(occupied)
-    corner = np.rint([grid.T_map_grid.y() / cell_m, grid.T_map_grid.x() / cell_m]).astype(int)
+    corner = round(grid.T_map_grid.y() / cell_m), round(grid.T_map_grid.x() / cell_m)
     # What gives no return may be dark, and passes nothing.
     model = replace(model, max_clear_range_m=0.0)
-    hits, between, since = (np.zeros(cells.size, np.int32) for _ in range(3))
+    hits, between, since = np.zeros((3, cells.size), np.int32)
     for scan, T_map_base in scans:
-        board = _where_dense(lidar_board(scan, T_map_base, model, cell_m), scan, T_map_base, cell_m)
-        (row, col), (rows, cols) = np.array([board.row, board.col]) - corner, board.steps.shape
-        seen = np.nonzero(occupied[row : row + rows, col : col + cols])
-        at = np.searchsorted(cells, (seen[0] + row) * grid.shape[1] + seen[1] + col)
-        met, passed = _and_beside(board.steps > 0)[seen], board.steps[seen] < 0
-        hits[at] += met
-        between[at] += np.where(met, since[at], 0)
-        since[at] = np.where(met, 0, since[at] + (passed & (hits[at] > 0)))
+        board = lidar_board(scan, T_map_base, model, cell_m)
+        dense = _where_dense(board, scan, T_map_base, cell_m)
+        row, col = board.row - corner[0], board.col - corner[1]
+        _pass(board.steps, row, col, dense, occupied, cells, hits, between, since)
     return since, np.log1p(-(hits + 1.0) / (hits + between + 2.0)) * since
 
 
-def _where_dense(board: Board, scan: LaserScan, T_map_base: gtsam.Pose2, cell_m: float) -> Board:
-    """The part of a board where neighbouring beams are no farther apart than a cell is wide."""
+@kernel
+def _pass(steps, row, col, dense, occupied, cells, hits, between, since):  # type: ignore[no-untyped-def]
+    """Count what a board (rows, cols), whose corner is at a row and column, says of the occupied cells.
+
+    ``dense`` are the first and last row and column of the part of the board that counts.
+    """
+    for i in range(dense[0], dense[1]):
+        for j in range(dense[2], dense[3]):
+            if not occupied[row + i, col + j]:
+                continue
+            # The number of the cell, by halves.
+            cell = (row + i) * occupied.shape[1] + col + j
+            k, last = ZERO, np.int64(cells.size)
+            while last - k > 1:
+                middle = (k + last) >> 1
+                if cells[middle] <= cell:
+                    k = middle
+                else:
+                    last = middle
+            met = False
+            for near_i in range(max(i - 1, dense[0]), min(i + 2, dense[1])):
+                for near_j in range(max(j - 1, dense[2]), min(j + 2, dense[3])):
+                    met = met or steps[near_i, near_j] > 0
+            if met:
+                hits[k] += 1
+                between[k] += since[k]
+                since[k] = 0
+            elif steps[i, j] < 0 and hits[k] > 0:
+                since[k] += 1
+
+
+def _where_dense(board: Board, scan: LaserScan, T_map_base: gtsam.Pose2, cell_m: float) -> tuple[int, ...]:
+    """The part of a board where neighbouring beams are no farther apart than a cell is wide.
+
+    Returns
+    -------
+    First row, the one after the last, first column, the one after the last.
+    """
     laser = T_map_base.compose(scan.T_base_laser)
     reach = int(1.0 / abs(scan.step_rad))
-    row, col = (math.floor(at / cell_m) for at in (laser.y(), laser.x()))
-    row, col = row - board.row, col - board.col
-    first_row, first_col = max(0, row - reach), max(0, col - reach)
-    return Board(
-        board.steps[first_row : row + reach, first_col : col + reach],
-        board.row + first_row,
-        board.col + first_col,
-    )
+    row, col = math.floor(laser.y() / cell_m) - board.row, math.floor(laser.x() / cell_m) - board.col
+    rows, cols = board.steps.shape
+    return max(0, row - reach), min(row + reach, rows), max(0, col - reach), min(col + reach, cols)
 
 
 def _may_be_a_pane(points_m: FloatArray, cell_m: float) -> bool:
@@ -125,14 +153,3 @@ def _may_be_a_pane(points_m: FloatArray, cell_m: float) -> bool:
     away = points_m - points_m.mean(axis=0)
     along, across = (away @ np.linalg.svd(away)[2].T).T
     return bool(np.ptp(along) >= SHORTEST_M and np.abs(across).max() <= cell_m)
-
-
-def _and_beside(cells: BoolArray) -> BoolArray:
-    """Cells and their eight neighbours."""
-    wide = cells.copy()
-    wide[1:] |= cells[:-1]
-    wide[:-1] |= cells[1:]
-    both = wide.copy()
-    both[:, 1:] |= wide[:, :-1]
-    both[:, :-1] |= wide[:, 1:]
-    return both

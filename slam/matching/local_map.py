@@ -11,16 +11,17 @@ from numpy.typing import NDArray
 
 from fusion.estimation import TINY
 from slam.config.stages import MatchConfig
+from slam.matching.coarse_to_fine import align_coarse_to_fine
 from slam.matching.match_covariance import points_a_witness, weak_direction
 from slam.matching.motion import Motion
 from slam.matching.object_evidence import object_evidence
-from slam.matching.planar import between, transform_into, transform_points
+from slam.matching.planar import transform_into, transform_points
 from slam.matching.point_to_line import Alignment, align, terms_at
 from slam.matching.scan_points import ScanPoints
 from slam.matching.score_spread import score_spread
 from slam.matching.surfel_map import SurfelMap, build_surfel_map
-from slam.matching.visibility import RangeImage, seen_through
-from slam.measurements import AnyFloatArray, BoolArray, Float32Array, FloatArray
+from slam.matching.visibility import RangeImage, RangeImages, seen_through, standing_before
+from slam.measurements import BoolArray, Float32Array, FloatArray
 
 # Enough to hold a direction that the points determine badly against their noise.
 _HELD_POINTS = 300.0
@@ -45,6 +46,8 @@ class OrientedPoints:
     def surface(cls, scan: ScanPoints) -> OrientedPoints:
         """What a map learns of a scan, base frame: its oriented part, and the walls between far readings."""
         points, normals = scan.oriented()
+        if not len(scan.walls_base):
+            return cls(points, normals)
         return cls(
             np.concatenate([points, scan.walls_base]), np.concatenate([normals, scan.wall_normals_base])
         )
@@ -62,7 +65,7 @@ class OrientedPoints:
         transform_into(self.normals, pose, normals, True)
         return OrientedPoints(points, normals)
 
-    def only(self, chosen: BoolArray | NDArray[np.intp]) -> OrientedPoints:
+    def only(self, chosen: BoolArray | NDArray[np.intp] | slice) -> OrientedPoints:
         """Some of the points."""
         return OrientedPoints(self.points[chosen], self.normals[chosen])
 
@@ -81,6 +84,11 @@ class LocalMap:
     config: MatchConfig
     images: Sequence[RangeImage] = ()
 
+    @cached_property
+    def _images(self) -> RangeImages:
+        """What the keyframes have looked through, joined when first asked for."""
+        return RangeImages.of(self.images)
+
     @classmethod
     def build(
         cls, parts: list[OrientedPoints], config: MatchConfig, images: Sequence[RangeImage] = ()
@@ -96,12 +104,6 @@ class LocalMap:
             config,
             images,
         )
-
-    @cached_property
-    def standing(self) -> AnyFloatArray:
-        """(N, 2) all but what scans have looked through since: who walks leaves a trail in the map."""
-        margins_m = np.full(len(self.points), 0.5 * self.config.coarse_cell_m)
-        return self.points.points[~seen_through(self.points.points, self.images, margins_m)]
 
     def align(self, scan: OrientedPoints, guess: FloatArray) -> Alignment:
         """Align a scan (base frame) from a guess (3,), coarse first, then fine.
@@ -123,10 +125,11 @@ class LocalMap:
 
     def judge(self, scan: OrientedPoints, pose: FloatArray) -> Alignment:
         """Hessian, residual and inlier share of a scan (base frame) at a pose (3,), without moving it."""
-        judged = align(
-            scan.points, scan.normals, pose, pose, self.fine, 0.5 * self.config.cell_m, 1, np.eye(3) / TINY
-        )
-        return self._with_spread(scan, judged._replace(pose=pose, converged=True))
+        config = self.config
+        kernel_m = 0.5 * config.cell_m
+        judged = align(scan.points, scan.normals, pose, pose, self.fine, kernel_m, 1, np.eye(3) / TINY)
+        spread = score_spread(scan.points, scan.normals, pose, self.fine, kernel_m, config.correlated_beams)
+        return judged._replace(pose=pose, converged=True, spread=spread)
 
     def evidence(self, scan: OrientedPoints, pose: FloatArray, other: Motion) -> FloatArray:
         """What every object of a scan (base frame) says for a pose (3,) over another, in independent points.
@@ -161,45 +164,26 @@ class LocalMap:
             for axis in (np.stack([one, none, -y]), np.stack([none, one, x]))
         )
         margins_m = 0.5 * self.config.coarse_cell_m + np.sqrt(variance)
-        passed = seen_through(transform_points(scan.points, at.pose), self.images, margins_m)
-        here = transform_points(self.standing, between(at.pose, np.zeros(3)))
-        crossed = RangeImage.of(here, at.pose, scan.points).less_far(scan.points, margins_m, -1)
+        passed = seen_through(transform_points(scan.points, at.pose), self._images, margins_m)
+        # All but what scans have looked through since: who walks leaves a trail in the map.
+        reach_m = 0.5 * self.config.coarse_cell_m
+        map_points = self.points.points
+        standing = standing_before(map_points, self._images, reach_m, at.pose, scan.points, margins_m)
+        crossed = standing.less_far(scan.points, margins_m, -1)
         return weights, passed | crossed
 
     def _align(self, scan: OrientedPoints, guess: FloatArray, prior: FloatArray) -> Alignment:
         """Coarse, then fine, both tied to the same guess."""
         config = self.config
-        coarse = align(
+        return align_coarse_to_fine(
             scan.points,
             scan.normals,
-            guess,
             guess,
             self.coarse,
+            self.fine,
             config.cell_m,
-            config.iterations,
-            prior,
-        )
-        fine = align(
-            scan.points,
-            scan.normals,
-            coarse.pose,
-            guess,
-            self.fine,
             0.5 * config.cell_m,
             config.iterations,
             prior,
-        )
-        return self._with_spread(scan, fine)
-
-    def _with_spread(self, scan: OrientedPoints, alignment: Alignment) -> Alignment:
-        """The alignment with the spread of its gradient at its pose."""
-        config = self.config
-        spread = score_spread(
-            scan.points,
-            scan.normals,
-            alignment.pose,
-            self.fine,
-            0.5 * config.cell_m,
             config.correlated_beams,
         )
-        return alignment._replace(spread=spread)

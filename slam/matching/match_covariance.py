@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from fusion.estimation import TINY
+from fusion.estimation import ROUNDS, TINY
+from fusion.kernel import kernel
 from slam.config.stages import MatchConfig
 from slam.matching.point_to_line import Alignment
 from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
@@ -74,22 +75,79 @@ def _correlated_inverse(alignment: Alignment) -> FloatArray:
     Eigenvalues of the Hessian are held above a hundredth of a point: no direction is infinitely uncertain.
     Residuals that seem to share less than nothing do so by chance.
     """
-    shared, axes = _shared(alignment)
-    widened = axes * np.sqrt(shared)
-    return np.asarray(widened @ widened.T, dtype=np.float64)
+    return _widened(alignment)[0]
 
 
 def points_a_witness(alignment: Alignment) -> float:
     """How many neighbouring points share their errors, as the residuals show: 1 where all are independent."""
-    return float(_shared(alignment)[0].mean())
+    return _widened(alignment)[1]
 
 
-def _shared(alignment: Alignment) -> tuple[FloatArray, FloatArray]:
-    """By how much what residuals share widens H^-1, (3,), and the axes along which it does, (3, 3)."""
-    eigenvalues, eigenvectors = np.linalg.eigh(alignment.hessian)
-    root = eigenvectors / np.sqrt(np.maximum(eigenvalues, LEAST_EIGENVALUE))
-    if alignment.spread is None or not 0.0 < alignment.residual_m < np.inf:
-        return np.ones(3), root
-    whitened = root.T @ alignment.spread @ root / alignment.residual_m**2
-    shared, directions = np.linalg.eigh(whitened)
-    return np.maximum(shared, 1.0), root @ directions
+def _widened(alignment: Alignment) -> tuple[FloatArray, float]:
+    """H^-1 widened by what residuals share, (3, 3); by how much, in the mean of its axes."""
+    spread, squared = alignment.spread, alignment.residual_m**2
+    if spread is None or not 0.0 < squared < math.inf:
+        spread, squared = np.zeros((3, 3)), 1.0
+    hessian, axes = alignment.hessian.copy(), np.empty((3, 3))
+    whitened, directions, covariance = np.empty((3, 3, 3))
+    return covariance, _widen(hessian, spread, squared, axes, whitened, directions, covariance)
+
+
+@kernel(error_model="numpy")
+def _widen(hessian, spread, squared, axes, whitened, directions, covariance):  # type: ignore[no-untyped-def]
+    """Write the covariance of `_widened`; the mean of what the residuals share. All (3, 3)."""
+    _diagonalize(hessian, axes)
+    for k in range(3):
+        root = 1.0 / math.sqrt(max(hessian[k, k], LEAST_EIGENVALUE))
+        for i in range(3):
+            axes[i, k] *= root
+    for a in range(3):
+        for b in range(3):
+            total = 0.0
+            for i in range(3):
+                for j in range(3):
+                    total += axes[i, a] * spread[i, j] * axes[j, b]
+            whitened[a, b] = total / squared
+            covariance[a, b] = 0.0
+    _diagonalize(whitened, directions)
+    mean = 0.0
+    for k in range(3):
+        shared = max(whitened[k, k], 1.0)
+        mean += shared / 3.0
+        for i in range(3):
+            total = 0.0
+            for j in range(3):
+                total += axes[i, j] * directions[j, k]
+            hessian[i, k] = total
+        for i in range(3):
+            for j in range(3):
+                covariance[i, j] += shared * hessian[i, k] * hessian[j, k]
+    return mean
+
+
+@kernel
+def _diagonalize(matrix, axes):  # type: ignore[no-untyped-def]
+    """Turn a symmetric (3, 3) matrix until it is diagonal, by Jacobi's rotations; its axes are columns."""
+    for i in range(3):
+        for j in range(3):
+            axes[i, j] = 1.0 if i == j else 0.0
+    for _ in range(ROUNDS):
+        beside = abs(matrix[0, 1]) + abs(matrix[0, 2]) + abs(matrix[1, 2])
+        if beside <= TINY * TINY * (abs(matrix[0, 0]) + abs(matrix[1, 1]) + abs(matrix[2, 2])):
+            break
+        for p in range(2):
+            for q in range(p + 1, 3):
+                if matrix[p, q] == 0.0:
+                    continue
+                slant = (matrix[q, q] - matrix[p, p]) / (2.0 * matrix[p, q])
+                tan = math.copysign(1.0, slant) / (abs(slant) + math.hypot(slant, 1.0))
+                cos = 1.0 / math.hypot(tan, 1.0)
+                sin = tan * cos
+                for k in range(3):
+                    x, y = matrix[k, p], matrix[k, q]
+                    matrix[k, p], matrix[k, q] = cos * x - sin * y, sin * x + cos * y
+                for k in range(3):
+                    x, y = matrix[p, k], matrix[q, k]
+                    matrix[p, k], matrix[q, k] = cos * x - sin * y, sin * x + cos * y
+                    x, y = axes[k, p], axes[k, q]
+                    axes[k, p], axes[k, q] = cos * x - sin * y, sin * x + cos * y

@@ -81,20 +81,24 @@ def align(
         (3, 3) information that holds the pose at the guess, tangent order x, y, theta of the base frame,
         in units of points.
     """
-    pose, hessian, weight, squares, inliers, converged = _align(
-        points, normals, start, guess, *surfel_map, kernel_m, iterations, prior, np.empty((0, 5))
-    )
+    pose, hessian = start.astype(np.float64), np.empty((3, 3))
+    terms = np.empty((0, 5))
+    found = align_into(points, normals, guess, *surfel_map, kernel_m, iterations, prior, terms, pose, hessian)
+    return alignment_of(pose, hessian, found, len(points))
+
+
+def alignment_of(
+    pose: FloatArray,
+    hessian: FloatArray,
+    found: tuple[float, float, float, bool],
+    count: int,
+    spread: FloatArray | None = None,
+) -> Alignment:
+    """What `align_into` has found of so many points."""
+    weight, squares, inliers, converged = found
     residual_m = math.sqrt(squares / weight) if weight > 0.0 else math.inf
-    count = max(len(points), 1)
-    return Alignment(
-        np.array(pose),
-        np.array(hessian).reshape(3, 3),
-        weight,
-        residual_m,
-        weight / count,
-        inliers / count,
-        converged,
-    )
+    count = max(count, 1)
+    return Alignment(pose, hessian, weight, residual_m, weight / count, inliers / count, converged, spread)
 
 
 def terms_at(
@@ -106,17 +110,18 @@ def terms_at(
     bend of its cost, the second derivative by the residual.
     """
     terms = np.zeros((points.shape[0], 5))
-    _align(points, normals, pose, pose, *surfel_map, kernel_m, 0, np.zeros((3, 3)), terms)
+    square = np.zeros((3, 3))
+    align_into(points, normals, pose, *surfel_map, kernel_m, 0, square, terms, pose, square)
     return terms
 
 
-@kernel
-def _align(  # type: ignore[no-untyped-def]
+@kernel(error_model="numpy")
+def align_into(  # type: ignore[no-untyped-def]
     points,
     normals,
-    start,
     guess,
     cells,
+    after,
     surfels,
     origin_x,
     origin_y,
@@ -125,12 +130,17 @@ def _align(  # type: ignore[no-untyped-def]
     iterations,
     prior,
     terms,
+    pose,
+    hessian,
 ):
-    """Gauss and Newton's steps from ``start``; without iterations, only the ``terms`` there, (M, 5).
+    """Move ``pose`` (3,) by Gauss and Newton's steps; without iterations, only write its ``terms`` (M, 5).
+
+    Writes the Hessian (3, 3) too. Returns the sum of the weights, that of the weighted squares, the inliers
+    and whether it has converged.
 
     One kernel for both, and numbers instead of small arrays: either halves the time to compile.
     """
-    px, py, yaw = start[0], start[1], start[2]
+    px, py, yaw = pose[0], pose[1], pose[2]
     p00, p01, p02 = prior[0, 0], prior[0, 1], prior[0, 2]
     p11, p12, p22 = prior[1, 1], prior[1, 2], prior[2, 2]
     h00 = h01 = h02 = h11 = h12 = h22 = weight = squares = inliers = 0.0
@@ -146,7 +156,7 @@ def _align(  # type: ignore[no-untyped-def]
             y = sin * bx + cos * by + py
             nx = cos * normals[i, 0] - sin * normals[i, 1]
             ny = sin * normals[i, 0] + cos * normals[i, 1]
-            k = nearest_surfel(cells, surfels, origin_x, origin_y, cell_m, x, y, nx, ny)
+            k = nearest_surfel(cells, after, surfels, origin_x, origin_y, cell_m, x, y, nx, ny)
             if k < 0:
                 continue
             mx = surfels[k, 2]
@@ -182,7 +192,7 @@ def _align(  # type: ignore[no-untyped-def]
             weight += w
             squares += w * residual * residual
         if iterations == 0:
-            break
+            return weight, squares, inliers, converged
         dx = px - guess[0]
         dy = py - guess[1]
         ahead = cos * dx + sin * dy
@@ -209,5 +219,9 @@ def _align(  # type: ignore[no-untyped-def]
         if math.hypot(s0, s1) < SETTLED and abs(s2) < SETTLED:
             converged = True
             break
-    hessian = (h00, h01, h02, h01, h11, h12, h02, h12, h22)
-    return (px, py, yaw), hessian, weight, squares, inliers, converged
+    pose[0], pose[1], pose[2] = px, py, yaw
+    hessian[0, 0], hessian[1, 1], hessian[2, 2] = h00, h11, h22
+    hessian[0, 1] = hessian[1, 0] = h01
+    hessian[0, 2] = hessian[2, 0] = h02
+    hessian[1, 2] = hessian[2, 1] = h12
+    return weight, squares, inliers, converged

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from fusion.kernel import ZERO, kernel
-from slam.measurements import Float32Array, FloatArray, LaserScan
+from slam.measurements import BoolArray, Float32Array, FloatArray, LaserScan
 
 # A surface patch is a line when its thickness is below this: floor [m2] plus share of its length squared.
 _LINE_THICKNESS = 0.02
@@ -23,7 +23,7 @@ def _no_points() -> Float32Array:
     return np.zeros((0, 2), np.float32)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class ScanPoints:
     """The returns of one sweep.
 
@@ -53,6 +53,11 @@ class ScanPoints:
 
     def oriented(self) -> tuple[Float32Array, Float32Array]:
         """Only the points that have a normal: (K, 2) points and (K, 2) normals."""
+        return self._oriented
+
+    @cached_property
+    def _oriented(self) -> tuple[Float32Array, Float32Array]:
+        """Found once: a scan is asked several times."""
         known = (self.normals_base[:, 0] != 0.0) | (self.normals_base[:, 1] != 0.0)
         return self.points_base[known], self.normals_base[known]
 
@@ -69,26 +74,17 @@ def extract_points(scan: LaserScan, range_min_m: float, range_max_m: float, neig
     neighbours
         How many beams on each side may join the line fit; they stop at a gap in the surface.
     """
-    ranges = scan.ranges_m.astype(np.float64)
-    with np.errstate(invalid="ignore"):
-        usable = (ranges > range_min_m) & (ranges < range_max_m)
-    ranges[~usable] = 0.0
-    points = ranges[:, None] * _directions(scan.start_angle_rad, scan.step_rad, ranges.size)
-    normals = np.zeros_like(points)
-    onward = np.zeros(points.shape, np.bool_)
-    _line_normals(points, usable, abs(scan.step_rad), neighbours, onward, normals)
-    mount = scan.T_base_laser
-    cos, sin = math.cos(mount.theta()), math.sin(mount.theta())
-    rotation_t = np.array([[cos, sin], [-sin, cos]])
-    at = np.array([mount.x(), mount.y()])
-    walls = np.zeros((_walls_between(points, usable, np.zeros((0, 4))), 4))
-    _walls_between(points, usable, walls)
-    return ScanPoints(
-        (points[usable] @ rotation_t + at).astype(np.float32),
-        (normals[usable] @ rotation_t).astype(np.float32),
-        (walls[:, :2] @ rotation_t + at).astype(np.float32),
-        (walls[:, 2:] @ rotation_t).astype(np.float32),
-    )
+    beams = scan.ranges_m.size
+    points, usable = np.empty((beams, 2)), np.empty(beams, np.bool_)
+    directions = _directions(scan.start_angle_rad, scan.step_rad, beams)
+    _points_of(scan.ranges_m, directions, range_min_m, range_max_m, points, usable)
+    yaw_rad, at = scan.T_base_laser.theta(), scan.T_base_laser.translation()
+    placed = math.cos(yaw_rad), math.sin(yaw_rad), float(at[0]), float(at[1])
+    walls = np.empty((2, beams, 2), np.float32)
+    while (count := _walls_between(points, usable, *placed, *walls)) > walls.shape[1]:
+        walls = np.empty((2, count, 2), np.float32)
+    oriented = _with_normals(points, usable, abs(scan.step_rad), neighbours, placed)
+    return ScanPoints(*oriented, walls[0, :count], walls[1, :count])
 
 
 def orient_points(points: FloatArray, range_min_m: float, range_max_m: float, neighbours: int) -> ScanPoints:
@@ -107,9 +103,21 @@ def orient_points(points: FloatArray, range_min_m: float, range_max_m: float, ne
     usable = (ranges > range_min_m) & (ranges < range_max_m)
     # Most beams met something: the usual step between points is that between beams.
     step_rad = float(np.median(np.diff(bearings[order]))) if len(points) > 1 else 0.0
-    normals, onward = np.zeros_like(points), np.zeros(points.shape, np.bool_)
-    _line_normals(points, usable, step_rad, neighbours, onward, normals)
-    return ScanPoints(points[usable].astype(np.float32), normals[usable].astype(np.float32))
+    return ScanPoints(*_with_normals(points, usable, step_rad, neighbours, (1.0, 0.0, 0.0, 0.0)))
+
+
+def _with_normals(
+    points: FloatArray,
+    usable: BoolArray,
+    step_rad: float,
+    neighbours: int,
+    placed: tuple[float, float, float, float],
+) -> tuple[Float32Array, Float32Array]:
+    """The usable ones of (N, 2) points, and their normals, base frame; see `_line_normals`."""
+    onward = np.zeros(points.shape, np.bool_)
+    found, normals = np.empty((2, *points.shape), np.float32)
+    count = _line_normals(points, usable, step_rad, neighbours, onward, *placed, found, normals)
+    return found[:count], normals[:count]
 
 
 @lru_cache(maxsize=8)
@@ -120,11 +128,22 @@ def _directions(start_angle_rad: float, step_rad: float, count: int) -> FloatArr
 
 
 @kernel
-def _walls_between(points, usable, walls):  # type: ignore[no-untyped-def]
+def _points_of(ranges, directions, range_min_m, range_max_m, points, usable):  # type: ignore[no-untyped-def]
+    """The point of every reading, laser frame, and whether it is within the limits."""
+    for i in range(ranges.size):
+        range_m = np.float64(ranges[i])
+        usable[i] = range_min_m < range_m < range_max_m
+        reach_m = range_m if usable[i] else 0.0
+        points[i, 0] = reach_m * directions[i, 0]
+        points[i, 1] = reach_m * directions[i, 1]
+
+
+@kernel
+def _walls_between(points, usable, cos, sin, at_x, at_y, walls, normals):  # type: ignore[no-untyped-def]
     """How many points lie on walls between neighbouring beams far apart whose four readings are on one line.
 
-    They go to ``walls`` (K, 4), points and normals, where it has room. Nothing can stand between two
-    neighbouring beams but what is smaller than they are apart.
+    They go to ``walls`` and ``normals`` (K, 2), base frame, where there is room. Nothing can stand between
+    two neighbouring beams but what is smaller than they are apart.
     """
     count = ZERO
     for i in range(1, points.shape[0] - 2):
@@ -153,34 +172,42 @@ def _walls_between(points, usable, walls):  # type: ignore[no-untyped-def]
         parts = math.ceil(length / _WALL_SPACING_M)
         for n in range(parts + 1):
             if count < walls.shape[0]:
-                walls[count, 0] = points[i, 0] + n * length / parts * dx
-                walls[count, 1] = points[i, 1] + n * length / parts * dy
-                walls[count, 2] = facing * dy
-                walls[count, 3] = -facing * dx
+                x = points[i, 0] + n * length / parts * dx
+                y = points[i, 1] + n * length / parts * dy
+                walls[count, 0] = cos * x - sin * y + at_x
+                walls[count, 1] = sin * x + cos * y + at_y
+                normals[count, 0] = facing * (cos * dy + sin * dx)
+                normals[count, 1] = facing * (sin * dy - cos * dx)
             count += 1
     return count
 
 
 @kernel
-def _line_normals(points, usable, step_rad, neighbours, onward, normals):  # type: ignore[no-untyped-def]
-    """Principal-axis line fit over the connected neighbours of each beam; zero stays where it is no line.
+def _line_normals(  # type: ignore[no-untyped-def]
+    points, usable, step_rad, neighbours, onward, cos, sin, at_x, at_y, found, normals
+):
+    """Principal-axis line fit over the connected neighbours of each beam; how many are usable.
+
+    They go to ``found``, their normals to ``normals`` (N, 2), base frame; zero where it is no line.
 
     A fine beam spacing with a noisy range makes short patches whose direction is noise: where the fit says
     so, it is done again over four times as many neighbours.
 
     ``onward`` (N, 2) is for how the surface goes on from each beam to the one before and to the one after.
     """
-    count = points.shape[0]
-    for i in range(count - 1):
+    for i in range(points.shape[0] - 1):
         x = points[i, 0]
         y = points[i, 1]
         next_x = points[i + 1, 0]
         next_y = points[i + 1, 1]
-        gap = math.hypot(next_x - x, next_y - y) if usable[i] and usable[i + 1] else math.inf
+        dx = next_x - x
+        dy = next_y - y
+        gap = math.sqrt(dx * dx + dy * dy) if usable[i] and usable[i + 1] else math.inf
         # A surface seen at up to 72 degrees incidence spaces its points 3 beam widths apart.
-        onward[i, 1] = gap <= 0.1 + 3.0 * math.hypot(x, y) * step_rad
-        onward[i + 1, 0] = gap <= 0.1 + 3.0 * math.hypot(next_x, next_y) * step_rad
-    for i in range(count):
+        onward[i, 1] = gap <= 0.1 + 3.0 * math.sqrt(x * x + y * y) * step_rad
+        onward[i + 1, 0] = gap <= 0.1 + 3.0 * math.sqrt(next_x * next_x + next_y * next_y) * step_rad
+    count = ZERO
+    for i in range(points.shape[0]):
         if not usable[i]:
             continue
         x = points[i, 0]
@@ -200,7 +227,7 @@ def _line_normals(points, usable, step_rad, neighbours, onward, normals):  # typ
                     dx = points[j, 0] - x
                     dy = points[j, 1] - y
                     # Two neighbours a side are always taken; more only while the patch stays small.
-                    if hop >= 2 and math.hypot(dx, dy) > 0.3:
+                    if hop >= 2 and dx * dx + dy * dy > 0.3**2:
                         break
                     sx += dx
                     sy += dy
@@ -225,9 +252,15 @@ def _line_normals(points, usable, step_rad, neighbours, onward, normals):  # typ
             if sigma_rad <= _GREATEST_NORMAL_SIGMA_RAD:
                 break
             reach *= 4
+        nx = ny = 0.0
         if sigma_rad < math.inf:
             nx = -math.sin(angle_rad)
             ny = math.cos(angle_rad)
-            facing = 1.0 if nx * x + ny * y <= 0.0 else -1.0
-            normals[i, 0] = facing * nx
-            normals[i, 1] = facing * ny
+            if nx * x + ny * y > 0.0:
+                nx, ny = -nx, -ny
+        found[count, 0] = cos * x - sin * y + at_x
+        found[count, 1] = sin * x + cos * y + at_y
+        normals[count, 0] = cos * nx - sin * ny
+        normals[count, 1] = sin * nx + cos * ny
+        count += 1
+    return count

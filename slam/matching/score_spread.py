@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fusion.kernel import kernel
 from slam.matching.point_to_line import terms_at
 from slam.matching.surfel_map import SurfelMap
 from slam.measurements import AnyFloatArray, FloatArray
@@ -44,21 +45,46 @@ def score_spread(
     Hessian of Gauss and Newton. Larger residuals are beyond the bend of the kernel; the Hessian takes its
     weights for its second derivative, and the spread makes up for that.
     """
-    terms = terms_at(points, normals, pose, surfel_map, kernel_m)
-    weight, bend = terms[:, 3:].sum(axis=0).tolist()
-    flattened = weight / max(bend, _LEAST_BEND * weight) if weight > 0.0 else 1.0
-    return _bartlett_sum(terms[:, :3], lags) * flattened**2
+    terms, spread = terms_at(points, normals, pose, surfel_map, kernel_m), np.empty((3, 3))
+    spread_of(terms, lags, np.empty((len(terms) + 1, 3)), spread)
+    return spread
 
 
-def _bartlett_sum(rows: FloatArray, lags: int) -> FloatArray:
-    """Sum (3, 3) of the products of all pairs of rows up to so far apart, by weights that fall with the lag.
+@kernel(error_model="numpy")
+def spread_of(terms, lags, sums, spread):  # type: ignore[no-untyped-def]
+    """Write the spread (3, 3) of terms (M, 5), see `slam.matching.point_to_line.terms_at`.
 
+    It sums the products of all pairs of gradients up to ``lags`` apart, by weights that fall with the lag.
     Bartlett's weight of a pair, 1 - lag / (lags + 1), is the share of the windows of lags + 1 rows which hold
-    both: so it is the mean of the products of the windows' sums.
+    both: so it is the mean of the products of the windows' sums. ``sums`` (M + 1, 3) is room.
     """
-    sums = np.zeros((len(rows) + 2 * lags + 1, 3))
-    within = slice(lags + 1, lags + 1 + len(rows))
-    np.cumsum(rows, axis=0, out=sums[within])
-    sums[within.stop :] = sums[within.stop - 1]
-    windows = sums[lags + 1 :] - sums[: -lags - 1]
-    return windows.T @ windows / (lags + 1)
+    count = terms.shape[0]
+    weight = bend = 0.0
+    sums[0, 0] = sums[0, 1] = sums[0, 2] = 0.0
+    for i in range(count):
+        sums[i + 1, 0] = sums[i, 0] + terms[i, 0]
+        sums[i + 1, 1] = sums[i, 1] + terms[i, 1]
+        sums[i + 1, 2] = sums[i, 2] + terms[i, 2]
+        weight += terms[i, 3]
+        bend += terms[i, 4]
+    flattened = weight / max(bend, _LEAST_BEND * weight) if weight > 0.0 else 1.0
+    s00 = s01 = s02 = s11 = s12 = s22 = 0.0
+    for window in range(count + lags):
+        last = min(window + 1, count)
+        first = max(window - lags, 0)
+        x = sums[last, 0] - sums[first, 0]
+        y = sums[last, 1] - sums[first, 1]
+        turn = sums[last, 2] - sums[first, 2]
+        s00 += x * x
+        s01 += x * y
+        s02 += x * turn
+        s11 += y * y
+        s12 += y * turn
+        s22 += turn * turn
+    scale = flattened * flattened / (lags + 1)
+    spread[0, 0] = scale * s00
+    spread[0, 1] = spread[1, 0] = scale * s01
+    spread[0, 2] = spread[2, 0] = scale * s02
+    spread[1, 1] = scale * s11
+    spread[1, 2] = spread[2, 1] = scale * s12
+    spread[2, 2] = scale * s22

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from fusion.kernel import NONE, ZERO, kernel
 from slam.measurements import AnyFloatArray, FloatArray
 
-_SIDES = 4
-
 
 class SurfelMap(NamedTuple):
     """Surfels with a dense index grid.
@@ -24,9 +22,11 @@ class SurfelMap(NamedTuple):
     Attributes
     ----------
     cells
-        (rows, 4 columns) number of the surfel of each cell, side after side, -1 for none.
+        (rows, columns) number of the first surfel of each cell, -1 for none.
+    after
+        (K,) number of the next surfel of the same cell, which faces another side; -1 for none.
     surfels
-        (K, 4) x, y, normal x, normal y in the map's frame.
+        (K, 6) x, y, normal x, normal y in the map's frame, number of points, side.
     origin_x, origin_y
         Lower-left corner of cell (0, 0), metres.
     cell_m
@@ -34,6 +34,7 @@ class SurfelMap(NamedTuple):
     """
 
     cells: NDArray[np.int32]
+    after: NDArray[np.int32]
     surfels: FloatArray
     origin_x: float
     origin_y: float
@@ -50,20 +51,34 @@ def build_surfel_map(points: AnyFloatArray, normals: AnyFloatArray, cell_m: floa
     cell_m
         Edge of a cell, metres.
     """
-    if points.shape[0] == 0:
-        return SurfelMap(np.full((1, _SIDES), -1, np.int32), np.zeros((0, 4)), 0.0, 0.0, cell_m)
-    low_x, low_y = (float(points[:, k].min()) for k in (0, 1))
-    high_x, high_y = (float(points[:, k].max()) for k in (0, 1))
+    low_x, low_y, high_x, high_y = _extent(points)
     origin_x, origin_y = low_x - 2.0 * cell_m, low_y - 2.0 * cell_m
     rows, columns = (int((high - low) / cell_m) + 3 for low, high in ((origin_y, high_y), (origin_x, high_x)))
-    cells = np.full((rows, columns * _SIDES), -1, np.int32)
-    sums = np.zeros((points.shape[0], 5))
-    count = _build(points, normals, origin_x, origin_y, cell_m, cells, sums)
-    return SurfelMap(cells, np.ascontiguousarray(sums[:count, :4]), origin_x, origin_y, cell_m)
+    cells, after = np.full((rows, columns), -1, np.int32), np.empty(len(points), np.int32)
+    sums = np.empty((len(points), 6))
+    count = _build(points, normals, origin_x, origin_y, cell_m, cells, after, sums)
+    return SurfelMap(cells, after[:count].copy(), sums[:count].copy(), origin_x, origin_y, cell_m)
 
 
 @kernel
-def _build(points, normals, origin_x, origin_y, cell_m, cells, sums):  # type: ignore[no-untyped-def]
+def _extent(points):  # type: ignore[no-untyped-def]
+    """Least x and y, greatest x and y; zeros of no points."""
+    if points.shape[0] == 0:
+        return 0.0, 0.0, 0.0, 0.0
+    low_x = low_y = math.inf
+    high_x = high_y = -math.inf
+    for i in range(points.shape[0]):
+        x = np.float64(points[i, 0])
+        y = np.float64(points[i, 1])
+        low_x = min(low_x, x)
+        low_y = min(low_y, y)
+        high_x = max(high_x, x)
+        high_y = max(high_y, y)
+    return low_x, low_y, high_x, high_y
+
+
+@kernel
+def _build(points, normals, origin_x, origin_y, cell_m, cells, after, sums):  # type: ignore[no-untyped-def]
     """Number the cells' sides that have points, and average those points; how many there are."""
     count = ZERO
     for i in range(points.shape[0]):
@@ -72,16 +87,22 @@ def _build(points, normals, origin_x, origin_y, cell_m, cells, sums):  # type: i
         nx = normals[i, 0]
         ny = normals[i, 1]
         row = math.floor((y - origin_y) / cell_m)
-        # The entry of the quarter of the compass that the normal faces.
-        entry = _SIDES * math.floor((x - origin_x) / cell_m)
+        column = math.floor((x - origin_x) / cell_m)
+        # The quarter of the compass that the normal faces.
+        side = 0.0
         if abs(nx) < abs(ny):
-            entry += 1 if ny > 0.0 else 3
+            side = 1.0 if ny > 0.0 else 3.0
         elif nx <= 0.0:
-            entry += 2
-        k = cells[row, entry]
+            side = 2.0
+        k = cells[row, column]
+        while k >= 0 and sums[k, 5] != side:
+            k = after[k]
         if k < 0:
             k = count
-            cells[row, entry] = k
+            after[k] = cells[row, column]
+            cells[row, column] = k
+            sums[k, 0] = sums[k, 1] = sums[k, 2] = sums[k, 3] = sums[k, 4] = 0.0
+            sums[k, 5] = side
             count += 1
         sums[k, 0] += x
         sums[k, 1] += y
@@ -98,24 +119,28 @@ def _build(points, normals, origin_x, origin_y, cell_m, cells, sums):  # type: i
 
 
 @kernel(inline="always")
-def nearest_surfel(cells, surfels, origin_x, origin_y, cell_m, x, y, nx, ny):  # type: ignore[no-untyped-def]
+def nearest_surfel(cells, after, surfels, origin_x, origin_y, cell_m, x, y, nx, ny):  # type: ignore[no-untyped-def]
     """Number of the nearest surfel in the 3 x 3 cells around a point that faces the same way, or -1.
 
-    The first five are a `SurfelMap`; taken apart, they compile faster.
+    The first six are a `SurfelMap`; taken apart, they compile faster.
     """
     row = math.floor((y - origin_y) / cell_m)
-    first = _SIDES * (math.floor((x - origin_x) / cell_m) - 1)
+    column = math.floor((x - origin_x) / cell_m)
     best = NONE
     best_squared = (1.5 * cell_m) * (1.5 * cell_m)
     for r in range(max(row - 1, 0), min(row + 2, cells.shape[0])):
-        for entry in range(max(first, 0), min(first + 3 * _SIDES, cells.shape[1])):
-            k = cells[r, entry]
-            # 0.6: normals within 53 degrees of each other.
-            if k >= 0 and surfels[k, 2] * nx + surfels[k, 3] * ny >= 0.6:
-                dx = surfels[k, 0] - x
-                dy = surfels[k, 1] - y
-                squared = dx * dx + dy * dy
-                if squared < best_squared:
-                    best_squared = squared
-                    best = k
+        for c in range(max(column - 1, 0), min(column + 2, cells.shape[1])):
+            k = cells[np.uint64(r), np.uint64(c)]
+            while k >= 0:
+                # 0.6: normals within 53 degrees of each other.
+                # Without a sign it cannot count from the end.
+                at = np.uint64(k)
+                if surfels[at, 2] * nx + surfels[at, 3] * ny >= 0.6:
+                    dx = surfels[at, 0] - x
+                    dy = surfels[at, 1] - y
+                    squared = dx * dx + dy * dy
+                    if squared < best_squared:
+                        best_squared = squared
+                        best = k
+                k = after[at]
     return best

@@ -99,8 +99,9 @@ class _Predictor:
 
     def rescaled(self, pose: FloatArray, covariance: FloatArray) -> Motion:
         """A pose (3,) with a covariance (3, 3) as claimed, rescaled by what was learned so far."""
-        scale = np.sqrt(self.doubt * np.array([self._share, self._share, 1.0]))
-        return Motion(pose, covariance * np.outer(scale, scale))
+        way, turn = self.doubt * self._share, self.doubt
+        both = math.sqrt(way * turn)
+        return Motion(pose, covariance * np.array([[way, way, both], [way, way, both], [both, both, turn]]))
 
     def judge(self, pose: FloatArray) -> None:
         """Learn from where the scan was taken: the mean of the first guess's normalised squared error."""
@@ -110,8 +111,9 @@ class _Predictor:
         squares = self.doubt * guess.squared_mahalanobis(pose) / 3.0
         average = self.doubt + self._rate * (min(squares, _GREATEST_SURPRISE * self.doubt) - self.doubt)
         self.doubt = max(1.0, average)
-        shift = between(guess.pose, pose)[:2]
-        squares = self._share * float(shift @ np.linalg.solve(guess.covariance[:2, :2], shift)) / 2.0
+        x, y, _ = between(guess.pose, pose).tolist()
+        (xx, xy, _), (_, yy, _), _ = guess.covariance.tolist()
+        squares = self._share * (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy) / 2.0
         average = self._share + self._rate * (min(squares, _GREATEST_SURPRISE * self._share) - self._share)
         self._share = min(max(self._least_share, average), 1.0)
 
@@ -219,7 +221,7 @@ class MotionTracker:
             # By then it may as well stand.
             self._by_velocity.predict(last.pose, on.covariance + last.dispute)
         guesses = [guess for predictor in predictors for guess in predictor.guesses]
-        return sorted(guesses, key=lambda guess: float(np.linalg.det(guess.covariance)))
+        return sorted(guesses, key=_volume)
 
     def _learn_velocity(self, step: FloatArray, step_s: float, *, told: bool) -> None:
         """Take a step (3,): one that repeats the velocity teaches none, nor does the next, which mends it.
@@ -393,3 +395,9 @@ class MotionTracker:
 def _log_likelihood(predictions: Sequence[Motion], pose: FloatArray) -> float:
     """Of a pose (3,) by all predictions, a heavy tail each: Student's t with three degrees of freedom."""
     return -sum(2.0 * math.log1p(guess.squared_mahalanobis(pose) / 3.0) for guess in predictions)
+
+
+def _volume(motion: Motion) -> float:
+    """Determinant of a covariance: how uncertain a motion is in all."""
+    (xx, xy, xt), (_, yy, yt), (_, _, tt) = motion.covariance.tolist()
+    return float(xx * (yy * tt - yt * yt) - xy * (xy * tt - yt * xt) + xt * (xy * yt - yy * xt))

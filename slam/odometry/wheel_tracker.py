@@ -199,13 +199,19 @@ def thrown_aside(motion: Motion) -> FloatArray:
     A heading may go wrong anywhere between: then a share of the way from 0 to 1 is aside by the error, its
     mean one half, that of its square one third.
     """
-    ahead = between(motion.pose, np.zeros(3))[:2]
-    lever = np.array([ahead[1], -ahead[0]])
-    variance = motion.covariance[2, 2]
+    x, y, yaw_rad = motion.pose.tolist()
+    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    # Where it began, seen from where it ended; a quarter turn from there is aside.
+    lever_x, lever_y = sin * x - cos * y, cos * x + sin * y
+    _, _, (xt, yt, variance) = motion.covariance.tolist()
     # A way that is wrong together with the heading is thrown aside together with it: else a dispute, whose
     # covariance has one direction, would leave one that is none.
-    together = 0.5 * np.outer(lever, motion.covariance[:2, 2])
-    covariance = np.zeros((3, 3))
-    covariance[:2, :2] = variance * np.outer(lever, lever) / 3 + together + together.T
-    covariance[:2, 2] = covariance[2, :2] = 0.5 * variance * lever
-    return covariance
+    third, half = variance / 3.0, 0.5 * variance
+    across = third * lever_x * lever_y + 0.5 * (lever_x * yt + lever_y * xt)
+    return np.array(
+        [
+            [third * lever_x * lever_x + lever_x * xt, across, half * lever_x],
+            [across, third * lever_y * lever_y + lever_y * yt, half * lever_y],
+            [half * lever_x, half * lever_y, 0.0],
+        ]
+    )

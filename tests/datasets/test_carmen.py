@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from slam.datasets import open_dataset
+from slam.datasets.carmen_records import _numbers
 from slam.datasets.laser_geometry import beam_layout, classify_ranges, no_return_limit_m
 from slam.measurements import LaserScan, WheelOdometry
 
@@ -34,6 +35,18 @@ def test_a_flaser_line_gives_its_odometry_then_its_scan(tmp_path: Path) -> None:
     assert scan.T_base_laser.equals(gtsam.Pose2(), 1e-12)
     # The laser pose is not the robot's: an unknown mount is said, not guessed.
     assert any("laser pose" in note for note in dataset.report.notes)
+
+
+@QUIET
+@given(
+    st.lists(
+        st.from_regex(r"-?([0-9]{1,17}(\.[0-9]{0,8})?|\.[0-9]{1,8})(e-?[0-9]{1,2})?", fullmatch=True),
+        min_size=1,
+    )
+)
+def test_numbers_are_read_to_the_bit_as_python_does(written: list[str]) -> None:
+    found = _numbers([text.encode() for text in written])
+    assert found.tobytes() == np.array([float(text) for text in written]).tobytes()
 
 
 def test_every_distinct_odometry_reading_is_given_once(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ def test_a_surfel_is_the_mean_of_its_cell(offset: tuple[float, float]) -> None:
     assert len(surfels) == 2
     mean = math.atan2(0.6, 1.8)
     np.testing.assert_allclose(
-        surfels[0], [0.02 + offset[0], 0.01 + offset[1], math.cos(mean), math.sin(mean)], atol=1e-9
+        surfels[0, :4], [0.02 + offset[0], 0.01 + offset[1], math.cos(mean), math.sin(mean)], atol=1e-9
     )
 
 
@@ -42,7 +42,7 @@ def test_the_sides_of_a_thin_wall_are_not_mixed(offset: tuple[float, float], tur
     points = turned(np.concatenate([near, far]), turn) + offset
     surfel_map = build_surfel_map(points, turned(normals, turn), 0.3)
     sides = turned(surfel_map.surfels[:, :2] - offset, -turn)[:, 0]
-    facing = turned(surfel_map.surfels[:, 2:], -turn)[:, 0]
+    facing = turned(surfel_map.surfels[:, 2:4], -turn)[:, 0]
     np.testing.assert_allclose(sides, np.where(facing < 0.0, 0.0, 0.04), atol=1e-9)
     for x, normal in ((0.0, -1.0), (0.04, 1.0)):
         # Asked from the wrong face, the answer is still one's own.
