@@ -36,6 +36,36 @@ def slot_of(key, mask):  # type: ignore[no-untyped-def]
     return (key ^ ((key >> AXIS_BITS) * _PRIMES[0]) ^ ((key >> 2 * AXIS_BITS) * _PRIMES[1])) & mask
 
 
+@kernel(inline="always")
+def entry_of(key, table, keys):  # type: ignore[no-untyped-def]
+    """The number of a key's entry; -1 where there is none."""
+    mask = table.shape[0] - 1
+    slot = slot_of(key, mask)
+    found = np.int64(table[slot])
+    while found >= 0 and keys[found] != key:
+        slot = (slot + 1) & mask
+        found = np.int64(table[slot])
+    return found
+
+
+@kernel
+def index_keys(keys, table):  # type: ignore[no-untyped-def]
+    """Enter the numbers of keys (V,), each of them once, into empty slots."""
+    mask = table.shape[0] - 1
+    for i in range(keys.shape[0]):
+        slot = slot_of(keys[i], mask)
+        while table[slot] >= 0:
+            slot = (slot + 1) & mask
+        table[slot] = i
+
+
+@kernel
+def entries_at(points, size_m, table, keys, entries):  # type: ignore[no-untyped-def]
+    """Numbers (N,) of the entries that the voxels of points (N, 3) have; -1 where they have none."""
+    for i in range(points.shape[0]):
+        entries[i] = entry_of(key_of(points[i, 0], points[i, 1], points[i, 2], size_m), table, keys)
+
+
 @kernel
 def first_in_voxels(points, size_m, table, keys, first):  # type: ignore[no-untyped-def]
     """Numbers of the first point (N, 3) of each voxel, in order, into ``first`` (N,); how many there are.

@@ -7,23 +7,12 @@ import math
 import numpy as np
 
 from fusion.kernel import NONE, ZERO, kernel
-from fusion.voxel_hash import AXIS, AXIS_BITS, HALF, key_of, slot_of
+from fusion.voxel_hash import AXIS, AXIS_BITS, HALF, entry_of, key_of, slot_of
 
 # A ring of the lidar alone is a line: its second extent is noise, which tells no plane.
 _LEAST_EXTENT = 0.12
 _LEAST_FLATNESS = 9.0
 _LEAST_POINTS = 6
-
-
-@kernel
-def index_keys(keys, table):  # type: ignore[no-untyped-def]
-    """Enter the numbers of keys (V,), each of them once, into empty slots."""
-    mask = table.shape[0] - 1
-    for i in range(keys.shape[0]):
-        slot = slot_of(keys[i], mask)
-        while table[slot] >= 0:
-            slot = (slot + 1) & mask
-        table[slot] = i
 
 
 @kernel
@@ -190,7 +179,6 @@ def pair_up(points, pose, sizes, table, keys, flat, planes, which, plane, residu
         (N,) each: room for numbers of points, of their voxels, and distances.
     """
     count = ZERO
-    mask = table.shape[0] - 1
     for i in range(points.shape[0]):
         a = points[i, 0]
         b = points[i, 1]
@@ -201,11 +189,7 @@ def pair_up(points, pose, sizes, table, keys, flat, planes, which, plane, residu
         k = NONE
         for level in range(sizes.shape[0]):
             key = key_of(x, y, z, sizes[level]) | (level << 3 * AXIS_BITS)
-            slot = slot_of(key, mask)
-            k = np.int64(table[slot])
-            while k >= 0 and keys[k] != key:
-                slot = (slot + 1) & mask
-                k = np.int64(table[slot])
+            k = entry_of(key, table, keys)
             if k >= 0:
                 if flat[k]:
                     break
@@ -229,7 +213,6 @@ def pull(points, pose, size_m, table, keys, sums, reach_m, pulls):  # type: igno
     Of weights, points, their products, and the pulls that turn and shift. The nearest middle pulls of those
     in the voxel of a point and in the 26 around it; weights are Geman and McClure's, as wide as a voxel.
     """
-    mask = table.shape[0] - 1
     for i in range(points.shape[0]):
         a = points[i, 0]
         b = points[i, 1]
@@ -249,11 +232,7 @@ def pull(points, pose, size_m, table, keys, sums, reach_m, pulls):  # type: igno
             row = near // 3 % 3 - 1
             layer = near % 3 - 1
             key = own + (column << 2 * AXIS_BITS) + (row << AXIS_BITS) + layer
-            slot = slot_of(key, mask)
-            k = np.int64(table[slot])
-            while k >= 0 and keys[k] != key:
-                slot = (slot + 1) & mask
-                k = np.int64(table[slot])
+            k = entry_of(key, table, keys)
             if k < 0 or sums[k, 0] < 0.5:
                 continue
             ux = x - column * size_m - sums[k, 1] / sums[k, 0]

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.voxel_hash import table_for
+from fusion.voxel_hash import entries_at, index_keys, table_for
 from slam.matching.normal_kernels import smooth_normals
 from slam.matching.plane_kernels import (
     count_points,
     fit_planes,
-    index_keys,
     normal_equations,
     pair_up,
     pull,
@@ -185,8 +184,13 @@ def surface_normals(points: FloatArray, size_m: float) -> FloatArray:
     points = np.ascontiguousarray(points, dtype=np.float64)
     count, table = len(points), table_for(len(points))
     keys, sums, marks = np.empty(count, np.int64), np.empty((count, 10)), np.zeros(count, np.bool_)
-    touched, normals = np.empty(count, np.int64), np.empty((count, 3))
-    cells, _ = count_points(points, 1.0, np.array([size_m]), 0, table, keys, sums, marks, touched)
-    known, of_cells = np.zeros(cells, np.bool_), np.zeros((cells, 3))
-    smooth_normals(points, size_m, table, keys, sums, known, of_cells, normals)
-    return normals
+    entries = np.empty(count, np.int64)
+    cells, _ = count_points(points, 1.0, np.array([size_m]), 0, table, keys, sums, marks, entries)
+    # In the order of their keys all neighbours are found on the way.
+    order = np.argsort(keys[:cells])
+    of_cells, normals = np.empty((cells, 3)), np.empty((cells, 3))
+    begun = np.zeros(9, np.int64)
+    smooth_normals(keys[order], sums[order], size_m, begun, np.empty((27, 4)), of_cells)
+    normals[order] = of_cells
+    entries_at(points, size_m, table, keys, entries)
+    return np.asarray(normals[entries])
