@@ -34,6 +34,4 @@ class PlaneWindow:
     def add(self, points: FloatArray) -> None:
         """Take another cloud (N, 3)."""
         self.clouds.append(points)
-        self.planes.add(points)
-        if len(self.clouds) > self._length:
-            self.planes.take(self.clouds.popleft())
+        self.planes.add(points, self.clouds.popleft() if len(self.clouds) > self._length else None)

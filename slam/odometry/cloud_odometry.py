@@ -53,10 +53,10 @@ class CloudOdometry:
         """Take points (N, 3), base frame, at ``T_odom_base`` into the local map."""
         if not len(points):
             return
-        scan = thinned(points, self._voxel_m)
+        half = thinned(points, 0.5 * self._voxel_m)
+        scan = thinned(half, self._voxel_m)  # the same points as of the whole cloud
         before = self._agreement(scan, pose)
-        cloud = moved(thinned(points, 0.5 * self._voxel_m), pose)
-        self._window.add(cloud)
+        self._window.add(moved(half, pose))
         self._map = LocalCloud(self._window.planes, self._voxel_m, self._config)
         own = self._agreement(scan, pose)
         if before > 0.0 and own > 0.0:
