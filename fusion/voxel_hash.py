@@ -24,7 +24,9 @@ def table_for(count: int) -> NDArray[np.int32]:
 @kernel(inline="always")
 def key_of_cell(column, row, layer):  # type: ignore[no-untyped-def]
     """One integer for a voxel by its place; it comes again 2^20 voxels farther."""
-    return ((column + HALF & AXIS) << 2 * AXIS_BITS) | ((row + HALF & AXIS) << AXIS_BITS) | (layer + HALF & AXIS)
+    return (
+        ((column + HALF & AXIS) << 2 * AXIS_BITS) | ((row + HALF & AXIS) << AXIS_BITS) | (layer + HALF & AXIS)
+    )
 
 
 @kernel(inline="always")
