@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import IO, TypeAlias
@@ -102,14 +101,6 @@ class CloudTiles:
             if most > max(_TILE_VOXELS**2, len(kept)):
                 kept, waiting, most = thin_to_voxels(np.concatenate([kept, *waiting]), self._voxel_m), [], 0
         return thin_to_voxels(np.concatenate([kept, *waiting]), self._voxel_m)
-
-
-def map_cloud(
-    clouds: Iterable[FloatArray], poses: Sequence[gtsam.Pose3], voxel_m: float
-) -> Iterator[ColoredCloud]:
-    """All of a map's clouds, see `CloudTiles`, one tile after the other."""
-    with tempfile.TemporaryFile(prefix="scanweave-cloud-") as file:
-        yield from CloudTiles(clouds, poses, voxel_m, file).cloud()
 
 
 def _by_tile(points: FloatArray, voxel_m: float) -> Iterator[tuple[tuple[int, int], FloatArray]]:
