@@ -22,18 +22,53 @@ def table_for(count: int) -> NDArray[np.int32]:
 
 
 @kernel(inline="always")
+def key_of_cell(column, row, layer):  # type: ignore[no-untyped-def]
+    """One integer for a voxel by its place; it comes again 2^20 voxels farther."""
+    return (
+        ((column + HALF & AXIS) << 2 * AXIS_BITS) | ((row + HALF & AXIS) << AXIS_BITS) | (layer + HALF & AXIS)
+    )
+
+
+@kernel(inline="always")
 def key_of(x, y, z, size_m):  # type: ignore[no-untyped-def]
-    """One integer for the voxel of a point; it comes again 2^20 voxels farther."""
-    column = (math.floor(x / size_m) + HALF) & AXIS
-    row = (math.floor(y / size_m) + HALF) & AXIS
-    layer = (math.floor(z / size_m) + HALF) & AXIS
-    return (column << 2 * AXIS_BITS) | (row << AXIS_BITS) | layer
+    """One integer for the voxel of a point."""
+    return key_of_cell(math.floor(x / size_m), math.floor(y / size_m), math.floor(z / size_m))
 
 
 @kernel(inline="always")
 def slot_of(key, mask):  # type: ignore[no-untyped-def]
     """Where the search for a key begins."""
     return (key ^ ((key >> AXIS_BITS) * _PRIMES[0]) ^ ((key >> 2 * AXIS_BITS) * _PRIMES[1])) & mask
+
+
+@kernel(inline="always")
+def entry_of(key, table, keys):  # type: ignore[no-untyped-def]
+    """The number of a key's entry; -1 where there is none."""
+    mask = table.shape[0] - 1
+    slot = slot_of(key, mask)
+    found = np.int64(table[slot])
+    while found >= 0 and keys[found] != key:
+        slot = (slot + 1) & mask
+        found = np.int64(table[slot])
+    return found
+
+
+@kernel
+def index_keys(keys, table):  # type: ignore[no-untyped-def]
+    """Enter the numbers of keys (V,), each of them once, into empty slots."""
+    mask = table.shape[0] - 1
+    for i in range(keys.shape[0]):
+        slot = slot_of(keys[i], mask)
+        while table[slot] >= 0:
+            slot = (slot + 1) & mask
+        table[slot] = i
+
+
+@kernel
+def entries_at(points, size_m, table, keys, entries):  # type: ignore[no-untyped-def]
+    """Numbers (N,) of the entries that the voxels of points (N, 3) have; -1 where they have none."""
+    for i in range(points.shape[0]):
+        entries[i] = entry_of(key_of(points[i, 0], points[i, 1], points[i, 2], size_m), table, keys)
 
 
 @kernel

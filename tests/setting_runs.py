@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any, TypeVar
 
 import gtsam
@@ -28,7 +28,7 @@ from slam.localization.localizer import Localizer
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
-from slam.mapping.cloud_map import map_cloud
+from slam.mapping.cloud_map import CloudTiles
 from slam.matching.planar import compose
 from slam.measurements import LaserScan, Measurement, RgbdFrame, Trajectory, WheelOdometry, pose2_from_row
 from slam.outputs import exports, surface
@@ -249,8 +249,10 @@ def first_clouds(config: Config, course: Course) -> None:
     """The beginning of it, and the cloud of the map."""
     result = mapped(Log(cloud_log().measurements[:16]), config, course)
     assert result.map.clouds is not None
-    for cloud in map_cloud(result.map.clouds, result.map.node_poses, config.grid.resolution_m):  # type: ignore[arg-type]
-        course.note(cloud.points_map)
+    seen = result.map.clouds, result.map.node_poses, config.grid.resolution_m
+    with TemporaryFile() as file:
+        for cloud in CloudTiles(*seen, file).cloud():  # type: ignore[arg-type]
+            course.note(cloud.points_map)
 
 
 @cache

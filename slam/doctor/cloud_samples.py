@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
@@ -13,10 +13,12 @@ from slam.datasets.corrections import repeats
 from slam.datasets.dataset import Thinned
 from slam.doctor.camera_samples import SensorStep
 from slam.doctor.stretches import Stretches
+from slam.matching.cloud_points import at_middle_of_turn
 from slam.measurements import FloatArray, PointCloud
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
 
-_THINNED = 16  # every so manyth point tells what there is
+# As many points as 16 rings have tell how a lidar moves, and what there is.
+_MOST_POINTS = 16_000
 _CONFIG = Config()
 
 
@@ -55,13 +57,17 @@ class CloudSamples:
         self._newest, self.T_base_lidar = cloud, cloud.T_base_lidar
         if not self._stretches.wants(cloud.stamp_s):
             return
+        points, times_s, step = cloud.points_lidar, cloud.times_s, -(-len(cloud.points_lidar) // _MOST_POINTS)
+        times_s = None if times_s is None else times_s[::step]
+        thinned = PointCloud(cloud.stamp_s, points[::step], times_s, sensor=cloud.sensor)
         if self._stretches.begins:
             if self._stretches.thinned:
                 del self.steps[1::2], self.points[1::2]
             self.steps.append([])
-            self.points.append(cloud.points_lidar[::_THINNED].astype(np.float64))
+            self.points.append(thinned.points_lidar.astype(np.float64))
         if compared:
-            self._track(replace(cloud, T_base_lidar=gtsam.Pose3()))
+            # Stamped at its beginning, what straightens a turn would swing from step to step.
+            self._track(at_middle_of_turn(thinned, _CONFIG.cloud_odometry))
 
     def _track(self, cloud: PointCloud) -> None:
         """The step from the cloud before; after a gap everything begins anew."""

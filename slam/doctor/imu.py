@@ -116,16 +116,22 @@ def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
     apart, rotation, spread = _apart(seen, told(best_s))
     sigma = median_to_sigma(3) * math.sqrt(float(np.median(np.sum(apart**2, axis=1))))
     slope = (told(best_s + _STEP_S) - told(best_s - _STEP_S)) / (2.0 * _STEP_S)
-    slope -= slope.mean(axis=0)
-    moved = math.sqrt(float(np.sum(slope**2)))
-    if not moved:
+    slope = (slope - slope.mean(axis=0)) @ rotation.T
+    moved = np.sum(slope**2, axis=1)
+    if not moved.any():
         return None
+    # Most steps may be straight and tell nothing: by least squares what is left, and its error by what those
+    # that tell leave over (White 1980).
+    pulls = np.einsum("ij,ij->i", slope, apart)
+    left_s = float(pulls.sum() / moved.sum())
+    ahead_sigma_s = float(np.linalg.norm(pulls - left_s * moved) / moved.sum())
+    best_s += float(np.clip(left_s, -_STEP_S, _STEP_S))
     # A rotation about an axis is told by what turns about the other two.
     information = np.linalg.eigvalsh(np.trace(spread) * np.eye(3) - spread)[0]
     main = np.linalg.eigvalsh(spread)
     open_ = main[1] < _SECOND_AXIS**2 * main[2]
     axis_rad = math.inf if open_ or information <= 0.0 else sigma / math.sqrt(float(information))
-    return TurnFit(best_s, sigma / moved, rotation, axis_rad, sigma)
+    return TurnFit(best_s, ahead_sigma_s, rotation, axis_rad, sigma)
 
 
 def _apart(seen: FloatArray, told: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

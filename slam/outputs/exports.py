@@ -115,7 +115,8 @@ class Exports:
         if format_ in CLOUD_FORMATS:
             if found.clouds is None:
                 raise ScanweaveError(f"the map holds no cloud, so there is nothing to write as {format_}")
-            return export_cloud(format_, out, lidar_cloud(found, self.config, self.ground)), []
+            with lidar_cloud(found, self.config, self.ground) as cloud:
+                return export_cloud(format_, out, cloud), []
         seen = found.frames is not None or found.clouds is not None
         if (format_ == "nav2" and self.layers is None) or (format_ in ("ply", "bt", "e57") and not seen):
             lacking = "grid" if format_ == "nav2" else "image or cloud"
@@ -294,7 +295,8 @@ class Exports:
             written, missing = _save_surface(out, self._surface)
             path = out.with_name("lidar.ply" if out.name == "mesh.ply" else f"{out.stem}-lidar.ply")
         if found.clouds is not None:
-            written += write_lidar_cloud(path, lidar_cloud(found, self.config, self.ground))
+            with lidar_cloud(found, self.config, self.ground) as cloud:
+                written += write_lidar_cloud(path, cloud)
         return written, missing
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 
 from slam.config import Config
-from slam.mapping.cloud_map import map_cloud
+from slam.mapping.cloud_map import CloudTiles
 from slam.mapping.cloud_passers_by import passed_by
 from slam.mapping.dense_map import ColoredCloud
 from slam.mapping.elevation import Elevation
@@ -17,8 +19,9 @@ from slam.storage.lidar_cloud_files import LidarCloud
 from slam.storage.map_contents import MapContents
 
 
-def lidar_cloud(found: MapContents, config: Config, ground: Elevation | None) -> LidarCloud:
-    """The cloud of a map that has clouds.
+@contextmanager
+def lidar_cloud(found: MapContents, config: Config, ground: Elevation | None) -> Iterator[LidarCloud]:
+    """The cloud of a map that has clouds, as long as it is used.
 
     Parameters
     ----------
@@ -30,25 +33,25 @@ def lidar_cloud(found: MapContents, config: Config, ground: Elevation | None) ->
     ScanweaveError
         Where a pose is not finite.
     """
-    poses, cell_m = [spatial(pose) for pose in found.node_poses], config.grid.resolution_m
+    poses = [spatial(pose) for pose in found.node_poses]
     clouds = found.clouds
     assert clouds is not None
-    if ground is None:
-        stays = _Parts(lambda: map_cloud(clouds, poses, cell_m))
-        return LidarCloud(stays, lambda points: np.zeros(len(points), np.bool_), None)
-    reach_m = config.cloud_odometry.range_max_m
-    passed = passed_by(clouds, poses, found.T_base_lidar, ground, reach_m)
-    stays, gone = (
-        _Parts(lambda one=one: map_cloud(passed.parts(clouds, poses, gone=one), poses, cell_m))  # type: ignore[misc]
-        for one in (False, True)
-    )
+    with tempfile.TemporaryFile(prefix="scanweave-cloud-") as file:
+        tiles = CloudTiles(clouds, poses, config.grid.resolution_m, file)
+        if ground is None:
+            yield LidarCloud(_Parts(tiles.cloud), lambda points: np.zeros(len(points), np.bool_), None)
+            return
+        reach_m = config.cloud_odometry.range_max_m
+        passed = passed_by(tiles.points(), clouds, poses, found.T_base_lidar, ground, reach_m)
 
-    def is_ground(points: Float32Array) -> BoolArray:
-        above_m = np.abs(ground.above_m(points.astype(np.float64)))
-        # Where no ground was seen, its height is a guess.
-        return np.asarray((above_m < 0.5 * passed.voxel_m) & ground.seen_at(points))
+        def is_ground(points: Float32Array) -> BoolArray:
+            above_m = np.abs(ground.above_m(points.astype(np.float64)))
+            # Where no ground was seen, its height is a guess.
+            return np.asarray((above_m < 0.5 * passed.voxel_m) & ground.seen_at(points))
 
-    return LidarCloud(stays, is_ground, gone if len(passed.keys) else None)
+        stays = _Parts(lambda: tiles.cloud(lambda points: ~passed.holds(points)))
+        gone = _Parts(lambda: tiles.cloud(passed.holds)) if len(passed.keys) else None
+        yield LidarCloud(stays, is_ground, gone)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.errors import LibraryError, MapFileError
+from slam.errors import LibraryError
 from slam.mapping.dense_map import ColoredCloud
 from slam.measurements import BoolArray
 from slam.storage.files import replacing
@@ -18,7 +18,7 @@ _COLOUR_STEP = 257  # colours of 16 bits
 
 
 def write_las(path: Path, cloud: ColoredCloud, is_ground: BoolArray) -> None:
-    """Write a cloud in the map frame, whole or not at all.
+    """Write a cloud of some points in the map frame, whole or not at all.
 
     Parameters
     ----------
@@ -30,14 +30,12 @@ def write_las(path: Path, cloud: ColoredCloud, is_ground: BoolArray) -> None:
     LibraryError
         Where laspy is not installed.
     MapFileError
-        Where the cloud is empty or the file cannot be written.
+        Where the file cannot be written.
     """
     try:
         import laspy
     except ImportError as error:
         raise LibraryError("LAS needs laspy: pip install '.[las]'") from error
-    if not len(cloud.points_map):
-        raise MapFileError(f"there are no points to write to {path}; the map shows none")
     header = laspy.LasHeader(point_format=_WITH_COLOURS, version="1.4")
     header.scales = np.full(3, _STEP_M)
     header.offsets = np.floor(cloud.points_map.min(axis=0).astype(np.float64))

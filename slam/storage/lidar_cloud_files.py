@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slam.errors import MapFileError
 from slam.mapping.dense_map import ColoredCloud
 from slam.measurements import BoolArray, Float32Array
 from slam.storage.files import make_folder
@@ -76,6 +77,8 @@ def export_cloud(format_: str, out: Path, cloud: LidarCloud) -> list[Path]:
     name = format_.removesuffix(TILES)
     write = _WRITERS[name]
     whole = _joined(cloud.stays)
+    if not len(whole.points_map):
+        raise MapFileError(f"there are no points to write to {out}; the map shows none")
     is_ground = cloud.is_ground(whole.points_map)
     if name == format_:
         if out.is_dir() or not out.suffix:

@@ -35,6 +35,8 @@ class MapClouds:
     ) -> None:
         self._file, self._erased = file, erased or {}
         self._count = 0 if begun else file.count(CLOUDS)
+        # Points, stamp and lidar of a keyframe are asked for one after the other.
+        self._newest: tuple[int, tuple[Value, ...]] = (-1, ())
 
     def __len__(self) -> int:
         return self._count
@@ -102,4 +104,6 @@ class MapClouds:
         """The values of a row."""
         if not 0 <= key < len(self):
             raise IndexError(f"cloud {key} of {len(self)}")
-        return self._file.row(CLOUDS, key)
+        if key != self._newest[0]:
+            self._newest = key, self._file.row(CLOUDS, key)
+        return self._newest[1]

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.errors import MapFileError
 from slam.mapping.dense_map import ColoredCloud
 from slam.measurements import BoolArray
 from slam.storage.files import replacing
@@ -18,7 +17,7 @@ _GROUND = 2  # as in LAS; else 1
 
 
 def write_pcd(path: Path, cloud: ColoredCloud, is_ground: BoolArray) -> None:
-    """Write a cloud in the map frame, whole or not at all.
+    """Write a cloud of some points in the map frame, whole or not at all.
 
     Parameters
     ----------
@@ -28,11 +27,9 @@ def write_pcd(path: Path, cloud: ColoredCloud, is_ground: BoolArray) -> None:
     Raises
     ------
     MapFileError
-        Where the cloud is empty or the file cannot be written.
+        Where the file cannot be written.
     """
     count = len(cloud.points_map)
-    if not count:
-        raise MapFileError(f"there are no points to write to {path}; the map shows none")
     rows = np.empty(count, _ROW)
     for name, values in zip(_NAMES, np.hstack([cloud.points_map, cloud.normals_map]).T, strict=True):
         rows[name] = values

@@ -10,9 +10,10 @@ import pytest
 from cloud_world import look
 from imu_world import T_BASE_IMU, readings, walk
 
+from fusion.estimation import half_interval
 from slam.doctor.camera_samples import SensorStep
 from slam.doctor.finding import Finding
-from slam.doctor.imu import ImuSamples, imu_findings
+from slam.doctor.imu import ImuSamples, imu_findings, turn_fit
 from slam.doctor.samples import Samples
 from slam.measurements import ImuReading
 
@@ -75,6 +76,34 @@ def test_clouds_are_matched_for_an_imu_where_there_are_no_wheels() -> None:
     clouds = [look(walk(0.1 * n), 0.1 * n, seed=n) for n in range(4)]
     assert Samples.of([SAID[0], *clouds]).clouds["lidar"].steps[0]
     assert not Samples.of(clouds).clouds["lidar"].steps[0]
+
+
+def test_the_motion_of_turns_is_between_their_middles() -> None:
+    clouds = [look(walk(0.0), 0.1 * n, seed=n) for n in range(3)]
+    turns = [replace(one, times_s=np.linspace(0.0, 0.1, len(one.points_lidar))) for one in clouds]
+    found = Samples.of([SAID[0], *turns]).clouds["lidar"].steps[0]
+    assert [step.begun_s for step in found] == pytest.approx([0.05, 0.15])
+
+
+def test_straight_ways_tell_nothing_of_a_clock() -> None:
+    """Where a car turns the matches are off by ten times as much as on its straight way."""
+    rows = np.zeros((4000, 7))
+    rows[:, 0] = 0.005 * np.arange(4000)
+    rows[:, 3] = 0.6 * np.exp(-((rows[:, 0] - 9.0) ** 2)) + 0.5 * np.exp(-((rows[:, 0] - 14.0) ** 2))
+    turned = np.concatenate([[0.0], np.cumsum(0.0025 * (rows[1:, 3] + rows[:-1, 3]))])
+    rows[:, 1:4] += 1e-4 * np.random.default_rng(1).standard_normal((4000, 3))
+    within = 0
+    for seed in range(20):
+        rng, said = np.random.default_rng(seed), []
+        for begun_s in np.arange(1.0, 19.0, 0.1):
+            first, last = np.interp([begun_s, begun_s + 0.1], rows[:, 0], turned)
+            off = (2e-4 + 0.05 * (last - first)) * rng.standard_normal(3)
+            turn = gtsam.Rot3.Expmap(np.array([0.0, 0.0, last - first]) + off)
+            said.append(SensorStep(begun_s, begun_s + 0.1, gtsam.Pose3(turn, np.zeros(3))))
+        fit = turn_fit(rows, said)
+        assert fit is not None
+        within += abs(fit.ahead_s) <= half_interval(fit.ahead_sigma_s)
+    assert within >= 14  # with the spread of all steps for that of those which tell, 2
 
 
 @pytest.mark.parametrize("seed", range(6))

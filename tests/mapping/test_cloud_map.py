@@ -1,12 +1,14 @@
 """The cloud of a 3D lidar's map: one point a voxel, normals of known surfaces towards the robot."""
 
+import tempfile
+
 import gtsam
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 from slam.errors import ScanweaveError
-from slam.mapping.cloud_map import map_cloud
+from slam.mapping.cloud_map import CloudTiles
 from slam.mapping.dense_map import ColoredCloud
 from slam.matching.plane_voxels import surface_normals
 
@@ -21,6 +23,12 @@ def wall(normal, distance_m, count=6000):
     along = np.linalg.svd(normal[None])[2][1:]
     spread = RNG.uniform(-2.0, 2.0, size=(count, 2))
     return spread @ along - normal * (distance_m + 0.002 * RNG.normal(size=(count, 1))), normal
+
+
+def map_cloud(clouds, poses, voxel_m):
+    """All tiles."""
+    with tempfile.TemporaryFile() as file:
+        yield from CloudTiles(clouds, poses, voxel_m, file).cloud()
 
 
 def whole(clouds, poses, voxel_m):

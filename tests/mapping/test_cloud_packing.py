@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import struct
+import zlib
 
 import numpy as np
 import pytest
+from backports import zstd
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -44,6 +46,11 @@ def test_what_is_not_finite_is_refused() -> None:
 
 
 CLOUD = packed_cloud(np.arange(30.0).reshape(10, 3))
+
+
+def test_a_cloud_of_an_older_map_is_read() -> None:
+    older = CLOUD[:12] + zlib.compress(zstd.decompress(CLOUD[12:]), 1)
+    np.testing.assert_array_equal(unpacked_cloud(older), unpacked_cloud(CLOUD))
 
 
 @pytest.mark.parametrize(

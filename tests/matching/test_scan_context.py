@@ -9,7 +9,6 @@ from cloud_world import base, look
 from slam.config.clouds import CloudOdometryConfig
 from slam.matching.cloud_points import base_points
 from slam.matching.plane_voxels import PlaneVoxels
-from slam.matching.plane_window import PlaneWindow
 from slam.matching.scan_context import SECTORS, ContextBank, dissimilarity, ring_key, scan_context
 from slam.measurements import Float32Array, FloatArray
 
@@ -63,10 +62,10 @@ def test_planes_of_clouds_add_up() -> None:
     """Two halves together tell the planes of the whole, and every plane lies on a wall or the floor."""
     points = points_at(-1.0, 0.3, 0.4)
     whole = PlaneVoxels.build(points, 0.2, 0.06)
-    window = PlaneWindow(0.2, 0.06, 2)
-    for part in (points[::3] + 1.0, points[::2], points[1::2]):
-        window.add(part)
-    one, two = whole.pairs(points), window.planes.pairs(points)
+    parts, newest = (points[::3] + 1.0, points[::2], points[1::2]), PlaneVoxels(0.2, 0.06)
+    for part, gone in zip(parts, (None, None, parts[0]), strict=True):
+        newest.add(part, gone)
+    one, two = whole.pairs(points), newest.pairs(points)
     np.testing.assert_array_equal(one.found, two.found)
     np.testing.assert_allclose(one.centers, two.centers, atol=1e-9)
     np.testing.assert_allclose(np.abs(np.einsum("ij,ij->i", one.normals, two.normals)), 1.0, atol=1e-6)
