@@ -4,6 +4,8 @@
 PYTHON ?= $(firstword $(foreach name,python3.11 python3.12 python3.13 python3,$(shell command -v $(name))))
 VENV := .venv
 BIN := $(VENV)/bin
+# Processes that the tests are spread over; each needs some 1.2 GB.
+WORKERS ?= 2
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --progress-bar off
 
 # The stamps lie in the environment and go with it. A change of pyproject.toml installs again.
@@ -17,7 +19,7 @@ demo: $(INSTALLED)
 	$(BIN)/scanweave demo
 
 test: lint
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 lint: $(INSTALLED_DEV)
 	$(BIN)/ruff format --check .
