@@ -6,7 +6,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 # Processes that the tests are spread over; each needs some 1.2 GB.
 WORKERS ?= 2
-PIP := $(BIN)/python -m pip --disable-pip-version-check install --progress-bar off
+# Python compiles of the packages what is imported; pip would compile all 13,000 files.
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --progress-bar off --no-compile
 
 # The stamps lie in the environment and go with it. A change of pyproject.toml installs again.
 INSTALLED := $(VENV)/.installed
