@@ -4,7 +4,10 @@
 PYTHON ?= $(firstword $(foreach name,python3.11 python3.12 python3.13 python3,$(shell command -v $(name))))
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip --disable-pip-version-check install --progress-bar off
+# Processes that the tests are spread over; each needs some 1.2 GB.
+WORKERS ?= 2
+# Python compiles of the packages what is imported; pip would compile all 13,000 files.
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --progress-bar off --no-compile
 
 # The stamps lie in the environment and go with it. A change of pyproject.toml installs again.
 INSTALLED := $(VENV)/.installed
@@ -17,7 +20,7 @@ demo: $(INSTALLED)
 	$(BIN)/scanweave demo
 
 test: lint
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 lint: $(INSTALLED_DEV)
 	$(BIN)/ruff format --check .

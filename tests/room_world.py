@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -216,6 +217,7 @@ def _cells(metres: FloatArray) -> NDArray[np.int64]:
     return np.floor(metres / _PATCH_M).astype(np.int64) % _TEXTURE_CELLS
 
 
+@cache
 def _pattern(seed: int) -> FloatArray:
     """Brightness of every patch of every side."""
     shape = (18, _TEXTURE_CELLS, _TEXTURE_CELLS)

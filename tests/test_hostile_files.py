@@ -6,15 +6,13 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 REPO = Path(__file__).parents[1]
 
 
-@pytest.mark.parametrize("part", ["idl,", "msg, a", "image", "db3, m", "records of no bytes"])
-def test_hostile_files_end_soon_and_small_with_a_plain_line(part: str, tmp_path: Path) -> None:
+def test_hostile_files_end_soon_and_small_with_a_plain_line(tmp_path: Path) -> None:
+    parts = ["idl,", "msg, a", "image", "db3, m", "records of no bytes"]
     ran = subprocess.run(
-        [sys.executable, "-m", "tools.hostile_files", str(tmp_path / "bank"), "--run", "--only", part],
+        [sys.executable, "-m", "tools.hostile_files", str(tmp_path / "bank"), "--run", "--only", *parts],
         cwd=REPO,
         capture_output=True,
         text=True,

@@ -15,7 +15,7 @@ import gzip
 import os
 import struct
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -30,10 +30,10 @@ Writer = Callable[[Path], Path]
 _BANK: dict[str, Writer] = {**BAGS, **hostile_maps(STEERING)}
 
 
-def bank(folder: Path, wanted: str = "") -> Iterator[tuple[str, Path]]:
-    """Write the files one after another, those with such a name; name and path of each."""
+def bank(folder: Path, wanted: Sequence[str] = ("",)) -> Iterator[tuple[str, Path]]:
+    """Write the files one after another, those with such names; name and path of each."""
     for name, write in _BANK.items():
-        if wanted in name:
+        if any(part in name for part in wanted):
             (folder / name).mkdir(parents=True)
             yield name, write(folder / name)
 
@@ -209,7 +209,7 @@ _BANK["map to drive by, of aliases"] = lambda folder: (
 )[1]
 
 
-def run_bank(folder: Path, wanted: str = "") -> dict[str, Outcome]:
+def run_bank(folder: Path, wanted: Sequence[str] = ("",)) -> dict[str, Outcome]:
     """Write the bank, have every file read, and tell each; the outcomes by file and command."""
     load_libraries()
     found: dict[str, Outcome] = {}
@@ -232,7 +232,7 @@ def main() -> None:
     )
     parser.add_argument("folder", type=Path)
     parser.add_argument("--run", action="store_true")
-    parser.add_argument("--only", default="", help="part of the names")
+    parser.add_argument("--only", nargs="+", default=[""], help="parts of the names")
     arguments = parser.parse_args()
     if not arguments.run:
         print(len(list(bank(arguments.folder))), "files")

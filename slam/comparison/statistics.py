@@ -119,10 +119,12 @@ def _of(values: Mapping[tuple[str, str, int], float], group: str, dataset: str, 
 
 def _resampled_medians(samples: Sequence[FloatArray], rng: np.random.Generator) -> FloatArray:
     """(RESAMPLES,) medians; groups are drawn, and in each drawn group its values."""
-    medians = np.empty(RESAMPLES)
-    for number in range(RESAMPLES):
-        drawn = [samples[at] for at in rng.integers(len(samples), size=len(samples))]
-        medians[number] = np.median(
-            np.concatenate([each[rng.integers(each.size, size=each.size)] for each in drawn])
-        )
-    return medians
+    sizes = np.array([each.size for each in samples])
+    drawn = rng.integers(sizes.size, size=(RESAMPLES, sizes.size))
+    # Each place in a drawn group is one of its values; places that a smaller group lacks sort to the end.
+    within = (rng.random((*drawn.shape, sizes.max())) * sizes[drawn][..., None]).astype(np.int64)
+    values = np.concatenate(samples)[(np.cumsum(sizes) - sizes)[drawn][..., None] + within]
+    values[np.arange(sizes.max()) >= sizes[drawn][..., None]] = np.inf
+    ordered, count = np.sort(values.reshape(RESAMPLES, -1)), sizes[drawn].sum(axis=1)
+    row = np.arange(RESAMPLES)
+    return np.asarray(0.5 * (ordered[row, (count - 1) // 2] + ordered[row, count // 2]))

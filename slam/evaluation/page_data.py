@@ -238,7 +238,7 @@ def _scans(scans: Sequence[LaserScan | None], count: int) -> tuple[dict[str, Any
         np.zeros((0, 2), np.int16) if scan is None else _centimetres(_points_base(scan)[::step])
         for scan in scans or [None] * count
     ]
-    told = [] if step == 1 else [f"Scans: every {step}th point."]
+    told = [] if step == 1 else [f"Scans: one point in {step}."]
     return _stacked(parts), told
 
 

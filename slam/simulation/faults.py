@@ -149,7 +149,7 @@ def corrupt(
         Drawn from in a fixed order, so that the same seed gives the same faults.
     """
     distance = surfaces.distance_m.copy()
-    fault: FaultMask = np.where(surfaces.person, Fault.PERSON, Fault.NONE).astype(np.uint8)
+    fault: FaultMask = surfaces.person * np.uint8(Fault.PERSON)
     _meet_glass(distance, fault, surfaces, config, range_max_m, rng)
     _burr_edges(distance, fault, surfaces, config, rng)
     _reflect(distance, fault, surfaces, config, rng)
@@ -163,8 +163,8 @@ def corrupt(
     ):
         if lost is not None:
             hole = lost & ~np.isnan(distance)
-            distance[hole] = np.nan
-            fault[hole] = cause
+            np.copyto(distance, np.nan, where=hole)
+            np.copyto(fault, np.uint8(cause), where=hole)
     return FaultyReadings(distance, fault)
 
 
@@ -175,7 +175,7 @@ def _patches(shape: tuple[int, ...], patch: int, rng: np.random.Generator) -> Fl
     shift = rng.integers(patch, size=2)
     rows, cols = ((np.arange(n) + s) // patch for n, s in zip(shape, shift, strict=True))
     coarse = rng.random((int(rows[-1]) + 1, int(cols[-1]) + 1), dtype=np.float32)
-    return np.asarray(coarse[rows[:, None], cols])
+    return np.asarray(coarse[rows][:, cols])
 
 
 def _meet_glass(

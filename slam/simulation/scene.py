@@ -1,16 +1,18 @@
-"""Casts rays into a home: Embree for the mesh, closed form for a person who walks through it."""
+"""Casts rays into a home: Embree for the mesh, or a whole image at once; closed form for a walking person."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
+import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.kernel import kernel
-from slam.measurements import BoolArray, Float32Array
+from slam.measurements import BoolArray, CameraIntrinsics, Float32Array
 from slam.simulation.home_model import Home, Int32Array, Material
+from slam.simulation.rasterizer import rasterize
 from slam.simulation.ray_caster import RayCaster
 
 NOTHING = -1  # triangle and obstacle of a ray that meets nothing
@@ -53,6 +55,9 @@ class Scene:
         # Glass apart, so that a second cast can tell what is behind it.
         self._opaque_index = np.flatnonzero(~clear).astype(np.int32)
         self._all_index = np.arange(len(home.triangles), dtype=np.int32)
+        a, b, c = (home.vertices[home.triangles[:, n]].astype(np.float64) for n in range(3))
+        normals = np.cross(b - a, c - a)
+        self._normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
         self._everything = RayCaster(home.vertices, home.triangles)
         self._opaque = RayCaster(home.vertices, home.triangles[self._opaque_index])
 
@@ -67,6 +72,20 @@ class Scene:
             Where the person stands, an upright cylinder of radius 0.25 m and height 1.7 m.
         """
         return self._cast(self._everything, self._all_index, origins_dirs, person_xy)
+
+    def cast_image(
+        self,
+        T_world_camera: gtsam.Pose3,
+        intrinsics: CameraIntrinsics,
+        rays: Float32Array,
+        person_xy: tuple[float, float] | None = None,
+    ) -> Hits:
+        """First surface along the rays of all pixels, whose directions have z = 1; else as `cast`."""
+        vertices_camera = (
+            self.home.vertices - T_world_camera.translation()
+        ) @ T_world_camera.rotation().matrix()
+        range_m, triangle = rasterize(vertices_camera, self.home.triangles, intrinsics)
+        return self._hits(range_m, triangle, rays, person_xy)
 
     def cast_through_glass(
         self, origins_dirs: Float32Array, person_xy: tuple[float, float] | None = None
@@ -83,9 +102,20 @@ class Scene:
     ) -> Hits:
         """Cast, then name what was hit."""
         rays = np.ascontiguousarray(origins_dirs, dtype=np.float32)
-        range_m, primitive, normal = caster.cast(rays)
-        triangle, obstacle, material = _name_hits(
-            primitive, normal, index, self.home.obstacle_of_triangle, self.home.material_of_triangle
+        range_m, primitive, _ = caster.cast(rays)
+        # Nothing is the last of the index, as of every array.
+        return self._hits(range_m, np.append(index, np.int32(NOTHING))[primitive], rays, person_xy)
+
+    def _hits(
+        self,
+        range_m: Float32Array,
+        triangle: Int32Array,
+        rays: Float32Array,
+        person_xy: tuple[float, float] | None,
+    ) -> Hits:
+        """Name what was hit, and let the person stand before it."""
+        obstacle, material, normal = _name_hits(
+            triangle, self._normals, self.home.obstacle_of_triangle, self.home.material_of_triangle
         )
         if person_xy is not None:
             mine = _meet_cylinder(rays, np.array(person_xy, dtype=np.float64), range_m, normal)
@@ -95,25 +125,23 @@ class Scene:
 
 @kernel
 def _name_hits(
-    primitive: Int32Array,
-    normal: Float32Array,
-    index: Int32Array,
+    triangle: Int32Array,
+    normal_of_triangle: Float32Array,
     obstacle_of_triangle: Int32Array,
     material_of_triangle: NDArray[np.uint8],
-) -> tuple[Int32Array, Int32Array, NDArray[np.uint8]]:
-    """Triangle, obstacle and material of the caster's primitives; their normals get unit length in place."""
-    count = primitive.size
-    triangle = np.full(count, -1, np.int32)
+) -> tuple[Int32Array, NDArray[np.uint8], Float32Array]:
+    """Obstacle, material and normal of the triangles that the rays meet."""
+    count = triangle.size
     obstacle = np.full(count, -1, np.int32)
     material = np.zeros(count, np.uint8)
+    normal = np.zeros((count, 3), np.float32)
     for ray in range(count):
-        if primitive[ray] >= 0:
-            triangle[ray] = index[primitive[ray]]
-            obstacle[ray] = obstacle_of_triangle[triangle[ray]]
-            material[ray] = material_of_triangle[triangle[ray]]
-            x, y, z = normal[ray]
-            normal[ray] /= math.sqrt(x * x + y * y + z * z)
-    return triangle, obstacle, material
+        face = triangle[ray]
+        if face >= 0:
+            obstacle[ray], material[ray] = obstacle_of_triangle[face], material_of_triangle[face]
+            for axis in range(3):
+                normal[ray, axis] = normal_of_triangle[face, axis]
+    return obstacle, material, normal
 
 
 @kernel

@@ -140,7 +140,7 @@ def scan_lidar(
     bearings = sensor.start_angle_rad + sensor.step_rad * np.arange(sensor.beams)
     directions = np.column_stack([np.cos(bearings), np.sin(bearings), np.zeros(sensor.beams)])
     rays = _rays(directions.astype(np.float32), T_world_laser.matrix())
-    surfaces, _, _ = _look(scene, rays, (1, sensor.beams), person_xy)
+    surfaces, _ = _look(scene, scene.cast(rays, person_xy), rays, (1, sensor.beams), person_xy)
     faulty = corrupt(surfaces, sensor.faults, sensor.range_min_m, sensor.range_max_m, rng)
 
     def sigma_m(distance_m: Float32Array) -> Float32Array:
@@ -164,7 +164,8 @@ def scan_lidar_3d(
     """One turn of a 3D lidar; arguments as `scan_lidar`."""
     directions = _ring_directions(sensor.elevations_rad, sensor.azimuths)
     shape = (len(sensor.elevations_rad), sensor.azimuths)
-    surfaces, _, _ = _look(scene, _rays(directions, T_world_laser.matrix()), shape, person_xy)
+    rays = _rays(directions, T_world_laser.matrix())
+    surfaces, _ = _look(scene, scene.cast(rays, person_xy), rays, shape, person_xy)
     faulty = corrupt(surfaces, sensor.faults, sensor.range_min_m, sensor.range_max_m, rng)
     ranges, fault = _measure(faulty, sensor, lambda d: np.full_like(d, sensor.sigma_m), rng)
     # Firing by firing, as the device sends them: all rings of an azimuth, then the next.
@@ -200,7 +201,8 @@ def render_rgbd(
     shape = (camera.intrinsics.height, camera.intrinsics.width)
     # Directions have z = 1: the ray caster's distance is the depth.
     rays = _rays(_pixel_directions(camera.intrinsics), T_world_camera.matrix())
-    surfaces, hits, behind = _look(scene, rays, shape, person_xy)
+    hits = scene.cast_image(T_world_camera, camera.intrinsics, rays, person_xy)
+    surfaces, behind = _look(scene, hits, rays, shape, person_xy)
     pixel_rad = 1.0 / camera.intrinsics.fx
     image = paint(scene.home, rays, hits, pixel_rad, person_xy)
     if behind is not None:
@@ -214,10 +216,13 @@ def render_rgbd(
 
 
 def _look(
-    scene: Scene, rays: Float32Array, shape: tuple[int, int], person_xy: tuple[float, float] | None
-) -> tuple[Surfaces, Hits, Hits | None]:
-    """What all rays meet, in the sensor's shape; the bare hits; and what is behind the panes, if any."""
-    hits = scene.cast(rays, person_xy)
+    scene: Scene,
+    hits: Hits,
+    rays: Float32Array,
+    shape: tuple[int, int],
+    person_xy: tuple[float, float] | None,
+) -> tuple[Surfaces, Hits | None]:
+    """What all rays meet, in the sensor's shape; and what is behind the panes, if any."""
     behind_m = hits.range_m.copy()
     panes = hits.material == Material.GLASS
     behind = None
@@ -234,7 +239,7 @@ def _look(
         face=(hits.triangle >> 1).reshape(shape),
         person=(hits.triangle == PERSON).reshape(shape),
     )
-    return surfaces, hits, behind
+    return surfaces, behind
 
 
 def _measure(
@@ -315,7 +320,7 @@ def _cos_incidence(rays: Float32Array, normal: Float32Array) -> Float32Array:
     return cosine
 
 
-@kernel
+@kernel(error_model="numpy")
 def _disparity_steps(
     depth: Float32Array,
     fault: FaultMask,
@@ -328,31 +333,28 @@ def _disparity_steps(
     """Li2020 Eq. (2)-(4) forth and back with noise and steps between; in place."""
     step, sigma, unit = step_sigma_unit
     for pixel in range(depth.size):
-        if np.isnan(depth[pixel]):
-            depth[pixel] = 0.0
-            continue
+        # Without branches the compiler takes some pixels at a time.
         disparity = focal_baseline_px_m / depth[pixel] + sigma * noise[pixel]
         disparity = max(step, np.floor(disparity / step + 0.5) * step)
         measured = np.floor(focal_baseline_px_m / disparity / unit + 0.5) * unit
-        if limits_m[0] <= measured <= limits_m[1]:
-            depth[pixel] = measured
-        else:
-            depth[pixel] = 0.0
-            fault[pixel] = out_of_range
+        hole = np.isnan(depth[pixel])
+        within = (limits_m[0] <= measured) & (measured <= limits_m[1])
+        depth[pixel] = 0.0 if hole | ~within else measured
+        fault[pixel] = fault[pixel] if hole | within else out_of_range
 
 
 @kernel
 def _expose(image: Float32Array, sigma: float, seed: int) -> ColorImage:
     """Add noise and round to bytes; hashed, since three normal numbers a pixel cost more than the image."""
-    color = np.empty(image.shape, np.uint8)
-    for pixel in range(image.shape[0]):
-        for channel in range(3):
-            h = np.uint32(seed) ^ (np.uint32(3 * pixel + channel) * np.uint32(0x9E3779B1))
-            h = np.uint32((h ^ (h >> np.uint32(16))) * np.uint32(0x7FEB352D))
-            h = np.uint32((h ^ (h >> np.uint32(15))) * np.uint32(0x846CA68B))
-            h = np.uint32(h ^ (h >> np.uint32(16)))
-            # The sum of two uniform numbers: a triangle of standard deviation 1 / sqrt(6).
-            both = float(h & np.uint32(0xFFFF)) + float(h >> np.uint32(16))
-            noise = (both / 65536.0 - 1.0) * 2.449489742783178 * sigma
-            color[pixel, channel] = np.uint8(min(255.0, max(0.0, image[pixel, channel] + noise + 0.5)))
-    return color
+    color = np.empty(image.size, np.uint8)
+    values = image.ravel()
+    for at in range(values.size):
+        h = np.uint32(seed) ^ (np.uint32(at) * np.uint32(0x9E3779B1))
+        h = np.uint32((h ^ (h >> np.uint32(16))) * np.uint32(0x7FEB352D))
+        h = np.uint32((h ^ (h >> np.uint32(15))) * np.uint32(0x846CA68B))
+        h = np.uint32(h ^ (h >> np.uint32(16)))
+        # The sum of two uniform numbers: a triangle of standard deviation 1 / sqrt(6).
+        both = float(np.int32(h & np.uint32(0xFFFF)) + np.int32(h >> np.uint32(16)))
+        noise = (both / 65536.0 - 1.0) * 2.449489742783178 * sigma
+        color[at] = np.uint8(np.int32(min(255.0, max(0.0, values[at] + noise + 0.5))))
+    return color.reshape(image.shape)

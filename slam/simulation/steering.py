@@ -85,9 +85,10 @@ def advance(
 ) -> tuple[float, float, float]:
     """The pose after a time of constant twist: an exact arc."""
     angle = turn * time_s
-    # sin(a/2) / (a/2), the chord for an arc of length one, without dividing by zero.
-    chord = speed * time_s * float(np.sinc(0.5 * angle / math.pi)) if angle else speed * time_s
-    heading = yaw_rad + 0.5 * angle
+    half = 0.5 * angle
+    # sin(a/2) / (a/2): the chord for an arc of length one.
+    chord = speed * time_s * (math.sin(half) / half) if half else speed * time_s
+    heading = yaw_rad + half
     return x_m + chord * math.cos(heading), y_m + chord * math.sin(heading), yaw_rad + angle
 
 

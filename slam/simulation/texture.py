@@ -67,7 +67,7 @@ def paint(
     )
 
 
-@kernel(inline="always")
+@kernel(inline="always", error_model="numpy")
 def _hash(a: int, b: int, c: int) -> float:
     """A number in [0, 1) from three integers."""
     h = np.uint32(a) * np.uint32(0x9E3779B1) ^ np.uint32(b) * np.uint32(0x85EBCA77)
@@ -78,13 +78,13 @@ def _hash(a: int, b: int, c: int) -> float:
     return float(h) * (1.0 / 4294967296.0)
 
 
-@kernel(inline="always")
+@kernel(inline="always", error_model="numpy")
 def _visible(size_m: float, footprint_m: float) -> float:
     """How much of a pattern of this size is left at this pixel size, 0..1."""
     return min(1.0, max(0.0, size_m / footprint_m - 1.0))
 
 
-@kernel
+@kernel(error_model="numpy")
 def _blocks(u: float, v: float, size_m: float, footprint_m: float, seed: int) -> float:
     """Squares of random brightness, -0.5..0.5: corners for a feature detector."""
     seen = _visible(size_m, footprint_m)
@@ -93,7 +93,7 @@ def _blocks(u: float, v: float, size_m: float, footprint_m: float, seed: int) ->
     return seen * (_hash(math.floor(u / size_m), math.floor(v / size_m), seed) - 0.5)
 
 
-@kernel
+@kernel(error_model="numpy")
 def _clouds(u: float, v: float, seed: int) -> float:
     """Smooth noise on a unit lattice, -0.5..0.5."""
     i, j = math.floor(u), math.floor(v)
@@ -104,7 +104,7 @@ def _clouds(u: float, v: float, seed: int) -> float:
     return low * (1.0 - b) + high * b - 0.5
 
 
-@kernel
+@kernel(error_model="numpy")
 def _line(at: float, period_m: float, width_m: float, footprint_m: float) -> float:
     """1 on thin lines that repeat, 0 between; fainter where a pixel is wider than the line."""
     if at - period_m * math.floor(at / period_m) >= max(width_m, min(footprint_m, 0.25 * period_m)):
@@ -112,7 +112,7 @@ def _line(at: float, period_m: float, width_m: float, footprint_m: float) -> flo
     return min(1.0, width_m / footprint_m)
 
 
-@kernel
+@kernel(error_model="numpy")
 def _poster(u: float, v: float, pixel: float, seed: int) -> tuple[bool, float, float, float]:
     """Pictures on a wall in two rows, one for low cameras: whether there is one here, and its colour."""
     row = 0 if v < 1.1 else 1
@@ -136,7 +136,7 @@ def _poster(u: float, v: float, pixel: float, seed: int) -> tuple[bool, float, f
     return True, red, green, 128.0 + seen * 210.0 * (_hash(i, j, key + 2) - 0.5)
 
 
-@kernel
+@kernel(error_model="numpy")
 def _plaster(u: float, v: float, pixel: float, seed: int, color: _Rgb) -> _Rgb:
     """A wall: wallpaper, stains, a skirting board, pictures."""
     here, red, green, blue = _poster(u, v, pixel, seed)
@@ -149,7 +149,7 @@ def _plaster(u: float, v: float, pixel: float, seed: int, color: _Rgb) -> _Rgb:
     return light * color[0], light * color[1], light * color[2]
 
 
-@kernel
+@kernel(error_model="numpy")
 def _books(u: float, v: float, pixel: float, seed: int, color: _Rgb) -> _Rgb:
     """Shelves of upright books."""
     shelf = math.floor(v / 0.33)
@@ -166,7 +166,7 @@ def _books(u: float, v: float, pixel: float, seed: int, color: _Rgb) -> _Rgb:
     return red, green, band * (105.0 + seen * 180.0 * (_hash(book, shelf, seed + 3) - 0.5))
 
 
-@kernel
+@kernel(error_model="numpy")
 def _brightness(style: int, u: float, v: float, pixel: float, seed: int) -> float:
     """The patterns that only change the brightness of a surface."""
     if style == _PLANKS:
@@ -196,7 +196,7 @@ def _brightness(style: int, u: float, v: float, pixel: float, seed: int) -> floa
     return light
 
 
-@kernel
+@kernel(error_model="numpy")
 def _dress(u: float, z: float, pixel: float) -> _Rgb:
     """The person: trousers, shirt, face."""
     light = 1.0 + 0.4 * _blocks(u, z, 0.07, pixel, 71)
@@ -207,7 +207,7 @@ def _dress(u: float, z: float, pixel: float) -> _Rgb:
     return 206.0 * light, 160.0 * light, 130.0 * light
 
 
-@kernel
+@kernel(error_model="numpy")
 def _side(nx: float, ny: float, nz: float) -> int:
     """Which of the six sides of a box a normal belongs to."""
     if abs(nz) > 0.7:
@@ -217,7 +217,7 @@ def _side(nx: float, ny: float, nz: float) -> int:
     return 2 if ny > 0.0 else 3
 
 
-@kernel
+@kernel(error_model="numpy")
 def _paint(
     rays: Float32Array,
     range_m: Float32Array,

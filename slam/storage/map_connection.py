@@ -18,7 +18,8 @@ _BESIDE = ("-wal", "-journal")
 
 def writer(path: Path) -> sqlite3.Connection:
     """A connection that no other process can write beside."""
-    connection = sqlite3.connect(path, timeout=0.0, isolation_level=None)
+    # A temporary map that is forgotten is closed by the thread in which Python happens to collect it.
+    connection = sqlite3.connect(path, timeout=0.0, isolation_level=None, check_same_thread=False)
     connection.execute("PRAGMA locking_mode = EXCLUSIVE")
     # In WAL mode a crash of the process loses nothing that was committed; one of the machine, the latest.
     connection.execute("PRAGMA synchronous = NORMAL")

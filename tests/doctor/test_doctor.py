@@ -19,7 +19,7 @@ from slam.doctor.diagnosis import diagnose, examine
 from slam.doctor.finding import Finding, remedied
 from slam.doctor.relation import relate
 from slam.mapper.pipeline import settled
-from slam.measurements import LaserScan, Measurement, WheelOdometry, pose2_from_row
+from slam.measurements import LaserScan, WheelOdometry, pose2_from_row
 from slam.simulation.synthetic_log import write_synthetic_log
 from tools.sensor_mistakes import MISTAKES, Log, right_remedy
 
@@ -87,9 +87,9 @@ def test_a_drive_without_turns_leaves_open_what_turns_tell() -> None:
     assert len(diagnosis.open) == 1
 
 
-@pytest.mark.parametrize("log", [[], sound()[:30], [one for one in sound() if isinstance(one, LaserScan)]])
-def test_a_log_that_tells_little_has_no_finding(log: list[Measurement]) -> None:
-    assert diagnose(log) == []
+def test_a_log_that_tells_little_has_no_finding() -> None:
+    for log in ([], sound()[:30], [one for one in sound() if isinstance(one, LaserScan)]):
+        assert diagnose(log) == []
 
 
 def test_lidars_without_a_return_have_no_finding() -> None:

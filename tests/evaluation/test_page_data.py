@@ -11,7 +11,6 @@ from typing import Any
 
 import gtsam
 import numpy as np
-import pytest
 from flat_worlds import room, sweep
 from page_worlds import EVIL, Frames, contents, report
 from PIL import Image
@@ -208,17 +207,16 @@ def test_the_stages_add_up_to_the_run(tmp_path: Path) -> None:
     assert "<td>the rest</td><td>1.00 s</td>" in html and "<td>in all</td><td>4.00 s</td>" in html
 
 
-@pytest.mark.parametrize("keyframes", [10_000])
-def test_a_page_of_many_keyframes_stays_small(keyframes: int, tmp_path: Path) -> None:
+def test_a_page_of_many_keyframes_stays_small(tmp_path: Path) -> None:
     """Scans of noise, which no packing makes smaller."""
-    generator = np.random.default_rng(0)
+    keyframes, generator = 5000, np.random.default_rng(0)
     scan = sweep(room(), [0.0, 0.0, 0.0], beams=361)
     scans = [
         replace(scan, ranges_m=generator.uniform(0.5, 20.0, 361).astype(np.float32)) for _ in range(keyframes)
     ]
-    many = contents(334, frames=None, measured_scans=[], keyframe_scans=scans + scans[:20])
+    many = contents(167, frames=None, measured_scans=[], keyframe_scans=scans + scans[:10])
     path = tmp_path / "report.html"
     write_report(path, report(many, Beside()))
     data = page_data(path.read_text())
-    assert path.stat().st_size < 15e6 and len(data["nodes"]["readings"]) == keyframes + 20
-    assert len(data["scans"]["points"]) <= 1_000_000 and "Scans: every 4th point." in data["limits"]
+    assert path.stat().st_size < 11e6 and len(data["nodes"]["readings"]) == keyframes + 10
+    assert len(data["scans"]["points"]) <= 1_000_000 and "Scans: one point in 2." in data["limits"]

@@ -1,4 +1,5 @@
 import gc
+import threading
 from dataclasses import replace
 
 import gtsam
@@ -79,4 +80,13 @@ def test_a_temporary_map_goes_when_it_is_forgotten():
     assert folder.is_dir()
     del file, spool
     gc.collect()
+    assert not folder.exists()
+
+
+def test_a_temporary_map_may_be_forgotten_by_another_thread():
+    kept = [MapFile.temporary()]
+    folder = kept[0].path.parent
+    thread = threading.Thread(target=kept.clear)
+    thread.start()
+    thread.join()
     assert not folder.exists()
