@@ -10,6 +10,7 @@ import numpy as np
 
 from fusion.estimation import FEWEST
 from slam.config import Config
+from slam.datasets.recording import fewer_frames, no_frames
 from slam.doctor.finding import Finding
 from slam.doctor.imu import imu_findings
 from slam.doctor.in_space import Base, camera_findings, cloud_findings, findings_against, seen_by
@@ -18,9 +19,10 @@ from slam.doctor.own_body import blocked_beams, blocked_finding, without
 from slam.doctor.pair import Pair
 from slam.doctor.paired_motions import BaseTrack, mended_rows
 from slam.doctor.samples import Samples, WheelSamples
+from slam.doctor.stretches import Stretches
 from slam.doctor.wheels_and_lidar import compare
 from slam.measurements import LaserScan, Measurement
-from slam.vision.registration_pairs import registrations_of
+from slam.vision.registration_pairs import paired_frames, registrations_of
 
 
 def diagnose(log: Iterable[Measurement]) -> list[Finding]:
@@ -62,7 +64,9 @@ class Diagnosis:
 
 def examine(log: Iterable[Measurement]) -> Diagnosis:
     """As `diagnose`, with what could not be judged."""
-    samples, config = Samples.of(log), Config()
+    config = Config()
+    with fewer_frames(log, lambda _, stamps_s: Stretches().choose(stamps_s)):
+        samples = Samples.of(log)
     findings, unknown = _repeated_scans(samples), list[str]()
     wheels = max(samples.wheels.items(), key=lambda item: item[1].count, default=None)
     for name, lidar in samples.lidars.items():
@@ -77,14 +81,17 @@ def examine(log: Iterable[Measurement]) -> Diagnosis:
             continue
         stretches, scale = _within_reach(stretches, config)
         found, left_open = compare(Pair(wheels[0], name, wheels[1].rows(), stretches, scale), config)
-        if not (found or left_open) and (lost := lost_sign(log, wheels[0], name, wheels[1].rows(), config)):
-            found = [lost]
+        if not (found or left_open):
+            with no_frames(log):
+                lost = lost_sign(log, wheels[0], name, wheels[1].rows(), config)
+            found = [lost] if lost else []
         findings += found
         unknown += left_open
     vouched = any(lidar.stretches for lidar in samples.lidars.values()) and not unknown
     findings += _in_space(samples, wheels, findings, vouched=vouched)
     lenses = [one.sensor for one in findings if one.kind == "lens"]
-    apart = [name for name, found in registrations_of(log, lenses, config).items() if found.accepted]
+    with fewer_frames(log, paired_frames):
+        apart = [name for name, found in registrations_of(log, lenses, config).items() if found.accepted]
     findings = [one for one in findings if one.kind != "lens" or one.sensor not in apart]
     unknown += [f"{name}: its lens, for its colours lie beside its depths" for name in apart]
     return Diagnosis(findings, unknown)

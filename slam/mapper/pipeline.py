@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 
 from slam.config import Config, calibrated
@@ -12,7 +11,6 @@ from slam.datasets.recording import fewer_frames
 from slam.datasets.sensor_choice import SensorChoice, SensorTally, UsedMeasurements, use_lines
 from slam.doctor.diagnosis import diagnose
 from slam.doctor.finding import Finding, remedied
-from slam.doctor.stretches import Stretches
 from slam.errors import DatasetError
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.imu_start import start_of
@@ -28,7 +26,7 @@ from slam.odometry import STANDARD, Odometries
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prefetch import prefetched
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame
-from slam.vision.registration_pairs import registrations_of
+from slam.vision.registration_pairs import paired_frames, registrations_of
 
 
 def build_map(
@@ -62,9 +60,10 @@ def build_map(
     findings = checkpoint.findings(lambda: findings_of(dataset, config))
     config = settled(config, findings)
     choice = SensorChoice.of(dataset, config.sensors)
-    registrations = checkpoint.registrations(
-        lambda: registrations_of(choice.used(dataset), choice.cameras, config)
-    )
+    with fewer_frames(dataset, paired_frames):
+        registrations = checkpoint.registrations(
+            lambda: registrations_of(choice.used(dataset), choice.cameras, config)
+        )
     mountings = checkpoint.mountings()
     prepare = None
     if choice.cameras:
@@ -100,9 +99,7 @@ def findings_of(dataset: Dataset, config: Config) -> list[Finding]:
     """What is wrong with the sensors of a log; nothing where that is not asked for."""
     if not config.sensors.doctor:
         return []
-    stretches: defaultdict[str, Stretches] = defaultdict(Stretches)
-    with fewer_frames(dataset, lambda camera, stamp_s: stretches[camera].wants(stamp_s)):
-        return diagnose(UsedMeasurements(dataset, config.sensors))
+    return diagnose(UsedMeasurements(dataset, config.sensors))
 
 
 def settled(config: Config, findings: Iterable[Finding]) -> Config:
