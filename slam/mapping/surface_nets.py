@@ -16,13 +16,6 @@ from fusion.kernel import ZERO, kernel
 from slam.mapping.voxel_blocks import BAND_STEPS, COLOR_STEPS, SIDE, VOXELS, VoxelBlocks, coordinates, keys_at
 from slam.measurements import Float32Array
 
-# Corners of a cell by three bits, those of x, y and z; and the ends of its edges along them.
-_BITS = (4, 2, 1)
-_OFFSETS = np.array([[(corner // bit) % 2 for bit in _BITS] for corner in range(8)])
-_EDGES = np.array([(corner, corner | bit) for bit in _BITS for corner in range(8) if not corner & bit])
-# Blocks, and vertices, that are worked on at once.
-_BATCH = VOXELS
-
 Mesh = tuple[Float32Array, NDArray[np.uint8], Float32Array, NDArray[np.int32]]
 
 
@@ -34,44 +27,30 @@ def surface_of_blocks(blocks: VoxelBlocks, least_views: int) -> Mesh:
     Vertices (V, 3) in metres, their RGB (V, 3) and unit normals (V, 3) towards where the surface was seen
     from, and faces (F, 3), counter-clockwise from that side.
     """
+    # Corners of a cell by three bits, those of x, y and z; and the ends of its edges along them.
+    bits, corners = (4, 2, 1), range(8)
+    edges = np.array([(corner, corner | bit) for bit in bits for corner in corners if not corner & bit])
+    offsets = np.array([[(corner // bit) % 2 for bit in bits] for corner in corners])
     places = coordinates(blocks.keys)
     above, below = (
-        np.stack([blocks.find(keys_at(places + sign * offset)) for offset in _OFFSETS], axis=1)
+        np.stack([blocks.find(keys_at(places + sign * offset)) for offset in offsets], axis=1)
         for sign in (1, -1)
     )
-    parts = []
-    room = (
-        np.empty((_BATCH * VOXELS, 3), np.float32),
-        np.empty((_BATCH * VOXELS, 3), np.uint8),
-        np.empty((_BATCH * VOXELS, 3), np.float32),
-        np.empty(_BATCH * VOXELS, np.int32),
-        np.empty(_BATCH * VOXELS, np.uint8),
-    )
-    tile, corners = np.empty((SIDE + 1,) * 3), np.empty(8)
-    for first in range(0, len(blocks), _BATCH):
-        some = slice(first, first + _BATCH)
-        fields = blocks.distance, blocks.weight, blocks.color
-        count = _vertices(
-            first,
-            places[some],
-            above[some],
-            *fields,
-            least_views,
-            blocks.voxel_m,
-            _EDGES,
-            tile,
-            corners,
-            *room,
-        )
-        parts.append([values[:count].copy() for values in room])
-    if not parts:
-        parts.append([values[:0] for values in room])
+    fields = blocks.distance, blocks.weight, blocks.color, least_views, blocks.voxel_m
+    tile, at_corners, batch = np.empty((SIDE + 1,) * 3), np.empty(8), VOXELS * VOXELS
+    rows = ((3, np.float32), (3, np.uint8), (3, np.float32), (1, np.int32), (1, np.uint8))
+    room = [np.empty((batch, columns), kind).squeeze() for columns, kind in rows]
+    parts = [[part[:0] for part in room]]
+    for first in range(0, len(blocks), VOXELS):
+        some = slice(first, first + VOXELS)
+        count = _vertices(first, places[some], above[some], *fields, edges, tile, at_corners, *room)
+        parts.append([part[:count].copy() for part in room])
     vertices, colors, normals, cells, signs = (np.concatenate(part) for part in zip(*parts, strict=True))
     del room, parts
     starts = np.searchsorted(cells, VOXELS * np.arange(len(blocks) + 1))
-    batches, triangles = [np.empty((0, 3), np.int32)], np.empty((6 * VOXELS * _BATCH, 3), np.int32)
-    for first in range(0, len(cells), VOXELS * _BATCH):
-        stop = min(first + VOXELS * _BATCH, len(cells))
+    batches, triangles = [np.empty((0, 3), np.int32)], np.empty((6 * batch, 3), np.int32)
+    for first in range(0, len(cells), batch):
+        stop = min(first + batch, len(cells))
         count = _faces(first, stop, vertices, cells, signs, starts, below, np.empty(4, np.int64), triangles)
         batches.append(triangles[:count].copy())
     return vertices, colors, normals, np.concatenate(batches)

@@ -19,9 +19,11 @@ Keys = NDArray[np.int64]
 
 # Voxels along a block's side, and in it; half a side is the band on either side of a surface.
 SIDE = 8
-VOXELS = SIDE**3
-# A distance of one band, and one step of colour, in the whole numbers that are kept of them.
-BAND_STEPS, COLOR_STEPS = 32767.0, 256.0
+VOXELS = SIDE * SIDE * SIDE
+# In the whole numbers that are kept: a distance of one band, one step of colour, the most frames.
+BAND_STEPS = float(np.iinfo(np.int16).max)
+COLOR_STEPS = float(np.iinfo(np.uint16).max // np.iinfo(np.uint8).max)
+MOST_WEIGHT = float(np.iinfo(np.uint16).max)
 
 
 class VoxelBlocks:
@@ -178,4 +180,4 @@ def _integrate(  # type: ignore[no-untyped-def]
             for channel in range(3):
                 mean = seen * mean_color[block, i, channel] + COLOR_STEPS * color[v, u, channel]
                 mean_color[block, i, channel] = math.floor(mean * newest + 0.5)
-            weight[block, i] = min(seen + 1.0, 65535.0)
+            weight[block, i] = min(seen + 1.0, MOST_WEIGHT)
