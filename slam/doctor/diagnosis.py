@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -22,10 +23,14 @@ from slam.doctor.samples import Samples, WheelSamples
 from slam.doctor.stretches import Stretches
 from slam.doctor.wheels_and_lidar import compare
 from slam.measurements import LaserScan, Measurement
+from slam.vision.color_registration import ColorRegistration
 from slam.vision.registration_pairs import paired_frames, registrations_of
 
+# Where the colour cameras of some names sit.
+Registrations: TypeAlias = Callable[[Sequence[str]], dict[str, ColorRegistration]]
 
-def diagnose(log: Iterable[Measurement]) -> list[Finding]:
+
+def diagnose(log: Iterable[Measurement], registrations: Registrations | None = None) -> list[Finding]:
     """What the sensors of a log say of each other that cannot be.
 
     What is matched is a bounded number of stretches spread over the log.
@@ -34,6 +39,8 @@ def diagnose(log: Iterable[Measurement]) -> list[Finding]:
     ----------
     log
         A dataset, or a list of measurements in the order in which they came: it is read more than once.
+    registrations
+        Tells where colour cameras sit, for who asks for them again; None for `registrations_in` the log.
 
     Returns
     -------
@@ -51,7 +58,7 @@ def diagnose(log: Iterable[Measurement]) -> list[Finding]:
     >>> slam.diagnose(slam.open_dataset(write_synthetic_log("monday", duration_s=20.0).log_path))
     []
     """
-    return examine(log).findings
+    return examine(log, registrations).findings
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +69,15 @@ class Diagnosis:
     open: list[str]
 
 
-def examine(log: Iterable[Measurement]) -> Diagnosis:
+def registrations_in(
+    log: Iterable[Measurement], cameras: Sequence[str], config: Config
+) -> dict[str, ColorRegistration]:
+    """See `registrations_of`; of the log no other images are read."""
+    with fewer_frames(log, paired_frames):
+        return registrations_of(log, cameras, config)
+
+
+def examine(log: Iterable[Measurement], registrations: Registrations | None = None) -> Diagnosis:
     """As `diagnose`, with what could not be judged."""
     config = Config()
     with fewer_frames(log, lambda _, stamps_s: Stretches().choose(stamps_s)):
@@ -90,8 +105,8 @@ def examine(log: Iterable[Measurement]) -> Diagnosis:
     vouched = any(lidar.stretches for lidar in samples.lidars.values()) and not unknown
     findings += _in_space(samples, wheels, findings, vouched=vouched)
     lenses = [one.sensor for one in findings if one.kind == "lens"]
-    with fewer_frames(log, paired_frames):
-        apart = [name for name, found in registrations_of(log, lenses, config).items() if found.accepted]
+    found_apart = registrations(lenses) if registrations else registrations_in(log, lenses, config)
+    apart = [name for name, one in found_apart.items() if one.accepted]
     findings = [one for one in findings if one.kind != "lens" or one.sensor not in apart]
     unknown += [f"{name}: its lens, for its colours lie beside its depths" for name in apart]
     return Diagnosis(findings, unknown)
