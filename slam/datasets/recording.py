@@ -28,33 +28,19 @@ FrameChoice: TypeAlias = Callable[[str, Sequence[float]], Sequence[bool]]
 
 
 @contextmanager
-def fewer_frames(log: Any, choose: FrameChoice) -> Iterator[None]:
-    """A log, corrected or as it is, that reads only some frames meanwhile, where it can do so."""
+def fewer_frames(log: Any, choose: FrameChoice | None) -> Iterator[None]:
+    """A log, corrected or as it is, that reads only some frames, or None, meanwhile, where it can do so."""
     while hasattr(log, "log"):
         log = log.log
-    able = isinstance(log, Recording)
-    if able:
-        log.choose_frames = choose
+    name, value = ("read_images", False) if choose is None else ("choose_frames", choose)
+    before = getattr(log, name, value)
+    if before is not value:
+        setattr(log, name, value)
     try:
         yield
     finally:
-        if able:
-            log.choose_frames = None
-
-
-@contextmanager
-def no_frames(log: Any) -> Iterator[None]:
-    """A log, corrected or as it is, that is read without images meanwhile, where it can do so."""
-    while hasattr(log, "log"):
-        log = log.log
-    able = getattr(log, "read_images", False)
-    if able:
-        log.read_images = False
-    try:
-        yield
-    finally:
-        if able:
-            log.read_images = True
+        if before is not value:
+            setattr(log, name, before)
 
 
 @dataclass(frozen=True, slots=True)

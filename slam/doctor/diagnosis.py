@@ -11,7 +11,7 @@ import numpy as np
 
 from fusion.estimation import FEWEST
 from slam.config import Config
-from slam.datasets.recording import fewer_frames, no_frames
+from slam.datasets.recording import fewer_frames
 from slam.doctor.finding import Finding
 from slam.doctor.imu import imu_findings
 from slam.doctor.in_space import Base, camera_findings, cloud_findings, findings_against, seen_by
@@ -97,7 +97,7 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
         stretches, scale = _within_reach(stretches, config)
         found, left_open = compare(Pair(wheels[0], name, wheels[1].rows(), stretches, scale), config)
         if not (found or left_open):
-            with no_frames(log):
+            with fewer_frames(log, None):
                 lost = lost_sign(log, wheels[0], name, wheels[1].rows(), config)
             found = [lost] if lost else []
         findings += found
