@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
+from slam.comparison.open3d_library import load_open3d
 from slam.errors import ScanweaveError
-from slam.vision.open3d_library import load_open3d
 
 # A shell's background job has Ctrl-C ignored, and its children too; tests interrupt themselves and others.
 signal.signal(signal.SIGINT, signal.default_int_handler)

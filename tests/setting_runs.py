@@ -293,7 +293,7 @@ def files(config: Config, course: Course) -> None:
         folder = Path(name)
         with suppress(Asked):
             exports.Exports(cameras.map, config).write_surfaces(folder)
-        written, _ = exports.Exports(lidar.map, config).write_surfaces(folder)
+        written = exports.Exports(lidar.map, config).write_surfaces(folder)
         course.note(*[path.name for path in written], *[path.read_bytes() for path in written])
 
 

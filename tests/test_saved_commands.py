@@ -11,13 +11,11 @@ from pathlib import Path
 import pytest
 from command_line import Scanweave, scanweave
 from room_world import LESS, furnished, render, turning_walk, write_tum_folder
-from scipy.spatial import cKDTree
 
 from slam.cli import main
 from slam.mapper.checkpoint import Checkpoint
 from slam.simulation.synthetic_log import SyntheticLog, write_synthetic_log
 from slam.storage.map_file import MapFile
-from slam.storage.ply import read_cloud_ply
 
 __all__ = ["scanweave"]  # a fixture
 
@@ -149,15 +147,8 @@ class TestExport:
     def test_of_a_camera(self, scanweave: Scanweave, camera_map: Path, tmp_path: Path) -> None:
         for format_ in ("ply", "tum", "g2o"):
             assert scanweave("export", camera_map, "--format", format_, "-o", tmp_path).code == 0
-        for name in ("trajectory.tum", "trajectory_covariance.csv", "graph.g2o"):
+        for name in ("trajectory.tum", "trajectory_covariance.csv", "graph.g2o", "mesh.ply", "cloud.ply"):
             assert (tmp_path / name).read_bytes() == (camera_map / name).read_bytes(), name
-        # Open3D's threads take voxels in any order: last bits and order of a surface differ from run to run.
-        one, other = (read_cloud_ply(folder / "cloud.ply").points_map for folder in (tmp_path, camera_map))
-        assert len(one) == len(other) > 100
-        assert cKDTree(one).query(other)[0].max() < 1e-5
-        meshes = [path for folder in (tmp_path, camera_map) for path in folder.glob("mesh.ply")]
-        assert len(meshes) in (0, 2)  # none without Open3D
-        assert len({path.stat().st_size for path in meshes}) <= 1
         pytest.importorskip("octomap")
         assert scanweave("export", camera_map, "--format", "bt", "-o", tmp_path / "house.bt").code == 0
         assert (tmp_path / "house.bt").read_bytes().startswith(b"# Octomap")

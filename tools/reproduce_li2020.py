@@ -23,8 +23,7 @@ from fusion import bayes
 from fusion.height_band import HeightBand
 from slam.evaluation.figure_parts import figure_of, png_of
 from slam.evaluation.pages import parts
-from slam.mapping.camera_points import camera_cloud
-from slam.mapping.dense_map import ColoredCloud, DenseMapSettings
+from slam.mapping.dense_map import ColoredCloud, DenseMapSettings, fuse_keyframes
 from slam.mapping.layered_map import LAYERS, DecisionRule, LayeredMap
 from slam.measurements import LaserScan, RgbdFrame
 from slam.simulation.rigs import RIGS
@@ -119,7 +118,7 @@ def write_3d(out: Path, seed: int) -> bytes:
         if isinstance(reading, RgbdFrame) and reading.T_base_camera is not None
     ]
     write_octomap(out / "scene.bt", frames, poses, 0.05, 3.5)
-    seen = camera_cloud(frames, poses, DenseMapSettings(0.01, 0.8, 3.5))
+    seen = fuse_keyframes(frames, poses, DenseMapSettings(0.01, 0.8, 3.5)).cloud
     lidar = np.concatenate(
         [_ends(reading, pose) for reading, pose in posed if isinstance(reading, LaserScan)]
     )

@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.comparison.open3d_library import load_open3d
 from slam.datasets import open_dataset
 from slam.measurements import RgbdFrame, Trajectory
 from slam.storage.tum import write_tum
-from slam.vision.open3d_library import load_open3d
 
 Matrix: TypeAlias = NDArray[np.float64]
 # Takes a frame; its motion since the frame before, T_before_frame, None where it fails.

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 import fusion
 from fusion.native_slice import native_slice
+from slam.comparison.open3d_library import load_open3d
 from slam.simulation.ray_caster import RayCaster
-from slam.vision.open3d_library import load_open3d
 
 INTRINSICS = fusion.Intrinsics(585.0, 585.0, 320.0, 240.0)
 EVERY, FRAMES, VOXEL_M = 5, 500, 0.015

@@ -16,6 +16,7 @@ from slam.config import Config, config_of
 from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
 from slam.datasets.sensor_choice import SensorChoice, UsedMeasurements
+from slam.doctor.diagnosis import registrations_in
 from slam.doctor.finding import Finding
 from slam.errors import ConfigError, DatasetError
 from slam.evaluation.localization_report import write_localization_report
@@ -31,7 +32,6 @@ from slam.storage.map_contents import MapContents
 from slam.viewer.map_recording import record_localization
 from slam.viewer.viewer import Viewer, recording
 from slam.vision.color_registration import ColorRegistration
-from slam.vision.registration_pairs import registrations_of
 
 # Of a start that somebody has told, metres and radians: those that RViz sends with a pose set by hand.
 START_SIGMA = (0.5, math.pi / 12.0)
@@ -160,7 +160,7 @@ def _registrations(
     if known_map.frames is None or known_map.registrations:
         return None
     choice = SensorChoice.of(log, config.sensors)
-    return registrations_of(UsedMeasurements(log, config.sensors), choice.cameras, config)
+    return registrations_in(UsedMeasurements(log, config.sensors), choice.cameras, config)
 
 
 def _driven(

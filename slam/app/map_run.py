@@ -139,7 +139,6 @@ def _written(folder: Path, made: Exports) -> tuple[list[Path], list[str]]:
     """
     files = made.write_files(folder)
     try:
-        surfaces, missing = made.write_surfaces(folder)
+        return files + made.write_surfaces(folder), []
     except ScanweaveError as error:
         return files, [f"No coloured surface was written: {error}"]
-    return files + surfaces, missing

@@ -12,6 +12,7 @@ import numpy as np
 from slam.app.mapping import map_log
 from slam.comparison.dense_odometry import DenseOdometry
 from slam.comparison.kiss_odometry import KissOdometry
+from slam.comparison.open3d_library import load_open3d
 from slam.comparison.product import AcceptedLoop, Product, StateGrid
 from slam.config import Config
 from slam.datasets import Dataset
@@ -28,7 +29,6 @@ from slam.measurements import (
     row_from_pose2,
 )
 from slam.odometry import Odometries
-from slam.vision.open3d_library import load_open3d
 
 _FARTHEST_DEPTH_M = 4.0
 

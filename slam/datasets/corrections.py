@@ -44,21 +44,21 @@ class Corrected:
     """A dataset with its measurements corrected; see `slam.datasets.dataset.Dataset`."""
 
     def __init__(self, dataset: Dataset, calibration: Calibration) -> None:
-        self._dataset, self._calibration = dataset, calibration
+        self.log, self._calibration = dataset, calibration
         self.name, self.path = dataset.name, Path(dataset.path)
 
     @property
     def report(self) -> ReadReport:
         """Of the latest pass over the log."""
-        return self._dataset.report
+        return self.log.report
 
     def __iter__(self) -> Iterator[Measurement]:
         """The log from its beginning; see `corrected`."""
-        return iter(corrected(self._dataset, self._calibration))
+        return iter(corrected(self.log, self._calibration))
 
     def groundtruth(self) -> Trajectory | None:
         """That of the log."""
-        return self._dataset.groundtruth()
+        return self.log.groundtruth()
 
 
 def corrected(log: Iterable[Measurement], calibration: Calibration) -> Iterable[Measurement]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import compress
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -23,17 +24,24 @@ from slam.measurements import Measurement, RgbdFrame, Trajectory
 Numbered: TypeAlias = tuple[int, Measurement]
 
 
+# Of a camera's next frames, by their stamps, which are read.
+FrameChoice: TypeAlias = Callable[[str, Sequence[float]], Sequence[bool]]
+
+
 @contextmanager
-def fewer_frames(dataset: Any, wants: Callable[[str, float], bool]) -> Iterator[None]:
-    """A dataset that reads only some frames meanwhile, where it can do so: by camera and stamp."""
-    able = isinstance(dataset, Recording)
-    if able:
-        dataset.wants_frame = wants
+def fewer_frames(log: Any, choose: FrameChoice | None) -> Iterator[None]:
+    """A log, corrected or as it is, that reads only some frames, or None, meanwhile, where it can do so."""
+    while hasattr(log, "log"):
+        log = log.log
+    name, value = ("read_images", False) if choose is None else ("choose_frames", choose)
+    before = getattr(log, name, value)
+    if before is not value:
+        setattr(log, name, value)
     try:
         yield
     finally:
-        if able:
-            dataset.wants_frame = None
+        if before is not value:
+            setattr(log, name, before)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +84,8 @@ class Recording:
     ----------
     read_images
         Whether frames come at all; without them a log beside the cameras is read many times as fast.
-    wants_frame
-        Which frames come, by camera and stamp; None for all.
+    choose_frames
+        Asked once a camera which of its frames come; None for all.
     """
 
     __repr__ = one_line
@@ -96,7 +104,7 @@ class Recording:
         self.report = ReadReport()
         self.read_images = True
         self.calibration_files: tuple[Path, ...] = ()
-        self.wants_frame: Callable[[str, float], bool] | None = None
+        self.choose_frames: FrameChoice | None = None
         self._load, self._truth, self._strict, self._remedy = load, truth, strict, remedy
 
     def __iter__(self) -> Iterator[Measurement]:
@@ -118,12 +126,15 @@ class Recording:
             cameras = [by_files(camera, known, account) for camera in cameras]
             for note in known.notes:
                 report.note(note, 1)
+        if (choose := self.choose_frames) is not None:
+            cameras = [
+                replace(camera, pairs=list(compress(camera.pairs, choose(camera.sensor, stamps_s))))
+                for camera in cameras
+                for stamps_s in [[pair.stamp_s for pair in camera.pairs]]
+            ]
         # Frames take the time, where there are any; else the log beside them tells how far it was read.
         frames_in_all, frames_read = sum(len(camera.pairs) for camera in cameras), 0
-        pairs, wants = _by_time(cameras), self.wants_frame
-        if wants is not None:
-            pairs = ((camera, pair) for camera, pair in pairs if wants(camera.sensor, pair.stamp_s))
-        with closing(read_frames(pairs, account)) as frames:
+        with closing(read_frames(_by_time(cameras), account)) as frames:
             for number, measurement in _frames_after_log(contents.log, frames):
                 report.observe(measurement, number)
                 if isinstance(measurement, RgbdFrame):

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
 from fusion.estimation import FEWEST
 from slam.config import Config
+from slam.datasets.recording import fewer_frames
 from slam.doctor.finding import Finding
 from slam.doctor.imu import imu_findings
 from slam.doctor.in_space import Base, camera_findings, cloud_findings, findings_against, seen_by
@@ -18,12 +20,17 @@ from slam.doctor.own_body import blocked_beams, blocked_finding, without
 from slam.doctor.pair import Pair
 from slam.doctor.paired_motions import BaseTrack, mended_rows
 from slam.doctor.samples import Samples, WheelSamples
+from slam.doctor.stretches import Stretches
 from slam.doctor.wheels_and_lidar import compare
 from slam.measurements import LaserScan, Measurement
-from slam.vision.registration_pairs import registrations_of
+from slam.vision.color_registration import ColorRegistration
+from slam.vision.registration_pairs import paired_frames, registrations_of
+
+# Where the colour cameras of some names sit.
+Registrations: TypeAlias = Callable[[Sequence[str]], dict[str, ColorRegistration]]
 
 
-def diagnose(log: Iterable[Measurement]) -> list[Finding]:
+def diagnose(log: Iterable[Measurement], registrations: Registrations | None = None) -> list[Finding]:
     """What the sensors of a log say of each other that cannot be.
 
     What is matched is a bounded number of stretches spread over the log.
@@ -32,6 +39,8 @@ def diagnose(log: Iterable[Measurement]) -> list[Finding]:
     ----------
     log
         A dataset, or a list of measurements in the order in which they came: it is read more than once.
+    registrations
+        Tells where colour cameras sit, for who asks for them again; None for `registrations_in` the log.
 
     Returns
     -------
@@ -49,7 +58,7 @@ def diagnose(log: Iterable[Measurement]) -> list[Finding]:
     >>> slam.diagnose(slam.open_dataset(write_synthetic_log("monday", duration_s=20.0).log_path))
     []
     """
-    return examine(log).findings
+    return examine(log, registrations).findings
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +69,19 @@ class Diagnosis:
     open: list[str]
 
 
-def examine(log: Iterable[Measurement]) -> Diagnosis:
+def registrations_in(
+    log: Iterable[Measurement], cameras: Sequence[str], config: Config
+) -> dict[str, ColorRegistration]:
+    """See `registrations_of`; of the log no other images are read."""
+    with fewer_frames(log, paired_frames):
+        return registrations_of(log, cameras, config)
+
+
+def examine(log: Iterable[Measurement], registrations: Registrations | None = None) -> Diagnosis:
     """As `diagnose`, with what could not be judged."""
-    samples, config = Samples.of(log), Config()
+    config = Config()
+    with fewer_frames(log, lambda _, stamps_s: Stretches().choose(stamps_s)):
+        samples = Samples.of(log)
     findings, unknown = _repeated_scans(samples), list[str]()
     wheels = max(samples.wheels.items(), key=lambda item: item[1].count, default=None)
     for name, lidar in samples.lidars.items():
@@ -77,14 +96,17 @@ def examine(log: Iterable[Measurement]) -> Diagnosis:
             continue
         stretches, scale = _within_reach(stretches, config)
         found, left_open = compare(Pair(wheels[0], name, wheels[1].rows(), stretches, scale), config)
-        if not (found or left_open) and (lost := lost_sign(log, wheels[0], name, wheels[1].rows(), config)):
-            found = [lost]
+        if not (found or left_open):
+            with fewer_frames(log, None):
+                lost = lost_sign(log, wheels[0], name, wheels[1].rows(), config)
+            found = [lost] if lost else []
         findings += found
         unknown += left_open
     vouched = any(lidar.stretches for lidar in samples.lidars.values()) and not unknown
     findings += _in_space(samples, wheels, findings, vouched=vouched)
     lenses = [one.sensor for one in findings if one.kind == "lens"]
-    apart = [name for name, found in registrations_of(log, lenses, config).items() if found.accepted]
+    found_apart = registrations(lenses) if registrations else registrations_in(log, lenses, config)
+    apart = [name for name, one in found_apart.items() if one.accepted]
     findings = [one for one in findings if one.kind != "lens" or one.sensor not in apart]
     unknown += [f"{name}: its lens, for its colours lie beside its depths" for name in apart]
     return Diagnosis(findings, unknown)

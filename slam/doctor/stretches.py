@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from fusion.time_alignment import GAP_S
@@ -31,6 +32,11 @@ class Stretches:
     _newest_s: float = -math.inf
     _number: int = -1
     _stride: int = 1
+
+    def choose(self, stamps_s: Sequence[float]) -> list[bool]:
+        """Which of the next readings are looked at and not given up again when the last of them has come."""
+        looked_at = [(self.wants(stamp_s), self._number) for stamp_s in stamps_s]
+        return [wanted and number % self._stride == 0 for wanted, number in looked_at]
 
     def wants(self, stamp_s: float) -> bool:
         """Whether the reading of a stamp is looked at."""

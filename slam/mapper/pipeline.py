@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 from slam.config import Config, calibrated
 from slam.datasets.dataset import Dataset
-from slam.datasets.recording import fewer_frames
 from slam.datasets.sensor_choice import SensorChoice, SensorTally, UsedMeasurements, use_lines
-from slam.doctor.diagnosis import diagnose
+from slam.doctor.diagnosis import Registrations, diagnose, registrations_in
 from slam.doctor.finding import Finding, remedied
-from slam.doctor.stretches import Stretches
 from slam.errors import DatasetError
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.imu_start import start_of
@@ -28,7 +26,6 @@ from slam.odometry import STANDARD, Odometries
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prefetch import prefetched
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame
-from slam.vision.registration_pairs import registrations_of
 
 
 def build_map(
@@ -59,12 +56,12 @@ def build_map(
         Where the log holds nothing that can be mapped.
     """
     checkpoint, clock = checkpoint or Checkpoint(), [time.perf_counter()]
-    findings = checkpoint.findings(lambda: findings_of(dataset, config))
-    config = settled(config, findings)
+    registered = _Registered(dataset, config)
+    findings = checkpoint.findings(lambda: findings_of(dataset, config, registered))
+    if (mended := settled(config, findings)) != config:
+        registered = _Registered(dataset, config := mended)
     choice = SensorChoice.of(dataset, config.sensors)
-    registrations = checkpoint.registrations(
-        lambda: registrations_of(choice.used(dataset), choice.cameras, config)
-    )
+    registrations = checkpoint.registrations(lambda: registered(choice.cameras))
     mountings = checkpoint.mountings()
     prepare = None
     if choice.cameras:
@@ -96,13 +93,29 @@ def build_map(
     return result
 
 
-def findings_of(dataset: Dataset, config: Config) -> list[Finding]:
-    """What is wrong with the sensors of a log; nothing where that is not asked for."""
+@dataclass(slots=True)
+class _Registered:
+    """Where colour cameras sit, each found once."""
+
+    dataset: Dataset
+    config: Config
+    found: dict[str, ColorRegistration] = field(default_factory=dict)
+
+    def __call__(self, cameras: Sequence[str]) -> dict[str, ColorRegistration]:
+        """See `slam.doctor.diagnosis.Registrations`."""
+        unknown = [name for name in cameras if name not in self.found]
+        log = UsedMeasurements(self.dataset, self.config.sensors)
+        self.found |= registrations_in(log, unknown, self.config)
+        return {name: self.found[name] for name in cameras if name in self.found}
+
+
+def findings_of(
+    dataset: Dataset, config: Config, registrations: Registrations | None = None
+) -> list[Finding]:
+    """What is wrong with the sensors of a log, see `diagnose`; nothing where that is not asked for."""
     if not config.sensors.doctor:
         return []
-    stretches: defaultdict[str, Stretches] = defaultdict(Stretches)
-    with fewer_frames(dataset, lambda camera, stamp_s: stretches[camera].wants(stamp_s)):
-        return diagnose(UsedMeasurements(dataset, config.sensors))
+    return diagnose(UsedMeasurements(dataset, config.sensors), registrations)
 
 
 def settled(config: Config, findings: Iterable[Finding]) -> Config:

@@ -45,6 +45,8 @@ class RgbdTracker:
         self._result_cache = result_cache
         self._config = config
         self._local: list[VisualKeyframe] = []
+        # Of the local map those with their surfaces in memory, the latest used last.
+        self._in_use: list[VisualKeyframe] = []
         self._last: TrackedFrame | None = None
         self._stamp_s = 0.0
         self._matched_s = 0.0
@@ -116,8 +118,14 @@ class RgbdTracker:
         scores = [
             dissimilarity(keyframe.pose, pose, keyframe.frame.median_depth_m) for keyframe in self._local
         ]
-        order = np.argsort(scores, kind="stable")[: self._config.rgbd_odometry.views]
-        return [self._local[n] for n in order if n == order[0] or scores[n] < 1.0]
+        views = self._config.rgbd_odometry.views
+        order = np.argsort(scores, kind="stable")[:views]
+        alike = [self._local[n] for n in order if n == order[0] or scores[n] < 1.0]
+        self._in_use = [one for one in self._in_use if not any(one is other for other in alike)] + alike
+        for unused in self._in_use[: -2 * views]:
+            unused.frame.parts.forget_surface()
+        del self._in_use[: -2 * views]
+        return alike
 
     def _moved_on(self, frame: PreparedFrame, pose: gtsam.Pose3, match: VisualMatch) -> bool:
         """Whether parallax, turn, or lost overlap ask for a keyframe."""

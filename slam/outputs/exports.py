@@ -13,7 +13,7 @@ import numpy as np
 from slam.config import Config, nearest
 from slam.edits.remaking import regions_of
 from slam.errors import ScanweaveError
-from slam.mapping.dense_map import Colors
+from slam.mapping.dense_map import Colors, DenseMap
 from slam.mapping.elevation import Elevation, elevation
 from slam.mapping.floor_plan import FloorPlan
 from slam.mapping.keyframe_grid import PASSED_BY
@@ -22,7 +22,7 @@ from slam.matching.local_cloud import moved
 from slam.measurements import AnyFloatArray, spatial
 from slam.outputs.floorplan import floor_plan
 from slam.outputs.lidar_cloud import lidar_cloud
-from slam.outputs.surface import Surface, surface_of
+from slam.outputs.surface import surface_of
 from slam.storage.colmap import write_colmap
 from slam.storage.covariances import write_trajectory
 from slam.storage.e57 import write_e57
@@ -92,8 +92,8 @@ class Exports:
         poses = [spatial(pose) for pose in found.node_poses]
         return elevation(found.clouds, poses, found.ground_m, self.config.cloud_map.plan_range_m)
 
-    def write(self, format_: str, out: Path) -> tuple[list[Path], list[str]]:
-        """Write one format, see `slam.Map.export`; what was written, and what of it could not be had.
+    def write(self, format_: str, out: Path) -> list[Path]:
+        """Write one format, see `slam.Map.export`; what was written.
 
         Raises
         ------
@@ -105,18 +105,18 @@ class Exports:
             hint = nearest(format_, FORMATS)
             raise ScanweaveError(f"no format '{format_}'{hint}; formats are: {', '.join(FORMATS)}")
         if format_ in _PLANS or format_ == ZONES:
-            return self._write_plan(format_, out), []
+            return self._write_plan(format_, out)
         if format_ in ("colmap", "nerfstudio"):
             return self._write_images(format_, out)
         if format_ == "sensors":
-            return self._write_sensors(out), []
+            return self._write_sensors(out)
         if format_ == "mcap":
-            return [self._write_bag(out)], []
+            return [self._write_bag(out)]
         if format_ in CLOUD_FORMATS:
             if found.clouds is None:
                 raise ScanweaveError(f"the map holds no cloud, so there is nothing to write as {format_}")
             with lidar_cloud(found, self.config, self.ground) as cloud:
-                return export_cloud(format_, out, cloud), []
+                return export_cloud(format_, out, cloud)
         seen = found.frames is not None or found.clouds is not None
         if (format_ == "nav2" and self.layers is None) or (format_ in ("ply", "bt", "e57") and not seen):
             lacking = "grid" if format_ == "nav2" else "image or cloud"
@@ -126,23 +126,23 @@ class Exports:
             out /= _NAMES.get(format_, "cloud.ply" if found.frames is None else "mesh.ply")
         if format_ == "nav2":
             assert self.layers is not None
-            return list(write_driving_map(out.with_suffix(""), self.layers)), []
+            return list(write_driving_map(out.with_suffix(""), self.layers))
         if format_ == "ply":
             return self._write_ply(out)
         if format_ == "glb":
             return self._write_glb(out)
         if format_ == "e57":
             write_e57(out, self._scans())
-            return [out], []
+            return [out]
         if format_ == "kitti":
-            return write_kitti(out, found.trajectory), []
+            return write_kitti(out, found.trajectory)
         if format_ == "gpx":
             if found.georeference is None:
                 raise ScanweaveError("the map does not tell where on the earth it lies: its log had no GNSS")
             write_gpx(out, found.trajectory, found.georeference)
-            return [out], []
+            return [out]
         if format_ == "tum":
-            return write_trajectory(out, found.trajectory, found.covariances), []
+            return write_trajectory(out, found.trajectory, found.covariances)
         if format_ == "g2o":
             write_g2o(out, found.node_poses, (factor.edge for factor in found.factors if factor.kept))
         elif found.clouds is not None:
@@ -151,12 +151,12 @@ class Exports:
             resolution_m, range_max_m = self.config.grid.resolution_m, self.config.layers.depth_max_m
             poses = found.frame_poses()
             write_octomap(out, found.frames, poses, resolution_m=resolution_m, range_max_m=range_max_m)
-        return [out], []
+        return [out]
 
     def write_files(self, folder: Path) -> list[Path]:
         """Write trajectory and graph, of a floor the map to drive by, layers, zones; errors as in `write`."""
         formats = ["tum", "g2o"] if self.layers is None else ["tum", "g2o", "nav2"]
-        written = [path for name in formats for path in self.write(name, folder)[0]]
+        written = [path for name in formats for path in self.write(name, folder)]
         if self.contents.georeference is not None:
             written.append(folder / "georeference.yaml")
             write_georeference(written[-1], self.contents.georeference)
@@ -182,13 +182,13 @@ class Exports:
             first = part.stop
         return written
 
-    def write_surfaces(self, folder: Path) -> tuple[list[Path], list[str]]:
+    def write_surfaces(self, folder: Path) -> list[Path]:
         """Write surfaces and clouds, and the octree, where they are asked for; see `write`."""
         dense = self.config.dense_map
         if not dense.enabled or (self.contents.frames is None and self.contents.clouds is None):
-            return [], []
-        written, missing = self.write("ply", folder)
-        return (written + self.write("bt", folder)[0] if dense.octomap else written), missing
+            return []
+        written = self.write("ply", folder)
+        return written + self.write("bt", folder) if dense.octomap else written
 
     def _write_plan(self, format_: str, out: Path) -> list[Path]:
         """The plan of the floor, or what nav2 makes of it (a folder)."""
@@ -202,7 +202,7 @@ class Exports:
         _PLANS[format_](out, plan)
         return [out]
 
-    def _write_images(self, format_: str, folder: Path) -> tuple[list[Path], list[str]]:
+    def _write_images(self, format_: str, folder: Path) -> list[Path]:
         """Images with poses and lenses and a cloud to start from, in a folder."""
         found = self.contents
         if found.frames is None:
@@ -219,21 +219,19 @@ class Exports:
             if len(surface.cloud.points_map):
                 written.append(folder / "points.ply")
                 write_cloud_ply(written[-1], [surface.cloud])
-        return [*written, folder / IMAGES], surface.missing
+        return [*written, folder / IMAGES]
 
     @cached_property
-    def _surface(self) -> Surface:
+    def _surface(self) -> DenseMap:
         """Of the images."""
         return surface_of(self.contents, self.config)
 
-    def _write_glb(self, out: Path) -> tuple[list[Path], list[str]]:
+    def _write_glb(self, out: Path) -> list[Path]:
         """The coloured surface of the images."""
         if self.contents.frames is None:
             raise ScanweaveError("the map holds no image, so there is no surface to write as glb")
-        if self._surface.mesh is None:
-            raise ScanweaveError(f"no surface to write as glb: {self._surface.missing[0]}")
         write_mesh_glb(out, self._surface.mesh)
-        return [out], []
+        return [out]
 
     def _scans(self) -> Iterator[tuple[str, gtsam.Pose3, AnyFloatArray, Colors | None]]:
         """The clouds of the 3D lidar where they were taken; of images alone their surface as one."""
@@ -288,16 +286,16 @@ class Exports:
         folder = folder / "results" if folder.exists() else folder.with_suffix("")
         return write_results_bag(folder, plan, found.trajectory, self._mounts(), clouds if seen else ())
 
-    def _write_ply(self, out: Path) -> tuple[list[Path], list[str]]:
+    def _write_ply(self, out: Path) -> list[Path]:
         """The coloured surface of the images, and the cloud of the 3D lidar."""
-        written, missing, path, found = list[Path](), list[str](), out, self.contents
+        written, path, found = list[Path](), out, self.contents
         if found.frames is not None:
-            written, missing = _save_surface(out, self._surface)
+            written = _save_surface(out, self._surface)
             path = out.with_name("lidar.ply" if out.name == "mesh.ply" else f"{out.stem}-lidar.ply")
         if found.clouds is not None:
             with lidar_cloud(found, self.config, self.ground) as cloud:
                 written += write_lidar_cloud(path, cloud)
-        return written, missing
+        return written
 
 
 def same_surfaces(one: MapContents, other: MapContents, same_settings: bool) -> bool:
@@ -318,21 +316,13 @@ def _save_cloud_octomap(path: Path, found: MapContents, config: Config) -> None:
     write_octree(path, views, config.grid.resolution_m, config.cloud_map.plan_range_m)
 
 
-def _save_surface(path: Path, surface: Surface) -> tuple[list[Path], list[str]]:
-    """The coloured mesh of the camera keyframes, and their cloud beside it; nothing where they show none.
-
-    Returns
-    -------
-    What was written, and what could not be had.
-    """
-    cloud_path = path.with_name("cloud.ply" if path.name == "mesh.ply" else f"{path.stem}-cloud.ply")
+def _save_surface(path: Path, surface: DenseMap) -> list[Path]:
+    """The coloured mesh of the camera keyframes, and its points beside it; nothing where they show none."""
     written = list[Path]()
-    lacks = f"No {path.name}, and {cloud_path.name} is of points as they were seen"
-    missing = [f"{lacks}: {reason}" for reason in surface.missing]
-    if surface.mesh is not None and len(surface.mesh.faces):
+    if len(surface.mesh.faces):
         write_mesh_ply(path, surface.mesh)
         written.append(path)
     if len(surface.cloud.points_map):
-        write_cloud_ply(cloud_path, [surface.cloud])
-        written.append(cloud_path)
-    return written, missing
+        written.append(path.with_name("cloud.ply" if path.name == "mesh.ply" else f"{path.stem}-cloud.ply"))
+        write_cloud_ply(written[-1], [surface.cloud])
+    return written

@@ -212,10 +212,7 @@ class Map:
         >>> [path.name for path in house.export("nav2", "for-the-robot/")]
         ['map.yaml', 'map.pgm']
         """
-        written, missing = Exports(self.contents, self.config).write(format_, Path(out))
-        for fault in missing:
-            log.warning("%s", fault)
-        return written
+        return Exports(self.contents, self.config).write(format_, Path(out))
 
     def write_files(self, folder: Path, like: Map | None = None) -> list[Path]:
         """Write the files for other programs that ``scanweave map`` writes; errors as in `export`.
@@ -224,9 +221,7 @@ class Map:
         """
         exports = Exports(self.contents, self.config)
         same = like is not None and same_surfaces(self.contents, like.contents, self.config == like.config)
-        surfaces, missing = ([], list[str]()) if same else exports.write_surfaces(folder)
-        for fault in missing:
-            log.warning("%s", fault)
+        surfaces = [] if same else exports.write_surfaces(folder)
         sessions = [session.poses for session in self.sessions]
         return exports.write_files(folder) + surfaces + exports.write_sessions(folder, sessions)
 

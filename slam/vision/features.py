@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.kernel import ZERO, kernel
 from slam.measurements import BoolArray, CameraIntrinsics, Float32Array, FloatArray, RgbdFrame
 from slam.vision.color_registration import RIM_SHARE
+from slam.vision.place_recognition_vocabulary import ones
 
 if TYPE_CHECKING:
     import cv2
@@ -137,19 +139,33 @@ def match_features(first: Descriptors, second: Descriptors, ratio: float, greate
     """
     if len(first) < 2 or len(second) < 2:
         return Matches(np.zeros(0, np.int64), np.zeros(0, np.int64))
-    import cv2
-
-    matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
-    pairs = matcher.knnMatch(first, second, k=2)
-    nearest = np.array([(pair[0].trainIdx, pair[0].distance, pair[1].distance) for pair in pairs])
-    target = nearest[:, 0].astype(np.int64)
-    distance = nearest[:, 1]
-    good = (distance <= greatest_distance) & (distance < ratio * nearest[:, 2])
-    source = np.flatnonzero(good)
-    # Cross check, for these alone: it may choose another where several are as near.
-    back = matcher.match(np.ascontiguousarray(second[target[source]]), first)
-    source = source[np.array([pair.trainIdx for pair in back], np.int64) == source]
+    words = [np.ascontiguousarray(side).view(np.uint64) for side in (first, second)]
+    farther = 8 * first.shape[1] + 1
+    target, back = np.zeros(len(first), np.int64), np.zeros(len(second), np.int64)
+    two_least, least = np.full((len(first), 2), farther), np.full(len(second), farther)
+    _nearest(words[0], words[1], target, two_least, back, least)
+    good = (two_least[:, 0] <= greatest_distance) & (two_least[:, 0] < ratio * two_least[:, 1])
+    source = np.flatnonzero(good & (back[target] == np.arange(len(first))))
     return Matches(source, target[source])
+
+
+@kernel(nogil=True)
+def _nearest(  # type: ignore[no-untyped-def]
+    first, second, target, two_least, back, least
+):
+    """The nearest of the other side of each descriptor, the first of several; of ``first`` two distances."""
+    for i in range(first.shape[0]):
+        best, second_best, chosen = two_least[i, 0], two_least[i, 1], ZERO
+        for j in range(second.shape[0]):
+            distance = ones(first[i, 0] ^ second[j, 0]) + ones(first[i, 1] ^ second[j, 1])
+            distance += ones(first[i, 2] ^ second[j, 2]) + ones(first[i, 3] ^ second[j, 3])
+            if distance < best:
+                second_best, best, chosen = best, distance, j
+            elif distance < second_best:
+                second_best = distance
+            if distance < least[j]:
+                least[j], back[j] = distance, i
+        two_least[i, 0], two_least[i, 1], target[i] = best, second_best, chosen
 
 
 @lru_cache(maxsize=8)

@@ -46,6 +46,12 @@ class FrameParts:
         """Make what a match needs."""
         _ = self.features, self.points
 
+    def forget_surface(self) -> None:
+        """Give up what is large and quickly made again of the depth image."""
+        _ = self.median_depth_m
+        self.__dict__.pop("surface", None)
+        self.__dict__.pop("points", None)
+
     @cached_property
     def features(self) -> Features:
         """At the full resolution, all of them in the depth camera's image."""

@@ -28,6 +28,15 @@ _PAIRS = 24
 _LEAST_MOTION, _GREATEST_MOTION = 0.03, 0.25
 
 
+def paired_frames(_: str, stamps_s: Sequence[float]) -> list[bool]:
+    """Of a camera's frames those that `registrations_of` looks at, by their stamps."""
+    looked_s, chosen = -np.inf, []
+    for stamp_s in stamps_s:
+        chosen.append(stamp_s - looked_s >= _EVERY_S)
+        looked_s = stamp_s if chosen[-1] else looked_s
+    return chosen
+
+
 def registrations_of(
     measurements: Iterable[Measurement], cameras: Sequence[str], config: Config
 ) -> dict[str, ColorRegistration]:

@@ -97,13 +97,15 @@ def points_of(
     normals = np.zeros((*inverse.shape, 3), np.float32)
     k = intrinsics
     fit_planes(inverse, radius, step, k.fx, k.fy, k.cx, k.cy, smooth, normals)
-    rows, columns = np.nonzero(smooth)
-    z = 1.0 / smooth[rows, columns].astype(np.float64)
+    smooth, normals = smooth[radius::step, radius::step], normals[radius::step, radius::step]
+    found = np.nonzero(smooth)
+    z = 1.0 / smooth[found].astype(np.float64)
+    rows, columns = (radius + step * places for places in found)
     points = np.stack([(columns - k.cx) / k.fx * z, (rows - k.cy) / k.fy * z, z], axis=1)
-    return SurfacePoints(points, normals[rows, columns].astype(np.float64))
+    return SurfacePoints(points, normals[found].astype(np.float64))
 
 
 def _inverse(depth_m: Float32Array, farthest_m: float) -> Float32Array:
     """(H, W) inverse depth, 0 where there is no reading or one from behind ``farthest_m``."""
-    with np.errstate(divide="ignore"):
-        return np.where((depth_m > 0.0) & (depth_m <= farthest_m), np.float32(1.0) / depth_m, np.float32(0.0))
+    usable = (depth_m > 0.0) & (depth_m <= farthest_m)
+    return np.divide(np.float32(1.0), depth_m, out=np.zeros_like(depth_m), where=usable)

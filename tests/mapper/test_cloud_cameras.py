@@ -130,7 +130,7 @@ def test_saved_resumed_and_exported(log: Log, mapped: MapResult, tmp_path: Path)
     assert len(kept.frames) == len(kept.clouds) == len(poses)
     for found, pose in zip(kept.frame_poses(), poses, strict=True):
         np.testing.assert_allclose(found.matrix(), pose.matrix(), atol=1e-9)
-    written, _ = Exports(mapped.map, config).write_surfaces(tmp_path)
+    written = Exports(mapped.map, config).write_surfaces(tmp_path)
     names = {path.name for path in written}
     assert names - {"mesh.ply"} == {"cloud.ply", "lidar.ply"}
     assert {path.name for path in saved.export("ply", tmp_path / "again")} == names

@@ -82,7 +82,7 @@ def test_the_files(mapped: MapResult, log: Path, tmp_path: Path) -> None:
     names = {path.name for path in exports.write_files(tmp_path)}
     of_all = {"trajectory.tum", "trajectory_covariance.csv", "graph.g2o", "map.yaml", "map.pgm"}
     assert names == {*of_all, "elevation.yaml", "slope.yaml"}
-    written, _ = exports.write_surfaces(tmp_path)
+    written = exports.write_surfaces(tmp_path)
     cloud = read_cloud_ply(written[0])
     inside = way_round(COUNT)[0].matrix()
     points = cloud.points_map @ inside[:3, :3].T + inside[:3, 3]

@@ -16,8 +16,8 @@ from box_world import (
 )
 
 from slam.errors import ConfigError, ScanweaveError
-from slam.mapping import dense_map
 from slam.mapping.dense_map import DenseMapSettings, fuse_keyframes
+from slam.mapping.voxel_blocks import SIDE
 from slam.measurements import RgbdFrame
 
 SETTINGS = DenseMapSettings(voxel_size_m=0.02, minimum_views=2)
@@ -25,7 +25,7 @@ ELSEWHERE = gtsam.Pose3(gtsam.Rot3.Ypr(0.7, -0.4, 1.1), [12.3, -7.1, 2.9])
 
 
 @pytest.fixture(scope="module", params=[gtsam.Pose3(), ELSEWHERE], ids=["at the origin", "elsewhere"])
-def fused(request, open3d):
+def fused(request):
     """The map of the box before the wall, and T_world_map back to where the truth is known."""
     return fuse_keyframes(box_frames(), camera_poses(request.param), SETTINGS), request.param.inverse()
 
@@ -48,7 +48,7 @@ def test_vertices_lie_on_the_wall_and_the_box(fused):
         to_surface = np.minimum(to_wall, to_box)
         # What is left lies on the silhouettes of the box, where a view along the surface decides.
         assert np.mean(to_surface < SETTINGS.voxel_size_m) > 0.99
-        assert to_surface.max() < dense_map.BLOCK_SIDE / 2 * SETTINGS.voxel_size_m
+        assert to_surface.max() < SIDE / 2 * SETTINGS.voxel_size_m
         assert np.mean(to_surface < 0.1 * SETTINGS.voxel_size_m) > 0.9
         assert on_box_front(points).sum() > 400
         assert np.sum((to_wall < SETTINGS.voxel_size_m) & (np.abs(points[:, 0]) > 0.6)) > 2000
@@ -75,11 +75,12 @@ def test_normals_and_faces_look_at_the_camera(fused):
     assert (mesh.normals_map[front] @ towards_camera > 0.99).all()
     np.testing.assert_allclose(np.linalg.norm(dense.cloud.normals_map, axis=1), 1.0, atol=1e-3)
     a, b, c = (mesh.vertices_map[mesh.faces[:, k]] for k in range(3))
-    outward = np.sum(np.cross(b - a, c - a) * mesh.normals_map[mesh.faces[:, 0]], axis=1) > 0.0
-    assert outward.mean() > 0.999
+    area = np.cross(b - a, c - a)
+    inward = np.sum(area * mesh.normals_map[mesh.faces[:, 0]], axis=1) < 0.0
+    # Where a wall lies on voxels to the bit, slivers of triangles fold over.
+    assert np.linalg.norm(area[inward], axis=1).sum() < 0.002 * np.linalg.norm(area, axis=1).sum()
 
 
-@pytest.mark.open3d
 def test_a_slanted_wall_is_not_shifted_by_half_a_pixel():
     # z = 1.5 + 0.8 x falls by 8 mm a pixel; cutting pixels off instead of rounding moves it by half of that.
     u = np.arange(CAMERA.width)
@@ -93,7 +94,6 @@ def test_a_slanted_wall_is_not_shifted_by_half_a_pixel():
     assert abs(offsets.mean()) < 0.0005
 
 
-@pytest.mark.open3d
 def test_readings_outside_the_depth_range_are_not_used():
     frame, pose = box_frame(gtsam.Pose3()), gtsam.Pose3(gtsam.Rot3(), [0.0, 0.0, 0.007])
     settings = DenseMapSettings(voxel_size_m=0.02, depth_min_m=1.7, depth_max_m=3.0, minimum_views=1)
@@ -105,7 +105,6 @@ def test_readings_outside_the_depth_range_are_not_used():
     assert min(len(no_box), len(no_wall)) > 400
 
 
-@pytest.mark.open3d
 def test_what_too_few_frames_saw_and_what_has_no_depth_is_left_out():
     frame, pose = box_frame(gtsam.Pose3()), gtsam.Pose3(gtsam.Rot3(), [0.0, 0.0, 0.007])
     blind = RgbdFrame(0.0, frame.color, np.zeros_like(frame.depth_m), CAMERA)
@@ -118,8 +117,7 @@ def test_what_too_few_frames_saw_and_what_has_no_depth_is_left_out():
     assert len(fuse_keyframes([frame, frame], [pose, pose], SETTINGS).mesh.faces) > 1000
 
 
-@pytest.mark.open3d
-@pytest.mark.parametrize(("row", "col", "fused"), [(8, 12, 1), (9, 13, 0), (120, 12, 0), (8, 160, 0)])
+@pytest.mark.parametrize(("row", "col", "fused"), [(6, 12, 1), (7, 13, 0), (121, 12, 0), (6, 161, 0)])
 def test_a_frame_with_a_single_reading_stops_nothing(row, col, fused):
     camera = replace(CAMERA, width=162, height=122)
     depth_m = np.zeros((122, 162), np.float32)
@@ -128,9 +126,7 @@ def test_a_frame_with_a_single_reading_stops_nothing(row, col, fused):
     assert fuse_keyframes([frame], [gtsam.Pose3()], SETTINGS).frames_fused == fused
 
 
-@pytest.mark.open3d
 def test_the_same_frames_give_the_same_bytes():
-    """Open3D's threads do not: points and triangles are put in order."""
     first, second = (fuse_keyframes(box_frames(), camera_poses(ELSEWHERE), SETTINGS) for _ in range(2))
     for name in ("vertices_map", "colors", "normals_map", "faces"):
         assert getattr(first.mesh, name).tobytes() == getattr(second.mesh, name).tobytes(), name
@@ -138,36 +134,27 @@ def test_the_same_frames_give_the_same_bytes():
         assert getattr(first.cloud, name).tobytes() == getattr(second.cloud, name).tobytes(), name
 
 
-@pytest.mark.open3d
-def test_growing_from_one_block_gives_the_same_map(monkeypatch):
-    frames, poses = box_frames(count=3), camera_poses(count=3)
-    at_once = fuse_keyframes(frames, poses, SETTINGS).cloud.points_map
-    monkeypatch.setattr(dense_map, "FIRST_BLOCKS", 1)
-    grown = fuse_keyframes(frames, poses, SETTINGS).cloud.points_map
-    np.testing.assert_array_equal(np.unique(grown, axis=0), np.unique(at_once, axis=0))
+def test_the_surface_has_no_hole_within_what_was_seen():
+    """Every edge of the wall's middle belongs to two triangles."""
+    pose = gtsam.Pose3(gtsam.Rot3.Ypr(0.1, 0.2, 0.3), [0.01, 0.02, 0.03])
+    depth_m = np.full((CAMERA.height, CAMERA.width), 2.0, np.float32)
+    frame = RgbdFrame(0.0, np.zeros((*depth_m.shape, 3), np.uint8), depth_m, CAMERA)
+    mesh = fuse_keyframes([frame, frame], [pose, pose], SETTINGS).mesh
+    assert len(mesh.faces) > 2000
+    middle = np.linalg.norm(mesh.vertices_map - pose.transformFrom([0.0, 0.0, 2.0]), axis=1) < 0.5
+    edges = np.sort(np.concatenate([mesh.faces[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))]), axis=1)
+    _, counts = np.unique(edges[middle[edges].all(axis=1)], axis=0, return_counts=True)
+    np.testing.assert_array_equal(counts, 2)
 
 
-@pytest.mark.open3d
-def test_room_is_made_up_to_the_limit_and_not_beyond(monkeypatch):
-    monkeypatch.setattr(dense_map, "FIRST_BLOCKS", 500)
-    most_blocks = 850  # 535 are needed in the end; by itself Open3D doubles to 1000
-    limit_mb = (most_blocks + 0.5) * dense_map.block_bytes() / 1e6
-    volume = dense_map._Volume(DenseMapSettings(voxel_size_m=0.02, memory_limit_mb=limit_mb))
-    for frame, pose in zip(box_frames(), camera_poses(), strict=True):
-        assert volume.integrate(frame, pose)
-    assert 500 < volume._grid.hashmap().size() <= volume._grid.hashmap().capacity() <= most_blocks
-
-
-@pytest.mark.open3d
 def test_the_memory_limit_is_an_error_with_its_remedy():
-    settings = DenseMapSettings(voxel_size_m=0.02, memory_limit_mb=5.0)
+    settings = DenseMapSettings(voxel_size_m=0.02, memory_limit_mb=1.0)
     with pytest.raises(
-        ScanweaveError, match=r"more than 5 MB at voxels of 0\.02 m; use a larger voxel_size_m"
+        ScanweaveError, match=r"more than 1 MB at voxels of 0\.02 m; use a larger voxel_size_m"
     ):
         fuse_keyframes(box_frames(), camera_poses(), settings)
 
 
-@pytest.mark.open3d
 def test_poses_that_do_not_fit_the_frames_are_refused():
     frames, poses = box_frames(count=3), camera_poses(count=3)
     with pytest.raises(ValueError, match=r"longer|shorter"):

@@ -140,7 +140,6 @@ def test_points_of_the_map_project_to_their_pixels(room: slam.Map, tmp_path: Pat
 
 
 def test_the_surface_stands_upright_as_glb(room: slam.Map, tmp_path: Path) -> None:
-    pytest.importorskip("open3d")
     room.export("glb", tmp_path)
     content = (tmp_path / "mesh.glb").read_bytes()
     magic, version, size = struct.unpack_from("<4sII", content)
@@ -158,7 +157,6 @@ def test_the_surface_stands_upright_as_glb(room: slam.Map, tmp_path: Path) -> No
 
 def test_e57_holds_the_surface(room: slam.Map, tmp_path: Path) -> None:
     pye57 = pytest.importorskip("pye57")
-    pytest.importorskip("open3d")
     room.export("e57", tmp_path / "room.e57")
     room.export("nerfstudio", tmp_path / "nerf")
     read = pye57.E57(str(tmp_path / "room.e57")).read_scan(0, colors=True, ignore_missing_fields=True)

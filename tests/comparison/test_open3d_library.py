@@ -4,8 +4,8 @@ import sys
 
 import pytest
 
+from slam.comparison.open3d_library import load_open3d
 from slam.errors import ScanweaveError
-from slam.vision.open3d_library import load_open3d
 
 
 def test_a_missing_library_is_one_line_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
