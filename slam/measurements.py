@@ -18,7 +18,7 @@ Float32Array: TypeAlias = NDArray[np.float32]
 AnyFloatArray: TypeAlias = NDArray[np.floating[Any]]
 BoolArray: TypeAlias = NDArray[np.bool_]
 ColorImage: TypeAlias = NDArray[np.uint8]
-Pose: TypeAlias = gtsam.Pose2 | gtsam.Pose3
+Pose: TypeAlias = "gtsam.Pose2 | gtsam.Pose3"
 
 
 def one_line(record: Any) -> str:
@@ -75,7 +75,7 @@ class LaserScan:
     start_angle_rad: float
     step_rad: float
     range_max_m: float
-    T_base_laser: gtsam.Pose2 = field(default_factory=gtsam.Pose2)
+    T_base_laser: gtsam.Pose2 = field(default_factory=lambda: gtsam.Pose2())
     sensor: str = "laser"
 
     __repr__ = one_line
@@ -167,7 +167,7 @@ class PointCloud:
     stamp_s: float
     points_lidar: Float32Array
     times_s: FloatArray | None = None
-    T_base_lidar: gtsam.Pose3 = field(default_factory=gtsam.Pose3)
+    T_base_lidar: gtsam.Pose3 = field(default_factory=lambda: gtsam.Pose3())
     sensor: str = "lidar"
 
     __repr__ = one_line

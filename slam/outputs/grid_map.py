@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import MapFileError
-from slam.mapping.keyframe_grid import OCCUPANCY
-from slam.mapping.layered_map import LayeredMap
+from slam.mapping.layered_map import OCCUPANCY, LayeredMap
 from slam.mapping.occupancy_grid import OCCUPIED, UNKNOWN, OccupancyGrid
 from slam.measurements import Trajectory
 from slam.storage.map_contents import MapContents
