@@ -21,7 +21,7 @@ Float32Array: TypeAlias = NDArray[np.float32]
 AnyFloatArray: TypeAlias = NDArray[np.floating[Any]]
 BoolArray: TypeAlias = NDArray[np.bool_]
 ColorImage: TypeAlias = NDArray[np.uint8]
-Pose: TypeAlias = gtsam.Pose2 | gtsam.Pose3
+Pose: TypeAlias = "gtsam.Pose2 | gtsam.Pose3"
 
 
 # Standard gravity, by which a reading in g is told (ISO 80000-3).
@@ -67,7 +67,7 @@ class LaserScan:
     start_angle_rad: float
     step_rad: float
     range_max_m: float
-    T_base_laser: gtsam.Pose2 = field(default_factory=gtsam.Pose2)
+    T_base_laser: gtsam.Pose2 = field(default_factory=lambda: gtsam.Pose2())
     sensor: str = "laser"
 
     __repr__ = one_line
@@ -216,7 +216,7 @@ class PointCloud:
     stamp_s: float
     points_lidar: Float32Array
     times_s: FloatArray | None = None
-    T_base_lidar: gtsam.Pose3 = field(default_factory=gtsam.Pose3)
+    T_base_lidar: gtsam.Pose3 = field(default_factory=lambda: gtsam.Pose3())
     sensor: str = "lidar"
 
     __repr__ = one_line

@@ -190,8 +190,6 @@ def test_progress_rises_to_the_whole(from_memory: bool, another_day: SyntheticLo
         assert stage[-1].readings == another_day.scan_count
 
 
-
-
 @pytest.mark.parametrize("given", [[], [1.0], ["scan"], [None]])
 def test_what_is_no_measurement_is_named(given: list[object]) -> None:
     with pytest.raises(slam.ScanweaveError, match=r"measurement|is a (float|str|NoneType)") as caught:

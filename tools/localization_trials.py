@@ -37,7 +37,8 @@ from slam.localization.poses import Measured
 from slam.localization.scan_view import ScanView, first_in_cells
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.mapper import Mapper
-from slam.mapping.keyframe_grid import OCCUPANCY, grid_of_keyframes
+from slam.mapping.keyframe_grid import grid_of_keyframes
+from slam.mapping.layered_map import OCCUPANCY
 from slam.matching.planar import between, compose
 from slam.measurements import (
     FloatArray,

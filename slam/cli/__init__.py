@@ -6,6 +6,7 @@ import sys
 
 from slam.cli import compare, demo, diff, doctor, edit, localize, map_log, queries, saved, simulate
 from slam.cli.app import app, tell
+from slam.cli.later import load_later
 from slam.errors import ScanweaveError
 
 __all__ = [
@@ -29,6 +30,7 @@ _INTERRUPTED = 130
 
 def main() -> None:
     """Run a command: exit code 1 for a known error in one line, 2 for wrong usage."""
+    load_later()
     try:
         app()
     except ScanweaveError as error:

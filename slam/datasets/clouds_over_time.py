@@ -42,7 +42,7 @@ class CloudFolder:
     """
 
     files: tuple[StampedFile, ...]
-    T_base_lidar: gtsam.Pose3 = field(default_factory=gtsam.Pose3)
+    T_base_lidar: gtsam.Pose3 = field(default_factory=lambda: gtsam.Pose3())
     parse: Callable[[Path], Parsed] | None = None
 
     def numbered(self, account: Account) -> Iterator[tuple[int, PointCloud]]:

@@ -38,7 +38,7 @@ class CloudSamples:
     repeated: int = 0
     interval_s: Thinned = field(default_factory=Thinned)
     turn_s: Thinned = field(default_factory=Thinned)
-    T_base_lidar: gtsam.Pose3 = field(default_factory=gtsam.Pose3)
+    T_base_lidar: gtsam.Pose3 = field(default_factory=lambda: gtsam.Pose3())
     _stretches: Stretches = field(default_factory=Stretches)
     _tracker: CloudTracker | None = None
     _tracked: tuple[float, TrackedCloud] | None = None

@@ -26,7 +26,7 @@ from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.mapping.polygons import cells_inside
 from slam.measurements import BoolArray, FloatArray, Pose, spatial
 from slam.storage.map_contents import MapContents, SavedFactor
-from slam.storage.map_edits import CLOUD, FRAME, MEASURED, REPAIRED, AppliedEdits, Region, erased_bits
+from slam.storage.map_edits import CLOUD, FRAME, MEASURED, REPAIRED, AppliedEdits, erased_bits, regions_of
 from slam.storage.map_sessions import MapSession
 from slam.trajectory.poses import Poses
 from slam.trajectory.resettled import resettled
@@ -43,15 +43,6 @@ def turned_by(entries: Sequence[AppliedEdits]) -> gtsam.Pose2:
     for entry in entries:
         whole = whole if entry.turned is None else entry.turned.compose(whole)
     return whole
-
-
-def regions_of(entries: Sequence[AppliedEdits], kind: str) -> list[Region]:
-    """Those of a kind; of zones and places with one name the last counts."""
-    found: dict[object, Region] = {}
-    for entry in entries:
-        for number, region in enumerate(region for region in entry.regions if region.kind == kind):
-            found[region.name or (id(entry), number)] = region
-    return list(found.values())
 
 
 def remade(

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy import spatial
 
 from fusion.estimation import TINY
 from slam.errors import EvaluationError
@@ -68,7 +68,7 @@ def align(estimate: Trajectory, truth: Trajectory) -> Alignment:
         raise EvaluationError(f"{len(points)} associated poses in one place leave the alignment open")
     turn, rmse_m = _turned(centred, wanted)
     _, mirrored_m = _turned(centred * [1.0, -1.0, 1.0], wanted)
-    rotation = level.inv() * Rotation.from_rotvec([0.0, 0.0, turn])
+    rotation = level.inv() * spatial.transform.Rotation.from_rotvec([0.0, 0.0, turn])
     T = np.eye(4)
     T[:3, :3] = rotation.as_matrix()
     T[:3, 3] = truth.positions_m.mean(axis=0) - rotation.apply(points.mean(axis=0))
@@ -116,7 +116,7 @@ def _turned(points: FloatArray, targets: FloatArray) -> tuple[float, float]:
     """The turn about z that brings centred points (N, 3) nearest to their targets, and the RMSE left."""
     (xx, xy), (yx, yy) = targets[:, :2].T @ points[:, :2]
     turn = math.atan2(yx - xy, xx + yy)
-    off = Rotation.from_rotvec([0.0, 0.0, turn]).apply(points) - targets
+    off = spatial.transform.Rotation.from_rotvec([0.0, 0.0, turn]).apply(points) - targets
     return turn, float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
 
 
@@ -126,10 +126,10 @@ def _in_plane(trajectory: Trajectory) -> bool:
     return bool(tilted < TINY and np.ptp(heights) < TINY)
 
 
-def _level(truth: Trajectory) -> Rotation | None:
+def _level(truth: Trajectory) -> spatial.transform.Rotation | None:
     """The turn after which up is along z; None where the robot does not stay upright."""
-    up = Rotation.from_quat(truth.quaternions_xyzw).apply([0.0, 0.0, 1.0]).mean(axis=0)
+    up = spatial.transform.Rotation.from_quat(truth.quaternions_xyzw).apply([0.0, 0.0, 1.0]).mean(axis=0)
     if np.linalg.norm(up) < _UPRIGHT:
         return None
-    level, _ = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up / np.linalg.norm(up)])
+    level, _ = spatial.transform.Rotation.align_vectors([[0.0, 0.0, 1.0]], [up / np.linalg.norm(up)])
     return level

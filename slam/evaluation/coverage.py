@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
+from scipy import spatial
 
 from fusion.estimation import gate
 from slam.errors import EvaluationError
@@ -111,7 +111,7 @@ def _errors(estimate: Trajectory, truth: Trajectory, held: int) -> FloatArray:
     Exponential coordinates: in them a way that is turned about a point of it is off in a straight line (Long,
     Wolfe, Mashner, Chirikjian 2012, "The banana distribution is Gaussian").
     """
-    own, true = (Rotation.from_quat(one.quaternions_xyzw) for one in (estimate, truth))
+    own, true = (spatial.transform.Rotation.from_quat(one.quaternions_xyzw) for one in (estimate, truth))
     turn = own[held] * true[held].inv()
     shifted = turn.apply(truth.positions_m - truth.positions_m[held]) + estimate.positions_m[held]
     angles = (turn * true * own.inv()).as_rotvec()
@@ -131,6 +131,8 @@ def _truth_at(reference: Trajectory, stamps_s: FloatArray, limit_s: float) -> tu
     known, asked_s = reference[order], np.clip(stamps_s[found], known_s[0], known_s[-1])
     if len(known_s) < 2 or not found.size:
         return known[np.zeros(len(found), np.int64)], found
-    turns = Slerp(known_s, Rotation.from_quat(known.quaternions_xyzw))(asked_s)
+    turns = spatial.transform.Slerp(known_s, spatial.transform.Rotation.from_quat(known.quaternions_xyzw))(
+        asked_s
+    )
     places = [np.interp(asked_s, known_s, axis) for axis in known.positions_m.T]
     return Trajectory(asked_s, np.column_stack(places), turns.as_quat()), found

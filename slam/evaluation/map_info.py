@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import gtsam
 import numpy as np
 
 from slam.config import Config
 from slam.errors import MapFileError, UnfinishedMapError
 from slam.foreign import plain
-from slam.mapping.occupancy_grid import FREE, OCCUPIED, StateArray
-from slam.outputs.finished_map import Map, open_map
+from slam.mapping.layered_map import DEPTH, OCCUPANCY
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid, StateArray
+from slam.measurements import LaserScan, Trajectory
 from slam.storage.map_file import MapFile, map_path
 from slam.storage.map_identity import MapIdentity
-from slam.storage.map_tables import CLOUDS, FRAMES
+from slam.storage.map_parts import read_grids, read_trajectory
+from slam.storage.map_sessions import MapSession, sessions_of
+from slam.storage.map_soundness import of
+from slam.storage.map_tables import CLOUDS, EDITS, FACTORS, FRAMES, KEYFRAMES, LOOPS
+from slam.storage.packing import Unpacker, unpack
 
 
 def map_info(path: Path) -> dict[str, Any]:
@@ -28,40 +34,55 @@ def map_info(path: Path) -> dict[str, Any]:
         Where there is none, it is damaged, or a run is writing it.
     """
     try:
-        saved = open_map(path)
+        file = MapFile.read(path)
     except UnfinishedMapError:
         return _begun(map_path(path))
-    trajectory, identity = saved.trajectory, saved.identity
-    kinds = Counter(str(factor.edge.kind) for factor in saved.factors if factor.kept)
-    refused = Counter(str(factor.edge.kind) for factor in saved.factors if not factor.kept)
+    try:
+        return _finished(file)
+    finally:
+        file.close()
+
+
+def _finished(file: MapFile) -> dict[str, Any]:
+    """What a finished map holds: counted where that will do, for a map is large."""
+    meta, small = file.meta(), Unpacker(file.size)
+    identity, trajectory = MapIdentity.from_meta(meta, file.path), read_trajectory(file, small)
+    sessions = sessions_of(meta, file.count(KEYFRAMES), len(trajectory))
+    factors = file.tally(FACTORS, "kept", "kind").items()
+    edits = file.tally(EDITS, "source")[EDITS.name,]
     return {
-        "map": str(saved.path),
-        "size_mb": round(saved.path.stat().st_size / 1e6, 3),
+        "map": str(file.path),
+        "size_mb": round(file.size / 1e6, 3),
         "finished": True,
         "log": identity.log_name,
-        "sessions": len(saved.sessions),
-        "motion": "planar" if saved.planar else "spatial",
-        "sensors": _sensors(saved),
-        "keyframes": len(saved.keyframe_poses),
-        **({"clouds": len(saved.contents.clouds)} if saved.contents.clouds else {}),
+        "sessions": len(sessions),
+        "motion": "planar" if _is_planar(file) else "spatial",
+        "sensors": _sensors(file, small),
+        "keyframes": file.count(KEYFRAMES),
+        **({"clouds": file.count(CLOUDS)} if file.count(CLOUDS) else {}),
         "poses": len(trajectory),
-        **_extent(saved),
-        "factors": dict(sorted(kinds.items())),
-        "factors_refused": dict(sorted(refused.items())),
-        "loops": len(saved.loops),
-        "loops_accepted": sum(loop.accepted for loop in saved.loops),
-        "grids": _grids(saved),
-        **({"edits": len(saved.edits)} if saved.edits else {}),
+        **_extent(trajectory, sessions),
+        "factors": {str(kind): count for (kept, kind), count in factors if kept},
+        "factors_refused": {str(kind): count for (kept, kind), count in factors if not kept},
+        "loops": file.count(LOOPS),
+        "loops_accepted": file.tally(LOOPS, "accepted")[1,],
+        "grids": _grids(read_grids(file, small), identity.config),
+        **({"edits": edits} if edits else {}),
         **_origin(identity),
-        "digest": saved.digest,
+        "digest": file.content_digest(),
     }
 
 
-def _extent(saved: Map) -> dict[str, float]:
+def _is_planar(file: MapFile) -> bool:
+    """Whether the robot stays on a floor."""
+    with file.blaming(KEYFRAMES, 0):
+        return isinstance(unpack(cast(bytes, file.row(KEYFRAMES, 0)[2])), gtsam.Pose2)
+
+
+def _extent(trajectory: Trajectory, sessions: Sequence[MapSession]) -> dict[str, float]:
     """Way and time of all sessions."""
-    ends = np.cumsum([session.poses for session in saved.sessions])[:-1]
-    tracks = np.split(saved.trajectory.positions_m, ends)
-    times = np.split(saved.trajectory.stamps_s, ends)
+    ends = np.cumsum([session.poses for session in sessions])[:-1]
+    tracks, times = np.split(trajectory.positions_m, ends), np.split(trajectory.stamps_s, ends)
     return {
         "path_length_m": round(
             sum(float(np.linalg.norm(np.diff(track, axis=0), axis=1).sum()) for track in tracks), 3
@@ -117,19 +138,27 @@ def _text(value: Any) -> str:
     return plain(value)
 
 
-def _sensors(saved: Map) -> dict[str, int]:
+def _sensors(file: MapFile, small: Unpacker) -> dict[str, int]:
     """How many keyframes each sensor gave."""
-    scans = Counter(scan.sensor for scan in saved.keyframe_scans if scan is not None)
-    frames = saved.contents.frames
-    images = Counter(frames.head(index).sensor for index in range(len(frames))) if frames else Counter()
-    return dict(sorted((scans + images).items()))
+    scans = Counter(file.parsed(KEYFRAMES, lambda row: _sensor(row[-1] or row[-2], small)))
+    images = Counter({str(sensor): count for (sensor,), count in file.tally(FRAMES, "sensor").items()})
+    return {sensor: count for sensor, count in sorted((scans + images).items()) if sensor}
 
 
-def _grids(saved: Map) -> dict[str, Any]:
+def _sensor(scan: bytes | None, small: Unpacker) -> str:
+    """Whose scan a keyframe has; nothing of none."""
+    return "" if scan is None else of(LaserScan, small(scan)).sensor
+
+
+def _grids(grids: Mapping[str, OccupancyGrid], config: Config) -> dict[str, Any]:
     """Every grid, and what they decide where there are two."""
-    found = {name: _grid(grid.states(), grid.resolution_m) for name, grid in saved.contents.grids.items()}
-    layers = saved.layers
-    if layers is not None and layers.names:
+    found = {name: _grid(grid.states(), grid.resolution_m) for name, grid in grids.items()}
+    if DEPTH not in grids:
+        return found
+    from slam.mapping.keyframe_grid import layers_of_grids
+
+    layers = layers_of_grids(grids.get(OCCUPANCY), grids[DEPTH], config)
+    if layers is not None:
         found["decision"] = _grid(layers.states("decision"), layers.resolution_m)
     return found
 

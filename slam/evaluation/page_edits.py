@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from slam.edits.remaking import regions_of
 from slam.storage.map_contents import MapContents
+from slam.storage.map_edits import regions_of
 
 _KINDS = ("erase", "keep_out", "slow", "crop", "place")
 

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy import spatial
 
 from slam.errors import EvaluationError
 from slam.evaluation.alignment import align
@@ -137,10 +137,10 @@ def absolute_error(
     estimate, truth = associate(trajectory, reference, max_difference_s)
     aligned = align(estimate, truth)
     T_reference_map = aligned.T_target_point
-    rotation = Rotation.from_matrix(T_reference_map[:3, :3])
+    rotation = spatial.transform.Rotation.from_matrix(T_reference_map[:3, :3])
     positions = rotation.apply(estimate.positions_m) + T_reference_map[:3, 3]
-    turned = rotation * Rotation.from_quat(estimate.quaternions_xyzw)
-    difference = turned.inv() * Rotation.from_quat(truth.quaternions_xyzw)
+    turned = rotation * spatial.transform.Rotation.from_quat(estimate.quaternions_xyzw)
+    difference = turned.inv() * spatial.transform.Rotation.from_quat(truth.quaternions_xyzw)
     return AbsoluteError(
         count=len(estimate),
         T_reference_map=T_reference_map,
@@ -208,9 +208,9 @@ def _pairs_by_path(positions_m: FloatArray, delta_m: float) -> tuple[Any, Any]:
     return np.array(marks[:-1], dtype=np.intp), np.array(marks[1:], dtype=np.intp)
 
 
-def _motions(trajectory: Trajectory, starts: Any, ends: Any) -> tuple[FloatArray, Rotation]:
+def _motions(trajectory: Trajectory, starts: Any, ends: Any) -> tuple[FloatArray, spatial.transform.Rotation]:
     """inverse(start) * end: translations (N, 3) and N rotations."""
-    rotations = Rotation.from_quat(trajectory.quaternions_xyzw)
+    rotations = spatial.transform.Rotation.from_quat(trajectory.quaternions_xyzw)
     back = rotations[starts].inv()
     moved = trajectory.positions_m[ends] - trajectory.positions_m[starts]
     return back.apply(moved), back * rotations[ends]

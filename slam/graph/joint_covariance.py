@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from slam.graph.pose_graph import Edge
 from slam.graph.relative_uncertainty import inverse
@@ -48,7 +47,7 @@ def joint_covariance(
         shape=(3 * len(edges), 3 * count),
     ).tocsr()[:, 3:]
     free = sparse.csr_matrix(jacobian)[:, 3:]
-    solved = splu((whole.T @ whole).tocsc()).solve(free.T.toarray())
+    solved = sparse.linalg.splu((whole.T @ whole).tocsc()).solve(free.T.toarray())
     covariance = np.asarray(free @ solved)
     return np.asarray(0.5 * (covariance + covariance.T))
 

@@ -14,8 +14,9 @@ from slam.errors import ScanweaveError
 from slam.mapper.keyframe_fusion import FusionSummary
 from slam.mapper.scan_record import CameraRecord, ScanRecord
 from slam.mapping.elevation import Elevation
-from slam.mapping.keyframe_grid import DEPTH, OCCUPANCY, depth_model, layer_settings, lidar_grids
+from slam.mapping.keyframe_grid import depth_model, layer_settings, lidar_grids
 from slam.mapping.layer_builder import LayerBuilder
+from slam.mapping.layered_map import DEPTH, OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import RgbdFrame
 from slam.storage.map_contents import MapContents

@@ -14,7 +14,6 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
-from scipy.sparse import csgraph
 
 from slam.mapping.band_scan import LEVEL_SHARE
 from slam.mapping.cloud_packing import STEP_M
@@ -155,7 +154,7 @@ def _hanging_together(low: FloatArray, feet: FloatArray, origin_yx: FloatArray) 
         pairs.append(np.column_stack([number[here][flat], number[there][flat]]))
     ends, count = np.vstack(pairs), int(known.sum())
     graph = sparse.csr_array((np.ones(len(ends), np.int32), (ends[:, 0], ends[:, 1])), shape=(count, count))
-    _, parts = csgraph.connected_components(graph, directed=False)
+    _, parts = sparse.csgraph.connected_components(graph, directed=False)
     at = np.argwhere(known)
     away, foot = cKDTree((feet[:, 1::-1] - origin_yx) / _CELL_M - 0.5).query(at)
     stands = (away <= _BESIDE_CELLS) & (np.abs(low[known] - feet[foot, 2]) <= step_m)

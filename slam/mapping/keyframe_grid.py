@@ -9,14 +9,11 @@ from slam.config import Config
 from slam.errors import ConfigError
 from slam.mapping.depth_grid import DepthModel
 from slam.mapping.layer_builder import LayerBuilder, LayerSettings
-from slam.mapping.layered_map import DecisionRule, LayeredMap
+from slam.mapping.layered_map import OCCUPANCY, PASSED_BY, DecisionRule, LayeredMap
 from slam.mapping.lidar_layer import LidarModel
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.mapping.passers_by import without_passers_by
 from slam.measurements import FloatArray, LaserScan, pose2_from_row
-
-# Names of grids in a map: the lidar's of what stays, what has gone, the depth cameras'.
-OCCUPANCY, PASSED_BY, DEPTH = "occupancy", "passed by", "depth layer"
 
 
 def layer_settings(config: Config, depth: DepthModel | None = None) -> LayerSettings:

@@ -17,6 +17,9 @@ from slam.mapping.occupancy_grid import THRESHOLDS, OccupancyGrid, StateArray, S
 from slam.mapping.ray_tracing import Box
 from slam.measurements import BoolArray, FloatArray
 
+# Names of grids in a map: the lidar's of what stays, what has gone, the depth cameras'.
+OCCUPANCY, PASSED_BY, DEPTH = "occupancy", "passed by", "depth layer"
+
 LayerName: TypeAlias = Literal["lidar", "depth", "fused", "decision"]
 
 LAYERS: tuple[LayerName, ...] = ("lidar", "depth", "fused", "decision")

@@ -71,7 +71,7 @@ class OccupancyGrid:
 
     steps: Steps
     resolution_m: float
-    T_map_grid: gtsam.Pose2 = field(default_factory=gtsam.Pose2)
+    T_map_grid: gtsam.Pose2 = field(default_factory=lambda: gtsam.Pose2())
 
     __repr__ = one_line
 

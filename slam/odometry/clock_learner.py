@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
+from scipy import special
 
 from fusion.estimation import CONFIDENCE, half_interval
 from fusion.time_alignment import GAP_S, clock_offset, turns_between
@@ -61,7 +61,7 @@ class SensorClock:
         """The offset; 0 where the interval holds none: Student's, for few stretches tell little of noise."""
         if self.stretches < 2:
             return 0.0
-        limit_s = float(stdtrit(self.stretches - 1, 0.5 + 0.5 * CONFIDENCE)) * self.sigma_s
+        limit_s = float(special.stdtrit(self.stretches - 1, 0.5 + 0.5 * CONFIDENCE)) * self.sigma_s
         return self.offset_s if abs(self.offset_s) > limit_s else 0.0
 
     def note(self, name: str, other: str) -> str:

@@ -11,13 +11,11 @@ import gtsam
 import numpy as np
 
 from slam.config import Config, nearest
-from slam.edits.remaking import regions_of
 from slam.errors import ScanweaveError
 from slam.mapping.dense_map import Colors, DenseMap
 from slam.mapping.elevation import Elevation, elevation
 from slam.mapping.floor_plan import FloorPlan
-from slam.mapping.keyframe_grid import PASSED_BY
-from slam.mapping.layered_map import LayeredMap
+from slam.mapping.layered_map import PASSED_BY, LayeredMap
 from slam.matching.local_cloud import moved
 from slam.measurements import AnyFloatArray, spatial
 from slam.outputs.floorplan import floor_plan
@@ -34,7 +32,7 @@ from slam.storage.ground_layers import write_ground_layers
 from slam.storage.kitti_poses import write_kitti
 from slam.storage.lidar_cloud_files import CLOUD_FORMATS, export_cloud, write_lidar_cloud
 from slam.storage.map_contents import MapContents
-from slam.storage.map_edits import CLOUD, FRAME, erased_bits
+from slam.storage.map_edits import CLOUD, FRAME, erased_bits, regions_of
 from slam.storage.mcap_results import Plan, write_results_bag
 from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers, write_passed_by
 from slam.storage.nav2_rooms import write_room_zones

@@ -7,14 +7,12 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fusion.showing import drawn, extent, with_pictures
 from slam.config import Config
 from slam.config.edits import Edits, edits_of, load_edits
-from slam.edits.applying import Known
-from slam.edits.edited_file import known_of, write_entries, write_unedited, write_with
-from slam.edits.remaking import regions_of
+from slam.edits import edited_file
 from slam.errors import MapFileError
 from slam.graph.loop_closure import LoopCandidate
 from slam.mapping.floor_plan import FloorPlan
@@ -25,6 +23,7 @@ from slam.outputs.exports import Exports, same_surfaces
 from slam.outputs.floorplan import floor_plan
 from slam.storage.files import make_folder, replacing
 from slam.storage.map_contents import MapContents, SavedFactor, read_contents, refuse_misfits
+from slam.storage.map_edits import regions_of
 from slam.storage.map_file import MAP_NAME, MapFile
 from slam.storage.map_identity import MapIdentity, lines_of
 from slam.storage.map_sessions import MapSession, sessions_of
@@ -32,6 +31,9 @@ from slam.storage.map_soundness import sound_readings
 from slam.storage.map_tables import KEYFRAMES
 from slam.storage.whole_folder import remake
 from slam.temporary import TemporaryFolder
+
+if TYPE_CHECKING:
+    from slam.edits.applying import Known
 
 log = logging.getLogger(__name__)
 
@@ -233,8 +235,7 @@ class Map:
     @property
     def places(self) -> dict[str, FloatArray]:
         """(3,) x, y, yaw of the places that a person has named, map frame."""
-        found = regions_of(self.contents.edits, "place")
-        return {one.name: one.pose(self.keyframe_poses) for one in found}
+        return {one.name: one.pose(self.keyframe_poses) for one in regions_of(self.contents.edits, "place")}
 
     def zones(self, kind: str = "keep_out") -> dict[str, FloatArray]:
         """(n, 2) corners of the zones of a kind, ``keep_out`` or ``slow``, by their names, map frame.
@@ -279,7 +280,7 @@ class Map:
         """
         chosen = load_edits(edits) if isinstance(edits, str | Path) else edits
         chosen = chosen if isinstance(chosen, Edits) else edits_of(chosen, "the edits")
-        return self._anew(lambda path: write_with(self.parts(), chosen, path), out)
+        return self._anew(lambda path: edited_file.write_with(self.parts(), chosen, path), out)
 
     def remap(self, settings: Sequence[str] = (), *, out: Path | str | None = None) -> Map:
         """The map made anew with other settings, without its log; else as `edited`.
@@ -311,12 +312,12 @@ class Map:
         if not self.contents.edits:
             raise MapFileError(f"{self.path} has no edits to undo")
         if entries := self.contents.edits[:-1]:
-            return self._anew(lambda path: write_entries(self.parts(), entries, path), out)
-        return self._anew(lambda path: write_unedited(self._file, path), out)
+            return self._anew(lambda path: edited_file.write_entries(self.parts(), entries, path), out)
+        return self._anew(lambda path: edited_file.write_unedited(self._file, path), out)
 
     def parts(self) -> Known:
         """The map as it is, and as it was before all edits."""
-        return known_of(self._file, self.contents, self.sessions)
+        return edited_file.known_of(self._file, self.contents, self.sessions)
 
     def _anew(self, write: Callable[[Path], list[str]], out: Path | str | None) -> Map:
         """A map that is written beside what is there, and takes its place."""

@@ -10,8 +10,7 @@ import numpy as np
 
 from fusion.showing import with_pictures
 from slam.errors import MapFileError
-from slam.mapping.keyframe_grid import OCCUPANCY
-from slam.mapping.layered_map import LayeredMap
+from slam.mapping.layered_map import OCCUPANCY, LayeredMap
 from slam.mapping.occupancy_grid import OCCUPIED, UNKNOWN, OccupancyGrid
 from slam.measurements import Trajectory
 from slam.outputs.finished_map import Map, open_map

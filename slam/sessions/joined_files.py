@@ -16,7 +16,7 @@ from slam.edits.applying import later_evidence
 from slam.edits.edited_file import write_entries
 from slam.edits.remaking import remade
 from slam.mapper.map_result import depth_grid
-from slam.mapping.keyframe_grid import DEPTH
+from slam.mapping.layered_map import DEPTH
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.matching.planar import between, compose
 from slam.outputs.finished_map import NOTES, WARNINGS, Map, open_map

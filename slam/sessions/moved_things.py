@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
-from scipy.spatial import ConvexHull, cKDTree
+from scipy import optimize, spatial
 
 from slam.measurements import FloatArray, one_line
 from slam.sessions.changes import Change
@@ -72,7 +71,7 @@ def changed_things(changes: Sequence[Change], cell_m: float) -> list[ChangedThin
     # Of things that look alike each has moved as little as may be.
     ways_m = [[math.dist(old.cells_m.mean(axis=0), new.cells_m.mean(axis=0)) for new in came] for old in went]
     cost = np.where(alike > _ALIKE, ways_m, 1.0 + np.sum(ways_m)) if alike.size else np.zeros((0, 0))
-    for n, m in zip(*linear_sum_assignment(cost), strict=True):
+    for n, m in zip(*optimize.linear_sum_assignment(cost), strict=True):
         old, new = went[n], came[m]
         if alike[n, m] > _ALIKE:
             paired |= {id(old), id(new)}
@@ -96,12 +95,12 @@ def _likeness(one: FloatArray, other: FloatArray, cell_m: float) -> float:
     """
     if round(abs(_size(one, cell_m)[0] - _size(other, cell_m)[0]) / cell_m) > 2:
         return 0.0
-    tree, reach_m, best = cKDTree(other), math.sqrt(2.0) * cell_m, 0.0
+    tree, reach_m, best = spatial.cKDTree(other), math.sqrt(2.0) * cell_m, 0.0
     for turn in _TURNS:
         c, s = math.cos(turn), math.sin(turn)
         moved = one @ np.array([[c, s], [-s, c]])
         moved += 0.5 * (other.min(axis=0) + other.max(axis=0) - moved.min(axis=0) - moved.max(axis=0))
-        there, back = tree.query(moved)[0], cKDTree(moved).query(other)[0]
+        there, back = tree.query(moved)[0], spatial.cKDTree(moved).query(other)[0]
         best = max(best, 0.5 * float(np.mean(there <= reach_m) + np.mean(back <= reach_m)))
     return best
 
@@ -120,7 +119,7 @@ def _around(cells_m: FloatArray, cell_m: float) -> FloatArray:
     """(M, 2) corners of the convex hull of (N, 2) cells, counter-clockwise."""
     square = 0.5 * cell_m * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     corners = (cells_m[:, None] + square).reshape(-1, 2)
-    return np.asarray(corners[ConvexHull(corners).vertices])
+    return np.asarray(corners[spatial.ConvexHull(corners).vertices])
 
 
 def _middle(corners_m: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy import spatial
 
 from slam.measurements import FloatArray, Trajectory, WheelOdometry, pose2_from_row
 from slam.simulation.campus_drive import IntArray, drive_way, plan_way, scan_steps, travelled_m
@@ -164,7 +164,7 @@ def relation_lines(stamps_s: FloatArray, poses_xyt: FloatArray, rng: np.random.G
     rng
         Which of several earlier ones.
     """
-    driven_m, places = travelled_m(poses_xyt), cKDTree(poses_xyt[:, :2])
+    driven_m, places = travelled_m(poses_xyt), spatial.cKDTree(poses_xyt[:, :2])
     poses = [pose2_from_row(row) for row in poses_xyt]
     for index, pose in enumerate(poses):
         near = np.sort(places.query_ball_point(poses_xyt[index, :2], _NEAR_M))

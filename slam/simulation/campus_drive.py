@@ -8,7 +8,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
-from scipy.sparse import csgraph
 
 from slam.measurements import FloatArray
 from slam.simulation.campus_plan import Campus
@@ -34,7 +33,7 @@ def plan_way(campus: Campus, rng: np.random.Generator, length_m: float) -> list[
     ends, count = np.array(pairs), len(campus.junctions_m)
     lengths = [corridor.length_m for corridor in campus.corridors]
     graph = sparse.csr_array((lengths, (ends[:, 0], ends[:, 1])), shape=(count, count))
-    far_m, before = csgraph.dijkstra(graph, directed=False, return_predecessors=True)
+    far_m, before = sparse.csgraph.dijkstra(graph, directed=False, return_predecessors=True)
     number = {frozenset(pair): index for index, pair in enumerate(pairs)}
     visits = np.zeros(len(pairs))
     way, goals, driven_m = [campus.ring[0]], [*campus.ring[1:], campus.ring[0]], 0.0

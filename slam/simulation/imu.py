@@ -9,7 +9,7 @@ from pathlib import Path
 import gtsam
 import numpy as np
 import yaml
-from scipy.spatial.transform import Rotation
+from scipy import spatial
 
 from slam.measurements import GRAVITY_M_S2, FloatArray
 from slam.simulation.sensor_clock import generator, schedule
@@ -147,7 +147,7 @@ def write_euroc(folder: Path, record: ImuRecord, T_base_imu: gtsam.Pose3) -> Non
         for stamp_s, row in zip(record.stamps_s.tolist(), rows, strict=True)
     ]
     write_lines(folder / "data.csv", [_HEAD, *lines])
-    turn = Rotation.from_matrix(T_base_imu.rotation().matrix()).as_quat()
+    turn = spatial.transform.Rotation.from_matrix(T_base_imu.rotation().matrix()).as_quat()
     mounting = {"translation_m": T_base_imu.translation().tolist(), "quaternion_xyzw": turn.tolist()}
     write_lines(folder / "calibration.yaml", yaml.safe_dump({"T_base_imu": mounting}).splitlines())
 
@@ -163,6 +163,6 @@ def _felt(
         places.append(positions + rotations @ T_body_imu.translation())
     (before, now, after), (behind, here, ahead) = turned, places
     steps = before.transpose(0, 2, 1) @ after
-    gyro: FloatArray = Rotation.from_matrix(steps).as_rotvec() / (2.0 * half_s)
+    gyro: FloatArray = spatial.transform.Rotation.from_matrix(steps).as_rotvec() / (2.0 * half_s)
     force = (ahead - 2.0 * here + behind) / half_s**2 + [0.0, 0.0, GRAVITY_M_S2]
     return gyro, np.einsum("nji,nj->ni", now, force)

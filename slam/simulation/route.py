@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
-from scipy.sparse import csgraph
 
 from slam.measurements import BoolArray, FloatArray
 
@@ -147,7 +146,7 @@ def cheapest_paths(floor: FloorMap, stops: Sequence[int]) -> tuple[FloatArray, l
     list[list[IntArray | None]]
         The nodes of each way, both ends included.
     """
-    costs, before = csgraph.dijkstra(floor.graph, indices=list(stops), return_predecessors=True)
+    costs, before = sparse.csgraph.dijkstra(floor.graph, indices=list(stops), return_predecessors=True)
     paths: list[list[IntArray | None]] = []
     for index, start in enumerate(stops):
         paths.append([chain(before[index], start, end) for end in stops])

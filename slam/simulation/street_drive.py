@@ -6,8 +6,7 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
-from scipy.interpolate import CubicSpline
+from scipy import interpolate, ndimage
 
 from slam.measurements import FloatArray
 from slam.simulation.route import resample
@@ -34,8 +33,8 @@ class StreetDrive:
         Way driven by the seconds.
     """
 
-    planar: CubicSpline
-    path_m: CubicSpline
+    planar: interpolate.CubicSpline
+    path_m: interpolate.CubicSpline
     duration_s: float
     ground: Ground
 
@@ -86,8 +85,8 @@ def drive_street(town: Town, rng: np.random.Generator) -> StreetDrive:
     apart_m = np.linalg.norm(np.diff(middles, axis=0), axis=1)
     times = np.concatenate([[0.0], np.cumsum(2.0 * apart_m / (speeds[1:] + speeds[:-1]))])
     driven = np.concatenate([[0.0], np.cumsum(apart_m)])
-    planar = CubicSpline(times, np.column_stack([middles, headings]))
-    return StreetDrive(planar, CubicSpline(times, driven), float(times[-1]), town.ground)
+    planar = interpolate.CubicSpline(times, np.column_stack([middles, headings]))
+    return StreetDrive(planar, interpolate.CubicSpline(times, driven), float(times[-1]), town.ground)
 
 
 def _junctions(town: Town, rng: np.random.Generator) -> FloatArray:

@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csgraph
+from scipy import sparse
 
 from slam.errors import ConfigError
 from slam.measurements import BoolArray, FloatArray
@@ -170,7 +170,7 @@ def _laps(home: Home, floor: FloorMap, rng: np.random.Generator) -> list[FloatAr
     if start < 0:
         raise ConfigError(f"no place for a robot with {floor.required_m:.2f} m about it; use a smaller robot")
     centres = floor.centres_m()
-    parts = csgraph.connected_components(floor.graph, directed=False)[1]
+    parts = sparse.csgraph.connected_components(floor.graph, directed=False)[1]
     stops, groups = [start], []
     for room in _depth_first(home, rng):
         found = _stops(room, floor, centres, parts == parts[start], rng)

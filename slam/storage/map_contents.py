@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -18,8 +18,8 @@ from slam.errors import MapFileError
 from slam.graph.keyframe_graph import row_of
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, EdgeKind
-from slam.mapping.keyframe_grid import DEPTH, OCCUPANCY, layers_of_grids
-from slam.mapping.layered_map import LayeredMap
+from slam.mapping.keyframe_grid import layers_of_grids
+from slam.mapping.layered_map import DEPTH, OCCUPANCY, LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Pose, Trajectory, spatial
 from slam.storage.covariances import of_upper_triangles, upper_triangles
@@ -28,13 +28,12 @@ from slam.storage.map_edits import CLOUD, FRAME, AppliedEdits, erased_bits, read
 from slam.storage.map_facts import georeference_of_file, ground_of_file
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
+from slam.storage.map_parts import Unpack, read_grids, read_trajectory
 from slam.storage.map_soundness import (
     of,
     require,
-    sound_grid,
     sound_name,
     sound_stamp,
-    sound_trajectory,
     unsound_covariance,
 )
 from slam.storage.map_tables import (
@@ -46,17 +45,12 @@ from slam.storage.map_tables import (
     KEYFRAMES,
     LOOPS,
     TRAJECTORY,
-    Table,
 )
 from slam.storage.packing import Unpacker, pack, pack_small, unpack
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.learned_camera import LearnedCamera
 
-T = TypeVar("T")
-Unpack = Callable[[bytes], Any]
-
 _STRETCH = 4096
-_MOST_GRIDS = 4
 _KINDS = frozenset(EdgeKind)
 
 
@@ -240,26 +234,19 @@ def read_contents(file: MapFile) -> MapContents:
         MapClouds(file, erased=erased_bits(edits, CLOUD)),
     )
     small = Unpacker(file.size)
-    keyframes = list(_read(file, KEYFRAMES, lambda row: _keyframe(row, small)))
+    keyframes = list(file.parsed(KEYFRAMES, lambda row: _keyframe(row, small)))
     if not keyframes:
         raise MapFileError(f"{file.path} holds no keyframe; make the map anew")
     poses = [keyframe[2] for keyframe in keyframes]
     planar = isinstance(poses[0], gtsam.Pose2)
     if not all(isinstance(pose, gtsam.Pose2) is planar for pose in poses):
         raise MapFileError(f"{file.path} holds keyframes on a floor and in space; make the map anew")
-    loops = list(_read(file, LOOPS, lambda row: _loop(row, len(poses))))
-    stretches = list(
-        _read(file, TRAJECTORY, lambda row: sound_trajectory(of(Trajectory, small(row[1])), row[0]))
-    )
-    if file.count(GRIDS) > _MOST_GRIDS:
-        raise MapFileError(f"{file.path} holds {file.count(GRIDS)} grids; make the map anew")
-    if not stretches:
-        raise MapFileError(f"{file.path} holds no trajectory; make the map anew")
-    factors = list(_read(file, FACTORS, lambda row: _factor(row, poses, len(loops))))
+    loops = list(file.parsed(LOOPS, lambda row: _loop(row, len(poses))))
+    trajectory, grids = read_trajectory(file, small), read_grids(file, small)
+    factors = list(file.parsed(FACTORS, lambda row: _factor(row, poses, len(loops))))
     wrong = unsound_covariance([factor.edge.covariance for factor in factors], 3 if planar else 6)
     with file.blaming(FACTORS, wrong or 0):
         require(wrong is None, "its covariance is not finite, symmetric and positive definite")
-    poses_in_all = sum(len(stretch) for stretch in stretches)
     return MapContents(
         node_poses=poses,
         stamps_s=np.array([keyframe[0] for keyframe in keyframes]),
@@ -268,14 +255,10 @@ def read_contents(file: MapFile) -> MapContents:
         keyframe_scans=[keyframe[4] for keyframe in keyframes],
         factors=factors,
         loops=loops,
-        trajectory=Trajectory(
-            np.concatenate([part.stamps_s for part in stretches]),
-            np.concatenate([part.positions_m for part in stretches]),
-            np.concatenate([part.quaternions_xyzw for part in stretches]),
-        ),
-        covariances=_covariances(file, poses_in_all, 3 if planar else 6, small),
-        grids=dict(_read(file, GRIDS, lambda row: _grid(row, small))),
-        cameras=dict(_read(file, CAMERAS, _camera)),
+        trajectory=trajectory,
+        covariances=_covariances(file, len(trajectory), 3 if planar else 6, small),
+        grids=grids,
+        cameras=dict(file.parsed(CAMERAS, _camera)),
         frames=frames if len(frames) else None,
         clouds=clouds if len(clouds) else None,
         ground_m=ground_of_file(file),
@@ -299,14 +282,6 @@ def refuse_misfits(file: MapFile, contents: MapContents) -> None:
                 raise MapFileError("it belongs to no node")
             if clouds is not None and head.T_base_camera is None:
                 raise MapFileError("it does not tell where the camera was on the robot")
-
-
-def _read(file: MapFile, table: Table, parse: Callable[[tuple[Any, ...]], T]) -> Iterator[T]:
-    """Every row of a table, understood; a row that does not fit is blamed by its number."""
-    for number, row in enumerate(file.rows(table)):
-        with file.blaming(table, number):
-            parsed = parse(row)
-        yield parsed
 
 
 def _keyframe(
@@ -354,7 +329,7 @@ def _kind(name: str) -> str:
 
 def _covariances(file: MapFile, poses: int, dimension: int, small: Unpack) -> FloatArray | None:
     """Those of the trajectory; None where the map tells none."""
-    rows = list(_read(file, COVARIANCES, lambda row: _triangles(row, dimension, small)))
+    rows = list(file.parsed(COVARIANCES, lambda row: _triangles(row, dimension, small)))
     if not rows:
         return None
     triangles = np.concatenate(rows)
@@ -371,19 +346,6 @@ def _triangles(row: tuple[Any, ...], dimension: int, small: Unpack) -> FloatArra
     wrong = unsound_covariance(list(of_upper_triangles(triangles)), dimension)
     require(wrong is None, f"covariance {wrong} is not finite, symmetric and positive definite")
     return triangles
-
-
-def _grid(row: tuple[Any, ...], small: Unpack) -> tuple[str, OccupancyGrid]:
-    """A row of the grids, with its name."""
-    name, rows, cols, resolution_m, corner, cells = row
-    steps = of(np.ndarray, small(cells))
-    require(steps.shape == (rows, cols), "its cells have another size")
-    T_map_grid = of(gtsam.Pose2, unpack(corner))
-    if steps.dtype == np.float32:  # log-odds, in maps of the first schemas
-        require((np.abs(steps) < np.inf).all(), "its cells are not finite")
-        return name, sound_grid(OccupancyGrid.of_log_odds(steps, resolution_m, T_map_grid))
-    require(steps.dtype == np.int16, "its cells are no steps of log-odds")
-    return name, sound_grid(OccupancyGrid(steps, resolution_m, T_map_grid))
 
 
 def _camera(row: tuple[Any, ...]) -> tuple[str, LearnedCamera]:

@@ -163,6 +163,15 @@ def read_edits(file: MapFile) -> list[AppliedEdits]:
     return entries
 
 
+def regions_of(entries: Sequence[AppliedEdits], kind: str) -> list[Region]:
+    """Those of a kind; of zones and places with one name the last counts."""
+    found: dict[object, Region] = {}
+    for entry in entries:
+        for number, region in enumerate(region for region in entry.regions if region.kind == kind):
+            found[region.name or (id(entry), number)] = region
+    return list(found.values())
+
+
 def _entry(values: object, nodes: int) -> AppliedEdits:
     """One of them, if it fits a map of so many keyframes."""
     rows = of(list, values)

@@ -7,9 +7,11 @@ import json
 import sqlite3
 import time
 import weakref
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, TypeVar
 
 from slam.datasets.sqlite_reading import bound_steps, free_steps
 from slam.errors import MapFileError, UnfinishedMapError
@@ -25,6 +27,8 @@ from slam.storage.map_connection import (
 )
 from slam.storage.map_tables import CHECKPOINT, META, TABLES, Table, Value
 from slam.temporary import TemporaryFolder
+
+T = TypeVar("T")
 
 MAP_NAME = "map.db"
 # A crash loses at most this and what one scan takes.
@@ -222,6 +226,24 @@ class MapFile:
         with self.blaming(table, number + 1):
             if next(found, None) is not None:
                 raise MapFileError(f"row {number + 1} should not be there")
+
+    def parsed(self, table: Table, parse: Callable[[tuple[Any, ...]], T]) -> Iterator[T]:
+        """Every row of a table, understood; a row that does not fit is blamed by its number."""
+        for number, row in enumerate(self.rows(table)):
+            with self.blaming(table, number):
+                found = parse(row)
+            yield found
+
+    def tally(self, table: Table, *columns: str) -> Counter[tuple[Value, ...]]:
+        """How many rows have the same values in some columns; what else is in them is not looked at."""
+        if table.name not in self._counts:
+            return Counter()
+        names = ", ".join(columns)
+        with self.blaming(table, 0):
+            found = self._connection.execute(
+                f"SELECT {names}, count(*) FROM {table.name} GROUP BY {names} ORDER BY {names}"
+            )
+            return Counter({values: count for *values, count in found for values in [tuple(values)]})
 
     def clear(self, table: Table) -> None:
         """Remove all rows of a table."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from slam.measurements import FloatArray, Trajectory
 from slam.trajectory.poses import Poses
@@ -35,7 +35,7 @@ def carried_covariances(
     -------
     (N, d, d) of x, y, yaw, or of x, y, z and a rotation vector: all along the axes of the map.
     """
-    rotations = Rotation.from_quat(trajectory.quaternions_xyzw)
+    rotations = scipy.spatial.transform.Rotation.from_quat(trajectory.quaternions_xyzw)
     ends = _along_map(covariances, rotations[anchors])
     if not len(steps):
         return _moved(
@@ -64,7 +64,7 @@ def _left_over(steps: FloatArray, ends: FloatArray) -> FloatArray:
     return np.einsum("kij,kj,klj->kil", axes, np.maximum(values, 0.0), axes)
 
 
-def _along_map(covariances: FloatArray, rotations: Rotation) -> FloatArray:
+def _along_map(covariances: FloatArray, rotations: scipy.spatial.transform.Rotation) -> FloatArray:
     """(K, d, d) of a tangent of the base, along the axes of the map."""
     turn = np.zeros_like(covariances)
     if covariances.shape[1] == 3:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from slam.measurements import FloatArray, Pose, Trajectory, spatial
 
@@ -26,7 +26,7 @@ class Poses:
     """
 
     positions_m: FloatArray
-    rotations: Rotation
+    rotations: scipy.spatial.transform.Rotation
 
     def __len__(self) -> int:
         return len(self.positions_m)
@@ -39,18 +39,20 @@ class Poses:
         """Of (N, 3) rows of x, y, yaw."""
         positions, turns = np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
         positions[:, :2], turns[:, 2] = rows[:, :2], rows[:, 2]
-        return cls(positions, Rotation.from_rotvec(turns))
+        return cls(positions, scipy.spatial.transform.Rotation.from_rotvec(turns))
 
     @classmethod
     def of(cls, poses: Sequence[Pose]) -> Poses:
         """Of GTSAM's, one at least."""
         matrices = np.array([spatial(pose).matrix() for pose in poses])
-        return cls(matrices[:, :3, 3], Rotation.from_matrix(matrices[:, :3, :3]))
+        return cls(matrices[:, :3, 3], scipy.spatial.transform.Rotation.from_matrix(matrices[:, :3, :3]))
 
     @classmethod
     def of_trajectory(cls, trajectory: Trajectory) -> Poses:
         """Of a trajectory."""
-        return cls(trajectory.positions_m, Rotation.from_quat(trajectory.quaternions_xyzw))
+        return cls(
+            trajectory.positions_m, scipy.spatial.transform.Rotation.from_quat(trajectory.quaternions_xyzw)
+        )
 
     def compose(self, other: Poses) -> Poses:
         """``self * other``, one by one."""
@@ -69,14 +71,14 @@ class Poses:
 
     def moved(self, offsets: FloatArray) -> Poses:
         """Each with (N, 6) added: to the position, and as a rotation vector, both in the fixed frame."""
-        turned = Rotation.from_rotvec(offsets[:, 3:]) * self.rotations
+        turned = scipy.spatial.transform.Rotation.from_rotvec(offsets[:, 3:]) * self.rotations
         return Poses(self.positions_m + offsets[:, :3], turned)
 
     def where(self, chosen: NDArray[np.bool_], other: Poses) -> Poses:
         """These where ``chosen`` (N,), else the other's."""
         quaternions = np.where(chosen[:, None], self.rotations.as_quat(), other.rotations.as_quat())
         positions = np.where(chosen[:, None], self.positions_m, other.positions_m)
-        return Poses(positions, Rotation.from_quat(quaternions))
+        return Poses(positions, scipy.spatial.transform.Rotation.from_quat(quaternions))
 
     def trajectory(self, stamps_s: FloatArray) -> Trajectory:
         """With (N,) stamps."""

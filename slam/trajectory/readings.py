@@ -6,8 +6,8 @@ from array import array
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from slam.measurements import FloatArray, Pose, Trajectory, spatial
 from slam.trajectory.poses import Poses
@@ -125,7 +125,7 @@ class Readings:
         """Poses of the scans: as matched between keyframes, noise taken out by the wheels' motion."""
         keyframes = self.keyframe_scans()
         rows = np.array(self._scan_poses).reshape(-1, 3, 4)
-        odometry = Poses(rows[:, :, 3], Rotation.from_matrix(rows[:, :, :3]))
+        odometry = Poses(rows[:, :, 3], scipy.spatial.transform.Rotation.from_matrix(rows[:, :, :3]))
         matched = spread_correction(odometry, keyframes, keyframe_poses)
         if wheels is None:
             return matched

@@ -17,7 +17,7 @@ from room_world import LESS, T_BODY_CAMERA, furnished, render, turning_walk
 import slam
 from slam.config import load_config
 from slam.errors import ScanweaveError
-from slam.mapping.keyframe_grid import DEPTH, OCCUPANCY
+from slam.mapping.layered_map import DEPTH, OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.mapping.polygons import inside
 from slam.matching.planar import between, compose

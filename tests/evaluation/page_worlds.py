@@ -17,7 +17,7 @@ from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.mapper.scan_record import CameraRecord, ScanRecord
 from slam.mapping.dense_map import ColoredCloud
-from slam.mapping.keyframe_grid import DEPTH, OCCUPANCY
+from slam.mapping.layered_map import DEPTH, OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import (
     CameraIntrinsics,

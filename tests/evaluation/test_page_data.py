@@ -27,8 +27,7 @@ from slam.evaluation.report import write_report
 from slam.evaluation.saved_page import saved_page
 from slam.localization.drive_log import DriveLog
 from slam.localization.output import LocalizerOutput, RecoveredPose, State
-from slam.mapping.keyframe_grid import OCCUPANCY, PASSED_BY
-from slam.mapping.layered_map import LayeredMap
+from slam.mapping.layered_map import OCCUPANCY, PASSED_BY, LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.simulation.synthetic_log import write_synthetic_log
 from slam.storage.map_contents import MapContents

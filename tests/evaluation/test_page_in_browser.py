@@ -16,7 +16,7 @@ from PIL import Image
 from slam.evaluation.localization_report import write_localization_report
 from slam.evaluation.report import write_report
 from slam.localization.drive_log import DriveLog
-from slam.mapping.keyframe_grid import OCCUPANCY
+from slam.mapping.layered_map import OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
 
 pytestmark = pytest.mark.browser

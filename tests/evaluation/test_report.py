@@ -27,7 +27,7 @@ from slam.evaluation.report import write_report
 from slam.graph.loop_closure import LoopCandidate
 from slam.mapper.map_result import MapResult
 from slam.mapper.scan_record import ScanRecord
-from slam.mapping.keyframe_grid import OCCUPANCY
+from slam.mapping.layered_map import OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import LaserScan, MotionEstimate, Trajectory
 from slam.storage.map_contents import MapContents

@@ -10,7 +10,7 @@ import numba
 import pytest
 from numba.core import caching
 
-from fusion import kernel as decorator
+from fusion import compiling
 from fusion.kernel import kernel
 
 CONSTANT = """
@@ -53,7 +53,7 @@ def loaded(folder: Path, offset: int, sign: str) -> ModuleType:
     for name, source in sources.items():
         (folder / f"{name}.py").write_text(source)
         sys.modules.pop(name, None)
-    decorator._stamps.clear()
+    compiling._stamps.clear()
     importlib.invalidate_caches()
     return importlib.import_module("caller_of_kernel")
 
@@ -86,7 +86,7 @@ def test_where_nothing_can_be_written_it_is_said_once_and_kernels_run(
         raise PermissionError(13, "read-only")
 
     monkeypatch.setattr(caching._CacheLocator, "ensure_cache_path", refuse)
-    decorator._warn.cache_clear()
+    compiling._warn.cache_clear()
     with caplog.at_level(logging.WARNING):
         doubled, halved = kernel(lambda x: 2 * x), kernel(lambda x: x / 2, error_model="numpy")
     assert [doubled(4), halved(4.0)] == [8, 2.0]

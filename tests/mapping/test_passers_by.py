@@ -10,7 +10,8 @@ from flat_worlds import box, room, sweep
 from test_glass_panes import PANE_Y, scan_at
 
 from slam.config import Config
-from slam.mapping.keyframe_grid import OCCUPANCY, PASSED_BY, lidar_grids
+from slam.mapping.keyframe_grid import lidar_grids
+from slam.mapping.layered_map import OCCUPANCY, PASSED_BY
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
 from slam.measurements import FloatArray, LaserScan
 

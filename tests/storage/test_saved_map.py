@@ -17,7 +17,7 @@ from slam.config import Config, load_config
 from slam.errors import MapFileError
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_graph import Edge, EdgeKind
-from slam.mapping.keyframe_grid import OCCUPANCY
+from slam.mapping.layered_map import OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import CameraIntrinsics, LaserScan, MotionEstimate, Pose, RgbdFrame, Trajectory
 from slam.outputs.finished_map import open_map

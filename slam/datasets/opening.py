@@ -1,0 +1,144 @@
+"""Every reader, and how a log finds its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+
+from slam.datasets.carmen import HEAD_BYTES, looks_like_carmen, open_carmen
+from slam.datasets.dataset import Dataset
+from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.log_file import read_head
+from slam.errors import DatasetError
+
+_LOOKED_AT = 64  # names in a folder that is no dataset, to say what it lacks
+_LEVELS = 3  # a recording of KITTI lies two folders below what is unpacked
+
+
+_CARMEN = DatasetFormat("CARMEN log (.log, .clf, plain or .gz)", looks_like_carmen, open_carmen)
+
+
+def _formats() -> Iterator[DatasetFormat]:
+    """All, in the order in which they are asked."""
+    yield _CARMEN
+    from slam.datasets.published import OTHERS
+
+    yield from OTHERS
+
+
+def _supported() -> str:
+    """For those who gave something else."""
+    return "supported: " + ", ".join(known.description for known in _formats())
+
+
+def open_dataset(
+    path: Path | str,
+    *,
+    strict: bool = False,
+    topics: Sequence[str] = (),
+    images: bool = True,
+    calibration: Sequence[Path | str] = (),
+) -> Dataset:
+    """Open a log by its content, whatever its name.
+
+    Parameters
+    ----------
+    path
+        A log file, or a folder of one recording.
+    strict
+        Stop at the first damaged record instead of counting and skipping it.
+    topics
+        Of a ROS bag that holds several topics of a sort: those to read. A sort of which none is named is read
+        as without.
+    images
+        False leaves the images of a folder unread, where nobody will look at them.
+    calibration
+        Files of lenses and mountings by other tools, which are believed before the log; see
+        `slam.datasets.calibration_files`.
+
+    Returns
+    -------
+    Dataset
+        Iterable of measurements; nothing but its beginning has been read yet.
+
+    Raises
+    ------
+    DatasetError
+        No such file, an empty one, or a format that no reader recognises.
+
+    Examples
+    --------
+    >>> import slam
+    >>> from slam.simulation.synthetic_log import write_synthetic_log
+    >>> log = slam.open_dataset(write_synthetic_log("monday", duration_s=10.0).log_path)
+    >>> sorted({measurement.sensor for measurement in log}), log.report.dropped_count
+    (['FLASER', 'odometry'], 0)
+    """
+    path = Path(path)
+    if not path.exists():
+        from slam.datasets.robot_at_home2 import looks_like_robot_at_home2, open_robot_at_home2
+
+        # A session in a database has a path, too: DATABASE/SESSION.
+        if looks_like_robot_at_home2(path, b""):
+            return open_robot_at_home2(path, strict)
+        raise DatasetError(f"{path} does not exist; give the path of a log; {_supported()}")
+    if not (path.is_file() or path.is_dir()):
+        raise DatasetError(f"{path} is neither a file nor a directory; {_supported()}")
+    head = read_head(path, HEAD_BYTES) if path.is_file() else b""
+    if path.is_file() and not head:
+        raise DatasetError(f"{path} is empty or its compression is damaged from the start; {_supported()}")
+    for known in _formats():
+        if known.recognises(path, head):
+            dataset = _opened(known, path, strict, tuple(topics))
+            told = {"read_images": images, "calibration_files": tuple(map(Path, calibration))}
+            for name, value in told.items():
+                if hasattr(dataset, name):
+                    setattr(dataset, name, value)
+            return dataset
+    if path.is_dir():
+        inside = _recordings(path)
+        if len(inside) == 1:
+            return open_dataset(inside[0], strict=strict, topics=topics, images=images)
+        raise DatasetError(f"{path} {_what_is_wrong(path)}; {_supported()}")
+    raise DatasetError(f"{path} is a file of no known format; {_supported()}")
+
+
+def _opened(known: DatasetFormat, path: Path, strict: bool, topics: tuple[str, ...]) -> Dataset:
+    """A log of a known format."""
+    if known is not _CARMEN:
+        from slam.datasets.bags.dataset import open_bag
+
+        if known.open is open_bag:
+            return open_bag(path, strict, topics)
+    if topics:
+        raise DatasetError(f"{path} is a {known.description} and has no topics; leave out --topics")
+    return known.open(path, strict)
+
+
+def _what_is_wrong(folder: Path) -> str:
+    """Why a folder is no dataset, as far as one can tell."""
+    names = {entry.name for entry in islice(folder.iterdir(), _LOOKED_AT)}
+    if not names:
+        return "is an empty folder"
+    for color, depths in (("rgb.txt", ("depth.txt",)), ("color.txt", ("aligned_depth.txt", "depth.txt"))):
+        if color in names or names.intersection(depths):
+            return f"needs both {color} and {depths[0]}"
+    inside = [str(found.relative_to(folder)) for found in _recordings(folder)]
+    if inside:
+        return f"is no log itself but holds some; give one of {', '.join(inside[:8])}"
+    return "is a directory of no known format"
+
+
+def _recordings(folder: Path) -> list[Path]:
+    """Recordings in a folder, or else two folders below it, as data sets are unpacked."""
+    level = [folder]
+    for _ in range(_LEVELS):
+        below = [
+            one for place in level for one in islice(sorted(place.iterdir()), _LOOKED_AT) if one.is_dir()
+        ]
+        found = [one for one in below if any(known.recognises(one, b"") for known in _formats())]
+        if found:
+            return found
+        level = below[:_LOOKED_AT]
+    return []

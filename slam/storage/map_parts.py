@@ -1,0 +1,55 @@
+"""The parts of ``map.db`` that are read by themselves, too: the trajectory and the grids."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from slam.errors import MapFileError
+from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.measurements import Trajectory
+from slam.storage.map_file import MapFile
+from slam.storage.map_soundness import of, require, sound_grid, sound_trajectory
+from slam.storage.map_tables import GRIDS, TRAJECTORY
+from slam.storage.packing import unpack
+
+Unpack = Callable[[bytes], Any]
+
+_MOST_GRIDS = 4
+
+
+def read_trajectory(file: MapFile, small: Unpack) -> Trajectory:
+    """The trajectory alone; `MapFileError` where a row is damaged."""
+    stretches = list(
+        file.parsed(TRAJECTORY, lambda row: sound_trajectory(of(Trajectory, small(row[1])), row[0]))
+    )
+    if not stretches:
+        raise MapFileError(f"{file.path} holds no trajectory; make the map anew")
+    return Trajectory(
+        np.concatenate([part.stamps_s for part in stretches]),
+        np.concatenate([part.positions_m for part in stretches]),
+        np.concatenate([part.quaternions_xyzw for part in stretches]),
+    )
+
+
+def read_grids(file: MapFile, small: Unpack) -> dict[str, OccupancyGrid]:
+    """The grids alone; `MapFileError` where a row is damaged."""
+    if file.count(GRIDS) > _MOST_GRIDS:
+        raise MapFileError(f"{file.path} holds {file.count(GRIDS)} grids; make the map anew")
+    return dict(file.parsed(GRIDS, lambda row: _grid(row, small)))
+
+
+def _grid(row: tuple[Any, ...], small: Unpack) -> tuple[str, OccupancyGrid]:
+    """A row of the grids, with its name."""
+    name, rows, cols, resolution_m, corner, cells = row
+    steps = of(np.ndarray, small(cells))
+    require(steps.shape == (rows, cols), "its cells have another size")
+    T_map_grid = of(gtsam.Pose2, unpack(corner))
+    if steps.dtype == np.float32:  # log-odds, in maps of the first schemas
+        require((np.abs(steps) < np.inf).all(), "its cells are not finite")
+        return name, sound_grid(OccupancyGrid.of_log_odds(steps, resolution_m, T_map_grid))
+    require(steps.dtype == np.int16, "its cells are no steps of log-odds")
+    return name, sound_grid(OccupancyGrid(steps, resolution_m, T_map_grid))
