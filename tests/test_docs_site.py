@@ -13,6 +13,7 @@ from browser import visit
 
 import fusion
 import slam
+from slam.config import leaves, load_config
 from tools.architecture import drawing
 
 REPO = Path(__file__).parents[1]
@@ -51,6 +52,13 @@ def test_files_say_what_readers_of_the_site_see(site: Path) -> None:
     page = (site / "figures" / "lidar2d.html").read_text("utf-8")
     assert 'class="measured">oldest row: commit ' in page and "<!-- measured" not in page
     assert page.count("<table") >= 4 and "|---|" not in page
+
+
+def test_all_settings_have_a_row(site: Path) -> None:
+    page = (site / "settings.html").read_text("utf-8")
+    rows = re.findall(r"<td><code>([\w.]+)</code></td>", page)
+    wanted = [name for name, _ in leaves(load_config().model_dump()) if ".calibration." not in name]
+    assert sorted({*wanted} - {*rows}) == []
 
 
 @pytest.mark.browser
