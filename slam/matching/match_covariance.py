@@ -114,7 +114,7 @@ def _widen(hessian, spread, squared, axes, whitened, directions, covariance):  #
     mean = 0.0
     for k in range(3):
         shared = max(whitened[k, k], 1.0)
-        mean += shared / 3.0
+        mean += shared / 3
         for i in range(3):
             total = 0.0
             for j in range(3):
