@@ -15,21 +15,20 @@ def align_coarse_to_fine(
     points: AnyFloatArray,
     normals: AnyFloatArray,
     guess: FloatArray,
-    coarse: SurfelMap,
-    fine: SurfelMap,
-    coarse_kernel_m: float,
-    fine_kernel_m: float,
+    coarse: tuple[SurfelMap, float],
+    fine: tuple[SurfelMap, float],
     iterations: int,
     prior: FloatArray,
     lags: int,
 ) -> Alignment:
     """As `slam.matching.point_to_line.align`, twice, and `slam.matching.score_spread.score_spread`.
 
-    Both alignments are held by the prior at the guess, where the first begins.
+    Both alignments are held by the prior at the guess, where the first begins. Each has a map and the width
+    of its kernel, metres.
     """
     pose, hessian, spread = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     terms, sums = np.zeros((len(points), 5)), np.empty((len(points) + 1, 3))
-    levels = (*coarse, coarse_kernel_m), (*fine, fine_kernel_m)
+    levels = (*coarse[0], coarse[1]), (*fine[0], fine[1])
     room = terms, sums, pose, hessian, spread
     found = _align(points, normals, guess, *levels, iterations, prior, lags, *room)
     return alignment_of(pose, hessian, found, len(points), spread)
