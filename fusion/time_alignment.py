@@ -92,7 +92,7 @@ def clock_offset(
     if turned.size < FEWEST:
         return None
     moved = turns_between(second_spans_s, second_turned_rad, spans_s + every_shift[:, None, None])
-    moved = np.apply_along_axis(np.convolve, 0, moved, np.full(2 * half + 1, 1.0 / (2 * half + 1)), "valid")
+    moved = np.lib.stride_tricks.sliding_window_view(moved, 2 * half + 1, axis=0).mean(axis=-1)
     shifts, lasted_s = every_shift[half : len(every_shift) - half], spans_s[:, 1] - spans_s[:, 0]
     if min((turned / lasted_s).std(), (moved / lasted_s).std(axis=1).min()) < _LEAST_TURN_RAD_S:
         return None

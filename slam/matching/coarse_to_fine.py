@@ -15,88 +15,32 @@ def align_coarse_to_fine(
     points: AnyFloatArray,
     normals: AnyFloatArray,
     guess: FloatArray,
-    coarse: SurfelMap,
-    fine: SurfelMap,
-    coarse_kernel_m: float,
-    fine_kernel_m: float,
+    coarse: tuple[SurfelMap, float],
+    fine: tuple[SurfelMap, float],
     iterations: int,
     prior: FloatArray,
     lags: int,
 ) -> Alignment:
     """As `slam.matching.point_to_line.align`, twice, and `slam.matching.score_spread.score_spread`.
 
-    Both alignments are held by the prior at the guess, where the first begins.
+    Both alignments are held by the prior at the guess, where the first begins. Each has a map and the width
+    of its kernel, metres.
     """
     pose, hessian, spread = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     terms, sums = np.zeros((len(points), 5)), np.empty((len(points) + 1, 3))
-    found = _align(
-        points,
-        normals,
-        guess,
-        *coarse,
-        coarse_kernel_m,
-        *fine,
-        fine_kernel_m,
-        iterations,
-        prior,
-        lags,
-        terms,
-        sums,
-        pose,
-        hessian,
-        spread,
-    )
+    levels = (*coarse[0], coarse[1]), (*fine[0], fine[1])
+    room = terms, sums, pose, hessian, spread
+    found = _align(points, normals, guess, *levels, iterations, prior, lags, *room)
     return alignment_of(pose, hessian, found, len(points), spread)
 
 
 @kernel
 def _align(  # type: ignore[no-untyped-def]
-    points,
-    normals,
-    guess,
-    coarse_cells,
-    coarse_after,
-    coarse_surfels,
-    coarse_x,
-    coarse_y,
-    coarse_m,
-    coarse_kernel_m,
-    cells,
-    after,
-    surfels,
-    origin_x,
-    origin_y,
-    cell_m,
-    kernel_m,
-    iterations,
-    prior,
-    lags,
-    terms,
-    sums,
-    pose,
-    hessian,
-    spread,
+    points, normals, guess, coarse, fine, iterations, prior, lags, terms, sums, pose, hessian, spread
 ):
     """Write the pose, its Hessian and its spread; ``terms`` (M, 5) are zeros, ``sums`` (M + 1, 3) room."""
     pose[0], pose[1], pose[2] = guess[0], guess[1], guess[2]
-    align_into(
-        points,
-        normals,
-        guess,
-        coarse_cells,
-        coarse_after,
-        coarse_surfels,
-        coarse_x,
-        coarse_y,
-        coarse_m,
-        coarse_kernel_m,
-        iterations,
-        prior,
-        terms,
-        pose,
-        hessian,
-    )
-    fine = cells, after, surfels, origin_x, origin_y, cell_m, kernel_m
+    align_into(points, normals, guess, *coarse, iterations, prior, terms, pose, hessian)
     found = align_into(points, normals, guess, *fine, iterations, prior, terms, pose, hessian)
     align_into(points, normals, guess, *fine, 0, prior, terms, pose, hessian)
     spread_of(terms, lags, sums, spread)

@@ -175,15 +175,6 @@ class LocalMap:
     def _align(self, scan: OrientedPoints, guess: FloatArray, prior: FloatArray) -> Alignment:
         """Coarse, then fine, both tied to the same guess."""
         config = self.config
-        return align_coarse_to_fine(
-            scan.points,
-            scan.normals,
-            guess,
-            self.coarse,
-            self.fine,
-            config.cell_m,
-            0.5 * config.cell_m,
-            config.iterations,
-            prior,
-            config.correlated_beams,
-        )
+        levels = (self.coarse, config.cell_m), (self.fine, 0.5 * config.cell_m)
+        lags = config.correlated_beams
+        return align_coarse_to_fine(scan.points, scan.normals, guess, *levels, config.iterations, prior, lags)

@@ -57,7 +57,8 @@ def weak_direction(alignment: Alignment, degenerate_share: float) -> FloatArray 
     """
     # Less than one point's worth determines nothing.
     least = degenerate_share * max(alignment.weight, 1.0)
-    xx, xy, xt, _, yy, yt, _, _, tt = (alignment.hessian + TINY * np.eye(3)).ravel().tolist()
+    (xx, xy, xt), (_, yy, yt), (_, _, tt) = alignment.hessian.tolist()
+    xx, yy, tt = xx + TINY, yy + TINY, tt + TINY
     xx, xy, yy = xx - xt * xt / tt, xy - xt * yt / tt, yy - yt * yt / tt
     lower = 0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), xy)
     # Clearly determined, as nearly always: rounding leaves no doubt of that.
@@ -113,7 +114,7 @@ def _widen(hessian, spread, squared, axes, whitened, directions, covariance):  #
     mean = 0.0
     for k in range(3):
         shared = max(whitened[k, k], 1.0)
-        mean += shared / 3.0
+        mean += shared / 3
         for i in range(3):
             total = 0.0
             for j in range(3):

@@ -43,6 +43,11 @@ class Motion:
         """Whether another motion passes the gate, by both their covariances."""
         return self.widened(other.covariance).holds(other.pose)
 
+    def volume(self) -> float:
+        """Determinant of the covariance: how uncertain it is in all."""
+        (xx, xy, xt), (_, yy, yt), (_, _, tt) = self.covariance.tolist()
+        return float(xx * (yy * tt - yt * yt) - xy * (xy * tt - yt * xt) + xt * (xy * yt - yy * xt))
+
     def widened(self, covariance: FloatArray) -> Motion:
         """The same, uncertain by another covariance (3, 3) on top."""
         return Motion(self.pose, self.covariance + covariance)

@@ -51,30 +51,14 @@ def build_surfel_map(points: AnyFloatArray, normals: AnyFloatArray, cell_m: floa
     cell_m
         Edge of a cell, metres.
     """
-    low_x, low_y, high_x, high_y = _extent(points)
-    origin_x, origin_y = low_x - 2.0 * cell_m, low_y - 2.0 * cell_m
+    x, y = np.asarray(points, np.float64).T
+    low_x, low_y, high_x, high_y = (x.min(), y.min(), x.max(), y.max()) if len(points) else np.zeros(4)
+    origin_x, origin_y = float(low_x) - 2.0 * cell_m, float(low_y) - 2.0 * cell_m
     rows, columns = (int((high - low) / cell_m) + 3 for low, high in ((origin_y, high_y), (origin_x, high_x)))
     cells, after = np.full((rows, columns), -1, np.int32), np.empty(len(points), np.int32)
     sums = np.empty((len(points), 6))
     count = _build(points, normals, origin_x, origin_y, cell_m, cells, after, sums)
     return SurfelMap(cells, after[:count].copy(), sums[:count].copy(), origin_x, origin_y, cell_m)
-
-
-@kernel
-def _extent(points):  # type: ignore[no-untyped-def]
-    """Least x and y, greatest x and y; zeros of no points."""
-    if points.shape[0] == 0:
-        return 0.0, 0.0, 0.0, 0.0
-    low_x = low_y = math.inf
-    high_x = high_y = -math.inf
-    for i in range(points.shape[0]):
-        x = np.float64(points[i, 0])
-        y = np.float64(points[i, 1])
-        low_x = min(low_x, x)
-        low_y = min(low_y, y)
-        high_x = max(high_x, x)
-        high_y = max(high_y, y)
-    return low_x, low_y, high_x, high_y
 
 
 @kernel
@@ -89,11 +73,11 @@ def _build(points, normals, origin_x, origin_y, cell_m, cells, after, sums):  # 
         row = math.floor((y - origin_y) / cell_m)
         column = math.floor((x - origin_x) / cell_m)
         # The quarter of the compass that the normal faces.
-        side = 0.0
+        side = 0
         if abs(nx) < abs(ny):
-            side = 1.0 if ny > 0.0 else 3.0
+            side = 1 if ny > 0.0 else 3
         elif nx <= 0.0:
-            side = 2.0
+            side = 2
         k = cells[row, column]
         while k >= 0 and sums[k, 5] != side:
             k = after[k]

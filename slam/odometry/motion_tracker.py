@@ -221,7 +221,7 @@ class MotionTracker:
             # By then it may as well stand.
             self._by_velocity.predict(last.pose, on.covariance + last.dispute)
         guesses = [guess for predictor in predictors for guess in predictor.guesses]
-        return sorted(guesses, key=_volume)
+        return sorted(guesses, key=Motion.volume)
 
     def _learn_velocity(self, step: FloatArray, step_s: float, *, told: bool) -> None:
         """Take a step (3,): one that repeats the velocity teaches none, nor does the next, which mends it.
@@ -395,9 +395,3 @@ class MotionTracker:
 def _log_likelihood(predictions: Sequence[Motion], pose: FloatArray) -> float:
     """Of a pose (3,) by all predictions, a heavy tail each: Student's t with three degrees of freedom."""
     return -sum(2.0 * math.log1p(guess.squared_mahalanobis(pose) / 3.0) for guess in predictions)
-
-
-def _volume(motion: Motion) -> float:
-    """Determinant of a covariance: how uncertain a motion is in all."""
-    (xx, xy, xt), (_, yy, yt), (_, _, tt) = motion.covariance.tolist()
-    return float(xx * (yy * tt - yt * yt) - xy * (xy * tt - yt * xt) + xt * (xy * yt - yy * xt))

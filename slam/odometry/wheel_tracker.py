@@ -206,7 +206,7 @@ def thrown_aside(motion: Motion) -> FloatArray:
     _, _, (xt, yt, variance) = motion.covariance.tolist()
     # A way that is wrong together with the heading is thrown aside together with it: else a dispute, whose
     # covariance has one direction, would leave one that is none.
-    third, half = variance / 3.0, 0.5 * variance
+    third, half = variance / 3, 0.5 * variance
     across = third * lever_x * lever_y + 0.5 * (lever_x * yt + lever_y * xt)
     return np.array(
         [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 from slam.errors import MapFileError
 from slam.graph.pose_graph import Edge
 from slam.measurements import Pose, row_from_pose2
+from slam.storage.covariances import upper_triangles
 from slam.storage.files import write_lines
 
 
@@ -45,20 +47,21 @@ def _lines(path: Path, poses: Sequence[Pose], edges: Iterable[Edge]) -> Iterator
     space = "SE2" if isinstance(poses[0], gtsam.Pose2) else "SE3:QUAT"
     for vertex, pose in enumerate(poses):
         yield f"VERTEX_{space} {vertex} {_text(path, _numbers(pose))}"
-    for edge in edges:
-        information = np.linalg.inv(edge.covariance)
-        if len(information) == 6:
+    edges = list(edges)
+    if edges:
+        informations = np.asarray(np.linalg.inv([edge.covariance for edge in edges]), np.float64)
+        if informations.shape[1] == 6:
             # g2o keeps translation first in 3D, gtsam rotation first.
-            information = np.roll(information, 3, axis=(0, 1))
-        triangle = information[np.triu_indices(len(information))].tolist()
-        numbers = [*_numbers(edge.T_source_target), *triangle]
-        yield f"EDGE_{space} {edge.source} {edge.target} {_text(path, numbers)}"
+            informations = np.roll(informations, 3, axis=(1, 2))
+        for edge, triangle in zip(edges, upper_triangles(informations).tolist(), strict=True):
+            numbers = [*_numbers(edge.T_source_target), *triangle]
+            yield f"EDGE_{space} {edge.source} {edge.target} {_text(path, numbers)}"
     yield "FIX 0"
 
 
 def _text(path: Path, numbers: list[float]) -> str:
     """The shortest texts (at most 17 digits) that read back as the same numbers."""
-    if not np.isfinite(numbers).all():
+    if not all(map(math.isfinite, numbers)):
         raise MapFileError(f"cannot write {path}: a pose or an information matrix is not finite")
     return " ".join(repr(number) for number in numbers)
 

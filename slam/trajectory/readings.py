@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Sequence
 
@@ -57,15 +58,15 @@ class Readings:
         told_s
             The stamp that the log has, where that is another than the pose's own.
         """
-        variances = np.full(6, np.nan)
+        variances = [math.nan] * 6
         if covariance is not None:
-            # Of position and rotation along x, y, z, from GTSAM's order; -1 for what a plane does not have.
-            order = [0, 1, -1, -1, -1, 2] if len(covariance) == 3 else [3, 4, 5, 0, 1, 2]
-            variances = np.append(np.diag(covariance), 0.0)[order]
+            own = covariance.diagonal().tolist()
+            # Of position and rotation along x, y, z, from GTSAM's order; zero for what a plane does not have.
+            variances = [*own[:2], 0.0, 0.0, 0.0, own[2]] if len(own) == 3 else own[3:] + own[:3]
         self._scan_variances.extend(variances)
         self._scan_readings.append(len(self._stamps_s))
         self._scan_trusted.append(trusted)
-        self._scan_poses.extend(spatial(pose).matrix()[:3].ravel())
+        self._scan_poses.extend(spatial(pose).matrix()[:3].ravel().tolist())
         self.add_wheel(stamp_s, wheel_pose, told_s)
 
     def read_wheels_at(self, ahead_s: float) -> None:
