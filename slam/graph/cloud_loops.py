@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import math
 from collections import OrderedDict
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -259,4 +261,11 @@ class CloudLoopCloser:
         self._cache[key] = local
         if len(self._cache) > half:
             self._cache.popitem(last=False)
+            _give_back()
         return local
+
+
+def _give_back() -> None:
+    """Give freed memory back, where the C library can: between places that are kept it would pile up."""
+    with suppress(OSError, AttributeError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)

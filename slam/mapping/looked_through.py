@@ -79,16 +79,17 @@ def count_looks(middles, first, T_lidar_map, reach_m, half_m, number, newest, pi
             continue
         row, col, away_m = _pixel(x, y, z, pixel_rad)
         k = first + n
-        own = newest[k] == number
-        hit = own or abs(picture[row, col] - away_m) <= half_m
-        if hit:
+        ends_m = picture[row, col]
+        if newest[k] == number or abs(ends_m - away_m) <= half_m:
             counts[k, 0] += 1
             counts[k, 1] += counts[k, 2]
             counts[k, 2] = 0
             continue
+        behind = ends_m > away_m and not math.isinf(ends_m)
+        if not behind:
+            continue
         # Between rings far apart nobody knows what the beams beside would have met.
         above = below = False
-        behind = not math.isinf(picture[row, col])
         for side in range(max(col - 1, 0), min(col + 2, cols)):
             for level in range(max(row - 1, 0), min(row + 2, rows)):
                 range_m = picture[level, side]
