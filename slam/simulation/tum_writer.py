@@ -117,4 +117,4 @@ def _write_png(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16], level:
     packed, content = cv2.imencode(".png", image, options)
     if not packed:
         raise DatasetError(f"cannot pack {path.name} as PNG, {image.dtype} {image.shape}")
-    path.write_bytes(content)
+    path.write_bytes(content.tobytes())
