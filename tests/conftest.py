@@ -3,10 +3,15 @@
 import signal
 from typing import Any
 
+import hypothesis
 import pytest
 
 from slam.comparison.open3d_library import load_open3d
 from slam.errors import ScanweaveError
+
+# How long an example takes is the machine's business.
+hypothesis.settings.register_profile("no deadline", deadline=None)
+hypothesis.settings.load_profile("no deadline")
 
 # A shell's background job has Ctrl-C ignored, and its children too; tests interrupt themselves and others.
 signal.signal(signal.SIGINT, signal.default_int_handler)

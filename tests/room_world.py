@@ -16,6 +16,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.kernel import kernel
 from slam.config.stages import RgbdConfig
 from slam.measurements import CameraIntrinsics, FloatArray, RgbdFrame
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame
@@ -194,31 +195,56 @@ def _cast(room: Room, pose: gtsam.Pose3, x: FloatArray, y: FloatArray) -> tuple[
     rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ pose.rotation().matrix().T
     origin = pose.translation()
     rays = np.where(np.abs(rays) < 1e-12, 1e-12, rays)
-    depth = np.maximum(*((room.inside - origin)[:, None, None] / rays)).min(axis=-1)
-    box = np.zeros(depth.shape, np.int64)
-    for number, corners in enumerate(room.outside, start=1):
-        low, high = (corners - origin)[:, None, None] / rays
-        enter, leave = np.minimum(low, high).max(axis=-1), np.maximum(low, high).min(axis=-1)
-        nearer = (enter < leave) & (enter > 0.0) & (enter < depth)
-        depth, box = np.where(nearer, enter, depth), np.where(nearer, number, box)
-    points = origin + rays * depth[..., None]
-    solids = np.stack([room.inside, *room.outside])[box]
-    # The side of its box that a point lies on has its own pattern.
-    off = np.abs(points[..., None, :] - solids)
-    side = off.reshape(*depth.shape, 6).argmin(axis=-1)
-    axis = side % 3
-    a = np.take_along_axis(points, ((axis + 1) % 3)[..., None], -1)[..., 0]
-    b = np.take_along_axis(points, ((axis + 2) % 3)[..., None], -1)[..., 0]
-    return depth, _pattern(room.seed)[box * 6 + side, _cells(a), _cells(b)]
+    depth, gray = np.empty(x.shape), np.empty(x.shape)
+    solids = np.stack([room.inside, *room.outside])
+    _meet(rays.reshape(-1, 3), origin, solids, _pattern(room.seed), depth.ravel(), gray.ravel())
+    return depth, gray
 
 
-def _cells(metres: FloatArray) -> NDArray[np.int64]:
+@kernel
+def _meet(
+    rays: FloatArray,
+    origin: FloatArray,
+    solids: FloatArray,
+    pattern: NDArray[np.uint8],
+    depth: FloatArray,
+    gray: FloatArray,
+) -> None:
+    """Depth and brightness along each ray, in the first of the solids or against the others."""
+    point = np.empty(3)
+    for ray in range(rays.shape[0]):
+        nearest, box = np.inf, 0
+        for solid in range(solids.shape[0]):
+            enter, leave = -np.inf, np.inf
+            for axis in range(3):
+                low = (solids[solid, 0, axis] - origin[axis]) / rays[ray, axis]
+                high = (solids[solid, 1, axis] - origin[axis]) / rays[ray, axis]
+                enter, leave = max(enter, min(low, high)), min(leave, max(low, high))
+            if solid == 0:
+                nearest = leave
+            elif 0.0 < enter < min(leave, nearest):
+                nearest, box = enter, solid
+        for axis in range(3):
+            point[axis] = origin[axis] + rays[ray, axis] * nearest
+        # The side of its box that a point lies on has its own pattern.
+        side, least = 0, np.inf
+        for one in range(6):
+            off = abs(point[one % 3] - solids[box, one // 3, one % 3])
+            if off < least:
+                side, least = one, off
+        a, b = point[(side + 1) % 3], point[(side + 2) % 3]
+        depth[ray] = nearest
+        gray[ray] = pattern[box * 6 + side, _cell(a), _cell(b)]
+
+
+@kernel
+def _cell(metres: float) -> int:
     """Number of the patch at a coordinate."""
-    return np.floor(metres / _PATCH_M).astype(np.int64) % _TEXTURE_CELLS
+    return np.int64(np.floor(metres / _PATCH_M)) % _TEXTURE_CELLS
 
 
 @cache
-def _pattern(seed: int) -> FloatArray:
+def _pattern(seed: int) -> NDArray[np.uint8]:
     """Brightness of every patch of every side."""
     shape = (18, _TEXTURE_CELLS, _TEXTURE_CELLS)
-    return np.random.default_rng(seed).integers(20, 236, shape, dtype=np.uint8).astype(np.float64)
+    return np.random.default_rng(seed).integers(20, 236, shape, dtype=np.uint8)
