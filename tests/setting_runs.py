@@ -31,7 +31,7 @@ from slam.mapper.pipeline import build_map
 from slam.mapping.cloud_map import CloudTiles
 from slam.matching.planar import compose
 from slam.measurements import LaserScan, Measurement, RgbdFrame, Trajectory, WheelOdometry, pose2_from_row
-from slam.outputs import exports, surface
+from slam.outputs import exports
 from slam.storage.map_contents import MapContents
 from slam.storage.packing import pack
 
@@ -289,7 +289,7 @@ def files(config: Config, course: Course) -> None:
     cameras, lidar = _result(spatial_log, *BASES["spatial"]), _result(cloud_log, *BASES["clouds"])
     assert cameras.map.frames is not None
     with TemporaryDirectory() as name, pytest.MonkeyPatch.context() as patch:
-        patch.setattr(surface, "fuse_keyframes", asked)
+        patch.setattr(exports, "fuse_keyframes", asked)
         folder = Path(name)
         with suppress(Asked):
             exports.Exports(cameras.map, config).write_surfaces(folder)

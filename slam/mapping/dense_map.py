@@ -139,35 +139,28 @@ def fuse_keyframes(
         Where a pose is not finite, or the memory limit is met.
     """
     settings = settings or DenseMapSettings()
-    volume = _Volume(settings)
+    blocks = VoxelBlocks(settings.voxel_size_m)
     # A frame is integrated in another thread while the next one is decoded.
-    done = prefetched(posed_frames(frames, poses), lambda posed: volume.integrate(*posed), most_waiting=1)
-    fused = sum(done)
-    vertices, colors, normals, faces = surface_of_blocks(volume.blocks, settings.minimum_views)
+    told = prefetched(
+        posed_frames(frames, poses), lambda posed: _integrate(blocks, settings, *posed), most_waiting=1
+    )
+    fused = sum(told)
+    vertices, colors, normals, faces = surface_of_blocks(blocks, settings.minimum_views)
     cloud = ColoredCloud(vertices, colors, normals)
     return DenseMap(ColoredMesh(vertices, colors, normals, faces), cloud, fused)
 
 
-class _Volume:
-    """The field, and what of a frame enters it."""
-
-    def __init__(self, settings: DenseMapSettings) -> None:
-        self._settings = settings
-        self.blocks = VoxelBlocks(settings.voxel_size_m)
-
-    def integrate(self, frame: RgbdFrame, T_map_camera: gtsam.Pose3) -> bool:
-        """Add what one frame saw; False where it has no depth within the range."""
-        settings, k = self._settings, frame.intrinsics
-        usable = (frame.depth_m >= settings.depth_min_m) & (frame.depth_m <= settings.depth_max_m)
-        depth_m = np.where(usable, frame.depth_m, np.float32(0.0))
-        camera = (k.fx, k.fy, k.cx, k.cy)
-        keys = self.blocks.touched(depth_m, camera, T_map_camera.matrix())
-        if not len(keys):
-            return False
-        new = keys[self.blocks.find(keys) < 0]
-        if (len(self.blocks) + len(new)) * VoxelBlocks.bytes_each() > 1e6 * settings.memory_limit_mb:
-            raise settings.too_large()
-        self.blocks.add(new)
-        numbers = self.blocks.find(keys)
-        self.blocks.integrate(numbers, depth_m, frame.color, camera, T_map_camera.inverse().matrix())
-        return True
+def _integrate(
+    blocks: VoxelBlocks, settings: DenseMapSettings, frame: RgbdFrame, T_map_camera: gtsam.Pose3
+) -> bool:
+    """Add what one frame saw; False where it has no depth within the range."""
+    k, seen_m = frame.intrinsics, frame.depth_m
+    usable = (seen_m >= settings.depth_min_m) & (seen_m <= settings.depth_max_m)
+    depth_m, camera = np.where(usable, seen_m, np.float32(0.0)), (k.fx, k.fy, k.cx, k.cy)
+    keys = blocks.touched(depth_m, camera, T_map_camera.matrix())
+    new = keys[blocks.find(keys) < 0]
+    if (len(blocks) + len(new)) * VoxelBlocks.bytes_each() > 1e6 * settings.memory_limit_mb:
+        raise settings.too_large()
+    blocks.add(new)
+    blocks.integrate(blocks.find(keys), depth_m, frame.color, camera, T_map_camera.inverse().matrix())
+    return len(keys) > 0

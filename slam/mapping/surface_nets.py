@@ -20,7 +20,7 @@ Mesh = tuple[Float32Array, NDArray[np.uint8], Float32Array, NDArray[np.int32]]
 
 
 def surface_of_blocks(blocks: VoxelBlocks, least_views: int) -> Mesh:
-    """Where the field is zero between voxels that enough frames told of.
+    """Where the field is zero between voxels that enough frames told of; the blocks forget it.
 
     Returns
     -------
@@ -46,7 +46,8 @@ def surface_of_blocks(blocks: VoxelBlocks, least_views: int) -> Mesh:
         count = _vertices(first, places[some], above[some], *fields, edges, tile, at_corners, *room)
         parts.append([part[:count].copy() for part in room])
     vertices, colors, normals, cells, signs = (np.concatenate(part) for part in zip(*parts, strict=True))
-    del room, parts
+    del room, parts, fields
+    blocks.forget()
     starts = np.searchsorted(cells, VOXELS * np.arange(len(blocks) + 1))
     batches, triangles = [np.empty((0, 3), np.int32)], np.empty((6 * batch, 3), np.int32)
     for first in range(0, len(cells), batch):

@@ -49,10 +49,8 @@ class VoxelBlocks:
     def __init__(self, voxel_m: float) -> None:
         self.voxel_m = voxel_m
         self.keys: Keys = np.empty(0, np.int64)
-        self.distance = np.empty((0, VOXELS), np.int16)
-        self.weight = np.empty((0, VOXELS), np.uint16)
-        self.color = np.empty((0, VOXELS, 3), np.uint16)
         self._order = np.empty(0, np.int64)
+        self.forget()
 
     def __len__(self) -> int:
         return len(self.keys)
@@ -100,6 +98,12 @@ class VoxelBlocks:
             for values in (self.distance, self.weight, self.color):
                 # In place: a copy would hold all of them twice.
                 values.resize((room, *values.shape[1:]), refcheck=False)
+
+    def forget(self) -> None:
+        """Give up all but the keys."""
+        self.distance = np.empty((0, VOXELS), np.int16)
+        self.weight = np.empty((0, VOXELS), np.uint16)
+        self.color = np.empty((0, VOXELS, 3), np.uint16)
 
     def integrate(
         self,

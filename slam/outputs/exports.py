@@ -12,7 +12,7 @@ import numpy as np
 
 from slam.config import Config, nearest
 from slam.errors import ScanweaveError
-from slam.mapping.dense_map import Colors, DenseMap
+from slam.mapping.dense_map import Colors, DenseMap, DenseMapSettings, fuse_keyframes
 from slam.mapping.elevation import Elevation, elevation
 from slam.mapping.floor_plan import FloorPlan
 from slam.mapping.layered_map import PASSED_BY, LayeredMap
@@ -20,7 +20,6 @@ from slam.matching.local_cloud import moved
 from slam.measurements import AnyFloatArray, spatial
 from slam.outputs.floorplan import floor_plan
 from slam.outputs.lidar_cloud import lidar_cloud
-from slam.outputs.surface import surface_of
 from slam.storage.colmap import write_colmap
 from slam.storage.covariances import write_trajectory
 from slam.storage.e57 import write_e57
@@ -221,8 +220,10 @@ class Exports:
 
     @cached_property
     def _surface(self) -> DenseMap:
-        """Of the images."""
-        return surface_of(self.contents, self.config)
+        """Of the images; empty where they show none."""
+        found, dense = self.contents, self.config.dense_map
+        settings = DenseMapSettings(dense.voxel_m, dense.nearest_m, self.config.layers.depth_max_m)
+        return fuse_keyframes(found.frames or (), found.frame_poses(), settings)
 
     def _write_glb(self, out: Path) -> list[Path]:
         """The coloured surface of the images."""
