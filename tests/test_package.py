@@ -20,7 +20,7 @@ from packaging.utils import canonicalize_name
 from packaging.version import Version
 
 import slam
-from tools.licences import forbidden, needed_by
+from tools.licences import Package, bill_of_materials, forbidden, needed_by
 
 REPO = Path(__file__).parents[1]
 PROJECT = tomllib.loads((REPO / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -98,7 +98,7 @@ def test_one_version_everywhere(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         (metadata,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
         told = archive.read(metadata).decode()
-    assert re.search(r"^Version: (.+)$", told, re.M)[1] == slam.__version__  # type: ignore[index]
+    assert re.search(r"^Version: (.+)$", told, re.M)[1] == slam.__version__
 
 
 def test_the_changelog_and_the_citation_are_of_this_version() -> None:
@@ -111,6 +111,40 @@ def test_the_changelog_and_the_citation_are_of_this_version() -> None:
     # What version 1.2.0 of the format requires.
     assert {"cff-version", "message", "title", "authors"} <= citation.keys()
     assert citation["license"] == PROJECT["license"]
+
+
+def test_the_forms_of_issues_ask_for_something() -> None:
+    forms = sorted((REPO / ".github" / "ISSUE_TEMPLATE").glob("*.yml"))
+    for form in (yaml.safe_load(file.read_text(encoding="utf-8")) for file in forms if file.stem != "config"):
+        assert {"name", "description", "body"} <= form.keys()
+        assert {part["type"] for part in form["body"]} <= {"textarea", "input", "markdown", "dropdown"}
+        assert all(
+            {"id", "attributes"} <= part.keys() and part["attributes"]["label"] for part in form["body"]
+        )
+    jobs = yaml.safe_load((REPO / ".github/workflows/tests.yml").read_text(encoding="utf-8"))["jobs"]
+    named = {
+        f"Programming Language :: Python :: {one}" for one in jobs["release"]["strategy"]["matrix"]["python"]
+    }
+    assert named <= set(PROJECT["classifiers"])
+
+
+def test_the_container_holds_what_the_package_is_built_of() -> None:
+    kept = {line[1:] for line in (REPO / ".dockerignore").read_text().splitlines() if line.startswith("!")}
+    copied = {
+        word
+        for line in (REPO / "Dockerfile").read_text().splitlines()
+        if line.startswith("COPY") and "--from" not in line
+        for word in line.split()[1:-1]
+    }
+    assert copied == kept and all((REPO / name).exists() for name in kept)
+    assert "\nUSER scanweave\n" in (REPO / "Dockerfile").read_text()
+
+
+def test_the_bill_of_materials() -> None:
+    told = bill_of_materials([Package("numpy", "2.4.6", "BSD-3-Clause"), Package("odd", "1", "")])
+    assert told["bomFormat"] == "CycloneDX" and told["specVersion"] == "1.6"
+    first, second = told["components"]
+    assert first["purl"] == "pkg:pypi/numpy@2.4.6" and "licenses" not in second
 
 
 def test_no_part_that_runs_is_under_the_gpl() -> None:
