@@ -92,7 +92,7 @@ class LinearMap:
         """((n - 1) d,) what Gauss and Newton would move nodes 1 to n - 1 by, in their tangents."""
         rows = np.repeat(self._kept, self._size)
         gradient = self._jacobian[rows].T @ self._residuals[rows]
-        return -self._factor.backward(self._factor.forward(gradient[None]))[0]
+        return -self._factor.solve(gradient)
 
     def influences(self, asked: Sequence[int] | NDArray[np.int64], together: int = 32) -> Influences:
         """Of the edges with these numbers; so many at a time pass over the factor together."""
@@ -112,8 +112,7 @@ class LinearMap:
         size, pulls, told = self._size, list[FloatArray](), []
         for numbers in sets:
             rows = (np.asarray(numbers)[:, None] * size + np.arange(size)).ravel()
-            jacobian, residual = self._jacobian[rows], self._residuals[rows]
-            pulled = self._factor.forward(jacobian.toarray())
+            residual, pulled = self._residuals[rows], self._factor.forward(self._jacobian, rows)
             signs = np.repeat(np.where(self._kept[numbers], -1.0, 1.0), size)
             pull = np.linalg.solve(np.diag(signs) + pulled @ pulled.T, residual)
             pulls.append(pull @ pulled)
@@ -144,12 +143,21 @@ class _Factor:
         lower, self._roots = found.L.tocsc(), np.sqrt(found.U.diagonal())
         self._lower = lower.indptr, lower.indices, lower.data
 
-    def forward(self, rows: FloatArray) -> FloatArray:
-        """(m, N) L^-1 times each row; what is zero costs nothing."""
-        found = np.zeros(rows.shape)
-        found[:, self._order] = rows
-        for row in found:
-            _forward(*self._lower, row)
+    def solve(self, row: FloatArray) -> FloatArray:
+        """(N,) the inverse of the information times a row."""
+        found = np.empty(row.shape)
+        found[self._order] = row
+        _forward(*self._lower, found)
+        return self.backward((found / self._roots)[None])[0]
+
+    def forward(self, jacobian: csr_array, rows: NDArray[np.int64]) -> FloatArray:
+        """(m, N) L^-1 times each of some rows; what is zero costs nothing."""
+        found = np.zeros((len(rows), len(self._roots)))
+        # By hand: to take rows out of a sparse matrix takes SciPy longer than all the rest.
+        for place, row in zip(found, rows.tolist(), strict=True):
+            entries = slice(jacobian.indptr[row], jacobian.indptr[row + 1])
+            place[self._order[jacobian.indices[entries]]] = jacobian.data[entries]
+            _forward(*self._lower, place)
         return found / self._roots
 
     def backward(self, rows: FloatArray) -> FloatArray:
