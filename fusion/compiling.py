@@ -6,6 +6,7 @@ Apart from the decorator, for numba takes long to load: this file is imported wh
 from __future__ import annotations
 
 import logging
+import os
 from functools import cache
 from hashlib import sha256
 from inspect import getfile
@@ -27,6 +28,7 @@ _CONSTANT = (int, float, str, np.generic)
 def dispatcher_of(kernel: Any) -> Dispatcher:
     """Numba's own object of a `fusion.kernel.Kernel`, which keeps what it compiles where that is possible."""
     _make_known(type(kernel))
+    _loaded_ns.update(kernel.loaded_ns)
     # Nobody calls kernels by their C address.
     options = {"no_cfunc_wrapper": True, **kernel.options}
     chosen = numba.config.CACHE_LOCATOR_CLASSES
@@ -91,6 +93,9 @@ def _stamp(function: FunctionType) -> str:
     file = getfile(function)
     if file not in _stamps:
         digest = sha256(Path(file).read_bytes())
+        changed_ns = Path(file).stat().st_mtime_ns
+        if changed_ns != _loaded_ns.get(file, changed_ns):
+            digest.update(os.urandom(16))  # edited since: what is compiled is not what is there now
         for name, value in sorted(function.__globals__.items()):
             if isinstance(value, _CONSTANT) and not name.startswith("__"):
                 digest.update(f"{name}={value!r}".encode())
@@ -111,3 +116,4 @@ def _used(value: Any, function: FunctionType) -> FunctionType | None:
 
 
 _stamps: dict[str, str] = {}
+_loaded_ns: dict[str, int] = {}

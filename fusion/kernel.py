@@ -10,8 +10,10 @@ is said once, and every run compiles anew.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cached_property, partial, update_wrapper
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -30,12 +32,19 @@ class Kernel:
         What is compiled, and how: see `numba.njit`.
     run
         What a call calls: numba's own object, from the first call on.
+    loaded_ns
+        When each file with kernels had been changed last, at the moment when it was loaded.
     """
+
+    loaded_ns: ClassVar[dict[str, int]] = {}
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         update_wrapper(self, function)
         self.py_func, self.options = function, options
         self.run: Any = self._first_run
+        with suppress(OSError):  # typed in, by nobody's file
+            file = function.__code__.co_filename
+            self.loaded_ns[file] = Path(file).stat().st_mtime_ns
 
     def __call__(self, *arguments: Any) -> Any:
         """What it returns for these arguments."""

@@ -11,7 +11,7 @@ from slam.graph.pose_graph import Edge, between_factor, gauge
 from slam.measurements import FloatArray, Pose
 
 
-def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
+def marginals(poses: Sequence[Pose], edges: Iterable[Edge], most_kept: int = 2000) -> FloatArray:
     """Covariance of every node where node 0 is held, by QR: what is long and stiff loses no digits.
 
     Parameters
@@ -20,6 +20,8 @@ def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
         (n,) estimates, at which the edges are linearised.
     edges
         That hold all of them together.
+    most_kept
+        Of what GTSAM keeps of one node for the next: so many, for they grow with the map and its loops.
 
     Returns
     -------
@@ -30,7 +32,12 @@ def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
     parameters.setFactorization("QR")
     solver = gtsam.ISAM2(parameters)
     solver.update(graph, values)
-    return np.array([solver.marginalCovariance(node) for node in range(len(poses))])
+    found = []
+    for node in range(len(poses)):
+        found.append(solver.marginalCovariance(node))
+        if solver.numCachedSeparatorMarginals() > most_kept:
+            solver.deleteCachedShortcuts()
+    return np.array(found)
 
 
 def held_graph(

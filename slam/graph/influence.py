@@ -94,24 +94,36 @@ class LinearMap:
         gradient = self._jacobian[rows].T @ self._residuals[rows]
         return -self._factor.solve(gradient)
 
-    def influences(self, asked: Sequence[int] | NDArray[np.int64]) -> Influences:
-        """Of the edges with these numbers."""
-        found = np.array([self.switched([int(number)]) for number in asked]).reshape(-1, 4)
-        shifts, nodes, residuals, left_out = found.T
+    def influences(self, asked: Sequence[int] | NDArray[np.int64], together: int = 32) -> Influences:
+        """Of the edges with these numbers; so many at a time pass over the factor together."""
+        parts = [asked[first : first + together] for first in range(0, len(asked), together)]
+        found = [one for part in parts for one in self._switched([[int(number)] for number in part])]
+        shifts, nodes, residuals, left_out = np.array(found).reshape(-1, 4).T
         return Influences(np.array(asked, np.int64), shifts, nodes.astype(np.int64), residuals, left_out)
 
     def switched(self, numbers: Sequence[int] | NDArray[np.int64]) -> tuple[float, int, float, float]:
         """Shift, node, residual and residual when left out, of edges that are switched together."""
-        size = self._size
-        rows = (np.asarray(numbers)[:, None] * size + np.arange(size)).ravel()
-        residual = self._residuals[rows]
-        pulled = self._factor.forward(self._jacobian, rows)
-        signs = np.repeat(np.where(self._kept[numbers], -1.0, 1.0), size)
-        pull = np.linalg.solve(np.diag(signs) + pulled @ pulled.T, residual)
-        tangents = self._factor.backward(pull @ pulled).reshape(-1, size)
-        shifts = np.linalg.norm(tangents[:, :2] if self._planar else tangents[:, 3:], axis=1)
-        most, missed = int(shifts.argmax()), float(np.linalg.norm(residual))
-        return float(shifts[most]), most + 1, missed, abs(float(residual @ pull)) ** 0.5
+        return self._switched([numbers])[0]
+
+    def _switched(
+        self, sets: Sequence[Sequence[int] | NDArray[np.int64]]
+    ) -> list[tuple[float, int, float, float]]:
+        """As `switched`, of each set of edges by itself."""
+        size, pulls, told = self._size, list[FloatArray](), []
+        for numbers in sets:
+            rows = (np.asarray(numbers)[:, None] * size + np.arange(size)).ravel()
+            residual, pulled = self._residuals[rows], self._factor.forward(self._jacobian, rows)
+            signs = np.repeat(np.where(self._kept[numbers], -1.0, 1.0), size)
+            pull = np.linalg.solve(np.diag(signs) + pulled @ pulled.T, residual)
+            pulls.append(pull @ pulled)
+            told.append((float(np.linalg.norm(residual)), abs(float(residual @ pull)) ** 0.5))
+        tangents = self._factor.backward(np.array(pulls)).reshape(len(sets), -1, size)
+        shifts = np.linalg.norm(tangents[..., :2] if self._planar else tangents[..., 3:], axis=2)
+        most = shifts.argmax(axis=1).tolist()
+        return [
+            (float(shift[at]), at + 1, missed, left_out)
+            for shift, at, (missed, left_out) in zip(shifts, most, told, strict=True)
+        ]
 
 
 class _Factor:
@@ -136,7 +148,7 @@ class _Factor:
         found = np.empty(row.shape)
         found[self._order] = row
         _forward(*self._lower, found)
-        return self.backward(found / self._roots)
+        return self.backward((found / self._roots)[None])[0]
 
     def forward(self, jacobian: csr_array, rows: NDArray[np.int64]) -> FloatArray:
         """(m, N) L^-1 times each of some rows; what is zero costs nothing."""
@@ -148,11 +160,11 @@ class _Factor:
             _forward(*self._lower, place)
         return found / self._roots
 
-    def backward(self, row: FloatArray) -> FloatArray:
-        """(N,) L'^-1 times a row."""
-        found = row / self._roots
+    def backward(self, rows: FloatArray) -> FloatArray:
+        """(m, N) L'^-1 times each row."""
+        found = np.ascontiguousarray((rows / self._roots).T)
         _backward(*self._lower, found)
-        return found[self._order]
+        return found[self._order].T
 
 
 @kernel
@@ -167,11 +179,12 @@ def _forward(first: NDArray[np.int32], below: NDArray[np.int32], lower: FloatArr
 
 @kernel
 def _backward(first: NDArray[np.int32], below: NDArray[np.int32], lower: FloatArray, x: FloatArray) -> None:
-    """Solve by its transpose."""
+    """Solve by its transpose, for each column of x (N, m)."""
     for column in range(len(x) - 1, -1, -1):
         for k in range(first[column], first[column + 1]):
             if below[k] > column:
-                x[column] -= lower[k] * x[below[k]]
+                for one in range(x.shape[1]):
+                    x[column, one] -= lower[k] * x[below[k], one]
 
 
 def influences(poses: Sequence[Pose], edges: Sequence[Edge], kept: Sequence[bool] | BoolArray) -> Influences:

@@ -79,6 +79,15 @@ def test_what_is_taken_from_another_file_makes_it_stale(
     assert [changed.grown(1), found(changed)] == [expected, 0]
 
 
+def test_a_file_that_was_edited_after_it_was_loaded_gives_nothing_to_others(folder: Path) -> None:
+    early = loaded(folder, 10, "+")
+    source = (folder / "helper_of_kernel.py").read_text()
+    (folder / "helper_of_kernel.py").write_text(source.replace("+ 1", "- 1"))
+    assert early.grown(1) == 12
+    later = loaded(folder, 10, "-")
+    assert [later.grown(1), found(later)] == [10, 0]
+
+
 def test_where_nothing_can_be_written_it_is_said_once_and_kernels_run(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -45,6 +45,12 @@ def test_marginals_of_a_chain_add_up_in_the_frame_of_its_end() -> None:
     assert marginals(poses, edges)[2] == pytest.approx(expected, rel=1e-6)
 
 
+def test_marginals_are_the_same_however_much_is_kept_of_one_for_the_next() -> None:
+    poses, edges = chain(40)
+    edges.append(replace(edges[0], source=3, target=30, T_source_target=poses[3].between(poses[30])))
+    assert np.array_equal(marginals(poses, edges, most_kept=1), marginals(poses, edges))
+
+
 def test_marginals_of_a_long_stiff_chain_lose_no_digits() -> None:
     stiff = np.diag([1e-3, 1e-3, 1e-5]) ** 2
     poses, edges = chain(3000, stiff)
