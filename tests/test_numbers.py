@@ -6,10 +6,10 @@ import ast
 
 from tools.count_numbers import bare_floats, constant_names, count_fields, count_lines, count_logic
 
-MOST_CONSTANTS = 333
-MOST_BARE_FLOATS = 172
+MOST_CONSTANTS = 331
+MOST_BARE_FLOATS = 168
 MOST_FIELDS = 158
-MOST_LINES = 61_000
+MOST_LINES = 62_000
 
 
 def test_constants_of_the_logic_do_not_grow() -> None:
