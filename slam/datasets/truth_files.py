@@ -40,7 +40,8 @@ def read_truth(path: Path) -> Trajectory | None:
     counts = [len(fields) for _, fields in lines]
     if not counts:
         raise DatasetError(f"{path} holds no pose; give a trajectory")
-    commas = "," in head
+    # Of the poses: a comment may have some, too.
+    commas = any("," in line for line in head.splitlines() if not line.lstrip().startswith("#"))
     truth: Trajectory | None
     if "GPSTime" in head:
         truth = boreas.read_poses(path, account)

@@ -225,7 +225,8 @@ def test_truths_are_read_from_the_files_of_their_publishers(tmp_path: Path) -> N
         read_truth(kitti)
     put(tmp_path / "sequences" / "03" / "times.txt", "0.0\n0.1\n0.2\n0.3\n")
     assert_same_shape(read_truth(kitti), given.poses)
-    assert read_truth(put(tmp_path / "tum.txt", "1.0 0 0 0 0 0 0 1\n")) is None
+    for comment in ("", "# timestamp tx ty tz qx qy qz qw, base in map\n"):
+        assert read_truth(put(tmp_path / "tum.txt", f"{comment}1.0 0 0 0 0 0 0 1\n")) is None
 
 
 def test_what_lzfse_unpacks_to_is_known_before() -> None:
