@@ -13,10 +13,12 @@ def load_open3d() -> Any:
     Raises
     ------
     LibraryError
-        A library of the system that it needs is missing.
+        It is not installed, or a library of the system that it needs is missing.
     """
     try:
         import open3d
+    except ModuleNotFoundError as error:
+        raise LibraryError(f"{error.name} is not installed: pip install 'scanweave[compare]'") from error
     except (ImportError, OSError) as error:
         raise LibraryError(
             f"Open3D does not load ({error}); on Debian: apt-get install libegl1 libgl1 libx11-6 libusb-1.0-0"

@@ -30,7 +30,7 @@ from slam.storage.ply import read_cloud_ply
 from slam.version import __version__
 
 CLOUD_FILE = "cloud.ply"
-_LIBRARIES = ("gtsam", "numpy", "numba", "open3d-cpu", "opencv-python-headless")
+_LIBRARIES = ("gtsam", "numpy", "numba", "opencv-python-headless")
 # More unmatched scans than this share deserve a line at the top of the page.
 _UNMATCHED_SHARE = 0.01
 
