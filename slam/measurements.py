@@ -275,6 +275,13 @@ class GnssFix:
         (3,) where the antenna sits on the robot; None where the log does not tell it.
     sensor
         Name of the sensor, as the log tells it.
+
+    Examples
+    --------
+    >>> import numpy as np, slam
+    >>> fix = slam.GnssFix(0.0, 49.0, 8.4, 116.0, np.diag([4.0, 4.0, 9.0]), np.array([0.3, 0.0, 1.2]))
+    >>> np.sqrt(np.diag(fix.covariance_m2)).tolist()  # east, north, up, metres
+    [2.0, 2.0, 3.0]
     """
 
     stamp_s: float

@@ -404,6 +404,8 @@ class PoseGraph:
         worst = max((factors[k].error(self._estimate) for k in begun), default=0.0)
         self._estimate = solved(graph, self._estimate)
         control = limit / (2.0 * worst - limit) if 2.0 * worst > limit else math.inf
+        # Once in any case: what begins refused is asked, too.
+        control = min(control, _GREATEST_CONTROL / _GNC_STEP)
         while control < _GREATEST_CONTROL:
             for k, factor in factors.items():
                 # Eq. (14).

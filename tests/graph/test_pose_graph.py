@@ -346,3 +346,11 @@ def test_a_graph_of_which_all_that_may_be_refused_is_in_doubt() -> None:
     graph.doubt(0, 1)
     graph.optimize()
     np.testing.assert_allclose(graph.planar_poses()[1], [1.0, 0.0, 0.0], atol=1e-9)
+
+
+def test_what_is_doubted_and_fits_the_rest_is_kept() -> None:
+    graph = graph_of(gtsam.Pose2(), [straight_2d(1.0), straight_2d(1.0)])
+    graph.add_edge(edge(0, 2, straight_2d(2.0), 0.05, EdgeKind.WHEEL, trusted=False))
+    graph.optimize()
+    graph.doubt(0, 2)
+    assert graph.optimize().kept.all()

@@ -1,5 +1,7 @@
 """A corridor: what the match leaves open is known no better than dead reckoning knows it."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import gtsam

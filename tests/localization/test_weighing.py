@@ -1,5 +1,7 @@
 """Evidence: a surface counts once, doubt comes quickly, and a robot may be kidnapped."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import replace
 
