@@ -121,6 +121,9 @@ def test_files_say_where_on_the_earth_it_lies(tmp_path: Path) -> None:
     assert saved is not None
     assert saved.T_enu_map.equals(earth.T_enu_map, 1e-9)
     np.testing.assert_allclose(told["T_enu_map"], earth.T_enu_map.matrix()[:3], atol=1e-8)
+    turned = made.edited({"turn": {"degrees": 30.0}})
+    last = [one.contents.georeference.geodetic(one.trajectory.positions_m[-1]) for one in (made, turned)]
+    np.testing.assert_allclose(last[0], last[1], atol=1e-9)
     made.export("gpx", tmp_path / "way.gpx")
     assert (tmp_path / "way.gpx").read_text().count("<trkpt") == len(made.trajectory)
     with pytest.raises(ScanweaveError, match="no GNSS"):
