@@ -109,3 +109,29 @@ def test_one_that_cannot_be_loaded_says_so_each_time_it_is_asked(
     with pytest.raises(ImportError, match="not this time"):
         _ = module.ANSWER
     assert module.ANSWER == 42
+
+
+@pytest.mark.parametrize("first", [*later._OF_SCIPY, "spatial.distance", "sparse.csgraph"])
+def test_parts_of_a_library_load_in_any_order(first: str) -> None:
+    """None has run when one of them, or a module inside, is asked for."""
+    code = f"""
+import sys
+from slam.cli import later
+later.load_later()
+for part in later._OF_SCIPY:
+    __import__("scipy." + part)
+import scipy.{first}
+first = sys.modules["scipy.{first}"]
+getattr(first, "__all__")
+before = sys.modules["scipy.{first}"]
+from scipy.interpolate import CubicSpline
+from scipy.spatial import KDTree, distance
+from scipy.sparse import csgraph, csr_array
+from scipy.sparse.linalg import splu
+assert sys.modules["scipy.spatial.distance"] is distance and sys.modules["scipy.sparse.csgraph"] is csgraph
+assert sys.modules["scipy.{first}"] is before
+assert CubicSpline([0, 1, 2], [0, 1, 4])(1.0) == 1.0 and KDTree([[0.0]]).query([1.0])[0] == 1.0
+assert distance.__spec__.name == "scipy.spatial.distance" and distance.__spec__.origin
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=os.environ)
+    assert done.returncode == 0, done.stderr

@@ -30,6 +30,8 @@ class _NotYet(ModuleType):
             if type(self) is _NotYet and not self.__dict__.get("_running"):
                 assert self.__spec__ is not None and self.__spec__.loader is not None
                 self.__dict__["_running"] = True
+                if (places := self.__spec__.submodule_search_locations) is not None:
+                    self.__path__ = places
                 try:
                     self.__spec__.loader.exec_module(self)
                     self.__class__ = ModuleType  # type: ignore[assignment]
@@ -50,7 +52,24 @@ class _Later(Loader):
         """Nothing, for now."""
         assert module.__spec__ is not None
         module.__spec__.loader = module.__loader__ = self._loader
+        # Whoever imports a part of it asks for its path: its own code runs before that of the part.
+        module.__dict__.pop("__path__", None)
         module.__class__ = _NotYet
+
+
+class _Known(Loader):
+    """Hands out a part of a library that its own code has just loaded."""
+
+    def __init__(self, module: ModuleType) -> None:
+        self._module, self._spec = module, module.__spec__
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        """The one that is there."""
+        return self._module
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Nothing: it has run."""
+        module.__spec__ = self._spec
 
 
 class _Finder(MetaPathFinder):
@@ -60,6 +79,8 @@ class _Finder(MetaPathFinder):
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         """How to load one of them; None of all others."""
+        if target is None and name.rpartition(".")[0] in LIBRARIES and name in sys.modules:
+            return ModuleSpec(name, _Known(sys.modules[name]))
         spec = PathFinder.find_spec(name, path, target) if name in LIBRARIES else None
         if spec is not None and spec.loader is not None:
             spec.loader = _Later(spec.loader)
