@@ -122,7 +122,9 @@ class GnssAnchors:
         order = np.argsort(trajectory.stamps_s, kind="stable")
         ways = trajectory[order]
         fixes_s = np.array([fix.stamp_s for fix in self._fixes])
-        nearest = np.abs(stamps_s[:, None] - fixes_s[None]).argmin(axis=0)
+        in_time = np.argsort(stamps_s, kind="stable")
+        middles_s = 0.5 * (stamps_s[in_time][1:] + stamps_s[in_time][:-1])
+        nearest = in_time[np.searchsorted(middles_s, fixes_s)]
         best: dict[int, int] = {}
         for number, key in enumerate(nearest.tolist()):
             other = best.get(key)
@@ -144,7 +146,9 @@ class GnssAnchors:
                 covariance = np.diag([_SIGMA_M, _SIGMA_M, _SIGMA_UP_M]) ** 2
             anchors.append(Anchor(key, place_m, covariance, np.asarray(arm_m)))
         at_s = np.array([self._fixes[best[one.node]].stamp_s for one in anchors])
-        together = np.sum(np.abs(at_s[:, None] - at_s[None]) <= 0.5 * _SHARED_S, axis=1)
+        sorted_s, half_s = np.sort(at_s), 0.5 * _SHARED_S
+        ends = np.searchsorted(sorted_s, at_s + half_s, "right"), np.searchsorted(sorted_s, at_s - half_s)
+        together = ends[0] - ends[1]
         return [
             replace(one, together=float(count)) for one, count in zip(anchors, together.tolist(), strict=True)
         ]
