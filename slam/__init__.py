@@ -41,10 +41,12 @@ if TYPE_CHECKING:
     from slam.datasets import open_dataset as open_dataset
     from slam.doctor.diagnosis import diagnose as diagnose
     from slam.errors import ScanweaveError as ScanweaveError
+    from slam.estimates import MotionEstimate as MotionEstimate
+    from slam.estimates import Trajectory as Trajectory
     from slam.evaluation.score import evaluate as evaluate
+    from slam.graph.edge import Edge as Edge
+    from slam.graph.edge import EdgeKind as EdgeKind
     from slam.graph.loop_closure import LoopCandidate as LoopCandidate
-    from slam.graph.pose_graph import Edge as Edge
-    from slam.graph.pose_graph import EdgeKind as EdgeKind
     from slam.graph.pose_graph import PoseGraph as PoseGraph
     from slam.localization.localizer import Localizer as Localizer
     from slam.localization.output import LocalizerOutput as LocalizerOutput
@@ -55,10 +57,8 @@ if TYPE_CHECKING:
     from slam.measurements import GnssFix as GnssFix
     from slam.measurements import ImuReading as ImuReading
     from slam.measurements import LaserScan as LaserScan
-    from slam.measurements import MotionEstimate as MotionEstimate
     from slam.measurements import PointCloud as PointCloud
     from slam.measurements import RgbdFrame as RgbdFrame
-    from slam.measurements import Trajectory as Trajectory
     from slam.measurements import WheelOdometry as WheelOdometry
     from slam.outputs.finished_map import Map as Map
     from slam.outputs.finished_map import load_map as load_map
@@ -76,15 +76,16 @@ _NAMES = {
     "slam.datasets": "open_dataset",
     "slam.doctor.diagnosis": "diagnose",
     "slam.errors": "ScanweaveError",
+    "slam.estimates": "MotionEstimate Trajectory",
     "slam.evaluation.score": "evaluate",
+    "slam.graph.edge": "Edge EdgeKind",
     "slam.graph.loop_closure": "LoopCandidate",
-    "slam.graph.pose_graph": "Edge EdgeKind PoseGraph",
+    "slam.graph.pose_graph": "PoseGraph",
     "slam.localization.localizer": "Localizer",
     "slam.localization.output": "LocalizerOutput State",
     "slam.mapper.protocol": "register_sensor",
     "slam.mapping.occupancy_grid": "OccupancyGrid",
-    "slam.measurements": "CameraIntrinsics GnssFix ImuReading LaserScan MotionEstimate PointCloud "
-    "RgbdFrame Trajectory WheelOdometry",
+    "slam.measurements": "CameraIntrinsics GnssFix ImuReading LaserScan PointCloud RgbdFrame WheelOdometry",
     "slam.outputs.finished_map": "Map load_map",
     "slam.outputs.grid_map": "GridMap load_grid_map",
 }

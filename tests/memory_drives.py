@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike
 
 from slam.config import load_config
 from slam.datasets.dataset import ReadReport
+from slam.estimates import Trajectory
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.matching.planar import between, compose
-from slam.measurements import FloatArray, LaserScan, Measurement, Trajectory, WheelOdometry, pose2_from_row
+from slam.measurements import FloatArray, LaserScan, Measurement, WheelOdometry, pose2_from_row
 from slam.odometry import STANDARD, Odometries
 
 SCAN_S = 0.1

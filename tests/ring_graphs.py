@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.held_graph import held_graph
-from slam.graph.pose_graph import Edge, EdgeKind
 from slam.measurements import FloatArray, Pose
 
 SIDES = 12

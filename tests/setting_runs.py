@@ -24,13 +24,14 @@ from slam.app.mapping import run_log
 from slam.config import Config, load_config
 from slam.datasets.dataset import ReadReport
 from slam.errors import ScanweaveError
+from slam.estimates import Trajectory
 from slam.localization.localizer import Localizer
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.mapping.cloud_map import CloudTiles
 from slam.matching.planar import compose
-from slam.measurements import LaserScan, Measurement, RgbdFrame, Trajectory, WheelOdometry, pose2_from_row
+from slam.measurements import LaserScan, Measurement, RgbdFrame, WheelOdometry, pose2_from_row
 from slam.outputs import exports
 from slam.storage.map_contents import MapContents
 from slam.storage.packing import pack

@@ -30,12 +30,13 @@ from worsened_logs import worsened
 from slam.comparison.methods import ODOMETRIES
 from slam.config import load_config
 from slam.datasets import open_dataset
+from slam.estimates import MotionEstimate, Trajectory
 from slam.evaluation.relations import read_relations, score_relations
 from slam.evaluation.trajectory_error import absolute_error
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.mapper import Mapper
 from slam.mapper.pipeline import build_map
-from slam.measurements import LaserScan, Measurement, MotionEstimate, RgbdFrame, Trajectory, row_from_pose2
+from slam.measurements import LaserScan, Measurement, RgbdFrame, row_from_pose2
 from slam.odometry import STANDARD, Odometries
 from slam.odometry.camera_odometry import CameraOdometry
 from slam.odometry.rgbd_tracker import TrackedFrame

@@ -215,7 +215,8 @@ def write_wheels(log: Path, out: Path) -> None:
     import numpy as np
 
     from slam.datasets import open_dataset
-    from slam.measurements import Trajectory, WheelOdometry, row_from_pose2
+    from slam.estimates import Trajectory
+    from slam.measurements import WheelOdometry, row_from_pose2
     from slam.storage.tum import write_tum
 
     readings = [reading for reading in open_dataset(log) if isinstance(reading, WheelOdometry)]

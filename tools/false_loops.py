@@ -42,17 +42,18 @@ from fusion.estimation import gate
 from slam import load_map
 from slam.config import Config, load_config
 from slam.datasets import open_dataset
+from slam.estimates import MotionEstimate
 from slam.evaluation.relations import Relations, read_relations, score_relations
 from slam.graph.closings import loop_groups
+from slam.graph.edge import Edge
 from slam.graph.held_graph import held_graph
 from slam.graph.influence import LinearMap
 from slam.graph.loop_closure import LoopCandidate
-from slam.graph.pose_graph import Edge
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.map_result import MapResult
 from slam.mapper.mapper import Mapper
 from slam.matching.planar import between, compose
-from slam.measurements import FloatArray, LaserScan, MotionEstimate, Pose, pose2_from_row
+from slam.measurements import FloatArray, LaserScan, Pose, pose2_from_row
 from slam.storage.map_contents import MapContents
 
 KINDS = ("random", "alike", "runs", "mixed")

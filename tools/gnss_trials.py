@@ -16,9 +16,10 @@ from pathlib import Path
 import slam
 from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset, ReadReport
+from slam.estimates import Trajectory
 from slam.evaluation.coverage import coverage
 from slam.evaluation.trajectory_error import absolute_error
-from slam.measurements import GnssFix, ImuReading, Measurement, PointCloud, Trajectory
+from slam.measurements import GnssFix, ImuReading, Measurement, PointCloud
 from slam.storage.tum import read_tum
 
 

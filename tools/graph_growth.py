@@ -23,11 +23,12 @@ import gtsam
 import numpy as np
 
 from slam.config.stages import GraphConfig, LoopConfig
+from slam.estimates import MotionEstimate
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate
-from slam.graph.pose_graph import Edge, EdgeKind
 from slam.matching.planar import between, compose
-from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
+from slam.measurements import FloatArray, pose2_from_row
 
 STREET_M, STEP_M = 20.0, 0.25
 MATCH = np.array([0.004, 0.004, 0.002])

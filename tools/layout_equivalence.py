@@ -19,7 +19,8 @@ import numpy as np
 
 import slam
 from slam.datasets import open_dataset
-from slam.measurements import FloatArray, RgbdFrame, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import FloatArray, RgbdFrame
 from tools.pack_layouts import CAMERAS, Footage, packed
 
 JPEG = frozenset({"scannet", "scannet_sens", "replica", "open3d", "sun3d", "record3d", "polycam"})

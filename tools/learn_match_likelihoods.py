@@ -21,6 +21,7 @@ from localization_trials import MAPPED_SHARE, Case, build_case, scans_of
 
 from slam.config import Config, load_config
 from slam.datasets import open_dataset
+from slam.estimates import Trajectory
 from slam.localization.cloud_sensor import CloudSensor
 from slam.localization.known_map import Walls, has_walls
 from slam.localization.planar_sensor import PlanarSensor
@@ -28,7 +29,7 @@ from slam.localization.poses import apart
 from slam.localization.scan_view import ScanView
 from slam.localization.sensor import Keyframe
 from slam.mapper.pipeline import build_map
-from slam.measurements import FloatArray, LaserScan, Pose, Trajectory, pose2_from_row
+from slam.measurements import FloatArray, LaserScan, Pose, pose2_from_row
 
 KINDS = ("explained", "crossing", "in free")
 SCANS = 200

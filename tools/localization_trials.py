@@ -28,6 +28,7 @@ from fusion.estimation import gate
 from slam.app.localizing import START_SIGMA
 from slam.config import Config, load_config
 from slam.datasets import open_dataset
+from slam.estimates import Trajectory
 from slam.localization.global_search import search_map
 from slam.localization.known_map import Walls
 from slam.localization.localizer import Localizer
@@ -44,7 +45,6 @@ from slam.measurements import (
     FloatArray,
     LaserScan,
     Measurement,
-    Trajectory,
     WheelOdometry,
     pose2_from_row,
     row_from_pose2,

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from slam.comparison.open3d_library import load_open3d
 from slam.datasets import open_dataset
-from slam.measurements import RgbdFrame, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import RgbdFrame
 from slam.storage.tum import write_tum
 
 Matrix: TypeAlias = NDArray[np.float64]

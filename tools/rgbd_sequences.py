@@ -16,7 +16,8 @@ import numpy as np
 
 from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
-from slam.measurements import CameraIntrinsics, FloatArray, RgbdFrame, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import CameraIntrinsics, FloatArray, RgbdFrame
 from slam.storage.tum import write_tum
 
 _STEPS_PER_M = 5000.0

@@ -21,7 +21,8 @@ import numpy as np
 from slam.datasets import open_dataset
 from slam.doctor.diagnosis import diagnose
 from slam.doctor.finding import Finding
-from slam.measurements import Measurement, PointCloud, RgbdFrame, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import Measurement, PointCloud, RgbdFrame
 from tools.mistake_rows import CONFIGS, main, mapped_m, mapped_row, told_row
 
 Change = Callable[[Any, float], Any]

@@ -21,9 +21,9 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import MapFileError
+from slam.estimates import Trajectory
 from slam.evaluation.relations import read_relations, score_relations
 from slam.evaluation.trajectory_error import absolute_error
-from slam.measurements import Trajectory
 from slam.outputs.finished_map import Map, open_map
 from slam.sessions.connection import Connection, connect
 from slam.simulation.drive_faults import DriveFaults

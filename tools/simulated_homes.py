@@ -16,10 +16,11 @@ from pathlib import Path
 import numpy as np
 
 from slam.config import load_config
+from slam.estimates import Trajectory
 from slam.evaluation.trajectory_error import absolute_error
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.mapper import Mapper
-from slam.measurements import Trajectory, row_from_pose2
+from slam.measurements import row_from_pose2
 from slam.simulation.drive import simulate_drive
 from slam.simulation.drive_faults import DriveFaults
 from slam.simulation.events import OdometryEvent, ScanEvent

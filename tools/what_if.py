@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 
 import slam
 from slam.evaluation.page_data import pose_rows
+from slam.graph.edge import Edge
 from slam.graph.held_graph import held_graph
 from slam.graph.influence import Influences, LinearMap, all_edges, elimination_order
-from slam.graph.pose_graph import Edge
 from slam.measurements import BoolArray, FloatArray, Pose
 from slam.storage.covariances import upper_triangles
 

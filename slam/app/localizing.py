@@ -19,12 +19,12 @@ from slam.datasets.sensor_choice import SensorChoice, UsedMeasurements
 from slam.doctor.diagnosis import registrations_in
 from slam.doctor.finding import Finding
 from slam.errors import ConfigError, DatasetError
+from slam.estimates import Trajectory
 from slam.evaluation.localization_report import write_localization_report
 from slam.localization.drive_log import DriveLog
 from slam.localization.localizer import Localizer
 from slam.localization.poses import Measured, diagonal
 from slam.mapper.pipeline import findings_of, settled
-from slam.measurements import Trajectory
 from slam.outputs.finished_map import Map
 from slam.outputs.grid_map import GridMap, opened
 from slam.storage.files import make_folder

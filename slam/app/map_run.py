@@ -19,12 +19,12 @@ from slam.evaluation.report import write_report
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.pipeline import build_map
 from slam.outputs.exports import Exports
-from slam.outputs.finished_map import NOTES, WARNINGS, Map, open_map
+from slam.outputs.finished_map import Map, open_map
 from slam.storage.files import make_folder
 from slam.storage.map_contents import write_contents
 from slam.storage.map_facts import write_facts
 from slam.storage.map_file import MAP_NAME
-from slam.storage.map_identity import MapIdentity
+from slam.storage.map_identity import NOTES, WARNINGS, MapIdentity
 from slam.viewer.map_recording import record_map
 from slam.viewer.viewer import recording
 

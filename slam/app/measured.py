@@ -13,8 +13,9 @@ import numpy as np
 
 from slam.datasets.dataset import ReadReport
 from slam.errors import DatasetError
+from slam.estimates import Trajectory
 from slam.mapper.protocol import SENSORS
-from slam.measurements import Measurement, Trajectory, WheelOdometry
+from slam.measurements import Measurement, WheelOdometry
 
 
 class Measured:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from slam.config import Config
 from slam.errors import ScanweaveError
+from slam.estimates import MotionEstimate
 from slam.graph.loop_closure import LoopCandidate, search_place
 from slam.graph.submaps import Submap
 from slam.mapping.keyframe_grid import grid_of_keyframes
@@ -20,7 +21,7 @@ from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.match_covariance import motion_from_alignment
 from slam.matching.scan_points import extract_points, orient_points
-from slam.measurements import AnyFloatArray, FloatArray, LaserScan, MotionEstimate
+from slam.measurements import AnyFloatArray, FloatArray, LaserScan
 
 Scan: TypeAlias = LaserScan | AnyFloatArray
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from slam.comparison.open3d_library import load_open3d
 from slam.config import Config
-from slam.measurements import FloatArray, MotionEstimate
+from slam.estimates import MotionEstimate
+from slam.measurements import FloatArray
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch, covariance_of

@@ -13,12 +13,13 @@ from collections import deque
 import numpy as np
 
 from slam.config import Config
+from slam.estimates import MotionEstimate
 from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.match_covariance import motion_from_alignment
 from slam.matching.motion import Motion
 from slam.matching.scan_points import ScanPoints
 from slam.matching.visibility import RangeImage
-from slam.measurements import AnyFloatArray, FloatArray, MotionEstimate
+from slam.measurements import AnyFloatArray, FloatArray
 
 # Of the voxel map: side of a voxel, what is forgotten, and points a voxel; of the pairs: how far apart, and
 # the scale of the robust kernel. KISS-ICP's defaults are for streets.

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from slam.comparison.product import AcceptedLoop
+from slam.estimates import Trajectory
 from slam.evaluation.association import nearest_indices
-from slam.measurements import BoolArray, FloatArray, Trajectory
+from slam.measurements import BoolArray, FloatArray
 
 # A loop farther off than this closes the map to the wrong place.
 RIGHT_WITHIN_M, RIGHT_WITHIN_RAD = 0.3, 0.15

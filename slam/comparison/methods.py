@@ -17,17 +17,10 @@ from slam.comparison.product import AcceptedLoop, Product, StateGrid
 from slam.config import Config
 from slam.datasets import Dataset
 from slam.errors import DatasetError
+from slam.estimates import Trajectory
 from slam.graph.loop_closure import LoopCandidate
 from slam.mapper.pipeline import build_map
-from slam.measurements import (
-    FloatArray,
-    LaserScan,
-    PointCloud,
-    RgbdFrame,
-    Trajectory,
-    WheelOdometry,
-    row_from_pose2,
-)
+from slam.measurements import FloatArray, LaserScan, PointCloud, RgbdFrame, WheelOdometry, row_from_pose2
 from slam.odometry import Odometries
 
 _FARTHEST_DEPTH_M = 4.0

@@ -9,7 +9,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.measurements import FloatArray, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import FloatArray
 
 StateArray = NDArray[np.int8]
 

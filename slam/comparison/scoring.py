@@ -13,10 +13,10 @@ from slam.comparison.map_score import map_scores, read_true_grid
 from slam.comparison.plan_score import plan_scores, robot_radius_m
 from slam.comparison.product import Product
 from slam.errors import EvaluationError
+from slam.estimates import Trajectory
 from slam.evaluation.relations import RelationScore, read_relations, score_relations
 from slam.evaluation.trajectory_error import relative_error
 from slam.evaluation.truth_comparison import MAX_DIFFERENCE_S, TruthComparison, compare_with_truth
-from slam.measurements import Trajectory
 
 
 @dataclass(frozen=True, slots=True)

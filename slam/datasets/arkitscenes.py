@@ -26,7 +26,8 @@ from slam.datasets.pose_files import from_axis_angle, numbers_of, rows_of, traje
 from slam.datasets.recording import Contents, Recording
 from slam.datasets.stamped_files import BAD_POSE, StampedFile
 from slam.errors import DatasetError
-from slam.measurements import CameraIntrinsics, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import CameraIntrinsics
 
 _COLORS, _DEPTHS, _LENSES, _POSES = (
     "lowres_wide",

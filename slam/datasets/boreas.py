@@ -19,7 +19,7 @@ from slam.datasets.imu_files import ImuFile, beside_imu, first_file
 from slam.datasets.mulran import NAMED_BY_CLOCK, stamp_of_clock
 from slam.datasets.pose_files import PoseTable, pose_file, trajectory_of
 from slam.datasets.recording import Contents, Recording
-from slam.measurements import Trajectory
+from slam.estimates import Trajectory
 
 _INSIDE, _POSES_FILE = "lidar", "applanix/lidar_poses.csv"
 _ROWS = Rows(row_of("x f4, y f4, z f4, intensity f4, laser f4, time f4"))

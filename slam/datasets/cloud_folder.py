@@ -15,7 +15,7 @@ from slam.datasets.pose_files import pose_lines, pose_of_row, trajectory_of
 from slam.datasets.recording import Contents, Recording
 from slam.datasets.stamped_files import read_poses
 from slam.errors import DatasetError
-from slam.measurements import Trajectory
+from slam.estimates import Trajectory
 
 LIDAR_CALIBRATION = "calibration.yaml"
 

@@ -24,6 +24,7 @@ from slam.datasets.corrections_in_space import (
 )
 from slam.datasets.dataset import Dataset, ReadReport
 from slam.errors import DatasetError
+from slam.estimates import Trajectory
 from slam.matching.planar import wrap
 from slam.measurements import (
     FloatArray,
@@ -33,7 +34,6 @@ from slam.measurements import (
     Measurement,
     PointCloud,
     RgbdFrame,
-    Trajectory,
     WheelOdometry,
 )
 

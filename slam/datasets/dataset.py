@@ -11,8 +11,9 @@ from typing import Protocol
 
 import numpy as np
 
+from slam.estimates import Trajectory
 from slam.foreign import plain
-from slam.measurements import Measurement, Trajectory, WheelOdometry
+from slam.measurements import Measurement, WheelOdometry
 
 # Above these a pair of odometry readings is a jump of the counter, not a drive of the robot: an indoor
 # robot stays below 3 m/s, and the slack covers pairs whose stamps coincide or run backward.

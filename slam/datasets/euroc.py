@@ -12,7 +12,7 @@ from slam.datasets.dataset_format import DatasetFormat
 from slam.datasets.pose_files import PoseTable
 from slam.datasets.recording import Contents, Recording
 from slam.errors import DatasetError
-from slam.measurements import Trajectory
+from slam.estimates import Trajectory
 
 # Nanoseconds, position and quaternion; velocities and biases after them are left.
 POSES = PoseTable(stamp_units_s=(0.0,), order="wxyz")

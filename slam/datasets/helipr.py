@@ -16,7 +16,7 @@ from slam.datasets.imu_files import beside_imu, first_file
 from slam.datasets.mulran import NAMED_BY_CLOCK, stamp_of_clock, xsens
 from slam.datasets.pose_files import PoseTable
 from slam.datasets.recording import Contents, Recording
-from slam.measurements import Trajectory
+from slam.estimates import Trajectory
 
 # By the publishers' file player; the lidar that sees all around comes first.
 _LIDARS = {

@@ -18,7 +18,8 @@ from slam.datasets.numbered_frames import NO_STAMPS, RATE_HZ
 from slam.datasets.recording import Contents, Recording
 from slam.datasets.stamped_files import read_poses
 from slam.datasets.tum import DEPTH_STEPS_PER_M, has_tum_layout, listed_camera
-from slam.measurements import CameraIntrinsics, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import CameraIntrinsics
 
 _LENS = CameraIntrinsics(481.20, 480.0, 319.50, 239.50, 640, 480)
 _TRUTHS = "*.gt.freiburg"

@@ -24,7 +24,8 @@ from slam.datasets.numbered_frames import numbered_files
 from slam.datasets.pose_files import BAD_MATRIX, numbers_of, pose_of_row, trajectory_of
 from slam.datasets.recording import Contents, Numbered, Recording
 from slam.datasets.stamped_files import BAD_POSE, BAD_STAMP, StampedFile
-from slam.measurements import FloatArray, ImuReading, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import FloatArray, ImuReading
 
 ONCE_A_CLOUD = "an IMU that is told once a cloud tells nothing of the turn; drives that are not synced do"
 

@@ -21,7 +21,7 @@ from slam.datasets.imu_files import ImuFile, beside_imu, first_file
 from slam.datasets.ouster_order import with_column_times
 from slam.datasets.pose_files import BAD_MATRIX, by_its_size, pose_of_row, rows_of, trajectory_of
 from slam.datasets.recording import Contents, Recording
-from slam.measurements import Trajectory
+from slam.estimates import Trajectory
 
 _INSIDE, _POSES, _SENSORS = "Ouster", "global_pose.csv", "sensor_data"
 NAMED_BY_CLOCK = r"(\d{9,19})\.bin"

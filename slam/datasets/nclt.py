@@ -19,7 +19,8 @@ from slam.datasets.dataset_format import DatasetFormat
 from slam.datasets.imu_files import ImuFile, beside_imu, first_file
 from slam.datasets.pose_files import PoseTable, trajectory_of
 from slam.datasets.recording import Contents, Numbered, Recording
-from slam.measurements import Trajectory, WheelOdometry
+from slam.estimates import Trajectory
+from slam.measurements import WheelOdometry
 
 _INSIDE = "velodyne_sync"
 _ROWS = Rows(row_of("x u2, y u2, z u2, intensity u1, laser u1"))

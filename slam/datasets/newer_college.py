@@ -18,7 +18,7 @@ from slam.datasets.imu_files import ImuFile, beside_imu, first_file
 from slam.datasets.ouster_order import with_column_times
 from slam.datasets.pose_files import PoseTable, trajectory_of
 from slam.datasets.recording import Contents, Recording
-from slam.measurements import Trajectory
+from slam.estimates import Trajectory
 
 _CLOUDS = r"cloud_(\d{1,10})_(\d{1,9})\.(?:pcd|ply)"
 _PLACES = ("raw_format/ouster_scan", "ouster_scan", "")

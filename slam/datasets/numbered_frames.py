@@ -18,7 +18,8 @@ from slam.datasets.frame_pairs import NO_COLOR, NO_DEPTH, FramePair
 from slam.datasets.image_files import FILES, ImageSource
 from slam.datasets.pose_files import pose_file, trajectory_of
 from slam.datasets.stamped_files import StampedFile
-from slam.measurements import CameraIntrinsics, FloatArray, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import CameraIntrinsics, FloatArray
 
 RATE_HZ = 30.0  # of cameras whose files have no stamps
 NO_STAMPS = "no stamps: frame N taken as N / {rate:g} s old"

@@ -25,7 +25,8 @@ from slam.datasets.pose_files import by_its_size, numbers_of, pose_blocks, traje
 from slam.datasets.recording import Contents, Recording
 from slam.datasets.stamped_files import StampedFile
 from slam.errors import DatasetError
-from slam.measurements import CameraIntrinsics, Float32Array, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import CameraIntrinsics, Float32Array
 
 # Redwood's scenes put their own name before: livingroom1-color, livingroom1-depth-clean.
 _COLORS = re.compile(r"(?:.+-)?(?:colors?|rgb|images?)")

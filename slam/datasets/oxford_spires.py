@@ -21,7 +21,7 @@ from slam.datasets.imu_files import beside_imu, imu_file
 from slam.datasets.pose_files import by_its_size, trajectory_of
 from slam.datasets.recording import Contents, Recording
 from slam.datasets.stamped_files import numbered_poses, read_poses
-from slam.measurements import Trajectory
+from slam.estimates import Trajectory
 
 STAMPS_IN_NAMES = "stamps from the names of the clouds in {place}"
 

@@ -18,7 +18,8 @@ from slam.datasets.phone_poses import COMPARED, LENS_MOVES, T_ARKIT_OPTICAL
 from slam.datasets.pose_files import BAD_MATRIX, trajectory_of
 from slam.datasets.recording import Contents, Recording
 from slam.errors import DatasetError
-from slam.measurements import CameraIntrinsics, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import CameraIntrinsics
 
 _TICK_S = 1e-6  # names of files are microseconds since the phone started
 _STAMPED = r"(\d{1,18})\.%s"

@@ -17,7 +17,8 @@ from slam.datasets.calibration import pose_from, pose_from_matrix
 from slam.datasets.dataset import RecordFault
 from slam.datasets.log_file import MAX_LINE_BYTES, numbered_lines
 from slam.datasets.stamped_files import BAD_POSE, BAD_STAMP
-from slam.measurements import FloatArray, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import FloatArray
 
 BAD_MATRIX = "pose without a 4 x 4 rigid transform"
 

@@ -30,8 +30,9 @@ from slam.datasets.pose_files import trajectory_of
 from slam.datasets.recording import Contents, Recording
 from slam.datasets.stamped_files import BAD_POSE, BAD_STAMP, StampedFile, stamp_of
 from slam.errors import DatasetError
+from slam.estimates import Trajectory
 from slam.foreign import from_json
-from slam.measurements import CameraIntrinsics, ColorImage, Float32Array, Trajectory
+from slam.measurements import CameraIntrinsics, ColorImage, Float32Array
 
 _METADATA, _IMAGES = "metadata", "rgbd"
 _ZIP_MAGIC = b"PK\x03\x04"

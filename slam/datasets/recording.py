@@ -18,8 +18,9 @@ from slam.datasets.camera_frames import Camera, read_frames
 from slam.datasets.dataset import ReadReport
 from slam.datasets.frame_pairs import FramePair
 from slam.errors import DatasetError
+from slam.estimates import Trajectory
 from slam.foreign import plain
-from slam.measurements import Measurement, RgbdFrame, Trajectory
+from slam.measurements import Measurement, RgbdFrame
 
 Numbered: TypeAlias = tuple[int, Measurement]
 

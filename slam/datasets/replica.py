@@ -15,7 +15,8 @@ from slam.datasets.numbered_frames import NO_STAMPS, RATE_HZ, at_rate, numbered_
 from slam.datasets.pose_files import pose_lines, trajectory_of
 from slam.datasets.recording import Contents, Recording
 from slam.errors import DatasetError
-from slam.measurements import CameraIntrinsics, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import CameraIntrinsics
 
 _LENS_FILE = "cam_params.json"
 # What cam_params.json, which is published beside the rooms, says for all of them.

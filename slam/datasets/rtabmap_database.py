@@ -34,7 +34,8 @@ from slam.datasets.rtabmap_models import ScanInfo, camera_models, floats_of, pos
 from slam.datasets.sqlite_reading import foreign_database, tables_of
 from slam.datasets.stamped_files import StampedFile
 from slam.errors import DatasetError
-from slam.measurements import ColorImage, Float32Array, LaserScan, PointCloud, Trajectory, WheelOdometry
+from slam.estimates import Trajectory
+from slam.measurements import ColorImage, Float32Array, LaserScan, PointCloud, WheelOdometry
 
 _MAGIC = b"SQLite format 3\0"
 _RUNS = b"DEPTHRVL"

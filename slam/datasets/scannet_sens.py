@@ -31,7 +31,8 @@ from slam.datasets.pose_files import trajectory_of
 from slam.datasets.recording import Contents, Recording
 from slam.datasets.stamped_files import StampedFile
 from slam.errors import DatasetError
-from slam.measurements import ColorImage, Float32Array, FloatArray, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import ColorImage, Float32Array, FloatArray
 
 CUT_OFF = "frame cut off"
 

@@ -13,7 +13,8 @@ import numpy as np
 from slam.datasets.account import Account
 from slam.datasets.dataset import RecordFault
 from slam.datasets.log_file import numbered_lines
-from slam.measurements import FloatArray, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import FloatArray
 
 WRONG_FIELDS = "index line with too few fields"
 BAD_STAMP = "index line without a stamp of this age"

@@ -26,7 +26,8 @@ from slam.datasets.recording import Contents, Recording
 from slam.datasets.sensor_choice import NO_HELP_TO_CAMERAS
 from slam.datasets.stamped_files import BAD_POSE, StampedFile, stamp_of
 from slam.errors import DatasetError
-from slam.measurements import CameraIntrinsics, ColorImage, Float32Array, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import CameraIntrinsics, ColorImage, Float32Array
 
 _VIDEO, _POSES, _MATRIX, _IMU = "rgb.mp4", "odometry.csv", "camera_matrix.csv", "imu.csv"
 

@@ -18,7 +18,8 @@ from slam.datasets.image_files import ImageFiles
 from slam.datasets.numbered_frames import NO_STAMPS, at_rate, numbered_camera, numbered_files
 from slam.datasets.pose_files import PoseTable, trajectory_of
 from slam.datasets.recording import Contents, Recording
-from slam.measurements import CameraIntrinsics, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import CameraIntrinsics
 
 _RATE_HZ = 10.0  # of the publishers' recordings
 # The camera's own axes, forward, right and down, hold the optical ones: right, down, forward.

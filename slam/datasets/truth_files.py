@@ -15,7 +15,7 @@ from slam.datasets.log_file import read_head
 from slam.datasets.numbered_frames import RATE_HZ
 from slam.datasets.pose_files import numbers_of, pose_blocks, pose_lines, rows_of, trajectory_of
 from slam.errors import DatasetError
-from slam.measurements import Trajectory
+from slam.estimates import Trajectory
 
 _HEAD_BYTES = 4096
 _TUM_FIELDS = 8

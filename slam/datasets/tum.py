@@ -14,7 +14,8 @@ from slam.datasets.camera_frames import Camera
 from slam.datasets.frame_pairs import pair_images
 from slam.datasets.recording import Contents, Recording
 from slam.datasets.stamped_files import StampedFile, read_associations, read_image_list, read_poses
-from slam.measurements import CameraIntrinsics, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import CameraIntrinsics
 
 _LISTS = ("rgb.txt", "depth.txt")
 _ASSOCIATIONS = ("associations.txt", "associate.txt", "association.txt", "associated.txt")

@@ -15,10 +15,11 @@ from slam.edits.keyframes import bases_of
 from slam.edits.loops import edited_loops
 from slam.edits.settings import remade_config
 from slam.errors import ConfigError
+from slam.graph.edge import Edge
 from slam.graph.held_graph import held_graph
 from slam.graph.loop_closure import judged
 from slam.graph.pose_covariances import pose_covariances
-from slam.graph.pose_graph import Edge, PoseGraph
+from slam.graph.pose_graph import PoseGraph
 from slam.mapper.lidar3d import band_scans
 from slam.mapper.map_result import drawn
 from slam.mapping.elevation import elevation

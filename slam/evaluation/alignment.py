@@ -10,7 +10,8 @@ from scipy import spatial
 
 from fusion.estimation import TINY
 from slam.errors import EvaluationError
-from slam.measurements import FloatArray, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import FloatArray
 
 # Of the greatest spread: what is less is rounding, and the points lie on a line.
 _OPEN_SHARE = 1e-12

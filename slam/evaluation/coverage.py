@@ -14,8 +14,9 @@ from scipy import spatial
 
 from fusion.estimation import gate
 from slam.errors import EvaluationError
+from slam.estimates import Trajectory
 from slam.evaluation.association import nearest_indices
-from slam.measurements import FloatArray, Trajectory
+from slam.measurements import FloatArray
 
 Indices: TypeAlias = NDArray[np.intp]
 _SHARE = 0.95

@@ -12,10 +12,11 @@ import numpy as np
 
 from slam.config import Config
 from slam.errors import MapFileError, UnfinishedMapError
+from slam.estimates import Trajectory
 from slam.foreign import plain
 from slam.mapping.layered_map import DEPTH, OCCUPANCY
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid, StateArray
-from slam.measurements import LaserScan, Trajectory
+from slam.measurements import LaserScan
 from slam.storage.map_file import MapFile, map_path
 from slam.storage.map_identity import MapIdentity
 from slam.storage.map_parts import read_grids, read_trajectory

@@ -18,7 +18,7 @@ from slam.datasets.dataset import Dataset, ReadReport
 from slam.datasets.sensor_choice import use_lines
 from slam.errors import ScanweaveError
 from slam.evaluation.truth_comparison import TruthComparison, compare_with_truth
-from slam.graph.pose_graph import EdgeKind
+from slam.graph.edge import EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.mapper.scan_record import CameraRecord
 from slam.mapping.dense_map import ColoredCloud

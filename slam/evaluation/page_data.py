@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.config import Config
+from slam.estimates import Trajectory
 from slam.evaluation.association import nearest_indices
 from slam.evaluation.page_layers import layer_pictures
 from slam.evaluation.page_what_if import what_if_data
 from slam.graph.loop_closure import LoopCandidate
 from slam.mapping.layered_map import PASSED_BY
 from slam.matching.planar import transform_points
-from slam.measurements import FloatArray, LaserScan, Pose, Trajectory, row_from_pose2, spatial
+from slam.measurements import FloatArray, LaserScan, Pose, row_from_pose2, spatial
 from slam.storage.covariances import upper_triangles
 from slam.storage.map_contents import MapContents, SavedFactor
 from slam.storage.map_sessions import MapSession

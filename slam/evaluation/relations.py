@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.errors import EvaluationError
+from slam.estimates import Trajectory
 from slam.evaluation.association import nearest_indices
 from slam.evaluation.error_statistics import ErrorStatistics
-from slam.measurements import BoolArray, FloatArray, Trajectory
+from slam.measurements import BoolArray, FloatArray
 from slam.storage.files import numbered_fields, parse_floats
 
 MAX_STAMP_DIFFERENCE_S = 0.1

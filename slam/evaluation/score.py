@@ -11,10 +11,11 @@ import numpy as np
 from slam.datasets import open_dataset
 from slam.datasets.truth_files import read_truth
 from slam.errors import EvaluationError
+from slam.estimates import Trajectory
 from slam.evaluation.coverage import coverage
 from slam.evaluation.relations import Relations, read_relations, score_relations
 from slam.evaluation.trajectory_error import absolute_error, relative_error
-from slam.measurements import FloatArray, Trajectory
+from slam.measurements import FloatArray
 from slam.outputs.finished_map import Map
 from slam.storage.covariances import covariance_path, read_covariances
 from slam.storage.tum import read_tum

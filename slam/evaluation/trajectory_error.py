@@ -12,10 +12,11 @@ import numpy as np
 from scipy import spatial
 
 from slam.errors import EvaluationError
+from slam.estimates import Trajectory
 from slam.evaluation.alignment import align
 from slam.evaluation.association import nearest_indices
 from slam.evaluation.error_statistics import ErrorStatistics
-from slam.measurements import FloatArray, Trajectory
+from slam.measurements import FloatArray
 
 # evo's own limits; the figures are to agree with it.
 DEFAULT_MAX_DIFFERENCE_S = 0.01

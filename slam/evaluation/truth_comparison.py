@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slam.estimates import Trajectory
 from slam.evaluation.trajectory_error import AbsoluteError, absolute_error, associate
-from slam.measurements import FloatArray, Trajectory
+from slam.measurements import FloatArray
 
 # As `scanweave evaluate`: poses of the truth and of the log rarely share a stamp.
 MAX_DIFFERENCE_S = 0.05

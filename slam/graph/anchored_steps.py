@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import gtsam
 
-from slam.graph.pose_graph import Edge, EdgeKind
-from slam.measurements import FloatArray, MotionEstimate
+from slam.estimates import MotionEstimate
+from slam.graph.edge import Edge, EdgeKind
+from slam.measurements import FloatArray
 
 
 class AnchoredSteps:

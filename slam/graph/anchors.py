@@ -17,8 +17,9 @@ import gtsam
 import numpy as np
 
 from fusion.estimation import TINY, gate
+from slam.graph.edge import Edge, EdgeKind
+from slam.graph.factors import solved
 from slam.graph.held_graph import held_graph
-from slam.graph.pose_graph import Edge, EdgeKind, solved
 from slam.measurements import IN_PLANE, FloatArray, Pose, spatial
 
 _FREEDOM = 3.0

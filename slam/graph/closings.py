@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.graph.edge import Edge
 from slam.graph.keyframe_graph import graph_of, row_of, together
 from slam.graph.loop_closure import position_sigmas
-from slam.graph.pose_graph import Edge
 from slam.measurements import FloatArray, Pose
 
 

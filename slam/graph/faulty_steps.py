@@ -16,8 +16,8 @@ import numpy as np
 
 from fusion.estimation import FEWEST, median_to_sigma
 from slam.config.stages import GraphConfig
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph, graph_of, row_of, unmeasured
-from slam.graph.pose_graph import Edge, EdgeKind
 from slam.graph.relative_uncertainty import composed, inverse, moved
 from slam.matching.motion import Motion
 from slam.matching.planar import adjoint, between, rotate_covariance

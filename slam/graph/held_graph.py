@@ -7,7 +7,8 @@ from collections.abc import Iterable, Sequence
 import gtsam
 import numpy as np
 
-from slam.graph.pose_graph import Edge, between_factor, gauge
+from slam.graph.edge import Edge
+from slam.graph.factors import between_factor, gauge
 from slam.measurements import FloatArray, Pose
 
 

@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 from scipy import sparse
 
-from slam.graph.pose_graph import Edge
+from slam.graph.edge import Edge
 from slam.graph.relative_uncertainty import inverse
 from slam.measurements import FloatArray
 

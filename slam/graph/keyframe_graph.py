@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.config.stages import GraphConfig
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.loop_closure import LoopCandidate, judged
-from slam.graph.pose_graph import BatchResult, Edge, EdgeKind, PoseGraph
+from slam.graph.pose_graph import BatchResult, PoseGraph
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.matching.motion import Motion
 from slam.measurements import IN_PLANE, BoolArray, FloatArray, Pose

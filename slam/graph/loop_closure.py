@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from fusion.estimation import FEWEST
 from slam.config import Config
 from slam.config.stages import LoopConfig, MatchConfig
-from slam.graph.pose_graph import Edge, EdgeKind
+from slam.estimates import MotionEstimate
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.submaps import Submap, SubmapStore
 from slam.matching.correlative import search_window
@@ -21,7 +22,7 @@ from slam.matching.local_map import OrientedPoints
 from slam.matching.match_covariance import motion_from_alignment
 from slam.matching.planar import between
 from slam.matching.scan_points import ScanPoints, extract_points
-from slam.measurements import FloatArray, LaserScan, MotionEstimate, one_line, row_from_pose2
+from slam.measurements import FloatArray, LaserScan, one_line, row_from_pose2
 from slam.result_cache import COMPUTED, ResultCache
 
 log = logging.getLogger(__name__)

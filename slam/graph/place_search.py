@@ -19,10 +19,10 @@ from fusion.estimation import gate
 from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
 from slam.graph.claim_trial import ClaimTrial
 from slam.graph.consistent_sets import ClaimSets, Known, claimed
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.faulty_steps import FaultySteps
 from slam.graph.keyframe_graph import graph_of
 from slam.graph.loop_closure import LoopCandidate, LoopCloser, position_sigmas
-from slam.graph.pose_graph import Edge, EdgeKind
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.stretches import Stretches
 from slam.matching.motion import Motion

@@ -30,9 +30,9 @@ import numpy as np
 from fusion.estimation import FEWEST
 from slam.config import Config
 from slam.graph.anchors import with_alignment
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.held_graph import marginals
 from slam.graph.keyframe_graph import unmeasured
-from slam.graph.pose_graph import Edge, EdgeKind
 from slam.measurements import BoolArray, FloatArray, Pose
 
 _MATCHES = (EdgeKind.LIDAR, EdgeKind.RGBD, EdgeKind.LOOP)

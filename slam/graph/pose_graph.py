@@ -1,4 +1,4 @@
-"""The pose graph, and the only file that builds its GTSAM factors (mountings build their own).
+"""The pose graph.
 
 While mapping, iSAM2 (Kaess 2012) keeps the estimate; at the end graduated non-convexity with truncated
 least squares (Yang 2020) decides which loops and wheel steps are true. SE(2) and SE(3) alike.
@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from enum import StrEnum
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
@@ -17,94 +16,18 @@ import numpy as np
 from fusion.estimation import TINY, gate
 from fusion.showing import one_line
 from slam.errors import GraphError
+from slam.graph.edge import Edge
+from slam.graph.factors import between_factor, gauge, mapping_noise, prior, solved, weighted
 from slam.graph.gravity import gravity_factors, heading_alone, upright_poses
 from slam.matching.upright import Gravity
 from slam.measurements import BoolArray, FloatArray, Pose
 
-# Scale of the Cauchy kernel on uncertain edges while mapping, in standard deviations.
-_CAUCHY_SIGMAS = 1.0
 # Of GNC: growth of its control parameter a round, twice the library's pace, and its end: only edges within a
 # hundredth of the gate are undecided then. Real logs refuse the same edges.
 _GNC_STEP, _GREATEST_CONTROL = 2.0, 100.0
 # Nodes that iSAM2 moves at least before all are solved at once, and how many such solutions a map may cost
 # while it doubles or so: the last ones cost as much as all before.
 _NODES_A_WINDOW, _WINDOWS_A_MAP = 3000, 8
-
-
-class EdgeKind(StrEnum):
-    """Where an edge comes from.
-
-    Examples
-    --------
-    >>> import slam
-    >>> slam.EdgeKind.LOOP == "loop", [str(kind) for kind in slam.EdgeKind][:2]
-    (True, ['lidar match', 'RGB-D match'])
-    """
-
-    LIDAR = "lidar match"
-    RGBD = "RGB-D match"
-    WHEEL = "wheel odometry"
-    LOOP = "loop"
-    ASSUMED = "assumed motion"
-    IMU = "IMU"
-    GNSS = "GNSS"
-
-
-@dataclass(frozen=True, slots=True)
-class Edge:
-    """A measured relative pose between two nodes.
-
-    Attributes
-    ----------
-    source, target
-        Node numbers.
-    T_source_target
-        Pose of the target in the source's frame.
-    covariance
-        (d, d), GTSAM's tangent order, in the target's frame.
-    kind
-        Where it comes from: an `EdgeKind`, or the name of a sensor that a program has registered.
-    trusted
-        Part of the chain that holds the graph together; others may be refused as outliers.
-    loop
-        Number of the loop candidate that it comes from; None for other edges.
-
-    Examples
-    --------
-    >>> import gtsam, numpy as np, slam
-    >>> step = gtsam.Pose2(1.0, 0.0, 0.1)
-    >>> edge = slam.Edge(0, 1, step, np.diag([0.02, 0.02, 0.01]) ** 2, slam.EdgeKind.LIDAR, trusted=True)
-    >>> edge.source, edge.target, edge.loop
-    (0, 1, None)
-    """
-
-    source: int
-    target: int
-    T_source_target: Pose
-    covariance: FloatArray
-    kind: str
-    trusted: bool
-    loop: int | None = None
-
-    __repr__ = one_line
-
-    def turned(self) -> Edge:
-        """The same, seen from its target.
-
-        Examples
-        --------
-        >>> import gtsam, numpy as np, slam
-        >>> edge = slam.Edge(0, 1, gtsam.Pose2(1.0, 0.0, 0.0), np.eye(3), slam.EdgeKind.LIDAR, trusted=True)
-        >>> back = edge.turned()
-        >>> back.source, back.target, back.T_source_target.x()
-        (1, 0, -1.0)
-        """
-        adjoint = self.T_source_target.AdjointMap()
-        covariance = adjoint @ self.covariance @ adjoint.T
-        back = self.T_source_target.inverse()
-        return replace(
-            self, source=self.target, target=self.source, T_source_target=back, covariance=covariance
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,18 +172,18 @@ class PoseGraph:
     def _pend(self, edge: Edge) -> None:
         """Let the next update know of an edge; nodes that are held are where they are."""
         if min(edge.source, edge.target) >= self._held:
-            self._pending.add(between_factor(edge, _noise(edge)))
+            self._pending.add(between_factor(edge, mapping_noise(edge)))
         elif max(edge.source, edge.target) >= self._held:
             edge = edge if edge.target >= self._held else edge.turned()
             place = self.pose(edge.source).compose(edge.T_source_target)  # type: ignore[arg-type]
-            self._pending.add(_prior(edge.target, place, _noise(edge)))
+            self._pending.add(prior(edge.target, place, mapping_noise(edge)))
 
     def _start_anew(self, held: int) -> None:
         """Solve everything with damping, and begin a new iSAM2 with the nodes that are not held."""
         graph = gtsam.NonlinearFactorGraph()
         graph.add(self._prior())
         for edge in self.edges:
-            graph.add(between_factor(edge, _noise(edge)))
+            graph.add(between_factor(edge, mapping_noise(edge)))
         # A few steps bring a map that was solved before up to date.
         self._estimate = solved(graph, self._estimate, most_steps=3 if held else 100)
         self._isam, self._held = None, held
@@ -399,7 +322,7 @@ class PoseGraph:
             return weights
         begun = [k for k in factors if weights[k] > 0.0]
         for k in factors.keys() - begun:
-            graph.replace(k + 1, _weighted(self.edges[k], 0.0))
+            graph.replace(k + 1, weighted(self.edges[k], 0.0))
         # Remark 5: where the surrogate cost begins to be convex.
         worst = max((factors[k].error(self._estimate) for k in begun), default=0.0)
         self._estimate = solved(graph, self._estimate)
@@ -413,7 +336,7 @@ class PoseGraph:
                 weight = min(max(math.sqrt(share) - control, 0.0), 1.0)
                 if weight != weights[k]:
                     weights[k] = weight
-                    graph.replace(k + 1, _weighted(self.edges[k], weight))
+                    graph.replace(k + 1, weighted(self.edges[k], weight))
             self._estimate = solved(graph, self._estimate, most_steps=1)
             if ((weights == 0.0) | (weights == 1.0)).all():
                 break
@@ -436,7 +359,7 @@ class PoseGraph:
         if not self._down:
             return gauge(self._origin)
         covariance = heading_alone(self._origin, 1e-8 * np.eye(6))
-        return _prior(0, self._origin, gtsam.noiseModel.Gaussian.Covariance(covariance))
+        return prior(0, self._origin, gtsam.noiseModel.Gaussian.Covariance(covariance))
 
     def _check(self, edge: Edge) -> None:
         """Refuse what GTSAM would take silently."""
@@ -451,48 +374,6 @@ class PoseGraph:
             raise GraphError(f"{name}: the covariance must be a finite {shape} matrix")
         if np.linalg.eigvalsh(edge.covariance)[0] <= 0.0:
             raise GraphError(f"{name}: the covariance is not positive definite")
-
-
-def _noise(edge: Edge) -> gtsam.noiseModel.Base:
-    """Noise of an edge while mapping: robust where it may be refused."""
-    noise = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
-    if edge.trusted:
-        return noise
-    kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(_CAUCHY_SIGMAS)
-    return gtsam.noiseModel.Robust.Create(kernel, noise)
-
-
-def between_factor(edge: Edge, noise: gtsam.noiseModel.Base) -> gtsam.NonlinearFactor:
-    """The factor of an edge."""
-    if isinstance(edge.T_source_target, gtsam.Pose2):
-        return gtsam.BetweenFactorPose2(edge.source, edge.target, edge.T_source_target, noise)
-    return gtsam.BetweenFactorPose3(edge.source, edge.target, edge.T_source_target, noise)
-
-
-def _weighted(edge: Edge, weight: float) -> gtsam.NonlinearFactor:
-    """The factor of an edge, less certain by a weight, 0..1."""
-    # Next to nothing, for GTSAM knows no weight of zero.
-    return between_factor(edge, gtsam.noiseModel.Gaussian.Covariance(edge.covariance / max(weight, TINY)))
-
-
-def gauge(origin: Pose) -> gtsam.NonlinearFactor:
-    """Hold node 0: the gauge, not a measurement."""
-    dimension = 3 if isinstance(origin, gtsam.Pose2) else 6
-    return _prior(0, origin, gtsam.noiseModel.Isotropic.Sigma(dimension, 1e-4))
-
-
-def _prior(node: int, pose: Pose, noise: gtsam.noiseModel.Base) -> gtsam.NonlinearFactor:
-    """The factor of a node that is known to lie somewhere."""
-    if isinstance(pose, gtsam.Pose2):
-        return gtsam.PriorFactorPose2(node, pose, noise)
-    return gtsam.PriorFactorPose3(node, pose, noise)
-
-
-def solved(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values, most_steps: int = 100) -> gtsam.Values:
-    """Least squares by damped steps; as many as GTSAM takes, or fewer."""
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setMaxIterations(most_steps)
-    return gtsam.LevenbergMarquardtOptimizer(graph, start, parameters).optimize()
 
 
 def _check_finite(pose: Pose) -> None:

@@ -9,10 +9,11 @@ import gtsam
 import numpy as np
 
 from slam.config import Config
+from slam.estimates import MotionEstimate
 from slam.localization.poses import Measured, apart, composed, diagonal
 from slam.localization.sensor import Keyframe, Observation
 from slam.localization.visual_locator import VisualLocator
-from slam.measurements import FloatArray, MotionEstimate, Pose
+from slam.measurements import FloatArray, Pose
 from slam.odometry.rgbd_tracker import RgbdTracker
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.prepared_frame import PreparedFrame

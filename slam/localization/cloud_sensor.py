@@ -11,6 +11,7 @@ import gtsam
 import numpy as np
 
 from slam.config import Config
+from slam.estimates import MotionEstimate
 from slam.localization.cloud_places import CloudPlaces
 from slam.localization.cloud_space import BeamVerdicts, judge_beams
 from slam.localization.known_clouds import COARSENESS, CloudTiles
@@ -21,7 +22,7 @@ from slam.localization.sensor import Keyframe, Observation, moved_on
 from slam.localization.whole_map_field import WholeMapField
 from slam.matching.cloud_points import at_middle_of_turn, thinned
 from slam.matching.local_cloud import Aligned, moved
-from slam.measurements import FloatArray, MotionEstimate, PointCloud, Pose, WheelOdometry
+from slam.measurements import FloatArray, PointCloud, Pose, WheelOdometry
 from slam.storage.map_contents import MapContents
 
 # Shares of explained, in-free and crossing beams at true poses, and at wrong ones that fit best: see

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.showing import one_line
+from slam.estimates import Trajectory
 from slam.localization.output import LocalizerOutput, State
-from slam.measurements import BoolArray, FloatArray, Pose, Trajectory
+from slam.measurements import BoolArray, FloatArray, Pose
 from slam.storage.files import write_lines
 from slam.storage.tum import write_tum
 

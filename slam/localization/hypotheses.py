@@ -9,6 +9,7 @@ from typing import Generic
 import numpy as np
 
 from slam.config.localization import LocalizationConfig
+from slam.estimates import MotionEstimate
 from slam.localization.poses import (
     Measured,
     apart,
@@ -20,7 +21,7 @@ from slam.localization.poses import (
     squared_mahalanobis,
 )
 from slam.localization.sensor import Keyframe, N, Sensor, V
-from slam.measurements import FloatArray, MotionEstimate, Pose
+from slam.measurements import FloatArray, Pose
 
 
 @dataclass(slots=True)

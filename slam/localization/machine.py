@@ -10,6 +10,7 @@ import numpy as np
 
 from fusion.estimation import TINY
 from slam.config.localization import LocalizationConfig
+from slam.estimates import MotionEstimate
 from slam.localization.hypotheses import HypothesisSet
 from slam.localization.loss_test import LossTest
 from slam.localization.output import LocalizerOutput, PoseHypothesis, RecoveredPose, State
@@ -26,7 +27,7 @@ from slam.localization.poses import (
 )
 from slam.localization.sensor import N, Observation, Sensor, V, anew, moved_on
 from slam.matching.match_covariance import OPEN_M
-from slam.measurements import MotionEstimate, Pose
+from slam.measurements import Pose
 
 
 class StateMachine(Generic[V, N]):

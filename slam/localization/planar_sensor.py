@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from slam.config import Config
+from slam.estimates import MotionEstimate
 from slam.localization.beam_check import BeamCounts, check_beams, in_clear_space
 from slam.localization.global_search import Window, search_map
 from slam.localization.known_map import Walls
@@ -20,15 +21,7 @@ from slam.localization.sensor import Keyframe, Observation, moved_on
 from slam.matching.local_map import OrientedPoints
 from slam.matching.match_covariance import motion_from_alignment
 from slam.matching.planar import compose, transform_points
-from slam.measurements import (
-    FloatArray,
-    LaserScan,
-    MotionEstimate,
-    Pose,
-    WheelOdometry,
-    pose2_from_row,
-    row_from_pose2,
-)
+from slam.measurements import FloatArray, LaserScan, Pose, WheelOdometry, pose2_from_row, row_from_pose2
 from slam.odometry.surfel_odometry import LEAST_POINTS
 
 # Shares of explained, crossing and in-free beams at the true pose, and at the best of all wrong poses. A

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
 from slam.config.localization import LocalizationConfig
+from slam.estimates import MotionEstimate
 from slam.localization.poses import Measured, apart, between, composed
-from slam.measurements import MotionEstimate, Pose
+from slam.measurements import Pose
 
 V = TypeVar("V")
 N = TypeVar("N")

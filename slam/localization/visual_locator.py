@@ -9,9 +9,10 @@ import gtsam
 import numpy as np
 
 from slam.config import Config
+from slam.estimates import MotionEstimate
 from slam.localization.poses import Measured
 from slam.mapper.keyframe_store import KeyframeStore
-from slam.measurements import FloatArray, Measurement, MotionEstimate, Pose, RgbdFrame, pose2_from_row
+from slam.measurements import FloatArray, Measurement, Pose, RgbdFrame, pose2_from_row
 from slam.storage.map_contents import MapContents
 from slam.vision.camera_frame import T_BODY_CAMERA
 from slam.vision.color_registration import ColorRegistration

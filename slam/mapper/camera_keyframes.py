@@ -8,12 +8,13 @@ from dataclasses import replace
 import gtsam
 
 from slam.config import Config
+from slam.estimates import MotionEstimate
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.visual_loops import VisualLoopCloser
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.keyframe_store import KeyframeStore
 from slam.mapper.robot_cameras import Picture
-from slam.measurements import MotionEstimate, Pose, pose2_from_row, spatial
+from slam.measurements import Pose, pose2_from_row, spatial
 from slam.storage.map_frames import MapFrames
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.frame_matcher import FrameMatcher

@@ -11,10 +11,12 @@ import numpy as np
 from fusion.estimation import FEWEST
 from fusion.time_alignment import GAP_S
 from slam.earth import Georeference, TangentPlane
+from slam.estimates import Trajectory
 from slam.graph.anchors import Anchor, Anchored, anchored
+from slam.graph.edge import EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
-from slam.graph.pose_graph import BatchResult, EdgeKind
-from slam.measurements import FloatArray, GnssFix, Pose, Trajectory, spatial
+from slam.graph.pose_graph import BatchResult
+from slam.measurements import FloatArray, GnssFix, Pose, spatial
 
 # Of a receiver that tells none: metres across and up, as receivers without corrections have them.
 _SIGMA_M, _SIGMA_UP_M = 5.0, 10.0

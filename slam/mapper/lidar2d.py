@@ -11,11 +11,11 @@ import gtsam
 import numpy as np
 
 from slam.config import Config
+from slam.graph.edge import Edge
 from slam.graph.faulty_steps import settle_wheels
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate, LoopCloser
 from slam.graph.place_search import PlaceSearch
-from slam.graph.pose_graph import Edge
 from slam.mapper.camera_keyframes import CameraKeyframes
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.keyframe_fusion import KeyframeFusion

@@ -19,9 +19,9 @@ from slam.config import Config
 from slam.errors import DatasetError, ScanweaveError
 from slam.graph.anchored_steps import AnchoredSteps
 from slam.graph.cloud_loops import CloudLoopCloser
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph, unmeasured
 from slam.graph.loop_closure import LoopCandidate
-from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.cloud_cameras import CloudCameras
 from slam.mapper.map_result import MapResult

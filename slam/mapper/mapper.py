@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from slam.config import Config
 from slam.errors import DatasetError, GraphError
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_covariances import pose_covariances
-from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapper.gnss import GnssAnchors
 from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting

@@ -10,8 +10,8 @@ import numpy as np
 
 from slam.config import Config
 from slam.config.stages import GraphConfig
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph, unmeasured
-from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapper.robot_cameras import CameraPoses, CameraStep, RobotCameras
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose

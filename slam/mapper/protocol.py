@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from slam.config import Config
+from slam.estimates import MotionEstimate
+from slam.graph.edge import Edge
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate
-from slam.graph.pose_graph import Edge
 from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting
-from slam.measurements import BoolArray, MotionEstimate, Pose
+from slam.measurements import BoolArray, Pose
 from slam.trajectory.readings import Readings
 from slam.vision.visual_match import VisualMatch
 

@@ -8,9 +8,9 @@ from typing import Any
 import gtsam
 
 from slam.config import Config
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate
-from slam.graph.pose_graph import Edge, EdgeKind
 from slam.graph.visual_loops import VisualLoopCloser
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.keyframe_store import KeyframeStore, registration_notes

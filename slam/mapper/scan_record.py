@@ -7,7 +7,8 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 
-from slam.measurements import BoolArray, FloatArray, MotionEstimate
+from slam.estimates import MotionEstimate
+from slam.measurements import BoolArray, FloatArray
 from slam.vision.learned_camera import LearnedCamera
 from slam.vision.visual_match import VisualMatch
 

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from fusion.estimation import SETTLED, TINY, gate, median_to_sigma
 from slam.config import Config
+from slam.estimates import MotionEstimate
 from slam.matching.match_covariance import LEAST_EIGENVALUE
 from slam.matching.plane_voxels import PlaneVoxels
-from slam.measurements import FloatArray, MotionEstimate
+from slam.measurements import FloatArray
 
 _LEAST_KERNEL_M = 0.02
 # A point this share of the widest kernel from its plane lies on it.

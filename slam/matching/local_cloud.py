@@ -15,9 +15,10 @@ import numpy as np
 from fusion.estimation import FEWEST
 from fusion.height_band import to_frame
 from slam.config import Config
+from slam.estimates import MotionEstimate
 from slam.matching.cloud_alignment import CloudAlignment, agreement, align_cloud, drawn_near, motion_of
 from slam.matching.plane_voxels import PlaneVoxels
-from slam.measurements import FloatArray, MotionEstimate
+from slam.measurements import FloatArray
 
 # In voxels: how far a pose may be off that is looked for from afar.
 REACH = 5.0

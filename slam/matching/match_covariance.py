@@ -9,8 +9,9 @@ import numpy as np
 from fusion.estimation import ROUNDS, TINY
 from fusion.kernel import kernel
 from slam.config.stages import MatchConfig
+from slam.estimates import MotionEstimate
 from slam.matching.point_to_line import Alignment
-from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
+from slam.measurements import FloatArray, pose2_from_row
 
 # In points: no direction is infinitely uncertain.
 LEAST_EIGENVALUE = 0.01

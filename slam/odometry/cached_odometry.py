@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from slam.estimates import MotionEstimate
 from slam.matching.motion import Motion
 from slam.matching.scan_points import ScanPoints
-from slam.measurements import FloatArray, MotionEstimate
+from slam.measurements import FloatArray
 from slam.odometry.lidar_odometry import LidarOdometry
 from slam.result_cache import ResultCache
 

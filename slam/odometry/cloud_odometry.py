@@ -10,9 +10,10 @@ import gtsam
 import numpy as np
 
 from slam.config import Config
+from slam.estimates import MotionEstimate
 from slam.matching.cloud_points import thinned
 from slam.matching.local_cloud import REACH, Aligned, LocalCloud, moved
-from slam.measurements import FloatArray, MotionEstimate
+from slam.measurements import FloatArray
 
 # This share of the points on planes is nearly as many; of what is expected a smaller one is no match at all.
 _NEARLY, _HARDLY = 0.85, 0.4

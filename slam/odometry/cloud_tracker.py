@@ -12,10 +12,11 @@ import numpy as np
 from fusion.estimation import gate
 from fusion.time_alignment import GAP_S
 from slam.config import Config
+from slam.estimates import MotionEstimate
 from slam.matching.cloud_points import base_points, deskewed, voxel_of
 from slam.matching.local_cloud import REACH
 from slam.matching.planar import between
-from slam.measurements import FloatArray, ImuReading, MotionEstimate, PointCloud
+from slam.measurements import FloatArray, ImuReading, PointCloud
 from slam.odometry.cloud_odometry import CloudOdometry
 from slam.odometry.cloud_velocity import LONGEST_STEP_S, CloudVelocity
 from slam.odometry.imu_tracker import ImuTracker

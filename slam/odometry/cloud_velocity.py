@@ -5,7 +5,8 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 
-from slam.measurements import FloatArray, MotionEstimate
+from slam.estimates import MotionEstimate
+from slam.measurements import FloatArray
 
 # Beyond this no velocity of before tells where the robot is now.
 LONGEST_STEP_S = 1.0

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from slam.estimates import MotionEstimate
 from slam.matching.motion import Motion
 from slam.matching.scan_points import ScanPoints
-from slam.measurements import FloatArray, MotionEstimate
+from slam.measurements import FloatArray
 
 
 class LidarOdometry(Protocol):

@@ -18,10 +18,11 @@ import numpy as np
 
 from fusion.time_alignment import GAP_S
 from slam.config.stages import MatchConfig, PredictionConfig
+from slam.estimates import MotionEstimate
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
-from slam.measurements import FloatArray, MotionEstimate, row_from_pose2
+from slam.measurements import FloatArray, row_from_pose2
 from slam.odometry.constant_velocity import repeated
 from slam.odometry.lidar_odometry import LidarOdometry
 from slam.odometry.wheel_tracker import SHORTEST_STEP_S, WheelMoment, WheelTracker, thrown_aside

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from slam.measurements import FloatArray, MotionEstimate
+from slam.estimates import MotionEstimate
+from slam.measurements import FloatArray
 
 
 class OpenWay:

@@ -7,6 +7,7 @@ from collections import deque
 import numpy as np
 
 from slam.config import Config
+from slam.estimates import MotionEstimate
 from slam.matching.correlative import build_field, search_window
 from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.match_covariance import motion_from_alignment, weak_direction
@@ -15,7 +16,7 @@ from slam.matching.planar import between, compose
 from slam.matching.point_to_line import Alignment
 from slam.matching.scan_points import ScanPoints
 from slam.matching.visibility import RangeImage
-from slam.measurements import FloatArray, MotionEstimate
+from slam.measurements import FloatArray
 
 # Fewer oriented points than this determine no pose.
 LEAST_POINTS = 10

@@ -9,8 +9,9 @@ import gtsam
 import numpy as np
 
 from slam.config.clouds import CloudOdometryConfig
+from slam.estimates import MotionEstimate
 from slam.matching.cloud_points import base_points, deskewed
-from slam.measurements import FloatArray, MotionEstimate, PointCloud
+from slam.measurements import FloatArray, PointCloud
 from slam.odometry.cloud_odometry import CloudOdometry
 from slam.odometry.cloud_velocity import CloudVelocity
 

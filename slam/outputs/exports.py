@@ -187,6 +187,13 @@ class Exports:
         written = self.write("ply", folder)
         return written + self.write("bt", folder) if dense.octomap else written
 
+    def same_surfaces(self, other: Exports) -> bool:
+        """Whether another map of the same log shows the same images and clouds at the same places."""
+        maps = (self.contents, other.contents)
+        poses = [np.array([spatial(pose).matrix() for pose in found.node_poses]) for found in maps]
+        erased = [[erased_bits(found.edits, kind) for kind in (FRAME, CLOUD)] for found in maps]
+        return self.config == other.config and np.array_equal(poses[0], poses[1]) and erased[0] == erased[1]
+
     def _write_plan(self, format_: str, out: Path) -> list[Path]:
         """The plan of the floor, or what nav2 makes of it (a folder)."""
         plan = floor_plan(self.contents, self.config)
@@ -295,13 +302,6 @@ class Exports:
             with lidar_cloud(found, self.config, self.ground) as cloud:
                 written += write_lidar_cloud(path, cloud)
         return written
-
-
-def same_surfaces(one: MapContents, other: MapContents, same_settings: bool) -> bool:
-    """Whether two maps of the same log show the same images and clouds at the same places."""
-    poses = [np.array([spatial(pose).matrix() for pose in contents.node_poses]) for contents in (one, other)]
-    erased = [[erased_bits(contents.edits, kind) for kind in (FRAME, CLOUD)] for contents in (one, other)]
-    return same_settings and np.array_equal(poses[0], poses[1]) and erased[0] == erased[1]
 
 
 def _save_cloud_octomap(path: Path, found: MapContents, config: Config) -> None:

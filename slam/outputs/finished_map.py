@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,31 +13,28 @@ from slam.config import Config
 from slam.config.edits import Edits, edits_of, load_edits
 from slam.edits import edited_file
 from slam.errors import MapFileError
+from slam.estimates import Trajectory
 from slam.graph.loop_closure import LoopCandidate
 from slam.mapping.floor_plan import FloorPlan
 from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.measurements import FloatArray, LaserScan, Trajectory
-from slam.outputs.exports import Exports, same_surfaces
+from slam.measurements import FloatArray, LaserScan
+from slam.outputs.exports import Exports
 from slam.outputs.floorplan import floor_plan
-from slam.storage.files import make_folder, replacing
 from slam.storage.map_contents import MapContents, SavedFactor, read_contents, refuse_misfits
 from slam.storage.map_edits import regions_of
 from slam.storage.map_file import MAP_NAME, MapFile
-from slam.storage.map_identity import MapIdentity, lines_of
+from slam.storage.map_identity import NOTES, WARNINGS, MapIdentity, lines_of
 from slam.storage.map_sessions import MapSession, sessions_of
 from slam.storage.map_soundness import sound_readings
 from slam.storage.map_tables import KEYFRAMES
-from slam.storage.whole_folder import remake
+from slam.storage.whole_folder import copy_into, holds, remake
 from slam.temporary import TemporaryFolder
 
 if TYPE_CHECKING:
     from slam.edits.applying import Known
 
 log = logging.getLogger(__name__)
-
-# What the run told people, as rows of the file.
-NOTES, WARNINGS = "notes", "warnings"
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,10 +158,7 @@ class Map:
     def floor_plan(self) -> FloorPlan:
         """Rooms with walls, lengths and areas and how sure these are, and doors, by a 2D lidar's scans.
 
-        Raises
-        ------
-        ScanweaveError
-            Where the map has no such scans.
+        A `ScanweaveError` tells that the map has no such scans.
 
         Examples
         --------
@@ -185,7 +178,7 @@ class Map:
         self.contents.read_all()
 
     def export(self, format_: str, out: Path | str) -> list[Path]:
-        """Write the map in another program's format.
+        """Write the map in another program's format, and tell what was written.
 
         Parameters
         ----------
@@ -196,10 +189,6 @@ class Map:
             The file, or a folder (what is one, or has no ending) for the usual names. Of nav2 it is the yaml,
             of ply the mesh of the images or, without any, the cloud of the 3D lidar; what belongs to them
             goes beside. Of nav2-zones it is a folder.
-
-        Returns
-        -------
-        What was written.
 
         Raises
         ------
@@ -222,10 +211,9 @@ class Map:
         Surfaces, which take long, are left out where they would be those of another map.
         """
         exports = Exports(self.contents, self.config)
-        same = like is not None and same_surfaces(self.contents, like.contents, self.config == like.config)
-        surfaces = [] if same else exports.write_surfaces(folder)
-        sessions = [session.poses for session in self.sessions]
-        return exports.write_files(folder) + surfaces + exports.write_sessions(folder, sessions)
+        same = like is not None and exports.same_surfaces(Exports(like.contents, like.config))
+        sessions = exports.write_sessions(folder, [session.poses for session in self.sessions])
+        return exports.write_files(folder) + ([] if same else exports.write_surfaces(folder)) + sessions
 
     @property
     def edits(self) -> list[str]:
@@ -302,13 +290,7 @@ class Map:
         return self.edited({"settings": {name: value for name, _, value in pairs}}, out=out)
 
     def undone(self, *, out: Path | str | None = None) -> Map:
-        """The map as it was before the last edits; else as `edited`.
-
-        Raises
-        ------
-        ScanweaveError
-            Also where it has none.
-        """
+        """The map as it was before the last edits; else as `edited`, and an error where it has none."""
         if not self.contents.edits:
             raise MapFileError(f"{self.path} has no edits to undo")
         if entries := self.contents.edits[:-1]:
@@ -326,22 +308,20 @@ class Map:
             write(kept_in.path / MAP_NAME)
             return open_map(kept_in.path, kept_in)
         folder = Path(out)
-        target = folder / MAP_NAME
-        if target.exists() and not target.samefile(self.path):
-            raise MapFileError(f"{target} is another map; give another --out (out=)")
+        ours = holds(folder, self.path, "give another --out (out=)")
 
         def write_all(work: Path) -> None:
             for warning in write(work / MAP_NAME):
                 log.warning("%s", warning)
             found = open_map(work)
-            found.write_files(work, like=self if target.exists() else None)
+            found.write_files(work, like=self if ours else None)
             found.close()
 
         remake(folder, write_all)
         return open_map(folder)
 
     def save(self, folder: Path | str, *, overwrite: bool = False) -> list[Path]:
-        """Write the map into a folder: ``map.db``, and the files for other programs.
+        """Write the map into a folder, ``map.db`` and the files for other programs, and tell which.
 
         Parameters
         ----------
@@ -349,10 +329,6 @@ class Map:
             Made where it is missing.
         overwrite
             Replace another map in the folder.
-
-        Returns
-        -------
-        What was written.
 
         Raises
         ------
@@ -370,15 +346,8 @@ class Map:
         >>> slam.load_map("house").digest == house.digest
         True
         """
-        folder = Path(folder)
-        target = folder / MAP_NAME
-        if target.exists() and not overwrite and not (target.samefile(self.path)):
-            raise MapFileError(f"{target} is another map; overwrite=True replaces it")
-        make_folder(folder)
-        if not (target.exists() and target.samefile(self.path)):
-            with replacing(target) as temporary:
-                shutil.copyfile(self.path, temporary)
-        return [target, *self.write_files(folder)]
+        target = copy_into(Path(folder), self.path, overwrite=overwrite)
+        return [target, *self.write_files(target.parent)]
 
     def close(self) -> None:
         """Close the file; no image or cloud can be read afterwards, and a map in memory is gone."""
@@ -422,9 +391,8 @@ def open_map(path: Path | str, kept_in: TemporaryFolder | None = None) -> Map:
     except BaseException:
         file.close()
         raise
-    digest = file.content_digest()
     notes, warnings = (lines_of(meta, key, file.path) for key in (NOTES, WARNINGS))
-    return Map(file.path, identity, sessions, contents, digest, notes, warnings, file, kept_in)
+    return Map(file.path, identity, sessions, contents, file.content_digest(), notes, warnings, file, kept_in)
 
 
 load_map = open_map  # its public name

@@ -10,9 +10,9 @@ import numpy as np
 
 from fusion.showing import with_pictures
 from slam.errors import MapFileError
+from slam.estimates import Trajectory
 from slam.mapping.layered_map import OCCUPANCY, LayeredMap
 from slam.mapping.occupancy_grid import OCCUPIED, UNKNOWN, OccupancyGrid
-from slam.measurements import Trajectory
 from slam.outputs.finished_map import Map, open_map
 from slam.storage.map_contents import MapContents
 from slam.storage.nav2 import Nav2Map, read_nav2_map

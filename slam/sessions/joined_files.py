@@ -19,14 +19,14 @@ from slam.mapper.map_result import depth_grid
 from slam.mapping.layered_map import DEPTH
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.matching.planar import between, compose
-from slam.outputs.finished_map import NOTES, WARNINGS, Map, open_map
+from slam.outputs.finished_map import Map, open_map
 from slam.sessions.connection import Connection
 from slam.sessions.session_join import JoinedMap, join
 from slam.storage.files import make_folder
 from slam.storage.map_contents import write_contents
 from slam.storage.map_facts import write_facts
 from slam.storage.map_file import MAP_NAME, MapFile
-from slam.storage.map_identity import MapIdentity
+from slam.storage.map_identity import NOTES, WARNINGS, MapIdentity
 from slam.storage.map_sessions import SESSIONS, sessions_to_meta
 
 

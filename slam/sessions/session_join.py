@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slam.config import Config
+from slam.estimates import Trajectory
 from slam.graph.loop_closure import LoopCandidate, judged
 from slam.graph.pose_covariances import pose_covariances
 from slam.graph.pose_graph import PoseGraph
 from slam.mapping.keyframe_grid import lidar_grids
 from slam.matching.planar import compose
-from slam.measurements import FloatArray, Trajectory, pose2_from_row, row_from_pose2
+from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
 from slam.outputs.finished_map import Map
 from slam.sessions.placing import Placing
 from slam.storage.map_contents import MapContents, SavedFactor

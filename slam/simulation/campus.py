@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from scipy import spatial
 
-from slam.measurements import FloatArray, Trajectory, WheelOdometry, pose2_from_row
+from slam.estimates import Trajectory
+from slam.measurements import FloatArray, WheelOdometry, pose2_from_row
 from slam.simulation.campus_drive import IntArray, drive_way, plan_way, scan_steps, travelled_m
 from slam.simulation.campus_lidar import CampusLidar
 from slam.simulation.campus_plan import Campus, generate_campus

@@ -12,7 +12,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.measurements import FloatArray, GnssFix, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import FloatArray, GnssFix
 from slam.simulation import ros_messages as ros
 from slam.simulation.bag_writer import BAG_FILES, BASE_FRAME, LASER_3D_FRAME
 from slam.simulation.drive import FIRST_STAMP_S

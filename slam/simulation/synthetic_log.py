@@ -15,7 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import ConfigError
-from slam.measurements import FloatArray, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import FloatArray
 from slam.simulation.floor_plan import TOUR_M, cast_rays, walls
 
 

@@ -11,7 +11,7 @@ import gtsam
 import numpy as np
 
 from slam.errors import MapFileError
-from slam.graph.pose_graph import Edge
+from slam.graph.edge import Edge
 from slam.measurements import Pose, row_from_pose2
 from slam.storage.covariances import upper_triangles
 from slam.storage.files import write_lines

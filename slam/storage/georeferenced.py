@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from slam.earth import Georeference
-from slam.measurements import Trajectory
+from slam.estimates import Trajectory
 from slam.storage.files import write_lines
 
 # Stamps before 2001 count from the start of something else than the clock of the world.

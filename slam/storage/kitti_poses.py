@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from slam.measurements import Trajectory
+from slam.estimates import Trajectory
 from slam.storage.files import write_lines
 
 

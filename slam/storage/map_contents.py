@@ -15,13 +15,14 @@ from fusion.showing import one_line
 from slam.config import Config
 from slam.earth import Georeference
 from slam.errors import MapFileError
+from slam.estimates import Trajectory
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import row_of
 from slam.graph.loop_closure import LoopCandidate
-from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapping.keyframe_grid import layers_of_grids
 from slam.mapping.layered_map import DEPTH, OCCUPANCY, LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.measurements import FloatArray, LaserScan, Pose, Trajectory, spatial
+from slam.measurements import FloatArray, LaserScan, Pose, spatial
 from slam.storage.covariances import of_upper_triangles, upper_triangles
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_edits import CLOUD, FRAME, AppliedEdits, erased_bits, read_edits

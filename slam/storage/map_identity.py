@@ -190,6 +190,10 @@ def _code_digest() -> str:
     return digest.hexdigest()
 
 
+# What the run told people, as rows of the file.
+NOTES, WARNINGS = "notes", "warnings"
+
+
 def lines_of(meta: Mapping[str, str], key: str, path: Path) -> list[str]:
     """Lines of text from a row of the file; none in a map of an older version."""
     try:

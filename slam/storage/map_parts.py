@@ -9,8 +9,8 @@ import gtsam
 import numpy as np
 
 from slam.errors import MapFileError
+from slam.estimates import Trajectory
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.measurements import Trajectory
 from slam.storage.map_file import MapFile
 from slam.storage.map_soundness import of, require, sound_grid, sound_trajectory
 from slam.storage.map_tables import GRIDS, TRAJECTORY

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from slam.datasets.budget import MOST_BEAMS
 from slam.errors import MapFileError
+from slam.estimates import MotionEstimate, Trajectory
 from slam.graph.loop_closure import LoopCandidate
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.measurements import CameraIntrinsics, FloatArray, LaserScan, MotionEstimate, Trajectory
+from slam.measurements import CameraIntrinsics, FloatArray, LaserScan
 from slam.storage.map_sessions import MapSession
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.features import Features

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.errors import MapFileError
+from slam.estimates import Trajectory
 from slam.mapping.occupancy_grid import StateArray
-from slam.measurements import FloatArray, Trajectory
+from slam.measurements import FloatArray
 from slam.storage import ros_messages as ros
 
 _MAP, _BASE = "map", "base_link"

@@ -17,8 +17,9 @@ import gtsam
 import numpy as np
 
 from slam.errors import MapFileError
+from slam.estimates import MotionEstimate, Trajectory
 from slam.graph.loop_closure import LoopCandidate
-from slam.measurements import CameraIntrinsics, LaserScan, MotionEstimate, Trajectory
+from slam.measurements import CameraIntrinsics, LaserScan
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.features import Features
 from slam.vision.learned_camera import LearnedCamera

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from slam.errors import MapFileError
-from slam.measurements import FloatArray, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import FloatArray
 from slam.storage.files import numbered_fields, parse_floats, write_lines
 
 # Public ground truths carry four decimals a component; what is farther from unit length is no rotation.

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from slam.errors import MapFileError
-from slam.storage.files import make_folder
+from slam.storage.files import make_folder, replacing
 from slam.storage.map_file import MAP_NAME
 
 # Where a map is made anew until it is whole.
@@ -19,6 +19,38 @@ _WORK = "editing"
 REPORT, FIRST_REPORT = "report.html", "report-1.html"
 # Maps of nav2 that not every map has: what is left of them would tell of another map.
 _NOT_ALWAYS = ("layers/*.yaml", "layers/*.pgm", "*_mask.yaml", "*_mask.pgm")
+
+
+def holds(folder: Path, path: Path, remedy: str) -> bool:
+    """Whether a folder holds the map of a path.
+
+    Raises
+    ------
+    MapFileError
+        Where it holds another one.
+    """
+    target = folder / MAP_NAME
+    if target.exists() and not target.samefile(path):
+        raise MapFileError(f"{target} is another map; {remedy}")
+    return target.exists()
+
+
+def copy_into(folder: Path, path: Path, *, overwrite: bool) -> Path:
+    """Copy a finished map into a folder, or leave it there; where it is then.
+
+    Raises
+    ------
+    MapFileError
+        Where the folder holds another one that is not to be overwritten, or it cannot be written.
+    """
+    target = folder / MAP_NAME
+    if not overwrite:
+        holds(folder, path, "overwrite=True replaces it")
+    make_folder(folder)
+    if not (target.exists() and target.samefile(path)):
+        with replacing(target) as temporary:
+            shutil.copyfile(path, temporary)
+    return target
 
 
 @contextmanager

@@ -10,7 +10,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from slam.measurements import FloatArray, Pose, Trajectory, spatial
+from slam.estimates import Trajectory
+from slam.measurements import FloatArray, Pose, spatial
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.measurements import FloatArray, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import FloatArray
 from slam.trajectory.carried import carried_covariances
 from slam.trajectory.poses import Poses
 from slam.trajectory.spread import spread_correction

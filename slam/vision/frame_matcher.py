@@ -6,7 +6,8 @@ import gtsam
 import numpy as np
 
 from slam.config import Config
-from slam.measurements import CameraIntrinsics, FloatArray, MotionEstimate
+from slam.estimates import MotionEstimate
+from slam.measurements import CameraIntrinsics, FloatArray
 from slam.vision.feature_pose import pose_from_features
 from slam.vision.features import Features, Matches, match_features
 from slam.vision.guided_matching import match_near

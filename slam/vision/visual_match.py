@@ -10,7 +10,8 @@ import gtsam
 import numpy as np
 
 from slam.config.stages import MatchConfig
-from slam.measurements import FloatArray, MotionEstimate
+from slam.estimates import MotionEstimate
+from slam.measurements import FloatArray
 from slam.vision.prepared_frame import PreparedFrame
 
 

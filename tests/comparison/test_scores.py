@@ -15,7 +15,7 @@ from slam.comparison.plan_score import plan_scores, robot_radius_m
 from slam.comparison.product import AcceptedLoop, Product, StateGrid
 from slam.comparison.scoring import Truths, scores_of
 from slam.errors import EvaluationError
-from slam.measurements import Trajectory
+from slam.estimates import Trajectory
 from slam.simulation.true_grid import TrueGrid
 
 CELL_M = 0.1

@@ -17,7 +17,8 @@ from slam.datasets.corrections_in_space import raised
 from slam.datasets.record3d import unpacked_bytes
 from slam.datasets.truth_files import read_truth
 from slam.errors import DatasetError
-from slam.measurements import CameraIntrinsics, LaserScan, PointCloud, Trajectory, WheelOdometry
+from slam.estimates import Trajectory
+from slam.measurements import CameraIntrinsics, LaserScan, PointCloud, WheelOdometry
 from tools.pack_layouts import (
     CAMERAS,
     Footage,

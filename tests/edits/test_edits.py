@@ -18,7 +18,7 @@ from slam.app.map_folder import finished_map
 from slam.config.edits import dump_edits, edits_of
 from slam.edits.remaking import solved
 from slam.errors import ScanweaveError
-from slam.graph.pose_graph import Edge, EdgeKind
+from slam.graph.edge import Edge, EdgeKind
 from slam.matching.planar import between
 from slam.outputs.finished_map import Map, open_map
 from slam.simulation.synthetic_log import write_synthetic_log

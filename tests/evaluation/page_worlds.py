@@ -11,22 +11,16 @@ from flat_worlds import room, sweep
 
 from slam.config import Config
 from slam.datasets import ReadReport
+from slam.estimates import MotionEstimate, Trajectory
 from slam.evaluation.map_report import Beside, ReportData, RunCost
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.loop_closure import LoopCandidate
-from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.mapper.scan_record import CameraRecord, ScanRecord
 from slam.mapping.dense_map import ColoredCloud
 from slam.mapping.layered_map import DEPTH, OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.measurements import (
-    CameraIntrinsics,
-    FloatArray,
-    MotionEstimate,
-    RgbdFrame,
-    Trajectory,
-    pose2_from_row,
-)
+from slam.measurements import CameraIntrinsics, FloatArray, RgbdFrame, pose2_from_row
 from slam.storage.map_contents import MapContents, SavedFactor
 from slam.storage.map_frames import FrameHead
 

@@ -9,8 +9,9 @@ from scipy.spatial.transform import Rotation
 
 import slam
 from slam.errors import EvaluationError
+from slam.estimates import Trajectory
 from slam.evaluation.coverage import coverage
-from slam.measurements import FloatArray, Trajectory
+from slam.measurements import FloatArray
 from slam.storage.covariances import write_trajectory
 from slam.storage.tum import write_tum
 

@@ -14,6 +14,7 @@ from room_world import LESS, T_BODY_CAMERA, blind, furnished, prepared, render
 from fusion import Grade, Provenance, RigEstimate
 from slam.config import Config
 from slam.datasets.dataset import ReadReport
+from slam.estimates import Trajectory
 from slam.evaluation.map_report import ReportData, RunCost
 from slam.evaluation.report import write_report
 from slam.evaluation.report_fusion import fusion_section
@@ -22,7 +23,7 @@ from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.map_result import MapResult
 from slam.mapper.mapper import Mapper
 from slam.mapper.scan_record import ScanRecord
-from slam.measurements import LaserScan, Trajectory
+from slam.measurements import LaserScan
 from slam.storage.map_contents import MapContents
 from slam.vision.color_registration import identity_registration
 

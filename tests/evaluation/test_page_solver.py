@@ -9,7 +9,7 @@ import pytest
 from browser import visit
 from ring_graphs import PLANE, RINGS, SIDES, SPACE, ring, solved
 
-from slam.graph.pose_graph import Edge, EdgeKind
+from slam.graph.edge import Edge, EdgeKind
 from slam.measurements import Pose
 from tools.what_if import PAGE, PARTS, SETUP, SWITCH, Graph, distances
 

@@ -14,10 +14,10 @@ from browser import ready, visit
 from ring_graphs import PLANE, RINGS, ring, solved
 
 from slam.config import Config
+from slam.estimates import MotionEstimate, Trajectory
 from slam.evaluation.saved_page import saved_page
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.loop_closure import LoopCandidate
-from slam.graph.pose_graph import Edge, EdgeKind
-from slam.measurements import MotionEstimate, Trajectory
 from slam.outputs.finished_map import Map
 from slam.storage.map_contents import MapContents, SavedFactor
 from slam.storage.map_sessions import MapSession

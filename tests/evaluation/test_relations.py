@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from slam.errors import EvaluationError
+from slam.estimates import Trajectory
 from slam.evaluation.relations import Relations, read_relations, score_relations
-from slam.measurements import Trajectory
 
 LOGS = Path(__file__).parents[2] / ".." / "shared" / "data" / "lidar2d"
 

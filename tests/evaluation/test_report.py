@@ -22,6 +22,7 @@ from reading_pages import page_data
 
 from slam.config import Config
 from slam.datasets import ReadReport
+from slam.estimates import MotionEstimate, Trajectory
 from slam.evaluation.map_report import ReportData, RunCost
 from slam.evaluation.report import write_report
 from slam.graph.loop_closure import LoopCandidate
@@ -29,7 +30,7 @@ from slam.mapper.map_result import MapResult
 from slam.mapper.scan_record import ScanRecord
 from slam.mapping.layered_map import OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.measurements import LaserScan, MotionEstimate, Trajectory
+from slam.measurements import LaserScan
 from slam.storage.map_contents import MapContents
 
 

@@ -13,14 +13,15 @@ from reading_pages import page_data
 from slam.config import Config
 from slam.datasets.dataset import ReadReport
 from slam.errors import DatasetError
+from slam.estimates import Trajectory
 from slam.evaluation.map_report import Beside, ReportData, RunCost, beside_of
 from slam.evaluation.report import write_report
 from slam.evaluation.truth_comparison import compare_with_truth
-from slam.graph.pose_graph import Edge, EdgeKind
+from slam.graph.edge import Edge, EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.mapper.scan_record import CameraRecord, ScanRecord
 from slam.mapping.dense_map import ColoredCloud
-from slam.measurements import CameraIntrinsics, FloatArray, LaserScan, Trajectory
+from slam.measurements import CameraIntrinsics, FloatArray, LaserScan
 from slam.storage.map_contents import MapContents, SavedFactor
 from slam.storage.ply import write_cloud_ply
 from slam.vision.color_registration import identity_registration

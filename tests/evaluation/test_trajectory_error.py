@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from slam.errors import EvaluationError
+from slam.estimates import Trajectory
 from slam.evaluation.alignment import umeyama
 from slam.evaluation.association import nearest_indices
 from slam.evaluation.trajectory_error import absolute_error, associate, relative_error
-from slam.measurements import Trajectory
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")

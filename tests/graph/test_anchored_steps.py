@@ -6,8 +6,9 @@ import gtsam
 import numpy as np
 import pytest
 
+from slam.estimates import MotionEstimate
 from slam.graph.anchored_steps import AnchoredSteps
-from slam.measurements import FloatArray, MotionEstimate
+from slam.measurements import FloatArray
 
 CONFIDENT = np.diag([1e-6] * 3 + [1e-4] * 3)
 ALONG = np.diag([1e-6] * 3 + [0.25, 1e-4, 1e-4])  # a corridor along x

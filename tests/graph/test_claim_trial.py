@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
+from slam.estimates import MotionEstimate
 from slam.graph.claim_trial import ClaimTrial
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.place_search import PlaceSearch
 from slam.matching.motion import Motion
 from slam.matching.planar import between
-from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
+from slam.measurements import FloatArray, pose2_from_row
 
 # Ten metres along a corridor, a metre a keyframe; carried back, and along it once more.
 FIRST, AGAIN, REACH_M = range(10), range(100, 110), 3.0

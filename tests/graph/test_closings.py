@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slam.graph.closings import Closing, closings
-from slam.graph.pose_graph import Edge, EdgeKind
+from slam.graph.edge import Edge, EdgeKind
 from slam.measurements import FloatArray, Pose
 
 STEPS, TURN_RAD = 40, 2.0 * math.pi / 40

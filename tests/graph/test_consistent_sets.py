@@ -7,6 +7,7 @@ import pytest
 
 from fusion.estimation import gate
 from slam.config.stages import LoopConfig, MatchConfig
+from slam.estimates import MotionEstimate
 from slam.graph.consistent_sets import ClaimSets, claimed, largest_cliques
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
@@ -14,7 +15,7 @@ from slam.graph.submaps import SubmapStore
 from slam.matching.local_map import OrientedPoints
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
-from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
+from slam.measurements import FloatArray, pose2_from_row
 
 STEP_SIGMAS = np.array([0.02, 0.02, 0.01])
 COUNT = 60

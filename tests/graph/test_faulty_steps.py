@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from slam.config.stages import GraphConfig
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.faulty_steps import FaultySteps, settle_wheels
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.place_search import believed_edges
-from slam.graph.pose_graph import Edge, EdgeKind
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, pose2_from_row

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from ring_graphs import PLANE, RINGS, SIDES, ring, solved
 
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.influence import LinearMap, influences
-from slam.graph.pose_graph import Edge, EdgeKind
 from slam.measurements import FloatArray, Pose
 from tools.false_loops import snooped
 

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 
 from slam.config.stages import GraphConfig
+from slam.estimates import MotionEstimate
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph, unmeasured
 from slam.graph.loop_closure import LoopCandidate
-from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapper.planar_chain import edges_of
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
-from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
+from slam.measurements import FloatArray, pose2_from_row
 
 AHEAD = np.array([0.2, 0.0, 0.05])
 CONFIDENT = np.diag([0.005, 0.005, 0.002]) ** 2

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from slam.config import Config
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.held_graph import marginals
 from slam.graph.pose_covariances import pose_covariances
-from slam.graph.pose_graph import Edge, EdgeKind
 from slam.measurements import FloatArray, Pose
 
 CONFIG = Config()

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from slam.errors import GraphError
-from slam.graph.pose_graph import Edge, EdgeKind, PoseGraph
+from slam.graph.edge import Edge, EdgeKind
+from slam.graph.pose_graph import PoseGraph
 from slam.measurements import FloatArray, Pose
 
 ORIGINS = [gtsam.Pose2(), gtsam.Pose2(100.0, -40.0, 2.0)]

@@ -7,7 +7,8 @@ from pathlib import Path
 import gtsam
 import pytest
 
-from slam.graph.pose_graph import Edge, EdgeKind, PoseGraph
+from slam.graph.edge import Edge, EdgeKind
+from slam.graph.pose_graph import PoseGraph
 
 GRAPHS = Path(__file__).parents[2] / ".." / "shared" / "data" / "posegraph"
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from slam.config.stages import GraphConfig
+from slam.estimates import MotionEstimate
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate
-from slam.graph.pose_graph import Edge, EdgeKind
 from slam.matching.upright import Gravity
-from slam.measurements import MotionEstimate
 
 SIDES = 12
 # A regular walk that turns once around and climbs nothing.

@@ -8,11 +8,12 @@ import pytest
 from room_world import SMALL, Room, blind, error_of, furnished, looking, prepared, render
 
 from slam.config import Config, load_config
+from slam.estimates import MotionEstimate
 from slam.localization.localizer import Localizer
 from slam.localization.output import LocalizerOutput, State
 from slam.localization.poses import composed
 from slam.localization.visual_locator import VisualLocator
-from slam.measurements import MotionEstimate, RgbdFrame
+from slam.measurements import RgbdFrame
 from slam.storage.map_contents import MapContents
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames

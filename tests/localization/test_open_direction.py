@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from slam.config.localization import LocalizationConfig
+from slam.estimates import MotionEstimate
 from slam.localization.machine import StateMachine
 from slam.localization.output import LocalizerOutput, State
 from slam.localization.poses import Measured
 from slam.localization.sensor import Keyframe, Observation
-from slam.measurements import MotionEstimate, Pose
+from slam.measurements import Pose
 
 STEP = Measured(gtsam.Pose2(0.2, 0.0, 0.0), np.diag([0.05, 0.01, 0.01]) ** 2)
 

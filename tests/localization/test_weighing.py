@@ -12,6 +12,7 @@ from flat_worlds import points_at, room, sweep
 
 from slam.config import Config
 from slam.config.localization import LocalizationConfig
+from slam.estimates import MotionEstimate
 from slam.localization.hypotheses import Hypothesis, HypothesisSet, KeyframeLog
 from slam.localization.known_map import Walls
 from slam.localization.loss_test import LossTest
@@ -21,7 +22,7 @@ from slam.localization.scan_view import ScanView, first_in_cells
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.mapper import Mapper
 from slam.matching.local_map import OrientedPoints
-from slam.measurements import FloatArray, MotionEstimate, Pose
+from slam.measurements import FloatArray, Pose
 
 CONFIG = LocalizationConfig()
 ORIGIN = gtsam.Pose2()

@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from slam.config import Config
-from slam.graph.pose_graph import Edge
+from slam.graph.edge import Edge
 
 KIND = "ceiling compass"
 LONGEST_WAIT_S = 0.2

@@ -17,7 +17,7 @@ from slam.config import Config, load_config
 from slam.datasets import open_dataset
 from slam.errors import DatasetError
 from slam.evaluation.trajectory_error import absolute_error
-from slam.graph.pose_graph import EdgeKind
+from slam.graph.edge import EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.measurements import RgbdFrame

@@ -14,7 +14,7 @@ from room_world import T_BODY_CAMERA
 from test_resume import Log, attempt
 
 from slam.config import load_config
-from slam.graph.pose_graph import EdgeKind
+from slam.graph.edge import EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.measurements import CameraIntrinsics, Measurement, RgbdFrame

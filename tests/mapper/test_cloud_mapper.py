@@ -16,8 +16,8 @@ from slam.datasets.sensor_choice import SensorChoice
 from slam.errors import DatasetError
 from slam.evaluation.trajectory_error import absolute_error
 from slam.graph.cloud_loops import CloudLoopCloser
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
-from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.measurements import LaserScan, Measurement, PointCloud, WheelOdometry

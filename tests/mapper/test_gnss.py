@@ -20,7 +20,7 @@ from slam.config import load_config
 from slam.earth import TangentPlane
 from slam.errors import ScanweaveError
 from slam.graph.anchors import Anchor, anchored, with_alignment
-from slam.graph.pose_graph import Edge, EdgeKind
+from slam.graph.edge import Edge, EdgeKind
 from slam.matching.planar import compose
 from slam.measurements import FloatArray, GnssFix, Measurement, WheelOdometry, pose2_from_row
 

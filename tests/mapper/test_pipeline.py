@@ -25,7 +25,7 @@ from slam.config import Config
 from slam.datasets import open_dataset
 from slam.evaluation.relations import RelationGroupScore, read_relations, score_relations
 from slam.evaluation.trajectory_error import absolute_error
-from slam.graph.pose_graph import EdgeKind
+from slam.graph.edge import EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.mapping.occupancy_grid import FREE, OCCUPIED

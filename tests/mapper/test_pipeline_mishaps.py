@@ -27,14 +27,15 @@ from pipeline_runs import (
 from slam.config import Config, load_config
 from slam.datasets import open_dataset
 from slam.errors import DatasetError
+from slam.estimates import MotionEstimate
+from slam.graph.edge import EdgeKind
 from slam.graph.loop_closure import LoopCandidate
-from slam.graph.pose_graph import EdgeKind
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.map_result import MapResult
 from slam.mapper.mapper import Mapper
 from slam.mapping.occupancy_grid import OCCUPIED
 from slam.matching.planar import between, compose
-from slam.measurements import FloatArray, MotionEstimate, pose2_from_row
+from slam.measurements import FloatArray, pose2_from_row
 from slam.outputs.exports import Exports
 from slam.simulation.synthetic_log import SyntheticLog
 

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from slam.cli import app
 from slam.config import load_config
 from slam.evaluation.map_info import map_info
-from slam.graph.pose_graph import EdgeKind
+from slam.graph.edge import EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.mapping.occupancy_grid import OCCUPIED

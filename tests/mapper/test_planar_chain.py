@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from slam.config.stages import GraphConfig
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
-from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapper.planar_chain import edges_of
 from slam.matching.motion import Motion
 from slam.measurements import FloatArray, pose2_from_row

@@ -19,7 +19,7 @@ from slam.app.mapping import run_log
 from slam.app.measured import Measured
 from slam.config import load_config
 from slam.errors import DatasetError, GraphError
-from slam.graph.pose_graph import Edge, EdgeKind
+from slam.graph.edge import Edge, EdgeKind
 from slam.mapper.protocol import SENSORS
 from slam.matching.planar import compose
 from slam.measurements import Measurement, WheelOdometry, pose2_from_row

@@ -5,8 +5,8 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 
+from slam.estimates import MotionEstimate
 from slam.mapper.scan_record import ScanRecorder
-from slam.measurements import MotionEstimate
 from slam.vision.visual_match import VisualMatch
 
 MOTION = MotionEstimate(gtsam.Pose3(), np.eye(6), 0.8, 0.7, 0.004, True, True, np.eye(6)[3])

@@ -17,7 +17,7 @@ from flat_worlds import box, moved, sweep
 from memory_drives import SCAN_S, START_S, errors, mapped, stamp_s, steps_of, way, wheels_at, worst_m
 from room_world import SMALL, T_BODY_CAMERA, furnished, render
 
-from slam.graph.pose_graph import EdgeKind
+from slam.graph.edge import EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, Measurement, RgbdFrame, row_from_pose2

@@ -8,11 +8,12 @@ import pytest
 from flat_worlds import box, corridor, moved, points_at, room
 
 from slam.config.stages import MatchConfig
+from slam.estimates import MotionEstimate
 from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.match_covariance import motion_from_alignment, weak_direction
 from slam.matching.planar import between, compose
 from slam.matching.point_to_line import Alignment
-from slam.measurements import FloatArray, MotionEstimate, row_from_pose2
+from slam.measurements import FloatArray, row_from_pose2
 
 CONFIG = MatchConfig()
 # The covariance as the theory gives it, without any of the caution that the configuration adds.

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from slam.config.stages import MatchConfig, PredictionConfig, WheelConfig
+from slam.estimates import MotionEstimate
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
-from slam.measurements import FloatArray, MotionEstimate, WheelOdometry, pose2_from_row
+from slam.measurements import FloatArray, WheelOdometry, pose2_from_row
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
 from slam.odometry.wheel_tracker import WheelTracker
 

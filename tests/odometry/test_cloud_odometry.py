@@ -9,11 +9,12 @@ from cloud_world import ELEVATIONS, T_BASE_LIDAR, base, look, look_on_the_way, w
 
 from slam.config import Config
 from slam.config.clouds import CloudOdometryConfig
+from slam.estimates import MotionEstimate
 from slam.matching.cloud_alignment import align_cloud
 from slam.matching.cloud_points import at_middle_of_turn, base_points, turn_known, voxel_of
 from slam.matching.local_cloud import LocalCloud
 from slam.matching.plane_voxels import PlaneVoxels
-from slam.measurements import FloatArray, MotionEstimate, PointCloud
+from slam.measurements import FloatArray, PointCloud
 from slam.odometry.cloud_odometry import CloudOdometry
 from slam.odometry.cloud_tracker import CloudTracker
 

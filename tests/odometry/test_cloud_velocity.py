@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from slam.measurements import MotionEstimate
+from slam.estimates import MotionEstimate
 from slam.odometry.cloud_velocity import CloudVelocity
 
 AHEAD = np.array([0.0, 0.0, 0.2, 1.0, 0.0, 0.0])

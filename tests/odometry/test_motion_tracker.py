@@ -11,10 +11,11 @@ from scripted_tracker import NOTHING, SOME, STEP, Run, motion_at
 
 from slam.config import Config
 from slam.config.stages import MatchConfig, PredictionConfig, WheelConfig
+from slam.estimates import MotionEstimate
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
-from slam.measurements import FloatArray, MotionEstimate, WheelOdometry, row_from_pose2
+from slam.measurements import FloatArray, WheelOdometry, row_from_pose2
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan, _Predictor
 from slam.odometry.surfel_odometry import SurfelOdometry
 from slam.odometry.wheel_tracker import WheelTracker

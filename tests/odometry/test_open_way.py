@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from slam.measurements import MotionEstimate
+from slam.estimates import MotionEstimate
 from slam.odometry.open_way import OpenWay
 
 AHEAD = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])

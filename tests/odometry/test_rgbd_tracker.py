@@ -10,7 +10,7 @@ import pytest
 from room_world import SMALL, furnished, looking, prepared, render
 
 from slam.config import Config, load_config
-from slam.measurements import MotionEstimate
+from slam.estimates import MotionEstimate
 from slam.odometry.camera_odometry import CameraOdometry, camera_step
 from slam.odometry.camera_track import CameraPose
 from slam.odometry.rgbd_tracker import RgbdTracker, TrackedFrame

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from slam.config.stages import GraphConfig, WheelConfig
-from slam.graph.pose_graph import EdgeKind
+from slam.graph.edge import EdgeKind
 from slam.mapper.planar_chain import edges_of
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose

@@ -16,12 +16,13 @@ import pytest
 from slam.app.parts import grid_of_scans
 from slam.config import Config
 from slam.errors import ScanweaveError
+from slam.estimates import Trajectory
 from slam.evaluation.floor_plan_text import floor_plan_text
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.held_graph import marginals
 from slam.graph.joint_covariance import joint_covariance
-from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapping.floor_plan import FloorPlan
-from slam.measurements import LaserScan, Trajectory
+from slam.measurements import LaserScan
 from slam.outputs.exports import Exports
 from slam.outputs.floorplan import floor_plan
 from slam.simulation.floor_plan import cast_rays

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from session_runs import Sessions, run, scanweave, sessions_in
 
+from slam.estimates import Trajectory
 from slam.evaluation.trajectory_error import absolute_error
 from slam.mapper.checkpoint import Checkpoint
-from slam.measurements import Trajectory
 from slam.outputs.finished_map import open_map
 from slam.simulation.synthetic_log import write_synthetic_log
 from slam.storage.tum import read_tum

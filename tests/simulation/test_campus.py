@@ -13,8 +13,9 @@ import pytest
 
 from slam.datasets import open_dataset
 from slam.errors import DatasetError
+from slam.estimates import Trajectory
 from slam.evaluation.relations import read_relations, score_relations
-from slam.measurements import FloatArray, LaserScan, Trajectory, WheelOdometry, pose2_from_row
+from slam.measurements import FloatArray, LaserScan, WheelOdometry, pose2_from_row
 from slam.simulation.campus import CampusDrive, record_campus
 from slam.simulation.campus_drive import scan_steps, travelled_m
 from slam.simulation.campus_plan import generate_campus

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slam.errors import MapFileError
-from slam.measurements import Trajectory
+from slam.estimates import Trajectory
 from slam.storage.covariances import covariance_path, read_covariances, write_trajectory
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slam.errors import MapFileError
-from slam.graph.pose_graph import Edge, EdgeKind
+from slam.graph.edge import Edge, EdgeKind
 from slam.storage.g2o import write_g2o
 
 

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from slam.errors import MapFileError
-from slam.measurements import CameraIntrinsics, LaserScan, MotionEstimate
+from slam.estimates import MotionEstimate
+from slam.measurements import CameraIntrinsics, LaserScan
 from slam.storage import packing
 from slam.storage.packing import pack, pack_small, unpack, unpack_small
 

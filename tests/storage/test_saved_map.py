@@ -15,11 +15,12 @@ from test_packing import same
 
 from slam.config import Config, load_config
 from slam.errors import MapFileError
+from slam.estimates import MotionEstimate, Trajectory
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.loop_closure import LoopCandidate
-from slam.graph.pose_graph import Edge, EdgeKind
 from slam.mapping.layered_map import OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.measurements import CameraIntrinsics, LaserScan, MotionEstimate, Pose, RgbdFrame, Trajectory
+from slam.measurements import CameraIntrinsics, LaserScan, Pose, RgbdFrame
 from slam.outputs.finished_map import open_map
 from slam.storage.map_contents import MapContents, SavedFactor, write_contents
 from slam.storage.map_file import MapFile

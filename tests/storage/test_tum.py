@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from slam.errors import MapFileError
-from slam.measurements import Trajectory
+from slam.estimates import Trajectory
 from slam.storage.tum import read_tum, write_tum
 
 FINITE = st.floats(-1e9, 1e9, allow_subnormal=True)

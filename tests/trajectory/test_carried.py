@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from slam.measurements import FloatArray, Trajectory
+from slam.estimates import Trajectory
+from slam.measurements import FloatArray
 from slam.trajectory.carried import carried_covariances
 
 ENDS = np.array([np.diag([1e-4, 2e-4, 1e-6]), np.diag([3e-4, 5e-4, 9e-6])])

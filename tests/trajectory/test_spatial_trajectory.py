@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from slam.measurements import Trajectory
+from slam.estimates import Trajectory
 from slam.trajectory.readings import Readings, at_stamps
 
 TWIST = np.array([0.05, 0.0, 0.7, 1.5, 0.1, -0.2])

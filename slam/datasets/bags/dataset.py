@@ -27,8 +27,9 @@ from slam.datasets.budget import Budget
 from slam.datasets.calibration_files import known_beside
 from slam.datasets.dataset import ReadReport, RecordFault
 from slam.errors import DatasetError
+from slam.estimates import Trajectory
 from slam.foreign import plain
-from slam.measurements import LaserScan, Measurement, RgbdFrame, Trajectory
+from slam.measurements import LaserScan, Measurement, RgbdFrame
 from slam.vision.prefetch import prefetched
 
 NO_FIELD = "message without a field of its type"

@@ -14,7 +14,7 @@ from slam.datasets.bags.files import Bag
 from slam.datasets.bags.topics import ODOMETRY
 from slam.datasets.bags.transforms import pose_of
 from slam.datasets.dataset import RecordFault
-from slam.measurements import Trajectory
+from slam.estimates import Trajectory
 
 PATH = "nav_msgs/msg/Path"
 _POSE, _POSE_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"

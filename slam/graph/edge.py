@@ -1,0 +1,85 @@
+"""An edge of the pose graph: a relative pose that something measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from fusion.showing import one_line
+from slam.measurements import FloatArray, Pose
+
+
+class EdgeKind(StrEnum):
+    """Where an edge comes from.
+
+    Examples
+    --------
+    >>> import slam
+    >>> slam.EdgeKind.LOOP == "loop", [str(kind) for kind in slam.EdgeKind][:2]
+    (True, ['lidar match', 'RGB-D match'])
+    """
+
+    LIDAR = "lidar match"
+    RGBD = "RGB-D match"
+    WHEEL = "wheel odometry"
+    LOOP = "loop"
+    ASSUMED = "assumed motion"
+    IMU = "IMU"
+    GNSS = "GNSS"
+
+
+@dataclass(frozen=True, slots=True)
+class Edge:
+    """A measured relative pose between two nodes.
+
+    Attributes
+    ----------
+    source, target
+        Node numbers.
+    T_source_target
+        Pose of the target in the source's frame.
+    covariance
+        (d, d), GTSAM's tangent order, in the target's frame.
+    kind
+        Where it comes from: an `EdgeKind`, or the name of a sensor that a program has registered.
+    trusted
+        Part of the chain that holds the graph together; others may be refused as outliers.
+    loop
+        Number of the loop candidate that it comes from; None for other edges.
+
+    Examples
+    --------
+    >>> import gtsam, numpy as np, slam
+    >>> step = gtsam.Pose2(1.0, 0.0, 0.1)
+    >>> edge = slam.Edge(0, 1, step, np.diag([0.02, 0.02, 0.01]) ** 2, slam.EdgeKind.LIDAR, trusted=True)
+    >>> edge.source, edge.target, edge.loop
+    (0, 1, None)
+    """
+
+    source: int
+    target: int
+    T_source_target: Pose
+    covariance: FloatArray
+    kind: str
+    trusted: bool
+    loop: int | None = None
+
+    __repr__ = one_line
+
+    def turned(self) -> Edge:
+        """The same, seen from its target.
+
+        Examples
+        --------
+        >>> import gtsam, numpy as np, slam
+        >>> edge = slam.Edge(0, 1, gtsam.Pose2(1.0, 0.0, 0.0), np.eye(3), slam.EdgeKind.LIDAR, trusted=True)
+        >>> back = edge.turned()
+        >>> back.source, back.target, back.T_source_target.x()
+        (1, 0, -1.0)
+        """
+        adjoint = self.T_source_target.AdjointMap()
+        covariance = adjoint @ self.covariance @ adjoint.T
+        back = self.T_source_target.inverse()
+        return replace(
+            self, source=self.target, target=self.source, T_source_target=back, covariance=covariance
+        )

@@ -1,0 +1,54 @@
+"""The GTSAM factors of edges and priors, and the solver; nothing but mountings builds others."""
+
+from __future__ import annotations
+
+import gtsam
+
+from fusion.estimation import TINY
+from slam.graph.edge import Edge
+from slam.measurements import Pose
+
+# Scale of the Cauchy kernel on uncertain edges while mapping, in standard deviations.
+_CAUCHY_SIGMAS = 1.0
+
+
+def mapping_noise(edge: Edge) -> gtsam.noiseModel.Base:
+    """Noise of an edge while mapping: robust where it may be refused."""
+    noise = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
+    if edge.trusted:
+        return noise
+    kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(_CAUCHY_SIGMAS)
+    return gtsam.noiseModel.Robust.Create(kernel, noise)
+
+
+def between_factor(edge: Edge, noise: gtsam.noiseModel.Base) -> gtsam.NonlinearFactor:
+    """The factor of an edge."""
+    if isinstance(edge.T_source_target, gtsam.Pose2):
+        return gtsam.BetweenFactorPose2(edge.source, edge.target, edge.T_source_target, noise)
+    return gtsam.BetweenFactorPose3(edge.source, edge.target, edge.T_source_target, noise)
+
+
+def weighted(edge: Edge, weight: float) -> gtsam.NonlinearFactor:
+    """The factor of an edge, less certain by a weight, 0..1."""
+    # Next to nothing, for GTSAM knows no weight of zero.
+    return between_factor(edge, gtsam.noiseModel.Gaussian.Covariance(edge.covariance / max(weight, TINY)))
+
+
+def gauge(origin: Pose) -> gtsam.NonlinearFactor:
+    """Hold node 0: the gauge, not a measurement."""
+    dimension = 3 if isinstance(origin, gtsam.Pose2) else 6
+    return prior(0, origin, gtsam.noiseModel.Isotropic.Sigma(dimension, 1e-4))
+
+
+def prior(node: int, pose: Pose, noise: gtsam.noiseModel.Base) -> gtsam.NonlinearFactor:
+    """The factor of a node that is known to lie somewhere."""
+    if isinstance(pose, gtsam.Pose2):
+        return gtsam.PriorFactorPose2(node, pose, noise)
+    return gtsam.PriorFactorPose3(node, pose, noise)
+
+
+def solved(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values, most_steps: int = 100) -> gtsam.Values:
+    """Least squares by damped steps; as many as GTSAM takes, or fewer."""
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(most_steps)
+    return gtsam.LevenbergMarquardtOptimizer(graph, start, parameters).optimize()
