@@ -7,7 +7,6 @@ import sys
 
 from slam.cli import compare, demo, diff, doctor, edit, localize, map_log, queries, saved, simulate
 from slam.cli.app import app, tell
-from slam.cli.later import load_later
 from slam.errors import ScanweaveError
 
 __all__ = [
@@ -32,7 +31,6 @@ _INTERRUPTED = 130
 
 def main() -> None:
     """Run a command: exit code 1 for a known error in one line, 2 for wrong usage."""
-    load_later()
     # Records by the ten thousand live to the end: to look through them again and again takes 3 % of a run.
     gc.set_threshold(_OBJECTS_A_COLLECTION)
     try:

@@ -61,9 +61,11 @@ def write_entries(known: Known, entries: Sequence[AppliedEdits], path: Path) -> 
     return warnings
 
 
-def write_unedited(file: MapFile, path: Path) -> list[str]:
-    """Write a map as it was before all edits; errors as above."""
-    copy_unedited(file, path)
+def write_undone(known: Known, path: Path) -> list[str]:
+    """Write a map without the last of its edits; what cannot be drawn, a line each; errors as above."""
+    if entries := known.contents.edits[:-1]:
+        return write_entries(known, entries, path)
+    copy_unedited(known.file, path)
     return []
 
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from fusion.showing import drawn, extent, with_pictures
 from slam.config import Config
 from slam.config.edits import Edits, edits_of, load_edits
-from slam.edits import edited_file
 from slam.errors import MapFileError
 from slam.estimates import Trajectory
 from slam.graph.loop_closure import LoopCandidate
@@ -266,9 +265,11 @@ class Map:
         >>> turned.undone().digest == house.digest
         True
         """
+        from slam.edits.edited_file import write_with
+
         chosen = load_edits(edits) if isinstance(edits, str | Path) else edits
         chosen = chosen if isinstance(chosen, Edits) else edits_of(chosen, "the edits")
-        return self._anew(lambda path: edited_file.write_with(self.parts(), chosen, path), out)
+        return self._anew(lambda path: write_with(self.parts(), chosen, path), out)
 
     def remap(self, settings: Sequence[str] = (), *, out: Path | str | None = None) -> Map:
         """The map made anew with other settings, without its log; else as `edited`.
@@ -291,15 +292,17 @@ class Map:
 
     def undone(self, *, out: Path | str | None = None) -> Map:
         """The map as it was before the last edits; else as `edited`, and an error where it has none."""
+        from slam.edits.edited_file import write_undone
+
         if not self.contents.edits:
             raise MapFileError(f"{self.path} has no edits to undo")
-        if entries := self.contents.edits[:-1]:
-            return self._anew(lambda path: edited_file.write_entries(self.parts(), entries, path), out)
-        return self._anew(lambda path: edited_file.write_unedited(self._file, path), out)
+        return self._anew(lambda path: write_undone(self.parts(), path), out)
 
     def parts(self) -> Known:
         """The map as it is, and as it was before all edits."""
-        return edited_file.known_of(self._file, self.contents, self.sessions)
+        from slam.edits.edited_file import known_of
+
+        return known_of(self._file, self.contents, self.sessions)
 
     def _anew(self, write: Callable[[Path], list[str]], out: Path | str | None) -> Map:
         """A map that is written beside what is there, and takes its place."""
@@ -325,10 +328,8 @@ class Map:
 
         Parameters
         ----------
-        folder
-            Made where it is missing.
         overwrite
-            Replace another map in the folder.
+            Replace another map in the folder, which is made where it is missing.
 
         Raises
         ------
