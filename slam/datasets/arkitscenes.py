@@ -17,13 +17,13 @@ from slam.datasets.account import Account
 from slam.datasets.calibration import Calibration, read_calibration
 from slam.datasets.camera_frames import Camera
 from slam.datasets.dataset import RecordFault
-from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.dataset_format import recorded
 from slam.datasets.frame_pairs import pair_images
 from slam.datasets.image_files import ImageFiles
 from slam.datasets.lens_files import checked, median_lens
 from slam.datasets.phone_poses import COMPARED, LENS_MOVES
 from slam.datasets.pose_files import from_axis_angle, numbers_of, rows_of, trajectory_of
-from slam.datasets.recording import Contents, Recording
+from slam.datasets.recording import Contents
 from slam.datasets.stamped_files import BAD_POSE, StampedFile
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
@@ -43,16 +43,12 @@ def looks_like_arkitscenes(path: Path, head: bytes) -> bool:
     return (path / _COLORS).is_dir() and (path / _DEPTHS).is_dir()
 
 
-def open_arkitscenes(path: Path, strict: bool) -> Recording:
+def _load(path: Path, account: Account) -> Contents:
     """A folder of one video; depth that ARKit has no trust in is left out."""
-
-    def load(account: Account) -> Contents:
-        account.report.note(COMPARED, 1)
-        calibration = read_calibration(path, Calibration(_lens(path, account), 1000.0))
-        pairs = pair_images(_stamped(path / _COLORS), _stamped(path / _DEPTHS), account, "camera")
-        return Contents([Camera("camera", pairs, calibration, source=ImageFiles(path / "confidence"))])
-
-    return Recording(path, load, lambda account: _poses(path / _POSES, account), strict=strict)
+    account.report.note(COMPARED, 1)
+    calibration = read_calibration(path, Calibration(_lens(path, account), 1000.0))
+    pairs = pair_images(_stamped(path / _COLORS), _stamped(path / _DEPTHS), account, "camera")
+    return Contents([Camera("camera", pairs, calibration, source=ImageFiles(path / "confidence"))])
 
 
 def _stamped(folder: Path) -> list[StampedFile]:
@@ -84,8 +80,9 @@ def _lens(path: Path, account: Account) -> CameraIntrinsics:
     return lens
 
 
-def _poses(path: Path, account: Account) -> Trajectory | None:
+def _groundtruth(folder: Path, account: Account) -> Trajectory | None:
     """Lines of a stamp, a turn and a shift that take the world into the camera."""
+    path = folder / _POSES
 
     def good() -> Iterator[tuple[float, gtsam.Pose3]]:
         for number, fields in rows_of(path, account, 7):
@@ -98,4 +95,4 @@ def _poses(path: Path, account: Account) -> Trajectory | None:
     return trajectory_of(good()) if path.is_file() else None
 
 
-FORMAT = DatasetFormat("ARKitScenes video", looks_like_arkitscenes, open_arkitscenes)
+FORMAT = recorded("ARKitScenes video", looks_like_arkitscenes, _load, _groundtruth)

@@ -14,11 +14,11 @@ from slam.datasets.account import Account
 from slam.datasets.cloud_files import Rows, row_of
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
 from slam.datasets.dataset import RecordFault
-from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import ImuFile, beside_imu, first_file
 from slam.datasets.mulran import NAMED_BY_CLOCK, stamp_of_clock
 from slam.datasets.pose_files import PoseTable, pose_file, trajectory_of
-from slam.datasets.recording import Contents, Recording
+from slam.datasets.recording import Contents
 from slam.estimates import Trajectory
 
 _INSIDE, _POSES_FILE = "lidar", "applanix/lidar_poses.csv"
@@ -38,15 +38,11 @@ def looks_like_boreas(path: Path, head: bytes) -> bool:
     return (path / _INSIDE).is_dir() and ((path / "applanix").is_dir() or (path / "calib").is_dir())
 
 
-def open_boreas(path: Path, strict: bool) -> Recording:
+def _load(path: Path, account: Account) -> Contents:
     """A folder of one drive; the lidar is the robot's frame."""
-
-    def load(account: Account) -> Contents:
-        files = clouds_by_name(path / _INSIDE, NAMED_BY_CLOCK, account, stamp_of_clock)
-        clouds = CloudFolder(tuple(files), parse=_ROWS).numbered(account)
-        return Contents(log=beside_imu(clouds, _imu(path, account), account))
-
-    return Recording(path, load, lambda account: read_poses(path / _POSES_FILE, account), strict=strict)
+    files = clouds_by_name(path / _INSIDE, NAMED_BY_CLOCK, account, stamp_of_clock)
+    clouds = CloudFolder(tuple(files), parse=_ROWS).numbered(account)
+    return Contents(log=beside_imu(clouds, _imu(path, account), account))
 
 
 def _imu(path: Path, account: Account) -> ImuFile | None:
@@ -84,4 +80,6 @@ def read_poses(path: Path, account: Account) -> Trajectory | None:
     )
 
 
-FORMAT = DatasetFormat("Boreas drive", looks_like_boreas, open_boreas)
+FORMAT = recorded(
+    "Boreas drive", looks_like_boreas, _load, lambda path, account: read_poses(path / _POSES_FILE, account)
+)

@@ -8,9 +8,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from slam.datasets.account import Account
-from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.dataset_format import recorded
 from slam.datasets.pose_files import PoseTable
-from slam.datasets.recording import Contents, Recording
+from slam.datasets.recording import Contents
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
 
@@ -24,16 +24,12 @@ def looks_like_euroc(path: Path, head: bytes) -> bool:
     return any((place / "cam0" / "data.csv").is_file() for place in (path / "mav0", path))
 
 
-def open_euroc(path: Path, strict: bool) -> Recording:
+def _load(path: Path, account: Account) -> Contents:
     """A sequence whose truth can score a trajectory; reading it raises DatasetError."""
-
-    def load(account: Account) -> Contents:
-        raise DatasetError(
-            f"{path} holds stereo images and an IMU (EuRoC's layout) but neither depth nor a lidar, and "
-            "nothing else is mapped; give a recording of a depth camera or of a lidar"
-        )
-
-    return Recording(path, load, lambda account: _groundtruth(path, account), strict=strict)
+    raise DatasetError(
+        f"{path} holds stereo images and an IMU (EuRoC's layout) but neither depth nor a lidar, and "
+        "nothing else is mapped; give a recording of a depth camera or of a lidar"
+    )
 
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:
@@ -43,4 +39,4 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     return POSES.read(file, account) if file else None
 
 
-FORMAT = DatasetFormat("EuRoC folder (its truth; it has no depth)", looks_like_euroc, open_euroc)
+FORMAT = recorded("EuRoC folder (its truth; it has no depth)", looks_like_euroc, _load, _groundtruth)

@@ -11,11 +11,11 @@ from pathlib import Path
 from slam.datasets.account import Account
 from slam.datasets.cloud_files import Rows, row_of
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
-from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import beside_imu, first_file
 from slam.datasets.mulran import NAMED_BY_CLOCK, stamp_of_clock, xsens
 from slam.datasets.pose_files import PoseTable
-from slam.datasets.recording import Contents, Recording
+from slam.datasets.recording import Contents
 from slam.estimates import Trajectory
 
 # By the publishers' file player; the lidar that sees all around comes first.
@@ -38,20 +38,16 @@ def looks_like_helipr(path: Path, head: bytes) -> bool:
     return path.is_dir() and bool(_lidars(path))
 
 
-def open_helipr(path: Path, strict: bool) -> Recording:
+def _load(path: Path, account: Account) -> Contents:
     """A folder of one sequence; of several lidars the first of Ouster, Velodyne, Aeva, Avia is read."""
-
-    def load(account: Account) -> Contents:
-        places = _lidars(path)
-        name, folder = next(iter(places.items()))
-        for other in list(places)[1:]:
-            account.report.ignore(other, f"one lidar of several is read; give {places[other]} for it")
-        files = clouds_by_name(folder, NAMED_BY_CLOCK, account, stamp_of_clock)
-        clouds = CloudFolder(tuple(files), parse=_row(name, folder)).numbered(account)
-        imu = xsens(place / "Inertial_data" for place in _above(path, folder))
-        return Contents(log=beside_imu(clouds, imu, account))
-
-    return Recording(path, load, lambda account: _groundtruth(path, account), strict=strict)
+    places = _lidars(path)
+    name, folder = next(iter(places.items()))
+    for other in list(places)[1:]:
+        account.report.ignore(other, f"one lidar of several is read; give {places[other]} for it")
+    files = clouds_by_name(folder, NAMED_BY_CLOCK, account, stamp_of_clock)
+    clouds = CloudFolder(tuple(files), parse=_row(name, folder)).numbered(account)
+    imu = xsens(place / "Inertial_data" for place in _above(path, folder))
+    return Contents(log=beside_imu(clouds, imu, account))
 
 
 def _lidars(path: Path) -> dict[str, Path]:
@@ -87,4 +83,4 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     return _POSES.read(file, account) if file else None
 
 
-FORMAT = DatasetFormat("HeLiPR sequence", looks_like_helipr, open_helipr)
+FORMAT = recorded("HeLiPR sequence", looks_like_helipr, _load, _groundtruth)

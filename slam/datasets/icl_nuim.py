@@ -13,9 +13,9 @@ import numpy as np
 
 from slam.datasets.account import Account
 from slam.datasets.calibration import Calibration
-from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.dataset_format import recorded
 from slam.datasets.numbered_frames import NO_STAMPS, RATE_HZ
-from slam.datasets.recording import Contents, Recording
+from slam.datasets.recording import Contents
 from slam.datasets.stamped_files import read_poses
 from slam.datasets.tum import DEPTH_STEPS_PER_M, has_tum_layout, listed_camera
 from slam.estimates import Trajectory
@@ -34,15 +34,11 @@ def looks_like_icl_nuim(path: Path, head: bytes) -> bool:
     return bool(named) and has_tum_layout(path)
 
 
-def open_icl_nuim(path: Path, strict: bool) -> Recording:
+def _load(path: Path, account: Account) -> Contents:
     """A folder of one trajectory; frame N is N / 30 s old."""
-
-    def load(account: Account) -> Contents:
-        account.report.note(NO_STAMPS.format(rate=RATE_HZ), 1)
-        calibration = Calibration(_LENS, DEPTH_STEPS_PER_M)
-        return Contents([listed_camera(path, "camera", calibration, account, RATE_HZ)])
-
-    return Recording(path, load, lambda account: _groundtruth(path, account), strict=strict)
+    account.report.note(NO_STAMPS.format(rate=RATE_HZ), 1)
+    calibration = Calibration(_LENS, DEPTH_STEPS_PER_M)
+    return Contents([listed_camera(path, "camera", calibration, account, RATE_HZ)])
 
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:
@@ -56,4 +52,4 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     )
 
 
-FORMAT = DatasetFormat("ICL-NUIM folder", looks_like_icl_nuim, open_icl_nuim)
+FORMAT = recorded("ICL-NUIM folder", looks_like_icl_nuim, _load, _groundtruth)

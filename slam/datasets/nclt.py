@@ -15,10 +15,10 @@ import numpy as np
 from slam.datasets.account import Account
 from slam.datasets.cloud_files import Parsed, Rows, row_of
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name, merged
-from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import ImuFile, beside_imu, first_file
 from slam.datasets.pose_files import PoseTable, trajectory_of
-from slam.datasets.recording import Contents, Numbered, Recording
+from slam.datasets.recording import Contents, Numbered
 from slam.estimates import Trajectory
 from slam.measurements import WheelOdometry
 
@@ -39,20 +39,16 @@ def looks_like_nclt(path: Path, head: bytes) -> bool:
     return (path / _INSIDE).is_dir()
 
 
-def open_nclt(path: Path, strict: bool) -> Recording:
+def _load(path: Path, account: Account) -> Contents:
     """A folder of one day, the robot's frame that of the clouds; they are free of the robot's motion."""
-
-    def load(account: Account) -> Contents:
-        files = clouds_by_name(
-            path / _INSIDE, r"(\d{10,17})\.bin", account, lambda match: int(match[1]) * _TICK_S
-        )
-        clouds = CloudFolder(tuple(files), parse=_parse).numbered(account)
-        found = first_file(path / name for name in _ODOMETRY)
-        log = merged(_wheels(found, account), clouds) if found else clouds
-        imu = ImuFile(path / _IMU, _IMU_HEAD) if (path / _IMU).is_file() else None
-        return Contents(log=beside_imu(log, imu, account))
-
-    return Recording(path, load, lambda account: _groundtruth(path, account), strict=strict)
+    files = clouds_by_name(
+        path / _INSIDE, r"(\d{10,17})\.bin", account, lambda match: int(match[1]) * _TICK_S
+    )
+    clouds = CloudFolder(tuple(files), parse=_parse).numbered(account)
+    found = first_file(path / name for name in _ODOMETRY)
+    log = merged(_wheels(found, account), clouds) if found else clouds
+    imu = ImuFile(path / _IMU, _IMU_HEAD) if (path / _IMU).is_file() else None
+    return Contents(log=beside_imu(log, imu, account))
 
 
 def _parse(path: Path) -> Parsed:
@@ -91,4 +87,4 @@ def read_poses(file: Path, account: Account) -> Trajectory | None:
     return trajectory_of(turned)
 
 
-FORMAT = DatasetFormat("NCLT day", looks_like_nclt, open_nclt)
+FORMAT = recorded("NCLT day", looks_like_nclt, _load, _groundtruth)

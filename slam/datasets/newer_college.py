@@ -13,11 +13,11 @@ import numpy as np
 from slam.datasets.account import Account
 from slam.datasets.cloud_files import read_fields
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
-from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import ImuFile, beside_imu, first_file
 from slam.datasets.ouster_order import with_column_times
 from slam.datasets.pose_files import PoseTable, trajectory_of
-from slam.datasets.recording import Contents, Recording
+from slam.datasets.recording import Contents
 from slam.estimates import Trajectory
 
 _CLOUDS = r"cloud_(\d{1,10})_(\d{1,9})\.(?:pcd|ply)"
@@ -36,20 +36,16 @@ def looks_like_newer_college(path: Path, head: bytes) -> bool:
     return path.is_dir() and _clouds_folder(path) is not None
 
 
-def open_newer_college(path: Path, strict: bool) -> Recording:
+def _load(path: Path, account: Account) -> Contents:
     """A folder of one walk; the lidar is the robot's frame."""
-
-    def load(account: Account) -> Contents:
-        folder = _clouds_folder(path)
-        assert folder is not None
-        files = clouds_by_name(folder, _CLOUDS, account, lambda match: int(match[1]) + int(match[2]) * 1e-9)
-        clouds = CloudFolder(tuple(files), parse=with_column_times(read_fields))
-        beside = [*sorted((folder.parent / _IMU).glob("*.csv")), folder.parent / f"{_IMU}.csv"]
-        file = first_file([*beside, folder / f"{_IMU}.csv"])
-        imu = ImuFile(file, _IMU_HEAD) if file else None
-        return Contents(log=beside_imu(clouds.numbered(account), imu, account))
-
-    return Recording(path, load, lambda account: _groundtruth(path, account), strict=strict)
+    folder = _clouds_folder(path)
+    assert folder is not None
+    files = clouds_by_name(folder, _CLOUDS, account, lambda match: int(match[1]) + int(match[2]) * 1e-9)
+    clouds = CloudFolder(tuple(files), parse=with_column_times(read_fields))
+    beside = [*sorted((folder.parent / _IMU).glob("*.csv")), folder.parent / f"{_IMU}.csv"]
+    file = first_file([*beside, folder / f"{_IMU}.csv"])
+    imu = ImuFile(file, _IMU_HEAD) if file else None
+    return Contents(log=beside_imu(clouds.numbered(account), imu, account))
 
 
 def _clouds_folder(path: Path) -> Path | None:
@@ -73,4 +69,4 @@ def read_poses(file: Path, account: Account) -> Trajectory | None:
     return trajectory_of((stamp_s, pose.compose(_T_TRUTH_LIDAR)) for _, stamp_s, pose in rows)
 
 
-FORMAT = DatasetFormat("Newer College walk (folders)", looks_like_newer_college, open_newer_college)
+FORMAT = recorded("Newer College walk (folders)", looks_like_newer_college, _load, _groundtruth)

@@ -16,10 +16,10 @@ import numpy as np
 from slam.datasets.account import Account
 from slam.datasets.cloud_files import CLOUD_SUFFIXES
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
-from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import beside_imu, imu_file
 from slam.datasets.pose_files import by_its_size, trajectory_of
-from slam.datasets.recording import Contents, Recording
+from slam.datasets.recording import Contents
 from slam.datasets.stamped_files import numbered_poses, read_poses
 from slam.estimates import Trajectory
 
@@ -42,18 +42,14 @@ def looks_like_oxford_spires(path: Path, head: bytes) -> bool:
     return path.is_dir() and _place(path) is not None
 
 
-def open_oxford_spires(path: Path, strict: bool) -> Recording:
+def _load(path: Path, account: Account) -> Contents:
     """The clouds of one folder; the lidar is the robot's frame."""
-
-    def load(account: Account) -> Contents:
-        place = _place(path)
-        assert place is not None
-        account.report.note(STAMPS_IN_NAMES.format(place=place.name), 1)
-        files = clouds_by_name(place, _NAME, account, _stamp)
-        clouds, imu = CloudFolder(tuple(files)).numbered(account), imu_file(path) or imu_file(place)
-        return Contents(log=beside_imu(clouds, imu, account))
-
-    return Recording(path, load, lambda account: _groundtruth(path, account), strict=strict)
+    place = _place(path)
+    assert place is not None
+    account.report.note(STAMPS_IN_NAMES.format(place=place.name), 1)
+    files = clouds_by_name(place, _NAME, account, _stamp)
+    clouds, imu = CloudFolder(tuple(files)).numbered(account), imu_file(path) or imu_file(place)
+    return Contents(log=beside_imu(clouds, imu, account))
 
 
 def _stamp(match: re.Match[str]) -> float:
@@ -95,6 +91,6 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     return trajectory_of((float(stamp_s), pose.compose(_T_TRUTH_LIDAR)) for stamp_s, pose in poses)
 
 
-FORMAT = DatasetFormat(
-    "clouds named by their stamps (Oxford Spires)", looks_like_oxford_spires, open_oxford_spires
+FORMAT = recorded(
+    "clouds named by their stamps (Oxford Spires)", looks_like_oxford_spires, _load, _groundtruth
 )

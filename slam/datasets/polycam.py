@@ -10,13 +10,13 @@ import numpy as np
 from slam.datasets.account import Account
 from slam.datasets.calibration import Calibration, pose_from_matrix, read_calibration
 from slam.datasets.dataset import RecordFault
-from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.dataset_format import recorded
 from slam.datasets.image_files import ImageFiles
 from slam.datasets.lens_files import json_object, lens_of_json, median_lens
 from slam.datasets.numbered_frames import numbered_camera, numbered_files
 from slam.datasets.phone_poses import COMPARED, LENS_MOVES, T_ARKIT_OPTICAL
 from slam.datasets.pose_files import BAD_MATRIX, trajectory_of
-from slam.datasets.recording import Contents, Recording
+from slam.datasets.recording import Contents
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
 from slam.measurements import CameraIntrinsics
@@ -27,34 +27,27 @@ _STAMPED = r"(\d{1,18})\.%s"
 
 def looks_like_polycam(path: Path, head: bytes) -> bool:
     """Whether a path is the folder of one scan, or its ``keyframes``."""
-    return path.is_dir() and _keyframes(path) is not None
+    return all((_keyframes(path) / name).is_dir() for name in ("cameras", "images"))
 
 
-def open_polycam(path: Path, strict: bool) -> Recording:
-    """A folder of one scan; depth that the phone has no trust in is left out.
-
-    Raises
-    ------
-    DatasetError
-        The scan has no depth.
-    """
-    inside = _keyframes(path)
-    assert inside is not None
-    if not (inside / "depth").is_dir():
+def _check(path: Path) -> None:
+    """Refuse a scan without depth."""
+    if not (_keyframes(path) / "depth").is_dir():
         raise DatasetError(
             f"{path} is a scan from photographs, without depth; scan in LiDAR mode and export the raw data"
         )
 
-    def load(account: Account) -> Contents:
-        account.report.note(COMPARED, 1)
-        images, cameras = _images_and_cameras(inside)
-        calibration = read_calibration(path, Calibration(_lens(cameras, account), 1000.0))
-        colors = numbered_files(images, _STAMPED % "(?:jpe?g|png)")
-        depths = numbered_files(inside / "depth", _STAMPED % "png")
-        source = ImageFiles(inside / "confidence")
-        return Contents([numbered_camera(colors, depths, calibration, account, _stamp, source)])
 
-    return Recording(path, load, lambda account: _truth(inside, account), strict=strict)
+def _load(path: Path, account: Account) -> Contents:
+    """A folder of one scan; depth that the phone has no trust in is left out."""
+    account.report.note(COMPARED, 1)
+    inside = _keyframes(path)
+    images, cameras = _images_and_cameras(inside)
+    calibration = read_calibration(path, Calibration(_lens(cameras, account), 1000.0))
+    colors = numbered_files(images, _STAMPED % "(?:jpe?g|png)")
+    depths = numbered_files(inside / "depth", _STAMPED % "png")
+    source = ImageFiles(inside / "confidence")
+    return Contents([numbered_camera(colors, depths, calibration, account, _stamp, source)])
 
 
 def _stamp(number: int) -> float:
@@ -62,10 +55,10 @@ def _stamp(number: int) -> float:
     return number * _TICK_S
 
 
-def _keyframes(path: Path) -> Path | None:
+def _keyframes(path: Path) -> Path:
     """Where the images are."""
-    places = (path / "keyframes", path)
-    return next((one for one in places if (one / "cameras").is_dir() and (one / "images").is_dir()), None)
+    inside = path / "keyframes"
+    return inside if (inside / "cameras").is_dir() and (inside / "images").is_dir() else path
 
 
 def _images_and_cameras(inside: Path) -> tuple[Path, Path]:
@@ -87,10 +80,11 @@ def _lens(cameras: Path, account: Account) -> CameraIntrinsics:
     return lens
 
 
-def _truth(inside: Path, account: Account) -> Trajectory | None:
+def _truth(path: Path, account: Account) -> Trajectory | None:
     """The poses of the app."""
     found: list[tuple[float, gtsam.Pose3]] = []
-    for number, file in sorted(numbered_files(_images_and_cameras(inside)[1], _STAMPED % "json").items()):
+    _, cameras = _images_and_cameras(_keyframes(path))
+    for number, file in sorted(numbered_files(cameras, _STAMPED % "json").items()):
         fields = json_object(file)
         try:
             rows = [[float(fields[f"t_{row}{column}"]) for column in range(4)] for row in range(3)]
@@ -102,4 +96,4 @@ def _truth(inside: Path, account: Account) -> Trajectory | None:
     return trajectory_of(found)
 
 
-FORMAT = DatasetFormat("Polycam raw data", looks_like_polycam, open_polycam)
+FORMAT = recorded("Polycam raw data", looks_like_polycam, _load, _truth, _check)

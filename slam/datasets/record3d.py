@@ -21,13 +21,13 @@ from slam.datasets.budget import LARGEST_BYTES, Budget
 from slam.datasets.calibration import Calibration, pose_from, read_calibration
 from slam.datasets.camera_frames import Camera
 from slam.datasets.dataset import RecordFault
-from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.dataset_format import recorded
 from slam.datasets.frame_pairs import FramePair
 from slam.datasets.image_files import DAMAGED, MISSING, OTHER_CONFIDENCE, color_of, usable_metres
 from slam.datasets.lens_files import checked, median_lens
 from slam.datasets.phone_poses import COMPARED, LENS_MOVES, T_ARKIT_OPTICAL
 from slam.datasets.pose_files import trajectory_of
-from slam.datasets.recording import Contents, Recording
+from slam.datasets.recording import Contents
 from slam.datasets.stamped_files import BAD_POSE, BAD_STAMP, StampedFile, stamp_of
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
@@ -157,14 +157,8 @@ def looks_like_record3d(path: Path, head: bytes) -> bool:
     return path.suffix.lower() == ".r3d" and head.startswith(_ZIP_MAGIC)
 
 
-def open_record3d(path: Path, strict: bool) -> Recording:
-    """One recording; depth that the phone has no trust in is left out.
-
-    Raises
-    ------
-    DatasetError
-        The archive is damaged, or what unpacks its depth is not installed.
-    """
+def _check(path: Path) -> None:
+    """Refuse where what unpacks its depth is not installed."""
     try:
         import liblzfse  # noqa: F401
     except ImportError as error:
@@ -172,19 +166,19 @@ def open_record3d(path: Path, strict: bool) -> Recording:
             f"{path} packs its depth by LZFSE; install pyliblzfse, or pip install 'scanweave[phones]'"
         ) from error
 
-    def load(account: Account) -> Contents:
-        account.report.note(COMPARED, 1)
-        archive = _Archive(path)
-        metadata = _metadata(path, archive)
-        lens = _lens(path, metadata, account)
-        archive.depth_size = _depth_size(path, metadata)
-        folder = path if path.is_dir() else path.parent
-        calibration = read_calibration(folder, Calibration(lens, 1.0))
-        images = [StampedFile(stamp_s, path, number) for number, stamp_s in _stamps(metadata, account)]
-        pairs = [FramePair(image.stamp_s, image, image) for image in images]
-        return Contents([Camera("camera", pairs, calibration, source=archive)])
 
-    return Recording(path, load, lambda account: _truth(path, account), strict=strict)
+def _load(path: Path, account: Account) -> Contents:
+    """One recording; depth that the phone has no trust in is left out."""
+    account.report.note(COMPARED, 1)
+    archive = _Archive(path)
+    metadata = _metadata(path, archive)
+    lens = _lens(path, metadata, account)
+    archive.depth_size = _depth_size(path, metadata)
+    folder = path if path.is_dir() else path.parent
+    calibration = read_calibration(folder, Calibration(lens, 1.0))
+    images = [StampedFile(stamp_s, path, number) for number, stamp_s in _stamps(metadata, account)]
+    pairs = [FramePair(image.stamp_s, image, image) for image in images]
+    return Contents([Camera("camera", pairs, calibration, source=archive)])
 
 
 def _metadata(path: Path, archive: _Archive) -> dict[str, Any]:
@@ -263,4 +257,4 @@ def _truth(path: Path, account: Account) -> Trajectory | None:
     return trajectory_of(good())
 
 
-FORMAT = DatasetFormat("Record3D recording (.r3d)", looks_like_record3d, open_record3d)
+FORMAT = recorded("Record3D recording (.r3d)", looks_like_record3d, _load, _truth, _check)

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from slam.datasets.account import Account
 from slam.datasets.calibration import Calibration, read_calibration
-from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.dataset_format import recorded
 from slam.datasets.lens_files import json_object, lens_of_json
 from slam.datasets.numbered_frames import NO_STAMPS, RATE_HZ, at_rate, numbered_camera, numbered_files
 from slam.datasets.pose_files import pose_lines, trajectory_of
-from slam.datasets.recording import Contents, Recording
+from slam.datasets.recording import Contents
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
 from slam.measurements import CameraIntrinsics
@@ -29,16 +29,12 @@ def looks_like_replica(path: Path, head: bytes) -> bool:
     return inside.is_dir() and bool(_depths(path))
 
 
-def open_replica(path: Path, strict: bool) -> Recording:
+def _load(path: Path, account: Account) -> Contents:
     """A folder of one room; frame N is N / 30 s old."""
-
-    def load(account: Account) -> Contents:
-        account.report.note(NO_STAMPS.format(rate=RATE_HZ), 1)
-        colors = numbered_files(path / "results", r"frame(\d{1,9})\.(?:jpe?g|png)")
-        calibration = read_calibration(path, _calibration(path))
-        return Contents([numbered_camera(colors, _depths(path), calibration, account, at_rate())])
-
-    return Recording(path, load, lambda account: _groundtruth(path, account), strict=strict)
+    account.report.note(NO_STAMPS.format(rate=RATE_HZ), 1)
+    colors = numbered_files(path / "results", r"frame(\d{1,9})\.(?:jpe?g|png)")
+    calibration = read_calibration(path, _calibration(path))
+    return Contents([numbered_camera(colors, _depths(path), calibration, account, at_rate())])
 
 
 def _depths(path: Path) -> dict[int, Path]:
@@ -70,4 +66,4 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     return trajectory_of((number / RATE_HZ, pose) for number, pose in poses if pose)
 
 
-FORMAT = DatasetFormat("Replica room as in NICE-SLAM", looks_like_replica, open_replica)
+FORMAT = recorded("Replica room as in NICE-SLAM", looks_like_replica, _load, _groundtruth)

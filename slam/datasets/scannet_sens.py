@@ -22,13 +22,13 @@ from slam.datasets.budget import LARGEST_BYTES, MOST_PIXELS, Budget
 from slam.datasets.calibration import Calibration, pose_from_matrix
 from slam.datasets.camera_frames import Camera
 from slam.datasets.dataset import RecordFault
-from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.dataset_format import recorded
 from slam.datasets.frame_pairs import FramePair
 from slam.datasets.image_files import DAMAGED, color_of, metres_of
 from slam.datasets.lens_files import checked, plain_lens
 from slam.datasets.numbered_frames import NO_STAMPS, RATE_HZ
 from slam.datasets.pose_files import trajectory_of
-from slam.datasets.recording import Contents, Recording
+from slam.datasets.recording import Contents
 from slam.datasets.stamped_files import StampedFile
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
@@ -113,42 +113,27 @@ class _Scan:
 
 def looks_like_scannet_sens(path: Path, head: bytes) -> bool:
     """Whether a path is such a file, or a folder with one."""
-    return _file(path) is not None
+    return _file(path).suffix == ".sens" and _file(path).is_file()
 
 
-def open_scannet_sens(path: Path, strict: bool) -> Recording:
-    """One scan; colour is drawn as the depth camera's lens sees it.
-
-    Raises
-    ------
-    DatasetError
-        The head of the file is damaged, or its images are packed as only ScanNet's own tool undoes.
-    """
-    file = _file(path)
-    assert file is not None
-    _read_head(file)
-
-    def load(account: Account) -> Contents:
-        scan = _Scan(file)
-        head, stamps_s = scan.head, _stamps(scan.frames, account)
-        for _ in range(_announced(file, head) - len(scan.frames)):
-            account.refuse(RecordFault(CUT_OFF, file.name), file.name, len(scan.frames) + 1)
-        depth = checked(file, head.depth_lens, *head.depth_size)
-        color = plain_lens(checked(file, head.color_lens, *head.color_size))
-        calibration = Calibration(depth, head.depth_steps_per_m, color_lens=color)
-        images = [StampedFile(stamp_s, file, number) for number, stamp_s in stamps_s.items()]
-        pairs = [FramePair(image.stamp_s, image, image) for image in images]
-        return Contents([Camera("camera", pairs, calibration, source=scan)])
-
-    return Recording(path, load, lambda account: _groundtruth(file, account), strict=strict)
+def _load(path: Path, account: Account) -> Contents:
+    """One scan; colour is drawn as the depth camera's lens sees it."""
+    scan = _Scan(_file(path))
+    file, head, stamps_s = scan.path, scan.head, _stamps(scan.frames, account)
+    for _ in range(_announced(file, head) - len(scan.frames)):
+        account.refuse(RecordFault(CUT_OFF, file.name), file.name, len(scan.frames) + 1)
+    depth = checked(file, head.depth_lens, *head.depth_size)
+    color = plain_lens(checked(file, head.color_lens, *head.color_size))
+    calibration = Calibration(depth, head.depth_steps_per_m, color_lens=color)
+    images = [StampedFile(stamp_s, file, number) for number, stamp_s in stamps_s.items()]
+    pairs = [FramePair(image.stamp_s, image, image) for image in images]
+    return Contents([Camera("camera", pairs, calibration, source=scan)])
 
 
-def _file(path: Path) -> Path | None:
-    """The file that a path means."""
-    if path.is_file():
-        return path if path.suffix == ".sens" else None
-    found = sorted(path.glob("*.sens")) if path.is_dir() else []
-    return found[0] if len(found) == 1 else None
+def _file(path: Path) -> Path:
+    """The one such file in a folder, else the path."""
+    found = list(path.glob("*.sens")) if path.is_dir() else []
+    return found[0] if len(found) == 1 else path
 
 
 def _read_head(path: Path) -> _Head:
@@ -228,7 +213,7 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     """Camera to world, of the frames that were placed."""
 
     def placed() -> Iterator[tuple[float, gtsam.Pose3]]:
-        frames = _Scan(path).frames
+        frames = _Scan(_file(path)).frames
         for number, stamp_s in _stamps(frames, account).items():
             try:
                 yield stamp_s, pose_from_matrix(frames[number].T_world_camera)
@@ -238,4 +223,6 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     return trajectory_of(placed())
 
 
-FORMAT = DatasetFormat("ScanNet .sens", looks_like_scannet_sens, open_scannet_sens)
+FORMAT = recorded(
+    "ScanNet .sens", looks_like_scannet_sens, _load, _groundtruth, lambda path: _read_head(_file(path))
+)

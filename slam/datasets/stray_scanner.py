@@ -16,13 +16,13 @@ from slam.datasets.account import Account
 from slam.datasets.budget import Budget
 from slam.datasets.calibration import Calibration, read_calibration
 from slam.datasets.dataset import RecordFault
-from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.dataset_format import recorded
 from slam.datasets.image_files import DAMAGED, ImageFiles, rgb_of
 from slam.datasets.lens_files import camera_matrix, checked, median_lens
 from slam.datasets.numbered_frames import numbered_camera, numbered_files
 from slam.datasets.phone_poses import COMPARED, LENS_MOVES, T_ARKIT_OPTICAL
 from slam.datasets.pose_files import rows_of, trajectory_of
-from slam.datasets.recording import Contents, Recording
+from slam.datasets.recording import Contents
 from slam.datasets.sensor_choice import NO_HELP_TO_CAMERAS
 from slam.datasets.stamped_files import BAD_POSE, StampedFile, stamp_of
 from slam.errors import DatasetError
@@ -67,30 +67,22 @@ def looks_like_stray_scanner(path: Path, head: bytes) -> bool:
     return all((path / name).is_file() for name in (_VIDEO, _POSES)) and (path / "depth").is_dir()
 
 
-def open_stray_scanner(path: Path, strict: bool) -> Recording:
+def _load(path: Path, account: Account) -> Contents:
     """A folder of one scan; depth that ARKit has no trust in is left out."""
-
-    def load(account: Account) -> Contents:
-        account.report.note(COMPARED, 1)
-        if (path / _IMU).is_file():
-            account.report.ignore(_IMU, NO_HELP_TO_CAMERAS)
-        rows = _rows(path / _POSES, account)
-        depths = numbered_files(path / "depth", r"(\d{1,9})\.(?:png|npy)")
-        listed = {number: file for number, file in depths.items() if number in rows}
-        for number in depths.keys() - rows.keys():
-            account.refuse(RecordFault("depth image without a stamp", f"frame {number}"), _POSES, number)
-        calibration = read_calibration(path, Calibration(_lens(path, rows, account), 1000.0))
-        source = _VideoAndDepth(path / _VIDEO, ImageFiles(path / "confidence"))
-        video = dict.fromkeys(listed, path / _VIDEO)
-        return Contents(
-            [
-                numbered_camera(
-                    video, listed, calibration, account, lambda number: rows[number].stamp_s, source
-                )
-            ]
-        )
-
-    return Recording(path, load, lambda account: _truth(path / _POSES, account), strict=strict)
+    account.report.note(COMPARED, 1)
+    if (path / _IMU).is_file():
+        account.report.ignore(_IMU, NO_HELP_TO_CAMERAS)
+    rows = _rows(path / _POSES, account)
+    depths = numbered_files(path / "depth", r"(\d{1,9})\.(?:png|npy)")
+    listed = {number: file for number, file in depths.items() if number in rows}
+    for number in depths.keys() - rows.keys():
+        account.refuse(RecordFault("depth image without a stamp", f"frame {number}"), _POSES, number)
+    calibration = read_calibration(path, Calibration(_lens(path, rows, account), 1000.0))
+    source = _VideoAndDepth(path / _VIDEO, ImageFiles(path / "confidence"))
+    video = dict.fromkeys(listed, path / _VIDEO)
+    return Contents(
+        [numbered_camera(video, listed, calibration, account, lambda number: rows[number].stamp_s, source)]
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +143,7 @@ def _opened(video: Path) -> Any:
 
 def _truth(path: Path, account: Account) -> Trajectory | None:
     """What ARKit says."""
-    return trajectory_of((row.stamp_s, row.T_world_optical) for row in _rows(path, account).values())
+    return trajectory_of((row.stamp_s, row.T_world_optical) for row in _rows(path / _POSES, account).values())
 
 
-FORMAT = DatasetFormat("Stray Scanner scan", looks_like_stray_scanner, open_stray_scanner)
+FORMAT = recorded("Stray Scanner scan", looks_like_stray_scanner, _load, _truth)

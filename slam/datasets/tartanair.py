@@ -13,11 +13,11 @@ import numpy as np
 
 from slam.datasets.account import Account
 from slam.datasets.calibration import Calibration, read_calibration
-from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.dataset_format import recorded
 from slam.datasets.image_files import ImageFiles
 from slam.datasets.numbered_frames import NO_STAMPS, at_rate, numbered_camera, numbered_files
 from slam.datasets.pose_files import PoseTable, trajectory_of
-from slam.datasets.recording import Contents, Recording
+from slam.datasets.recording import Contents
 from slam.estimates import Trajectory
 from slam.measurements import CameraIntrinsics
 
@@ -55,21 +55,16 @@ def looks_like_tartanair(path: Path, head: bytes) -> bool:
     return _release(path) is not None
 
 
-def open_tartanair(path: Path, strict: bool) -> Recording:
+def _load(path: Path, account: Account) -> Contents:
     """A folder of one trajectory, its left camera; frame N is N / 10 s old."""
     release = _release(path)
     assert release is not None
-
-    def load(account: Account) -> Contents:
-        account.report.note(NO_STAMPS.format(rate=_RATE_HZ), 1)
-        colors = numbered_files(path / release.colors, r"(\d{1,9})_\w+\.(?:png|jpe?g)")
-        depths = numbered_files(path / release.depths, r"(\d{1,9})_\w+\.(?:npy|png)")
-        calibration = read_calibration(path, Calibration(release.lens, 1.0))
-        source = ImageFiles(float_png=True)
-        return Contents([numbered_camera(colors, depths, calibration, account, at_rate(_RATE_HZ), source)])
-
-    truth = path / release.poses
-    return Recording(path, load, lambda account: _groundtruth(truth, account), strict=strict)
+    account.report.note(NO_STAMPS.format(rate=_RATE_HZ), 1)
+    colors = numbered_files(path / release.colors, r"(\d{1,9})_\w+\.(?:png|jpe?g)")
+    depths = numbered_files(path / release.depths, r"(\d{1,9})_\w+\.(?:npy|png)")
+    calibration = read_calibration(path, Calibration(release.lens, 1.0))
+    source = ImageFiles(float_png=True)
+    return Contents([numbered_camera(colors, depths, calibration, account, at_rate(_RATE_HZ), source)])
 
 
 def _release(path: Path) -> _Release | None:
@@ -80,8 +75,10 @@ def _release(path: Path) -> _Release | None:
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     """Of the optical frame; the world stays north-east-down."""
-    rows = _POSES.rows(path, account) if path.is_file() else ()
+    release = _release(path)
+    file = path / release.poses if release else path
+    rows = _POSES.rows(file, account) if file.is_file() else ()
     return trajectory_of((k / _RATE_HZ, pose.compose(_T_NED_OPTICAL)) for k, (_, _, pose) in enumerate(rows))
 
 
-FORMAT = DatasetFormat("TartanAir trajectory", looks_like_tartanair, open_tartanair)
+FORMAT = recorded("TartanAir trajectory", looks_like_tartanair, _load, _groundtruth)
