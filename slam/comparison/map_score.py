@@ -86,7 +86,12 @@ def on_truth(found: StateGrid, truth: TrueGrid, T_true_map: FloatArray) -> Laid:
     x, y = (cols + 0.5) * found.resolution_m, (rows + 0.5) * found.resolution_m
     points = np.column_stack([corner.x() + c * x - s * y, corner.y() + s * x + c * y, np.zeros(x.size)])
     points = points @ T_true_map[:3, :3].T + T_true_map[:3, 3]
-    cells = np.floor((points[:, :2] - truth.origin_xy) / truth.resolution_m).astype(int)
+    return _laid(truth, points[:, :2])
+
+
+def _laid(truth: TrueGrid, points_xy: FloatArray) -> Laid:
+    """The cells of the truth's lattice that hold points (N, 2)."""
+    cells = np.floor((points_xy - truth.origin_xy) / truth.resolution_m).astype(int)
     within = ((cells >= 0) & (cells < truth.occupied.shape[::-1])).all(axis=1)
     inside = np.zeros(truth.occupied.shape, dtype=bool)
     inside[cells[within, 1], cells[within, 0]] = True
@@ -98,14 +103,11 @@ def to_be_seen(truth: TrueGrid, true_xy: FloatArray) -> Cells:
 
     No sensor sees the inside of a wardrobe; a map can be asked for its faces.
     """
-    cells = np.floor((true_xy - truth.origin_xy) / truth.resolution_m).astype(int)
-    within = ((cells >= 0) & (cells < truth.occupied.shape[::-1])).all(axis=1)
-    driven_cells = np.zeros(truth.occupied.shape, dtype=bool)
-    driven_cells[cells[within, 1], cells[within, 0]] = True
     labels, _ = ndimage.label(~truth.occupied)
-    driven = np.unique(labels[driven_cells])
+    passed = _laid(truth, true_xy).inside
+    driven = np.unique(labels[passed])
     floor = np.isin(labels, driven[driven > 0])
-    if not driven_cells.any():
-        return np.zeros_like(driven_cells)
-    near = ndimage.distance_transform_edt(~driven_cells) * truth.resolution_m <= REACH_M
+    if not passed.any():
+        return np.zeros_like(passed)
+    near = ndimage.distance_transform_edt(~passed) * truth.resolution_m <= REACH_M
     return np.asarray(truth.occupied & ndimage.binary_dilation(floor, _AROUND) & near)

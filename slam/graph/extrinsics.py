@@ -106,11 +106,7 @@ class ExtrinsicsResult:
     converged: bool
 
 
-def estimate_extrinsics(
-    pairs: Sequence[MotionPair],
-    start: gtsam.Pose3 | None = None,
-    settings: ExtrinsicsSettings | None = None,
-) -> ExtrinsicsResult:
+def estimate_extrinsics(pairs: Sequence[MotionPair], start: gtsam.Pose3 | None = None) -> ExtrinsicsResult:
     """``T_base_camera`` from paired motions.
 
     Parameters
@@ -125,7 +121,7 @@ def estimate_extrinsics(
     GraphError
         Where a pair is not finite, its covariance is not positive definite, or planar and spatial are mixed.
     """
-    settings = settings or ExtrinsicsSettings()
+    settings = ExtrinsicsSettings()
     _check(pairs, start)
     nominal = start or gtsam.Pose3(gtsam.Rot3(FORWARD), np.zeros(3))
     vague = np.repeat([settings.vague_sigma_rad, settings.vague_sigma_m], 3)

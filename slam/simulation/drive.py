@@ -115,15 +115,9 @@ class Drive:
         lidar = self.rig.lidar
         if lidar is None:
             raise ConfigError(f"rig {self.rig.name} has no lidar")
-        time_s, model = float(readings.true_s[index]), lidar.model
-        base = self.base_at(time_s)
-        seen = scan_lidar(
-            scene,
-            gtsam.Pose3(base).compose(lidar.T_base_laser),
-            model,
-            generator(self.seed, readings.sensor, _NOISE, index),
-            None if self.walk is None else self.walk.at(time_s),
-        )
+        model = lidar.model
+        time_s, base, noise, person = self._instant(readings, index)
+        seen = scan_lidar(scene, gtsam.Pose3(base).compose(lidar.T_base_laser), model, noise, person)
         scan = LaserScan(
             stamp_s=float(readings.stamps_s[index]),
             ranges_m=seen.ranges_m,
@@ -135,20 +129,21 @@ class Drive:
         )
         return ScanEvent(FIRST_STAMP_S + time_s, base, scan, seen.true_ranges_m, seen.fault)
 
+    def _instant(
+        self, readings: Schedule, index: int
+    ) -> tuple[float, gtsam.Pose2, np.random.Generator, tuple[float, float] | None]:
+        """When a reading is taken, seconds, where the base is, its noise, and who walks by."""
+        time_s = float(readings.true_s[index])
+        person = None if self.walk is None else self.walk.at(time_s)
+        return time_s, self.base_at(time_s), generator(self.seed, readings.sensor, _NOISE, index), person
+
     def _cloud(self, scene: Scene, readings: Schedule, index: int) -> CloudEvent:
         """One turn of the 3D lidar, taken at an instant."""
         lidar = self.rig.lidar_3d
         if lidar is None:
             raise ConfigError(f"rig {self.rig.name} has no 3D lidar")
-        time_s = float(readings.true_s[index])
-        base = self.base_at(time_s)
-        seen = scan_lidar_3d(
-            scene,
-            gtsam.Pose3(base).compose(lidar.T_base_laser),
-            lidar.model,
-            generator(self.seed, readings.sensor, _NOISE, index),
-            None if self.walk is None else self.walk.at(time_s),
-        )
+        time_s, base, noise, person = self._instant(readings, index)
+        seen = scan_lidar_3d(scene, gtsam.Pose3(base).compose(lidar.T_base_laser), lidar.model, noise, person)
         return CloudEvent(
             true_stamp_s=FIRST_STAMP_S + time_s,
             T_map_base=base,
@@ -162,14 +157,9 @@ class Drive:
 
     def _image(self, scene: Scene, camera: MountedCamera, readings: Schedule, index: int) -> ImageEvent:
         """One pair of images, taken at an instant."""
-        time_s = float(readings.true_s[index])
-        base = self.base_at(time_s)
+        time_s, base, noise, person = self._instant(readings, index)
         seen = render_rgbd(
-            scene,
-            gtsam.Pose3(base).compose(camera.T_base_camera),
-            camera.model,
-            generator(self.seed, readings.sensor, _NOISE, index),
-            None if self.walk is None else self.walk.at(time_s),
+            scene, gtsam.Pose3(base).compose(camera.T_base_camera), camera.model, noise, person
         )
         frame = RgbdFrame(
             stamp_s=float(readings.stamps_s[index]),
