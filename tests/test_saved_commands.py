@@ -91,6 +91,15 @@ class TestInfo:
         assert (found["motion"], found["sensors"]) == ("spatial", {"camera": found["keyframes"]})
         assert found["grids"] == {}
 
+    def test_of_a_map_with_a_calibration(
+        self, scanweave: Scanweave, log: SyntheticLog, tmp_path: Path
+    ) -> None:
+        known = tmp_path / "known.yaml"
+        known.write_text("lidars: {FLASER: {range_scale: 1.01}}")
+        folder = mapped(log.log_path, tmp_path / "out", "--calibration", str(known))
+        found = json.loads(scanweave("info", folder, "--json").out)
+        assert found["settings"] == {"sensors.calibration.lidars.FLASER.range_scale": 1.01}
+
     def test_of_an_unfinished_map(self, scanweave: Scanweave, unfinished: Path) -> None:
         found = json.loads(scanweave("info", unfinished, "--json").out)
         assert (found["finished"], found["log"], found["settings"]) == (False, "scans.log", {"seed": 3})

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
 import gtsam
 import numpy as np
 
-from slam.config import Config
+from slam.config import Config, leaves
 from slam.errors import MapFileError, UnfinishedMapError
 from slam.estimates import Trajectory
 from slam.foreign import plain
@@ -114,10 +114,10 @@ def _begun(path: Path) -> dict[str, Any]:
 
 def _origin(identity: MapIdentity) -> dict[str, Any]:
     """Seed, settings that are not the defaults, versions."""
-    settings, defaults = (config.model_dump(mode="json") for config in (identity.config, Config()))
+    settings = identity.config.model_dump(mode="json", exclude_defaults=True)
     return {
         "seed": identity.config.seed,
-        "settings": dict(_differences(settings, defaults)),
+        "settings": dict(leaves(settings)),
         "versions": dict(identity.versions),
     }
 
@@ -174,12 +174,3 @@ def _grid(states: StateArray, resolution_m: float) -> dict[str, Any]:
         "free_m2": round(float((states == FREE).sum()) * cell_m2, 1),
         "occupied_m2": round(float((states == OCCUPIED).sum()) * cell_m2, 1),
     }
-
-
-def _differences(tree: Any, default: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted name and value of every setting that is not the default."""
-    for name, value in tree.items():
-        if isinstance(value, Mapping):
-            yield from _differences(value, default[name], f"{prefix}{name}.")
-        elif value != default[name]:
-            yield prefix + name, value
