@@ -14,7 +14,8 @@ from fusion.similarity import MIDDLE_MAX
 
 # Between readings further apart than this nobody knows what happened.
 GAP_S = 0.5
-_STEP_S = 0.01
+# Offsets of clocks are sought in such steps first.
+STEP_S = 0.01
 _PEAK_STEPS = 6
 _LEAST_TURN_RAD_S = 0.02  # standard deviation of a yaw rate: below, the robot hardly turns
 
@@ -84,9 +85,9 @@ def clock_offset(
         return None
     # Turns taken as even are smooth where stamps lie halfway and rough where they meet. Averaged over a whole
     # reading's time they are the same anywhere, so that noise prefers no offset.
-    half = round(0.5 * float(np.median(np.diff(second_spans_s))) / _STEP_S)
-    steps = math.ceil(most_s / _STEP_S)
-    every_shift = np.arange(-steps - half, steps + half + 1) * _STEP_S
+    half = round(0.5 * float(np.median(np.diff(second_spans_s))) / STEP_S)
+    steps = math.ceil(most_s / STEP_S)
+    every_shift = np.arange(-steps - half, steps + half + 1) * STEP_S
     told = _told_throughout(first_spans_s, second_spans_s, float(every_shift[-1]))
     spans_s, turned = first_spans_s[told], first_turned_rad[told]
     if turned.size < FEWEST:
@@ -105,7 +106,7 @@ def clock_offset(
     bend, tilt, _ = np.polyfit(shifts[low_k:high_k] - shifts[best], correlation[low_k:high_k], 2)
     if bend >= 0.0:
         return None
-    offset = float(shifts[best] + np.clip(-0.5 * tilt / bend, -_PEAK_STEPS * _STEP_S, _PEAK_STEPS * _STEP_S))
+    offset = float(shifts[best] + np.clip(-0.5 * tilt / bend, -_PEAK_STEPS * STEP_S, _PEAK_STEPS * STEP_S))
     # Of least squares: noise over slopes. The peak's curvature has the product of both sensors' slopes, for
     # noise makes slopes of its own, but not the same ones in both.
     slopes_squared = -2.0 * bend * turned.std() * moved[best].std() * min(turned.size, len(second_spans_s))

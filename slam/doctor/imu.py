@@ -11,13 +11,11 @@ import gtsam
 import numpy as np
 
 from fusion.estimation import FEWEST, half_interval, median_to_sigma
-from fusion.time_alignment import GAP_S
+from fusion.time_alignment import GAP_S, STEP_S
 from slam.doctor.camera_samples import SensorStep
 from slam.doctor.finding import Finding, Remedy
 from slam.measurements import GRAVITY_M_S2, FloatArray, ImuReading
 
-# Clocks are sought up to half a second apart, first in steps of a hundredth.
-_STEP_S = 0.01
 # By so much may a clock and a mounting be off without harm: at a turn of 1 rad/s a hundredth of a radian.
 _CLOCK_S, _ANGLE_RAD = 0.005, math.radians(2.0)
 # Turns about a second axis have this share of those about the first at least, or the mounting stays open.
@@ -113,13 +111,13 @@ def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
     def error(ahead_s: float) -> float:
         return float(np.median(np.sum(_apart(seen, told(ahead_s))[0] ** 2, axis=1)))
 
-    coarse = np.arange(-GAP_S, GAP_S + 0.5 * _STEP_S, _STEP_S)
+    coarse = np.arange(-GAP_S, GAP_S + 0.5 * STEP_S, STEP_S)
     best_s = float(min(coarse, key=error))
-    for step_s in (0.1 * _STEP_S, 0.01 * _STEP_S):
+    for step_s in (0.1 * STEP_S, 0.01 * STEP_S):
         best_s = float(min(best_s + step_s * np.arange(-10, 11), key=error))
     apart, rotation, spread = _apart(seen, told(best_s))
     sigma = median_to_sigma(3) * math.sqrt(float(np.median(np.sum(apart**2, axis=1))))
-    slope = (told(best_s + _STEP_S) - told(best_s - _STEP_S)) / (2.0 * _STEP_S)
+    slope = (told(best_s + STEP_S) - told(best_s - STEP_S)) / (2.0 * STEP_S)
     slope = (slope - slope.mean(axis=0)) @ rotation.T
     moved = np.sum(slope**2, axis=1)
     if not moved.any():
@@ -129,7 +127,7 @@ def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
     pulls = np.einsum("ij,ij->i", slope, apart)
     left_s = float(pulls.sum() / moved.sum())
     ahead_sigma_s = float(np.linalg.norm(pulls - left_s * moved) / moved.sum())
-    best_s += float(np.clip(left_s, -_STEP_S, _STEP_S))
+    best_s += float(np.clip(left_s, -STEP_S, STEP_S))
     # A rotation about an axis is told by what turns about the other two.
     information = np.linalg.eigvalsh(np.trace(spread) * np.eye(3) - spread)[0]
     main = np.linalg.eigvalsh(spread)
