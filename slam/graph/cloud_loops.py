@@ -17,6 +17,7 @@ import numpy as np
 from slam.config import Config
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
+from slam.graph.unseen_gaps import UnseenGaps
 from slam.matching.cloud_points import thinned
 from slam.matching.local_cloud import REACH, Aligned, LocalCloud, moved
 from slam.matching.scan_context import dissimilarity, ring_key, scan_context
@@ -73,6 +74,8 @@ class CloudLoopCloser:
         self._travelled_m: list[float] = []
         self._residuals_m: list[float] = []
         self._last_attempt_m, self._last_loop_m = -math.inf, 0.0
+        # Attempts lie a reach apart: three that agree.
+        self._gaps = UnseenGaps(2.0 * self._reach_m)
         self._cache: OrderedDict[int, LocalCloud] = OrderedDict()
 
     def add_keyframe(
@@ -81,6 +84,8 @@ class CloudLoopCloser:
         pose: gtsam.Pose3,
         travelled_m: float,
         residual_m: float,
+        *,
+        unseen: bool = False,
     ) -> None:
         """Remember the next keyframe.
 
@@ -94,7 +99,11 @@ class CloudLoopCloser:
             Way from the start.
         residual_m
             Of its match; NaN where there was none.
+        unseen
+            Whether nothing saw the way to it.
         """
+        if unseen:
+            self._gaps.begin(len(self._poses))
         self._contexts.append(scan_context(points, self._voxel_m))
         self._rings.append(ring_key(self._contexts[-1]))
         self._poses.append(pose)
@@ -120,7 +129,8 @@ class CloudLoopCloser:
 
         Returns
         -------
-        Every candidate that was tried, accepted or refused.
+        Every candidate that was tried, accepted or refused; one across ground that nothing saw is kept back
+        until others agree.
         """
         path_m = self._travelled_m[key]
         if not self._loops.enabled or path_m - self._last_attempt_m < self._reach_m:
@@ -130,11 +140,15 @@ class CloudLoopCloser:
         for guess in self._propose(key, poses, rows, uncertainty):
             if tried and tried[-1].accepted:
                 break  # where the robot is, is known
-            candidate = self._verify(key, guess)
-            if candidate.accepted:
-                self._last_loop_m = path_m
-            tried.append(candidate)
-        return tried
+            tried.append(self._verify(key, guess))
+        taken = self._gaps.believed(tried, rows, self._travelled_m, uncertainty)
+        if any(candidate.accepted for candidate in taken):
+            self._last_loop_m = path_m
+        return taken
+
+    def alone(self) -> list[LoopCandidate]:
+        """Those that were kept back to the end, as refused."""
+        return self._gaps.alone()
 
     def verify(self, place: int, key: int, T_place_base: gtsam.Pose3 | None, sigma_m: float) -> LoopCandidate:
         """Register a keyframe to a place.
