@@ -74,8 +74,8 @@ class CloudLoopCloser:
         self._travelled_m: list[float] = []
         self._residuals_m: list[float] = []
         self._last_attempt_m, self._last_loop_m = -math.inf, 0.0
-        # Attempts lie a reach apart: three that agree.
-        self._gaps = UnseenGaps(2.0 * self._reach_m)
+        # A street looks like another for a while.
+        self._gaps = UnseenGaps(config.cloud_loops.least_path_voxels * voxel_m)
         self._cache: OrderedDict[int, LocalCloud] = OrderedDict()
 
     def add_keyframe(
@@ -137,7 +137,7 @@ class CloudLoopCloser:
             return []
         self._last_attempt_m = path_m
         tried: list[LoopCandidate] = []
-        for guess in self._propose(key, poses, rows, uncertainty):
+        for guess in [*self._entailed(key), *self._propose(key, poses, rows, uncertainty)]:
             if tried and tried[-1].accepted:
                 break  # where the robot is, is known
             tried.append(self._verify(key, guess))
@@ -206,6 +206,24 @@ class CloudLoopCloser:
                 turned = gtsam.Pose3(gtsam.Rot3.Yaw(yaw), np.zeros(3))
                 chosen.append(_Guess(place, turned, float(sigmas[n]) + reach_m, 1.0 - found, True))
         return chosen
+
+    def _entailed(self, key: int) -> list[_Guess]:
+        """Where the newest keyframe is, if loops that wait are true: at the nearest place of then."""
+        loop = self._gaps.likeliest(key)
+        if loop is None or loop.motion is None:
+            return []
+        T_place_base = spatial(loop.motion.T_reference_base).compose(
+            self._poses[loop.keyframe].between(self._poses[key])
+        )
+        places = self._gaps.stretch_of(loop.place)
+        found = [
+            self._poses[place].between(self._poses[loop.place]).compose(T_place_base) for place in places
+        ]
+        nearest = int(np.argmin([np.linalg.norm(pose.translation()) for pose in found]))
+        sigma_m = self._config.cloud_loops.drift_share * (
+            self._travelled_m[key] - self._travelled_m[loop.keyframe]
+        )
+        return [_Guess(places[nearest], found[nearest], sigma_m, 1.0, False)]
 
     def _verify(self, key: int, guess: _Guess) -> LoopCandidate:
         """Register the keyframe to the place, and judge."""

@@ -25,7 +25,7 @@ class UnseenGaps:
     Parameters
     ----------
     least_path_m
-        Way along which loops of a set must lie.
+        Way along which the places of a set must lie, and the keyframes that come back to them.
     """
 
     def __init__(self, least_path_m: float) -> None:
@@ -34,6 +34,7 @@ class UnseenGaps:
         # Of each stretch, the first one that it is joined with.
         self._joined = [0]
         self._waiting: list[LoopCandidate] = []
+        self._likeliest: LoopCandidate | None = None
 
     def begin(self, key: int) -> None:
         """Nothing saw the way to a keyframe."""
@@ -78,16 +79,30 @@ class UnseenGaps:
                 if self.crossed(one) == crossed:
                     sets.add(one)
             agreeing = sets.largest()[0]
-            if np.ptp([travelled_m[one.keyframe] for one in agreeing]) >= self._least_path_m:
+            self._likeliest = agreeing[-1] if len(agreeing) > 1 else None
+            ways_m = [[travelled_m[one.place], travelled_m[one.keyframe]] for one in agreeing]
+            if np.ptp(ways_m, axis=0).min() >= self._least_path_m:
                 taken += agreeing
+                self._likeliest = None
                 self._joined = [crossed[0] if one == crossed[1] else one for one in self._joined]
                 chosen = {id(one) for one in agreeing}
                 self._waiting = [one for one in self._waiting if id(one) not in chosen]
         return taken
 
+    def likeliest(self, key: int) -> LoopCandidate | None:
+        """The newest of the largest set that waits, if it tells where a keyframe is; it may be false."""
+        loop = self._likeliest
+        return loop if loop is not None and self._stretch(loop.keyframe) == self._stretch(key) else None
+
     def alone(self) -> list[LoopCandidate]:
         """Loops that still wait, as refused."""
         return [replace(loop, accepted=False, reason=_ALONE) for loop in self._waiting]
+
+    def stretch_of(self, key: int) -> range:
+        """The keyframes around one that nothing unseen parts from it."""
+        n = int(np.searchsorted(self._begins, key, side="right"))
+        ends = [0, *self._begins]
+        return range(ends[n], ends[n + 1]) if n + 1 < len(ends) else range(ends[n], key + 1)
 
     def _stretch(self, key: int) -> int:
         """The first stretch that that of a keyframe is joined with."""

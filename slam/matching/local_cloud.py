@@ -15,7 +15,14 @@ import numpy as np
 from fusion.estimation import FEWEST
 from fusion.height_band import to_frame
 from slam.config import Config
-from slam.matching.cloud_alignment import CloudAlignment, agreement, align_cloud, drawn_near, motion_of
+from slam.matching.cloud_alignment import (
+    CloudAlignment,
+    agreement,
+    align_cloud,
+    drawn_near,
+    levers,
+    motion_of,
+)
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray, MotionEstimate
 
@@ -121,7 +128,7 @@ class LocalCloud:
 
     def _is_near(self, found: CloudAlignment, guess: gtsam.Pose3) -> bool:
         """Whether an alignment settled where it was expected."""
-        moved_m = np.abs(gtsam.Pose3.Logmap(guess.between(found.pose))) * ([found.lever_m] * 3 + [1.0] * 3)
+        moved_m = np.abs(levers(found.arms_m) @ gtsam.Pose3.Logmap(guess.between(found.pose)))
         confident = found.converged and found.inlier_share >= self._config.match.confident_inlier_share
         return bool(confident and moved_m.max() <= self._voxel_m)
 
