@@ -86,6 +86,7 @@ class CloudLidar:
         self._stamp_s = 0.0
         self._T_base_lidar = gtsam.Pose3()
         self._matched, self._doubtful, self._unseen = 0, 0, list[str]()
+        self._unseen_key: int | None = None
 
     def observe(self, measurement: Any) -> Tracked | None:
         """Take the next measurement; where the robot is then, if it tells that."""
@@ -120,6 +121,7 @@ class CloudLidar:
             elif self._imu is not None and (spread := self._imu.spread()) is not None:
                 edges.append(Edge(key - 1, key, step, spread, EdgeKind.IMU, trusted=True))
             elif tracked.unseen_m:
+                self._unseen_key = key
                 self._unseen.append(
                     f"{tracked.unseen_m:.0f} m before {self._stamp_s - self._stamps_s[0]:.0f} s"
                 )
@@ -150,7 +152,9 @@ class CloudLidar:
         self._clouds.add(self._stamp_s, thinned(tracked.points, kept_m), self._T_base_lidar)
         self._cameras.add_keyframe(key, self._stamp_s, tracked.points, self._T_base_lidar)
         residual_m = np.nan if tracked.motion is None else tracked.motion.residual_m
-        self._closer.add_keyframe(tracked.points, tracked.pose, self._travelled_m, residual_m)
+        self._closer.add_keyframe(
+            tracked.points, tracked.pose, self._travelled_m, residual_m, unseen=self._unseen_key == key
+        )
         return self._closer.close(key, graph.poses(), graph.rows(), graph.uncertainty)
 
     def refuse(self) -> None:
@@ -168,7 +172,12 @@ class CloudLidar:
             )
 
     def settle(self, graph: KeyframeGraph) -> None:
-        """Put the map upright, where gravity is known; every step was settled when it was made."""
+        """Put the map upright, where gravity is known; every step was settled when it was made.
+
+        Loops that nothing else confirms across ground that nothing saw are refused.
+        """
+        for loop in [] if self._closer is None else self._closer.alone():
+            graph.add_loop(loop)
         if self._down and self._imu is not None and not self._imu.unfit:
             graph.graph.level(apart_in_time(self._down))
 

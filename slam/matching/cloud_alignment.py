@@ -16,7 +16,7 @@ from slam.matching.match_covariance import LEAST_EIGENVALUE
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray
 
-_LEAST_KERNEL_M = 0.02
+_LEAST_KERNEL_M, _LEAST_ARM_M = 0.02, 1e-3
 # A point this share of the widest kernel from its plane lies on it.
 _ON_PLANE = 0.2
 # A share of the reach: what is nearer need not be drawn nearer.
@@ -37,8 +37,8 @@ class CloudAlignment:
         (6, 6) of its gradient, as the residuals tell it: points of one plane share their errors.
     weight
         Sum of the robust weights.
-    lever_m
-        Root mean square distance of the points: a turn by 1/lever moves them by a metre.
+    arms_m
+        (3, 3) of the points, see `arms_of`.
     pair_count
         Points on known planes.
     overlap
@@ -59,7 +59,7 @@ class CloudAlignment:
     hessian: FloatArray
     spread: FloatArray
     weight: float
-    lever_m: float
+    arms_m: FloatArray
     pair_count: int
     overlap: float
     inlier_share: float
@@ -109,7 +109,7 @@ def align_cloud(
         found.hessian,
         found.spread(),
         float(found.weights.sum()),
-        float(np.sqrt(np.einsum("ij,ij->", points, points) / len(points))),
+        arms_of(points),
         len(found.residuals),
         len(found.residuals) / len(points),
         float(agree.mean()),
@@ -145,6 +145,23 @@ def agreement(points: FloatArray, planes: PlaneVoxels, pose: gtsam.Pose3, kernel
     return 0.0 if found is None else found.agreement(kernel_m, len(points))
 
 
+def arms_of(points: FloatArray) -> FloatArray:
+    """(3, 3) of points (N, 3): a small turn by a vector w moves them by ``|arms @ w|``, root mean square.
+
+    The root of their inertia: about the axis of a street points have short arms, about the vertical long.
+    """
+    spread = points.T @ points / max(len(points), 1)
+    squares, axes = np.linalg.eigh(np.trace(spread) * np.eye(3) - spread)
+    return np.asarray(axes * np.sqrt(np.maximum(squares, _LEAST_ARM_M**2)) @ axes.T)
+
+
+def levers(arms_m: FloatArray) -> FloatArray:
+    """(6, 6) that makes metres of a twist, GTSAM's tangent: what turns move the points by, and the way."""
+    found = np.eye(6)
+    found[:3, :3] = arms_m
+    return found
+
+
 def motion_of(alignment: CloudAlignment, config: Config, guess: gtsam.Pose3) -> MotionEstimate:
     """Wrap an alignment as a measured motion with its covariance.
 
@@ -155,15 +172,15 @@ def motion_of(alignment: CloudAlignment, config: Config, guess: gtsam.Pose3) -> 
     A direction that the cloud does not determine keeps its value of the guess (solution remapping, Zhang
     2016) and gets ``degenerate_sigma_m`` squared on top.
     """
-    lever_m = max(alignment.lever_m, 1e-3)
-    units = np.array([1.0 / lever_m] * 3 + [1.0] * 3)
-    values, vectors = np.linalg.eigh(units[:, None] * alignment.hessian * units)
+    lever = levers(alignment.arms_m)
+    turns = np.linalg.inv(lever)
+    values, vectors = np.linalg.eigh(turns @ alignment.hessian @ turns)
     weak = vectors[:, values < 0.5 * config.match.degenerate_share * max(alignment.weight, 1.0)]
     least_m = config.match.minimal_residual_m
     scale = max(alignment.residual_m, least_m) if np.isfinite(alignment.residual_m) else 1.0
     # Points that fit nothing are a doubt about all the others.
     doubt = 1.0 / max(alignment.inlier_share, 0.1) ** 2
-    root = units[:, None] * (vectors / np.sqrt(np.maximum(values, LEAST_EIGENVALUE)))
+    root = turns @ vectors / np.sqrt(np.maximum(values, LEAST_EIGENVALUE))
     # How many times the spread is that of independent residuals, by direction.
     shared, directions = np.linalg.eigh(root.T @ alignment.spread @ root / scale**2)
     widened = root @ directions * np.sqrt(np.maximum(shared, config.cloud_odometry.correlated_points))
@@ -172,9 +189,9 @@ def motion_of(alignment: CloudAlignment, config: Config, guess: gtsam.Pose3) -> 
     covariance += np.diag([config.match.floor_rad**2] * 3 + [config.match.floor_m**2] * 3)
     pose, weakest = alignment.pose, np.zeros(6)
     if weak.shape[1]:
-        away = gtsam.Pose3.Logmap(pose.between(guess)) / units
-        pose = pose.compose(gtsam.Pose3.Expmap(units * (weak @ (weak.T @ away))))
-        open_ = units[:, None] * weak
+        away = lever @ gtsam.Pose3.Logmap(pose.between(guess))
+        pose = pose.compose(gtsam.Pose3.Expmap(turns @ weak @ (weak.T @ away)))
+        open_ = turns @ weak
         covariance += config.match.degenerate_sigma_m**2 * (open_ @ open_.T)
         weakest = open_[:, 0] / np.linalg.norm(open_[:, 0])
     return MotionEstimate(
