@@ -312,3 +312,14 @@ def row_from_pose2(pose: Pose) -> FloatArray:
 def spatial(pose: Pose) -> gtsam.Pose3:
     """A pose in space; one of the plane at z = 0."""
     return pose if isinstance(pose, gtsam.Pose3) else gtsam.Pose3(pose)
+
+
+def row_from_pose(pose: Pose) -> list[float]:
+    """x, y, z and the quaternion x, y, z, w of a pose."""
+    turn: Any = spatial(pose).rotation().toQuaternion()
+    return [*spatial(pose).translation().tolist(), turn.x(), turn.y(), turn.z(), turn.w()]
+
+
+def motion_between(one: Pose, other: Pose) -> Pose:
+    """The other seen from one; GTSAM has no type for a pose of the plane or of space."""
+    return one.between(other)  # type: ignore[arg-type]

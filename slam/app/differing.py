@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from fusion.showing import one_line, with_pictures
+from slam.app.joining import refuse_unfit
 from slam.errors import ScanweaveError
-from slam.localization.known_map import has_walls
 from slam.outputs.finished_map import Map, open_map
 from slam.sessions.between_visits import BetweenVisits
 from slam.sessions.changes import Comparison, Visit, compare
@@ -89,7 +89,7 @@ def diff_maps(
     after = open_map(after) if isinstance(after, str | Path) else after
     for one in (before, after):
         if one is not None:
-            _refuse_unfit(one)
+            refuse_unfit(one, str(one.path), "are compared", "maps are compared")
     if (after is None) == (sessions is None):
         raise ScanweaveError("two maps, or two sessions of one map, can be compared; give one of both")
     if after is None:
@@ -132,15 +132,3 @@ def _in_one_frame(before: Map, after: Map) -> tuple[MapContents, list[np.ndarray
         raise ScanweaveError(f"{after.path} does not connect to {before.path}: {connection.reason}")
     contents, first = connection.joined.contents, len(before.keyframe_poses)
     return contents, [np.arange(first), np.arange(first, len(contents.node_poses))]
-
-
-def _refuse_unfit(saved: Map) -> None:
-    """Refuse a map that cannot be compared by its scans."""
-    if saved.contents.clouds:
-        raise ScanweaveError(f"{saved.path} is of a 3D lidar; only maps of a robot on a floor are compared")
-    if not saved.planar:
-        raise ScanweaveError(
-            f"{saved.path} is of a camera in space; only maps of a robot on a floor are compared"
-        )
-    if not has_walls(saved.contents):
-        raise ScanweaveError(f"{saved.path} holds no lidar scan; maps are compared by their scans")

@@ -97,7 +97,7 @@ def join(
     (2, True)
     """
     known = known if isinstance(known, Map) else open_map(known)
-    _refuse_unfit(known, str(known.path))
+    refuse_unfit(known, str(known.path))
     if out is None and (known.in_memory or known.path.name != MAP_NAME):
         why = "lies in a temporary folder" if known.in_memory else f"is not named {MAP_NAME}"
         raise MapFileError(f"{known.path} {why}; say with --out (out=) where the joined map goes")
@@ -131,7 +131,7 @@ def _connected(log: Dataset, known: Map, session: MapRun, folder: Path) -> tuple
     """Connect the two, and write the joined map into a folder; what was written."""
     work = session.map.path.parent
     try:
-        _refuse_unfit(session.map, f"what was mapped of {log.path}")
+        refuse_unfit(session.map, f"what was mapped of {log.path}")
         connection = connect(known, session.map)
         if connection.joined is None:
             raise ScanweaveError(
@@ -153,11 +153,12 @@ def _connected(log: Dataset, known: Map, session: MapRun, folder: Path) -> tuple
     return connection, written
 
 
-def _refuse_unfit(saved: Map, name: str) -> None:
-    """Refuse a map whose sessions cannot be joined by their scans."""
-    if saved.contents.clouds:
-        raise ScanweaveError(f"{name} is of a 3D lidar; only maps of a robot on a floor take sessions")
-    if not saved.planar:
-        raise ScanweaveError(f"{name} is of a camera in space; only maps of a robot on a floor take sessions")
+def refuse_unfit(
+    saved: Map, name: str, floors: str = "take sessions", scans: str = "sessions are joined"
+) -> None:
+    """Refuse a map without scans of a robot on a floor; what is done with such completes the sentences."""
+    if saved.contents.clouds or not saved.planar:
+        sensor = "a 3D lidar" if saved.contents.clouds else "a camera in space"
+        raise ScanweaveError(f"{name} is of {sensor}; only maps of a robot on a floor {floors}")
     if not has_walls(saved.contents):
-        raise ScanweaveError(f"{name} holds no lidar scan; sessions are joined by their scans")
+        raise ScanweaveError(f"{name} holds no lidar scan; {scans} by their scans")

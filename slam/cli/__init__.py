@@ -5,27 +5,14 @@ from __future__ import annotations
 import gc
 import sys
 
-from slam.cli import compare, demo, diff, doctor, edit, localize, map_log, queries, saved, simulate
+from slam.cli import compare, demo, edit, localize, map_log, queries, saved, simulate
 from slam.cli.app import app, tell
 from slam.errors import ScanweaveError
 
-__all__ = [
-    "app",
-    "compare",
-    "demo",
-    "diff",
-    "doctor",
-    "edit",
-    "localize",
-    "main",
-    "map_log",
-    "queries",
-    "saved",
-    "simulate",
-]
+__all__ = ["app", "compare", "demo", "edit", "localize", "main", "map_log", "queries", "saved", "simulate"]
 
-# Conventional exit code of a program that the user interrupted.
 _OBJECTS_A_COLLECTION = 50_000
+# Conventional exit code of a program that the user interrupted.
 _INTERRUPTED = 130
 
 

@@ -93,6 +93,12 @@ LogArgument = Annotated[
         "(simulated, TUM, 7-Scenes, OpenLORIS-Scene, Robot@Home, KITTI, point clouds)"
     ),
 ]
+KnownMapArgument = Annotated[
+    Path,
+    typer.Argument(
+        metavar="MAP", help="a folder that 'scanweave map' has made, its map.db, or a nav2 map (.yaml)"
+    ),
+]
 OutOption = Annotated[
     Path,
     typer.Option("--out", "-o", parser=folder_of, help="folder for the results; made where missing"),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -12,6 +11,7 @@ import typer
 from slam.cli.app import (
     CalibrationOption,
     ConfigOption,
+    KnownMapArgument,
     LogArgument,
     OutOption,
     RecordOption,
@@ -27,12 +27,7 @@ from slam.cli.progress import interruptible, progress_bar
 
 @command()
 def localize(
-    map_: Annotated[
-        Path,
-        typer.Argument(
-            metavar="MAP", help="a folder that 'scanweave map' has made, its map.db, or a nav2 map (.yaml)"
-        ),
-    ],
+    map_: KnownMapArgument,
     log: LogArgument,
     out: OutOption,
     config: ConfigOption = None,

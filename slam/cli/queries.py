@@ -1,10 +1,10 @@
-"""Commands that look: scanweave inspect, evaluate, config, plan."""
+"""Commands that look: scanweave inspect, doctor, evaluate, config, plan."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,15 +12,21 @@ from slam.cli.app import (
     CalibrationOption,
     ConfigOption,
     JsonOption,
+    KnownMapArgument,
     LogArgument,
     SetOption,
     StrictOption,
     TopicsOption,
     command,
+    say,
     tell,
     topics_of,
 )
 from slam.errors import ScanweaveError
+
+if TYPE_CHECKING:
+    from slam.config.calibration import Calibration
+    from slam.datasets.dataset import Dataset
 
 
 @command()
@@ -32,22 +38,65 @@ def inspect(
     calibration: CalibrationOption = None,
 ) -> None:
     """Tell what is in a log: sensors, rates, gaps, clock steps, dropped records."""
-    from slam.config import load_config
-    from slam.datasets import open_dataset
     from slam.datasets.corrections import Corrected
     from slam.datasets.inspection import inspect_dataset, map_commands
     from slam.doctor.diagnosis import diagnose
     from slam.evaluation.pages import inspection_text
 
-    sensors = load_config(calibration=calibration).sensors
-    known, files = sensors.calibration, sensors.calibration_files
-    dataset = open_dataset(log, strict=strict, topics=topics_of(topics), calibration=files)
+    dataset, known = _opened(log, topics, calibration, strict=strict)
     inspection = inspect_dataset(dataset, known)
     inspection["commands"] = map_commands(inspection, log, topics_of(topics), calibration)
     findings = [] if inspection["refusal"] else diagnose(Corrected(dataset, known))
     inspection["findings"] = [{"line": finding.line, **finding.plain()} for finding in findings]
     lines = [inspection_text(inspection), *(f"  finding: {finding.line}" for finding in findings)]
     tell(json.dumps(inspection, indent=2) if as_json else "\n".join(lines))
+
+
+@command()
+def doctor(
+    log: LogArgument,
+    write: Annotated[
+        Path | None,
+        typer.Option("--write", help="write what mends it here, for --calibration of the other commands"),
+    ] = None,
+    as_json: JsonOption = False,
+    strict: StrictOption = False,
+    topics: TopicsOption = None,
+    calibration: CalibrationOption = None,
+) -> None:
+    """Tell what the sensors of a log say of each other that cannot be, and what mends it."""
+    from slam.datasets.corrections import Corrected
+    from slam.doctor.diagnosis import examine
+    from slam.doctor.finding import calibration_text, remedied
+    from slam.storage.files import write_bytes
+
+    dataset, known = _opened(log, topics, calibration, strict=strict)
+    diagnosis = examine(Corrected(dataset, known))
+    findings = diagnosis.findings
+    if as_json:
+        found = [finding.plain() for finding in findings]
+        tell(json.dumps({"findings": found, "open": diagnosis.open}, indent=2))
+    else:
+        tell("\n".join(finding.line for finding in findings) or "nothing is wrong as far as the log tells")
+        for line in diagnosis.open:
+            tell(f"not judged: {line}")
+    if write is not None:
+        mended = remedied(known, findings, only_sure=False)
+        write_bytes(write, calibration_text(mended, findings).encode())
+        say(f"wrote {write}")
+
+
+def _opened(
+    log: Path, topics: list[str] | None, calibration: Path | None, *, strict: bool
+) -> tuple[Dataset, Calibration]:
+    """A log to look into, and what is known of its sensors."""
+    from slam.config import load_config
+    from slam.datasets import open_dataset
+
+    sensors = load_config(calibration=calibration).sensors
+    files = sensors.calibration_files
+    dataset = open_dataset(log, strict=strict, topics=topics_of(topics), calibration=files)
+    return dataset, sensors.calibration
 
 
 @command()
@@ -88,12 +137,7 @@ def config_command(config: ConfigOption = None, set_: SetOption = None) -> None:
 
 @command()
 def plan(
-    map_: Annotated[
-        Path,
-        typer.Argument(
-            metavar="MAP", help="a folder that 'scanweave map' has made, its map.db, or a nav2 map (.yaml)"
-        ),
-    ],
+    map_: KnownMapArgument,
     start: Annotated[str, typer.Option("--from", help="x,y in metres, map frame")],
     goal: Annotated[str, typer.Option("--to", help="x,y in metres, map frame")],
     radius: Annotated[float, typer.Option(min=0.0, help="of the robot, metres")] = 0.2,

@@ -1,4 +1,4 @@
-"""Commands on a finished map: scanweave info, check, export, floorplan."""
+"""Commands on a finished map: scanweave info, check, export, floorplan, diff."""
 
 from __future__ import annotations
 
@@ -113,3 +113,33 @@ def floorplan(
     saved.export(formats[out.suffix].value, out)
     tell(json.dumps(plan_geojson(plan), indent=2) if as_json else floor_plan_text(plan))
     say(f"wrote {out}")
+
+
+@command()
+def diff(
+    before: MapArgument,
+    after: Annotated[
+        Path | None, typer.Argument(metavar="[MAP]", help="the later map; none with --sessions")
+    ] = None,
+    sessions: Annotated[
+        tuple[int, int] | None,
+        typer.Option("--sessions", help="two sessions of one map, by their numbers, instead of a second map"),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", parser=folder_of, help="folder for diff.json, diff.geojson and diff.png"),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Tell what went, appeared or moved between two maps of a place, with a probability each."""
+    from slam.app.differing import diff_maps
+    from slam.outputs.finished_map import open_map
+    from slam.sessions.difference_files import difference_plain, difference_text
+
+    first, second = open_map(before), None if after is None else open_map(after)
+    found = diff_maps(first, second, sessions=sessions, out=out)
+    told = found.things, found.passing, found.comparison
+    names = [str(before), str(before if after is None else after)]
+    tell(json.dumps(difference_plain(*told, names), indent=2) if as_json else difference_text(*told))
+    if found.written and not as_json:
+        say("wrote " + ", ".join(str(path) for path in found.written))

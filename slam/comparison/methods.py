@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from typing import Any
 
 import gtsam
 import numpy as np
@@ -20,7 +19,15 @@ from slam.errors import DatasetError
 from slam.estimates import Trajectory
 from slam.graph.loop_closure import LoopCandidate
 from slam.mapper.pipeline import build_map
-from slam.measurements import FloatArray, LaserScan, PointCloud, RgbdFrame, WheelOdometry, row_from_pose2
+from slam.measurements import (
+    FloatArray,
+    LaserScan,
+    PointCloud,
+    RgbdFrame,
+    WheelOdometry,
+    row_from_pose,
+    row_from_pose2,
+)
 from slam.odometry import Odometries
 
 _FARTHEST_DEPTH_M = 4.0
@@ -172,9 +179,5 @@ def _accepted(loops: Sequence[LoopCandidate], stamps: FloatArray) -> list[Accept
 
 def _trajectory(stamps_s: list[float], poses: list[gtsam.Pose3]) -> Trajectory:
     """Poses as a trajectory."""
-    quaternions: list[Any] = [pose.rotation().toQuaternion() for pose in poses]
-    return Trajectory(
-        np.array(stamps_s),
-        np.array([pose.translation() for pose in poses]),
-        np.array([[q.x(), q.y(), q.z(), q.w()] for q in quaternions]),
-    )
+    rows = np.array([row_from_pose(pose) for pose in poses])
+    return Trajectory(np.array(stamps_s), rows[:, :3], rows[:, 3:])

@@ -42,9 +42,13 @@ class ImuSamples:
 
     def rows(self) -> FloatArray:
         """(N, 7) stamp, turn rate, force; stamps rise, a reading older than one before is left out."""
-        rows = np.array(self._rows).reshape(-1, 7)
-        newest = np.maximum.accumulate(np.concatenate([[-np.inf], rows[:-1, 0]]))
-        return np.asarray(rows[rows[:, 0] > newest])
+        return rising(np.array(self._rows).reshape(-1, 7))
+
+
+def rising(rows: FloatArray) -> FloatArray:
+    """Rows that begin with a stamp, without those older than one before."""
+    newest = np.maximum.accumulate(np.concatenate([[-np.inf], rows[:-1, 0]]))
+    return np.asarray(rows[rows[:, 0] > newest])
 
 
 @dataclass(frozen=True, slots=True)

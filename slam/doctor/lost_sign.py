@@ -13,7 +13,7 @@ from slam.doctor.finding import Finding
 from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.match_covariance import weak_direction
 from slam.matching.planar import between
-from slam.matching.scan_points import extract_points
+from slam.matching.scan_points import points_by
 from slam.measurements import FloatArray, LaserScan, Measurement
 
 
@@ -108,18 +108,13 @@ def _way_ahead_m(first: LaserScan, last: LaserScan, rows: FloatArray, config: Co
 
     The wheels' step, and the same step back, are where the search begins; the one that fits better counts.
     """
-    settings, limits = config.scan, config.match
+    limits = config.match
     stamps_s = np.array([first.stamp_s, last.stamp_s])
     if not rows[0, 0] <= stamps_s[0] < stamps_s[1] <= rows[-1, 0]:
         return None
     told = np.column_stack([np.interp(stamps_s, rows[:, 0], column) for column in rows[:, 1:].T])
     step = between(told[0], told[1])
-    points = [
-        OrientedPoints.from_scan(
-            extract_points(scan, settings.range_min_m, settings.range_max_m, settings.neighbours)
-        )
-        for scan in (first, last)
-    ]
+    points = [OrientedPoints.from_scan(points_by(config.scan, scan)) for scan in (first, last)]
     local_map = LocalMap.build(points[:1], limits)
     found = [local_map.align(points[1], guess) for guess in (step, step * [-1.0, -1.0, 1.0])]
     best = max(found, key=lambda one: one.fit)

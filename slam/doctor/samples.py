@@ -12,7 +12,7 @@ from fusion.estimation import FEWEST
 from slam.datasets.corrections import Unwound, repeats
 from slam.doctor.camera_samples import CameraSamples
 from slam.doctor.cloud_samples import CloudSamples
-from slam.doctor.imu import ImuSamples
+from slam.doctor.imu import ImuSamples, rising
 from slam.measurements import (
     FloatArray,
     ImuReading,
@@ -46,9 +46,7 @@ class WheelSamples:
 
     def rows(self) -> FloatArray:
         """(N, 4) stamp, x, y, heading unwound; stamps rise, a reading older than one before is left out."""
-        rows = np.array(self._rows).reshape(-1, 4)
-        newest = np.maximum.accumulate(np.concatenate([[-np.inf], rows[:-1, 0]]))
-        return np.asarray(rows[rows[:, 0] > newest])
+        return rising(np.array(self._rows).reshape(-1, 4))
 
 
 @dataclass(slots=True)

@@ -12,7 +12,7 @@ from slam.config import Config
 from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.match_covariance import weak_direction
 from slam.matching.planar import between, compose
-from slam.matching.scan_points import extract_points
+from slam.matching.scan_points import points_by
 from slam.measurements import FloatArray, LaserScan
 
 
@@ -97,13 +97,8 @@ def _turned(scan: LaserScan, angle_scale: float) -> LaserScan:
 
 def _track(scans: Sequence[LaserScan], config: Config) -> Iterator[ScanMotion]:
     """One stretch, in as many pieces as matches fail."""
-    settings, limits = config.scan, config.match
-    points = [
-        OrientedPoints.from_scan(
-            extract_points(scan, settings.range_min_m, settings.range_max_m, settings.neighbours)
-        )
-        for scan in scans
-    ]
+    limits = config.match
+    points = [OrientedPoints.from_scan(points_by(config.scan, scan)) for scan in scans]
     begun = 0
     while begun < len(scans) - 1:
         poses, reference, fits, step = [np.zeros(3)], np.zeros(3), list[float](), np.zeros(3)

@@ -9,7 +9,7 @@ import numpy as np
 
 from slam.config import Config
 from slam.errors import MapFileError
-from slam.matching.scan_points import extract_points
+from slam.matching.scan_points import points_by
 from slam.measurements import FloatArray
 from slam.storage.map_contents import MapContents
 
@@ -35,10 +35,10 @@ def to_walls_rad(contents: MapContents, config: Config) -> float:
     MapFileError
         Where the map has no scans, and so no walls to be seen.
     """
-    settings, angles = config.scan, []
+    angles = []
     for scan, pose in zip(contents.keyframe_scans, contents.keyframe_poses, strict=False):
         if scan is not None:
-            points = extract_points(scan, settings.range_min_m, settings.range_max_m, settings.neighbours)
+            points = points_by(config.scan, scan)
             normals = points.normals_base[np.any(points.normals_base != 0.0, axis=1)]
             angles.append(np.arctan2(normals[:, 1], normals[:, 0]) + pose[2])
     fourfold = 4.0 * np.concatenate(angles).astype(np.float64) if angles else np.zeros(0)

@@ -17,7 +17,7 @@ from slam.evaluation.page_what_if import what_if_data
 from slam.graph.loop_closure import LoopCandidate
 from slam.mapping.layered_map import PASSED_BY
 from slam.matching.planar import transform_points
-from slam.measurements import FloatArray, LaserScan, Pose, row_from_pose2, spatial
+from slam.measurements import FloatArray, LaserScan, Pose, row_from_pose, row_from_pose2
 from slam.storage.covariances import upper_triangles
 from slam.storage.map_contents import MapContents, SavedFactor
 from slam.storage.map_sessions import MapSession
@@ -79,11 +79,7 @@ def pose_rows(poses: Sequence[Pose]) -> FloatArray:
     """(N, 3) x, y, yaw of poses in the plane; (N, 7) x, y, z and a quaternion (x, y, z, w) in space."""
     if poses and isinstance(poses[0], gtsam.Pose2):
         return np.array([row_from_pose2(pose) for pose in poses])
-    rows = []
-    for pose in poses:
-        turn: Any = spatial(pose).rotation().toQuaternion()
-        rows.append([*spatial(pose).translation().tolist(), turn.x(), turn.y(), turn.z(), turn.w()])
-    return np.array(rows, np.float64).reshape(-1, 7)
+    return np.array([row_from_pose(pose) for pose in poses], np.float64).reshape(-1, 7)
 
 
 def way_data(

@@ -20,7 +20,7 @@ from fusion.estimation import TINY, gate
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.factors import solved
 from slam.graph.held_graph import held_graph
-from slam.measurements import IN_PLANE, FloatArray, Pose, spatial
+from slam.measurements import IN_PLANE, FloatArray, Pose, motion_between, spatial
 
 _FREEDOM = 3.0
 _MOST_ROUNDS = 20
@@ -203,9 +203,8 @@ def _upright(nodes: Sequence[Pose]) -> Edge:
     nothing, leans = _NOWHERE_M**2, _LEANS_RAD**2
     planar = isinstance(nodes[0], gtsam.Pose2)
     variances = [nothing, nothing, math.pi**2] if planar else [leans, leans, math.pi**2, *[nothing] * 3]
-    return Edge(
-        0, len(nodes) - 1, _between(nodes[0], nodes[-1]), np.diag(variances), EdgeKind.GNSS, trusted=True
-    )
+    whole = motion_between(nodes[0], nodes[-1])
+    return Edge(0, len(nodes) - 1, whole, np.diag(variances), EdgeKind.GNSS, trusted=True)
 
 
 def _edges(nodes: Sequence[Pose], source: int, anchors: Sequence[Anchor], scales: FloatArray) -> list[Edge]:
@@ -214,9 +213,9 @@ def _edges(nodes: Sequence[Pose], source: int, anchors: Sequence[Anchor], scales
     ``scales`` (k,) is what the covariances are multiplied by.
     """
     earth, found = nodes[-1], list[Edge]()
-    T_source_earth = spatial(_between(nodes[source], earth))
+    T_source_earth = spatial(motion_between(nodes[source], earth))
     for one, scale in zip(anchors, scales.tolist(), strict=True):
-        turn = spatial(_between(earth, nodes[one.node])).rotation()
+        turn = spatial(motion_between(earth, nodes[one.node])).rotation()
         place = gtsam.Pose3(turn, one.place_m - np.asarray(turn.rotate(one.arm_m)))
         axes = np.asarray(turn.matrix())
         covariance = np.full(6, math.pi**2) * np.eye(6)
@@ -233,8 +232,3 @@ def _like(pose: Pose, other: gtsam.Pose3) -> Pose:
     if isinstance(pose, gtsam.Pose3):
         return other
     return gtsam.Pose2(other.x(), other.y(), other.rotation().yaw())
-
-
-def _between(one: Pose, other: Pose) -> Pose:
-    """The other seen from one; GTSAM has no type for a pose of the plane or of space."""
-    return one.between(other)  # type: ignore[arg-type]

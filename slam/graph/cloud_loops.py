@@ -293,11 +293,11 @@ class CloudLoopCloser:
         self._cache[key] = local
         if len(self._cache) > half:
             self._cache.popitem(last=False)
-            _give_back()
+            give_back_memory()  # between places that are kept it would pile up
         return local
 
 
-def _give_back() -> None:
-    """Give freed memory back, where the C library can: between places that are kept it would pile up."""
+def give_back_memory() -> None:
+    """Let the C library return to the system what was freed in pieces; one that is not glibc keeps it."""
     with suppress(OSError, AttributeError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)

@@ -33,7 +33,7 @@ from slam.graph.anchors import with_alignment
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.held_graph import marginals
 from slam.graph.keyframe_graph import unmeasured
-from slam.measurements import BoolArray, FloatArray, Pose
+from slam.measurements import BoolArray, FloatArray, Pose, motion_between
 
 _MATCHES = (EdgeKind.LIDAR, EdgeKind.RGBD, EdgeKind.LOOP)
 
@@ -66,7 +66,8 @@ def pose_covariances(
         np.add.at(information, [edge.source for edge in of_steps], each)
     # Between the last keyframe of a session and the first of the next nothing was measured.
     information[~information.any(axis=(1, 2))] = np.linalg.inv(_unknown(poses, config))
-    adjoints = np.array([_between(base, node).AdjointMap() for base, node in zip(bases, poses, strict=True)])
+    offsets = map(motion_between, bases, poses)
+    adjoints = np.array([offset.AdjointMap() for offset in offsets])
     turned = adjoints.transpose(0, 2, 1)
     nodes, steps = marginals(poses, told), np.linalg.inv(information)
     return adjoints @ nodes @ turned, adjoints[1:] @ steps @ turned[1:]
@@ -132,9 +133,8 @@ def _unit_variance(poses: Sequence[Pose], held: Sequence[Edge], config: Config) 
     ]
     if not matches:
         return 1.0
-    offs = np.array(
-        [_logmap(edge.T_source_target, _between(poses[edge.source], poses[edge.target])) for edge in matches]
-    )
+    found = [motion_between(poses[edge.source], poses[edge.target]) for edge in matches]
+    offs = np.array([_logmap(edge.T_source_target, off) for edge, off in zip(matches, found, strict=True)])
     covariances = np.array([edge.covariance for edge in matches])
     squares = np.einsum("ki,ki->k", offs, np.linalg.solve(covariances, offs[..., None])[..., 0])
     determined = np.sum(np.linalg.eigvalsh(covariances) < config.graph.lost_sigma_m**2, axis=1)
@@ -164,12 +164,7 @@ def _unknown(poses: Sequence[Pose], config: Config) -> FloatArray:
     return unmeasured(config.graph, planar=isinstance(poses[0], gtsam.Pose2))
 
 
-def _between(one: Pose, other: Pose) -> Pose:
-    """The other seen from one; GTSAM has no type for a pose of the plane or of space."""
-    return one.between(other)  # type: ignore[arg-type]
-
-
 def _logmap(told: Pose, found: Pose) -> FloatArray:
     """(d,) from a motion that is told to the one that was found."""
-    off = _between(told, found)
+    off = motion_between(told, found)
     return np.asarray(gtsam.Pose2.Logmap(off) if isinstance(off, gtsam.Pose2) else gtsam.Pose3.Logmap(off))

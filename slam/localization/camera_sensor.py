@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
-import gtsam
 import numpy as np
 
 from slam.config import Config
@@ -13,21 +12,15 @@ from slam.estimates import MotionEstimate
 from slam.localization.poses import Measured, apart, composed, diagonal
 from slam.localization.sensor import Keyframe, Observation
 from slam.localization.visual_locator import VisualLocator
-from slam.measurements import FloatArray, Pose
+from slam.measurements import Pose
+from slam.odometry.camera_odometry import camera_step, pose_in_segment
+from slam.odometry.camera_track import CameraPose
 from slam.odometry.rgbd_tracker import RgbdTracker
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.prepared_frame import PreparedFrame
 
 # Evidence of a frame against a pose where it should have matched, nats: often it does not all the same.
 _UNMATCHED_NATS = -0.5
-
-
-class _Tracked(NamedTuple):
-    """``T_odom_camera`` of a frame, (6, 6) against the frames before; no motion leads between segments."""
-
-    pose: gtsam.Pose3
-    covariance: FloatArray
-    segment: int
 
 
 class CameraSensor:
@@ -45,7 +38,7 @@ class CameraSensor:
         guessed = config.prediction.velocity_floor_m, config.prediction.velocity_floor_rad
         self._guess = Measured(locator.origin, diagonal(locator.origin, *guessed))
         self._matched_nats = config.localization.lost_nats / self.least_keyframes
-        self._last: _Tracked | None = None
+        self._last: CameraPose | None = None
         self._pose: Pose | None = None
         self._segment = 0
 
@@ -55,7 +48,8 @@ class CameraSensor:
         if frame is None:
             return None
         now = self._tracked(frame)
-        moved = self._moved(self._last, now)
+        step = camera_step(self._last, now)
+        moved = None if step is None else self._locator.step(*step)
         self._last = now
         if moved is None or self._pose is None:
             self._pose = None if now is None else self._locator.origin
@@ -90,21 +84,10 @@ class CameraSensor:
         """See `Sensor`."""
         return [motion.T_reference_base for motion in self._locator.anywhere(view)]
 
-    def _tracked(self, frame: PreparedFrame) -> _Tracked | None:
+    def _tracked(self, frame: PreparedFrame) -> CameraPose | None:
         """Where the odometry saw the camera; None where it is lost."""
         tracked = self._odometry.track(frame)
         self._segment += tracked.restarted
         if tracked.new_keyframe:
             self._odometry.add_keyframe(frame, tracked)
-        if tracked.match is not None:
-            return _Tracked(tracked.pose, tracked.match.motion.covariance, self._segment)
-        # The beginning of a segment is its origin, and exact.
-        return _Tracked(tracked.pose, np.zeros((6, 6)), self._segment) if tracked.new_keyframe else None
-
-    def _moved(self, before: _Tracked | None, after: _Tracked | None) -> Measured | None:
-        """Motion of the body between two frames; None where the odometry does not know."""
-        if before is None or after is None or before.segment != after.segment:
-            return None
-        motion = before.pose.between(after.pose)
-        adjoint = motion.inverse().AdjointMap()
-        return self._locator.step(motion, adjoint @ before.covariance @ adjoint.T + after.covariance)
+        return pose_in_segment(tracked, self._segment)

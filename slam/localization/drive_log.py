@@ -5,16 +5,14 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.showing import one_line
 from slam.estimates import Trajectory
 from slam.localization.output import LocalizerOutput, State
-from slam.measurements import BoolArray, FloatArray, Pose
+from slam.measurements import BoolArray, FloatArray, row_from_pose
 from slam.storage.files import write_lines
 from slam.storage.tum import write_tum
 
@@ -43,9 +41,9 @@ class DriveLog:
         """Take what was said after a measurement, and how long it took."""
         state = STATES.index(output.state)
         self._rows.extend((output.stamp_s, state, output.confidence, output.support, seconds))
-        self._poses.extend([np.nan] * 7 if output.pose is None else pose_row(output.pose))
+        self._poses.extend([np.nan] * 7 if output.pose is None else row_from_pose(output.pose))
         self._covariances.append(output.covariance)
-        self._recovered += [(past.stamp_s, pose_row(past.pose)) for past in output.recovered]
+        self._recovered += [(past.stamp_s, row_from_pose(past.pose)) for past in output.recovered]
 
     @property
     def stamps_s(self) -> FloatArray:
@@ -137,13 +135,6 @@ class DriveLog:
     def _columns(self) -> FloatArray:
         """(N, 5) stamp, state, confidence, support, seconds."""
         return np.array(self._rows).reshape(-1, 5)
-
-
-def pose_row(pose: Pose) -> list[float]:
-    """Position and quaternion (x, y, z, w) of a pose; a planar one lies at z = 0."""
-    spatial = gtsam.Pose3(pose) if isinstance(pose, gtsam.Pose2) else pose
-    q: Any = spatial.rotation().toQuaternion()
-    return [*spatial.translation().tolist(), q.x(), q.y(), q.z(), q.w()]
 
 
 def _number(value: float) -> str:

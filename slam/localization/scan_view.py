@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from slam.config import Config
 from slam.matching.local_map import OrientedPoints
-from slam.matching.scan_points import ScanPoints, extract_points
+from slam.matching.scan_points import ScanPoints, points_by
 from slam.measurements import AnyFloatArray, BoolArray, FloatArray, LaserScan
 
 Numbers: TypeAlias = NDArray[np.intp]
@@ -40,8 +40,7 @@ class ScanView:
     @classmethod
     def of(cls, scan: LaserScan, config: Config) -> ScanView:
         """Prepare a scan."""
-        settings = config.scan
-        points = extract_points(scan, settings.range_min_m, settings.range_max_m, settings.neighbours)
+        points = points_by(config.scan, scan)
         laser = np.array([scan.T_base_laser.x(), scan.T_base_laser.y()])
         return cls(scan.stamp_s, points, OrientedPoints.from_scan(points), laser)
 

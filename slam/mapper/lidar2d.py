@@ -28,7 +28,7 @@ from slam.mapper.robot_cameras import CameraPoses, RobotCameras
 from slam.matching.local_map import OrientedPoints
 from slam.matching.motion import Motion
 from slam.matching.planar import between
-from slam.matching.scan_points import ScanPoints, extract_points
+from slam.matching.scan_points import ScanPoints, points_by
 from slam.measurements import BoolArray, LaserScan, Pose, WheelOdometry, pose2_from_row
 from slam.odometry import STANDARD, Odometries
 from slam.odometry.cached_odometry import CachedOdometry
@@ -86,9 +86,7 @@ class PlanarRobot:
     def observe(self, measurement: Any) -> Tracked | None:
         """Take the next measurement; where the robot is then, if it tells that."""
         if isinstance(measurement, LaserScan):
-            settings = self._config.scan
-            limits = settings.range_min_m, settings.range_max_m
-            points = extract_points(measurement, *limits, settings.neighbours)
+            points = points_by(self._config.scan, measurement)
             self._scan_stamp_s = measurement.stamp_s
             return self._track(measurement.stamp_s, measurement, points)
         if isinstance(measurement, PreparedFrame):

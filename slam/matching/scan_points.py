@@ -9,6 +9,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from fusion.kernel import ZERO, kernel
+from slam.config.stages import ScanConfig
 from slam.measurements import BoolArray, Float32Array, FloatArray, LaserScan
 
 # A surface patch is a line when its thickness is below this: floor [m2] plus share of its length squared.
@@ -85,6 +86,11 @@ def extract_points(scan: LaserScan, range_min_m: float, range_max_m: float, neig
         walls = np.empty((2, count, 2), np.float32)
     oriented = _with_normals(points, usable, abs(scan.step_rad), neighbours, placed)
     return ScanPoints(*oriented, walls[0, :count], walls[1, :count])
+
+
+def points_by(settings: ScanConfig, scan: LaserScan) -> ScanPoints:
+    """`extract_points` by the configuration."""
+    return extract_points(scan, settings.range_min_m, settings.range_max_m, settings.neighbours)
 
 
 def orient_points(points: FloatArray, range_min_m: float, range_max_m: float, neighbours: int) -> ScanPoints:

@@ -30,18 +30,22 @@ class CameraOdometry:
         self.frames += 1
         if tracked.restarted:
             self._segment += 1
-        if tracked.match is not None:
-            covariance = tracked.match.motion.covariance
-            self.track.add(frame.stamp_s, CameraPose(tracked.pose, covariance, self._segment))
-        elif tracked.new_keyframe:
-            # The beginning of a segment is its origin, and exact.
-            self.track.add(frame.stamp_s, CameraPose(tracked.pose, np.zeros((6, 6)), self._segment))
+        if (pose := pose_in_segment(tracked, self._segment)) is not None:
+            self.track.add(frame.stamp_s, pose)
         else:
             self.track.lose()
             self.lost_frames += 1
         if tracked.new_keyframe:
             self._tracker.add_keyframe(frame, tracked)
         return tracked
+
+
+def pose_in_segment(tracked: TrackedFrame, segment: int) -> CameraPose | None:
+    """Where a frame was taken; None where the odometry was lost."""
+    if tracked.match is not None:
+        return CameraPose(tracked.pose, tracked.match.motion.covariance, segment)
+    # The beginning of a segment is its origin, and exact.
+    return CameraPose(tracked.pose, np.zeros((6, 6)), segment) if tracked.new_keyframe else None
 
 
 def camera_step(before: CameraPose | None, after: CameraPose | None) -> tuple[gtsam.Pose3, FloatArray] | None:

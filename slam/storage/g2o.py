@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import gtsam
 import numpy as np
 
 from slam.errors import MapFileError
 from slam.graph.edge import Edge
-from slam.measurements import Pose, row_from_pose2
+from slam.measurements import Pose, row_from_pose, row_from_pose2
 from slam.storage.covariances import upper_triangles
 from slam.storage.files import write_lines
 
@@ -71,5 +70,4 @@ def _numbers(pose: Pose) -> list[float]:
     if isinstance(pose, gtsam.Pose2):
         row: list[float] = row_from_pose2(pose).tolist()
         return row
-    q: Any = pose.rotation().toQuaternion()
-    return [*pose.translation().tolist(), q.x(), q.y(), q.z(), q.w()]
+    return row_from_pose(pose)

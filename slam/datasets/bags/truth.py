@@ -15,6 +15,7 @@ from slam.datasets.bags.topics import ODOMETRY
 from slam.datasets.bags.transforms import pose_of
 from slam.datasets.dataset import RecordFault
 from slam.estimates import Trajectory
+from slam.measurements import row_from_pose
 
 PATH = "nav_msgs/msg/Path"
 _POSE, _POSE_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -70,5 +71,4 @@ def _row(message: Any) -> list[float]:
     else:
         inner = message.pose.pose if hasattr(message.pose, "pose") else message.pose
         pose = pose_of(inner.position, inner.orientation)
-    q = pose.rotation().toQuaternion()
-    return [stamp_of(message.header), *pose.translation().tolist(), q.x(), q.y(), q.z(), q.w()]  # type: ignore[attr-defined]
+    return [stamp_of(message.header), *row_from_pose(pose)]
