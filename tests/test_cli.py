@@ -111,7 +111,7 @@ class TestBadInput:
         ("make", "parts"),
         [
             (lambda path: None, ["does not exist", "give the path of a log"]),
-            (lambda path: path.mkdir(), ["empty folder"]),
+            (lambda path: path.mkdir(), ["directory"]),
             (lambda path: path.touch(), ["is empty"]),
             (lambda path: path.write_bytes(b"\x1f\x8b\x08\x00garbage"), ["damaged"]),
             (lambda path: path.write_bytes(bytes(range(256)) * 40), ["known format"]),
