@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from slam.cli.app import command, folder_of, say
-from slam.cli.progress import progress_bar
+from slam.cli.progress import interruptible, progress_bar
 
 if TYPE_CHECKING:
     from slam.simulation.drive_faults import DriveFaults
@@ -152,5 +152,5 @@ def _seconds_shown() -> Iterator[Callable[[float, float], None]]:
     """A bar of the seconds driven; what is yielded takes those done and those in all."""
     from slam.app.progress import Progress
 
-    with progress_bar("s driven") as show:
+    with progress_bar("s driven") as shown, interruptible(shown) as show:
         yield lambda done_s, all_s: show(Progress("simulating", int(done_s), done_s / all_s))

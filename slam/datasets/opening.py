@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
 from itertools import islice
 from pathlib import Path
 
@@ -82,12 +83,12 @@ def open_dataset(
         # A session in a database has a path, too: DATABASE/SESSION.
         if looks_like_robot_at_home2(path, b""):
             return open_robot_at_home2(path, strict)
-        raise DatasetError(f"{path} does not exist; give the path of a log; {_supported()}")
+        raise DatasetError(f"{path} does not exist; {_meant(path)}")
     if not (path.is_file() or path.is_dir()):
-        raise DatasetError(f"{path} is neither a file nor a directory; {_supported()}")
+        raise DatasetError(f"{path} is neither a file nor a directory")
     head = read_head(path, HEAD_BYTES) if path.is_file() else b""
     if path.is_file() and not head:
-        raise DatasetError(f"{path} is empty or its compression is damaged from the start; {_supported()}")
+        raise DatasetError(f"{path} is empty or its compression is damaged from the start; copy it again")
     for known in _formats():
         if known.recognises(path, head):
             dataset = _opened(known, path, strict, tuple(topics))
@@ -100,7 +101,7 @@ def open_dataset(
         inside = _recordings(path)
         if len(inside) == 1:
             return open_dataset(inside[0], strict=strict, topics=topics, images=images)
-        raise DatasetError(f"{path} {_what_is_wrong(path)}; {_supported()}")
+        raise DatasetError(f"{path} {_what_is_wrong(path)}")
     raise DatasetError(f"{path} is a file of no known format; {_supported()}")
 
 
@@ -116,6 +117,14 @@ def _opened(known: DatasetFormat, path: Path, strict: bool, topics: tuple[str, .
     return known.open(path, strict)
 
 
+def _meant(path: Path) -> str:
+    """What somebody may have wanted who gave a path that leads nowhere."""
+    folder = path.parent
+    names = [entry.name for entry in islice(folder.iterdir(), _LOOKED_AT)] if folder.is_dir() else []
+    near = [str(folder / name) for name in get_close_matches(path.name, names)]
+    return f"did you mean {' or '.join(near)}?" if near else "give the path of a log"
+
+
 def _what_is_wrong(folder: Path) -> str:
     """Why a folder is no dataset, as far as one can tell."""
     names = {entry.name for entry in islice(folder.iterdir(), _LOOKED_AT)}
@@ -127,7 +136,7 @@ def _what_is_wrong(folder: Path) -> str:
     inside = [str(found.relative_to(folder)) for found in _recordings(folder)]
     if inside:
         return f"is no log itself but holds some; give one of {', '.join(inside[:8])}"
-    return "is a directory of no known format"
+    return f"is a directory of no known format; {_supported()}"
 
 
 def _recordings(folder: Path) -> list[Path]:

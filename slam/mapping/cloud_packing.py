@@ -10,11 +10,11 @@ import zlib
 from typing import Any
 
 import numpy as np
-from backports import zstd
 
 from fusion.kernel import ZERO, kernel
 from slam.errors import ScanweaveError
 from slam.measurements import FloatArray
+from slam.zstandard import zstd
 
 STEP_M = 0.001  # a thirtieth of a 3D lidar's noise; coarser only for a cloud that reaches beyond 500 km
 _MOST_BYTES = 1 << 27  # unpacked
