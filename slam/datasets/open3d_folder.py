@@ -38,7 +38,7 @@ _POSES = ("trajectory.log", "*-traj.txt", "*.log", "scene/trajectory.log")
 _PRIMESENSE = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)
 ASSUMED = (
     "intrinsics and millimetres assumed (525 525 319.5 239.5 at 640 x 480, as Redwood's); "
-    "give a camera_intrinsic.json or calibration.yaml"
+    "give a camera_intrinsic.json, a calibration.yaml or --calibration FILE"
 )
 STAMPS_IN_NAMES = "stamps from the names of the files"
 

@@ -17,6 +17,7 @@ from slam.datasets.bags.figures import BagFigures
 from slam.datasets.bags.files import Bag, find_bag
 from slam.datasets.bags.imu import JoinedImu
 from slam.datasets.bags.layout import Layout, frames_of, layout_of
+from slam.datasets.bags.mending import mended
 from slam.datasets.bags.pairing import ImagePair, PairStream, StampedImage
 from slam.datasets.bags.records import BagRecord
 from slam.datasets.bags.survey import Survey, restamp, survey_bag
@@ -273,7 +274,8 @@ class _Reader:
 def _nothing_usable(path: Path, report: ReadReport, survey: Survey) -> str:
     """The message for a bag without a single measurement."""
     reasons = "; ".join(f"{tally.count} x {reason}" for reason, tally in report.dropped.items())
-    topics = ", ".join(f"{topic} ({channel.kind})" for topic, channel in list(survey.channels.items())[:8])
+    shown = list(survey.channels.items())[:8]
+    topics = ", ".join(f"{topic} ({channel.kind}{mended(channel.kind)})" for topic, channel in shown)
     if any(channel.kind in IMAGES for channel in survey.channels.values()) and not any(
         survey.depths.values()
     ):
