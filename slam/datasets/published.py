@@ -19,7 +19,7 @@ from slam.datasets.seven_scenes import looks_like_seven_scenes, open_seven_scene
 from slam.datasets.tum import looks_like_tum, open_tum
 
 _LAYOUTS = (
-    "icl_nuim scannet scannet_sens replica tartanair arkitscenes stray_scanner record3d "
+    "icl_nuim scannet_sens replica tartanair arkitscenes stray_scanner record3d "
     "polycam rtabmap_database kitti_raw nclt mulran helipr boreas newer_college euroc"
 )
 # Of names that others have, too: asked when nobody else knows a folder.

@@ -67,6 +67,7 @@ def _packed(name: str, timed: bool) -> Any:
         moved = [pose @ np.linalg.inv(_MULRAN) for pose in poses] if name == "mulran" else poses
         if name == "kitti_raw":  # as old as their bearing, at the middle of the turn ahead
             times = [TURN_S * (part - (part > 0.5)) for part in parts]
+            moved = [poses[k // 10] for k in range(10 * COUNT)]  # the truth is told as often as the IMU
         told = times if timed or name == "kitti_raw" else None
         cloud = CloudTruth(
             stamps,
