@@ -32,14 +32,20 @@ _SAME_CLOCK_S = 1.0
 class PointTimes:
     """Times of the points of one lidar; what the first cloud tells of field and unit holds for all.
 
+    Parameters
+    ----------
+    stamped
+        Whether clouds have stamps; where they have none a cloud is as old as its first point.
+
     Attributes
     ----------
     choice
         Field and unit for people; empty before the first cloud.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, stamped: bool = True) -> None:
         self.choice = ""
+        self._stamped = stamped
         self._field = ""
         self._unit_s = 0.0
 
@@ -64,6 +70,8 @@ class PointTimes:
         if not times_s.size or not np.isfinite(times_s).all() or np.ptp(times_s) > LONGEST_TURN_S:
             return None
         first_s = float(times_s.min())
+        if not self._stamped:
+            return times_s - first_s
         if abs(first_s) < _FIRST_CLOCK_S:
             return times_s
         # By another clock than the stamp's only the differences mean something.

@@ -111,6 +111,13 @@ def kitti_odometry(folder: Path) -> Sample:
     return Sample(place, cloud=CloudTruth(stamps, points, None, poses), moved=poses)
 
 
+@layout("KITTI odometry, velodyne/ alone", "3D lidar folders", "cvlibs.net/datasets/kitti/eval_odometry.php")
+def kitti_velodyne(folder: Path) -> Sample:
+    """The folder of the clouds is given, not the sequence: its stamps lie above it."""
+    sample = kitti_odometry(folder)
+    return Sample(sample.path / "velodyne", cloud=sample.cloud)
+
+
 @layout("KITTI-360", "3D lidar folders", "cvlibs.net/datasets/kitti-360/documentation.php")
 def kitti_360(folder: Path) -> Sample:
     points, parts, poses = ride(placed(0.0, 0.0, 1.2))
@@ -259,9 +266,7 @@ def paris_luco(folder: Path) -> Sample:
         )
         put(folder / "ParisLuco" / "frames" / f"frame_{k:04d}.ply", head.encode() + table.tobytes())
     times = [TURN_S * part for part in parts]
-    return Sample(
-        folder / "ParisLuco" / "frames", cloud=CloudTruth(stamps, points, times, poses), refused="times.txt"
-    )
+    return Sample(folder / "ParisLuco" / "frames", cloud=CloudTruth(stamps, points, times, poses))
 
 
 @layout("SemanticKITTI sequence", "3D lidar folders", "semantic-kitti.org/dataset.html#format")

@@ -127,7 +127,7 @@ class BagDataset:
         for note in (note for imu in layout.imus for note in imu.told()):
             report.note(note, 1)
         if report.measurement_count == 0 and self.read_images:
-            raise DatasetError(_nothing_usable(self.path, report, survey))
+            raise DatasetError(_nothing_usable(self.path, report, survey, layout))
 
     def groundtruth(self) -> Trajectory | None:
         """The poses of a topic that is named as the truth, or that the user named; else None.
@@ -271,11 +271,12 @@ class _Reader:
         return [*readings]
 
 
-def _nothing_usable(path: Path, report: ReadReport, survey: Survey) -> str:
+def _nothing_usable(path: Path, report: ReadReport, survey: Survey, layout: Layout) -> str:
     """The message for a bag without a single measurement."""
     reasons = "; ".join(f"{tally.count} x {reason}" for reason, tally in report.dropped.items())
     shown = list(survey.channels.items())[:8]
-    topics = ", ".join(f"{topic} ({channel.kind}{mended(channel.kind)})" for topic, channel in shown)
+    why = {topic: f"; {reason}" for topic, reason in layout.left_out.items()}
+    topics = ", ".join(f"{topic} ({one.kind}{why.get(topic, mended(one.kind))})" for topic, one in shown)
     if any(channel.kind in IMAGES for channel in survey.channels.values()) and not any(
         survey.depths.values()
     ):
