@@ -12,7 +12,8 @@ import numpy as np
 from slam.measurements import CameraIntrinsics
 from tools.layouts.samples import CameraTruth, Sample, layout
 from tools.layouts.world import OPTICAL, looked_at, placed, way
-from tools.pack_layouts import CAMERAS, Footage, matrix, numbers, put, rows, tum_line
+from tools.pack_layouts import CAMERAS, Footage, matrix, put, tum_line
+from tools.pack_scenes import SCENES, three_r_scan
 
 COUNT = 6
 _HELD = placed(0.0, 0.0, 1.3, pitch=0.15) @ OPTICAL  # a camera in a hand
@@ -115,53 +116,33 @@ def tum_freiburg1(folder: Path) -> Sample:
 @layout("7-Scenes", "RGB-D folders", "microsoft.com/research/project/rgb-d-dataset-7-scenes")
 def seven_scenes(folder: Path) -> Sample:
     taken = footage(CameraIntrinsics(585.0, 585.0, 320.0, 240.0, 640, 480))
-    _scene_frames(folder / "chess" / "seq-01", taken, "png")
-    return recorded(folder / "chess" / "seq-01", taken)
-
-
-def _scene_frames(place: Path, taken: Footage, depth_suffix: str, color_suffix: str = "png") -> None:
-    """``frame-000000.color``, ``.depth`` and ``.pose.txt``."""
-    for k, pose in enumerate(taken.poses):
-        put(place / f"frame-{k:06d}.color.{color_suffix}", taken.colors[k])
-        put(place / f"frame-{k:06d}.depth.{depth_suffix}", taken.depths_mm[k])
-        put(place / f"frame-{k:06d}.pose.txt", rows(pose))
-
-
-@layout("3RScan sequence", "RGB-D folders", "github.com/WaldJohannaU/3RScan README: sequence.zip, _info.txt")
-def three_r_scan(folder: Path) -> Sample:
-    depth_lens = CameraIntrinsics(176.594, 176.594, 114.613, 85.7053, 224, 172)
-    color_lens = CameraIntrinsics(756.832, 756.026, 492.889, 270.419, 960, 540)
-    taken = footage(depth_lens)
-    wide = footage(color_lens)
-    place = folder / "0a4b8ef6-a83a-21f2-8672-dce34dd0d7ca" / "sequence"
-    _scene_frames(
-        place, Footage(taken.stamps_s, wide.colors, taken.depths_mm, taken.poses, depth_lens), "pgm", "jpg"
-    )
-    told = [
-        "m_versionNumber = 4",
-        "m_sensorName = tango",
-        "m_colorWidth = 960\nm_colorHeight = 540\nm_depthWidth = 224\nm_depthHeight = 172\nm_depthShift = 1000",
-        f"m_calibrationColorIntrinsic = {numbers(matrix(color_lens, 4))}",
-        f"m_calibrationColorExtrinsic = {numbers(np.eye(4))}",
-        f"m_calibrationDepthIntrinsic = {numbers(matrix(depth_lens, 4))}",
-        f"m_calibrationDepthExtrinsic = {numbers(np.eye(4))}",
-        f"m_frames.size = {len(taken.poses)}",
-    ]
-    put(place / "_info.txt", "\n".join(told) + "\n")
+    place = SCENES["seven_scenes"](folder / "chess", taken)
+    (place / "camera-intrinsics.txt").unlink()
     return recorded(place, taken)
 
 
-@layout("RGB-D Scenes v2", "RGB-D folders", "rgbd-dataset.cs.washington.edu/dataset/rgbd-scenes-v2")
+@layout("3RScan sequence", "RGB-D folders", "github.com/WaldJohannaU/3RScan README: sequence.zip, _info.txt")
+def scan_of_3r(folder: Path) -> Sample:
+    """Colour of another lens and size."""
+    lenses = (
+        CameraIntrinsics(176.594, 176.594, 114.613, 85.7053, 224, 172),
+        CameraIntrinsics(756.832, 756.026, 492.889, 270.419, 960, 540),
+    )
+    taken, wide = (footage(lens) for lens in lenses)
+    both = Footage(taken.stamps_s, wide.colors, taken.depths_mm, taken.poses, lenses[0])
+    return recorded(three_r_scan(folder, both, lenses[1]), taken)
+
+
+@layout(
+    "RGB-D Scenes v2",
+    "RGB-D folders",
+    "rgbd-scenes-v2; github.com/ardaduz/deep-video-mvs issue 8: 1e4 a metre",
+)
 def washington_scenes(folder: Path) -> Sample:
     taken = footage(CameraIntrinsics(570.3, 570.3, 320.0, 240.0, 640, 480))
-    place = folder / "imgs" / "scene_01"
-    for k in range(COUNT):
-        put(place / f"{k:05d}-color.png", taken.colors[k])
-        put(
-            place / f"{k:05d}-depth.png",
-            (10 * taken.depths_mm[k].astype(np.uint32)).clip(0, 65535).astype(np.uint16),
-        )
-    return Sample(place, (CameraTruth(taken.lens, taken.stamps_s, taken.poses),))
+    place = SCENES["washington"](folder / "imgs", taken)
+    (place / "camera-intrinsics.txt").unlink()
+    return recorded(place, taken, truth=False)
 
 
 @layout("Redwood, augmented ICL-NUIM", "RGB-D folders", "redwood-data.org/indoor/fileformat.html")

@@ -14,7 +14,7 @@ from slam.measurements import FloatArray
 from tools.layouts.samples import CloudTruth, Sample, layout
 from tools.layouts.world import placed, turn, way
 from tools.pack_layouts import numbers, put, rows, tum_line
-from tools.pack_lidars import LIDARS, Turns
+from tools.pack_lidars import LIDARS, TILTED, Turns
 
 COUNT = 10
 RINGS = np.linspace(-15.0, 15.0, 16)
@@ -49,22 +49,34 @@ _PACKED = {
         False,
     ),
     "oxford_spires": ("Oxford Spires", "dynamic.robots.ox.ac.uk/datasets/oxford-spires/data-format", False),
+    "complex_urban": ("KAIST Complex Urban", "sites.google.com/view/complex-urban-dataset/format", False),
+    "numbered": (
+        "Paris-Luco, PLY numbered",
+        "github.com/jedeschaud/ct_icp: frames/*.ply, field timestamp",
+        True,
+    ),
 }
-_MULRAN = gtsam.Pose3(
-    gtsam.Rot3.Ypr(*np.radians([179.6654, 0.0003, 0.0001])), np.array([1.7042, -0.021, 1.8047])
-).matrix()
+_SITS = {
+    "mulran": gtsam.Pose3(
+        gtsam.Rot3.Ypr(*np.radians([179.6654, 0.0003, 0.0001])), np.array([1.7042, -0.021, 1.8047])
+    ).matrix(),
+    "complex_urban": TILTED,
+}
 
 
 def _packed(name: str, timed: bool) -> Any:
     """The writer of a layout that is packed elsewhere."""
 
     def write(folder: Path) -> Sample:
-        mount = placed(0.0, 0.0, 1.2) if name != "mulran" else placed(0.0, 0.0, -0.6) @ _MULRAN
+        sits = _SITS.get(name)
+        mount = placed(0.0, 0.0, 1.2) if sits is None else placed(0.0, 0.0, -0.6) @ sits
         points, parts, poses = ride(mount)
         stamps = [TURN_S * k for k in range(COUNT)]
         times = [TURN_S * part for part in parts]
         path = LIDARS[name](folder, Turns(stamps, points, times, poses, still()))
-        moved = [pose @ np.linalg.inv(_MULRAN) for pose in poses] if name == "mulran" else poses
+        moved = None if name == "numbered" else poses
+        if sits is not None:
+            moved = [pose @ np.linalg.inv(sits) for pose in poses]
         if name == "kitti_raw":  # as old as their bearing, at the middle of the turn ahead
             times = [TURN_S * (part - (part > 0.5)) for part in parts]
             moved = [poses[k // 10] for k in range(10 * COUNT)]  # the truth is told as often as the IMU
@@ -74,10 +86,10 @@ def _packed(name: str, timed: bool) -> Any:
             points,
             told,
             poses,
-            _MULRAN if name == "mulran" else None,
+            sits,
             0.01 if name == "nclt" else 1e-3,
         )
-        imu = 0 if name in ("helipr_", "oxford_spires") else len(still())
+        imu = 0 if name in ("oxford_spires", "numbered") else len(still())
         return Sample(path, cloud=cloud, moved=moved, imu=imu, wheels=COUNT if name == "nclt" else 0)
 
     return write
@@ -130,53 +142,6 @@ def kitti_360(folder: Path) -> Sample:
     put(place / "velodyne_points" / "timestamps.txt", lines)
     times = [TURN_S * (part - (part > 0.5)) for part in parts]
     return Sample(place, cloud=CloudTruth(stamps, points, times, poses))
-
-
-def _complex_urban(folder: Path, count: int = COUNT) -> tuple[Path, CloudTruth, list[Any]]:
-    """Two lidars tilted by 45 degrees, one file a turn, named by the end of the turn."""
-    mount = np.eye(4)
-    mount[:3] = [
-        [-0.516377, -0.702254, -0.490096, -0.334623],
-        [0.491997, -0.711704, 0.501414, 0.431973],
-        [-0.700923, 0.0177927, 0.713015, 0.94043],
-    ]
-    mount[:3, :3] = gtsam.Rot3.ClosestTo(mount[:3, :3]).matrix()
-    points, _, poses = ride(mount)
-    bases = way(count)
-    place, truth = folder / "urban39-pankyo", ""
-    ends = [TURN_S * k for k in range(count)]
-    for side in ("left", "right"):
-        for k in range(count):
-            ticks = round(1e9 * (1559194000 + ends[k]))
-            put(place / "sensor_data" / f"VLP_{side}" / f"{ticks}.bin", four(points[k]))
-        put(
-            place / "sensor_data" / f"VLP_{side}_stamp.csv",
-            "".join(f"{round(1e9 * (1559194000 + end))}\n" for end in ends),
-        )
-        name = "Left" if side == "left" else "Right"
-        told = f"R: {numbers(mount[:3, :3])}\nT: {numbers(mount[:3, 3])}\n"
-        put(place / "calibration" / f"Vehicle2{name}VLP.txt", told)
-    for k in range(count):
-        truth += f"{round(1e9 * (1559194000 + ends[k]))}," + numbers(bases[k][:3], ",") + "\n"
-    put(place / "global_pose.csv", truth)
-    put(
-        place / "sensor_data" / "encoder.csv",
-        "".join(f"{round(1e9 * (1559194000 + end))},0,0\n" for end in ends),
-    )
-    put(
-        place / "sensor_data" / "xsens_imu.csv",
-        "".join(
-            f"{round(1e9 * (1559194000 + row[0]))},0,0,0,1,0,0,0,{numbers(row[1:], ',')},7,8,9\n"
-            for row in still()
-        ),
-    )
-    return place, CloudTruth(ends, points, None, poses, mount), bases
-
-
-@layout("KAIST Complex Urban", "3D lidar folders", "sites.google.com/view/complex-urban-dataset/format")
-def complex_urban(folder: Path) -> Sample:
-    place, cloud, bases = _complex_urban(folder)
-    return Sample(place, cloud=cloud, moved=bases, imu=len(still()))
 
 
 @layout(
@@ -244,29 +209,6 @@ def bag_to_pcd(folder: Path) -> Sample:
             pcd(points[k], {"intensity": np.ones(len(points[k]), "<f4")}),
         )
     return Sample(folder / "frames", cloud=CloudTruth(stamps, points, None, poses))
-
-
-@layout(
-    "Paris-Luco, PLY numbered",
-    "3D lidar folders",
-    "github.com/jedeschaud/ct_icp: ParisLuco frames/*.ply, field timestamp",
-)
-def paris_luco(folder: Path) -> Sample:
-    """Numbered clouds whose points have a clock of the whole drive; there is no list of stamps."""
-    points, parts, poses = ride(placed(0.0, 0.0, 1.2))
-    stamps = [TURN_S * k for k in range(COUNT)]
-    for k in range(COUNT):
-        table = np.zeros(len(points[k]), [*((axis, "<f4") for axis in "xyz"), ("timestamp", "<f8")])
-        for column, axis in enumerate("xyz"):
-            table[axis] = points[k][:, column]
-        table["timestamp"] = stamps[k] + TURN_S * parts[k]
-        head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(table)}\n"
-        head += (
-            "".join(f"property float {axis}\n" for axis in "xyz") + "property double timestamp\nend_header\n"
-        )
-        put(folder / "ParisLuco" / "frames" / f"frame_{k:04d}.ply", head.encode() + table.tobytes())
-    times = [TURN_S * part for part in parts]
-    return Sample(folder / "ParisLuco" / "frames", cloud=CloudTruth(stamps, points, times, poses))
 
 
 @layout("SemanticKITTI sequence", "3D lidar folders", "semantic-kitti.org/dataset.html#format")
