@@ -126,7 +126,7 @@ def _first(dataset, count: int):
 def test_an_info_file_gives_both_lenses_and_the_unit(tmp_path: Path) -> None:
     write_scene(tmp_path)
     one = "60 0 30 0 0 61 20 0 0 0 1 0 0 0 0 1"
-    sizes = f"m_colorWidth = {WIDTH}\nm_colorHeight = {HEIGHT}\nm_depthWidth = {WIDTH}\nm_depthHeight = {HEIGHT}\n"
+    sizes = "".join(f"m_{kind}Width = {WIDTH}\nm_{kind}Height = {HEIGHT}\n" for kind in ("color", "depth"))
     lenses = f"m_calibrationColorIntrinsic = {one}\nm_calibrationDepthIntrinsic = {one}\n"
     (tmp_path / "_info.txt").write_text(f"{sizes}m_depthShift = 2000\n{lenses}")
     found, dataset = read(tmp_path)

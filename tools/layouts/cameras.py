@@ -8,7 +8,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-
 from slam.measurements import CameraIntrinsics
 from tools.layouts.samples import CameraTruth, Sample, layout
 from tools.layouts.world import OPTICAL, looked_at, placed, way
@@ -107,14 +106,14 @@ for _name, (_title, _source) in _NAMES.items():
 
 
 @layout("TUM RGB-D, freiburg1", "RGB-D folders", "cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats")
-def tum_freiburg1(folder: Path) -> Sample:
+def _tum_freiburg1(folder: Path) -> Sample:
     taken = footage(CameraIntrinsics(517.3, 516.5, 318.6, 255.3, 640, 480), first_s=1305031102.0)
     place = folder / "rgbd_dataset_freiburg1_xyz"
     return recorded(bare(CAMERAS["tum"](place, taken)), taken)
 
 
 @layout("7-Scenes", "RGB-D folders", "microsoft.com/research/project/rgb-d-dataset-7-scenes")
-def seven_scenes(folder: Path) -> Sample:
+def _seven_scenes(folder: Path) -> Sample:
     taken = footage(CameraIntrinsics(585.0, 585.0, 320.0, 240.0, 640, 480))
     place = SCENES["seven_scenes"](folder / "chess", taken)
     (place / "camera-intrinsics.txt").unlink()
@@ -122,7 +121,7 @@ def seven_scenes(folder: Path) -> Sample:
 
 
 @layout("3RScan sequence", "RGB-D folders", "github.com/WaldJohannaU/3RScan README: sequence.zip, _info.txt")
-def scan_of_3r(folder: Path) -> Sample:
+def _scan_of_3r(folder: Path) -> Sample:
     """Colour of another lens and size."""
     lenses = (
         CameraIntrinsics(176.594, 176.594, 114.613, 85.7053, 224, 172),
@@ -138,7 +137,7 @@ def scan_of_3r(folder: Path) -> Sample:
     "RGB-D folders",
     "rgbd-scenes-v2; github.com/ardaduz/deep-video-mvs issue 8: 1e4 a metre",
 )
-def washington_scenes(folder: Path) -> Sample:
+def _washington_scenes(folder: Path) -> Sample:
     taken = footage(CameraIntrinsics(570.3, 570.3, 320.0, 240.0, 640, 480))
     place = SCENES["washington"](folder / "imgs", taken)
     (place / "camera-intrinsics.txt").unlink()
@@ -146,7 +145,7 @@ def washington_scenes(folder: Path) -> Sample:
 
 
 @layout("Redwood, augmented ICL-NUIM", "RGB-D folders", "redwood-data.org/indoor/fileformat.html")
-def redwood(folder: Path) -> Sample:
+def _redwood(folder: Path) -> Sample:
     taken = footage(CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480))
     made = CAMERAS["open3d"](folder / "livingroom1", taken)
     for old, new in (
@@ -162,7 +161,7 @@ def redwood(folder: Path) -> Sample:
 @layout(
     "CoRBS", "RGB-D folders", "corbs.dfki.uni-kl.de: Kinect v2, registered images, TUM's lists, factor 5000"
 )
-def corbs(folder: Path) -> Sample:
+def _corbs(folder: Path) -> Sample:
     lens = CameraIntrinsics(468.60, 468.61, 318.27, 243.99, 640, 480)
     taken = footage(lens, first_s=1416305861.0)
     place = bare(CAMERAS["tum"](folder / "E1_pre_registereddata", taken))
@@ -180,7 +179,8 @@ def _opencv(lens: CameraIntrinsics) -> str:
         "%YAML:1.0\n---\n"
         f"image_width: {lens.width}\nimage_height: {lens.height}\n"
         f"camera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: [ {k} ]\n"
-        "distortion_coefficients: !!opencv-matrix\n   rows: 5\n   cols: 1\n   dt: d\n   data: [ 0., 0., 0., 0., 0. ]\n"
+        "distortion_coefficients: !!opencv-matrix\n   rows: 5\n   cols: 1\n   dt: d\n"
+        "   data: [ 0., 0., 0., 0., 0. ]\n"
     )
 
 
@@ -189,7 +189,7 @@ def _opencv(lens: CameraIntrinsics) -> str:
     "RGB-D folders",
     "cs.nyu.edu/~silberman nyu_depth_v2: raw, toolbox camera_params.m",
 )
-def nyu_raw(folder: Path) -> Sample:
+def _nyu_raw(folder: Path) -> Sample:
     """Depth and colour of two lenses, no lists, depth in the Kinect's own steps with swapped bytes."""
     taken = footage(CameraIntrinsics(582.62, 582.69, 313.04, 238.44, 640, 480))
     place = folder / "basement_0001a"
@@ -208,7 +208,7 @@ def nyu_raw(folder: Path) -> Sample:
     "RGB-D folders",
     "Stray Scanner Data Model: depth/*.npy, odometry.csv of seven values",
 )
-def stray_scanner_npy(folder: Path) -> Sample:
+def _stray_scanner_npy(folder: Path) -> Sample:
     taken = footage(CameraIntrinsics(212.3, 212.3, 127.9, 95.7, 256, 192), 60.0)
     place = CAMERAS["stray_scanner"](folder / "71de12f9", taken)
     for file in sorted((place / "depth").glob("*.png")):
@@ -224,7 +224,7 @@ def stray_scanner_npy(folder: Path) -> Sample:
     "RGB-D folders",
     "github.com/introlab/rtabmap corelib/src/resources/DatabaseSchema.sql.in",
 )
-def rtabmap(folder: Path) -> Sample:
+def _rtabmap(folder: Path) -> Sample:
     lens = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)
     poses = hand()
     seen = [looked_at(lens, pose) for pose in poses]
@@ -240,7 +240,7 @@ def rtabmap(folder: Path) -> Sample:
     "RGB-D folders",
     "lifelong-robotic-vision.github.io/dataset/scene: package files",
 )
-def open_loris(folder: Path) -> Sample:
+def _open_loris(folder: Path) -> Sample:
     lens = CameraIntrinsics(611.4, 611.2, 433.2, 249.5, 848, 480)
     mount = placed(0.22, 0.0, 0.9) @ OPTICAL
     bases, place = way(COUNT), folder / "home1-1"
@@ -273,11 +273,13 @@ def _loris_sensors(lens: CameraIntrinsics) -> str:
     return head + (
         "d400_color_optical_frame:\n"
         "    #This camera ...\n"
-        f"    type: camera\n    frame_id: d400_color_optical_frame\n    width: {lens.width}\n    height: {lens.height}\n    fps: 30\n"
+        "    type: camera\n    frame_id: d400_color_optical_frame\n    fps: 30\n"
+        f"    width: {lens.width}\n    height: {lens.height}\n"
         "    intrinsics: !!opencv-matrix\n        rows: 1\n        cols: 4\n        dt: d\n"
         f"        data: [ {lens.fx}, {lens.cx}, {lens.fy}, {lens.cy} ]\n"
         "    distortion_model: brown\n"
-        "    distortion_coefficients: !!opencv-matrix\n        rows: 1\n        cols: 5\n        dt: d\n        data: [ 0., 0., 0., 0., 0. ]\n"
+        "    distortion_coefficients: !!opencv-matrix\n        rows: 1\n        cols: 5\n        dt: d\n"
+        "        data: [ 0., 0., 0., 0., 0. ]\n"
     )
 
 

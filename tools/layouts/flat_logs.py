@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
 from tools.layouts import messages as ros
 from tools.layouts.camera_bags import LENS, looked_at, mm
 from tools.layouts.messages import START_S, Sent
@@ -47,7 +46,7 @@ def _robot(
 
 
 @layout("TurtleBot 3", "2D robots", "emanual.robotis.com turtlebot3: topics")
-def turtlebot3(folder: Path) -> Sample:
+def _turtlebot3(folder: Path) -> Sample:
     said: list[Sent] = []
     truth = _robot(
         "/scan", "base_scan", (-0.064, 0.0, 0.0), FULL, np.radians(1.0), said, base="base_footprint"
@@ -66,7 +65,7 @@ def turtlebot3(folder: Path) -> Sample:
 
 
 @layout("TurtleBot 4", "2D robots", "turtlebot.github.io/turtlebot4-user-manual: topics, OAK-D")
-def turtlebot4(folder: Path) -> Sample:
+def _turtlebot4(folder: Path) -> Sample:
     """A namespace, colour in a small preview, depth in another size, wheels and a filter."""
     said: list[Sent] = []
     space, mount = "/tb4_1", placed(-0.04, 0.0, 0.3) @ OPTICAL
@@ -88,7 +87,7 @@ def turtlebot4(folder: Path) -> Sample:
 
 
 @layout("wheels and a filter", "2D robots", "docs.ros.org robot_localization: odometry/filtered")
-def two_odometries(folder: Path) -> Sample:
+def _two_odometries(folder: Path) -> Sample:
     said: list[Sent] = []
     truth = _robot("/scan", "laser", (0.1, 0.0, 0.0), FULL, np.radians(1.0), said, "/wheel/odometry")
     said += [ros.odometry("/odometry/filtered", stamp, placed(), "odom", "base_link") for stamp in STAMPS]
@@ -96,7 +95,7 @@ def two_odometries(folder: Path) -> Sample:
 
 
 @layout("scan and a 3D cloud", "2D robots", "pointcloud_to_laserscan: a scan made of a cloud")
-def two_scanners(folder: Path) -> Sample:
+def _two_scanners(folder: Path) -> Sample:
     """Two scanners at places that tf tells: both are read."""
     said: list[Sent] = []
     front = _robot("/scan_front", "laser_front", (0.3, 0.2, 0.78), HALF, np.radians(1.0), said)
@@ -105,7 +104,7 @@ def two_scanners(folder: Path) -> Sample:
 
 
 @layout("two robots by namespaces", "2D robots", "wiki.ros.org/Names: tf frames with a prefix")
-def two_robots(folder: Path) -> Sample:
+def _two_robots(folder: Path) -> Sample:
     said: list[Sent] = []
     for name in ("robot1", "robot2"):
         own: list[Sent] = []
@@ -124,18 +123,18 @@ def two_robots(folder: Path) -> Sample:
 
 
 @layout("wheels in tf alone", "2D robots", "REP 105: odom to base_link, no odometry topic")
-def wheels_in_tf(folder: Path) -> Sample:
+def _wheels_in_tf(folder: Path) -> Sample:
     said: list[Sent] = []
     truth = _robot("/scan", "laser", (0.1, 0.0, 0.0), FULL, np.radians(1.0), said, odom="")
     said += [
         ros.tf("odom", {"base_link": pose}, stamp - 0.01, static=False, old=True)
         for stamp, pose in zip(STAMPS, way(COUNT), strict=True)
     ]
-    return Sample(ros.ros1(folder / "robot.bag", [one for one in said]), scans=(truth,), wheels=COUNT)
+    return Sample(ros.ros1(folder / "robot.bag", said), scans=(truth,), wheels=COUNT)
 
 
 @layout("Path as the truth", "2D robots", "nav_msgs/Path named ground_truth")
-def path_truth(folder: Path) -> Sample:
+def _path_truth(folder: Path) -> Sample:
     said: list[Sent] = []
     truth = _robot("/scan", "laser", (0.1, 0.0, 0.0), FULL, np.radians(1.0), said)
     said.append(ros.path("/ground_truth", STAMPS[-1], STAMPS, way(COUNT)))
@@ -143,7 +142,7 @@ def path_truth(folder: Path) -> Sample:
 
 
 @layout("MIT Stata Center", "2D robots", "projects.csail.mit.edu/stata: PR2 topics base_scan, tf")
-def stata(folder: Path) -> Sample:
+def _stata(folder: Path) -> Sample:
     """A PR2: base and tilting scanner, wheels and a filter in tf, Kinect."""
     said: list[Sent] = []
     truth = _robot(
@@ -179,7 +178,7 @@ def stata(folder: Path) -> Sample:
 
 
 @layout("Deutsches Museum 2D", "2D robots", "google-cartographer-ros public data, backpack_2d.urdf")
-def deutsches_museum(folder: Path) -> Sample:
+def _deutsches_museum(folder: Path) -> Sample:
     """Echoes of two scanners and an IMU, no wheels; the frames are in a URDF that comes apart."""
     bearings = np.radians(np.arange(-135.0, 135.2, 0.5))
     said: list[Sent] = []
@@ -209,10 +208,14 @@ def deutsches_museum(folder: Path) -> Sample:
 
 
 _URDF = """<robot name="cartographer_backpack_2d">
-  <link name="imu_link"/><link name="horizontal_laser_link"/><link name="vertical_laser_link"/><link name="base_link"/>
-  <joint name="imu_link_joint" type="fixed"><parent link="base_link"/><child link="imu_link"/><origin xyz="0 0 0"/></joint>
-  <joint name="h" type="fixed"><parent link="base_link"/><child link="horizontal_laser_link"/><origin xyz="0.1007 0 0.0558"/></joint>
-  <joint name="v" type="fixed"><parent link="base_link"/><child link="vertical_laser_link"/><origin xyz="0.1007 0 0.1814" rpy="1.5708 0 0"/></joint>
+  <link name="imu_link"/><link name="horizontal_laser_link"/>
+  <link name="vertical_laser_link"/><link name="base_link"/>
+  <joint name="i" type="fixed"><parent link="base_link"/><child link="imu_link"/>
+    <origin xyz="0 0 0"/></joint>
+  <joint name="h" type="fixed"><parent link="base_link"/><child link="horizontal_laser_link"/>
+    <origin xyz="0.1007 0 0.0558"/></joint>
+  <joint name="v" type="fixed"><parent link="base_link"/><child link="vertical_laser_link"/>
+    <origin xyz="0.1007 0 0.1814" rpy="1.5708 0 0"/></joint>
 </robot>
 """
 
@@ -222,7 +225,7 @@ def _basic(said: list[Sent]) -> ScanTruth:
 
 
 @layout("rosbag2 split in files", "2D robots", "github.com/ros2/rosbag2 README: splitting files")
-def split_bag(folder: Path) -> Sample:
+def _split_bag(folder: Path) -> Sample:
     """Two databases of one recording, metadata.yaml beside them."""
     said: list[Sent] = []
     truth = _basic(said)
@@ -240,14 +243,14 @@ def split_bag(folder: Path) -> Sample:
 
 
 @layout("rosbag2, zstd by file", "2D robots", "github.com/ros2/rosbag2 README: compression mode file")
-def zstd_file(folder: Path) -> Sample:
+def _zstd_file(folder: Path) -> Sample:
     said: list[Sent] = []
     truth = _basic(said)
     return Sample(ros.ros2(folder / "z", said, packed="FILE"), scans=(truth,), wheels=COUNT)
 
 
 @layout("rosbag2, zstd by message", "2D robots", "github.com/ros2/rosbag2 README: compression mode message")
-def zstd_message(folder: Path) -> Sample:
+def _zstd_message(folder: Path) -> Sample:
     said: list[Sent] = []
     truth = _basic(said)
     return Sample(ros.ros2(folder / "z", said, packed="MESSAGE"), scans=(truth,), wheels=COUNT)
@@ -255,7 +258,8 @@ def zstd_message(folder: Path) -> Sample:
 
 def _carmen(kind: str) -> str:
     """A log of one robot: wheels and scans in the words of CARMEN's logger."""
-    lines = "# CARMEN Logfile\nPARAM robot_frontlaser_offset 0.1 nohost 0\nPARAM robot_front_laser_max 81.9 nohost 0\n"
+    lines = "# CARMEN Logfile\nPARAM robot_frontlaser_offset 0.1 nohost 0\n"
+    lines += "PARAM robot_front_laser_max 81.9 nohost 0\n"
     for k, (base, ranges) in enumerate(zip(way(COUNT), seen((0.1, 0.0, 0.0), HALF), strict=True)):
         yaw = float(np.arctan2(base[1, 0], base[0, 0]))
         robot = [base[0, 3], base[1, 3], yaw]
@@ -264,9 +268,11 @@ def _carmen(kind: str) -> str:
         at = f"{0.2 * k + 10:.6f}"
         lines += f"ODOM {numbers(robot)} 0.1 0.02 0 {at} host {at}\n"
         if kind == "FLASER":
-            lines += f"FLASER {len(ranges)} {' '.join(f'{r:.2f}' for r in ranges)} {numbers(own)} {numbers(robot)} {at} host {at}\n"
+            row = " ".join(f"{r:.2f}" for r in ranges)
+            lines += f"FLASER {len(ranges)} {row} {numbers(own)} {numbers(robot)} {at} host {at}\n"
         else:
-            head = f"{kind} 0 {HALF[0]:.6f} {HALF[-1] - HALF[0]:.6f} {np.radians(1.0):.6f} 81.9 0.01 0 {len(ranges)}"
+            angles = f"{HALF[0]:.6f} {HALF[-1] - HALF[0]:.6f} {np.radians(1.0):.6f}"
+            head = f"{kind} 0 {angles} 81.9 0.01 0 {len(ranges)}"
             tail = (
                 f"{numbers(own)} {numbers(robot)} 0.1 0.02 0.3 0.3 1000000 "
                 if kind.startswith("ROBOT")
@@ -292,7 +298,7 @@ _carmen_layout("RAWLASER1", "CARMEN, RAWLASER1")
 
 
 @layout("CARMEN, relations beside gfs.log", "2D robots", "openslam.org gmapping logs: intel.gfs.log")
-def gfs_log(folder: Path) -> Sample:
+def _gfs_log(folder: Path) -> Sample:
     """GMapping's corrected log: robot poses are corrected ones, ODOM lines are raw."""
     text = _carmen("FLASER").replace(
         "# CARMEN Logfile\n",
@@ -304,19 +310,21 @@ def gfs_log(folder: Path) -> Sample:
 
 
 @layout("Player log of Radish", "2D robots", "playerstage.sourceforge.net writelog: version 0.3")
-def player_log(folder: Path) -> Sample:
+def _player_log(folder: Path) -> Sample:
     lines = "## Player version 2.0.0\n## File version 0.3.0\n## Format:\n"
     for k, (base, ranges) in enumerate(zip(way(COUNT), seen((0.0, 0.0, 0.0), HALF), strict=True)):
         yaw = float(np.arctan2(base[1, 0], base[0, 0]))
         at = f"{1090517113 + 0.2 * k:014.3f}"
-        lines += f"{at} 16777343 6665 position2d 00 001 001 {base[0, 3]:+07.3f} {base[1, 3]:+07.3f} {yaw:+07.3f} +00.000 +00.000 +00.000 0\n"
+        place = f"{base[0, 3]:+07.3f} {base[1, 3]:+07.3f} {yaw:+07.3f}"
+        lines += f"{at} 16777343 6665 position2d 00 001 001 {place} +00.000 +00.000 +00.000 0\n"
         row = " ".join(f"{r:.3f} 0" for r in ranges)
-        lines += f"{at} 16777343 6665 laser 00 001 001 0001 -1.5708 +1.5708 +0.01745329 +81.92 {len(ranges):04d} {row}\n"
+        angles = f"-1.5708 +1.5708 +0.01745329 +81.92 {len(ranges):04d}"
+        lines += f"{at} 16777343 6665 laser 00 001 001 0001 {angles} {row}\n"
     return Sample(put(folder / "run.log", lines), refused="Player")
 
 
 @layout("Rawseeds", "2D robots", "rawseeds.org file formats: SICK_FRONT.csv, ODOMETRY_XYT.csv")
-def rawseeds(folder: Path) -> Sample:
+def _rawseeds(folder: Path) -> Sample:
     name = "Bicocca_2009-02-25b"
     scans = wheels = ""
     for k, (base, ranges) in enumerate(zip(way(COUNT), seen((0.0, 0.0, 0.0), HALF), strict=True)):
@@ -331,7 +339,7 @@ def rawseeds(folder: Path) -> Sample:
 
 
 @layout("MRPT .rawlog", "2D robots", "docs.mrpt.org rawlog format")
-def rawlog(folder: Path) -> Sample:
+def _rawlog(folder: Path) -> Sample:
     return Sample(
         put(folder / "dataset.rawlog", b"\x80CObservation2DRangeScan" + bytes(300)),
         refused=r"(?i)rawlog|known format",
@@ -341,6 +349,6 @@ def rawlog(folder: Path) -> Sample:
 @layout(
     "slam_toolbox's pose graph", "2D robots", "github.com/SteveMacenski/slam_toolbox README: serialization"
 )
-def posegraph(folder: Path) -> Sample:
+def _posegraph(folder: Path) -> Sample:
     put(folder / "map.posegraph", b"\x16\x00\x00\x00\x00\x00\x00\x00serialization::archive" + bytes(200))
     return Sample(folder / "map.posegraph", refused="map.*bag")

@@ -9,7 +9,6 @@ from typing import Any
 
 import gtsam
 import numpy as np
-
 from slam.measurements import FloatArray
 from tools.layouts.samples import CloudTruth, Sample, layout
 from tools.layouts.world import placed, turn, way
@@ -107,7 +106,7 @@ def four(points: Any) -> bytes:
 @layout(
     "KITTI odometry", "3D lidar folders", "cvlibs.net/datasets/kitti/eval_odometry.php, devkit readme.txt"
 )
-def kitti_odometry(folder: Path) -> Sample:
+def _kitti_odometry(folder: Path) -> Sample:
     points, _, poses = ride(placed(0.0, 0.0, 1.2))
     place = folder / "dataset" / "sequences" / "00"
     camera = np.array([[0.0, -1, 0, 0], [0, 0, -1, -0.08], [1, 0, 0, -0.27], [0, 0, 0, 1]])  # T_camera_lidar
@@ -124,14 +123,14 @@ def kitti_odometry(folder: Path) -> Sample:
 
 
 @layout("KITTI odometry, velodyne/ alone", "3D lidar folders", "cvlibs.net/datasets/kitti/eval_odometry.php")
-def kitti_velodyne(folder: Path) -> Sample:
+def _kitti_velodyne(folder: Path) -> Sample:
     """The folder of the clouds is given, not the sequence: its stamps lie above it."""
-    sample = kitti_odometry(folder)
+    sample = _kitti_odometry(folder)
     return Sample(sample.path / "velodyne", cloud=sample.cloud)
 
 
 @layout("KITTI-360", "3D lidar folders", "cvlibs.net/datasets/kitti-360/documentation.php")
-def kitti_360(folder: Path) -> Sample:
+def _kitti_360(folder: Path) -> Sample:
     points, parts, poses = ride(placed(0.0, 0.0, 1.2))
     place = folder / "KITTI-360" / "data_3d_raw" / "2013_05_28_drive_0000_sync"
     stamps = [TURN_S * k for k in range(COUNT)]
@@ -149,7 +148,7 @@ def kitti_360(folder: Path) -> Sample:
     "3D lidar folders",
     "nuscenes.org/nuscenes#data-format; nuscenes-devkit data_classes.py",
 )
-def nuscenes(folder: Path) -> Sample:
+def _nuscenes(folder: Path) -> Sample:
     """Five floats a point; the stamp, in microseconds, ends the name."""
     points, _, poses = ride(placed(0.0, 0.0, 1.2))
     place = folder / "sweeps" / "LIDAR_TOP"
@@ -181,7 +180,7 @@ def pcd(points: Any, fields: dict[str, Any] | None = None) -> bytes:
 
 
 @layout("Snail-Radar folders, Hesai XT32", "3D lidar folders", "snail-radar.github.io/docs/format.html")
-def snail_radar(folder: Path) -> Sample:
+def _snail_radar(folder: Path) -> Sample:
     points, parts, poses = ride(placed(0.0, 0.0, 1.2))
     place = folder / "20231007" / "data1"
     stamps = [TURN_S * k for k in range(COUNT)]
@@ -200,7 +199,7 @@ def snail_radar(folder: Path) -> Sample:
 @layout(
     "PCD named by stamps", "3D lidar folders", "pcl pcd_file_format; names as pcl_ros bag_to_pcd writes them"
 )
-def bag_to_pcd(folder: Path) -> Sample:
+def _bag_to_pcd(folder: Path) -> Sample:
     points, _, poses = ride(placed(0.0, 0.0, 1.2))
     stamps = [TURN_S * k for k in range(COUNT)]
     for k in range(COUNT):
@@ -212,9 +211,9 @@ def bag_to_pcd(folder: Path) -> Sample:
 
 
 @layout("SemanticKITTI sequence", "3D lidar folders", "semantic-kitti.org/dataset.html#format")
-def semantic_kitti(folder: Path) -> Sample:
+def _semantic_kitti(folder: Path) -> Sample:
     """KITTI's clouds, labels beside them, and poses of its own in the same folder."""
-    sample = kitti_odometry(folder)
+    sample = _kitti_odometry(folder)
     for k in range(COUNT):
         put(sample.path / "labels" / f"{k:06d}.label", bytes(4 * len(sample.cloud.points[k])))
     shutil.copyfile(folder / "dataset" / "poses" / "00.txt", sample.path / "poses.txt")
@@ -223,7 +222,7 @@ def semantic_kitti(folder: Path) -> Sample:
 
 
 @layout("LAS clouds", "3D lidar folders", "asprs.org LAS 1.4; names by a clock")
-def las_folder(folder: Path) -> Sample:
+def _las_folder(folder: Path) -> Sample:
     import laspy
 
     points, _, poses = ride(placed(0.0, 0.0, 1.2))
@@ -238,7 +237,7 @@ def las_folder(folder: Path) -> Sample:
 
 
 @layout("Velodyne packets, .pcap", "3D lidar folders", "VLP-16 user manual; libpcap file format")
-def velodyne_pcap(folder: Path) -> Sample:
+def _velodyne_pcap(folder: Path) -> Sample:
     content = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
     for k in range(20):
         packet = bytes(42) + bytes(1206)
@@ -247,7 +246,7 @@ def velodyne_pcap(folder: Path) -> Sample:
 
 
 @layout("a single cloud, .ply", "3D lidar folders", "paulbourke.net/dataformats/ply")
-def lone_cloud(folder: Path) -> Sample:
+def _lone_cloud(folder: Path) -> Sample:
     points = ride(placed(0.0, 0.0, 1.2), 1)[0][0]
     head = (
         f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n"

@@ -14,13 +14,14 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
 from slam.measurements import CameraIntrinsics
 
 ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
 _OWN = {
-    "livox_ros_driver{n}/msg/CustomPoint": "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line",
-    "livox_ros_driver{n}/msg/CustomMsg": "std_msgs/Header header\nuint64 timebase\nuint32 point_num\nuint8 lidar_id\nuint8[3] rsvd\nlivox_ros_driver{n}/CustomPoint[] points",
+    "livox_ros_driver{n}/msg/CustomPoint": "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\n"
+    "uint8 reflectivity\nuint8 tag\nuint8 line",
+    "livox_ros_driver{n}/msg/CustomMsg": "std_msgs/Header header\nuint64 timebase\nuint32 point_num\n"
+    "uint8 lidar_id\nuint8[3] rsvd\nlivox_ros_driver{n}/CustomPoint[] points",
     "realsense2_camera{m}/msg/Extrinsics": "{h}float64[9] rotation\nfloat64[3] translation",
     "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data",
     "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
@@ -158,12 +159,14 @@ def tf(
 
 
 def odometry(topic: str, stamp_s: float, pose: Any, frame: str = "odom", child: str = "base_link") -> Sent:
+    """Where a frame is, by an odometry."""
     return Sent(
         topic, N + "Odometry", stamp_s, {"child_frame_id": child, "pose": {"pose": posed(pose)}}, frame
     )
 
 
 def path(topic: str, stamp_s: float, stamps_s: list[float], poses: list[Any], frame: str = "map") -> Sent:
+    """A way as one message."""
     items = [
         {"header": header(at, frame), "pose": posed(pose)} for at, pose in zip(stamps_s, poses, strict=True)
     ]
@@ -185,6 +188,7 @@ def imu(topic: str, stamp_s: float, frame: str = "imu", *, gyro: bool = True, fo
 def scan(
     topic: str, stamp_s: float, ranges: Any, first_rad: float, step_rad: float, frame: str, **more: Any
 ) -> Sent:
+    """A LaserScan."""
     count = len(ranges)
     fields = {
         "angle_min": first_rad,

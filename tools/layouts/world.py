@@ -1,7 +1,7 @@
 """A furnished room that samples of recordings are taken in: what a camera and a lidar see of it is known.
 
-All is computed: no noise, a still sensor during an image or a turn. So whatever a reader makes of a lens, a unit,
-a mounting or a registration shows as a difference from what the room looks like through that lens.
+All is computed: no noise, a still sensor during an image or a turn. So whatever a reader makes of a lens, a
+unit, a mounting or a registration shows as a difference from what the room looks like through that lens.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from typing import Any
 import cv2
 import gtsam
 import numpy as np
-
 from slam.measurements import CameraIntrinsics, FloatArray
 
 # Corners: of the room, seen from inside, and of what stands in it.
