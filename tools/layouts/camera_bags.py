@@ -8,6 +8,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+
 from slam.measurements import CameraIntrinsics
 from tools.layouts import messages as ros
 from tools.layouts.messages import START_S, Sent

@@ -8,6 +8,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+
 from slam.measurements import CameraIntrinsics
 from tools.layouts.samples import CameraTruth, Sample, layout
 from tools.layouts.world import OPTICAL, looked_at, placed, way

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from tools.layouts import messages as ros
 from tools.layouts.camera_bags import LENS, looked_at, mm
 from tools.layouts.messages import START_S, Sent

@@ -6,6 +6,7 @@ from typing import Any
 
 import gtsam
 import numpy as np
+
 from slam.measurements import CameraIntrinsics, ImuReading, LaserScan, PointCloud, RgbdFrame, WheelOdometry
 from tools.layouts.samples import CameraTruth, CloudTruth, Sample, ScanTruth
 from tools.layouts.world import hits, looked_at
@@ -124,7 +125,7 @@ def _scans(scans: list[LaserScan], truth: ScanTruth) -> list[str]:
         error = np.abs(got.ranges_m - np.asarray(ranges)[nearest])[fits]
         if fits.mean() < 0.9 or np.median(error) > 0.006:
             words.append(
-                f"ranges: {fits.mean():.2f} of the beams fit, {np.median(error) if fits.any() else 9:.3f} m off"
+                f"ranges: {fits.mean():.2f} of the beams, {np.median(error) if fits.any() else 9:.3f} m off"
             )
     return words
 

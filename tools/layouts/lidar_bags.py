@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from tools.layouts import messages as ros
 from tools.layouts.lidars import RINGS, TURN_S, ride, still
 from tools.layouts.messages import START_S, Sent

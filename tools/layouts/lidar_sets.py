@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+
 from tools.layouts import messages as ros
 from tools.layouts.camera_bags import LENS, looked_at
 from tools.layouts.lidar_bags import COUNT, FIELDS, MOUNT, STAMPS, feel, livox, ring, truth, velodyne_at

@@ -9,6 +9,7 @@ from typing import Any
 
 import gtsam
 import numpy as np
+
 from slam.measurements import FloatArray
 from tools.layouts.samples import CloudTruth, Sample, layout
 from tools.layouts.world import placed, turn, way

@@ -8,6 +8,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+
 from tools.layouts import messages as ros
 from tools.layouts.camera_bags import COUNT, HELD, LENS, MOUNT, STAMPS, mm, one_lens, poses_of, shots, truth
 from tools.layouts.messages import Sent

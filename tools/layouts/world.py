@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import gtsam
 import numpy as np
+
 from slam.measurements import CameraIntrinsics, FloatArray
 
 # Corners: of the room, seen from inside, and of what stands in it.
