@@ -5,8 +5,8 @@
 Each sample is written after its publisher's words, with known lens, scale, stamps, mountings and truth; it is
 inspected and mapped by the commands, and read through Python. Told of each is
 
-    right       all that is true of it was found, and the command that `inspect` prints maps it to the true way;
-                of what cannot be mapped: refused in one line that says why
+    right       all that is true of it was found, and the command that `inspect` prints maps it to the true
+                way; of what cannot be mapped: refused in one line that says why
     mended      refused or warned, naming what mends it; with that it is right
     refused     no more than that
     told        wrong, with a note or a warning that says what was assumed
@@ -65,6 +65,10 @@ def judged(name: str, folder: Path, *, maps: bool) -> dict[str, Any]:
         if verdict["result"] != "right" and option in verdict["said"]:
             again = _tried(sample, sample.mend, folder, maps=maps)
             return again | {"result": "mended" if again["result"] == "right" else again["result"]}
+    if sample.by_hand and sample.by_hand[0] in verdict["said"] and verdict["result"] != "right":
+        sample.by_hand[1]()
+        again = _tried(sample, (), folder, maps=maps)
+        return again | {"result": "mended" if again["result"] == "right" else again["result"]}
     return verdict
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from backports import zstd
 
 from tools.layouts import messages as ros
 from tools.layouts.camera_bags import LENS, looked_at, mm
@@ -247,7 +248,13 @@ def _split_bag(folder: Path) -> Sample:
 def _zstd_file(folder: Path) -> Sample:
     said: list[Sent] = []
     truth = _basic(said)
-    return Sample(ros.ros2(folder / "z", said, packed="FILE"), scans=(truth,), wheels=COUNT)
+    place = ros.ros2(folder / "z", said, packed="FILE")
+
+    def unpack() -> None:
+        (file,) = place.glob("*.zstd")
+        file.with_suffix("").write_bytes(zstd.decompress(file.read_bytes()))
+
+    return Sample(place, scans=(truth,), wheels=COUNT, by_hand=("zstd -d", unpack))
 
 
 @layout("rosbag2, zstd by message", "2D robots", "github.com/ros2/rosbag2 README: compression mode message")

@@ -75,6 +75,8 @@ class Sample:
         A pattern of what must be said where it cannot be mapped; empty where it can.
     mend
         Further words of the command that maps it, which the refusal must name.
+    by_hand
+        A command of another program that the refusal must name, and what does the same here.
     """
 
     path: Path
@@ -86,6 +88,7 @@ class Sample:
     moved: list[Any] | None = None
     refused: str = ""
     mend: tuple[str, ...] = ()
+    by_hand: tuple[str, Callable[[], object]] | None = None
 
 
 @dataclass(frozen=True)
