@@ -22,7 +22,7 @@ from tools.pack_layouts import put
         ("room.svo2", "svo_path"),
         ("day.rawlog", "rawlog_play_node"),
         ("scan.ply", "a single cloud"),
-        ("map.pbstream", "a map or a setting and no recording"),
+        ("map.pbstream", "a map or a setting"),
         ("what.xyz", "no known format"),
     ],
 )

@@ -26,9 +26,9 @@ HELD = placed(0.0, 0.0, 1.3, pitch=0.1) @ OPTICAL
 BESIDE = placed(-0.015, 0.0, 0.0)  # a colour camera in its depth camera's optical frame
 
 
-def poses_of(mount: Any) -> list[Any]:
+def poses_of(mount: Any, count: int = COUNT) -> list[Any]:
     """Of a camera on the way."""
-    return [base @ mount for base in way(COUNT)]
+    return [base @ mount for base in way(count)]
 
 
 def shots(lens: CameraIntrinsics, poses: list[Any], distortion: Any = None) -> list[Any]:
@@ -54,9 +54,10 @@ def one_lens(
     mount: Any = HELD,
     infos: tuple[str, ...] = (),
     unit: str = "16UC1",
+    stamps_s: list[float] = STAMPS,
 ) -> Iterator[Sent]:
     """Colour and depth of one lens."""
-    for stamp_s, seen in zip(STAMPS, shots(lens, poses_of(mount)), strict=True):
+    for stamp_s, seen in zip(stamps_s, shots(lens, poses_of(mount, len(stamps_s))), strict=True):
         yield ros.image(color, stamp_s, seen.color, "rgb8", frame)
         pixels = mm(seen.depth_m) if unit == "16UC1" else seen.depth_m.astype("<f4")
         yield ros.image(depth, stamp_s, pixels, unit, frame)

@@ -45,7 +45,7 @@ def recorded(
 
 def bare(path: Path) -> Path:
     """Without the file of our own that names the lens: the publisher's must do."""
-    for folder in (path, path.parent):
+    for folder in (one for one in (path, path.parent) if one.is_dir()):
         (folder / "calibration.yaml").unlink(missing_ok=True)
     return path
 
@@ -244,7 +244,7 @@ def _rtabmap(folder: Path) -> Sample:
 def _open_loris(folder: Path) -> Sample:
     lens = CameraIntrinsics(611.4, 611.2, 433.2, 249.5, 848, 480)
     mount = placed(0.22, 0.0, 0.9) @ OPTICAL
-    bases, place = way(COUNT), folder / "home1-1"
+    bases, place = way(16), folder / "home1-1"
     lists: dict[str, str] = {"color": "", "aligned_depth": ""}
     odometry, truth, poses = "", "#Time px py pz qx qy qz qw\n", []
     for k, base in enumerate(bases):
@@ -264,8 +264,8 @@ def _open_loris(folder: Path) -> Sample:
     put(place / "groundtruth.txt", truth)
     put(place / "sensors.yaml", _loris_sensors(lens))
     put(place / "trans_matrix.yaml", _loris_mounts(mount))
-    stamps = [k / 30 for k in range(COUNT)]
-    return Sample(place, (CameraTruth(lens, stamps, poses, mount),), wheels=COUNT, moved=bases)
+    stamps = [k / 30 for k in range(len(bases))]
+    return Sample(place, (CameraTruth(lens, stamps, poses, mount),), wheels=len(bases), moved=bases)
 
 
 def _loris_sensors(lens: CameraIntrinsics) -> str:

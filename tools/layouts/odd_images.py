@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 
 from tools.layouts import messages as ros
-from tools.layouts.camera_bags import COUNT, HELD, LENS, MOUNT, STAMPS, mm, one_lens, poses_of, shots, truth
+from tools.layouts.camera_bags import HELD, LENS, MOUNT, STAMPS, mm, one_lens, poses_of, shots, truth
 from tools.layouts.messages import Sent
-from tools.layouts.samples import Sample, layout
+from tools.layouts.samples import CameraTruth, Sample, layout
 from tools.layouts.world import way
 from tools.pack_layouts import put
 
@@ -139,7 +139,7 @@ def _theora(folder: Path) -> Sample:
 )
 def _open_loris_bag(folder: Path) -> Sample:
     """A robot: wheels, a depth camera aligned to colour, frames by tf_static."""
-    frame = "d400_color"
+    frame, stamps = "d400_color", [START_S + k / 15.0 for k in range(16)]
     said = list(
         one_lens(
             "/d400/color/image_raw",
@@ -147,18 +147,18 @@ def _open_loris_bag(folder: Path) -> Sample:
             frame,
             infos=("/d400/color/camera_info", "/d400/aligned_depth_to_color/camera_info"),
             mount=MOUNT,
+            stamps_s=stamps,
         )
     )
     said += [
         ros.odometry("/odom", stamp_s, base, "base_odom", "base_link")
-        for stamp_s, base in zip(STAMPS, way(COUNT), strict=True)
+        for stamp_s, base in zip(stamps, way(len(stamps)), strict=True)
     ]
     said += [ros.tf("base_link", {frame: MOUNT})]
-    said += [ros.imu("/d400/gyro/sample", stamp_s, "d400_imu", force=False) for stamp_s in STAMPS]
-    said += [ros.imu("/d400/accel/sample", stamp_s, "d400_imu", gyro=False) for stamp_s in STAMPS]
-    return Sample(
-        ros.ros1(folder / "home1-1.bag", said), (truth(poses_of(MOUNT), mount=MOUNT),), wheels=COUNT
-    )
+    said += [ros.imu("/d400/gyro/sample", stamp_s, "d400_imu", force=False) for stamp_s in stamps]
+    said += [ros.imu("/d400/accel/sample", stamp_s, "d400_imu", gyro=False) for stamp_s in stamps]
+    camera = CameraTruth(LENS, stamps, poses_of(MOUNT, len(stamps)), MOUNT)
+    return Sample(ros.ros1(folder / "home1-1.bag", said), (camera,), wheels=len(stamps))
 
 
 @layout("EuRoC .bag", "camera bags", "projects.asl.ethz.ch/datasets kmavvisualinertialdatasets")
