@@ -11,7 +11,7 @@ import numpy as np
 
 from tools.layouts import messages as ros
 from tools.layouts.camera_bags import HELD, LENS, MOUNT, STAMPS, mm, one_lens, poses_of, shots, truth
-from tools.layouts.messages import Sent
+from tools.layouts.messages import START_S, Sent
 from tools.layouts.samples import CameraTruth, Sample, layout
 from tools.layouts.world import way
 from tools.pack_layouts import put
