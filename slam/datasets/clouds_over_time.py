@@ -39,15 +39,18 @@ class CloudFolder:
         Mounting of the lidar.
     parse
         What reads a file, see `read_cloud`.
+    stamped
+        Whether the stamps were told, and not counted.
     """
 
     files: tuple[StampedFile, ...]
     T_base_lidar: gtsam.Pose3 = field(default_factory=lambda: gtsam.Pose3())
     parse: Callable[[Path], Parsed] | None = None
+    stamped: bool = True
 
     def numbered(self, account: Account) -> Iterator[tuple[int, PointCloud]]:
         """The clouds with their lines in the list; what cannot be read is counted."""
-        times = PointTimes()
+        times = PointTimes(self.stamped)
         for index, file in enumerate(self.files):
             account.report.line_count += 1
             account.report.note_share(index / len(self.files))
