@@ -119,6 +119,7 @@ def run_into(
     result.map = replace(result.map, grids={})
     saved, data = open_map(folder), None
     result.map = saved.contents
+    _give_back_memory()
     if report:
         try:
             cost = RunCost(time.perf_counter() - started, time.process_time())

@@ -147,6 +147,8 @@ class PlanarRobot:
         found = self._places.search(graph.rows(), graph.graph.edges, kept, graph.loops)
         if self._places.fault is not None:
             graph.graph.doubt(*self._places.fault)
+        if not found:
+            del self._places, self._closer  # it was the last search: their local maps are large
         return found
 
     def bases(self, poses: Sequence[Pose]) -> Sequence[Pose]:
