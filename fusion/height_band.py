@@ -148,7 +148,8 @@ def thin_to_voxels(points: FloatArray, voxel_m: float) -> FloatArray:
     if not len(points):
         return points
     first, keys = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
-    return points[first[: first_in_voxels(points, voxel_m, table_for(len(points)), keys, first)]]
+    count = first_in_voxels(points, voxel_m, table_for(len(points)), keys, first)
+    return points.take(first[:count], axis=0)
 
 
 def dense_enough(points: FloatArray, radius_m: float, least_neighbours: int) -> BoolArray:

@@ -9,6 +9,7 @@ from typing import IO, TypeAlias
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion.estimation import FEWEST
 from fusion.height_band import thin_to_voxels
@@ -16,8 +17,9 @@ from slam.errors import ScanweaveError
 from slam.mapping.dense_map import ColoredCloud, Colors
 from slam.matching.local_cloud import moved
 from slam.matching.plane_voxels import surface_normals
-from slam.measurements import BoolArray, FloatArray
+from slam.measurements import AnyFloatArray, BoolArray, FloatArray
 
+IntArray = NDArray[np.int64]
 _Span: TypeAlias = tuple[int, int]  # where rows begin in a file, and how many they are
 
 # Side of a tile in voxels; of a cell of neighbours: wider than what a lidar is off by.
@@ -54,9 +56,14 @@ class CloudTiles:
         for number, (points, pose) in enumerate(zip(clouds, poses, strict=True)):
             if not np.isfinite(pose.matrix()).all():
                 raise ScanweaveError(f"pose {number} of {len(poses)} keyframes is not finite; see the report")
-            for tile, part in _by_tile(thin_to_voxels(moved(points, pose), voxel_m), voxel_m):
-                seen_from = np.full((len(part), 1), number)
-                pieces[tile].append(self._keep(np.hstack([part, seen_from])))
+            placed = thin_to_voxels(moved(points, pose), voxel_m)
+            order, tiles = _by_tile(placed, voxel_m)
+            seen = np.empty((len(placed), 4), np.float32)
+            seen[:, :3], seen[:, 3] = placed, number
+            begin, _ = self._keep(seen.take(order, axis=0))
+            for tile, count in tiles:
+                pieces[tile].append((begin, count))
+                begin += count * seen.strides[0]
         self._tiles, heights = list[_Span](), [np.zeros(0, np.float32)]
         for _, parts in sorted(pieces.items()):
             rows = self._thinned(parts)
@@ -80,10 +87,10 @@ class CloudTiles:
             colors = by_height(points, self._usual)
             yield ColoredCloud(points.astype(np.float32), colors, normals.astype(np.float32))
 
-    def _keep(self, rows: FloatArray) -> _Span:
+    def _keep(self, rows: AnyFloatArray) -> _Span:
         """Write rows (N, 4) of points and the number of their keyframe; where they are."""
         span = self._file.seek(0, os.SEEK_END), len(rows)
-        self._file.write(rows.astype(np.float32).data)
+        self._file.write(rows.astype(np.float32, copy=False).data)
         return span
 
     def _rows(self, span: _Span) -> FloatArray:
@@ -103,20 +110,21 @@ class CloudTiles:
         return thin_to_voxels(np.concatenate([kept, *waiting]), self._voxel_m)
 
 
-def _by_tile(points: FloatArray, voxel_m: float) -> Iterator[tuple[tuple[int, int], FloatArray]]:
-    """The tiles that points (N, 3) lie in, and those of each."""
+def _by_tile(points: FloatArray, voxel_m: float) -> tuple[IntArray, list[tuple[tuple[int, int], int]]]:
+    """The order (N,) in which points (N, 3) lie tile by tile; the tiles, and how many points are in each."""
     if not len(points):
-        return
-    tiles = np.floor(points[:, :2] / (_TILE_VOXELS * voxel_m)).astype(np.int64)
-    near = tiles - tiles.min(axis=0)
-    numbers = near[:, 0] * (near[:, 1].max() + 1) + near[:, 1]
+        return np.zeros(0, np.int64), []
+    x, y = (np.floor(points[:, axis] / (_TILE_VOXELS * voxel_m)).astype(np.int64) for axis in (0, 1))
+    columns = int(np.ptp(y)) + 1
     # Small numbers sort ten times as fast.
-    numbers = numbers.astype(np.min_scalar_type(numbers.max()))
+    numbers = (x - x.min()) * columns + (y - y.min())
+    numbers = numbers.astype(np.min_scalar_type(int(numbers.max())))
     order = np.argsort(numbers, kind="stable")
-    begins = np.flatnonzero(np.diff(numbers[order].astype(np.int64), prepend=-1))
-    for part in np.split(order, begins[1:]):
-        column, row = tiles[part[0]].tolist()
-        yield (column, row), points[part]
+    ordered = numbers[order]
+    begins = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
+    first, counts = order[begins], np.diff(begins, append=len(order))
+    places = zip(x[first].tolist(), y[first].tolist(), strict=True)
+    return order, list(zip(places, counts.tolist(), strict=True))
 
 
 def _usual(heights: FloatArray) -> tuple[float, float]:
