@@ -124,7 +124,7 @@ def to_frame(points: FloatArray, T_a_b: FloatArray) -> FloatArray:
     return placed
 
 
-@kernel
+@kernel(nogil=True)
 def _place(points, T_a_b, placed):  # type: ignore[no-untyped-def]
     """Points (N, 3) by a matrix into ``placed``; a product of matrices so thin takes ten times as long."""
     for i in range(points.shape[0]):

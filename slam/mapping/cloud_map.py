@@ -9,7 +9,6 @@ from typing import IO, TypeAlias
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.estimation import FEWEST
 from fusion.height_band import thin_to_voxels
@@ -17,9 +16,9 @@ from slam.errors import ScanweaveError
 from slam.mapping.dense_map import ColoredCloud, Colors
 from slam.matching.local_cloud import moved
 from slam.matching.plane_voxels import surface_normals
-from slam.measurements import AnyFloatArray, BoolArray, FloatArray
+from slam.measurements import AnyFloatArray, BoolArray, Float32Array, FloatArray
+from slam.vision.prefetch import prefetched
 
-IntArray = NDArray[np.int64]
 _Span: TypeAlias = tuple[int, int]  # where rows begin in a file, and how many they are
 
 # Side of a tile in voxels; of a cell of neighbours: wider than what a lidar is off by.
@@ -53,17 +52,15 @@ class CloudTiles:
         self._voxel_m, self._file = voxel_m, file
         self._path = np.array([pose.translation() for pose in poses]).reshape(-1, 3)
         pieces: defaultdict[tuple[int, int], list[_Span]] = defaultdict(list)
-        for number, (points, pose) in enumerate(zip(clouds, poses, strict=True)):
+        for number, pose in enumerate(poses):
             if not np.isfinite(pose.matrix()).all():
                 raise ScanweaveError(f"pose {number} of {len(poses)} keyframes is not finite; see the report")
-            placed = thin_to_voxels(moved(points, pose), voxel_m)
-            order, tiles = _by_tile(placed, voxel_m)
-            seen = np.empty((len(placed), 4), np.float32)
-            seen[:, :3], seen[:, 3] = placed, number
-            begin, _ = self._keep(seen.take(order, axis=0))
+        seen = enumerate(zip(clouds, poses, strict=True))
+        for placed, tiles in prefetched(seen, lambda one: _by_tile(one[0], moved(*one[1]), voxel_m)):
+            begin, _ = self._keep(placed)
             for tile, count in tiles:
                 pieces[tile].append((begin, count))
-                begin += count * seen.strides[0]
+                begin += count * placed.strides[0]
         self._tiles, heights = list[_Span](), [np.zeros(0, np.float32)]
         for _, parts in sorted(pieces.items()):
             rows = self._thinned(parts)
@@ -77,15 +74,17 @@ class CloudTiles:
 
     def cloud(self, chosen: Callable[[FloatArray], BoolArray] | None = None) -> Iterator[ColoredCloud]:
         """Those that are chosen of points (N, 3), or all, with normals towards the keyframe that saw them."""
-        for tile in self._tiles:
-            rows = self._rows(tile)
+
+        def colored(rows: FloatArray) -> ColoredCloud:
             rows = rows if chosen is None else rows[chosen(rows[:, :3])]
             points = rows[:, :3]
             normals = surface_normals(points, _NORMAL_VOXELS * self._voxel_m)
             away = np.einsum("ij,ij->i", normals, self._path[rows[:, 3].astype(np.int64)] - points) < 0.0
             normals[away] *= -1.0
             colors = by_height(points, self._usual)
-            yield ColoredCloud(points.astype(np.float32), colors, normals.astype(np.float32))
+            return ColoredCloud(points.astype(np.float32), colors, normals.astype(np.float32))
+
+        return prefetched((self._rows(tile) for tile in self._tiles), colored, most_waiting=1)
 
     def _keep(self, rows: AnyFloatArray) -> _Span:
         """Write rows (N, 4) of points and the number of their keyframe; where they are."""
@@ -110,10 +109,14 @@ class CloudTiles:
         return thin_to_voxels(np.concatenate([kept, *waiting]), self._voxel_m)
 
 
-def _by_tile(points: FloatArray, voxel_m: float) -> tuple[IntArray, list[tuple[tuple[int, int], int]]]:
-    """The order (N,) in which points (N, 3) lie tile by tile; the tiles, and how many points are in each."""
+def _by_tile(
+    number: int, points: FloatArray, voxel_m: float
+) -> tuple[Float32Array, list[tuple[tuple[int, int], int]]]:
+    """Rows (M, 4) of points (N, 3) in the map, one a voxel, tile by tile; the tiles, and the rows of each."""
+    points = thin_to_voxels(points, voxel_m)
+    rows = np.empty((len(points), 4), np.float32)
     if not len(points):
-        return np.zeros(0, np.int64), []
+        return rows, []
     x, y = (np.floor(points[:, axis] / (_TILE_VOXELS * voxel_m)).astype(np.int64) for axis in (0, 1))
     columns = int(np.ptp(y)) + 1
     # Small numbers sort ten times as fast.
@@ -124,7 +127,8 @@ def _by_tile(points: FloatArray, voxel_m: float) -> tuple[IntArray, list[tuple[t
     begins = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
     first, counts = order[begins], np.diff(begins, append=len(order))
     places = zip(x[first].tolist(), y[first].tolist(), strict=True)
-    return order, list(zip(places, counts.tolist(), strict=True))
+    rows[:, :3], rows[:, 3] = points, number
+    return rows.take(order, axis=0), list(zip(places, counts.tolist(), strict=True))
 
 
 def _usual(heights: FloatArray) -> tuple[float, float]:

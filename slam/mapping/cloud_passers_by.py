@@ -19,6 +19,7 @@ from slam.mapping.elevation import Elevation
 from slam.mapping.looked_through import count_looks, look, means_around
 from slam.matching.local_cloud import moved
 from slam.measurements import BoolArray, FloatArray
+from slam.vision.prefetch import prefetched
 
 IntArray = NDArray[np.int64]
 
@@ -85,11 +86,15 @@ def passed_by(
     newest, half_turn = np.full(len(known), -1, np.int32), round(math.pi / _PIXEL_RAD)
     along = middles[:, 0].copy()
     picture, half_m = np.empty((half_turn + 1, 2 * half_turn + 1)), 0.5 * math.sqrt(3) * voxel_m
-    for number, (points, pose) in enumerate(zip(clouds, poses, strict=True)):
+    T_lidar_base = T_base_lidar.inverse()
+    looks = prefetched(
+        zip(clouds, poses, strict=True),
+        lambda one: (one[1], moved(*one), _pixels(moved(one[0], T_lidar_base))),
+    )
+    for number, (pose, placed, seen) in enumerate(looks):
         T_map_lidar = pose.compose(T_base_lidar)
         picture[:] = np.inf
-        seen = _pixels(moved(points, T_base_lidar.inverse()))
-        look(moved(points, pose), voxel_m, table, known, number, newest, *seen, picture)
+        look(placed, voxel_m, table, known, number, newest, *seen, picture)
         # Their keys are sorted along x first.
         ends = T_map_lidar.translation() + np.array([[-reach_m], [reach_m]])
         first, last = np.searchsorted(along, ends[:, 0])

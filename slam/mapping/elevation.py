@@ -21,6 +21,7 @@ from slam.mapping.band_scan import LEVEL_SHARE
 from slam.mapping.cloud_packing import STEP_M
 from slam.matching.local_cloud import moved
 from slam.measurements import AnyFloatArray, BoolArray, FloatArray
+from slam.vision.prefetch import prefetched
 
 Keys = NDArray[np.int64]
 
@@ -94,8 +95,9 @@ def elevation(
     None where no ground hangs together with the robot's way.
     """
     batches, waiting = list[Keys](), list[Keys]()
-    for points, pose in zip(clouds, poses, strict=True):
-        waiting.append(_lows(moved(points, pose), pose.translation(), reach_m))
+    seen = zip(clouds, poses, strict=True)
+    for lows in prefetched(seen, lambda one: _lows(moved(*one), one[1].translation(), reach_m)):
+        waiting.append(lows)
         if len(waiting) == BATCH:
             batches.append(_quantiles(np.concatenate(waiting), 0.5))
             waiting = []
@@ -116,7 +118,7 @@ def elevation(
     return Elevation(low[tuple(nearest)], ground, _CELL_M, first[::-1] * _CELL_M)
 
 
-@kernel
+@kernel(nogil=True)
 def _above(points, height_m, cell_m, origin_xy, above_m):  # type: ignore[no-untyped-def]
     """Heights (N,) of points (N, 3) over the ground, between the middles of its cells by their lines."""
     last_row = height_m.shape[0] - 1
@@ -141,7 +143,7 @@ def _lows(points_map: FloatArray, position: FloatArray, reach_m: float) -> Keys:
     return _quantiles(keys[: _near_keys(points_map, position, reach_m, keys)], LEVEL_SHARE)
 
 
-@kernel
+@kernel(nogil=True)
 def _near_keys(points, position, reach_m, keys):  # type: ignore[no-untyped-def]
     """Cells and heights of the points (N, 3) within reach, into ``keys`` (N,); how many there are."""
     count = ZERO

@@ -8,7 +8,7 @@ from fusion.kernel import NONE, ZERO, kernel
 from fusion.voxel_hash import AXIS_BITS, entry_of, key_of
 
 
-@kernel
+@kernel(nogil=True)
 def look(points, size_m, table, keys, number, newest, rows, cols, ranges_m, picture):  # type: ignore[no-untyped-def]
     """Draw how far a cloud (N, 3) sees, and note its number for the voxels that hold its points.
 
@@ -38,7 +38,7 @@ def look(points, size_m, table, keys, number, newest, rows, cols, ranges_m, pict
         picture[row, col] = min(picture[row, col], ranges_m[i])
 
 
-@kernel
+@kernel(nogil=True)
 def count_looks(which, half_m, number, newest, pixels_row, pixels_col, aways_m, picture, counts):  # type: ignore[no-untyped-def]
     """Count for the voxels near a lidar what its picture says of each.
 
