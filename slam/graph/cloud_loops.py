@@ -258,6 +258,7 @@ class CloudLoopCloser:
             for k in members
         ]
         local = LocalCloud.of(np.vstack(parts), self._voxel_m, self._config)
+        local.planes.settle()
         self._cache[key] = local
         if len(self._cache) > half:
             self._cache.popitem(last=False)
