@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
 import time
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from slam.datasets.dataset import Dataset
 from slam.errors import ScanweaveError
 from slam.evaluation.map_report import ReportData, RunCost, beside_of
 from slam.evaluation.report import write_report
+from slam.heap import give_back
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.pipeline import build_map
 from slam.outputs.exports import Exports
@@ -97,7 +97,7 @@ def run_into(
             on_progress(Progress("mapping", count, dataset.report.share))
 
         result = build_map(dataset, config, on_reading, Checkpoint(file))
-        _give_back_memory()
+        give_back()
         readings = result.scans.stamps_s.size
         on_progress(Progress("mapping", readings, 1.0))
         on_progress(Progress("writing", readings))
@@ -132,12 +132,6 @@ def run_into(
             raise
         written.append(folder / "report.html")
     return MapRun(saved, data, (*files, folder / MAP_NAME, *written), dataset.report.dropped_count)
-
-
-def _give_back_memory() -> None:
-    """Let the C library return to the system what was freed in pieces; one that is not glibc keeps it."""
-    with suppress(OSError, AttributeError, TypeError):
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _written(folder: Path, made: Exports) -> tuple[list[Path], list[str]]:

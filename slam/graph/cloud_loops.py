@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import ctypes
 import logging
 import math
 from collections import OrderedDict
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -17,6 +15,7 @@ import numpy as np
 from slam.config import Config
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
+from slam.heap import give_back
 from slam.matching.cloud_points import thinned
 from slam.matching.local_cloud import REACH, Aligned, LocalCloud, moved
 from slam.matching.scan_context import dissimilarity, ring_key, scan_context
@@ -262,11 +261,5 @@ class CloudLoopCloser:
         self._cache[key] = local
         if len(self._cache) > half:
             self._cache.popitem(last=False)
-            _give_back()
+            give_back()
         return local
-
-
-def _give_back() -> None:
-    """Give freed memory back, where the C library can: between places that are kept it would pile up."""
-    with suppress(OSError, AttributeError, TypeError):
-        ctypes.CDLL(None).malloc_trim(0)

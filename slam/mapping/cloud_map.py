@@ -13,6 +13,7 @@ import numpy as np
 from fusion.estimation import FEWEST
 from fusion.height_band import thin_to_voxels
 from slam.errors import ScanweaveError
+from slam.heap import give_back
 from slam.mapping.dense_map import ColoredCloud, Colors
 from slam.matching.local_cloud import moved
 from slam.matching.plane_voxels import surface_normals
@@ -67,6 +68,7 @@ class CloudTiles:
             heights.append(rows[::FEWEST, 2].astype(np.float32))
             self._tiles.append(self._keep(rows))
         self._usual = _usual(np.concatenate(heights))
+        give_back()
 
     def points(self) -> Iterator[FloatArray]:
         """(N, 3) of one tile after the other, map frame."""
