@@ -15,7 +15,7 @@ from slam.datasets.dataset import Dataset
 from slam.errors import ScanweaveError
 from slam.evaluation.map_report import ReportData, RunCost, beside_of
 from slam.evaluation.report import write_report
-from slam.graph.cloud_loops import give_back_memory
+from slam.heap import give_back
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.pipeline import build_map
 from slam.outputs.exports import Exports
@@ -97,7 +97,7 @@ def run_into(
             on_progress(Progress("mapping", count, dataset.report.share))
 
         result = build_map(dataset, config, on_reading, Checkpoint(file))
-        give_back_memory()
+        give_back()
         readings = result.scans.stamps_s.size
         on_progress(Progress("mapping", readings, 1.0))
         on_progress(Progress("writing", readings))
@@ -119,7 +119,7 @@ def run_into(
     result.map = replace(result.map, grids={})
     saved, data = open_map(folder), None
     result.map = saved.contents
-    _give_back_memory()
+    give_back()
     if report:
         try:
             cost = RunCost(time.perf_counter() - started, time.process_time())

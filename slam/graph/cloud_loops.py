@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import ctypes
 import logging
 import math
 from collections import OrderedDict
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -18,6 +16,7 @@ from slam.config import Config
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.unseen_gaps import UnseenGaps
+from slam.heap import give_back
 from slam.matching.cloud_points import thinned
 from slam.matching.local_cloud import REACH, Aligned, LocalCloud, moved
 from slam.matching.scan_context import dissimilarity, ring_key, scan_context
@@ -290,14 +289,9 @@ class CloudLoopCloser:
             for k in members
         ]
         local = LocalCloud.of(np.vstack(parts), self._voxel_m, self._config)
+        local.planes.settle()
         self._cache[key] = local
         if len(self._cache) > half:
             self._cache.popitem(last=False)
-            give_back_memory()  # between places that are kept it would pile up
+            give_back()
         return local
-
-
-def give_back_memory() -> None:
-    """Let the C library return to the system what was freed in pieces; one that is not glibc keeps it."""
-    with suppress(OSError, AttributeError, TypeError):
-        ctypes.CDLL(None).malloc_trim(0)

@@ -50,6 +50,7 @@ from slam.odometry.wheel_tracker import WheelTracker
 from slam.storage.map_clouds import MapClouds
 from slam.trajectory.readings import Readings
 from slam.vision.color_registration import ColorRegistration
+from slam.vision.prefetch import prefetched
 from slam.vision.prepared_frame import PreparedFrame
 
 # A kept cloud is as fine as the map, and four times as fine as the matching.
@@ -293,25 +294,18 @@ def band_scans(
     if layers.climb_m >= layers.robot_height_m:
         raise DatasetError("layers.climb_m leaves no height to layers.robot_height_m; make it lower")
     band = HeightBand(0.0, layers.robot_height_m, layers.climb_m)
-    scans = list[LaserScan | None]()
-    for key, (points, T_map_base) in enumerate(zip(clouds, poses, strict=True)):
-        T_level_base = level(T_map_base)
-        upright, lidar = moved(points, T_level_base), T_level_base.compose(T_base_lidar)
+
+    def scan(one: tuple[FloatArray, float, gtsam.Pose3]) -> LaserScan:
+        points, stamp_s, T_map_base = one
+        T_level_base, clears = level(T_map_base), ground is not None
         below_m: float | FloatArray = ground_m
+        upright, lidar = moved(points, T_level_base), T_level_base.compose(T_base_lidar)
         if ground is not None:
             below_m = upright[:, 2] - ground.above_m(moved(points, T_map_base))
-        scans.append(
-            band_scan(
-                upright,
-                clouds.stamp_s(key),
-                lidar,
-                band,
-                below_m,
-                config.cloud_map,
-                clears=ground is not None,
-            )
-        )
-    return scans
+        return band_scan(upright, stamp_s, lidar, band, below_m, config.cloud_map, clears=clears)
+
+    stamps_s = (clouds.stamp_s(key) for key in range(len(clouds)))
+    return list(prefetched(zip(clouds, stamps_s, poses, strict=True), scan))
 
 
 def level(T_map_base: gtsam.Pose3) -> gtsam.Pose3:

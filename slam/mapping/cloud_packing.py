@@ -69,7 +69,7 @@ def unpacked_cloud(content: bytes) -> FloatArray:
     return points
 
 
-@kernel
+@kernel(nogil=True)
 def _added_up(planes, step_m, points):  # type: ignore[no-untyped-def]
     """Points (N, 3) of the bytes (4, 3, N) of the ways from each to the next."""
     for axis in range(3):

@@ -116,7 +116,7 @@ def align_cloud(
         float(found.weights.mean()),
         float(np.sqrt(np.mean(inliers**2))) if len(inliers) else np.inf,
         converged,
-        found.agreement(kernel_m, len(points)),
+        _share_on_planes(found.residuals, kernel_m, len(points)),
     )
 
 
@@ -141,8 +141,8 @@ def drawn_near(
 
 def agreement(points: FloatArray, planes: PlaneVoxels, pose: gtsam.Pose3, kernel_m: float) -> float:
     """Share of points (N, 3), base frame, that lie on planes from ``T_map_base``; see `CloudAlignment`."""
-    found = _linearise(points, planes, pose, kernel_m)
-    return 0.0 if found is None else found.agreement(kernel_m, len(points))
+    residuals = planes.residuals(points, pose.matrix()).distances_m
+    return _share_on_planes(residuals, kernel_m, len(points)) if len(residuals) >= 6 else 0.0
 
 
 def arms_of(points: FloatArray) -> FloatArray:
@@ -218,10 +218,6 @@ class _Linear:
     gradients: FloatArray
     planes: NDArray[np.int64]
 
-    def agreement(self, kernel_m: float, point_count: int) -> float:
-        """Share of all points near their planes."""
-        return float(np.sum(np.abs(self.residuals) <= _ON_PLANE * kernel_m)) / point_count
-
     def spread(self) -> FloatArray:
         """(6, 6) of the gradient: those of one plane's points are added up before they are squared."""
         order = np.argsort(self.planes, kind="stable")
@@ -229,6 +225,11 @@ class _Linear:
         starts = np.flatnonzero(np.concatenate([[True], planes[1:] != planes[:-1]]))
         sums = np.add.reduceat(self.gradients[order], starts)
         return np.asarray(sums.T @ sums)
+
+
+def _share_on_planes(residuals: FloatArray, kernel_m: float, point_count: int) -> float:
+    """Share of all points near their planes."""
+    return np.count_nonzero(np.abs(residuals) <= _ON_PLANE * kernel_m) / point_count
 
 
 def _step(hessian: FloatArray, gradient: FloatArray) -> FloatArray:
@@ -244,7 +245,11 @@ def _linearise(points: FloatArray, planes: PlaneVoxels, pose: gtsam.Pose3, kerne
     residuals = found.distances_m
     if len(residuals) < 6:
         return None
-    spread = median_to_sigma() * float(np.median(np.abs(residuals)))
+    # What `numpy.median` gives, in a third of its time.
+    distances_m, half = np.abs(residuals), len(residuals) // 2
+    distances_m.partition((half - 1, half))
+    median_m = distances_m[half] if len(residuals) % 2 else 0.5 * (distances_m[half - 1] + distances_m[half])
+    spread = median_to_sigma() * float(median_m)
     kernel_m = float(np.clip(math.sqrt(gate()) * spread, _LEAST_KERNEL_M, kernel_m))
     weights, gradients, sums = planes.normal_equations(points, T_map_base, found, kernel_m)
     return _Linear(sums[:6], sums[6], residuals, weights, kernel_m, gradients, found.voxels)
