@@ -26,7 +26,7 @@ _MOST_ROUNDS = 20
 # Whitened errors settle to that.
 _SETTLED_SIGMAS = 0.01
 # A map that is begun without gravity leans by some degrees; where the earth is nobody knows.
-_LEANS_RAD, _NOWHERE_M = 0.05, 1e5
+_LEANS_RAD, NOWHERE_M = 0.05, 1e5
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,9 @@ class Anchored:
     misfits: float
 
 
-def anchored(poses: Sequence[Pose], edges: Sequence[Edge], anchors: Sequence[Anchor]) -> Anchored | None:
+def anchored(
+    poses: Sequence[Pose], edges: Sequence[Edge], anchors: Sequence[Anchor], kind: EdgeKind = EdgeKind.GNSS
+) -> Anchored | None:
     """Solve a graph with its anchors.
 
     Parameters
@@ -83,6 +85,8 @@ def anchored(poses: Sequence[Pose], edges: Sequence[Edge], anchors: Sequence[Anc
         (n,) of the nodes, optimised.
     edges
         That hold.
+    kind
+        Of the anchors; those of a receiver may claim too much, and their neighbours show it.
 
     Returns
     -------
@@ -91,18 +95,19 @@ def anchored(poses: Sequence[Pose], edges: Sequence[Edge], anchors: Sequence[Anc
     axes = 3 if isinstance(poses[0], gtsam.Pose3) else 2
     places = np.array([one.place_m for one in anchors])
     spreads = np.array([one.covariance_m2[:axes, :axes] for one in anchors])
-    variances = np.trace(spreads, axis1=1, axis2=2) / axes
+    variances = 0.5 * np.trace(spreads[:, :2, :2], axis1=1, axis2=2)
     far_m = np.linalg.norm(places[:, :2] - np.median(places[:, :2], axis=0), axis=1).max()
     if far_m <= _FREEDOM * math.sqrt(float(np.median(variances))):
         return None
     seen = _seen(poses, anchors)
     laid = _laid(seen, places, 1.0 / variances)
-    nodes, scale2 = [*poses, _like(poses[0], laid)], _scale2(seen, places, spreads, laid)
+    nodes = [*poses, _like(poses[0], laid)]
+    scale2 = _scale2(seen, places, spreads, laid) if kind is EdgeKind.GNSS else 1.0
     held = [*edges, _upright(nodes)]
     together = np.array([one.together for one in anchors])
     weights, before = np.ones(len(anchors)), np.full(len(anchors), np.inf)
     for _ in range(_MOST_ROUNDS):
-        told = _edges(nodes, len(poses), anchors, together * scale2 / weights)
+        told = _edges(nodes, len(poses), anchors, together * scale2 / weights, kind)
         values = solved(*held_graph(nodes, [*held, *told]))
         nodes = [values.atPose3(n) if axes == 3 else values.atPose2(n) for n in range(len(nodes))]
         T_enu_map = spatial(nodes[-1]).inverse()
@@ -117,7 +122,7 @@ def anchored(poses: Sequence[Pose], edges: Sequence[Edge], anchors: Sequence[Anc
         if np.abs(sigmas - before).max() < _SETTLED_SIGMAS:
             break
         before = sigmas
-    told = _edges(nodes, 0, anchors, together * scale2)
+    told = _edges(nodes, 0, anchors, together * scale2, kind)
     fits = squares <= gate(axes)
     return Anchored(
         T_enu_map,
@@ -146,10 +151,10 @@ def with_alignment(edges: Sequence[Edge]) -> list[Edge]:
 
     How it lies was found with all of them, so that their sum tells how well.
     """
-    found, groups = list(edges), dict[int, list[int]]()
+    found, groups = list(edges), dict[tuple[int, str], list[int]]()
     for number, edge in enumerate(edges):
-        if edge.kind is EdgeKind.GNSS:
-            groups.setdefault(edge.source, []).append(number)
+        if edge.kind in (EdgeKind.GNSS, EdgeKind.SURVEY):
+            groups.setdefault((edge.source, edge.kind), []).append(number)
     for members in groups.values():
         poses = [spatial(edges[number].T_source_target) for number in members]
         turns = np.array([pose.rotation().matrix() for pose in poses])
@@ -199,7 +204,7 @@ def _laid(seen_m: FloatArray, places_m: FloatArray, weights: FloatArray) -> gtsa
 
 def _upright(nodes: Sequence[Pose]) -> Edge:
     """From node 0 to the earth, the last: that a map hardly leans, and nothing else."""
-    nothing, leans = _NOWHERE_M**2, _LEANS_RAD**2
+    nothing, leans = NOWHERE_M**2, _LEANS_RAD**2
     planar = isinstance(nodes[0], gtsam.Pose2)
     variances = [nothing, nothing, math.pi**2] if planar else [leans, leans, math.pi**2, *[nothing] * 3]
     return Edge(
@@ -207,7 +212,9 @@ def _upright(nodes: Sequence[Pose]) -> Edge:
     )
 
 
-def _edges(nodes: Sequence[Pose], source: int, anchors: Sequence[Anchor], scales: FloatArray) -> list[Edge]:
+def _edges(
+    nodes: Sequence[Pose], source: int, anchors: Sequence[Anchor], scales: FloatArray, kind: EdgeKind
+) -> list[Edge]:
     """Each anchor from a node as the earth, the last of the nodes, lies: its place, and no heading.
 
     ``scales`` (k,) is what the covariances are multiplied by.
@@ -223,7 +230,7 @@ def _edges(nodes: Sequence[Pose], source: int, anchors: Sequence[Anchor], scales
         pose = _like(earth, T_source_earth.compose(place))
         if isinstance(pose, gtsam.Pose2):
             covariance = covariance[np.ix_(IN_PLANE, IN_PLANE)]
-        found.append(Edge(source, one.node, pose, covariance, EdgeKind.GNSS, trusted=False))
+        found.append(Edge(source, one.node, pose, covariance, kind, trusted=False))
     return found
 
 

@@ -42,6 +42,7 @@ class CloudCameras:
         self._config, self._registrations = config, registrations
         self._cameras = RobotCameras(config, wheel_turns=wheel_turns, result_cache=checkpoint)
         self._keyframes = CameraKeyframes(config, checkpoint, registrations)
+        self.tags = self._keyframes.tags
         self._fusion = KeyframeFusion(config.fusion) if config.fusion.enabled else None
         self._horizons: list[LaserScan | None] = []
         self._camera_poses: CameraPoses = {}

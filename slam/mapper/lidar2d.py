@@ -74,6 +74,7 @@ class PlanarRobot:
         self._closer = LoopCloser(config.loops, config.match, checkpoint)
         self._places = PlaceSearch(self._closer, config.loops, config.match, config.graph, checkpoint)
         self._pictures = CameraKeyframes(config, checkpoint, registrations)
+        self.tags = self._pictures.tags
         self._fusion = KeyframeFusion(config.fusion) if config.fusion.enabled else None
         self._camera_poses: CameraPoses = {}
         self._scan_stamp_s = -np.inf
