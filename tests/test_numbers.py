@@ -8,8 +8,8 @@ from tools.count_numbers import bare_floats, constant_names, count_fields, count
 
 MOST_CONSTANTS = 331
 MOST_BARE_FLOATS = 168
-MOST_FIELDS = 158
-MOST_LINES = 62_000
+MOST_FIELDS = 159
+MOST_LINES = 63_100
 
 
 def test_constants_of_the_logic_do_not_grow() -> None:

@@ -1,10 +1,11 @@
 """What tags are worth: tours of offices by wheels and one camera, no loop closed, with tags and without.
 
-    python tools/tag_trials.py FOLDER HOME [...] [--lidar] [--seconds 75] [--only three]
+    python tools/tag_trials.py FOLDER HOME [...] [--lidar] [--seconds 90] [--only three]
 
 Each office has tags on many walls; its drive, a few images a second, is kept in FOLDER. It is mapped without
-tags, with the three that hang best (seen over the longest time), with all, and with three of which one is wrong:
-moved half-way, the number of two, or read where nothing hangs. Of every second tag the place is a check.
+tags, with the three that hang best (seen over the longest time), with all, every second of them surveyed and
+the others checks, and with three of which one is wrong: moved half-way, the number of two, or read where
+nothing hangs.
 A line each: how far the way from the first pose to the end of the first lap is off, the error as laid on the
 truth, how often the 95 % ellipses hold it, the checks in units of their sigmas (NEES a degree of freedom).
 """
@@ -12,7 +13,6 @@ truth, how often the 95 % ellipses hold it, the checks in units of their sigmas 
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -33,6 +33,7 @@ from slam.simulation.drive_faults import FAULT_PRESETS
 from slam.simulation.home import generate_home
 from slam.simulation.record import record_drive
 from slam.simulation.rigs import RIGS, Rig
+from slam.simulation.tour import plan_tour
 from slam.simulation.wall_tags import hang_tags, known_places
 from slam.storage.tum import read_tum
 from slam.vision.tags import TagView, find_tags
@@ -50,7 +51,9 @@ def rig_of(*, lidar: bool) -> Rig:
 
 def drive_of(folder: Path, home: int, rig: Rig, duration_s: float) -> tuple[Path, KnownPlaces, float]:
     """A drive on disk, drawn where it is missing; all its tags, and when its first lap ends."""
-    building = hang_tags(generate_home(home, "office"), _TAGS, home)
+    building = generate_home(home, "office")
+    tour = plan_tour(building, rig.robot_radius_m, rig.robot_height_m, home, duration_s)
+    building = hang_tags(building, _TAGS, home, tour.poses_xyt)
     log, lap = folder / f"{rig.name}-{home}", folder / f"{rig.name}-{home}.lap"
     if not log.exists():
         made = record_drive(building, rig, home, log, FAULT_PRESETS["usual"], duration_s, formats=("folder",))
@@ -69,8 +72,20 @@ def best_of(log: Path, places: KnownPlaces) -> list[int]:
     return sorted(times, key=lambda number: times[number][0] - times[number][-1])
 
 
+class Altered:
+    """Finds tags, and makes something else of them."""
+
+    def __init__(self, alter: Alter) -> None:
+        self._alter, self._images = alter, 0
+
+    def __call__(self, color: ColorImage, lens: CameraIntrinsics, places: KnownPlaces) -> list[TagView]:
+        """As `find_tags`."""
+        self._images += 1
+        return self._alter(find_tags(color, lens, places), self._images)
+
+
 def variants(best: list[int]) -> dict[str, Alter]:
-    """What is made of the tags of the image with a number: of all, of three, and of three of which one is wrong."""
+    """What is made of the tags of an image, which has a number."""
     three, other = best[:3], best[3:]
 
     def only(numbers: list[int]) -> Alter:
@@ -128,7 +143,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("homes", nargs="+", type=int)
     parser.add_argument("--lidar", action="store_true", help="with the lidar")
-    parser.add_argument("--seconds", type=float, default=75.0)
+    parser.add_argument("--seconds", type=float, default=90.0)
     parser.add_argument("--only", nargs="+", help="these variants")
     arguments = parser.parse_args()
     config = load_config(overrides=["loops.enabled=false", "dense_map.enabled=false", "fusion.enabled=false"])
@@ -139,15 +154,10 @@ def main() -> None:
         for name, alter in variants(best).items():
             if arguments.only and name not in arguments.only:
                 continue
-            images = iter(range(sys.maxsize))
-
-            def altered(color: ColorImage, lens: CameraIntrinsics, known: KnownPlaces) -> list[TagView]:
-                return alter(find_tags(color, lens, known), next(images))
-
             known = places if name == "all" else places.model_copy(update={"surveyed": ()})
             sensors = config.sensors.model_copy(update={"tags": known})
             begun = time.process_time()
-            with mock.patch.object(tags_of_keyframes, "find_tags", altered):
+            with mock.patch.object(tags_of_keyframes, "find_tags", Altered(alter)):
                 made = slam.map_log(log, config.model_copy(update={"sensors": sensors}))
             error = absolute_error(made.trajectory, truth).translation_m
             assert made.covariances is not None

@@ -122,9 +122,12 @@ def simulate(
         return
     building = generate_home(home, "office" if office else "home", moved=moved, day=seed)
     if tags:
+        from slam.simulation.tour import plan_tour
         from slam.simulation.wall_tags import hang_tags
 
-        building = hang_tags(building, tags, home)
+        robot = RIGS[rig]
+        tour = plan_tour(building, robot.robot_radius_m, robot.robot_height_m, seed, duration)
+        building = hang_tags(building, tags, home, tour.poses_xyt)
     summary = simulate_into(
         out,
         building,

@@ -17,7 +17,7 @@ import gtsam
 import numpy as np
 
 from fusion.estimation import TINY, gate
-from slam.graph.held_graph import held_graph
+from slam.graph.held_graph import held_graph, marginals
 from slam.graph.pose_graph import Edge, EdgeKind, solved
 from slam.measurements import IN_PLANE, FloatArray, Pose, spatial
 
@@ -62,6 +62,8 @@ class Anchored:
         Where the map lies; of the plane by the median of the heights.
     edges
         From node 0 to those of the anchors that fit, but its own.
+    from_earth
+        The same from the earth, whose number is that of the nodes, and with those of node 0.
     scale
         By how much errors are larger than the anchors claim; 1 where they are not.
     misfits
@@ -70,6 +72,7 @@ class Anchored:
 
     T_enu_map: gtsam.Pose3
     edges: list[Edge]
+    from_earth: list[Edge]
     scale: float
     misfits: float
 
@@ -122,14 +125,39 @@ def anchored(
         if np.abs(sigmas - before).max() < _SETTLED_SIGMAS:
             break
         before = sigmas
-    told = _edges(nodes, 0, anchors, together * scale2, kind)
     fits = squares <= gate(axes)
+    told, from_earth = (
+        [
+            edge
+            for edge, fit in zip(_edges(nodes, source, anchors, together * scale2, kind), fits, strict=True)
+            if fit and edge.target != source
+        ]
+        for source in (0, len(poses))
+    )
     return Anchored(
         T_enu_map,
-        [edge for edge, fit in zip(told, fits.tolist(), strict=True) if edge.target and fit],
+        told,
+        [_upright(nodes).turned(), *from_earth],
         math.sqrt(scale2),
         1.0 - float(fits.mean()),
     )
+
+
+def seen_from_earth(poses: Sequence[Pose], edges: Sequence[Edge], found: Anchored) -> FloatArray:
+    """(n, d, d) covariance of each node where the earth is held, GTSAM's tangent of the node.
+
+    ``edges`` are those that hold, and as uncertain as they are together; what is told of the earth from node
+    0 is left out.
+    """
+    earth = _like(poses[0], found.T_enu_map.inverse())
+    kinds = {edge.kind for edge in found.edges}
+    turned = [
+        replace(
+            edge, source=(edge.source + 1) % (len(poses) + 1), target=(edge.target + 1) % (len(poses) + 1)
+        )
+        for edge in [*found.from_earth, *(edge for edge in edges if edge.kind not in kinds)]
+    ]
+    return marginals([earth, *poses], turned)[1:]
 
 
 def _scale2(seen_m: FloatArray, places_m: FloatArray, spreads: FloatArray, T_map_enu: gtsam.Pose3) -> float:

@@ -67,7 +67,6 @@ def landmarks_of(
     poses: Sequence[Pose],
     edges: Sequence[Edge],
     seen: Sequence[Sequence[Sighting]],
-    inlier_probability: float,
 ) -> list[Landmark | None]:
     """Solve a graph with its landmarks.
 
@@ -79,8 +78,6 @@ def landmarks_of(
         That hold.
     seen
         The sightings of each landmark, at least one.
-    inlier_probability
-        See `slam.graph.pose_graph.PoseGraph.optimize`.
 
     Returns
     -------
@@ -101,7 +98,7 @@ def landmarks_of(
             graph.add_edge(
                 Edge(one.node, node, one.T_node_landmark, one.covariance, EdgeKind.TAG, trusted=False)
             )
-    kept = graph.optimize(inlier_probability).kept
+    kept = graph.optimize().kept
     found = list[Landmark | None]()
     for number, sightings in enumerate(seen):
         holds = kept[first + 1 : first + 1 + len(sightings)]

@@ -124,7 +124,8 @@ class Mapper:
         clock.append(time.perf_counter())
         told = pose_covariances(graph.poses(), bases, edges, outcome.kept, self._config)
         if self._places is not None:
-            self._places.check(Way.of(graph.poses(), bases, scans.stamps_s[numbers], trajectory), told[0])
+            way = Way.of(graph.poses(), bases, scans.stamps_s[numbers], trajectory)
+            self._places.check(graph, way, outcome, self._config)
         covariances = carried_covariances(trajectory, front_end.readings.keyframe_readings(), *told)
         clock.append(time.perf_counter())
         factors = zip(edges, outcome.kept.tolist(), strict=True)

@@ -5,25 +5,24 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
 
 from fusion.estimation import FEWEST, gate
+from slam.config import Config
 from slam.config.tags import KnownPlaces, SurveyedPlace
-from slam.graph.anchors import NOWHERE_M, Anchor
+from slam.graph.anchors import NOWHERE_M, Anchor, Anchored, seen_from_earth
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.landmarks import Landmark, Sighting, in_plane, landmarks_of
-from slam.graph.pose_graph import BatchResult, EdgeKind
+from slam.graph.pose_covariances import told_edges
+from slam.graph.pose_graph import BatchResult, Edge, EdgeKind
 from slam.mapper.anchoring import Way, anchor
-from slam.measurements import FloatArray, RgbdFrame
+from slam.measurements import IN_PLANE, FloatArray, RgbdFrame, spatial
 from slam.storage.map_places import MapPlaces, MapTag
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.tags import TagView, find_tags
-
-# Corners are as sure as a whole pixel, until a log has shown its own: of the variance of what is rounded.
-_ROUNDED_PX2 = 1.0 / 12.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,94 +94,113 @@ class PlaceAnchors:
         self.found = MapPlaces(places.family)
         self.notes: list[str] = []
         self.warnings: list[str] = []
+        self._seen: dict[int, list[Sighting]] = {}
+        self._laid: Anchored | None = None
 
     def join(
         self, finder: TagFinder, graph: KeyframeGraph, outcome: BatchResult, inlier_probability: float
     ) -> BatchResult:
         """Let tags that were seen again close loops, and solve anew; the old outcome without any."""
-        # Of a check the place is found, and the way goes on without it.
-        seen = _unrepeated(finder.seen)
-        numbers = sorted(seen)
-        if not numbers:
+        if not finder.seen:
             if finder.images:
                 self.warnings.append(
                     f"No tag of family {self._places.family} was found in {finder.images} images of keyframes"
                 )
             return outcome
         sigma_px = _sigma_px([one.view for one in finder.seen])
-        planar = isinstance(graph.poses()[0], gtsam.Pose2)
-        sightings = [[_sighting(one, sigma_px) for one in seen[number]] for number in numbers]
-        flat = [in_plane(ones) if planar else (ones, gtsam.Rot3()) for ones in sightings]
-        edges = graph.graph.edges
-        held = [edge for edge, keep in zip(edges, outcome.kept, strict=True) if keep]
-        landmarks = landmarks_of(graph.poses(), held, [ones for ones, _ in flat], inlier_probability)
+        self._seen, twice = _by_number(finder.seen, sigma_px)
+        # A check is no proof where it has moved the map.
         checks = {one.tag for one in self._places.surveyed if one.check}
-        tags, more = list[MapTag](), 0
-        for number, spatials, (_, lean), landmark in zip(numbers, sightings, flat, landmarks, strict=True):
-            if landmark is None:
-                continue
-            tags.append(self._tag(number, spatials, lean, landmark))
-            if number not in checks:
-                more += len(landmark.edges)
-                for edge in landmark.edges:
-                    graph.add_edge(edge)
-        self.found = MapPlaces(self._places.family, tuple(tags))
-        self._tell(finder, numbers, tags, sigma_px)
-        graph.graph.begin_with([*outcome.kept, *[True] * more])
+        edges = self._find([number for number in self._seen if number not in checks], graph, outcome)
+        for edge in edges:
+            graph.add_edge(edge)
+        self.notes.append(
+            f"tags: {len(self.found.tags)} in {finder.images} images, {len(edges)} edges between keyframes "
+            f"that saw the same; corners are {sigma_px:.2f} px off"
+        )
+        self.warnings += [f"Tag {number} hangs at several places at once; it is not used" for number in twice]
+        graph.graph.begin_with([*outcome.kept, *[True] * len(edges)])
         return graph.optimize(inlier_probability)
 
     def survey(
         self, graph: KeyframeGraph, way: Way, outcome: BatchResult, inlier_probability: float
     ) -> BatchResult:
         """Lay the map where surveyed places and the start say; the old outcome where they do not tell."""
-        used = {one: seen for one in self._places.surveyed if (seen := self._seen(one, way)) is not None}
+        used = [
+            (one, seen)
+            for one in self._places.surveyed
+            if not one.check and (seen := self._seen_at(one, way)) is not None
+        ]
         anchors = [
             Anchor(node, *_place(one.at_m, one.sigma_m**2 + variance), arm_m)
-            for one, (node, arm_m, variance) in used.items()
-            if not one.check
+            for one, (node, arm_m, variance) in used
         ]
         anchors += self._start(way)
         if not anchors:
             return outcome
-        outcome, found = anchor(graph, anchors, outcome, inlier_probability, EdgeKind.SURVEY)
-        if found is None:
+        outcome, self._laid = anchor(graph, anchors, outcome, inlier_probability, EdgeKind.SURVEY)
+        if self._laid is None:
             self.warnings.append(
                 "The surveyed places do not tell how the map lies: survey two that are farther apart, or "
                 "give the start with its yaw_deg"
             )
             return outcome
-        self.found = MapPlaces(self.found.family, self.found.tags, found.T_enu_map)
+        self.found = replace(self.found, T_survey_map=self._laid.T_enu_map)
         return outcome
 
-    def check(self, way: Way, spreads: FloatArray) -> None:
-        """Compare the map with surveyed places when it is done.
-
-        Parameters
-        ----------
-        spreads
-            (K, 3, 3) covariance of the nodes' places in the map, along its axes.
-        """
-        T_survey_map = self.found.T_survey_map
-        if T_survey_map is None:
+    def check(self, graph: KeyframeGraph, way: Way, outcome: BatchResult, config: Config) -> None:
+        """Compare the finished map with surveyed places."""
+        checks = [one for one in self._places.surveyed if one.check]
+        self._find([one.tag for one in checks if one.tag in self._seen], graph, outcome)
+        if self._laid is None:
             return
+        poses = graph.poses()
+        told = told_edges(poses, graph.graph.edges, outcome.kept, config)
+        spreads = seen_from_earth(poses, told, self._laid)
         for one in self._places.surveyed:
-            seen = self._seen(one, way)
             name = f"tag {one.tag}" if one.stamp_s is None else f"the place at {one.stamp_s:.1f} s"
-            if seen is None:
-                self.warnings.append(f"{name} is surveyed, and was not seen")
+            if (seen := self._seen_at(one, way)) is None:
+                self.warnings.append(f"survey: {name} was not seen")
                 continue
             node, arm_m, variance = seen
-            base = way.nodes[node]
-            spatial_node = base if isinstance(base, gtsam.Pose3) else gtsam.Pose3(base)
-            at = np.asarray(T_survey_map.transformFrom(spatial_node.transformFrom(arm_m)))
-            axes = len(one.at_m)
-            off = at[:axes] - np.array(one.at_m)
-            sigma = math.sqrt(one.sigma_m**2 + variance + np.trace(spreads[node][:axes, :axes]) / axes)
+            pose, axes = poses[node], 2 if isinstance(poses[node], gtsam.Pose2) else len(one.at_m)
+            at_m = self._laid.T_enu_map.transformFrom(spatial(pose).transformFrom(arm_m))
+            off_m = (np.asarray(at_m) - [*one.at_m, 0.0][:3])[:axes]
+            turn = np.asarray(self._laid.T_enu_map.rotation().compose(spatial(pose).rotation()).matrix())
+            slopes = turn @ np.hstack([-_cross(arm_m), np.eye(3)])
+            if isinstance(pose, gtsam.Pose2):
+                slopes = slopes[:, IN_PLANE]
+            spread = (slopes @ spreads[node] @ slopes.T)[:axes, :axes] + variance * np.eye(axes)
+            sigma_m = math.sqrt(np.trace(spread) / axes + one.sigma_m**2)
             role = "check" if one.check else "used"
-            self.notes.append(
-                f"survey: {name} ({role}) is {np.linalg.norm(off):.3f} m off its place, "
-                f"{np.round(off, 3).tolist()}, sigma {sigma:.3f}"
-            )
+            line = f"survey: {name} ({role}) is {np.linalg.norm(off_m):.3f} m off, sigma {sigma_m:.3f} m"
+            wrong = off_m @ np.linalg.solve(spread + one.sigma_m**2 * np.eye(axes), off_m) > gate(axes)
+            (self.warnings if wrong else self.notes).append(line)
+
+    def _find(self, numbers: Sequence[int], graph: KeyframeGraph, outcome: BatchResult) -> list[Edge]:
+        """Find where tags hang; the edges between nodes that saw the same one."""
+        poses, edges = graph.poses(), graph.graph.edges
+        if not numbers:
+            return []
+        spatials = [self._seen[number] for number in numbers]
+        planar = isinstance(poses[0], gtsam.Pose2)
+        flat = [in_plane(ones) if planar else (ones, gtsam.Rot3()) for ones in spatials]
+        held = [edge for edge, keep in zip(edges, outcome.kept, strict=True) if keep]
+        landmarks = landmarks_of(poses, held, [ones for ones, _ in flat])
+        told, tags = list[Edge](), list(self.found.tags)
+        for number, ones, (_, lean), landmark in zip(numbers, spatials, flat, landmarks, strict=True):
+            if landmark is None:
+                self.warnings.append(f"Tag {number}: no view fits another; it is not used")
+                continue
+            tags.append(self._tag(number, ones, lean, landmark))
+            told += landmark.edges
+            if tags[-1].fit < len(ones):
+                self.warnings.append(
+                    f"Tag {number} is elsewhere in {len(ones) - tags[-1].fit} of {len(ones)} views, which "
+                    "were left out: it was moved, or there are two of this number"
+                )
+        self.found = replace(self.found, tags=tuple(sorted(tags, key=lambda tag: tag.number)))
+        return told
 
     def _tag(self, number: int, spatials: Sequence[Sighting], lean: gtsam.Rot3, found: Landmark) -> MapTag:
         """What is saved of a tag."""
@@ -202,7 +220,7 @@ class PlaceAnchors:
         fit = int(np.count_nonzero(found.holds))
         return MapTag(number, side_m, found.node, pose, math.sqrt(variance), len(spatials), fit)
 
-    def _seen(self, one: SurveyedPlace, way: Way) -> tuple[int, FloatArray, float] | None:
+    def _seen_at(self, one: SurveyedPlace, way: Way) -> tuple[int, FloatArray, float] | None:
         """Node, (3,) place in its frame and variance of that, of a surveyed place; None where it was not."""
         if one.stamp_s is not None:
             node = int(way.nearest(np.array([one.stamp_s]))[0])
@@ -227,26 +245,6 @@ class PlaceAnchors:
             anchors.append(Anchor(0, at, covariance, np.asarray(T_node_base.transformFrom([side, 0.0, 0.0]))))
         return anchors
 
-    def _tell(
-        self, finder: TagFinder, numbers: Sequence[int], tags: Sequence[MapTag], sigma_px: float
-    ) -> None:
-        """What was seen, and what does not fit."""
-        views, fit = sum(tag.views for tag in tags), sum(tag.fit for tag in tags)
-        again = sum(tag.fit > 1 for tag in tags)
-        self.notes.append(
-            f"tags: {len(tags)} in {finder.images} images, {fit} of {views} views fit; {again} were seen "
-            f"from several keyframes; corners are {sigma_px:.2f} px off"
-        )
-        for tag in tags:
-            if tag.fit < tag.views:
-                self.warnings.append(
-                    f"Tag {tag.number} is elsewhere in {tag.views - tag.fit} of {tag.views} views, which "
-                    "were left out: it was moved, or there are two of this number"
-                )
-        repeated = sorted({one.view.number for one in finder.seen} - set(numbers))
-        for number in repeated:
-            self.warnings.append(f"Tag {number} hangs at several places at once; it is not used")
-
 
 def _place(at_m: Sequence[float], variance: float) -> tuple[FloatArray, FloatArray]:
     """(3,) and (3, 3) of a place with so much variance; where its height is not known it may be any."""
@@ -256,14 +254,20 @@ def _place(at_m: Sequence[float], variance: float) -> tuple[FloatArray, FloatArr
     return np.array([*at_m, 0.0][:3]), covariance
 
 
-def _unrepeated(seen: Sequence[SeenTag]) -> dict[int, list[SeenTag]]:
-    """Sightings by number, without numbers that were seen at two places of one image."""
-    found, images = defaultdict[int, list[SeenTag]](list), Counter[tuple[int, int]]()
+def _by_number(seen: Sequence[SeenTag], sigma_px: float) -> tuple[dict[int, list[Sighting]], list[int]]:
+    """Sightings of each tag as nodes see it; and the numbers that were seen twice in one image, left out."""
+    found, images = defaultdict[int, list[Sighting]](list), Counter[tuple[int, int]]()
     for one in seen:
-        found[one.view.number].append(one)
+        pose = one.T_node_camera.compose(one.view.T_camera_tag)
+        found[one.view.number].append(Sighting(one.node, pose, one.view.covariance(sigma_px)))
         images[one.view.number, one.image] += 1
-    twice = {number for (number, _), count in images.items() if count > 1}
-    return {number: ones for number, ones in found.items() if number not in twice}
+    twice = sorted({number for (number, _), count in images.items() if count > 1})
+    return {number: found[number] for number in sorted(found) if number not in twice}, twice
+
+
+def _cross(arm: FloatArray) -> FloatArray:
+    """(3, 3) that makes the cross product with an arm from its left."""
+    return np.cross(np.eye(3), arm).T * -1.0
 
 
 def _sigma_px(views: Sequence[TagView]) -> float:
@@ -271,10 +275,5 @@ def _sigma_px(views: Sequence[TagView]) -> float:
     misfits = np.array([view.misfit_px2 for view in views])
     # What is no tag fits badly: the median does not mind.
     shown = float(np.median(misfits)) / gate(2, 0.5)
-    return math.sqrt((FEWEST * _ROUNDED_PX2 + len(views) * shown) / (FEWEST + len(views)))
-
-
-def _sighting(one: SeenTag, sigma_px: float) -> Sighting:
-    """A view as the node sees it."""
-    pose = one.T_node_camera.compose(one.view.T_camera_tag)
-    return Sighting(one.node, pose, one.view.covariance(sigma_px))
+    # Until a log has shown its own, as if corners were rounded to whole pixels: a variance of a twelfth.
+    return math.sqrt((FEWEST / 12 + len(views) * shown) / (FEWEST + len(views)))

@@ -18,13 +18,20 @@ from slam.vision.tags import tag_cells
 
 # How they hang: height of the middle, and room in front of one for a robot to see it.
 _Z_M, _FREE_M = (0.7, 1.3), 1.2
+# A robot sees one between these distances, within 20 degrees of its heading, slanted by less than 60.
+_NEAR_M, _AHEAD, _FACING = (0.8, 2.5), 0.94, 0.5
 _FAMILY, _CANDIDATES_A_WALL = "36h11", 12
 # Black and white as printers make them, of 255; rays a pixel along an edge; depth of the paper.
 _INK, _PAPER, _RAYS, _THICK_M = 25.0, 225.0, 4, 0.01
 
 
-def hang_tags(home: Home, count: int, seed: int, side_m: float = 0.16) -> Home:
-    """A home with tags on its walls, far from each other, each with free floor before it.
+def hang_tags(home: Home, count: int, seed: int, way_xyt: FloatArray, side_m: float = 0.16) -> Home:
+    """A home with tags on its walls, far from each other, each where a robot on its way looks at it.
+
+    Parameters
+    ----------
+    way_xyt
+        (n, 3) x, y, yaw of the robot.
 
     Raises
     ------
@@ -33,6 +40,7 @@ def hang_tags(home: Home, count: int, seed: int, side_m: float = 0.16) -> Home:
     """
     rng, scene = generator(seed, "tags"), Scene(home)
     places = [place for room in home.rooms for place in _places(room.rectangle, rng)]
+    places = [place for place in places if _is_seen(place, way_xyt)]
     free = [place for place in places if _is_free(scene, place, 0.5 * side_m * 1.5)]
     if len(free) < count:
         raise ConfigError(f"there is room for {len(free)} tags on the walls; hang fewer than {count}")
@@ -136,6 +144,15 @@ def _places(rectangle: tuple[float, float, float, float], rng: np.random.Generat
             axes = np.array([[-out[1], out[0], 0.0], [0.0, 0.0, 1.0], [*out, 0.0]]).T
             found.append(gtsam.Pose3(gtsam.Rot3(axes), np.array([*at, z])))
     return found
+
+
+def _is_seen(place: gtsam.Pose3, way_xyt: FloatArray) -> bool:
+    """Whether the robot comes near, looks there, and sees it not too slanted."""
+    away = np.asarray(place.translation())[:2] - way_xyt[:, :2]
+    far_m, out = np.linalg.norm(away, axis=1), np.asarray(place.rotation().matrix())[:2, 2]
+    ahead = np.sum(away * np.column_stack([np.cos(way_xyt[:, 2]), np.sin(way_xyt[:, 2])]), axis=1)
+    near = (far_m > _NEAR_M[0]) & (far_m < _NEAR_M[1])
+    return bool(np.any(near & (ahead > _AHEAD * far_m) & (-away @ out > _FACING * far_m)))
 
 
 def _is_free(scene: Scene, place: gtsam.Pose3, half_m: float) -> bool:

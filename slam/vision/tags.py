@@ -16,14 +16,9 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation import SETTLED, TINY, gate
+from fusion.estimation import FEWEST, ROUNDS, SETTLED, TINY, gate
 from slam.config.tags import KnownPlaces
 from slam.measurements import BoolArray, CameraIntrinsics, ColorImage, FloatArray
-
-# Along and across an edge so many places are looked at, a tenth of it off its ends; each round begins nearer.
-_EDGE_POINTS, _EDGE_ROUNDS, _FROM_CORNER = 25, 3, 0.1
-# Corners of a square of side 2 in the order of OpenCV: x to the right of who looks at it, y up, z out of it.
-_SQUARE = np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +50,7 @@ class TagView:
 
         Where another pose fits as well the tag tells its place alone.
         """
-        covariance: FloatArray = sigma_px**2 * np.linalg.inv(self.information)
+        covariance = np.asarray(sigma_px**2 * np.linalg.inv(self.information), np.float64)
         if self.lead_px2 < sigma_px**2 * gate():
             covariance[:3], covariance[:, :3] = 0.0, 0.0
             covariance[:3, :3] = math.pi**2 * np.eye(3)
@@ -122,8 +117,9 @@ def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatA
 
     OpenCV's own are those of a contour of whole pixels, half a pixel inside.
     """
-    along = np.linspace(_FROM_CORNER, 1.0 - _FROM_CORNER, _EDGE_POINTS)
-    for _ in range(_EDGE_ROUNDS):
+    # A cell off its ends, where the other edges are seen.
+    along = np.linspace(1.0, cells - 1.0, FEWEST) / cells
+    for _ in range(ROUNDS):
         ends = np.roll(corners, -1, axis=0)
         sides_px = np.linalg.norm(ends - corners, axis=1)
         if sides_px.min() < cells:
@@ -132,7 +128,7 @@ def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatA
         outward = np.column_stack([ways[:, 1], -ways[:, 0]])
         # Across each edge as far as the black rim reaches at its narrower end, white as wide beyond it.
         reach_px = np.minimum(np.roll(sides_px, 1), np.roll(sides_px, -1)) / cells
-        across = np.linspace(-1.0, 1.0, _EDGE_POINTS) * reach_px[:, None]
+        across = np.linspace(-1.0, 1.0, FEWEST) * reach_px[:, None]
         points = corners[:, None] + along[:, None] * (ends - corners)[:, None]
         values = _bilinear(gray, points[:, :, None] + across[:, None, :, None] * outward[:, None, None])
         rise = np.maximum(np.diff(values, axis=2), 0.0) + TINY
@@ -145,19 +141,20 @@ def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatA
         lines = np.cross(np.insert(first, 2, 1.0, axis=1), np.insert(last, 2, 1.0, axis=1))
         meet = np.cross(np.roll(lines, 1, axis=0), lines)
         found = meet[:, :2] / meet[:, 2:]
-        if not np.isfinite(found).all() or np.abs(found - corners).max() > sides_px.min() / cells:
+        moved_px = np.abs(found - corners).max()
+        if not moved_px <= sides_px.min() / cells:
             return corners
         corners = found
+        if moved_px < 100 * SETTLED:
+            break
     return corners
 
 
 def _bilinear(gray: NDArray[np.uint8], points: FloatArray) -> FloatArray:
     """Brightness (...) between the pixels of an image at points (..., 2), column and row."""
-    height, width = gray.shape
-    column = np.clip(points[..., 0], 0.0, width - 1.001)
-    row = np.clip(points[..., 1], 0.0, height - 1.001)
-    left, top = column.astype(np.int64), row.astype(np.int64)
-    right, down = column - left, row - top
+    most = np.array(gray.shape[::-1]) - 2
+    whole = np.clip(np.floor(points).astype(np.int64), 0, most)
+    (left, top), (right, down) = np.moveaxis(whole, -1, 0), np.moveaxis(points - whole, -1, 0)
     upper = (1.0 - right) * gray[top, left] + right * gray[top, left + 1]
     lower = (1.0 - right) * gray[top + 1, left] + right * gray[top + 1, left + 1]
     return np.asarray((1.0 - down) * upper + down * lower)
@@ -167,10 +164,9 @@ def _posed(number: int, corners_px: FloatArray, side_m: float, lens: CameraIntri
     """Pose of a square by its corners (4, 2); None where there is none before the camera."""
     import cv2
 
-    square, matrix = (
-        0.5 * side_m * _SQUARE,
-        np.array([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1.0]]),
-    )
+    # Corners in the order of OpenCV: x to the right of who looks at it, y up.
+    square = 0.5 * side_m * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+    matrix = np.array([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1.0]])
     count, turns, shifts, _ = cv2.solvePnPGeneric(
         square, corners_px[:, None], matrix, None, flags=cv2.SOLVEPNP_IPPE_SQUARE
     )
@@ -185,7 +181,7 @@ def _posed(number: int, corners_px: FloatArray, side_m: float, lens: CameraIntri
         return None
     misfit, pose, points = min(fits, key=lambda fit: fit[0])
     # Where the tag is much slanted, both end as the same.
-    rivals = [fit[0] for fit in fits if not fit[1].equals(pose, 10.0 * SETTLED)]
+    rivals = [fit[0] for fit in fits if not fit[1].equals(pose, 10 * SETTLED)]
     slopes = _slopes(points, square, np.asarray(pose.rotation().matrix()), lens)
     return TagView(number, pose, slopes.T @ slopes, misfit, min(rivals, default=math.inf) - misfit)
 
