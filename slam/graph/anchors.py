@@ -207,11 +207,15 @@ def with_alignment(edges: Sequence[Edge]) -> list[Edge]:
 
 
 def _of_place(edge: Edge) -> FloatArray:
-    """Covariance (3, 3) of an anchor's place in the node's axes; in the plane a height of 1 m."""
-    if len(edge.covariance) == 6:
-        return edge.covariance[3:, 3:]
+    """Covariance (3, 3) of an anchor's place in the node's axes, as if it could not turn.
+
+    In the plane a height of 1 m.
+    """
+    information = np.linalg.inv(edge.covariance)
+    if len(information) == 6:
+        return np.linalg.inv(information[3:, 3:])
     covariance = np.eye(3)
-    covariance[:2, :2] = edge.covariance[:2, :2]
+    covariance[:2, :2] = np.linalg.inv(information[:2, :2])
     return covariance
 
 
@@ -253,9 +257,14 @@ def _edges(
         turn = spatial(_between(earth, nodes[one.node])).rotation()
         place = gtsam.Pose3(turn, one.place_m - np.asarray(turn.rotate(one.arm_m)))
         axes = np.asarray(turn.matrix())
-        covariance = np.full(6, math.pi**2) * np.eye(6)
-        covariance[3:, 3:] = scale * axes.T @ one.covariance_m2 @ axes
         pose = _like(earth, T_source_earth.compose(place))
+        covariance = np.full(6, math.pi**2) * np.eye(6)
+        if isinstance(pose, gtsam.Pose2):
+            covariance[:2, :2] = 0.0
+        covariance[3:, 3:] = scale * axes.T @ one.covariance_m2 @ axes
+        # It turns about what was measured, not about the node.
+        adjoint = gtsam.Pose3(gtsam.Rot3(), one.arm_m).AdjointMap()
+        covariance = adjoint @ covariance @ adjoint.T
         if isinstance(pose, gtsam.Pose2):
             covariance = covariance[np.ix_(IN_PLANE, IN_PLANE)]
         found.append(Edge(source, one.node, pose, covariance, kind, trusted=False))

@@ -13,9 +13,13 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
+from fusion.estimation import SETTLED, gate
 from slam.graph.anchors import NOWHERE_M
-from slam.graph.pose_graph import Edge, EdgeKind, PoseGraph
+from slam.graph.held_graph import held_graph
+from slam.graph.influence import LinearMap
+from slam.graph.pose_graph import Edge, EdgeKind, PoseGraph, solved
 from slam.measurements import BoolArray, FloatArray, Pose
 
 
@@ -64,11 +68,14 @@ class Landmark:
 
 
 def landmarks_of(
-    poses: Sequence[Pose],
-    edges: Sequence[Edge],
-    seen: Sequence[Sequence[Sighting]],
+    poses: Sequence[Pose], edges: Sequence[Edge], seen: Sequence[Sequence[Sighting]]
 ) -> list[Landmark | None]:
     """Solve a graph with its landmarks.
+
+    What one node after the other sees of a landmark is a visit, and one witness: whoever moves a tag between
+    two visits makes all of the second wrong at once. That a landmark was in one place at its visits is
+    believed as long as it fits all others and the way: of what does not, the visit that all would fit best
+    without is left out, one after the other (Baarda 1968).
 
     Parameters
     ----------
@@ -77,41 +84,95 @@ def landmarks_of(
     edges
         That hold.
     seen
-        The sightings of each landmark, at least one.
+        The sightings of each landmark, in the order of their nodes, at least one.
 
     Returns
     -------
     Of each landmark what was found; None where nothing holds.
     """
-    graph = PoseGraph(poses[0])
-    for pose in poses[1:]:
-        graph.add_node(pose)
-    for edge in edges:
-        graph.add_edge(edge)
-    first = len(edges)
-    for sightings in seen:
-        best = min(sightings, key=_size)
-        node = graph.add_node(_compose(poses[best.node], best.T_node_landmark))
+    visits = [visit for sightings in seen for visit in _visits(sightings)]
+    of = np.repeat(np.arange(len(seen)), [len(_visits(sightings)) for sightings in seen])
+    nodes, told = [*poses], [*edges]
+    for visit in visits:
+        best = min(visit, key=_size)
+        nodes.append(_compose(poses[best.node], best.T_node_landmark))
+        told += [
+            Edge(one.node, len(nodes) - 1, one.T_node_landmark, one.covariance, EdgeKind.TAG, trusted=False)
+            for one in visit
+        ]
+        # A visit of which nothing holds is somewhere nevertheless.
         far = NOWHERE_M**2 * np.eye(len(best.covariance))
-        graph.add_edge(Edge(best.node, node, best.T_node_landmark, far, EdgeKind.TAG, trusted=True))
-        for one in sightings:
-            graph.add_edge(
-                Edge(one.node, node, one.T_node_landmark, one.covariance, EdgeKind.TAG, trusted=False)
-            )
+        told.append(Edge(best.node, len(nodes) - 1, best.T_node_landmark, far, EdgeKind.TAG, trusted=True))
+    graph = PoseGraph(poses[0])
+    for node in nodes[1:]:
+        graph.add_node(node)
+    for edge in told:
+        graph.add_edge(edge)
     kept = graph.optimize().kept
+    fits = iter(kept[[n for n, edge in enumerate(told) if edge.kind is EdgeKind.TAG and not edge.trusted]])
+    holds = [np.array([next(fits) for _ in visit]) for visit in visits]
+    told = [edge for edge, keep in zip(told, kept, strict=True) if keep]
+    nodes = [graph.pose(node) for node in range(len(nodes))]
+    hubs = [nodes[len(poses) + int(np.flatnonzero(of == number)[0])] for number in range(len(seen))]
+    nodes, still = _still([*nodes, *hubs], told, len(poses), of, holds)
     found = list[Landmark | None]()
     for number, sightings in enumerate(seen):
-        holds = kept[first + 1 : first + 1 + len(sightings)]
-        first += 1 + len(sightings)
-        found.append(_told(graph, len(poses) + number, sightings, holds) if holds.any() else None)
+        mine = np.flatnonzero(of == number)
+        fit = np.concatenate([holds[visit] & still[visit] for visit in mine])
+        landmark = nodes[len(poses) + len(of) + number]
+        found.append(_told(nodes, landmark, sightings, fit) if fit.any() else None)
     return found
 
 
-def _told(graph: PoseGraph, landmark: int, sightings: Sequence[Sighting], holds: BoolArray) -> Landmark:
+def _still(
+    nodes: list[Pose], edges: list[Edge], first: int, of: NDArray[np.int64], holds: Sequence[BoolArray]
+) -> tuple[list[Pose], BoolArray]:
+    """Which visits saw their landmark where the others did, and where the nodes are then.
+
+    ``of`` (v,) is the landmark of each visit; behind ``first`` nodes come those of the visits, then of the
+    landmarks.
+    """
+    still, sizes = np.ones(len(of), np.bool_), np.array([np.count_nonzero(fit) for fit in holds])
+    dimension = len(edges[-1].covariance)
+    # It hangs still, to the millimetre.
+    same, nothing = (10 * SETTLED) ** 2 * np.eye(dimension), type(nodes[0])()
+    while True:
+        links = [
+            Edge(first + visit, first + len(of) + of[visit], nothing, same, EdgeKind.TAG, trusted=True)
+            for visit in range(len(of))
+            if still[visit]
+        ]
+        values = solved(*held_graph(nodes, [*edges, *links]))
+        nodes = [values.atPose2(n) if dimension == 3 else values.atPose3(n) for n in range(len(nodes))]
+        among = np.bincount(of[still], minlength=int(of.max()) + 1)[of]
+        asked = [n for n, link in enumerate(links) if among[link.source - first] > 1]
+        if not asked:
+            return nodes, still
+        found = LinearMap(nodes, [*edges, *links], np.ones(len(edges) + len(links), np.bool_))
+        without = found.influences([len(edges) + n for n in asked]).left_out
+        if without.max() ** 2 <= gate(dimension):
+            return nodes, still
+        worst = links[asked[int(without.argmax())]].source - first
+        if among[worst] == 2:  # each says that the other is wrong
+            worst = int(min(np.flatnonzero((of == of[worst]) & still), key=lambda visit: sizes[visit]))
+        still[worst] = False
+
+
+def _visits(sightings: Sequence[Sighting]) -> list[list[Sighting]]:
+    """Sightings by nodes one after the other."""
+    found = [[sightings[0]]]
+    for one in sightings[1:]:
+        if one.node - found[-1][-1].node > 1:
+            found.append([])
+        found[-1].append(one)
+    return found
+
+
+def _told(nodes: Sequence[Pose], landmark: Pose, sightings: Sequence[Sighting], holds: BoolArray) -> Landmark:
     """From the node that saw it best."""
     held = [one for one, keep in zip(sightings, holds.tolist(), strict=True) if keep]
     best = min(held, key=_size)
-    T_node_landmark = _between(graph.pose(best.node), graph.pose(landmark))
+    T_node_landmark = _between(nodes[best.node], landmark)
     together = np.linalg.inv(np.sum([np.linalg.inv(one.covariance) for one in held], axis=0))
     edges = []
     for one in held:
@@ -119,8 +180,8 @@ def _told(graph: PoseGraph, landmark: int, sightings: Sequence[Sighting], holds:
             continue
         back = one.T_node_landmark.inverse()
         adjoint = one.T_node_landmark.AdjointMap()
-        # All share the error of where it is.
-        covariance = adjoint @ (one.covariance + together) @ adjoint.T
+        # All share the error of where it is: as if each had its own, so many times as large.
+        covariance = adjoint @ (one.covariance + len(held) * together) @ adjoint.T
         pose = _compose(T_node_landmark, back)
         edges.append(Edge(best.node, one.node, pose, covariance, EdgeKind.TAG, trusted=False))
     return Landmark(best.node, T_node_landmark, together, holds, edges)
