@@ -196,6 +196,8 @@ def with_alignment(edges: Sequence[Edge]) -> list[Edge]:
         information = np.einsum("kia,kij,kjb->ab", slopes, np.linalg.inv(spreads), slopes)
         shared = slopes @ np.linalg.inv(information + TINY * np.eye(4)) @ slopes.transpose(0, 2, 1)
         shared = turns.transpose(0, 2, 1) @ shared @ turns
+        if edges[members[0]].kind == EdgeKind.SURVEY:  # few: all share it, as if it were so much larger
+            shared *= len(members)
         for number, more in zip(members, shared, strict=True):
             covariance = edges[number].covariance.copy()
             if len(covariance) == 6:

@@ -56,6 +56,8 @@ class Landmark:
         (d, d) of that, in GTSAM's tangent of the landmark.
     holds
         Which of its sightings fit each other and the way.
+    elsewhere
+        How many were of visits that saw it where it is not.
     edges
         From the node to the others that saw it.
     """
@@ -64,6 +66,7 @@ class Landmark:
     T_node_landmark: Pose
     covariance: FloatArray
     holds: BoolArray
+    elsewhere: int
     edges: list[Edge]
 
 
@@ -92,6 +95,23 @@ def landmarks_of(
     """
     visits = [visit for sightings in seen for visit in _visits(sightings)]
     of = np.repeat(np.arange(len(seen)), [len(_visits(sightings)) for sightings in seen])
+    nodes, told, holds = _visited(poses, edges, visits)
+    hubs = [nodes[len(poses) + int(np.flatnonzero(of == number)[0])] for number in range(len(seen))]
+    nodes, still = _still([*nodes, *hubs], told, len(poses), of, holds)
+    found = list[Landmark | None]()
+    for number, sightings in enumerate(seen):
+        mine = np.flatnonzero(of == number)
+        fit = np.concatenate([holds[visit] & still[visit] for visit in mine])
+        landmark = nodes[len(poses) + len(of) + number]
+        away = sum(len(holds[visit]) for visit in mine[~still[mine]])
+        found.append(_told(nodes, landmark, sightings, fit, away) if fit.any() else None)
+    return found
+
+
+def _visited(
+    poses: Sequence[Pose], edges: Sequence[Edge], visits: Sequence[Sequence[Sighting]]
+) -> tuple[list[Pose], list[Edge], list[BoolArray]]:
+    """The graph with a node a visit, what of it holds, and which sightings fit within their visit."""
     nodes, told = [*poses], [*edges]
     for visit in visits:
         best = min(visit, key=_size)
@@ -112,16 +132,7 @@ def landmarks_of(
     fits = iter(kept[[n for n, edge in enumerate(told) if edge.kind is EdgeKind.TAG and not edge.trusted]])
     holds = [np.array([next(fits) for _ in visit]) for visit in visits]
     told = [edge for edge, keep in zip(told, kept, strict=True) if keep]
-    nodes = [graph.pose(node) for node in range(len(nodes))]
-    hubs = [nodes[len(poses) + int(np.flatnonzero(of == number)[0])] for number in range(len(seen))]
-    nodes, still = _still([*nodes, *hubs], told, len(poses), of, holds)
-    found = list[Landmark | None]()
-    for number, sightings in enumerate(seen):
-        mine = np.flatnonzero(of == number)
-        fit = np.concatenate([holds[visit] & still[visit] for visit in mine])
-        landmark = nodes[len(poses) + len(of) + number]
-        found.append(_told(nodes, landmark, sightings, fit) if fit.any() else None)
-    return found
+    return [graph.pose(node) for node in range(len(nodes))], told, holds
 
 
 def _still(
@@ -168,7 +179,9 @@ def _visits(sightings: Sequence[Sighting]) -> list[list[Sighting]]:
     return found
 
 
-def _told(nodes: Sequence[Pose], landmark: Pose, sightings: Sequence[Sighting], holds: BoolArray) -> Landmark:
+def _told(
+    nodes: Sequence[Pose], landmark: Pose, sightings: Sequence[Sighting], holds: BoolArray, away: int
+) -> Landmark:
     """From the node that saw it best."""
     held = [one for one, keep in zip(sightings, holds.tolist(), strict=True) if keep]
     best = min(held, key=_size)
@@ -184,7 +197,7 @@ def _told(nodes: Sequence[Pose], landmark: Pose, sightings: Sequence[Sighting], 
         covariance = adjoint @ (one.covariance + len(held) * together) @ adjoint.T
         pose = _compose(T_node_landmark, back)
         edges.append(Edge(best.node, one.node, pose, covariance, EdgeKind.TAG, trusted=False))
-    return Landmark(best.node, T_node_landmark, together, holds, edges)
+    return Landmark(best.node, T_node_landmark, together, holds, away, edges)
 
 
 def in_plane(sightings: Sequence[Sighting]) -> tuple[list[Sighting], gtsam.Rot3]:

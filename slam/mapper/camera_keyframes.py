@@ -13,7 +13,6 @@ from slam.graph.visual_loops import VisualLoopCloser
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.keyframe_store import KeyframeStore
 from slam.mapper.robot_cameras import Picture
-from slam.mapper.tags import TagFinder
 from slam.measurements import MotionEstimate, Pose, pose2_from_row, spatial
 from slam.storage.map_frames import MapFrames
 from slam.vision.color_registration import ColorRegistration
@@ -45,11 +44,6 @@ class CameraKeyframes:
     ----------
     registrations
         Where colour cameras sit that are not registered to depth, by name.
-
-    Attributes
-    ----------
-    tags
-        Looks for tags in all of them.
     """
 
     def __init__(
@@ -59,7 +53,6 @@ class CameraKeyframes:
         self._places = _Places(self._store)
         self._closer = VisualLoopCloser(config, FrameMatcher(config), self._places, checkpoint)
         self._registrations = registrations
-        self.tags = TagFinder(config.sensors.tags)
         self._nodes: list[int] = []
         self._T_node_camera: list[gtsam.Pose3] = []
 
@@ -78,7 +71,6 @@ class CameraKeyframes:
             image = replace(picture.frame.frame, T_base_camera=picture.T_base_camera)
             frame = replace(picture.frame, frame=image)
             registration = self._registrations.get(image.sensor)
-            self.tags.look(image, node, picture.T_base_camera, registration)
             self._nodes.append(node)
             self._T_node_camera.append(picture.T_base_camera)
             if places and rank == 0:

@@ -105,8 +105,15 @@ class Mapper:
         front_end.settle(graph)
         probability = self._config.loops.inlier_probability
         outcome = graph.optimize(probability)
+        stamps_s = self._record.finish().stamps_s[front_end.readings.keyframe_scans()]
+
+        def way() -> Way:
+            poses = graph.poses()
+            bases = front_end.bases(poses)
+            return Way.of(poses, bases, stamps_s, front_end.readings.trajectory(bases))
+
         if self._places is not None:
-            outcome = self._places.join(front_end.tags, graph, outcome, probability)
+            outcome = self._places.join(front_end.tags, graph, way(), outcome, probability)
         # It ends: nothing is found twice.
         while found := front_end.search_again(graph, outcome.kept):
             for candidate in found:
@@ -117,15 +124,13 @@ class Mapper:
         trajectory = front_end.readings.trajectory(bases)
         for anchors in (self._gnss.anchor if self._gnss else None, self._places and self._places.survey):
             if anchors:
-                way = Way.of(graph.poses(), bases, scans.stamps_s[numbers], trajectory)
-                outcome = anchors(graph, way, outcome, probability)
+                outcome = anchors(graph, way(), outcome, probability)
                 bases = front_end.bases(graph.poses())
                 trajectory = front_end.readings.trajectory(bases)
         clock.append(time.perf_counter())
         told = pose_covariances(graph.poses(), bases, edges, outcome.kept, self._config)
         if self._places is not None:
-            way = Way.of(graph.poses(), bases, scans.stamps_s[numbers], trajectory)
-            self._places.check(graph, way, outcome, self._config)
+            self._places.check(graph, way(), outcome, self._config)
         covariances = carried_covariances(trajectory, front_end.readings.keyframe_readings(), *told)
         clock.append(time.perf_counter())
         factors = zip(edges, outcome.kept.tolist(), strict=True)

@@ -46,7 +46,7 @@ class FreeCamera:
     ) -> None:
         self.readings = Readings()
         self._registrations = registrations
-        self.tags = TagFinder(config.sensors.tags)
+        self.tags = TagFinder(config.sensors.tags, registrations)
         self._tracker = RgbdTracker(odometries.rgbd(config), config, checkpoint)
         self._store = KeyframeStore(config.rgbd, config.match.local_map_keyframes, checkpoint.spool())
         self._closer = VisualLoopCloser(config, FrameMatcher(config), self._store, checkpoint)
@@ -94,9 +94,8 @@ class FreeCamera:
         frame, tracked = self._newest
         self._tracker.add_keyframe(frame, tracked)
         self._closer.add_keyframe(frame, adrift=tracked.restarted)
-        registration = self._registrations.get(frame.frame.sensor)
-        self.tags.look(frame.frame, key, gtsam.Pose3(), registration)
-        self._store.add(frame, registration)
+        self.tags.look(frame.frame, self._T_camera_base.inverse())
+        self._store.add(frame, self._registrations.get(frame.frame.sensor))
         return self._closer.close(key, [spatial(pose) for pose in graph.poses()])
 
     def refuse(self) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter, defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
@@ -20,6 +20,7 @@ from slam.graph.pose_covariances import told_edges
 from slam.graph.pose_graph import BatchResult, Edge, EdgeKind
 from slam.mapper.anchoring import Way, anchor
 from slam.measurements import IN_PLANE, FloatArray, RgbdFrame, spatial
+from slam.odometry.clock_learner import SensorClock
 from slam.storage.map_places import MapPlaces, MapTag
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.tags import TagView, find_tags
@@ -27,50 +28,61 @@ from slam.vision.tags import TagView, find_tags
 
 @dataclass(frozen=True, slots=True)
 class SeenTag:
-    """A tag in an image of a keyframe, and where the colour camera was, seen from the node."""
+    """A tag in an image, which has a number; by the camera's clock, and where its colours are on the base."""
 
     image: int
-    node: int
-    T_node_camera: gtsam.Pose3
+    stamp_s: float
+    sensor: str
+    T_base_camera: gtsam.Pose3
     view: TagView
 
 
+@dataclass(slots=True)
 class TagFinder:
     """Looks for tags in the images of keyframes.
 
-    Parameters
+    Attributes
     ----------
     places
         What hangs; None where nobody has said that.
-
-    Attributes
-    ----------
+    registrations
+        Where colour cameras sit that are not registered to depth, by name.
     seen
-        All so far.
+        All tags so far.
     images
-        How many were looked at.
+        How many images were looked at.
+    clocks
+        Of the cameras against the robot's, by name; none of one that leads.
     """
 
-    def __init__(self, places: KnownPlaces | None) -> None:
-        self._places = places
-        self.seen: list[SeenTag] = []
-        self.images = 0
+    places: KnownPlaces | None = None
+    registrations: Mapping[str, ColorRegistration] = field(default_factory=dict)
+    seen: list[SeenTag] = field(default_factory=list)
+    images: int = 0
+    clocks: Mapping[str, SensorClock] = field(default_factory=dict)
+    _newest_s: dict[str, float] = field(default_factory=dict)
 
-    def look(
-        self, frame: RgbdFrame, node: int, T_node_camera: gtsam.Pose3, registration: ColorRegistration | None
-    ) -> None:
-        """Take a frame of a node, and where its depth camera was, seen from there."""
-        if self._places is None or self._places.size_m is None:
+    def look(self, frame: RgbdFrame, T_base_camera: gtsam.Pose3) -> None:
+        """Take a frame, and where its depth camera sits on the base; a frame that was seen is passed over."""
+        if self.places is None or self.places.size_m is None:
             return
+        if self._newest_s.get(frame.sensor) == frame.stamp_s:
+            return
+        self._newest_s[frame.sensor] = frame.stamp_s
         self.images += 1
-        lens = frame.intrinsics
+        lens, registration = frame.intrinsics, self.registrations.get(frame.sensor)
         if registration is not None and registration.accepted:
-            lens, T_node_camera = (
-                registration.intrinsics_color,
-                T_node_camera.compose(registration.T_depth_color),
-            )
-        for view in find_tags(frame.color, lens, self._places):
-            self.seen.append(SeenTag(self.images, node, T_node_camera, view))
+            lens = registration.intrinsics_color
+            T_base_camera = T_base_camera.compose(registration.T_depth_color)
+        self.seen += [
+            SeenTag(self.images, frame.stamp_s, frame.sensor, T_base_camera, view)
+            for view in find_tags(frame.color, lens, self.places)
+        ]
+
+    def taken_s(self, one: SeenTag) -> tuple[float, float]:
+        """When an image was taken, by the robot's clock, and how sure that is."""
+        clock = self.clocks.get(one.sensor)
+        return (one.stamp_s, 0.0) if clock is None else (one.stamp_s - clock.offset_s, clock.sigma_s)
 
 
 class PlaceAnchors:
@@ -98,7 +110,12 @@ class PlaceAnchors:
         self._laid: Anchored | None = None
 
     def join(
-        self, finder: TagFinder, graph: KeyframeGraph, outcome: BatchResult, inlier_probability: float
+        self,
+        finder: TagFinder,
+        graph: KeyframeGraph,
+        way: Way,
+        outcome: BatchResult,
+        inlier_probability: float,
     ) -> BatchResult:
         """Let tags that were seen again close loops, and solve anew; the old outcome without any."""
         if not finder.seen:
@@ -108,15 +125,17 @@ class PlaceAnchors:
                 )
             return outcome
         sigma_px = _sigma_px([one.view for one in finder.seen])
-        self._seen, twice = _by_number(finder.seen, sigma_px)
+        self._seen, twice = _by_number(finder, way, sigma_px)
         # A check is no proof where it has moved the map.
         checks = {one.tag for one in self._places.surveyed if one.check}
         edges = self._find([number for number in self._seen if number not in checks], graph, outcome)
         for edge in edges:
             graph.add_edge(edge)
+        tags = self.found.tags
+        fit, views = sum(tag.fit for tag in tags), sum(tag.views for tag in tags)
         self.notes.append(
-            f"tags: {len(self.found.tags)} in {finder.images} images, {len(edges)} edges between keyframes "
-            f"that saw the same; corners are {sigma_px:.2f} px off"
+            f"tags: {len(tags)} in {finder.images} images, {fit} of {views} views fit, {len(edges)} edges "
+            f"between keyframes that saw the same; corners are {sigma_px:.2f} px off"
         )
         self.warnings += [f"Tag {number} hangs at several places at once; it is not used" for number in twice]
         graph.graph.begin_with([*outcome.kept, *[True] * len(edges)])
@@ -194,10 +213,10 @@ class PlaceAnchors:
                 continue
             tags.append(self._tag(number, ones, lean, landmark))
             told += landmark.edges
-            if tags[-1].fit < len(ones):
+            if landmark.elsewhere:
                 self.warnings.append(
-                    f"Tag {number} is elsewhere in {len(ones) - tags[-1].fit} of {len(ones)} views, which "
-                    "were left out: it was moved, or there are two of this number"
+                    f"Tag {number} is elsewhere in {landmark.elsewhere} of {len(ones)} views, which were "
+                    "left out: it was moved, there are two of this number, or something else was taken for it"
                 )
         self.found = replace(self.found, tags=tuple(sorted(tags, key=lambda tag: tag.number)))
         return told
@@ -254,15 +273,23 @@ def _place(at_m: Sequence[float], variance: float) -> tuple[FloatArray, FloatArr
     return np.array([*at_m, 0.0][:3]), covariance
 
 
-def _by_number(seen: Sequence[SeenTag], sigma_px: float) -> tuple[dict[int, list[Sighting]], list[int]]:
+def _by_number(finder: TagFinder, way: Way, sigma_px: float) -> tuple[dict[int, list[Sighting]], list[int]]:
     """Sightings of each tag as nodes see it; and the numbers that were seen twice in one image, left out."""
     found, images = defaultdict[int, list[Sighting]](list), Counter[tuple[int, int]]()
-    for one in seen:
-        pose = one.T_node_camera.compose(one.view.T_camera_tag)
-        found[one.view.number].append(Sighting(one.node, pose, one.view.covariance(sigma_px)))
+    taken_s = np.array([finder.taken_s(one) for one in finder.seen])
+    for one, node, (stamp_s, sigma_s) in zip(finder.seen, way.nearest(taken_s[:, 0]), taken_s, strict=True):
+        then, later = (way.seen_from(int(node), float(at_s)) for at_s in (stamp_s, stamp_s + sigma_s))
+        if then is None or later is None:
+            continue
+        T_base_tag = one.T_base_camera.compose(one.view.T_camera_tag)
+        # What the robot moves in the time that the clock is off.
+        off = T_base_tag.inverse().AdjointMap() @ gtsam.Pose3.Logmap(then.between(later))
+        covariance = one.view.covariance(sigma_px) + np.outer(off, off)
+        found[one.view.number].append(Sighting(int(node), then.compose(T_base_tag), covariance))
         images[one.view.number, one.image] += 1
     twice = sorted({number for (number, _), count in images.items() if count > 1})
-    return {number: found[number] for number in sorted(found) if number not in twice}, twice
+    once = [number for number in sorted(found) if number not in twice]
+    return {number: sorted(found[number], key=lambda one: one.node) for number in once}, twice
 
 
 def _cross(arm: FloatArray) -> FloatArray:
