@@ -25,6 +25,7 @@ from slam.storage.map_contents import write_contents
 from slam.storage.map_facts import write_facts
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import NOTES, WARNINGS, MapIdentity
+from slam.storage.map_places import write_places
 from slam.viewer.map_recording import record_map
 from slam.viewer.viewer import recording
 
@@ -110,6 +111,7 @@ def run_into(
         before = time.perf_counter()
         write_contents(file, result.map)
         write_facts(file, result.map.ground_m, result.map.georeference, result.map.node_poses[0])
+        write_places(file, result.map.places, result.map.node_poses[0])
         file.add_meta(NOTES, json.dumps(result.notes))
         file.add_meta(WARNINGS, json.dumps(result.warnings))
         file.seal()

@@ -78,6 +78,7 @@ class CloudLidar:
         self._clouds = checkpoint.cloud_spool()
         turns = Turns() if self._wheels is None else self._wheels.turns
         self._cameras = CloudCameras(config, checkpoint, registrations, turns)
+        self.tags = self._cameras.tags
         self._closer: CloudLoopCloser | None = None
         self._steps = AnchoredSteps(config.match.local_map_keyframes)
         self._newest: TrackedCloud | None = None
