@@ -3,7 +3,10 @@
 #   docker run --rm -v "$PWD:/data" scanweave demo
 #   docker run --rm -v "$PWD:/data" scanweave map monday.log -o house
 # As the owner of the folder: docker run --user "$(id -u):$(id -g)" ...
-FROM python:3.13-slim AS build
+# Compiled kernels go with the container unless kept: docker run -v scanweave-numba:/tmp/numba ...
+# On another base that has `python` and its venv: docker build --build-arg BASE=... (podman, buildah: the same).
+ARG BASE=python:3.13-slim
+FROM ${BASE} AS build
 WORKDIR /src
 COPY requirements.lock .
 RUN python -m venv /venv && /venv/bin/pip install --no-cache-dir --require-hashes --requirement requirements.lock
@@ -13,11 +16,11 @@ COPY fusion fusion
 COPY slam slam
 RUN /venv/bin/pip install --no-cache-dir --no-deps .
 
-FROM python:3.13-slim
+FROM ${BASE}
 # What Numba compiles and Matplotlib finds is kept where any user may write.
 ENV PATH=/venv/bin:$PATH NUMBA_CACHE_DIR=/tmp/numba MPLCONFIGDIR=/tmp/matplotlib
 COPY --from=build /venv /venv
-RUN useradd --create-home scanweave && mkdir /data && chown scanweave /data
+RUN useradd --create-home scanweave && mkdir /data && chown scanweave /data && mkdir --mode 1777 /tmp/numba
 USER scanweave
 WORKDIR /data
 ENTRYPOINT ["scanweave"]

@@ -1,7 +1,7 @@
-# Two commands do everything on a machine with Python 3.11 to 3.13: `make demo` and `make test`.
+# Two commands do everything on a machine with Python 3.11 to 3.14: `make demo` and `make test`.
 # Another interpreter: `make demo PYTHON=python3.12`.
 
-PYTHON ?= $(firstword $(foreach name,python3.11 python3.12 python3.13 python3,$(shell command -v $(name))))
+PYTHON ?= $(firstword $(foreach name,python3.11 python3.12 python3.13 python3.14 python3,$(shell command -v $(name))))
 VENV := .venv
 BIN := $(VENV)/bin
 # Processes that the tests are spread over; each needs some 1.2 GB.
@@ -40,7 +40,7 @@ clean:
 	find slam fusion tests tools -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(BIN)/python:
-	@test -n "$(PYTHON)" || { echo "no python3.11 to python3.13 found; set PYTHON=/path/to/one" >&2; exit 1; }
+	@test -n "$(PYTHON)" || { echo "no python3.11 to python3.14 found; set PYTHON=/path/to/one" >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); \
 	  echo "$(PYTHON) cannot make environments; on Debian: apt-get install python3-venv" >&2; exit 1; }
 

@@ -124,7 +124,7 @@ def to_frame(points: FloatArray, T_a_b: FloatArray) -> FloatArray:
     return placed
 
 
-@kernel
+@kernel(nogil=True)
 def _place(points, T_a_b, placed):  # type: ignore[no-untyped-def]
     """Points (N, 3) by a matrix into ``placed``; a product of matrices so thin takes ten times as long."""
     for i in range(points.shape[0]):
@@ -148,7 +148,8 @@ def thin_to_voxels(points: FloatArray, voxel_m: float) -> FloatArray:
     if not len(points):
         return points
     first, keys = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
-    return points[first[: first_in_voxels(points, voxel_m, table_for(len(points)), keys, first)]]
+    count = first_in_voxels(points, voxel_m, table_for(len(points)), keys, first)
+    return points.take(first[:count], axis=0)
 
 
 def dense_enough(points: FloatArray, radius_m: float, least_neighbours: int) -> BoolArray:

@@ -64,14 +64,14 @@ def index_keys(keys, table):  # type: ignore[no-untyped-def]
         table[slot] = i
 
 
-@kernel
+@kernel(nogil=True)
 def entries_at(points, size_m, table, keys, entries):  # type: ignore[no-untyped-def]
     """Numbers (N,) of the entries that the voxels of points (N, 3) have; -1 where they have none."""
     for i in range(points.shape[0]):
         entries[i] = entry_of(key_of(points[i, 0], points[i, 1], points[i, 2], size_m), table, keys)
 
 
-@kernel
+@kernel(nogil=True)
 def first_in_voxels(points, size_m, table, keys, first):  # type: ignore[no-untyped-def]
     """Numbers of the first point (N, 3) of each voxel, in order, into ``first`` (N,); how many there are.
 

@@ -110,7 +110,7 @@ class TestBadInput:
     @pytest.mark.parametrize(
         ("make", "parts"),
         [
-            (lambda path: None, ["does not exist", "CARMEN"]),
+            (lambda path: None, ["does not exist", "give the path of a log"]),
             (lambda path: path.mkdir(), ["directory"]),
             (lambda path: path.touch(), ["is empty"]),
             (lambda path: path.write_bytes(b"\x1f\x8b\x08\x00garbage"), ["damaged"]),
@@ -132,6 +132,10 @@ class TestBadInput:
         path = Path("it.log")
         make(path)
         assert_one_line_error(scanweave(command[0], path, *command[1:]), "it.log", *parts)
+
+    def test_a_log_whose_name_is_misspelt(self, scanweave: Scanweave, tmp_path: Path) -> None:
+        (tmp_path / "monday.log").touch()
+        assert_one_line_error(scanweave("inspect", tmp_path / "monady.log"), "did you mean", "monday.log?")
 
     def test_odometry_only(self, scanweave: Scanweave, log: SyntheticLog, tmp_path: Path) -> None:
         lines = [line for line in log.log_path.read_text().splitlines() if not line.startswith("FLASER")]

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from command_line import RESULTS, Scanweave, assert_one_line_error, log, mapped, scanweave
 
+from slam.cli.simulate import _seconds_shown
 from slam.config import load_config
 from slam.simulation.synthetic_log import SyntheticLog
 
@@ -177,6 +178,15 @@ def test_demo(scanweave: Scanweave, tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert {path.name for path in (tmp_path / "demo").iterdir()} == RESULTS | {"simulated-3", "layers"}
     found = re.search(r"([\d.]+) m RMSE against the ground truth", outcome.out)
     assert found is not None and float(found[1]) < 0.02
+
+
+def test_an_interrupt_waits_while_a_drive_is_simulated() -> None:
+    # In code that is being compiled it would surface as some other error, or be lost.
+    with pytest.raises(KeyboardInterrupt), _seconds_shown() as told:
+        signal.raise_signal(signal.SIGINT)
+        reached = True
+        told(1.0, 2.0)
+    assert reached
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals")

@@ -19,7 +19,6 @@ from slam.comparison.experiment import load_experiment
 from slam.config import Config, load_config
 from slam.datasets.calibration import Calibration, read_calibration
 from slam.simulation.synthetic_log import write_synthetic_log
-from tools.benchmark import FIGURES, cost_cells, table, write_between
 
 REPO = Path(__file__).parents[1]
 PAGES = [REPO / "README.md", REPO / "CONTRIBUTING.md", *sorted((REPO / "docs").rglob("*.md"))]
@@ -209,21 +208,6 @@ def test_examples_run(page: Path, two_days: Path, tmp_path: Path, monkeypatch: p
     names: dict[str, object] = {}
     for code in blocks(page, "python"):
         exec(compile(code, str(page), "exec"), names)
-
-
-def test_the_benchmarks_find_their_tables() -> None:
-    figures = {name: (FIGURES / name).read_text("utf-8") for name in ("lidar2d.md", "rgbd.md")}
-    for mark, page in (("bench", "lidar2d.md"), ("bench-rgbd", "rgbd.md")):
-        assert figures[page].count(f"<!-- {mark} -->\n") == figures[page].count(f"<!-- /{mark} -->\n") == 1
-    head = table([]).splitlines()[0]
-    assert head in figures["lidar2d.md"] and len(cost_cells({})) == head.count("|") - 1 - 4
-
-
-def test_a_table_is_written_between_its_marks(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    page.write_text("above\n<!-- a -->\nold\n<!-- /a -->\nbelow\n<!-- b -->\n<!-- /b -->\n")
-    write_between(page, "a", "new")
-    assert page.read_text() == "above\n<!-- a -->\nnew\n<!-- /a -->\nbelow\n<!-- b -->\n<!-- /b -->\n"
 
 
 @pytest.mark.parametrize(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 from pathlib import Path
 
 import pytest
 
+from tools.benchmark import cost_cells, table
 from tools.date_figures import faults, mark_tables, pages
+from tools.tables import place, tables, write_between
 
 REPO = Path(__file__).parents[1]
 TABLE = "| | m |\n|---|---|\n| fr079 | 0.03 |\n"
@@ -68,3 +71,32 @@ def test_a_table_of_two_releases_ago_must_say_so(repo: Path) -> None:
     assert "before the last release but one" in faults(repo, page)[0]
     page.write_text(marked.replace(" -->", ", earlier version -->"))
     assert faults(repo, page) == []
+
+
+def test_each_table_that_a_tool_writes_has_one_place() -> None:
+    text = "".join(page.read_text("utf-8") for page in pages(REPO))
+    named = {name for names in re.findall(r"tools/tables\.py ([a-z -]+)", text) for name in names.split()}
+    placed = re.findall(r"^<!-- ([\w-]+) -->$", text, re.MULTILINE)
+    assert named == {*placed} and len(placed) == len(named) > 5
+    for name in named:
+        assert place(pages(REPO), name).is_file()
+
+
+def test_the_benchmark_makes_the_table_of_its_page() -> None:
+    head = table([]).splitlines()[0]
+    assert head in (REPO / "docs" / "figures" / "lidar2d.md").read_text("utf-8")
+    assert len(cost_cells({})) == head.count("|") - 1 - 4
+
+
+def test_tables_are_found_and_written_between_their_marks(tmp_path: Path) -> None:
+    assert tables(["told\n", "| a |\n", "|---|\n", "\n", "| b |\n"]) == ["| a |\n|---|", "| b |"]
+    page, other = tmp_path / "page.md", tmp_path / "other.md"
+    page.write_text("above\n<!-- a -->\nold\n<!-- /a -->\nbelow\n<!-- b -->\n<!-- /b -->\n")
+    other.write_text("<!-- b -->\n<!-- /b -->\n")
+    write_between(place([page, other], "a"), "a", r"| \1 |")
+    assert page.read_text() == "above\n<!-- a -->\n| \\1 |\n<!-- /a -->\nbelow\n<!-- b -->\n<!-- /b -->\n"
+    write_between(page, "b", "new")
+    assert "<!-- b -->\nnew\n<!-- /b -->\n" in page.read_text()
+    for name in ("b", "c"):
+        with pytest.raises(SystemExit, match="not on one"):
+            place([page, other], name)

@@ -83,7 +83,7 @@ def test_the_reference_has_every_public_name() -> None:
 
 def test_the_picture_of_the_architecture_is_that_of_the_imports() -> None:
     drawn = (REPO / "docs" / "images" / "architecture.svg").read_text("utf-8")
-    assert drawn == drawing(), "draw it anew: python tools/gallery.py architecture.svg"
+    assert drawn == drawing(), "draw it anew: PYTHONPATH=. python tools/gallery.py architecture.svg"
 
 
 def test_the_gallery_draws_every_picture_and_each_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import doctest
 import importlib
 import inspect
+from functools import cached_property
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,7 @@ RETURNED = {"slam.Difference", "slam.GridMap", "slam.Joined", "slam.Localization
 RETURNED |= {"fusion.ClockOffset", "fusion.Denoised", "fusion.Registration", "fusion.RigEstimate"}
 # The mapper's and the command line's own.
 INNER = {"slam.Map.parts", "slam.Map.write_files", "slam.PoseGraph.doubt"}
+INNER_PROPERTIES = {"fusion.Registration.first_yaw_step", "slam.GridMap.contents"}
 
 
 def examples_of(found: object) -> list[doctest.Example]:
@@ -44,6 +46,17 @@ def methods() -> dict[str, object]:
         for own, method in vars(found).items()
         if not own.startswith("_") and inspect.isfunction(getattr(method, "__func__", method))
     }
+
+
+def properties() -> list[str]:
+    """The public properties of the public classes."""
+    return [
+        f"{name}.{own}"
+        for name, found in PUBLIC.items()
+        if inspect.isclass(found)
+        for own, told in vars(found).items()
+        if not own.startswith("_") and isinstance(told, (property, cached_property))
+    ]
 
 
 @pytest.mark.parametrize("name", MODULES)
@@ -63,7 +76,7 @@ def test_every_public_name_has_an_example(name: str) -> None:
     assert any(not one.options.get(doctest.SKIP) for one in examples_of(PUBLIC[name])), name
 
 
-def test_every_public_method_is_in_an_example_that_runs() -> None:
+def test_every_public_method_and_property_is_in_an_example_that_runs() -> None:
     everything = {**PUBLIC, **methods()}
     text = "".join(
         one.source
@@ -73,6 +86,8 @@ def test_every_public_method_is_in_an_example_that_runs() -> None:
     )
     lacking = [name for name in methods() if f".{name.rsplit('.', 1)[1]}(" not in text]
     assert sorted(lacking) == sorted(INNER)
+    lacking = [name for name in properties() if f".{name.rsplit('.', 1)[1]}" not in text]
+    assert sorted(lacking) == sorted(INNER_PROPERTIES)
 
 
 def test_what_is_returned_is_shown_where_it_is_returned() -> None:

@@ -1,14 +1,14 @@
 """Measure accuracy and cost of ``scanweave map`` on the real logs.
 
     python tools/benchmark.py [--data ../shared/data] [--log fr079 --log intel] [--set k=v] [--repeat N]
-                              [--cold] [--json FILE] [--docs]
+                              [--cold] [--json FILE]
     python tools/benchmark.py rgbd ...            the RGB-D sequence instead: see benchmark_rgbd.py
 
 For every log and variant the real command runs in a process of its own: once to warm numba's cache, then
 ``--repeat`` times for wall and CPU seconds (medians) and peak memory (greatest), from the kernel's account of
 the child. The time a scan comes from one more run through the Python API. ``--cold`` adds, for the first
-log, a first run ever: with an empty numba cache. ``--docs`` writes the table into docs/figures/lidar2d.md;
-``--json`` has more: errors over short and long relations, wall seconds, times a scan.
+log, a first run ever: with an empty numba cache. ``--json`` has more: errors over short and long relations,
+wall seconds, times a scan.
 
 Seconds drift between machines and from day to day; compare ratios within one run.
 """
@@ -31,7 +31,6 @@ from time import perf_counter
 from typing import Any
 
 REPO = Path(__file__).parents[1]
-FIGURES = REPO / "docs" / "figures"
 
 # Options of `scanweave map`, and the logs that they are measured on (None: all).
 VARIANTS: dict[str, tuple[list[str], set[str] | None]] = {
@@ -79,10 +78,6 @@ def main() -> None:
     print(text)
     if options.json:
         options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
-    if options.docs:
-        from date_figures import mark_of_now
-
-        write_between(FIGURES / "lidar2d.md", "bench", f"{mark_of_now()}\n{text}")
 
 
 def parse_options() -> argparse.Namespace:
@@ -97,9 +92,6 @@ def parse_options() -> argparse.Namespace:
     parser.add_argument("--repeat", type=int, default=1, help="measured runs a row")
     parser.add_argument("--cold", action="store_true", help="also measure a first run ever")
     parser.add_argument("--json", type=Path, help="also write the figures here")
-    parser.add_argument(
-        "--docs", action="store_true", help="also write the table into docs/figures/lidar2d.md"
-    )
     parser.add_argument("--child", choices=("profile", "wheels"), help=argparse.SUPPRESS)
     parser.add_argument("arguments", nargs="*", help=argparse.SUPPRESS)
     return parser.parse_args()
@@ -288,14 +280,6 @@ def cost_cells(row: dict[str, Any]) -> list[str]:
         f"{row['last_over_first_mean']:.2f}, {row['last_over_first_median']:.2f}",
         f"{row['loops_accepted']} of {row['loops_tried']}",
     ]
-
-
-def write_between(path: Path, mark: str, text: str) -> None:
-    """Put a text between the marks ``<!-- mark -->`` and ``<!-- /mark -->`` of a page."""
-    first, last = f"<!-- {mark} -->\n", f"<!-- /{mark} -->\n"
-    before, rest = path.read_text(encoding="utf-8").split(first)
-    _, after = rest.split(last)
-    path.write_text(f"{before}{first}{text}\n{last}{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Measure ``scanweave map`` on a real RGB-D sequence beside the stock odometries of other libraries.
 
-    python tools/benchmark_rgbd.py [FOLDER] [--row NAME] [--repeat N] [--json FILE] [--docs]
+    python tools/benchmark_rgbd.py [FOLDER] [--row NAME] [--repeat N] [--json FILE]
 
 FOLDER is any dataset with its ground truth; the default is 7-Scenes RedKitchen. Every row is a process of
 its own: the real command for ours, `rgbd_baselines.py` for the others, each from decoding to the written
@@ -8,7 +8,7 @@ trajectory. Accuracy is the ATE RMSE after rigid alignment, by ``scanweave evalu
 (least of ``--repeat`` runs) and peak memory are the kernel's account of the child.
 
 Two more rows tell how cost grows: the sequence at half its width, and four times its length (forward and
-backward by turns). ``--docs`` writes the table into docs/figures/rgbd.md.
+backward by turns).
 
 Seconds drift with the machine and its load; compare ratios within one run: ``CPU ratio`` is relative to the
 first row.
@@ -26,8 +26,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from benchmark import FIGURES, REPO, machine, run, scanweave, write_between
-from date_figures import mark_of_now
+from benchmark import REPO, machine, run, scanweave
 
 OURS: dict[str, list[str]] = {
     "Scanweave": [],
@@ -67,8 +66,6 @@ def main() -> None:
     if options.json:
         report = {"machine": machine(), "repeat": options.repeat, "rows": rows}
         options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
-    if options.docs:
-        write_between(FIGURES / "rgbd.md", "bench-rgbd", f"{mark_of_now()}\n{text}")
 
 
 def parse_options() -> argparse.Namespace:
@@ -83,7 +80,6 @@ def parse_options() -> argparse.Namespace:
     )
     parser.add_argument("--repeat", type=int, default=1, help="measured runs a row")
     parser.add_argument("--json", type=Path, help="also write the figures here")
-    parser.add_argument("--docs", action="store_true", help="also write the table into docs/figures/rgbd.md")
     return parser.parse_args()
 
 

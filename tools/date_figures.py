@@ -92,11 +92,6 @@ def mark_tables(repo: Path, page: Path) -> None:
     page.write_text("\n".join(lines) + "\n", "utf-8")
 
 
-def mark_of_now() -> str:
-    """The mark of a table that is measured now, for tools that write one."""
-    return f"<!-- measured: {_git(REPO, 'log', '-1', '--format=%h %cs')} -->"
-
-
 def _git(repo: Path, *arguments: str) -> str | None:
     """What git says; None where it fails."""
     told = subprocess.run(["git", *arguments], cwd=repo, capture_output=True, text=True)

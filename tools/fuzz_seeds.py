@@ -26,11 +26,13 @@ from slam.simulation import ros_messages as ros
 from slam.storage import ros_messages as kinds
 from tools.pack_layouts import CAMERAS, Footage
 from tools.pack_lidars import LIDARS, Turns
+from tools.pack_scenes import SCENES
 
 _START_S = 1000.0
 # Record3D packs by a library that not every machine has.
 _LEFT_OUT = {"tum"} if find_spec("liblzfse") else {"tum", "record3d"}
-_PUBLISHED = tuple(name for name in (*CAMERAS, *LIDARS) if name not in _LEFT_OUT)
+_FOOTAGE = CAMERAS | SCENES
+_PUBLISHED = tuple(name for name in (*_FOOTAGE, *LIDARS) if name not in _LEFT_OUT)
 _PACKED = "sensor_msgs/msg/CompressedImage"
 KINDS = (
     ros.LASER_SCAN,
@@ -196,7 +198,7 @@ def _write_published(folder: Path, name: str) -> Path:
     colors = [rng.integers(0, 256, (24, 32, 3), np.uint8) for _ in poses]
     depths = [rng.integers(500, 4000, (24, 32)).astype(np.uint16) for _ in poses]
     lens = CameraIntrinsics(30.0, 30.0, 15.5, 11.5, 32, 24)
-    return CAMERAS[name](folder, Footage([0.0, 1 / 30, 2 / 30], colors, depths, poses, lens))
+    return _FOOTAGE[name](folder, Footage([0.0, 1 / 30, 2 / 30], colors, depths, poses, lens))
 
 
 def _write_carmen(folder: Path) -> Path:

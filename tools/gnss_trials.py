@@ -3,13 +3,14 @@
     python tools/gnss_trials.py STREET/log.mcap [...] [--gap BEGIN END] [--until SECONDS]
 
 Each is a bag of ``scanweave simulate --street``, with ``groundtruth.txt`` beside it. It is mapped without its
-IMU, with its fixes and without; a line each tells the error of the way as laid on the truth, and how often
-the 95 % ellipses hold it.
+IMU, with its fixes and without; a row each tells the error of the way as laid on the truth, and how often
+the 95 % ellipses hold it. What the runs say goes to stderr.
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -62,6 +63,7 @@ def main() -> None:
     parser.add_argument("--gap", nargs=2, type=float, default=(0.0, 0.0), help="seconds without clouds")
     parser.add_argument("--until", type=float, default=float("inf"), help="seconds that are mapped")
     arguments = parser.parse_args()
+    print("| street | ATE RMSE, m | worst | 95 % ellipses hold |\n|---|---|---|---|", flush=True)
     for street in arguments.streets:
         truth = read_tum(street.parent / "groundtruth.txt")
         for fixes in (False, True):
@@ -70,10 +72,10 @@ def main() -> None:
             error = absolute_error(made.trajectory, truth).translation_m
             assert made.covariances is not None
             held = coverage(made.trajectory, made.covariances, truth, 0.02)
+            name = f"{street.parent.name}, {'with fixes' if fixes else 'loops alone'}"
+            print(f"| {name} | {error.rmse:.2f} | {error.max:.2f} | {held.position:.2f} |", flush=True)
             told = [note for note in made.notes if note.startswith("GNSS")]
-            drive = f"{street.parent.name}, {'with' if fixes else 'without'} fixes"
-            figures = f"{error.rmse:.3f} m, worst {error.max:.3f}; covered {held.position:.2f}"
-            print(f"{drive}: {figures}; {'; '.join([*told, *made.warnings])}", flush=True)
+            print("; ".join([*told, *made.warnings]), file=sys.stderr)
             made.close()
 
 

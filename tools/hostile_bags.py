@@ -12,12 +12,12 @@ from typing import Any
 
 import lz4.frame
 import numpy as np
-from backports import zstd
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from slam.simulation import ros_messages as ros
 from slam.storage import ros_messages as messages
+from slam.zstandard import zstd
 from tools.hostile_maps import looped
 
 Writer = Callable[[Path], Path]

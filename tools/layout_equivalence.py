@@ -22,8 +22,12 @@ from slam.datasets import open_dataset
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray, RgbdFrame
 from tools.pack_layouts import CAMERAS, Footage, packed
+from tools.pack_scenes import SCENES
 
-JPEG = frozenset({"scannet", "scannet_sens", "replica", "open3d", "sun3d", "record3d", "polycam"})
+LAYOUTS = CAMERAS | SCENES
+JPEG = frozenset(
+    {"three_r_scan", "scannet", "scannet_sens", "replica", "open3d", "sun3d", "record3d", "polycam"}
+)
 
 
 def footage_of(path: Path, count: int) -> Footage:
@@ -90,7 +94,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("recording", type=Path)
-    parser.add_argument("layouts", nargs="*", default=list(CAMERAS))
+    parser.add_argument("layouts", nargs="*", default=list(LAYOUTS))
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("-o", "--output", type=Path, required=True)
     given = parser.parse_args()
@@ -103,7 +107,7 @@ def main() -> None:
     print(f"{'layout':16} {'frames':>6} {'position mm':>12} {'turn mrad':>10}")
     for name in given.layouts:
         place = given.output / name
-        path = CAMERAS[name](place, sharp)
+        path = LAYOUTS[name](place, sharp)
         trajectory = mapped(path)
         distance_m, turn_rad = apart(wanted[name in JPEG], trajectory)
         print(f"{name:16} {len(trajectory):6} {1e3 * distance_m:12.4f} {1e3 * turn_rad:10.4f}", flush=True)

@@ -12,6 +12,17 @@ import numpy as np
 
 from tools.pack_layouts import numbers, put, quaternion, tum_line
 
+# As published for urban39: the left lidar in the vehicle.
+TILTED = np.array(
+    [
+        [-0.516377, -0.702254, -0.490096, -0.334623],
+        [0.491997, -0.711704, 0.501414, 0.431973],
+        [-0.700923, 0.0177927, 0.713015, 1.94043],
+        [0.0, 0.0, 0.0, 1.0],
+    ]
+)
+TILTED[:3, :3] = gtsam.Rot3.ClosestTo(TILTED[:3, :3]).matrix()
+
 
 @dataclass(frozen=True)
 class Turns:
@@ -213,6 +224,34 @@ def oxford_spires(folder: Path, turns: Turns) -> Path:
     return folder
 
 
+def complex_urban(folder: Path, turns: Turns) -> Path:
+    """Complex Urban: two lidars on their sides, poses of the car; turns are of the left one."""
+    truth, first_s = "", 1559194000
+    for side in ("left", "right"):
+        told = f"R: {numbers(TILTED[:3, :3])}\nT: {numbers(TILTED[:3, 3])}\n"
+        put(folder / "calibration" / f"Vehicle2{side.title()}VLP.txt", told)
+    for stamp_s, points, _, pose in _turns(turns):
+        ticks = round(1e9 * (stamp_s + first_s))
+        for side in ("left", "right"):
+            row = np.column_stack([points, np.ones(len(points))]).astype("<f4")
+            put(folder / "sensor_data" / f"VLP_{side}" / f"{ticks}.bin", row.tobytes())
+        truth += f"{ticks}," + numbers((pose @ np.linalg.inv(TILTED))[:3], ",") + "\n"
+    put(folder / "global_pose.csv", truth)
+    _imu(folder / "sensor_data" / "xsens_imu.csv", turns, _xsens(first_s))
+    return folder
+
+
+def numbered(folder: Path, turns: Turns) -> Path:
+    """Paris-Luco: numbered clouds, points on a clock of the whole drive, no list of stamps."""
+    for number, (stamp_s, points, times_s, _) in enumerate(_turns(turns)):
+        content = _structured("x f4, y f4, z f4, timestamp f8", **_xyz(points), timestamp=stamp_s + times_s)
+        head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
+        head += "".join(f"property float {axis}\n" for axis in "xyz")
+        head += "property double timestamp\nend_header\n"
+        put(folder / "frames" / f"frame_{number:04d}.ply", head.encode() + content)
+    return folder / "frames"
+
+
 LIDARS: dict[str, Callable[[Path, Turns], Path]] = {
     "kitti_raw": kitti_raw,
     "nclt": nclt,
@@ -221,4 +260,6 @@ LIDARS: dict[str, Callable[[Path, Turns], Path]] = {
     "boreas": boreas,
     "newer_college": newer_college,
     "oxford_spires": oxford_spires,
+    "complex_urban": complex_urban,
+    "numbered": numbered,
 }

@@ -101,21 +101,26 @@ def share(worth: Worth, part: str, whole: str) -> str:
     return f"{parts.sum() / wholes.sum():.4f} ({low:.4f} to {high:.4f}) of {wholes.sum()}"
 
 
+_SHARES = {
+    "filled holes off": ("filled off", "filled"),
+    "replaced readings off": ("replaced off", "replaced"),
+    "off before": ("replaced was off", "replaced"),
+    "worse by 5 cm": ("replaced worse", "replaced"),
+    "better by 5 cm": ("replaced better", "replaced"),
+    "holes filled rightly": ("holes right", "holes"),
+    "of those where right was at hand": ("holes right", "right at hand"),
+    "dropped readings that were good": ("dropped good", "dropped"),
+}
+
+
 def tell(title: str, worth: Worth) -> None:
-    """Print the figures."""
-    print(f"\n{title}")
+    """Print the figures: a table of shares, and how far the probabilities that were told come true."""
+    print(f"| {title} | ranges | depths |\n|---|---|---|")
+    for label, (part, whole) in _SHARES.items():
+        cells = (share(worth, f"{name} {part}", f"{name} {whole}") for name in ("beam", "pixel"))
+        print(f"| {label} | {' | '.join(cells)} |")
+    print()
     for name, right_m in (("beam", RIGHT_BEAM_M), ("pixel", RIGHT_PIXEL_M)):
-        for label, part, whole in (
-            ("filled holes off", "filled off", "filled"),
-            ("replaced readings off", "replaced off", "replaced"),
-            ("  off before", "replaced was off", "replaced"),
-            ("  worse", "replaced worse", "replaced"),
-            ("  better", "replaced better", "replaced"),
-            ("holes filled rightly", "holes right", "holes"),
-            ("  where right was at hand", "holes right", "right at hand"),
-            ("dropped readings that were good", "dropped good", "dropped"),
-        ):
-            print(f"{name}: {label}: {share(worth, f'{name} {part}', f'{name} {whole}')}")
         for kind in (name, f"{name} mean"):
             told, off, sigma = (np.concatenate(column) for column in zip(*worth.told[kind], strict=True))
             right = off <= right_m

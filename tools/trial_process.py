@@ -17,7 +17,7 @@ _LIBRARIES = (
     *("cv2", "rosbags.typesys", "rosbags.typesys.stores.ros2_humble", "rosbags.typesys.stores.ros1_noetic"),
     *("slam.cli", "slam.datasets.inspection", "slam.evaluation.pages", "slam.evaluation.map_info"),
     *("slam.app.mapping", "slam.app.map_run", "slam.evaluation.plan_picture", "slam.outputs.finished_map"),
-    *("slam.mapping.navigation", "slam.storage.nav2", "matplotlib.pyplot", "backports.zstd", "lz4.frame"),
+    *("slam.mapping.navigation", "slam.storage.nav2", "matplotlib.pyplot", "slam.zstandard", "lz4.frame"),
 )
 _STEERING = frozenset(
     chr(code) for code in (*range(32), *range(127, 160), *range(0x202A, 0x202F), *range(0x2066, 0x206A))

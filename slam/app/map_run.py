@@ -15,7 +15,7 @@ from slam.datasets.dataset import Dataset
 from slam.errors import ScanweaveError
 from slam.evaluation.map_report import ReportData, RunCost, beside_of
 from slam.evaluation.report import write_report
-from slam.graph.cloud_loops import give_back_memory
+from slam.heap import give_back
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.pipeline import build_map
 from slam.outputs.exports import Exports
@@ -25,6 +25,7 @@ from slam.storage.map_contents import write_contents
 from slam.storage.map_facts import write_facts
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import NOTES, WARNINGS, MapIdentity
+from slam.storage.map_places import write_places
 from slam.viewer.map_recording import record_map
 from slam.viewer.viewer import recording
 
@@ -97,7 +98,7 @@ def run_into(
             on_progress(Progress("mapping", count, dataset.report.share))
 
         result = build_map(dataset, config, on_reading, Checkpoint(file))
-        give_back_memory()
+        give_back()
         readings = result.scans.stamps_s.size
         on_progress(Progress("mapping", readings, 1.0))
         on_progress(Progress("writing", readings))
@@ -110,6 +111,7 @@ def run_into(
         before = time.perf_counter()
         write_contents(file, result.map)
         write_facts(file, result.map.ground_m, result.map.georeference, result.map.node_poses[0])
+        write_places(file, result.map.places, result.map.node_poses[0])
         file.add_meta(NOTES, json.dumps(result.notes))
         file.add_meta(WARNINGS, json.dumps(result.warnings))
         file.seal()
@@ -119,6 +121,7 @@ def run_into(
     result.map = replace(result.map, grids={})
     saved, data = open_map(folder), None
     result.map = saved.contents
+    give_back()
     if report:
         try:
             cost = RunCost(time.perf_counter() - started, time.process_time())

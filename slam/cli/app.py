@@ -20,8 +20,8 @@ _verbosity = {"quiet": False}
 
 
 def tell(text: str, stream: TextIO | None = None) -> None:
-    """Print lines, to the standard output or another stream; what files and their names say is made plain."""
-    print(plain_lines(text), file=stream or sys.stdout, flush=stream is not None)
+    """Print lines at once, to the standard output or another stream; what files say is made plain."""
+    print(plain_lines(text), file=stream or sys.stdout, flush=True)
 
 
 def say(text: str) -> None:

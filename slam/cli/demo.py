@@ -27,6 +27,7 @@ def demo(
     from slam.simulation.home import generate_home
     from slam.simulation.rigs import RIGS
 
+    say(f"simulates {_DURATION_S:.0f} s of a robot in a furnished home, and maps its log: a minute or two")
     log = out / f"simulated-{seed}"
     # The same seed gives the same log: what an earlier demo left is used again.
     if not (log / "scans.log").is_file():

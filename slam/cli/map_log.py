@@ -56,6 +56,12 @@ def map_command(
     strict: StrictOption = False,
     topics: TopicsOption = None,
     calibration: CalibrationOption = None,
+    tags: Annotated[
+        Path | None,
+        typer.Option(
+            help="tags that hang and surveyed places (yaml); without it tags.yaml beside the log, if there"
+        ),
+    ] = None,
     resume: Annotated[
         bool,
         typer.Option("--resume", help="go on with the map that an interrupted run has left in the folder"),
@@ -77,9 +83,11 @@ def map_command(
         raise typer.BadParameter("say where the map goes (--out), or which map the log joins (--into)")
     if resume and force:
         raise typer.BadParameter("--resume goes on with what is there, --force replaces it: give one of them")
-    from slam.config import load_config
+    from slam.config import load_config, with_places
 
     settings = load_config(config, overrides, calibration=calibration)
+    if tags is not None:
+        settings = with_places(settings, tags)
     if into is not None:
         given = settings if config or overrides else None
         map_into(log, into, out, given, strict=strict, resume=resume, calibration=calibration)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from slam.cli.app import command, folder_of, say
-from slam.cli.progress import progress_bar
+from slam.cli.progress import interruptible, progress_bar
 
 if TYPE_CHECKING:
     from slam.simulation.drive_faults import DriveFaults
@@ -38,6 +38,9 @@ def simulate(
             min=0,
             help="so many pieces of the home's furniture stand elsewhere, went or came; by the drive's seed",
         ),
+    ] = 0,
+    tags: Annotated[
+        int, typer.Option(min=0, help="so many AprilTags hang on the walls; tags.yaml tells where")
     ] = 0,
     office: Annotated[bool, typer.Option("--office", help="an office instead of a home")] = False,
     campus: Annotated[
@@ -79,8 +82,8 @@ def simulate(
     if (tunnel or undistorted) and not street:
         raise ConfigError("--tunnel and --undistorted are of --street; add it")
     if street:
-        if campus or office or moved:
-            raise ConfigError("--street has no furniture; leave out --campus, --office and --moved")
+        if campus or office or moved or tags:
+            raise ConfigError("--street has no furniture; leave out --campus, --office, --moved and --tags")
         rig = "car64" if rig == _RIG else rig
         if rig not in STREET_RIGS or faults not in STREET_FAULTS:
             raise ConfigError(
@@ -104,10 +107,10 @@ def simulate(
         return
     if rig not in RIGS:
         raise ConfigError(f"no rig '{rig}'; there are {', '.join(sorted(RIGS))}")
-    if campus and (office or formats or moved or rig != _RIG):
+    if campus and (office or formats or moved or tags or rig != _RIG):
         raise ConfigError(
-            "--campus has its own robot and format, and no furniture; leave out --rig, --office, --format "
-            "and --moved"
+            "--campus has its own robot and format, and no furniture; leave out --rig, --office, --format, "
+            "--moved and --tags"
         )
     presets = CAMPUS_FAULTS if campus else FAULT_PRESETS
     if faults not in presets:
@@ -117,9 +120,17 @@ def simulate(
             drive = record_campus(home, seed, out, CAMPUS_FAULTS[faults], duration, on_progress)
         say(f"{drive.text}\nwrote {out}")
         return
+    building = generate_home(home, "office" if office else "home", moved=moved, day=seed)
+    if tags:
+        from slam.simulation.tour import plan_tour
+        from slam.simulation.wall_tags import hang_tags
+
+        robot = RIGS[rig]
+        tour = plan_tour(building, robot.robot_radius_m, robot.robot_height_m, seed, duration)
+        building = hang_tags(building, tags, home, tour.poses_xyt)
     summary = simulate_into(
         out,
-        generate_home(home, "office" if office else "home", moved=moved, day=seed),
+        building,
         RIGS[rig],
         seed,
         FAULT_PRESETS[faults],
@@ -152,5 +163,5 @@ def _seconds_shown() -> Iterator[Callable[[float, float], None]]:
     """A bar of the seconds driven; what is yielded takes those done and those in all."""
     from slam.app.progress import Progress
 
-    with progress_bar("s driven") as show:
+    with progress_bar("s driven") as shown, interruptible(shown) as show:
         yield lambda done_s, all_s: show(Progress("simulating", int(done_s), done_s / all_s))

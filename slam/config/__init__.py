@@ -166,6 +166,17 @@ def with_calibration(config: Config, file: Path | str) -> Config:
     return calibrated(config, load_calibration(path))
 
 
+def with_places(config: Config, file: Path | str) -> Config:
+    """A configuration with a file of tags and surveyed places; `ConfigError` as `load_calibration`."""
+    if not Path(file).is_file():
+        raise ConfigError(f"no file of tags at {file}; it begins with 'size_m: 0.16', the side of a tag")
+    try:
+        places = _validated({"sensors": {"tags": _read_tree(Path(file))}}, str(file)).sensors.tags
+    except ConfigError as error:
+        raise ConfigError(str(error).replace("sensors.tags.", "")) from None
+    return config.model_copy(update={"sensors": config.sensors.model_copy(update={"tags": places})})
+
+
 def load_calibration(file: Path | str) -> Calibration:
     """Corrections of a log's sensors, as ``scanweave doctor --write`` writes them.
 

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from slam.config.calibration import Calibration
 from slam.config.strict import StrictModel
+from slam.config.tags import KnownPlaces
 
 
 class SensorsConfig(StrictModel):
@@ -44,6 +45,9 @@ class SensorsConfig(StrictModel):
         default=(),
         description="files of lenses and mountings by other tools (camera_info, Kalibr, URDF, tf, OpenCV), "
         "believed before the log",
+    )
+    tags: KnownPlaces | None = Field(
+        default=None, description="tags that hang, and surveyed places; see --tags"
     )
 
 

@@ -11,9 +11,10 @@ from slam.datasets.calibration import pose_from, read_yaml
 from slam.datasets.clouds_over_time import CloudFolder, cloud_files, stamped_clouds, times_of
 from slam.datasets.imu_files import beside_imu, imu_file
 from slam.datasets.log_file import numbered_lines
+from slam.datasets.numbered_frames import NO_STAMPS, numbered_files
 from slam.datasets.pose_files import pose_lines, pose_of_row, trajectory_of
 from slam.datasets.recording import Contents, Recording
-from slam.datasets.stamped_files import read_poses
+from slam.datasets.stamped_files import StampedFile, read_poses
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
 
@@ -22,11 +23,13 @@ LIDAR_CALIBRATION = "calibration.yaml"
 _INSIDE = ("velodyne", "points", "clouds")  # of KITTI, of the simulator, of others
 _KITTI_CALIBRATION = "calib.txt"
 _GROUNDTRUTH = "groundtruth.txt"
+_NUMBERED = r"[a-z_-]*(\d{1,8})\.(?:bin|pcd|ply)"
+_RATE_HZ = 10.0  # of most lidars; taken where clouds are numbered and nothing tells their stamps
 
 
 def looks_like_cloud_folder(path: Path, head: bytes) -> bool:
     """Whether a path is a folder with clouds and a list of their stamps."""
-    return path.is_dir() and has_clouds(path)
+    return path.is_dir() and (has_clouds(path) or len(numbered_files(path, _NUMBERED)) > 1)
 
 
 def open_cloud_folder(path: Path, strict: bool) -> Recording:
@@ -50,6 +53,12 @@ def read_clouds(path: Path, account: Account) -> CloudFolder:
     """The clouds of a folder and where their lidar sits."""
     times = times_of(path)
     places = _cloud_places(path)
+    if times is None and (files := numbered_files(path, _NUMBERED)):
+        if above := times_of(path.resolve().parent):  # as of a folder velodyne/ that is given alone
+            return CloudFolder(tuple(stamped_clouds(above, path, account)), _mount(path))
+        account.report.note(NO_STAMPS.format(rate=_RATE_HZ), 1)
+        counted = [StampedFile(number / _RATE_HZ, file, number) for number, file in sorted(files.items())]
+        return CloudFolder(tuple(counted), _mount(path), stamped=False)
     if times is None or not places:
         raise DatasetError(f"{path} holds no clouds with a list of stamps; give a folder with times.txt")
     return CloudFolder(tuple(stamped_clouds(times, places[0], account)), _mount(places[0]))

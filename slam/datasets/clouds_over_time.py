@@ -11,7 +11,7 @@ from pathlib import Path
 import gtsam
 
 from slam.datasets.account import Account
-from slam.datasets.cloud_files import CLOUD_SUFFIXES, Parsed, read_cloud
+from slam.datasets.cloud_files import CLOUD_SUFFIXES, CloudFile, Parsed, read_cloud
 from slam.datasets.dataset import RecordFault
 from slam.datasets.point_times import PointTimes
 from slam.datasets.recording import Numbered
@@ -19,6 +19,7 @@ from slam.datasets.stamped_files import BAD_STAMP, StampedFile, fields_of, image
 from slam.datasets.wheels_between import WHEELS_KEPT, wheels_at
 from slam.errors import DatasetError
 from slam.measurements import PointCloud, WheelOdometry
+from slam.vision.prefetch import prefetched
 
 UNPAIRED = "more clouds than stamps"
 WITHOUT_CLOUD = "more stamps than clouds"
@@ -39,28 +40,36 @@ class CloudFolder:
         Mounting of the lidar.
     parse
         What reads a file, see `read_cloud`.
+    stamped
+        Whether the stamps were told, and not counted.
     """
 
     files: tuple[StampedFile, ...]
     T_base_lidar: gtsam.Pose3 = field(default_factory=lambda: gtsam.Pose3())
     parse: Callable[[Path], Parsed] | None = None
+    stamped: bool = True
 
     def numbered(self, account: Account) -> Iterator[tuple[int, PointCloud]]:
         """The clouds with their lines in the list; what cannot be read is counted."""
-        times = PointTimes()
-        for index, file in enumerate(self.files):
+        times = PointTimes(self.stamped)
+        for index, (file, cloud) in enumerate(prefetched(self.files, self._read)):
             account.report.line_count += 1
             account.report.note_share(index / len(self.files))
-            try:
-                cloud = read_cloud(file.path, self.parse)
-            except RecordFault as fault:
-                account.refuse(fault, file.path.name, file.number)
+            if isinstance(cloud, RecordFault):
+                account.refuse(cloud, file.path.name, file.number)
                 continue
             account.report.accept("cloud")
             times_s = times.of(cloud.fields, cloud.fields.__getitem__, file.stamp_s)
             yield file.number, PointCloud(file.stamp_s, cloud.points_lidar, times_s, self.T_base_lidar)
         if times.choice:
             account.report.note(f"lidar: {times.choice}", 1)
+
+    def _read(self, file: StampedFile) -> tuple[StampedFile, CloudFile | RecordFault]:
+        """A cloud, or why there is none; runs on the thread that prefetches."""
+        try:
+            return file, read_cloud(file.path, self.parse)
+        except RecordFault as fault:
+            return file, fault
 
 
 def times_of(folder: Path) -> Path | None:

@@ -24,11 +24,11 @@ DAMAGED = "image truncated or damaged"
 NOT_COLOR = "colour image not 8-bit RGB or grey"
 NOT_16_BIT = "depth image not 16-bit"
 MANY_CHANNELS = "depth image has several channels"
-NOT_PNG = "depth image not PNG"
+NOT_PNG = "depth image neither PNG nor PGM"
 NOT_METRES = "depth array not of metres"
 OTHER_CONFIDENCE = "confidence image does not fit the depth"
 
-_PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+_EXACT_MAGICS = (b"\x89PNG\r\n\x1a\n", b"P5")  # JPEG would mix distances
 _NPY_MAGIC = b"\x93NUMPY"
 
 
@@ -117,7 +117,7 @@ def rgb_of(image: NDArray[Any]) -> ColorImage | None:
 def depth_of(
     content: bytes, name: str, calibration: Calibration, budget: Budget, *, float_png: bool = False
 ) -> Float32Array:
-    """A 16-bit PNG, or an array of metres by NumPy, as metres, (H, W).
+    """A 16-bit PNG or PGM, or an array of metres by NumPy, as metres, (H, W).
 
     Raises
     ------
@@ -128,7 +128,7 @@ def depth_of(
         array = _array(content, name)
         steps_of_array = array.ndim == 2 and array.dtype == np.uint16
         return metres_of(array, calibration) if steps_of_array else usable_metres(array, name, budget)
-    if content and not content.startswith(_PNG_MAGIC):
+    if content and not content.startswith(_EXACT_MAGICS):
         raise RecordFault(NOT_PNG, name)
     steps = decoded(content, name, budget)
     if float_png and steps.dtype == np.uint8 and steps.shape[2:] == (4,):

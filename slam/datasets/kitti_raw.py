@@ -21,7 +21,7 @@ from slam.datasets.dataset_format import DatasetFormat
 from slam.datasets.imu_files import first_file, with_imu
 from slam.datasets.log_file import numbered_lines
 from slam.datasets.numbered_frames import numbered_files
-from slam.datasets.pose_files import BAD_MATRIX, numbers_of, pose_of_row, trajectory_of
+from slam.datasets.pose_files import numbers_of, rotation_and_shift, trajectory_of
 from slam.datasets.recording import Contents, Numbered, Recording
 from slam.datasets.stamped_files import BAD_POSE, BAD_STAMP, StampedFile
 from slam.estimates import Trajectory
@@ -175,20 +175,7 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
 def _calibration(path: Path, account: Account) -> gtsam.Pose3 | None:
     """``T_velo_imu`` by ``calib_imu_to_velo.txt`` beside the drive or in it; None without one."""
     file = first_file(one / "calib_imu_to_velo.txt" for one in (path, path.resolve().parent))
-    if file is None:
-        return None
-    rows: dict[bytes, list[bytes]] = {}
-    for _, line in numbered_lines(file, lambda fault, at: account.refuse(fault, file.name, at)):
-        name, _, numbers = line.partition(b":")
-        rows[name.strip()] = numbers.split()
-    turn, shift = rows.get(b"R", []), rows.get(b"T", [])
-    try:
-        if len(turn) != 9 or len(shift) != 3:
-            raise ValueError(f"{len(turn)} and {len(shift)} numbers")
-        return pose_of_row([*turn[:3], shift[0], *turn[3:6], shift[1], *turn[6:], shift[2]])
-    except ValueError as error:
-        account.refuse(RecordFault(BAD_MATRIX, str(error)), file.name, 1)
-        return None
+    return rotation_and_shift(file, account) if file else None
 
 
 FORMAT = DatasetFormat("KITTI raw drive", looks_like_kitti_raw, open_kitti_raw)

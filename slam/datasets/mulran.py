@@ -1,6 +1,7 @@
-"""MulRan: a car with an Ouster OS1-64 on its roof.
+"""MulRan, a car with an Ouster OS1-64 on its roof; and Complex Urban, with two tilted VLP-16.
 
-Kim et al. 2020, "MulRan: Multimodal Range Dataset for Urban Place Recognition".
+Kim et al. 2020, "MulRan: Multimodal Range Dataset for Urban Place Recognition"; Jeong et al. 2019, "Complex
+Urban Dataset with Multi-level Sensors from Highly Diverse Urban Environments".
 """
 
 from __future__ import annotations
@@ -19,11 +20,20 @@ from slam.datasets.dataset import RecordFault
 from slam.datasets.dataset_format import DatasetFormat
 from slam.datasets.imu_files import ImuFile, beside_imu, first_file
 from slam.datasets.ouster_order import with_column_times
-from slam.datasets.pose_files import BAD_MATRIX, by_its_size, pose_of_row, rows_of, trajectory_of
+from slam.datasets.pose_files import (
+    BAD_MATRIX,
+    by_its_size,
+    pose_of_row,
+    rotation_and_shift,
+    rows_of,
+    trajectory_of,
+)
 from slam.datasets.recording import Contents, Recording
+from slam.errors import DatasetError
 from slam.estimates import Trajectory
 
-_INSIDE, _POSES, _SENSORS = "Ouster", "global_pose.csv", "sensor_data"
+_LIDARS, _POSES, _SENSORS = ("Ouster", "VLP_left"), "global_pose.csv", "sensor_data"
+_OTHER_LIDAR, _MOUNT_FILE = "VLP_right", "calibration/Vehicle2LeftVLP.txt"
 NAMED_BY_CLOCK = r"(\d{9,19})\.bin"
 # By the publishers' file player; lines of the first recordings end behind the angles.
 _XSENS = "time [ns],qx,qy,qz,qw,roll,pitch,yaw,gx,gy,gz,ax,ay,az,magnetic x,magnetic y,magnetic z"
@@ -33,18 +43,26 @@ _SHIFT_M, _TURN_DEG = (1.7042, -0.021, 1.8047), (0.0001, 0.0003, 179.6654)
 
 def looks_like_mulran(path: Path, head: bytes) -> bool:
     """Whether a path is the folder of one sequence."""
-    told = (path / _POSES).is_file() or (path / _SENSORS).is_dir()
-    return told and any((place / _INSIDE).is_dir() for place in _folders(path))
+    return ((path / _POSES).is_file() or (path / _SENSORS).is_dir()) and _clouds_folder(path) is not None
 
 
 def open_mulran(path: Path, strict: bool) -> Recording:
     """A folder of one sequence; the lidar sits where the publishers say."""
 
     def load(account: Account) -> Contents:
-        place = next(one / _INSIDE for one in _folders(path) if (one / _INSIDE).is_dir())
+        place = _clouds_folder(path)
+        assert place is not None
         files = clouds_by_name(place, NAMED_BY_CLOCK, account, stamp_of_clock)
         roll, pitch, yaw = np.radians(_TURN_DEG).tolist()
         mounting = gtsam.Pose3(gtsam.Rot3.Ypr(yaw, pitch, roll), np.array(_SHIFT_M))
+        if place.name != _LIDARS[0]:
+            told = rotation_and_shift(path / _MOUNT_FILE, account) if (path / _MOUNT_FILE).is_file() else None
+            if told is None:
+                raise DatasetError(
+                    f"{path} has no {_MOUNT_FILE}, which tells how its lidars are tilted; add it"
+                )
+            mounting = told
+            account.report.ignore(_OTHER_LIDAR, "one 3D lidar is read")
         clouds = CloudFolder(tuple(files), mounting, with_column_times(KITTI_ROWS))
         return Contents(
             log=beside_imu(clouds.numbered(account), xsens((path / "sensor_data", path)), account)
@@ -53,9 +71,10 @@ def open_mulran(path: Path, strict: bool) -> Recording:
     return Recording(path, load, lambda account: read_poses(path / _POSES, account), strict=strict)
 
 
-def _folders(path: Path) -> tuple[Path, Path]:
-    """Where sensors may be: the file player has them a folder further down, archives do not."""
-    return path / _SENSORS, path
+def _clouds_folder(path: Path) -> Path | None:
+    """Where the clouds are: the file player has them a folder further down, archives do not."""
+    places = (place / name for name in _LIDARS for place in (path / _SENSORS, path))
+    return next((one for one in places if one.is_dir()), None)
 
 
 def xsens(folders: Iterable[Path]) -> ImuFile | None:
@@ -82,4 +101,4 @@ def read_poses(path: Path, account: Account) -> Trajectory | None:
     return trajectory_of(good()) if path.is_file() else None
 
 
-FORMAT = DatasetFormat("MulRan sequence", looks_like_mulran, open_mulran)
+FORMAT = DatasetFormat("MulRan or Complex Urban sequence", looks_like_mulran, open_mulran)

@@ -1,6 +1,7 @@
-"""Folders of numbered or stamped images beside a lens: Open3D's own, Redwood's, SUN3D's, and many a tool's.
+"""Folders of numbered or stamped images beside a lens: Open3D's own, Redwood's, SUN3D's, ScanNet's, and more.
 
-Choi et al. 2015, "Robust Reconstruction of Indoor Scenes" (Redwood); Xiao et al. 2013, "SUN3D".
+Choi et al. 2015, "Robust Reconstruction of Indoor Scenes" (Redwood); Xiao et al. 2013, "SUN3D"; Dai et al.
+2017, "ScanNet: Richly-annotated 3D Reconstructions of Indoor Scenes".
 """
 
 from __future__ import annotations
@@ -19,8 +20,16 @@ from slam.datasets.dataset import RecordFault
 from slam.datasets.dataset_format import DatasetFormat
 from slam.datasets.frame_pairs import pair_images
 from slam.datasets.image_files import FILES, MANY_CHANNELS, ImageFiles, decoded, file_content, metres_of
-from slam.datasets.lens_files import camera_matrix, four_numbers, open3d_lens
-from slam.datasets.numbered_frames import NO_STAMPS, RATE_HZ, at_rate, numbered_camera, numbered_files
+from slam.datasets.lens_files import camera_matrix, four_numbers, open3d_lens, plain_lens
+from slam.datasets.numbered_frames import (
+    NO_STAMPS,
+    RATE_HZ,
+    at_rate,
+    numbered_camera,
+    numbered_files,
+    poses_of_files,
+    with_own_calibration,
+)
 from slam.datasets.pose_files import by_its_size, numbers_of, pose_blocks, trajectory_of
 from slam.datasets.recording import Contents, Recording
 from slam.datasets.stamped_files import StampedFile
@@ -31,6 +40,8 @@ from slam.measurements import CameraIntrinsics, Float32Array
 # Redwood's scenes put their own name before: livingroom1-color, livingroom1-depth-clean.
 _COLORS = re.compile(r"(?:.+-)?(?:colors?|rgb|images?)")
 _DEPTHS = re.compile(r"(?:.+-)?depths?(?:TSDF|[-_](?:clean|simulated|noisy))?")
+# ScanNet has a lens for each; where only one is told, it is that of both.
+_LENSES_OF = tuple(f"{name}_{{}}.txt" for name in ("intrinsic/intrinsic", "intrinsic", "intrinsics"))
 _LENSES = (
     *("camera_intrinsic.json", "camera_intrinsics.json", "intrinsic.json", "intrinsics.json"),
     *("camera_primesense.json", "intrinsics.txt", "intrinsic.txt", "camera.txt", "camera-intrinsics.txt"),
@@ -39,11 +50,13 @@ _POSES = ("trajectory.log", "*-traj.txt", "*.log", "scene/trajectory.log")
 _PRIMESENSE = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)
 ASSUMED = (
     "intrinsics and millimetres assumed (525 525 319.5 239.5 at 640 x 480, as Redwood's); "
-    "give a camera_intrinsic.json or calibration.yaml"
+    "give a camera_intrinsic.json, a calibration.yaml or --calibration FILE"
 )
 STAMPS_IN_NAMES = "stamps from the names of the files"
 
-_NUMBER = re.compile(r"[a-z_-]*0*(\d{1,8})", re.IGNORECASE)  # 000012, frame000012, color_12
+# 000012, frame000012, color_12, frame-000012.color
+_NUMBER = re.compile(r"[a-z_-]*0*(\d{1,8})(?:\.(?:color|depth))?", re.IGNORECASE)
+_POSE_FILE = r"(?:frame-)?(\d{1,9})(?:\.pose)?\.txt"
 _FRAME_AND_STAMP = re.compile(r"(\d{1,9})-(\d{6,15})")  # 0000012-000000400400: a frame, microseconds
 _CLOCK = re.compile(r"[a-z_-]*(\d{9,19}(?:\.\d{1,9})?|\d{1,8}\.\d{1,9})", re.IGNORECASE)
 _IMAGES = frozenset({".png", ".jpg", ".jpeg"})
@@ -135,11 +148,18 @@ def _stamped(folder: Path, named: list[tuple[str, Path]]) -> list[StampedFile]:
 def _calibration(path: Path) -> Calibration:
     """By the lens beside the images, else PrimeSense's, as Redwood and Open3D take it."""
     places = (path, path.resolve().parent)
-    found = next((place / name for place in places for name in _LENSES if (place / name).is_file()), None)
-    if found is None:
+    depth, color = (
+        next((place / name for place in places for name in names if (place / name).is_file()), None)
+        for names in (
+            [*(name.format("depth") for name in _LENSES_OF), *_LENSES],
+            [name.format("color") for name in _LENSES_OF],
+        )
+    )
+    if depth is None:
         assumed = "" if (path / FILE_NAME).is_file() else ASSUMED
         return read_calibration(path, Calibration(_PRIMESENSE, 1000.0, assumed=assumed))
-    return read_calibration(path, Calibration(_lens(found), 1000.0))
+    color_lens = plain_lens(_lens(color)) if color else None
+    return with_own_calibration(path, Calibration(_lens(depth), 1000.0, color_lens=color_lens))
 
 
 def _lens(file: Path) -> CameraIntrinsics:
@@ -152,10 +172,14 @@ def _lens(file: Path) -> CameraIntrinsics:
 
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:
-    """Camera to world by blocks of numbered matrices; frame N is N / 30 s old."""
+    """Camera to world by blocks of numbered matrices, or a file each; frame N is N / 30 s old."""
+    if files := numbered_files(path / "pose", _POSE_FILE):
+        return poses_of_files(files, at_rate(), account)
     found = next((file for pattern in _POSES for file in sorted(path.glob(pattern))), None)
     poses = pose_blocks(found, account) if found else {}
     return trajectory_of((number / RATE_HZ, pose) for number, pose in sorted(poses.items()))
 
 
-FORMAT = DatasetFormat("Open3D, Redwood or SUN3D folder", looks_like_open3d_folder, open_open3d_folder)
+FORMAT = DatasetFormat(
+    "Open3D, Redwood, SUN3D or ScanNet folder", looks_like_open3d_folder, open_open3d_folder
+)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
 from itertools import islice
 from pathlib import Path
 
@@ -14,8 +16,28 @@ from slam.errors import DatasetError
 
 _LOOKED_AT = 64  # names in a folder that is no dataset, to say what it lacks
 _LEVELS = 3  # a recording of KITTI lies two folders below what is unpacked
-
-
+# By the suffixes of files that are no log, or none that is read: what they are, and what makes a log of them.
+_UNREAD = (
+    (r"zip|7z|rar|tar|tgz|gz|bz2|xz|zstd?", "is an archive; unpack it, and give the folder or file in it"),
+    (
+        r"mkv",
+        "is a video, as of an Azure Kinect; Open3D's tool makes a folder of it that is read: "
+        "python azure_kinect_mkv_reader.py --input {path} --output FOLDER",
+    ),
+    (r"mp4|mov|avi|h26[45]", "is a video, without depth; give the folder of the recording that it is of"),
+    (r"svo2?", "is a ZED's; play it by its ROS driver (svo_path:={path}), and record a bag"),
+    (r"oni", "is of OpenNI; play it by openni2_launch, and record a bag"),
+    (r"pcap(ng)?", "holds packets of a lidar; play them to its ROS driver (pcap:={path}), and record a bag"),
+    (r"rawlog", "is a log of MRPT; play it by mrpt_rawlog's rawlog_play_node, and record a bag"),
+    (
+        r"pcd|ply|las|laz|e57|obj|bin",
+        "is a single cloud; give a folder of clouds with their stamps in times.txt",
+    ),
+    (
+        r"posegraph|pbstream|g2o|pgm|ya?ml",
+        "is a map or a setting; give the recording that it was made from, the bag",
+    ),
+)
 _CARMEN = DatasetFormat("CARMEN log (.log, .clf, plain or .gz)", looks_like_carmen, open_carmen)
 
 
@@ -82,12 +104,12 @@ def open_dataset(
         # A session in a database has a path, too: DATABASE/SESSION.
         if looks_like_robot_at_home2(path, b""):
             return open_robot_at_home2(path, strict)
-        raise DatasetError(f"{path} does not exist; give the path of a log; {_supported()}")
+        raise DatasetError(f"{path} does not exist; {_meant(path)}")
     if not (path.is_file() or path.is_dir()):
-        raise DatasetError(f"{path} is neither a file nor a directory; {_supported()}")
+        raise DatasetError(f"{path} is neither a file nor a directory")
     head = read_head(path, HEAD_BYTES) if path.is_file() else b""
     if path.is_file() and not head:
-        raise DatasetError(f"{path} is empty or its compression is damaged from the start; {_supported()}")
+        raise DatasetError(f"{path} is empty or its compression is damaged from the start; copy it again")
     for known in _formats():
         if known.recognises(path, head):
             dataset = _opened(known, path, strict, tuple(topics))
@@ -99,9 +121,15 @@ def open_dataset(
     if path.is_dir():
         inside = _recordings(path)
         if len(inside) == 1:
-            return open_dataset(inside[0], strict=strict, topics=topics, images=images)
-        raise DatasetError(f"{path} {_what_is_wrong(path)}; {_supported()}")
-    raise DatasetError(f"{path} is a file of no known format; {_supported()}")
+            return open_dataset(
+                inside[0], strict=strict, topics=topics, images=images, calibration=calibration
+            )
+        raise DatasetError(f"{path} {_what_is_wrong(path)}")
+    suffix = path.suffix[1:].lower()
+    what = next((words for suffixes, words in _UNREAD if re.fullmatch(suffixes, suffix)), None)
+    raise DatasetError(
+        f"{path} {what.format(path=path) if what else f'is a file of no known format; {_supported()}'}"
+    )
 
 
 def _opened(known: DatasetFormat, path: Path, strict: bool, topics: tuple[str, ...]) -> Dataset:
@@ -116,6 +144,14 @@ def _opened(known: DatasetFormat, path: Path, strict: bool, topics: tuple[str, .
     return known.open(path, strict)
 
 
+def _meant(path: Path) -> str:
+    """What somebody may have wanted who gave a path that leads nowhere."""
+    folder = path.parent
+    names = [entry.name for entry in islice(folder.iterdir(), _LOOKED_AT)] if folder.is_dir() else []
+    near = [str(folder / name) for name in get_close_matches(path.name, names)]
+    return f"did you mean {' or '.join(near)}?" if near else "give the path of a log"
+
+
 def _what_is_wrong(folder: Path) -> str:
     """Why a folder is no dataset, as far as one can tell."""
     names = {entry.name for entry in islice(folder.iterdir(), _LOOKED_AT)}
@@ -127,7 +163,7 @@ def _what_is_wrong(folder: Path) -> str:
     inside = [str(found.relative_to(folder)) for found in _recordings(folder)]
     if inside:
         return f"is no log itself but holds some; give one of {', '.join(inside[:8])}"
-    return "is a directory of no known format"
+    return f"is a directory of no known format; {_supported()}"
 
 
 def _recordings(folder: Path) -> list[Path]:

@@ -24,7 +24,7 @@ _NAMES = (
 )
 _UNITS_S = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 # A turn of any lidar takes longer than the first and less than the second; they lie one unit apart.
-_SHORTEST_TURN_S, _LONGEST_TURN_S = 0.002, 2.0
+_SHORTEST_TURN_S, LONGEST_TURN_S = 0.002, 2.0
 _FIRST_CLOCK_S = 1e6  # no offset within a turn, and before any clock that was ever set
 _SAME_CLOCK_S = 1.0
 
@@ -32,14 +32,20 @@ _SAME_CLOCK_S = 1.0
 class PointTimes:
     """Times of the points of one lidar; what the first cloud tells of field and unit holds for all.
 
+    Parameters
+    ----------
+    stamped
+        Whether clouds have stamps; where they have none a cloud is as old as its first point.
+
     Attributes
     ----------
     choice
         Field and unit for people; empty before the first cloud.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, stamped: bool = True) -> None:
         self.choice = ""
+        self._stamped = stamped
         self._field = ""
         self._unit_s = 0.0
 
@@ -61,9 +67,11 @@ class PointTimes:
         if self._field not in own.values():
             return None
         times_s: FloatArray = column(self._field).astype(np.float64) * self._unit_s
-        if not times_s.size or not np.isfinite(times_s).all() or np.ptp(times_s) > _LONGEST_TURN_S:
+        if not times_s.size or not np.isfinite(times_s).all() or np.ptp(times_s) > LONGEST_TURN_S:
             return None
         first_s = float(times_s.min())
+        if not self._stamped:
+            return times_s - first_s
         if abs(first_s) < _FIRST_CLOCK_S:
             return times_s
         # By another clock than the stamp's only the differences mean something.
@@ -79,7 +87,7 @@ class PointTimes:
         kind, values = values.dtype, values.astype(np.float64)
         span = float(np.ptp(values)) if values.size and np.isfinite(values).all() else 0.0
         for unit, unit_s in _UNITS_S.items():
-            if _SHORTEST_TURN_S < span * unit_s <= _LONGEST_TURN_S:
+            if _SHORTEST_TURN_S < span * unit_s <= LONGEST_TURN_S:
                 self._field, self._unit_s = found[0], unit_s
                 absolute = abs(float(values.min()) * unit_s) >= _FIRST_CLOCK_S
                 after = "by a clock" if absolute else "after the stamp of the cloud"

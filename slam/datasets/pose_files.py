@@ -177,6 +177,22 @@ def pose_of_row(fields: list[bytes]) -> gtsam.Pose3:
     return pose_from_matrix(np.vstack([numbers[:12].reshape(3, 4), [0.0, 0.0, 0.0, 1.0]]))
 
 
+def rotation_and_shift(file: Path, account: Account) -> gtsam.Pose3 | None:
+    """The transform of a line ``R:`` of nine numbers and one ``T:`` of three; what is none is counted."""
+    rows: dict[bytes, list[bytes]] = {}
+    for _, line in numbered_lines(file, lambda fault, at: account.refuse(fault, file.name, at)):
+        name, _, numbers = line.partition(b":")
+        rows[name.strip()] = numbers.split()
+    turn, shift = rows.get(b"R", []), rows.get(b"T", [])
+    try:
+        if len(turn) != 9 or len(shift) != 3:
+            raise ValueError(f"{len(turn)} and {len(shift)} numbers")
+        return pose_of_row([*turn[:3], shift[0], *turn[3:6], shift[1], *turn[6:], shift[2]])
+    except ValueError as error:
+        account.refuse(RecordFault(BAD_MATRIX, str(error)), file.name, 1)
+        return None
+
+
 def pose_blocks(path: Path, account: Account) -> dict[int, gtsam.Pose3]:
     """Poses by number from a ``.log`` of Redwood and Open3D: a line of three numbers, four of a matrix."""
     lines = list(rows_of(path, account, 3))

@@ -19,7 +19,7 @@ from slam.datasets.seven_scenes import looks_like_seven_scenes, open_seven_scene
 from slam.datasets.tum import looks_like_tum, open_tum
 
 _LAYOUTS = (
-    "eth3d_slam icl_nuim bonn_rgbd scannet scannet_sens replica tartanair arkitscenes stray_scanner record3d "
+    "icl_nuim scannet_sens replica tartanair arkitscenes stray_scanner record3d "
     "polycam rtabmap_database kitti_raw nclt mulran helipr boreas newer_college euroc"
 )
 # Of names that others have, too: asked when nobody else knows a folder.
@@ -36,7 +36,7 @@ OTHERS: tuple[DatasetFormat, ...] = (
     *_formats_of(_LAYOUTS),
     DatasetFormat("7-Scenes folder", looks_like_seven_scenes, open_seven_scenes),
     DatasetFormat("folder of a CARMEN log and TUM images", looks_like_recorded_folder, open_recorded_folder),
-    DatasetFormat("TUM RGB-D folder", looks_like_tum, open_tum),
+    DatasetFormat("TUM RGB-D folder (ETH3D SLAM, Bonn)", looks_like_tum, open_tum),
     DatasetFormat("OpenLORIS-Scene folder", looks_like_open_loris, open_open_loris),
     DatasetFormat("Robot@Home session folder", looks_like_robot_at_home, open_robot_at_home),
     DatasetFormat("ROS bag (.bag, .db3, .mcap, or the folder of one)", looks_like_bag, open_bag),

@@ -6,6 +6,7 @@ import heapq
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
+from copy import copy
 from dataclasses import dataclass, field, replace
 from itertools import compress
 from pathlib import Path
@@ -20,10 +21,13 @@ from slam.datasets.frame_pairs import FramePair
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
 from slam.foreign import plain
-from slam.measurements import Measurement, RgbdFrame
+from slam.measurements import LaserScan, Measurement, PointCloud, RgbdFrame
 
 Numbered: TypeAlias = tuple[int, Measurement]
 
+
+# Ranges of a log that is kept in memory: 11,000 scans of 360 beams; what goes with them takes as much again.
+_MOST_KEPT_BYTES = 1 << 24
 
 # Of a camera's next frames, by their stamps, which are read.
 FrameChoice: TypeAlias = Callable[[str, Sequence[float]], Sequence[bool]]
@@ -43,6 +47,28 @@ def fewer_frames(log: Any, choose: FrameChoice | None) -> Iterator[None]:
     finally:
         if before is not value:
             setattr(log, name, before)
+
+
+@contextmanager
+def read_once(log: Any) -> Iterator[None]:
+    """A log of scans and odometry is decoded once, meanwhile: further passes take it from memory.
+
+    The first pass afterwards does so too, and frees it. One with cameras or clouds, one of more than
+    `_MOST_KEPT_BYTES` and one of another reader is read anew.
+    """
+    while hasattr(log, "log"):
+        log = log.log
+    if not isinstance(log, Recording):
+        yield
+        return
+    log.keeps = True
+    try:
+        yield
+    except BaseException:
+        log.kept = None
+        raise
+    finally:
+        log.keeps = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +113,8 @@ class Recording:
         Whether frames come at all; without them a log beside the cameras is read many times as fast.
     choose_frames
         Asked once a camera which of its frames come; None for all.
+    keeps, kept
+        Whether a whole pass is kept, and what one has left; see `read_once`.
     """
 
     __repr__ = one_line
@@ -106,6 +134,8 @@ class Recording:
         self.read_images = True
         self.calibration_files: tuple[Path, ...] = ()
         self.choose_frames: FrameChoice | None = None
+        self.keeps = False
+        self.kept: tuple[list[Measurement], ReadReport] | None = None
         self._load, self._truth, self._strict, self._remedy = load, truth, strict, remedy
 
     def __iter__(self) -> Iterator[Measurement]:
@@ -118,9 +148,14 @@ class Recording:
         DatasetError
             A file that all depends on cannot be read, or nothing usable is found.
         """
+        if self.kept is not None:
+            yield from self._again(*self.kept, free=not self.keeps)
+            return
         report = self.report = ReadReport()
         account = Account(self.name, report, self._strict)
         contents = self._load(account)
+        kept: list[Measurement] | None = [] if self.keeps and not contents.cameras else None
+        kept_bytes = 0
         cameras = contents.cameras if self.read_images else []
         if cameras or self.calibration_files:
             known = known_beside(self.path, self.calibration_files)
@@ -142,9 +177,25 @@ class Recording:
                     frames_read += 1
                 if frames_in_all:
                     report.note_share(min(1.0, frames_read / frames_in_all))
+                if kept is not None:
+                    kept_bytes += measurement.ranges_m.nbytes if isinstance(measurement, LaserScan) else 0
+                    fits = kept_bytes <= _MOST_KEPT_BYTES and not isinstance(measurement, PointCloud)
+                    kept.append(measurement)
+                    kept = kept if fits else None
                 yield measurement
         if report.measurement_count == 0 and (self.read_images or not contents.cameras):
             raise DatasetError(_nothing_usable(self.path, report, self._remedy))
+        if kept is not None:
+            self.kept = kept, report
+
+    def _again(self, kept: list[Any], report: ReadReport, *, free: bool) -> Iterator[Measurement]:
+        """A pass from memory."""
+        report = self.report = copy(report)
+        self.kept = None if free else self.kept
+        for number, measurement in enumerate(kept):
+            kept[number] = None if free else measurement
+            report.share = (number + 1) / len(kept)
+            yield measurement
 
     def groundtruth(self) -> Trajectory | None:
         """The true trajectory that lies beside the readings; its damaged lines are left out."""

@@ -1,39 +1,64 @@
-"""A sequence of the 7-Scenes dataset: numbered colour, depth and pose files in a folder.
+"""Numbered colour, depth and pose files in one folder: 7-Scenes, what ScanNet's tool extracts, and their kin.
 
-Shotton et al. 2013, "Scene Coordinate Regression Forests for Camera Relocalization in RGB-D Images".
+Shotton et al. 2013, "Scene Coordinate Regression Forests for Camera Relocalization in RGB-D Images";
+Wald et al. 2019, "RIO: 3D Object Instance Re-Localization" (3RScan); Lai et al. 2014, "Unsupervised Feature
+Learning for 3D Scene Labeling" (RGB-D Scenes v2).
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from slam.datasets.account import Account
-from slam.datasets.calibration import Calibration, read_calibration
+from slam.datasets.calibration import Calibration
 from slam.datasets.camera_frames import Camera
+from slam.datasets.lens_files import camera_matrix, checked, plain_lens
+from slam.datasets.log_file import numbered_lines
 from slam.datasets.numbered_frames import (
     at_rate,
-    lens_of,
     numbered_camera,
     numbered_files,
     poses_of_files,
+    with_own_calibration,
 )
-from slam.datasets.pose_files import square_matrix
 from slam.datasets.recording import Contents, Recording
 from slam.errors import DatasetError
 from slam.measurements import CameraIntrinsics
 
-ASSUMED = "intrinsics assumed (585 585 320 240 at 640 x 480); give a camera-intrinsics.txt"
+ASSUMED = (
+    "intrinsics assumed (585 585 320 240 at 640 x 480); give a camera-intrinsics.txt, or --calibration FILE"
+)
 
-_IMAGE, _POSE = r"frame-(\d{1,9})\.%s\.(?:png|jpe?g)", r"frame-(\d{1,9})\.pose\.txt"
-_INTRINSICS_FILE = "camera-intrinsics.txt"
-_DEFAULT = CameraIntrinsics(585.0, 585.0, 320.0, 240.0, 640, 480)
-_DEPTH_STEPS_PER_M = 1000.0
-_NO_READING = 65535
+_MATRIX_FILE, _INFOS = "camera-intrinsics.txt", ("_info.txt", "info.txt")
+_POSE = r"frame-(\d{1,9})\.pose\.txt"
+_SEVEN = Calibration(
+    CameraIntrinsics(585.0, 585.0, 320.0, 240.0, 640, 480), 1000.0, (65535,), assumed=ASSUMED
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Names:
+    """How colour and depth files are called, and the camera that the publishers tell."""
+
+    pattern: str
+    calibration: Calibration
+
+
+_KNOWN = (
+    _Names(r"frame-(\d{1,9})\.%s\.(?:png|jpe?g|pgm)", _SEVEN),
+    _Names(
+        r"(\d{1,9})-%s\.png", Calibration(CameraIntrinsics(570.3, 570.3, 320.0, 240.0, 640, 480), 10_000.0)
+    ),
+)
 
 
 def looks_like_seven_scenes(path: Path, head: bytes) -> bool:
     """Whether a path is a folder with a frame of either kind."""
-    return path.is_dir() and any(numbered_files(path, _IMAGE % kind) for kind in ("color", "depth"))
+    return path.is_dir() and _names(path) is not None
 
 
 def open_seven_scenes(path: Path, strict: bool) -> Recording:
@@ -46,24 +71,46 @@ def open_seven_scenes(path: Path, strict: bool) -> Recording:
     )
 
 
+def _names(folder: Path) -> _Names | None:
+    """How the frames of a folder are called."""
+    kinds = ("color", "depth")
+    return next(
+        (one for one in _KNOWN if any(numbered_files(folder, one.pattern % kind) for kind in kinds)), None
+    )
+
+
 def _camera(folder: Path, account: Account) -> Camera:
     """Colour and depth of the same number are a pair; frame N is N / 30 s old."""
-    colors, depths = (numbered_files(folder, _IMAGE % kind) for kind in ("color", "depth"))
-    intrinsics = _intrinsics(folder)
-    assumed = ASSUMED if intrinsics is _DEFAULT else ""
-    calibration = Calibration(intrinsics, _DEPTH_STEPS_PER_M, (_NO_READING,), assumed=assumed)
-    return numbered_camera(colors, depths, read_calibration(folder, calibration), account, at_rate())
+    names = _names(folder)
+    assert names is not None
+    colors, depths = (numbered_files(folder, names.pattern % kind) for kind in ("color", "depth"))
+    calibration = with_own_calibration(folder, _calibration(folder, names.calibration))
+    return numbered_camera(colors, depths, calibration, account, at_rate())
 
 
-def _intrinsics(folder: Path) -> CameraIntrinsics:
-    """The 3 x 3 matrix of the file beside the frames, of unstated size; the published ones without it."""
-    path = folder / _INTRINSICS_FILE
-    if not path.is_file():
-        return _DEFAULT
-    matrix = square_matrix(path, 3)
+def _calibration(folder: Path, published: Calibration) -> Calibration:
+    """By a matrix beside the frames, of unstated size, or both lenses of an info file; else as published."""
+    if (folder / _MATRIX_FILE).is_file():
+        return replace(published, intrinsics=camera_matrix(folder / _MATRIX_FILE), assumed="")
+    info = next((folder / name for name in _INFOS if (folder / name).is_file()), None)
+    if info is None:
+        return published
+    told = dict(line.partition(b"=")[::2] for _, line in numbered_lines(info, lambda fault, at: None))
+    values = {name.strip().decode("ascii", "replace"): value.split() for name, value in told.items()}
     try:
-        if matrix is None:
-            raise ValueError("no 3 x 3 camera matrix")
-        return lens_of(matrix)
-    except ValueError as error:
-        raise DatasetError(f"{path}: {error}; correct it, or remove the file") from error
+        depth, color = (_lens(info, values, kind) for kind in ("Depth", "Color"))
+        steps = float(values["m_depthShift"][0])
+        if not 0.0 < steps < math.inf:
+            raise ValueError(f"m_depthShift {steps}")
+    except (KeyError, IndexError, ValueError, OverflowError) as error:
+        raise DatasetError(f"{info} gives no lens ({error}); correct it, or remove the file") from error
+    return replace(
+        published, intrinsics=depth, color_lens=plain_lens(color), depth_steps_per_m=steps, assumed=""
+    )
+
+
+def _lens(info: Path, values: dict[str, list[bytes]], kind: str) -> CameraIntrinsics:
+    """One of the two lenses of an info file."""
+    names = (f"m_calibration{kind}Intrinsic", f"m_{kind.lower()}Width", f"m_{kind.lower()}Height")
+    numbers, width, height = (np.array(values[name], dtype=np.float64) for name in names)
+    return checked(info, numbers.reshape(4, 4), int(width[0]), int(height[0]))

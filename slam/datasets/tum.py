@@ -1,6 +1,7 @@
 """The layout of the TUM RGB-D benchmark: lists of colour and depth images, and a trajectory, in a folder.
 
-Sturm et al. 2012, "A Benchmark for the Evaluation of RGB-D SLAM Systems".
+Sturm et al. 2012, "A Benchmark for the Evaluation of RGB-D SLAM Systems". So are published Bonn RGB-D Dynamic
+(Palazzolo et al. 2019, "ReFusion"), and ETH3D SLAM (Schöps et al. 2019, "BAD SLAM") with its lens in a file.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from slam.datasets.account import Account
 from slam.datasets.calibration import Calibration, read_calibration
 from slam.datasets.camera_frames import Camera
 from slam.datasets.frame_pairs import pair_images
+from slam.datasets.lens_files import four_numbers
 from slam.datasets.recording import Contents, Recording
 from slam.datasets.stamped_files import StampedFile, read_associations, read_image_list, read_poses
 from slam.estimates import Trajectory
@@ -19,18 +21,22 @@ from slam.measurements import CameraIntrinsics
 
 _LISTS = ("rgb.txt", "depth.txt")
 _ASSOCIATIONS = ("associations.txt", "associate.txt", "association.txt", "associated.txt")
-_GROUNDTRUTH = "groundtruth.txt"
+_GROUNDTRUTH, _LENS_FILE = "groundtruth.txt", "calibration.txt"
 DEPTH_STEPS_PER_M = 5000.0
 
-# The benchmark's own calibration of its three Kinects (of the colour image, distortion left aside).
+# By words in a folder's name: the publishers' own calibrations of the colour image, to which depth is
+# registered as it is, distortion left aside.
 _PUBLISHED = {
     "freiburg1": CameraIntrinsics(517.3, 516.5, 318.6, 255.3, 640, 480),
     "freiburg2": CameraIntrinsics(520.9, 521.0, 325.1, 249.7, 640, 480),
     "freiburg3": CameraIntrinsics(535.4, 539.2, 320.1, 247.6, 640, 480),
+    "rgbd_bonn": CameraIntrinsics(542.822841, 542.576870, 315.593520, 237.756098, 640, 480),
 }
 # What the benchmark calls the ROS default, for any Kinect.
 _DEFAULT = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)
-ASSUMED = "intrinsics assumed (525 525 319.5 239.5 at 640 x 480); give a calibration.yaml"
+ASSUMED = (
+    "intrinsics assumed (525 525 319.5 239.5 at 640 x 480); give a calibration.yaml, or --calibration FILE"
+)
 
 
 def has_tum_layout(folder: Path) -> bool:
@@ -58,10 +64,12 @@ def open_tum(path: Path, strict: bool) -> Recording:
 def tum_camera(folder: Path, sensor: str, account: Account) -> Camera:
     """The camera whose lists lie in a folder.
 
-    Without ``calibration.yaml`` the intrinsics are the published ones where the folder is named after one
-    of the benchmark's three cameras (freiburg1, freiburg2, freiburg3), else assumed.
+    Without ``calibration.yaml`` the intrinsics are those of ``calibration.txt`` (fx fy cx cy), else those
+    that are published for folders of such a name (freiburg1 to 3, rgbd_bonn), else assumed.
     """
     known = [lens for name, lens in _PUBLISHED.items() if name in folder.resolve().name.lower()]
+    if (folder / _LENS_FILE).is_file():
+        known = [four_numbers(folder / _LENS_FILE)]
     default = Calibration(
         known[0] if known else _DEFAULT, DEPTH_STEPS_PER_M, assumed="" if known else ASSUMED
     )

@@ -19,7 +19,7 @@ import numpy as np
 from fusion.estimation import TINY, gate
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.factors import solved
-from slam.graph.held_graph import held_graph
+from slam.graph.held_graph import held_graph, marginals
 from slam.measurements import IN_PLANE, FloatArray, Pose, motion_between, spatial
 
 _FREEDOM = 3.0
@@ -27,7 +27,7 @@ _MOST_ROUNDS = 20
 # Whitened errors settle to that.
 _SETTLED_SIGMAS = 0.01
 # A map that is begun without gravity leans by some degrees; where the earth is nobody knows.
-_LEANS_RAD, _NOWHERE_M = 0.05, 1e5
+_LEANS_RAD, NOWHERE_M = 0.05, 1e5
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +63,8 @@ class Anchored:
         Where the map lies; of the plane by the median of the heights.
     edges
         From node 0 to those of the anchors that fit, but its own.
+    from_earth
+        The same from the earth, whose number is that of the nodes, and with those of node 0.
     scale
         By how much errors are larger than the anchors claim; 1 where they are not.
     misfits
@@ -71,11 +73,14 @@ class Anchored:
 
     T_enu_map: gtsam.Pose3
     edges: list[Edge]
+    from_earth: list[Edge]
     scale: float
     misfits: float
 
 
-def anchored(poses: Sequence[Pose], edges: Sequence[Edge], anchors: Sequence[Anchor]) -> Anchored | None:
+def anchored(
+    poses: Sequence[Pose], edges: Sequence[Edge], anchors: Sequence[Anchor], kind: EdgeKind = EdgeKind.GNSS
+) -> Anchored | None:
     """Solve a graph with its anchors.
 
     Parameters
@@ -84,6 +89,8 @@ def anchored(poses: Sequence[Pose], edges: Sequence[Edge], anchors: Sequence[Anc
         (n,) of the nodes, optimised.
     edges
         That hold.
+    kind
+        Of the anchors; those of a receiver may claim too much, and their neighbours show it.
 
     Returns
     -------
@@ -92,18 +99,19 @@ def anchored(poses: Sequence[Pose], edges: Sequence[Edge], anchors: Sequence[Anc
     axes = 3 if isinstance(poses[0], gtsam.Pose3) else 2
     places = np.array([one.place_m for one in anchors])
     spreads = np.array([one.covariance_m2[:axes, :axes] for one in anchors])
-    variances = np.trace(spreads, axis1=1, axis2=2) / axes
+    variances = 0.5 * np.trace(spreads[:, :2, :2], axis1=1, axis2=2)
     far_m = np.linalg.norm(places[:, :2] - np.median(places[:, :2], axis=0), axis=1).max()
     if far_m <= _FREEDOM * math.sqrt(float(np.median(variances))):
         return None
     seen = _seen(poses, anchors)
     laid = _laid(seen, places, 1.0 / variances)
-    nodes, scale2 = [*poses, _like(poses[0], laid)], _scale2(seen, places, spreads, laid)
+    nodes = [*poses, _like(poses[0], laid)]
+    scale2 = _scale2(seen, places, spreads, laid) if kind is EdgeKind.GNSS else 1.0
     held = [*edges, _upright(nodes)]
     together = np.array([one.together for one in anchors])
     weights, before = np.ones(len(anchors)), np.full(len(anchors), np.inf)
     for _ in range(_MOST_ROUNDS):
-        told = _edges(nodes, len(poses), anchors, together * scale2 / weights)
+        told = _edges(nodes, len(poses), anchors, together * scale2 / weights, kind)
         values = solved(*held_graph(nodes, [*held, *told]))
         nodes = [values.atPose3(n) if axes == 3 else values.atPose2(n) for n in range(len(nodes))]
         T_enu_map = spatial(nodes[-1]).inverse()
@@ -118,14 +126,39 @@ def anchored(poses: Sequence[Pose], edges: Sequence[Edge], anchors: Sequence[Anc
         if np.abs(sigmas - before).max() < _SETTLED_SIGMAS:
             break
         before = sigmas
-    told = _edges(nodes, 0, anchors, together * scale2)
     fits = squares <= gate(axes)
+    told, from_earth = (
+        [
+            edge
+            for edge, fit in zip(_edges(nodes, source, anchors, together * scale2, kind), fits, strict=True)
+            if fit and edge.target != source
+        ]
+        for source in (0, len(poses))
+    )
     return Anchored(
         T_enu_map,
-        [edge for edge, fit in zip(told, fits.tolist(), strict=True) if edge.target and fit],
+        told,
+        [_upright(nodes).turned(), *from_earth],
         math.sqrt(scale2),
         1.0 - float(fits.mean()),
     )
+
+
+def seen_from_earth(poses: Sequence[Pose], edges: Sequence[Edge], found: Anchored) -> FloatArray:
+    """(n, d, d) covariance of each node where the earth is held, GTSAM's tangent of the node.
+
+    ``edges`` are those that hold, and as uncertain as they are together; what is told of the earth from node
+    0 is left out.
+    """
+    earth = _like(poses[0], found.T_enu_map.inverse())
+    kinds = {edge.kind for edge in found.edges}
+    turned = [
+        replace(
+            edge, source=(edge.source + 1) % (len(poses) + 1), target=(edge.target + 1) % (len(poses) + 1)
+        )
+        for edge in [*found.from_earth, *(edge for edge in edges if edge.kind not in kinds)]
+    ]
+    return marginals([earth, *poses], turned)[1:]
 
 
 def _scale2(seen_m: FloatArray, places_m: FloatArray, spreads: FloatArray, T_map_enu: gtsam.Pose3) -> float:
@@ -147,10 +180,10 @@ def with_alignment(edges: Sequence[Edge]) -> list[Edge]:
 
     How it lies was found with all of them, so that their sum tells how well.
     """
-    found, groups = list(edges), dict[int, list[int]]()
+    found, groups = list(edges), dict[tuple[int, str], list[int]]()
     for number, edge in enumerate(edges):
-        if edge.kind is EdgeKind.GNSS:
-            groups.setdefault(edge.source, []).append(number)
+        if edge.kind in (EdgeKind.GNSS, EdgeKind.SURVEY):
+            groups.setdefault((edge.source, edge.kind), []).append(number)
     for members in groups.values():
         poses = [spatial(edges[number].T_source_target) for number in members]
         turns = np.array([pose.rotation().matrix() for pose in poses])
@@ -164,6 +197,8 @@ def with_alignment(edges: Sequence[Edge]) -> list[Edge]:
         information = np.einsum("kia,kij,kjb->ab", slopes, np.linalg.inv(spreads), slopes)
         shared = slopes @ np.linalg.inv(information + TINY * np.eye(4)) @ slopes.transpose(0, 2, 1)
         shared = turns.transpose(0, 2, 1) @ shared @ turns
+        if edges[members[0]].kind == EdgeKind.SURVEY:  # few: all share it, as if it were so much larger
+            shared *= len(members)
         for number, more in zip(members, shared, strict=True):
             covariance = edges[number].covariance.copy()
             if len(covariance) == 6:
@@ -175,11 +210,15 @@ def with_alignment(edges: Sequence[Edge]) -> list[Edge]:
 
 
 def _of_place(edge: Edge) -> FloatArray:
-    """Covariance (3, 3) of an anchor's place in the node's axes; in the plane a height of 1 m."""
-    if len(edge.covariance) == 6:
-        return edge.covariance[3:, 3:]
+    """Covariance (3, 3) of an anchor's place in the node's axes, as if it could not turn.
+
+    In the plane a height of 1 m.
+    """
+    information = np.linalg.inv(edge.covariance)
+    if len(information) == 6:
+        return np.linalg.inv(information[3:, 3:])
     covariance = np.eye(3)
-    covariance[:2, :2] = edge.covariance[:2, :2]
+    covariance[:2, :2] = np.linalg.inv(information[:2, :2])
     return covariance
 
 
@@ -200,14 +239,16 @@ def _laid(seen_m: FloatArray, places_m: FloatArray, weights: FloatArray) -> gtsa
 
 def _upright(nodes: Sequence[Pose]) -> Edge:
     """From node 0 to the earth, the last: that a map hardly leans, and nothing else."""
-    nothing, leans = _NOWHERE_M**2, _LEANS_RAD**2
+    nothing, leans = NOWHERE_M**2, _LEANS_RAD**2
     planar = isinstance(nodes[0], gtsam.Pose2)
     variances = [nothing, nothing, math.pi**2] if planar else [leans, leans, math.pi**2, *[nothing] * 3]
     whole = motion_between(nodes[0], nodes[-1])
     return Edge(0, len(nodes) - 1, whole, np.diag(variances), EdgeKind.GNSS, trusted=True)
 
 
-def _edges(nodes: Sequence[Pose], source: int, anchors: Sequence[Anchor], scales: FloatArray) -> list[Edge]:
+def _edges(
+    nodes: Sequence[Pose], source: int, anchors: Sequence[Anchor], scales: FloatArray, kind: EdgeKind
+) -> list[Edge]:
     """Each anchor from a node as the earth, the last of the nodes, lies: its place, and no heading.
 
     ``scales`` (k,) is what the covariances are multiplied by.
@@ -218,12 +259,17 @@ def _edges(nodes: Sequence[Pose], source: int, anchors: Sequence[Anchor], scales
         turn = spatial(motion_between(earth, nodes[one.node])).rotation()
         place = gtsam.Pose3(turn, one.place_m - np.asarray(turn.rotate(one.arm_m)))
         axes = np.asarray(turn.matrix())
-        covariance = np.full(6, math.pi**2) * np.eye(6)
-        covariance[3:, 3:] = scale * axes.T @ one.covariance_m2 @ axes
         pose = _like(earth, T_source_earth.compose(place))
+        covariance = np.full(6, math.pi**2) * np.eye(6)
+        if isinstance(pose, gtsam.Pose2):
+            covariance[:2, :2] = 0.0
+        covariance[3:, 3:] = scale * axes.T @ one.covariance_m2 @ axes
+        # It turns about what was measured, not about the node.
+        adjoint = gtsam.Pose3(gtsam.Rot3(), one.arm_m).AdjointMap()
+        covariance = adjoint @ covariance @ adjoint.T
         if isinstance(pose, gtsam.Pose2):
             covariance = covariance[np.ix_(IN_PLANE, IN_PLANE)]
-        found.append(Edge(source, one.node, pose, covariance, EdgeKind.GNSS, trusted=False))
+        found.append(Edge(source, one.node, pose, covariance, kind, trusted=False))
     return found
 
 

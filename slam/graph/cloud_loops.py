@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import ctypes
 import logging
 import math
 from collections import OrderedDict
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -17,6 +15,8 @@ import numpy as np
 from slam.config import Config
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
+from slam.graph.unseen_gaps import UnseenGaps
+from slam.heap import give_back
 from slam.matching.cloud_points import thinned
 from slam.matching.local_cloud import REACH, Aligned, LocalCloud, moved
 from slam.matching.scan_context import dissimilarity, ring_key, scan_context
@@ -73,6 +73,8 @@ class CloudLoopCloser:
         self._travelled_m: list[float] = []
         self._residuals_m: list[float] = []
         self._last_attempt_m, self._last_loop_m = -math.inf, 0.0
+        # A street looks like another for a while.
+        self._gaps = UnseenGaps(config.cloud_loops.least_path_voxels * voxel_m)
         self._cache: OrderedDict[int, LocalCloud] = OrderedDict()
 
     def add_keyframe(
@@ -81,6 +83,8 @@ class CloudLoopCloser:
         pose: gtsam.Pose3,
         travelled_m: float,
         residual_m: float,
+        *,
+        unseen: bool = False,
     ) -> None:
         """Remember the next keyframe.
 
@@ -94,7 +98,11 @@ class CloudLoopCloser:
             Way from the start.
         residual_m
             Of its match; NaN where there was none.
+        unseen
+            Whether nothing saw the way to it.
         """
+        if unseen:
+            self._gaps.begin(len(self._poses))
         self._contexts.append(scan_context(points, self._voxel_m))
         self._rings.append(ring_key(self._contexts[-1]))
         self._poses.append(pose)
@@ -120,21 +128,26 @@ class CloudLoopCloser:
 
         Returns
         -------
-        Every candidate that was tried, accepted or refused.
+        Every candidate that was tried, accepted or refused; one across ground that nothing saw is kept back
+        until others agree.
         """
         path_m = self._travelled_m[key]
         if not self._loops.enabled or path_m - self._last_attempt_m < self._reach_m:
             return []
         self._last_attempt_m = path_m
         tried: list[LoopCandidate] = []
-        for guess in self._propose(key, poses, rows, uncertainty):
+        for guess in [*self._entailed(key), *self._propose(key, poses, rows, uncertainty)]:
             if tried and tried[-1].accepted:
                 break  # where the robot is, is known
-            candidate = self._verify(key, guess)
-            if candidate.accepted:
-                self._last_loop_m = path_m
-            tried.append(candidate)
-        return tried
+            tried.append(self._verify(key, guess))
+        taken = self._gaps.believed(tried, rows, self._travelled_m, uncertainty)
+        if any(candidate.accepted for candidate in taken):
+            self._last_loop_m = path_m
+        return taken
+
+    def alone(self) -> list[LoopCandidate]:
+        """Those that were kept back to the end, as refused."""
+        return self._gaps.alone()
 
     def verify(self, place: int, key: int, T_place_base: gtsam.Pose3 | None, sigma_m: float) -> LoopCandidate:
         """Register a keyframe to a place.
@@ -192,6 +205,24 @@ class CloudLoopCloser:
                 turned = gtsam.Pose3(gtsam.Rot3.Yaw(yaw), np.zeros(3))
                 chosen.append(_Guess(place, turned, float(sigmas[n]) + reach_m, 1.0 - found, True))
         return chosen
+
+    def _entailed(self, key: int) -> list[_Guess]:
+        """Where the newest keyframe is, if loops that wait are true: at the nearest place of then."""
+        loop = self._gaps.likeliest(key)
+        if loop is None or loop.motion is None:
+            return []
+        T_place_base = spatial(loop.motion.T_reference_base).compose(
+            self._poses[loop.keyframe].between(self._poses[key])
+        )
+        places = self._gaps.stretch_of(loop.place)
+        found = [
+            self._poses[place].between(self._poses[loop.place]).compose(T_place_base) for place in places
+        ]
+        nearest = int(np.argmin([np.linalg.norm(pose.translation()) for pose in found]))
+        sigma_m = self._config.cloud_loops.drift_share * (
+            self._travelled_m[key] - self._travelled_m[loop.keyframe]
+        )
+        return [_Guess(places[nearest], found[nearest], sigma_m, 1.0, False)]
 
     def _verify(self, key: int, guess: _Guess) -> LoopCandidate:
         """Register the keyframe to the place, and judge."""
@@ -258,14 +289,9 @@ class CloudLoopCloser:
             for k in members
         ]
         local = LocalCloud.of(np.vstack(parts), self._voxel_m, self._config)
+        local.planes.settle()
         self._cache[key] = local
         if len(self._cache) > half:
             self._cache.popitem(last=False)
-            give_back_memory()  # between places that are kept it would pile up
+            give_back()
         return local
-
-
-def give_back_memory() -> None:
-    """Let the C library return to the system what was freed in pieces; one that is not glibc keeps it."""
-    with suppress(OSError, AttributeError, TypeError):
-        ctypes.CDLL(None).malloc_trim(0)

@@ -13,12 +13,12 @@ from typing import TypeAlias
 
 import numpy as np
 
+from slam.graph.keyframe_graph import together
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
-from slam.graph.submaps import SubmapStore
 from slam.matching.motion import Motion
 from slam.matching.planar import adjoint, between, compose, rotate_covariance
-from slam.measurements import BoolArray, row_from_pose2
+from slam.measurements import BoolArray, FloatArray
 
 # What is known of the way from a keyframe to another.
 Known: TypeAlias = Callable[[int, int], Motion]
@@ -29,17 +29,21 @@ class ClaimSets:
 
     Parameters
     ----------
-    submaps
-        Tell where keyframes are by the chain.
+    poses
+        (n, 3) of keyframes by the chain, seen from above.
+    travelled_m
+        (n,) way from the start to each.
     chain
-        How uncertain that is.
+        How uncertain the poses are of each other.
     reach_m
         Claims farther apart along the way do not support each other: that piece of the chain may be bent too.
     """
 
-    def __init__(self, submaps: SubmapStore, chain: UncertaintyGraph, reach_m: float) -> None:
-        self._submaps, self._chain, self._reach_m = submaps, chain, reach_m
-        self._poses = np.array([submaps.pose(key) for key in range(len(submaps))])
+    def __init__(
+        self, poses: FloatArray, travelled_m: FloatArray, chain: UncertaintyGraph, reach_m: float
+    ) -> None:
+        self._poses, self._travelled_m = poses, travelled_m
+        self._chain, self._reach_m = chain, reach_m
         self._claims: list[LoopCandidate] = []
         self._agree = np.zeros((0, 0), np.bool_)
         self._ways: dict[tuple[int, int], Motion] = {}
@@ -71,7 +75,7 @@ class ClaimSets:
 
         Zero where their keyframes are too far apart to tell.
         """
-        ways = [[self._submaps.travelled_m(claim.keyframe) for claim in claims] for claims in (one, other)]
+        ways = [self._travelled_m[[claim.keyframe for claim in claims]] for claims in (one, other)]
         apart_m = np.abs(np.subtract.outer(*ways))
         if apart_m.min() > self._reach_m:
             return 0.0
@@ -85,9 +89,8 @@ class ClaimSets:
 
     def _near(self, one: LoopCandidate, other: LoopCandidate) -> bool:
         """Whether two claims tell of different keyframes not far from each other, and of such places."""
-        way_m = self._submaps.travelled_m
-        apart_m = [abs(way_m(a) - way_m(b)) for a, b in zip(_ends(one), _ends(other), strict=True)]
-        return one.keyframe != other.keyframe and max(apart_m) <= self._reach_m
+        apart_m = np.abs(self._travelled_m[[*_ends(one)]] - self._travelled_m[[*_ends(other)]])
+        return one.keyframe != other.keyframe and bool(apart_m.max() <= self._reach_m)
 
     def _consistent(self, one: LoopCandidate, other: LoopCandidate) -> bool:
         """Whether the cycle of two claims and the chain between their places and their keyframes closes."""
@@ -129,9 +132,8 @@ def _ends(claim: LoopCandidate) -> tuple[int, int]:
 
 
 def claimed(claim: LoopCandidate) -> Motion:
-    """Pose of the keyframe seen from the place."""
-    assert claim.motion is not None
-    return Motion(row_from_pose2(claim.motion.T_reference_base), claim.motion.covariance)
+    """Pose of the keyframe seen from the place, from above."""
+    return together([claim.edge(0)])[_ends(claim)]
 
 
 def after(one: Motion, other: Motion) -> Motion:

@@ -26,6 +26,8 @@ class EdgeKind(StrEnum):
     ASSUMED = "assumed motion"
     IMU = "IMU"
     GNSS = "GNSS"
+    TAG = "tag"
+    SURVEY = "survey"
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,8 @@ from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.matching.motion import Motion
 from slam.measurements import IN_PLANE, BoolArray, FloatArray, Pose
 
+_PLACES = (EdgeKind.GNSS, EdgeKind.SURVEY, EdgeKind.TAG)
+
 
 class KeyframeGraph:
     """Keyframes 0..n-1, in the plane or in space as the first one's pose says.
@@ -125,7 +127,7 @@ class KeyframeGraph:
         motions = together(edges).items()
         held = [ends for ends, motion in motions if np.linalg.eigvalsh(motion.covariance[:2, :2])[-1] <= most]
         # A fix may be off by metres, and yet is no guess.
-        held += [(edge.source, edge.target) for edge in edges if edge.kind is EdgeKind.GNSS]
+        held += [(edge.source, edge.target) for edge in edges if edge.kind in _PLACES]
         sources, targets = np.array(held, np.int64).reshape(-1, 2).T
         joined = coo_array((np.ones(len(held)), (sources, targets)), shape=(len(self), len(self)))
         return np.asarray(connected_components(joined, directed=False)[1], np.int64)

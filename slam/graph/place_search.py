@@ -89,7 +89,10 @@ class PlaceSearch:
             measured = {edge.source for edge in held if edge.kind not in guesses}
             sure = (edge for edge in held if edge.trusted or edge.source in measured)
             chain = graph_of(len(poses), (edge for edge in sure if edge.loop is None))
-            self._sets = ClaimSets(self._submaps, chain, self._reach_m)
+            keys = range(len(poses))
+            odometry = np.array([self._submaps.pose(key) for key in keys])
+            ways_m = np.array([self._submaps.travelled_m(key) for key in keys])
+            self._sets = ClaimSets(odometry, ways_m, chain, self._reach_m)
             self._trial = ClaimTrial(self._closer, self._stretches, self._sets, self._config, self._reach_m)
         least_m, lever_m = self._match.coarse_cell_m, self._config.reach_m
         self._faulty = FaultySteps(edges, held, poses, self._graph, least_m, lever_m)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -107,7 +107,9 @@ class SubmapStore:
             if self._sessions[k] == self._sessions[key]
             and abs(self._travelled_m[k] - self._travelled_m[key]) <= self._half_m
         ]
-        submap = Submap(lambda: self._local_map(key, members), self._match.cell_m)
+        # It does not hold the store that holds it: at the end of a run all of them go at once.
+        build = partial(_local_map, self._surfaces, self._poses, key, members, self._match)
+        submap = Submap(build, self._match.cell_m)
         self._cache[key] = submap
         # The places along two of them: what the next attempts look at.
         if len(self._cache) > 4 * half:
@@ -136,7 +138,14 @@ class SubmapStore:
         first = first[np.unique(rows, return_index=True)[1]]
         return OrientedPoints(points[first], np.concatenate([part.normals for part in parts])[first])
 
-    def _local_map(self, key: int, members: list[int]) -> LocalMap:
-        """The scans of some keyframes in the frame of one."""
-        parts = [self._surfaces[k].moved(between(self._poses[key], self._poses[k])) for k in members]
-        return LocalMap.build(parts, self._match)
+
+def _local_map(
+    surfaces: Sequence[OrientedPoints],
+    poses: Sequence[FloatArray],
+    key: int,
+    members: list[int],
+    match: MatchConfig,
+) -> LocalMap:
+    """The scans of some keyframes in the frame of one."""
+    parts = [surfaces[k].moved(between(poses[key], poses[k])) for k in members]
+    return LocalMap.build(parts, match)

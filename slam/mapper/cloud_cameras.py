@@ -17,6 +17,7 @@ from slam.mapper.keyframe_fusion import FusionSummary, KeyframeFusion
 from slam.mapper.keyframe_store import registration_notes
 from slam.mapper.robot_cameras import CameraPoses, RobotCameras
 from slam.mapper.scan_record import CameraRecord
+from slam.mapper.tags import TagFinder
 from slam.mapping.horizon_scan import horizon_scan, with_repairs
 from slam.measurements import FloatArray, LaserScan
 from slam.odometry.camera_odometry import camera_step
@@ -40,7 +41,8 @@ class CloudCameras:
         wheel_turns: Turns,
     ) -> None:
         self._config, self._registrations = config, registrations
-        self._cameras = RobotCameras(config, wheel_turns=wheel_turns, result_cache=checkpoint)
+        self.tags = TagFinder(config.sensors.tags, registrations)
+        self._cameras = RobotCameras(config, tags=self.tags, wheel_turns=wheel_turns, result_cache=checkpoint)
         self._keyframes = CameraKeyframes(config, checkpoint, registrations)
         self._fusion = KeyframeFusion(config.fusion) if config.fusion.enabled else None
         self._horizons: list[LaserScan | None] = []
@@ -71,6 +73,7 @@ class CloudCameras:
     def add_keyframe(self, node: int, stamp_s: float, points: FloatArray, T_base_lidar: gtsam.Pose3) -> None:
         """Take the newest frames for a keyframe of the lidar, whose points are (N, 3) in the base frame."""
         self._camera_poses = self._cameras.camera_poses(stamp_s)
+        self._cameras.look_for_tags()
         placed = self._cameras.placed_pictures(self._camera_poses)
         self._keyframes.add(node, placed, places=False)
         self._horizons.append(None)

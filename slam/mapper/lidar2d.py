@@ -25,6 +25,7 @@ from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.planar_chain import PlanarChain
 from slam.mapper.protocol import Tracked
 from slam.mapper.robot_cameras import CameraPoses, RobotCameras
+from slam.mapper.tags import TagFinder
 from slam.matching.local_map import OrientedPoints
 from slam.matching.motion import Motion
 from slam.matching.planar import between
@@ -69,7 +70,10 @@ class PlanarRobot:
         odometry = CachedOdometry(odometries.lidar(config), checkpoint)
         self._tracker = MotionTracker(odometry, self._wheels, config.prediction, config.match)
         turns = Turns() if self._wheels is None else self._wheels.turns
-        self._cameras = RobotCameras(config, mountings or {}, wheel_turns=turns, result_cache=checkpoint)
+        self.tags = TagFinder(config.sensors.tags, registrations)
+        self._cameras = RobotCameras(
+            config, mountings or {}, tags=self.tags, wheel_turns=turns, result_cache=checkpoint
+        )
         self._chain = PlanarChain(config, self._tracker, self._wheels, self._cameras)
         self._closer = LoopCloser(config.loops, config.match, checkpoint)
         self._places = PlaceSearch(self._closer, config.loops, config.match, config.graph, checkpoint)
@@ -123,6 +127,7 @@ class PlanarRobot:
         self._keyframe_scans.append(moment.scan)
         if self._fusion is not None and moment.scan is not None:
             self._fusion.add(key, moment.scan, self._cameras.pictures(moment.camera_poses))
+        self._cameras.look_for_tags()
         tried = self._closer.close(key, graph.rows(), graph.uncertainty)
         if pictures := self._cameras.placed_pictures(moment.camera_poses):
             self._pictures.add(key, pictures, places=True)
@@ -147,6 +152,8 @@ class PlanarRobot:
         found = self._places.search(graph.rows(), graph.graph.edges, kept, graph.loops)
         if self._places.fault is not None:
             graph.graph.doubt(*self._places.fault)
+        if not found:
+            del self._places, self._closer  # it was the last search: their local maps are large
         return found
 
     def bases(self, poses: Sequence[Pose]) -> Sequence[Pose]:

@@ -50,6 +50,7 @@ from slam.odometry.wheel_tracker import WheelTracker
 from slam.storage.map_clouds import MapClouds
 from slam.trajectory.readings import Readings
 from slam.vision.color_registration import ColorRegistration
+from slam.vision.prefetch import prefetched
 from slam.vision.prepared_frame import PreparedFrame
 
 # A kept cloud is as fine as the map, and four times as fine as the matching.
@@ -77,6 +78,7 @@ class CloudLidar:
         self._clouds = checkpoint.cloud_spool()
         turns = Turns() if self._wheels is None else self._wheels.turns
         self._cameras = CloudCameras(config, checkpoint, registrations, turns)
+        self.tags = self._cameras.tags
         self._closer: CloudLoopCloser | None = None
         self._steps = AnchoredSteps(config.match.local_map_keyframes)
         self._newest: TrackedCloud | None = None
@@ -86,6 +88,7 @@ class CloudLidar:
         self._stamp_s = 0.0
         self._T_base_lidar = gtsam.Pose3()
         self._matched, self._doubtful, self._unseen = 0, 0, list[str]()
+        self._unseen_key: int | None = None
 
     def observe(self, measurement: Any) -> Tracked | None:
         """Take the next measurement; where the robot is then, if it tells that."""
@@ -120,6 +123,7 @@ class CloudLidar:
             elif self._imu is not None and (spread := self._imu.spread()) is not None:
                 edges.append(Edge(key - 1, key, step, spread, EdgeKind.IMU, trusted=True))
             elif tracked.unseen_m:
+                self._unseen_key = key
                 self._unseen.append(
                     f"{tracked.unseen_m:.0f} m before {self._stamp_s - self._stamps_s[0]:.0f} s"
                 )
@@ -150,7 +154,9 @@ class CloudLidar:
         self._clouds.add(self._stamp_s, thinned(tracked.points, kept_m), self._T_base_lidar)
         self._cameras.add_keyframe(key, self._stamp_s, tracked.points, self._T_base_lidar)
         residual_m = np.nan if tracked.motion is None else tracked.motion.residual_m
-        self._closer.add_keyframe(tracked.points, tracked.pose, self._travelled_m, residual_m)
+        self._closer.add_keyframe(
+            tracked.points, tracked.pose, self._travelled_m, residual_m, unseen=self._unseen_key == key
+        )
         return self._closer.close(key, graph.poses(), graph.rows(), graph.uncertainty)
 
     def refuse(self) -> None:
@@ -168,7 +174,12 @@ class CloudLidar:
             )
 
     def settle(self, graph: KeyframeGraph) -> None:
-        """Put the map upright, where gravity is known; every step was settled when it was made."""
+        """Put the map upright, where gravity is known; every step was settled when it was made.
+
+        Loops that nothing else confirms across ground that nothing saw are refused.
+        """
+        for loop in [] if self._closer is None else self._closer.alone():
+            graph.add_loop(loop)
         if self._down and self._imu is not None and not self._imu.unfit:
             graph.graph.level(apart_in_time(self._down))
 
@@ -284,25 +295,18 @@ def band_scans(
     if layers.climb_m >= layers.robot_height_m:
         raise DatasetError("layers.climb_m leaves no height to layers.robot_height_m; make it lower")
     band = HeightBand(0.0, layers.robot_height_m, layers.climb_m)
-    scans = list[LaserScan | None]()
-    for key, (points, T_map_base) in enumerate(zip(clouds, poses, strict=True)):
-        T_level_base = level(T_map_base)
-        upright, lidar = moved(points, T_level_base), T_level_base.compose(T_base_lidar)
+
+    def scan(one: tuple[FloatArray, float, gtsam.Pose3]) -> LaserScan:
+        points, stamp_s, T_map_base = one
+        T_level_base, clears = level(T_map_base), ground is not None
         below_m: float | FloatArray = ground_m
+        upright, lidar = moved(points, T_level_base), T_level_base.compose(T_base_lidar)
         if ground is not None:
             below_m = upright[:, 2] - ground.above_m(moved(points, T_map_base))
-        scans.append(
-            band_scan(
-                upright,
-                clouds.stamp_s(key),
-                lidar,
-                band,
-                below_m,
-                config.cloud_map,
-                clears=ground is not None,
-            )
-        )
-    return scans
+        return band_scan(upright, stamp_s, lidar, band, below_m, config.cloud_map, clears=clears)
+
+    stamps_s = (clouds.stamp_s(key) for key in range(len(clouds)))
+    return list(prefetched(zip(clouds, stamps_s, poses, strict=True), scan))
 
 
 def level(T_map_base: gtsam.Pose3) -> gtsam.Pose3:

@@ -14,6 +14,7 @@ from slam.errors import ScanweaveError
 from slam.mapper.keyframe_fusion import FusionSummary
 from slam.mapper.scan_record import CameraRecord, ScanRecord
 from slam.mapping.elevation import Elevation
+from slam.mapping.glass_gaps import with_glass
 from slam.mapping.keyframe_grid import depth_model, layer_settings, lidar_grids
 from slam.mapping.layer_builder import LayerBuilder
 from slam.mapping.layered_map import DEPTH, OCCUPANCY
@@ -99,6 +100,9 @@ def drawn(found: MapContents, config: Config) -> tuple[MapContents, list[str]]:
         try:
             depth = depth_grid(found.frames.taken(), found.frame_poses(), settled, found.ground_m)
             grids |= {} if depth is None else {DEPTH: depth}
+            if depth is not None and lidar is not None and found.planar:
+                # A camera calls free what it sees through glass.
+                grids[OCCUPANCY] = with_glass(lidar, found.keyframe_scans, found.keyframe_poses, settled)
         except ScanweaveError as error:
             warnings.append(f"No depth layer was drawn, the map is the lidar's alone: {error}")
     return replace(found, grids=grids), warnings

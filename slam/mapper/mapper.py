@@ -14,11 +14,13 @@ from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_covariances import pose_covariances
+from slam.mapper.anchoring import Way
 from slam.mapper.gnss import GnssAnchors
 from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.protocol import SENSORS, FrontEnd, Sensor, Tracked
 from slam.mapper.scan_record import ScanRecorder
+from slam.mapper.tags import PlaceAnchors
 from slam.measurements import FloatArray, GnssFix
 from slam.storage.map_contents import MapContents, SavedFactor
 from slam.trajectory.carried import carried_covariances
@@ -39,6 +41,8 @@ class Mapper:
         self._sensors: dict[type, Sensor] = {}
         self._graph: KeyframeGraph | None = None
         self._record, self._gnss = ScanRecorder(), GnssAnchors()
+        places = config.sensors.tags
+        self._places = None if places is None else PlaceAnchors(places)
         self._keyframes_s = self._beside_s = 0.0
 
     @property
@@ -99,23 +103,34 @@ class Mapper:
         graph, front_end = self._keyframes, self._front_end
         clock = [time.perf_counter()]
         front_end.settle(graph)
-        outcome = graph.optimize(self._config.loops.inlier_probability)
+        probability = self._config.loops.inlier_probability
+        outcome = graph.optimize(probability)
+        stamps_s = self._record.finish().stamps_s[front_end.readings.keyframe_scans()]
+
+        def way() -> Way:
+            poses = graph.poses()
+            bases = front_end.bases(poses)
+            return Way.of(poses, bases, stamps_s, front_end.readings.trajectory(bases))
+
+        if self._places is not None:
+            outcome = self._places.join(front_end.tags, graph, way(), outcome, probability)
         # It ends: nothing is found twice.
         while found := front_end.search_again(graph, outcome.kept):
             for candidate in found:
                 graph.add_loop(candidate)
-            outcome = graph.optimize(self._config.loops.inlier_probability)
+            outcome = graph.optimize(probability)
         scans, numbers = self._record.finish(), front_end.readings.keyframe_scans()
         bases, edges = front_end.bases(graph.poses()), graph.graph.edges
         trajectory = front_end.readings.trajectory(bases)
-        if self._gnss:
-            stamps_s = scans.stamps_s[numbers]
-            probability = self._config.loops.inlier_probability
-            outcome = self._gnss.anchor(graph, bases, stamps_s, trajectory, outcome, probability)
-            bases = front_end.bases(graph.poses())
-            trajectory = front_end.readings.trajectory(bases)
+        for anchors in (self._gnss.anchor if self._gnss else None, self._places and self._places.survey):
+            if anchors:
+                outcome = anchors(graph, way(), outcome, probability)
+                bases = front_end.bases(graph.poses())
+                trajectory = front_end.readings.trajectory(bases)
         clock.append(time.perf_counter())
         told = pose_covariances(graph.poses(), bases, edges, outcome.kept, self._config)
+        if self._places is not None:
+            self._places.check(graph, way(), outcome, self._config)
         covariances = carried_covariances(trajectory, front_end.readings.keyframe_readings(), *told)
         clock.append(time.perf_counter())
         factors = zip(edges, outcome.kept.tolist(), strict=True)
@@ -129,6 +144,7 @@ class Mapper:
                 factors=[SavedFactor(edge, kept) for edge, kept in factors],
                 loops=graph.loops,
                 georeference=self._gnss.georeference,
+                places=None if self._places is None else self._places.found,
             ),
             scans,
             {
@@ -142,6 +158,9 @@ class Mapper:
         result.stage_seconds["map"] = drawing_s - result.stage_seconds.get("fusion", 0.0)
         result.notes += [note for sensor in self._sensors.values() for note in sensor.notes()]
         result.notes += self._gnss.notes()
+        if self._places is not None:
+            result.notes += self._places.notes
+            result.warnings += self._places.warnings
         if self._gnss.unused:
             result.unused[self._gnss.sensor] = self._gnss.unused
         result.warnings += _apart(graph.pieces(outcome.kept), result.map.stamps_s - scans.stamps_s[0])

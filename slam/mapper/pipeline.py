@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 from slam.config import Config, calibrated
 from slam.datasets.dataset import Dataset
+from slam.datasets.recording import read_once
 from slam.datasets.sensor_choice import SensorChoice, SensorTally, UsedMeasurements, use_lines
 from slam.doctor.diagnosis import Registrations, diagnose, registrations_in
 from slam.doctor.finding import Finding, remedied
@@ -57,10 +58,11 @@ def build_map(
     """
     checkpoint, clock = checkpoint or Checkpoint(), [time.perf_counter()]
     registered = _Registered(dataset, config)
-    findings = checkpoint.findings(lambda: findings_of(dataset, config, registered))
-    if (mended := settled(config, findings)) != config:
-        registered = _Registered(dataset, config := mended)
-    choice = SensorChoice.of(dataset, config.sensors)
+    with read_once(dataset):
+        findings = checkpoint.findings(lambda: findings_of(dataset, config, registered))
+        if (mended := settled(config, findings)) != config:
+            registered = _Registered(dataset, config := mended)
+        choice = SensorChoice.of(dataset, config.sensors)
     registrations = checkpoint.registrations(lambda: registered(choice.cameras))
     mountings = checkpoint.mountings()
     prepare = None

@@ -13,6 +13,7 @@ from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate
 from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting
+from slam.mapper.tags import TagFinder
 from slam.measurements import BoolArray, Pose
 from slam.trajectory.readings import Readings
 from slam.vision.visual_match import VisualMatch
@@ -47,9 +48,12 @@ class FrontEnd(Protocol):
     ----------
     readings
         Of the log so far, with their poses in the odometry frame.
+    tags
+        Looks for tags in the images of its keyframes.
     """
 
     readings: Readings
+    tags: TagFinder
 
     def observe(self, measurement: Any) -> Tracked | None:
         """Take the next measurement; where the robot is then, if it tells that."""

@@ -18,6 +18,7 @@ from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.protocol import Tracked
 from slam.mapper.scan_record import CameraRecord
+from slam.mapper.tags import TagFinder
 from slam.measurements import BoolArray, Pose, spatial
 from slam.odometry import STANDARD, Odometries
 from slam.odometry.rgbd_tracker import RgbdTracker, TrackedFrame
@@ -45,6 +46,7 @@ class FreeCamera:
     ) -> None:
         self.readings = Readings()
         self._registrations = registrations
+        self.tags = TagFinder(config.sensors.tags, registrations)
         self._tracker = RgbdTracker(odometries.rgbd(config), config, checkpoint)
         self._store = KeyframeStore(config.rgbd, config.match.local_map_keyframes, checkpoint.spool())
         self._closer = VisualLoopCloser(config, FrameMatcher(config), self._store, checkpoint)
@@ -92,6 +94,7 @@ class FreeCamera:
         frame, tracked = self._newest
         self._tracker.add_keyframe(frame, tracked)
         self._closer.add_keyframe(frame, adrift=tracked.restarted)
+        self.tags.look(frame.frame, self._T_camera_base.inverse())
         self._store.add(frame, self._registrations.get(frame.frame.sensor))
         return self._closer.close(key, [spatial(pose) for pose in graph.poses()])
 

@@ -11,6 +11,7 @@ import gtsam
 from slam.config import Config
 from slam.mapper.mount_learner import KeyframeStep, LearnedMounting, MountLearner
 from slam.mapper.scan_record import CameraRecord, ScanRecorder
+from slam.mapper.tags import TagFinder
 from slam.matching.motion import Motion
 from slam.measurements import FloatArray
 from slam.odometry.camera_odometry import CameraOdometry, camera_step
@@ -85,6 +86,7 @@ class RobotCameras:
     config: Config
     mountings: Mapping[str, LearnedMounting] = field(default_factory=dict)
     cameras: dict[str, RobotCamera] = field(default_factory=dict)
+    tags: TagFinder = field(default_factory=TagFinder)
     scan_turns: Turns = field(default_factory=Turns)
     wheel_turns: Turns = field(default_factory=Turns)
     result_cache: ResultCache = COMPUTED
@@ -123,6 +125,13 @@ class RobotCameras:
         """Estimate every clock from the whole run."""
         for camera in self.cameras.values():
             camera.clocks.learn(self._turns(), final=True)
+        self.tags.clocks = {name: camera.clock for name, camera in self.cameras.items()}
+
+    def look_for_tags(self) -> None:
+        """In the newest frame of every camera of which it is known where it sits."""
+        for camera in self.cameras.values():
+            if camera.newest is not None and camera.T_base_camera is not None:
+                self.tags.look(camera.newest.frame, camera.T_base_camera)
 
     def robot_stamp_s(self, frame: PreparedFrame) -> float:
         """What the robot's clock showed when a frame was taken."""

@@ -54,18 +54,19 @@ def band_scan(
     it covers, minus the distance of the farthest: free so far, and nothing stands there.
     """
     origin = T_base_lidar.translation()
-    away = points[:, :2] - origin[:2]
-    distance = np.hypot(away[:, 0], away[:, 1])
+    x, y = points[:, 0] - origin[0], points[:, 1] - origin[1]
+    distance = np.sqrt(x * x + y * y)
+    (near,) = np.nonzero(distance < config.plan_range_m)
+    x, y, distance, over_m = x[near], y[near], distance[near], (points[:, 2] - ground_m)[near]
     # By so many sigmas heights are noisy at most, or thousands of floor points would stand in the way.
     margin_m = math.sqrt(gate()) * config.ground_share * (2.0 + distance)
-    near, over_m = distance < config.plan_range_m, points[:, 2] - ground_m
-    stops = band.holds(over_m, margin_m) & near
+    stops = band.holds(over_m, margin_m)
     step_rad = 2.0 * math.pi / config.bearings
-    bearing = np.floor((np.arctan2(away[:, 1], away[:, 0]) + math.pi) / step_rad).astype(np.int64)
+    bearing = np.floor((np.arctan2(y, x) + math.pi) / step_rad).astype(np.int64)
     bearing = np.minimum(bearing, config.bearings - 1)
     ranges = np.full(config.bearings, np.nan, dtype=np.float32)
     if clears:
-        ground = near & (np.abs(over_m) <= band.low_m + margin_m)
+        ground = np.abs(over_m) <= band.low_m + margin_m
         np.fmin.at(ranges, bearing[ground], -distance[ground].astype(np.float32))
     bearing, distance = bearing[stops], distance[stops]
     order = np.lexsort((distance, bearing))

@@ -13,10 +13,12 @@ import numpy as np
 from fusion.estimation import FEWEST
 from fusion.height_band import thin_to_voxels
 from slam.errors import ScanweaveError
+from slam.heap import give_back
 from slam.mapping.dense_map import ColoredCloud, Colors
 from slam.matching.local_cloud import moved
 from slam.matching.plane_voxels import surface_normals
-from slam.measurements import BoolArray, FloatArray
+from slam.measurements import AnyFloatArray, BoolArray, Float32Array, FloatArray
+from slam.vision.prefetch import prefetched
 
 _Span: TypeAlias = tuple[int, int]  # where rows begin in a file, and how many they are
 
@@ -51,18 +53,22 @@ class CloudTiles:
         self._voxel_m, self._file = voxel_m, file
         self._path = np.array([pose.translation() for pose in poses]).reshape(-1, 3)
         pieces: defaultdict[tuple[int, int], list[_Span]] = defaultdict(list)
-        for number, (points, pose) in enumerate(zip(clouds, poses, strict=True)):
+        for number, pose in enumerate(poses):
             if not np.isfinite(pose.matrix()).all():
                 raise ScanweaveError(f"pose {number} of {len(poses)} keyframes is not finite; see the report")
-            for tile, part in _by_tile(thin_to_voxels(moved(points, pose), voxel_m), voxel_m):
-                seen_from = np.full((len(part), 1), number)
-                pieces[tile].append(self._keep(np.hstack([part, seen_from])))
+        seen = enumerate(zip(clouds, poses, strict=True))
+        for placed, tiles in prefetched(seen, lambda one: _by_tile(one[0], moved(*one[1]), voxel_m)):
+            begin, _ = self._keep(placed)
+            for tile, count in tiles:
+                pieces[tile].append((begin, count))
+                begin += count * placed.strides[0]
         self._tiles, heights = list[_Span](), [np.zeros(0, np.float32)]
         for _, parts in sorted(pieces.items()):
             rows = self._thinned(parts)
             heights.append(rows[::FEWEST, 2].astype(np.float32))
             self._tiles.append(self._keep(rows))
         self._usual = _usual(np.concatenate(heights))
+        give_back()
 
     def points(self) -> Iterator[FloatArray]:
         """(N, 3) of one tile after the other, map frame."""
@@ -70,20 +76,22 @@ class CloudTiles:
 
     def cloud(self, chosen: Callable[[FloatArray], BoolArray] | None = None) -> Iterator[ColoredCloud]:
         """Those that are chosen of points (N, 3), or all, with normals towards the keyframe that saw them."""
-        for tile in self._tiles:
-            rows = self._rows(tile)
+
+        def colored(rows: FloatArray) -> ColoredCloud:
             rows = rows if chosen is None else rows[chosen(rows[:, :3])]
             points = rows[:, :3]
             normals = surface_normals(points, _NORMAL_VOXELS * self._voxel_m)
             away = np.einsum("ij,ij->i", normals, self._path[rows[:, 3].astype(np.int64)] - points) < 0.0
             normals[away] *= -1.0
             colors = by_height(points, self._usual)
-            yield ColoredCloud(points.astype(np.float32), colors, normals.astype(np.float32))
+            return ColoredCloud(points.astype(np.float32), colors, normals.astype(np.float32))
 
-    def _keep(self, rows: FloatArray) -> _Span:
+        return prefetched((self._rows(tile) for tile in self._tiles), colored, most_waiting=1)
+
+    def _keep(self, rows: AnyFloatArray) -> _Span:
         """Write rows (N, 4) of points and the number of their keyframe; where they are."""
         span = self._file.seek(0, os.SEEK_END), len(rows)
-        self._file.write(rows.astype(np.float32).data)
+        self._file.write(rows.astype(np.float32, copy=False).data)
         return span
 
     def _rows(self, span: _Span) -> FloatArray:
@@ -103,20 +111,26 @@ class CloudTiles:
         return thin_to_voxels(np.concatenate([kept, *waiting]), self._voxel_m)
 
 
-def _by_tile(points: FloatArray, voxel_m: float) -> Iterator[tuple[tuple[int, int], FloatArray]]:
-    """The tiles that points (N, 3) lie in, and those of each."""
+def _by_tile(
+    number: int, points: FloatArray, voxel_m: float
+) -> tuple[Float32Array, list[tuple[tuple[int, int], int]]]:
+    """Rows (M, 4) of points (N, 3) in the map, one a voxel, tile by tile; the tiles, and the rows of each."""
+    points = thin_to_voxels(points, voxel_m)
+    rows = np.empty((len(points), 4), np.float32)
     if not len(points):
-        return
-    tiles = np.floor(points[:, :2] / (_TILE_VOXELS * voxel_m)).astype(np.int64)
-    near = tiles - tiles.min(axis=0)
-    numbers = near[:, 0] * (near[:, 1].max() + 1) + near[:, 1]
+        return rows, []
+    x, y = (np.floor(points[:, axis] / (_TILE_VOXELS * voxel_m)).astype(np.int64) for axis in (0, 1))
+    columns = int(np.ptp(y)) + 1
     # Small numbers sort ten times as fast.
-    numbers = numbers.astype(np.min_scalar_type(numbers.max()))
+    numbers = (x - x.min()) * columns + (y - y.min())
+    numbers = numbers.astype(np.min_scalar_type(int(numbers.max())))
     order = np.argsort(numbers, kind="stable")
-    begins = np.flatnonzero(np.diff(numbers[order].astype(np.int64), prepend=-1))
-    for part in np.split(order, begins[1:]):
-        column, row = tiles[part[0]].tolist()
-        yield (column, row), points[part]
+    ordered = numbers[order]
+    begins = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
+    first, counts = order[begins], np.diff(begins, append=len(order))
+    places = zip(x[first].tolist(), y[first].tolist(), strict=True)
+    rows[:, :3], rows[:, 3] = points, number
+    return rows.take(order, axis=0), list(zip(places, counts.tolist(), strict=True))
 
 
 def _usual(heights: FloatArray) -> tuple[float, float]:

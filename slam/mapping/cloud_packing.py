@@ -10,11 +10,11 @@ import zlib
 from typing import Any
 
 import numpy as np
-from backports import zstd
 
 from fusion.kernel import ZERO, kernel
 from slam.errors import ScanweaveError
 from slam.measurements import FloatArray
+from slam.zstandard import zstd
 
 STEP_M = 0.001  # a thirtieth of a 3D lidar's noise; coarser only for a cloud that reaches beyond 500 km
 _MOST_BYTES = 1 << 27  # unpacked
@@ -69,7 +69,7 @@ def unpacked_cloud(content: bytes) -> FloatArray:
     return points
 
 
-@kernel
+@kernel(nogil=True)
 def _added_up(planes, step_m, points):  # type: ignore[no-untyped-def]
     """Points (N, 3) of the bytes (4, 3, N) of the ways from each to the next."""
     for axis in range(3):

@@ -17,7 +17,9 @@ from fusion.estimation import FEWEST
 from fusion.voxel_hash import AXIS, AXIS_BITS, HALF, entries_at, first_in_voxels, index_keys, table_for
 from slam.mapping.elevation import Elevation
 from slam.mapping.looked_through import count_looks, look, means_around
+from slam.matching.local_cloud import moved
 from slam.measurements import BoolArray, FloatArray
+from slam.vision.prefetch import prefetched
 
 IntArray = NDArray[np.int64]
 
@@ -84,20 +86,34 @@ def passed_by(
     newest, half_turn = np.full(len(known), -1, np.int32), round(math.pi / _PIXEL_RAD)
     along = middles[:, 0].copy()
     picture, half_m = np.empty((half_turn + 1, 2 * half_turn + 1)), 0.5 * math.sqrt(3) * voxel_m
-    for number, (points, pose) in enumerate(zip(clouds, poses, strict=True)):
+    T_lidar_base = T_base_lidar.inverse()
+    looks = prefetched(
+        zip(clouds, poses, strict=True),
+        lambda one: (one[1], moved(*one), _pixels(moved(one[0], T_lidar_base))),
+    )
+    for number, (pose, placed, seen) in enumerate(looks):
         T_map_lidar = pose.compose(T_base_lidar)
         picture[:] = np.inf
-        to_map, to_lidar = pose.matrix(), T_base_lidar.inverse().matrix()
-        look(points, to_map, to_lidar, voxel_m, table, known, number, newest, _PIXEL_RAD, picture)
+        look(placed, voxel_m, table, known, number, newest, *seen, picture)
         # Their keys are sorted along x first.
         ends = T_map_lidar.translation() + np.array([[-reach_m], [reach_m]])
         first, last = np.searchsorted(along, ends[:, 0])
-        seen = number, newest, _PIXEL_RAD, picture, counts
-        count_looks(middles[first:last], first, T_map_lidar.inverse().matrix(), reach_m, half_m, *seen)
+        around = moved(middles[first:last], T_map_lidar.inverse())
+        near = np.flatnonzero(np.einsum("ij,ij->i", around, around) < reach_m**2)
+        count_looks(near + first, half_m, number, newest, *_pixels(around[near]), picture, counts)
     hits, between, since, before = counts.T
     chances, means = np.log1p(-(hits + 1.0) / (hits + between + 2.0)) * (since + before), np.empty(len(known))
     means_around(known, table, chances, means)
     return PassedBy(known[means < -math.log(FEWEST)], voxel_m)
+
+
+def _pixels(points_lidar: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
+    """Rows, columns and ranges (N,) of points (N, 3) in the picture of a cloud."""
+    x, y, z = np.ascontiguousarray(points_lidar.T)
+    level_m = np.sqrt(x * x + y * y)
+    row = (np.arctan2(z, level_m) + 0.5 * math.pi) / _PIXEL_RAD + 0.5
+    col = (np.arctan2(y, x) + math.pi) / _PIXEL_RAD + 0.5
+    return row.astype(np.int64), col.astype(np.int64), np.sqrt(level_m * level_m + z * z)
 
 
 def _keys(points: FloatArray, voxel_m: float) -> IntArray:

@@ -7,6 +7,7 @@ a mixture.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -15,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 
+from fusion.kernel import ZERO, kernel
 from slam.mapping.band_scan import LEVEL_SHARE
 from slam.mapping.cloud_packing import STEP_M
 from slam.matching.local_cloud import moved
 from slam.measurements import AnyFloatArray, BoolArray, FloatArray
+from slam.vision.prefetch import prefetched
 
 Keys = NDArray[np.int64]
 
@@ -52,9 +55,9 @@ class Elevation:
 
     def above_m(self, points_map: FloatArray) -> FloatArray:
         """(N,) heights of points (N, 3) over the ground."""
-        at = (points_map[:, 1::-1] - self.origin_xy[::-1]) / self.cell_m - 0.5
-        ground = ndimage.map_coordinates(self.height_m, at.T, order=1, mode="nearest")
-        return np.asarray(points_map[:, 2] - ground)
+        above_m = np.empty(len(points_map))
+        _above(points_map, self.height_m, self.cell_m, self.origin_xy, above_m)
+        return above_m
 
     def seen_at(self, points_map: AnyFloatArray) -> BoolArray:
         """(N,) whether ground was seen under points (N, 3)."""
@@ -92,8 +95,9 @@ def elevation(
     None where no ground hangs together with the robot's way.
     """
     batches, waiting = list[Keys](), list[Keys]()
-    for points, pose in zip(clouds, poses, strict=True):
-        waiting.append(_lows(moved(points, pose), pose.translation(), reach_m))
+    seen = zip(clouds, poses, strict=True)
+    for lows in prefetched(seen, lambda one: _lows(moved(*one), one[1].translation(), reach_m)):
+        waiting.append(lows)
         if len(waiting) == BATCH:
             batches.append(_quantiles(np.concatenate(waiting), 0.5))
             waiting = []
@@ -114,12 +118,46 @@ def elevation(
     return Elevation(low[tuple(nearest)], ground, _CELL_M, first[::-1] * _CELL_M)
 
 
+@kernel(nogil=True)
+def _above(points, height_m, cell_m, origin_xy, above_m):  # type: ignore[no-untyped-def]
+    """Heights (N,) of points (N, 3) over the ground, between the middles of its cells by their lines."""
+    last_row = height_m.shape[0] - 1
+    last_col = height_m.shape[1] - 1
+    for i in range(points.shape[0]):
+        at_row = min(max((points[i, 1] - origin_xy[1]) / cell_m - 0.5, 0.0), last_row)
+        at_col = min(max((points[i, 0] - origin_xy[0]) / cell_m - 0.5, 0.0), last_col)
+        row = int(at_row)
+        col = int(at_col)
+        up = min(row + 1, last_row)
+        right = min(col + 1, last_col)
+        at_row -= row
+        at_col -= col
+        low = height_m[row, col] * (1.0 - at_col) + height_m[row, right] * at_col
+        high = height_m[up, col] * (1.0 - at_col) + height_m[up, right] * at_col
+        above_m[i] = points[i, 2] - (low * (1.0 - at_row) + high * at_row)
+
+
 def _lows(points_map: FloatArray, position: FloatArray, reach_m: float) -> Keys:
     """(C,) the cells that one cloud tells of, with their heights."""
-    near = points_map[np.hypot(points_map[:, 0] - position[0], points_map[:, 1] - position[1]) < reach_m]
-    row, col = (np.floor(near[:, axis] / _CELL_M).astype(np.int64) + _MIDDLE for axis in (1, 0))
-    height = np.clip(np.rint(near[:, 2] / STEP_M).astype(np.int64) + _MIDDLE, 0, 2 * _MIDDLE - 1)
-    return _quantiles(row << 2 * _BITS | col << _BITS | height, LEVEL_SHARE)
+    keys = np.empty(len(points_map), np.int64)
+    return _quantiles(keys[: _near_keys(points_map, position, reach_m, keys)], LEVEL_SHARE)
+
+
+@kernel(nogil=True)
+def _near_keys(points, position, reach_m, keys):  # type: ignore[no-untyped-def]
+    """Cells and heights of the points (N, 3) within reach, into ``keys`` (N,); how many there are."""
+    count = ZERO
+    for i in range(points.shape[0]):
+        dx = points[i, 0] - position[0]
+        dy = points[i, 1] - position[1]
+        if dx * dx + dy * dy >= reach_m * reach_m:
+            continue
+        row = math.floor(points[i, 1] / _CELL_M) + _MIDDLE
+        col = math.floor(points[i, 0] / _CELL_M) + _MIDDLE
+        height = min(max(round(points[i, 2] / STEP_M) + _MIDDLE, 0), 2 * _MIDDLE - 1)
+        keys[count] = (row << 2 * _BITS) | (col << _BITS) | height
+        count += 1
+    return count
 
 
 def _quantiles(keys: Keys, share: float) -> Keys:

@@ -4,81 +4,64 @@ from __future__ import annotations
 
 import math
 
-from fusion.kernel import ZERO, kernel
+from fusion.kernel import NONE, ZERO, kernel
 from fusion.voxel_hash import AXIS_BITS, entry_of, key_of
 
 
-@kernel(inline="always")
-def _pixel(x, y, z, pixel_rad):  # type: ignore[no-untyped-def]
-    """Row and column of a direction, and the range."""
-    level = math.hypot(x, y)
-    row = math.floor((math.atan2(z, level) + math.pi / 2) / pixel_rad + 0.5)
-    col = math.floor((math.atan2(y, x) + math.pi) / pixel_rad + 0.5)
-    return row, col, math.hypot(level, z)
-
-
-@kernel
-def look(points, T_map_base, T_lidar_base, size_m, table, keys, number, newest, pixel_rad, picture):  # type: ignore[no-untyped-def]
+@kernel(nogil=True)
+def look(points, size_m, table, keys, number, newest, rows, cols, ranges_m, picture):  # type: ignore[no-untyped-def]
     """Draw how far a cloud (N, 3) sees, and note its number for the voxels that hold its points.
 
     Parameters
     ----------
-    T_map_base, T_lidar_base
-        (4, 4).
+    points
+        In the map.
     table, keys
         Slots of the voxels, and their keys (V,).
     newest
         (V,) the newest cloud that has a point in each voxel.
+    rows, cols, ranges_m
+        (N,) where the lidar sees each point.
     picture
         (rows, cols) of ranges, infinite before.
     """
+    before = NONE
     for i in range(points.shape[0]):
-        a = points[i, 0]
-        b = points[i, 1]
-        c = points[i, 2]
-        x = T_map_base[0, 0] * a + T_map_base[0, 1] * b + T_map_base[0, 2] * c + T_map_base[0, 3]
-        y = T_map_base[1, 0] * a + T_map_base[1, 1] * b + T_map_base[1, 2] * c + T_map_base[1, 3]
-        z = T_map_base[2, 0] * a + T_map_base[2, 1] * b + T_map_base[2, 2] * c + T_map_base[2, 3]
-        k = entry_of(key_of(x, y, z, size_m), table, keys)
-        if k >= 0:
-            newest[k] = number
-        x = T_lidar_base[0, 0] * a + T_lidar_base[0, 1] * b + T_lidar_base[0, 2] * c + T_lidar_base[0, 3]
-        y = T_lidar_base[1, 0] * a + T_lidar_base[1, 1] * b + T_lidar_base[1, 2] * c + T_lidar_base[1, 3]
-        z = T_lidar_base[2, 0] * a + T_lidar_base[2, 1] * b + T_lidar_base[2, 2] * c + T_lidar_base[2, 3]
-        row, col, range_m = _pixel(x, y, z, pixel_rad)
-        picture[row, col] = min(picture[row, col], range_m)
+        key = key_of(points[i, 0], points[i, 1], points[i, 2], size_m)
+        if key != before:  # neighbours in a cloud are neighbours in space
+            before = key
+            k = entry_of(key, table, keys)
+            if k >= 0:
+                newest[k] = number
+        row = rows[i]
+        col = cols[i]
+        picture[row, col] = min(picture[row, col], ranges_m[i])
 
 
-@kernel
-def count_looks(middles, first, T_lidar_map, reach_m, half_m, number, newest, pixel_rad, picture, counts):  # type: ignore[no-untyped-def]
+@kernel(nogil=True)
+def count_looks(which, half_m, number, newest, pixels_row, pixels_col, aways_m, picture, counts):  # type: ignore[no-untyped-def]
     """Count for the voxels near a lidar what its picture says of each.
 
     Parameters
     ----------
-    middles, first
-        (M, 3) of those that may be near, and the number of the first of them.
-    T_lidar_map
-        (4, 4).
+    which
+        (M,) their numbers.
     half_m
         A point so near to a middle hits the voxel.
     number, newest, picture
         As of `look`.
+    pixels_row, pixels_col, aways_m
+        (M,) where the lidar would see their middles.
     counts
         (V, 4) hits, passes between hits, passes since the newest hit, passes before the first.
     """
     rows = picture.shape[0]
     cols = picture.shape[1]
-    for n in range(middles.shape[0]):
-        a = middles[n, 0]
-        b = middles[n, 1]
-        c = middles[n, 2]
-        x = T_lidar_map[0, 0] * a + T_lidar_map[0, 1] * b + T_lidar_map[0, 2] * c + T_lidar_map[0, 3]
-        y = T_lidar_map[1, 0] * a + T_lidar_map[1, 1] * b + T_lidar_map[1, 2] * c + T_lidar_map[1, 3]
-        z = T_lidar_map[2, 0] * a + T_lidar_map[2, 1] * b + T_lidar_map[2, 2] * c + T_lidar_map[2, 3]
-        if x * x + y * y + z * z >= reach_m * reach_m:
-            continue
-        row, col, away_m = _pixel(x, y, z, pixel_rad)
-        k = first + n
+    for n in range(which.shape[0]):
+        k = which[n]
+        row = pixels_row[n]
+        col = pixels_col[n]
+        away_m = aways_m[n]
         ends_m = picture[row, col]
         if newest[k] == number or abs(ends_m - away_m) <= half_m:
             counts[k, 0] += 1

@@ -16,7 +16,14 @@ from fusion.estimation import FEWEST
 from fusion.height_band import to_frame
 from slam.config import Config
 from slam.estimates import MotionEstimate
-from slam.matching.cloud_alignment import CloudAlignment, agreement, align_cloud, drawn_near, motion_of
+from slam.matching.cloud_alignment import (
+    CloudAlignment,
+    agreement,
+    align_cloud,
+    drawn_near,
+    levers,
+    motion_of,
+)
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray
 
@@ -122,7 +129,7 @@ class LocalCloud:
 
     def _is_near(self, found: CloudAlignment, guess: gtsam.Pose3) -> bool:
         """Whether an alignment settled where it was expected."""
-        moved_m = np.abs(gtsam.Pose3.Logmap(guess.between(found.pose))) * ([found.lever_m] * 3 + [1.0] * 3)
+        moved_m = np.abs(levers(found.arms_m) @ gtsam.Pose3.Logmap(guess.between(found.pose)))
         confident = found.converged and found.inlier_share >= self._config.match.confident_inlier_share
         return bool(confident and moved_m.max() <= self._voxel_m)
 

@@ -10,7 +10,7 @@ from slam.matching.plane_kernels import across
 _OFF = 0.125
 
 
-@kernel
+@kernel(nogil=True)
 def smooth_normals(keys, sums, size_m, begun, around, normals):  # type: ignore[no-untyped-def]
     """Normals (V, 3) across the points in each cell and in the 26 around it; else upright.
 

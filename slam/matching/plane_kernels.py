@@ -15,7 +15,7 @@ _LEAST_FLATNESS = 9.0
 _LEAST_POINTS = 6
 
 
-@kernel
+@kernel(nogil=True)
 def count_points(points, sign, sizes, known, table, keys, sums, marks, touched):  # type: ignore[no-untyped-def]
     """Count points (N, 3) into the moments of their voxels of every size, or out again.
 

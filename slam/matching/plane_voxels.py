@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.voxel_hash import entries_at, index_keys, table_for
+from fusion.voxel_hash import AXIS_BITS, entries_at, index_keys, table_for
 from slam.matching.normal_kernels import smooth_normals
 from slam.matching.plane_kernels import (
     count_points,
@@ -117,6 +117,12 @@ class PlaneVoxels:
         if len(gone) and 2 * np.count_nonzero(left) < self._count:
             kept = np.flatnonzero(left)
             self._store(len(kept), kept)
+
+    def settle(self) -> None:
+        """Keep what points are matched and drawn to, in as little room: no cloud is counted any more."""
+        largest = self._keys[: self._count] >> 3 * AXIS_BITS == 0
+        kept = np.flatnonzero(self._flat[: self._count] | largest)
+        self._store(len(kept), kept)
 
     def residuals(self, points: FloatArray, T_map_base: FloatArray) -> Residuals:
         """Of points (N, 3), base frame, from a pose (4, 4)."""

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation import TINY
-from fusion.kernel import kernel
 from slam.measurements import Float32Array, FloatArray
 
 RINGS, SECTORS = 20, 60
@@ -34,21 +33,17 @@ def scan_context(points: FloatArray, voxel_m: float) -> Float32Array:
     """
     reach_m = 4 * RINGS * voxel_m
     context = np.zeros((RINGS, SECTORS), dtype=np.float32)
-    near = np.hypot(points[:, 0], points[:, 1]) < reach_m
-    if near.any():
-        _greatest(points, reach_m, float(np.percentile(points[near, 2], _LOWEST_PERCENT)), context)
+    x, y, z = np.ascontiguousarray(points.T)
+    ring = (np.sqrt(x * x + y * y) / reach_m * RINGS).astype(np.int64)
+    (near,) = np.nonzero(ring < RINGS)
+    if near.size:
+        turn = np.arctan2(y[near], x[near]) / (2.0 * math.pi)
+        turn[turn < 0.0] += 1.0
+        sector = np.minimum((turn * SECTORS).astype(np.int64), SECTORS - 1)
+        heights_m = z[near]
+        heights_m -= np.percentile(heights_m, _LOWEST_PERCENT)
+        np.maximum.at(context.ravel(), ring[near] * SECTORS + sector, heights_m.astype(np.float32))
     return context
-
-
-@kernel
-def _greatest(points, reach_m, lowest_m, context):  # type: ignore[no-untyped-def]
-    """Write the greatest height over the lowest in each part of the surroundings."""
-    for i in range(points.shape[0]):
-        ring = int(math.hypot(points[i, 0], points[i, 1]) / reach_m * RINGS)
-        if ring < RINGS:
-            turn = math.atan2(points[i, 1], points[i, 0]) / (2.0 * math.pi) % 1.0
-            sector = min(int(turn * SECTORS), SECTORS - 1)
-            context[ring, sector] = max(context[ring, sector], points[i, 2] - lowest_m)
 
 
 def dissimilarity(one: Float32Array, other: Float32Array) -> tuple[float, float]:

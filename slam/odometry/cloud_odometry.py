@@ -11,6 +11,7 @@ import numpy as np
 
 from slam.config import Config
 from slam.estimates import MotionEstimate
+from slam.matching.cloud_alignment import levers
 from slam.matching.cloud_points import thinned
 from slam.matching.local_cloud import REACH, Aligned, LocalCloud, moved
 from slam.measurements import FloatArray
@@ -140,7 +141,7 @@ class CloudOdometry:
                 apart = gtsam.Pose3.Logmap(best.found.pose.between(rival.found.pose))
                 doubt += np.outer(apart, apart)
         if agreement < self._usual:
-            units = np.array([1.0 / max(best.found.lever_m, self._voxel_m)] * 3 + [1.0] * 3)
-            doubt += np.diag((self._voxel_m * units) ** 2)
+            turns = np.linalg.inv(levers(best.found.arms_m))
+            doubt += self._voxel_m**2 * turns @ turns
         motion = replace(best.motion, covariance=best.motion.covariance + doubt)
         return motion if agreement >= self._usual else replace(motion, converged=False)

@@ -182,7 +182,7 @@ class CloudTracker:
         if motion.converged:
             if deskewed(cloud, self._turns):
                 points = base_points(cloud, self._velocity.at(self._pose, cloud.stamp_s), self._turns)
-            self._velocity.learn(self._pose, cloud.stamp_s, seen.lever_m, motion)
+            self._velocity.learn(self._pose, cloud.stamp_s, seen.arms_m, motion)
         self._tell(measured + _UNSEEN_M**2 * np.outer(motion.weak_direction, motion.weak_direction))
         spread = None if self._imu is None else self._imu.spread()
         motion = self._open.widened(cloud.stamp_s, motion, self._velocity.twist, spread)

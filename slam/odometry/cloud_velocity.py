@@ -6,6 +6,7 @@ import gtsam
 import numpy as np
 
 from slam.estimates import MotionEstimate
+from slam.matching.cloud_alignment import levers
 from slam.measurements import FloatArray
 
 # Beyond this no velocity of before tells where the robot is now.
@@ -65,7 +66,7 @@ class CloudVelocity:
             return None
         return self._pose.compose(gtsam.Pose3.Expmap(twist * step_s))
 
-    def learn(self, pose: gtsam.Pose3, stamp_s: float, lever_m: float, motion: MotionEstimate) -> None:
+    def learn(self, pose: gtsam.Pose3, stamp_s: float, arms_m: FloatArray, motion: MotionEstimate) -> None:
         """Take a certain match.
 
         In a direction that nothing determined the twist stays as it was when something last did: its noise
@@ -73,15 +74,15 @@ class CloudVelocity:
 
         Parameters
         ----------
-        lever_m
-            Root mean square distance of the points: a turn by 1/lever moves them by a metre.
+        arms_m
+            (3, 3) of the points, see `slam.matching.cloud_alignment.arms_of`.
         """
         twist = self.to(pose, stamp_s)
         if motion.degenerate:
-            units = np.array([lever_m] * 3 + [1.0] * 3)
-            weak = units * motion.weak_direction
+            lever = levers(arms_m)
+            weak = lever @ motion.weak_direction
             weak /= np.linalg.norm(weak)
-            twist = twist - weak * (weak @ (units * (twist - self._determined))) / units
+            twist = twist - np.linalg.solve(lever, weak) * (weak @ lever @ (twist - self._determined))
         else:
             self._determined = twist
         step_s = stamp_s - self._stamp_s

@@ -100,6 +100,7 @@ class ImuSmoother:
         # After a long bridge metres stand beside readings of a millimetre.
         parameters.setLinearSolverType("MULTIFRONTAL_QR")
         self._smoother = gtsam.BatchFixedLagSmoother(_LAG_S, parameters)
+        self._marginals: gtsam.Marginals | None = None
         self._count, self._downs = 0, 0
         self._first_s = self._down_s = start.stamp_s
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
@@ -213,6 +214,7 @@ class ImuSmoother:
             [*values.keys(), _G(self._downs)], stamp_s
         )
         self._smoother.update(graph, values, stamps)
+        self._marginals = None
         found = self._smoother.calculateEstimate()
         self._state = ImuState(
             stamp_s,
@@ -226,7 +228,10 @@ class ImuSmoother:
         """Covariance of one variable."""
         graph, found = self._smoother.getFactors(), self._smoother.calculateEstimate()
         try:
-            return np.asarray(gtsam.Marginals(graph, found).marginalCovariance(key))
+            # All that is asked between two updates is asked of one factorisation.
+            if self._marginals is None:
+                self._marginals = gtsam.Marginals(graph, found)
+            return np.asarray(self._marginals.marginalCovariance(key))
         except RuntimeError:
             # Of a long bridge the normal equations have too few digits; the equations themselves do not.
             rows = graph.linearize(found).jacobian()[0]

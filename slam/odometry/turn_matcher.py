@@ -10,6 +10,7 @@ import numpy as np
 
 from slam.config.clouds import CloudOdometryConfig
 from slam.estimates import MotionEstimate
+from slam.matching.cloud_alignment import arms_of, levers
 from slam.matching.cloud_points import base_points, deskewed
 from slam.measurements import FloatArray, PointCloud
 from slam.odometry.cloud_odometry import CloudOdometry
@@ -42,9 +43,9 @@ class DeskewedCloud:
         return cls(base_points(cloud, twist, config), twist)
 
     @property
-    def lever_m(self) -> float:
-        """Root mean square distance of the points."""
-        return float(np.sqrt(np.einsum("ij,ij->", self.points, self.points) / max(len(self.points), 1)))
+    def arms_m(self) -> FloatArray:
+        """(3, 3) of the points, see `slam.matching.cloud_alignment.arms_of`."""
+        return arms_of(self.points)
 
 
 class TurnMatcher:
@@ -108,8 +109,8 @@ class TurnMatcher:
         if cloud.times_s is None or not deskewed(cloud, self._config):
             return False
         off = self._velocity.at(pose_of(motion), cloud.stamp_s) - seen.twist
-        turned_rad, moved_m = 0.5 * np.ptp(cloud.times_s) * np.linalg.norm(off.reshape(2, 3), axis=1)
-        return bool(turned_rad * seen.lever_m + moved_m > _SKEWED_VOXELS * self._voxel_m)
+        turned_m, moved_m = np.linalg.norm((levers(seen.arms_m) @ off).reshape(2, 3), axis=1)
+        return bool(0.5 * np.ptp(cloud.times_s) * (turned_m + moved_m) > _SKEWED_VOXELS * self._voxel_m)
 
 
 def pose_of(motion: MotionEstimate) -> gtsam.Pose3:

@@ -32,6 +32,7 @@ from slam.storage.kitti_poses import write_kitti
 from slam.storage.lidar_cloud_files import CLOUD_FORMATS, export_cloud, write_lidar_cloud
 from slam.storage.map_contents import MapContents
 from slam.storage.map_edits import CLOUD, FRAME, erased_bits, regions_of
+from slam.storage.map_places import write_places_yaml
 from slam.storage.mcap_results import Plan, write_results_bag
 from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers, write_passed_by
 from slam.storage.nav2_rooms import write_room_zones
@@ -157,6 +158,9 @@ class Exports:
         if self.contents.georeference is not None:
             written.append(folder / "georeference.yaml")
             write_georeference(written[-1], self.contents.georeference)
+        if self.contents.places is not None:
+            written.append(folder / "tags.yaml")
+            write_places_yaml(written[-1], self.contents.places, self.contents.node_poses)
         if self.layers is None:
             return written
         poses, edits = self.contents.keyframe_poses, self.contents.edits

@@ -65,6 +65,12 @@ class Map:
     >>> house.notes
     ['used: FLASER (2D lidar, 51), odometry (wheels, 101)']
     >>> house.check()  # it is sound, else an error tells what is wrong
+    >>> house.config.grid.resolution_m, house.edits, house.in_memory
+    (0.05, [], True)
+    >>> len(house.loops), len(house.factors) >= len(house.keyframe_poses) - 1
+    (0, True)
+    >>> type(house.layers).__name__, house.layers.resolution_m
+    ('LayeredMap', 0.05)
     """
 
     path: Path

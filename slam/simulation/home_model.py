@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import TypeAlias
 
+import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.measurements import Float32Array, FloatArray
+from slam.measurements import BoolArray, Float32Array, FloatArray
 
 Rectangle: TypeAlias = tuple[float, float, float, float]
 Color: TypeAlias = tuple[int, int, int]
@@ -144,6 +145,28 @@ class Door:
     width_m: float
 
 
+@dataclass(frozen=True, slots=True)
+class WallTag:
+    """A printed tag on a wall.
+
+    Attributes
+    ----------
+    number
+        In its family.
+    T_map_tag
+        Its middle: x to the right of who looks at it, y up, z out of the wall.
+    side_m
+        Of the black square.
+    cells
+        (n, n) white cells of the paper: a white rim, the black one, and the bits within; the upper row first.
+    """
+
+    number: int
+    T_map_tag: gtsam.Pose3
+    side_m: float
+    cells: BoolArray
+
+
 @dataclass(frozen=True)
 class Home:
     """A furnished home or office.
@@ -162,6 +185,8 @@ class Home:
         A place where a robot can stand.
     changes
         What is not where the home's seed alone would have it.
+    tags
+        On its walls.
     """
 
     vertices: Float32Array
@@ -177,6 +202,7 @@ class Home:
     doors: tuple[Door, ...]
     start_xy_yaw: tuple[float, float, float]
     changes: tuple[Rearrangement, ...] = ()
+    tags: tuple[WallTag, ...] = ()
 
 
 # Corners of a box are 0-3 below and 4-7 above, counter-clockwise; outward faces, two triangles each.

@@ -32,6 +32,7 @@ from slam.simulation.sensor_models import (
     RingLidarModel,
 )
 from slam.simulation.texture import paint
+from slam.simulation.wall_tags import paint_tags
 
 __all__ = [
     "HOKUYO_URG_04LX",
@@ -209,6 +210,7 @@ def render_rgbd(
         panes = hits.material == Material.GLASS
         through = paint(scene.home, rays[panes], behind, pixel_rad, person_xy)
         image[panes] = _GLASS_SEEN * image[panes] + (1.0 - _GLASS_SEEN) * through
+    paint_tags(image, hits.range_m, scene.home.tags, T_world_camera, camera.intrinsics)
     faulty = corrupt(surfaces, camera.faults, camera.range_min_m, camera.range_max_m, rng)
     depth, fault = _triangulate(faulty, camera, rng)
     color = _expose(image, camera.color_sigma, int(rng.integers(1 << 31)))

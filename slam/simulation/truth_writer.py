@@ -12,6 +12,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from slam.config.tags import FILE_NAME as TAGS_FILE
 from slam.measurements import FloatArray, row_from_pose2
 from slam.simulation.drive import Drive
 from slam.simulation.drive_faults import LIDAR, LIDAR_3D
@@ -20,6 +21,7 @@ from slam.simulation.home_model import Home, Thing
 from slam.simulation.ordered_pool import OrderedPool
 from slam.simulation.true_grid import true_grid
 from slam.simulation.tum_writer import transform_fields, write_yaml
+from slam.simulation.wall_tags import known_places
 
 _SensorEvent: TypeAlias = ScanEvent | CloudEvent | ImageEvent
 _Row: TypeAlias = tuple[float, float, FloatArray, dict[str, NDArray[Any]]]  # stamp, true stamp, pose, masks
@@ -59,6 +61,8 @@ class TruthWriter:
         _write_obstacles(self._folder, self._drive.home, self._bands_m)
         _write_faults(self._folder, self._drive)
         write_yaml(self._folder / "extrinsics.yaml", _extrinsics(self._drive))
+        if self._drive.home.tags:
+            write_yaml(self._folder.parent / TAGS_FILE, known_places(self._drive.home.tags).plain())
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:

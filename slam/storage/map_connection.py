@@ -99,6 +99,6 @@ def reported(path: Path, done: str) -> Iterator[None]:
         yield
     except (sqlite3.Error, OSError, UnicodeError) as error:
         reason = "another run is writing it" if "locked" in str(error) else error
-        raise MapFileError(
-            f"{path} cannot be {done}: {reason}; check the folder and its free space"
-        ) from error
+        outside = isinstance(error, sqlite3.OperationalError | OSError)
+        remedy = "check the folder and its free space" if outside else "copy it again, or map its log anew"
+        raise MapFileError(f"{path} cannot be {done}: {reason}; {remedy}") from error

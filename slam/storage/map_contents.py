@@ -30,6 +30,7 @@ from slam.storage.map_facts import georeference_of_file, ground_of_file
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
 from slam.storage.map_parts import Unpack, read_grids, read_trajectory
+from slam.storage.map_places import MapPlaces, places_of_file
 from slam.storage.map_soundness import (
     of,
     require,
@@ -95,6 +96,8 @@ class MapContents:
         What a person has decided of the map; all else is as it is with them.
     georeference
         Where it lies on the earth; None where no satellite receiver has told that.
+    places
+        Its tags, and where it lies in a surveyor's frame; None where nobody asked for them.
     """
 
     node_poses: Sequence[Pose]
@@ -113,6 +116,7 @@ class MapContents:
     ground_m: float | None = None
     edits: Sequence[AppliedEdits] = ()
     georeference: Georeference | None = None
+    places: MapPlaces | None = None
 
     __repr__ = one_line
 
@@ -265,6 +269,7 @@ def read_contents(file: MapFile) -> MapContents:
         ground_m=ground_of_file(file),
         edits=edits,
         georeference=georeference_of_file(file, poses[0]),
+        places=places_of_file(file, poses),
     )
 
 

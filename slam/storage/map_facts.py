@@ -60,14 +60,19 @@ def georeference_of_file(file: MapFile, first: Pose) -> Georeference | None:
         return None if told is None else _georeference(of(dict, from_json(told)), first)
 
 
-def _georeference(told: dict[str, Any], first: Pose) -> Georeference:
-    """By its fact."""
-    matrix = np.array(told.get("T_enu_first"), dtype=np.float64)
-    place = np.array([told.get(name) for name in _PLANE], dtype=np.float64)
-    require(matrix.shape == (3, 4) and np.isfinite(matrix).all(), "its place on the earth is no pose")
-    require(np.isfinite(place).all() and abs(place[0]) <= 90.0, "its place on the earth is none")
+def pose_of_rows(rows: Any, name: str) -> gtsam.Pose3:
+    """A pose by the (3, 4) rows of its matrix; `MapFileError` where they are none."""
+    matrix = np.array(rows, dtype=np.float64)
+    require(matrix.shape == (3, 4) and np.isfinite(matrix).all(), f"{name} is no pose")
     turn = gtsam.Rot3(matrix[:, :3])
     upright = np.abs(np.asarray(turn.matrix()) @ np.asarray(turn.matrix()).T - np.eye(3)).max()
-    require(upright < 1e-6 and np.linalg.det(matrix[:, :3]) > 0.0, "its place on the earth is no pose")
-    T_enu_first = gtsam.Pose3(turn, matrix[:, 3])
+    require(upright < 1e-6 and np.linalg.det(matrix[:, :3]) > 0.0, f"{name} is no pose")
+    return gtsam.Pose3(turn, matrix[:, 3])
+
+
+def _georeference(told: dict[str, Any], first: Pose) -> Georeference:
+    """By its fact."""
+    T_enu_first = pose_of_rows(told.get("T_enu_first"), "its place on the earth")
+    place = np.array([told.get(name) for name in _PLANE], dtype=np.float64)
+    require(np.isfinite(place).all() and abs(place[0]) <= 90.0, "its place on the earth is none")
     return Georeference(TangentPlane(*place.tolist()), T_enu_first.compose(spatial(first).inverse()))

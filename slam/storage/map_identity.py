@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -130,16 +131,18 @@ def current_versions() -> dict[str, str]:
 
 
 def fingerprint_of(log: Path) -> str:
-    """Digest of a log: the names, sizes and contents of its files, of images name and size alone.
+    """Digest of a log: names, sizes and checksums of its files, of images name and size alone.
 
-    What an earlier run has written into the folder of its log is passed over.
+    It tells logs apart, and proves nothing to who would forge one: a checksum of each block, at a fifth of
+    the cost of a cryptographic digest. What an earlier run has written into the folder of its log is passed
+    over.
 
     Raises
     ------
     DatasetError
         Where it cannot be read.
     """
-    digest = hashlib.blake2b(digest_size=16)
+    digest, block = hashlib.blake2b(digest_size=16), memoryview(bytearray(_BLOCK))
     try:
         root = log
         while not root.exists():  # a session in a database: DATABASE/SESSION
@@ -150,8 +153,8 @@ def fingerprint_of(log: Path) -> str:
             digest.update(os.fsencode(f"{name}\0{file.stat().st_size}\0"))
             if file.suffix.lower() not in _IMAGES:
                 with file.open("rb") as stream:
-                    while block := stream.read(_BLOCK):
-                        digest.update(block)
+                    while count := stream.readinto(block):
+                        digest.update(zlib.crc32(block[:count]).to_bytes(4, "little"))
     except OSError as error:
         raise DatasetError(f"cannot read {log}: {error.strerror or error}") from error
     return digest.hexdigest()

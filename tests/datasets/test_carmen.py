@@ -13,9 +13,11 @@ from carmen_lines import GOOD, flaser, odom, poses, read, robotlaser, scans, wri
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from slam.datasets import open_dataset
+from slam.datasets import open_dataset, recording
 from slam.datasets.carmen_records import _numbers
 from slam.datasets.laser_geometry import beam_layout, classify_ranges, no_return_limit_m
+from slam.datasets.recording import read_once
+from slam.errors import DatasetError
 from slam.measurements import LaserScan, WheelOdometry
 
 LIDAR2D = Path(__file__).parents[3] / "shared" / "data" / "lidar2d"
@@ -238,6 +240,31 @@ def test_a_second_pass_is_the_first_again(tmp_path: Path) -> None:
     report = repr(dataset.report)
     assert [m.stamp_s for m in dataset] == first
     assert repr(dataset.report) == report
+
+
+def test_a_log_is_decoded_once_and_the_pass_after_frees_it(tmp_path: Path) -> None:
+    path = write(tmp_path, *GOOD, "0 nonsense", *GOOD)
+    dataset = open_dataset(path)
+    fresh = [one.stamp_s for one in dataset]
+    with read_once(dataset):
+        next(iter(dataset))  # a pass that was given up is none
+        first = list(dataset)
+        path.unlink()
+        again = list(dataset)
+        assert dataset.report.dropped_count == 1 and dataset.report.share == 1.0
+    last = list(dataset)
+    assert [one.stamp_s for one in first] == fresh
+    assert all(a is b is c for a, b, c in zip(first, again, last, strict=True))
+    with pytest.raises(DatasetError, match="cannot open"):
+        list(dataset)
+
+
+def test_a_log_that_is_too_large_is_decoded_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "_MOST_KEPT_BYTES", 12)
+    dataset = open_dataset(write(tmp_path, *GOOD))
+    with read_once(dataset):
+        first, again = list(dataset), list(dataset)
+    assert not any(a is b for a, b in zip(first, again, strict=True))
 
 
 @QUIET

@@ -139,3 +139,19 @@ def test_a_wrong_mounting_is_refused(tmp_path: Path) -> None:
     (folder / "velodyne" / "calibration.yaml").write_text("T_base_lidar: {translation_m: [0, 0]}\n")
     with pytest.raises(DatasetError, match="T_base_lidar"):
         list(open_dataset(folder))
+
+
+def test_numbered_clouds_without_stamps_come_ten_a_second_and_that_is_said(tmp_path: Path) -> None:
+    bins(tmp_path, 3)
+    found, dataset = read(tmp_path)
+    assert [one.stamp_s for one in found] == [0.0, 0.1, 0.2]
+    assert any("no stamps" in note for note in dataset.report.notes)
+    with pytest.raises(DatasetError, match="no known format"):
+        bins(tmp_path / "one", 1)
+        open_dataset(tmp_path / "one")
+
+
+def test_the_folder_of_clouds_of_a_sequence_has_its_stamps_above_it(tmp_path: Path) -> None:
+    folder = kitti(tmp_path)
+    (folder / "times.txt").write_text("7.0\n7.25\n7.5\n")
+    assert [one.stamp_s for one in clouds(folder / "velodyne")] == [7.0, 7.25, 7.5]

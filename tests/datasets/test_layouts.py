@@ -31,10 +31,21 @@ from tools.pack_layouts import (
     scannet,
     stray_scanner,
 )
-from tools.pack_lidars import LIDARS, Turns
+from tools.pack_lidars import LIDARS, TILTED, Turns
+from tools.pack_scenes import SCENES
 
+FOLDERS = CAMERAS | SCENES
 LENS = CameraIntrinsics(61.5, 62.0, 31.0, 24.5, 64, 48)
-LOSSY = {"scannet", "scannet_sens", "replica", "open3d", "sun3d", "record3d", "polycam"}  # of JPEG
+LOSSY = {
+    "three_r_scan",
+    "scannet",
+    "scannet_sens",
+    "replica",
+    "open3d",
+    "sun3d",
+    "record3d",
+    "polycam",
+}  # of JPEG
 RATES = {"tartanair": 10.0, "tartanair2": 10.0}
 ROUNDED_M = {"replica": 1e-4}
 
@@ -76,12 +87,12 @@ def assert_same_shape(truth: Trajectory | None, poses: list[np.ndarray]) -> None
         assert got[0].between(got[k]).equals(wanted, 2e-5)
 
 
-@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize("name", FOLDERS)
 def test_a_camera_is_read_back(name: str, tmp_path: Path) -> None:
     if name == "record3d":
         pytest.importorskip("liblzfse", reason="pip install '.[phones]' needs a C compiler")
     given = footage()
-    found, dataset = read(CAMERAS[name](tmp_path, given), strict=True)
+    found, dataset = read(FOLDERS[name](tmp_path, given), strict=True)
     got = frames(found)
     assert len(got) == len(given.stamps_s) and not dropped(dataset)
     rate = RATES.get(name, 30.0)
@@ -95,7 +106,7 @@ def test_a_camera_is_read_back(name: str, tmp_path: Path) -> None:
     poses = given.poses
     if name == "rtabmap":  # of the robot, not of the camera
         poses = [pose @ np.linalg.inv(got[0].T_base_camera.matrix()) for pose in poses]
-    if name != "sun3d":
+    if name not in ("sun3d", "washington"):
         assert_same_shape(dataset.groundtruth(), poses)
 
 
@@ -108,11 +119,16 @@ def test_a_lidar_is_read_back(name: str, tmp_path: Path) -> None:
     assert np.diff([cloud.stamp_s for cloud in clouds]) == pytest.approx(0.1, abs=2e-6)
     for cloud, points, times_s in zip(clouds, given.points, given.times_s, strict=True):
         np.testing.assert_allclose(cloud.points_lidar, points, atol=0.003 if name == "nclt" else 1e-6)
-        if name in ("helipr", "boreas"):
+        if name in ("helipr", "boreas", "numbered"):
             np.testing.assert_allclose(cloud.times_s, times_s, atol=1e-6)
     poses = given.poses
-    if name == "mulran":
+    if name in ("mulran", "complex_urban"):
         poses = [pose @ clouds[0].T_base_lidar.inverse().matrix() for pose in poses]
+    if name == "complex_urban":
+        np.testing.assert_allclose(clouds[0].T_base_lidar.matrix(), TILTED, atol=1e-9)
+    if name == "numbered":
+        assert dataset.groundtruth() is None
+        return
     assert_same_shape(dataset.groundtruth(), poses)
 
 

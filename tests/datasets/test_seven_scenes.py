@@ -121,3 +121,19 @@ def test_the_real_kitchen() -> None:
 def _first(dataset, count: int):
     for _, measurement in zip(range(count), dataset, strict=False):
         yield measurement
+
+
+def test_an_info_file_gives_both_lenses_and_the_unit(tmp_path: Path) -> None:
+    write_scene(tmp_path)
+    one = "60 0 30 0 0 61 20 0 0 0 1 0 0 0 0 1"
+    sizes = "".join(f"m_{kind}Width = {WIDTH}\nm_{kind}Height = {HEIGHT}\n" for kind in ("color", "depth"))
+    lenses = f"m_calibrationColorIntrinsic = {one}\nm_calibrationDepthIntrinsic = {one}\n"
+    (tmp_path / "_info.txt").write_text(f"{sizes}m_depthShift = 2000\n{lenses}")
+    found, dataset = read(tmp_path)
+    assert frames(found)[0].intrinsics == CameraIntrinsics(60, 61, 30, 20, WIDTH, HEIGHT)
+    np.testing.assert_allclose(frames(found)[0].depth_m[2:], depth_image(0)[2:] / 2000.0, rtol=1e-6)
+    assert not any("assumed" in note for note in dataset.report.notes)
+    for wrong in ("m_depthShift = 0", "m_depthShift = x", ""):
+        (tmp_path / "_info.txt").write_text(f"{sizes}{wrong}\n{lenses}")
+        with pytest.raises(DatasetError, match=r"_info\.txt gives no lens"):
+            read(tmp_path)

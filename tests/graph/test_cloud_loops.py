@@ -38,7 +38,14 @@ class Drive:
     def points(self, key: int) -> FloatArray:
         return self._clouds[key]
 
-    def add(self, true: gtsam.Pose3, believed: gtsam.Pose3 | None = None, scale: float = 1.0) -> None:
+    def add(
+        self,
+        true: gtsam.Pose3,
+        believed: gtsam.Pose3 | None = None,
+        scale: float = 1.0,
+        *,
+        unseen: bool = False,
+    ) -> None:
         believed = true if believed is None else believed
         key = len(self.poses)
         cloud = base_points(look(true, seed=key), np.zeros(6), self._config.cloud_odometry)
@@ -50,7 +57,7 @@ class Drive:
             row = np.array([step.x(), step.y(), step.rotation().yaw()])
             self._uncertainty.add_edge(key - 1, key, row, self._covariance)
         self.poses.append(believed)
-        self.closer.add_keyframe(self._clouds[-1], believed, self.path_m, 0.015)
+        self.closer.add_keyframe(self._clouds[-1], believed, self.path_m, 0.015, unseen=unseen)
 
     def close(self) -> list[LoopCandidate]:
         rows = np.array([[pose.x(), pose.y(), pose.rotation().yaw()] for pose in self.poses])
@@ -159,3 +166,10 @@ def test_nothing_farther_than_the_uncertainty_allows_is_tried() -> None:
     far = base(60.0, 0.0, 0.0)
     drive.add(HOME, far)
     assert drive.close() == []
+
+
+def test_a_return_after_a_way_unseen_waits_for_others_that_agree() -> None:
+    drive = driven()
+    drive.add(HOME, unseen=True)
+    assert not any(loop.accepted for loop in drive.close())
+    assert [loop.reason for loop in drive.closer.alone()] == ["alone across ground that nothing saw"]

@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 
 from fusion.estimation import gate
-from slam.config.stages import LoopConfig, MatchConfig
 from slam.estimates import MotionEstimate
 from slam.graph.consistent_sets import ClaimSets, claimed, largest_cliques
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
-from slam.graph.submaps import SubmapStore
-from slam.matching.local_map import OrientedPoints
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, pose2_from_row
@@ -35,13 +32,12 @@ def claim_of(place: int, keyframe: int, pose: FloatArray) -> LoopCandidate:
 
 
 def sets_along(poses: FloatArray, reach_m: float = 30.0) -> ClaimSets:
-    submaps, chain = SubmapStore(LoopConfig(), MatchConfig()), UncertaintyGraph()
+    chain = UncertaintyGraph()
     for key, pose in enumerate(poses):
-        submaps.add(OrientedPoints.none(), pose, float(key))
         chain.add_node()
         if key:
             chain.add_edge(key - 1, key, between(poses[key - 1], pose), np.diag(STEP_SIGMAS**2))
-    return ClaimSets(submaps, chain, reach_m)
+    return ClaimSets(poses, np.arange(len(poses), dtype=float), chain, reach_m)
 
 
 def test_claims_of_one_shift_are_a_set_and_others_are_not() -> None:

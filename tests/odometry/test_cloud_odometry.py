@@ -286,6 +286,21 @@ def test_errors_that_planes_share_widen_the_covariance() -> None:
     assert spreads[1] > 5.0 * spreads[0]
 
 
+def test_planes_that_are_settled_match_as_before_in_less_room() -> None:
+    """A place that is kept counts no more clouds: what is flat, and what draws from afar, stays."""
+    points = points_at(gtsam.Pose3())
+    counted, settled = (PlaneVoxels.build(points, 0.2, 0.06) for _ in range(2))
+    settled.settle()
+    away = gtsam.Pose3(gtsam.Rot3.Yaw(0.02), np.array([0.05, -0.03, 0.01]))
+    first, second = (align_cloud(points, planes, away, 15, 0.2) for planes in (counted, settled))
+    assert first is not None and second is not None
+    assert len(settled) == len(counted) and first.pose.equals(second.pose, 0.0)
+    assert np.array_equal(first.spread, second.spread)
+    pulls = (planes.pulls(points, away.matrix(), 1.0) for planes in (counted, settled))
+    assert all(np.array_equal(*pair) for pair in zip(*pulls, strict=True))
+    assert settled._keys.size < 0.2 * counted._keys.size
+
+
 def test_after_a_restart_nothing_is_expected_of_what_was_seen_before() -> None:
     """Keyframes tell how much of the next one is known; a new place has to show that anew."""
     fresh, restarted = CloudOdometry(CONFIG, 0.2), CloudOdometry(CONFIG, 0.2)

@@ -11,6 +11,7 @@ from slam.odometry.cloud_velocity import CloudVelocity
 
 AHEAD = np.array([0.0, 0.0, 0.2, 1.0, 0.0, 0.0])
 ROLL = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+ARMS_M = 4.0 * np.eye(3)
 
 
 def match(pose: gtsam.Pose3, weak: np.ndarray | None = None) -> MotionEstimate:
@@ -23,7 +24,7 @@ def driven(steps: int) -> tuple[CloudVelocity, gtsam.Pose3]:
     velocity.begin(5.0)
     for n in range(1, steps + 1):
         pose = gtsam.Pose3.Expmap(0.1 * n * AHEAD)
-        velocity.learn(pose, 5.0 + 0.1 * n, 4.0, match(pose))
+        velocity.learn(pose, 5.0 + 0.1 * n, ARMS_M, match(pose))
     return velocity, pose
 
 
@@ -53,10 +54,10 @@ def test_an_open_direction_does_not_gather_speed(roll_rad: float) -> None:
     velocity, pose = driven(3)
     for n in range(4, 8):
         pose = pose.compose(gtsam.Pose3.Expmap(0.1 * AHEAD + roll_rad * ROLL))
-        velocity.learn(pose, 5.0 + 0.1 * n, 4.0, match(pose, ROLL))
+        velocity.learn(pose, 5.0 + 0.1 * n, ARMS_M, match(pose, ROLL))
         assert abs(velocity.twist[0]) < 1e-6
         np.testing.assert_allclose(velocity.twist[2:4], AHEAD[2:4], atol=0.05)
-    velocity.learn(pose.compose(gtsam.Pose3.Expmap(0.1 * AHEAD + 0.01 * ROLL)), 5.8, 4.0, match(pose))
+    velocity.learn(pose.compose(gtsam.Pose3.Expmap(0.1 * AHEAD + 0.01 * ROLL)), 5.8, ARMS_M, match(pose))
     assert abs(velocity.twist[0]) > 0.05
 
 
@@ -69,5 +70,5 @@ def test_a_twist_that_changes_evenly_is_told_as_it_is_at_the_end_of_a_step() -> 
         mean = (place_m - begun) / step_s
         assert velocity.to(pose, stamp_s)[3] == pytest.approx(mean)
         assert velocity.at(pose, stamp_s)[3] == pytest.approx(mean if stamp_s == 5.1 else 6.0 * 0.3)
-        velocity.learn(pose, stamp_s, 4.0, match(pose))
+        velocity.learn(pose, stamp_s, ARMS_M, match(pose))
     assert velocity.at(pose, 9.0) == pytest.approx(velocity.twist)

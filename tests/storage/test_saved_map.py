@@ -258,6 +258,12 @@ class TestRefused:
             open_map(forge(path, name, number, **values)).check()
         assert len(str(caught.value).splitlines()) == 1
 
+    def test_a_file_that_was_cut_is_to_be_copied_again(self, map_db: Path, tmp_path: Path) -> None:
+        path = tmp_path / "map.db"
+        path.write_bytes(map_db.read_bytes()[:20_000])
+        with pytest.raises(MapFileError, match="copy it again, or map its log anew"):
+            open_map(path)
+
     def test_settings_of_another_version(self, map_db: Path, tmp_path: Path) -> None:
         path = tmp_path / "map.db"
         path.write_bytes(map_db.read_bytes())

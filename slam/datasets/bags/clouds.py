@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import gtsam
@@ -14,14 +14,15 @@ from fusion.estimation import CONFIDENCE
 from slam.datasets.bags.decoding import stamp_of
 from slam.datasets.budget import LARGEST_BYTES
 from slam.datasets.dataset import RecordFault
-from slam.datasets.point_times import PointTimes
-from slam.measurements import PointCloud
+from slam.datasets.point_times import LONGEST_TURN_S, PointTimes
+from slam.measurements import Float32Array, Measurement, PointCloud
 
 BAD_LAYOUT = "point cloud with a layout that cannot be"
 NO_POINTS = "point cloud without a valid point"
 
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
 _DIRECTIONS = 36  # of ten degrees each
+_PIECE = 0.5  # of a turn: a lidar that sees less and looks elsewhere each time sends pieces
 _HALF_VIEW_RAD = math.radians(65.0)  # of the widest depth cameras (Azure Kinect, 120 degrees), with slack
 
 
@@ -64,6 +65,53 @@ class CloudReader:
         return PointCloud(stamp_s, kept, times_s, self.T_base_lidar, self.topic)
 
 
+@dataclass(slots=True)
+class TurnReader:
+    """Clouds of one topic whose messages are pieces of a turn, such as packets: pieces put together.
+
+    Attributes
+    ----------
+    reader
+        Of the pieces.
+    """
+
+    reader: CloudReader
+    _pieces: list[PointCloud] = field(default_factory=list)
+    _ahead_rad: float = 0.0
+    _turned_rad: float = 0.0
+
+    def read(self, message: Any) -> list[Measurement]:
+        """The turn that a piece completes, stamped as its first; else nothing. See `CloudReader.read`."""
+        piece = self.reader.read(message)
+        ahead_rad = direction_rad(piece.points_lidar)
+        if self._pieces and not 0.0 <= piece.stamp_s - self._pieces[0].stamp_s < LONGEST_TURN_S:
+            self._pieces = []
+        if self._pieces:
+            self._turned_rad += math.remainder(ahead_rad - self._ahead_rad, 2.0 * math.pi)
+        else:
+            self._turned_rad = 0.0
+        self._pieces.append(piece)
+        self._ahead_rad = ahead_rad
+        steps = len(self._pieces) - 1
+        # Each piece is as wide as a step; half of one is slack.
+        if not steps or abs(self._turned_rad) * (steps + 1.5) < 2.0 * math.pi * steps:
+            return []
+        pieces, self._pieces = self._pieces, []
+        first_s = pieces[0].stamp_s
+        times_s = [
+            one.stamp_s - first_s + (np.zeros(len(one.points_lidar)) if one.times_s is None else one.times_s)
+            for one in pieces
+        ]
+        points = np.concatenate([one.points_lidar for one in pieces])
+        return [replace(pieces[0], points_lidar=points, times_s=np.concatenate(times_s))]
+
+
+def direction_rad(points: Float32Array) -> float:
+    """The bearing about z in which (N, 3) points lie, in the mean."""
+    bearings = np.arctan2(points[:, 1], points[:, 0])
+    return math.atan2(float(np.sin(bearings).mean()), float(np.cos(bearings).mean()))
+
+
 @dataclass(frozen=True, slots=True)
 class CloudView:
     """What a cloud looks like.
@@ -80,6 +128,8 @@ class CloudView:
         Share of all directions about z in which there is a point.
     timed
         Whether its points tell their times.
+    ahead_rad
+        The bearing in which they lie.
     """
 
     stamp_s: float
@@ -88,6 +138,12 @@ class CloudView:
     points: int = 0
     around: float = 0.0
     timed: bool = False
+    ahead_rad: float = 0.0
+
+    def turns_to(self, next_one: CloudView) -> bool:
+        """Whether each sees a part of a turn, the next one another than this."""
+        turned_rad = abs(math.remainder(next_one.ahead_rad - self.ahead_rad, 2.0 * math.pi))
+        return max(self.around, next_one.around) < _PIECE and turned_rad > math.pi * self.around
 
 
 def cloud_view(message: Any) -> CloudView:
@@ -105,9 +161,9 @@ def cloud_view(message: Any) -> CloudView:
     bearings = np.arctan2(cloud.points_lidar[:, 1], cloud.points_lidar[:, 0]) / (2.0 * math.pi)
     around = np.unique(np.floor(bearings * _DIRECTIONS)).size / _DIRECTIONS
     timed = cloud.times_s is not None
-    return CloudView(
-        cloud.stamp_s, int(message.height), "".join(along[:1]), len(cloud.points_lidar), around, timed
-    )
+    ahead_rad = direction_rad(cloud.points_lidar)
+    count = len(cloud.points_lidar)
+    return CloudView(cloud.stamp_s, int(message.height), "".join(along[:1]), count, around, timed, ahead_rad)
 
 
 def _rows(message: Any) -> NDArray[Any]:

@@ -59,7 +59,7 @@ def _unpacked(packed: bytes, compression: str, most: int) -> bytes:
     decompressor = _decompressor(compression)
     failures: tuple[type[Exception], ...] = (RuntimeError, ValueError, OSError, EOFError)
     if compression == "zstd":
-        from backports import zstd
+        from slam.zstandard import zstd
 
         failures += (zstd.ZstdError,)
     try:
@@ -71,7 +71,7 @@ def _unpacked(packed: bytes, compression: str, most: int) -> bytes:
 def _decompressor(compression: str) -> Any:
     """What unpacks a stream of a method."""
     if compression == "zstd":
-        from backports import zstd
+        from slam.zstandard import zstd
 
         return zstd.ZstdDecompressor()
     if compression == "lz4":

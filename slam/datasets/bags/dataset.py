@@ -17,6 +17,7 @@ from slam.datasets.bags.figures import BagFigures
 from slam.datasets.bags.files import Bag, find_bag
 from slam.datasets.bags.imu import JoinedImu
 from slam.datasets.bags.layout import Layout, frames_of, layout_of
+from slam.datasets.bags.mending import mended
 from slam.datasets.bags.pairing import ImagePair, PairStream, StampedImage
 from slam.datasets.bags.records import BagRecord
 from slam.datasets.bags.survey import Survey, restamp, survey_bag
@@ -127,7 +128,7 @@ class BagDataset:
         for note in (note for imu in layout.imus for note in imu.told()):
             report.note(note, 1)
         if report.measurement_count == 0 and self.read_images:
-            raise DatasetError(_nothing_usable(self.path, report, survey))
+            raise DatasetError(_nothing_usable(self.path, report, survey, layout))
 
     def groundtruth(self) -> Trajectory | None:
         """The poses of a topic that is named as the truth, or that the user named; else None.
@@ -271,10 +272,12 @@ class _Reader:
         return [*readings]
 
 
-def _nothing_usable(path: Path, report: ReadReport, survey: Survey) -> str:
+def _nothing_usable(path: Path, report: ReadReport, survey: Survey, layout: Layout) -> str:
     """The message for a bag without a single measurement."""
     reasons = "; ".join(f"{tally.count} x {reason}" for reason, tally in report.dropped.items())
-    topics = ", ".join(f"{topic} ({channel.kind})" for topic, channel in list(survey.channels.items())[:8])
+    shown = list(survey.channels.items())[:8]
+    why = {topic: f"; {reason}" for topic, reason in layout.left_out.items()}
+    topics = ", ".join(f"{topic} ({one.kind}{why.get(topic, mended(one.kind))})" for topic, one in shown)
     if any(channel.kind in IMAGES for channel in survey.channels.values()) and not any(
         survey.depths.values()
     ):

@@ -11,10 +11,12 @@ import gtsam
 import numpy as np
 
 from slam.datasets.bags.camera_clouds import camera_clouds
+from slam.datasets.bags.laser import LaserMount
 from slam.datasets.bags.survey import Survey
 from slam.datasets.bags.topics import CLOUDS, ODOMETRY, SCANS, Evidence
 from slam.datasets.bags.transforms import BASE_FRAMES
 from slam.datasets.bags.truth import IS_TRUTH, is_truth
+from slam.datasets.dataset import RecordFault
 
 ODOM_FRAMES = ("odom", "odom_combined")
 _FUSED = re.compile(r"filter|ekf|ukf|fus(ed|ion)|estimat|combined|local|global|correct|optimi", re.IGNORECASE)
@@ -58,6 +60,8 @@ def never_read(survey: Survey) -> dict[str, str]:
             found[topic] = estimate
         elif kind in SCANS and (cloud := _made_of(survey, topic)):
             found[topic] = f"it is made of {cloud}, which has its frame and stamps and tells more"
+        elif kind in SCANS and (unfit := _not_in_plane(survey, frame)):
+            found[topic] = unfit
         elif kind in CLOUDS and _last(frame) in _WORLDS:
             found[topic] = f"it stands in {frame}, moved by somebody's estimate already"
     made = camera_clouds(survey)
@@ -71,6 +75,19 @@ def never_read(survey: Survey) -> dict[str, str]:
             if topic not in found
         }
     return found
+
+
+def _not_in_plane(survey: Survey, frame: str) -> str:
+    """Why a scanner does not look along the robot's plane, by tf; empty where it may."""
+    base = survey.base_frame()
+    mount = survey.tree.between(base, frame) if base else None
+    try:
+        if mount is not None:
+            LaserMount.of(mount)
+    except RecordFault as fault:
+        return str(fault)
+    tilts = base is not None and survey.tree.tilts_between(base, frame)
+    return f"{frame} tilts on the robot" if tilts else ""
 
 
 def _no_wheels(survey: Survey, topic: str) -> str:

@@ -155,7 +155,11 @@ def _listed(index: Path) -> list[Path]:
         content = from_yaml(index.read_text(encoding="utf-8"))
         names = content[_INDEX_TITLE]["relative_file_paths"]
         # Older recorders write the folder's name before the file's.
-        return [index.parent / Path(str(name)).name for name in names]
+        parts = [index.parent / Path(str(name)).name for name in names]
+        return [
+            own if (own := part.with_suffix("")).suffix in _SUFFIXES and own.is_file() else part
+            for part in parts
+        ]
     except (OSError, ValueError, KeyError, TypeError):
         return []
 

@@ -12,9 +12,8 @@ import numpy as np
 
 from slam.datasets.bags.by_files import FileFacts
 from slam.datasets.bags.camera import BagCamera
-from slam.datasets.bags.clouds import CloudReader
-from slam.datasets.bags.decoding import frame_name, stamp_of
-from slam.datasets.bags.evidence import ODOM_FRAMES, evidence_of, never_read
+from slam.datasets.bags.clouds import CloudReader, TurnReader
+from slam.datasets.bags.evidence import evidence_of, never_read
 from slam.datasets.bags.files import Bag
 from slam.datasets.bags.gnss import gnss_reader
 from slam.datasets.bags.imu import NO_FORCES, ImuReader, JoinedImu, paired_halves
@@ -32,8 +31,8 @@ from slam.datasets.bags.topics import (
     is_rectified,
     is_registered,
 )
-from slam.datasets.bags.transforms import pose_of
 from slam.datasets.bags.truth import IS_TRUTH, TRUTHS, is_truth
+from slam.datasets.bags.wheels import wheel_reader, wheels_from_tf
 from slam.datasets.calibration_files import KnownCalibration
 from slam.datasets.dataset import WARNING, RecordFault
 from slam.datasets.frame_pairs import tolerance_of
@@ -128,9 +127,9 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...], known: KnownCal
     DatasetError
         A topic that the bag does not have, or several of a sort and none named.
     """
-    choice = _choice(bag, survey, wanted)
     files = FileFacts(known)
     files.place(survey)
+    choice = _choice(bag, survey, wanted)
     layout = Layout(survey.base_frame(choice.odometry), files)
     layout.left_out = choice.left_out
     for topic, channel in survey.channels.items():
@@ -144,7 +143,7 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...], known: KnownCal
     for topic in choice.clouds:
         layout.readers[topic] = _cloud_reader(survey, layout, topic, only=len(choice.clouds) == 1)
     for topic in choice.odometry:
-        layout.readers[topic] = _wheel_reader(survey, layout, topic)
+        layout.readers[topic] = wheel_reader(survey, layout.base or "", topic, layout.notes)
     _read_imus(survey, layout, choice.imus)
     layout.readers |= {topic: gnss_reader(topic, _mount(survey, layout, topic)) for topic in choice.receivers}
     for place, camera in enumerate(choice.cameras):
@@ -155,7 +154,7 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...], known: KnownCal
         layout.left_out[topic] = f"no {'colour' if survey.depths.get(topic) else 'depth'} beside it"
         layout.notes.append(f"{topic} is not read: {layout.left_out[topic]}")
     if not choice.odometry and layout.base:
-        _read_wheels_from_tf(survey, layout, layout.base)
+        layout.wheels_from = wheels_from_tf(survey, layout.base, layout.notes)
     _read_clocks(survey, layout)
     layout.notes += [*files.notes, *files.unused()]
     return layout
@@ -224,7 +223,9 @@ def _mount_by_tf(survey: Survey, layout: Layout, topic: str) -> gtsam.Pose3 | No
     """``T_base_sensor`` by tf, with a note where it cannot be reported."""
     frame = survey.frames.get(topic, "")
     if not layout.base:
-        layout.notes.append(f"{topic}: no tf in the bag; its mounting is not known")
+        layout.notes.append(
+            f"{topic}: no tf in the bag; its mounting is not known, unless --calibration tells"
+        )
         return None
     pose = survey.tree.between(layout.base, frame) if frame != layout.base else gtsam.Pose3()
     if pose is None:
@@ -234,17 +235,20 @@ def _mount_by_tf(survey: Survey, layout: Layout, topic: str) -> gtsam.Pose3 | No
     return pose
 
 
-def _warn_of_middle(layout: Layout, topic: str, mount: gtsam.Pose3 | None) -> None:
-    """Warn where a lidar of a robot with tf has no place on it."""
+def _mount_of_lidar(
+    survey: Survey, layout: Layout, topic: str, kind: str = "", *, only: bool = False
+) -> gtsam.Pose3 | None:
+    """As `_mount`, with a warning where a robot with tf does not tell it."""
+    mount = _mount(survey, layout, topic, kind, only=only)
     if mount is None and layout.base:
         text = f"{topic}: tf does not tell where it sits; taken to sit at {layout.base}"
         layout.notes.append(f"{WARNING}{text}, unless --calibration tells (a URDF, a yaml of tf)")
+    return mount
 
 
 def _scan_reader(survey: Survey, layout: Layout, topic: str) -> Callable[[Any], Measurement]:
     """What reads scans of a topic."""
-    pose = _mount(survey, layout, topic)
-    _warn_of_middle(layout, topic, pose)
+    pose = _mount_of_lidar(survey, layout, topic)
     mount = LaserMount(gtsam.Pose2())
     if pose is not None:
         try:
@@ -256,12 +260,15 @@ def _scan_reader(survey: Survey, layout: Layout, topic: str) -> Callable[[Any], 
     return lambda message: scan_from(message, mount, topic)
 
 
-def _cloud_reader(survey: Survey, layout: Layout, topic: str, *, only: bool) -> Callable[[Any], Measurement]:
+def _cloud_reader(
+    survey: Survey, layout: Layout, topic: str, *, only: bool
+) -> Callable[[Any], Measurement | list[Measurement]]:
     """What reads clouds of a topic."""
-    mount = _mount(survey, layout, topic, "lidar", only=only)
-    _warn_of_middle(layout, topic, mount)
-    reader = CloudReader(topic, mount or gtsam.Pose3())
+    reader = CloudReader(topic, _mount_of_lidar(survey, layout, topic, "lidar", only=only) or gtsam.Pose3())
     layout.clouds.append(reader)
+    if survey.in_pieces.get(topic):
+        layout.notes.append(f"{topic}: its messages are pieces of a turn; put together")
+        return TurnReader(reader).read
     return reader.read
 
 
@@ -355,45 +362,3 @@ def _lens(survey: Survey, layout: Layout, topic: str) -> Lens | None:
     elif lens.distortion.size:
         layout.notes.append(f"{topic}: distortion taken out of the images")
     return lens
-
-
-def _wheel_reader(survey: Survey, layout: Layout, topic: str) -> Callable[[Any], Measurement]:
-    """What reads Odometry messages of a topic, as the way of the robot's frame in the plane."""
-    child, base = survey.odometry.get(topic, ("", ""))[1], layout.base or ""
-    between = survey.tree.between(child, base) if child != base and base else gtsam.Pose3()
-    if between is None:
-        layout.notes.append(
-            f"{topic}: tf does not connect {child or 'its frame'} with {base}; taken as the same"
-        )
-    T_child_base = between or gtsam.Pose3()
-
-    def read(message: Any) -> Measurement:
-        pose = pose_of(message.pose.pose.position, message.pose.pose.orientation)
-        return WheelOdometry(stamp_of(message.header), _planar(pose.compose(T_child_base)), topic)
-
-    return read
-
-
-def _read_wheels_from_tf(survey: Survey, layout: Layout, base: str) -> None:
-    """Take the wheels from tf, where it has an odom frame."""
-    child, parent = base, survey.tree.parent_of(base)
-    while parent is not None and parent.rpartition("/")[2] not in ODOM_FRAMES:
-        child, parent = parent, survey.tree.parent_of(parent)
-    if parent is None:
-        return
-    T_child_base = survey.tree.between(child, base) or gtsam.Pose3()
-    layout.notes.append(f"no odometry topic: wheels from tf, {parent} to {child}")
-
-    def read(message: Any) -> Iterator[WheelOdometry]:
-        for item in message.transforms:
-            if frame_name(item.header.frame_id) == parent and frame_name(item.child_frame_id) == child:
-                pose = pose_of(item.transform.translation, item.transform.rotation).compose(T_child_base)
-                yield WheelOdometry(stamp_of(item.header), _planar(pose), "tf")
-
-    layout.wheels_from = read
-
-
-def _planar(pose: gtsam.Pose3) -> gtsam.Pose2:
-    """x, y and the heading of the x axis."""
-    axes = pose.rotation().matrix()
-    return gtsam.Pose2(pose.x(), pose.y(), math.atan2(axes[1, 0], axes[0, 0]))

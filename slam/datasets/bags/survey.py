@@ -59,8 +59,8 @@ class Survey:
         First stamps of each image topic.
     late_s
         Of each sensor's topic the record time less the stamp of its first message; None where that has none.
-    clouds
-        What the first sound cloud of each topic looks like.
+    clouds, in_pieces
+        What the first sound cloud of each topic looks like; and whether the next looks elsewhere.
     scans
         Of each topic of scans the angle that it sees, and its range.
     scan_stamps_s
@@ -84,6 +84,7 @@ class Survey:
     stamps_s: dict[str, list[float]] = field(default_factory=dict)
     late_s: dict[str, float | None] = field(default_factory=dict)
     clouds: dict[str, CloudView] = field(default_factory=dict)
+    in_pieces: dict[str, bool] = field(default_factory=dict)
     scans: dict[str, tuple[float, float]] = field(default_factory=dict)
     scan_stamps_s: dict[str, set[float]] = field(default_factory=dict)
     imus: dict[str, tuple[bool, bool]] = field(default_factory=dict)
@@ -206,7 +207,7 @@ def _look(survey: Survey, record: BagRecord, decoder: Decoder) -> None:
     if kind in SENSORS:
         survey.seen.add(topic)
     wanted = kind in SENSORS | TRANSFORMS or kind == CAMERA_INFO or survey.facts.tells(topic, kind)
-    known: Container[str] = survey.clouds if kind in CLOUDS else survey.frames
+    known: Container[str] = survey.in_pieces if kind in CLOUDS else survey.frames
     seen = (topic in known and kind not in IMAGES | SCANS) or topic in survey.lenses
     if not wanted or seen or survey.robots.of_another(topic):
         return
@@ -234,7 +235,10 @@ def _look_at_reading(survey: Survey, record: BagRecord, message: Any) -> None:
     if survey.late_s[topic] is None:
         restamp(message, record.recorded_s)
     if kind in CLOUDS:
-        survey.clouds[topic] = cloud_view(message)
+        looks = cloud_view(message)
+        if topic in survey.clouds:
+            survey.in_pieces[topic] = survey.clouds[topic].turns_to(looks)
+        survey.clouds.setdefault(topic, looks)
     elif kind in SCANS:
         survey.scan_stamps_s.setdefault(topic, set()).add(stamp_of(message.header))
         span_rad = float(abs(message.angle_max - message.angle_min))

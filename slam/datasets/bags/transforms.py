@@ -28,6 +28,7 @@ class FrameTree:
         self._parents: dict[str, tuple[str, gtsam.Pose3]] = {}
         self._told: dict[tuple[str, str], gtsam.Pose3] = {}
         self.moving: set[str] = set()
+        self.tilting: set[str] = set()
 
     def __contains__(self, frame: str) -> bool:
         return any(frame in (parent, child) for parent, child, _ in self._steps())
@@ -76,8 +77,10 @@ class FrameTree:
         if known is None:
             if len(self._parents) < _MOST_FRAMES:
                 self._parents[child] = parent, pose
-        elif known[0] == parent and child not in self.moving and _differs(known[1], pose):
+        elif known[0] == parent and child not in self.tilting and _differs(known[1], pose):
             self.moving.add(child)
+            if _tilted(known[1], pose):
+                self.tilting.add(child)
 
     def between(self, base: str, sensor: str) -> gtsam.Pose3 | None:
         """``T_base_sensor``, None where no chain of transforms connects the two."""
@@ -97,7 +100,11 @@ class FrameTree:
 
     def moves_between(self, base: str, sensor: str) -> bool:
         """Whether a joint on the way from the base to a sensor has been seen to move."""
-        return bool(self.moving & set(self._chain(base)) ^ self.moving & set(self._chain(sensor)))
+        return bool(self.moving & (set(self._chain(base)) ^ set(self._chain(sensor))))
+
+    def tilts_between(self, base: str, sensor: str) -> bool:
+        """Whether such a joint has been seen to turn its z axis."""
+        return bool(self.tilting & (set(self._chain(base)) ^ set(self._chain(sensor))))
 
     def sits_on(self, frame: str, other: str) -> bool:
         """Whether a frame sits on another, by whatever is between."""
@@ -150,6 +157,11 @@ def pose_of(position: Any, rotation: Any) -> gtsam.Pose3:
         Not finite, or no unit quaternion.
     """
     return pose_from([position.x, position.y, position.z], [rotation.x, rotation.y, rotation.z, rotation.w])
+
+
+def _tilted(first: gtsam.Pose3, second: gtsam.Pose3) -> bool:
+    """Whether the z axes of two poses differ by more than rounding."""
+    return float(first.rotation().matrix()[:, 2] @ second.rotation().matrix()[:, 2]) < math.cos(_STILL_RAD)
 
 
 def _differs(first: gtsam.Pose3, second: gtsam.Pose3) -> bool:

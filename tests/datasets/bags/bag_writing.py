@@ -29,6 +29,7 @@ for _store in (ROS1, ROS2):
         "livox_ros_driver2/msg/CustomMsg": "std_msgs/Header header\nuint64 timebase\nuint32 point_num\n"
         "uint8 lidar_id\nuint8[3] rsvd\nlivox_ros_driver2/CustomPoint[] points",
         "realsense2_camera_msgs/msg/Extrinsics": "float64[9] rotation\nfloat64[3] translation",
+        "ouster_sensor_msgs/msg/PacketMsg": "uint8[] buf",
         "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data",
         "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
     }.items():

@@ -27,6 +27,7 @@ from typer.testing import CliRunner
 from slam.datasets import open_dataset
 from slam.datasets.bags.topics import choose
 from slam.datasets.inspection import inspect_dataset
+from slam.errors import DatasetError
 from slam.measurements import LaserScan, WheelOdometry
 
 COLOR = np.random.default_rng(3).integers(0, 256, (48, 64, 3), dtype=np.uint8)
@@ -77,6 +78,69 @@ def test_two_scanners_whose_places_tf_tells_are_both_read(tmp_path: Path) -> Non
     ]
     found, _ = read(tmp_path, sent)
     assert {one.sensor for one in found} == {"/scan_front", "/scan_rear"}
+
+
+@pytest.mark.parametrize("upright", [False, True])
+def test_a_scanner_that_tilts_or_stands_on_edge_gives_way_to_one_that_lies(
+    tmp_path: Path, upright: bool
+) -> None:
+    """As a PR2's, and as the second one of Cartographer's backpack."""
+    sent = [transforms({"laser": gtsam.Pose3()}), scan("/base_scan", START_S)]
+    for k in range(4):
+        pose = gtsam.Pose3(gtsam.Rot3.Roll(1.5) if upright else gtsam.Rot3.Pitch(0.1 * k), np.zeros(3))
+        sent += [transforms({"tilt": pose}, topic="/tf", stamp_s=START_S + 0.1 * k)]
+        sent += [scan("/tilt_scan", START_S + 0.1 * k, "tilt")]
+    found, dataset = read(tmp_path, sent)
+    assert {one.sensor for one in found} == {"/base_scan"}
+    (why,) = (text for name, text in dataset.report.reasons.items() if name.startswith("/tilt_scan"))
+    assert ("stands on edge" if upright else "tilts on the robot") in why
+
+
+def test_a_lidar_that_pans_lies_in_its_plane(tmp_path: Path) -> None:
+    sent = [scan("/scan", START_S + 0.1 * k, "head") for k in range(4)]
+    for k in range(4):
+        turned = gtsam.Pose3(gtsam.Rot3.Yaw(0.1 * k), np.zeros(3))
+        sent.append(transforms({"head": turned}, topic="/tf", stamp_s=START_S + 0.1 * k))
+    assert len(read(tmp_path, sent)[0]) == 4
+
+
+def piece(number: int) -> Sent:
+    """A quarter of a turn."""
+    around = 0.5 * np.pi * (number + np.linspace(0.0, 0.99, 50))
+    columns = {name: np.zeros(50, "<f4") for name in "xyz"}
+    columns["x"][:], columns["y"][:] = 5.0 * np.cos(around), -5.0 * np.sin(around)
+    return cloud(columns, START_S + 0.025 * number)
+
+
+def test_pieces_of_turns_are_put_together(tmp_path: Path) -> None:
+    found, dataset = read(tmp_path, [piece(number) for number in range(11)])
+    assert [one.stamp_s - START_S for one in found] == pytest.approx([0.0, 0.1], abs=1e-6)
+    for one in found:
+        assert len(one.points_lidar) == 200
+        np.testing.assert_allclose(np.unique(one.times_s), [0.0, 0.025, 0.05, 0.075], atol=1e-6)
+    assert any("pieces of a turn" in note for note in dataset.report.notes)
+
+
+def test_a_lidar_that_looks_one_way_sends_no_pieces(tmp_path: Path) -> None:
+    found, _ = read(tmp_path, [lidar(START_S + 0.1 * k, near=True) for k in range(3)])
+    assert [len(one.points_lidar) for one in found] == [200] * 3
+
+
+def test_what_a_camera_saw_of_the_way_is_no_wheels_in_tf_either(tmp_path: Path) -> None:
+    """As of a ZED: its odometry moves its own frame in odom, and tf says the same."""
+    sent = [scan("/scan", START_S + 0.1)]
+    for k in range(3):
+        moved = gtsam.Pose3(gtsam.Rot3(), np.array([0.1 * k, 0.0, 0.0]))
+        sent.append(transforms({"base_link": moved}, "odom", "/tf", START_S + 0.1 * k))
+    assert any(isinstance(one, WheelOdometry) for one in read(tmp_path, sent)[0])
+    sent.append(odom("/zed/odom", "base_link", 0.0))
+    assert not any(isinstance(one, WheelOdometry) for one in read(tmp_path, sent)[0])
+
+
+def test_packets_that_are_not_read_name_what_makes_clouds_of_them(tmp_path: Path) -> None:
+    sent = [Sent("/ouster/lidar_packets", "ouster_sensor_msgs/msg/PacketMsg", START_S, {"buf": [1, 2]})]
+    with pytest.raises(DatasetError, match=r"PacketMsg; record it again through 'ros2 launch ouster_ros"):
+        read(tmp_path, sent)
 
 
 def odom(topic: str, child: str, x: float, parent: str = "odom") -> Sent:

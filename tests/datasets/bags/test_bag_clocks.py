@@ -91,3 +91,12 @@ def test_a_bag_that_is_packed_as_a_whole_has_its_command(tmp_path: Path) -> None
     packed.write_bytes(b"\x28\xb5\x2f\xfd" + bytes(100))
     with pytest.raises(DatasetError, match="zstd -d"):
         list(open_dataset(packed))
+
+
+def test_a_bag_that_was_unpacked_is_read_though_its_index_names_the_packed_file(tmp_path: Path) -> None:
+    folder = write_bag(tmp_path / "log", "db3", [scan()])
+    index = folder / "metadata.yaml"
+    (file,) = folder.glob("*.db3")
+    index.write_text(index.read_text().replace(file.name, f"{file.name}.zstd"))
+    (folder / f"{file.name}.zstd").write_bytes(b"\x28\xb5\x2f\xfd" + bytes(100))
+    assert len(list(open_dataset(folder))) == 1

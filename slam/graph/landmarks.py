@@ -1,0 +1,232 @@
+"""Things that are known again wherever they are seen, as edges of the pose graph between those who saw them.
+
+A landmark joins the graph as one more node, each sighting as an edge to it that may be refused. All are
+solved together; then what was found is told from the node that saw it best, so that these edges are as
+others: they may be refused, are saved, and hold when the map is edited or joined.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation import SETTLED, gate
+from slam.graph.anchors import NOWHERE_M
+from slam.graph.edge import Edge, EdgeKind
+from slam.graph.factors import solved
+from slam.graph.held_graph import held_graph
+from slam.graph.influence import LinearMap
+from slam.graph.pose_graph import PoseGraph
+from slam.measurements import BoolArray, FloatArray, Pose, motion_between
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """A landmark, seen from a node.
+
+    Attributes
+    ----------
+    node
+        Its number.
+    T_node_landmark
+        Pose2 or Pose3, as the nodes are.
+    covariance
+        (d, d) in GTSAM's tangent of the landmark.
+    """
+
+    node: int
+    T_node_landmark: Pose
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Landmark:
+    """What all sightings of a landmark tell together.
+
+    Attributes
+    ----------
+    node
+        The node that saw it best of those that hold.
+    T_node_landmark
+        Where it is, seen from there.
+    covariance
+        (d, d) of that, in GTSAM's tangent of the landmark.
+    holds
+        Which of its sightings fit each other and the way.
+    elsewhere
+        How many were of visits that saw it where it is not.
+    edges
+        From the node to the others that saw it.
+    """
+
+    node: int
+    T_node_landmark: Pose
+    covariance: FloatArray
+    holds: BoolArray
+    elsewhere: int
+    edges: list[Edge]
+
+
+def landmarks_of(
+    poses: Sequence[Pose], edges: Sequence[Edge], seen: Sequence[Sequence[Sighting]]
+) -> list[Landmark | None]:
+    """Solve a graph with its landmarks.
+
+    What one node after the other sees of a landmark is a visit, and one witness: whoever moves a tag between
+    two visits makes all of the second wrong at once. That a landmark was in one place at its visits is
+    believed as long as it fits all others and the way: of what does not, the visit that all would fit best
+    without is left out, one after the other (Baarda 1968).
+
+    Parameters
+    ----------
+    poses
+        (n,) of the nodes.
+    edges
+        That hold.
+    seen
+        The sightings of each landmark, in the order of their nodes, at least one.
+
+    Returns
+    -------
+    Of each landmark what was found; None where nothing holds.
+    """
+    visits = [visit for sightings in seen for visit in _visits(sightings)]
+    of = np.repeat(np.arange(len(seen)), [len(_visits(sightings)) for sightings in seen])
+    nodes, told, holds = _visited(poses, edges, visits)
+    hubs = [nodes[len(poses) + int(np.flatnonzero(of == number)[0])] for number in range(len(seen))]
+    nodes, still = _still([*nodes, *hubs], told, len(poses), of, holds)
+    found = list[Landmark | None]()
+    for number, sightings in enumerate(seen):
+        mine = np.flatnonzero(of == number)
+        fit = np.concatenate([holds[visit] & still[visit] for visit in mine])
+        landmark = nodes[len(poses) + len(of) + number]
+        away = sum(len(holds[visit]) for visit in mine[~still[mine]])
+        found.append(_told(nodes, landmark, sightings, fit, away) if fit.any() else None)
+    return found
+
+
+def _visited(
+    poses: Sequence[Pose], edges: Sequence[Edge], visits: Sequence[Sequence[Sighting]]
+) -> tuple[list[Pose], list[Edge], list[BoolArray]]:
+    """The graph with a node a visit, what of it holds, and which sightings fit within their visit."""
+    nodes, told = [*poses], [*edges]
+    for visit in visits:
+        best = min(visit, key=_size)
+        nodes.append(_compose(poses[best.node], best.T_node_landmark))
+        told += [
+            Edge(one.node, len(nodes) - 1, one.T_node_landmark, one.covariance, EdgeKind.TAG, trusted=False)
+            for one in visit
+        ]
+        # A visit of which nothing holds is somewhere nevertheless.
+        far = NOWHERE_M**2 * np.eye(len(best.covariance))
+        told.append(Edge(best.node, len(nodes) - 1, best.T_node_landmark, far, EdgeKind.TAG, trusted=True))
+    graph = PoseGraph(poses[0])
+    for node in nodes[1:]:
+        graph.add_node(node)
+    for edge in told:
+        graph.add_edge(edge)
+    kept = graph.optimize().kept
+    fits = iter(kept[[n for n, edge in enumerate(told) if edge.kind is EdgeKind.TAG and not edge.trusted]])
+    holds = [np.array([next(fits) for _ in visit]) for visit in visits]
+    told = [edge for edge, keep in zip(told, kept, strict=True) if keep]
+    return [graph.pose(node) for node in range(len(nodes))], told, holds
+
+
+def _still(
+    nodes: list[Pose], edges: list[Edge], first: int, of: NDArray[np.int64], holds: Sequence[BoolArray]
+) -> tuple[list[Pose], BoolArray]:
+    """Which visits saw their landmark where the others did, and where the nodes are then.
+
+    ``of`` (v,) is the landmark of each visit; behind ``first`` nodes come those of the visits, then of the
+    landmarks.
+    """
+    still, sizes = np.ones(len(of), np.bool_), np.array([np.count_nonzero(fit) for fit in holds])
+    dimension = len(edges[-1].covariance)
+    # It hangs still, to the millimetre.
+    same, nothing = (10 * SETTLED) ** 2 * np.eye(dimension), type(nodes[0])()
+    while True:
+        links = [
+            Edge(first + visit, first + len(of) + of[visit], nothing, same, EdgeKind.TAG, trusted=True)
+            for visit in range(len(of))
+            if still[visit]
+        ]
+        values = solved(*held_graph(nodes, [*edges, *links]))
+        nodes = [values.atPose2(n) if dimension == 3 else values.atPose3(n) for n in range(len(nodes))]
+        among = np.bincount(of[still], minlength=int(of.max()) + 1)[of]
+        asked = [n for n, link in enumerate(links) if among[link.source - first] > 1]
+        if not asked:
+            return nodes, still
+        found = LinearMap(nodes, [*edges, *links], np.ones(len(edges) + len(links), np.bool_))
+        without = found.influences([len(edges) + n for n in asked]).left_out
+        if without.max() ** 2 <= gate(dimension):
+            return nodes, still
+        worst = links[asked[int(without.argmax())]].source - first
+        if among[worst] == 2:  # each says that the other is wrong
+            worst = int(min(np.flatnonzero((of == of[worst]) & still), key=lambda visit: sizes[visit]))
+        still[worst] = False
+
+
+def _visits(sightings: Sequence[Sighting]) -> list[list[Sighting]]:
+    """Sightings by nodes one after the other."""
+    found = [[sightings[0]]]
+    for one in sightings[1:]:
+        if one.node - found[-1][-1].node > 1:
+            found.append([])
+        found[-1].append(one)
+    return found
+
+
+def _told(
+    nodes: Sequence[Pose], landmark: Pose, sightings: Sequence[Sighting], holds: BoolArray, away: int
+) -> Landmark:
+    """From the node that saw it best."""
+    held = [one for one, keep in zip(sightings, holds.tolist(), strict=True) if keep]
+    best = min(held, key=_size)
+    T_node_landmark = motion_between(nodes[best.node], landmark)
+    together = np.linalg.inv(np.sum([np.linalg.inv(one.covariance) for one in held], axis=0))
+    edges = []
+    for one in held:
+        if one.node == best.node:
+            continue
+        back = one.T_node_landmark.inverse()
+        adjoint = one.T_node_landmark.AdjointMap()
+        # All share the error of where it is: as if each had its own, so many times as large.
+        covariance = adjoint @ (one.covariance + len(held) * together) @ adjoint.T
+        pose = _compose(T_node_landmark, back)
+        edges.append(Edge(best.node, one.node, pose, covariance, EdgeKind.TAG, trusted=False))
+    return Landmark(best.node, T_node_landmark, together, holds, away, edges)
+
+
+def in_plane(sightings: Sequence[Sighting]) -> tuple[list[Sighting], gtsam.Rot3]:
+    """Sightings by a robot on a floor, in the plane, and how the landmark leans: ``R_flat_landmark``."""
+    best = min(sightings, key=_size)
+    assert isinstance(best.T_node_landmark, gtsam.Pose3)
+    lean = best.T_node_landmark.rotation()
+    found = []
+    for one in sightings:
+        pose = one.T_node_landmark
+        assert isinstance(pose, gtsam.Pose3)
+        turn = np.asarray(pose.rotation().matrix())
+        yaw = pose.rotation().compose(lean.inverse()).yaw()
+        flat = np.array([[math.cos(yaw), math.sin(yaw), 0.0], [-math.sin(yaw), math.cos(yaw), 0.0]])
+        # Of x and y along the axes of the flat landmark, and of yaw, by turn and shift of the landmark.
+        slopes = np.zeros((3, 6))
+        slopes[:2, 3:], slopes[2, :3] = flat @ turn, turn[2]
+        planar = gtsam.Pose2(pose.x(), pose.y(), yaw)
+        found.append(Sighting(one.node, planar, slopes @ one.covariance @ slopes.T))
+    return found, lean
+
+
+def _size(one: Sighting) -> float:
+    """How uncertain a sighting is."""
+    return float(np.trace(one.covariance))
+
+
+def _compose(one: Pose, other: Pose) -> Pose:
+    """One, then the other."""
+    return one.compose(other)  # type: ignore[arg-type]

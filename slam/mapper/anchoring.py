@@ -1,0 +1,110 @@
+"""Places that were measured along a way, and what they do to the graph of its keyframes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.time_alignment import GAP_S
+from slam.estimates import Trajectory
+from slam.graph.anchors import Anchor, Anchored, anchored
+from slam.graph.edge import EdgeKind
+from slam.graph.keyframe_graph import KeyframeGraph
+from slam.graph.pose_graph import BatchResult
+from slam.measurements import FloatArray, Pose, spatial
+
+# More anchors than this share are not wrong as a rule.
+_WRONG_SHARE = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """Where the robot was.
+
+    Attributes
+    ----------
+    nodes, bases, stamps_s
+        (K,) poses of the graph's nodes and of the base there, and when that was.
+    trajectory
+        A pose for every reading, by these, in the order of time.
+    """
+
+    nodes: Sequence[Pose]
+    bases: Sequence[Pose]
+    stamps_s: FloatArray
+    trajectory: Trajectory
+
+    @classmethod
+    def of(cls, nodes: Sequence[Pose], bases: Sequence[Pose], stamps_s: FloatArray, way: Trajectory) -> Way:
+        """With a trajectory in any order."""
+        return cls(nodes, bases, stamps_s, way[np.argsort(way.stamps_s, kind="stable")])
+
+    def nearest(self, stamps_s: FloatArray) -> NDArray[np.int64]:
+        """(k,) the keyframe nearest in time to each of (k,) stamps."""
+        in_time = np.argsort(self.stamps_s, kind="stable")
+        middles_s = 0.5 * (self.stamps_s[in_time][1:] + self.stamps_s[in_time][:-1])
+        return np.asarray(in_time[np.searchsorted(middles_s, stamps_s)])
+
+    def seen_from(self, key: int, stamp_s: float) -> gtsam.Pose3 | None:
+        """The base at a time in the frame of a node; None where it is not known."""
+        at = _pose_at(self.trajectory, stamp_s)
+        if at is None:
+            return None
+        # What the odometry says that it moved since the keyframe.
+        moved = spatial(self.bases[key]).between(at)
+        return spatial(self.nodes[key]).between(spatial(self.bases[key])).compose(moved)
+
+
+def anchor(
+    graph: KeyframeGraph,
+    anchors: Sequence[Anchor],
+    outcome: BatchResult,
+    inlier_probability: float,
+    kind: EdgeKind,
+) -> tuple[BatchResult, Anchored | None]:
+    """Lay a graph on places and solve it anew.
+
+    Parameters
+    ----------
+    outcome
+        Of the optimisation so far.
+    inlier_probability
+        See `slam.graph.pose_graph.PoseGraph.optimize`.
+
+    Returns
+    -------
+    The outcome of the new optimisation, and where the map lies; the old one and None where the places do not
+    tell that.
+    """
+    edges, kept = graph.graph.edges, outcome.kept
+    held = [edge for edge, keep in zip(edges, kept, strict=True) if keep]
+    found = anchored(graph.poses(), held, anchors, kind)
+    if found is None:
+        return outcome, None
+    if found.misfits > _WRONG_SHARE:
+        # A false loop outweighs any place. Where far more fit without loops, those begin refused.
+        chain = [edge for edge in held if edge.loop is None]
+        other = anchored(graph.poses(), chain, anchors, kind)
+        if other is not None and other.misfits < 0.5 * found.misfits:
+            found, kept = other, kept & np.array([edge.loop is None for edge in edges])
+    for edge in found.edges:
+        graph.graph.add_edge(edge)
+    graph.graph.begin_with([*kept, *[True] * len(found.edges)])
+    return graph.optimize(inlier_probability), found
+
+
+def _pose_at(ways: Trajectory, stamp_s: float) -> gtsam.Pose3 | None:
+    """Between two poses of a trajectory in the order of time; None where it is not known."""
+    after = int(np.searchsorted(ways.stamps_s, stamp_s))
+    pair = ways[max(after - 1, 0) : after + 1]
+    ends = pair.poses()
+    if np.abs(pair.stamps_s - stamp_s).min() > GAP_S:
+        return None
+    if len(ends) < 2 or pair.stamps_s[1] <= pair.stamps_s[0]:
+        return ends[0]
+    share = (stamp_s - pair.stamps_s[0]) / (pair.stamps_s[1] - pair.stamps_s[0])
+    return ends[0].slerp(float(np.clip(share, 0.0, 1.0)), ends[1])

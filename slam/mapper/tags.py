@@ -1,0 +1,307 @@
+"""Tags and surveyed places: gathered along the way, and what they do to the graph when it is done."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import gtsam
+import numpy as np
+
+from fusion.estimation import FEWEST, gate
+from slam.config import Config
+from slam.config.tags import KnownPlaces, SurveyedPlace
+from slam.graph.anchors import NOWHERE_M, Anchor, Anchored, seen_from_earth
+from slam.graph.edge import Edge, EdgeKind
+from slam.graph.keyframe_graph import KeyframeGraph
+from slam.graph.landmarks import Landmark, Sighting, in_plane, landmarks_of
+from slam.graph.pose_covariances import told_edges
+from slam.graph.pose_graph import BatchResult
+from slam.mapper.anchoring import Way, anchor
+from slam.measurements import IN_PLANE, FloatArray, RgbdFrame, spatial
+from slam.odometry.clock_learner import SensorClock
+from slam.storage.map_places import MapPlaces, MapTag
+from slam.vision.color_registration import ColorRegistration
+from slam.vision.tags import TagView, find_tags
+
+
+@dataclass(frozen=True, slots=True)
+class SeenTag:
+    """A tag in an image, which has a number; by the camera's clock, and where its colours are on the base."""
+
+    image: int
+    stamp_s: float
+    sensor: str
+    T_base_camera: gtsam.Pose3
+    view: TagView
+
+
+@dataclass(slots=True)
+class TagFinder:
+    """Looks for tags in the images of keyframes.
+
+    Attributes
+    ----------
+    places
+        What hangs; None where nobody has said that.
+    registrations
+        Where colour cameras sit that are not registered to depth, by name.
+    seen
+        All tags so far.
+    images
+        How many images were looked at.
+    clocks
+        Of the cameras against the robot's, by name; none of one that leads.
+    """
+
+    places: KnownPlaces | None = None
+    registrations: Mapping[str, ColorRegistration] = field(default_factory=dict)
+    seen: list[SeenTag] = field(default_factory=list)
+    images: int = 0
+    clocks: Mapping[str, SensorClock] = field(default_factory=dict)
+    _newest_s: dict[str, float] = field(default_factory=dict)
+
+    def look(self, frame: RgbdFrame, T_base_camera: gtsam.Pose3) -> None:
+        """Take a frame, and where its depth camera sits on the base; a frame that was seen is passed over."""
+        if self.places is None or self.places.size_m is None:
+            return
+        if self._newest_s.get(frame.sensor) == frame.stamp_s:
+            return
+        self._newest_s[frame.sensor] = frame.stamp_s
+        self.images += 1
+        lens, registration = frame.intrinsics, self.registrations.get(frame.sensor)
+        if registration is not None and registration.accepted:
+            lens = registration.intrinsics_color
+            T_base_camera = T_base_camera.compose(registration.T_depth_color)
+        self.seen += [
+            SeenTag(self.images, frame.stamp_s, frame.sensor, T_base_camera, view)
+            for view in find_tags(frame.color, lens, self.places)
+        ]
+
+    def taken_s(self, one: SeenTag) -> tuple[float, float]:
+        """When an image was taken, by the robot's clock, and how sure that is."""
+        clock = self.clocks.get(one.sensor)
+        return (one.stamp_s, 0.0) if clock is None else (one.stamp_s - clock.offset_s, clock.sigma_s)
+
+
+class PlaceAnchors:
+    """What tags and surveyed places know of a map.
+
+    Parameters
+    ----------
+    places
+        What a person knows.
+
+    Attributes
+    ----------
+    found
+        The tags, and where the map lies in the surveyor's frame.
+    notes, warnings
+        One line each, for people.
+    """
+
+    def __init__(self, places: KnownPlaces) -> None:
+        self._places = places
+        self.found = MapPlaces(places.family)
+        self.notes: list[str] = []
+        self.warnings: list[str] = []
+        self._seen: dict[int, list[Sighting]] = {}
+        self._laid: Anchored | None = None
+
+    def join(
+        self,
+        finder: TagFinder,
+        graph: KeyframeGraph,
+        way: Way,
+        outcome: BatchResult,
+        inlier_probability: float,
+    ) -> BatchResult:
+        """Let tags that were seen again close loops, and solve anew; the old outcome without any."""
+        if not finder.seen:
+            if finder.images:
+                self.warnings.append(
+                    f"No tag of family {self._places.family} was found in {finder.images} images of keyframes"
+                )
+            return outcome
+        sigma_px = _sigma_px([one.view for one in finder.seen])
+        self._seen, twice = _by_number(finder, way, sigma_px)
+        # A check is no proof where it has moved the map.
+        checks = {one.tag for one in self._places.surveyed if one.check}
+        edges = self._find([number for number in self._seen if number not in checks], graph, outcome)
+        for edge in edges:
+            graph.add_edge(edge)
+        tags = self.found.tags
+        fit, views = sum(tag.fit for tag in tags), sum(tag.views for tag in tags)
+        self.notes.append(
+            f"tags: {len(tags)} in {finder.images} images, {fit} of {views} views fit, {len(edges)} edges "
+            f"between keyframes that saw the same; corners are {sigma_px:.2f} px off"
+        )
+        self.warnings += [f"Tag {number} hangs at several places at once; it is not used" for number in twice]
+        graph.graph.begin_with([*outcome.kept, *[True] * len(edges)])
+        return graph.optimize(inlier_probability)
+
+    def survey(
+        self, graph: KeyframeGraph, way: Way, outcome: BatchResult, inlier_probability: float
+    ) -> BatchResult:
+        """Lay the map where surveyed places and the start say; the old outcome where they do not tell."""
+        used = [
+            (one, seen)
+            for one in self._places.surveyed
+            if not one.check and (seen := self._seen_at(one, way)) is not None
+        ]
+        anchors = [
+            Anchor(node, *_place(one.at_m, one.sigma_m**2 + variance), arm_m)
+            for one, (node, arm_m, variance) in used
+        ]
+        anchors += self._start(way)
+        if not anchors:
+            return outcome
+        outcome, self._laid = anchor(graph, anchors, outcome, inlier_probability, EdgeKind.SURVEY)
+        if self._laid is None:
+            self.warnings.append(
+                "The surveyed places do not tell how the map lies: survey two that are farther apart, or "
+                "give the start with its yaw_deg"
+            )
+            return outcome
+        self.found = replace(self.found, T_survey_map=self._laid.T_enu_map)
+        return outcome
+
+    def check(self, graph: KeyframeGraph, way: Way, outcome: BatchResult, config: Config) -> None:
+        """Compare the finished map with surveyed places."""
+        checks = [one for one in self._places.surveyed if one.check]
+        self._find([one.tag for one in checks if one.tag in self._seen], graph, outcome)
+        if self._laid is None:
+            return
+        poses = graph.poses()
+        told = told_edges(poses, graph.graph.edges, outcome.kept, config)
+        spreads = seen_from_earth(poses, told, self._laid)
+        for one in self._places.surveyed:
+            name = f"tag {one.tag}" if one.stamp_s is None else f"the place at {one.stamp_s:.1f} s"
+            if (seen := self._seen_at(one, way)) is None:
+                self.warnings.append(f"survey: {name} was not seen")
+                continue
+            node, arm_m, variance = seen
+            pose, axes = poses[node], 2 if isinstance(poses[node], gtsam.Pose2) else len(one.at_m)
+            at_m = self._laid.T_enu_map.transformFrom(spatial(pose).transformFrom(arm_m))
+            off_m = (np.asarray(at_m) - [*one.at_m, 0.0][:3])[:axes]
+            turn = np.asarray(self._laid.T_enu_map.rotation().compose(spatial(pose).rotation()).matrix())
+            slopes = turn @ np.hstack([-_cross(arm_m), np.eye(3)])
+            if isinstance(pose, gtsam.Pose2):
+                slopes = slopes[:, IN_PLANE]
+            spread = (slopes @ spreads[node] @ slopes.T)[:axes, :axes] + variance * np.eye(axes)
+            sigma_m = math.sqrt(np.trace(spread) / axes + one.sigma_m**2)
+            role = "check" if one.check else "used"
+            line = f"survey: {name} ({role}) is {np.linalg.norm(off_m):.3f} m off, sigma {sigma_m:.3f} m"
+            wrong = off_m @ np.linalg.solve(spread + one.sigma_m**2 * np.eye(axes), off_m) > gate(axes)
+            (self.warnings if wrong else self.notes).append(line)
+
+    def _find(self, numbers: Sequence[int], graph: KeyframeGraph, outcome: BatchResult) -> list[Edge]:
+        """Find where tags hang; the edges between nodes that saw the same one."""
+        poses, edges = graph.poses(), graph.graph.edges
+        if not numbers:
+            return []
+        spatials = [self._seen[number] for number in numbers]
+        planar = isinstance(poses[0], gtsam.Pose2)
+        flat = [in_plane(ones) if planar else (ones, gtsam.Rot3()) for ones in spatials]
+        held = [edge for edge, keep in zip(edges, outcome.kept, strict=True) if keep]
+        landmarks = landmarks_of(poses, held, [ones for ones, _ in flat])
+        told, tags = list[Edge](), list(self.found.tags)
+        for number, ones, (_, lean), landmark in zip(numbers, spatials, flat, landmarks, strict=True):
+            if landmark is None:
+                self.warnings.append(f"Tag {number}: no view fits another; it is not used")
+                continue
+            tags.append(self._tag(number, ones, lean, landmark))
+            told += landmark.edges
+            if landmark.elsewhere:
+                self.warnings.append(
+                    f"Tag {number} is elsewhere in {landmark.elsewhere} of {len(ones)} views, which were "
+                    "left out: it was moved, there are two of this number, or something else was taken for it"
+                )
+        self.found = replace(self.found, tags=tuple(sorted(tags, key=lambda tag: tag.number)))
+        return told
+
+    def _tag(self, number: int, spatials: Sequence[Sighting], lean: gtsam.Rot3, found: Landmark) -> MapTag:
+        """What is saved of a tag."""
+        pose, covariance = found.T_node_landmark, found.covariance
+        if isinstance(pose, gtsam.Pose2):
+            held = [one for one, keep in zip(spatials, found.holds.tolist(), strict=True) if keep]
+            heights = np.array([one.T_node_landmark.translation()[2] for one in held])
+            turns = np.array([one.T_node_landmark.rotation().matrix()[2] for one in held])
+            weights = 1.0 / np.einsum("ki,kij,kj->k", turns, [one.covariance[3:, 3:] for one in held], turns)
+            up = np.array([0.0, 0.0, float(np.average(heights, weights=weights))])
+            pose = gtsam.Pose3(gtsam.Rot3.Yaw(pose.theta()).compose(lean), [pose.x(), pose.y(), up[2]])
+            variance = max(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]), 1.0 / float(weights.sum()))
+        else:
+            variance = float(np.linalg.eigvalsh(covariance[3:, 3:])[-1])
+        side_m = self._places.sizes_m.get(number, self._places.size_m)
+        assert side_m is not None
+        fit = int(np.count_nonzero(found.holds))
+        return MapTag(number, side_m, found.node, pose, math.sqrt(variance), len(spatials), fit)
+
+    def _seen_at(self, one: SurveyedPlace, way: Way) -> tuple[int, FloatArray, float] | None:
+        """Node, (3,) place in its frame and variance of that, of a surveyed place; None where it was not."""
+        if one.stamp_s is not None:
+            node = int(way.nearest(np.array([one.stamp_s]))[0])
+            T_node_base = way.seen_from(node, one.stamp_s)
+            return None if T_node_base is None else (node, np.asarray(T_node_base.translation()), 0.0)
+        for tag in self.found.tags:
+            if tag.number == one.tag:
+                return tag.node, np.asarray(tag.T_node_tag.translation()), tag.sigma_m**2
+        return None
+
+    def _start(self, way: Way) -> list[Anchor]:
+        """The known start as two places, before and behind the base: both together are as sure as it is."""
+        start = self._places.start
+        T_node_base = way.seen_from(0, float(way.stamps_s[0]))
+        if start is None or T_node_base is None:
+            return []
+        yaw, arm_m = math.radians(start.yaw_deg), start.sigma_m / math.radians(start.sigma_deg)
+        anchors = []
+        for side in (arm_m, -arm_m):
+            at, covariance = _place(start.at_m, 2.0 * start.sigma_m**2)
+            at = at + side * np.array([math.cos(yaw), math.sin(yaw), 0.0])
+            anchors.append(Anchor(0, at, covariance, np.asarray(T_node_base.transformFrom([side, 0.0, 0.0]))))
+        return anchors
+
+
+def _place(at_m: Sequence[float], variance: float) -> tuple[FloatArray, FloatArray]:
+    """(3,) and (3, 3) of a place with so much variance; where its height is not known it may be any."""
+    covariance = variance * np.eye(3)
+    if len(at_m) == 2:
+        covariance[2, 2] = NOWHERE_M**2
+    return np.array([*at_m, 0.0][:3]), covariance
+
+
+def _by_number(finder: TagFinder, way: Way, sigma_px: float) -> tuple[dict[int, list[Sighting]], list[int]]:
+    """Sightings of each tag as nodes see it; and the numbers that were seen twice in one image, left out."""
+    found, images = defaultdict[int, list[Sighting]](list), Counter[tuple[int, int]]()
+    taken_s = np.array([finder.taken_s(one) for one in finder.seen])
+    for one, node, (stamp_s, sigma_s) in zip(finder.seen, way.nearest(taken_s[:, 0]), taken_s, strict=True):
+        then, later = (way.seen_from(int(node), float(at_s)) for at_s in (stamp_s, stamp_s + sigma_s))
+        if then is None or later is None:
+            continue
+        T_base_tag = one.T_base_camera.compose(one.view.T_camera_tag)
+        # What the robot moves in the time that the clock is off.
+        off = T_base_tag.inverse().AdjointMap() @ gtsam.Pose3.Logmap(then.between(later))
+        covariance = one.view.covariance(sigma_px) + np.outer(off, off)
+        found[one.view.number].append(Sighting(int(node), then.compose(T_base_tag), covariance))
+        images[one.view.number, one.image] += 1
+    twice = sorted({number for (number, _), count in images.items() if count > 1})
+    once = [number for number in sorted(found) if number not in twice]
+    return {number: sorted(found[number], key=lambda one: one.node) for number in once}, twice
+
+
+def _cross(arm: FloatArray) -> FloatArray:
+    """(3, 3) that makes the cross product with an arm from its left."""
+    return np.cross(np.eye(3), arm).T * -1.0
+
+
+def _sigma_px(views: Sequence[TagView]) -> float:
+    """How far corners are off, by what four of them tell too much; few views count little."""
+    misfits = np.array([view.misfit_px2 for view in views])
+    # What is no tag fits badly: the median does not mind.
+    shown = float(np.median(misfits)) / gate(2, 0.5)
+    # Until a log has shown its own, as if corners were rounded to whole pixels: a variance of a twelfth.
+    return math.sqrt((FEWEST / 12 + len(views) * shown) / (FEWEST + len(views)))

@@ -1,0 +1,204 @@
+"""Glass that no beam met head on: gaps in walls in which beams are lost that should have met what is behind.
+
+At a slant a pane throws no beam back: a part of them goes through, the rest is gone (Foster et al. 2013; Koch
+et al. 2017). A doorway loses none. But beams are lost for other reasons too: what is behind may be dark, or
+farther away than the lidar measures. So only beams count that should have met a wall that is known, and the
+same wall is asked how often it loses beams that do not come through the gap.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from fusion.bayes import evidence_steps
+from fusion.estimation import CONFIDENCE, FEWEST
+from slam.config import Config
+from slam.mapping.doors import crossed
+from slam.mapping.glass_panes import SHORTEST_M
+from slam.mapping.keyframe_grid import layer_settings
+from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.mapping.wall_gaps import THICKEST_WALL_M, Gap, Line, looked_up, wall_gaps
+from slam.mapping.wall_segments import Segment, wall_points, wall_segments
+from slam.measurements import BoolArray, FloatArray, LaserScan, pose2_from_row
+
+
+class _Beams(NamedTuple):
+    """Beams that met a wall, and those that should have.
+
+    Attributes
+    ----------
+    from_m, along
+        (N, 2) where each begins in the map, and its direction.
+    end_m
+        (N,) how far it went, or should have gone.
+    wall, scan
+        (N,) number of the wall, and of the scan.
+    lost
+        (N,) no return.
+    """
+
+    from_m: FloatArray
+    along: FloatArray
+    end_m: FloatArray
+    wall: NDArray[np.int64]
+    scan: NDArray[np.int64]
+    lost: BoolArray
+
+    def chosen(self, which: BoolArray) -> _Beams:
+        """Some of them."""
+        from_m, along, end_m, wall, scan, lost = self
+        return _Beams(from_m[which], along[which], end_m[which], wall[which], scan[which], lost[which])
+
+
+def with_glass(
+    grid: OccupancyGrid, scans: Sequence[LaserScan | None], poses: FloatArray, config: Config
+) -> OccupancyGrid:
+    """The grid with the gaps closed in which there is glass.
+
+    Parameters
+    ----------
+    scans
+        Of a 2D lidar, in which ``inf`` is no return.
+    poses
+        (K, 3) map frame.
+    """
+    gaps = glass_gaps(grid, scans, poses, config)
+    if not gaps:
+        return grid
+    cells = np.concatenate([grid.cells_of(gap.points(0.5 * grid.resolution_m)) for gap in gaps])
+    cells = cells[((cells >= 0) & (cells < grid.shape)).all(axis=1)]
+    steps = grid.steps.copy()
+    steps[tuple(cells.T)] = evidence_steps(layer_settings(config).p_max)
+    return OccupancyGrid(steps, grid.resolution_m, grid.T_map_grid)
+
+
+def glass_gaps(
+    grid: OccupancyGrid, scans: Sequence[LaserScan | None], poses: FloatArray, config: Config
+) -> list[Gap]:
+    """Gaps in walls in which there is glass; see `with_glass`.
+
+    None that the robot drove through, and none that is shorter than the least pane.
+    """
+    # Of the beams through what stands there, the grid's own model lets no more pass than so many.
+    least = 1.0 - config.grid.miss_probability / (1.0 - config.grid.miss_probability)
+    scan, cell_m = config.scan, grid.resolution_m
+    points = wall_points(scans, poses, (scan.range_min_m, scan.range_max_m), scan.neighbours)
+    segments = wall_segments(points, cell_m, 3 * cell_m)
+    beams = _beams(grid, segments, scans, poses)
+    if not beams.lost.any():
+        return []
+    every, lost = (np.bincount(beams.wall[own], minlength=len(segments)) for own in (slice(None), beams.lost))
+    gaps = [gap for gap in wall_gaps(segments, grid)[0] if gap.length_m >= SHORTEST_M]
+    return [
+        gap
+        for gap in gaps
+        if not crossed(gap.begin_m, gap.end_m, poses[:, :2])
+        and _loss(gap, beams, every, lost, cell_m) >= least
+    ]
+
+
+def _loss(gap: Gap, beams: _Beams, every: NDArray[np.int64], lost: NDArray[np.int64], cell_m: float) -> float:
+    """The share of beams that a gap loses and the walls behind it do not; 0 where that is not sure.
+
+    By the ratio of likelihoods of glass, which has a share of losses of its own, and of no glass. A scan has
+    one vote a cell, for neighbouring beams share their fate. Of the gap's parts, half as long as the least
+    pane, none may tell it alone, and those that speak against it must not be sure.
+
+    Parameters
+    ----------
+    every, lost
+        (W,) of all beams to each wall, how many there are and how many are lost.
+    """
+    share, _ = _crossings(gap, beams.chosen(beams.lost))
+    if not ((share > 0.0) & (share < 1.0)).any():
+        return 0.0
+    share, beside = _crossings(gap, beams)
+    walls = beams.wall[beside]
+    elsewhere = every - np.bincount(walls, minlength=len(every))
+    lost_there = lost - np.bincount(walls[beams.lost[beside]], minlength=len(every))
+    usual = (FEWEST * lost.sum() / every.sum() + lost_there) / (FEWEST + elsewhere)
+    through = (share > 0.0) & (share < 1.0)
+    share, beams = share[through], beams.chosen(through)
+    cells = math.ceil(gap.length_m / cell_m)
+    vote = beams.scan * cells + (share * cells).astype(np.int64)
+    _, vote, beams_a_vote = np.unique(vote, return_inverse=True, return_counts=True)
+    weight = 1.0 / beams_a_vote[vote.ravel()]
+    loss = float(np.average(beams.lost, weights=weight))
+    without = usual[beams.wall]
+    with_glass = np.maximum(without, loss)
+    told = weight * np.log(np.where(beams.lost, with_glass / without, (1.0 - with_glass) / (1.0 - without)))
+    parts = np.bincount((share * math.ceil(2.0 * gap.length_m / SHORTEST_M)).astype(np.int64), told)
+    against, sure = float(parts[parts < 0.0].sum()), -math.log(1.0 - CONFIDENCE)
+    return loss if told.sum() > max(sure, float(parts.max())) and against > -sure else 0.0
+
+
+def _crossings(gap: Gap, beams: _Beams) -> tuple[FloatArray, BoolArray]:
+    """Where beams that end half a wall's thickness behind a gap cross it, and which pass its wall there.
+
+    Returns
+    -------
+    (N,) share of the gap, ``nan`` where one does not cross; (N,) whether it passes what is as near to the
+    gap as a wall is thick: its other side, and what else stands in it.
+    """
+    along_x, along_y = ((gap.end_m - gap.begin_m) / gap.length_m).tolist()
+    x, y = beams.from_m[:, 0] - gap.begin_m[0], beams.from_m[:, 1] - gap.begin_m[1]
+    across = along_x * beams.along[:, 1] - along_y * beams.along[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at_m = (along_y * x - along_x * y) / across
+        slope = (along_x * beams.along[:, 0] + along_y * beams.along[:, 1]) / across
+        middle = along_x * x + along_y * y + at_m * slope * across
+    middle[~((at_m > 0.0) & (beams.end_m - at_m > 0.5 * THICKEST_WALL_M))] = np.nan
+    half = THICKEST_WALL_M * np.abs(slope)
+    return middle / gap.length_m, (middle + half > 0.0) & (middle - half < gap.length_m)
+
+
+def _beams(
+    grid: OccupancyGrid, segments: Sequence[Segment], scans: Sequence[LaserScan | None], poses: FloatArray
+) -> _Beams:
+    """All that met a wall, and all that are lost though the first obstacle on their way is a wall."""
+    parts = []
+    for scan_number, (scan, pose) in enumerate(zip(scans, poses, strict=True)):
+        if scan is None:
+            continue
+        laser = pose2_from_row(pose).compose(scan.T_base_laser)
+        angles = laser.theta() + scan.start_angle_rad + scan.step_rad * np.arange(scan.ranges_m.size)
+        from_m = np.broadcast_to((laser.x(), laser.y()), (angles.size, 2))
+        along = np.column_stack([np.cos(angles), np.sin(angles)])
+        parts.append((from_m, along, scan.ranges_m, np.full(angles.size, scan_number)))
+    from_m, along, ranges_m, number = (np.concatenate(column) for column in zip(*parts, strict=True))
+    met, lost = np.isfinite(ranges_m) & (ranges_m > 0.0), np.isposinf(ranges_m)
+    # From farther away than nearly all returns none can be expected.
+    reach_m = float(np.quantile(ranges_m[met], CONFIDENCE)) if met.any() else 0.0
+    end_m = np.where(met, ranges_m, 0.0).astype(np.float64)
+    end_m[lost] = _first_met(grid, from_m[lost], along[lost], reach_m)
+    wall = looked_up(_owners(grid, segments), grid.cells_of(from_m + end_m[:, None] * along)) - 1
+    known = (end_m > 0.0) & (wall >= 0)
+    return _Beams(from_m, along, end_m, wall.astype(np.int64), number, lost).chosen(known)
+
+
+def _first_met(grid: OccupancyGrid, from_m: FloatArray, along: FloatArray, reach_m: float) -> FloatArray:
+    """(N,) how far it is to the first obstacle on each way; 0 where there is none."""
+    obstacle, step_m = grid.steps > 0, 0.5 * grid.resolution_m
+    found, left = np.zeros(len(from_m)), np.arange(len(from_m))
+    for at_m in np.arange(step_m, reach_m, step_m):
+        met = looked_up(obstacle, grid.cells_of(from_m[left] + at_m * along[left])) > 0
+        found[left[met]] = at_m
+        left = left[~met]
+    return found
+
+
+def _owners(grid: OccupancyGrid, segments: Sequence[Segment]) -> NDArray[np.int32]:
+    """(rows, cols) number of the wall in or next to each cell, from 1; 0 where there is none."""
+    owners = np.zeros(grid.shape, np.int32)
+    for number, segment in reversed(list(enumerate(segments, 1))):
+        cells = grid.cells_of(Line(segment.begin_m, segment.end_m).points(0.5 * grid.resolution_m))
+        cells = cells[((cells >= 0) & (cells < grid.shape)).all(axis=1)]
+        owners[tuple(cells.T)] = number
+    away, (row, col) = ndimage.distance_transform_edt(owners == 0, return_indices=True)
+    return np.asarray(np.where(away <= 2.0, owners[row, col], 0), dtype=np.int32)

@@ -1,0 +1,166 @@
+"""Tags on the walls of a home: where they hang, and what a camera sees of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+
+from slam.config.tags import KnownPlaces, SurveyedPlace
+from slam.errors import ConfigError
+from slam.measurements import BoolArray, CameraIntrinsics, Float32Array, FloatArray
+from slam.simulation.home_model import Home, WallTag
+from slam.simulation.scene import Scene
+from slam.simulation.sensor_clock import generator
+from slam.vision.tags import tag_cells
+
+# How they hang: height of the middle, and room in front of one for a robot to see it.
+_Z_M, _FREE_M = (0.7, 1.3), 1.2
+# A robot sees one between these distances, within 20 degrees of its heading, slanted by less than 60.
+_NEAR_M, _AHEAD, _FACING = (0.8, 2.5), 0.94, 0.5
+_FAMILY, _CANDIDATES_A_WALL = "36h11", 12
+# Black and white as printers make them, of 255; rays a pixel along an edge; depth of the paper.
+_INK, _PAPER, _RAYS, _THICK_M = 25.0, 225.0, 4, 0.01
+
+
+def hang_tags(home: Home, count: int, seed: int, way_xyt: FloatArray, side_m: float = 0.16) -> Home:
+    """A home with tags on its walls, far from each other, each where a robot on its way looks at it.
+
+    Parameters
+    ----------
+    way_xyt
+        (n, 3) x, y, yaw of the robot.
+
+    Raises
+    ------
+    ConfigError
+        Where there are not so many free places.
+    """
+    rng, scene = generator(seed, "tags"), Scene(home)
+    places = [place for room in home.rooms for place in _places(room.rectangle, rng)]
+    places = [place for place in places if _is_seen(place, way_xyt)]
+    free = [place for place in places if _is_free(scene, place, 0.5 * side_m * 1.5)]
+    if len(free) < count:
+        raise ConfigError(f"there is room for {len(free)} tags on the walls; hang fewer than {count}")
+    at = np.array([place.translation() for place in free])
+    chosen = [int(rng.integers(len(free)))]
+    while len(chosen) < count:  # the place farthest from those that are taken
+        apart_m = np.linalg.norm(at[:, None] - at[chosen], axis=2).min(axis=1)
+        chosen.append(int(apart_m.argmax()))
+    cells = [tag_cells(_FAMILY, number) for number in range(count)]
+    tags = [WallTag(n, free[place], side_m, cells[n]) for n, place in enumerate(chosen)]
+    return replace(home, tags=tuple(tags))
+
+
+def known_places(tags: Sequence[WallTag]) -> KnownPlaces:
+    """What a surveyor would write down of them: every second one to check by."""
+    surveyed = [
+        SurveyedPlace(
+            tag=tag.number,
+            at_m=tuple(np.round(tag.T_map_tag.translation(), 4).tolist()),
+            sigma_m=0.001,
+            check=bool(rank % 2),
+        )
+        for rank, tag in enumerate(tags)
+    ]
+    return KnownPlaces(family=_FAMILY, size_m=tags[0].side_m, surveyed=tuple(surveyed))
+
+
+def paint_tags(
+    image: Float32Array,
+    range_m: Float32Array,
+    tags: Sequence[WallTag],
+    T_world_camera: gtsam.Pose3,
+    intrinsics: CameraIntrinsics,
+) -> None:
+    """Draw tags where a camera sees them; the mean of several rays a pixel, for edges tell where a corner is.
+
+    Parameters
+    ----------
+    image
+        (H * W, 3) RGB 0..255, changed in place.
+    range_m
+        (H * W,) depth of what the pixels meet.
+    """
+    height, width = intrinsics.height, intrinsics.width
+    for tag in tags:
+        T_camera_tag = T_world_camera.between(tag.T_map_tag)
+        turn, place = np.asarray(T_camera_tag.rotation().matrix()), np.asarray(T_camera_tag.translation())
+        across, normal = len(tag.cells) * tag.side_m / (len(tag.cells) - 2), turn[:, 2]
+        rim = 0.5 * across * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) @ turn.T + place
+        if rim[:, 2].min() < 0.05 or normal @ place >= 0.0:
+            continue
+        pixels = rim[:, :2] / rim[:, 2:] * [intrinsics.fx, intrinsics.fy] + [intrinsics.cx, intrinsics.cy]
+        low = np.clip(np.floor(pixels.min(axis=0)).astype(int) - 1, 0, [width, height])
+        high = np.clip(np.ceil(pixels.max(axis=0)).astype(int) + 2, 0, [width, height])
+        columns, rows = (
+            n.ravel() for n in np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True)))
+        )
+        middle = _rays(columns, rows, intrinsics)
+        wall_m = (normal @ place) / (middle @ normal)
+        index = rows * width + columns
+        met = np.abs(range_m[index] - wall_m) < _THICK_M * (1.0 + wall_m)
+        index, columns, rows = index[met], columns[met], rows[met]
+        inside, seen = np.zeros(len(index)), np.zeros(len(index))
+        offsets = (np.arange(_RAYS) + 0.5) / _RAYS - 0.5
+        for right in offsets:
+            for down in offsets:
+                rays = _rays(columns + right, rows + down, intrinsics)
+                points = (rays * ((normal @ place) / (rays @ normal))[:, None] - place) @ turn
+                value, hit = _ink_at(points[:, :2], tag.cells, across)
+                inside += hit
+                seen += value * hit
+        share = (inside / _RAYS**2)[:, None]
+        light = 0.66 + 0.3 * share  # as paper is lit, whatever wall it hangs on
+        drawn = np.where(inside > 0, seen / np.maximum(inside, 1), 0.0)[:, None]
+        image[index] = (1.0 - share) * image[index] + share * light * drawn
+
+
+def _rays(columns: FloatArray, rows: FloatArray, intrinsics: CameraIntrinsics) -> FloatArray:
+    """(N, 3) directions of pixels, z = 1."""
+    x, y = (columns - intrinsics.cx) / intrinsics.fx, (rows - intrinsics.cy) / intrinsics.fy
+    return np.column_stack([x, y, np.ones_like(x)])
+
+
+def _ink_at(points_m: FloatArray, cells: BoolArray, across_m: float) -> tuple[FloatArray, BoolArray]:
+    """Brightness (N,) of points of the paper, and which lie on it; the first row of cells is on top."""
+    place = (points_m * [1.0, -1.0] / across_m + 0.5) * len(cells)
+    cell = np.floor(place).astype(int)
+    hit: BoolArray = np.all((cell >= 0) & (cell < len(cells)), axis=1)
+    cell = np.clip(cell, 0, len(cells) - 1)
+    return np.where(cells[cell[:, 1], cell[:, 0]], _PAPER, _INK), hit
+
+
+def _places(rectangle: tuple[float, float, float, float], rng: np.random.Generator) -> list[gtsam.Pose3]:
+    """Where tags could hang in a room: x to the right of who looks at one, y up, z out of the wall."""
+    x0, y0, x1, y1 = rectangle
+    found = list[gtsam.Pose3]()
+    for _ in range(_CANDIDATES_A_WALL):
+        x, y, z = rng.uniform(x0, x1), rng.uniform(y0, y1), rng.uniform(*_Z_M)
+        walls = (((x0, y), (1.0, 0.0)), ((x1, y), (-1.0, 0.0)), ((x, y0), (0.0, 1.0)), ((x, y1), (0.0, -1.0)))
+        for at, out in walls:
+            axes = np.array([[-out[1], out[0], 0.0], [0.0, 0.0, 1.0], [*out, 0.0]]).T
+            found.append(gtsam.Pose3(gtsam.Rot3(axes), np.array([*at, z])))
+    return found
+
+
+def _is_seen(place: gtsam.Pose3, way_xyt: FloatArray) -> bool:
+    """Whether the robot comes near, looks there, and sees it not too slanted."""
+    away = np.asarray(place.translation())[:2] - way_xyt[:, :2]
+    far_m, out = np.linalg.norm(away, axis=1), np.asarray(place.rotation().matrix())[:2, 2]
+    ahead = np.sum(away * np.column_stack([np.cos(way_xyt[:, 2]), np.sin(way_xyt[:, 2])]), axis=1)
+    near = (far_m > _NEAR_M[0]) & (far_m < _NEAR_M[1])
+    return bool(np.any(near & (ahead > _AHEAD * far_m) & (-away @ out > _FACING * far_m)))
+
+
+def _is_free(scene: Scene, place: gtsam.Pose3, half_m: float) -> bool:
+    """Whether the wall is flat there, and nothing stands before it."""
+    corners = np.array([[x, y, _FREE_M] for x in (-half_m, 0.0, half_m) for y in (-half_m, 0.0, half_m)])
+    origins = np.array([place.transformFrom(corner) for corner in corners])
+    inward = np.tile(-np.asarray(place.rotation().matrix())[:, 2], (len(corners), 1))
+    hits = scene.cast(np.hstack([origins, inward]).astype(np.float32))
+    kinds = {scene.home.obstacles[int(n)].kind for n in hits.obstacle if n >= 0}
+    matte = bool((hits.material == 0).all())
+    return kinds == {"wall"} and matte and bool(np.abs(hits.range_m - _FREE_M).max() < 1e-3)

@@ -1,0 +1,163 @@
+"""Tags of a map, and where it lies in a surveyor's frame: facts of the map's file, and yaml for people."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from slam.foreign import from_json
+from slam.measurements import FloatArray, Pose, spatial
+from slam.storage.files import write_lines
+from slam.storage.map_facts import pose_of_rows
+from slam.storage.map_file import MapFile
+from slam.storage.map_soundness import of, require
+from slam.storage.map_tables import META
+
+_TAGS, _SURVEY = "tags", "survey"
+
+
+@dataclass(frozen=True, slots=True)
+class MapTag:
+    """A tag of a map.
+
+    Attributes
+    ----------
+    number, side_m
+        In its family, and of its black square.
+    node
+        The node that saw it best.
+    T_node_tag
+        Where it hangs, seen from there: x to the right of who looks at it, y up, z out of it.
+    sigma_m
+        Of its place, seen from there; the root of the greatest variance.
+    views, fit
+        In how many keyframes' images it was seen, and in how many of them where it is.
+    """
+
+    number: int
+    side_m: float
+    node: int
+    T_node_tag: gtsam.Pose3
+    sigma_m: float
+    views: int
+    fit: int
+
+    def place_m(self, node_poses: Sequence[Pose]) -> FloatArray:
+        """(3,) its middle in the map."""
+        return np.asarray(spatial(node_poses[self.node]).transformFrom(self.T_node_tag.translation()))
+
+
+@dataclass(frozen=True, slots=True)
+class MapPlaces:
+    """What was known again, or surveyed, of a map.
+
+    Attributes
+    ----------
+    family
+        Of its tags.
+    tags
+        By number.
+    T_survey_map
+        Where it lies in the surveyor's frame; None where nothing tells that.
+    """
+
+    family: str
+    tags: tuple[MapTag, ...] = ()
+    T_survey_map: gtsam.Pose3 | None = None
+
+
+def write_places(file: MapFile, places: MapPlaces | None, first: Pose) -> None:
+    """Take down what is known; of the survey where the first node, at ``first`` in the map, lies.
+
+    Raises
+    ------
+    MapFileError
+        Where the file cannot be written.
+    """
+    if places is None:
+        return
+    tags = [
+        {
+            "number": tag.number,
+            "side_m": tag.side_m,
+            "node": tag.node,
+            "T_node_tag": _rows(tag.T_node_tag),
+            "sigma_m": tag.sigma_m,
+            "views": tag.views,
+            "fit": tag.fit,
+        }
+        for tag in places.tags
+    ]
+    file.add_meta(_TAGS, json.dumps({"family": places.family, "tags": tags}))
+    if places.T_survey_map is not None:
+        file.add_meta(_SURVEY, json.dumps(_rows(places.T_survey_map.compose(spatial(first)))))
+
+
+def places_of_file(file: MapFile, poses: Sequence[Pose]) -> MapPlaces | None:
+    """Tags and survey of a map with these nodes; None where it tells none.
+
+    Raises
+    ------
+    MapFileError
+        What it tells is none.
+    """
+    with file.blaming(META, 0):
+        meta = file.meta()
+        if _TAGS not in meta:
+            return None
+        told = of(dict, from_json(meta[_TAGS]))
+        tags = tuple(_tag(of(dict, one), len(poses)) for one in of(list, told.get("tags")))
+        T_survey_map = None
+        if _SURVEY in meta:
+            T_survey_map = pose_of_rows(from_json(meta[_SURVEY]), "its survey").compose(
+                spatial(poses[0]).inverse()
+            )
+        return MapPlaces(of(str, told.get("family")), tags, T_survey_map)
+
+
+def write_places_yaml(path: Path, places: MapPlaces, node_poses: Sequence[Pose]) -> None:
+    """Write where tags hang, by the surveyor or else in the map, as ``--tags`` reads it.
+
+    Raises
+    ------
+    MapFileError
+        Where it cannot be written.
+    """
+    T_survey_map = places.T_survey_map or gtsam.Pose3()
+    lines = [f"family: {places.family}"]
+    sides = [tag.side_m for tag in places.tags]
+    usual = max(set(sides), key=sides.count) if sides else None
+    if usual is not None:
+        lines.append(f"size_m: {usual:g}")
+    if others := [tag for tag in places.tags if tag.side_m != usual]:
+        lines += ["sizes_m:", *(f"  {tag.number}: {tag.side_m:g}" for tag in others)]
+    lines.append("surveyed:")
+    for tag in places.tags:
+        place = ", ".join(f"{value:.4f}" for value in T_survey_map.transformFrom(tag.place_m(node_poses)))
+        lines.append(f"  - {{tag: {tag.number}, at_m: [{place}], sigma_m: {tag.sigma_m:.4f}}}")
+    if places.T_survey_map is not None:
+        rows = ", ".join(f"[{', '.join(f'{value:.9f}' for value in row)}]" for row in _rows(T_survey_map))
+        lines.append(f"# T_survey_map, row by row: [{rows}]")
+    write_lines(path, lines)
+
+
+def _tag(told: dict[str, Any], nodes: int) -> MapTag:
+    """By its fact."""
+    number, node, views, fit = (of(int, told.get(name)) for name in ("number", "node", "views", "fit"))
+    side_m, sigma_m = (float(of(float, told.get(name))) for name in ("side_m", "sigma_m"))
+    require(0 <= node < nodes and number >= 0, "a tag hangs before no node")
+    require(0.0 < side_m < np.inf and 0.0 < sigma_m < np.inf, "a tag has no size")
+    pose = pose_of_rows(told.get("T_node_tag"), "a tag's place")
+    return MapTag(number, side_m, node, pose, sigma_m, views, fit)
+
+
+def _rows(pose: gtsam.Pose3) -> list[list[float]]:
+    """(3, 4) of a pose."""
+    rows: list[list[float]] = np.asarray(pose.matrix())[:3].tolist()
+    return rows

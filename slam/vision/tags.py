@@ -1,0 +1,206 @@
+"""AprilTags and ArUco markers in an image: which, where each is, and how sure that is.
+
+OpenCV finds them (Garrido-Jurado 2014; the families of Olson 2011). Four corners tell two poses of a square,
+one the other tilted the other way (Collins and Bartoli 2014): where the corners do not tell them apart, the
+depth image may; where it does not either, the tag tells its place alone.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation import FEWEST, ROUNDS, SETTLED, TINY, gate
+from slam.config.tags import KnownPlaces
+from slam.measurements import BoolArray, CameraIntrinsics, ColorImage, FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class TagView:
+    """A tag in an image.
+
+    Attributes
+    ----------
+    number
+        In its family.
+    T_camera_tag
+        Its middle: x to the right of who looks at it, y up, z out of it.
+    information
+        (6, 6) by corners that are 1 px off, GTSAM's tangent of the tag.
+    misfit_px2
+        Sum of the squared errors of the corners, of two degrees of freedom.
+    lead_px2
+        By how much more the other pose misfits that four corners allow.
+    """
+
+    number: int
+    T_camera_tag: gtsam.Pose3
+    information: FloatArray
+    misfit_px2: float
+    lead_px2: float
+
+    def covariance(self, sigma_px: float) -> FloatArray:
+        """(6, 6) in GTSAM's tangent of the tag, for corners with so much noise.
+
+        Where another pose fits as well the tag tells its place alone.
+        """
+        covariance = np.asarray(sigma_px**2 * np.linalg.inv(self.information), np.float64)
+        if self.lead_px2 < sigma_px**2 * gate():
+            covariance[:3], covariance[:, :3] = 0.0, 0.0
+            covariance[:3, :3] = math.pi**2 * np.eye(3)
+        return covariance
+
+
+@cache
+def _dictionary(family: str) -> Any:
+    """OpenCV's, of a family."""
+    from cv2 import aruco  # slow to load
+
+    kind = "" if "x" in family else "ARUCO_" if family[0] in "mo" else "APRILTAG_"
+    return aruco.getPredefinedDictionary(getattr(aruco, f"DICT_{kind}{family.upper()}"))
+
+
+@cache
+def _detector(family: str) -> Any:
+    """OpenCV's, for a family."""
+    from cv2 import aruco
+
+    return aruco.ArucoDetector(_dictionary(family), aruco.DetectorParameters())
+
+
+def tag_cells(family: str, number: int) -> BoolArray:
+    """(n, n) white cells of a tag: a white rim, the black one, and the bits within; the upper row first."""
+    from cv2 import aruco
+
+    dictionary = _dictionary(family)
+    bits = aruco.generateImageMarker(dictionary, number, dictionary.markerSize + 2, borderBits=1)
+    white = np.ones((len(bits) + 2, len(bits) + 2), np.bool_)
+    white[1:-1, 1:-1] = bits > 0
+    return white
+
+
+def find_tags(color: ColorImage, intrinsics: CameraIntrinsics, places: KnownPlaces) -> list[TagView]:
+    """Tags in an image.
+
+    Parameters
+    ----------
+    color
+        (H, W, 3) RGB.
+    intrinsics
+        Of the image.
+    """
+    import cv2
+
+    if places.size_m is None:
+        return []
+    gray = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
+    quads, numbers, _ = _detector(places.family).detectMarkers(gray)
+    cells = _dictionary(places.family).markerSize + 2
+    found = []
+    for quad, number in zip(quads, [] if numbers is None else numbers.ravel().tolist(), strict=True):
+        side_m = places.sizes_m.get(number, places.size_m)
+        corners = _refined(gray, quad.reshape(4, 2).astype(np.float64), cells)
+        view = _posed(number, corners, side_m, intrinsics)
+        if view is not None:
+            found.append(view)
+    return found
+
+
+def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatArray:
+    """Corners (4, 2) where lines meet that are laid through the edges of a square, as Wang and Olson 2016.
+
+    OpenCV's own are those of a contour of whole pixels, half a pixel inside.
+    """
+    # A cell off its ends, where the other edges are seen.
+    along = np.linspace(1.0, cells - 1.0, FEWEST) / cells
+    for _ in range(ROUNDS):
+        ends = np.roll(corners, -1, axis=0)
+        sides_px = np.linalg.norm(ends - corners, axis=1)
+        if sides_px.min() < cells:
+            return corners  # a cell is a pixel: there is no edge to see
+        ways = (ends - corners) / sides_px[:, None]
+        outward = np.column_stack([ways[:, 1], -ways[:, 0]])
+        # Across each edge as far as the black rim reaches at its narrower end, white as wide beyond it.
+        reach_px = np.minimum(np.roll(sides_px, 1), np.roll(sides_px, -1)) / cells
+        across = np.linspace(-1.0, 1.0, FEWEST) * reach_px[:, None]
+        points = corners[:, None] + along[:, None] * (ends - corners)[:, None]
+        values = _bilinear(gray, points[:, :, None] + across[:, None, :, None] * outward[:, None, None])
+        rise = np.maximum(np.diff(values, axis=2), 0.0) + TINY
+        middles = 0.5 * (across[:, 1:] + across[:, :-1])
+        off = np.sum(rise * middles[:, None], axis=2) / rise.sum(axis=2)
+        slope, shift = np.polyfit(along - 0.5, off.T, 1)
+        # A line as where its ends are.
+        first = corners + (shift - 0.5 * slope)[:, None] * outward
+        last = ends + (shift + 0.5 * slope)[:, None] * outward
+        lines = np.cross(np.insert(first, 2, 1.0, axis=1), np.insert(last, 2, 1.0, axis=1))
+        meet = np.cross(np.roll(lines, 1, axis=0), lines)
+        found = meet[:, :2] / meet[:, 2:]
+        moved_px = np.abs(found - corners).max()
+        if not moved_px <= sides_px.min() / cells:
+            return corners
+        corners = found
+        if moved_px < 100 * SETTLED:
+            break
+    return corners
+
+
+def _bilinear(gray: NDArray[np.uint8], points: FloatArray) -> FloatArray:
+    """Brightness (...) between the pixels of an image at points (..., 2), column and row."""
+    most = np.array(gray.shape[::-1]) - 2
+    whole = np.clip(np.floor(points).astype(np.int64), 0, most)
+    (left, top), (right, down) = np.moveaxis(whole, -1, 0), np.moveaxis(points - whole, -1, 0)
+    upper = (1.0 - right) * gray[top, left] + right * gray[top, left + 1]
+    lower = (1.0 - right) * gray[top + 1, left] + right * gray[top + 1, left + 1]
+    return np.asarray((1.0 - down) * upper + down * lower)
+
+
+def _posed(number: int, corners_px: FloatArray, side_m: float, lens: CameraIntrinsics) -> TagView | None:
+    """Pose of a square by its corners (4, 2); None where there is none before the camera."""
+    import cv2
+
+    # Corners in the order of OpenCV: x to the right of who looks at it, y up.
+    square = 0.5 * side_m * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+    matrix = np.array([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1.0]])
+    count, turns, shifts, _ = cv2.solvePnPGeneric(
+        square, corners_px[:, None], matrix, None, flags=cv2.SOLVEPNP_IPPE_SQUARE
+    )
+    fits = []
+    for turn, shift in zip(turns[:count], shifts[:count], strict=True):
+        cv2.solvePnPRefineLM(square, corners_px[:, None], matrix, None, turn, shift)
+        pose = gtsam.Pose3(gtsam.Rot3(cv2.Rodrigues(turn)[0]), shift.ravel())
+        points = square @ np.asarray(pose.rotation().matrix()).T + pose.translation()
+        if points[:, 2].min() > TINY:
+            fits.append((float(np.sum((_seen(points, lens) - corners_px) ** 2)), pose, points))
+    if not fits:
+        return None
+    misfit, pose, points = min(fits, key=lambda fit: fit[0])
+    # Where the tag is much slanted, both end as the same.
+    rivals = [fit[0] for fit in fits if not fit[1].equals(pose, 10 * SETTLED)]
+    slopes = _slopes(points, square, np.asarray(pose.rotation().matrix()), lens)
+    return TagView(number, pose, slopes.T @ slopes, misfit, min(rivals, default=math.inf) - misfit)
+
+
+def _seen(points: FloatArray, lens: CameraIntrinsics) -> FloatArray:
+    """(N, 2) pixels of points of the camera."""
+    return points[:, :2] / points[:, 2:] * [lens.fx, lens.fy] + [lens.cx, lens.cy]
+
+
+def _slopes(points: FloatArray, square: FloatArray, turn: FloatArray, lens: CameraIntrinsics) -> FloatArray:
+    """(8, 6) of the corners' pixels by GTSAM's tangent of the tag: a turn, then a shift, in its own axes."""
+    (x, y, z), nothing = points.T, np.zeros(len(points))
+    by_point = np.array(
+        [[lens.fx / z, nothing, -lens.fx * x / z**2], [nothing, lens.fy / z, -lens.fy * y / z**2]]
+    )
+    by_point = np.moveaxis(by_point, 2, 0)
+    # Each row crossed with the corner: what a turn moves it by.
+    crossed = np.cross(np.eye(3)[None], square[:, None])
+    by_tag = turn @ np.concatenate(
+        [crossed.transpose(0, 2, 1), np.tile(np.eye(3), (len(square), 1, 1))], axis=2
+    )
+    return np.asarray((by_point @ by_tag).reshape(-1, 6))
