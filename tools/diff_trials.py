@@ -33,7 +33,7 @@ from slam.evaluation.alignment import align
 from slam.evaluation.association import nearest_indices
 from slam.mapping.lidar_layer import LidarModel, lidar_board
 from slam.measurements import BoolArray, FloatArray, LaserScan, pose2_from_row
-from slam.outputs.finished_map import Map, open_map
+from slam.outputs.finished_map import Map, load_map
 from slam.sessions.moved_things import ChangedThing
 from slam.simulation.rigs import RIGS, Rig
 from slam.storage.tum import read_tum
@@ -270,10 +270,10 @@ def _map_of(drive: Path) -> Map:
     """The map of a drive, made where it is missing."""
     folder = drive.with_name(f"{drive.name}.map")
     try:
-        return open_map(folder)
+        return load_map(folder)
     except MapFileError:
         _scanweave("map", drive, "-o", folder, "--set", "dense_map.enabled=false")
-        return open_map(folder)
+        return load_map(folder)
 
 
 def _scanweave(*arguments: object) -> None:

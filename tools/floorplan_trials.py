@@ -22,7 +22,7 @@ from slam.evaluation.trajectory_error import absolute_error
 from slam.mapping.floor_plan import FloorPlan
 from slam.mapping.floor_plan import Room as FoundRoom
 from slam.measurements import FloatArray
-from slam.outputs.finished_map import Map, open_map
+from slam.outputs.finished_map import Map, load_map
 from slam.simulation.drive_faults import FAULT_PRESETS
 from slam.simulation.home import Home, Room, generate_home
 from slam.simulation.record import record_drive
@@ -96,7 +96,7 @@ def _mapped(home: Home, seed: int, arguments: argparse.Namespace) -> tuple[Map, 
         record_drive(home, RIGS[arguments.rig], seed, drive, faults, arguments.duration, formats=("folder",))
     if not (out / "map.db").is_file():
         map_log(drive, out=out).close()
-    return open_map(out), drive
+    return load_map(out), drive
 
 
 def _score(home: Home, found: Map, drive: Path) -> Score:

@@ -131,9 +131,9 @@ def map_content(path: Path) -> str:
     MapFileError
         Where the map is refused.
     """
-    from slam.outputs.finished_map import open_map
+    from slam.outputs.finished_map import load_map
 
-    saved = open_map(path)
+    saved = load_map(path)
     try:
         saved.check()
         contents, digest = saved.contents, hashlib.blake2b()

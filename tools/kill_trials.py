@@ -90,10 +90,10 @@ def _attempt(arguments: list[str], patience_s: float, trials: Trials) -> None:
 def _finished(folder: Path) -> bool:
     """Whether the map was sealed, and nothing is beside it."""
     from slam.errors import MapFileError
-    from slam.outputs.finished_map import open_map
+    from slam.outputs.finished_map import load_map
 
     try:
-        open_map(folder).close()
+        load_map(folder).close()
     except MapFileError:
         return False
     return True

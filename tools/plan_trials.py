@@ -31,7 +31,7 @@ from slam.mapping.glass_gaps import with_glass
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.mapping.layered_map import DecisionRule, LayeredMap
 from slam.measurements import LaserScan
-from slam.outputs.finished_map import Map, open_map
+from slam.outputs.finished_map import Map, load_map
 from slam.storage.tum import read_tum
 
 # What is better when it is small.
@@ -55,7 +55,7 @@ def main() -> None:
     found: dict[str, dict[str, dict[str, float]]] = {}
     for drive, folder in zip(arguments.pairs[::2], arguments.pairs[1::2], strict=True):
         truth, way = read_true_grid(drive / "truth" / "grid_robot.npz"), read_tum(drive / "groundtruth.txt")
-        with closing(open_map(folder)) as saved:
+        with closing(load_map(folder)) as saved:
             for name, layers in variants(drive, saved, config):
                 states = StateGrid(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
                 T_true_map = absolute_error(saved.trajectory, way).T_reference_map

@@ -24,7 +24,7 @@ from slam.errors import MapFileError
 from slam.estimates import Trajectory
 from slam.evaluation.relations import read_relations, score_relations
 from slam.evaluation.trajectory_error import absolute_error
-from slam.outputs.finished_map import Map, open_map
+from slam.outputs.finished_map import Map, load_map
 from slam.sessions.connection import Connection, connect
 from slam.simulation.drive_faults import DriveFaults
 from slam.simulation.home import generate_home
@@ -52,10 +52,10 @@ class Drive:
     def opened(self) -> Map:
         """Its map, made where it is missing."""
         try:
-            return open_map(self.map_folder)
+            return load_map(self.map_folder)
         except MapFileError:  # none yet, or one of another version
             _scanweave("map", self.log, "-o", self.map_folder, "--set", "dense_map.enabled=false")
-            return open_map(self.map_folder)
+            return load_map(self.map_folder)
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from fusion.showing import one_line, with_pictures
 from slam.app.joining import refuse_unfit
 from slam.errors import ScanweaveError
-from slam.outputs.finished_map import Map, open_map
+from slam.outputs.finished_map import Map, load_map
 from slam.sessions.between_visits import BetweenVisits
 from slam.sessions.changes import Comparison, Visit, compare
 from slam.sessions.connection import connect
@@ -85,8 +85,8 @@ def diff_maps(
     >>> slam.diff_maps(monday, tuesday).things
     []
     """
-    before = before if isinstance(before, Map) else open_map(before)
-    after = open_map(after) if isinstance(after, str | Path) else after
+    before = before if isinstance(before, Map) else load_map(before)
+    after = load_map(after) if isinstance(after, str | Path) else after
     for one in (before, after):
         if one is not None:
             refuse_unfit(one, str(one.path), "are compared", "maps are compared")

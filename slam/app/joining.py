@@ -15,7 +15,7 @@ from slam.datasets.dataset import Dataset
 from slam.errors import MapFileError, ScanweaveError
 from slam.evaluation.saved_page import write_saved_page
 from slam.localization.known_map import has_walls
-from slam.outputs.finished_map import Map, open_map
+from slam.outputs.finished_map import Map, load_map
 from slam.sessions.connection import Connection, connect
 from slam.sessions.joined_files import write_joined
 from slam.storage.files import make_folder, write_bytes
@@ -96,7 +96,7 @@ def join(
     >>> len(joined.map.sessions), len(joined.map.keyframe_poses) > len(house.keyframe_poses)
     (2, True)
     """
-    known = known if isinstance(known, Map) else open_map(known)
+    known = known if isinstance(known, Map) else load_map(known)
     refuse_unfit(known, str(known.path))
     if out is None and (known.in_memory or known.path.name != MAP_NAME):
         why = "lies in a temporary folder" if known.in_memory else f"is not named {MAP_NAME}"
@@ -123,7 +123,7 @@ def join(
                 shutil.rmtree(folder / WORK, ignore_errors=True)
                 if not was_there and not any(folder.iterdir()):
                     folder.rmdir()
-    joined = open_map(folder)
+    joined = load_map(folder)
     return Joined(joined, session, connection, (*written, write_saved_page(joined)))
 
 

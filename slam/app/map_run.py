@@ -19,7 +19,7 @@ from slam.heap import give_back
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.pipeline import build_map
 from slam.outputs.exports import Exports
-from slam.outputs.finished_map import Map, open_map
+from slam.outputs.finished_map import Map, load_map
 from slam.storage.files import make_folder
 from slam.storage.map_contents import write_contents
 from slam.storage.map_facts import write_facts
@@ -88,7 +88,7 @@ def run_into(
     started = time.perf_counter()
     make_folder(folder)
     if resume and finished_map(folder, identity):
-        return MapRun(open_map(folder), None, ())
+        return MapRun(load_map(folder), None, ())
     config, written = identity.config, list[Path]()
     with ExitStack() as stack:
         viewer = stack.enter_context(recording(record))
@@ -119,7 +119,7 @@ def run_into(
     # One in memory at a time: what is handed out is what anybody reads from the file.
     del made
     result.map = replace(result.map, grids={})
-    saved, data = open_map(folder), None
+    saved, data = load_map(folder), None
     result.map = saved.contents
     give_back()
     if report:

@@ -16,7 +16,7 @@ from slam.datasets.dataset import Dataset
 from slam.errors import MapFileError
 from slam.foreign import plain
 from slam.measurements import Measurement
-from slam.outputs.finished_map import Map, open_map
+from slam.outputs.finished_map import Map, load_map
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import MapIdentity, current_versions, identity_of
 from slam.temporary import TemporaryFolder
@@ -180,4 +180,4 @@ def _in_memory(dataset: Dataset, identity: MapIdentity, on_progress: OnProgress 
         kept_in.path, dataset, identity, on_progress=on_progress or silent, exports=False, report=False
     )
     run.map.close()
-    return MapRun(open_map(kept_in.path, kept_in), None, ())
+    return MapRun(load_map(kept_in.path, kept_in), None, ())

@@ -18,7 +18,7 @@ from slam.config.edits import dump_edits, edits_of
 from slam.errors import LibraryError, MapFileError, ScanweaveError
 from slam.evaluation.saved_page import saved_page, write_saved_page
 from slam.foreign import MOST_TEXT, from_json, plain
-from slam.outputs.finished_map import Map, open_map
+from slam.outputs.finished_map import Map, load_map
 from slam.storage.files import write_bytes
 from slam.storage.map_file import MAP_NAME
 
@@ -53,7 +53,7 @@ class MapView:
     """
 
     def __init__(self, path: Path | str) -> None:
-        self._map = open_map(path)
+        self._map = load_map(path)
         if self._map.path.name != MAP_NAME:
             raise MapFileError(f"{self._map.path} is not named {MAP_NAME}: no edits can take its place")
         self._lock = Lock()

@@ -35,9 +35,9 @@ def edit(
     if (edits is not None) + undo + list_ != 1:
         raise typer.BadParameter("give a file of edits, --undo or --list")
     started = time.perf_counter()
-    from slam.outputs.finished_map import open_map
+    from slam.outputs.finished_map import load_map
 
-    saved = open_map(map_)
+    saved = load_map(map_)
     if list_:
         for number, text in enumerate(saved.edits, start=1):
             tell(f"# {number}\n{text.rstrip()}")
@@ -53,9 +53,9 @@ def edit(
 def remap(map_: MapArgument, set_: SetOption = None, out: OutOption = None) -> None:
     """Make a map anew with other settings, without its log: cells, layers, loops that count."""
     started = time.perf_counter()
-    from slam.outputs.finished_map import open_map
+    from slam.outputs.finished_map import load_map
 
-    saved = open_map(map_)
+    saved = load_map(map_)
     _tell(saved, saved.remap(set_ or [], out=out or _own_folder(saved)), started)
 
 

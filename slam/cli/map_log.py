@@ -150,9 +150,9 @@ def map_into(
     started = time.perf_counter()
     from slam.app.joining import WORK, join
     from slam.config import with_calibration
-    from slam.outputs.finished_map import open_map
+    from slam.outputs.finished_map import load_map
 
-    known = open_map(map_)
+    known = load_map(map_)
     if config is None and calibration is not None:
         config = with_calibration(known.config, calibration)
     work = (out or known.path.parent) / WORK / "session"

@@ -56,9 +56,9 @@ def info(map_: MapArgument, as_json: JsonOption = False) -> None:
 @command()
 def check(map_: MapArgument) -> None:
     """Read everything in a map and compare it with its checksums."""
-    from slam.outputs.finished_map import open_map
+    from slam.outputs.finished_map import load_map
 
-    saved = open_map(map_)
+    saved = load_map(map_)
     saved.check()
     frames, clouds = saved.contents.frames or (), saved.contents.clouds or ()
     with_clouds = f"{len(clouds)} clouds, " if clouds else ""
@@ -83,9 +83,9 @@ def export(
     ],
 ) -> None:
     """Write a map in the format of another program: the same bytes as 'scanweave map' has written."""
-    from slam.outputs.finished_map import open_map
+    from slam.outputs.finished_map import load_map
 
-    saved = open_map(map_)
+    saved = load_map(map_)
     written = saved.export(format_.value, out)
     if not written:
         raise ScanweaveError(f"nothing was exported of {saved.path}: its images show no surface")
@@ -102,13 +102,13 @@ def floorplan(
 ) -> None:
     """Draw the rooms of a map with doors, lengths and areas, each with its 95 % interval."""
     from slam.evaluation.floor_plan_text import floor_plan_text
-    from slam.outputs.finished_map import open_map
+    from slam.outputs.finished_map import load_map
     from slam.storage.plan_geojson import plan_geojson
 
     formats = {".svg": Format.SVG, ".dxf": Format.DXF, ".geojson": Format.GEOJSON}
     if out.suffix not in formats:
         raise typer.BadParameter(f"--out is {out}; give a file that ends in {', '.join(formats)}")
-    saved = open_map(map_)
+    saved = load_map(map_)
     plan = saved.floor_plan()
     saved.export(formats[out.suffix].value, out)
     tell(json.dumps(plan_geojson(plan), indent=2) if as_json else floor_plan_text(plan))
@@ -133,10 +133,10 @@ def diff(
 ) -> None:
     """Tell what went, appeared or moved between two maps of a place, with a probability each."""
     from slam.app.differing import diff_maps
-    from slam.outputs.finished_map import open_map
+    from slam.outputs.finished_map import load_map
     from slam.sessions.difference_files import difference_plain, difference_text
 
-    first, second = open_map(before), None if after is None else open_map(after)
+    first, second = load_map(before), None if after is None else load_map(after)
     found = diff_maps(first, second, sessions=sessions, out=out)
     told = found.things, found.passing, found.comparison
     names = [str(before), str(before if after is None else after)]

@@ -9,11 +9,12 @@ import gtsam
 from slam.datasets.account import Account
 from slam.datasets.calibration import pose_from, read_yaml
 from slam.datasets.clouds_over_time import CloudFolder, cloud_files, stamped_clouds, times_of
+from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import beside_imu, imu_file
 from slam.datasets.log_file import numbered_lines
 from slam.datasets.numbered_frames import NO_STAMPS, numbered_files
 from slam.datasets.pose_files import pose_lines, pose_of_row, trajectory_of
-from slam.datasets.recording import Contents, Recording
+from slam.datasets.recording import Contents
 from slam.datasets.stamped_files import StampedFile, read_poses
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
@@ -32,16 +33,9 @@ def looks_like_cloud_folder(path: Path, head: bytes) -> bool:
     return path.is_dir() and (has_clouds(path) or len(numbered_files(path, _NUMBERED)) > 1)
 
 
-def open_cloud_folder(path: Path, strict: bool) -> Recording:
+def _load(path: Path, account: Account) -> Contents:
     """A folder of clouds; the lidar's frame is the robot's unless ``calibration.yaml`` says where it sits."""
-    return Recording(
-        path,
-        lambda account: Contents(
-            log=beside_imu(read_clouds(path, account).numbered(account), imu_file(path), account)
-        ),
-        lambda account: _groundtruth(path, account),
-        strict=strict,
-    )
+    return Contents(log=beside_imu(read_clouds(path, account).numbered(account), imu_file(path), account))
 
 
 def has_clouds(path: Path) -> bool:
@@ -122,3 +116,11 @@ def _kitti_rows(path: Path, account: Account) -> dict[str, gtsam.Pose3]:
         except ValueError:
             continue
     return found
+
+
+FORMAT = recorded(
+    "folder of point clouds (KITTI odometry; .bin, .pcd or .ply with a list of stamps)",
+    looks_like_cloud_folder,
+    _load,
+    _groundtruth,
+)

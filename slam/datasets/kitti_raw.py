@@ -16,13 +16,13 @@ import numpy as np
 from slam.datasets.account import Account
 from slam.datasets.cloud_files import DAMAGED, KITTI_ROWS, Parsed
 from slam.datasets.clouds_over_time import UNPAIRED, WITHOUT_CLOUD, CloudFolder
-from slam.datasets.dataset import RecordFault
-from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.dataset import ReadReport, RecordFault
+from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import first_file, with_imu
 from slam.datasets.log_file import numbered_lines
 from slam.datasets.numbered_frames import numbered_files
 from slam.datasets.pose_files import numbers_of, rotation_and_shift, trajectory_of
-from slam.datasets.recording import Contents, Numbered, Recording
+from slam.datasets.recording import Contents, Numbered
 from slam.datasets.stamped_files import BAD_POSE, BAD_STAMP, StampedFile
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray, ImuReading
@@ -42,26 +42,22 @@ def looks_like_kitti_raw(path: Path, head: bytes) -> bool:
     return (inside / "data").is_dir() and (inside / "timestamps.txt").is_file()
 
 
-def open_kitti_raw(path: Path, strict: bool) -> Recording:
+def _load(path: Path, account: Account) -> Contents:
     """A folder of one drive; the lidar is the robot's frame.
 
     A stamp is when the lidar looked ahead; each point is as old as its bearing tells.
     """
-
-    def load(account: Account) -> Contents:
-        for camera in sorted(path.glob("image_*")):
-            account.report.ignore(camera.name, "a camera without depth")
-        files = _clouds(path, account)
-        clouds = CloudFolder(tuple(files), parse=_WithTimes(_turn(path)).parse).numbered(account)
-        stamps = _stamps_of_oxts(path, account)
-        if not stamps:
-            return Contents(log=clouds)
-        if len(stamps) <= len(files):
-            account.report.ignore(_OXTS, ONCE_A_CLOUD, len(stamps))
-            return Contents(log=clouds)
-        return Contents(log=with_imu(clouds, _imu(path, stamps, account)))
-
-    return Recording(path, load, lambda account: _groundtruth(path, account), strict=strict)
+    for camera in sorted(path.glob("image_*")):
+        account.report.ignore(camera.name, "a camera without depth")
+    files = _clouds(path, account)
+    clouds = CloudFolder(tuple(files), parse=_WithTimes(_turn(path)).parse).numbered(account)
+    stamps = _stamps_of_oxts(path, account)
+    if not stamps:
+        return Contents(log=clouds)
+    if len(stamps) <= len(files):
+        account.report.ignore(_OXTS, ONCE_A_CLOUD, len(stamps))
+        return Contents(log=clouds)
+    return Contents(log=with_imu(clouds, _imu(path, stamps, account)))
 
 
 class _WithTimes:
@@ -114,7 +110,7 @@ def _stamps(path: Path, account: Account) -> Iterator[tuple[int, float]]:
 
 def _turn(path: Path) -> float:
     """Seconds of a turn: between the stamps of its begin and end, or from cloud to cloud."""
-    quiet = Account(path.name, Recording(path, lambda _: Contents(), lambda _: None).report, strict=False)
+    quiet = Account(path.name, ReadReport(), strict=False)
     first, last = (
         dict(_stamps(file, quiet)) if (file := path / _INSIDE / name).is_file() else {}
         for name in ("timestamps_start.txt", "timestamps_end.txt")
@@ -178,4 +174,4 @@ def _calibration(path: Path, account: Account) -> gtsam.Pose3 | None:
     return rotation_and_shift(file, account) if file else None
 
 
-FORMAT = DatasetFormat("KITTI raw drive", looks_like_kitti_raw, open_kitti_raw)
+FORMAT = recorded("KITTI raw drive", looks_like_kitti_raw, _load, _groundtruth)

@@ -17,7 +17,7 @@ from slam.datasets.account import Account
 from slam.datasets.cloud_files import KITTI_ROWS
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
 from slam.datasets.dataset import RecordFault
-from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import ImuFile, beside_imu, first_file
 from slam.datasets.ouster_order import with_column_times
 from slam.datasets.pose_files import (
@@ -28,7 +28,7 @@ from slam.datasets.pose_files import (
     rows_of,
     trajectory_of,
 )
-from slam.datasets.recording import Contents, Recording
+from slam.datasets.recording import Contents
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
 
@@ -46,29 +46,21 @@ def looks_like_mulran(path: Path, head: bytes) -> bool:
     return ((path / _POSES).is_file() or (path / _SENSORS).is_dir()) and _clouds_folder(path) is not None
 
 
-def open_mulran(path: Path, strict: bool) -> Recording:
+def _load(path: Path, account: Account) -> Contents:
     """A folder of one sequence; the lidar sits where the publishers say."""
-
-    def load(account: Account) -> Contents:
-        place = _clouds_folder(path)
-        assert place is not None
-        files = clouds_by_name(place, NAMED_BY_CLOCK, account, stamp_of_clock)
-        roll, pitch, yaw = np.radians(_TURN_DEG).tolist()
-        mounting = gtsam.Pose3(gtsam.Rot3.Ypr(yaw, pitch, roll), np.array(_SHIFT_M))
-        if place.name != _LIDARS[0]:
-            told = rotation_and_shift(path / _MOUNT_FILE, account) if (path / _MOUNT_FILE).is_file() else None
-            if told is None:
-                raise DatasetError(
-                    f"{path} has no {_MOUNT_FILE}, which tells how its lidars are tilted; add it"
-                )
-            mounting = told
-            account.report.ignore(_OTHER_LIDAR, "one 3D lidar is read")
-        clouds = CloudFolder(tuple(files), mounting, with_column_times(KITTI_ROWS))
-        return Contents(
-            log=beside_imu(clouds.numbered(account), xsens((path / "sensor_data", path)), account)
-        )
-
-    return Recording(path, load, lambda account: read_poses(path / _POSES, account), strict=strict)
+    place = _clouds_folder(path)
+    assert place is not None
+    files = clouds_by_name(place, NAMED_BY_CLOCK, account, stamp_of_clock)
+    roll, pitch, yaw = np.radians(_TURN_DEG).tolist()
+    mounting = gtsam.Pose3(gtsam.Rot3.Ypr(yaw, pitch, roll), np.array(_SHIFT_M))
+    if place.name != _LIDARS[0]:
+        told = rotation_and_shift(path / _MOUNT_FILE, account) if (path / _MOUNT_FILE).is_file() else None
+        if told is None:
+            raise DatasetError(f"{path} has no {_MOUNT_FILE}, which tells how its lidars are tilted; add it")
+        mounting = told
+        account.report.ignore(_OTHER_LIDAR, "one 3D lidar is read")
+    clouds = CloudFolder(tuple(files), mounting, with_column_times(KITTI_ROWS))
+    return Contents(log=beside_imu(clouds.numbered(account), xsens((path / "sensor_data", path)), account))
 
 
 def _clouds_folder(path: Path) -> Path | None:
@@ -101,4 +93,9 @@ def read_poses(path: Path, account: Account) -> Trajectory | None:
     return trajectory_of(good()) if path.is_file() else None
 
 
-FORMAT = DatasetFormat("MulRan or Complex Urban sequence", looks_like_mulran, open_mulran)
+FORMAT = recorded(
+    "MulRan or Complex Urban sequence",
+    looks_like_mulran,
+    _load,
+    lambda path, account: read_poses(path / _POSES, account),
+)

@@ -17,7 +17,7 @@ from slam.datasets.budget import Budget
 from slam.datasets.calibration import FILE_NAME, Calibration, read_calibration
 from slam.datasets.camera_frames import Camera
 from slam.datasets.dataset import RecordFault
-from slam.datasets.dataset_format import DatasetFormat
+from slam.datasets.dataset_format import recorded
 from slam.datasets.frame_pairs import pair_images
 from slam.datasets.image_files import FILES, MANY_CHANNELS, ImageFiles, decoded, file_content, metres_of
 from slam.datasets.lens_files import camera_matrix, four_numbers, open3d_lens, plain_lens
@@ -31,7 +31,7 @@ from slam.datasets.numbered_frames import (
     with_own_calibration,
 )
 from slam.datasets.pose_files import by_its_size, numbers_of, pose_blocks, trajectory_of
-from slam.datasets.recording import Contents, Recording
+from slam.datasets.recording import Contents
 from slam.datasets.stamped_files import StampedFile
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
@@ -80,20 +80,9 @@ def looks_like_open3d_folder(path: Path, head: bytes) -> bool:
     return places is not None and all(_named(place) for place in places)
 
 
-def open_open3d_folder(path: Path, strict: bool) -> Recording:
-    """A folder of one camera.
-
-    Raises
-    ------
-    DatasetError
-        Names of colour and depth images count differently.
-    """
-    return Recording(
-        path,
-        lambda account: Contents([_camera(path, account)]),
-        lambda account: _groundtruth(path, account),
-        strict=strict,
-    )
+def _load(path: Path, account: Account) -> Contents:
+    """A folder of one camera."""
+    return Contents([_camera(path, account)])
 
 
 def _places(path: Path) -> tuple[Path, Path] | None:
@@ -180,6 +169,4 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     return trajectory_of((number / RATE_HZ, pose) for number, pose in sorted(poses.items()))
 
 
-FORMAT = DatasetFormat(
-    "Open3D, Redwood, SUN3D or ScanNet folder", looks_like_open3d_folder, open_open3d_folder
-)
+FORMAT = recorded("Open3D, Redwood, SUN3D or ScanNet folder", looks_like_open3d_folder, _load, _groundtruth)

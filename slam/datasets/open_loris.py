@@ -16,8 +16,9 @@ import numpy as np
 from slam.datasets.account import Account
 from slam.datasets.calibration import Calibration, pose_from, pose_from_matrix, read_calibration, read_yaml
 from slam.datasets.camera_frames import Camera
+from slam.datasets.dataset_format import recorded
 from slam.datasets.frame_pairs import pair_images
-from slam.datasets.recording import Contents, Numbered, Recording
+from slam.datasets.recording import Contents, Numbered
 from slam.datasets.stamped_files import numbered_poses, read_image_list
 from slam.datasets.tum import read_groundtruth
 from slam.errors import DatasetError
@@ -44,13 +45,9 @@ def looks_like_open_loris(path: Path, head: bytes) -> bool:
     return (path / _COLOR).is_file() and any((path / name).is_file() for name in _DEPTHS)
 
 
-def open_open_loris(path: Path, strict: bool) -> Recording:
+def _load(path: Path, account: Account) -> Contents:
     """A folder of one sequence."""
-
-    def load(account: Account) -> Contents:
-        return Contents([_camera(path, account)], _wheels(path, account))
-
-    return Recording(path, load, lambda account: read_groundtruth(path, account), strict=strict)
+    return Contents([_camera(path, account)], _wheels(path, account))
 
 
 def _camera(folder: Path, account: Account) -> Camera:
@@ -115,3 +112,6 @@ def _numbers(matrix: Any, count: int) -> list[float]:
         raise ValueError(f"{numbers.size} numbers instead of {count} finite ones")
     values: list[float] = numbers.tolist()
     return values
+
+
+FORMAT = recorded("OpenLORIS-Scene folder", looks_like_open_loris, _load, read_groundtruth)

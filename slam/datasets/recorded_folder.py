@@ -9,9 +9,10 @@ from slam.datasets.account import Account
 from slam.datasets.carmen import HEAD_BYTES, looks_like_carmen, read_carmen
 from slam.datasets.cloud_folder import has_clouds, read_clouds
 from slam.datasets.clouds_over_time import merged
+from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import beside_imu, imu_file
 from slam.datasets.log_file import read_head
-from slam.datasets.recording import Contents, Numbered, Recording
+from slam.datasets.recording import Contents, Numbered
 from slam.datasets.tum import has_tum_layout, read_groundtruth, tum_camera
 from slam.errors import DatasetError
 from slam.foreign import plain
@@ -27,32 +28,24 @@ def looks_like_recorded_folder(path: Path, head: bytes) -> bool:
     return path.is_dir() and bool(_carmen_logs(path) or _camera_folders(path))
 
 
-def open_recorded_folder(path: Path, strict: bool) -> Recording:
-    """A folder of wheels, lidar and cameras.
-
-    Raises
-    ------
-    DatasetError
-        There are several logs: which one belongs to the images is not to be guessed.
-    """
-    logs = _carmen_logs(path)
-    if len(logs) > 1:
+def _check(path: Path) -> None:
+    """Refuse several logs: which one belongs to the images is not to be guessed."""
+    if len(logs := _carmen_logs(path)) > 1:
         names = ", ".join(log.name for log in logs[:4])
         raise DatasetError(
             f"{path} holds {len(logs)} CARMEN logs ({names}); give one of them, or leave only one"
         )
 
-    def load(account: Account) -> Contents:
-        cameras = [tum_camera(folder, name, account) for name, folder in _cameras(path).items()]
-        log: Iterable[Numbered] = ()
-        if logs:
-            log = read_carmen(logs[0], account)
-        if has_clouds(path):
-            log = merged(log, read_clouds(path, account).numbered(account))
-        log = beside_imu(log, imu_file(path), account)
-        return Contents(cameras, log)
 
-    return Recording(path, load, lambda account: read_groundtruth(path, account), strict=strict)
+def _load(path: Path, account: Account) -> Contents:
+    """A folder of wheels, lidar and cameras."""
+    cameras = [tum_camera(folder, name, account) for name, folder in _cameras(path).items()]
+    log: Iterable[Numbered] = ()
+    for carmen_log in _carmen_logs(path):
+        log = read_carmen(carmen_log, account)
+    if has_clouds(path):
+        log = merged(log, read_clouds(path, account).numbered(account))
+    return Contents(cameras, beside_imu(log, imu_file(path), account))
 
 
 def _cameras(path: Path) -> dict[str, Path]:
@@ -81,3 +74,8 @@ def _carmen_logs(path: Path) -> list[Path]:
         and (head := read_head(file, HEAD_BYTES))
         and looks_like_carmen(file, head)
     )
+
+
+FORMAT = recorded(
+    "folder of a CARMEN log and TUM images", looks_like_recorded_folder, _load, read_groundtruth, _check
+)

@@ -16,6 +16,7 @@ import numpy as np
 from slam.datasets.account import Account
 from slam.datasets.calibration import Calibration
 from slam.datasets.camera_frames import Camera
+from slam.datasets.dataset_format import recorded
 from slam.datasets.lens_files import camera_matrix, checked, plain_lens
 from slam.datasets.log_file import numbered_lines
 from slam.datasets.numbered_frames import (
@@ -25,8 +26,9 @@ from slam.datasets.numbered_frames import (
     poses_of_files,
     with_own_calibration,
 )
-from slam.datasets.recording import Contents, Recording
+from slam.datasets.recording import Contents
 from slam.errors import DatasetError
+from slam.estimates import Trajectory
 from slam.measurements import CameraIntrinsics
 
 ASSUMED = (
@@ -61,14 +63,14 @@ def looks_like_seven_scenes(path: Path, head: bytes) -> bool:
     return path.is_dir() and _names(path) is not None
 
 
-def open_seven_scenes(path: Path, strict: bool) -> Recording:
+def _load(path: Path, account: Account) -> Contents:
     """A folder of one sequence."""
-    return Recording(
-        path,
-        lambda account: Contents([_camera(path, account)]),
-        lambda account: poses_of_files(numbered_files(path, _POSE), at_rate(), account),
-        strict=strict,
-    )
+    return Contents([_camera(path, account)])
+
+
+def _groundtruth(path: Path, account: Account) -> Trajectory | None:
+    """A matrix a frame."""
+    return poses_of_files(numbered_files(path, _POSE), at_rate(), account)
 
 
 def _names(folder: Path) -> _Names | None:
@@ -114,3 +116,6 @@ def _lens(info: Path, values: dict[str, list[bytes]], kind: str) -> CameraIntrin
     names = (f"m_calibration{kind}Intrinsic", f"m_{kind.lower()}Width", f"m_{kind.lower()}Height")
     numbers, width, height = (np.array(values[name], dtype=np.float64) for name in names)
     return checked(info, numbers.reshape(4, 4), int(width[0]), int(height[0]))
+
+
+FORMAT = recorded("7-Scenes folder", looks_like_seven_scenes, _load, _groundtruth)

@@ -12,9 +12,10 @@ from pathlib import Path
 from slam.datasets.account import Account
 from slam.datasets.calibration import Calibration, read_calibration
 from slam.datasets.camera_frames import Camera
+from slam.datasets.dataset_format import recorded
 from slam.datasets.frame_pairs import pair_images
 from slam.datasets.lens_files import four_numbers
-from slam.datasets.recording import Contents, Recording
+from slam.datasets.recording import Contents
 from slam.datasets.stamped_files import StampedFile, read_associations, read_image_list, read_poses
 from slam.estimates import Trajectory
 from slam.measurements import CameraIntrinsics
@@ -51,14 +52,9 @@ def looks_like_tum(path: Path, head: bytes) -> bool:
     return path.is_dir() and has_tum_layout(path)
 
 
-def open_tum(path: Path, strict: bool) -> Recording:
+def _load(path: Path, account: Account) -> Contents:
     """A folder of one camera."""
-    return Recording(
-        path,
-        lambda account: Contents([tum_camera(path, "camera", account)]),
-        lambda account: read_groundtruth(path, account),
-        strict=strict,
-    )
+    return Contents([tum_camera(path, "camera", account)])
 
 
 def tum_camera(folder: Path, sensor: str, account: Account) -> Camera:
@@ -106,3 +102,6 @@ def _image_lists(folder: Path, account: Account) -> tuple[list[StampedFile], lis
         return read_image_list(paths[0], account), read_image_list(paths[1], account)
     associated = next(folder / name for name in _ASSOCIATIONS if (folder / name).is_file())
     return read_associations(associated, account)
+
+
+FORMAT = recorded("TUM RGB-D folder (ETH3D SLAM, Bonn)", looks_like_tum, _load, read_groundtruth)

@@ -60,17 +60,15 @@ class Map:
     >>> import slam
     >>> from slam.simulation.synthetic_log import write_synthetic_log
     >>> house = slam.map_log(write_synthetic_log("monday", duration_s=10.0).log_path)
-    >>> house.grid.resolution_m, house.keyframe_poses.shape[1], house.covariances.shape[1:]
-    (0.05, 3, (3, 3))
+    >>> house.grid.resolution_m, house.layers.resolution_m, house.keyframe_poses.shape[1]
+    (0.05, 0.05, 3)
     >>> house.notes
     ['used: FLASER (2D lidar, 51), odometry (wheels, 101)']
     >>> house.check()  # it is sound, else an error tells what is wrong
-    >>> house.config.grid.resolution_m, house.edits, house.in_memory
-    (0.05, [], True)
+    >>> house.config.grid.resolution_m, house.edits, house.in_memory, house.covariances.shape[1:]
+    (0.05, [], True, (3, 3))
     >>> len(house.loops), len(house.factors) >= len(house.keyframe_poses) - 1
     (0, True)
-    >>> type(house.layers).__name__, house.layers.resolution_m
-    ('LayeredMap', 0.05)
     """
 
     path: Path
@@ -257,8 +255,7 @@ class Map:
         Raises
         ------
         ScanweaveError
-            Where the edits do not fit the map, the folder holds another one, or a file cannot be written; the
-            map is as it was.
+            Where the edits do not fit, the folder holds another map or cannot be written; the map is as it was.
 
         Examples
         --------
@@ -315,19 +312,19 @@ class Map:
         if out is None:
             kept_in = TemporaryFolder()
             write(kept_in.path / MAP_NAME)
-            return open_map(kept_in.path, kept_in)
+            return load_map(kept_in.path, kept_in)
         folder = Path(out)
         ours = holds(folder, self.path, "give another --out (out=)")
 
         def write_all(work: Path) -> None:
             for warning in write(work / MAP_NAME):
                 log.warning("%s", warning)
-            found = open_map(work)
+            found = load_map(work)
             found.write_files(work, like=self if ours else None)
             found.close()
 
         remake(folder, write_all)
-        return open_map(folder)
+        return load_map(folder)
 
     def save(self, folder: Path | str, *, overwrite: bool = False) -> list[Path]:
         """Write the map into a folder, ``map.db`` and the files for other programs, and tell which.
@@ -363,7 +360,7 @@ class Map:
             self._folder.remove()
 
 
-def open_map(path: Path | str, kept_in: TemporaryFolder | None = None) -> Map:
+def load_map(path: Path | str, kept_in: TemporaryFolder | None = None) -> Map:
     """Open a finished map: a folder that ``scanweave map`` has made, or its ``map.db``.
 
     Parameters
@@ -400,6 +397,3 @@ def open_map(path: Path | str, kept_in: TemporaryFolder | None = None) -> Map:
         raise
     notes, warnings = (lines_of(meta, key, file.path) for key in (NOTES, WARNINGS))
     return Map(file.path, identity, sessions, contents, file.content_digest(), notes, warnings, file, kept_in)
-
-
-load_map = open_map  # its public name

@@ -13,7 +13,7 @@ from slam.errors import MapFileError
 from slam.estimates import Trajectory
 from slam.mapping.layered_map import OCCUPANCY, LayeredMap
 from slam.mapping.occupancy_grid import OCCUPIED, UNKNOWN, OccupancyGrid
-from slam.outputs.finished_map import Map, open_map
+from slam.outputs.finished_map import Map, load_map
 from slam.storage.map_contents import MapContents
 from slam.storage.nav2 import Nav2Map, read_nav2_map
 
@@ -88,11 +88,11 @@ def opened(known: Map | GridMap | Path | str) -> Map | GridMap:
     Raises
     ------
     MapFileError
-        As `open_map` and `load_grid_map`.
+        As `load_map` and `load_grid_map`.
     """
     if not isinstance(known, str | Path):
         return known
-    return load_grid_map(known) if Path(known).suffix in (".yaml", ".yml") else open_map(known)
+    return load_grid_map(known) if Path(known).suffix in (".yaml", ".yml") else load_map(known)
 
 
 def _grid_of(drawn: Nav2Map) -> OccupancyGrid:

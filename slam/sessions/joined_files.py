@@ -19,7 +19,7 @@ from slam.mapper.map_result import depth_grid
 from slam.mapping.layered_map import DEPTH
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.matching.planar import between, compose
-from slam.outputs.finished_map import Map, open_map
+from slam.outputs.finished_map import Map, load_map
 from slam.sessions.connection import Connection
 from slam.sessions.session_join import JoinedMap, join
 from slam.storage.files import make_folder
@@ -49,7 +49,7 @@ def write_joined(folder: Path, known: Map, session: Map, connection: Connection)
         with tempfile.TemporaryDirectory() as plain:
             _write(Path(plain) / MAP_NAME, *_unedited(known, session, connection))
             _edit(Path(plain), known, folder / MAP_NAME)
-    saved = open_map(folder)
+    saved = load_map(folder)
     try:
         return [folder / MAP_NAME, *saved.write_files(folder)]
     finally:
@@ -74,7 +74,7 @@ def _unedited(known: Map, session: Map, connection: Connection) -> tuple[Map, Ma
 
 def _edit(folder: Path, known: Map, path: Path) -> None:
     """Apply the edits of a map to it and a session joined without them."""
-    joined, entries = open_map(folder), known.contents.edits
+    joined, entries = load_map(folder), known.contents.edits
     try:
         first, parts = len(known.contents.node_poses), joined.parts()
         found, _ = remade(parts.base, entries, parts.before, parts.sessions)

@@ -20,7 +20,7 @@ from slam.edits.remaking import solved
 from slam.errors import ScanweaveError
 from slam.graph.edge import Edge, EdgeKind
 from slam.matching.planar import between
-from slam.outputs.finished_map import Map, open_map
+from slam.outputs.finished_map import Map, load_map
 from slam.simulation.synthetic_log import write_synthetic_log
 from slam.storage.map_contents import SavedFactor
 from slam.storage.map_file import MapFile
@@ -138,8 +138,8 @@ def test_two_points_lie_along_x(house: Map) -> None:
 
 def test_edits_in_place_keep_the_files_together(house: Map, tmp_path: Path) -> None:
     house.save(tmp_path)
-    open_map(tmp_path).edited({"turn": {"degrees": 10}}, out=tmp_path).close()
-    found = open_map(tmp_path)
+    load_map(tmp_path).edited({"turn": {"degrees": 10}}, out=tmp_path).close()
+    found = load_map(tmp_path)
     assert found.edits == ["turn: {degrees: 10.0}\n"]
     first = (tmp_path / "trajectory.tum").read_text().splitlines()[1].split()
     assert float(first[1]) == pytest.approx(found.trajectory.positions_m[0, 0], abs=1e-6)
@@ -223,7 +223,7 @@ def test_no_step_of_an_edited_map_is_forgotten_when_it_is_resumed(house: Map, tm
     """A finished map that is resumed stays as it is, other settings and all."""
     fine = house.remap(["grid.resolution_m=0.1"], out=tmp_path)
     assert finished_map(tmp_path, house.identity)
-    assert content(open_map(tmp_path)) == content(fine)
+    assert content(load_map(tmp_path)) == content(fine)
 
 
 BOX = [[0, 0], [1, 0], [1, 1]]
@@ -293,7 +293,7 @@ def test_a_damaged_edit_is_blamed_by_its_row(house: Map, tmp_path: Path) -> None
         connection.execute("UPDATE edits SET content = x'00' WHERE number = 0")
     connection.close()
     with pytest.raises(ScanweaveError, match="table edits, row 0: its checksum is wrong"):
-        open_map(tmp_path)
+        load_map(tmp_path)
 
 
 def test_a_map_of_an_older_version_is_edited(house: Map, tmp_path: Path) -> None:
@@ -309,7 +309,7 @@ def test_a_map_of_an_older_version_is_edited(house: Map, tmp_path: Path) -> None
     file = MapFile.resume(path)
     assert file is not None
     file.seal()
-    old = open_map(path)
+    old = load_map(path)
     turned = old.edited({"turn": {"degrees": 90}})
     assert turned.covariances is not None  # they follow from the graph
     assert turned.undone().covariances is None

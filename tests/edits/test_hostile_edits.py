@@ -11,7 +11,7 @@ import pytest
 
 import slam
 from slam.errors import MapFileError
-from slam.outputs.finished_map import open_map
+from slam.outputs.finished_map import load_map
 from slam.simulation.synthetic_log import write_synthetic_log
 from slam.storage.map_file import MapFile
 from slam.storage.map_tables import EDITS
@@ -75,7 +75,7 @@ def changed(place: int, value: object) -> bytes:
 def test_a_forged_entry_is_refused_by_its_row(edited: Path, tmp_path: Path, content: bytes) -> None:
     path = forged(edited, tmp_path / "map.db", 0, "edits", 0, content)
     with pytest.raises(MapFileError, match="table edits, row 0: ") as caught:
-        open_map(path)
+        load_map(path)
     assert len(str(caught.value).splitlines()) == 1
 
 
@@ -95,7 +95,7 @@ def test_a_forged_row_of_before_is_found_by_check(
     edited: Path, tmp_path: Path, source: str, number: int, content: bytes
 ) -> None:
     path = forged(edited, tmp_path / "map.db", 1, source, number, content)
-    saved = open_map(path)
+    saved = load_map(path)
     with pytest.raises(MapFileError) as caught:
         saved.check()
     assert len(str(caught.value).splitlines()) == 1

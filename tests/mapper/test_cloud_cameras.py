@@ -19,7 +19,7 @@ from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.measurements import CameraIntrinsics, Measurement, RgbdFrame
 from slam.outputs.exports import Exports
-from slam.outputs.finished_map import open_map
+from slam.outputs.finished_map import load_map
 
 LENS = CameraIntrinsics(130.0, 130.0, 79.5, 59.5, 160, 120)
 MOUNT = gtsam.Pose3(gtsam.Rot3.Ry(0.1), np.array([0.2, 0.05, 0.6])) * T_BODY_CAMERA
@@ -123,7 +123,7 @@ def test_saved_resumed_and_exported(log: Log, mapped: MapResult, tmp_path: Path)
         assert attempt(log, config, broken, stop_at) is None
     attempt(log, config, broken)
     assert broken.read_bytes() == whole.read_bytes()
-    saved = open_map(whole)
+    saved = load_map(whole)
     saved.check()
     kept, poses = saved.contents, mapped.map.frame_poses()
     assert kept.frames is not None and kept.clouds is not None

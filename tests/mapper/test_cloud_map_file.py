@@ -17,7 +17,7 @@ from command_line import scanweave as scanweave
 from slam.cli import main
 from slam.mapper.checkpoint import Checkpoint
 from slam.matching.local_cloud import moved
-from slam.outputs.finished_map import open_map
+from slam.outputs.finished_map import load_map
 from tools.kill_trials import run_trials
 
 COUNT = 9
@@ -129,7 +129,7 @@ def test_what_it_cannot_be_used_for_is_told(
 
 def test_the_clouds_are_where_they_were_seen(log: Path, mapped: Path) -> None:
     """Every kept point lies on the room's walls, floor, ceiling or pillars."""
-    saved, start = open_map(mapped), way_round(36)[0]
+    saved, start = load_map(mapped), way_round(36)[0]
     for points, pose in zip(saved.contents.clouds or (), saved.contents.node_poses, strict=True):
         assert isinstance(pose, gtsam.Pose3)
         placed = moved(points, start.compose(pose))

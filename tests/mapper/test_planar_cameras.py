@@ -32,7 +32,7 @@ from slam.measurements import (
     pose2_from_row,
 )
 from slam.outputs.exports import Exports
-from slam.outputs.finished_map import open_map
+from slam.outputs.finished_map import load_map
 from slam.storage.map_contents import write_contents
 from slam.storage.map_file import MapFile
 from slam.storage.map_identity import MapIdentity
@@ -194,7 +194,7 @@ def test_one_answer_to_which_map(whole_run: MapResult, tmp_path: Path) -> None:
         file.add_meta(key, value)
     write_contents(file, result.map)
     file.seal()
-    saved = open_map(tmp_path)
+    saved = load_map(tmp_path)
     for path in saved.export("nav2", tmp_path / "exported"):
         assert path.read_bytes() == (tmp_path / path.name).read_bytes(), path.name
     assert saved.grid is not None and result.map.grid is not None

@@ -15,7 +15,7 @@ from session_runs import Sessions, run, scanweave, sessions_in
 from slam.estimates import Trajectory
 from slam.evaluation.trajectory_error import absolute_error
 from slam.mapper.checkpoint import Checkpoint
-from slam.outputs.finished_map import open_map
+from slam.outputs.finished_map import load_map
 from slam.simulation.synthetic_log import write_synthetic_log
 from slam.storage.tum import read_tum
 from slam.storage.whole_folder import only_one_in
@@ -75,7 +75,7 @@ class TestJoined:
         assert absolute_error(parts[0], truths[0]).translation_m.rmse < 0.02
 
     def test_nothing_is_lost(self, sessions: Sessions, mapped: Path, joined: Path) -> None:
-        before, after = open_map(mapped), open_map(joined)
+        before, after = load_map(mapped), load_map(joined)
         after.check()
         first, second = after.sessions
         assert (first.keyframes, first.poses) == (len(before.keyframe_poses), len(before.trajectory))
@@ -111,7 +111,7 @@ class TestJoined:
         out = tmp_path / "three"
         outcome = scanweave(capsys, "map", third.log_path, "--into", joined, "--out", out)
         assert outcome.code == 0, outcome.err
-        two, three = open_map(joined), open_map(out)
+        two, three = load_map(joined), load_map(out)
         assert list(three.sessions[:2]) == list(two.sessions) and len(three.sessions) == 3
         # The clocks of all three overlap: what is one's must not be carried along with another's keyframes.
         parts = [read_tum(out / f"trajectory-{n}.tum") for n in (1, 2, 3)]
@@ -243,7 +243,7 @@ def test_the_page_of_a_joined_map_is_of_both_and_each_session_keeps_its_own(
 ) -> None:
     assert (joined / "report-1.html").read_bytes() == (mapped / "report.html").read_bytes()
     assert (joined / "report-2.html").is_file()
-    found = open_map(joined)
+    found = load_map(joined)
     assert found.digest[:12] in (joined / "report.html").read_text()
     found.close()
 
@@ -253,7 +253,7 @@ def test_a_calibration_alone_leaves_the_settings_of_the_map(sessions: Sessions, 
     file.write_text("wheels: {odometry: {scale: 1.001}}\n")
     assert run("map", sessions.first.log_path, "-o", folder, *COARSE) == 0
     assert run("map", sessions.later_log, "--into", folder, "--calibration", file) == 0
-    found = open_map(folder)
+    found = load_map(folder)
     first, later = (session.keyframes for session in found.sessions)
     found.close()
     assert later < 1.5 * first

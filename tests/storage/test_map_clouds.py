@@ -15,7 +15,7 @@ from test_saved_map import IDENTITY, MOUNT, contents, features, forge
 from slam.errors import MapFileError
 from slam.mapping.cloud_packing import packed_cloud
 from slam.measurements import FloatArray, RgbdFrame
-from slam.outputs.finished_map import open_map
+from slam.outputs.finished_map import load_map
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_contents import write_contents
 from slam.storage.map_file import MapFile
@@ -49,7 +49,7 @@ def write(path: Path, kept: list[FloatArray], frames: list[RgbdFrame] = [], *, p
 
 
 def test_they_come_back(tmp_path: Path) -> None:
-    saved = open_map(write(tmp_path / "map.db", clouds()))
+    saved = load_map(write(tmp_path / "map.db", clouds()))
     saved.check()
     kept = saved.contents.clouds
     assert kept is not None and len(kept) == len(saved.keyframe_poses) == 5
@@ -63,14 +63,14 @@ def test_they_come_back(tmp_path: Path) -> None:
 
 def test_frames_beside_clouds_sit_on_bases(tmp_path: Path) -> None:
     frames = [replace(frame, T_base_camera=MOUNT) for frame in box_frames(count=2)]
-    saved = open_map(write(tmp_path / "map.db", clouds(), frames))
+    saved = load_map(write(tmp_path / "map.db", clouds(), frames))
     node = saved.contents.node_poses[1]
     assert isinstance(node, gtsam.Pose3)
     np.testing.assert_array_equal(saved.contents.frame_poses()[1].matrix(), node.compose(MOUNT).matrix())
     saved.close()
     write(tmp_path / "lost.db", clouds(), [replace(frames[0], T_base_camera=None)])
     with pytest.raises(MapFileError, match=r"table frames, row 0: .*where the camera was"):
-        open_map(tmp_path / "lost.db")
+        load_map(tmp_path / "lost.db")
 
 
 def test_what_is_known_already_is_not_written_again(tmp_path: Path) -> None:
@@ -99,21 +99,21 @@ def test_what_is_known_already_is_not_written_again(tmp_path: Path) -> None:
 def test_a_lie_is_told_by_table_and_row(tmp_path: Path, values: dict[str, object], said: str) -> None:
     path = forge(write(tmp_path / "map.db", clouds()), "clouds", 2, **values)
     with pytest.raises(MapFileError, match=rf"table clouds, row 2: .*{said}") as caught:
-        open_map(path).check()
+        load_map(path).check()
     assert len(str(caught.value).splitlines()) == 1
 
 
 def test_clouds_that_fit_no_nodes_are_refused(tmp_path: Path) -> None:
     with pytest.raises(MapFileError, match="4 clouds for 5 nodes, 5 of them in space"):
-        open_map(write(tmp_path / "few.db", clouds(4)))
+        load_map(write(tmp_path / "few.db", clouds(4)))
     with pytest.raises(MapFileError, match="5 clouds for 5 nodes, 0 of them in space"):
-        open_map(write(tmp_path / "planar.db", clouds(), planar=True))
+        load_map(write(tmp_path / "planar.db", clouds(), planar=True))
 
 
 def test_a_map_older_than_clouds_is_read(tmp_path: Path) -> None:
     """Schema 1 ended with the checkpoint."""
     path = tmp_path / "map.db"
-    now = open_map(write(path, []))
+    now = load_map(write(path, []))
     digest = now.digest
     now.close()
     with sqlite3.connect(path) as connection:
@@ -127,7 +127,7 @@ def test_a_map_older_than_clouds_is_read(tmp_path: Path) -> None:
     file = MapFile.resume(path)
     assert file is not None
     file.seal()
-    saved = open_map(path)
+    saved = load_map(path)
     saved.check()
     assert saved.contents.clouds is None and len(saved.keyframe_poses) == 5
     assert saved.digest != digest

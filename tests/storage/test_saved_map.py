@@ -21,7 +21,7 @@ from slam.graph.loop_closure import LoopCandidate
 from slam.mapping.layered_map import OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import CameraIntrinsics, LaserScan, Pose, RgbdFrame
-from slam.outputs.finished_map import open_map
+from slam.outputs.finished_map import load_map
 from slam.storage.map_contents import MapContents, SavedFactor, write_contents
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
@@ -112,7 +112,7 @@ def map_db(frames: list[RgbdFrame], tmp_path_factory: pytest.TempPathFactory) ->
 
 class TestReadBack:
     def test_everything(self, map_db: Path, frames: list[RgbdFrame]) -> None:
-        saved, reported = open_map(map_db.parent), contents()
+        saved, reported = load_map(map_db.parent), contents()
         found = saved.contents
         assert saved.planar and saved.identity == IDENTITY and saved.config.seed == 7
         for name in ("node_poses", "measured_scans", "keyframe_scans", "loops"):
@@ -131,7 +131,7 @@ class TestReadBack:
         saved.close()
 
     def test_frames(self, map_db: Path, frames: list[RgbdFrame]) -> None:
-        saved = open_map(map_db)
+        saved = load_map(map_db)
         kept = saved.contents.frames
         assert kept is not None
         assert [kept.head(number).node for number in range(3)] == [0, 2, 4]
@@ -152,7 +152,7 @@ class TestReadBack:
     def test_a_camera_alone(self, tmp_path: Path) -> None:
         reported = replace(contents(planar=False), measured_scans=[], keyframe_scans=[], grids={})
         frames = [replace(frame, T_base_camera=None) for frame in box_frames(count=3)]
-        saved = open_map(write(tmp_path / "map.db", reported, frames))
+        saved = load_map(write(tmp_path / "map.db", reported, frames))
         assert not saved.planar and saved.grid is None
         assert list(saved.keyframe_scans) == [None] * 5
         assert same(saved.contents.frame_poses(), list(reported.node_poses[::2]))
@@ -162,9 +162,9 @@ class TestReadBack:
         saved.close()
 
     def test_the_digest_tells_maps_apart(self, map_db: Path, frames: list[RgbdFrame], tmp_path: Path) -> None:
-        again = open_map(write(tmp_path / "again.db", contents(), frames))
-        other = open_map(write(tmp_path / "other.db", contents(), frames[:2]))
-        assert open_map(map_db).digest == again.digest != other.digest
+        again = load_map(write(tmp_path / "again.db", contents(), frames))
+        other = load_map(write(tmp_path / "other.db", contents(), frames[:2]))
+        assert load_map(map_db).digest == again.digest != other.digest
 
     def test_writing_twice_leaves_one(self, map_db: Path, frames: list[RgbdFrame], tmp_path: Path) -> None:
         file = MapFile.create(tmp_path / "map.db")
@@ -255,25 +255,25 @@ class TestRefused:
         path.write_bytes(map_db.read_bytes())
         name = table.name  # type: ignore[attr-defined]
         with pytest.raises(MapFileError, match=rf"table {name}, row \d+: .*({said})") as caught:
-            open_map(forge(path, name, number, **values)).check()
+            load_map(forge(path, name, number, **values)).check()
         assert len(str(caught.value).splitlines()) == 1
 
     def test_a_file_that_was_cut_is_to_be_copied_again(self, map_db: Path, tmp_path: Path) -> None:
         path = tmp_path / "map.db"
         path.write_bytes(map_db.read_bytes()[:20_000])
         with pytest.raises(MapFileError, match="copy it again, or map its log anew"):
-            open_map(path)
+            load_map(path)
 
     def test_settings_of_another_version(self, map_db: Path, tmp_path: Path) -> None:
         path = tmp_path / "map.db"
         path.write_bytes(map_db.read_bytes())
         with pytest.raises(MapFileError, match="settings that this version does not take"):
-            open_map(forge(path, "meta", 0, value='{"grid": {"resolution_m": -1.0}}'))
+            load_map(forge(path, "meta", 0, value='{"grid": {"resolution_m": -1.0}}'))
         forge(path, "meta", 0, value=Config().model_dump_json())
         with pytest.raises(MapFileError, match="versions cannot be read"):
-            open_map(forge(path, "meta", 4, value="{"))
+            load_map(forge(path, "meta", 4, value="{"))
         with pytest.raises(MapFileError, match="does not tell its config"):
-            open_map(forge(path, "meta", 0, key="konfig"))
+            load_map(forge(path, "meta", 0, key="konfig"))
 
     def test_a_spoilt_file_is_refused_or_harmless(self, map_db: Path, tmp_path: Path) -> None:
         """As tools/fuzz.py does for minutes."""
