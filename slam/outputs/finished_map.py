@@ -255,7 +255,7 @@ class Map:
         Raises
         ------
         ScanweaveError
-            Where the edits do not fit, the folder holds another map or cannot be written; the map is as it was.
+            Where edits do not fit, the folder holds another map or cannot be written; the map is as it was.
 
         Examples
         --------
