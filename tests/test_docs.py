@@ -151,6 +151,12 @@ def test_every_source_that_the_code_names_is_in_the_bibliography() -> None:
 
 
 @every_page
+def test_tools_that_use_other_tools_are_called_so_that_they_find_them(page: Path) -> None:
+    for tool in re.findall(r"(?<!PYTHONPATH=\. )\bpython (tools/\w+\.py)", page.read_text("utf-8")):
+        assert "\nfrom tools" not in (REPO / tool).read_text("utf-8"), f"PYTHONPATH=. python {tool}"
+
+
+@every_page
 def test_tools_have_the_options_that_are_shown(page: Path) -> None:
     spans = [*INLINE.findall(prose(page)), *blocks(page)]
     for arguments in (line for span in spans for line in command_lines(span, "python")):
