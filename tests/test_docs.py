@@ -56,7 +56,9 @@ def anchors(page: Path) -> set[str]:
 
 def command_lines(text: str, program: str) -> list[list[str]]:
     """The arguments of a program in the lines of a block, comments left out."""
-    lines = (line.strip().removeprefix(".venv/bin/") for line in text.splitlines())
+    lines = (
+        line.strip().removeprefix(".venv/bin/").removeprefix("PYTHONPATH=. ") for line in text.splitlines()
+    )
     return [shlex.split(line, comments=True)[1:] for line in lines if line.startswith(program + " ")]
 
 
