@@ -56,7 +56,9 @@ def anchors(page: Path) -> set[str]:
 
 def command_lines(text: str, program: str) -> list[list[str]]:
     """The arguments of a program in the lines of a block, comments left out."""
-    lines = (line.strip().removeprefix(".venv/bin/") for line in text.splitlines())
+    lines = (
+        line.strip().removeprefix(".venv/bin/").removeprefix("PYTHONPATH=. ") for line in text.splitlines()
+    )
     return [shlex.split(line, comments=True)[1:] for line in lines if line.startswith(program + " ")]
 
 
@@ -148,6 +150,12 @@ def test_every_source_that_the_code_names_is_in_the_bibliography() -> None:
         for name, year in cited.findall(file.read_text("utf-8")):
             known = any(name in entry and year in entry for entry in entries)
             assert known or name == "Before", f"{file.name}: {name} {year}"
+
+
+@every_page
+def test_tools_that_use_other_tools_are_called_so_that_they_find_them(page: Path) -> None:
+    for tool in re.findall(r"(?<!PYTHONPATH=\. )\bpython (tools/\w+\.py)", page.read_text("utf-8")):
+        assert "\nfrom tools" not in (REPO / tool).read_text("utf-8"), f"PYTHONPATH=. python {tool}"
 
 
 @every_page

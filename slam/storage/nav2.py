@@ -139,7 +139,8 @@ def read_nav2_map(path: Path) -> Nav2Map:
         raise MapFileError(f"{path}: negate is {negate!r}, it must be 0 or 1")
     image, opaque = _read_image(_image_path(fields, path))
     if mode == "raw":
-        values = np.where(image <= OCCUPIED, image, UNKNOWN).astype(np.int8)
+        values = image.astype(np.int8)
+        values[image > OCCUPIED] = UNKNOWN
     else:
         _warn_of_freed_unknowns(path, image, bool(negate), free_thresh)
         values = _occupancy(image, bool(negate), occupied_thresh, free_thresh, mode)
