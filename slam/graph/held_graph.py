@@ -12,8 +12,11 @@ from slam.graph.factors import between_factor, gauge
 from slam.measurements import FloatArray, Pose
 
 
-def marginals(poses: Sequence[Pose], edges: Iterable[Edge], most_kept: int = 2000) -> FloatArray:
+def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
     """Covariance of every node where node 0 is held, by QR: what is long and stiff loses no digits.
+
+    Each clique of the Bayes tree tells its nodes by those of the clique above, so that one pass from the
+    root gives the covariance of all that share a clique (Takahashi, Fagan and Chin 1973, by blocks).
 
     Parameters
     ----------
@@ -21,24 +24,33 @@ def marginals(poses: Sequence[Pose], edges: Iterable[Edge], most_kept: int = 200
         (n,) estimates, at which the edges are linearised.
     edges
         That hold all of them together.
-    most_kept
-        Of what GTSAM keeps of one node for the next: so many, for they grow with the map and its loops.
 
     Returns
     -------
     (n, d, d), GTSAM's tangent of each pose.
     """
     graph, values = held_graph(poses, edges)
-    parameters = gtsam.ISAM2Params()
-    parameters.setFactorization("QR")
-    solver = gtsam.ISAM2(parameters)
-    solver.update(graph, values)
-    found = []
-    for node in range(len(poses)):
-        found.append(solver.marginalCovariance(node))
-        if solver.numCachedSeparatorMarginals() > most_kept:
-            solver.deleteCachedShortcuts()
-    return np.array(found)
+    tree = graph.linearize(values).eliminateMultifrontal(None, gtsam.EliminateQR)
+    size = 3 if isinstance(poses[0], gtsam.Pose2) else 6
+    found, above = np.empty((len(poses), size, size)), dict[int, int]()
+    waiting = [(root, above, np.zeros((0, 0))) for root in tree.roots()]
+    while waiting:
+        clique, above, known = waiting.pop()
+        told = clique.conditional()
+        keys, inverse = list(told.keys()), np.linalg.inv(told.R())
+        own = len(inverse)
+        # R x + S y = noise, with y the nodes that the clique shares with the one above.
+        rows = (
+            np.array([above[key] for key in keys[own // size :]], np.int64)[:, None] + range(size)
+        ).ravel()
+        shared, gain = known[np.ix_(rows, rows)], inverse @ told.S()
+        across = gain @ shared
+        joint = np.block([[inverse @ inverse.T + across @ gain.T, -across], [-across.T, shared]])
+        places = {key: size * place for place, key in enumerate(keys)}
+        for key in keys[: own // size]:
+            found[key] = joint[places[key] : places[key] + size, places[key] : places[key] + size]
+        waiting += [(clique[child], places, joint) for child in range(clique.nrChildren())]
+    return found
 
 
 def held_graph(

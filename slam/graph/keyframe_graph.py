@@ -166,13 +166,15 @@ def together(edges: Iterable[Edge]) -> dict[tuple[int, int], Motion]:
     same: dict[tuple[int, int], list[Edge]] = {}
     for edge in edges:
         same.setdefault((edge.source, edge.target), []).append(edge)
-    motions = {}
-    for ends, ones in same.items():
-        covariance = _in_plane(ones[0])
-        if len(ones) > 1:
-            covariance = np.linalg.inv(np.linalg.inv([_in_plane(one) for one in ones]).sum(axis=0))
-        motions[ends] = Motion(np.array(row_of(ones[0].T_source_target)), covariance)
-    return motions
+    covariances = {ends: _in_plane(ones[0]) for ends, ones in same.items()}
+    if several := {ends: ones for ends, ones in same.items() if len(ones) > 1}:
+        each = np.linalg.inv([_in_plane(one) for ones in several.values() for one in ones])
+        begun = np.cumsum([0, *map(len, several.values())])[:-1]
+        covariances |= zip(several, np.linalg.inv(np.add.reduceat(each, begun)), strict=True)
+    return {
+        ends: Motion(np.array(row_of(ones[0].T_source_target)), covariances[ends])
+        for ends, ones in same.items()
+    }
 
 
 def graph_of(nodes: int, edges: Iterable[Edge], parts: NDArray[np.int64] | None = None) -> UncertaintyGraph:

@@ -59,8 +59,9 @@ class ScanPoints:
     @cached_property
     def _oriented(self) -> tuple[Float32Array, Float32Array]:
         """Found once: a scan is asked several times."""
-        known = (self.normals_base[:, 0] != 0.0) | (self.normals_base[:, 1] != 0.0)
-        return self.points_base[known], self.normals_base[known]
+        # By numbers: a mask of rows takes numpy twice as long.
+        known = np.flatnonzero((self.normals_base[:, 0] != 0.0) | (self.normals_base[:, 1] != 0.0))
+        return self.points_base.take(known, axis=0), self.normals_base.take(known, axis=0)
 
 
 def extract_points(scan: LaserScan, range_min_m: float, range_max_m: float, neighbours: int) -> ScanPoints:
