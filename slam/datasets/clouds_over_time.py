@@ -52,7 +52,7 @@ class CloudFolder:
     def numbered(self, account: Account) -> Iterator[tuple[int, PointCloud]]:
         """The clouds with their lines in the list; what cannot be read is counted."""
         times = PointTimes(self.stamped)
-        for index, (file, cloud) in enumerate(prefetched(self.files, self._read)):
+        for index, (file, cloud) in enumerate(prefetched(self.files, self._read, 1)):
             account.report.line_count += 1
             account.report.note_share(index / len(self.files))
             if isinstance(cloud, RecordFault):

@@ -306,7 +306,7 @@ def band_scans(
         return band_scan(upright, stamp_s, lidar, band, below_m, config.cloud_map, clears=clears)
 
     stamps_s = (clouds.stamp_s(key) for key in range(len(clouds)))
-    return list(prefetched(zip(clouds, stamps_s, poses, strict=True), scan))
+    return list(prefetched(zip(clouds, stamps_s, poses, strict=True), scan, most_waiting=1))
 
 
 def level(T_map_base: gtsam.Pose3) -> gtsam.Pose3:

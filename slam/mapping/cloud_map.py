@@ -13,7 +13,6 @@ import numpy as np
 from fusion.estimation import FEWEST
 from fusion.height_band import thin_to_voxels
 from slam.errors import ScanweaveError
-from slam.heap import give_back
 from slam.mapping.dense_map import ColoredCloud, Colors
 from slam.matching.local_cloud import moved
 from slam.matching.plane_voxels import surface_normals
@@ -57,7 +56,7 @@ class CloudTiles:
             if not np.isfinite(pose.matrix()).all():
                 raise ScanweaveError(f"pose {number} of {len(poses)} keyframes is not finite; see the report")
         seen = enumerate(zip(clouds, poses, strict=True))
-        for placed, tiles in prefetched(seen, lambda one: _by_tile(one[0], moved(*one[1]), voxel_m)):
+        for placed, tiles in prefetched(seen, lambda one: _by_tile(one[0], moved(*one[1]), voxel_m), 1):
             begin, _ = self._keep(placed)
             for tile, count in tiles:
                 pieces[tile].append((begin, count))
@@ -68,7 +67,6 @@ class CloudTiles:
             heights.append(rows[::FEWEST, 2].astype(np.float32))
             self._tiles.append(self._keep(rows))
         self._usual = _usual(np.concatenate(heights))
-        give_back()
 
     def points(self) -> Iterator[FloatArray]:
         """(N, 3) of one tile after the other, map frame."""

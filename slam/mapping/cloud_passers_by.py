@@ -90,6 +90,7 @@ def passed_by(
     looks = prefetched(
         zip(clouds, poses, strict=True),
         lambda one: (one[1], moved(*one), _pixels(moved(one[0], T_lidar_base))),
+        most_waiting=1,
     )
     for number, (pose, placed, seen) in enumerate(looks):
         T_map_lidar = pose.compose(T_base_lidar)

@@ -7,7 +7,6 @@ a mixture.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 
-from fusion.kernel import ZERO, kernel
+from fusion.kernel import kernel
 from slam.mapping.band_scan import LEVEL_SHARE
 from slam.mapping.cloud_packing import STEP_M
 from slam.matching.local_cloud import moved
@@ -96,7 +95,7 @@ def elevation(
     """
     batches, waiting = list[Keys](), list[Keys]()
     seen = zip(clouds, poses, strict=True)
-    for lows in prefetched(seen, lambda one: _lows(moved(*one), one[1].translation(), reach_m)):
+    for lows in prefetched(seen, lambda one: _lows(moved(*one), one[1].translation(), reach_m), 1):
         waiting.append(lows)
         if len(waiting) == BATCH:
             batches.append(_quantiles(np.concatenate(waiting), 0.5))
@@ -139,25 +138,11 @@ def _above(points, height_m, cell_m, origin_xy, above_m):  # type: ignore[no-unt
 
 def _lows(points_map: FloatArray, position: FloatArray, reach_m: float) -> Keys:
     """(C,) the cells that one cloud tells of, with their heights."""
-    keys = np.empty(len(points_map), np.int64)
-    return _quantiles(keys[: _near_keys(points_map, position, reach_m, keys)], LEVEL_SHARE)
-
-
-@kernel(nogil=True)
-def _near_keys(points, position, reach_m, keys):  # type: ignore[no-untyped-def]
-    """Cells and heights of the points (N, 3) within reach, into ``keys`` (N,); how many there are."""
-    count = ZERO
-    for i in range(points.shape[0]):
-        dx = points[i, 0] - position[0]
-        dy = points[i, 1] - position[1]
-        if dx * dx + dy * dy >= reach_m * reach_m:
-            continue
-        row = math.floor(points[i, 1] / _CELL_M) + _MIDDLE
-        col = math.floor(points[i, 0] / _CELL_M) + _MIDDLE
-        height = min(max(round(points[i, 2] / STEP_M) + _MIDDLE, 0), 2 * _MIDDLE - 1)
-        keys[count] = (row << 2 * _BITS) | (col << _BITS) | height
-        count += 1
-    return count
+    x, y, z = np.ascontiguousarray(points_map.T)
+    (near,) = np.nonzero((x - position[0]) ** 2 + (y - position[1]) ** 2 < reach_m**2)
+    row, col = (np.floor(axis[near] / _CELL_M).astype(np.int64) + _MIDDLE for axis in (y, x))
+    height = np.clip(np.rint(z[near] / STEP_M).astype(np.int64) + _MIDDLE, 0, 2 * _MIDDLE - 1)
+    return _quantiles(row << 2 * _BITS | col << _BITS | height, LEVEL_SHARE)
 
 
 def _quantiles(keys: Keys, share: float) -> Keys:

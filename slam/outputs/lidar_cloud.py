@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam.config import Config
+from slam.heap import give_back
 from slam.mapping.cloud_map import CloudTiles
 from slam.mapping.cloud_passers_by import passed_by
 from slam.mapping.dense_map import ColoredCloud
@@ -38,11 +39,13 @@ def lidar_cloud(found: MapContents, config: Config, ground: Elevation | None) ->
     assert clouds is not None
     with tempfile.TemporaryFile(prefix="scanweave-cloud-") as file:
         tiles = CloudTiles(clouds, poses, config.grid.resolution_m, file)
+        give_back()
         if ground is None:
             yield LidarCloud(_Parts(tiles.cloud), lambda points: np.zeros(len(points), np.bool_), None)
             return
         reach_m = config.cloud_odometry.range_max_m
         passed = passed_by(tiles.points(), clouds, poses, found.T_base_lidar, ground, reach_m)
+        give_back()
 
         def is_ground(points: Float32Array) -> BoolArray:
             above_m = np.abs(ground.above_m(points.astype(np.float64)))
