@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -36,7 +36,7 @@ from slam.storage.tum import read_tum
 
 # What is better when it is small.
 _SMALLER = ("collide", "collide_hard", "danger", "false_occupied")
-_SHOWN = (*_SMALLER[:3], "reach", "reach_near", "false_occupied", "completeness", "f1")
+SHOWN = (*_SMALLER[:3], "reach", "reach_near", "false_occupied", "completeness", "f1")
 
 
 def main() -> None:
@@ -90,19 +90,17 @@ def raw_scans(drive: Path, saved: Map) -> list[LaserScan | None]:
     ]
 
 
-def table(found: dict[str, dict[str, dict[str, float]]]) -> str:
+def table(found: dict[str, dict[str, dict[str, float]]], shown: Sequence[str] = SHOWN) -> str:
     """Means, and the median difference from the first row with its interval."""
-    lines = [f"| map to drive by | {' | '.join(_SHOWN)} |", "|---" * (len(_SHOWN) + 1) + "|"]
+    lines = [f"| map to drive by | {' | '.join(shown)} |", "|---" * (len(shown) + 1) + "|"]
     first = next(iter(found.values()))
     for name, drives in found.items():
         cells = [
-            f"{np.nanmean([scores.get(key, np.nan) for scores in drives.values()]):.3f}" for key in _SHOWN
+            f"{np.nanmean([scores.get(key, np.nan) for scores in drives.values()]):.3f}" for key in shown
         ]
         lines.append(f"| {name} | {' | '.join(cells)} |")
         if drives is not first:
-            lines.append(
-                f"| minus the first | {' | '.join(_against(drives, first, key) for key in _SHOWN)} |"
-            )
+            lines.append(f"| minus the first | {' | '.join(_against(drives, first, key) for key in shown)} |")
     return "\n".join(lines)
 
 
