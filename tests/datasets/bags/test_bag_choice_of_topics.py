@@ -104,6 +104,18 @@ def test_a_lidar_that_pans_lies_in_its_plane(tmp_path: Path) -> None:
     assert len(read(tmp_path, sent)[0]) == 4
 
 
+def test_pictures_of_a_lidar_are_no_camera(tmp_path: Path) -> None:
+    """As ouster-ros sends them: range and brightness of each point as images of 16 bits."""
+    steps = np.full((48, 64), 900, np.uint16)
+    pictures = [
+        image(f"/ouster/{name}_image", steps, "mono16", frame="os_sensor")
+        for name in ("range", "nearir", "signal", "reflec")
+    ]
+    found, dataset = read(tmp_path, [lidar(START_S, "/ouster/points", "os_sensor"), *pictures])
+    assert {one.sensor for one in found} == {"/ouster/points"}
+    assert sum("a picture of what the lidar" in why for why in dataset.report.reasons.values()) == 4
+
+
 def piece(number: int, of: int) -> Sent:
     """A part of a turn of 0.1 s."""
     around = 2.0 * np.pi * (number + np.linspace(0.0, 0.99, 50)) / of
