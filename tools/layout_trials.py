@@ -115,7 +115,9 @@ def _mapped(commands: list[str], sample: Sample, more: tuple[str, ...], folder: 
     poses = getattr(true, "poses", None)
     if poses is None or len(rows) < 2:
         return [] if len(rows) > 1 else ["a map of a single pose"]
-    far = float(np.linalg.norm(rows[-1, 1:4] - rows[0, 1:4]))
+    seconds = true.stamps_s[-1] - true.stamps_s[0]
+    last = np.abs(rows[:, 0] - rows[0, 0] - seconds).argmin()
+    far = float(np.linalg.norm(rows[last, 1:4] - rows[0, 1:4]))
     mount = getattr(true, "mount", None)
     bases = (
         [pose @ np.linalg.inv(mount) for pose in (poses[0], poses[-1])]

@@ -248,7 +248,7 @@ def _open_loris(folder: Path) -> Sample:
     lists: dict[str, str] = {"color": "", "aligned_depth": ""}
     odometry, truth, poses = "", "#Time px py pz qx qy qz qw\n", []
     for k, base in enumerate(bases):
-        stamp, pose = f"{1560000075.1 + k / 30:.6f}", base @ mount
+        stamp, pose = f"{1560000075.1 + k / 10:.6f}", base @ mount
         poses.append(pose)
         seen = looked_at(lens, pose)
         put(place / "color" / f"{stamp}.png", seen.color)
@@ -264,7 +264,7 @@ def _open_loris(folder: Path) -> Sample:
     put(place / "groundtruth.txt", truth)
     put(place / "sensors.yaml", _loris_sensors(lens))
     put(place / "trans_matrix.yaml", _loris_mounts(mount))
-    stamps = [k / 30 for k in range(len(bases))]
+    stamps = [k / 10 for k in range(len(bases))]
     return Sample(place, (CameraTruth(lens, stamps, poses, mount),), wheels=len(bases), moved=bases)
 
 

@@ -227,6 +227,27 @@ def _velodyne_packets(folder: Path) -> Sample:
     )
 
 
+@layout(
+    "Ouster driver, all it sends",
+    "lidar bags",
+    "github.com/ouster-lidar/ouster-ros README: proc_mask IMG|PCL|IMU|SCAN",
+)
+def _ouster_driver(folder: Path) -> Sample:
+    """Clouds, pictures of their ranges and brightness in 16 bits, a ring as a scan, IMU, frames."""
+    sits = placed(0.0, 0.0, 0.036, yaw=np.pi)
+    points, parts, poses = ride(MOUNT)
+    fields, said = FIELDS["Ouster PointCloud2"][3], list(feel("/ouster/imu", "os_imu"))
+    steps = (np.arange(64 * 1024).reshape(64, 1024) % 9000).astype("<u2")
+    for k, stamp in enumerate(STAMPS):
+        own = fields(points[k], parts[k], stamp)
+        said.append(ros.cloud("/ouster/points", stamp, points[k], "os_lidar", own, gap=4, rows=16))
+        said.append(ros.scan("/ouster/scan", stamp, np.full(360, 3.0), -np.pi, np.radians(1.0), "os_lidar"))
+        for name in ("range", "signal", "nearir", "reflec"):
+            said.append(ros.image(f"/ouster/{name}_image", stamp, steps, "mono16", "os_lidar"))
+    said.append(ros.tf("os_sensor", {"os_lidar": sits, "os_imu": placed(0.006, -0.012, 0.008)}))
+    return Sample(ros.ros2(folder / "ouster", said), cloud=truth(points, parts, poses, sits), imu=80)
+
+
 @layout("Ouster packets", "lidar bags", "ouster-ros PacketMsg.msg")
 def _ouster_packets(folder: Path) -> Sample:
     said = [

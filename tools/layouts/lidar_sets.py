@@ -222,19 +222,19 @@ def _backpack_3d(folder: Path) -> Sample:
     points, parts, poses = ride(MOUNT)
     for side in ("horizontal", "vertical"):
         for k in range(COUNT):
-            for piece in range(8):
-                chosen = (parts[k] >= piece / 8) & (parts[k] < (piece + 1) / 8)
+            for piece in range(36):
+                chosen = (parts[k] >= piece / 36) & (parts[k] < (piece + 1) / 36)
                 said.append(
                     ros.cloud(
                         f"{side}_laser_3d",
-                        STAMPS[k] + TURN_S * piece / 8,
+                        STAMPS[k] + TURN_S * piece / 36,
                         points[k][chosen],
                         f"{side}_vlp16_link",
                         {"intensity": np.ones(chosen.sum(), "<f4")},
                     )
                 )
     said += feel("imu", "imu_link")
-    cloud = truth(points, [np.floor(8 * part) / 8 for part in parts], poses)
+    cloud = truth(points, [np.floor(36 * part) / 36 for part in parts], poses)
     return Sample(ros.ros1(folder / "b3-2016-04-05-14-14-00.bag", said), cloud=cloud, imu=80)
 
 

@@ -22,7 +22,6 @@ NO_POINTS = "point cloud without a valid point"
 
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
 _DIRECTIONS = 36  # of ten degrees each
-_PIECE = 0.5  # of a turn: a lidar that sees less and looks elsewhere each time sends pieces
 _HALF_VIEW_RAD = math.radians(65.0)  # of the widest depth cameras (Azure Kinect, 120 degrees), with slack
 
 
@@ -128,8 +127,8 @@ class CloudView:
         Share of all directions about z in which there is a point.
     timed
         Whether its points tell their times.
-    ahead_rad
-        The bearing in which they lie.
+    ahead_rad, width_rad
+        The bearing about z in which they lie, and how wide they spread if they do so evenly.
     """
 
     stamp_s: float
@@ -139,11 +138,13 @@ class CloudView:
     around: float = 0.0
     timed: bool = False
     ahead_rad: float = 0.0
+    width_rad: float = 0.0
 
     def turns_to(self, next_one: CloudView) -> bool:
-        """Whether each sees a part of a turn, the next one another than this."""
+        """Whether each is a piece of a turn, the next one beside this."""
         turned_rad = abs(math.remainder(next_one.ahead_rad - self.ahead_rad, 2.0 * math.pi))
-        return max(self.around, next_one.around) < _PIECE and turned_rad > math.pi * self.around
+        width_rad = max(self.width_rad, next_one.width_rad)
+        return width_rad < math.pi and 0.5 * width_rad < turned_rad < 1.5 * width_rad
 
 
 def cloud_view(message: Any) -> CloudView:
@@ -160,10 +161,15 @@ def cloud_view(message: Any) -> CloudView:
     along = [axis for axis, share in zip("xyz", seen, strict=True) if share > CONFIDENCE]
     bearings = np.arctan2(cloud.points_lidar[:, 1], cloud.points_lidar[:, 0]) / (2.0 * math.pi)
     around = np.unique(np.floor(bearings * _DIRECTIONS)).size / _DIRECTIONS
-    timed = cloud.times_s is not None
     ahead_rad = direction_rad(cloud.points_lidar)
+    off_ahead = bearings - ahead_rad / (2.0 * math.pi)
+    # The deviation of an even spread is its width by the root of twelve.
+    width_rad = 2.0 * math.pi * math.sqrt(12.0) * float((off_ahead - np.rint(off_ahead)).std())
+    timed = cloud.times_s is not None
     count = len(cloud.points_lidar)
-    return CloudView(cloud.stamp_s, int(message.height), "".join(along[:1]), count, around, timed, ahead_rad)
+    return CloudView(
+        cloud.stamp_s, int(message.height), "".join(along[:1]), count, around, timed, ahead_rad, width_rad
+    )
 
 
 def _rows(message: Any) -> NDArray[Any]:

@@ -13,7 +13,7 @@ import numpy as np
 from slam.datasets.bags.camera_clouds import camera_clouds
 from slam.datasets.bags.laser import LaserMount
 from slam.datasets.bags.survey import Survey
-from slam.datasets.bags.topics import CLOUDS, ODOMETRY, SCANS, Evidence
+from slam.datasets.bags.topics import CLOUDS, IMAGES, ODOMETRY, SCANS, Evidence
 from slam.datasets.bags.transforms import BASE_FRAMES
 from slam.datasets.bags.truth import IS_TRUTH, is_truth
 from slam.datasets.dataset import RecordFault
@@ -31,6 +31,7 @@ _MADE = re.compile(
     r"|corner|surf|feature|crop|second|aggregat|concat|object|undistort|colou?r",
     re.IGNORECASE,
 )
+_OF_LIDAR = re.compile(r"(range|signal|near_?ir|reflec\w*|ambient|intensity)_image", re.IGNORECASE)
 _WORLDS = {"map", "world", "earth", "camera_init", "global", *ODOM_FRAMES}
 _APART_M, _APART_RAD = 0.01, math.radians(1.0)
 
@@ -62,6 +63,8 @@ def never_read(survey: Survey) -> dict[str, str]:
             found[topic] = f"it is made of {cloud}, which has its frame and stamps and tells more"
         elif kind in SCANS and (unfit := _not_in_plane(survey, frame)):
             found[topic] = unfit
+        elif kind in IMAGES and _OF_LIDAR.search(topic) and (cloud := _beside(survey, topic)):
+            found[topic] = f"it is a picture of what the lidar of {cloud} tells"
         elif kind in CLOUDS and _last(frame) in _WORLDS:
             found[topic] = f"it stands in {frame}, moved by somebody's estimate already"
     made = camera_clouds(survey)
@@ -96,6 +99,13 @@ def _no_wheels(survey: Survey, topic: str) -> str:
     if parent in _WORLDS.difference(ODOM_FRAMES):
         return f"it is somebody's estimate in {parent} and none of wheels"
     return "by its name it is what was seen of the way and none of wheels" if _NO_WHEELS.search(topic) else ""
+
+
+def _beside(survey: Survey, image: str) -> str | None:
+    """The cloud of an image's frame or namespace."""
+    space, frame = image.rpartition("/")[0], survey.frames.get(image)
+    clouds = ((topic, survey.frames.get(topic)) for topic in sorted(survey.clouds))
+    return next((topic for topic, own in clouds if own == frame or topic.rpartition("/")[0] == space), None)
 
 
 def _made_of(survey: Survey, scan: str) -> str | None:

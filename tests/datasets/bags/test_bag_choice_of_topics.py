@@ -104,20 +104,34 @@ def test_a_lidar_that_pans_lies_in_its_plane(tmp_path: Path) -> None:
     assert len(read(tmp_path, sent)[0]) == 4
 
 
-def piece(number: int) -> Sent:
-    """A quarter of a turn."""
-    around = 0.5 * np.pi * (number + np.linspace(0.0, 0.99, 50))
+def test_pictures_of_a_lidar_are_no_camera(tmp_path: Path) -> None:
+    """As ouster-ros sends them: range and brightness of each point as images of 16 bits."""
+    steps = np.full((48, 64), 900, np.uint16)
+    pictures = [
+        image(f"/ouster/{name}_image", steps, "mono16", frame="os_sensor")
+        for name in ("range", "nearir", "signal", "reflec")
+    ]
+    found, dataset = read(tmp_path, [lidar(START_S, "/ouster/points", "os_sensor"), *pictures])
+    assert {one.sensor for one in found} == {"/ouster/points"}
+    assert sum("a picture of what the lidar" in why for why in dataset.report.reasons.values()) == 4
+
+
+def piece(number: int, of: int) -> Sent:
+    """A part of a turn of 0.1 s."""
+    around = 2.0 * np.pi * (number + np.linspace(0.0, 0.99, 50)) / of
     columns = {name: np.zeros(50, "<f4") for name in "xyz"}
     columns["x"][:], columns["y"][:] = 5.0 * np.cos(around), -5.0 * np.sin(around)
-    return cloud(columns, START_S + 0.025 * number)
+    return cloud(columns, START_S + 0.1 * number / of)
 
 
-def test_pieces_of_turns_are_put_together(tmp_path: Path) -> None:
-    found, dataset = read(tmp_path, [piece(number) for number in range(11)])
+@pytest.mark.parametrize("count", [4, 36])
+def test_pieces_of_turns_are_put_together(tmp_path: Path, count: int) -> None:
+    found, dataset = read(tmp_path, [piece(number, count) for number in range(3 * count - 1)])
     assert [one.stamp_s - START_S for one in found] == pytest.approx([0.0, 0.1], abs=1e-6)
     for one in found:
-        assert len(one.points_lidar) == 200
-        np.testing.assert_allclose(np.unique(one.times_s), [0.0, 0.025, 0.05, 0.075], atol=1e-6)
+        assert len(one.points_lidar) == 50 * count
+        np.testing.assert_allclose(np.unique(one.times_s), 0.1 * np.arange(count) / count, atol=2e-6)
+    assert len(list(dataset)) == 2
     assert any("pieces of a turn" in note for note in dataset.report.notes)
 
 
