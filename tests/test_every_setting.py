@@ -40,6 +40,7 @@ RUN_OF = {
     "sensors.calibration_files": "from_a_file",
     "sensors.imu": "with_imu",
     "sensors.doctor": "planar",
+    "sensors.tags": "planar",
     "sensors.calibration": "planar",
     "visual_loops.least_features": "frames_alone",
 }
@@ -98,6 +99,11 @@ VALUES: dict[str, Any] = {
     "sensors.topics": ["/scan"],
     "sensors.calibration_files": ["nowhere.yaml"],
     "sensors.calibration": {"wheels": {"odometry": {"scale": 3.0}}},
+    "sensors.tags": {
+        "surveyed": [
+            {"stamp_s": 100.0 + n, "at_m": place} for n, place in ((1, [0, 0]), (6, [2, 1]), (9, [3, -1]))
+        ]
+    },
     "scan.range_min_m": 1.5,
     "scan.range_max_m": 2.0,
     "wheels.swing_m_per_rad": 5.0,

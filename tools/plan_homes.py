@@ -26,6 +26,7 @@ from slam.comparison.map_score import REACH_M, map_scores, on_truth
 from slam.comparison.plan_score import plan_scores
 from slam.comparison.product import StateGrid
 from slam.config import load_config
+from slam.estimates import Trajectory
 from slam.evaluation.trajectory_error import absolute_error
 from slam.mapper.keyframe_fusion import KeyframeFusion
 from slam.mapper.map_result import depth_grid
@@ -33,7 +34,7 @@ from slam.mapping.glass_gaps import with_glass
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.mapping.layered_map import DecisionRule, LayeredMap
 from slam.mapping.occupancy_grid import OCCUPIED, UNKNOWN
-from slam.measurements import Trajectory, row_from_pose2
+from slam.measurements import row_from_pose2
 from slam.simulation.drive import Drive, prepare_drive
 from slam.simulation.drive_faults import FAULT_PRESETS, LIDAR
 from slam.simulation.home import generate_home

@@ -39,7 +39,7 @@ from slam.simulation.wall_tags import hang_tags, known_places
 from slam.storage.tum import read_tum
 from slam.vision.tags import TagView, find_tags
 
-_IMAGES_HZ, _TAGS, _USUAL = 4.0, 24, "three"
+_IMAGES_HZ = 4.0
 Alter = Callable[[list[TagView], int], list[TagView]]
 
 
@@ -50,11 +50,13 @@ def rig_of(*, lidar: bool) -> Rig:
     return replace(rig, cameras=tuple(slow))
 
 
-def drive_of(folder: Path, home: int, rig: Rig, duration_s: float) -> tuple[Path, KnownPlaces, float]:
+def drive_of(
+    folder: Path, home: int, rig: Rig, tags: int, duration_s: float
+) -> tuple[Path, KnownPlaces, float]:
     """A drive on disk, drawn where it is missing; all its tags, and when its first lap ends."""
     building = generate_home(home, "office")
     tour = plan_tour(building, rig.robot_radius_m, rig.robot_height_m, home, duration_s)
-    building = hang_tags(building, _TAGS, home, tour.poses_xyt)
+    building = hang_tags(building, tags, home, tour.poses_xyt)
     log, lap = folder / f"{rig.name}-{home}", folder / f"{rig.name}-{home}.lap"
     if not log.exists():
         made = record_drive(building, rig, home, log, FAULT_PRESETS["usual"], duration_s, formats=("folder",))
@@ -116,7 +118,7 @@ def variants(best: list[int]) -> dict[str, Alter]:
 
     return {
         "none": lambda views, _: [],
-        _USUAL: only(three),
+        "three": only(three),
         "all": only(best),
         "moved": moved,
         "twins": twins,
@@ -145,12 +147,13 @@ def main() -> None:
     parser.add_argument("homes", nargs="+", type=int)
     parser.add_argument("--lidar", action="store_true", help="with the lidar")
     parser.add_argument("--seconds", type=float, default=90.0)
+    parser.add_argument("--tags", type=int, default=12, help="on the walls of each office")
     parser.add_argument("--only", nargs="+", help="these variants")
     arguments = parser.parse_args()
     config = load_config(overrides=["loops.enabled=false", "dense_map.enabled=false", "fusion.enabled=false"])
     for home in arguments.homes:
         rig = rig_of(lidar=arguments.lidar)
-        log, places, lap_s = drive_of(arguments.folder, home, rig, arguments.seconds)
+        log, places, lap_s = drive_of(arguments.folder, home, rig, arguments.tags, arguments.seconds)
         best, truth = best_of(log, places), read_tum(log / "groundtruth.txt")
         for name, alter in variants(best).items():
             if arguments.only and name not in arguments.only:
