@@ -71,15 +71,20 @@ def read_cloud(path: Path, parse: Callable[[Path], Parsed] | None = None) -> Clo
     points, fields = parse(path)
     with np.errstate(invalid="ignore", over="ignore"):
         points = points.astype(np.float32)
-        x, y, z = points.T
-        # Axis by axis: a reduction over rows of three takes ten times as long.
-        valid = np.isfinite(x) & np.isfinite(y) & np.isfinite(z) & ((x != 0.0) | (y != 0.0) | (z != 0.0))
+    valid = is_return(points)
     if not valid.any():
         raise RecordFault(NO_POINTS, f"{path.name}: {len(points)} points")
     if valid.all():
         return CloudFile(np.ascontiguousarray(points), fields)
     kept = {name: values[valid] for name, values in fields.items()}
     return CloudFile(np.ascontiguousarray(points[valid]), kept)
+
+
+def is_return(points: Float32Array) -> NDArray[np.bool_]:
+    """Which of (N, 3) points are finite, and not at the lidar itself as what has no return is."""
+    x, y, z = points.T
+    # Axis by axis: a reduction over rows of three takes ten times as long.
+    return np.isfinite(x) & np.isfinite(y) & np.isfinite(z) & ((x != 0.0) | (y != 0.0) | (z != 0.0))
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from fusion.estimation import CONFIDENCE
 from slam.datasets.bags.decoding import stamp_of
 from slam.datasets.budget import LARGEST_BYTES
+from slam.datasets.cloud_files import is_return
 from slam.datasets.dataset import RecordFault
 from slam.datasets.point_times import LONGEST_TURN_S, PointTimes
 from slam.measurements import Float32Array, Measurement, PointCloud
@@ -55,12 +56,12 @@ class CloudReader:
         stamp_s = stamp_of(message.header)
         with np.errstate(invalid="ignore", over="ignore"):  # a signalling NaN of a damaged message
             points = np.stack([rows[name].astype(np.float32) for name in "xyz"], axis=1)
-            valid = np.isfinite(points).all(axis=1) & points.any(axis=1)
+            valid = is_return(points)
         if not valid.any():
             raise RecordFault(NO_POINTS, f"{len(points)} points")
-        sound = rows[valid]
-        times_s = self.times.of(sound.dtype.names or (), lambda name: sound[name], stamp_s)
-        kept = np.ascontiguousarray(points[valid])
+        chosen = slice(None) if valid.all() else valid
+        times_s = self.times.of(rows.dtype.names or (), lambda name: rows[name][chosen], stamp_s)
+        kept = np.ascontiguousarray(points[chosen])
         return PointCloud(stamp_s, kept, times_s, self.T_base_lidar, self.topic)
 
 
