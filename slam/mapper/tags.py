@@ -177,10 +177,11 @@ class PlaceAnchors:
         poses = graph.poses()
         told = told_edges(poses, graph.graph.edges, outcome.kept, config)
         spreads = seen_from_earth(poses, told, self._laid)
+        unseen = list[str]()
         for one in self._places.surveyed:
             name = f"tag {one.tag}" if one.stamp_s is None else f"the place at {one.stamp_s:.1f} s"
             if (seen := self._seen_at(one, way)) is None:
-                self.warnings.append(f"survey: {name} was not seen")
+                unseen.append(name)
                 continue
             node, arm_m, variance = seen
             pose, axes = poses[node], 2 if isinstance(poses[node], gtsam.Pose2) else len(one.at_m)
@@ -196,6 +197,8 @@ class PlaceAnchors:
             line = f"survey: {name} ({role}) is {np.linalg.norm(off_m):.3f} m off, sigma {sigma_m:.3f} m"
             wrong = off_m @ np.linalg.solve(spread + one.sigma_m**2 * np.eye(axes), off_m) > gate(axes)
             (self.warnings if wrong else self.notes).append(line)
+        if unseen:
+            self.warnings.append(f"survey: not seen by the map: {', '.join(unseen)}")
 
     def _find(self, numbers: Sequence[int], graph: KeyframeGraph, outcome: BatchResult) -> list[Edge]:
         """Find where tags hang; the edges between nodes that saw the same one."""

@@ -43,7 +43,9 @@ def hang_tags(home: Home, count: int, seed: int, way_xyt: FloatArray, side_m: fl
     places = [place for place in places if _is_seen(place, way_xyt)]
     free = [place for place in places if _is_free(scene, place, 0.5 * side_m * 1.5)]
     if len(free) < count:
-        raise ConfigError(f"there is room for {len(free)} tags on the walls; hang fewer than {count}")
+        raise ConfigError(
+            f"the robot sees {len(free)} free places for {count} tags; drive longer, or hang fewer"
+        )
     at = np.array([place.translation() for place in free])
     chosen = [int(rng.integers(len(free)))]
     while len(chosen) < count:  # the place farthest from those that are taken
