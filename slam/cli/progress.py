@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
     from slam.app.progress import Progress
 
 Show = Callable[["Progress"], None]
+# Of what is no terminal, whoever looks into its log is told so often.
+_LINE_S = 30.0
 
 
 @contextmanager
@@ -47,7 +50,7 @@ def interruptible(show: Show) -> Iterator[Show]:
 
 @contextmanager
 def progress_bar(unit: str = "scans and frames", first: str = "") -> Iterator[Show]:
-    """Show on stderr how far the work is: share, rate, time left; of what is no terminal only a first line.
+    """Show on stderr how far the work is: share, rate, time left; of what is no terminal a line now and then.
 
     Parameters
     ----------
@@ -60,8 +63,18 @@ def progress_bar(unit: str = "scans and frames", first: str = "") -> Iterator[Sh
         for line in begun:
             tell(line, sys.stderr)
 
-    if is_quiet() or not sys.stderr.isatty():
+    if is_quiet():
         yield tell_first
+        return
+
+    def tell_and_show(progress: Progress) -> None:
+        tell_first(progress)
+        show(progress)
+
+    show: Show
+    if not sys.stderr.isatty():
+        show = _Lines(unit)
+        yield tell_and_show
         return
     from rich.console import Console
     from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
@@ -77,12 +90,22 @@ def progress_bar(unit: str = "scans and frames", first: str = "") -> Iterator[Sh
     )
     with Bars(*columns, console=Console(stderr=True), transient=True) as bars:
         show = _Bars(bars)
-
-        def tell_and_show(progress: Progress) -> None:
-            tell_first(progress)
-            show(progress)
-
         yield tell_and_show
+
+
+class _Lines:
+    """A line now and then."""
+
+    def __init__(self, unit: str) -> None:
+        self._unit, self._told_s = unit, time.monotonic()
+
+    def __call__(self, progress: Progress) -> None:
+        """Tell how far it is, if it is time."""
+        now_s = time.monotonic()
+        if now_s - self._told_s >= _LINE_S:
+            self._told_s = now_s
+            share = "" if progress.share is None else f", {progress.share:.0%} of the log"
+            tell(f"{progress.stage}: {progress.readings:,} {self._unit}{share}", sys.stderr)
 
 
 class _Bars:
