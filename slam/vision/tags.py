@@ -106,16 +106,17 @@ def find_tags(color: ColorImage, intrinsics: CameraIntrinsics, places: KnownPlac
     for quad, number in zip(quads, [] if numbers is None else numbers.ravel().tolist(), strict=True):
         side_m = places.sizes_m.get(number, places.size_m)
         corners = _refined(gray, quad.reshape(4, 2).astype(np.float64), cells)
-        view = _posed(number, corners, side_m, intrinsics)
+        view = None if corners is None else _posed(number, corners, side_m, intrinsics)
         if view is not None:
             found.append(view)
     return found
 
 
-def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatArray:
+def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatArray | None:
     """Corners (4, 2) where lines meet that are laid through the edges of a square, as Wang and Olson 2016.
 
-    OpenCV's own are those of a contour of whole pixels, half a pixel inside.
+    OpenCV's own are those of a contour of whole pixels, half a pixel inside. None where the tag is too small
+    to tell its edges: OpenCV finds it all the same.
     """
     # A cell off its ends, where the other edges are seen.
     along = np.linspace(1.0, cells - 1.0, FEWEST) / cells
@@ -123,7 +124,7 @@ def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatA
         ends = np.roll(corners, -1, axis=0)
         sides_px = np.linalg.norm(ends - corners, axis=1)
         if sides_px.min() < cells:
-            return corners  # a cell is a pixel: there is no edge to see
+            return None  # a cell is a pixel: there is no edge to see
         ways = (ends - corners) / sides_px[:, None]
         outward = np.column_stack([ways[:, 1], -ways[:, 0]])
         # Across each edge as far as the black rim reaches at its narrower end, white as wide beyond it.
@@ -143,7 +144,7 @@ def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatA
         found = meet[:, :2] / meet[:, 2:]
         moved_px = np.abs(found - corners).max()
         if not moved_px <= sides_px.min() / cells:
-            return corners
+            return None
         corners = found
         if moved_px < 100 * SETTLED:
             break

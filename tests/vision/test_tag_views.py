@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import cv2
 import gtsam
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from tag_world import LENS, SIDE_M, seen, tag_at
 from slam.config.tags import KnownPlaces
 from slam.simulation.home_model import WallTag
 from slam.simulation.rigs import camera_pose
-from slam.vision.tags import find_tags
+from slam.vision.tags import _detector, find_tags
 
 PLACES = KnownPlaces(size_m=SIDE_M)
 CAMERA = camera_pose((0.0, 0.0, 0.5))
@@ -68,3 +69,12 @@ def test_a_tag_of_another_size_is_as_far_as_it_is() -> None:
     assert np.linalg.norm(off(tag, view.T_camera_tag)[3:]) < 0.006
     (wrong,) = find_tags(image, LENS, PLACES)
     assert wrong.T_camera_tag.z() == pytest.approx(1.5 * SIDE_M / 0.3, rel=0.01)
+
+
+def test_a_tag_that_is_too_small_to_tell_its_edges_is_left_out() -> None:
+    """OpenCV finds it, with corners of whole pixels, which are farther off than those of other tags."""
+    tag = tag_at(3, 3.4, 0.3, math.pi + 0.9)
+    image = seen([tag], CAMERA)
+    (_,), (number,), _ = _detector("36h11").detectMarkers(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
+    assert number == 3
+    assert find_tags(image, LENS, PLACES) == []
