@@ -9,7 +9,7 @@ import pytest
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from slam.config import Config, StrictModel, dump_config, load_config, preset_names
+from slam.config import Config, StrictModel, dump_config, holds_places, load_config, preset_names, with_places
 from slam.errors import ConfigError
 
 CONFIGS = Path(__file__).parents[1] / "configs"
@@ -154,3 +154,15 @@ def test_every_field_is_described_and_every_model_strict_and_final() -> None:
             assert is_section or field.description, f"{model.__name__}.{name} needs a description"
     with pytest.raises(ValidationError, match="frozen"):
         Config().seed = 1  # type: ignore[misc]
+
+
+def test_a_file_of_tags_of_another_program_beside_a_log_is_none_of_ours(tmp_path: Path) -> None:
+    """The ROS package apriltag_ros has a file of that name."""
+    file = tmp_path / "tags.yaml"
+    assert not holds_places(file)
+    file.write_text("apriltag:\n  ros__parameters: {family: 36h11, size: 0.16}\n")
+    assert not holds_places(file)
+    file.write_text("size_m: 0.16\nsurveyd: []\n")
+    assert holds_places(file)
+    with pytest.raises(ConfigError, match="surveyd"):
+        with_places(load_config(None, []), file)

@@ -9,7 +9,7 @@ from slam.app.map_folder import Left, left_in
 from slam.app.map_run import MapRun, run_into
 from slam.app.measured import Measured
 from slam.app.progress import OnProgress, silent
-from slam.config import Config, config_of, with_places
+from slam.config import Config, config_of, holds_places, with_places
 from slam.config.tags import FILE_NAME as TAGS_FILE
 from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
@@ -94,7 +94,7 @@ def run_log(
     config = config_of(config)
     dataset = _opened(log, config, strict)
     folder = dataset.path if dataset.path.is_dir() else dataset.path.parent
-    if config.sensors.tags is None and (folder / TAGS_FILE).is_file():
+    if config.sensors.tags is None and holds_places(folder / TAGS_FILE):
         config = with_places(config, folder / TAGS_FILE)
     identity = identity_of(dataset.path, config)
     if out is None:

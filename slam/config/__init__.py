@@ -38,6 +38,7 @@ from slam.config.stages import (
     WheelConfig,
 )
 from slam.config.strict import StrictModel
+from slam.config.tags import KnownPlaces
 from slam.errors import ConfigError
 from slam.foreign import Loader, from_yaml
 
@@ -175,6 +176,11 @@ def with_places(config: Config, file: Path | str) -> Config:
     except ConfigError as error:
         raise ConfigError(str(error).replace("sensors.tags.", "")) from None
     return config.model_copy(update={"sensors": config.sensors.model_copy(update={"tags": places})})
+
+
+def holds_places(file: Path) -> bool:
+    """Whether a file that nobody has named tells of tags; other programs have files of that name, too."""
+    return file.is_file() and bool(_read_tree(file).keys() & KnownPlaces.model_fields.keys())
 
 
 def load_calibration(file: Path | str) -> Calibration:

@@ -51,7 +51,7 @@ class ClaimSets:
     def add(self, claim: LoopCandidate) -> None:
         """Take a claim."""
         agree = np.array(
-            [self._near(claim, other) and self._consistent(claim, other) for other in self._claims]
+            [self.near(claim, other) and self._consistent(claim, other) for other in self._claims]
         )
         self._agree = np.pad(self._agree, ((0, 1), (0, 1)))
         self._agree[-1, :-1] = self._agree[:-1, -1] = agree
@@ -87,7 +87,7 @@ class ClaimSets:
             return 0.0
         return first.widened(second.covariance).squared_mahalanobis(second.pose)
 
-    def _near(self, one: LoopCandidate, other: LoopCandidate) -> bool:
+    def near(self, one: LoopCandidate, other: LoopCandidate) -> bool:
         """Whether two claims tell of different keyframes not far from each other, and of such places."""
         apart_m = np.abs(self._travelled_m[[*_ends(one)]] - self._travelled_m[[*_ends(other)]])
         return one.keyframe != other.keyframe and bool(apart_m.max() <= self._reach_m)

@@ -73,11 +73,11 @@ class UnseenGaps:
                 taken.append(loop)
                 continue
             self._waiting.append(loop)
-            # All of a way may be one set.
-            sets = ClaimSets(rows, np.array(travelled_m), chain, reach_m=np.inf)
+            sets = ClaimSets(rows, np.array(travelled_m), chain, 2.0 * self._least_path_m)
             for one in self._waiting:
-                if self.crossed(one) == crossed:
+                if self.crossed(one) == crossed and sets.near(one, loop):
                     sets.add(one)
+            sets.add(loop)
             agreeing = sets.largest()[0]
             self._likeliest = agreeing[-1] if len(agreeing) > 1 else None
             ways_m = [[travelled_m[one.place], travelled_m[one.keyframe]] for one in agreeing]
