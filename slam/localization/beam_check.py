@@ -76,7 +76,11 @@ def known_space(grid: OccupancyGrid) -> KnownSpace:
     distance_m = grid.resolution_m * np.asarray(ndimage.distance_transform_edt(~walls))
     if not walls.any():
         distance_m[:] = np.inf
-    cells = np.where(grid.probabilities().T < _SURELY_FREE, FREE, UNKNOWN).astype(np.uint8)
+    # A wall that long beams have brushed past, and none has met, stands where free space ends.
+    free_m = grid.resolution_m * np.asarray(
+        ndimage.distance_transform_edt(np.pad(grid.probabilities().T < _SURELY_FREE, 1))
+    )
+    cells = np.where(free_m[1:-1, 1:-1] > _WALL_REACH_M, FREE, UNKNOWN).astype(np.uint8)
     cells[distance_m <= _WALL_REACH_M] = NEAR
     cells[walls] = WALL
     clear = (cells == FREE) & (distance_m > _CLEAR_M)

@@ -150,7 +150,7 @@ class StateMachine(Generic[V, N]):
         if not self._hypotheses.due(observed.view, observed.pose):
             return math.nan, ()
         known = None if predicted is None else self._in_map(predicted)
-        bound = known is not None and not self._contradicted and position_sigma_m(known) < OPEN_M
+        bound = known is not None and not self._contradicted
         self._hypotheses.add_keyframe(observed.view, observed.pose, known, bound=bound)
         if bound:
             self._loss.add(observed.stamp_s, self._hypotheses.newest_nats)

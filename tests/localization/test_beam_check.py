@@ -61,3 +61,15 @@ def test_free_by_a_single_glance_contradicts_nothing() -> None:
     none = build_surfel_map(np.zeros((0, 2)), np.zeros((0, 2)), CELL_M)
     counts = check_beams(space, none, np.array([0.5, 0.5, 0.0]), np.zeros(2), point)
     assert counts.silent == 1 and counts.in_free == 0
+
+
+def test_a_wall_that_nothing_has_met_may_stand_where_free_space_ends() -> None:
+    """Beams along a corridor clear its cells up to a wall that they only brush."""
+    log_odds = np.zeros((20, 60), np.float32)
+    log_odds[:10] = FREE
+    space = known_space(OccupancyGrid.of_log_odds(log_odds, CELL_M))
+    none = build_surfel_map(np.zeros((0, 2)), np.zeros((0, 2)), CELL_M)
+    ends = np.array([[2.0, 0.42], [2.0, 0.1]], np.float32)
+    points = OrientedPoints(ends, np.tile(np.float32([0.0, -1.0]), (2, 1)))
+    counts = check_beams(space, none, np.array([1.0, 0.5, 0.0]), np.zeros(2), points)
+    assert (counts.silent, counts.in_free) == (1, 1)
