@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from slam.datasets.bags.cloud_messages import as_cloud, header_at
 from slam.datasets.dataset import RecordFault
 
 NO_DECODER = "packets of a Velodyne, which the extra reads: pip install 'scanweave[velodyne]'"
 NOT_DECODED = "packets of a Velodyne that tell no cloud"
-_FIELDS = (("x", 7), ("y", 7), ("z", 7), ("time", 7))  # sensor_msgs/PointField
-_SIZE = 4
+_FIELDS = ("x", "y", "z", "time")
 
 
 class VelodyneDecoder:
@@ -45,27 +45,7 @@ class VelodyneDecoder:
             stamp, points = self._decoder.decode(packets, as_pcl_structs=True)
         except (RuntimeError, ValueError, IndexError) as error:
             raise RecordFault(NOT_DECODED, str(error)) from error
-        return _as_cloud(message.header.frame_id, stamp.host, points)
-
-
-def _as_cloud(frame: str, stamp_s: float, points: Any) -> SimpleNamespace:
-    """Structured points as a message."""
-    columns = [np.asarray(points[name], dtype="<f4").ravel() for name, _ in _FIELDS]
-    table = np.stack(columns, axis=1)
-    if not table.size:
-        raise RecordFault(NOT_DECODED, "no point")
-    sec = int(stamp_s)
-    stamp = SimpleNamespace(sec=sec, nanosec=min(round((stamp_s - sec) * 1e9), 999_999_999))
-    return SimpleNamespace(
-        header=SimpleNamespace(stamp=stamp, frame_id=frame),
-        height=1,
-        width=len(table),
-        fields=[
-            SimpleNamespace(name=name, datatype=kind, offset=_SIZE * place, count=1)
-            for place, (name, kind) in enumerate(_FIELDS)
-        ],
-        is_bigendian=False,
-        point_step=_SIZE * len(_FIELDS),
-        row_step=table.nbytes,
-        data=np.frombuffer(table.tobytes(), np.uint8),
-    )
+        columns = {name: np.asarray(points[name]).ravel() for name in _FIELDS}
+        if not columns["x"].size:
+            raise RecordFault(NOT_DECODED, "no point")
+        return as_cloud(header_at(stamp.host, message.header.frame_id), columns)
