@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import struct
+import sys
 from pathlib import Path
 
+import cv2
 import gtsam
 import numpy as np
 import pytest
@@ -12,9 +14,14 @@ from rgbd_files import dropped, read
 
 import tools.layouts.all as _all_layouts  # noqa: F401  their writers put themselves on the list
 from slam.datasets import open_dataset
+from slam.datasets.account import Account
 from slam.datasets.bags.cloud_messages import point_cloud
+from slam.datasets.captures import payloads
+from slam.datasets.dataset import ReadReport
+from slam.errors import DatasetError
 from slam.measurements import LaserScan, PointCloud, WheelOdometry
 from tools.layouts.judge import problems
+from tools.layouts.lidar_bags import captured
 from tools.layouts.samples import LAYOUTS
 
 NAMES = [
@@ -23,13 +30,16 @@ NAMES = [
     "nuScenes, sweeps of one scene",
     "LAS clouds",
     "PointCloud of ROS 1's first years",
+    "NYU Depth V2, raw dumps",
+    "Velodyne packets, .pcap",
 ]
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_sample_is_read_as_it_was_written(name: str, tmp_path: Path) -> None:
-    if "LAS" in name:
-        pytest.importorskip("laspy")
+    for word, library in (("LAS", "laspy"), ("Velodyne", "velodyne_decoder")):
+        if word in name:
+            pytest.importorskip(library)
     sample = LAYOUTS[name].write(tmp_path)
     dataset = open_dataset(sample.path, strict=True)
     assert problems(dataset, sample) == []
@@ -88,6 +98,48 @@ def test_a_laz_cloud_is_read_and_a_cut_one_counted(tmp_path: Path) -> None:
     cut.write_bytes(cut.read_bytes()[:3000])
     found, dataset = read(path)
     assert len(found) == 9 and sum(dropped(dataset).values()) == 1
+
+
+def test_a_capture_in_fragments_out_of_order_and_cut(tmp_path: Path) -> None:
+    pytest.importorskip("velodyne_decoder")
+    data = [bytes([k]) * (1200 + k) for k in range(4)]
+    whole = captured([(100.0 + k, one, 2368) for k, one in enumerate(data)], most=400)
+    head, size = whole[:24], 0
+    records = []
+    while 24 + size < len(whole):
+        (length,) = struct.unpack_from("<I", whole, 24 + size + 8)
+        records.append(whole[24 + size : 24 + size + 16 + length])
+        size += 16 + length
+    shuffled = [records[k] for k in (2, 0, 3, 1)] + records[4:]
+    report = ReadReport()
+    path = tmp_path / "a.pcap"
+    path.write_bytes(head + b"".join(shuffled)[:-5])
+    import dpkt
+
+    found = [one for *_, one in payloads(path, Account("a", report, False), dpkt)]
+    assert found == data[:3] and sum(tally.count for tally in report.dropped.values()) <= 1
+    path.write_bytes(b"\x0a\x0d\x0d\x0a" + bytes(60))
+    assert list(payloads(path, Account("a", report, False), dpkt)) == [] and report.dropped
+
+
+def test_a_capture_without_the_extra_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "dpkt", None)
+    path = tmp_path / "a.pcap"
+    path.write_bytes(captured([(1.0, b"x", 2368)]))
+    with pytest.raises(DatasetError, match=r"pip install 'scanweave\[velodyne\]'"):
+        read(path)
+
+
+def test_depth_of_a_kinect_in_steps(tmp_path: Path) -> None:
+    path = LAYOUTS["NYU Depth V2, raw dumps"].write(tmp_path).path
+    first, second, *_ = sorted(path.glob("d-*.pgm"))
+    cv2.imwrite(
+        str(first), np.full((480, 640), 1092.5 - 351.3 / 2.0, np.float64).astype(np.uint16).byteswap()
+    )
+    second.write_bytes(second.read_bytes()[:999])
+    found, dataset = read(path)
+    assert len(found) == 5 and sum(dropped(dataset).values()) == 1
+    np.testing.assert_allclose(np.median(found[0].depth_m), 351.3 / (1092.5 - 916), rtol=1e-6)
 
 
 def test_bytes_that_are_no_point_cloud_are_refused() -> None:
