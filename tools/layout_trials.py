@@ -6,8 +6,9 @@ Each sample is written after its publisher's words, with known lens, scale, stam
 inspected and mapped by the commands, and read through Python. Told of each is
 
     right       all that is true of it was found, and the command that `inspect` prints maps it to the true
-                way; of what cannot be mapped: refused in one line that says why
-    mended      refused or warned, naming what mends it; with that it is right
+                way
+    mended      refused or warned, naming what mends it; that was done, and with it it is right
+    reason      cannot be mapped, and is refused in one line that says why
     refused     no more than that
     told        wrong, with a note or a warning that says what was assumed
     SILENT      wrong, and nothing says so
@@ -28,6 +29,7 @@ import sys
 import tempfile
 import traceback
 from collections import Counter
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -113,8 +115,8 @@ def judged(name: str, folder: Path, nursery: Nursery, *, maps: bool) -> dict[str
             again = _tried(sample, sample.mend, folder, nursery, maps=maps)
             return again | {"result": "mended" if again["result"] == "right" else again["result"]}
     if sample.by_hand and sample.by_hand[0] in verdict["said"] and verdict["result"] != "right":
-        sample.by_hand[1]()
-        again = _tried(sample, (), folder, nursery, maps=maps)
+        path = sample.by_hand[1]() or sample.path
+        again = _tried(replace(sample, path=path, refused=""), (), folder, nursery, maps=maps)
         return again | {"result": "mended" if again["result"] == "right" else again["result"]}
     return verdict
 
@@ -134,7 +136,7 @@ def _tried(
         if sample.refused:
             fine = one_line and re.search(sample.refused, refusal)
             wrong = "SILENT" if not refusal else "refused"
-            return {"result": "right" if fine else wrong, "why": refusal or "mapped", "said": said}
+            return {"result": "reason" if fine else wrong, "why": refusal or "mapped", "said": said}
         return {"result": "refused" if one_line else "CRASH", "why": refusal, "said": said}
     calibration = [more[1]] if more[:1] == ("--calibration",) else []
     dataset = open_dataset(sample.path, calibration=calibration)
@@ -210,6 +212,7 @@ def main() -> None:
         if not given.only or any(word.lower() in one.name.lower() or word == one.group for word in given.only)
     ]
     counts: Counter[str] = Counter()
+    groups: dict[str, Counter[str]] = {}
     for library in _LIBRARIES.split():
         import_module(library)
     nursery = Nursery()
@@ -222,9 +225,14 @@ def main() -> None:
         place.mkdir(parents=True)
         verdict = _verdict(one.name, place, nursery, maps=not given.no_map)
         counts[verdict["result"]] += 1
+        groups.setdefault(one.group, Counter())[verdict["result"]] += 1
         print(f"{one.group:16} {one.name:36} {verdict['result']:8} {verdict['why'][:400]}", flush=True)
         if not given.keep:
             shutil.rmtree(place, ignore_errors=True)
+    for group, found in [*groups.items(), ("all", counts)]:
+        row = (found[result] for result in ("right", "mended", "reason", "refused"))
+        worse = found.total() - sum(found[result] for result in ("right", "mended", "reason", "refused"))
+        print(f"| {group} | {found.total()} | {' | '.join(map(str, row))} | {worse} |")
     print(", ".join(f"{count} {result}" for result, count in counts.most_common()), f"of {len(chosen)}")
 
 

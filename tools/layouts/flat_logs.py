@@ -355,17 +355,24 @@ def _rawseeds(folder: Path) -> Sample:
     return Sample(folder / name, scans=(scans,), wheels=COUNT, moved=way(COUNT))
 
 
-@layout("MRPT .rawlog", "2D robots", "docs.mrpt.org rawlog format")
+@layout("MRPT .rawlog", "2D robots", "docs.mrpt.org rawlog format; mrpt_rawlog rawlog_play_node: odom, scan")
 def _rawlog(folder: Path) -> Sample:
-    return Sample(
-        put(folder / "dataset.rawlog", b"\x80CObservation2DRangeScan" + bytes(300)),
-        refused=r"(?i)rawlog|known format",
-    )
+    """Classes of MRPT, written one behind the other; its node plays them as a robot's topics."""
+    said: list[Sent] = []
+    truth = _robot("/laser", "laser", (0.1, 0.0, 0.0), FULL, np.radians(1.0), said)
+    path = put(folder / "dataset.rawlog", b"\x80CObservation2DRangeScan" + bytes(300))
+    played = ("rawlog_play_node", lambda: ros.ros2(folder / "bag", said))
+    return Sample(path, scans=(truth,), wheels=COUNT, refused=r"(?i)rawlog", by_hand=played)
 
 
 @layout(
     "slam_toolbox's pose graph", "2D robots", "github.com/SteveMacenski/slam_toolbox README: serialization"
 )
 def _posegraph(folder: Path) -> Sample:
+    """What is left of a run beside the bag that it was made from."""
+    said: list[Sent] = []
+    truth = _basic(said)
     put(folder / "map.posegraph", b"\x16\x00\x00\x00\x00\x00\x00\x00serialization::archive" + bytes(200))
-    return Sample(folder / "map.posegraph", refused="map.*bag")
+    given = ("the recording that it was made from", lambda: ros.ros2(folder / "bag", said))
+    path = folder / "map.posegraph"
+    return Sample(path, scans=(truth,), wheels=COUNT, refused="map.*bag", by_hand=given)

@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
+from slam.datasets.bags import foxglove
 from slam.datasets.bags.cloud_messages import point_cloud
 from slam.datasets.bags.definitions import message_parts, simple_idl
 from slam.datasets.bags.livox import livox_cloud
@@ -65,6 +66,10 @@ class Decoder:
             It is damaged, or its type is not known.
         """
         channel = record.channel
+        if channel.wire in foxglove.WIRES and channel.own_kind != channel.kind:
+            fits = self._budget.takes_definition(channel.definition)
+            definition = channel.definition if fits else ""
+            return foxglove.message_of(record.content, channel.own_kind, channel.wire, definition)
         if channel.kind in LIVOX | {POINT_CLOUD} and channel.wire in _WIRES:
             return self._cloud(record)
         if channel not in self._types:
