@@ -11,18 +11,16 @@ import numpy as np
 from mcap.writer import Writer
 
 from tools.layouts import messages as ros
-from tools.layouts.camera_bags import COUNT as FRAMES
 from tools.layouts.camera_bags import LENS, poses_of, shots
 from tools.layouts.camera_bags import MOUNT as CAMERA
-from tools.layouts.camera_bags import STAMPS as SHOT_S
-from tools.layouts.camera_bags import truth as camera_truth
 from tools.layouts.flat_logs import COUNT, FULL, STAMPS, seen
 from tools.layouts.lidar_bags import COUNT as TURNS
 from tools.layouts.lidar_bags import MOUNT
 from tools.layouts.lidar_bags import STAMPS as TURN_STAMPS
 from tools.layouts.lidar_bags import truth as cloud_truth
 from tools.layouts.lidars import TURN_S, ride
-from tools.layouts.samples import Sample, ScanTruth, layout
+from tools.layouts.messages import START_S
+from tools.layouts.samples import CameraTruth, Sample, ScanTruth, layout
 from tools.layouts.world import placed, way
 
 _SOURCE = "docs.foxglove.dev/docs/visualization/message-schemas; github.com/foxglove/schemas proto/"
@@ -174,8 +172,9 @@ def _camera(folder: Path) -> Sample:
     k = [LENS.fx, 0, LENS.cx, 0, LENS.fy, LENS.cy, 0, 0, 1]
     p = [LENS.fx, 0, LENS.cx, 0, 0, LENS.fy, LENS.cy, 0, 0, 0, 1, 0]
     size = {"width": LENS.width, "height": LENS.height}
-    views = shots(LENS, poses_of(CAMERA))
-    for stamp, base, view in zip(SHOT_S, way(FRAMES), views, strict=True):
+    stamps = [START_S + k / 15.0 for k in range(16)]
+    poses = poses_of(CAMERA, len(stamps))
+    for stamp, base, view in zip(stamps, way(len(stamps)), shots(LENS, poses), strict=True):
         at = {"timestamp": _at(stamp), "frame_id": "optical"}
         packed = {"format": "jpeg", "data": ros.coded(view.color, ".jpg", 1, 95)}
         told.append(("/camera/color", "CompressedImage", stamp, at | packed))
@@ -186,4 +185,4 @@ def _camera(folder: Path) -> Sample:
         both = [_moved(stamp, "odom", "base_link", base), _moved(stamp, "base_link", "optical", CAMERA)]
         told.append(("/tf", "FrameTransforms", stamp, {"transforms": both}))
     path = recorded(folder / "camera.mcap", told)
-    return Sample(path, (camera_truth(poses_of(CAMERA), mount=CAMERA),), wheels=FRAMES)
+    return Sample(path, (CameraTruth(LENS, stamps, poses, CAMERA),), wheels=len(stamps))
