@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import gtsam
@@ -30,7 +30,7 @@ from slam.datasets.laser_geometry import (
     largest_return_m,
     no_return_limit_m,
 )
-from slam.datasets.log_file import numbered_lines, read_head
+from slam.datasets.log_file import Refuse, numbered_lines, read_head
 from slam.datasets.recording import Contents, Numbered, Recording
 from slam.foreign import plain
 from slam.measurements import LaserScan, Measurement, WheelOdometry, pose2_from_row
@@ -94,19 +94,42 @@ def open_carmen(path: Path, strict: bool) -> Recording:
 
 def read_carmen(path: Path, account: Account) -> Iterator[Numbered]:
     """Line numbers and measurements of a log."""
+    refuse = refusing(path, account)
+    lines = numbered_lines(path, refuse, account.report.note_share)
+    kinds = _preferred_kinds(read_head(path, HEAD_BYTES))
+    return read_messages(lines, lambda line: (line.split(),), refuse, account.report, kinds)
 
-    def refuse(fault: RecordFault, number: int) -> None:
-        account.refuse(fault, path.name, number)
 
-    report = account.report
-    decoder = _Decoder(report, _preferred_kinds(read_head(path, HEAD_BYTES)))
+def refusing(path: Path, account: Account) -> Refuse:
+    """What counts a damaged line of a file."""
+    return lambda fault, number: account.refuse(fault, path.name, number)
+
+
+def read_messages(
+    lines: Iterable[tuple[int, bytes]],
+    words: Callable[[bytes], Iterable[list[bytes]]],
+    refuse: Refuse,
+    report: ReadReport,
+    kinds: frozenset[str] = frozenset(("RAWLASER1",)),
+) -> Iterator[Numbered]:
+    """Measurements of numbered lines that say what CARMEN's messages do, perhaps in other words.
+
+    Parameters
+    ----------
+    words
+        The messages of a line; a `RecordFault` where it is damaged.
+    kinds
+        The messages of scans that are read.
+    """
+    decoder = _Decoder(report, kinds)
     last = 0
-    for number, line in numbered_lines(path, refuse, report.note_share):
-        report.line_count += number - last
+    for number, line in lines:
+        report.line_count += max(number - last, 0)
         last = number
         try:
-            for measurement in decoder.decode(line.split(), number):
-                yield number, measurement
+            for message in words(line):
+                for measurement in decoder.decode(message, number):
+                    yield number, measurement
         except RecordFault as fault:
             refuse(fault if line.endswith(b"\n") else RecordFault(TRUNCATED, str(fault)), number)
 

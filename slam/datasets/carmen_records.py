@@ -73,7 +73,7 @@ def parse_odometry(tokens: list[bytes]) -> OdometryRecord:
     """
     _check_tail(tokens, 7)
     values = _numbers(tokens[1:8])
-    return OdometryRecord(_stamp(values[6]), _row(values[0:3]))
+    return OdometryRecord(_stamp(values[6]), finite_row(values[0:3]))
 
 
 def parse_plain_laser(tokens: list[bytes]) -> LaserRecord:
@@ -92,8 +92,8 @@ def parse_plain_laser(tokens: list[bytes]) -> LaserRecord:
         kind=tokens[0].decode(),
         stamp_s=_stamp(values[count + 6]),
         ranges_m=values[:count],
-        laser=_row(laser),
-        robot=_row(robot),
+        laser=finite_row(laser),
+        robot=finite_row(robot),
     )
 
 
@@ -119,8 +119,8 @@ def parse_configured_laser(tokens: list[bytes]) -> LaserRecord:
         kind=kind,
         stamp_s=_stamp(tail[pose_fields]),
         ranges_m=_numbers(tokens[9:remission_at]),
-        laser=_row(tail[0:3]) if pose_fields else None,
-        robot=_row(tail[3:6]) if pose_fields else None,
+        laser=finite_row(tail[0:3]) if pose_fields else None,
+        robot=finite_row(tail[3:6]) if pose_fields else None,
         start_rad=start_rad,
         fov_rad=fov_rad,
         step_rad=step_rad,
@@ -226,7 +226,7 @@ def _is_number(token: bytes) -> bool:
     return True
 
 
-def _row(values: FloatArray) -> Row:
+def finite_row(values: FloatArray) -> Row:
     """A pose (3,), finite and within reach."""
     x, y, yaw = values.tolist()
     # The comparisons are false for NaN, so NaN is refused too.

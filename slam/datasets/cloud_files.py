@@ -1,4 +1,4 @@
-"""Point clouds from files: KITTI's ``.bin``, ``.pcd`` and ``.ply``."""
+"""Point clouds from files: KITTI's ``.bin``, ``.pcd``, ``.ply``, ``.las`` and ``.laz``."""
 
 from __future__ import annotations
 
@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from slam.datasets.budget import LARGEST_BYTES
 from slam.datasets.dataset import RecordFault
+from slam.datasets.las_points import read_las_points
 from slam.datasets.pcd_points import read_pcd_points
 from slam.datasets.ply_points import read_ply_points
 from slam.measurements import Float32Array
 
-CLOUD_SUFFIXES = frozenset({".bin", ".pcd", ".ply"})
+CLOUD_SUFFIXES = frozenset({".bin", ".pcd", ".ply", ".las", ".laz"})
+CLOUD_NAMES = "(?:bin|pcd|ply|la[sz])"  # as a pattern
 
 MISSING = "cloud file missing"
 UNREADABLE = "cloud file cannot be read"
@@ -119,9 +121,12 @@ def row_of(fields: str) -> np.dtype[np.void]:
 KITTI_ROWS = Rows(row_of("x f4, y f4, z f4, intensity f4"))
 
 
+_READERS = {".pcd": read_pcd_points, ".ply": read_ply_points}
+
+
 def read_fields(path: Path) -> Parsed:
     """Points, and what else the file says of each."""
-    read = read_pcd_points if path.suffix.lower() == ".pcd" else read_ply_points
+    read = _READERS.get(path.suffix.lower(), read_las_points)
     try:
         columns = read(path)
         points = np.column_stack([columns.pop(axis) for axis in "xyz"])

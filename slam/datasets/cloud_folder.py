@@ -8,6 +8,7 @@ import gtsam
 
 from slam.datasets.account import Account
 from slam.datasets.calibration import pose_from, read_yaml
+from slam.datasets.cloud_files import CLOUD_NAMES
 from slam.datasets.clouds_over_time import CloudFolder, cloud_files, stamped_clouds, times_of
 from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import beside_imu, imu_file
@@ -24,7 +25,7 @@ LIDAR_CALIBRATION = "calibration.yaml"
 _INSIDE = ("velodyne", "points", "clouds")  # of KITTI, of the simulator, of others
 _KITTI_CALIBRATION = "calib.txt"
 _GROUNDTRUTH = "groundtruth.txt"
-_NUMBERED = r"[a-z_-]*(\d{1,8})\.(?:bin|pcd|ply)"
+_NUMBERED = r"[a-z_-]*(\d{1,8})\." + CLOUD_NAMES
 _RATE_HZ = 10.0  # of most lidars; taken where clouds are numbered and nothing tells their stamps
 
 
@@ -119,7 +120,7 @@ def _kitti_rows(path: Path, account: Account) -> dict[str, gtsam.Pose3]:
 
 
 FORMAT = recorded(
-    "folder of point clouds (KITTI odometry; .bin, .pcd or .ply with a list of stamps)",
+    "folder of point clouds (KITTI odometry; .bin, .pcd, .ply or .las with a list of stamps)",
     looks_like_cloud_folder,
     _load,
     _groundtruth,

@@ -1,4 +1,4 @@
-"""EuRoC and what is laid out like it (ASL, TUM-VI): cameras without depth, of which only the truth is read.
+"""EuRoC and what is laid out like it (ASL, TUM-VI), and ADVIO: cameras without depth; the truth is read.
 
 Burri et al. 2016, "The EuRoC Micro Aerial Vehicle Datasets".
 """
@@ -16,18 +16,20 @@ from slam.estimates import Trajectory
 
 # Nanoseconds, position and quaternion; velocities and biases after them are left.
 POSES = PoseTable(stamp_units_s=(0.0,), order="wxyz")
+_ADVIO = "iphone/frames.mov"
 _TRUTHS = ("state_groundtruth_estimate0/data.csv", "mocap0/data.csv", "gt/data.csv")
 
 
 def looks_like_euroc(path: Path, head: bytes) -> bool:
     """Whether a path is the folder of a sequence, or its ``mav0``."""
-    return any((place / "cam0" / "data.csv").is_file() for place in (path / "mav0", path))
+    files = ("mav0/cam0/data.csv", "cam0/data.csv", _ADVIO)
+    return any((path / name).is_file() for name in files)
 
 
 def _load(path: Path, account: Account) -> Contents:
     """A sequence whose truth can score a trajectory; reading it raises DatasetError."""
     raise DatasetError(
-        f"{path} holds stereo images and an IMU (EuRoC's layout) but neither depth nor a lidar, and "
+        f"{path} holds images and an IMU (as EuRoC and ADVIO do) but neither depth nor a lidar, and "
         "nothing else is mapped; give a recording of a depth camera or of a lidar"
     )
 
@@ -39,4 +41,4 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     return POSES.read(file, account) if file else None
 
 
-FORMAT = recorded("EuRoC folder (its truth; it has no depth)", looks_like_euroc, _load, _groundtruth)
+FORMAT = recorded("EuRoC or ADVIO folder (it has no depth)", looks_like_euroc, _load, _groundtruth)

@@ -27,10 +27,9 @@ _UNREAD = (
     (r"mp4|mov|avi|h26[45]", "is a video, without depth; give the folder of the recording that it is of"),
     (r"svo2?", "is a ZED's; play it by its ROS driver (svo_path:={path}), and record a bag"),
     (r"oni", "is of OpenNI; play it by openni2_launch, and record a bag"),
-    (r"pcap(ng)?", "holds packets of a lidar; play them to its ROS driver (pcap:={path}), and record a bag"),
     (r"rawlog", "is a log of MRPT; play it by mrpt_rawlog's rawlog_play_node, and record a bag"),
     (
-        r"pcd|ply|las|laz|e57|obj|bin",
+        r"pcd|ply|la[sz]|e57|obj|bin",
         "is a single cloud; give a folder of clouds with their stamps in times.txt",
     ),
     (

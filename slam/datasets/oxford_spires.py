@@ -14,7 +14,7 @@ import gtsam
 import numpy as np
 
 from slam.datasets.account import Account
-from slam.datasets.cloud_files import CLOUD_SUFFIXES
+from slam.datasets.cloud_files import CLOUD_NAMES, CLOUD_SUFFIXES
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
 from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import beside_imu, imu_file
@@ -26,7 +26,7 @@ from slam.estimates import Trajectory
 STAMPS_IN_NAMES = "stamps from the names of the clouds in {place}"
 
 # Seconds with a fraction behind a dot, seconds and nanoseconds, or a whole number of any unit.
-_NAME = r"(?:[a-z]+_)?(\d{9,19}(?:\.\d{1,9})?|\d{9,10}_\d{1,9})\.(?:bin|pcd|ply)"
+_NAME = r"(?:[a-z]+_)?(\d{9,19}(?:\.\d{1,9})?|\d{9,10}_\d{1,9})\." + CLOUD_NAMES
 _FOLDER = re.compile(r"cloud|lidar|hesai|ouster|velodyne|livox|pandar|points|scans", re.IGNORECASE)
 _TRUTH, _OWN_TRUTH = (
     "groundtruth.txt",

@@ -15,7 +15,8 @@ from slam.datasets.robot_at_home2 import looks_like_robot_at_home2, open_robot_a
 
 _LAYOUTS = (
     "icl_nuim scannet_sens replica tartanair arkitscenes stray_scanner record3d polycam rtabmap_database "
-    "kitti_raw nclt mulran helipr boreas newer_college euroc seven_scenes recorded_folder tum open_loris"
+    "nyu_dumps player rawseeds captures nuscenes kitti_raw nclt mulran helipr boreas newer_college euroc "
+    "seven_scenes recorded_folder tum open_loris"
 )
 # Of names that others have, too: asked when nobody else knows a folder.
 _LOOSE = "cloud_folder open3d_folder oxford_spires"

@@ -18,7 +18,6 @@ from tools.pack_layouts import put
         ("scans.tar.gz", "archive; unpack it"),
         ("output.mkv", r"azure_kinect_mkv_reader\.py --input .*output\.mkv --output FOLDER"),
         ("frames.mov", "a video, without depth"),
-        ("DRIVE.PCAP", "packets of a lidar.*record a bag"),
         ("room.svo2", "svo_path"),
         ("day.rawlog", "rawlog_play_node"),
         ("scan.ply", "a single cloud"),

@@ -1,5 +1,23 @@
 """All writers of samples, in the order of the table."""
 
-from tools.layouts import camera_bags, cameras, flat_logs, lidar_bags, lidar_sets, lidars, odd_images
+from tools.layouts import (
+    camera_bags,
+    cameras,
+    flat_logs,
+    foxglove,
+    lidar_bags,
+    lidar_sets,
+    lidars,
+    odd_images,
+)
 
-__all__ = ["camera_bags", "cameras", "flat_logs", "lidar_bags", "lidar_sets", "lidars", "odd_images"]
+__all__ = [
+    "camera_bags",
+    "cameras",
+    "flat_logs",
+    "foxglove",
+    "lidar_bags",
+    "lidar_sets",
+    "lidars",
+    "odd_images",
+]

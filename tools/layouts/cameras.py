@@ -185,23 +185,58 @@ def _opencv(lens: CameraIntrinsics) -> str:
     )
 
 
+# camera_params.m: focal lengths and centre; k1, k2, p1, p2, k3; the turn.
+_NYU_COLOR = (
+    (5.1885790117450188e02, 5.1946961112127485e02, 3.2558244941119034e02, 2.5373616633400465e02),
+    (
+        2.0796615318809061e-01,
+        -5.8613825163911781e-01,
+        7.2231363135888329e-04,
+        1.0479627195765181e-03,
+        4.9856986684705107e-01,
+    ),
+)
+_NYU_DEPTH = (
+    (5.8262448167737955e02, 5.8269103270988637e02, 3.1304475870804731e02, 2.3844389626620386e02),
+    (
+        -9.9897236553084481e-02,
+        3.9065324602765344e-01,
+        1.9290592870229277e-03,
+        -1.9422022475975055e-03,
+        -5.1031725053400578e-01,
+    ),
+)
+_NYU_TURN = (
+    (9.9997798940829263e-01, 5.0518419386157446e-03, 4.3011152014118693e-03),
+    (-5.0359919480810989e-03, 9.9998051861143999e-01, -3.6879781309514218e-03),
+    (-4.3196624923060242e-03, 3.6662365748484798e-03, 9.9998394948385538e-01),
+)
+
+
 @layout(
     "NYU Depth V2, raw dumps",
     "RGB-D folders",
     "cs.nyu.edu/~silberman nyu_depth_v2: raw, toolbox camera_params.m",
 )
 def _nyu_raw(folder: Path) -> Sample:
-    """Depth and colour of two lenses, no lists, depth in the Kinect's own steps with swapped bytes."""
-    taken = footage(CameraIntrinsics(582.62, 582.69, 313.04, 238.44, 640, 480))
-    place = folder / "basement_0001a"
-    for k in range(COUNT):
-        stamp = f"{1316653580.471513 + k / 30:.6f}-{1316138413 + k * 2000000}"
-        put(place / f"r-{stamp}.ppm", taken.colors[k])
-        steps = np.rint(1092.5 - 351.3 / (taken.depths_mm[k] / 1000.0)).astype(np.uint16)
-        put(place / f"d-{stamp}.pgm", steps.byteswap())
-        put(place / f"a-{stamp}.dump", bytes(40))
+    """Depth and colour of two bent lenses, no lists, depth in the Kinect's own steps with swapped bytes."""
+    place, poses, stamps = folder / "basement_0001a", hand(), []
+    depth, color = (CameraIntrinsics(*values, 640, 480) for values in (_NYU_DEPTH[0], _NYU_COLOR[0]))
+    to_color = np.eye(4)  # of points; the toolbox calls the second number z and the third y
+    to_color[:3, :3] = np.linalg.inv(np.array(_NYU_TURN))
+    to_color[:3, 3] = -np.array([2.5031875059141302e-02, -2.9342312935846411e-04, 6.6238747008330102e-04])
+    for k, pose in enumerate(poses):
+        stamps.append(1316653580.471513 + k / 30)
+        ticks = 1316138413 + k * 2000000
+        seen = looked_at(color, pose @ np.linalg.inv(to_color), _NYU_COLOR[1])
+        put(place / f"r-{stamps[k]:.6f}-{ticks}.ppm", seen.color)
+        depth_m = looked_at(depth, pose, _NYU_DEPTH[1]).depth_m
+        steps = np.rint(1092.5 - 351.3 / depth_m).astype(np.uint16)
+        steps[:8] = 2047
+        put(place / f"d-{stamps[k] + 0.004:.6f}-{ticks + 9}.pgm", steps.byteswap())
+        put(place / f"a-{stamps[k]:.6f}-{ticks}.dump", bytes(40))
     put(place / "INDEX.txt", "\n".join(sorted(one.name for one in place.iterdir())) + "\n")
-    return Sample(place, refused="NYU")
+    return Sample(place, (CameraTruth(depth, stamps, poses),))
 
 
 @layout(

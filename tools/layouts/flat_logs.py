@@ -319,44 +319,60 @@ def _gfs_log(folder: Path) -> Sample:
 
 @layout("Player log of Radish", "2D robots", "playerstage.sourceforge.net writelog: version 0.3")
 def _player_log(folder: Path) -> Sample:
+    """Messages of an interface each, what the lidar's place is among them."""
     lines = "## Player version 2.0.0\n## File version 0.3.0\n## Format:\n"
-    for k, (base, ranges) in enumerate(zip(way(COUNT), seen((0.0, 0.0, 0.0), HALF), strict=True)):
+    lines += "1090517113.000 16777343 6665 laser 00 004 001 +0.100 +0.000 0.000 0.150 0.150\n"
+    mount = (0.1, 0.0, 0.0)
+    ranges = seen(mount, HALF)
+    for k, (base, one) in enumerate(zip(way(COUNT), ranges, strict=True)):
         yaw = float(np.arctan2(base[1, 0], base[0, 0]))
         at = f"{1090517113 + 0.2 * k:014.3f}"
         place = f"{base[0, 3]:+07.3f} {base[1, 3]:+07.3f} {yaw:+07.3f}"
         lines += f"{at} 16777343 6665 position2d 00 001 001 {place} +00.000 +00.000 +00.000 0\n"
-        row = " ".join(f"{r:.3f} 0" for r in ranges)
-        angles = f"-1.5708 +1.5708 +0.01745329 +81.92 {len(ranges):04d}"
-        lines += f"{at} 16777343 6665 laser 00 001 001 0001 {angles} {row}\n"
-    return Sample(put(folder / "run.log", lines), refused="Player")
+        lines += f"{at} 16777343 6665 sonar 00 001 001 16" + " 5.000" * 16 + "\n"
+        row = " ".join(f"{r:.3f} 0" for r in one)
+        angles = f"-1.5708 +1.5708 +0.01745329 +81.92 {len(one):04d}"
+        lines += f"{at} 16777343 6665 laser 00 001 001 {k:04d} {angles} {row}\n"
+    truth = ScanTruth([0.2 * k for k in range(COUNT)], HALF, ranges, mount)
+    return Sample(put(folder / "run.log", lines), scans=(truth,), wheels=COUNT)
 
 
 @layout("Rawseeds", "2D robots", "rawseeds.org file formats: SICK_FRONT.csv, ODOMETRY_XYT.csv")
 def _rawseeds(folder: Path) -> Sample:
-    name = "Bicocca_2009-02-25b"
-    scans = wheels = ""
-    for k, (base, ranges) in enumerate(zip(way(COUNT), seen((0.0, 0.0, 0.0), HALF), strict=True)):
+    """A table a sensor; where they sit is in none of them."""
+    name, ranges = "Bicocca_2009-02-25b", seen((0.0, 0.0, 0.0), HALF)
+    tables = dict.fromkeys(("SICK_FRONT", "SICK_REAR", "ODOMETRY_XYT", "GROUNDTRUTH"), "")
+    for k, (base, one) in enumerate(zip(way(COUNT), ranges, strict=True)):
         at = f"{1235578000 + 0.1 * k:.6f}"
-        scans += f"{at}, {len(ranges)}, 0, " + ", ".join(f"{r:.3f}" for r in ranges) + "\n"
-        wheels += (
-            f"{at}, 0, 0, 0, {base[0, 3]:.5f}, {base[1, 3]:.5f}, {np.arctan2(base[1, 0], base[0, 0]):.5f}\n"
-        )
-    put(folder / f"{name}-SICK_FRONT.csv", scans)
-    put(folder / f"{name}-ODOMETRY_XYT.csv", wheels)
-    return Sample(folder, refused="Rawseeds")
+        for scanner in ("SICK_FRONT", "SICK_REAR"):
+            tables[scanner] += f"{at}, {len(one)}, 0, " + ", ".join(f"{r:.3f}" for r in one) + "\n"
+        place = f"{base[0, 3]:.5f}, {base[1, 3]:.5f}, {np.arctan2(base[1, 0], base[0, 0]):.5f}"
+        tables["ODOMETRY_XYT"] += f"{at}, {k}, 0, 0, {place}\n"
+        tables["GROUNDTRUTH"] += f"{at}, {place}, 0.001, 0, 0, 0, 0.001, 0, 0, 0, 0.001\n"
+    for table, text in tables.items():
+        put(folder / name / f"{name}-{table}.csv", text)
+    scans = ScanTruth([0.1 * k for k in range(COUNT)], HALF, ranges)
+    return Sample(folder / name, scans=(scans,), wheels=COUNT, moved=way(COUNT))
 
 
-@layout("MRPT .rawlog", "2D robots", "docs.mrpt.org rawlog format")
+@layout("MRPT .rawlog", "2D robots", "docs.mrpt.org rawlog format; mrpt_rawlog rawlog_play_node: odom, scan")
 def _rawlog(folder: Path) -> Sample:
-    return Sample(
-        put(folder / "dataset.rawlog", b"\x80CObservation2DRangeScan" + bytes(300)),
-        refused=r"(?i)rawlog|known format",
-    )
+    """Classes of MRPT, written one behind the other; its node plays them as a robot's topics."""
+    said: list[Sent] = []
+    truth = _robot("/laser", "laser", (0.1, 0.0, 0.0), FULL, np.radians(1.0), said)
+    path = put(folder / "dataset.rawlog", b"\x80CObservation2DRangeScan" + bytes(300))
+    played = ("rawlog_play_node", lambda: ros.ros2(folder / "bag", said))
+    return Sample(path, scans=(truth,), wheels=COUNT, refused=r"(?i)rawlog", by_hand=played)
 
 
 @layout(
     "slam_toolbox's pose graph", "2D robots", "github.com/SteveMacenski/slam_toolbox README: serialization"
 )
 def _posegraph(folder: Path) -> Sample:
+    """What is left of a run beside the bag that it was made from."""
+    said: list[Sent] = []
+    truth = _basic(said)
     put(folder / "map.posegraph", b"\x16\x00\x00\x00\x00\x00\x00\x00serialization::archive" + bytes(200))
-    return Sample(folder / "map.posegraph", refused="map.*bag")
+    given = ("the recording that it was made from", lambda: ros.ros2(folder / "bag", said))
+    path = folder / "map.posegraph"
+    return Sample(path, scans=(truth,), wheels=COUNT, refused="map.*bag", by_hand=given)

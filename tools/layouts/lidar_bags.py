@@ -14,6 +14,7 @@ from tools.layouts.lidars import RINGS, TURN_S, ride, still
 from tools.layouts.messages import START_S, Sent
 from tools.layouts.samples import CloudTruth, Sample, layout
 from tools.layouts.world import hits, placed, turn, way
+from tools.pack_layouts import put
 
 COUNT = 10
 MOUNT = placed(0.1, 0.0, 1.0)
@@ -225,6 +226,37 @@ def _velodyne_packets(folder: Path) -> Sample:
     return Sample(
         ros.ros1(folder / "packets.bag", said), cloud=CloudTruth(STAMPS, [], None, poses, apart_m=0.08)
     )
+
+
+@layout("Velodyne packets, .pcap", "3D lidar folders", "VLP-16 user manual; libpcap file format")
+def _velodyne_pcap(folder: Path) -> Sample:
+    """What a port of a computer heard: the lidar, its position packets, somebody's web page."""
+    poses = [base @ MOUNT for base in way(COUNT)]
+    heard = [(START_S, b"GET / HTTP/1.1", 80)]
+    for stamp, pose in zip(STAMPS, poses, strict=True):
+        heard.append((stamp, bytes(512), 8308))
+        for number, one in enumerate(packets(pose, stamp)):
+            heard.append((stamp + TURN_S * number / 75, one["data"].tobytes(), 2368))
+    path = put(folder / "drive.pcap", captured(heard))
+    # A turn ends with the packet in which the bearing passes zero.
+    stamps = [STAMPS[0], *(stamp + TURN_S / 75 for stamp in STAMPS[1:])]
+    return Sample(path, cloud=CloudTruth(stamps, [], None, poses, apart_m=0.08))
+
+
+def captured(heard: list[tuple[float, bytes, int]], most: int = 1480) -> bytes:
+    """A capture of datagrams to ports, those that are longer than a frame in fragments."""
+    content = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
+    for number, (at, data, port) in enumerate(heard):
+        whole = struct.pack(">HHHH", port, port, 8 + len(data), 0) + data
+        for start in range(0, len(whole), most):
+            part = whole[start : start + most]
+            told = (start // 8) | (0x2000 if start + most < len(whole) else 0)
+            about = 0x45, 0, 20 + len(part), number & 0xFFFF, told, 64, 17, 0
+            head = struct.pack(">BBHHHBBH", *about) + bytes((192, 168, 1, 201, 255, 255, 255, 255))
+            frame = bytes(12) + b"\x08\x00" + head + part
+            seconds, rest = divmod(round(1e6 * at), 10**6)
+            content += struct.pack("<IIII", seconds, rest, len(frame), len(frame)) + frame
+    return content
 
 
 @layout(

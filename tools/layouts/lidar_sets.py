@@ -240,7 +240,14 @@ def _backpack_3d(folder: Path) -> Sample:
 
 @layout("PointCloud of ROS 1's first years", "lidar bags", "docs.ros.org sensor_msgs/PointCloud")
 def _point_cloud_1(folder: Path) -> Sample:
-    points = ride(MOUNT, 1)[0][0][:100]
-    fields = {"points": [{"x": float(x), "y": float(y), "z": float(z)} for x, y, z in points]}
-    said = [Sent("/cloud", ros.S + "PointCloud", stamp, fields, "lidar") for stamp in STAMPS]
-    return Sample(ros.ros1(folder / "old.bag", said), refused="point_cloud_converter")
+    """Points as records, their times in a channel; a sonar says the same in 16 points."""
+    points, parts, poses = ride(MOUNT)
+    said = list(feel("/imu", "imu"))
+    for k, stamp in enumerate(STAMPS):
+        for topic, frame, chosen in (("/cloud", "lidar", slice(None)), ("/sonar", "sonar", slice(16))):
+            items = [{"x": float(x), "y": float(y), "z": float(z)} for x, y, z in points[k][chosen]]
+            times = {"name": "time", "values": TURN_S * parts[k][chosen]}
+            channels = [{"name": "intensity", "values": np.ones(len(items))}, times]
+            fields = {"points": items, "channels": channels}
+            said.append(Sent(topic, ros.S + "PointCloud", stamp, fields, frame))
+    return Sample(ros.ros1(folder / "old.bag", said), cloud=truth(points, parts, poses), imu=80)

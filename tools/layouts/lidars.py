@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -235,15 +234,6 @@ def _las_folder(folder: Path) -> Sample:
         (folder / "las").mkdir(exist_ok=True)
         cloud.write(folder / "las" / f"{1700000000 + stamps[k]:.6f}.las")
     return Sample(folder / "las", cloud=CloudTruth(stamps, points, None, poses))
-
-
-@layout("Velodyne packets, .pcap", "3D lidar folders", "VLP-16 user manual; libpcap file format")
-def _velodyne_pcap(folder: Path) -> Sample:
-    content = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
-    for k in range(20):
-        packet = bytes(42) + bytes(1206)
-        content += struct.pack("<IIII", 1700000000, 1000 * k, len(packet), len(packet)) + packet
-    return Sample(put(folder / "drive.pcap", content), refused=r"(?i)pcap.*(bag|driver)")
 
 
 @layout("a single cloud, .ply", "3D lidar folders", "paulbourke.net/dataformats/ply")

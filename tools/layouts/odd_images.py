@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import cv2
 import numpy as np
 
 from tools.layouts import messages as ros
-from tools.layouts.camera_bags import HELD, LENS, MOUNT, STAMPS, mm, one_lens, poses_of, shots, truth
+from tools.layouts.camera_bags import COUNT, HELD, LENS, MOUNT, STAMPS, mm, one_lens, poses_of, shots, truth
 from tools.layouts.messages import START_S, Sent
 from tools.layouts.samples import CameraTruth, Sample, layout
 from tools.layouts.world import way
@@ -116,22 +117,16 @@ def _without_info(folder: Path) -> Sample:
 
 @layout("theora colour", "camera bags", "wiki.ros.org/theora_image_transport")
 def _theora(folder: Path) -> Sample:
-    """Video is not unpacked; depth alone makes no camera."""
-    said = [
-        one
-        for one in one_lens("/camera/color/image_raw", "/camera/depth/image_raw", "c")
-        if "depth" in one.topic
-    ]
-    said += [
-        Sent(
-            "/camera/color/image_raw/theora",
-            "theora_image_transport/msg/Packet",
-            stamp_s,
-            {"data": np.zeros(99)},
-        )
-        for stamp_s in STAMPS
-    ]
-    return Sample(ros.ros1(folder / "t.bag", said), refused="republish theora raw")
+    """Video is not unpacked; depth alone makes no camera. Its republisher writes raw images."""
+    topics = "/camera/color/image_raw", "/camera/depth/image_raw"
+    raw = list(one_lens(*topics, "c", infos=("/camera/color/camera_info", "/camera/depth/camera_info")))
+    said = [one for one in raw if one.topic != topics[0]]
+    for stamp_s in STAMPS:
+        fields = {"data": np.zeros(99)}
+        said.append(Sent(f"{topics[0]}/theora", "theora_image_transport/msg/Packet", stamp_s, fields))
+    path = ros.ros1(folder / "t.bag", said)
+    written = ("republish theora raw", lambda: ros.ros2(folder / "raw", raw))
+    return Sample(path, (truth(poses_of(HELD)),), refused="republish theora raw", by_hand=written)
 
 
 @layout(
@@ -174,12 +169,32 @@ def _euroc_bag(folder: Path) -> Sample:
 
 @layout("Azure Kinect .mkv", "camera bags", "learn.microsoft.com azure kinect-dk record-file-format")
 def _azure_mkv(folder: Path) -> Sample:
+    """Open3D's tool writes numbered images of 30 Hz, depth as colour sees it, and the lens."""
     head = (
         bytes.fromhex("1a45dfa3")
         + b"\x01\x00\x00\x00\x00\x00\x00\x1f"
         + b"\x42\x86\x81\x01\x42\xf7\x81\x01\x42\x82\x88matroska"
     )
-    return Sample(put(folder / "output.mkv", head + bytes(500)), refused="azure_kinect_mkv_reader")
+
+    def extracted() -> Path:
+        for k, seen in enumerate(shots(LENS, poses_of(HELD))):
+            put(folder / "FOLDER" / "color" / f"{k:05d}.jpg", ros.coded(seen.color, ".jpg"))
+            put(folder / "FOLDER" / "depth" / f"{k:05d}.png", mm(seen.depth_m))
+        lens = [LENS.fx, 0, 0, 0, LENS.fy, 0, LENS.cx, LENS.cy, 1]
+        told = {
+            "width": LENS.width,
+            "height": LENS.height,
+            "intrinsic_matrix": lens,
+            "color_mode": "MJPG_720P",
+        }
+        put(folder / "FOLDER" / "intrinsic.json", json.dumps(told))
+        put(folder / "FOLDER" / "config.json", json.dumps({"path_dataset": "FOLDER"}))
+        return folder / "FOLDER"
+
+    tool = "azure_kinect_mkv_reader"
+    cameras = (CameraTruth(LENS, [k / 30.0 for k in range(COUNT)], poses_of(HELD)),)
+    path = put(folder / "output.mkv", head + bytes(500))
+    return Sample(path, cameras, refused=tool, by_hand=(tool, extracted))
 
 
 @layout("EuRoC folder", "camera bags", "projects.asl.ethz.ch/datasets ASL format")
@@ -215,4 +230,4 @@ def _advio(folder: Path) -> Sample:
     for name in ("frames", "accelerometer", "gyro", "arkit"):
         put(place / "iphone" / f"{name}.csv", "0.0,0,0,0\n")
     put(place / "ground-truth" / "poses.csv", "0.0,0,0,0,1,0,0,0\n")
-    return Sample(place, refused="depth")
+    return Sample(place, refused="neither depth nor a lidar")

@@ -76,7 +76,8 @@ class Sample:
     mend
         Further words of the command that maps it, which the refusal must name.
     by_hand
-        A command of another program that the refusal must name, and what does the same here.
+        What a message must name (a command of another program, another thing to give), and what does it here;
+        it returns what to give then, None where that is the same.
     """
 
     path: Path
@@ -88,7 +89,7 @@ class Sample:
     moved: list[Any] | None = None
     refused: str = ""
     mend: tuple[str, ...] = ()
-    by_hand: tuple[str, Callable[[], object]] | None = None
+    by_hand: tuple[str, Callable[[], Path | None]] | None = None
 
 
 @dataclass(frozen=True)

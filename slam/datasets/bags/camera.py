@@ -72,10 +72,10 @@ class BagCamera:
             budget is used up.
         """
         depth_m = depth_of(pair.depth.message, budget, self.depth_steps_per_m)
-        depth_m = self._flat_depth(depth_m)
+        depth_m = self.flat_depth(depth_m)
         height, width = depth_m.shape
         intrinsics = self._intrinsics(width, height)
-        color = self._fitted(color_of(pair.color.message, budget), depth_m, intrinsics)
+        color = self.fitted(color_of(pair.color.message, budget), depth_m, intrinsics)
         return RgbdFrame(pair.color.stamp_s, color, depth_m, intrinsics, self.T_base_camera, self.sensor)
 
     def _intrinsics(self, width: int, height: int) -> CameraIntrinsics:
@@ -84,7 +84,7 @@ class BagCamera:
         known = Calibration(lens.intrinsics if lens else _ASSUMED, 1.0, assumed=self.assumed)
         return known.intrinsics_for(width, height)
 
-    def _flat_depth(self, depth_m: Float32Array) -> Float32Array:
+    def flat_depth(self, depth_m: Float32Array) -> Float32Array:
         """Depth without distortion: each pixel takes the nearest reading, none are mixed."""
         size = (depth_m.shape[1], depth_m.shape[0])
         if size not in self._depth_maps:
@@ -97,7 +97,7 @@ class BagCamera:
 
         return np.asarray(cv2.remap(depth_m, *maps, cv2.INTER_NEAREST), dtype=np.float32)
 
-    def _fitted(self, color: ColorImage, depth_m: Float32Array, wanted: CameraIntrinsics) -> ColorImage:
+    def fitted(self, color: ColorImage, depth_m: Float32Array, wanted: CameraIntrinsics) -> ColorImage:
         """Colour as the depth camera would see it."""
         size = (color.shape[1], color.shape[0])
         key = (*size, wanted.width, wanted.height)

@@ -22,7 +22,7 @@ BAD_LAYOUT = "point cloud with a layout that cannot be"
 NO_POINTS = "point cloud without a valid point"
 
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
-_DIRECTIONS = 36  # of ten degrees each
+LEAST_POINTS = _DIRECTIONS = 36  # of ten degrees each
 _HALF_VIEW_RAD = math.radians(65.0)  # of the widest depth cameras (Azure Kinect, 120 degrees), with slack
 
 

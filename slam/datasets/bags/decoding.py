@@ -9,10 +9,12 @@ from dataclasses import replace
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
+from slam.datasets.bags import foxglove
+from slam.datasets.bags.cloud_messages import point_cloud
 from slam.datasets.bags.definitions import message_parts, simple_idl
 from slam.datasets.bags.livox import livox_cloud
 from slam.datasets.bags.records import BagRecord, Channel
-from slam.datasets.bags.topics import LIVOX, VELODYNE
+from slam.datasets.bags.topics import LIVOX, POINT_CLOUD, VELODYNE
 from slam.datasets.bags.velodyne import VelodyneDecoder
 from slam.datasets.budget import LARGEST_BYTES, Budget
 from slam.datasets.dataset import RecordFault
@@ -46,10 +48,11 @@ class Decoder:
         self._velodynes: dict[str, VelodyneDecoder] = {}
         self._budget = budget
 
-    def _livox(self, record: BagRecord) -> Any:
-        """A CustomMsg as a cloud."""
+    def _cloud(self, record: BagRecord) -> Any:
+        """A message of many small records as a cloud."""
+        read = point_cloud if record.channel.kind == POINT_CLOUD else livox_cloud
         try:
-            return livox_cloud(record.content, record.channel.wire)
+            return read(record.content, record.channel.wire)
         except (struct.error, ValueError, IndexError) as error:
             text = f"{record.channel.kind} on {record.channel.topic}: {error}"
             raise RecordFault(UNDECODED, text) from error
@@ -63,8 +66,12 @@ class Decoder:
             It is damaged, or its type is not known.
         """
         channel = record.channel
-        if channel.kind in LIVOX and channel.wire in _WIRES:
-            return self._livox(record)
+        if channel.wire in foxglove.WIRES and channel.own_kind != channel.kind:
+            fits = self._budget.takes_definition(channel.definition)
+            definition = channel.definition if fits else ""
+            return foxglove.message_of(record.content, channel.own_kind, channel.wire, definition)
+        if channel.kind in LIVOX | {POINT_CLOUD} and channel.wire in _WIRES:
+            return self._cloud(record)
         if channel not in self._types:
             fits = self._budget.takes_definition(channel.definition)
             self._types[channel] = _typestore(channel if fits else replace(channel, definition=""))

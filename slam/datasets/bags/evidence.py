@@ -11,9 +11,10 @@ import gtsam
 import numpy as np
 
 from slam.datasets.bags.camera_clouds import camera_clouds
+from slam.datasets.bags.clouds import LEAST_POINTS
 from slam.datasets.bags.laser import LaserMount
 from slam.datasets.bags.survey import Survey
-from slam.datasets.bags.topics import CLOUDS, IMAGES, ODOMETRY, SCANS, Evidence
+from slam.datasets.bags.topics import CLOUDS, IMAGES, ODOMETRY, POINT_CLOUD, SCANS, Evidence
 from slam.datasets.bags.transforms import BASE_FRAMES
 from slam.datasets.bags.truth import IS_TRUTH, is_truth
 from slam.datasets.dataset import RecordFault
@@ -67,6 +68,8 @@ def never_read(survey: Survey) -> dict[str, str]:
             found[topic] = f"it is a picture of what the lidar of {cloud} tells"
         elif kind in CLOUDS and _last(frame) in _WORLDS:
             found[topic] = f"it stands in {frame}, moved by somebody's estimate already"
+        elif kind == POINT_CLOUD and (view := survey.clouds.get(topic)) and view.points < LEAST_POINTS:
+            found[topic] = f"its {view.points} points are a sonar's or a bumper's, no lidar's"
     made = camera_clouds(survey)
     rest = {topic for topic in kinds if topic not in found and topic not in made}
     cameras = {topic for topic in rest & set(survey.depths) if survey.depths[topic]}

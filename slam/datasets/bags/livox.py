@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import struct
 from types import SimpleNamespace
 
+from slam.datasets.bags.cloud_messages import Wire
 from slam.datasets.budget import LARGEST_BYTES
 
 _FIELDS = (("offset_time", 6, 0), ("x", 7, 4), ("y", 7, 8), ("z", 7, 12), ("reflectivity", 2, 16))
@@ -23,32 +23,26 @@ def livox_cloud(content: bytes, wire: str) -> SimpleNamespace:
         Bytes are missing, or there are too many.
     """
     ros1 = wire == "ros1"
-    little = ros1 or content[1] & 1
-    order = "<" if little else ">"
-    at, start = (4, 0) if ros1 else (4, 4)
-    sec, nanosec, named = struct.unpack_from(f"{order}III", content, at)
-    at += 12
-    if named > len(content):
-        raise ValueError(f"a frame's name of {named} letters")
-    frame = content[at : at + named].rstrip(b"\0").decode("utf-8", "replace")
-    at += named
+    message = Wire(content, wire)
+    header = message.header()
+    at = message.at
     if not ros1:
-        at += -(at - start) % 8
-    at += 16  # base of time, number of points, lidar, reserved
-    (count,) = struct.unpack_from(f"{order}I", content, at)
-    at += 4
+        at += -(at - 4) % 8
+    message.at = at + 16  # base of time, number of points, lidar, reserved
+    count = message.number()
+    at = message.at
     step = _POINT if ros1 else _ALIGNED
     if not 0 < count * step <= LARGEST_BYTES or len(content) < at + count * step - (step - _POINT):
         raise ValueError(f"{count} points in {len(content)} bytes")
     return SimpleNamespace(
-        header=SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec), frame_id=frame),
+        header=header,
         height=1,
         width=count,
         fields=[
             SimpleNamespace(name=name, datatype=kind, offset=offset, count=1)
             for name, kind, offset in _FIELDS
         ],
-        is_bigendian=not little,
+        is_bigendian=message.order == ">",
         point_step=step,
         row_step=count * step,
         data=bytearray(content[at:].ljust(count * step, b"\0")[: count * step]),

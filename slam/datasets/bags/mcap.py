@@ -16,6 +16,7 @@ from typing import BinaryIO
 
 from slam.datasets.account import Account
 from slam.datasets.bags.compression import unpacked_chunk
+from slam.datasets.bags.foxglove import as_ros
 from slam.datasets.bags.records import (
     CUT,
     DAMAGED,
@@ -108,14 +109,16 @@ class _Tables:
             if kind == _SCHEMA:
                 stream = io.BytesIO(content)
                 (number,) = struct.unpack("<H", exactly(stream, 2))
-                name, encoding, text = _text(stream), _text(stream), _text(stream)
+                name, encoding = _text(stream), _text(stream)
+                text = _text(stream, "latin-1" if encoding == "protobuf" else "utf-8")
                 self._schemas[number] = ros2_name(name), text, _LANGUAGES.get(encoding, encoding)
             elif kind == _CHANNEL:
                 stream = io.BytesIO(content)
                 number, schema = struct.unpack("<HH", exactly(stream, 4))
                 topic, wire = _text(stream), _text(stream)
                 name, text, language = self._schemas.get(schema, ("", "", "msg"))
-                self.channels[number] = Channel(plain(topic), plain(name), wire, text, language)
+                read_as = plain(as_ros(name, wire))
+                self.channels[number] = Channel(plain(topic), read_as, wire, text, language, plain(name))
         except (struct.error, CutError, UnicodeDecodeError) as error:
             raise RecordFault(DAMAGED, str(error)) from error
         return None
@@ -195,7 +198,7 @@ def _unpacked(content: bytes, budget: Budget, *, whole: bool) -> bytes:
     return records
 
 
-def _text(stream: BinaryIO) -> str:
+def _text(stream: BinaryIO, encoding: str = "utf-8") -> str:
     """A string with its length before it."""
     (size,) = struct.unpack("<I", exactly(stream, 4))
-    return exactly(stream, size).decode()
+    return exactly(stream, size).decode(encoding)

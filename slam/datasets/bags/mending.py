@@ -12,7 +12,6 @@ _REMEDIES = (
     (r"^ffmpeg_image_transport", _REPUBLISH.format("ffmpeg")),
     (r"CompressedVideo$", "unpack the video to sensor_msgs/Image"),
     (r"^foxglove\.|^foxglove_msgs/", "write it as the ROS type of the same name (sensor_msgs, tf2_msgs)"),
-    (r"^sensor_msgs/msg/PointCloud$", "record it again through point_cloud_converter, as PointCloud2"),
     (r"^stereo_msgs/msg/DisparityImage$", "record depth, which stereo_image_proc makes of it"),
 )
 

@@ -26,9 +26,12 @@ class Channel:
     topic, kind
         Its name, and the message type as in ROS 2: ``sensor_msgs/msg/LaserScan``.
     wire
-        How messages are serialised: "cdr" or "ros1"; anything else is not read.
+        How messages are serialised: "cdr" or "ros1", Foxglove's own "protobuf" or "json"; others are
+        not read.
     definition, language
-        Text of the message type ("msg" or "idl"); empty where the bag does not tell it.
+        Text of the message type ("msg" or "idl"), or its bytes; empty where the bag does not tell it.
+    own_kind
+        The message type as the bag names it, where it is read as another.
     """
 
     topic: str
@@ -36,6 +39,7 @@ class Channel:
     wire: str
     definition: str = ""
     language: str = "msg"
+    own_kind: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from typing import Any
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
 CLOUD = "sensor_msgs/msg/PointCloud2"
+POINT_CLOUD = "sensor_msgs/msg/PointCloud"  # of the first years of ROS
 LIVOX = frozenset(
     {f"livox_{package}/msg/CustomMsg" for package in ("ros_driver", "ros_driver2", "interfaces")}
 )
@@ -23,7 +24,7 @@ COMPRESSED = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 TRANSFORMS = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
 SCANS = frozenset({LASER_SCAN, MULTI_ECHO})
-CLOUDS = LIVOX | {CLOUD, VELODYNE}
+CLOUDS = LIVOX | {CLOUD, POINT_CLOUD, VELODYNE}
 IMAGES = frozenset({IMAGE, COMPRESSED})
 SENSORS = SCANS | CLOUDS | IMAGES | {ODOMETRY, IMU, NAVSAT}
 

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from slam.datasets.bags.cloud_messages import as_cloud, header_at
 from slam.datasets.dataset import RecordFault
 
 NO_DECODER = "packets of a Velodyne, which the extra reads: pip install 'scanweave[velodyne]'"
 NOT_DECODED = "packets of a Velodyne that tell no cloud"
-_FIELDS = (("x", 7), ("y", 7), ("z", 7), ("time", 7))  # sensor_msgs/PointField
-_SIZE = 4
+_FIELDS = ("x", "y", "z", "time")
 
 
 class VelodyneDecoder:
@@ -29,13 +29,8 @@ class VelodyneDecoder:
         RecordFault
             The extra is not installed, or the packets are damaged or of no known model.
         """
-        try:
-            import velodyne_decoder
-        except ImportError as error:
-            raise RecordFault(NO_DECODER, "not installed") from error
+        velodyne_decoder, config = _library()
         if self._decoder is None:
-            config = velodyne_decoder.Config()
-            config.timestamp_first_packet = True
             self._decoder = velodyne_decoder.ScanDecoder(config)
         packets = velodyne_decoder.PacketVector()
         for packet in message.packets:
@@ -45,27 +40,56 @@ class VelodyneDecoder:
             stamp, points = self._decoder.decode(packets, as_pcl_structs=True)
         except (RuntimeError, ValueError, IndexError) as error:
             raise RecordFault(NOT_DECODED, str(error)) from error
-        return _as_cloud(message.header.frame_id, stamp.host, points)
+        return _as_cloud(stamp.host, points, message.header.frame_id)
 
 
-def _as_cloud(frame: str, stamp_s: float, points: Any) -> SimpleNamespace:
+class VelodyneStream:
+    """Packets of one lidar as they come, put together to turns."""
+
+    def __init__(self) -> None:
+        self._decoder: Any = None
+
+    def add(self, stamp_s: float, packet: bytes) -> SimpleNamespace | None:
+        """The turn that a packet completes, with the fields of a PointCloud2; None where it completes none.
+
+        Raises
+        ------
+        RecordFault
+            The extra is not installed, or the packet is damaged.
+        """
+        velodyne_decoder, config = _library()
+        if len(packet) != velodyne_decoder.PACKET_SIZE:
+            return None
+        if self._decoder is None:
+            self._decoder = velodyne_decoder.StreamDecoder(config)
+        try:
+            return self._turn(self._decoder.decode(stamp_s, packet, True))
+        except (RuntimeError, ValueError, IndexError) as error:
+            raise RecordFault(NOT_DECODED, str(error)) from error
+
+    def rest(self) -> SimpleNamespace | None:
+        """What is left at the end."""
+        return self._turn(self._decoder.finish(True)) if self._decoder is not None else None
+
+    def _turn(self, found: Any) -> SimpleNamespace | None:
+        """A turn with points as a message."""
+        return None if found is None or not len(found[1]) else _as_cloud(found[0].host, found[1], "velodyne")
+
+
+def _library() -> tuple[Any, Any]:
+    """The decoder's package, and how it is to stamp turns."""
+    try:
+        import velodyne_decoder
+    except ImportError as error:
+        raise RecordFault(NO_DECODER, "not installed") from error
+    config = velodyne_decoder.Config()
+    config.timestamp_first_packet = True
+    return velodyne_decoder, config
+
+
+def _as_cloud(stamp_s: float, points: Any, frame: str) -> SimpleNamespace:
     """Structured points as a message."""
-    columns = [np.asarray(points[name], dtype="<f4").ravel() for name, _ in _FIELDS]
-    table = np.stack(columns, axis=1)
-    if not table.size:
+    columns = {name: np.asarray(points[name]).ravel() for name in _FIELDS}
+    if not columns["x"].size:
         raise RecordFault(NOT_DECODED, "no point")
-    sec = int(stamp_s)
-    stamp = SimpleNamespace(sec=sec, nanosec=min(round((stamp_s - sec) * 1e9), 999_999_999))
-    return SimpleNamespace(
-        header=SimpleNamespace(stamp=stamp, frame_id=frame),
-        height=1,
-        width=len(table),
-        fields=[
-            SimpleNamespace(name=name, datatype=kind, offset=_SIZE * place, count=1)
-            for place, (name, kind) in enumerate(_FIELDS)
-        ],
-        is_bigendian=False,
-        point_step=_SIZE * len(_FIELDS),
-        row_step=table.nbytes,
-        data=np.frombuffer(table.tobytes(), np.uint8),
-    )
+    return as_cloud(header_at(stamp_s, frame), columns)

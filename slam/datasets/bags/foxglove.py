@@ -1,0 +1,201 @@
+"""Foxglove's own messages in MCAP, as protobuf or JSON, made those of ROS that say the same.
+
+Their fields are those of docs.foxglove.dev/docs/visualization/message-schemas. Protobuf is decoded by
+Google's library (the extra 'foxglove') with the definition that the file brings.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from slam.datasets.budget import LARGEST_BYTES
+from slam.datasets.dataset import RecordFault
+from slam.foreign import from_json
+
+NO_PROTOBUF = "messages as protobuf, which the extra reads: pip install 'scanweave[foxglove]'"
+UNDECODED = "message of Foxglove that does not decode as its type"
+WIRES = frozenset({"protobuf", "json"})
+_NUMBERS = (0, 2, 1, 4, 3, 6, 5, 7, 8)  # of PackedElementField as those of sensor_msgs/PointField
+_SAME = 1e-9  # metres, and as a quaternion's parts
+_LONGEST_JSON = LARGEST_BYTES // 8  # its values take many times the letters
+
+
+def _stamp(told: Any) -> SimpleNamespace:
+    """A time of protobuf or of JSON."""
+    seconds, rest = ("seconds", "nanos") if hasattr(told, "seconds") else ("sec", "nsec")
+    return SimpleNamespace(sec=int(getattr(told, seconds)), nanosec=int(getattr(told, rest)))
+
+
+def _header(message: Any, frame: str = "frame_id") -> SimpleNamespace:
+    """A header of stamp and frame."""
+    return SimpleNamespace(stamp=_stamp(message.timestamp), frame_id=str(getattr(message, frame, "")))
+
+
+def _bytes(data: Any) -> Any:
+    """Bytes as they are, or as JSON has them."""
+    return np.frombuffer(base64.b64decode(data) if isinstance(data, str) else bytes(data), np.uint8)
+
+
+def _check_frame(message: Any) -> None:
+    """Refuse a reading whose origin is not that of its frame: what is left out is zero."""
+    pose = getattr(message, "pose", None)
+    parts = (getattr(pose, name, None) for name in ("position", "orientation"))
+    if any(abs(getattr(part, axis, 0.0)) > _SAME for part in parts for axis in "xyz"):
+        raise ValueError("a pose of its own beside its frame")
+
+
+def _cloud(message: Any) -> SimpleNamespace:
+    """A PointCloud2."""
+    step, data = int(message.point_stride), _bytes(message.data)
+    _check_frame(message)
+    count = data.size // step
+    fields = [
+        SimpleNamespace(
+            name=one.name, offset=int(getattr(one, "offset", 0)), datatype=_NUMBERS[int(one.type)], count=1
+        )
+        for one in message.fields
+    ]
+    told = {"height": 1, "width": count, "fields": fields, "is_bigendian": False, "data": data}
+    return SimpleNamespace(header=_header(message), point_step=step, row_step=count * step, **told)
+
+
+def _scan(message: Any) -> SimpleNamespace:
+    """A LaserScan; its angles end with the last beam."""
+    ranges = np.array([np.nan if one is None else one for one in message.ranges], dtype=np.float32)
+    _check_frame(message)
+    first, last = float(message.start_angle), float(message.end_angle)
+    return SimpleNamespace(
+        header=_header(message),
+        angle_min=first,
+        angle_max=last,
+        angle_increment=(last - first) / max(len(ranges) - 1, 1),
+        time_increment=0.0,
+        scan_time=0.0,
+        range_min=0.0,
+        range_max=math.inf,
+        ranges=ranges,
+        intensities=np.zeros(0, np.float32),
+    )
+
+
+def _image(message: Any) -> SimpleNamespace:
+    """An Image."""
+    size = {name: int(getattr(message, name)) for name in ("width", "height", "step")}
+    told = {"encoding": str(message.encoding), "is_bigendian": 0, "data": _bytes(message.data)}
+    return SimpleNamespace(header=_header(message), **size, **told)
+
+
+def _packed_image(message: Any) -> SimpleNamespace:
+    """A CompressedImage."""
+    return SimpleNamespace(header=_header(message), format=str(message.format), data=_bytes(message.data))
+
+
+def _lens(message: Any) -> SimpleNamespace:
+    """A CameraInfo."""
+    numbers = {name.lower(): np.array(list(getattr(message, name, ())), np.float64) for name in "DKRP"}
+    model = str(getattr(message, "distortion_model", ""))
+    size = {name: int(getattr(message, name)) for name in ("width", "height")}
+    return SimpleNamespace(header=_header(message), distortion_model=model, **size, **numbers)
+
+
+def _transforms(message: Any) -> SimpleNamespace:
+    """A TFMessage of one or many."""
+    return SimpleNamespace(
+        transforms=[
+            SimpleNamespace(
+                header=_header(one, "parent_frame_id"),
+                child_frame_id=str(one.child_frame_id),
+                transform=SimpleNamespace(translation=one.translation, rotation=one.rotation),
+            )
+            for one in getattr(message, "transforms", None) or [message]
+        ]
+    )
+
+
+def _pose(message: Any) -> SimpleNamespace:
+    """A PoseStamped."""
+    return SimpleNamespace(header=_header(message), pose=message.pose)
+
+
+_AS: dict[str, tuple[str, Callable[[Any], SimpleNamespace]]] = {
+    "PointCloud": ("sensor_msgs/msg/PointCloud2", _cloud),
+    "LaserScan": ("sensor_msgs/msg/LaserScan", _scan),
+    "RawImage": ("sensor_msgs/msg/Image", _image),
+    "CompressedImage": ("sensor_msgs/msg/CompressedImage", _packed_image),
+    "CameraCalibration": ("sensor_msgs/msg/CameraInfo", _lens),
+    "FrameTransform": ("tf2_msgs/msg/TFMessage", _transforms),
+    "FrameTransforms": ("tf2_msgs/msg/TFMessage", _transforms),
+    "PoseInFrame": ("geometry_msgs/msg/PoseStamped", _pose),
+}
+
+
+def as_ros(kind: str, wire: str) -> str:
+    """The type of ROS that a message is read as; its own where it is none of these."""
+    known = (
+        _AS.get(kind.removeprefix("foxglove.")) if wire in WIRES and kind.startswith("foxglove.") else None
+    )
+    return known[0] if known else kind
+
+
+def message_of(content: bytes, own_kind: str, wire: str, definition: str) -> SimpleNamespace:
+    """A message as that of ROS.
+
+    Raises
+    ------
+    RecordFault
+        The extra is not installed, or the message is damaged.
+    """
+    try:
+        if wire == "json":
+            if len(content) > _LONGEST_JSON:
+                raise ValueError(f"{len(content)} letters of JSON")
+            message = _named(from_json(content))
+        else:
+            message = _class_of(definition, own_kind)()
+            message.ParseFromString(content)
+        return _AS[own_kind.removeprefix("foxglove.")][1](message)
+    except RecordFault:
+        raise
+    # Generated code and strangers' fields fail in any way.
+    except Exception as error:
+        raise RecordFault(UNDECODED, f"{own_kind}: {error}") from error
+
+
+def _named(told: Any) -> Any:
+    """Objects of JSON with their fields as attributes."""
+    if isinstance(told, dict):
+        return SimpleNamespace(**{str(name): _named(value) for name, value in told.items()})
+    return (
+        [_named(one) for one in told]
+        if isinstance(told, list) and any(isinstance(one, dict) for one in told[:1])
+        else told
+    )
+
+
+@lru_cache(maxsize=64)
+def _class_of(definition: str, kind: str) -> Any:
+    """The class of a message by the FileDescriptorSet of its schema."""
+    try:
+        from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+    except ImportError as error:
+        raise RecordFault(NO_PROTOBUF, "not installed") from error
+    files = descriptor_pb2.FileDescriptorSet()
+    files.ParseFromString(definition.encode("latin-1"))
+    pool, waiting = descriptor_pool.DescriptorPool(), {one.name: one for one in files.file}
+
+    def add(name: str) -> None:
+        if (file := waiting.pop(name, None)) is not None:
+            for other in file.dependency:
+                add(other)
+            pool.Add(file)
+
+    for one in files.file:
+        add(one.name)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(kind))

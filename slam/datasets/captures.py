@@ -1,0 +1,131 @@
+"""Captures of a network (``.pcap``, ``.pcapng``) that hold a lidar's packets, decoded as in bags.
+
+dpkt, which the extra 'velodyne' brings, reads the containers; packets are taken apart here, since a lidar's
+are often sent in fragments (RFC 791, 3.2).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import gtsam
+
+from slam.datasets.account import Account
+from slam.datasets.bags.clouds import CloudReader
+from slam.datasets.bags.velodyne import NO_DECODER, VelodyneStream
+from slam.datasets.budget import Budget
+from slam.datasets.dataset import RecordFault
+from slam.datasets.dataset_format import recorded
+from slam.datasets.recording import Contents, Numbered
+from slam.errors import DatasetError
+from slam.measurements import PointCloud
+
+DAMAGED = "damaged record of the capture"
+_MAGICS = (
+    b"\xd4\xc3\xb2\xa1",
+    b"\xa1\xb2\xc3\xd4",
+    b"\x4d\x3c\xb2\xa1",
+    b"\xa1\xb2\x3c\x4d",
+    b"\x0a\x0d\x0d\x0a",
+)
+# Bytes before the packet of the Internet, by the sort of link (tcpdump.org/linktypes.html).
+_BEFORE = {0: 4, 1: 14, 12: 0, 101: 0, 113: 16, 228: 0, 276: 20}
+_VLAN, _VLAN_BYTES, _TYPE_AT = b"\x81\x00", 4, 12
+_UDP, _UDP_BYTES, _LEAST_BYTES = 17, 8, 28
+_MORE, _OFFSET = 0x2000, 0x1FFF  # of the field that tells fragments
+_MOST_WAITING = 64  # packets of which fragments are missing
+
+
+def looks_like_capture(path: Path, head: bytes) -> bool:
+    """Whether a file is a capture by its first bytes."""
+    return path.is_file() and head[:4] in _MAGICS
+
+
+def _load(path: Path, account: Account) -> Contents:
+    """The clouds of one lidar, which is the robot's frame."""
+    return Contents(log=_clouds(path, account))
+
+
+def _clouds(path: Path, account: Account) -> Iterator[Numbered]:
+    """Turns with the packets that completed them."""
+    try:
+        import dpkt
+    except ImportError as error:
+        raise DatasetError(f"{path} holds {NO_DECODER}") from error
+    reader, decoder = CloudReader("lidar", gtsam.Pose3()), VelodyneStream()
+    number = 0
+    for number, stamp_s, payload in payloads(path, account, dpkt):
+        account.report.line_count += 1
+        try:
+            yield from _read(reader, number, decoder.add(stamp_s, payload), account)
+        except RecordFault as fault:
+            account.refuse(fault, path.name, number)
+    yield from _read(reader, number, decoder.rest(), account)
+
+
+def _read(
+    reader: CloudReader, number: int, message: SimpleNamespace | None, account: Account
+) -> Iterator[tuple[int, PointCloud]]:
+    """The cloud of a message, if there is one."""
+    if message is not None:
+        cloud = reader.read(message)
+        account.report.accept("cloud")
+        yield number, cloud
+
+
+def payloads(path: Path, account: Account, dpkt: Any) -> Iterator[tuple[int, float, bytes]]:
+    """Numbers, stamps and contents of the datagrams in a capture."""
+    size = path.stat().st_size
+    budget, number = Budget(size), 0
+    waiting: dict[bytes, dict[int, tuple[bytes, bool]]] = {}
+    with path.open("rb") as file:
+        try:
+            records = dpkt.pcap.UniversalReader(file)
+            before = _BEFORE.get(records.datalink())
+            if before is None:
+                raise ValueError(f"link of sort {records.datalink()}")
+            for number, (stamp_s, content) in enumerate(records, 1):
+                budget.take(len(content))
+                account.report.note_share(min(1.0, file.tell() / size))
+                if (payload := _payload(bytes(content), before, waiting)) is not None:
+                    yield number, float(stamp_s), payload
+        except (dpkt.Error, ValueError, struct.error, IndexError, OSError, ArithmeticError) as error:
+            account.refuse(RecordFault(DAMAGED, str(error)), path.name, number + 1)
+        except RecordFault as fault:
+            account.refuse(fault, path.name, number + 1)
+
+
+def _payload(frame: bytes, before: int, waiting: dict[bytes, dict[int, tuple[bytes, bool]]]) -> bytes | None:
+    """What a datagram holds that a frame completes; None where it is none, or not whole yet."""
+    packet = frame[before + _VLAN_BYTES * (before == 14 and frame[_TYPE_AT:][:2] == _VLAN) :]
+    if len(packet) < _LEAST_BYTES or packet[0] >> 4 != 4 or packet[9] != _UDP:
+        return None
+    whole, _, told = struct.unpack_from(">HHH", packet, 2)
+    part = packet[4 * (packet[0] & 15) : whole or None]
+    offset = 8 * (told & _OFFSET)
+    if not told & (_MORE | _OFFSET):
+        return part[_UDP_BYTES:]
+    key = packet[4:6] + packet[12:20]
+    parts = waiting.setdefault(key, {})
+    parts[offset] = part, not told & _MORE
+    if len(waiting) > _MOST_WAITING:
+        del waiting[next(iter(waiting))]
+    datagram, ended = b"", False
+    while not ended and len(datagram) in parts:
+        more, ended = parts[len(datagram)]
+        datagram += more
+        if not more:
+            return None
+    if not ended:
+        return None
+    waiting.pop(key, None)
+    return datagram[_UDP_BYTES:]
+
+
+FORMAT = recorded(
+    "capture of a Velodyne's packets (.pcap)", looks_like_capture, _load, lambda path, account: None
+)

@@ -1,0 +1,90 @@
+"""Logs of Player's writelog driver, of its versions 1 to 3: wheels and one flat lidar.
+
+A line is a message: when, whose, and what its interface says (Player manual: writelog, laser, position2d).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from slam.datasets.account import Account
+from slam.datasets.carmen import read_messages, refusing
+from slam.datasets.carmen_records import WRONG_COUNT
+from slam.datasets.dataset import ReadReport, RecordFault
+from slam.datasets.dataset_format import recorded
+from slam.datasets.log_file import numbered_lines
+from slam.datasets.recording import Contents
+
+_HEAD, _OLD = b"## Player version", b"## File version 0.1"
+_DATA, _GEOMETRY = (b"001",), (b"004", b"001")
+# How many fields are before the ranges, and which is the first angle: by versions, and with a pose.
+_BEFORE_RANGES = {6: 1, 9: 4, 5: 0, 4: 0}
+_PARAMETERS = (b"frontlaser_offset", b"frontlaser_sideoffset", b"frontlaser_angularoffset")
+
+
+def looks_like_player(path: Path, head: bytes) -> bool:
+    """Whether a file begins as such a log does."""
+    return head.startswith(_HEAD)
+
+
+def _load(path: Path, account: Account) -> Contents:
+    """A log; poses in it are the robot's own belief."""
+    refuse = refusing(path, account)
+    lines = numbered_lines(path, refuse, account.report.note_share)
+    return Contents(log=read_messages(lines, _Words(account.report).of, refuse, account.report))
+
+
+class _Words:
+    """Lines in CARMEN's words; of several lidars the first to come is read."""
+
+    def __init__(self, report: ReadReport) -> None:
+        self._report = report
+        self._old = False
+        self._lidar = b""
+
+    def of(self, line: bytes) -> Iterator[list[bytes]]:
+        """The messages of a line."""
+        if line.startswith(b"#"):
+            self._old = self._old or line.startswith(_OLD)
+            return
+        fields = line.split()
+        if not fields:
+            return
+        if len(fields) < 7:
+            raise RecordFault(WRONG_COUNT, f"{len(fields)} values")
+        interface, index = fields[3:5]
+        stamp, kind, data = fields[0], tuple(fields[5:7]), fields[7:]
+        if self._old:
+            stamp, kind, data = fields[5], _DATA, fields[6:]
+        if interface in (b"position", b"position2d") and kind[:1] == _DATA:
+            if len(data) != 7:
+                raise RecordFault(WRONG_COUNT, f"{len(data)} values of a position")
+            yield [b"ODOM", *data[:3], b"0", b"0", b"0", stamp, b"player", stamp]
+        elif interface == b"laser" and kind[:1] == _DATA and index == (self._lidar or index):
+            self._lidar = index
+            yield _scan(data, stamp)
+        elif interface == b"laser" and kind == _GEOMETRY and index == (self._lidar or index):
+            yield from ([b"PARAM", *pair] for pair in zip(_PARAMETERS, data, strict=False))
+        elif interface != b"sync":
+            other = f"{interface.decode('ascii', 'replace')} {index.decode('ascii', 'replace')}"
+            self._report.ignore(other, "wheels and one flat lidar are read of a log of Player")
+
+
+def _scan(data: list[bytes], stamp: bytes) -> list[bytes]:
+    """A scan; how many ranges follow tells which fields are before them."""
+    for before, angles in _BEFORE_RANGES.items():
+        count = data[before - 1] if before <= len(data) else b""
+        if count.isdigit() and len(data) == before + 2 * int(count[:9]):
+            first, last, step = data[angles : angles + 3]
+            greatest = data[angles + 3] if before > 4 else b"0"
+            try:
+                span = repr(float(last) - float(first)).encode()
+            except ValueError as error:
+                raise RecordFault(WRONG_COUNT, str(error)) from error
+            head = [b"RAWLASER1", b"0", first, span, step, greatest, b"0", b"0", count]
+            return [*head, *data[before::2], b"0", stamp, b"player", stamp]
+    raise RecordFault(WRONG_COUNT, f"{len(data)} values of a scan")
+
+
+FORMAT = recorded("log of Player", looks_like_player, _load, lambda path, account: None)
