@@ -9,16 +9,15 @@ from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 
-import numpy as np
-
 from slam.config import Config
 from slam.edits.applying import later_evidence
 from slam.edits.edited_file import write_entries
+from slam.edits.keyframes import bases_of
 from slam.edits.remaking import remade
+from slam.localization.poses import apart, between, composed
 from slam.mapper.map_result import depth_grid
 from slam.mapping.layered_map import DEPTH
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.matching.planar import between, compose
 from slam.outputs.finished_map import Map, load_map
 from slam.sessions.connection import Connection
 from slam.sessions.session_join import JoinedMap, join
@@ -61,13 +60,13 @@ def _unedited(known: Map, session: Map, connection: Connection) -> tuple[Map, Ma
     parts = known.parts()
     identity = replace(known.identity, config=parts.before)
     before = replace(known, contents=parts.base, identity=identity)
-    poses, base = known.keyframe_poses, before.keyframe_poses
+    poses, base = (bases_of(one.contents, one.contents.node_poses) for one in (known, before))
     anchors = []
     for anchor in connection.placing.anchors:
-        near = int(np.hypot(*(poses[:, :2] - anchor.pose[:2]).T).argmin())
-        T_base_map = compose(base[near], between(poses[near], np.zeros(3)))
-        T_base_session = compose(T_base_map, anchor.T_map_session)
-        anchors.append(replace(anchor, pose=compose(T_base_map, anchor.pose), T_map_session=T_base_session))
+        near = min(range(len(poses)), key=lambda key: apart(poses[key], anchor.pose)[0])
+        T_base_map = between(base[near].inverse(), poses[near].inverse())
+        T_base_session = composed(T_base_map, anchor.T_map_session)
+        anchors.append(replace(anchor, pose=composed(T_base_map, anchor.pose), T_map_session=T_base_session))
     placing = replace(connection.placing, anchors=anchors)
     return before, session, join(before, session, placing, connection.loops, before.config)
 
@@ -101,6 +100,8 @@ def _write(path: Path, known: Map, session: Map, joined: JoinedMap) -> None:
         for part, nodes in ((known.contents, 0), (session.contents, len(known.contents.node_poses))):
             if part.frames is not None:
                 part.frames.copy_to(file, nodes)
+            if part.clouds is not None:
+                part.clouds.copy_to(file)
         write_contents(file, contents)
         write_facts(file, contents.ground_m, known.contents.georeference, contents.node_poses[0])
         file.seal()
@@ -119,11 +120,14 @@ def _identity(known: Map, session: Map) -> MapIdentity:
 
 
 def _depth(known: Map, session: Map, joined: JoinedMap, config: Config) -> OccupancyGrid | None:
-    """The depth layer from all images; None without a camera."""
-    nodes, first = joined.contents.node_poses, len(known.contents.node_poses)
+    """The depth layer from all images; None without a camera, or a plan that it belongs to."""
+    joint, first = joined.contents, len(known.contents.node_poses)
+    nodes, bases = joint.node_poses, known.contents.clouds is not None
+    if not (known.planar or joint.grids):
+        return None
     parts = ((known.contents.frames, nodes[:first]), (session.contents.frames, nodes[first:]))
-    seen = [(frames, frames.poses(poses)) for frames, poses in parts if frames is not None]
+    seen = [(frames, frames.poses(poses, bases)) for frames, poses in parts if frames is not None]
     if not seen:
         return None
     frames, poses = (chain.from_iterable(part) for part in zip(*seen, strict=True))
-    return depth_grid(frames, list(poses), config)
+    return depth_grid(frames, list(poses), config, joint.ground_m)

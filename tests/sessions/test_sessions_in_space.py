@@ -1,0 +1,127 @@
+"""Sessions of a 3D lidar: what is joined is right, what does not belong leaves the map as it was."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from cloud_world import OTHER, WAY, drive, seen, write_log
+from session_runs import run, scanweave
+
+from slam.measurements import FloatArray
+from slam.outputs.finished_map import load_map
+from slam.simulation.synthetic_log import write_synthetic_log
+from slam.storage.tum import read_tum
+
+COARSE = ("--set", "cloud_odometry.voxel_m=0.25", "--set", "dense_map.enabled=false")
+FIRST, LATER = drive(WAY), drive(OTHER)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two drives through two rooms, the first part of one of them, and the rooms smaller and mirrored."""
+    folder = tmp_path_factory.mktemp("logs")
+    write_log(folder / "first", seen(FIRST, 0), FIRST)
+    write_log(folder / "later", seen(LATER, 100), LATER)
+    write_log(folder / "part", seen(FIRST, 0)[:25], FIRST[:25])
+    small = np.array([0.8, -0.8, 1.0], np.float32)
+    mirrored = [replace(cloud, points_lidar=cloud.points_lidar * small) for cloud in seen(LATER, 200)]
+    write_log(folder / "mirrored", mirrored)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def mapped(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("mapped") / "map"
+    assert run("map", logs / "first", "-o", folder, *COARSE) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def joined(logs: Path, mapped: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("joined") / "map"
+    shutil.copytree(mapped, folder)
+    assert run("map", logs / "later", "--into", folder) == 0
+    return folder
+
+
+def offsets_m(folder: Path, poses: Sequence[Sequence[gtsam.Pose3]]) -> FloatArray:
+    """How far each session's poses are off; the map's frame is where the first drive began."""
+    away = []
+    for n, truth in enumerate(poses, start=1):
+        found = read_tum(folder / f"trajectory-{n}.tum").positions_m
+        expected = [poses[0][0].between(pose).translation() for pose in truth]
+        away.append(np.linalg.norm(found - np.array(expected), axis=1))
+    return np.concatenate(away)
+
+
+def test_both_lie_in_one_frame(joined: Path) -> None:
+    away = offsets_m(joined, [FIRST, LATER])
+    assert len(away) == len(FIRST) + len(LATER)
+    assert np.sqrt(np.mean(away**2)) < 0.03 and away.max() < 0.1
+
+
+def test_nothing_is_lost(mapped: Path, joined: Path) -> None:
+    before, after = load_map(mapped), load_map(joined)
+    after.check()
+    first, second = after.sessions
+    assert first.keyframes == len(before.keyframe_poses) and second.poses == len(LATER)
+    clouds = before.contents.clouds, after.contents.clouds
+    assert clouds[0] is not None and clouds[1] is not None
+    assert len(clouds[1]) == first.keyframes + second.keyframes
+    for key in range(first.keyframes):
+        np.testing.assert_array_equal(clouds[0].points(key), clouds[1].points(key))
+    assert after.contents.ground_m == before.contents.ground_m
+    assert after.grid is not None and after.covariances is not None
+    assert np.linalg.eigvalsh(after.covariances)[1:].min() > 0.0
+    bridges = [f.edge for f in after.factors if f.edge.source < first.keyframes <= f.edge.target]
+    assert len(bridges) >= 3 and all(edge.kind.value == "loop" for edge in bridges)
+    before.close()
+    after.close()
+
+
+def test_the_other_commands_take_it(
+    logs: Path, joined: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert json.loads(scanweave(capsys, "info", joined, "--json").out)["sessions"] == 2
+    assert scanweave(capsys, "check", joined).code == 0
+    found = load_map(joined)
+    assert found.digest[:12] in (joined / "report.html").read_text()
+    found.close()
+    assert scanweave(capsys, "export", joined, "--format", "nav2", "-o", tmp_path / "nav2").code == 0
+    assert scanweave(capsys, "export", joined, "--format", "ply", "-o", tmp_path / "cloud.ply").code == 0
+    outcome = scanweave(capsys, "localize", joined, logs / "part", "-o", tmp_path / "localized", *COARSE)
+    assert outcome.code == 0 and "tracking" in outcome.out
+
+
+def test_localising_adds_the_log_where_it_is_told_to(
+    logs: Path, mapped: Path, joined: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = Path(shutil.copytree(mapped, tmp_path / "map"))
+    arguments = ("localize", folder, logs / "later", "-o", tmp_path / "localized", *COARSE)
+    assert scanweave(capsys, *arguments, "--update").code == 0
+    assert (folder / "trajectory-2.tum").read_bytes() == (joined / "trajectory-2.tum").read_bytes()
+
+
+def test_what_does_not_belong_leaves_the_map_as_it_was(
+    logs: Path, mapped: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = Path(shutil.copytree(mapped, tmp_path / "map"))
+    before = {file.name: file.read_bytes() for file in folder.iterdir() if file.is_file()}
+    error = scanweave(capsys, "map", logs / "mirrored", "--into", folder).error()
+    assert "does not connect" in error and "the map is as it was" in error
+    assert "is in" in scanweave(capsys, "map", logs / "first", "--into", folder).error()
+    assert (
+        "keyframes are in the map already"
+        in scanweave(capsys, "map", logs / "part", "--into", folder).error()
+    )
+    flat = write_synthetic_log(tmp_path / "flat", seed=1, duration_s=10.0).log_path
+    assert "a robot on a floor" in scanweave(capsys, "map", flat, "--into", folder).error()
+    assert {file.name: file.read_bytes() for file in folder.iterdir() if file.is_file()} == before
+    assert not (folder / "joining").exists()
