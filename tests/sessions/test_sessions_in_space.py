@@ -1,4 +1,4 @@
-"""Sessions of a 3D lidar: what is joined is right, what does not belong leaves the map as it was."""
+"""Sessions of a 3D lidar and of a camera in space: joined right, merged, rolled back, or refused."""
 
 from __future__ import annotations
 
@@ -12,8 +12,11 @@ import gtsam
 import numpy as np
 import pytest
 from cloud_world import OTHER, WAY, drive, seen, write_log
+from room_world import LESS, furnished, render, turning_walk, write_tum_folder
 from session_runs import run, scanweave
 
+from slam.estimates import Trajectory
+from slam.evaluation.trajectory_error import absolute_error
 from slam.measurements import FloatArray
 from slam.outputs.finished_map import load_map
 from slam.simulation.synthetic_log import write_synthetic_log
@@ -125,3 +128,44 @@ def test_what_does_not_belong_leaves_the_map_as_it_was(
     assert "a robot on a floor" in scanweave(capsys, "map", flat, "--into", folder).error()
     assert {file.name: file.read_bytes() for file in folder.iterdir() if file.is_file()} == before
     assert not (folder / "joining").exists()
+
+
+WALKS = [turning_walk(60), turning_walk(72, 1.0, 0.55)[30:]]
+
+
+def filmed(folder: Path, poses: Sequence[gtsam.Pose3], seed: int = 0) -> Path:
+    """A log of a camera that is carried through a furnished room, each seed another one."""
+    frames = [
+        render(furnished(seed), pose, LESS, stamp_s=n / 15.0, noise=(0.001, 0.0012), seed=n, smooth=False)
+        for n, pose in enumerate(poses)
+    ]
+    return write_tum_folder(folder, frames, list(poses))
+
+
+def test_a_camera_in_space_joins_its_own_room_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "map"
+    first, later = (filmed(tmp_path / name, poses) for name, poses in zip("ab", WALKS, strict=True))
+    assert run("map", first, "-o", folder, *COARSE) == 0
+    before = (folder / "map.db").read_bytes()
+    other = filmed(tmp_path / "other", WALKS[1], seed=5)
+    error = scanweave(capsys, "map", other, "--into", folder).error()
+    assert "no place of it was recognised" in error and (folder / "map.db").read_bytes() == before
+
+    assert scanweave(capsys, "map", later, "--into", folder).code == 0
+    with load_map(folder) as found:
+        found.check()
+        ends = [(f.edge.source, f.edge.target) for f in found.factors]
+        middle = found.sessions[0].keyframes
+        assert sum(source < middle <= target for source, target in ends) >= 3
+    found_m = np.concatenate([read_tum(folder / f"trajectory-{n}.tum").positions_m for n in (1, 2)])
+    true_m = np.array([pose.translation() for walk in WALKS for pose in walk])
+    stamps_s = np.arange(float(len(true_m)))
+    parts = (
+        Trajectory(stamps_s, rows, np.tile([0.0, 0.0, 0.0, 1.0], (len(rows), 1)))
+        for rows in (found_m, true_m)
+    )
+    assert absolute_error(*parts).translation_m.rmse < 0.01
+    outcome = scanweave(capsys, "localize", folder, later, "-o", tmp_path / "localized")
+    assert outcome.code == 0 and "tracking" in outcome.out
