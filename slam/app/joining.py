@@ -150,6 +150,8 @@ def _connected(log: Dataset, known: Map, session: MapRun, folder: Path) -> tuple
     shutil.rmtree(whole, ignore_errors=True)  # of a run that was killed
     write_joined(whole, known, session.map, connection)
     session.map.close()
+    with load_map(whole) as saved:
+        saved.write_files(whole)
     report = (work / "report.html").read_bytes()
     write_bytes(whole / f"report-{len(known.sessions) + 1}.html", report)
     keep_report(folder)

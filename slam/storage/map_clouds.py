@@ -105,15 +105,15 @@ class MapClouds:
         """That of a keyframe's row, time and points; errors as in `points`."""
         return hashlib.blake2b(repr(self._row(key)).encode(), digest_size=16).digest()
 
-    def copy_to(self, file: MapFile) -> None:
-        """Write all clouds to another map as they are.
+    def copy_to(self, file: MapFile, most: int | None = None) -> None:
+        """Write clouds to another map as they are, or so many of them.
 
         Raises
         ------
         MapFileError
             Where a row is damaged, or the other map cannot be written.
         """
-        for key in range(len(self)):
+        for key in range(len(self))[:most]:
             file.append(CLOUDS, *self._row(key))
 
     def _row(self, key: int) -> tuple[Value, ...]:

@@ -130,6 +130,43 @@ def test_what_does_not_belong_leaves_the_map_as_it_was(
     assert not (folder / "joining").exists()
 
 
+def test_maps_merge_in_whatever_order_they_connect(
+    logs: Path, mapped: Path, joined: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("later", "mirrored"):
+        assert run("map", logs / name, "-o", tmp_path / name, *COARSE) == 0
+    maps, out = [mapped, tmp_path / "mirrored", tmp_path / "later"], tmp_path / "out"
+    outcome = scanweave(capsys, "merge", *maps, "-o", out)
+    assert outcome.code == 0 and "2 of 3 maps in one, 2 sessions" in outcome.out
+    assert f"warning: {maps[1] / 'map.db'} does not connect" in outcome.err
+    with load_map(out) as found, load_map(joined) as other:
+        assert [one.log_name for one in found.sessions] == ["first", "later"]
+        assert found.digest == other.digest
+    assert "is a map; --force" in scanweave(capsys, "merge", *maps, "-o", out).error()
+    error = scanweave(capsys, "merge", mapped, joined, maps[1], "-o", tmp_path / "none").error()
+    assert "its log first is in the others already" in error and not (tmp_path / "none").exists()
+
+
+def test_a_session_is_taken_back(
+    mapped: Path, joined: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = Path(shutil.copytree(joined, tmp_path / "map"))
+    assert "1 to 1 can stay, not 2" in scanweave(capsys, "edit", folder, "--sessions", 2).error()
+    assert scanweave(capsys, "edit", folder, "--sessions", 1).code == 0
+    with load_map(folder) as found, load_map(mapped) as before:
+        found.check()
+        assert list(found.sessions) == list(before.sessions) and found.identity == before.identity
+        assert [loop.accepted for loop in found.loops] == [loop.accepted for loop in before.loops]
+        assert found.grid is not None and before.grid is not None
+        np.testing.assert_array_equal(found.grid.steps, before.grid.steps)
+        np.testing.assert_allclose(found.keyframe_poses, before.keyframe_poses, atol=1e-5)
+        np.testing.assert_allclose(found.trajectory.positions_m, before.trajectory.positions_m, atol=1e-4)
+        assert found.covariances is not None and before.covariances is not None
+        np.testing.assert_allclose(found.covariances, before.covariances, rtol=0.1, atol=1e-6)
+    assert (folder / "map.pgm").read_bytes() == (mapped / "map.pgm").read_bytes()
+    assert not list(folder.glob("trajectory-*.tum")) and not (folder / "report-2.html").exists()
+
+
 WALKS = [turning_walk(60), turning_walk(72, 1.0, 0.55)[30:]]
 
 
