@@ -1,9 +1,10 @@
 """Scanweave: offline SLAM from lidar and RGB-D logs.
 
 What programs use is found here, and loaded when it is first asked for. `map_log` maps a log, `build_map`
-measurements of your own; `load_map` opens a saved map, `join` adds a log to it, `localize_log` follows a log
-in it, `Localizer` a robot, measurement by measurement; `diff_maps` tells what differs between two maps;
-`evaluate` scores a trajectory. The command line, ``scanweave``, is a thin shell over the same.
+measurements of your own; `load_map` opens a saved map, `join` adds a log to it, `merge` makes one of several,
+`roll_back` takes sessions back; `localize_log` follows a log in it, `Localizer` a robot, measurement by
+measurement; `diff_maps` tells what differs between two maps; `evaluate` scores a trajectory. The command
+line, ``scanweave``, is a thin shell over the same.
 
 The parts work by themselves on plain arrays: `match_scans` a matcher, `check_loop` a loop check, `PoseGraph`
 the graph, `grid_of_scans` the grid, and the package `fusion` the fusion of lidar and depth.
@@ -32,10 +33,13 @@ if TYPE_CHECKING:
     from slam.app.localizing import localize_log as localize_log
     from slam.app.mapping import build_map as build_map
     from slam.app.mapping import map_log as map_log
+    from slam.app.merging import Merged as Merged
+    from slam.app.merging import merge as merge
     from slam.app.parts import check_loop as check_loop
     from slam.app.parts import grid_of_scans as grid_of_scans
     from slam.app.parts import match_scans as match_scans
     from slam.app.progress import Progress as Progress
+    from slam.app.rolling_back import roll_back as roll_back
     from slam.config import Config as Config
     from slam.config import load_config as load_config
     from slam.datasets import open_dataset as open_dataset
@@ -70,8 +74,10 @@ _NAMES = {
     "slam.app.joining": "Joined join",
     "slam.app.localizing": "Localization localize_log",
     "slam.app.mapping": "build_map map_log",
+    "slam.app.merging": "Merged merge",
     "slam.app.parts": "check_loop grid_of_scans match_scans",
     "slam.app.progress": "Progress",
+    "slam.app.rolling_back": "roll_back",
     "slam.config": "Config load_config",
     "slam.datasets": "open_dataset",
     "slam.doctor.diagnosis": "diagnose",

@@ -24,6 +24,14 @@ PILLARS = np.array(
 )
 ELEVATIONS = np.radians(np.arange(-15.0, 16.0, 2.0))
 
+# A wall with a door between the left room and the right one.
+ROOMS = np.concatenate(
+    [PILLARS, [[[0.4, 0.6], [-4.0, -0.2], [0.0, 2.6]], [[0.4, 0.6], [1.2, 4.0], [0.0, 2.6]]]]
+)
+WAY = [(-3.6, -0.8), (-2.6, 1.2), (-0.8, 0.5), (0.5, 0.5), (2.4, 0.3), (4.6, 0.8), (4.8, 2.6), (3.0, 3.0)]
+# As the map, a little beside it.
+OTHER = [(-3.2, -0.6), (-2.3, 0.9), (-0.8, 0.6), (0.5, 0.6), (2.2, 0.5), (4.3, 0.9), (4.6, 2.4), (3.2, 2.8)]
+
 SMALL = (
     "cloud_loops.least_path_voxels=20",
     "cloud_loops.reach_voxels=3",
@@ -96,6 +104,20 @@ def way_round(count: int) -> list[gtsam.Pose3]:
     """Once about the middle of the room, and back to where it began, looking ahead."""
     turns = np.linspace(0.0, 2.0 * np.pi, count)
     return [base(1.6 * np.cos(a), 0.4 + 1.4 * np.sin(a), a + 0.5 * np.pi) for a in turns]
+
+
+def drive(corners: Sequence[tuple[float, float]], step_m: float = 0.25) -> list[gtsam.Pose3]:
+    """Poses along a way that turns gently."""
+    ends = np.array(corners)
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(ends, axis=0).T))])
+    stops = np.arange(0.0, along[-1], step_m)
+    x, y = (np.interp(stops, along, column) for column in ends.T)
+    return [base(a, b, 0.5 * np.sin(0.6 * way)) for a, b, way in zip(x, y, stops, strict=True)]
+
+
+def seen(poses: Sequence[gtsam.Pose3], seed: int) -> list[PointCloud]:
+    """A cloud at every pose, ten a second."""
+    return [look(pose, 0.1 * n, seed=seed + n, boxes=ROOMS) for n, pose in enumerate(poses)]
 
 
 def write_log(folder: Path, clouds: Sequence[PointCloud], poses: Sequence[gtsam.Pose3] = ()) -> Path:

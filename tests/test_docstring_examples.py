@@ -25,7 +25,7 @@ PUBLIC = {
     **{f"fusion.{name}": getattr(fusion, name) for name in fusion.__all__},
 }
 # What is returned by a function is shown in its example; so is what these methods do.
-RETURNED = {"slam.Difference", "slam.GridMap", "slam.Joined", "slam.Localization"}
+RETURNED = {"slam.Difference", "slam.GridMap", "slam.Joined", "slam.Localization", "slam.Merged"}
 RETURNED |= {"fusion.ClockOffset", "fusion.Denoised", "fusion.Registration", "fusion.RigEstimate"}
 # The mapper's and the command line's own.
 INNER = {"slam.Map.parts", "slam.Map.write_files", "slam.PoseGraph.doubt"}

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from fusion.showing import one_line, with_pictures
-from slam.app.joining import refuse_unfit
 from slam.errors import ScanweaveError
+from slam.localization.known_map import has_walls
 from slam.outputs.finished_map import Map, load_map
 from slam.sessions.between_visits import BetweenVisits
 from slam.sessions.changes import Comparison, Visit, compare
@@ -89,7 +89,7 @@ def diff_maps(
     after = load_map(after) if isinstance(after, str | Path) else after
     for one in (before, after):
         if one is not None:
-            refuse_unfit(one, str(one.path), "are compared", "maps are compared")
+            _refuse_unfit(one)
     if (after is None) == (sessions is None):
         raise ScanweaveError("two maps, or two sessions of one map, can be compared; give one of both")
     if after is None:
@@ -112,6 +112,15 @@ def diff_maps(
     names = [before.path, after.path] if after else [before.path] * 2
     written = write_difference(Path(out), things, passing, found, [str(name) for name in names])
     return Difference(things, passing, found, tuple(written))
+
+
+def _refuse_unfit(saved: Map) -> None:
+    """Refuse a map without scans of a robot on a floor."""
+    if saved.contents.clouds or not saved.planar:
+        sensor = "a 3D lidar" if saved.contents.clouds else "a camera in space"
+        raise ScanweaveError(f"{saved.path} is of {sensor}; only maps of a robot on a floor are compared")
+    if not has_walls(saved.contents):
+        raise ScanweaveError(f"{saved.path} holds no lidar scan; maps are compared by their scans")
 
 
 def _keyframes_of(saved: Map, sessions: tuple[int, int]) -> list[np.ndarray]:

@@ -97,7 +97,7 @@ def join(
     (2, True)
     """
     known = known if isinstance(known, Map) else load_map(known)
-    refuse_unfit(known, str(known.path))
+    kind_of(known, str(known.path))
     if out is None and (known.in_memory or known.path.name != MAP_NAME):
         why = "lies in a temporary folder" if known.in_memory else f"is not named {MAP_NAME}"
         raise MapFileError(f"{known.path} {why}; say with --out (out=) where the joined map goes")
@@ -131,7 +131,12 @@ def _connected(log: Dataset, known: Map, session: MapRun, folder: Path) -> tuple
     """Connect the two, and write the joined map into a folder; what was written."""
     work = session.map.path.parent
     try:
-        refuse_unfit(session.map, f"what was mapped of {log.path}")
+        kinds = [kind_of(known, str(known.path)), kind_of(session.map, f"what was mapped of {log.path}")]
+        if kinds[0] != kinds[1]:
+            raise ScanweaveError(
+                f"{known.path} is a map of {kinds[0]}, that of {log.path} one of {kinds[1]}; "
+                "the map is as it was"
+            )
         connection = connect(known, session.map)
         if connection.joined is None:
             raise ScanweaveError(
@@ -145,6 +150,8 @@ def _connected(log: Dataset, known: Map, session: MapRun, folder: Path) -> tuple
     shutil.rmtree(whole, ignore_errors=True)  # of a run that was killed
     write_joined(whole, known, session.map, connection)
     session.map.close()
+    with load_map(whole) as saved:
+        saved.write_files(whole)
     report = (work / "report.html").read_bytes()
     write_bytes(whole / f"report-{len(known.sessions) + 1}.html", report)
     keep_report(folder)
@@ -153,12 +160,13 @@ def _connected(log: Dataset, known: Map, session: MapRun, folder: Path) -> tuple
     return connection, written
 
 
-def refuse_unfit(
-    saved: Map, name: str, floors: str = "take sessions", scans: str = "sessions are joined"
-) -> None:
-    """Refuse a map without scans of a robot on a floor; what is done with such completes the sentences."""
-    if saved.contents.clouds or not saved.planar:
-        sensor = "a 3D lidar" if saved.contents.clouds else "a camera in space"
-        raise ScanweaveError(f"{name} is of {sensor}; only maps of a robot on a floor {floors}")
-    if not has_walls(saved.contents):
-        raise ScanweaveError(f"{name} holds no lidar scan; {scans} by their scans")
+def kind_of(saved: Map, name: str) -> str:
+    """What a map is of, in a few words; refused where it holds nothing that a session could be joined by."""
+    contents = saved.contents
+    if contents.clouds is not None:
+        return "a 3D lidar"
+    if not contents.planar and contents.frames is not None:
+        return "a camera in space"
+    if not has_walls(contents):
+        raise ScanweaveError(f"{name} holds no lidar scan; sessions are joined by their scans")
+    return "a robot on a floor"

@@ -16,7 +16,7 @@ _OBJECTS_A_COLLECTION = 50_000
 _INTERRUPTED = 130
 
 # Help lists the commands as somebody meets them: a log, its map, what is done with a map, and the rest.
-_ORDER = "demo inspect doctor map localize info view edit remap diff floorplan plan export check"
+_ORDER = "demo inspect doctor map localize info view edit remap merge diff floorplan plan export check"
 _BY_ORDER = {name: number for number, name in enumerate(_ORDER.split())}
 app.registered_commands.sort(
     key=lambda one: _BY_ORDER.get(one.name or one.callback.__name__, len(_BY_ORDER))  # type: ignore[union-attr]

@@ -1,4 +1,4 @@
-"""Commands that change a finished map without its log: scanweave edit, remap, view."""
+"""Commands that change a finished map without its log: scanweave edit, merge, remap, view."""
 
 from __future__ import annotations
 
@@ -30,10 +30,14 @@ def edit(
     out: OutOption = None,
     undo: Annotated[bool, typer.Option("--undo", help="take the last edits back")] = False,
     list_: Annotated[bool, typer.Option("--list", help="show the edits that the map has")] = False,
+    sessions: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="keep the first N sessions, and undo those that joined later"),
+    ] = None,
 ) -> None:
     """Apply edits to a map: loops forbidden, forced, added; regions erased; zones; turned; places named."""
-    if (edits is not None) + undo + list_ != 1:
-        raise typer.BadParameter("give a file of edits, --undo or --list")
+    if (edits is not None) + undo + list_ + (sessions is not None) != 1:
+        raise typer.BadParameter("give a file of edits, --undo, --sessions or --list")
     started = time.perf_counter()
     from slam.outputs.finished_map import load_map
 
@@ -45,8 +49,36 @@ def edit(
             tell(f"{saved.path} has no edits")
         return
     folder = out or _own_folder(saved)
-    found = saved.undone(out=folder) if undo else saved.edited(edits or "", out=folder)
+    if sessions is not None:
+        from slam.app.rolling_back import roll_back
+
+        found = roll_back(saved, sessions, out=folder)
+    else:
+        found = saved.undone(out=folder) if undo else saved.edited(edits or "", out=folder)
     _tell(saved, found, started)
+
+
+@command()
+def merge(
+    maps: Annotated[
+        list[Path], typer.Argument(metavar="MAP...", help="maps; the first gives frame and settings")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", parser=folder_of, help="folder for the map of all")],
+    force: Annotated[bool, typer.Option("--force", help="replace a map in the folder")] = False,
+) -> None:
+    """Join saved maps into one, in whatever order they connect; what does not is told, with the reason."""
+    started = time.perf_counter()
+    from slam.app.merging import merge as merged
+
+    found = merged(maps, out, overwrite=force)
+    for path, reason in found.refused.items():
+        tell(f"warning: {path} does not connect: {reason}", sys.stderr)
+    joined = len(maps) - len(found.refused)
+    say(
+        f"{joined} of {len(maps)} maps in one, {len(found.map.sessions)} sessions, "
+        f"{len(found.map.keyframe_poses)} keyframes; {time.perf_counter() - started:.1f} s"
+    )
+    say("wrote " + ", ".join(str(path) for path in found.written))
 
 
 @command()
@@ -90,7 +122,7 @@ def _tell(before: Map, after: Map, started: float) -> None:
     # Seen from the first keyframe: a map that was turned has not changed.
     both = (before.keyframe_poses, after.keyframe_poses)
     ends = [[between(poses[0], pose)[:2] for pose in poses] for poses in both]
-    moved_m = float(np.hypot(*(np.array(ends[1]) - ends[0]).T).max())
+    moved_m = float(np.hypot(*(np.array(ends[1]) - ends[0][: len(ends[1])]).T).max())
     loops = sum(loop.accepted for loop in after.loops)
     say(
         f"{len(after.edits)} edits; {loops} of {len(after.loops)} loops accepted; keyframes moved by up to "

@@ -63,9 +63,8 @@ def localize(
     if (out / MAP_NAME).exists():
         raise MapFileError(f"{out} is the folder of a map, whose files would be replaced; give another --out")
     saved = opened(map_)
-    if update and (saved.contents.clouds or not saved.contents.node_poses):
-        kind = "of a 3D lidar" if saved.contents.clouds else "a grid alone"
-        raise MapFileError(f"{saved.path} is {kind} and takes no other log; localise without --update")
+    if update and not saved.contents.node_poses:
+        raise MapFileError(f"{saved.path} is a grid alone and takes no other log; localise without --update")
     begin = None if start is None else (start[0], start[1], math.radians(start[2]))
     sigma = START_SIGMA if start_sigma is None else (start_sigma[0], math.radians(start_sigma[1]))
     with progress_bar() as show, interruptible(show) as on_progress:

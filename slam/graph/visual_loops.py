@@ -86,7 +86,9 @@ class VisualLoopCloser:
         config = self._config
         if not self._loops.enabled or key < config.least_gap:
             return []
-        near = self._near(key, poses)
+        segment = self._segments[key]
+        places = [p for p in range(key - config.least_gap + 1) if self._segments[p] == segment]
+        near = self.near(places, poses, poses[key], self._depths_m)
         alike = self._result_cache.cached("looks", float(key), lambda: self._by_appearance(key))
         tried = [self._verify(place, key, poses[place].between(poses[key]), 1.0) for place in near]
         tried += [self._verify(place, key, None, score) for place, score in alike if place not in near]
@@ -95,16 +97,22 @@ class VisualLoopCloser:
             _report(candidate)
         return tried
 
-    def verify(self, place: int, key: int, guess: gtsam.Pose3 | None) -> LoopCandidate:
-        """Match a keyframe to a place, from a guess (``T_place_camera``) or from anywhere."""
-        return self._verify(place, key, guess, 1.0)
+    def near(
+        self,
+        places: Sequence[int],
+        poses: Sequence[gtsam.Pose3],
+        camera: gtsam.Pose3,
+        depths_m: Sequence[float],
+    ) -> list[int]:
+        """Those of places whose cameras should see what one sees, each from another stretch of the way.
 
-    def _near(self, key: int, poses: Sequence[gtsam.Pose3]) -> list[int]:
-        """Places whose cameras should see much the same, each from another stretch of the way."""
+        Parameters
+        ----------
+        poses, depths_m
+            Of the cameras of all keyframes, and how far away is what they see.
+        """
         config = self._config
-        segment = self._segments[key]
-        places = [p for p in range(key - config.least_gap + 1) if self._segments[p] == segment]
-        scores = np.array([dissimilarity(poses[p], poses[key], self._depths_m[p]) for p in places])
+        scores = np.array([dissimilarity(poses[p], camera, depths_m[p]) for p in places])
         chosen: list[int] = []
         for n in np.argsort(scores, kind="stable"):
             if len(chosen) == self._loops.near or scores[n] > config.near_dissimilarity:
@@ -112,6 +120,10 @@ class VisualLoopCloser:
             if all(abs(places[n] - other) >= config.least_gap for other in chosen):
                 chosen.append(places[n])
         return chosen
+
+    def verify(self, place: int, key: int, guess: gtsam.Pose3 | None) -> LoopCandidate:
+        """Match a keyframe to a place, from a guess (``T_place_camera``) or from anywhere."""
+        return self._verify(place, key, guess, 1.0)
 
     def _join(self, candidate: LoopCandidate) -> None:
         """A loop tells where a segment lies that was adrift."""

@@ -85,8 +85,12 @@ class CloudSensor:
             return None
         cloud = at_middle_of_turn(measurement, self._config.cloud_odometry)
         points, step = self._odometry.add(cloud)
-        view = CloudView(thinned(points, self.voxel_m), np.asarray(cloud.T_base_lidar.translation()))
+        view = self.view_of(points, cloud.T_base_lidar)
         return Observation(cloud.stamp_s, view, step.pose, step.moved, step.moved is None)
+
+    def view_of(self, points: FloatArray, T_base_lidar: gtsam.Pose3) -> CloudView:
+        """A cloud (N, 3), base frame, prepared."""
+        return CloudView(thinned(points, self.voxel_m), np.asarray(T_base_lidar.translation()))
 
     def sees_anew(self, view: CloudView, before: Pose | None, pose: Pose) -> bool:
         """See `Sensor`."""

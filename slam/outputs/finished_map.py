@@ -272,7 +272,7 @@ class Map:
 
         chosen = load_edits(edits) if isinstance(edits, str | Path) else edits
         chosen = chosen if isinstance(chosen, Edits) else edits_of(chosen, "the edits")
-        return self._anew(lambda path: write_with(self.parts(), chosen, path), out)
+        return made_anew(self, lambda path: write_with(self.parts(), chosen, path), out)
 
     def remap(self, settings: Sequence[str] = (), *, out: Path | str | None = None) -> Map:
         """The map made anew with other settings, without its log; else as `edited`.
@@ -299,32 +299,13 @@ class Map:
 
         if not self.contents.edits:
             raise MapFileError(f"{self.path} has no edits to undo")
-        return self._anew(lambda path: write_undone(self.parts(), path), out)
+        return made_anew(self, lambda path: write_undone(self.parts(), path), out)
 
     def parts(self) -> Known:
         """The map as it is, and as it was before all edits."""
         from slam.edits.edited_file import known_of
 
         return known_of(self._file, self.contents, self.sessions)
-
-    def _anew(self, write: Callable[[Path], list[str]], out: Path | str | None) -> Map:
-        """A map that is written beside what is there, and takes its place."""
-        if out is None:
-            kept_in = TemporaryFolder()
-            write(kept_in.path / MAP_NAME)
-            return load_map(kept_in.path, kept_in)
-        folder = Path(out)
-        ours = holds(folder, self.path, "give another --out (out=)")
-
-        def write_all(work: Path) -> None:
-            for warning in write(work / MAP_NAME):
-                log.warning("%s", warning)
-            found = load_map(work)
-            found.write_files(work, like=self if ours else None)
-            found.close()
-
-        remake(folder, write_all)
-        return load_map(folder)
 
     def save(self, folder: Path | str, *, overwrite: bool = False) -> list[Path]:
         """Write the map into a folder, ``map.db`` and the files for other programs, and tell which.
@@ -358,6 +339,25 @@ class Map:
         self._file.close()
         if self._folder is not None:
             self._folder.remove()
+
+
+def made_anew(saved: Map, write: Callable[[Path], list[str]], out: Path | str | None) -> Map:
+    """A map that is written beside what is there, and takes its place."""
+    if out is None:
+        kept_in = TemporaryFolder()
+        write(kept_in.path / MAP_NAME)
+        return load_map(kept_in.path, kept_in)
+    folder = Path(out)
+    ours = holds(folder, saved.path, "give another --out (out=)")
+
+    def write_all(work: Path) -> None:
+        for warning in write(work / MAP_NAME):
+            log.warning("%s", warning)
+        with load_map(work) as found:
+            found.write_files(work, like=saved if ours else None)
+
+    remake(folder, write_all)
+    return load_map(folder)
 
 
 def load_map(path: Path | str, kept_in: TemporaryFolder | None = None) -> Map:

@@ -6,18 +6,19 @@ and the optimisation of both together must keep most of those loops. Each may sa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from fusion.showing import one_line
 from slam.graph.loop_closure import LoopCandidate
-from slam.localization.known_map import Walls
 from slam.outputs.finished_map import Map
 from slam.sessions.placing import Placing, place
 from slam.sessions.session_join import JoinedMap, join
 from slam.sessions.session_loops import find_loops
+from slam.sessions.sides import sides_of
+from slam.storage.map_contents import MapContents
 
 # Loops between two sessions at least.
 _LEAST_LOOPS = 3
@@ -48,7 +49,7 @@ class Connection:
 
 
 def connect(known: Map, session: Map) -> Connection:
-    """Join a session to a map, both planar and with scans, by the settings of the map.
+    """Join a session to a map of the same kind, by the settings of the map.
 
     Raises
     ------
@@ -56,18 +57,21 @@ def connect(known: Map, session: Map) -> Connection:
         Where the joined grid would have too many cells.
     """
     config = known.config
-    shared = _shared_scans(known, session)
-    # Real scans never repeat to the last digit: where half are shared, one log is a part of the other.
-    if shared > 0.5 * min(len(session.keyframe_scans), len(known.keyframe_scans)):
-        reason = f"{shared} of its {len(session.keyframe_scans)} keyframes are in the map already"
+    shared, keyframes = _shared_readings(known, session), len(session.contents.node_poses)
+    # Real readings never repeat to the last digit: where half are shared, one log is a part of the other.
+    if shared > 0.5 * min(keyframes, len(known.contents.node_poses)):
+        reason = f"{shared} of its {keyframes} keyframes are in the map already"
         return Connection(Placing(), (), None, reason)
-    placing = place(Walls(known.contents, config), Walls(session.contents, config), config)
+    sides = sides_of(known.contents, session.contents, config)
+    placing = place(*sides, config)
     if not placing.confident:
         return Connection(placing, (), None, _unplaced(placing))
-    loops = find_loops(known, session, placing, config)
+    loops = find_loops(known, session, placing, sides[1], config)
     accepted = sum(loop.accepted for loop in loops)
     if accepted < _LEAST_LOOPS:
-        reason = f"only {accepted} of {len(loops)} scans match the map where they should, {_LEAST_LOOPS} must"
+        reason = (
+            f"only {accepted} of {len(loops)} readings match the map where they should, {_LEAST_LOOPS} must"
+        )
         return Connection(placing, loops, None, reason)
     joined = join(known, session, placing, loops, config)
     if joined.loops_kept < max(_LEAST_LOOPS, 0.5 * joined.loops_between):
@@ -79,16 +83,23 @@ def connect(known: Map, session: Map) -> Connection:
     return Connection(placing, loops, joined, "")
 
 
-def _shared_scans(known: Map, session: Map) -> int:
-    """How many keyframe scans of the session are the map's own, time and every range."""
-    measured = (known.contents.measured_scans, session.contents.measured_scans)
-    ours, theirs = (
-        # What an edit has taken away was measured all the same.
-        [(scan.stamp_s, scan.sensor, np.abs(scan.ranges_m).tobytes()) for scan in scans if scan is not None]
-        for scans in measured
-    )
-    known_scans = set(ours)
-    return sum(scan in known_scans for scan in theirs)
+def _shared_readings(known: Map, session: Map) -> int:
+    """How many readings of the session's keyframes are the map's own, time and all that was measured."""
+    known_readings = set(_readings(known.contents))
+    return sum(reading in known_readings for reading in _readings(session.contents))
+
+
+def _readings(contents: MapContents) -> Iterator[Hashable]:
+    """What each keyframe measured; what an edit has taken away was measured all the same."""
+    if contents.clouds is not None:
+        yield from (contents.clouds.digest(key) for key in range(len(contents.clouds)))
+    elif contents.planar:
+        for scan in contents.measured_scans:
+            if scan is not None:
+                yield scan.stamp_s, scan.sensor, np.abs(scan.ranges_m).tobytes()
+    elif contents.frames is not None:
+        for index in range(len(contents.frames)):
+            yield contents.frames.head(index).stamp_s, contents.frames.jpeg(index)
 
 
 def _unplaced(placing: Placing) -> str:

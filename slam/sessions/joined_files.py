@@ -5,33 +5,34 @@ from __future__ import annotations
 import hashlib
 import json
 import tempfile
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 
-import numpy as np
-
 from slam.config import Config
 from slam.edits.applying import later_evidence
 from slam.edits.edited_file import write_entries
+from slam.edits.keyframes import bases_of
 from slam.edits.remaking import remade
+from slam.localization.poses import apart, composed
 from slam.mapper.map_result import depth_grid
 from slam.mapping.layered_map import DEPTH
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.matching.planar import between, compose
 from slam.outputs.finished_map import Map, load_map
 from slam.sessions.connection import Connection
 from slam.sessions.session_join import JoinedMap, join
 from slam.storage.files import make_folder
-from slam.storage.map_contents import write_contents
+from slam.storage.map_contents import MapContents, write_contents
 from slam.storage.map_facts import write_facts
 from slam.storage.map_file import MAP_NAME, MapFile
 from slam.storage.map_identity import NOTES, WARNINGS, MapIdentity
-from slam.storage.map_sessions import SESSIONS, sessions_to_meta
+from slam.storage.map_places import write_places
+from slam.storage.map_sessions import SESSIONS, MapSession, sessions_to_meta
 
 
-def write_joined(folder: Path, known: Map, session: Map, connection: Connection) -> list[Path]:
-    """Write ``map.db`` of a map and a session, and its exports, into a new folder; what was written.
+def write_joined(folder: Path, known: Map, session: Map, connection: Connection) -> Path:
+    """Write ``map.db`` of a map and a session into a new folder; where it is.
 
     Of a map that a person has edited both are joined once more without the edits, which are then applied:
     the joined map can be undone as the first could.
@@ -49,11 +50,7 @@ def write_joined(folder: Path, known: Map, session: Map, connection: Connection)
         with tempfile.TemporaryDirectory() as plain:
             _write(Path(plain) / MAP_NAME, *_unedited(known, session, connection))
             _edit(Path(plain), known, folder / MAP_NAME)
-    saved = load_map(folder)
-    try:
-        return [folder / MAP_NAME, *saved.write_files(folder)]
-    finally:
-        saved.close()
+    return folder / MAP_NAME
 
 
 def _unedited(known: Map, session: Map, connection: Connection) -> tuple[Map, Map, JoinedMap]:
@@ -61,13 +58,13 @@ def _unedited(known: Map, session: Map, connection: Connection) -> tuple[Map, Ma
     parts = known.parts()
     identity = replace(known.identity, config=parts.before)
     before = replace(known, contents=parts.base, identity=identity)
-    poses, base = known.keyframe_poses, before.keyframe_poses
+    poses, base = (bases_of(one.contents, one.contents.node_poses) for one in (known, before))
     anchors = []
     for anchor in connection.placing.anchors:
-        near = int(np.hypot(*(poses[:, :2] - anchor.pose[:2]).T).argmin())
-        T_base_map = compose(base[near], between(poses[near], np.zeros(3)))
-        T_base_session = compose(T_base_map, anchor.T_map_session)
-        anchors.append(replace(anchor, pose=compose(T_base_map, anchor.pose), T_map_session=T_base_session))
+        near = min(range(len(poses)), key=lambda key: apart(poses[key], anchor.pose)[0])
+        T_base_map = composed(base[near], poses[near].inverse())
+        T_base_session = composed(T_base_map, anchor.T_map_session)
+        anchors.append(replace(anchor, pose=composed(T_base_map, anchor.pose), T_map_session=T_base_session))
     placing = replace(connection.placing, anchors=anchors)
     return before, session, join(before, session, placing, connection.loops, before.config)
 
@@ -90,40 +87,72 @@ def _write(path: Path, known: Map, session: Map, joined: JoinedMap) -> None:
     depth, contents = _depth(known, session, joined, config), joined.contents
     if depth is not None:
         contents = replace(contents, grids={**contents.grids, DEPTH: depth})
-    sessions = [*known.sessions, *session.sessions]
-    file = MapFile.create(path)
-    try:
-        for key, value in _identity(known, session).to_meta().items():
-            file.add_meta(key, value)
-        file.add_meta(SESSIONS, sessions_to_meta(sessions))
-        file.add_meta(NOTES, json.dumps([*known.notes, *session.notes]))
-        file.add_meta(WARNINGS, json.dumps([*known.warnings, *session.warnings]))
+
+    def copied(file: MapFile) -> MapContents:
         for part, nodes in ((known.contents, 0), (session.contents, len(known.contents.node_poses))):
             if part.frames is not None:
                 part.frames.copy_to(file, nodes)
+            if part.clouds is not None:
+                part.clouds.copy_to(file)
+        return replace(contents, georeference=known.contents.georeference, places=known.contents.places)
+
+    told = [*known.notes, *session.notes], [*known.warnings, *session.warnings]
+    identity = MapIdentity(config, "", "", session.identity.versions)
+    write_sessions(path, identity, [*known.sessions, *session.sessions], told, copied)
+
+
+def write_sessions(
+    path: Path,
+    identity: MapIdentity,
+    sessions: Sequence[MapSession],
+    told: tuple[Sequence[str], Sequence[str]],
+    copied: Callable[[MapFile], MapContents],
+) -> None:
+    """Write ``map.db`` of several sessions.
+
+    Parameters
+    ----------
+    identity
+        Settings and versions; the logs are those of the sessions.
+    told
+        Notes and warnings.
+    copied
+        Copies frames and clouds into the file, and tells all else.
+    """
+    if len(sessions) > 1:
+        digest = hashlib.blake2b(digest_size=16)
+        for one in sessions:
+            digest.update(one.log_fingerprint.encode() + b"\0")
+        name, fingerprint = " + ".join(one.log_name for one in sessions), digest.hexdigest()
+    else:
+        name, fingerprint = sessions[0].log_name, sessions[0].log_fingerprint
+    file = MapFile.create(path)
+    try:
+        identity = replace(identity, log_name=name, log_fingerprint=fingerprint)
+        for key, value in identity.to_meta().items():
+            file.add_meta(key, value)
+        if len(sessions) > 1:
+            file.add_meta(SESSIONS, sessions_to_meta(sessions))
+        for key, lines in zip((NOTES, WARNINGS), told, strict=True):
+            file.add_meta(key, json.dumps(lines))
+        contents = copied(file)
         write_contents(file, contents)
-        write_facts(file, contents.ground_m, known.contents.georeference, contents.node_poses[0])
+        write_facts(file, contents.ground_m, contents.georeference, contents.node_poses[0])
+        write_places(file, contents.places, contents.node_poses[0])
         file.seal()
     finally:
         file.close()
 
 
-def _identity(known: Map, session: Map) -> MapIdentity:
-    """What decided the joined map: the settings of the first, the logs of both."""
-    sessions = [*known.sessions, *session.sessions]
-    digest = hashlib.blake2b(digest_size=16)
-    for one in sessions:
-        digest.update(one.log_fingerprint.encode() + b"\0")
-    names = " + ".join(one.log_name for one in sessions)
-    return MapIdentity(known.config, names, digest.hexdigest(), session.identity.versions)
-
-
 def _depth(known: Map, session: Map, joined: JoinedMap, config: Config) -> OccupancyGrid | None:
-    """The depth layer from all images; None without a camera."""
-    nodes, first = joined.contents.node_poses, len(known.contents.node_poses)
+    """The depth layer from all images; None without a camera, or a plan that it belongs to."""
+    joint, first = joined.contents, len(known.contents.node_poses)
+    nodes, bases = joint.node_poses, known.contents.clouds is not None
+    if not (known.planar or joint.grids):
+        return None
     parts = ((known.contents.frames, nodes[:first]), (session.contents.frames, nodes[first:]))
-    seen = [(frames, frames.poses(poses)) for frames, poses in parts if frames is not None]
+    seen = [(frames, frames.poses(poses, bases)) for frames, poses in parts if frames is not None]
     if not seen:
         return None
     frames, poses = (chain.from_iterable(part) for part in zip(*seen, strict=True))
-    return depth_grid(frames, list(poses), config)
+    return depth_grid(frames, list(poses), config, joint.ground_m)

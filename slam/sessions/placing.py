@@ -11,15 +11,12 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from fusion.estimation import gate
 from slam.config import Config
 from slam.localization.hypotheses import HypothesisSet
-from slam.localization.known_map import Walls
-from slam.localization.planar_sensor import PlanarSensor
-from slam.matching.planar import between, compose
-from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
+from slam.localization.poses import apart, composed
+from slam.measurements import Pose
+from slam.sessions.sides import Side
 from slam.sessions.whole_path import Followed, Sighting, follow
 
 # How well a sighting tells where its surroundings are, and maps bend over their length.
@@ -41,7 +38,7 @@ class Placing:
     Attributes
     ----------
     anchors
-        Keyframes of the session along the likeliest path, where the walls of the map have confirmed it.
+        Keyframes of the session along the likeliest path, where the map has confirmed it.
     nats
         Evidence for that path over the best of the wrong ones.
     rival_nats
@@ -61,23 +58,22 @@ class Placing:
         """Whether there is evidence enough, and no other place like it."""
         return bool(self.anchors) and self.nats >= max(self.least_nats, self.rival_nats + self.lead_nats)
 
-    def nearest(self, pose: FloatArray, poses: FloatArray) -> tuple[FloatArray, float]:
-        """The motion of the session by the anchor nearest to a pose (3,) of it, and how far that is, m.
+    def nearest(self, pose: Pose, poses: Sequence[Pose]) -> tuple[Pose, float]:
+        """The motion of the session by the anchor nearest to a pose of it, and how far that is, m.
 
         Parameters
         ----------
         poses
-            (K, 3) of the session's keyframes, session frame.
+            K of the session's keyframes, session frame.
         """
-        keys = [one.keyframe for one in self.anchors]
-        distances = np.hypot(*(poses[keys, :2] - pose[:2]).T)
-        n = int(distances.argmin())
-        return self.anchors[n].T_map_session, float(distances[n])
+        distances = [apart(poses[one.keyframe], pose)[0] for one in self.anchors]
+        least_m = min(distances)
+        return self.anchors[distances.index(least_m)].T_map_session, least_m
 
 
-def place(known: Walls, session: Walls, config: Config) -> Placing:
+def place(known: Side, session: Side, config: Config) -> Placing:
     """Find where a session lies in a map."""
-    poses = session.map.keyframe_poses
+    poses = session.bases
     paths: list[tuple[Sighting, Followed]] = []
     for proposal in _distinct(_proposals(known, session, config), poses)[:_FOLLOWED]:
         path = follow(known, session, proposal, config)
@@ -97,43 +93,40 @@ def place(known: Walls, session: Walls, config: Config) -> Placing:
     )
 
 
-def _proposals(known: Walls, session: Walls, config: Config) -> list[Sighting]:
+def _proposals(known: Side, session: Side, config: Config) -> list[Sighting]:
     """Where stretches of either may lie in the other, as keyframes of the session in the map."""
-    poses, found = session.map.keyframe_poses, []
+    poses, found = session.bases, []
     for key, pose, nats in _stretches(known, session, config):
-        found.append(Sighting(key, pose, compose(pose, between(poses[key], np.zeros(3))), nats))
+        found.append(Sighting.of(key, pose, poses[key], nats))
     for key, pose, nats in _stretches(session, known, config):
-        T_map_session = compose(known.map.keyframe_poses[key], between(pose, np.zeros(3)))
-        nearest = int(np.hypot(*(poses[:, :2] - pose[:2]).T).argmin())
-        found.append(Sighting(nearest, compose(T_map_session, poses[nearest]), T_map_session, nats))
+        T_map_session = composed(known.bases[key], pose.inverse())
+        nearest = session.nearest(pose)
+        found.append(Sighting(nearest, composed(T_map_session, poses[nearest]), T_map_session, nats))
     return found
 
 
-def _stretches(walls: Walls, path: Walls, config: Config) -> Iterator[tuple[int, FloatArray, float]]:
-    """Stretch by stretch of a way: a keyframe of it, (3,) where it may be between walls, and the evidence."""
-    hypotheses = HypothesisSet(PlanarSensor(walls, config), config.localization)
+def _stretches(known: Side, path: Side, config: Config) -> Iterator[tuple[int, Pose, float]]:
+    """Stretch by stretch of a way: a keyframe of it, where that may be in a map, and the evidence."""
+    hypotheses = HypothesisSet(known.sensor, config.localization)
     kidnap_nats = config.localization.nowhere_nats
-    poses, path_m = path.map.keyframe_poses, path.map.path_m
+    path_m = path.path_m
     apart_m = path_m[-1] / _MOST_STRETCHES
     begin_m = 0.0
-    likeliest: list[tuple[int, FloatArray, float]] = []
-    for key, row in enumerate(poses):
+    likeliest: list[tuple[int, Pose, float]] = []
+    for key, pose in enumerate(path.bases):
         if path_m[key] < begin_m:
             continue
-        view, pose = path.view(key), pose2_from_row(row)
+        view = path.view(key)
         if view is None or not hypotheses.due(view, pose):
             continue
         hypotheses.add_keyframe(view, pose, None)
         members = sorted(hypotheses.members, key=lambda member: -member.total(kidnap_nats))
-        now = [
-            (key, row_from_pose2(member.pose), member.total(kidnap_nats))
-            for member in members[: config.loops.near]
-        ]
+        now = [(key, member.pose, member.total(kidnap_nats)) for member in members[: config.loops.near]]
         if now and (not likeliest or now[0][2] > likeliest[0][2]):
             likeliest = now
         winner = hypotheses.winner()
         if winner is not None:
-            likeliest = [(key, row_from_pose2(winner.pose), winner.total(kidnap_nats))]
+            likeliest = [(key, winner.pose, winner.total(kidnap_nats))]
         if winner is not None or path_m[key] > begin_m + _STRETCH_M:
             yield from likeliest
             likeliest = []
@@ -142,7 +135,7 @@ def _stretches(walls: Walls, path: Walls, config: Config) -> Iterator[tuple[int,
     yield from likeliest
 
 
-def _distinct(proposals: Sequence[Sighting], poses: FloatArray) -> list[Sighting]:
+def _distinct(proposals: Sequence[Sighting], poses: Sequence[Pose]) -> list[Sighting]:
     """The likeliest of all that agree with each other, by their common evidence."""
     groups: list[list[Sighting]] = []
     for one in sorted(proposals, key=lambda one: -one.nats):
@@ -156,10 +149,10 @@ def _distinct(proposals: Sequence[Sighting], poses: FloatArray) -> list[Sighting
     return [group[0] for group in groups]
 
 
-def _agree(one: Sighting, other: Sighting, poses: FloatArray) -> bool:
+def _agree(one: Sighting, other: Sighting, poses: Sequence[Pose]) -> bool:
     """Whether one sighting puts the keyframe of another where that was found."""
-    miss = between(compose(one.T_map_session, poses[other.keyframe]), other.pose)
-    apart_m = math.dist(poses[one.keyframe, :2], poses[other.keyframe, :2])
+    miss_m, miss_rad = apart(composed(one.T_map_session, poses[other.keyframe]), other.pose)
+    apart_m, _ = apart(poses[one.keyframe], poses[other.keyframe])
     sigmas = math.sqrt(gate())
-    near = math.hypot(miss[0], miss[1]) <= sigmas * SIGHT_SIGMA_M + BEND_RAD * apart_m
-    return near and abs(miss[2]) <= sigmas * SIGHT_SIGMA_RAD
+    near = miss_m <= sigmas * SIGHT_SIGMA_M + BEND_RAD * apart_m
+    return near and miss_rad <= sigmas * SIGHT_SIGMA_RAD

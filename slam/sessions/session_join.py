@@ -8,13 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slam.config import Config
+from slam.edits.keyframes import bases_of
 from slam.estimates import Trajectory
+from slam.graph.keyframe_graph import row_of
 from slam.graph.loop_closure import LoopCandidate, judged
 from slam.graph.pose_covariances import pose_covariances
 from slam.graph.pose_graph import PoseGraph
+from slam.localization.poses import apart, composed
 from slam.mapping.keyframe_grid import lidar_grids
-from slam.matching.planar import compose
-from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
+from slam.measurements import Pose
 from slam.outputs.finished_map import Map
 from slam.sessions.placing import Placing
 from slam.storage.map_contents import MapContents, SavedFactor
@@ -52,7 +54,7 @@ def join(
     between_them: Sequence[LoopCandidate],
     config: Config,
 ) -> JoinedMap:
-    """Join two planar maps by loops between them.
+    """Join two maps of a kind by loops between them.
 
     Every edge that may be refused is judged anew: what one session could not decide the other may.
 
@@ -77,25 +79,26 @@ def join(
         if loop.accepted and loop.motion is not None:
             factors.append(SavedFactor(loop.edge(len(loops)), True))
         loops.append(loop)
-    kept, poses = _optimised(known, session, placing, factors, config)
+    kept, after = _optimised(known, session, placing, factors, config)
     loops = judged(loops, (factor.edge for factor in factors), kept)
     factors = [replace(factor, kept=bool(keep)) for factor, keep in zip(factors, kept, strict=True)]
     joined = [factor for factor in factors if factor.edge.loop is not None and factor.edge.loop >= own_loops]
     scans = [*known.keyframe_scans, *session.keyframe_scans]
-    before, nodes_after = known.keyframe_poses, [pose2_from_row(pose) for pose in poses]
-    told = pose_covariances(nodes_after, nodes_after, [factor.edge for factor in factors], kept, config)
+    before = [base for one in (known, session) for base in bases_of(one, one.node_poses)]
+    bases = [*bases_of(known, after[:nodes]), *bases_of(session, after[nodes:])]
+    told = pose_covariances(after, bases, [factor.edge for factor in factors], kept, config)
     both = (known_map, session_map)
     trajectory, covariances = resettled(
         _together([one.trajectory for one in both]),
         np.concatenate([one.contents.stamps_s for one in both]),
-        Poses.planar(np.concatenate([one.keyframe_poses for one in both])),
-        Poses.planar(poses),
+        Poses.of(before),
+        Poses.of(bases),
         [(session.keyframes, session.poses) for one in both for session in one.sessions],
         told,
     )
     return JoinedMap(
         MapContents(
-            node_poses=nodes_after,
+            node_poses=after,
             stamps_s=np.concatenate([known.stamps_s, session.stamps_s]),
             readings=np.concatenate([known.readings, session.readings]),
             measured_scans=[*known.measured_scans, *session.measured_scans],
@@ -104,12 +107,13 @@ def join(
             loops=loops,
             trajectory=trajectory,
             covariances=covariances,
-            grids=lidar_grids(scans, poses, config),
+            grids=lidar_grids(scans, np.array([row_of(base) for base in bases]), config),
             cameras={**session.cameras, **known.cameras},
+            ground_m=known.ground_m,
         ),
         loops_between=len(joined),
         loops_kept=sum(factor.kept for factor in joined),
-        moved_m=float(np.hypot(*(poses[:nodes, :2] - before[:, :2]).T).max()),
+        moved_m=max(apart(one, other)[0] for one, other in zip(before[:nodes], bases, strict=False)),
     )
 
 
@@ -119,19 +123,19 @@ def _optimised(
     placing: Placing,
     factors: Sequence[SavedFactor],
     config: Config,
-) -> tuple[list[bool], FloatArray]:
-    """Which factors hold, and (n, 3) poses of all nodes."""
+) -> tuple[list[bool], list[Pose]]:
+    """Which factors hold, and the poses of all nodes."""
     graph = PoseGraph(known.node_poses[0])
     for pose in known.node_poses[1:]:
         graph.add_node(pose)
-    own = session.keyframe_poses
+    own = bases_of(session, session.node_poses)
     T_map_session, _ = placing.nearest(own[len(own) // 2], own)
-    for row in own:
-        graph.add_node(pose2_from_row(compose(T_map_session, row)))
+    for pose in session.node_poses:
+        graph.add_node(composed(T_map_session, pose))
     for factor in factors:
         graph.add_edge(factor.edge)
     outcome = graph.optimize(config.loops.inlier_probability)
-    return outcome.kept.tolist(), np.array([row_from_pose2(graph.pose(n)) for n in range(len(graph))])
+    return outcome.kept.tolist(), [graph.pose(node) for node in range(len(graph))]
 
 
 def _renumbered(session: MapContents, nodes: int, loops: int) -> list[SavedFactor]:

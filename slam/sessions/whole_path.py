@@ -6,14 +6,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from slam.config import Config
 from slam.localization.hypotheses import KeyframeLog, correction
-from slam.localization.known_map import Walls
-from slam.localization.planar_sensor import PlanarSensor
-from slam.matching.planar import between, compose
-from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
+from slam.localization.poses import between, composed
+from slam.measurements import Pose
+from slam.sessions.sides import Side
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,17 +22,22 @@ class Sighting:
     keyframe
         Its number in the session.
     pose
-        (3,) of its base in the map.
+        Of its base in the map.
     T_map_session
-        (3,) the motion of the session that this asks for.
+        The motion of the session that this asks for.
     nats
         Evidence for it.
     """
 
     keyframe: int
-    pose: FloatArray
-    T_map_session: FloatArray
+    pose: Pose
+    T_map_session: Pose
     nats: float
+
+    @classmethod
+    def of(cls, keyframe: int, pose: Pose, own: Pose, nats: float) -> Sighting:
+        """A keyframe at ``own`` in the session, and at ``pose`` in the map."""
+        return cls(keyframe, pose, composed(pose, own.inverse()), nats)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,29 +48,29 @@ class Followed:
     nats: float
 
 
-def follow(walls: Walls, session: Walls, start: Sighting, config: Config) -> Followed:
-    """Follow a session from a place to both its ends, laid to the map's walls where there are any.
+def follow(known: Side, session: Side, start: Sighting, config: Config) -> Followed:
+    """Follow a session from a place to both its ends, laid to what the map holds where it holds any.
 
     The evidence is that over the best of the wrong places; every surface is weighed once. Who walked about in
     the session speaks against no place: only what stood by its own map is weighed.
     """
-    sensor = PlanarSensor(walls, config)
+    sensor = known.sensor
     log = KeyframeLog(sensor, math.inf)
-    poses = session.map.keyframe_poses
+    poses = session.bases
     anchors, total = [], 0.0
     for direction in (range(start.keyframe, len(poses)), range(start.keyframe - 1, -1, -1)):
         last, at = start.keyframe, start.pose
         for key in direction:
-            view, pose = session.view(key), pose2_from_row(poses[key])
-            if view is None or not log.due(view, pose):
+            view = session.view(key)
+            if view is None or not log.due(view, poses[key]):
                 continue
-            at, last = compose(at, between(poses[last], poses[key])), key
-            motion = correction(sensor, view, pose2_from_row(at), config.localization)
+            at, last = composed(at, between(poses[last], poses[key])), key
+            motion = correction(sensor, view, at, config.localization)
             if motion is not None:
-                at = row_from_pose2(motion.T_reference_base)
-            log.add(view, pose)
-            nats = sensor.weigh(pose2_from_row(at), log.keyframes[-1].novel)
+                at = motion.T_reference_base
+            log.add(view, poses[key])
+            nats = sensor.weigh(at, log.keyframes[-1].novel, motion)
             total += nats
             if motion is not None:
-                anchors.append(Sighting(key, at, compose(at, between(poses[key], np.zeros(3))), nats))
+                anchors.append(Sighting.of(key, at, poses[key], nats))
     return Followed(anchors, total)

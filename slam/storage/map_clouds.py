@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping
 from typing import cast
 
@@ -99,6 +100,21 @@ class MapClouds:
             stamp_s, lidar, _ = self._row(key)
             sound_stamp(stamp_s)
             return of(gtsam.Pose3, unpack(cast(bytes, lidar)))
+
+    def digest(self, key: int) -> bytes:
+        """That of a keyframe's row, time and points; errors as in `points`."""
+        return hashlib.blake2b(repr(self._row(key)).encode(), digest_size=16).digest()
+
+    def copy_to(self, file: MapFile, most: int | None = None) -> None:
+        """Write clouds to another map as they are, or so many of them.
+
+        Raises
+        ------
+        MapFileError
+            Where a row is damaged, or the other map cannot be written.
+        """
+        for key in range(len(self))[:most]:
+            file.append(CLOUDS, *self._row(key))
 
     def _row(self, key: int) -> tuple[Value, ...]:
         """The values of a row."""

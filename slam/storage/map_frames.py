@@ -158,8 +158,13 @@ class MapFrames:
         """As by iteration, depth that was taken away negative."""
         return (self.frame(index, taken=True) for index in range(len(self)))
 
-    def copy_to(self, file: MapFile, nodes: int) -> None:
-        """Write all frames to another map as they are, their nodes numbered after so many others.
+    def copy_to(self, file: MapFile, nodes: int = 0, most: int | None = None) -> None:
+        """Write frames to another map as they are, their nodes numbered after so many others.
+
+        Parameters
+        ----------
+        most
+            Those of so many nodes alone; None for all.
 
         Raises
         ------
@@ -168,8 +173,9 @@ class MapFrames:
         """
         for index in range(len(self)):
             node, *rest = self._row(index)
-            file.append(FRAMES, cast(int, node) + nodes, *rest)
-            file.append(IMAGES, *self._file.row(IMAGES, index))
+            if most is None or cast(int, node) < most:
+                file.append(FRAMES, cast(int, node) + nodes, *rest)
+                file.append(IMAGES, *self._file.row(IMAGES, index))
 
     def poses(self, node_poses: Sequence[Pose], bases: bool = False) -> list[gtsam.Pose3]:
         """``T_map_camera`` of every frame.

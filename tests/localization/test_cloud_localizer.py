@@ -9,7 +9,7 @@ from pathlib import Path
 import gtsam
 import numpy as np
 import pytest
-from cloud_world import PILLARS, base, look, write_log
+from cloud_world import OTHER, WAY, drive, seen, write_log
 from command_line import Scanweave, assert_one_line_error
 from command_line import scanweave as scanweave
 
@@ -26,27 +26,6 @@ from slam.storage.tum import read_tum
 
 SETTINGS = ("cloud_odometry.voxel_m=0.25", "dense_map.enabled=false", "localization.search_threads=1")
 CONFIG = load_config(None, SETTINGS)
-# A wall with a door between the left room and the right one.
-ROOMS = np.concatenate(
-    [PILLARS, [[[0.4, 0.6], [-4.0, -0.2], [0.0, 2.6]], [[0.4, 0.6], [1.2, 4.0], [0.0, 2.6]]]]
-)
-WAY = [(-3.6, -0.8), (-2.6, 1.2), (-0.8, 0.5), (0.5, 0.5), (2.4, 0.3), (4.6, 0.8), (4.8, 2.6), (3.0, 3.0)]
-# As the map, a little beside it.
-OTHER = [(-3.2, -0.6), (-2.3, 0.9), (-0.8, 0.6), (0.5, 0.6), (2.2, 0.5), (4.3, 0.9), (4.6, 2.4), (3.2, 2.8)]
-
-
-def drive(corners: Sequence[tuple[float, float]], step_m: float = 0.25) -> list[gtsam.Pose3]:
-    """Poses along a way that turns gently."""
-    ends = np.array(corners)
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(ends, axis=0).T))])
-    stops = np.arange(0.0, along[-1], step_m)
-    x, y = (np.interp(stops, along, column) for column in ends.T)
-    return [base(a, b, 0.5 * np.sin(0.6 * way)) for a, b, way in zip(x, y, stops, strict=True)]
-
-
-def seen(poses: Sequence[gtsam.Pose3], seed: int) -> list[PointCloud]:
-    """A cloud at every pose, ten a second."""
-    return [look(pose, 0.1 * n, seed=seed + n, boxes=ROOMS) for n, pose in enumerate(poses)]
 
 
 @pytest.fixture(scope="module")

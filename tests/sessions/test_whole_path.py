@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import gtsam
 import numpy as np
 import pytest
 from flat_worlds import box, room, sweep
@@ -13,6 +14,7 @@ from slam.localization.known_map import Walls
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.mapper import Mapper
 from slam.measurements import FloatArray
+from slam.sessions.sides import Side
 from slam.sessions.whole_path import Followed, Sighting, follow
 
 CONFIG = Config()
@@ -36,7 +38,8 @@ def known() -> Walls:
 
 
 def followed(known: Walls, session: Walls) -> Followed:
-    return follow(known, session, Sighting(0, np.zeros(3), np.zeros(3), 0.0), CONFIG)
+    sides = (Side.of_walls(walls, CONFIG) for walls in (known, session))
+    return follow(*sides, Sighting(0, gtsam.Pose2(), gtsam.Pose2(), 0.0), CONFIG)
 
 
 def test_who_walked_about_speaks_against_no_place(known: Walls) -> None:

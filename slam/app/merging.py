@@ -1,0 +1,119 @@
+"""Several saved maps as one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from fusion.showing import one_line
+from slam.app.joining import kind_of
+from slam.errors import MapFileError, ScanweaveError
+from slam.evaluation.saved_page import write_saved_page
+from slam.outputs.finished_map import Map, load_map
+from slam.sessions.connection import connect
+from slam.sessions.joined_files import write_joined
+from slam.storage.map_file import MAP_NAME
+from slam.temporary import TemporaryFolder
+
+
+@dataclass(frozen=True, slots=True)
+class Merged:
+    """What became of several maps.
+
+    Attributes
+    ----------
+    map
+        All that connect, open.
+    refused
+        Why each of the others could not be joined, by its path.
+    written
+        The files.
+    """
+
+    map: Map
+    refused: Mapping[Path, str]
+    written: tuple[Path, ...]
+
+    __repr__ = one_line
+
+
+def merge(
+    maps: Sequence[Map | Path | str],
+    out: Path | str,
+    *,
+    overwrite: bool = False,
+) -> Merged:
+    """Join saved maps, in whatever order they connect, and write what they make together.
+
+    Parameters
+    ----------
+    maps
+        The maps or their paths, two at least; the first gives the frame and the settings. None is changed.
+    out
+        Folder for the map of all that connect.
+    overwrite
+        Replace another map in ``out``.
+
+    Raises
+    ------
+    ScanweaveError
+        Where none of the others connects to the first, or a file is at fault; then nothing is written.
+
+    Examples
+    --------
+    >>> import slam
+    >>> from slam.simulation.synthetic_log import write_synthetic_log
+    >>> logs = [write_synthetic_log(f"log{n}", seed=n, duration_s=10.0).log_path for n in (1, 2)]
+    >>> merged = slam.merge([slam.map_log(log) for log in logs], "house")
+    >>> len(merged.map.sessions), dict(merged.refused)
+    (2, {})
+    """
+    if len(maps) < 2:
+        raise ScanweaveError("a merge takes two maps or more")
+    folder = Path(out)
+    if (folder / MAP_NAME).exists() and not overwrite:
+        raise MapFileError(f"{folder / MAP_NAME} is a map; --force (overwrite=True) replaces it")
+    whole, *waiting = (one if isinstance(one, Map) else load_map(one) for one in maps)
+    first, kept_in, refused = whole, TemporaryFolder(), dict[Path, str]()
+    tried = -1
+    while waiting and tried < len(whole.sessions):
+        # What nothing connects to may connect once another has been joined.
+        tried = len(whole.sessions)
+        for other in list(waiting):
+            step = kept_in.path / str(len(whole.sessions))
+            why = refused[other.path] = _joined(whole, other, step)
+            if why:
+                continue
+            del refused[other.path]
+            waiting.remove(other)
+            whole = load_map(step)
+    if whole is first:
+        reasons = "; ".join(f"{path}: {why}" for path, why in refused.items())
+        raise ScanweaveError(f"none of the maps connects to {first.path}: {reasons}")
+    written = whole.save(folder, overwrite=overwrite)
+    whole.close()
+    kept_in.remove()
+    found = load_map(folder)
+    return Merged(found, refused, (*written, write_saved_page(found)))
+
+
+def _joined(whole: Map, other: Map, folder: Path) -> str:
+    """Join a map to others and write them into a folder; why not, empty where it was done."""
+    try:
+        kinds = [kind_of(one, str(one.path)) for one in (whole, other)]
+        known = {session.log_fingerprint: session.log_name for session in whole.sessions}
+        shared = [known[one.log_fingerprint] for one in other.sessions if one.log_fingerprint in known]
+        if kinds[0] != kinds[1]:
+            return f"it is of {kinds[1]}, the first of {kinds[0]}"
+        if shared:
+            return f"its log {shared[0]} is in the others already"
+        if other.edits:
+            return "it has edits, which the first map alone may have; give it first, or undo them"
+        connection = connect(whole, other)
+    except ScanweaveError as error:
+        return str(error)
+    if connection.joined is None:
+        return connection.reason
+    write_joined(folder, whole, other, connection)
+    return ""

@@ -1,0 +1,53 @@
+"""A map of several sessions without its last ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from slam.errors import MapFileError
+from slam.outputs.finished_map import Map, load_map, made_anew
+from slam.sessions.rolling_back import write_first_sessions
+
+
+def roll_back(saved: Map | Path | str, sessions: int, *, out: Path | str | None = None) -> Map:
+    """The map as its first sessions make it alone; the one that was given stays open, and shows what it was.
+
+    Parameters
+    ----------
+    saved
+        The map, or its path.
+    sessions
+        How many of its sessions stay.
+    out
+        Folder for the map, which may be its own; None keeps it in a temporary folder.
+
+    Raises
+    ------
+    ScanweaveError
+        Where the map has no more sessions than that, or a file is at fault; the map is as it was.
+
+    Examples
+    --------
+    >>> import slam
+    >>> from slam.simulation.synthetic_log import write_synthetic_log
+    >>> logs = [write_synthetic_log(f"log{n}", seed=n, duration_s=10.0).log_path for n in (1, 2)]
+    >>> house = slam.map_log(logs[0], out="house")
+    >>> both = slam.join(house, logs[1], out="both").map
+    >>> first = slam.roll_back(both, 1)
+    >>> len(first.sessions), bool((first.grid.steps == house.grid.steps).all())
+    (1, True)
+    """
+    saved = saved if isinstance(saved, Map) else load_map(saved)
+    before = len(saved.sessions)
+    if not 1 <= sessions < before:
+        raise MapFileError(
+            f"{saved.path} has {before} session(s); of these 1 to {before - 1} can stay, not {sessions}"
+        )
+    found = made_anew(saved, lambda path: write_first_sessions(saved, sessions, path), out)
+    if out is not None:
+        first = 1 if sessions == 1 else sessions + 1
+        stale = [f"trajectory-{number}.tum" for number in range(first, before + 1)]
+        stale += [f"report-{number}.html" for number in range(sessions + 1, before + 1)]
+        for name in stale:
+            (Path(out) / name).unlink(missing_ok=True)
+    return found

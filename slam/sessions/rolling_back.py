@@ -1,0 +1,121 @@
+"""A map of several sessions as its first ones make it alone."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from slam.config import Config
+from slam.edits.edited_file import write_entries
+from slam.edits.keyframes import bases_of
+from slam.graph.loop_closure import judged
+from slam.graph.pose_covariances import pose_covariances
+from slam.graph.pose_graph import PoseGraph
+from slam.mapper.map_result import drawn
+from slam.outputs.finished_map import Map, load_map
+from slam.sessions.joined_files import write_sessions
+from slam.storage.map_clouds import MapClouds
+from slam.storage.map_contents import MapContents, SavedFactor
+from slam.storage.map_edits import FRAME, AppliedEdits
+from slam.storage.map_file import MAP_NAME, MapFile
+from slam.storage.map_frames import MapFrames
+from slam.storage.map_sessions import MapSession
+from slam.trajectory.poses import Poses
+from slam.trajectory.resettled import resettled
+
+
+def write_first_sessions(saved: Map, count: int, path: Path) -> list[str]:
+    """Write ``map.db`` of the first sessions of a map alone; a line on what is lost or not drawn.
+
+    Raises
+    ------
+    ScanweaveError
+        Where a row is damaged, or the file cannot be written.
+    """
+    parts, sessions, warnings = saved.parts(), saved.sessions[:count], list[str]()
+    nodes = sum(session.keyframes for session in sessions)
+
+    def copied(file: MapFile) -> MapContents:
+        found = _alone(parts.base, nodes, sessions, parts.before)
+        if parts.base.frames is not None:
+            parts.base.frames.copy_to(file, most=nodes)
+            found = replace(found, frames=MapFrames(file))
+        if parts.base.clouds is not None:
+            parts.base.clouds.copy_to(file, nodes)
+            found = replace(found, clouds=MapClouds(file))
+        found, told = drawn(found, parts.before)
+        warnings.extend(told)
+        return found
+
+    identity = replace(saved.identity, config=parts.before)
+    entries = [_of_first(entry, nodes, parts.base) for entry in saved.contents.edits]
+    kept = [entry for entry in entries if entry is not None]
+    told = saved.notes, saved.warnings
+    if not kept:
+        write_sessions(path, identity, sessions, told, copied)
+    else:
+        with tempfile.TemporaryDirectory() as plain:
+            write_sessions(Path(plain) / MAP_NAME, identity, sessions, told, copied)
+            with load_map(plain) as found:
+                warnings += write_entries(found.parts(), kept, path)
+    if gone := len(entries) - len(kept):
+        warnings.append(f"{gone} of {len(entries)} edits were of later sessions, and are gone with them")
+    return warnings
+
+
+def _alone(base: MapContents, nodes: int, sessions: Sequence[MapSession], config: Config) -> MapContents:
+    """The first keyframes of a map, what joins them judged and solved anew; nothing drawn."""
+    numbers = [n for n, loop in enumerate(base.loops) if max(loop.place, loop.keyframe) < nodes]
+    renumbered = {before: now for now, before in enumerate(numbers)}
+    edges = [
+        replace(edge, loop=None if edge.loop is None else renumbered[edge.loop])
+        for edge in (factor.edge for factor in base.factors)
+        if max(edge.source, edge.target) < nodes
+    ]
+    graph = PoseGraph(base.node_poses[0])
+    for pose in base.node_poses[1:nodes]:
+        graph.add_node(pose)
+    for edge in edges:
+        graph.add_edge(edge)
+    kept = graph.optimize(config.loops.inlier_probability).kept.tolist()
+    poses = [graph.pose(node) for node in range(nodes)]
+    bases = bases_of(base, poses)
+    whole = base.trajectory[: sum(session.poses for session in sessions)]
+    trajectory, covariances = resettled(
+        whole,
+        base.stamps_s[:nodes],
+        Poses.of(bases_of(base, base.node_poses[:nodes])),
+        Poses.of(bases),
+        [(session.keyframes, session.poses) for session in sessions],
+        pose_covariances(poses, bases, edges, kept, config),
+    )
+    return replace(
+        base,
+        node_poses=poses,
+        stamps_s=base.stamps_s[:nodes],
+        readings=base.readings[:nodes],
+        trajectory=trajectory,
+        covariances=covariances,
+        factors=[SavedFactor(edge, keep) for edge, keep in zip(edges, kept, strict=True)],
+        loops=judged([base.loops[n] for n in numbers], edges, kept),
+        measured_scans=base.measured_scans[:nodes],
+        keyframe_scans=base.keyframe_scans[:nodes],
+        edits=(),
+    )
+
+
+def _of_first(entry: AppliedEdits, nodes: int, base: MapContents) -> AppliedEdits | None:
+    """An edit without what it took away of later keyframes; None where it joins or names such."""
+    pairs = [*entry.forbidden, *entry.forced, *((loop.place, loop.keyframe) for loop in entry.added)]
+    rows = [row for pair in pairs for row in pair]
+    rows += [int(row) for region in entry.regions for row in region.keyframes]
+    if any(row >= nodes for row in rows):
+        return None
+
+    def node(kind: str, number: int) -> int:
+        return base.frames.head(number).node if kind == FRAME and base.frames else number
+
+    erased = {(kind, n): bits for (kind, n), bits in entry.erased.items() if node(kind, n) < nodes}
+    return replace(entry, erased=erased)

@@ -1,0 +1,96 @@
+"""A map as a session meets it: the way along which it was made, and what of another way it knows again.
+
+One joiner serves scans on a floor, clouds, and frames of a camera: each brings its localiser's sensor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from slam.config import Config
+from slam.edits.keyframes import bases_of
+from slam.localization.camera_sensor import CameraSensor
+from slam.localization.cloud_sensor import CloudSensor
+from slam.localization.known_map import Walls, has_walls
+from slam.localization.planar_sensor import PlanarSensor
+from slam.localization.sensor import Sensor
+from slam.localization.visual_locator import VisualLocator
+from slam.mapper.keyframe_store import KeyframeStore
+from slam.measurements import FloatArray, Pose
+from slam.storage.map_contents import MapContents
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One of two maps.
+
+    Attributes
+    ----------
+    bases
+        K poses of the robot at the keyframes, each in its map.
+    path_m
+        (K,) way to each.
+    view
+        What stood of what a keyframe saw, as the other side's sensor takes it; None where it saw nothing.
+    sensor
+        Knows readings of the other side again.
+    """
+
+    bases: Sequence[Pose]
+    path_m: FloatArray
+    view: Callable[[int], Any]
+    sensor: Sensor[Any, Any]
+
+    @classmethod
+    def of_walls(cls, walls: Walls, config: Config) -> Side:
+        """Of a map of a floor."""
+        return cls(walls.map.node_poses, walls.map.path_m, walls.view, PlanarSensor(walls, config))
+
+    @classmethod
+    def of_clouds(cls, known: MapContents, config: Config) -> Side:
+        """Of a map of a 3D lidar."""
+        assert known.clouds is not None
+        clouds = known.clouds
+        field = Walls(known, config).field if has_walls(known) else None
+        sensor = CloudSensor(known, field, config)
+        return cls(
+            known.node_poses,
+            known.path_m,
+            lambda key: sensor.view_of(clouds.points(key), clouds.T_base_lidar(key)),
+            sensor,
+        )
+
+    @classmethod
+    def of_frames(cls, known: MapContents, other: MapContents, config: Config) -> Side:
+        """Of a map of a camera in space that another's frames are shown to."""
+        assert known.frames is not None and other.frames is not None
+        locator = VisualLocator(known, config)
+        seen, shown = (
+            KeyframeStore(config.rgbd, config.match.local_map_keyframes, one.frames) for one in (known, other)
+        )
+        locator.view(shown.keyframe(0))  # it tells how the other's camera sits
+        return cls(
+            bases_of(known, known.node_poses), known.path_m, seen.keyframe, CameraSensor(locator, config)
+        )
+
+    def nearest(self, pose: Pose) -> int:
+        """The keyframe nearest to a pose in the map."""
+        return int(self.distances_m(pose).argmin())
+
+    def distances_m(self, pose: Pose) -> FloatArray:
+        """(K,) from every keyframe."""
+        away = np.array([base.translation() for base in self.bases]) - pose.translation()
+        return np.asarray(np.linalg.norm(away, axis=1))
+
+
+def sides_of(known: MapContents, session: MapContents, config: Config) -> tuple[Side, Side]:
+    """Two maps of a kind."""
+    if known.clouds is not None:
+        return Side.of_clouds(known, config), Side.of_clouds(session, config)
+    if known.planar:
+        return tuple(Side.of_walls(Walls(one, config), config) for one in (known, session))  # type: ignore[return-value]
+    return Side.of_frames(known, session, config), Side.of_frames(session, known, config)
