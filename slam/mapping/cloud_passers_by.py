@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from fusion.estimation import FEWEST
 from fusion.voxel_hash import AXIS, AXIS_BITS, HALF, entries_at, first_in_voxels, index_keys, table_for
 from slam.mapping.elevation import Elevation
-from slam.mapping.looked_through import count_looks, look, means_around
+from slam.mapping.looked_through import count_looks, look, means_around, spread
 from slam.matching.local_cloud import moved
 from slam.measurements import BoolArray, FloatArray
 from slam.vision.prefetch import prefetched
 
 IntArray = NDArray[np.int64]
 
-_PIXEL_RAD = math.radians(1.0)  # of the picture in which a cloud tells how far it sees
+_PIXEL_RAD = math.radians(0.5)  # of the picture in which a cloud tells how far it sees
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,10 +60,11 @@ def passed_by(
     """Find them; asked is only what stands on the ground.
 
     A keyframe hits a voxel that holds a point of it, or where the beam through its middle ends; it passes one
-    where that beam and all beside it end behind, for along a wall they end before and behind. A voxel has
-    gone where it was passed before its first hit and after its last one more often than its own share of hits
-    between them allows (Laplace's rule of succession) once in `FEWEST` times, in the mean with the voxels
-    that it touches.
+    where all beams through it, and those above and below, end behind by more than a pixel is wide: along a
+    wall and past a pole they end before and behind. A voxel has gone where, in the mean with those that it
+    touches, it was passed before its first hit and after its last one more often than it was hit, and than
+    its share of hits between them allows (Laplace's rule of succession) once in `FEWEST` times. With it go
+    those that hang together with it and were so passed more than half as often as they were hit.
 
     Parameters
     ----------
@@ -74,10 +75,10 @@ def passed_by(
     poses
         ``T_map_base`` of each.
     reach_m
-        Voxels farther from a lidar are not asked, nor where a pixel is four of them wide.
+        Voxels farther from a lidar are not asked, nor where a pixel is two of them wide.
     """
     voxel_m = 0.5 * ground.cell_m
-    reach_m = min(reach_m, 4 * voxel_m / _PIXEL_RAD)
+    reach_m = min(reach_m, 2 * voxel_m / _PIXEL_RAD)
     known = np.unique(np.concatenate([np.zeros(0, np.int64), *(_keys(part, voxel_m) for part in surface)]))
     known = known[ground.above_m(_middles(known, voxel_m)) > voxel_m]
     if not len(known):
@@ -85,7 +86,7 @@ def passed_by(
     middles, table, counts = _middles(known, voxel_m), _indexed(known), np.zeros((len(known), 4), np.int32)
     newest, half_turn = np.full(len(known), -1, np.int32), round(math.pi / _PIXEL_RAD)
     along = middles[:, 0].copy()
-    picture, half_m = np.empty((half_turn + 1, 2 * half_turn + 1)), 0.5 * math.sqrt(3) * voxel_m
+    picture, half_m = np.empty((half_turn + 1, 2 * half_turn)), 0.5 * math.sqrt(3) * voxel_m
     T_lidar_base = T_base_lidar.inverse()
     looks = prefetched(
         zip(clouds, poses, strict=True),
@@ -101,11 +102,16 @@ def passed_by(
         first, last = np.searchsorted(along, ends[:, 0])
         around = moved(middles[first:last], T_map_lidar.inverse())
         near = np.flatnonzero(np.einsum("ij,ij->i", around, around) < reach_m**2)
-        count_looks(near + first, half_m, number, newest, *_pixels(around[near]), picture, counts)
+        seen = _pixels(around[near])
+        count_looks(near + first, half_m, _PIXEL_RAD, number, newest, *seen, picture, counts)
     hits, between, since, before = counts.T
-    chances, means = np.log1p(-(hits + 1.0) / (hits + between + 2.0)) * (since + before), np.empty(len(known))
-    means_around(known, table, chances, means)
-    return PassedBy(known[means < -math.log(FEWEST)], voxel_m)
+    passes = since + before
+    chances = np.log1p(-(hits + 1.0) / (hits + between + 2.0)) * passes
+    means = np.empty((len(known), 2))
+    means_around(known, table, np.column_stack([chances, passes - hits]), means)
+    gone = (means[:, 0] < -math.log(FEWEST)) & (means[:, 1] > 0.0)
+    spread(known, table, 2 * passes > hits, gone)
+    return PassedBy(known[gone], voxel_m)
 
 
 def _pixels(points_lidar: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
@@ -113,8 +119,8 @@ def _pixels(points_lidar: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
     x, y, z = np.ascontiguousarray(points_lidar.T)
     level_m = np.sqrt(x * x + y * y)
     row = (np.arctan2(z, level_m) + 0.5 * math.pi) / _PIXEL_RAD + 0.5
-    col = (np.arctan2(y, x) + math.pi) / _PIXEL_RAD + 0.5
-    return row.astype(np.int64), col.astype(np.int64), np.sqrt(level_m * level_m + z * z)
+    col = ((np.arctan2(y, x) + math.pi) / _PIXEL_RAD).astype(np.int64) % round(2 * math.pi / _PIXEL_RAD)
+    return row.astype(np.int64), col, np.sqrt(level_m * level_m + z * z)
 
 
 def _keys(points: FloatArray, voxel_m: float) -> IntArray:

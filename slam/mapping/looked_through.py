@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from fusion.kernel import NONE, ZERO, kernel
 from fusion.voxel_hash import AXIS_BITS, entry_of, key_of
 
@@ -39,7 +41,7 @@ def look(points, size_m, table, keys, number, newest, rows, cols, ranges_m, pict
 
 
 @kernel(nogil=True)
-def count_looks(which, half_m, number, newest, pixels_row, pixels_col, aways_m, picture, counts):  # type: ignore[no-untyped-def]
+def count_looks(which, half_m, pixel_rad, number, newest, pixels_row, pixels_col, aways_m, picture, counts):  # type: ignore[no-untyped-def]
     """Count for the voxels near a lidar what its picture says of each.
 
     Parameters
@@ -48,6 +50,8 @@ def count_looks(which, half_m, number, newest, pixels_row, pixels_col, aways_m, 
         (M,) their numbers.
     half_m
         A point so near to a middle hits the voxel.
+    pixel_rad
+        Side of a pixel; at its poles they are narrower.
     number, newest, picture
         As of `look`.
     pixels_row, pixels_col, aways_m
@@ -60,39 +64,69 @@ def count_looks(which, half_m, number, newest, pixels_row, pixels_col, aways_m, 
     for n in range(which.shape[0]):
         k = which[n]
         row = pixels_row[n]
-        col = pixels_col[n]
         away_m = aways_m[n]
-        ends_m = picture[row, col]
-        if newest[k] == number or abs(ends_m - away_m) <= half_m:
+        if newest[k] == number or abs(picture[row, pixels_col[n]] - away_m) <= half_m:
             counts[k, 0] += 1
             counts[k, 1] += counts[k, 2]
             counts[k, 2] = 0
             continue
-        behind = ends_m > away_m and not math.isinf(ends_m)
-        if not behind:
+        if away_m <= half_m:
             continue
+        behind_m = away_m * (1.0 + pixel_rad) + half_m
+        span = math.ceil(half_m / (away_m * pixel_rad))
+        wide = min(math.ceil(span / max(math.sin(row * pixel_rad), pixel_rad)), cols // 2)
         # Between rings far apart nobody knows what the beams beside would have met.
+        beside = max(span, 2)
+        behind = True
         above = below = False
-        for side in range(max(col - 1, 0), min(col + 2, cols)):
-            for level in range(max(row - 1, 0), min(row + 2, rows)):
-                range_m = picture[level, side]
-                behind = behind and range_m > away_m + half_m
-                above = above or (level < row and not math.isinf(range_m))
-                below = below or (level > row and not math.isinf(range_m))
+        for level in range(max(row - beside, 0), min(row + beside + 1, rows)):
+            for side in range(pixels_col[n] - wide, pixels_col[n] + wide + 1):
+                range_m = picture[level, side % cols]
+                if math.isinf(range_m):
+                    continue
+                if range_m <= behind_m and abs(level - row) <= span:
+                    behind = False
+                    break
+                above = above or level < row
+                below = below or level > row
+            if not behind:
+                break
         if behind and above and below:
             counts[k, 2 if counts[k, 0] else 3] += 1
 
 
 @kernel
 def means_around(keys, table, values, means):  # type: ignore[no-untyped-def]
-    """Means (V,) of the values of voxels with these keys (V,) and of those that they touch."""
+    """Means (V, D) of the values (V, D) of voxels with these keys (V,) and of those that they touch."""
     for i in range(keys.shape[0]):
-        total = 0.0
+        means[i] = 0.0
         count = ZERO
         for near in range(27):
-            away = ((near // 9 - 1) << 2 * AXIS_BITS) + ((near // 3 % 3 - 1) << AXIS_BITS) + near % 3 - 1
-            k = entry_of(keys[i] + away, table, keys)
+            k = entry_of(keys[i] + _away(near), table, keys)
             if k >= 0:
-                total += values[k]
+                means[i] += values[k]
                 count += 1
-        means[i] = total / count
+        means[i] /= count
+
+
+@kernel
+def spread(keys, table, may, chosen):  # type: ignore[no-untyped-def]
+    """Choose of the voxels with these keys (V,) that ``may`` be (V,) those that touch a chosen one, too."""
+    waiting = np.flatnonzero(chosen)
+    queue = np.empty(keys.shape[0], np.int64)
+    queue[: len(waiting)] = waiting
+    done, end = ZERO, len(waiting)
+    while done < end:
+        for near in range(27):
+            k = entry_of(keys[queue[done]] + _away(near), table, keys)
+            if k >= 0 and may[k] and not chosen[k]:
+                chosen[k] = True
+                queue[end] = k
+                end += 1
+        done += 1
+
+
+@kernel
+def _away(near):  # type: ignore[no-untyped-def]
+    """From the key of a voxel to that of one of the 27 in and around it."""
+    return ((near // 9 - 1) << 2 * AXIS_BITS) + ((near // 3 % 3 - 1) << AXIS_BITS) + near % 3 - 1

@@ -6,8 +6,10 @@ import gtsam
 import numpy as np
 import pytest
 
+from fusion.voxel_hash import AXIS_BITS, index_keys, table_for
 from slam.mapping.cloud_passers_by import PassedBy, passed_by
 from slam.mapping.elevation import elevation
+from slam.mapping.looked_through import count_looks, spread
 from slam.matching.local_cloud import moved
 from slam.measurements import BoolArray, FloatArray
 
@@ -74,7 +76,7 @@ def left_of(
 def test_a_car_that_drives_by_goes(backward: bool) -> None:
     boxes: list[float | None] = [2.0 + 2.5 * n if n < 6 else None for n in range(COUNT)]
     box, other = left_of(*gone(boxes[::-1] if backward else boxes))
-    assert box < 0.15
+    assert box < 0.1
     assert other > 0.995
 
 
@@ -91,3 +93,22 @@ def test_of_what_is_fixed_nearly_nothing_goes() -> None:
     empty = passed_by([], [], [], gtsam.Pose3(), ground, 50.0)
     assert not empty.holds(clouds[0]).any()
     assert not len(empty.keys)
+
+
+@pytest.mark.parametrize(("aside", "passed"), [(0, 0), (4, 0), (9, 1)])
+def test_a_voxel_is_passed_by_all_beams_through_it_or_not_at_all(aside: int, passed: int) -> None:
+    # 20 cm at 3 m are 7 pixels of half a degree each way from the middle.
+    picture = np.full((361, 720), 20.0)
+    picture[180, 360 + aside] = 3.0 if aside else 3.18
+    counts, at = np.zeros((1, 4), np.int32), (np.array([180]), np.array([360]), np.array([3.0]))
+    newest = np.array([-1], np.int32)
+    count_looks(np.array([0]), 0.17, np.radians(0.5), 0, newest, *at, picture, counts)
+    assert counts[0, 3] == passed
+
+
+def test_what_hangs_together_goes_together_where_it_may() -> None:
+    keys = (np.array([4, 5, 6, 7, 9]) << 2 * AXIS_BITS) + (9 << AXIS_BITS) + 9
+    table, gone = table_for(len(keys)), np.array([True, False, False, False, False])
+    index_keys(keys, table)
+    spread(keys, table, np.array([True, True, True, False, True]), gone)
+    assert gone.tolist() == [True, True, True, False, False]
