@@ -96,7 +96,11 @@ def _points(rows: FloatArray, lens: FloatArray, told: CameraIntrinsics) -> Float
 
 
 def _errors(first: FloatArray, second: FloatArray, lens: FloatArray, told: CameraIntrinsics) -> FloatArray:
-    """(P, N, 3) of points moved into the second view: by their bearing, and in depth by its share."""
+    """(P, N, 3) of points moved into the second view: by their bearing, and in depth by its share.
+
+    Bearings count in focal lengths told, depths not: else a short lens would leave over less of what depths
+    are wrong by, and where the camera turns little the fit would shrink it for that alone.
+    """
     a, b = _points(first, lens, told), _points(second, lens, told)
     # Depth is as uncertain as it is far.
     weights = 1.0 / np.maximum(a[..., 2:], SETTLED) ** 2
@@ -105,7 +109,7 @@ def _errors(first: FloatArray, second: FloatArray, lens: FloatArray, told: Camer
         off = np.linalg.norm(moved - b, axis=-1, keepdims=True) / b[..., 2:]
         width = np.median(off, axis=1, keepdims=True) + SETTLED
         weights = 1.0 / (b[..., 2:] * (1.0 + (off / width) ** 2)) ** 2
-    return np.asarray((moved - b) / b[..., 2:] * lens[0])
+    return np.asarray((moved - b) / b[..., 2:] * [lens[0], lens[0], 1.0])
 
 
 def _moved(a: FloatArray, b: FloatArray, weights: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@ from fusion.estimation import FEWEST, SETTLED
 from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.doctor.finding import Finding
+from slam.doctor.samples import SPACING_S
 from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.match_covariance import weak_direction
 from slam.matching.planar import between
@@ -37,11 +38,14 @@ def starts_after_stops(rows: FloatArray, distance_m: float) -> FloatArray:
     way_m = np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
     if len(rows) < FEWEST or -ahead_m[ahead_m < 0.0].sum() > max(distance_m, SETTLED * way_m[-1]):
         return np.zeros((0, 2))
-    still = np.hypot(*steps.T) < distance_m / FEWEST
-    leaves = np.nonzero(still[:-1] & ~still[1:])[0] + 1
+    stamps_s = rows[:, 0]
+    # By time, not by readings: these may come every millisecond.
+    still = way_m - np.interp(stamps_s - SPACING_S, stamps_s, way_m) < distance_m / FEWEST
+    leaves = np.nonzero(still[:-1] & ~still[1:])[0]
     gone = np.searchsorted(way_m, way_m[leaves] + distance_m)
-    within = gone < len(rows)
-    spans_s = np.column_stack([rows[leaves[within], 0], rows[gone[within], 0]])
+    # Who stops again before may have gone both ways.
+    alone = gone <= np.append(leaves[1:], len(rows) - 1)
+    spans_s = np.column_stack([stamps_s[leaves[alone]], stamps_s[gone[alone]]])
     spans_s = spans_s[np.ptp(spans_s, axis=1) < FEWEST * GAP_S]
     most = 10 * FEWEST  # half a CPU second
     return np.asarray(spans_s[:: -(-len(spans_s) // most) or 1])
@@ -71,7 +75,8 @@ def lost_sign(
         if (way := _way_ahead_m(*pair, rows, config)) is not None
     ]
     back = sum(way < 0.0 for way in ways)
-    if back < enough:
+    # Matches that are wrong say so as often elsewhere, where neither way can be.
+    if back - ways.count(0.0) < enough:
         return None
     return Finding(
         wheels,
@@ -106,7 +111,8 @@ def _scans_at(
 def _way_ahead_m(first: LaserScan, last: LaserScan, rows: FloatArray, config: Config) -> float | None:
     """How far the robot went ahead between two scans, by them alone; None where they leave it open.
 
-    The wheels' step, and the same step back, are where the search begins; the one that fits better counts.
+    The wheels' step, and the same step back, are where the search begins; the one that fits better counts, as
+    0 where it is neither.
     """
     limits = config.match
     stamps_s = np.array([first.stamp_s, last.stamp_s])
@@ -114,6 +120,8 @@ def _way_ahead_m(first: LaserScan, last: LaserScan, rows: FloatArray, config: Co
         return None
     told = np.column_stack([np.interp(stamps_s, rows[:, 0], column) for column in rows[:, 1:].T])
     step = between(told[0], told[1])
+    if 2.0 * step[0] < config.keyframes.distance_m:
+        return None  # by fewer scans than that takes, both ways fit
     points = [OrientedPoints.from_scan(points_by(config.scan, scan)) for scan in (first, last)]
     local_map = LocalMap.build(points[:1], limits)
     found = [local_map.align(points[1], guess) for guess in (step, step * [-1.0, -1.0, 1.0])]
@@ -123,4 +131,4 @@ def _way_ahead_m(first: LaserScan, last: LaserScan, rows: FloatArray, config: Co
     if weak_direction(best, limits.degenerate_share) is not None:
         return None
     ahead_m = float(best.pose[0])
-    return ahead_m if 2.0 * abs(ahead_m) > abs(step[0]) else None
+    return ahead_m if 2.0 * abs(ahead_m) > step[0] else 0.0

@@ -24,7 +24,7 @@ from slam.measurements import (
 )
 
 # Scans of a stretch lie no nearer: a robot hardly moves between.
-_SPACING_S = 0.1
+SPACING_S = 0.1
 _STRETCHES = 2 * FEWEST
 
 
@@ -78,9 +78,9 @@ class LidarSamples:
         self._newest = scan
         if self._open:
             since_s = scan.stamp_s - self._open[-1].stamp_s
-            if 0.0 <= since_s < _SPACING_S:
+            if 0.0 <= since_s < SPACING_S:
                 return
-            if not 0.0 <= since_s < FEWEST * _SPACING_S or len(self._open) >= FEWEST:
+            if not 0.0 <= since_s < FEWEST * SPACING_S or len(self._open) >= FEWEST:
                 self.close()
         self._open.append(scan)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fusion.estimation import FEWEST, gate
+from fusion.estimation import FEWEST, gate, median_to_sigma
 from slam.config import Config
 from slam.doctor.finding import Finding
 from slam.doctor.pair import IN_ORDER, Pair, interval
@@ -57,7 +57,7 @@ def compare(pair: Pair, config: Config) -> tuple[list[Finding], list[str]]:
     if found is None:
         return findings, [f"{pair.lidar} and {pair.wheels}: how they belong together"]
     reading, relation = found
-    if relation.sigma_m > IN_ORDER * float(np.median(np.abs(wheels.lidar))):
+    if not fits_as_read(wheels, reading, relation, config):
         return [*findings, _unfit(pair)], []
     relation = relation.of_ranges_scaled(pair.range_scale)
     axes, relation, forward = _axes(pair, wheels, reading, relation)
@@ -86,6 +86,19 @@ def _explains(turn: Linear | None, turns_rad: FloatArray) -> bool:
     if scatter_rad < IN_ORDER:
         return True
     return turn is not None and 2.0 * turn.sigma < scatter_rad and turn.values[0] != 0.0
+
+
+def fits_as_read(wheels: WheelSteps, reading: Reading, relation: Relation, config: Config) -> bool:
+    """Whether wheels tell half of the way as well as wheels do: to a share of it, and of what a turn swings.
+
+    Who mostly turns in place makes steps so short that what a match is off by is much of them.
+    """
+    way_m = np.abs(wheels.lidar)
+    allowed_m = IN_ORDER * way_m + config.wheels.swing_m_per_rad * np.abs(wheels.lidar_turns_rad)
+    off = wheels.misfits(reading, relation) / allowed_m
+    order = np.argsort(off)
+    half = np.searchsorted(np.cumsum(way_m[order]), 0.5 * way_m.sum())
+    return median_to_sigma(2) * float(off[order[half]]) < 1.0
 
 
 def _unfit(pair: Pair) -> Finding:

@@ -17,7 +17,10 @@ from slam.datasets import open_dataset
 from slam.datasets.corrections import corrected
 from slam.doctor.diagnosis import diagnose, examine
 from slam.doctor.finding import Finding, remedied
+from slam.doctor.own_body import blocked_beams
 from slam.doctor.relation import relate
+from slam.doctor.wheel_steps import Reading, WheelSteps
+from slam.doctor.wheels_and_lidar import fits_as_read
 from slam.mapper.pipeline import settled
 from slam.measurements import LaserScan, WheelOdometry, pose2_from_row
 from slam.simulation.synthetic_log import write_synthetic_log
@@ -121,6 +124,35 @@ def test_the_relation_is_found_among_outliers_and_its_interval_holds_the_truth()
         )
     shares = np.mean(held, axis=0)
     assert (shares > 0.93).all()
+
+
+@pytest.mark.parametrize(("lost_m", "fits"), [(0.0, True), (0.2, False)])
+def test_short_steps_of_turns_in_place_fit_as_well_as_matches_are(lost_m: float, fits: bool) -> None:
+    """Two steps in three are a turn in place that swings the lidar 5 cm, by matches that are off 4 mm."""
+    rng = np.random.default_rng(1)
+    turns = rng.choice([-0.25, 0.25], 90)
+    told = np.where(np.arange(90) % 3, 0.0, 0.22) + 0j
+    lidar = told + 0.2 * (np.exp(1j * turns) - 1.0) + rng.normal(0.0, 0.004, (90, 2)) @ [1.0, 1.0j]
+    told = told + lost_m * rng.normal(0.0, 1.0, (90, 2)) @ [1.0, 1.0j]
+    places, headings = np.stack([0.0 * told, told], axis=1), np.zeros((90, 2))
+    wheels = WheelSteps(lidar, turns, np.arange(90) // 6, places, headings)
+    found = wheels.related(Reading())
+    assert found is not None and fits_as_read(wheels, Reading(), found, Config()) == fits
+
+
+def test_a_short_drive_tells_of_blocked_beams() -> None:
+    """Eight stretches of 2 s have 16 ends, and more than 20 places."""
+    rng = np.random.default_rng(1)
+    stretches = [
+        [
+            LaserScan(10.0 * n + 0.1 * k, np.r_[np.full(30, 0.4), rng.uniform(1.0, 5.0, 90)], -1.5, 0.02, 8.0)
+            for k in range(20)
+        ]
+        for n in range(8)
+    ]
+    blocked = blocked_beams(stretches, Config())
+    assert blocked is not None and np.flatnonzero(blocked).tolist() == list(range(30))
+    assert blocked_beams(stretches[:3], Config()) is None
 
 
 def test_a_clock_that_is_set_back_is_no_mistake_of_the_sensors() -> None:

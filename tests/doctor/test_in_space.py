@@ -155,18 +155,24 @@ def test_mirrored_images_are_told_from_a_camera_on_its_head() -> None:
     assert [one.kind for one in findings_against(base, [seen], frozenset())] == ["mounting"]
 
 
-def pairs(focal: float, center: tuple[float, float], count: int = 40) -> list[MatchedPair]:
+def pairs(
+    focal: float,
+    center: tuple[float, float],
+    count: int = 40,
+    turn_rad: float = 0.2,
+    depth_share: float = 0.002,
+) -> list[MatchedPair]:
     """Points that a camera of a lens sees from two sides."""
     rng, made = np.random.default_rng(2), []
     for _ in range(count):
         points = rng.uniform([-1.5, -1.0, 1.5], [1.5, 1.0, 4.0], (60, 3))
-        turn = gtsam.Rot3.Expmap(rng.normal(0.0, 0.2, 3)).matrix()
+        turn = gtsam.Rot3.Expmap(rng.normal(0.0, turn_rad, 3)).matrix()
         sides = []
         for side in (points, points @ turn.T + rng.normal(0.0, 0.1, 3)):
             u, v = (
                 focal * side[:, :2].T / side[:, 2] + np.array(center)[:, None] + rng.normal(0.0, 0.3, (2, 60))
             )
-            sides.append(np.column_stack([u, v, side[:, 2] * (1.0 + rng.normal(0.0, 0.002, 60))]))
+            sides.append(np.column_stack([u, v, side[:, 2] * (1.0 + rng.normal(0.0, depth_share, 60))]))
         made.append(MatchedPair(*sides))
     return made
 
@@ -183,6 +189,14 @@ def test_the_lens_follows_from_the_shape_of_what_is_seen() -> None:
     assert (
         lens_findings("camera", CameraSamples(pairs=pairs(500.0, (320.0, 240.0), 5), intrinsics=LENS)) == []
     )
+
+
+@pytest.mark.parametrize("focal", [500.0, 400.0])
+def test_a_lens_is_not_shrunk_by_depths_that_are_noisy(focal: float) -> None:
+    """Where a camera turns little, and its depths are off by more than its pixels, the interval holds."""
+    fit = lens_fit(pairs(focal, (320.0, 240.0), turn_rad=0.06, depth_share=0.01), LENS)
+    assert fit is not None
+    assert abs(fit.focal_gain - focal / LENS.fx) < 3.0 * fit.sigmas[0] < 0.2
 
 
 @pytest.mark.parametrize(("median_m", "scale"), [(1700.0, 0.001), (0.0017, 1000.0), (1.7, None)])

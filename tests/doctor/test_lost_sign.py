@@ -8,11 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import gtsam
+import numpy as np
 import pytest
 
 from slam.config import Config
 from slam.datasets import open_dataset
 from slam.doctor.diagnosis import diagnose
+from slam.doctor.lost_sign import starts_after_stops
 from slam.mapper.pipeline import findings_of
 from slam.measurements import LaserScan, Measurement, WheelOdometry
 from slam.simulation.synthetic_log import write_synthetic_log
@@ -77,3 +79,23 @@ def test_the_mapper_is_told_as_well(to_and_fro: Log, tmp_path: Path) -> None:
 
     found = findings_of(Drive(without_sign(to_and_fro)), Config())  # type: ignore[arg-type]
     assert [one.kind for one in found] == ["lost sign"]
+
+
+@pytest.mark.parametrize("rate_hz", [5.0, 20.0, 200.0])
+def test_a_stop_is_one_by_time_however_often_the_wheels_tell(rate_hz: float) -> None:
+    """A robot at 0.3 m/s that stops for a second each 4 s leaves five stops in 20 s, and never else."""
+    stamps_s = np.arange(0.0, 20.0, 1.0 / rate_hz)
+    speed = np.where(stamps_s % 4.0 < 1.0, 0.0, 0.3)
+    rows = np.column_stack([stamps_s, np.cumsum(speed) / rate_hz, 0.0 * stamps_s, 0.0 * stamps_s])
+    spans_s = starts_after_stops(rows, 0.2)
+    assert len(spans_s) == 5
+    assert spans_s[:, 0] % 4.0 == pytest.approx(np.ones(5), abs=0.25)
+    assert np.ptp(spans_s, axis=1) == pytest.approx(0.67 * np.ones(5), abs=0.25)
+
+
+def test_who_stops_again_may_have_gone_both_ways() -> None:
+    stamps_s = np.arange(0.0, 20.0, 0.05)
+    speed = np.where(stamps_s % 1.0 < 0.5, 0.0, 0.3)  # 0.15 m between two stops
+    rows = np.column_stack([stamps_s, np.cumsum(speed) / 20.0, 0.0 * stamps_s, 0.0 * stamps_s])
+    assert len(starts_after_stops(rows, 0.2)) == 0
+    assert len(starts_after_stops(rows, 0.1)) == 20
