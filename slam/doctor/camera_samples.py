@@ -85,7 +85,7 @@ class CameraSamples:
                 del self.steps[1::2], self.pairs[1::2], self.points[1::2]
             self.steps.append([])
             self._look(frame)
-        features = extract_features(gray_of(frame), frame.depth_m, _MODELS.features)
+        features = extract_features(gray_of(frame), frame.depth_m, _MODELS.features, again=True)
         features = features.where(features.depth_m > 0.0)
         for back in _BACK:
             if back <= len(self._recent):

@@ -7,10 +7,12 @@ camera shows as a shift of its principal point. `color_registration_fit.py` esti
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion.curves import NEAREST_M
 from fusion.kernel import kernel
@@ -162,14 +164,22 @@ def points_of_pixels(pixels_color: FloatArray, depth_m: Float32Array, cameras: F
     cameras
         (10,) by `camera_row`.
     """
+    return points_of_images(pixels_color, [depth_m], np.array([0, len(pixels_color)]), cameras)
+
+
+def points_of_images(
+    pixels_color: FloatArray, depths_m: Sequence[Float32Array], starts: NDArray[np.int64], cameras: FloatArray
+) -> FloatArray:
+    """As `points_of_pixels`, of several images: the pixels of image p are starts[p] to starts[p + 1]."""
     fx, fy, cx, cy, fx_depth, fy_depth, cx_depth, cy_depth, shift_x, shift_y = cameras.tolist()
     rays = (pixels_color - (cx, cy)) / (fx, fy)
     # A point at depth z lies (along, down) / z pixels away from where its ray would at infinity.
     along, down = fx_depth * shift_x, fy_depth * shift_y
     reach = float(np.hypot(along, down))
-    starts = rays * (fx_depth, fy_depth) + (cx_depth, cy_depth)
-    z = np.zeros(len(rays))
-    _first_meetings(depth_m, starts, along, down, reach, math.ceil(reach / NEAREST_M), z)
+    places = rays * (fx_depth, fy_depth) + (cx_depth, cy_depth)
+    steps, z = math.ceil(reach / NEAREST_M), np.zeros(len(rays))
+    for depth_m, first, end in zip(depths_m, starts, starts[1:], strict=False):
+        _first_meetings(depth_m, places[first:end], along, down, reach, steps, z[first:end])
     return np.column_stack([rays * z[:, None], z])
 
 

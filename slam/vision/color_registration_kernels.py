@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.kernel import kernel
-from slam.measurements import BoolArray, FloatArray
+from slam.measurements import FloatArray
 
 IntArray: TypeAlias = NDArray[np.int64]
 
@@ -119,39 +119,29 @@ def squared_errors(
     camera: FloatArray,
 ) -> FloatArray:
     """(N, 2) squared reprojection errors in pixels, a seen in b and b seen in a; NaN without a point."""
-    seen = poses[np.repeat(np.arange(len(poses)), np.diff(starts))]
+    turns = poses[:, :, :3].transpose(0, 2, 1)
+    back = np.concatenate([turns, -turns @ poses[:, :, 3:]], axis=2)
     errors = np.full((points_a.shape[0], 2), np.nan)
-    for side, (points, there, pixels) in enumerate(
-        ((points_a, _forth(seen, points_a), pixels_b), (points_b, _back(seen, points_b), pixels_a))
-    ):
-        met = _in_front(points, there)
-        errors[met, side] = (_misses(there, pixels, camera)[met] ** 2).sum(axis=1)
+    points, pixels = np.stack([points_a, points_b]), np.stack([pixels_b, pixels_a])
+    _judge(points, pixels, starts, np.stack([poses, back]), camera, errors)
     return errors
 
 
-def _forth(poses: FloatArray, points: FloatArray) -> FloatArray:
-    """(N, 3) points of a in b, each by its own pose."""
-    return (poses[:, :, :3] @ points[:, :, None])[:, :, 0] + poses[:, :, 3]
-
-
-def _back(poses: FloatArray, points: FloatArray) -> FloatArray:
-    """(N, 3) points of b in a, each by its own pose."""
-    return ((points - poses[:, :, 3])[:, None, :] @ poses[:, :, :3])[:, 0, :]
-
-
-def _in_front(points: FloatArray, there: FloatArray) -> BoolArray:
-    """(N,) whether there is a point, and the other camera could see it."""
-    return (points[:, 2] > 0.0) & (there[:, 2] > 0.0)
-
-
-def _misses(points: FloatArray, pixels: FloatArray, camera: FloatArray) -> FloatArray:
-    """(N, 2) where points are projected to, less where they are seen."""
-    return camera[:2] * points[:, :2] / _depths(points) + camera[2:4] - pixels
-
-
-def _depths(points: FloatArray) -> FloatArray:
-    """(N, 1) depths to divide by; what lies behind is not looked at."""
-    return np.where(points[:, 2:] > 0.0, points[:, 2:], 1.0)
+@kernel
+def _judge(points, pixels, starts, poses, camera, errors):  # type: ignore[no-untyped-def]
+    """Squared error of each point in the other camera; arrays as `_add_up` takes them."""
+    for pair in range(starts.size - 1):
+        for i in range(starts[pair], starts[pair + 1]):
+            for side in range(2):
+                px, py, pz = points[side, i, 0], points[side, i, 1], points[side, i, 2]
+                T = poses[side, pair]
+                z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
+                if pz > 0.0 and z > 0.0:
+                    x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
+                    y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
+                    du = camera[0] * x / z + camera[2] - pixels[side, i, 0]
+                    dv = camera[1] * y / z + camera[3] - pixels[side, i, 1]
+                    errors[i, side] = du * du + dv * dv
 
 
 def _moved(poses: FloatArray, steps: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ import numpy as np
 
 from fusion.estimation import FEWEST, ROUNDS
 from slam.measurements import AnyFloatArray, BoolArray, CameraIntrinsics, Float32Array, FloatArray
-from slam.vision.color_registration import camera_row, points_of_pixels
+from slam.vision.color_registration import camera_row, points_of_images, points_of_pixels
 from slam.vision.color_registration_kernels import IntArray, settle_motions, squared_errors
 
 # Error of a true match; at it a match has half its greatest loss.
@@ -168,12 +168,11 @@ def settle(
     color = color_camera(guess, problem.depth_camera)
     depth = color if guess.whole else problem.depth_camera
     cameras = camera_row(color, depth, guess.shift_x_m, guess.shift_y_m)
-    of_a, of_b = [], []
-    for pair, (depth_a_m, depth_b_m) in enumerate(problem.depths):
-        rows = slice(problem.starts[pair], problem.starts[pair + 1])
-        of_a.append(points_of_pixels(problem.pixels_a[rows], depth_a_m, cameras))
-        of_b.append(points_of_pixels(problem.pixels_b[rows], depth_b_m, cameras))
-    data = (np.concatenate(of_a), np.concatenate(of_b), problem.pixels_a, problem.pixels_b, problem.starts)
+    of_a, of_b = (
+        points_of_images(pixels, [depths[side] for depths in problem.depths], problem.starts, cameras)
+        for side, pixels in enumerate((problem.pixels_a, problem.pixels_b))
+    )
+    data = (of_a, of_b, problem.pixels_a, problem.pixels_b, problem.starts)
     settled = settle_motions(*data, poses, cameras[:4], MATCH_PX, iterations)
     return settled, squared_errors(*data, settled, cameras[:4])
 

@@ -21,6 +21,11 @@ Descriptors: TypeAlias = NDArray[np.uint8]
 
 # Lower than the usual 20, for dim rooms and blurred images.
 _FAST_THRESHOLD = 12
+# Keypoints of images that the doctor has looked at and the mapper will; so many of them at most.
+_KEPT: dict[tuple[int, tuple[int, ...], int], tuple[Float32Array, Descriptors, Float32Array]] = {}
+_MOST_KEPT = 1024
+_RIM = np.float32(1.0 + RIM_SHARE)
+_FARTHEST = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +86,9 @@ def gray_of(frame: RgbdFrame) -> NDArray[np.uint8]:
     return np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY), np.uint8)
 
 
-def extract_features(gray: NDArray[np.uint8], depth_m: Float32Array, count: int) -> Features:
+def extract_features(
+    gray: NDArray[np.uint8], depth_m: Float32Array, count: int, *, again: bool = False
+) -> Features:
     """ORB keypoints (Rublee 2011), each with the depth at its pixel.
 
     Parameters
@@ -92,37 +99,61 @@ def extract_features(gray: NDArray[np.uint8], depth_m: Float32Array, count: int)
         (H, W) registered to it, 0 where invalid.
     count
         Keypoints at most.
+    again
+        Whether the image will be asked for once more: its keypoints are kept until then.
     """
+    name = (hash(gray.tobytes()), gray.shape, count)
+    keypoints = _KEPT.pop(name, None) or _keypoints(gray, count)
+    if again and len(_KEPT) < _MOST_KEPT:
+        _KEPT[name] = keypoints
+    pixels, descriptors, sigma_px = keypoints
+    return Features(pixels, descriptors, sigma_px, depth_at(depth_m, pixels))
+
+
+def _keypoints(gray: NDArray[np.uint8], count: int) -> tuple[Float32Array, Descriptors, Float32Array]:
+    """Their pixels (N, 2), descriptors (N, 32) and sigma (N,)."""
+    import cv2
+
     detector = _orb(count)
-    keypoints, descriptors = detector.detectAndCompute(gray, None)
-    if descriptors is None or not keypoints:
-        return Features(
-            np.zeros((0, 2), np.float32),
-            np.zeros((0, 32), np.uint8),
-            np.zeros(0, np.float32),
-            np.zeros(0, np.float32),
-        )
-    pixels = np.array([point.pt for point in keypoints], np.float32)
-    levels = np.array([point.octave for point in keypoints])
+    found, descriptors = detector.detectAndCompute(gray, None)
+    if descriptors is None or not found:
+        return np.zeros((0, 2), np.float32), np.zeros((0, 32), np.uint8), np.zeros(0, np.float32)
+    levels = np.array([point.octave for point in found])
     # ORB's pyramid: a keypoint of level n is located as exactly as a pixel of that level.
     sigma_px = (detector.getScaleFactor() ** levels).astype(np.float32)
-    return Features(pixels, np.asarray(descriptors, np.uint8), sigma_px, depth_at(depth_m, pixels))
+    return np.asarray(cv2.KeyPoint.convert(found), np.float32), np.asarray(descriptors, np.uint8), sigma_px
 
 
 def depth_at(depth_m: Float32Array, pixels: Float32Array) -> Float32Array:
     """Depth (N,) at pixels (N, 2): mean of the 3 x 3 around, of its nearer part at a rim; 0 where none."""
+    found = np.zeros(len(pixels), np.float32)
+    if len(pixels):
+        _depth_at(depth_m, pixels, np.empty(9, np.float32), found)
+    return found
+
+
+@kernel(nogil=True)
+def _depth_at(depth_m, pixels, around, found):  # type: ignore[no-untyped-def]
+    """Read the depth of each pixel, with room for the nine around it."""
     height, width = depth_m.shape
-    column = np.rint(pixels[:, 0]).astype(np.int64).clip(1, width - 2)
-    row = np.rint(pixels[:, 1]).astype(np.int64).clip(1, height - 2)
-    around = np.stack([depth_m[row + dv, column + du] for dv in (-1, 0, 1) for du in (-1, 0, 1)], axis=1)
-    around = np.where(around > 0.0, around, np.inf)
-    nearest = around.min(axis=1)
-    known = np.isfinite(nearest)
-    same = around <= (nearest * (1.0 + RIM_SHARE))[:, None]
-    total = np.where(same & known[:, None], around, 0.0).sum(axis=1)
-    # A lone speck is noise, not a surface.
-    solid = known & (same.sum(axis=1) >= 3)
-    return np.where(solid, total / np.maximum(same.sum(axis=1), 1), 0.0).astype(np.float32)
+    for i in range(pixels.shape[0]):
+        column = min(max(int(np.rint(pixels[i, 0])), 1), width - 2)
+        row = min(max(int(np.rint(pixels[i, 1])), 1), height - 2)
+        nearest = np.float32(np.inf)
+        for n in range(9):
+            around[n] = depth_m[row + n // 3 - 1, column + n % 3 - 1]
+            if around[n] > 0.0:
+                nearest = min(nearest, around[n])
+        farthest, count = nearest * _RIM, ZERO
+        for n in range(9):
+            on = around[n] > 0.0 and around[n] <= farthest
+            count += 1 if on else 0
+            around[n] = around[n] if on else np.float32(0.0)
+        # A lone speck is noise, not a surface.
+        if count >= 3:
+            upper = (around[0] + around[1]) + (around[2] + around[3])
+            lower = (around[4] + around[5]) + (around[6] + around[7])
+            found[i] = (upper + lower + around[8]) / count
 
 
 def match_features(first: Descriptors, second: Descriptors, ratio: float, greatest_distance: int) -> Matches:
@@ -140,32 +171,38 @@ def match_features(first: Descriptors, second: Descriptors, ratio: float, greate
     if len(first) < 2 or len(second) < 2:
         return Matches(np.zeros(0, np.int64), np.zeros(0, np.int64))
     words = [np.ascontiguousarray(side).view(np.uint64) for side in (first, second)]
-    farther = 8 * first.shape[1] + 1
-    target, back = np.zeros(len(first), np.int64), np.zeros(len(second), np.int64)
-    two_least, least = np.full((len(first), 2), farther), np.full(len(second), farther)
-    _nearest(words[0], words[1], target, two_least, back, least)
-    good = (two_least[:, 0] <= greatest_distance) & (two_least[:, 0] < ratio * two_least[:, 1])
-    source = np.flatnonzero(good & (back[target] == np.arange(len(first))))
+    counts = np.array([len(first), len(second)])
+    nearest = np.zeros((len(first), 2), np.int64)
+    back = np.full(len(second), _FARTHEST)
+    _nearest(
+        words[0], np.ascontiguousarray(words[1].T), counts, nearest, np.zeros(len(second), np.int64), back
+    )
+    (least, next_least), target = nearest.T // counts[1], nearest[:, 0] % counts[1]
+    good = (least <= greatest_distance) & (least < ratio * next_least)
+    source = np.flatnonzero(good & (back[target] % counts[0] == np.arange(counts[0])))
     return Matches(source, target[source])
 
 
 @kernel(nogil=True)
-def _nearest(  # type: ignore[no-untyped-def]
-    first, second, target, two_least, back, least
-):
-    """The nearest of the other side of each descriptor, the first of several; of ``first`` two distances."""
+def _nearest(first, second, counts, nearest, row, back):  # type: ignore[no-untyped-def]
+    """The two nearest of ``second`` (4, M) of each of ``first`` (N, 4), and the reverse: the nearest one.
+
+    Each is told as distance times the other side's count plus its number: the least is the nearest, and of
+    several the first, and vector instructions find it.
+    """
     for i in range(first.shape[0]):
-        best, second_best, chosen = two_least[i, 0], two_least[i, 1], ZERO
-        for j in range(second.shape[0]):
-            distance = ones(first[i, 0] ^ second[j, 0]) + ones(first[i, 1] ^ second[j, 1])
-            distance += ones(first[i, 2] ^ second[j, 2]) + ones(first[i, 3] ^ second[j, 3])
-            if distance < best:
-                second_best, best, chosen = best, distance, j
-            elif distance < second_best:
-                second_best = distance
-            if distance < least[j]:
-                least[j], back[j] = distance, i
-        two_least[i, 0], two_least[i, 1], target[i] = best, second_best, chosen
+        a, b, c, d = first[i, 0], first[i, 1], first[i, 2], first[i, 3]
+        for j in range(row.size):
+            distance = ones(a ^ second[0, j]) + ones(b ^ second[1, j])
+            distance += ones(c ^ second[2, j]) + ones(d ^ second[3, j])
+            row[j] = distance * counts[1] + j
+            back[j] = min(back[j], distance * counts[0] + i)
+        for rank in range(2):
+            least = row[0]
+            for j in range(row.size):
+                least = min(least, row[j])
+            nearest[i, rank] = least
+            row[least % counts[1]] = _FARTHEST
 
 
 @lru_cache(maxsize=8)

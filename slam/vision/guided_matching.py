@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.kernel import NONE, ZERO, kernel
-from slam.measurements import FloatArray
+from slam.measurements import Float32Array, FloatArray
 from slam.vision.features import Features, Matches
 from slam.vision.place_recognition_vocabulary import ones
 
@@ -40,13 +40,18 @@ def match_near(
     empty = np.zeros(0, np.int64)
     if len(known) == 0 or len(seen) == 0:
         return Matches(empty, empty)
-    words = [np.ascontiguousarray(side.descriptors).view(np.uint64) for side in (known, seen)]
+    spans, order = _within_reach(expected_px, seen.pixels, radius_px)
+    words = [
+        np.ascontiguousarray(side).view(np.uint64) for side in (known.descriptors, seen.descriptors[order])
+    ]
     target = np.full(len(known), -1, np.int64)
     _nearest(
         expected_px.astype(np.float32),
         words[0],
-        seen.pixels,
+        seen.pixels[order],
         words[1],
+        order,
+        spans,
         radius_px * radius_px,
         ratio,
         greatest_distance,
@@ -58,12 +63,31 @@ def match_near(
     return Matches(first, target[first])
 
 
+def _within_reach(
+    expected_px: FloatArray, pixels: Float32Array, radius_px: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Spans (N, 3, 2) of features that may lie within a radius of each place, and the order that they mean.
+
+    They are ordered by bands of rows, as high as the radius, and by column within; three bands are in reach.
+    """
+    reach = radius_px + 1.0  # a pixel more, for what rounds; the radius itself decides
+    widest = float(pixels[:, 0].max())
+    stride = widest + 2.0 * reach + 1.0
+    along = np.floor(pixels[:, 1].astype(np.float64) / reach) * stride + pixels[:, 0]
+    order = np.argsort(along, kind="stable")
+    middle = np.floor(expected_px[:, 1] / reach) * stride + expected_px[:, 0].clip(0.0, widest)
+    ends = middle[:, None, None] + stride * np.arange(-1, 2)[:, None] + np.array([-reach, reach])
+    return np.searchsorted(along[order], ends), order
+
+
 @kernel(nogil=True)
 def _nearest(
     expected: NDArray[Any],
     known: NDArray[Any],
     pixels: NDArray[Any],
     seen: NDArray[Any],
+    numbers: NDArray[Any],
+    spans: NDArray[Any],
     radius_squared: float,
     ratio: float,
     greatest: int,
@@ -71,7 +95,10 @@ def _nearest(
     owner: NDArray[Any],
     owner_distance: NDArray[Any],
 ) -> None:
-    """Number of the nearest feature seen, or -1; of several that claim one, only the nearest keeps it."""
+    """Number of the nearest feature seen, or -1; of several that claim one, only the nearest keeps it.
+
+    What is seen is in the order of `_within_reach`, ``numbers``, and ``spans`` are those in reach of each.
+    """
     for i in range(expected.shape[0]):
         u = expected[i, 0]
         v = expected[i, 1]
@@ -79,18 +106,19 @@ def _nearest(
             continue
         best = second = np.int64(64 * known.shape[1] + 1)
         chosen = NONE
-        for j in range(pixels.shape[0]):
-            du = pixels[j, 0] - u
-            dv = pixels[j, 1] - v
-            if du * du + dv * dv > radius_squared:
-                continue
-            distance = ZERO
-            for w in range(4):
-                distance += ones(known[i, w] ^ seen[j, w])
-            if distance < best:
-                second, best, chosen = best, distance, j
-            elif distance < second:
-                second = distance
+        for band in range(3):
+            for j in range(spans[i, band, 0], spans[i, band, 1]):
+                du = pixels[j, 0] - u
+                dv = pixels[j, 1] - v
+                if du * du + dv * dv > radius_squared:
+                    continue
+                distance = ZERO
+                for w in range(4):
+                    distance += ones(known[i, w] ^ seen[j, w])
+                if distance < best:
+                    second, best, chosen = best, distance, numbers[j]
+                elif distance < second:
+                    second = distance
         if chosen < 0 or best > greatest or best >= ratio * second or best >= owner_distance[chosen]:
             continue
         if owner[chosen] >= 0:

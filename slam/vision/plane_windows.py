@@ -17,61 +17,66 @@ SAME_SURFACE = np.float32(0.04)  # greatest relative difference of inverse depth
 
 
 def fit_planes(
-    inverse: NDArray[Any],
-    radius: int,
-    step: int,
-    fx: float,
-    fy: float,
-    cx: float,
-    cy: float,
-    smooth: NDArray[Any],
-    normals: NDArray[Any],
-) -> None:
-    """Plane of every ``step``-th window of ``inverse`` (H, W), 1/m, into ``smooth`` and ``normals``.
+    inverse: NDArray[Any], radius: int, step: int, fx: float, fy: float, cx: float, cy: float
+) -> NDArray[np.float32]:
+    """Plane of every ``step``-th window of ``inverse`` (H, W), 1/m.
 
     Parameters
     ----------
     radius
-        Half size of a window, pixels.
-    smooth, normals
-        (H, W) and (H, W, 3), left as they are where no plane is found.
+        Half size of a window, pixels; the first window's centre is as far from the image's upper left corner.
+
+    Returns
+    -------
+    planes
+        (rows, columns, 4) inverse depth and unit normal; zero where no plane is found.
     """
-    span = max(inverse.shape[1] - 2 * radius, 0)
+    height, width = inverse.shape
+    rows, columns = (max(-(-(side - 2 * radius) // step), 0) for side in (height, width))
+    # Columns that are a step apart lie side by side, (H, step, W / step).
+    combed = np.pad(inverse, ((0, 0), (0, -width % step))).reshape(height, -1, step).transpose(0, 2, 1)
     least = 0.5 * (2 * radius + 1) ** 2  # of a window's pixels on one surface
-    room = (np.empty((9, span), np.float32), np.empty((5, span), np.float32), np.empty(span, np.float32))
-    _fit_planes(inverse, radius, step, fx, fy, cx, cy, least, smooth, normals, *room)
+    planes = np.zeros((rows, columns, 4), np.float32)
+    room = (
+        np.empty((9, columns), np.float32),
+        np.empty((5, columns), np.float32),
+        np.empty(columns, np.float32),
+    )
+    _fit_planes(np.ascontiguousarray(combed), radius, fx, fy, cx, cy, least, planes, *room)
+    return planes
 
 
 @kernel(nogil=True)
 def _fit_planes(  # type: ignore[no-untyped-def]
-    inverse, radius, step, fx, fy, cx, cy, least, smooth, normals, sums, line, gate
+    combed, radius, fx, fy, cx, cy, least, planes, sums, line, gate
 ):
     """Fit the planes, with room for the sums of a row of windows, of a line of them, and for its limits."""
-    height = inverse.shape[0]
-    span = sums.shape[1]
+    step = combed.shape[1]
     # Pixels on the surface, their offsets and products of them, and their differences w to the centre's
     # inverse depth with their products.
     sum_n, sum_u, sum_uu, sum_v, sum_vv = sums[0], sums[1], sums[2], sums[3], sums[4]
     sum_uv, sum_w, sum_wu, sum_wv = sums[5], sums[6], sums[7], sums[8]
-    for v in range(radius, height - radius, step):
-        _sum_windows(inverse, v, radius, sums, line, gate)
-        for first in range(0, span, step):
-            u = first + radius
-            n = float(sum_n[first])
-            if inverse[v, u] <= 0.0 or n < least:
+    for row in range(planes.shape[0]):
+        v = radius + row * step
+        _sum_windows(combed, v, radius, sums, line, gate)
+        for column in range(planes.shape[1]):
+            u = radius + column * step
+            n = float(sum_n[column])
+            centre = combed[v, u % step, u // step]
+            if centre <= 0.0 or n < least:
                 continue
-            mu = sum_u[first] / n
-            mv = sum_v[first] / n
-            mean = sum_w[first] / n
-            a = sum_uu[first] / n - mu * mu
-            b = sum_uv[first] / n - mu * mv
-            d = sum_vv[first] / n - mv * mv
-            e = sum_wu[first] / n - mean * mu
-            f = sum_wv[first] / n - mean * mv
+            mu = sum_u[column] / n
+            mv = sum_v[column] / n
+            mean = sum_w[column] / n
+            a = sum_uu[column] / n - mu * mu
+            b = sum_uv[column] / n - mu * mv
+            d = sum_vv[column] / n - mv * mv
+            e = sum_wu[column] / n - mean * mu
+            f = sum_wv[column] / n - mean * mv
             determinant = a * d - b * b
             slope_u = (e * d - f * b) / determinant
             slope_v = (f * a - e * b) / determinant
-            w0 = inverse[v, u] + mean - slope_u * mu - slope_v * mv
+            w0 = centre + mean - slope_u * mu - slope_v * mv
             if w0 <= 0.0:
                 continue
             # The plane n . p = 1 in camera coordinates.
@@ -79,29 +84,29 @@ def _fit_planes(  # type: ignore[no-untyped-def]
             ny = slope_v * fy
             nz = w0 - slope_u * (u - cx) - slope_v * (v - cy)
             length = math.sqrt(nx * nx + ny * ny + nz * nz)
-            smooth[v, u] = w0
-            normals[v, u, 0] = -nx / length
-            normals[v, u, 1] = -ny / length
-            normals[v, u, 2] = -nz / length
+            planes[row, column, 0] = w0
+            planes[row, column, 1] = -nx / length
+            planes[row, column, 2] = -ny / length
+            planes[row, column, 3] = -nz / length
 
 
 @kernel(nogil=True, inline="always")
-def _sum_windows(inverse, v, radius, sums, line, gate):  # type: ignore[no-untyped-def]
-    """Sums (9, W - 2 radius) over the windows around row ``v`` of what is on their centres' surfaces.
+def _sum_windows(combed, v, radius, sums, line, gate):  # type: ignore[no-untyped-def]
+    """Sums (9, columns) over the windows around row ``v`` of what is on their centres' surfaces.
 
     The rows are those that `_fit_planes` names; those of ``line`` are n, u, uu, w, wu.
     """
-    span = sums.shape[1]
-    centre = inverse[v, radius : radius + span]
+    step, span = combed.shape[1], sums.shape[1]
+    centre = combed[v, radius % step, radius // step : radius // step + span]
     for i in range(span):
         gate[i] = SAME_SURFACE * centre[i]
     _clear(sums)
     for dv in range(-radius, radius + 1):
         _clear(line)
         for du in range(-radius, radius + 1):
-            beside = inverse[v + dv, radius + du : radius + du + span]
-            _count(beside, centre, gate, np.float32(du), line[0], line[1], line[2])
-            _differ(beside, centre, gate, np.float32(du), line[3], line[4])
+            phase, first = (radius + du) % step, (radius + du) // step
+            beside = combed[v + dv, phase, first : first + span]
+            _count(beside, centre, gate, np.float32(du), line[0], line[1], line[2], line[3], line[4])
         along = np.float32(dv)
         _add(line[0], np.float32(1.0), sums[0])
         _add(line[1], np.float32(1.0), sums[1])
@@ -123,30 +128,18 @@ def _count(
     n: NDArray[Any],
     u: NDArray[Any],
     uu: NDArray[Any],
-) -> None:
-    """Add the pixels that are on the centre's surface, and their offset ``du``; without a branch."""
-    for i in range(n.size):
-        on = (abs(beside[i] - centre[i]) <= gate[i]) & (beside[i] > np.float32(0.0))
-        one = np.float32(1.0) if on else np.float32(0.0)
-        n[i] += one
-        u[i] += one * du
-        uu[i] += one * du * du
-
-
-@kernel(nogil=True)
-def _differ(
-    beside: NDArray[Any],
-    centre: NDArray[Any],
-    gate: NDArray[Any],
-    du: Any,
     w: NDArray[Any],
     wu: NDArray[Any],
 ) -> None:
-    """Add the differences of the pixels that are on the centre's surface; without a branch."""
-    for i in range(w.size):
+    """Add the pixels on the centre's surface, their offset ``du``, their differences; without a branch."""
+    for i in range(n.size):
         difference = beside[i] - centre[i]
         on = (abs(difference) <= gate[i]) & (beside[i] > np.float32(0.0))
+        one = np.float32(1.0) if on else np.float32(0.0)
         counted = difference if on else np.float32(0.0)
+        n[i] += one
+        u[i] += one * du
+        uu[i] += one * du * du
         w[i] += counted
         wu[i] += counted * du
 

@@ -82,7 +82,8 @@ class _Collector:
         if self.done or frame.stamp_s - self._looked_s < _EVERY_S:
             return
         self._looked_s = frame.stamp_s
-        features = extract_features(gray_of(frame), frame.depth_m, self._config.rgbd.features)
+        count = self._config.rgbd.features
+        features = extract_features(gray_of(frame), frame.depth_m, count, again=True)
         seen, pair, motion = (frame, features), None, np.inf
         if self._anchors:
             pair, motion = _pair(self._anchors[-1], seen, self._config.rgbd_odometry)

@@ -79,11 +79,12 @@ def surface_of(
     farthest_m
         What lies behind is left out.
     """
-    inverse = _inverse(depth_m, farthest_m)
+    inverse, k = _inverse(depth_m, farthest_m), intrinsics
     smooth = np.zeros_like(inverse)
     normals = np.zeros((*inverse.shape, 3), np.float32)
-    k = intrinsics
-    fit_planes(inverse, radius, 1, k.fx, k.fy, k.cx, k.cy, smooth, normals)
+    planes = fit_planes(inverse, radius, 1, k.fx, k.fy, k.cx, k.cy)
+    inner = tuple(slice(radius, radius + side) for side in planes.shape[:2])
+    smooth[inner], normals[inner] = planes[..., 0], planes[..., 1:]
     return Surface(smooth, normals, intrinsics)
 
 
@@ -93,19 +94,19 @@ def points_of(
     """About ``count`` points with normals on an even lattice over the image."""
     inverse = _inverse(depth_m, farthest_m)
     step = max(1, round(np.sqrt(np.count_nonzero(inverse) / count)))
-    smooth = np.zeros_like(inverse)
-    normals = np.zeros((*inverse.shape, 3), np.float32)
     k = intrinsics
-    fit_planes(inverse, radius, step, k.fx, k.fy, k.cx, k.cy, smooth, normals)
-    smooth, normals = smooth[radius::step, radius::step], normals[radius::step, radius::step]
-    found = np.nonzero(smooth)
-    z = 1.0 / smooth[found].astype(np.float64)
+    planes = fit_planes(inverse, radius, step, k.fx, k.fy, k.cx, k.cy)
+    found = np.nonzero(planes[..., 0])
+    planes = planes[found].astype(np.float64)
+    z = 1.0 / planes[:, 0]
     rows, columns = (radius + step * places for places in found)
     points = np.stack([(columns - k.cx) / k.fx * z, (rows - k.cy) / k.fy * z, z], axis=1)
-    return SurfacePoints(points, normals[found].astype(np.float64))
+    return SurfacePoints(points, np.ascontiguousarray(planes[:, 1:]))
 
 
 def _inverse(depth_m: Float32Array, farthest_m: float) -> Float32Array:
     """(H, W) inverse depth, 0 where there is no reading or one from behind ``farthest_m``."""
-    usable = (depth_m > 0.0) & (depth_m <= farthest_m)
-    return np.divide(np.float32(1.0), depth_m, out=np.zeros_like(depth_m), where=usable)
+    with np.errstate(divide="ignore"):
+        inverse = np.float32(1.0) / depth_m
+    inverse[~((depth_m > 0.0) & (depth_m <= farthest_m))] = 0.0
+    return inverse

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from room_world import MIDDLE, SMALL, blind, furnished, in_world, looking, off_surfaces, prepared, render
 
-from slam.vision.features import Matches, depth_at, extract_features, gray_of, match_features
+from slam.vision.features import _KEPT, Matches, depth_at, extract_features, gray_of, match_features
 
 
 def around(values: list[list[float]]) -> np.ndarray:
@@ -128,3 +128,22 @@ def test_matched_features_see_the_same_point() -> None:
     ]
     apart = np.linalg.norm(in_room[0][matches.first] - in_room[1][matches.second], axis=1)
     assert np.mean(apart < 0.05) > 0.9
+
+
+def test_an_image_that_is_asked_for_again_gives_the_same_keypoints_with_the_depth_of_then() -> None:
+    frame = render(furnished(), looking(2.0, 1.8, 1.2, 0.5), SMALL)
+    plain = extract_features(gray_of(frame), frame.depth_m, 500)
+    kept = extract_features(gray_of(frame), 2.0 * frame.depth_m, 500, again=True)
+    assert len(_KEPT) == 1
+    again = extract_features(gray_of(frame), frame.depth_m, 500)
+    assert not _KEPT
+    for one, other in ((plain, kept), (plain, again)):
+        np.testing.assert_array_equal(one.pixels, other.pixels)
+        np.testing.assert_array_equal(one.descriptors, other.descriptors)
+        np.testing.assert_array_equal(one.sigma_px, other.sigma_px)
+    np.testing.assert_array_equal(again.depth_m, plain.depth_m)
+    np.testing.assert_allclose(kept.depth_m, 2.0 * plain.depth_m)
+    extract_features(gray_of(frame), frame.depth_m, 400, again=True)
+    assert len(extract_features(gray_of(frame), frame.depth_m, 500)) == len(plain)
+    assert len(_KEPT) == 1
+    extract_features(gray_of(frame), frame.depth_m, 400)

@@ -68,3 +68,28 @@ def test_an_empty_image_gives_no_pairs(scene) -> None:  # type: ignore[no-untype
     known, expected, _, _ = scene
     none = features(np.zeros((0, 2)), np.zeros((0, 32), np.uint8))
     assert len(match_near(known, expected, none, 10.0, 0.8, 64)) == 0
+
+
+def test_the_pairs_are_those_of_looking_at_every_feature() -> None:
+    rng = np.random.default_rng(4)
+    known, seen = (
+        features(rng.uniform(0.0, (320.0, 240.0), (400, 2)), rng.integers(0, 256, (400, 32), np.uint8))
+        for _ in range(2)
+    )
+    expected = rng.uniform((-60.0, -60.0), (380.0, 300.0), (400, 2))
+    found = match_near(known, expected, seen, 25.0, 0.95, 256)
+    apart = np.hypot(*(expected.astype(np.float32)[:, None] - seen.pixels).transpose(2, 0, 1))
+    bits = np.unpackbits(known.descriptors[:, None] ^ seen.descriptors, axis=2).sum(axis=2, dtype=np.int64)
+    bits[apart > 25.0] = 257
+    best, second = np.sort(bits, axis=1)[:, :2].T
+    good = (best < 257) & (best < 0.95 * second)
+    nearest = np.argmin(bits, axis=1)
+    wanted = {}
+    for i in np.flatnonzero(good):
+        other = wanted.get(nearest[i])
+        if other is None or best[i] < best[other]:
+            wanted[nearest[i]] = i
+    assert len(wanted) > 50
+    assert {(int(a), int(b)) for b, a in wanted.items()} == {
+        (int(a), int(b)) for a, b in zip(found.first, found.second, strict=True)
+    }

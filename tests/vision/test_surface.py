@@ -99,3 +99,16 @@ def test_a_reduced_image_shows_the_same_points(width: int) -> None:
     points = (points * depth[..., None]).reshape(-1, 3)
     # Not a mean over a rim: every point is one that was read.
     assert off_surfaces(room, in_world(points, pose)).max() < 1e-5
+
+
+@pytest.mark.parametrize("count", [200, 900, 4000])
+def test_points_are_the_surface_at_every_so_manyth_pixel(count: int) -> None:
+    frame = render(furnished(), looking(2.0, 1.8, 1.2, 0.5), SMALL)
+    surface = surface_of(frame.depth_m, SMALL, 3, 6.0)
+    points = points_of(frame.depth_m, SMALL, 3, 6.0, count)
+    step = max(1, round(np.sqrt(np.count_nonzero(frame.depth_m) / count)))
+    lattice = np.zeros(surface.inverse_depth.shape, bool)
+    lattice[3::step, 3::step] = True
+    on = lattice & (surface.inverse_depth > 0.0)
+    np.testing.assert_array_equal(points.points[:, 2], 1.0 / surface.inverse_depth[on].astype(np.float64))
+    np.testing.assert_array_equal(points.normals, surface.normals[on])
