@@ -1,7 +1,7 @@
-"""What stood only for a while: things that beams have passed since, taken out of the lidar's grid.
+"""What stood only for a while: things that beams have passed before or since, taken out of the lidar's grid.
 
 Bayes' rule counts all hits of a cell, whenever they were, so that a person who stands still for some scans
-outweighs the few beams that pass later. But what is fixed is hit up to the last time that somebody looks.
+outweighs the few beams that pass. But what is fixed is hit from the first to the last time somebody looks.
 """
 
 from __future__ import annotations
@@ -36,14 +36,15 @@ class StaticGrid(NamedTuple):
 def without_passers_by(
     grid: OccupancyGrid, scans: Iterable[tuple[LaserScan, gtsam.Pose2]], model: LidarModel
 ) -> StaticGrid:
-    """Take out of a grid each thing all of whose cells were passed after they were last hit.
+    """Take out of a grid each thing all of whose cells were passed before the first hit or after the last.
 
     A thing is what hangs together of the occupied cells, corners included. In the mean its cells must have
-    been passed more often than their own share of hits up to the last one allows (Laplace's rule of
-    succession): a thin leg is often passed while it stands, an edge of a wall hangs together with what is not
-    passed. And so often that these beams alone make them twice as likely free as not. Beams count where they
-    are no farther apart than a cell is wide. What stands in a straight row may be a pane of glass, which only
-    some beams meet, and stays; so does what came last.
+    been passed more often than their own share of hits from the first to the last one allows (Laplace's rule
+    of succession): a thin leg is often passed while it stands, an edge of a wall hangs together with what is
+    not passed. And so often that these beams alone make them twice as likely free as not. Beams count where
+    they are no farther apart than a cell is wide. What stands in a straight row may be a pane of glass, which
+    only some beams meet, and stays. Cells are free where this is so of the beams since the last hit alone;
+    else the thing may still be there, and they are unknown.
 
     Parameters
     ----------
@@ -58,53 +59,63 @@ def without_passers_by(
     enough = math.ceil(math.log(2.0) * STEPS_A_UNIT / -miss)
     occupied = grid.states() == OCCUPIED
     cells = np.flatnonzero(occupied)
-    since, chance = _passed_since(grid, occupied, scans, model)
-    things, count = ndimage.label(occupied, np.ones((3, 3)))
-    of_cell = things.ravel()[cells] - 1
-    fewest = np.full(count, np.iinfo(np.int32).max)
-    np.minimum.at(fewest, of_cell, since)
-    passes, chances = (
-        np.bincount(of_cell, values, count) / np.bincount(of_cell) for values in (since, chance)
-    )
-    (passed,) = np.nonzero((fewest > 0) & (passes >= enough) & (chances < math.log(1.0 - CONFIDENCE)))
+    before, since, missed = _passes(grid, occupied, scans, model)
+    of_cell = ndimage.label(occupied, np.ones((3, 3)))[0].ravel()[cells].astype(np.intp) - 1
     rows_cols = np.column_stack(np.unravel_index(cells, grid.shape))
-    gone = [thing for thing in passed if not _may_be_a_pane(rows_cols[of_cell == thing] * cell_m, cell_m)]
-    taken = cells[np.isin(of_cell, gone)]
+    moved = _not_there(of_cell, before + since, missed, enough)
+    gone = [thing for thing in moved if not _may_be_a_pane(rows_cols[of_cell == thing] * cell_m, cell_m)]
+    own = np.isin(of_cell, gone)
+    taken = cells[own]
     if not taken.size:
         return StaticGrid(grid, None)
+    left = np.isin(of_cell[own], _not_there(of_cell, since, missed, enough))
     static, stood = grid.steps.copy(), np.zeros_like(grid.steps)
     stood.flat[taken] = static.flat[taken]
-    static.flat[taken] = enough * miss
+    static.flat[taken] = np.where(left, enough * miss, 0)
     return StaticGrid(replace(grid, steps=static), replace(grid, steps=stood))
 
 
-def _passed_since(
+def _not_there(
+    of_cell: NDArray[np.intp], passes: NDArray[np.int32], missed: FloatArray, enough: int
+) -> NDArray[np.intp]:
+    """Numbers of the things that were passed too often to have been there.
+
+    ``of_cell`` (C,) is the number of each cell's thing, the others are as of `_passes`.
+    """
+    size, fewest = np.bincount(of_cell), np.full(of_cell.max(initial=-1) + 1, np.iinfo(np.int32).max)
+    np.minimum.at(fewest, of_cell, passes)
+    mean, chance = (np.bincount(of_cell, values) / size for values in (passes, missed * passes))
+    return np.flatnonzero((fewest > 0) & (mean >= enough) & (chance < math.log(1.0 - CONFIDENCE)))
+
+
+def _passes(
     grid: OccupancyGrid,
     occupied: BoolArray,
     scans: Iterable[tuple[LaserScan, gtsam.Pose2]],
     model: LidarModel,
-) -> tuple[NDArray[np.int32], FloatArray]:
-    """Of each occupied cell, in their order: scans that passed it since the last hit in it or beside it.
+) -> tuple[NDArray[np.int32], NDArray[np.int32], FloatArray]:
+    """Of each occupied cell, in their order, how often it was passed while nothing was in it or beside it.
 
     Returns
     -------
-    (C,) how many, and the logarithm of the chance that as many of a cell that is still there hold no hit.
+    (C,) scans that passed it before the first hit, and since the last one, and the logarithm of the chance
+    that one scan passes what is there.
     """
     cell_m, cells = grid.resolution_m, np.flatnonzero(occupied)
     corner = round(grid.T_map_grid.y() / cell_m), round(grid.T_map_grid.x() / cell_m)
     # What gives no return may be dark, and passes nothing.
     model = replace(model, max_clear_range_m=0.0)
-    hits, between, since = np.zeros((3, cells.size), np.int32)
+    hits, between, since, before = np.zeros((4, cells.size), np.int32)
     for scan, T_map_base in scans:
         board = lidar_board(scan, T_map_base, model, cell_m)
         dense = _where_dense(board, scan, T_map_base, cell_m)
         row, col = board.row - corner[0], board.col - corner[1]
-        _pass(board.steps, row, col, dense, occupied, cells, hits, between, since)
-    return since, np.log1p(-(hits + 1.0) / (hits + between + 2.0)) * since
+        _pass(board.steps, row, col, dense, occupied, cells, hits, between, since, before)
+    return before, since, np.log1p(-(hits + 1.0) / (hits + between + 2.0))
 
 
 @kernel
-def _pass(steps, row, col, dense, occupied, cells, hits, between, since):  # type: ignore[no-untyped-def]
+def _pass(steps, row, col, dense, occupied, cells, hits, between, since, before):  # type: ignore[no-untyped-def]
     """Count what a board (rows, cols), whose corner is at a row and column, says of the occupied cells.
 
     ``dense`` are the first and last row and column of the part of the board that counts.
@@ -132,6 +143,8 @@ def _pass(steps, row, col, dense, occupied, cells, hits, between, since):  # typ
                 since[k] = 0
             elif steps[i, j] < 0 and hits[k] > 0:
                 since[k] += 1
+            elif steps[i, j] < 0:
+                before[k] += 1
 
 
 def _where_dense(board: Board, scan: LaserScan, T_map_base: gtsam.Pose2, cell_m: float) -> tuple[int, ...]:
