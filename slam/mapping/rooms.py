@@ -146,10 +146,11 @@ def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: Occupanc
         merged = owner[labels].astype(np.int32)
         edges = []
         for gap in gaps:
-            one, other = _sides(merged, gap, grid)
+            open_ = _open(free, gap, grid)
+            one, other = _sides(merged, gap, open_, grid)
             if one and other and real[one] and real[other] and one != other:
                 wall = _in_line(merged, free, gap, grid) if parting else None
-                edges.append(_Opening(one, other, _cells(gap.points(grid.resolution_m)), wall))
+                edges.append(_Opening(one, other, _cells(gap.points(grid.resolution_m)[open_]), wall))
         _join(owner, areas, edges, smallest)
     sizes = np.bincount(owner, areas, len(owner))
     rooms = real & (sizes[owner] >= smallest)
@@ -263,19 +264,24 @@ def _in_line(labels: Labels, free: BoolArray, gap: Gap, grid: OccupancyGrid) -> 
             seen = looked_up(labels, grid.cells_of(points.reshape(-1, 2))).reshape(len(asides), -1)
             # What is nearest to the wall stands beside it.
             sides.append(seen[np.argmax(seen > 0, axis=0), np.arange(len(seen.T))])
-        # Where one can see across there is no wall.
-        across = np.array([beyond.points(step_m, side * step_m) for side in (-1.0, 0.0, 1.0)])
-        stands = ~looked_up(free, grid.cells_of(across.reshape(-1, 2))).reshape(3, -1).all(axis=0)
+        stands = ~_open(free, beyond, grid)
         found.append(np.array(sides)[:, stands])
-        cells.append(_cells(across[1][stands]))
+        cells.append(_cells(beyond.points(step_m)[stands]))
     return _InLine(np.concatenate(cells), np.concatenate(found, axis=1), gap.wall)
 
 
-def _sides(labels: Labels, gap: Gap, grid: OccupancyGrid) -> list[int]:
-    """The label that most cells have on its left and on its right; 0 where none has any."""
+def _open(free: BoolArray, line: Line, grid: OccupancyGrid) -> BoolArray:
+    """(n,) where on a line one can see across: there is no wall, seen or hidden."""
+    step_m = grid.resolution_m
+    across = np.array([line.points(step_m, side * step_m) for side in (-1.0, 0.0, 1.0)])
+    return np.asarray(looked_up(free, grid.cells_of(across.reshape(-1, 2))).reshape(3, -1).all(axis=0))
+
+
+def _sides(labels: Labels, gap: Gap, open_: BoolArray, grid: OccupancyGrid) -> list[int]:
+    """The label that most cells have on its left and on its right, where it is open; 0 where none has any."""
     found = []
     for side in (1.0, -1.0):
-        points = [gap.points(grid.resolution_m, side * far * grid.resolution_m) for far in (2.0, 3.0)]
+        points = [gap.points(grid.resolution_m, side * far * grid.resolution_m)[open_] for far in (2.0, 3.0)]
         counts = np.bincount(looked_up(labels, grid.cells_of(np.concatenate(points))), minlength=1)
         counts[0] = 0
         found.append(int(np.argmax(counts)))

@@ -105,31 +105,22 @@ def fit_wall(
 def _mode(at: FloatArray, off: FloatArray, cell_m: float) -> BoolArray:
     """(N,) points near the line that the longest part of a wall lies on, whatever stands before the rest.
 
-    Two cells along the wall have one vote, however many points they have: their median.
+    It runs as the face does: one that may turn leads from a wall to the glass in it. Two cells along it
+    have one vote, however many points they have: their median.
     """
     bins = np.floor((at - at.min()) / (2.0 * cell_m)).astype(int)
     order = np.lexsort((off, bins))
     starts = np.flatnonzero(np.diff(bins[order], prepend=-1))
     counts = np.diff(np.append(starts, len(order)))
     rows = order[starts + counts // 2]
-    place, votes = at[rows], off[rows]
-    one, other = np.triu_indices(len(place), 1)
-    far = np.abs(place[other] - place[one]) >= np.ptp(place) / 4
-    one, other = one[far], other[far]
-    slopes = np.append(
-        0.0, (votes[other] - votes[one]) / np.maximum(np.abs(place[other] - place[one]), cell_m)
-    )
-    slopes *= np.append(1.0, np.sign(place[other] - place[one]))
-    begins = np.append(np.median(votes), votes[one] - slopes[1:] * place[one])
-    fits = (np.abs(votes - begins[:, None] - slopes[:, None] * place) < cell_m / 5).sum(axis=1)
+    votes = off[rows]
+    fits = (np.abs(votes - votes[:, None]) < cell_m / 5).sum(axis=1)
     best = int(np.argmax(fits))
     # Panes of glass and closed doors lie behind the wall's face.
-    middle = float(np.median(place))
-    inward = begins + slopes * middle - begins[best] - slopes[best] * middle
-    inner = (inward > 3 * cell_m / 5) & (fits >= 4)
+    inner = (votes - votes[best] > 3 * cell_m / 5) & (fits >= 4)
     if inner.any():
         best = int(np.argmax(np.where(inner, fits, 0)))
-    return np.asarray(np.abs(off - begins[best] - slopes[best] * at) < 2 * cell_m / 5)
+    return np.asarray(np.abs(off - votes[best]) < 2 * cell_m / 5)
 
 
 def _by_poses(
