@@ -20,8 +20,10 @@ from slam.datasets.bags.cloud_messages import point_cloud
 from slam.datasets.bags.foxglove import UNDECODED, _class_of
 from slam.datasets.captures import payloads
 from slam.datasets.dataset import ReadReport
+from slam.datasets.nyu_dumps import T_depth_color
 from slam.errors import DatasetError
 from slam.measurements import LaserScan, PointCloud, WheelOdometry
+from tools.layouts.cameras import nyu_to_color
 from tools.layouts.foxglove import recorded
 from tools.layouts.judge import problems
 from tools.layouts.lidar_bags import captured
@@ -147,6 +149,8 @@ def test_depth_of_a_kinect_in_steps(tmp_path: Path) -> None:
         str(first), np.full((480, 640), 1092.5 - 351.3 / 2.0, np.float64).astype(np.uint16).byteswap()
     )
     second.write_bytes(second.read_bytes()[:999])
+    # Half a patch of colour: too little to show in the sample.
+    np.testing.assert_allclose(T_depth_color().inverse().matrix(), nyu_to_color(), atol=2e-6)
     found, dataset = read(path)
     assert len(found) == 5 and sum(dropped(dataset).values()) == 1
     np.testing.assert_allclose(np.median(found[0].depth_m), 351.3 / (1092.5 - 916), rtol=1e-6)
@@ -167,6 +171,17 @@ def test_damaged_messages_of_foxglove_are_counted(tmp_path: Path) -> None:
     told[2][3]["ranges"] = "none"
     found, dataset = read(recorded(tmp_path / "a.mcap", told, as_json=True))
     assert [one.stamp_s for one in found] == [100.0, 103.0] and dropped(dataset) == {UNDECODED: 2}
+
+
+def test_numbers_of_fields_are_foxgloves(tmp_path: Path) -> None:
+    row = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<u2")])
+    table = np.ones(4, row)
+    table["t"] = (0, 10_000, 20_000, 40_000)
+    numbers = {"x": 7, "y": 7, "z": 7, "t": 3}
+    fields = [{"name": name, "offset": row.fields[name][1], "type": numbers[name]} for name in row.names]
+    told = _scan(100) | {"point_stride": row.itemsize, "fields": fields, "data": table.tobytes()}
+    (found,), _ = read(recorded(tmp_path / "a.mcap", [("/points", "PointCloud", 100.0, told)], as_json=True))
+    np.testing.assert_allclose(found.times_s, [0.0, 0.01, 0.02, 0.04])
 
 
 def _scan(stamp_s: int) -> dict[str, Any]:
