@@ -13,6 +13,7 @@ from typing import Any
 
 import cv2
 import gtsam
+import laspy
 import numpy as np
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
@@ -21,9 +22,11 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+import tools.layouts.all as _all_layouts  # noqa: F401  their writers put themselves on the list
 from slam.measurements import CameraIntrinsics, LaserScan, RgbdFrame
 from slam.simulation import ros_messages as ros
 from slam.storage import ros_messages as kinds
+from tools.layouts.samples import LAYOUTS
 from tools.pack_layouts import CAMERAS, Footage
 from tools.pack_lidars import LIDARS, Turns
 from tools.pack_scenes import SCENES
@@ -43,7 +46,20 @@ KINDS = (
     _PACKED,
     ros.CAMERA_INFO,
 )
-LOGS = ("carmen", "tum", "ply", "ply_text", "pcd", "pcd_packed", "bin", *_PUBLISHED)
+# Of readers that have no packer of their own: what `tools/layouts` writes.
+_SAMPLES = {
+    "player": "Player log of Radish",
+    "rawseeds": "Rawseeds",
+    "nuscenes": "nuScenes, sweeps of one scene",
+    "las": "LAS clouds",
+    "laz": "LAS clouds",
+    "nyu_dumps": "NYU Depth V2, raw dumps",
+    "pcap": "Velodyne packets, .pcap",
+    "point_cloud": "PointCloud of ROS 1's first years",
+    "foxglove": "Foxglove, a lidar as protobuf",
+    "foxglove_json": "Foxglove, a flat lidar as JSON",
+}
+LOGS = ("carmen", "tum", "ply", "ply_text", "pcd", "pcd_packed", "bin", *_PUBLISHED, *_SAMPLES)
 
 _ROS1 = get_typestore(Stores.ROS1_NOETIC)
 _ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kinds.TRANSFORMS))
@@ -177,6 +193,12 @@ def write_log(folder: Path, name: str) -> Path:
     """A log that is no bag; the path to open it by. What is to be spoilt are its files."""
     if name in _PUBLISHED:
         return _write_published(folder, name)
+    if name in _SAMPLES:
+        path = LAYOUTS[_SAMPLES[name]].write(folder).path
+        for file in sorted(path.iterdir()) if name == "laz" else ():
+            laspy.read(file).write(file.with_suffix(".laz"))
+            file.unlink()
+        return path
     return (
         _write_carmen(folder)
         if name == "carmen"

@@ -109,6 +109,7 @@ def map_log(
     """Map a log into a folder, and tell of it."""
     started = time.perf_counter()
     from slam.app.mapping import run_log
+    from slam.config.tags import FILE_NAME as TAGS_FILE
 
     try:
         with progress_bar(first=_beginning(out, resume)) as show, interruptible(show) as on_progress:
@@ -129,6 +130,8 @@ def map_log(
         say(f"{run.map.path} is finished already; there is nothing to resume")
         return run
     _tell(run, f", {time.perf_counter() - started:.1f} s")
+    if config.sensors.tags is None and run.map.config.sensors.tags is not None:
+        say(f"used {TAGS_FILE}, which lies beside the log; --tags gives another")
     if run.report.beside.truth is not None:
         rmse = run.report.beside.truth.error.translation_m.rmse
         say(f"{rmse:.4f} m RMSE against the ground truth, rigidly aligned")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 import sys
 from pathlib import Path
+from typing import Any
 
 import cv2
 import gtsam
@@ -16,10 +17,14 @@ import tools.layouts.all as _all_layouts  # noqa: F401  their writers put themse
 from slam.datasets import open_dataset
 from slam.datasets.account import Account
 from slam.datasets.bags.cloud_messages import point_cloud
+from slam.datasets.bags.foxglove import UNDECODED, _class_of
 from slam.datasets.captures import payloads
 from slam.datasets.dataset import ReadReport
+from slam.datasets.nyu_dumps import T_depth_color
 from slam.errors import DatasetError
 from slam.measurements import LaserScan, PointCloud, WheelOdometry
+from tools.layouts.cameras import nyu_to_color
+from tools.layouts.foxglove import recorded
 from tools.layouts.judge import problems
 from tools.layouts.lidar_bags import captured
 from tools.layouts.samples import LAYOUTS
@@ -32,12 +37,19 @@ NAMES = [
     "PointCloud of ROS 1's first years",
     "NYU Depth V2, raw dumps",
     "Velodyne packets, .pcap",
+    "Foxglove, a lidar as protobuf",
+    "Foxglove, a flat lidar as JSON",
+    "Foxglove, a depth camera as protobuf",
 ]
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_sample_is_read_as_it_was_written(name: str, tmp_path: Path) -> None:
-    for word, library in (("LAS", "laspy"), ("Velodyne", "velodyne_decoder")):
+    for word, library in (
+        ("LAS", "laspy"),
+        ("Velodyne", "velodyne_decoder"),
+        ("protobuf", "google.protobuf"),
+    ):
         if word in name:
             pytest.importorskip(library)
     sample = LAYOUTS[name].write(tmp_path)
@@ -137,9 +149,49 @@ def test_depth_of_a_kinect_in_steps(tmp_path: Path) -> None:
         str(first), np.full((480, 640), 1092.5 - 351.3 / 2.0, np.float64).astype(np.uint16).byteswap()
     )
     second.write_bytes(second.read_bytes()[:999])
+    # Half a patch of colour: too little to show in the sample.
+    np.testing.assert_allclose(T_depth_color().inverse().matrix(), nyu_to_color(), atol=2e-6)
     found, dataset = read(path)
     assert len(found) == 5 and sum(dropped(dataset).values()) == 1
     np.testing.assert_allclose(np.median(found[0].depth_m), 351.3 / (1092.5 - 916), rtol=1e-6)
+
+
+def test_foxglove_without_the_extra_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("google.protobuf")
+    path = LAYOUTS["Foxglove, a lidar as protobuf"].write(tmp_path).path
+    _class_of.cache_clear()
+    monkeypatch.setitem(sys.modules, "google.protobuf", None)
+    with pytest.raises(DatasetError, match=r"pip install 'scanweave\[foxglove\]'"):
+        read(path)
+
+
+def test_damaged_messages_of_foxglove_are_counted(tmp_path: Path) -> None:
+    told = [("/scan", "LaserScan", 100.0 + k, _scan(100 + k)) for k in range(4)]
+    told[1][3]["pose"]["position"]["z"] = 0.5
+    told[2][3]["ranges"] = "none"
+    found, dataset = read(recorded(tmp_path / "a.mcap", told, as_json=True))
+    assert [one.stamp_s for one in found] == [100.0, 103.0] and dropped(dataset) == {UNDECODED: 2}
+
+
+def test_numbers_of_fields_are_foxgloves(tmp_path: Path) -> None:
+    row = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("t", "<u2")])
+    table = np.ones(4, row)
+    table["t"] = (0, 10_000, 20_000, 40_000)
+    numbers = {"x": 7, "y": 7, "z": 7, "t": 3}
+    fields = [{"name": name, "offset": row.fields[name][1], "type": numbers[name]} for name in row.names]
+    told = _scan(100) | {"point_stride": row.itemsize, "fields": fields, "data": table.tobytes()}
+    (found,), _ = read(recorded(tmp_path / "a.mcap", [("/points", "PointCloud", 100.0, told)], as_json=True))
+    np.testing.assert_allclose(found.times_s, [0.0, 0.01, 0.02, 0.04])
+
+
+def _scan(stamp_s: int) -> dict[str, Any]:
+    zero = dict.fromkeys("xyz", 0.0)
+    told = {"timestamp": {"sec": stamp_s, "nsec": 0}, "frame_id": "laser", "ranges": [1.0, None, 3.0]}
+    return told | {
+        "pose": {"position": zero, "orientation": zero | {"w": 1.0}},
+        "start_angle": 0,
+        "end_angle": 1,
+    }
 
 
 def test_bytes_that_are_no_point_cloud_are_refused() -> None:

@@ -213,6 +213,14 @@ _NYU_TURN = (
 )
 
 
+def nyu_to_color() -> Any:
+    """(4, 4) that brings points of the depth camera to the colour camera, as the toolbox does."""
+    to_color = np.eye(4)  # the toolbox calls the second number z and the third y
+    to_color[:3, :3] = np.linalg.inv(np.array(_NYU_TURN))
+    to_color[:3, 3] = -np.array([2.5031875059141302e-02, -2.9342312935846411e-04, 6.6238747008330102e-04])
+    return to_color
+
+
 @layout(
     "NYU Depth V2, raw dumps",
     "RGB-D folders",
@@ -222,13 +230,10 @@ def _nyu_raw(folder: Path) -> Sample:
     """Depth and colour of two bent lenses, no lists, depth in the Kinect's own steps with swapped bytes."""
     place, poses, stamps = folder / "basement_0001a", hand(), []
     depth, color = (CameraIntrinsics(*values, 640, 480) for values in (_NYU_DEPTH[0], _NYU_COLOR[0]))
-    to_color = np.eye(4)  # of points; the toolbox calls the second number z and the third y
-    to_color[:3, :3] = np.linalg.inv(np.array(_NYU_TURN))
-    to_color[:3, 3] = -np.array([2.5031875059141302e-02, -2.9342312935846411e-04, 6.6238747008330102e-04])
     for k, pose in enumerate(poses):
         stamps.append(1316653580.471513 + k / 30)
         ticks = 1316138413 + k * 2000000
-        seen = looked_at(color, pose @ np.linalg.inv(to_color), _NYU_COLOR[1])
+        seen = looked_at(color, pose @ np.linalg.inv(nyu_to_color()), _NYU_COLOR[1])
         put(place / f"r-{stamps[k]:.6f}-{ticks}.ppm", seen.color)
         depth_m = looked_at(depth, pose, _NYU_DEPTH[1]).depth_m
         steps = np.rint(1092.5 - 351.3 / depth_m).astype(np.uint16)
