@@ -73,6 +73,7 @@ def main() -> None:
         "--skip", type=float, default=0.0, help="drives but the first of a home begin so many seconds later"
     )
     parser.add_argument("--lidar-alone", action="store_true", help="drives without cameras and people")
+    parser.add_argument("--people", action="store_true", help="people walk about in these, too")
     parser.add_argument("--cut", type=float, action="append", default=[], help="also sessions of s seconds")
     parser.add_argument("--strangers", action="store_true", help="also all pairs of different places")
     parser.add_argument(
@@ -243,9 +244,9 @@ def _simulated(arguments: argparse.Namespace, home: int, seed: int) -> Drive:
 
 
 def _simulate_lidar(arguments: argparse.Namespace, home: int, seed: int, folder: Path) -> None:
-    """A drive without cameras, and with nobody about."""
+    """A drive without cameras, and with nobody about unless people are asked for."""
     rig = dataclasses.replace(RIGS[arguments.rig], cameras=())
-    faults = DriveFaults(person=False)
+    faults = DriveFaults(person=arguments.people)
     record_drive(
         generate_home(home), rig, seed, folder, faults, duration_s=arguments.duration, formats=("folder",)
     )
