@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slam.datasets import open_dataset
 from slam.errors import MapFileError
 from slam.estimates import Trajectory
 from slam.evaluation.relations import read_relations, score_relations
@@ -72,10 +73,18 @@ def main() -> None:
         "--skip", type=float, default=0.0, help="drives but the first of a home begin so many seconds later"
     )
     parser.add_argument("--lidar-alone", action="store_true", help="drives without cameras and people")
+    parser.add_argument("--people", action="store_true", help="people walk about in these, too")
     parser.add_argument("--cut", type=float, action="append", default=[], help="also sessions of s seconds")
     parser.add_argument("--strangers", action="store_true", help="also all pairs of different places")
     parser.add_argument(
         "--log", action="append", default=[], help="LOG:RELATIONS, a CARMEN log cut into two sessions"
+    )
+    parser.add_argument(
+        "--halves",
+        type=Path,
+        action="append",
+        default=[],
+        help="frames as in 7-Scenes, or clouds in velodyne/ with times.txt, cut into two sessions",
     )
     arguments = parser.parse_args()
     drives = [
@@ -94,6 +103,9 @@ def main() -> None:
             different_places(drives, cuts)
     for log, (first, second) in zip(arguments.log, real, strict=True):
         two_halves(log, first, second)
+    for source in arguments.halves:
+        print(f"\n## Halves of {source.name}\n")
+        same_place(_linked_halves(source, arguments.folder))
     if arguments.strangers:
         everything = [*drives, *itertools.chain(*real)]
         different_places(everything, everything)
@@ -214,7 +226,7 @@ def _simulated(arguments: argparse.Namespace, home: int, seed: int) -> Drive:
     """A drive of the simulator."""
     name = f"{arguments.rig}-{home}-{seed}"
     folder = arguments.folder / name
-    simulated = (folder / "scans.log").is_file()
+    simulated = (folder / "groundtruth.txt").is_file()
     if not simulated and arguments.lidar_alone:
         _simulate_lidar(arguments, home, seed, folder)
     elif not simulated:
@@ -224,16 +236,17 @@ def _simulated(arguments: argparse.Namespace, home: int, seed: int) -> Drive:
     if seed > 1 and arguments.skip > 0.0:
         name += f"-from-{arguments.skip:g}"
         folder = _later(folder, arguments.folder / name, arguments.skip)
-    log = folder / "scans.log" if arguments.lidar_alone or not _has_cameras(folder) else folder
+    flat = not (folder / "points.txt").is_file()
+    log = folder / "scans.log" if flat and (arguments.lidar_alone or not _has_cameras(folder)) else folder
     map_name = f"map-{name}-lidar" if arguments.lidar_alone else f"map-{name}"
     truth = read_tum(folder / "groundtruth.txt")
     return Drive(name, f"home {home}", log, arguments.folder / map_name, truth)
 
 
 def _simulate_lidar(arguments: argparse.Namespace, home: int, seed: int, folder: Path) -> None:
-    """A drive without cameras, and with nobody about."""
+    """A drive without cameras, and with nobody about unless people are asked for."""
     rig = dataclasses.replace(RIGS[arguments.rig], cameras=())
-    faults = DriveFaults(person=False)
+    faults = DriveFaults(person=arguments.people)
     record_drive(
         generate_home(home), rig, seed, folder, faults, duration_s=arguments.duration, formats=("folder",)
     )
@@ -291,6 +304,33 @@ def _halves(argument: str, folder: Path) -> tuple[Drive, Drive]:
         _write_part(path, lines, begin_s, end_s)
         halves.append(Drive(path.stem, name, path, folder / f"map-{path.stem}", None))
     return halves[0], halves[1]
+
+
+def _linked_halves(source: Path, folder: Path) -> list[Drive]:
+    """The two halves of a log of frames or of clouds, as links to its files."""
+    clouds = sorted(source.glob("velodyne/*.bin"))
+    names = sorted({path.name.partition(".")[0] for path in clouds or source.glob("frame-*")})
+    halves = []
+    for half, part in enumerate((names[: len(names) // 2], names[len(names) // 2 :]), start=1):
+        log = folder / f"{source.name}-half-{half}"
+        inside = log / "velodyne" if clouds else log
+        inside.mkdir(parents=True, exist_ok=True)
+        for number, name in enumerate(part):
+            for path in (source / "velodyne" if clouds else source).glob(f"{name}.*"):
+                link = inside / (f"{number:06d}{path.suffix}" if clouds else path.name)
+                if not link.exists():
+                    link.symlink_to(path.resolve())
+        for path in source.glob("*.txt"):
+            if not path.name.startswith("frame-"):
+                shutil.copyfile(path, log / path.name)
+        if clouds:
+            first = names.index(part[0])
+            stamps = (source / "times.txt").read_text(encoding="ascii").splitlines()
+            (log / "times.txt").write_text("\n".join(stamps[first : first + len(part)]) + "\n")
+        halves.append(
+            Drive(log.name, source.name, log, folder / f"map-{log.name}", open_dataset(log).groundtruth())
+        )
+    return halves
 
 
 def _write_part(path: Path, lines: Iterable[str], begin_s: float, end_s: float) -> None:

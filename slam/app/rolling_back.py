@@ -46,7 +46,8 @@ def roll_back(saved: Map | Path | str, sessions: int, *, out: Path | str | None 
     found = made_anew(saved, lambda path: write_first_sessions(saved, sessions, path), out)
     if out is not None:
         first = 1 if sessions == 1 else sessions + 1
-        stale = [f"trajectory-{number}.tum" for number in range(first, before + 1)]
+        endings = (".tum", "_covariance.csv")
+        stale = [f"trajectory-{number}{end}" for number in range(first, before + 1) for end in endings]
         stale += [f"report-{number}.html" for number in range(sessions + 1, before + 1)]
         for name in stale:
             (Path(out) / name).unlink(missing_ok=True)

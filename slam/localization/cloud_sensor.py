@@ -54,6 +54,11 @@ class CloudView:
     lidar: FloatArray
     novel_share: float = 1.0
 
+    @classmethod
+    def of(cls, points: FloatArray, T_base_lidar: gtsam.Pose3, voxel_m: float) -> CloudView:
+        """Of a whole cloud (N, 3), base frame."""
+        return cls(thinned(points, voxel_m), np.asarray(T_base_lidar.translation()))
+
 
 class CloudSensor:
     """A `Sensor`; stateless but for its odometry and the tiles of the map that it keeps.
@@ -85,12 +90,8 @@ class CloudSensor:
             return None
         cloud = at_middle_of_turn(measurement, self._config.cloud_odometry)
         points, step = self._odometry.add(cloud)
-        view = self.view_of(points, cloud.T_base_lidar)
+        view = CloudView.of(points, cloud.T_base_lidar, self.voxel_m)
         return Observation(cloud.stamp_s, view, step.pose, step.moved, step.moved is None)
-
-    def view_of(self, points: FloatArray, T_base_lidar: gtsam.Pose3) -> CloudView:
-        """A cloud (N, 3), base frame, prepared."""
-        return CloudView(thinned(points, self.voxel_m), np.asarray(T_base_lidar.translation()))
 
     def sees_anew(self, view: CloudView, before: Pose | None, pose: Pose) -> bool:
         """See `Sensor`."""

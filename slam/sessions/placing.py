@@ -7,14 +7,17 @@ alike; each is followed along the whole session, on which every surface may spea
 
 from __future__ import annotations
 
+import gc
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from fusion.estimation import gate
 from slam.config import Config
 from slam.localization.hypotheses import HypothesisSet
 from slam.localization.poses import apart, composed
+from slam.localization.sensor import Sensor
 from slam.measurements import Pose
 from slam.sessions.sides import Side
 from slam.sessions.whole_path import Followed, Sighting, follow
@@ -75,8 +78,12 @@ def place(known: Side, session: Side, config: Config) -> Placing:
     """Find where a session lies in a map."""
     poses = session.bases
     paths: list[tuple[Sighting, Followed]] = []
-    for proposal in _distinct(_proposals(known, session, config), poses)[:_FOLLOWED]:
-        path = follow(known, session, proposal, config)
+    sensor = known.sensor()
+    proposals = _distinct(_proposals(sensor, known, session, config), poses)[:_FOLLOWED]
+    # The session's sensor, which is of no more use, holds itself by its caches.
+    gc.collect()
+    for proposal in proposals:
+        path = follow(sensor, session, proposal, config)
         paths.append((path.anchors[len(path.anchors) // 2] if path.anchors else proposal, path))
     if not paths:
         return Placing()
@@ -93,21 +100,21 @@ def place(known: Side, session: Side, config: Config) -> Placing:
     )
 
 
-def _proposals(known: Side, session: Side, config: Config) -> list[Sighting]:
+def _proposals(sensor: Sensor[Any, Any], known: Side, session: Side, config: Config) -> list[Sighting]:
     """Where stretches of either may lie in the other, as keyframes of the session in the map."""
     poses, found = session.bases, []
-    for key, pose, nats in _stretches(known, session, config):
+    for key, pose, nats in _stretches(sensor, session, config):
         found.append(Sighting.of(key, pose, poses[key], nats))
-    for key, pose, nats in _stretches(session, known, config):
+    for key, pose, nats in _stretches(session.sensor(), known, config):
         T_map_session = composed(known.bases[key], pose.inverse())
         nearest = session.nearest(pose)
         found.append(Sighting(nearest, composed(T_map_session, poses[nearest]), T_map_session, nats))
     return found
 
 
-def _stretches(known: Side, path: Side, config: Config) -> Iterator[tuple[int, Pose, float]]:
+def _stretches(sensor: Sensor[Any, Any], path: Side, config: Config) -> Iterator[tuple[int, Pose, float]]:
     """Stretch by stretch of a way: a keyframe of it, where that may be in a map, and the evidence."""
-    hypotheses = HypothesisSet(known.sensor, config.localization)
+    hypotheses = HypothesisSet(sensor, config.localization)
     kidnap_nats = config.localization.nowhere_nats
     path_m = path.path_m
     apart_m = path_m[-1] / _MOST_STRETCHES

@@ -14,12 +14,13 @@ import numpy as np
 from slam.config import Config
 from slam.edits.keyframes import bases_of
 from slam.localization.camera_sensor import CameraSensor
-from slam.localization.cloud_sensor import CloudSensor
+from slam.localization.cloud_sensor import CloudSensor, CloudView
 from slam.localization.known_map import Walls, has_walls
 from slam.localization.planar_sensor import PlanarSensor
 from slam.localization.sensor import Sensor
 from slam.localization.visual_locator import VisualLocator
 from slam.mapper.keyframe_store import KeyframeStore
+from slam.matching.cloud_points import voxel_of
 from slam.measurements import FloatArray, Pose
 from slam.storage.map_contents import MapContents
 
@@ -37,32 +38,32 @@ class Side:
     view
         What stood of what a keyframe saw, as the other side's sensor takes it; None where it saw nothing.
     sensor
-        Knows readings of the other side again.
+        Makes what knows readings of the other side again, and holds much of its own side in memory.
     """
 
     bases: Sequence[Pose]
     path_m: FloatArray
     view: Callable[[int], Any]
-    sensor: Sensor[Any, Any]
+    sensor: Callable[[], Sensor[Any, Any]]
 
     @classmethod
     def of_walls(cls, walls: Walls, config: Config) -> Side:
         """Of a map of a floor."""
-        return cls(walls.map.node_poses, walls.map.path_m, walls.view, PlanarSensor(walls, config))
+        return cls(walls.map.node_poses, walls.map.path_m, walls.view, lambda: PlanarSensor(walls, config))
 
     @classmethod
     def of_clouds(cls, known: MapContents, config: Config) -> Side:
         """Of a map of a 3D lidar."""
         assert known.clouds is not None
-        clouds = known.clouds
-        field = Walls(known, config).field if has_walls(known) else None
-        sensor = CloudSensor(known, field, config)
-        return cls(
-            known.node_poses,
-            known.path_m,
-            lambda key: sensor.view_of(clouds.points(key), clouds.T_base_lidar(key)),
-            sensor,
-        )
+        clouds, voxel_m = known.clouds, voxel_of(known.clouds.points(0), config.cloud_odometry)
+
+        def sensor() -> CloudSensor:
+            return CloudSensor(known, Walls(known, config).field if has_walls(known) else None, config)
+
+        def view(key: int) -> CloudView:
+            return CloudView.of(clouds.points(key), clouds.T_base_lidar(key), voxel_m)
+
+        return cls(known.node_poses, known.path_m, view, sensor)
 
     @classmethod
     def of_frames(cls, known: MapContents, other: MapContents, config: Config) -> Side:
@@ -74,7 +75,10 @@ class Side:
         )
         locator.view(shown.keyframe(0))  # it tells how the other's camera sits
         return cls(
-            bases_of(known, known.node_poses), known.path_m, seen.keyframe, CameraSensor(locator, config)
+            bases_of(known, known.node_poses),
+            known.path_m,
+            seen.keyframe,
+            lambda: CameraSensor(locator, config),
         )
 
     def nearest(self, pose: Pose) -> int:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from slam.config import Config
 from slam.localization.hypotheses import KeyframeLog, correction
 from slam.localization.poses import between, composed
+from slam.localization.sensor import Sensor
 from slam.measurements import Pose
 from slam.sessions.sides import Side
 
@@ -48,13 +50,12 @@ class Followed:
     nats: float
 
 
-def follow(known: Side, session: Side, start: Sighting, config: Config) -> Followed:
-    """Follow a session from a place to both its ends, laid to what the map holds where it holds any.
+def follow(sensor: Sensor[Any, Any], session: Side, start: Sighting, config: Config) -> Followed:
+    """Follow a session from a place to both its ends, laid to what a map's sensor knows where it knows any.
 
     The evidence is that over the best of the wrong places; every surface is weighed once. Who walked about in
     the session speaks against no place: only what stood by its own map is weighed.
     """
-    sensor = known.sensor
     log = KeyframeLog(sensor, math.inf)
     poses = session.bases
     anchors, total = [], 0.0

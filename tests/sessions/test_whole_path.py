@@ -38,8 +38,8 @@ def known() -> Walls:
 
 
 def followed(known: Walls, session: Walls) -> Followed:
-    sides = (Side.of_walls(walls, CONFIG) for walls in (known, session))
-    return follow(*sides, Sighting(0, gtsam.Pose2(), gtsam.Pose2(), 0.0), CONFIG)
+    one, other = (Side.of_walls(walls, CONFIG) for walls in (known, session))
+    return follow(one.sensor(), other, Sighting(0, gtsam.Pose2(), gtsam.Pose2(), 0.0), CONFIG)
 
 
 def test_who_walked_about_speaks_against_no_place(known: Walls) -> None:
