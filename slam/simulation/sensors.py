@@ -296,7 +296,7 @@ def _ring_directions(elevations_rad: tuple[float, ...], azimuths: int) -> Float3
     return beams.reshape(-1, 3).astype(np.float32)
 
 
-@kernel
+@kernel(nogil=True)
 def _rays(directions: Float32Array, T_world_sensor: NDArray[np.float64]) -> Float32Array:
     """(N, 6) origins and directions in the world from directions in the sensor's frame."""
     rays = np.empty((directions.shape[0], 6), np.float32)
@@ -311,7 +311,7 @@ def _rays(directions: Float32Array, T_world_sensor: NDArray[np.float64]) -> Floa
     return rays
 
 
-@kernel
+@kernel(nogil=True)
 def _cos_incidence(rays: Float32Array, normal: Float32Array) -> Float32Array:
     """(N,) cosine between each ray and the normal that it meets."""
     cosine = np.empty(rays.shape[0], np.float32)
@@ -322,7 +322,7 @@ def _cos_incidence(rays: Float32Array, normal: Float32Array) -> Float32Array:
     return cosine
 
 
-@kernel(error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _disparity_steps(
     depth: Float32Array,
     fault: FaultMask,
@@ -345,7 +345,7 @@ def _disparity_steps(
         fault[pixel] = fault[pixel] if hole | within else out_of_range
 
 
-@kernel
+@kernel(nogil=True)
 def _expose(image: Float32Array, sigma: float, seed: int) -> ColorImage:
     """Add noise and round to bytes; hashed, since three normal numbers a pixel cost more than the image."""
     color = np.empty(image.size, np.uint8)
