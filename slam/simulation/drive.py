@@ -26,9 +26,13 @@ from slam.simulation.sensor_clock import Schedule, generator, schedule
 from slam.simulation.sensors import render_rgbd, scan_lidar, scan_lidar_3d
 from slam.simulation.tour import Tour, plan_tour
 from slam.simulation.wheel_odometry import WheelReadings, wheel_readings
+from slam.vision.prefetch import prefetched
 
 FIRST_STAMP_S = 1000.0  # true time when a drive begins
 TRUTH_RATE_HZ = 50.0
+
+# Threads in which sensors see, and readings that are made ahead: some 10 MB of 320 x 240 frames.
+_THREADS, _WAITING = 2, 24
 
 _TRUTH, _ODOMETRY, _READINGS = range(3)  # order of what happens at the same time
 _NOISE = 1  # stream of a sensor's generator; 0 is its schedule
@@ -78,8 +82,8 @@ class Drive:
         share = min(max(at - index, 0.0), 1.0)
         return before.compose(gtsam.Pose2.Expmap(share * gtsam.Pose2.Logmap(before.between(after))))
 
-    def events(self) -> Iterator[DriveEvent]:
-        """All readings in the order of true time."""
+    def events(self, threads: int = _THREADS) -> Iterator[DriveEvent]:
+        """All readings in the order of true time; the same to the bit by any number of threads."""
         scene = Scene(self.home)
         streams: list[Iterator[tuple[float, int, int]]] = [
             _ticks(np.arange(int(self.tour.duration_s * TRUTH_RATE_HZ) + 1) / TRUTH_RATE_HZ, _TRUTH),
@@ -89,19 +93,26 @@ class Drive:
         for place, readings in enumerate(sensors):
             streams.append(_ticks(readings.true_s, _READINGS + place))
         cameras = {camera.name: camera for camera in self.rig.cameras}
-        for time_s, place, index in heapq.merge(*streams):
+
+        def event(tick: tuple[float, int, int]) -> DriveEvent:
+            time_s, place, index = tick
             if place == _TRUTH:
-                yield TruthEvent(FIRST_STAMP_S + time_s, self.base_at(time_s))
-            elif place == _ODOMETRY:
-                yield self._odometry(index)
-            elif sensors[place - _READINGS].kept[index]:
-                readings = sensors[place - _READINGS]
-                if readings.sensor in cameras:
-                    yield self._image(scene, cameras[readings.sensor], readings, index)
-                elif readings.sensor == LIDAR_3D:
-                    yield self._cloud(scene, readings, index)
-                else:
-                    yield self._scan(scene, readings, index)
+                return TruthEvent(FIRST_STAMP_S + time_s, self.base_at(time_s))
+            if place == _ODOMETRY:
+                return self._odometry(index)
+            readings = sensors[place - _READINGS]
+            if readings.sensor in cameras:
+                return self._image(scene, cameras[readings.sensor], readings, index)
+            if readings.sensor == LIDAR_3D:
+                return self._cloud(scene, readings, index)
+            return self._scan(scene, readings, index)
+
+        happening = (
+            tick
+            for tick in heapq.merge(*streams)
+            if tick[1] < _READINGS or sensors[tick[1] - _READINGS].kept[tick[2]]
+        )
+        yield from prefetched(happening, event, _WAITING, threads)
 
     def _odometry(self, index: int) -> OdometryEvent:
         """A reading of the wheels; their clock tells the truth."""

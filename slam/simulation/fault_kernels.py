@@ -13,7 +13,7 @@ from slam.simulation.home_model import Int32Array
 _SHADOW_PX = 1.0  # less than this is a slanted surface, not a shadow
 
 
-@kernel
+@kernel(nogil=True)
 def depth_edges(
     distance_m: Float32Array, face: Int32Array, jump_m: float, jump_share: float
 ) -> tuple[BoolArray, Float32Array, Float32Array]:
@@ -55,7 +55,7 @@ def depth_edges(
     return edge, fore, back
 
 
-@kernel
+@kernel(nogil=True)
 def stereo_shadow(depth_m: Float32Array, focal_baseline_px_m: float) -> BoolArray:
     """Pixels that the projector, or the second camera, on the right of the first cannot see.
 

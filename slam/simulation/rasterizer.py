@@ -39,7 +39,7 @@ def rasterize(
     return depth_m.ravel(), triangle.ravel()
 
 
-@kernel
+@kernel(nogil=True)
 def _draw(corners: FloatArray, depth_m: Float32Array, triangle: Int32Array) -> None:
     """The nearest triangle of each pixel; (T, 3, 3) ``corners`` are homogeneous pixels with depth last."""
     height, width = depth_m.shape

@@ -123,7 +123,7 @@ class Scene:
         return Hits(range_m, triangle, obstacle, material, normal)
 
 
-@kernel
+@kernel(nogil=True)
 def _name_hits(
     triangle: Int32Array,
     normal_of_triangle: Float32Array,
@@ -144,7 +144,7 @@ def _name_hits(
     return obstacle, material, normal
 
 
-@kernel
+@kernel(nogil=True)
 def _meet_cylinder(
     rays: Float32Array, center: NDArray[np.float64], range_m: Float32Array, normal: Float32Array
 ) -> BoolArray:

@@ -296,22 +296,24 @@ def _ring_directions(elevations_rad: tuple[float, ...], azimuths: int) -> Float3
     return beams.reshape(-1, 3).astype(np.float32)
 
 
-@kernel
+@kernel(nogil=True)
 def _rays(directions: Float32Array, T_world_sensor: NDArray[np.float64]) -> Float32Array:
     """(N, 6) origins and directions in the world from directions in the sensor's frame."""
     rays = np.empty((directions.shape[0], 6), np.float32)
+    T = T_world_sensor
+    r00, r01, r02, tx = T[0, 0], T[0, 1], T[0, 2], np.float32(T[0, 3])
+    r10, r11, r12, ty = T[1, 0], T[1, 1], T[1, 2], np.float32(T[1, 3])
+    r20, r21, r22, tz = T[2, 0], T[2, 1], T[2, 2], np.float32(T[2, 3])
     for ray in range(directions.shape[0]):
-        for axis in range(3):
-            rays[ray, axis] = T_world_sensor[axis, 3]
-            rays[ray, 3 + axis] = (
-                T_world_sensor[axis, 0] * directions[ray, 0]
-                + T_world_sensor[axis, 1] * directions[ray, 1]
-                + T_world_sensor[axis, 2] * directions[ray, 2]
-            )
+        x, y, z = directions[ray, 0], directions[ray, 1], directions[ray, 2]
+        rays[ray, 0], rays[ray, 1], rays[ray, 2] = tx, ty, tz
+        rays[ray, 3] = r00 * x + r01 * y + r02 * z
+        rays[ray, 4] = r10 * x + r11 * y + r12 * z
+        rays[ray, 5] = r20 * x + r21 * y + r22 * z
     return rays
 
 
-@kernel
+@kernel(nogil=True)
 def _cos_incidence(rays: Float32Array, normal: Float32Array) -> Float32Array:
     """(N,) cosine between each ray and the normal that it meets."""
     cosine = np.empty(rays.shape[0], np.float32)
@@ -322,7 +324,7 @@ def _cos_incidence(rays: Float32Array, normal: Float32Array) -> Float32Array:
     return cosine
 
 
-@kernel(error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _disparity_steps(
     depth: Float32Array,
     fault: FaultMask,
@@ -345,7 +347,7 @@ def _disparity_steps(
         fault[pixel] = fault[pixel] if hole | within else out_of_range
 
 
-@kernel
+@kernel(nogil=True)
 def _expose(image: Float32Array, sigma: float, seed: int) -> ColorImage:
     """Add noise and round to bytes; hashed, since three normal numbers a pixel cost more than the image."""
     color = np.empty(image.size, np.uint8)

@@ -217,7 +217,7 @@ def _side(nx: float, ny: float, nz: float) -> int:
     return 2 if ny > 0.0 else 3
 
 
-@kernel(error_model="numpy")
+@kernel(nogil=True, error_model="numpy")
 def _paint(
     rays: Float32Array,
     range_m: Float32Array,

@@ -104,8 +104,10 @@ def extract_features(
     """
     name = (hash(gray.tobytes()), gray.shape, count)
     keypoints = _KEPT.pop(name, None) or _keypoints(gray, count)
-    if again and len(_KEPT) < _MOST_KEPT:
+    if again:
         _KEPT[name] = keypoints
+        for oldest in list(_KEPT)[:-_MOST_KEPT]:
+            _KEPT.pop(oldest, None)
     pixels, descriptors, sigma_px = keypoints
     return Features(pixels, descriptors, sigma_px, depth_at(depth_m, pixels))
 

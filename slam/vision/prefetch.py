@@ -1,4 +1,4 @@
-"""Items decoded or prepared in another thread while the one before is used."""
+"""Items decoded or prepared in other threads while the one before is used."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ Prepared = TypeVar("Prepared")
 
 
 def prefetched(
-    items: Iterable[Item], prepare: Callable[[Item], Prepared], most_waiting: int = 3
+    items: Iterable[Item], prepare: Callable[[Item], Prepared], most_waiting: int = 3, threads: int = 1
 ) -> Iterator[Prepared]:
     """Results of ``prepare`` in the order of the items, up to ``most_waiting`` of them computed in advance.
 
-    The order, and with it every result, is that of a plain loop. An error of ``prepare`` surfaces where its
-    item's turn comes.
+    The order, and with it every result, is that of a plain loop; with several ``threads`` no item may change
+    what another depends on. An error of ``prepare`` surfaces where its item's turn comes.
     """
     waiting: deque[Future[Prepared]] = deque()
-    with ThreadPoolExecutor(1, thread_name_prefix="prepare") as pool:
+    with ThreadPoolExecutor(threads, thread_name_prefix="prepare") as pool:
         try:
             for item in items:
                 waiting.append(pool.submit(prepare, item))

@@ -91,7 +91,9 @@ def test_each_reading_is_taken_where_the_robot_truly_was() -> None:
 def test_the_same_seed_gives_the_same_bits() -> None:
     first = stream(simulate_drive(HOME, small_rig(), 7, FAULT_PRESETS["harsh"], SECONDS))
     drive = drive_of(FAULT_PRESETS["harsh"])
-    assert first == stream(drive.events()) == stream(drive.events())
+    assert (
+        first == stream(drive.events()) == stream(drive.events(threads=1)) == stream(drive.events(threads=3))
+    )
     assert first != stream(simulate_drive(HOME, small_rig(), 8, FAULT_PRESETS["harsh"], SECONDS))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from room_world import MIDDLE, SMALL, blind, furnished, in_world, looking, off_surfaces, prepared, render
 
-from slam.vision.features import _KEPT, Matches, depth_at, extract_features, gray_of, match_features
+from slam.vision.features import _KEPT, _MOST_KEPT, Matches, depth_at, extract_features, gray_of, match_features
 
 
 def around(values: list[list[float]]) -> np.ndarray:
@@ -147,3 +147,14 @@ def test_an_image_that_is_asked_for_again_gives_the_same_keypoints_with_the_dept
     assert len(extract_features(gray_of(frame), frame.depth_m, 500)) == len(plain)
     assert len(_KEPT) == 1
     extract_features(gray_of(frame), frame.depth_m, 400)
+
+
+def test_what_nobody_asks_for_again_makes_room() -> None:
+    depth_m = np.zeros((80, 80), np.float32)
+    for shade in range(200):
+        extract_features(np.full((80, 80), shade, np.uint8), depth_m, 10, again=True)
+    for count in range(10, 10 + _MOST_KEPT // 8):
+        for shade in range(10):
+            extract_features(np.full((80, 80), shade, np.uint8), depth_m, count, again=True)
+    assert len(_KEPT) == _MOST_KEPT
+    _KEPT.clear()

@@ -51,3 +51,16 @@ def test_an_error_comes_at_its_place() -> None:
     with pytest.raises(ZeroDivisionError):
         next(results)
     assert preparers() == 0
+
+
+def test_several_threads_keep_the_order() -> None:
+    begun = threading.Event()
+
+    def late_if_first(item: int) -> int:
+        if item == 0:
+            assert begun.wait(10.0)  # only another thread can say that it has begun
+        begun.set() if item == 1 else None
+        return item
+
+    assert list(prefetched(range(20), late_if_first, 4, threads=2)) == list(range(20))
+    assert preparers() == 0
