@@ -320,7 +320,7 @@ def _pixel_candidates(
     columns = (view.curve.start_angle_rad, step, view.curve.ranges_m.size)
     predicted = reproject(lidar, beams[0], beams[1], np.linalg.inv(matrix), columns, _LIDAR_SLACK)
     if not np.isfinite(predicted).any():
-        return np.zeros((0, 12))
+        return np.zeros((0, 14))
     points = Curve(predicted, columns[0], step).points() @ matrix[:2, :2].T + matrix[:2, 2]
     turned = (np.arctan2(points[:, 1], points[:, 0]) - beams[0]) % (2.0 * math.pi)
     beam = np.nan_to_num(turned / beams[1]).round().astype(np.intp).clip(0, lidar.size - 1)

@@ -139,10 +139,12 @@ def pixel_candidates(
 
     Returns
     -------
-    (N, 12) flat pixel; row of `fusion.repair_odds.PIXEL_ODDS`, -1 for a burr that nothing can be put into;
+    (N, 14) flat pixel; row of `fusion.repair_odds.PIXEL_ODDS`, -1 for a burr that nothing can be put into;
     the depth; and its features: the logarithm of the width of the run; how far its ends are off the lidar;
     holes in the row, and in the lidar; by how much the reading is behind; how far the lidar's neighbours are
-    apart; the logarithms of the range, of the range over the farthest that the image has, and of its noise.
+    apart; the logarithms of the range, of the range over the farthest that the image has, and of its noise;
+    how far the nearest readings above and below are off, the nearer to it and the other: a wall goes on, a
+    table's top does not. One that is missing counts as the other.
     """
     depth = image.ravel()
     islands = (image, np.zeros(depth.size, np.int32), np.empty(max(most_pixels) + 1, np.int32))
@@ -151,7 +153,7 @@ def pixel_candidates(
     for value in depth:
         if farthest < value <= range_max_m:
             farthest = value
-    rows, curves = (np.empty((256, 12)), 0), (shifted, lost, residual, gone)
+    rows, curves = (np.empty((256, 14)), 0), (shifted, lost, residual, gone)
     limits = range_max_m, farthest, eps_share, noise_share
     for k in range(heights_m.size):
         seen = look_at(depth, lookup[0], lookup[1], lookup[2], predicted, heights_m[k], range_max_m)
@@ -169,7 +171,7 @@ def pixel_candidates(
                 if pixel[last + 1] < 0 and not np.isnan(predicted[last + 1]):
                     break
                 last += 1
-            rows = _with_run(rows, (first, last, crowd), seen, curves, islands, most_pixels, limits)
+            rows = _with_run(rows, (first, last, crowd), seen, curves, islands, most_pixels, limits, lookup)
             first = last + 1
     return rows[0][: rows[1]]
 
@@ -183,6 +185,7 @@ def _with_run(
     islands: Islands,
     most_pixels: tuple[int, int],
     limits: tuple[float, float, float, float],
+    lookup: tuple[IntArray, Float32Array, Float32Array],
 ) -> tuple[FloatArray, int]:
     """The rows of `pixel_candidates`, and how many they are, with those of one more run of columns."""
     (found, count), (first, last, crowd), (pixel, measured, scale) = rows, run, seen
@@ -217,4 +220,32 @@ def _with_run(
         row[8] = over_noise(put if np.isnan(beside) else beside, put, eps_share)
         row[9], row[10] = math.log(put), math.log(row[2] / farthest)
         row[11] = math.log(SLACK_M + noise_share * put)
+        row[12], row[13] = _beside(i, pixel[i], put, islands[0].ravel(), lookup, range_max_m, eps_share)
     return found, count
+
+
+@kernel
+def _beside(
+    col: int,
+    at: int,
+    put_m: float,
+    depth: Float32Array,
+    lookup: tuple[IntArray, Float32Array, Float32Array],
+    range_max_m: float,
+    eps_share: float,
+) -> tuple[float, float]:
+    """How far the nearest readings above and below are off a range, over the noise: the less and the more."""
+    pixels, range_of_depth, _ = lookup
+    least, most, middle = np.inf, 0.0, 0
+    while pixels[middle, col] != at:
+        middle += 1
+    for step in (-1, 1):
+        row = middle + step
+        while 0 <= row < pixels.shape[0]:
+            near = pixels[row, col]
+            if near >= 0 and near != at and 0.0 < depth[near] <= range_max_m:
+                off = over_noise(depth[near] * range_of_depth[row, col] - put_m, put_m, eps_share)
+                least, most = min(least, off), max(most, off)
+                break
+            row += step
+    return (most if math.isinf(least) else least), most

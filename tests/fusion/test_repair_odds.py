@@ -42,7 +42,7 @@ def test_holes_around_and_a_camera_that_sees_another_surface_speak_against():
 
 
 def test_an_odds_table_has_a_weight_for_every_pair_of_features():
-    for odds, features in ((BEAM_ODDS, 6), (PIXEL_ODDS, 9)):
+    for odds, features in ((BEAM_ODDS, 6), (PIXEL_ODDS, 11)):
         assert odds.shape[1] == (features + 1) * (features + 2) // 2
         kinds = np.array([0, -1])
         chance = probabilities(kinds, np.zeros((2, features)), odds)

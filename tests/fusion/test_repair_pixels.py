@@ -8,7 +8,7 @@ import pytest
 
 import fusion
 from fusion.alignment import Alignment, planar
-from fusion.repair_pixels import island_size
+from fusion.repair_pixels import _beside, island_size
 
 OFFSET = (0.1, 0.02)
 POSE = (0.0, 0.0, 0.2)
@@ -80,3 +80,15 @@ def test_a_pixel_that_flies_is_put_right(off_m):
     assert (result.depth_source[0][at] == FILLED).mean() >= 0.8
     put_right = result.depth_source[0][at] == FILLED
     assert np.abs(result.depth_m[0] - image.depth_m)[at][put_right].max() < 0.05
+
+
+def test_the_readings_above_and_below_tell_how_far_they_are_off():
+    pixels, ones = np.arange(5, dtype=np.int32)[:, None], np.ones((5, 1), np.float32)
+
+    def beside(*depth):
+        return _beside(0, 2, 2.0, np.array(depth, np.float32), (pixels, ones, ones[:, 0]), 9.0, 0.025)
+
+    off = np.log1p(1.0 / (0.04 + 0.025 * 2.0))
+    assert beside(2.0, 0.0, 0.0, 0.0, 1.0) == pytest.approx((0.0, off))
+    assert beside(0.0, 0.0, 0.0, 1.0, 2.0) == pytest.approx((off, off))  # nothing above: as below
+    assert beside(0.0, 0.0, 0.0, 0.0, 0.0) == (0.0, 0.0)
