@@ -23,7 +23,7 @@ from slam.mapping.doors import crossed
 from slam.mapping.glass_panes import SHORTEST_M
 from slam.mapping.keyframe_grid import layer_settings
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.mapping.wall_gaps import THICKEST_WALL_M, Gap, Line, looked_up, wall_gaps
+from slam.mapping.wall_gaps import THICKEST_WALL_M, Line, looked_up, wall_gaps
 from slam.mapping.wall_segments import Segment, wall_points, wall_segments
 from slam.measurements import BoolArray, FloatArray, LaserScan, pose2_from_row
 
@@ -80,7 +80,7 @@ def with_glass(
 
 def glass_gaps(
     grid: OccupancyGrid, scans: Sequence[LaserScan | None], poses: FloatArray, config: Config
-) -> list[Gap]:
+) -> list[Line]:
     """Gaps in walls in which there is glass; see `with_glass`.
 
     None that the robot drove through, and none that is shorter than the least pane.
@@ -103,7 +103,9 @@ def glass_gaps(
     ]
 
 
-def _loss(gap: Gap, beams: _Beams, every: NDArray[np.int64], lost: NDArray[np.int64], cell_m: float) -> float:
+def _loss(
+    gap: Line, beams: _Beams, every: NDArray[np.int64], lost: NDArray[np.int64], cell_m: float
+) -> float:
     """The share of beams that a gap loses and the walls behind it do not; 0 where that is not sure.
 
     By the ratio of likelihoods of glass, which has a share of losses of its own, and of no glass. A scan has
@@ -138,7 +140,7 @@ def _loss(gap: Gap, beams: _Beams, every: NDArray[np.int64], lost: NDArray[np.in
     return loss if told.sum() > max(sure, float(parts.max())) and against > -sure else 0.0
 
 
-def _crossings(gap: Gap, beams: _Beams) -> tuple[FloatArray, BoolArray]:
+def _crossings(gap: Line, beams: _Beams) -> tuple[FloatArray, BoolArray]:
     """Where beams that end half a wall's thickness behind a gap cross it, and which pass its wall there.
 
     Returns

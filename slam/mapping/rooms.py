@@ -2,12 +2,11 @@
 
 Narrow passages part rooms (distance transform and its kin: Bormann et al. 2016, "Room segmentation: survey,
 implementation, and analysis"), but furniture leaves narrow passages, too. So a passage counts where a wall
-goes on in line with it, between the same two rooms, half as long as the passage is wide.
+goes on in line with it, between the same two rooms, two thirds as long as the passage is wide.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
-from slam.mapping.wall_gaps import THICKEST_WALL_M, WIDEST_DOOR_M, Gap, Line, looked_up, wall_gaps
+from slam.mapping.wall_gaps import THICKEST_WALL_M, WIDEST_DOOR_M, Line, looked_up, wall_gaps
 from slam.mapping.wall_segments import Segment
 from slam.measurements import BoolArray, FloatArray
 
@@ -101,7 +100,10 @@ def _wide_parts(free: BoolArray, radius: int) -> Labels:
     for _ in range(4 * radius):
         grown = ndimage.maximum_filter(labels, footprint=cross)
         labels = np.where(free & (labels == 0), grown, labels)
-    return labels
+    # What lies between two lines that are close together is a part, too.
+    parts, count = ndimage.label(free)
+    strips = np.bincount(parts.ravel(), core.ravel(), count + 1) == 0.0
+    return np.where(strips[parts] & free, parts + labels.max(initial=0), labels).astype(np.int32)
 
 
 def _drawn(lines: Sequence[Line], grid: OccupancyGrid) -> BoolArray:
@@ -126,11 +128,11 @@ def _closed(labels: Labels, states: NDArray[np.int8]) -> BoolArray:
     return np.asarray(known > unknown)
 
 
-def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: OccupancyGrid) -> Labels:
+def _merged(labels: Labels, gaps: Sequence[Line], real: BoolArray, grid: OccupancyGrid) -> Labels:
     """Join what no wall parts, drop what is no room, number the rest by size.
 
-    Two rooms have at least half as much wall between them, in line with their openings, as openings: across a
-    corridor, or from one piece of furniture to another, there is none.
+    Two rooms have wall between them, in line with their openings, two thirds as long as these are wide:
+    across a corridor, or from one piece of furniture to another, there is none.
     """
     free = grid.states() == FREE
     areas = np.asarray(np.bincount(labels.ravel(), minlength=len(real)) * grid.resolution_m**2, np.float64)
@@ -143,14 +145,15 @@ def _merged(labels: Labels, gaps: Sequence[Gap], real: BoolArray, grid: Occupanc
             owner[owner == owner[one]] = owner[other]
     # First the doorways themselves, between the faces of a wall.
     for parting in (False, True):
-        merged = owner[labels].astype(np.int32)
+        merged = np.where(real, owner, 0)[labels].astype(np.int32)
         edges = []
         for gap in gaps:
             open_ = _open(free, gap, grid)
             one, other = _sides(merged, gap, open_, grid)
             if one and other and real[one] and real[other] and one != other:
                 wall = _in_line(merged, free, gap, grid) if parting else None
-                edges.append(_Opening(one, other, _cells(gap.points(grid.resolution_m)[open_]), wall))
+                places = _places(gap.points(grid.resolution_m)[open_], gap, grid)
+                edges.append(_Opening(one, other, places, wall))
         _join(owner, areas, edges, smallest)
     sizes = np.bincount(owner, areas, len(owner))
     rooms = real & (sizes[owner] >= smallest)
@@ -179,7 +182,7 @@ class _Opening:
     one, other
         The part on its left and the one on its right.
     cells
-        (n, 2) where it is, in thicknesses of a wall, so that a gap seen from both sides counts once.
+        (n,) where along its line, so that a gap seen from both sides counts once.
     wall
         What is in line with it; None where no wall can part the two.
     """
@@ -197,24 +200,25 @@ class _InLine:
     Attributes
     ----------
     cells
-        (n, 2) where, as those of the gap.
+        (n,) where, as those of the gap.
     beside
         (2, n) which part lies on the left and on the right; 0 where none is seen.
-    sure
-        Whether the gap is surely one in a wall.
+    near
+        (n,) whether so near to an end of the gap that it is the side of a door, if the gap is one.
     """
 
     cells: NDArray[np.int64]
     beside: Labels
-    sure: bool
+    near: BoolArray
 
     def between(self, owner: NDArray[np.int64], one: int, other: int) -> BoolArray:
         """(n,) where what the two parts belong to lies beside it."""
         sides = np.array([[owner[one]], [owner[other]]])
         seen, of_them = self.beside > 0, owner[self.beside] == sides
-        # Of a wall one side may be hidden.
-        hidden = self.sure & of_them & ~seen[::-1]
-        return np.asarray(of_them.all(axis=0) | hidden.any(axis=0))
+        both = of_them.all(axis=0)
+        # Of a wall that is no thicker than one beside the gap, furniture may hide one side farther on.
+        hidden = (of_them & ~seen[::-1]).any(axis=0) & both[self.near].any()
+        return np.asarray(both | hidden)
 
 
 def _join(owner: NDArray[np.int64], areas: FloatArray, openings: Sequence[_Opening], smallest: float) -> None:
@@ -224,21 +228,20 @@ def _join(owner: NDArray[np.int64], areas: FloatArray, openings: Sequence[_Openi
     """
     while True:
         sizes = np.bincount(owner, areas, len(owner))
-        pairs: dict[tuple[int, int], tuple[Counter[tuple[int, ...]], Counter[tuple[int, ...]] | None]] = {}
+        pairs: dict[tuple[int, int], tuple[set[int], set[int] | None]] = {}
         for opening in openings:
             low, high = sorted((int(owner[opening.one]), int(owner[opening.other])))
             if low == high:
                 continue
-            gap, wall = pairs.setdefault((low, high), (Counter(), Counter() if opening.wall else None))
-            gap |= Counter(map(tuple, opening.cells.tolist()))
+            gap, wall = pairs.setdefault((low, high), (set(), set() if opening.wall else None))
+            gap |= set(opening.cells.tolist())
             if opening.wall and wall is not None:
                 between = opening.wall.between(owner, opening.one, opening.other)
-                wall |= Counter(map(tuple, opening.wall.cells[between].tolist()))
+                wall |= set(opening.wall.cells[between].tolist())
         open_ = [
-            (min(sizes[one], sizes[other]), -gap.total(), one, other)
+            (min(sizes[one], sizes[other]), -len(gap), one, other)
             for (one, other), (gap, wall) in pairs.items()
-            if min(sizes[one], sizes[other]) < smallest
-            or (wall is not None and 2 * wall.total() < gap.total())
+            if min(sizes[one], sizes[other]) < smallest or (wall is not None and 3 * len(wall) < 2 * len(gap))
         ]
         if not open_:
             return
@@ -246,14 +249,16 @@ def _join(owner: NDArray[np.int64], areas: FloatArray, openings: Sequence[_Openi
         owner[owner == one] = other
 
 
-def _cells(points_m: FloatArray) -> NDArray[np.int64]:
-    """(n, 2) points in whole thicknesses of a wall."""
-    return np.asarray(np.floor(points_m / THICKEST_WALL_M), dtype=np.int64)
+def _places(points_m: FloatArray, gap: Line, grid: OccupancyGrid) -> NDArray[np.int64]:
+    """(n,) points along a gap's line in cells, whatever side of the wall the line is on."""
+    way = gap.end_m - gap.begin_m
+    along = way * np.sign(way[np.argmax(np.abs(way))]) / max(gap.length_m, grid.resolution_m)
+    return np.asarray(np.floor(points_m @ along / grid.resolution_m), dtype=np.int64)
 
 
-def _in_line(labels: Labels, free: BoolArray, gap: Gap, grid: OccupancyGrid) -> _InLine:
+def _in_line(labels: Labels, free: BoolArray, gap: Line, grid: OccupancyGrid) -> _InLine:
     """What stands in line with a gap, up to a door's width past each end."""
-    step_m, cells, found = grid.resolution_m, [], []
+    step_m, cells, found, near = grid.resolution_m, [], [], []
     asides = np.arange(2.0 * step_m, THICKEST_WALL_M, step_m)
     for end_m, begin_m in ((gap.end_m, gap.begin_m), (gap.begin_m, gap.end_m)):
         along = (end_m - begin_m) / max(gap.length_m, step_m)
@@ -266,8 +271,9 @@ def _in_line(labels: Labels, free: BoolArray, gap: Gap, grid: OccupancyGrid) -> 
             sides.append(seen[np.argmax(seen > 0, axis=0), np.arange(len(seen.T))])
         stands = ~_open(free, beyond, grid)
         found.append(np.array(sides)[:, stands])
-        cells.append(_cells(beyond.points(step_m)[stands]))
-    return _InLine(np.concatenate(cells), np.concatenate(found, axis=1), gap.wall)
+        cells.append(_places(beyond.points(step_m)[stands], gap, grid))
+        near.append((np.arange(len(stands)) * step_m < THICKEST_WALL_M)[stands])
+    return _InLine(np.concatenate(cells), np.concatenate(found, axis=1), np.concatenate(near))
 
 
 def _open(free: BoolArray, line: Line, grid: OccupancyGrid) -> BoolArray:
@@ -277,7 +283,7 @@ def _open(free: BoolArray, line: Line, grid: OccupancyGrid) -> BoolArray:
     return np.asarray(looked_up(free, grid.cells_of(across.reshape(-1, 2))).reshape(3, -1).all(axis=0))
 
 
-def _sides(labels: Labels, gap: Gap, open_: BoolArray, grid: OccupancyGrid) -> list[int]:
+def _sides(labels: Labels, gap: Line, open_: BoolArray, grid: OccupancyGrid) -> list[int]:
     """The label that most cells have on its left and on its right, where it is open; 0 where none has any."""
     found = []
     for side in (1.0, -1.0):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,19 +45,6 @@ class Line:
         return np.asarray(self.begin_m + at * along + aside_m * np.array([-along[1], along[0]]))
 
 
-@dataclass(frozen=True, slots=True)
-class Gap(Line):
-    """From the end of a piece of wall to where it goes on.
-
-    Attributes
-    ----------
-    wall
-        Whether it is surely more than furniture.
-    """
-
-    wall: bool = False
-
-
 def looked_up(values: NDArray[np.int32] | BoolArray, cells: NDArray[np.int64]) -> NDArray[np.int32]:
     """(N,) values of (N, 2) cells; 0 outside."""
     inside = ((cells >= 0) & (cells < values.shape)).all(axis=1)
@@ -66,12 +53,8 @@ def looked_up(values: NDArray[np.int32] | BoolArray, cells: NDArray[np.int64]) -
     return found
 
 
-def wall_gaps(segments: Sequence[Segment], grid: OccupancyGrid) -> tuple[list[Gap], list[Segment]]:
-    """All gaps, and the segments that are walls: what the grid knows, and what goes on in line.
-
-    A gap is one in a wall, not between furniture, where a piece beside it is thin (was seen from both
-    sides), or where all pieces in line make a wall that is longer than two doors are wide.
-    """
+def wall_gaps(segments: Sequence[Segment], grid: OccupancyGrid) -> tuple[list[Line], list[Segment]]:
+    """All gaps, and the segments that are walls: what the grid knows, and what goes on in line."""
     met = grid.states() == OCCUPIED
     near = ndimage.binary_dilation(met)
     sturdy = np.array([_share(near, s, grid) > 0.5 for s in segments], dtype=np.bool_)
@@ -79,7 +62,7 @@ def wall_gaps(segments: Sequence[Segment], grid: OccupancyGrid) -> tuple[list[Ga
     lengths = _in_line(following, [s.length_m for s in segments])
     leaves = _leaves(segments, following)
     gaps = [
-        (Gap(segments[index].end_m, segments[next_].begin_m), index, next_)
+        (Line(segments[index].end_m, segments[next_].begin_m), index, next_)
         for index, next_ in following.items()
     ]
     gaps += _before_walls(segments, following, np.array(lengths) > WIDEST_DOOR_M, met, grid)
@@ -87,8 +70,7 @@ def wall_gaps(segments: Sequence[Segment], grid: OccupancyGrid) -> tuple[list[Ga
     for gap, one, other in gaps:
         if leaves[one] or leaves[other] or _across(gap, met, grid):
             continue
-        thin = _thin(segments[one], gap.begin_m, segments) or _thin(segments[other], gap.end_m, segments)
-        found.append(replace(gap, wall=thin or lengths[one] > 2.0 * WIDEST_DOOR_M))
+        found.append(gap)
         if one != other:
             walls[[one, other]] = True
     return found, [segment for segment, wall in zip(segments, walls, strict=True) if wall]
@@ -105,7 +87,7 @@ def _leaves(segments: Sequence[Segment], following: dict[int, int]) -> list[bool
     return [
         index not in beside
         and THICKEST_WALL_M < segment.length_m < 0.5 * WIDEST_DOOR_M
-        and _thin(segment, 0.5 * (segment.begin_m + segment.end_m), segments, leaf=True)
+        and _thin(segment, segments)
         for index, segment in enumerate(segments)
     ]
 
@@ -116,7 +98,7 @@ def _before_walls(
     long: BoolArray,
     met: BoolArray,
     grid: OccupancyGrid,
-) -> list[tuple[Gap, int, int]]:
+) -> list[tuple[Line, int, int]]:
     """Gaps between the end of a wall and another that stands across."""
     gaps = []
     for index, segment in enumerate(segments):
@@ -128,7 +110,7 @@ def _before_walls(
             if hit_m is not None:
                 # The side that was seen stays on the left.
                 ahead = along @ segment.along > 0.0
-                gaps.append((Gap(end_m, hit_m) if ahead else Gap(hit_m, end_m), index, index))
+                gaps.append((Line(end_m, hit_m) if ahead else Line(hit_m, end_m), index, index))
     return gaps
 
 
@@ -138,7 +120,7 @@ def _share(such: BoolArray, segment: Segment, grid: OccupancyGrid) -> float:
     return float(looked_up(such, grid.cells_of(points)).mean())
 
 
-def _across(gap: Gap, met: BoolArray, grid: OccupancyGrid) -> bool:
+def _across(gap: Line, met: BoolArray, grid: OccupancyGrid) -> bool:
     """Whether it leads from one side of a corridor to the other: walls stand across before both its ends."""
     step_m = 0.5 * grid.resolution_m
     before = gap.points(step_m, aside_m=6 * step_m, beyond_m=0.5 * THICKEST_WALL_M)
@@ -178,18 +160,18 @@ def _following(segments: Sequence[Segment], sturdy: BoolArray) -> dict[int, int]
     return found
 
 
-def _thin(segment: Segment, at_m: FloatArray, segments: Sequence[Segment], *, leaf: bool = False) -> bool:
-    """Whether the other side of a wall was seen, near a point of it; or that of the leaf of a door."""
-    thinnest, thickest = (0.0, THINNEST_WALL_M) if leaf else (THINNEST_WALL_M, THICKEST_WALL_M)
+def _thin(segment: Segment, segments: Sequence[Segment]) -> bool:
+    """Whether the other side was seen, closer than that of a wall: it is the leaf of a door."""
     normal, along, opposite = segment.normal, segment.along, -np.cos(SAME_DIRECTION_RAD)
+    middle = 0.5 * (segment.begin_m + segment.end_m)
     for other in segments:
         # Most are not opposite; the rest is only for these.
         if other.normal[0] * normal[0] + other.normal[1] * normal[1] > opposite:
             continue
-        begin, end = other.begin_m - at_m, other.end_m - at_m
+        begin, end = other.begin_m - middle, other.end_m - middle
         reach = begin @ along, end @ along
         if (
-            thinnest < -0.5 * float((begin + end) @ normal) < thickest
+            0.0 < -0.5 * float((begin + end) @ normal) < THINNEST_WALL_M
             and min(reach) < THICKEST_WALL_M
             and max(reach) > -THICKEST_WALL_M
         ):

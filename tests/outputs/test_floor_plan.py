@@ -119,6 +119,12 @@ def test_two_rooms_and_the_door_between_them(plan: FloorPlan) -> None:
     assert all(room.entered for room in plan.rooms)
 
 
+def test_furniture_along_a_wall_does_not_join_the_rooms_beside_it() -> None:
+    cupboards = [*box(4.12, 0.0, 4.8, 0.88), *box(4.12, 2.02, 4.8, 3.0)]
+    found = floor_plan(mapped([*TWO_ROOMS, *cupboards], WAYS["two"]), Config())
+    assert [room.area_m2 for room in found.rooms] == pytest.approx([12.0, 9.0], abs=0.1)
+
+
 def test_the_truth_lies_in_the_intervals(plan: FloorPlan) -> None:
     for room, area in zip(plan.rooms, (12.0, 9.0), strict=True):
         assert room.area_half_interval_m2 is not None
