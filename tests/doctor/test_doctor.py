@@ -131,7 +131,7 @@ def test_short_steps_of_turns_in_place_fit_as_well_as_matches_are(lost_m: float,
     """Two steps in three are a turn in place that swings the lidar 5 cm, by matches that are off 4 mm."""
     rng = np.random.default_rng(1)
     turns = rng.choice([-0.25, 0.25], 90)
-    told = np.where(np.arange(90) % 3, 0.0, 0.22) + 0j
+    told = np.where(np.arange(90) % 3, 0.005, 0.22) + 0j
     lidar = told + 0.2 * (np.exp(1j * turns) - 1.0) + rng.normal(0.0, 0.004, (90, 2)) @ [1.0, 1.0j]
     told = told + lost_m * rng.normal(0.0, 1.0, (90, 2)) @ [1.0, 1.0j]
     places, headings = np.stack([0.0 * told, told], axis=1), np.zeros((90, 2))
