@@ -24,8 +24,6 @@ _FAST_THRESHOLD = 12
 # Keypoints of images that the doctor has looked at and the mapper will; so many of them at most.
 _KEPT: dict[tuple[int, tuple[int, ...], int], tuple[Float32Array, Descriptors, Float32Array]] = {}
 _MOST_KEPT = 1024
-_RIM = np.float32(1.0 + RIM_SHARE)
-_FARTHEST = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +144,7 @@ def _depth_at(depth_m, pixels, around, found):  # type: ignore[no-untyped-def]
             around[n] = depth_m[row + n // 3 - 1, column + n % 3 - 1]
             if around[n] > 0.0:
                 nearest = min(nearest, around[n])
-        farthest, count = nearest * _RIM, ZERO
+        farthest, count = nearest * np.float32(1.0 + RIM_SHARE), ZERO
         for n in range(9):
             on = around[n] > 0.0 and around[n] <= farthest
             count += 1 if on else 0
@@ -175,7 +173,7 @@ def match_features(first: Descriptors, second: Descriptors, ratio: float, greate
     words = [np.ascontiguousarray(side).view(np.uint64) for side in (first, second)]
     counts = np.array([len(first), len(second)])
     nearest = np.zeros((len(first), 2), np.int64)
-    back = np.full(len(second), _FARTHEST)
+    back = np.full(len(second), np.iinfo(np.int64).max)
     _nearest(
         words[0], np.ascontiguousarray(words[1].T), counts, nearest, np.zeros(len(second), np.int64), back
     )
@@ -204,7 +202,7 @@ def _nearest(first, second, counts, nearest, row, back):  # type: ignore[no-unty
             for j in range(row.size):
                 least = min(least, row[j])
             nearest[i, rank] = least
-            row[least % counts[1]] = _FARTHEST
+            row[least % counts[1]] = np.iinfo(np.int64).max
 
 
 @lru_cache(maxsize=8)

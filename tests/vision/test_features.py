@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from room_world import MIDDLE, SMALL, blind, furnished, in_world, looking, off_surfaces, prepared, render
 
-from slam.vision.features import _KEPT, _MOST_KEPT, Matches, depth_at, extract_features, gray_of, match_features
+from slam.vision.features import (
+    _KEPT,
+    _MOST_KEPT,
+    Matches,
+    depth_at,
+    extract_features,
+    gray_of,
+    match_features,
+)
 
 
 def around(values: list[list[float]]) -> np.ndarray:
@@ -131,6 +139,7 @@ def test_matched_features_see_the_same_point() -> None:
 
 
 def test_an_image_that_is_asked_for_again_gives_the_same_keypoints_with_the_depth_of_then() -> None:
+    _KEPT.clear()
     frame = render(furnished(), looking(2.0, 1.8, 1.2, 0.5), SMALL)
     plain = extract_features(gray_of(frame), frame.depth_m, 500)
     kept = extract_features(gray_of(frame), 2.0 * frame.depth_m, 500, again=True)
