@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 from room_world import MIDDLE, SMALL, blind, furnished, in_world, looking, off_surfaces, prepared, render
 
-from slam.vision.features import _KEPT, _MOST_KEPT, Matches, depth_at, extract_features, gray_of, match_features
+from slam.vision.features import (
+    _KEPT,
+    _MOST_KEPT,
+    Matches,
+    depth_at,
+    extract_features,
+    gray_of,
+    match_features,
+)
 
 
 def around(values: list[list[float]]) -> np.ndarray:
