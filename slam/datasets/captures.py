@@ -7,6 +7,7 @@ in fragments (RFC 791, 3.2).
 
 from __future__ import annotations
 
+import io
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -41,7 +42,18 @@ _BEFORE = {0: 4, 1: 14, 12: 0, 101: 0, 113: 16, 228: 0, 276: 20}
 _VLAN, _VLAN_BYTES, _TYPE_AT = b"\x81\x00", 4, 12
 _UDP, _UDP_BYTES, _LEAST_BYTES = 17, 8, 28
 _MORE, _OFFSET = 0x2000, 0x1FFF  # of the field that tells fragments
+_LARGEST_RECORD = 1 << 20
 _MOST_WAITING = 64  # packets of which fragments are missing
+
+
+class _File(io.BufferedReader):
+    """A capture's file; a record that says to be larger than any is not asked for."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """So many bytes; ValueError where that is more than a record can have."""
+        if size is not None and size > _LARGEST_RECORD:
+            raise ValueError(f"a record of {size} bytes")
+        return super().read(size)
 
 
 def looks_like_capture(path: Path, head: bytes) -> bool:
@@ -114,7 +126,7 @@ def payloads(path: Path, account: Account, dpkt: Any) -> Iterator[tuple[int, flo
     size = path.stat().st_size
     budget, number = Budget(size), 0
     waiting: dict[bytes, dict[int, tuple[bytes, bool]]] = {}
-    with path.open("rb") as file:
+    with _File(path.open("rb", buffering=0)) as file:
         try:
             records = dpkt.pcap.UniversalReader(file)
             before = _BEFORE.get(records.datalink())
