@@ -55,6 +55,7 @@ _SAMPLES = {
     "laz": "LAS clouds",
     "nyu_dumps": "NYU Depth V2, raw dumps",
     "pcap": "Velodyne packets, .pcap",
+    "ouster": "Ouster packets, .pcap",
     "point_cloud": "PointCloud of ROS 1's first years",
     "foxglove": "Foxglove, a lidar as protobuf",
     "foxglove_json": "Foxglove, a flat lidar as JSON",

@@ -1,11 +1,13 @@
 """Captures of a network (``.pcap``, ``.pcapng``) that hold a lidar's packets, decoded as in bags.
 
-dpkt, which the extra 'velodyne' brings, reads the containers; packets are taken apart here, since a lidar's
-are often sent in fragments (RFC 791, 3.2).
+Packets of an Ouster where its metadata lies beside the capture, else those of a Velodyne. dpkt, which the
+extra 'velodyne' brings, reads the containers; packets are taken apart here, since a lidar's are often sent
+in fragments (RFC 791, 3.2).
 """
 
 from __future__ import annotations
 
+import io
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,6 +18,9 @@ import gtsam
 
 from slam.datasets.account import Account
 from slam.datasets.bags.clouds import CloudReader
+from slam.datasets.bags.imu import ImuReader
+from slam.datasets.bags.ouster import IMU_BYTES, NO_METADATA, Ouster
+from slam.datasets.bags.ouster_model import OusterModel, metadata_beside, packet_sizes
 from slam.datasets.bags.velodyne import NO_DECODER, VelodyneStream
 from slam.datasets.budget import Budget
 from slam.datasets.dataset import RecordFault
@@ -37,7 +42,18 @@ _BEFORE = {0: 4, 1: 14, 12: 0, 101: 0, 113: 16, 228: 0, 276: 20}
 _VLAN, _VLAN_BYTES, _TYPE_AT = b"\x81\x00", 4, 12
 _UDP, _UDP_BYTES, _LEAST_BYTES = 17, 8, 28
 _MORE, _OFFSET = 0x2000, 0x1FFF  # of the field that tells fragments
+_LARGEST_RECORD = 1 << 20
 _MOST_WAITING = 64  # packets of which fragments are missing
+
+
+class _File(io.BufferedReader):
+    """A capture's file; a record that says to be larger than any is not asked for."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """So many bytes; ValueError where that is more than a record can have."""
+        if size is not None and size > _LARGEST_RECORD:
+            raise ValueError(f"a record of {size} bytes")
+        return super().read(size)
 
 
 def looks_like_capture(path: Path, head: bytes) -> bool:
@@ -46,21 +62,49 @@ def looks_like_capture(path: Path, head: bytes) -> bool:
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """The clouds of one lidar, which is the robot's frame."""
-    return Contents(log=_clouds(path, account))
-
-
-def _clouds(path: Path, account: Account) -> Iterator[Numbered]:
-    """Turns with the packets that completed them."""
+    """The clouds of one lidar, which is the robot's frame; of an Ouster its IMU, in the sensor's frame."""
     try:
         import dpkt
     except ImportError as error:
         raise DatasetError(f"{path} holds {NO_DECODER}") from error
+    if (metadata := metadata_beside(path)) is None:
+        return Contents(log=_clouds(path, account, dpkt))
+    try:
+        model = OusterModel.of(metadata)
+    except RecordFault as fault:
+        raise DatasetError(f"{path}: {fault}; give the metadata of the sensor that sent this") from fault
+    return Contents(log=_of_ouster(path, account, dpkt, model))
+
+
+def _of_ouster(path: Path, account: Account, dpkt: Any, model: OusterModel) -> Iterator[Numbered]:
+    """Turns with the packets that completed them, and readings of the IMU; other packets are passed over."""
+    lidar, imu = CloudReader("lidar", model.T_sensor_lidar), ImuReader("imu", model.T_sensor_imu)
+    sensor, number = Ouster(model), 0
+    for number, stamp_s, payload in payloads(path, account, dpkt):
+        account.report.line_count += 1
+        try:
+            if len(payload) == IMU_BYTES:
+                reading = imu.read(sensor.imu(stamp_s, payload))
+                account.report.accept("imu")
+                yield number, reading
+            elif len(payload) in packet_sizes() | {model.packet.itemsize}:
+                yield from _read(lidar, number, sensor.add(stamp_s, payload), account)
+        except RecordFault as fault:
+            account.refuse(fault, path.name, number)
+    yield from _read(lidar, number, sensor.rest(), account)
+    for line, text in enumerate(sensor.told(), 1):
+        account.report.note(text, line)
+
+
+def _clouds(path: Path, account: Account, dpkt: Any) -> Iterator[Numbered]:
+    """Turns with the packets that completed them."""
     reader, decoder = CloudReader("lidar", gtsam.Pose3()), VelodyneStream()
     number = 0
     for number, stamp_s, payload in payloads(path, account, dpkt):
         account.report.line_count += 1
         try:
+            if len(payload) in packet_sizes():
+                raise RecordFault(NO_METADATA, f"{len(payload)} bytes")
             yield from _read(reader, number, decoder.add(stamp_s, payload), account)
         except RecordFault as fault:
             account.refuse(fault, path.name, number)
@@ -82,7 +126,7 @@ def payloads(path: Path, account: Account, dpkt: Any) -> Iterator[tuple[int, flo
     size = path.stat().st_size
     budget, number = Budget(size), 0
     waiting: dict[bytes, dict[int, tuple[bytes, bool]]] = {}
-    with path.open("rb") as file:
+    with _File(path.open("rb", buffering=0)) as file:
         try:
             records = dpkt.pcap.UniversalReader(file)
             before = _BEFORE.get(records.datalink())
@@ -127,5 +171,8 @@ def _payload(frame: bytes, before: int, waiting: dict[bytes, dict[int, tuple[byt
 
 
 FORMAT = recorded(
-    "capture of a Velodyne's packets (.pcap)", looks_like_capture, _load, lambda path, account: None
+    "capture of a Velodyne's or an Ouster's packets (.pcap)",
+    looks_like_capture,
+    _load,
+    lambda path, account: None,
 )

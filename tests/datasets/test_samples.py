@@ -130,6 +130,9 @@ def test_a_capture_in_fragments_out_of_order_and_cut(tmp_path: Path) -> None:
 
     found = [one for *_, one in payloads(path, Account("a", report, False), dpkt)]
     assert found == data[:3] and sum(tally.count for tally in report.dropped.values()) <= 1
+    path.write_bytes(whole[:32] + b"\xff\xff\xff\x7f" * 2 + whole[40:])
+    huge = ReadReport()
+    assert list(payloads(path, Account("a", huge, False), dpkt)) == [] and huge.dropped_count == 1
     path.write_bytes(b"\x0a\x0d\x0d\x0a" + bytes(60))
     assert list(payloads(path, Account("a", report, False), dpkt)) == [] and report.dropped
 

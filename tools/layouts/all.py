@@ -9,6 +9,7 @@ from tools.layouts import (
     lidar_sets,
     lidars,
     odd_images,
+    ouster,
 )
 
 __all__ = [
@@ -20,4 +21,5 @@ __all__ = [
     "lidar_sets",
     "lidars",
     "odd_images",
+    "ouster",
 ]

@@ -280,20 +280,6 @@ def _ouster_driver(folder: Path) -> Sample:
     return Sample(ros.ros2(folder / "ouster", said), cloud=truth(points, parts, poses, sits), imu=80)
 
 
-@layout("Ouster packets", "lidar bags", "ouster-ros PacketMsg.msg")
-def _ouster_packets(folder: Path) -> Sample:
-    said = [
-        Sent(
-            "/ouster/lidar_packets",
-            "ouster_sensor_msgs/msg/PacketMsg",
-            START_S + 0.001 * k,
-            {"buf": np.zeros(12608, np.uint8)},
-        )
-        for k in range(30)
-    ]
-    return Sample(ros.ros2(folder / "os", said), refused=r"ouster_ros.*replay")
-
-
 def velodyne_at(topic: str, frame: str, mount: Any, said: list[Sent]) -> tuple[Any, ...]:
     """Clouds of a Velodyne on a robot."""
     points, parts, poses = ride(mount)

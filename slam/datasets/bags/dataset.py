@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,11 +18,12 @@ from slam.datasets.bags.files import Bag, find_bag
 from slam.datasets.bags.imu import JoinedImu
 from slam.datasets.bags.layout import Layout, frames_of, layout_of
 from slam.datasets.bags.mending import mended
+from slam.datasets.bags.ouster import Ousters
 from slam.datasets.bags.pairing import ImagePair, PairStream, StampedImage
 from slam.datasets.bags.records import BagRecord
 from slam.datasets.bags.survey import Survey, restamp, survey_bag
 from slam.datasets.bags.time_merge import TimeMerge
-from slam.datasets.bags.topics import IMAGES, TRANSFORMS
+from slam.datasets.bags.topics import IMAGES, OUSTER, TRANSFORMS
 from slam.datasets.bags.truth import read_truth, truth_topic
 from slam.datasets.budget import Budget
 from slam.datasets.calibration_files import known_beside
@@ -177,9 +178,13 @@ def _stream(
     """The bag in order, images not decoded yet."""
     time_merge: TimeMerge[_FrameToDo] = TimeMerge()
     pairs = [PairStream(camera.sensor, camera.tolerance_s, account) for camera in layout.cameras]
-    reader = _Reader(layout, Decoder(budget), account, figures)
+    decoder = Decoder(budget, Ousters(bag.path, layout.ousters))
+    reader = _Reader(layout, decoder, account, figures)
+    last: dict[str, BagRecord] = {}
     for record in bag.records(account, budget):
         now_s = record.recorded_s
+        if record.channel.kind in OUSTER:
+            last[record.channel.topic] = record
         if not images and record.channel.topic in layout.images:
             continue
         for item in reader.read(record):
@@ -191,6 +196,11 @@ def _stream(
         for place, pair_stream in enumerate(pairs):
             _hand_on(time_merge, layout, place, pair_stream.settle(now_s))
         yield from _as_done(time_merge.due(now_s))
+    for record in last.values():
+        for item in reader.rest(record):
+            time_merge.add_reading(record.number, item, record.recorded_s)
+    for number, text in enumerate(decoder.ousters.told(), 1):
+        account.report.note(text, number)
     for place, pair_stream in enumerate(pairs):
         _hand_on(time_merge, layout, place, pair_stream.rest())
     yield from _as_done(time_merge.rest())
@@ -240,9 +250,22 @@ class _Reader:
         self._figures.saw(record)
         if not self._layout.reads(topic, kind):
             return []
+        return self._made(record, lambda: self._decoder.decode(record))
+
+    def rest(self, record: BagRecord) -> list[Measurement]:
+        """What of the last turn of an Ouster came, by the last packet of its topic."""
+        topic = record.channel.topic
+        if not self._layout.reads(topic, record.channel.kind):
+            return []
+        made = self._made(record, lambda: self._decoder.ousters.rest(topic))
+        return [one for one in made if not isinstance(one, StampedImage)]
+
+    def _made(self, record: BagRecord, decode: Callable[[], Any]) -> list[Measurement | StampedImage]:
+        """What a message that is to be decoded holds; nothing where it is damaged."""
+        topic = record.channel.topic
         try:
-            message = self._decoder.decode(record)
-            return self._converted(record, message)
+            message = decode()
+            return [] if message is None else self._converted(record, message)
         except RecordFault as fault:
             self._account.refuse(fault, topic, record.number)
         except (AttributeError, TypeError, ValueError, OverflowError, IndexError, RuntimeError) as error:

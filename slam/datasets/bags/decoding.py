@@ -13,8 +13,9 @@ from slam.datasets.bags import foxglove
 from slam.datasets.bags.cloud_messages import point_cloud
 from slam.datasets.bags.definitions import message_parts, simple_idl
 from slam.datasets.bags.livox import livox_cloud
+from slam.datasets.bags.ouster import Ousters
 from slam.datasets.bags.records import BagRecord, Channel
-from slam.datasets.bags.topics import LIVOX, POINT_CLOUD, VELODYNE
+from slam.datasets.bags.topics import LIVOX, OUSTER, POINT_CLOUD, VELODYNE
 from slam.datasets.bags.velodyne import VelodyneDecoder
 from slam.datasets.budget import LARGEST_BYTES, Budget
 from slam.datasets.dataset import RecordFault
@@ -43,7 +44,8 @@ _BUILT_IN_NAMES = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 class Decoder:
     """The message types of one bag; what is beyond the bag's budget does not decode."""
 
-    def __init__(self, budget: Budget) -> None:
+    def __init__(self, budget: Budget, ousters: Ousters | None = None) -> None:
+        self.ousters = ousters or Ousters()
         self._types: dict[Channel, _Types | None] = {}
         self._velodynes: dict[str, VelodyneDecoder] = {}
         self._budget = budget
@@ -58,7 +60,7 @@ class Decoder:
             raise RecordFault(UNDECODED, text) from error
 
     def decode(self, record: BagRecord) -> Any:
-        """A message; its fields have the names of its definition.
+        """A message; its fields have the names of its definition. None for a packet that completes no turn.
 
         Raises
         ------
@@ -72,6 +74,8 @@ class Decoder:
             return foxglove.message_of(record.content, channel.own_kind, channel.wire, definition)
         if channel.kind in LIVOX | {POINT_CLOUD} and channel.wire in _WIRES:
             return self._cloud(record)
+        if OUSTER & {channel.kind, channel.own_kind} and channel.wire in _WIRES:
+            return self.ousters.read(record, of_imu=channel.kind not in OUSTER)
         if channel not in self._types:
             fits = self._budget.takes_definition(channel.definition)
             self._types[channel] = _typestore(channel if fits else replace(channel, definition=""))

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 from slam.datasets.account import Account
 from slam.datasets.bags import mcap, rosbag1, sqlite
 from slam.datasets.bags.compression import unpacked_message
 from slam.datasets.bags.records import BagRecord, Channel, Container
+from slam.datasets.bags.topics import IMU, OUSTER
 from slam.datasets.budget import Budget
 from slam.datasets.dataset import RecordFault
 from slam.errors import DatasetError
@@ -38,7 +40,7 @@ class Bag:
             channels = container.announced(path)
             if channels is None:
                 return None
-            found.update(dict.fromkeys(channels))
+            found.update(dict.fromkeys(map(_read_as, channels)))
         return list(found)
 
     def budget(self) -> Budget:
@@ -69,7 +71,14 @@ class Bag:
                 except RecordFault as fault:
                     account.refuse(fault, path.name, number)
                     continue
-                yield BagRecord(number, channel, recorded_ns * _NS, message)
+                yield BagRecord(number, _read_as(channel), recorded_ns * _NS, message)
+
+
+@lru_cache
+def _read_as(channel: Channel) -> Channel:
+    """A channel by what its messages are: of an Ouster, packets of lidar and IMU have one type."""
+    of_imu = channel.kind in OUSTER and channel.topic.endswith("imu_packets")
+    return replace(channel, kind=IMU, own_kind=channel.kind) if of_imu else channel
 
 
 def looks_like_bag(path: Path, head: bytes) -> bool:

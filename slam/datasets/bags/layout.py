@@ -20,6 +20,7 @@ from slam.datasets.bags.imu import NO_FORCES, ImuReader, JoinedImu, paired_halve
 from slam.datasets.bags.laser import LaserMount, scan_from
 from slam.datasets.bags.lens import Lens, lens_of
 from slam.datasets.bags.mending import mended
+from slam.datasets.bags.ouster_model import OusterModel
 from slam.datasets.bags.survey import Survey, clock_shifts, count_messages
 from slam.datasets.bags.topics import (
     CAMERA_INFO,
@@ -68,6 +69,8 @@ class Layout:
         Topics that told a lens, a depth unit, or where colour sits beside depth.
     left_out
         Why a topic of a sensor is not read.
+    ousters
+        As of the survey.
     """
 
     base: str | None
@@ -83,6 +86,7 @@ class Layout:
     shifts_s: dict[str, float] = field(default_factory=dict)
     lenses: set[str] = field(default_factory=set)
     left_out: dict[str, str] = field(default_factory=dict)
+    ousters: dict[str, OusterModel] = field(default_factory=dict)
 
     def reads(self, topic: str, kind: str) -> bool:
         """Whether messages of a topic are decoded."""
@@ -130,7 +134,8 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...], known: KnownCal
     files = FileFacts(known)
     files.place(survey)
     choice = _choice(bag, survey, wanted)
-    layout = Layout(survey.base_frame(choice.odometry), files)
+    layout = Layout(survey.base_frame(choice.odometry), files, ousters=survey.ousters)
+    layout.lenses |= {f"{space}/metadata" for space in survey.ousters}
     layout.left_out = choice.left_out
     for topic, channel in survey.channels.items():
         if channel.kind in TRANSFORMS and survey.robots.of_another(topic):

@@ -6,7 +6,6 @@ import re
 
 _REPUBLISH = "record it again through 'ros2 run image_transport republish {} raw'"
 _REMEDIES = (
-    (r"^ouster_(ros|sensor_msgs)/", "record it again through 'ros2 launch ouster_ros replay.launch.xml'"),
     (r"^(rslidar_msg|hesai_ros_driver)/", "record it again through its driver, as PointCloud2"),
     (r"^theora_image_transport/", _REPUBLISH.format("theora")),
     (r"^ffmpeg_image_transport", _REPUBLISH.format("ffmpeg")),

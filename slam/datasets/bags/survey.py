@@ -14,6 +14,8 @@ from slam.datasets.bags.decoding import Decoder, frame_name, stamp_of
 from slam.datasets.bags.files import Bag
 from slam.datasets.bags.images import is_depth
 from slam.datasets.bags.imu import told_by
+from slam.datasets.bags.ouster import Ousters
+from slam.datasets.bags.ouster_model import FRAMES, OusterModel
 from slam.datasets.bags.records import BagRecord, Channel
 from slam.datasets.bags.registered import EXTRINSICS, CameraFacts
 from slam.datasets.bags.robots import Robots
@@ -22,9 +24,11 @@ from slam.datasets.bags.topics import (
     CLOUDS,
     IMAGES,
     IMU,
+    METADATA,
     ODOMETRY,
     SCANS,
     SENSORS,
+    STRING,
     TRANSFORMS,
     camera_info_topics,
 )
@@ -71,6 +75,8 @@ class Survey:
         Width and height of the images of each topic that tells them before they are decoded.
     facts
         What drivers tell of their cameras in messages of their own.
+    ousters
+        What lidars whose packets are in the bag tell of themselves, by the namespace of their topics.
     robots
         Of several robots in the bag the one that is read.
     """
@@ -90,6 +96,7 @@ class Survey:
     imus: dict[str, tuple[bool, bool]] = field(default_factory=dict)
     sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
     facts: CameraFacts = field(default_factory=CameraFacts)
+    ousters: dict[str, OusterModel] = field(default_factory=dict)
     robots: Robots = field(default_factory=Robots)
     tree: FrameTree = field(default_factory=FrameTree)
 
@@ -159,7 +166,8 @@ def survey_bag(bag: Bag, wanted: Sequence[str] = ()) -> Survey:
         survey.channels.setdefault(channel.topic, channel)
     survey.robots = Robots.of({topic: one.kind for topic, one in survey.channels.items()}, wanted)
     budget = bag.budget()
-    decoder, quiet = Decoder(budget), Account(bag.path.name, ReadReport(), strict=False)
+    decoder = Decoder(budget, Ousters(bag.path))
+    quiet = Account(bag.path.name, ReadReport(), strict=False)
     first_s: float | None = None
     looking = True
     for record in bag.records(quiet, budget):
@@ -167,11 +175,27 @@ def survey_bag(bag: Bag, wanted: Sequence[str] = ()) -> Survey:
         survey.channels.setdefault(record.channel.topic, record.channel)
         seconds = record.recorded_s - first_s
         if looking:
+            if METADATA.search(record.channel.topic) and record.channel.kind == STRING:
+                _learn(decoder, record)
             _look(survey, record, decoder)
             looking = seconds < LOOK_S and not survey.is_enough(seconds)
         elif announced is not None:
             break
+    survey.ousters = decoder.ousters.models
+    for model in survey.ousters.values():
+        sensor, *_ = FRAMES
+        for frame, pose in model.mountings().items():
+            if frame not in survey.tree:
+                survey.tree.sits(sensor, frame, pose)
     return survey
+
+
+def _learn(decoder: Decoder, record: BagRecord) -> None:
+    """Take in what an Ouster tells of itself; what cannot be decoded tells nothing."""
+    try:
+        decoder.ousters.learn(record.channel.topic, str(decoder.decode(record).data))
+    except (RecordFault, AttributeError):
+        return
 
 
 def clock_shifts(survey: Survey) -> dict[str, float]:
@@ -213,6 +237,8 @@ def _look(survey: Survey, record: BagRecord, decoder: Decoder) -> None:
         return
     try:
         message = decoder.decode(record)
+        if message is None:
+            return
         if kind in TRANSFORMS:
             survey.tree.add(message)
         elif survey.facts.tells(topic, kind):

@@ -16,6 +16,8 @@ LIVOX = frozenset(
     {f"livox_{package}/msg/CustomMsg" for package in ("ros_driver", "ros_driver2", "interfaces")}
 )
 VELODYNE = "velodyne_msgs/msg/VelodyneScan"
+OUSTER = frozenset(f"ouster_{package}/msg/PacketMsg" for package in ("ros", "msgs", "sensor_msgs"))
+STRING = "std_msgs/msg/String"  # of an Ouster's metadata
 ODOMETRY = "nav_msgs/msg/Odometry"
 IMU = "sensor_msgs/msg/Imu"
 NAVSAT = "sensor_msgs/msg/NavSatFix"
@@ -24,13 +26,14 @@ COMPRESSED = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 TRANSFORMS = frozenset({"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"})
 SCANS = frozenset({LASER_SCAN, MULTI_ECHO})
-CLOUDS = LIVOX | {CLOUD, POINT_CLOUD, VELODYNE}
+CLOUDS = LIVOX | OUSTER | {CLOUD, POINT_CLOUD, VELODYNE}
 IMAGES = frozenset({IMAGE, COMPRESSED})
 SENSORS = SCANS | CLOUDS | IMAGES | {ODOMETRY, IMU, NAVSAT}
 
 _KIND_WORD = re.compile(r"rgb|colou?r|depth|image|infra|^ir$|mono|stereo|left|right|^sensor_", re.IGNORECASE)
 _REGISTERED = re.compile(r"aligned_depth|depth_registered|depth_to_(rgb|color)|registered", re.IGNORECASE)
 _INFRARED = re.compile(r"infra|(^|[/_])ir\d?([/_]|$)|thermal|flir|confidence|disparity", re.IGNORECASE)
+METADATA = re.compile(r"/metadata$")
 _TRANSPORT = re.compile(r"/(compressed|compressedDepth|theora|ffmpeg|zstd)$")
 
 

@@ -45,6 +45,10 @@ class FrameTree:
         else:
             self._told[parent, child] = pose
 
+    def sits(self, parent: str, child: str, pose: gtsam.Pose3) -> None:
+        """Put a frame that the tree does not have into a parent, as a message of tf would."""
+        self._parents[child] = parent, pose
+
     def _steps(self) -> Iterator[tuple[str, str, gtsam.Pose3]]:
         """Parent, child and pose of all that is known; what was told comes first."""
         yield from ((parent, child, pose) for (parent, child), pose in self._told.items())

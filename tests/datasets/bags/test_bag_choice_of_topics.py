@@ -151,9 +151,9 @@ def test_what_a_camera_saw_of_the_way_is_no_wheels_in_tf_either(tmp_path: Path) 
     assert not any(isinstance(one, WheelOdometry) for one in read(tmp_path, sent)[0])
 
 
-def test_packets_that_are_not_read_name_what_makes_clouds_of_them(tmp_path: Path) -> None:
+def test_packets_without_what_tells_how_to_read_them_name_it(tmp_path: Path) -> None:
     sent = [Sent("/ouster/lidar_packets", "ouster_sensor_msgs/msg/PacketMsg", START_S, {"buf": [1, 2]})]
-    with pytest.raises(DatasetError, match=r"PacketMsg; record it again through 'ros2 launch ouster_ros"):
+    with pytest.raises(DatasetError, match=r"without its metadata: put its .json"):
         read(tmp_path, sent)
 
 

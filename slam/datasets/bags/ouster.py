@@ -1,0 +1,241 @@
+"""Packets of Ouster's lidars as clouds and as readings of their IMU, by what the sensor tells of itself.
+
+After Ouster's Software User Manual (firmware 2.x and 3.x): "Lidar Data Packet Format", "IMU Data Packet
+Format". The first return of each pixel is read.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.datasets.bags.cloud_messages import as_cloud, header_at
+from slam.datasets.bags.ouster_model import FRAMES, OusterModel, metadata_beside
+from slam.datasets.bags.records import BagRecord
+from slam.datasets.dataset import WARNING, RecordFault
+from slam.datasets.point_times import LONGEST_TURN_S
+
+NO_METADATA = (
+    "packets of an Ouster without its metadata: put its .json, named as the recording, beside it "
+    "(http://SENSOR/api/v1/sensor/metadata), or record the driver's topic 'metadata'"
+)
+DAMAGED = "damaged packet of an Ouster"
+LATE = "packet of an Ouster's turn that is over"
+NO_RETURN = "turn of an Ouster without a return"
+IMU_BYTES, _G_M_S2 = 48, 9.80665
+_OTHER_CLOCK_S = (
+    60.0  # no packet waits so long for its recorder; a sensor without a clock counts from its start
+)
+
+
+@dataclass(slots=True)
+class Ouster:
+    """One sensor: its packets as they come, put together to turns by the frame that they tell.
+
+    Attributes
+    ----------
+    model
+        What it tells of itself.
+    lacking, left_out
+        Turns that lack columns, and those that lack half of them or more.
+    behind_s
+        What its clock is behind the recorder's, where that is another one altogether; None before a packet.
+    """
+
+    model: OusterModel
+    lacking: int = 0
+    left_out: int = 0
+    behind_s: float | None = None
+    _frame: int | None = None
+    _over: int | None = None
+    _first_ns: int = 0
+    _stamps_ns: NDArray[Any] = field(default_factory=lambda: np.zeros(0, np.int64))
+    _steps: NDArray[Any] = field(default_factory=lambda: np.zeros(0, np.uint32))
+
+    def add(self, recorded_s: float, packet: bytes) -> SimpleNamespace | None:
+        """The turn that a packet completes, with the fields of a PointCloud2; None where it completes none.
+
+        A turn is complete with its last column, or where the next begins.
+
+        Raises
+        ------
+        RecordFault
+            The packet is damaged, or late.
+        """
+        model = self.model
+        if len(packet) != model.packet.itemsize:
+            raise RecordFault(DAMAGED, f"{len(packet)} bytes, not {model.packet.itemsize}")
+        (whole,) = np.frombuffer(packet, model.packet)
+        columns, names = whole["columns"], model.packet.names or ()
+        columns = columns[columns["status"] & 1 == 1]
+        if not columns.size:
+            return None
+        frame = int(whole["frame"] if "frame" in names else columns["frame"][0])
+        numbers, stamps_ns = columns["number"].astype(int), columns["stamp_ns"].astype(np.int64)
+        first_ns = self._first_ns if frame == self._frame else int(stamps_ns.min())
+        damaged = bool((stamps_ns < 0).any() or (np.abs(stamps_ns - first_ns) > LONGEST_TURN_S * 1e9).any())
+        damaged |= int(whole["kind"]) != 1 if "kind" in names else bool((columns["frame"] != frame).any())
+        if damaged or (numbers >= len(model.sent)).any():
+            raise RecordFault(DAMAGED, f"frame {frame}, columns {numbers.min()} to {numbers.max()}")
+        if frame == self._over:
+            raise RecordFault(LATE, f"frame {frame}")
+        before = self.rest() if frame != self._frame else None
+        if self.behind_s is None:
+            self._set_clock(recorded_s, int(stamps_ns[0]))
+        if self._frame is None:
+            self._frame, self._first_ns = frame, first_ns
+            self._stamps_ns = np.full(len(model.sent), -1, np.int64)
+            self._steps = np.zeros(model.ahead.shape[:2], np.uint32)
+        self._stamps_ns[numbers] = stamps_ns
+        self._steps[numbers] = columns["pixels"]["steps"] & model.bits
+        return self.rest() if before is None and (self._stamps_ns[model.sent] >= 0).all() else before
+
+    def rest(self) -> SimpleNamespace | None:
+        """The turn so far; None where there is none, or of half or more of its columns nothing came."""
+        if self._frame is None:
+            return None
+        self._over, self._frame = self._frame, None
+        told, whole = int((self._stamps_ns[self.model.sent] >= 0).sum()), int(self.model.sent.sum())
+        if 2 * told <= whole:
+            self.left_out += 1
+            return None
+        self.lacking += told < whole
+        return self._cloud()
+
+    def _cloud(self) -> SimpleNamespace | None:
+        """The turn as a message, stamped with its first column ("Lidar Range to XYZ")."""
+        model = self.model
+        at, row = np.nonzero(self._steps)
+        if not at.size:
+            raise RecordFault(NO_RETURN, f"frame {self._over}")
+        along_m = self._steps[at, row] * model.step_m - model.arm_m
+        points = along_m[:, None] * model.ahead[at, row] + model.origins_m[at]
+        first_ns = int(self._stamps_ns[self._stamps_ns >= 0].min())
+        times_s = (self._stamps_ns[at] - first_ns) * 1e-9
+        columns = {axis: points[:, k] for k, axis in enumerate("xyz")} | {"time": times_s}
+        return as_cloud(header_at(self._stamp_s(first_ns), FRAMES[1]), columns)
+
+    def imu(self, recorded_s: float, packet: bytes) -> SimpleNamespace:
+        """A packet of its IMU with the fields of an Imu, at the time of the turn rates.
+
+        Raises
+        ------
+        RecordFault
+            The packet is damaged.
+        """
+        if len(packet) != IMU_BYTES:
+            raise RecordFault(DAMAGED, f"{len(packet)} bytes, not {IMU_BYTES}")
+        _, _, at_ns, *told = struct.unpack("<3Q6f", packet)
+        if self.behind_s is None:
+            self._set_clock(recorded_s, at_ns)
+        forces, rates = _G_M_S2 * np.array(told[:3]), np.radians(told[3:])
+        halves = [
+            SimpleNamespace(**dict(zip("xyz", map(float, one), strict=True))) for one in (forces, rates)
+        ]
+        return SimpleNamespace(
+            header=header_at(self._stamp_s(at_ns), FRAMES[2]),
+            linear_acceleration=halves[0],
+            angular_velocity=halves[1],
+            linear_acceleration_covariance=np.zeros(9),
+            angular_velocity_covariance=np.zeros(9),
+        )
+
+    def _set_clock(self, recorded_s: float, told_ns: int) -> None:
+        """Lidar and IMU share a clock, which is compared with the recorder's once."""
+        behind_s = recorded_s - told_ns * 1e-9
+        self.behind_s = behind_s if abs(behind_s) > _OTHER_CLOCK_S else 0.0
+
+    def _stamp_s(self, told_ns: int) -> float:
+        """A time by the recorder's clock, or by one that goes with it."""
+        stamp_s = told_ns * 1e-9 + (self.behind_s or 0.0)
+        if not 0.0 < stamp_s < 1 << 32:
+            raise RecordFault(DAMAGED, f"at {told_ns} ns")
+        return stamp_s
+
+    def told(self) -> list[str]:
+        """What was found out, for people."""
+        found = []
+        if self.lacking:
+            found.append(f"{self.lacking} turns of an Ouster lack columns; read as they came")
+        if self.left_out:
+            found.append(f"{self.left_out} turns of an Ouster lack half of their columns or more; left out")
+        if self.behind_s:
+            text = f"an Ouster's clock is {self.behind_s:.1f} s behind the recorder's"
+            found.append(f"{WARNING}{text}; taken off, by when its first packet came")
+        return found
+
+
+class Ousters:
+    """The sensors of one recording, by the namespace of their topics.
+
+    Parameters
+    ----------
+    path
+        The recording, beside which metadata is looked for.
+    models
+        What is known already.
+    """
+
+    def __init__(self, path: Path | None = None, models: Mapping[str, OusterModel] | None = None) -> None:
+        self.models = dict(models or {})
+        self._path, self._faults = path, dict[str, RecordFault]()
+        self._sensors: dict[str, Ouster] = {}
+
+    def learn(self, topic: str, text: str) -> None:
+        """Take in metadata of a topic; why it cannot be used is kept for its packets."""
+        space = topic.rpartition("/")[0]
+        try:
+            self.models[space] = OusterModel.of(text)
+        except RecordFault as fault:
+            self._faults[space] = fault
+
+    def sensor(self, topic: str) -> Ouster:
+        """The sensor of a topic of packets.
+
+        Raises
+        ------
+        RecordFault
+            Its metadata is not known, or cannot be used.
+        """
+        space = topic.rpartition("/")[0]
+        if space not in self._sensors:
+            if not self.models and not self._faults and self._path is not None:
+                beside = metadata_beside(self._path)
+                if beside is not None:
+                    self.learn(topic, beside)
+            only = next(iter(self.models.values())) if len(self.models) == 1 else None
+            model = self.models.get(space, only)
+            if model is None:
+                raise self._faults.get(space) or RecordFault(NO_METADATA, topic)
+            self._sensors[space] = Ouster(model)
+        return self._sensors[space]
+
+    def read(self, record: BagRecord, *, of_imu: bool) -> SimpleNamespace | None:
+        """What a PacketMsg (a list of bytes) completes.
+
+        Raises
+        ------
+        RecordFault
+            It is damaged, or nothing is known of its sensor.
+        """
+        start = 0 if record.channel.wire == "ros1" else 4
+        packet = record.content[start + 4 :]
+        size = int.from_bytes(record.content[start : start + 4], "little")
+        sensor = self.sensor(record.channel.topic)
+        return (sensor.imu if of_imu else sensor.add)(record.recorded_s, packet[:size])
+
+    def rest(self, topic: str) -> SimpleNamespace | None:
+        """What of a topic's last turn came, at the end."""
+        space = topic.rpartition("/")[0]
+        return self._sensors[space].rest() if space in self._sensors else None
+
+    def told(self) -> list[str]:
+        """What was found out, for people."""
+        return [text for sensor in self._sensors.values() for text in sensor.told()]

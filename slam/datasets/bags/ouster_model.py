@@ -1,0 +1,178 @@
+"""What an Ouster's lidar tells of itself: how its packets are laid out, where its rays go, where it sits.
+
+After Ouster's Software User Manual (firmware 2.x and 3.x): "Lidar Data Packet Format", "Lidar Range to XYZ".
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from slam.datasets.dataset import RecordFault
+from slam.measurements import FloatArray
+
+NOT_READ = "packets of an Ouster whose metadata cannot be used"
+FRAMES = "os_sensor", "os_lidar", "os_imu"  # as its driver calls them
+
+# Of a pixel: its bytes, the form of the range in front, the bits of it that are range, metres a step.
+_PIXELS = {
+    "LEGACY": (12, "<u4", 0xFFFFF, 0.001),
+    "RNG19_RFL8_SIG16_NIR16": (12, "<u4", 0x7FFFF, 0.001),
+    "RNG19_RFL8_SIG16_NIR16_DUAL": (16, "<u4", 0x7FFFF, 0.001),
+    "RNG15_RFL8_NIR8": (4, "<u2", 0x7FFF, 0.008),
+}
+_LARGEST_PACKET, _MOST_COLUMNS = 65_507, 4096  # what UDP carries; of the mode with the most
+_MOST_FILES, _MOST_BYTES = 64, 1 << 22
+_SECTIONS = "config_params beam_intrinsics lidar_intrinsics imu_intrinsics data_format lidar_data_format"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OusterModel:
+    """What a sensor tells of itself.
+
+    Attributes
+    ----------
+    packet
+        The structured type of a packet; with ``frame`` where its head tells it.
+    step_m, bits
+        Metres a step of a range, and the bits of a pixel's first number that are range.
+    ahead
+        (W, R, 3) unit rays of all pixels in the lidar's frame.
+    origins_m, arm_m
+        (W, 3) where the rays of a column begin, and how far that is from the lidar's axis.
+    sent
+        (W,) whether a column is within the window that is sent.
+    T_sensor_lidar, T_sensor_imu
+        Of the lidar's frame and of the IMU's in the sensor's.
+    """
+
+    packet: np.dtype[Any]
+    step_m: float
+    bits: int
+    ahead: FloatArray
+    origins_m: FloatArray
+    arm_m: float
+    sent: NDArray[np.bool_]
+    T_sensor_lidar: gtsam.Pose3
+    T_sensor_imu: gtsam.Pose3 | None
+
+    @staticmethod
+    def of(text: str) -> OusterModel:
+        """By the text of a sensor's metadata, in any of its three forms (flat, flat with a format, sections).
+
+        Raises
+        ------
+        RecordFault
+            It is no metadata, lacks something, or is of a profile that is not read.
+        """
+        try:
+            told = json.loads(text)
+            whole = dict(told)
+            for name in _SECTIONS.split():
+                whole |= told.get(name) or {}
+            return _model(whole)
+        except KeyError as error:
+            raise RecordFault(f"{NOT_READ}: it lacks {error}", "") from error
+        except (ValueError, TypeError, AttributeError, RuntimeError, RecursionError) as error:
+            raise RecordFault(NOT_READ, str(error)) from error
+
+    def mountings(self) -> dict[str, gtsam.Pose3]:
+        """Where its frames sit in the sensor's."""
+        _, lidar, imu = FRAMES
+        return {lidar: self.T_sensor_lidar} | ({imu: self.T_sensor_imu} if self.T_sensor_imu else {})
+
+
+def _model(told: dict[str, Any]) -> OusterModel:
+    """A model by all that is told."""
+    profile = str(told.get("udp_profile_lidar") or "LEGACY")
+    if profile not in _PIXELS:
+        raise RecordFault(f"{NOT_READ}: profile {profile[:40]}, of those read {', '.join(_PIXELS)}", profile)
+    up, aside = (
+        np.radians(np.asarray(told[f"beam_{name}_angles"], np.float64)) for name in ("altitude", "azimuth")
+    )
+    columns = int(told.get("columns_per_frame") or str(told["lidar_mode"]).partition("x")[0])
+    rows, each = int(told.get("pixels_per_column", len(up))), int(told.get("columns_per_packet", 16))
+    if up.shape != (rows,) or aside.shape != (rows,) or not 0 < columns <= _MOST_COLUMNS or each < 1:
+        raise ValueError(f"{columns} columns of {rows} pixels with {up.size} and {aside.size} angles")
+    size, _, bits, step_m = _PIXELS[profile]
+    if rows * each * size > _LARGEST_PACKET:
+        raise ValueError(f"{each} columns of {rows} pixels in a packet")
+    packet = _packet(profile, rows, each)
+    across_m, above_m = _beams_m(told)
+    encoder = 2.0 * np.pi * (1.0 - np.arange(columns) / columns)
+    bearing, flat = encoder[:, None] - aside, np.cos(up)
+    height = np.broadcast_to(np.sin(up), bearing.shape)
+    origins = [across_m * np.cos(encoder), across_m * np.sin(encoder), np.full(columns, above_m)]
+    ahead = np.stack([flat * np.cos(bearing), flat * np.sin(bearing), height], axis=-1)
+    first, last = told.get("column_window") or (0, columns - 1)
+    sent = (np.arange(columns) - int(first)) % columns <= (int(last) - int(first)) % columns
+    imu = told.get("imu_to_sensor_transform")
+    arm_m = float(np.hypot(across_m, above_m))
+    if not np.isfinite([ahead.sum(), arm_m]).all():
+        raise ValueError("angles that are no numbers")
+    mount = _pose(told["lidar_to_sensor_transform"])
+    return OusterModel(
+        packet, step_m, bits, ahead, np.stack(origins, 1), arm_m, sent, mount, _pose(imu) if imu else None
+    )
+
+
+def _packet(profile: str, rows: int, each: int) -> np.dtype[Any]:
+    """The structured type of a packet of so many columns."""
+    size, form, _, _ = _PIXELS[profile]
+    pixel = np.dtype({"names": ["steps"], "formats": [form], "offsets": [0], "itemsize": size})
+    column: list[Any] = [("stamp_ns", "<u8"), ("number", "<u2")]
+    if profile == "LEGACY":
+        column += [("frame", "<u2"), ("encoder", "<u4"), ("pixels", pixel, (rows,)), ("status", "<u4")]
+        return np.dtype([("columns", column, (each,))])
+    column += [("status", "<u2"), ("pixels", pixel, (rows,))]
+    head, foot = [("kind", "<u2"), ("frame", "<u2"), ("head", "V28")], [("foot", "V32")]
+    return np.dtype([*head, ("columns", column, (each,)), *foot])
+
+
+@cache
+def packet_sizes() -> frozenset[int]:
+    """Bytes of the packets of the lidars that are sold, by which those without metadata are known."""
+    return frozenset(_packet(profile, rows, 16).itemsize for profile in _PIXELS for rows in (16, 32, 64, 128))
+
+
+def _beams_m(told: Mapping[str, Any]) -> tuple[float, float]:
+    """How far beams begin from the lidar's axis, and above its origin."""
+    if (whole := told.get("beam_to_lidar_transform")) is not None:
+        matrix = np.asarray(whole, np.float64).reshape(4, 4)
+        return float(matrix[0, 3]) / 1000.0, float(matrix[2, 3]) / 1000.0
+    return float(told["lidar_origin_to_beam_origin_mm"]) / 1000.0, 0.0
+
+
+def _pose(told: Any) -> gtsam.Pose3:
+    """A transform of the metadata: 16 numbers by rows, millimetres."""
+    matrix = np.asarray(told, np.float64).reshape(4, 4)
+    if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3]) - 1.0) > 0.01:
+        raise ValueError("a transform that is none")
+    return gtsam.Pose3(gtsam.Rot3.ClosestTo(matrix[:3, :3]), matrix[:3, 3] / 1000.0)
+
+
+def metadata_beside(path: Path) -> str | None:
+    """The metadata of a sensor beside or in a recording's folder: named as it, else the only one, or None."""
+    places = [path, path.parent] if path.is_dir() else [path.parent]
+    for place in places:
+        found = {}
+        for file in islice(sorted(place.glob("*.json")), _MOST_FILES):
+            try:
+                text = file.read_text("utf-8") if file.stat().st_size < _MOST_BYTES else ""
+            except (OSError, ValueError):
+                continue
+            if "beam_altitude_angles" in text:
+                found[file.stem] = text
+        named = [text for stem, text in found.items() if stem in (path.name, path.stem)]
+        if named or len(found) == 1:
+            return (named or list(found.values()))[0]
+    return None
