@@ -91,7 +91,10 @@ def _of_ouster(path: Path, account: Account, dpkt: Any, model: OusterModel) -> I
                 yield from _read(lidar, number, sensor.add(stamp_s, payload), account)
         except RecordFault as fault:
             account.refuse(fault, path.name, number)
-    yield from _read(lidar, number, sensor.rest(), account)
+    try:
+        yield from _read(lidar, number, sensor.rest(), account)
+    except RecordFault as fault:
+        account.refuse(fault, path.name, number)
     for line, text in enumerate(sensor.told(), 1):
         account.report.note(text, line)
 
@@ -108,7 +111,10 @@ def _clouds(path: Path, account: Account, dpkt: Any) -> Iterator[Numbered]:
             yield from _read(reader, number, decoder.add(stamp_s, payload), account)
         except RecordFault as fault:
             account.refuse(fault, path.name, number)
-    yield from _read(reader, number, decoder.rest(), account)
+    try:
+        yield from _read(reader, number, decoder.rest(), account)
+    except RecordFault as fault:
+        account.refuse(fault, path.name, number)
 
 
 def _read(

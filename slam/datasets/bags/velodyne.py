@@ -68,8 +68,11 @@ class VelodyneStream:
             raise RecordFault(NOT_DECODED, str(error)) from error
 
     def rest(self) -> SimpleNamespace | None:
-        """What is left at the end."""
-        return self._turn(self._decoder.finish(True)) if self._decoder is not None else None
+        """What is left at the end; RecordFault where that is damaged."""
+        try:
+            return self._turn(self._decoder.finish(True)) if self._decoder is not None else None
+        except (RuntimeError, ValueError, IndexError) as error:
+            raise RecordFault(NOT_DECODED, str(error)) from error
 
     def _turn(self, found: Any) -> SimpleNamespace | None:
         """A turn with points as a message."""
