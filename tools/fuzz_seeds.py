@@ -197,7 +197,7 @@ def write_log(folder: Path, name: str) -> Path:
     if name in _SAMPLES:
         path = LAYOUTS[_SAMPLES[name]].write(folder).path
         for file in sorted(path.iterdir()) if name == "laz" else ():
-            laspy.read(file).write(file.with_suffix(".laz"))
+            laspy.read(file).write(file.with_suffix(".laz"), laz_backend=laspy.LazBackend.Lazrs)
             file.unlink()
         return path
     return (

@@ -5,6 +5,7 @@ ASPRS 2019, "LAS Specification 1.4 - R15".
 
 from __future__ import annotations
 
+import os
 import struct
 from pathlib import Path
 from typing import Any
@@ -30,10 +31,13 @@ def read_las_points(path: Path) -> dict[str, NDArray[Any]]:
     except ImportError as error:
         raise ValueError(NO_LASPY) from error
     try:
-        with laspy.open(path) as file:
+        # Its own threads would outlive a fork, and wait for ever there.
+        with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs) as file:
             size = file.header.point_count * file.header.point_format.size
             if not 0 < size <= LARGEST_BYTES:
                 raise ValueError(f"{file.header.point_count} points")
+            if file.header.are_points_compressed:
+                _ask_for_chunks(path, file.header.offset_to_point_data, file.header.point_count)
             rows = file.read()
             if len(rows.points) != file.header.point_count:
                 raise ValueError(f"{len(rows.points)} of {file.header.point_count} points")
@@ -46,3 +50,17 @@ def read_las_points(path: Path) -> dict[str, NDArray[Any]]:
     except (struct.error, TypeError, OverflowError, EOFError, RuntimeError, MemoryError) as error:
         raise ValueError(f"damaged: {error}") from error
     return columns
+
+
+def _ask_for_chunks(path: Path, begins: int, points: int) -> None:
+    """Refuse a table of more chunks than points: lazrs makes room for as many as it says (Isenburg 2013)."""
+    with path.open("rb") as file:
+        file.seek(begins)
+        (table,) = struct.unpack("<q", file.read(8))
+        if table == -1:  # written as a stream: where the table is stands at the end
+            file.seek(-8, os.SEEK_END)
+            (table,) = struct.unpack("<q", file.read(8))
+        file.seek(table)
+        _, chunks = struct.unpack("<2I", file.read(8))
+    if chunks > points:
+        raise ValueError(f"{chunks} chunks of {points} points")

@@ -66,7 +66,8 @@ class PointTimes:
             self._choose(own, column)
         if self._field not in own.values():
             return None
-        times_s: FloatArray = column(self._field).astype(np.float64) * self._unit_s
+        with np.errstate(invalid="ignore", over="ignore"):
+            times_s: FloatArray = column(self._field).astype(np.float64) * self._unit_s
         if not times_s.size or not np.isfinite(times_s).all() or np.ptp(times_s) > LONGEST_TURN_S:
             return None
         first_s = float(times_s.min())

@@ -157,7 +157,8 @@ def cloud_view(message: Any) -> CloudView:
         As `CloudReader.read`.
     """
     cloud = CloudReader("", gtsam.Pose3()).read(message)
-    ahead = cloud.points_lidar / np.linalg.norm(cloud.points_lidar, axis=1, keepdims=True)
+    points = cloud.points_lidar.astype(np.float64)  # a damaged one is too large for half the digits
+    ahead = points / np.linalg.norm(points, axis=1, keepdims=True)
     seen = (ahead > math.cos(_HALF_VIEW_RAD)).mean(axis=0)
     along = [axis for axis, share in zip("xyz", seen, strict=True) if share > CONFIDENCE]
     bearings = np.arctan2(cloud.points_lidar[:, 1], cloud.points_lidar[:, 0]) / (2.0 * math.pi)
