@@ -69,8 +69,8 @@ class CameraSamples:
     _recent: deque[tuple[float, Features]] = field(default_factory=lambda: deque(maxlen=max(_BACK)))
     _newest: RgbdFrame | None = None
 
-    def add(self, frame: RgbdFrame) -> None:
-        """Take the next frame."""
+    def add(self, frame: RgbdFrame, *, compared: bool) -> None:
+        """Take the next frame; its motion is found only where it will be compared with that of another."""
         self.count += 1
         if repeats(self._newest, frame):
             self.repeated += 1
@@ -87,7 +87,7 @@ class CameraSamples:
             self._look(frame)
         features = extract_features(gray_of(frame), frame.depth_m, _MODELS.features, again=True)
         features = features.where(features.depth_m > 0.0)
-        for back in _BACK:
+        for back in _BACK[0 if compared else 1 :]:
             if back <= len(self._recent):
                 self._match(*self._recent[-back], features, frame, back)
         self._recent.append((frame.stamp_s, features))

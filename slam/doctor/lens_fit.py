@@ -54,13 +54,10 @@ def lens_fit(pairs: Sequence[MatchedPair], told: CameraIntrinsics) -> LensFit | 
     # Focal gain, and the principal point in shares of the focal length.
     lens = np.array([1.0, 0.0, 0.0])
     steps = np.diag([SETTLED] * 3)
-    begun = _errors(first, second, lens, told)
-    sigma = max(_sigma(begun), SETTLED)
-    told_left = sigma
+    errors = _errors(first, second, lens, told)
+    told_left = sigma = max(_sigma(errors), SETTLED)
     information = np.eye(3)
     for _ in range(ROUNDS):
-        errors = _errors(first, second, lens, told)
-        sigma = max(_sigma(errors), SETTLED)
         weights = (gate(3) * sigma**2 / ((errors**2).sum(axis=-1) + gate(3) * sigma**2)) ** 2
         slopes = np.stack(
             [(_errors(first, second, lens + step, told) - errors) / SETTLED for step in steps], axis=-1
@@ -73,6 +70,8 @@ def lens_fit(pairs: Sequence[MatchedPair], told: CameraIntrinsics) -> LensFit | 
         # Weights that follow the median never quite come to rest.
         if np.abs(change).max() < 10 * SETTLED:
             break
+        errors = _errors(first, second, lens, told)
+        sigma = max(_sigma(errors), SETTLED)
     else:
         return None
     # Features of a pair share what is wrong with its motion.

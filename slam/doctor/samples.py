@@ -115,7 +115,9 @@ class Samples:
             elif isinstance(measurement, WheelOdometry):
                 samples.wheels.setdefault(measurement.sensor, WheelSamples()).add(measurement)
             elif isinstance(measurement, RgbdFrame):
-                samples.cameras.setdefault(measurement.sensor, CameraSamples()).add(measurement)
+                samples.cameras.setdefault(measurement.sensor, CameraSamples()).add(
+                    measurement, compared=bool(samples.wheels)
+                )
             elif isinstance(measurement, PointCloud):
                 samples.clouds.setdefault(measurement.sensor, CloudSamples()).add(
                     measurement, compared=bool(samples.wheels or samples.imus)

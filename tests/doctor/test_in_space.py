@@ -28,6 +28,7 @@ from slam.doctor.paired_motions import BaseTrack
 from slam.doctor.stretches import Stretches
 from slam.measurements import CameraIntrinsics, FloatArray, PointCloud, RgbdFrame
 from slam.vision.camera_frame import T_BODY_CAMERA
+from tests.room_world import furnished, render, turning_walk
 
 LENS = CameraIntrinsics(500.0, 500.0, 320.0, 240.0, 640, 480)
 STAMPS = np.arange(0.0, 30.0, 0.1)
@@ -212,7 +213,7 @@ def test_depth_that_no_camera_sees_is_in_another_unit(median_m: float, scale: fl
 def test_what_repeats_itself_is_named() -> None:
     samples = CameraSamples()
     for stamp_s in STAMPS[:60]:
-        samples.add(RgbdFrame(float(stamp_s), frame().color, frame().depth_m, LENS))
+        samples.add(RgbdFrame(float(stamp_s), frame().color, frame().depth_m, LENS), compared=True)
     assert (samples.count, samples.repeated) == (60, 59)
     assert [one.kind for one in camera_findings("camera", samples)] == ["repeated frames"]
 
@@ -251,3 +252,14 @@ def test_stretches_are_bounded_and_spread_over_a_long_log() -> None:
                     begun.append(float(stamp_s))
         assert wanted < 2500
         assert begun[-1] > 0.7 * 60.0 * minutes
+
+
+def test_motions_that_nothing_is_compared_with_are_not_sought() -> None:
+    room, poses = furnished(), turning_walk(400)[:10]
+    alone, beside_wheels = CameraSamples(), CameraSamples()
+    for number, pose in enumerate(poses):
+        alone.add(render(room, pose, stamp_s=0.1 * number), compared=False)
+        beside_wheels.add(render(room, pose, stamp_s=0.1 * number), compared=True)
+    assert [len(steps) for steps in alone.steps] == [0]
+    assert [len(steps) for steps in beside_wheels.steps] == [9]
+    assert 0 < len(alone.pairs) == len(beside_wheels.pairs)
