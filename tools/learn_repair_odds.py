@@ -29,7 +29,7 @@ from slam.simulation.rigs import RIGS
 RIG_NAMES = ("turtlebot_high", "xu2024")
 RIGHT_BEAM_M, RIGHT_PIXEL_M = 0.2, 0.1
 PIXEL_SHARE = 0.2  # of the pixels of holes: hundreds of them are of one wall
-LEARNED, CHECKED, SEED, PAIRS = (*range(11, 19), *range(41, 49)), range(21, 25), 5, 8
+LEARNED, CHECKED, SEED, PAIRS = (*range(11, 19), *range(41, 49)), range(21, 25), 5, 14
 BEAMS = ("camera in a hole", "line in a hole", "camera for a reading", "line for a reading", "mean of both")
 PIXELS = ("lidar in a hole", "lidar for a reading")
 _RIDGE = 1.0  # keeps weights finite that nothing determines
