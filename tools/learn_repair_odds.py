@@ -4,8 +4,9 @@
 
 Of simulated drives (seed 5, two rigs of Xu2024) in homes 11 to 18 and 41 to 48, by the simulator's own
 sensors and by those of `tools/second_sensors.py`, all that could be put in is compared with the truth: what
-holds of one model of a sensor alone is not learned. Printed are the weights, and for homes 21 to 24 how often
-what was told came true. What is told of the repair is told of others: `tools/repair_worth.py`.
+holds of one model of a sensor alone is not learned. What takes the place of a lidar's reading, and the mean,
+are learned by the own sensors alone. Printed are the weights, and for homes 21 to 24 how often what was told
+came true. What is told of the repair is told of others: `tools/repair_worth.py`.
 """
 
 from __future__ import annotations
@@ -73,7 +74,8 @@ def gather(homes: Sequence[int], pairs: int) -> Samples:
             own = list(simulate_pairs(drive, pairs))
             for shown in (own, list(second_pairs(drive, own))):
                 for kind, features, right in judged(shown):
-                    held[kind].append((features, right))
+                    if shown is own or kind not in BEAMS[2:]:
+                        held[kind].append((features, right))
     return {
         kind: (np.concatenate([one for one, _ in parts]), np.concatenate([two for _, two in parts]))
         for kind, parts in held.items()
@@ -125,6 +127,12 @@ def reliability(told: Floats, right: NDArray[np.bool_]) -> str:
     return ", ".join(
         f"{told[own].mean():.2f} {right[own].mean():.2f} ({own.sum()})" for own in parts if own.any()
     )
+
+
+def by_rank(told: Floats, right: NDArray[np.bool_]) -> str:
+    """What was told and what came true of each tenth of the values, the least likely tenth first."""
+    parts = np.array_split(np.argsort(told), 10)
+    return ", ".join(f"{told[own].mean():.3f} {right[own].mean():.3f}" for own in parts if own.size)
 
 
 if __name__ == "__main__":

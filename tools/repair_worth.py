@@ -5,8 +5,8 @@
 Of simulated drives: how much of what was put in is off (a range by more than 0.2 m, a depth by more than 0.1
 m), how many holes were filled rightly, of all and of those for which anything right was at hand, what became
 of readings that were replaced; then what the repair told of itself against what came true, for all that could
-have been put in. Intervals (95 %) are by drawing the pairs anew. `--second` takes the sensors of
-`tools/second_sensors.py` instead of the simulator's own.
+have been put in, and for each tenth of what was filled. Intervals (95 %) are by drawing the pairs anew.
+`--second` takes the sensors of `tools/second_sensors.py` instead of the simulator's own.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from learn_repair_odds import RIGHT_BEAM_M, RIGHT_PIXEL_M, reliability
+from learn_repair_odds import RIGHT_BEAM_M, RIGHT_PIXEL_M, by_rank, reliability
 from numpy.typing import NDArray
 from second_sensors import second_pairs
 from xu2024_pairs import TruePair, simulate_pairs
@@ -69,6 +69,9 @@ class Worth:
             was = np.abs(before - truth)
         hole = np.isnan(before)
         new = np.isin(kept[1], _INVENTED)
+        self.told[f"{name} filled"].append(
+            tuple(value[new & hole].astype(float) for value in (kept[2], off[0], kept[3]))
+        )
         for what, own in (("filled", new & hole), ("replaced", new & ~hole)):
             totals[f"{name} {what}"] += int(own.sum())
             totals[f"{name} {what} off"] += int((own & ~(off[0] <= right_m)).sum())
@@ -128,6 +131,8 @@ def tell(title: str, worth: Worth) -> None:
                 print(f"{kind}: told, true: {reliability(told, right)}")
                 inside = [f"{np.mean(off[right] <= times * sigma[right]):.2f}" for times in (1.0, 2.0)]
                 print(f"{kind}: right ones within one and two sigma: {', '.join(inside)}", flush=True)
+        told, off, _ = (np.concatenate(column) for column in zip(*worth.told[f"{name} filled"], strict=True))
+        print(f"{name} filled, tenths of them: told, true: {by_rank(told, off <= right_m)}", flush=True)
 
 
 def of_pairs(pairs: Sequence[TruePair], worth: Worth) -> None:

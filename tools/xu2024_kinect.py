@@ -10,7 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from learn_repair_odds import RIGHT_PIXEL_M, reliability
+from learn_repair_odds import RIGHT_PIXEL_M, by_rank, reliability
 from numpy.typing import NDArray
 
 import fusion
@@ -42,13 +42,14 @@ def half_real_check(folder: Path) -> dict[str, float]:
         kept.append((scan, image, _truth(scene, pose, depth.shape)))
     estimate = rig.estimate()
     assert estimate is not None
-    filled, replaced, told, worse, holes, good, changed = [], [], [], 0, 0, 0, 0
+    filled, chances, replaced, told, worse, holes, good, changed = [], [], [], [], 0, 0, 0, 0
     for scan, image, truth in kept:
         repaired = fusion.denoise(scan, image, estimate)
         source, after = repaired.depth_source[0], repaired.depth_m[0]
         was_hole = image.depth_m == 0.0
         new = (source == fusion.Provenance.FILLED) & np.isfinite(truth)
         filled.append(np.abs(after - truth)[new & was_hole])
+        chances.append(repaired.depth_probability[0][new & was_hole])
         replaced.append(np.abs(after - truth)[new & ~was_hole])
         possible = fusion.denoise(scan, image, estimate, least_probability=0.0)
         put = (possible.depth_source[0] == fusion.Provenance.FILLED) & np.isfinite(truth)
@@ -60,8 +61,9 @@ def half_real_check(folder: Path) -> dict[str, float]:
         good += int(fine.sum())
         changed += int((fine & new).sum())
         worse += int((fine & new & (np.abs(after - truth) > np.abs(image.depth_m - truth) + 0.05)).sum())
-    errors, others, telling = (np.concatenate(parts) for parts in (filled, replaced, told))
+    errors, others, telling, sure = (np.concatenate(parts) for parts in (filled, replaced, told, chances))
     print(f"half-real, told and true: {reliability(telling[:, 0].astype(float), telling[:, 1] > 0.5)}")
+    print(f"half-real, tenths of what is filled: {by_rank(sure.astype(float), errors <= RIGHT_PIXEL_M)}")
     return {
         "frames": float(len(kept)),
         "height_found_m": estimate.height_m,
