@@ -89,12 +89,10 @@ def area_m2(corners_m: FloatArray) -> float:
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
-def points_of(rooms: RoomMap, label: int, points: WallPoints) -> WallPoints:
-    """The points that were seen from inside a room."""
-    inside = np.zeros(len(points), np.bool_)
-    for far in (2, 3):
-        inside |= rooms.at(points.points_map + far * rooms.resolution_m * points.normals_map) == label
-    return points.chosen(inside)
+def seen_from(rooms: RoomMap, points: WallPoints) -> NDArray[np.int32]:
+    """(2, N) the rooms that points were seen from: two cells before each, and three."""
+    cell = rooms.resolution_m
+    return np.array([rooms.at(points.points_map + far * cell * points.normals_map) for far in (2, 3)])
 
 
 def room_outline(rooms: RoomMap, label: int, points: WallPoints) -> Outline | None:

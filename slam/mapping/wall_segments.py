@@ -145,11 +145,10 @@ def wall_segments(points: WallPoints, cell_m: float, shortest_m: float) -> list[
         votes = np.sum([np.roll(votes, shift) for shift in range(-spread, spread + 1)], axis=0)
         angle = np.radians(np.argmax(votes) + 0.5)
         alike = left & (np.abs(np.angle(np.exp(1j * (angles - angle)))) < SAME_DIRECTION_RAD)
-        before = len(found)
-        for piece in _strips(points.points_map[alike], angle, cell_m):
-            members = np.flatnonzero(alike)[piece]
-            members = members[left[members]]
-            segment, on = _fitted(points, members, cell_m)
+        before, facing = len(found), np.flatnonzero(alike)
+        for piece in _strips(points.points_map[facing], angle, cell_m):
+            members = facing[piece]
+            segment, on = _fitted(points, members[left[members]], cell_m, shortest_m)
             if segment is not None and segment.length_m >= shortest_m:
                 found.append(segment)
                 left[on] = False
@@ -162,28 +161,31 @@ def _strips(points: FloatArray, angle: float, cell_m: float) -> Iterator[NDArray
     """Rows of points that lie on one line across a direction, without gaps along it, the fullest first."""
     normal = np.array([np.cos(angle), np.sin(angle)])
     across, along = points @ normal, points @ (-normal[1], normal[0])
-    free = np.ones(len(points), np.bool_)
     bins = np.floor(2.0 * (across - across.min()) / cell_m).astype(int) + 1
-    while free.any():
-        votes = np.bincount(bins[free], minlength=bins.max() + 2)
-        votes[1:-1] = votes[:-2] + votes[1:-1] + votes[2:]
+    counts = np.bincount(bins, minlength=bins.max() + 2)
+    by_row, starts = np.argsort(bins, kind="stable"), np.append(0, np.cumsum(counts)).tolist()
+    while True:
+        votes = counts[:-2] + counts[1:-1] + counts[2:]
         best = int(np.argmax(votes))
         if votes[best] < 4:
             return
-        strip = np.flatnonzero(free & (np.abs(bins - best) <= 1))
-        free[strip] = False
+        # Of what is left, in the order of the points.
+        rows = [by_row[starts[row] : starts[row + 1]] for row in range(best, best + 3) if counts[row]]
+        strip = np.sort(np.concatenate(rows))
+        counts[best : best + 3] = 0
         order = strip[np.argsort(along[strip], kind="stable")]
         yield from np.split(order, np.flatnonzero(np.diff(along[order]) > 4 * cell_m) + 1)
 
 
 def _fitted(
-    points: WallPoints, members: NDArray[np.int64], cell_m: float
+    points: WallPoints, members: NDArray[np.int64], cell_m: float, shortest_m: float
 ) -> tuple[Segment | None, NDArray[np.int64]]:
-    """A segment through points, and those that lie on it."""
+    """A segment through points, and those that lie on it; None where it would be shorter than that."""
     for _ in range(3):
-        if len(members) < 4:
-            return None, members
         chosen, weights = points.points_map[members], points.weights[members]
+        # Most are so few or so close together that a line through them need not be tried.
+        if len(members) < 4 or np.hypot(*np.ptp(chosen, axis=0)) < shortest_m or weights.sum() < FEWEST:
+            return None, members
         middle = np.average(chosen, axis=0, weights=weights)
         off = chosen - middle
         values, vectors = np.linalg.eigh((off * weights[:, None]).T @ off)

@@ -13,7 +13,7 @@ from slam.graph.joint_covariance import joint_covariance
 from slam.graph.pose_covariances import told_edges
 from slam.mapping.doors import find_doors
 from slam.mapping.floor_plan import FloorPlan, Length, Room, Wall
-from slam.mapping.room_outline import Outline, area_m2, confirmed, corners_of, points_of, room_outline
+from slam.mapping.room_outline import Outline, area_m2, confirmed, corners_of, room_outline, seen_from
 from slam.mapping.rooms import segment_rooms
 from slam.mapping.wall_fits import WallFit, along, fit_wall, straightened
 from slam.mapping.wall_segments import wall_points, wall_segments
@@ -39,12 +39,12 @@ def floor_plan(contents: MapContents, config: Config) -> FloorPlan:
     cell_m = grid.resolution_m
     way = contents.trajectory.positions_m[:, :2]
     rooms = segment_rooms(grid, wall_segments(points, cell_m, 3 * cell_m), way)
-    entered = set(rooms.at(way).tolist())
+    entered, owners = set(rooms.at(way).tolist()), seen_from(rooms, points)
     outlines: list[Outline] = []
     fits: list[list[WallFit | None]] = []
     numbers: dict[int, int] = {}
     for label in range(1, int(rooms.labels.max(initial=0)) + 1):
-        own = points_of(rooms, label, points)
+        own = points.chosen((owners == label).any(axis=0))
         outline = room_outline(rooms, label, own)
         # What nobody was in, and has no walls, lies behind a window.
         if outline is not None and (label in entered or any(face.seen for face in outline.faces)):
