@@ -174,7 +174,7 @@ class MotionTracker:
         cameras
             Motion since the last scan as each camera measured it.
         """
-        wheels = self._wheels.moment(stamp_s) if self._wheels else None
+        wheels = self._wheels.moment(stamp_s, in_order=points is not None) if self._wheels else None
         if self._last is None:
             tracked = TrackedScan(np.zeros(3), None, wheels, np.zeros((3, 3)))
         else:

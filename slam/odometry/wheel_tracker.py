@@ -99,9 +99,9 @@ class WheelTracker:
             self._recent.pop()
         return pose
 
-    def moment(self, stamp_s: float) -> WheelMoment | None:
+    def moment(self, stamp_s: float, *, in_order: bool = True) -> WheelMoment | None:
         """Where the robot was at a stamp, see `pose_at`; None before any reading."""
-        pose = self.pose_at(stamp_s)
+        pose = self.pose_at(stamp_s, in_order=in_order)
         if pose is None:
             return None
         guess = self._gaps.guess_at(stamp_s + self._ahead_s)
@@ -142,22 +142,23 @@ class WheelTracker:
         self._true_m2 += told * true
         self._scale[:2] = self._true_m2 / self._told_m2
 
-    def pose_at(self, stamp_s: float) -> FloatArray | None:
+    def pose_at(self, stamp_s: float, *, in_order: bool = True) -> FloatArray | None:
         """Pose (3,) in the odom frame at a stamp of the lidar's clock; None before any reading.
 
         The newest reading is carried on to a stamp shortly after it. For one before it, it stands as it is,
-        since the order of the log is that of the readings; unless the clocks are known to differ.
+        since the order of the log is that of the readings; unless the clocks are known to differ, or the
+        stamp is not the log's own (not ``in_order``), as that of a frame by its camera's learned clock.
         """
         self._asked_s = stamp_s
         if not self._recent:
             return None
-        pose = self._read_at(stamp_s + self._ahead_s)
+        pose = self._read_at(stamp_s + self._ahead_s, by_stamp=bool(self._ahead_s) or not in_order)
         return compose(self._T_odom_read, pose) if self.clock_was_used else pose
 
-    def _read_at(self, asked_s: float) -> FloatArray:
+    def _read_at(self, asked_s: float, *, by_stamp: bool) -> FloatArray:
         """Pose (3,) that the wheels tell for a stamp of their own clock."""
         readings, number, shortest_s = self._recent, 0, 0.0
-        if self._ahead_s:
+        if by_stamp:
             last = len(readings) - 1
             number = next((n for n, (read_s, _) in enumerate(readings) if read_s <= asked_s), last)
             # Then readings are carried on at every scan: a step of no time would tell any speed.
@@ -166,7 +167,7 @@ class WheelTracker:
         ended_s, ended = readings[max(number - 1, 0)]
         older = (reading for reading in readings if ended_s - reading[0] > shortest_s)
         begun = readings[number] if number else next(older, None)
-        if not self._ahead_s and not self._rising:
+        if not by_stamp and not self._rising:
             return pose
         if begun is None or asked_s <= read_s or (not number and asked_s - read_s >= GAP_S):
             return pose

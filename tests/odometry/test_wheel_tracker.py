@@ -58,6 +58,15 @@ def test_no_extrapolation_backward_or_far(stamp_s: float) -> None:
     np.testing.assert_array_equal(pose_at(wheels, stamp_s), [0.1, 0.0, 0.0])
 
 
+def test_a_time_that_is_not_the_logs_own_is_looked_up() -> None:
+    """Frames of a late clock are logged after younger readings of the wheels."""
+    wheels = tracker((0.0, 0.0, 0.0, 0.0), (0.1, 0.1, 0.0, 0.0), (0.2, 0.1, 0.0, 0.4))
+    moment = wheels.moment(0.15, in_order=False)
+    assert moment is not None
+    np.testing.assert_allclose(moment.pose, [0.1, 0.0, 0.2], atol=1e-9)
+    np.testing.assert_array_equal(pose_at(wheels, 0.15), [0.1, 0.0, 0.4])
+
+
 @pytest.mark.parametrize("second_s", [0.0, -5.0])
 def test_stamps_that_stand_or_run_backward_give_no_speed(second_s: float) -> None:
     wheels = tracker((0.0, 0.0, 0.0, 0.0), (second_s, 1.0, 0.0, 0.0))
