@@ -80,7 +80,7 @@ def test_between_two_readings_the_wheels_tell_however_far_apart_they_are() -> No
     for n in range(3):
         tracker.add(reading(n * 0.9, n * 0.45))
     tracker._ahead_s = -0.1
-    assert tracker._read_at(1.7)[0] == pytest.approx(0.85)
+    assert tracker._read_at(1.7, by_stamp=True)[0] == pytest.approx(0.85)
 
 
 def test_a_heading_that_goes_wrong_throws_the_rest_of_the_way_aside() -> None:
