@@ -40,8 +40,10 @@ def roll_back(saved: Map | Path | str, sessions: int, *, out: Path | str | None 
     saved = saved if isinstance(saved, Map) else load_map(saved)
     before = len(saved.sessions)
     if not 1 <= sessions < before:
+        if before < 2:
+            raise MapFileError(f"{saved.path} has one session: there is none to take back")
         raise MapFileError(
-            f"{saved.path} has {before} session(s); of these 1 to {before - 1} can stay, not {sessions}"
+            f"{saved.path} has {before} sessions; of these 1 to {before - 1} can stay, not {sessions}"
         )
     found = made_anew(saved, lambda path: write_first_sessions(saved, sessions, path), out)
     if out is not None:
