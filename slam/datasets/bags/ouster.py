@@ -30,9 +30,8 @@ DAMAGED = "damaged packet of an Ouster"
 LATE = "packet of an Ouster's turn that is over"
 NO_RETURN = "turn of an Ouster without a return"
 IMU_BYTES, _G_M_S2 = 48, 9.80665
-_OTHER_CLOCK_S = (
-    60.0  # no packet waits so long for its recorder; a sensor without a clock counts from its start
-)
+# No packet waits so long for its recorder; a sensor without a clock counts from its start.
+_OTHER_CLOCK_S = 60.0
 
 
 @dataclass(slots=True)
