@@ -94,7 +94,7 @@ class LinearMap:
         gradient = self._jacobian[rows].T @ self._residuals[rows]
         return -self._factor.solve(gradient)
 
-    def influences(self, asked: Sequence[int] | NDArray[np.int64], together: int = 32) -> Influences:
+    def influences(self, asked: Sequence[int] | NDArray[np.int64], together: int = 16) -> Influences:
         """Of the edges with these numbers; so many at a time pass over the factor together."""
         parts = [asked[first : first + together] for first in range(0, len(asked), together)]
         found = [one for part in parts for one in self._switched([[int(number)] for number in part])]
@@ -110,9 +110,11 @@ class LinearMap:
     ) -> list[tuple[float, int, float, float]]:
         """As `switched`, of each set of edges by itself."""
         size, pulls, told = self._size, list[FloatArray](), []
-        for numbers in sets:
-            rows = (np.asarray(numbers)[:, None] * size + np.arange(size)).ravel()
-            residual, pulled = self._residuals[rows], self._factor.forward(self._jacobian, rows)
+        rows = [(np.asarray(numbers)[:, None] * size + np.arange(size)).ravel() for numbers in sets]
+        forward = self._factor.forward(self._jacobian, np.concatenate(rows))
+        parts = np.split(forward, np.cumsum([len(those) for those in rows[:-1]]))
+        for numbers, those, pulled in zip(sets, rows, parts, strict=True):
+            residual = self._residuals[those]
             signs = np.repeat(np.where(self._kept[numbers], -1.0, 1.0), size)
             pull = np.linalg.solve(np.diag(signs) + pulled @ pulled.T, residual)
             pulls.append(pull @ pulled)
@@ -145,20 +147,20 @@ class _Factor:
 
     def solve(self, row: FloatArray) -> FloatArray:
         """(N,) the inverse of the information times a row."""
-        found = np.empty(row.shape)
-        found[self._order] = row
+        found = np.empty((len(row), 1))
+        found[self._order, 0] = row
         _forward(*self._lower, found)
-        return self.backward((found / self._roots)[None])[0]
+        return self.backward(found.T / self._roots)[0]
 
     def forward(self, jacobian: csr_array, rows: NDArray[np.int64]) -> FloatArray:
-        """(m, N) L^-1 times each of some rows; what is zero costs nothing."""
-        found = np.zeros((len(rows), len(self._roots)))
+        """(m, N) L^-1 times each of some rows; what is zero in all of them costs nothing."""
+        found = np.zeros((len(self._roots), len(rows)))
         # By hand: to take rows out of a sparse matrix takes SciPy longer than all the rest.
-        for place, row in zip(found, rows.tolist(), strict=True):
+        for place, row in enumerate(rows.tolist()):
             entries = slice(jacobian.indptr[row], jacobian.indptr[row + 1])
-            place[self._order[jacobian.indices[entries]]] = jacobian.data[entries]
-            _forward(*self._lower, place)
-        return found / self._roots
+            found[self._order[jacobian.indices[entries]], place] = jacobian.data[entries]
+        _forward(*self._lower, found)
+        return (found / self._roots[:, None]).T
 
     def backward(self, rows: FloatArray) -> FloatArray:
         """(m, N) L'^-1 times each row."""
@@ -169,22 +171,27 @@ class _Factor:
 
 @kernel
 def _forward(first: NDArray[np.int32], below: NDArray[np.int32], lower: FloatArray, x: FloatArray) -> None:
-    """Solve by a lower triangle of ones on the diagonal, by columns."""
+    """Solve by a lower triangle of ones on the diagonal, by columns, for each column of x (N, m)."""
     for column in range(len(x)):
-        if x[column] != 0.0:
+        solved = x[column]
+        if solved.any():
             for k in range(first[column], first[column + 1]):
                 if below[k] > column:
-                    x[below[k]] -= lower[k] * x[column]
+                    other = x[below[k]]  # a row by itself: its loop then runs in vectors
+                    for one in range(len(other)):
+                        other[one] -= lower[k] * solved[one]
 
 
 @kernel
 def _backward(first: NDArray[np.int32], below: NDArray[np.int32], lower: FloatArray, x: FloatArray) -> None:
     """Solve by its transpose, for each column of x (N, m)."""
     for column in range(len(x) - 1, -1, -1):
+        solved = x[column]
         for k in range(first[column], first[column + 1]):
             if below[k] > column:
-                for one in range(x.shape[1]):
-                    x[column, one] -= lower[k] * x[below[k], one]
+                other = x[below[k]]
+                for one in range(len(other)):
+                    solved[one] -= lower[k] * other[one]
 
 
 def influences(poses: Sequence[Pose], edges: Sequence[Edge], kept: Sequence[bool] | BoolArray) -> Influences:
