@@ -140,11 +140,16 @@ class PlanarRobot:
 
     def settle(self, graph: KeyframeGraph) -> None:
         """Say anew how cameras and wheels moved, as the whole run tells their clocks and mountings."""
+        self._cameras.settle_clocks()
+        led, stamps_s = self._cameras.led()
+        before = self.readings.keyframe_wheels()
+        self.readings.restamp(led, stamps_s)
         if self._wheels is not None:
             self._wheels.learn_clock(self._cameras.scan_turns, final=True)
-            if self._wheels.clock_was_used:
-                self.readings.read_wheels_at(self._wheels.clock.significant_s)
-        self._chain.settle(graph)
+            used = self._wheels.clock_was_used
+            self.readings.read_wheels_at(self._wheels.clock.significant_s, None if used else led)
+        stamps_s = self.readings.scan_stamps_s()[self.readings.keyframe_scans()]
+        self._chain.settle(graph, stamps_s, before, self.readings.keyframe_wheels())
         settle_wheels(graph)
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
@@ -204,9 +209,12 @@ class PlanarRobot:
             self._scan_stamp_s = frame.stamp_s
         stamp_s = self._cameras.robot_stamp_s(frame)
         silent = stamp_s - self._scan_stamp_s > self._config.sensors.lidar_silent_s
-        if silent and self._cameras.leads(frame.frame.sensor, stamp_s):
-            return self._track(stamp_s, None, None)
-        return None
+        if not silent or not self._cameras.leads(frame.frame.sensor, stamp_s):
+            return None
+        camera = self._cameras.cameras[frame.frame.sensor]
+        camera.led_scans.append(self.readings.scan_count)
+        camera.led_s.append(frame.stamp_s)
+        return self._track(stamp_s, None, None)
 
     def _track(self, stamp_s: float, scan: LaserScan | None, points: ScanPoints | None) -> Tracked:
         """Pose of a moment."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -105,7 +106,9 @@ class Mapper:
         front_end.settle(graph)
         probability = self._config.loops.inlier_probability
         outcome = graph.optimize(probability)
-        stamps_s = self._record.finish().stamps_s[front_end.readings.keyframe_scans()]
+        scans = replace(self._record.finish(), stamps_s=front_end.readings.scan_stamps_s())
+        numbers = front_end.readings.keyframe_scans()
+        stamps_s = scans.stamps_s[numbers]
 
         def way() -> Way:
             poses = graph.poses()
@@ -119,7 +122,6 @@ class Mapper:
             for candidate in found:
                 graph.add_loop(candidate)
             outcome = graph.optimize(probability)
-        scans, numbers = self._record.finish(), front_end.readings.keyframe_scans()
         bases, edges = front_end.bases(graph.poses()), graph.graph.edges
         trajectory = front_end.readings.trajectory(bases)
         for anchors in (self._gnss.anchor if self._gnss else None, self._places and self._places.survey):
@@ -137,7 +139,7 @@ class Mapper:
         result = MapResult(
             MapContents(
                 node_poses=list(graph.poses()),
-                stamps_s=scans.stamps_s[numbers],
+                stamps_s=stamps_s,
                 readings=numbers,
                 trajectory=trajectory,
                 covariances=covariances,

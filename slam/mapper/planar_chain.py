@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations, groupby
 
 import numpy as np
@@ -77,14 +78,30 @@ class PlanarChain:
             self._guess_steps = cameras
         return step, edges
 
-    def settle(self, graph: KeyframeGraph) -> None:
-        """At the end: say anew how each camera moved, as the whole run tells its clock and mounting."""
-        self._cameras.settle_clocks()
+    def settle(
+        self, graph: KeyframeGraph, stamps_s: FloatArray, before: FloatArray, after: FloatArray
+    ) -> None:
+        """At the end: say anew how cameras and wheels moved, as the whole run tells clocks and mountings.
+
+        Parameters
+        ----------
+        stamps_s
+            (K,) of the keyframes by the clocks as they are known now.
+        before, after
+            (K, 3) poses of the wheels at the keyframes, by which their edges were made, and by these stamps.
+        """
+        moved = (before != after).any(axis=1)
+        for n, edge in enumerate(graph.graph.edges):
+            ends = [edge.source, edge.target]
+            if edge.kind is EdgeKind.WHEEL and moved[ends].any():
+                told, meant = (between(*wheels[ends]) for wheels in (before, after))
+                step = compose(row_from_pose2(edge.T_source_target), between(told, meant))
+                graph.graph.edges[n] = replace(edge, T_source_target=pose2_from_row(step))
         reported = [n for n, edge in enumerate(graph.graph.edges) if edge.kind is EdgeKind.RGBD]
         of_key = groupby(zip(self._camera_edges, reported, strict=True), key=lambda edge: edge[0][0])
         for key, edges in of_key:
-            before, after = (self._cameras.camera_poses(self._stamps_s[n]) for n in (key - 1, key))
-            steps = self._camera_steps(self._cameras.steps(before, after))
+            ended = [self._cameras.camera_poses(one_s) for one_s in stamps_s[key - 1 : key + 1].tolist()]
+            steps = self._camera_steps(self._cameras.steps(*ended))
             for (_, name), number in edges:
                 if name in steps:
                     graph.graph.edges[number] = _camera_edge(key - 1, key, steps[name])

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import time
+from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import gtsam
+import numpy as np
+from numpy.typing import NDArray
 
 from slam.config import Config
 from slam.mapper.mount_learner import KeyframeStep, LearnedMounting, MountLearner
@@ -38,6 +41,9 @@ class RobotCamera:
     newest_pose: gtsam.Pose3 | None = None
     learner: MountLearner | None = None
     clocks: ClockLearner = field(default_factory=ClockLearner)
+    # Of the frames that carried the robot on: their numbers among the scans, and their own stamps.
+    led_scans: array[int] = field(default_factory=lambda: array("q"))
+    led_s: array[float] = field(default_factory=lambda: array("d"))
     record: ScanRecorder = field(default_factory=ScanRecorder)
     steps: int = 0
     refused_steps: int = 0
@@ -150,6 +156,13 @@ class RobotCameras:
             if camera.T_base_camera is not None and camera.at(stamp_s) is not None
         ]
         return name == (knowing or list(self.cameras))[0]
+
+    def led(self) -> tuple[NDArray[np.int64], FloatArray]:
+        """(M,) scans that were a camera's frames, and (M,) what the robot's clock showed then."""
+        cameras = self.cameras.values()
+        scans = [np.array(camera.led_scans, dtype=np.int64) for camera in cameras]
+        stamps_s = [np.array(camera.led_s) - camera.clock.offset_s for camera in cameras]
+        return np.concatenate([np.zeros(0, np.int64), *scans]), np.concatenate([np.zeros(0), *stamps_s])
 
     def placed_pictures(self, camera_poses: CameraPoses) -> list[Picture]:
         """The newest frame of every camera with a known mounting, the first such camera's first.

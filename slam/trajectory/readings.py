@@ -70,18 +70,29 @@ class Readings:
         self._scan_poses.extend(spatial(pose).matrix()[:3].ravel().tolist())
         self.add_wheel(stamp_s, wheel_pose, told_s)
 
-    def read_wheels_at(self, ahead_s: float) -> None:
+    def restamp(self, scans: NDArray[np.int64], stamps_s: FloatArray) -> None:
+        """Scans (M,) were taken at other times (M,) than was thought when they came."""
+        for reading, stamp_s in zip(np.array(self._scan_readings)[scans], stamps_s, strict=True):
+            self._stamps_s[reading] = self._told_s[reading] = stamp_s
+
+    def read_wheels_at(self, ahead_s: float, scans: NDArray[np.int64] | None = None) -> None:
         """Ask the wheels anew where each reading was taken: their stamps are ahead by so much.
 
         Stamps of the wheels that run backward begin anew: the order of the log is that of the readings.
+
+        Parameters
+        ----------
+        scans
+            (M,) the only ones to ask anew for.
         """
         stamps_s, poses = np.array(self._stamps_s), np.array(self._wheel_poses).reshape(-1, 3)
+        asked = np.arange(len(poses)) if scans is None else np.array(self._scan_readings)[scans]
         of_wheels = ~np.isnan(poses[:, 0])
         of_wheels[self._scan_readings] = False
         told = np.flatnonzero(of_wheels)
         breaks = told[1:][np.diff(stamps_s[told]) < 0.0]
-        for part in np.split(np.arange(len(poses)), breaks):
-            known = part[of_wheels[part]]
+        for part in np.split(np.arange(len(poses)), breaks) if told.size else []:
+            known, part = part[of_wheels[part]], np.intersect1d(part, asked)
             rows = np.column_stack([poses[known, :2], np.unwrap(poses[known, 2])])
             for column, values in enumerate(rows.T):
                 poses[part, column] = np.interp(stamps_s[part] + ahead_s, stamps_s[known], values)
@@ -94,6 +105,14 @@ class Readings:
     def keyframe_scans(self) -> NDArray[np.int64]:
         """(K,) scan number of each keyframe."""
         return np.array(self._keyframe_scans, dtype=np.int64)
+
+    def scan_stamps_s(self) -> FloatArray:
+        """(S,) stamps of the scans, as the log has them."""
+        return np.array(self._told_s)[np.array(self._scan_readings, dtype=np.int64)]
+
+    def keyframe_wheels(self) -> FloatArray:
+        """(K, 3) pose of the wheels at each keyframe, odom frame; NaN where there is none."""
+        return np.array(self._wheel_poses).reshape(-1, 3)[self.keyframe_readings()]
 
     def keyframe_readings(self) -> NDArray[np.int64]:
         """(K,) number of each keyframe among all readings."""

@@ -116,6 +116,11 @@ def camera_edges(result: MapResult, truth: FloatArray) -> tuple[FloatArray, list
     return np.array(off), kept
 
 
+def _since_first(poses: FloatArray) -> list[FloatArray]:
+    """Poses (N, 3) seen from the first."""
+    return [between(poses[0], pose) for pose in poses]
+
+
 class TestClock:
     @pytest.mark.parametrize("ahead_s", [0.08, -0.08])
     def test_a_camera_whose_clock_is_off_tells_the_truth_in_the_end(self, ahead_s: float) -> None:
@@ -129,6 +134,20 @@ class TestClock:
         reported = {name: float(words.split()[0]) for name, words in notes}
         assert sorted(reported.values()) == pytest.approx(sorted([1e3 * ahead_s, 0.0]), abs=5.0)
         assert abs(reported["wheels"]) < 5.0
+
+    @pytest.mark.parametrize("ahead_s", [0.08, -0.08])
+    def test_frames_that_lead_get_their_true_times_in_the_end(self, ahead_s: float) -> None:
+        """Their clock is known when all is seen: each frame, and the wheels around it, lie on the way."""
+        result, _ = driven(60, "sensors.lidar=false", ahead_s=ahead_s)
+        found = result.map.trajectory
+        ways = found.to_planar(), np.array([pose_at(one_s - START_S) for one_s in found.stamps_s.tolist()])
+        off = np.array([between(*poses) for poses in zip(*map(_since_first, ways), strict=True)])
+        frames = np.isin(found.stamps_s, result.scans.stamps_s)
+        assert frames.sum() == 60
+        np.testing.assert_array_less(np.abs(off[frames]).max(axis=0), [0.015, 0.015, 0.004])
+        np.testing.assert_array_less(np.abs(off).max(axis=0), [0.02, 0.02, 0.02])
+        keyframes = found.stamps_s[np.isin(found.stamps_s, result.map.stamps_s)]
+        np.testing.assert_array_equal(keyframes, result.map.stamps_s)
 
     def test_a_clock_that_is_right_stays(self) -> None:
         result, truth = driven(60)

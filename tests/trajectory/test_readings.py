@@ -179,6 +179,23 @@ def test_a_keyframe_is_an_anchor_though_its_match_was_in_doubt() -> None:
     np.testing.assert_allclose(found(readings, keyframes)[[0, 2, 4]], keyframes, atol=1e-9)
 
 
+def test_scans_that_were_taken_at_other_times_are_moved_there() -> None:
+    """Frames whose stamps are late: only they are asked for anew, and lie where the wheels were then."""
+    readings = Readings()
+    for n in range(9):
+        readings.add_wheel(float(n), row(0.1 * n * n))
+        if n % 3 == 2:
+            scan(readings, n + 0.25, row(0.1 * n * n), row(7.0))
+            readings.mark_keyframe()
+    scans = np.array([0, 2])
+    readings.restamp(scans, np.array([2.0, 7.5]))
+    readings.read_wheels_at(0.0, scans)
+    np.testing.assert_array_equal(readings.scan_stamps_s(), [2.0, 5.25, 7.5])
+    np.testing.assert_allclose(readings.keyframe_wheels(), [row(0.4), row(7.0), row(5.65)])
+    poses = readings.trajectory([gtsam.Pose2(), gtsam.Pose2(1.0, 0.0, 0.0), gtsam.Pose2(2.0, 0.0, 0.0)])
+    np.testing.assert_array_equal(poses.stamps_s[[3, 7, 11]], [2.0, 5.25, 7.5])
+
+
 def test_wheels_are_read_anew_when_their_clock_is_known() -> None:
     readings = Readings()
 
