@@ -126,7 +126,6 @@ class PlanarChain:
         by_camera = self._camera_steps(moved)
         cameras = list(by_camera.values())
         doubtful = self._doubtful(tracked)
-        open_ = tracked.motion is not None and tracked.motion.degenerate
         longer = max(stamp_s - self._stamps_s[-1], 1.0)
         edges = edges_of(
             key,
@@ -137,7 +136,7 @@ class PlanarChain:
             self._config.graph,
             longer,
             match_doubtful=doubtful,
-            match_open=open_,
+            match_open=tracked.open,
         )
         edges += self._long_wheels(key, stamp_s, tracked)
         if bridge is not None:

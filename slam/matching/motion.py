@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,6 +53,11 @@ class Motion:
     def widened(self, covariance: FloatArray) -> Motion:
         """The same, uncertain by another covariance (3, 3) on top."""
         return Motion(self.pose, self.covariance + covariance)
+
+
+def log_likelihood(predictions: Sequence[Motion], pose: FloatArray) -> float:
+    """Of a pose (3,) by all predictions, a heavy tail each: Student's t with three degrees of freedom."""
+    return -sum(2.0 * math.log1p(guess.squared_mahalanobis(pose) / 3.0) for guess in predictions)
 
 
 @kernel(error_model="numpy")

@@ -19,7 +19,8 @@ import numpy as np
 from fusion.time_alignment import GAP_S
 from slam.config.stages import MatchConfig, PredictionConfig
 from slam.estimates import MotionEstimate
-from slam.matching.motion import Motion
+from slam.matching.match_covariance import OPEN_M
+from slam.matching.motion import Motion, log_likelihood
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, row_from_pose2
@@ -66,9 +67,14 @@ class TrackedScan:
     dispute: FloatArray
 
     @property
+    def open(self) -> bool:
+        """Whether the lidar matched, and left a direction open, as along a corridor."""
+        return self.motion is not None and self.motion.degenerate
+
+    @property
     def determined(self) -> bool:
-        """Whether the lidar matched in all directions."""
-        return self.motion is not None and not self.motion.degenerate
+        """Whether it matched in all directions."""
+        return self.motion is not None and not self.open
 
     @property
     def confident(self) -> bool:
@@ -186,7 +192,9 @@ class MotionTracker:
                 motion, dispute = self._match(points, guesses, step_s)
             pose = guesses[0].pose if motion is None else self._fused(motion)
             tracked = TrackedScan(pose, motion, wheels, dispute)
-            self._learn_velocity(between(self._last.pose, pose), step_s, told=pose is not self._blind)
+            # What went wrong along a corridor is made up for at once where it ends: no robot moved so.
+            if not (self._last.open and tracked.determined):
+                self._learn_velocity(between(self._last.pose, pose), step_s, told=pose is not self._blind)
         self._last = tracked
         self._stamp_s = stamp_s
         self._recent.append((stamp_s, tracked))
@@ -217,7 +225,9 @@ class MotionTracker:
         on = repeated(self._velocity_step, self._velocity_step_s, step_s, self._config, alone=alone)
         onward = compose(last.pose, on.pose)
         self._blind = onward if alone else None
-        self._by_velocity.predict(onward, on.covariance + last.dispute)
+        # After a long gap it says nothing any more: it would be one of many places that look alike.
+        if alone or on.covariance[0, 0] <= OPEN_M**2:
+            self._by_velocity.predict(onward, on.covariance + last.dispute)
         if alone and step_s > GAP_S:
             # By then it may as well stand.
             self._by_velocity.predict(last.pose, on.covariance + last.dispute)
@@ -225,10 +235,7 @@ class MotionTracker:
         return sorted(guesses, key=Motion.volume)
 
     def _learn_velocity(self, step: FloatArray, step_s: float, *, told: bool) -> None:
-        """Take a step (3,): one that repeats the velocity teaches none, nor does the next, which mends it.
-
-        Stamps too close together tell no velocity either.
-        """
+        """Take a step (3,): one that repeats the velocity teaches none, nor the next, that mends it."""
         if told and not self._blind_s and abs(step_s) > SHORTEST_STEP_S:
             self._velocity_step, self._velocity_step_s = step, step_s
         self._blind_s = 0.0 if told else self._blind_s + abs(step_s)
@@ -263,13 +270,11 @@ class MotionTracker:
             *self._rivals(points, motion, [*self._by_camera.guesses, *self._by_wheels.guesses], guesses),
             *self._rivals(points, motion, self._by_window, self._by_window),
         ]
-        if not rivals:
-            self._judge(motion)
-            return motion, np.zeros((3, 3))
-        log_odds, held, prediction = max(rivals, key=lambda rival: rival[0])
+        log_odds, held, prediction = max(rivals, key=lambda rival: rival[0], default=(0.0, None, guesses[0]))
         if log_odds < -self._config.disputed_within:
             self._recent.clear()  # the wheels have slipped: their path until now tells nothing
-            motion = self._led_by_others(points, motion, guesses)
+            rivals, motion = [], self._led_by_others(points, motion, guesses)
+        if not rivals:
             self._judge(motion)
             return motion, np.zeros((3, 3))
         decided = log_odds > self._config.disputed_within
@@ -340,7 +345,7 @@ class MotionTracker:
                     held = None
                 if held is not None:
                     rival = Motion(row_from_pose2(held.T_reference_base), np.zeros((3, 3)))
-            said = _log_likelihood(asked, rival.pose) - _log_likelihood(asked, matched)
+            said = log_likelihood(asked, rival.pose) - log_likelihood(asked, matched)
             rivals.append((said - self._evidence(points, motion, rival), held, prediction))
         return rivals
 
@@ -378,21 +383,17 @@ class MotionTracker:
         gain = matched.covariance @ np.linalg.inv(matched.covariance + camera.covariance)
         return compose(matched.pose, gain @ between(matched.pose, camera.pose))
 
-    def _judge(self, motion: MotionEstimate | None) -> None:
-        """Let a match that is certain score the predictors."""
-        if motion is not None and motion.inlier_share >= _JUDGE_INLIER_SHARE and not motion.degenerate:
-            pose = row_from_pose2(motion.T_reference_base)
-            self._by_camera.judge(pose)
-            self._by_wheels.judge(pose)
-            self._by_velocity.judge(pose)
-            last = self._last
-            if self._wheels is not None and not self._wheels.moved:
-                self._wheels.dead |= math.hypot(pose[0], pose[1]) > self._noise.search_half_width_m
-            if self._wheels is not None and self._by_wheels.guesses and last is not None and last.determined:
-                guess = self._by_wheels.guesses[0].pose
-                self._wheels.learn_scale(between(last.pose, guess), between(last.pose, pose))
-
-
-def _log_likelihood(predictions: Sequence[Motion], pose: FloatArray) -> float:
-    """Of a pose (3,) by all predictions, a heavy tail each: Student's t with three degrees of freedom."""
-    return -sum(2.0 * math.log1p(guess.squared_mahalanobis(pose) / 3.0) for guess in predictions)
+    def _judge(self, motion: MotionEstimate) -> None:
+        """Let a match that is certain score the predictors, unless they began where a direction was open."""
+        last = self._last
+        certain = motion.inlier_share >= _JUDGE_INLIER_SHARE and not motion.degenerate
+        if last is None or last.open or not certain:
+            return
+        pose = row_from_pose2(motion.T_reference_base)
+        for predictor in (self._by_camera, self._by_wheels, self._by_velocity):
+            predictor.judge(pose)
+        if self._wheels is not None and not self._wheels.moved:
+            self._wheels.dead |= math.hypot(pose[0], pose[1]) > self._noise.search_half_width_m
+        if self._wheels is not None and self._by_wheels.guesses and last.determined:
+            guess = self._by_wheels.guesses[0].pose
+            self._wheels.learn_scale(between(last.pose, guess), between(last.pose, pose))

@@ -322,17 +322,36 @@ def test_an_empty_scan_is_dead_reckoned_and_the_next_one_matched() -> None:
 
 
 def test_constant_velocity_leads_no_more_after_a_while() -> None:
-    """The robot stood; half a minute later the wheels have counted 5 m."""
+    """The robot stood; half a minute later the wheels have counted 5 m: where it stood may look alike."""
+    for wheels in (True, False):
+        run = Run(wheels=wheels)
+        run.see_the_truth()
+        for _ in range(3):
+            run.scan(np.zeros(3), np.zeros(3))
+        run.stamp_s += 30.0
+        run.scan(np.array([5.0, 0.0, 0.0]), np.array([5.0, 0.0, 0.0]))
+        asked = run.odometry.asked[-1]
+        assert {round(guess.pose[0], 6) for guess in asked} == ({5.0} if wheels else {0.0})
+        assert wheels or asked[0].covariance[0, 0] > 25.0, "without wheels there is nothing else"
+
+
+def test_the_end_of_a_corridor_makes_up_for_what_went_wrong_along_it() -> None:
+    """The wheels jumped where nothing could tell: it is no fault of the steps after, and no velocity."""
     run = Run()
     run.see_the_truth()
-    for _ in range(3):
-        run.scan(np.zeros(3), np.zeros(3))
-    run.stamp_s += 30.0
-    run.scan(np.array([5.0, 0.0, 0.0]), np.array([5.0, 0.0, 0.0]))
-    *others, last = run.odometry.asked[-1]
-    assert last.pose[0] == pytest.approx(0.0)
-    assert last.covariance[0, 0] > 25.0
-    assert any(other.pose[0] == pytest.approx(5.0) for other in others)
+    for _ in range(5):
+        run.scan()
+    doubt = run.wheel_doubt()
+    along = np.array([0.4, 0.0, 0.0])
+    run.odometry.answer = lambda guesses: motion_at(compose(run.true_pose, along), degenerate=True)
+    run.scan(wheel_step=compose(STEP, along))
+    run.see_the_truth()
+    run.scan()
+    assert run.wheel_doubt() == pytest.approx(doubt)
+    run.scan()
+    first, *_ = guesses = run.odometry.asked[-1]
+    np.testing.assert_allclose(first.pose, run.true_pose, atol=1e-9)
+    assert min(between(run.true_pose, guess.pose)[0] for guess in guesses) > -0.5 * along[0]
 
 
 def test_a_guess_that_the_match_has_refuted_leads_along_no_corridor() -> None:
