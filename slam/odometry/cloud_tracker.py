@@ -184,8 +184,7 @@ class CloudTracker:
                 points = base_points(cloud, self._velocity.at(self._pose, cloud.stamp_s), self._turns)
             self._velocity.learn(self._pose, cloud.stamp_s, seen.arms_m, motion)
         self._tell(measured + _UNSEEN_M**2 * np.outer(motion.weak_direction, motion.weak_direction))
-        spread = None if self._imu is None else self._imu.spread()
-        motion = self._open.widened(cloud.stamp_s, motion, self._velocity.twist, spread)
+        motion = self._open.widened(cloud.stamp_s, motion, self._velocity.twist, self._spread)
         return TrackedCloud(points, self._pose, motion, self._moved_on(self._pose))
 
     def _believed(self, motion: MotionEstimate) -> bool:
@@ -196,12 +195,20 @@ class CloudTracker:
         told = self._imu is not None and self._stamp_s is not None and self._imu.predicted(self._stamp_s)
         if not told or self._imu is None:
             return True
-        apart, spread = gtsam.Pose3.Logmap(told.between(pose_of(motion))), self._imu.spread()
-        assert spread is not None
+        apart, covariance = gtsam.Pose3.Logmap(told.between(pose_of(motion))), motion.covariance
         if motion.converged:
             slack = [self._config.keyframes.angle_rad] * 3 + [self.voxel_m] * 3
-            spread = spread + np.diag(np.square(slack))
-        return bool(apart @ np.linalg.solve(motion.covariance + spread, apart) <= gate(6))
+            covariance = covariance + np.diag(np.square(slack))
+
+        def agrees(covariance: FloatArray) -> bool:
+            return bool(apart @ np.linalg.solve(covariance, apart) <= gate(6))
+
+        # What agrees without the spread, which is slow to tell, agrees all the more with it.
+        return agrees(covariance) or ((spread := self._spread()) is not None and agrees(covariance + spread))
+
+    def _spread(self) -> FloatArray | None:
+        """(6, 6) covariance of the newest pose by the IMU; None where none tells it."""
+        return None if self._imu is None else self._imu.spread()
 
     def _guessed(self, points: FloatArray, pose: gtsam.Pose3, *, new_keyframe: bool) -> TrackedCloud:
         """A cloud that did not match."""

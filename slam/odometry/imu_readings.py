@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from statistics import median
 
 import gtsam
 import numpy as np
@@ -49,7 +50,7 @@ class ImuReadings:
         """Whether there are readings all the way; beyond the newest by a few steps counts."""
         if len(self._rows) < 2:
             return False
-        longest_s = _GAP * float(np.median(self._steps_s))
+        longest_s = _GAP * median(self._steps_s)
         if self._rows[0][0] > begin_s + longest_s or self.newest_s < end_s - longest_s:
             return False
         stamps_s = self._between(begin_s, end_s)[0]
@@ -125,13 +126,13 @@ class ImuReadings:
     @property
     def _around_s(self) -> float:
         """A span that holds the readings next to a stamp."""
-        return _GAP * float(np.median(self._steps_s)) if self._steps_s else 0.0
+        return _GAP * median(self._steps_s) if self._steps_s else 0.0
 
     def _densities(self) -> tuple[float, float]:
         """Noise of turn rates and forces, for the square root of a hertz."""
         told = np.array([row[1] for row in self._rows])
         # Second differences leave out what a motion adds; of white noise their variance is six times its own.
         apart = np.abs(np.diff(told, n=2, axis=0))
-        root_s = float(np.sqrt(np.median(self._steps_s) / 6.0))
+        root_s = float(np.sqrt(median(self._steps_s) / 6.0))
         noise = median_to_sigma() * np.median(apart, axis=0) * root_s
         return max(noise[:3].max(), _GYRO_DENSITY), max(noise[3:].max(), _FORCE_DENSITY)

@@ -99,6 +99,8 @@ class ImuSmoother:
         parameters = gtsam.LevenbergMarquardtParams()
         # After a long bridge metres stand beside readings of a millimetre.
         parameters.setLinearSolverType("MULTIFRONTAL_QR")
+        # The next cloud solves the lag again; at its optimum, a second step tries ever shorter ones.
+        parameters.setMaxIterations(1)
         self._smoother = gtsam.BatchFixedLagSmoother(_LAG_S, parameters)
         self._marginals: gtsam.Marginals | None = None
         self._count, self._downs = 0, 0

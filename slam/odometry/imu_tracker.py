@@ -75,11 +75,13 @@ class ImuTracker:
             self._parameters, self._smoother = start.parameters, ImuSmoother(start.state, start.spread)
         self._poses: list[tuple[float, gtsam.Pose3, FloatArray]] = []
         self._agree: deque[bool] = deque(maxlen=2 * FEWEST)
+        self._whole: tuple[ImuState, float, gtsam.PreintegratedCombinedMeasurements] | None = None
 
     def add(self, reading: ImuReading) -> None:
         """Take the next reading."""
         self._sensor = reading.sensor
         self._readings.add(reading)
+        self._whole = None
 
     @property
     def state(self) -> ImuState | None:
@@ -302,9 +304,12 @@ class ImuTracker:
         return self._readings.covers(state.stamp_s, stamp_s)
 
     def _integrated(self, state: ImuState, stamp_s: float) -> gtsam.PreintegratedCombinedMeasurements:
-        """The readings from a state to a stamp."""
-        assert self._parameters is not None
-        return self._readings.integrated(state.stamp_s, stamp_s, self._parameters, state.bias)
+        """The readings from a state to a stamp; a cloud's are asked for more than once."""
+        if self._whole is None or self._whole[0] is not state or self._whole[1] != stamp_s:
+            assert self._parameters is not None
+            whole = self._readings.integrated(state.stamp_s, stamp_s, self._parameters, state.bias)
+            self._whole = state, stamp_s, whole
+        return self._whole[2]
 
 
 @kernel

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -32,7 +33,11 @@ class OpenWay:
         self._told_m2 = self._variance_m2
 
     def widened(
-        self, stamp_s: float, motion: MotionEstimate, twist: FloatArray, spread: FloatArray | None
+        self,
+        stamp_s: float,
+        motion: MotionEstimate,
+        twist: FloatArray,
+        spread: Callable[[], FloatArray | None],
     ) -> MotionEstimate:
         """A match, as uncertain as the way since the last keyframe where nothing determines it.
 
@@ -45,7 +50,8 @@ class OpenWay:
         twist
             (6,) of the base as it last was determined.
         spread
-            (6, 6) covariance of the pose by an IMU that goes on where clouds tell nothing; None without.
+            Tells the (6, 6) covariance of the pose by an IMU that goes on where clouds tell nothing; None
+            without. It is asked only where the way is open.
         """
         if motion.converged and not motion.degenerate:
             self._known_s, self._variance_m2 = stamp_s, 0.0
@@ -56,8 +62,9 @@ class OpenWay:
             self._direction = motion.weak_direction / ahead
         if not self._direction.any():
             return motion
-        if spread is not None:
-            variance = float(self._direction @ spread @ self._direction)
+        told = spread()
+        if told is not None:
+            variance = float(self._direction @ told @ self._direction)
         elif self._known_s is None:
             self._known_s, variance = stamp_s, 0.0
         else:
