@@ -2,8 +2,9 @@
 
 At a slant a pane throws no beam back: a part of them goes through, the rest is gone (Foster et al. 2013; Koch
 et al. 2017). A doorway loses none. But beams are lost for other reasons too: what is behind may be dark, or
-farther away than the lidar measures. So only beams count that should have met a wall that is known, and the
-same wall is asked how often it loses beams that do not come through the gap.
+farther away than the lidar measures. So only beams count that should have met a thing that is known, and it
+is asked how often it loses beams that do not come through the gap. A thing is what stands in one square of
+the floor, for behind a pane only single points are seen of a wall.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ from slam.mapping.glass_panes import SHORTEST_M
 from slam.mapping.keyframe_grid import layer_settings
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.mapping.wall_gaps import THICKEST_WALL_M, Line, looked_up, wall_gaps
-from slam.mapping.wall_segments import Segment, wall_points, wall_segments
+from slam.mapping.wall_segments import wall_points, wall_segments
 from slam.measurements import BoolArray, FloatArray, LaserScan, pose2_from_row
 
 
 class _Beams(NamedTuple):
-    """Beams that met a wall, and those that should have.
+    """Beams that met a thing, and those that should have.
 
     Attributes
     ----------
@@ -37,8 +38,8 @@ class _Beams(NamedTuple):
         (N, 2) where each begins in the map, and its direction.
     end_m
         (N,) how far it went, or should have gone.
-    wall, scan
-        (N,) number of the wall, and of the scan.
+    thing, scan
+        (N,) number of the thing, and of the scan.
     lost
         (N,) no return.
     """
@@ -46,14 +47,14 @@ class _Beams(NamedTuple):
     from_m: FloatArray
     along: FloatArray
     end_m: FloatArray
-    wall: NDArray[np.int64]
+    thing: NDArray[np.int64]
     scan: NDArray[np.int64]
     lost: BoolArray
 
     def chosen(self, which: BoolArray) -> _Beams:
         """Some of them."""
-        from_m, along, end_m, wall, scan, lost = self
-        return _Beams(from_m[which], along[which], end_m[which], wall[which], scan[which], lost[which])
+        from_m, along, end_m, thing, scan, lost = self
+        return _Beams(from_m[which], along[which], end_m[which], thing[which], scan[which], lost[which])
 
 
 def with_glass(
@@ -88,12 +89,13 @@ def glass_gaps(
     # Of the beams through what stands there, the grid's own model lets no more pass than so many.
     least = 1.0 - config.grid.miss_probability / (1.0 - config.grid.miss_probability)
     scan, cell_m = config.scan, grid.resolution_m
-    points = wall_points(scans, poses, (scan.range_min_m, scan.range_max_m), scan.neighbours)
-    segments = wall_segments(points, cell_m, 3 * cell_m)
-    beams = _beams(grid, segments, scans, poses)
+    beams = _beams(grid, scans, poses)
     if not beams.lost.any():
         return []
-    every, lost = (np.bincount(beams.wall[own], minlength=len(segments)) for own in (slice(None), beams.lost))
+    things = beams.thing.max() + 1
+    every, lost = (np.bincount(beams.thing[own], minlength=things) for own in (slice(None), beams.lost))
+    points = wall_points(scans, poses, (scan.range_min_m, scan.range_max_m), scan.neighbours)
+    segments = wall_segments(points, cell_m, 3 * cell_m)
     gaps = [gap for gap in wall_gaps(segments, grid)[0] if gap.length_m >= SHORTEST_M]
     return [
         gap
@@ -106,24 +108,25 @@ def glass_gaps(
 def _loss(
     gap: Line, beams: _Beams, every: NDArray[np.int64], lost: NDArray[np.int64], cell_m: float
 ) -> float:
-    """The share of beams that a gap loses and the walls behind it do not; 0 where that is not sure.
+    """The share of beams that a gap loses and the things behind it do not; 0 where that is not sure.
 
     By the ratio of likelihoods of glass, which has a share of losses of its own, and of no glass. A scan has
-    one vote a cell, for neighbouring beams share their fate. Of the gap's parts, half as long as the least
-    pane, none may tell it alone, and those that speak against it must not be sure.
+    one vote a cell, for neighbouring beams share their fate. It must be sure without the thing that tells
+    most, which may be dark. Of the gap's parts, half as long as the least pane, none may tell it alone, and
+    those that speak against it must not be sure.
 
     Parameters
     ----------
     every, lost
-        (W,) of all beams to each wall, how many there are and how many are lost.
+        (T,) of all beams to each thing, how many there are and how many are lost.
     """
     share, _ = _crossings(gap, beams.chosen(beams.lost))
     if not ((share > 0.0) & (share < 1.0)).any():
         return 0.0
     share, beside = _crossings(gap, beams)
-    walls = beams.wall[beside]
-    elsewhere = every - np.bincount(walls, minlength=len(every))
-    lost_there = lost - np.bincount(walls[beams.lost[beside]], minlength=len(every))
+    things = beams.thing[beside]
+    elsewhere = every - np.bincount(things, minlength=len(every))
+    lost_there = lost - np.bincount(things[beams.lost[beside]], minlength=len(every))
     usual = (FEWEST * lost.sum() / every.sum() + lost_there) / (FEWEST + elsewhere)
     through = (share > 0.0) & (share < 1.0)
     share, beams = share[through], beams.chosen(through)
@@ -132,12 +135,13 @@ def _loss(
     _, vote, beams_a_vote = np.unique(vote, return_inverse=True, return_counts=True)
     weight = 1.0 / beams_a_vote[vote.ravel()]
     loss = float(np.average(beams.lost, weights=weight))
-    without = usual[beams.wall]
+    without = usual[beams.thing]
     with_glass = np.maximum(without, loss)
     told = weight * np.log(np.where(beams.lost, with_glass / without, (1.0 - with_glass) / (1.0 - without)))
     parts = np.bincount((share * math.ceil(2.0 * gap.length_m / SHORTEST_M)).astype(np.int64), told)
     against, sure = float(parts[parts < 0.0].sum()), -math.log(1.0 - CONFIDENCE)
-    return loss if told.sum() > max(sure, float(parts.max())) and against > -sure else 0.0
+    least = max(sure + float(np.bincount(beams.thing, told).max()), float(parts.max()))
+    return loss if told.sum() > least and against > -sure else 0.0
 
 
 def _crossings(gap: Line, beams: _Beams) -> tuple[FloatArray, BoolArray]:
@@ -160,10 +164,11 @@ def _crossings(gap: Line, beams: _Beams) -> tuple[FloatArray, BoolArray]:
     return middle / gap.length_m, (middle + half > 0.0) & (middle - half < gap.length_m)
 
 
-def _beams(
-    grid: OccupancyGrid, segments: Sequence[Segment], scans: Sequence[LaserScan | None], poses: FloatArray
-) -> _Beams:
-    """All that met a wall, and all that are lost though the first obstacle on their way is a wall."""
+def _beams(grid: OccupancyGrid, scans: Sequence[LaserScan | None], poses: FloatArray) -> _Beams:
+    """All that met a thing, and all that are lost though one is on their way.
+
+    A thing is the obstacles of a square as wide as the least pane.
+    """
     parts = []
     for scan_number, (scan, pose) in enumerate(zip(scans, poses, strict=True)):
         if scan is None:
@@ -179,9 +184,12 @@ def _beams(
     reach_m = float(np.quantile(ranges_m[met], CONFIDENCE)) if met.any() else 0.0
     end_m = np.where(met, ranges_m, 0.0).astype(np.float64)
     end_m[lost] = _first_met(grid, from_m[lost], along[lost], reach_m)
-    wall = looked_up(_owners(grid, segments), grid.cells_of(from_m + end_m[:, None] * along)) - 1
-    known = (end_m > 0.0) & (wall >= 0)
-    return _Beams(from_m, along, end_m, wall.astype(np.int64), number, lost).chosen(known)
+    cells = grid.cells_of(from_m + end_m[:, None] * along)
+    near = ndimage.binary_dilation(grid.steps > 0, iterations=2)
+    known = (end_m > 0.0) & (looked_up(near, cells) > 0)
+    squares = cells // round(SHORTEST_M / grid.resolution_m) @ np.array([grid.shape[1], 1])
+    _, thing = np.unique(squares, return_inverse=True)
+    return _Beams(from_m, along, end_m, thing, number, lost).chosen(known)
 
 
 def _first_met(grid: OccupancyGrid, from_m: FloatArray, along: FloatArray, reach_m: float) -> FloatArray:
@@ -193,14 +201,3 @@ def _first_met(grid: OccupancyGrid, from_m: FloatArray, along: FloatArray, reach
         found[left[met]] = at_m
         left = left[~met]
     return found
-
-
-def _owners(grid: OccupancyGrid, segments: Sequence[Segment]) -> NDArray[np.int32]:
-    """(rows, cols) number of the wall in or next to each cell, from 1; 0 where there is none."""
-    owners = np.zeros(grid.shape, np.int32)
-    for number, segment in reversed(list(enumerate(segments, 1))):
-        cells = grid.cells_of(Line(segment.begin_m, segment.end_m).points(0.5 * grid.resolution_m))
-        cells = cells[((cells >= 0) & (cells < grid.shape)).all(axis=1)]
-        owners[tuple(cells.T)] = number
-    away, (row, col) = ndimage.distance_transform_edt(owners == 0, return_indices=True)
-    return np.asarray(np.where(away <= 2.0, owners[row, col], 0), dtype=np.int32)

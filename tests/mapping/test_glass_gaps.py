@@ -17,15 +17,20 @@ ROOM = [(-4.0, -1.5, 4.0, -1.5), (4.0, -1.5, 4.0, 4.0), (4.0, 4.0, -4.0, 4.0), (
 ACROSS = [(side * 4.0, y, side * 0.6, y) for side in (-1, 1) for y in (1.0, 1.1)]
 JAMBS = [(side * 0.6, 1.0, side * 0.6, 1.1) for side in (-1, 1)]
 WALLS = np.array([*ROOM, *ACROSS, *JAMBS])
+DARK = [(-0.2, 1.3, 0.2, 1.3)]
 WAY = np.array([[x, 0.0, 0.3] for x in np.arange(-2.5, 2.6, 0.25)])
 
 
-def scan_at(pose, lost_in_gap=0.0, lost_behind=0.0, from_x=-1.0):
-    """A sweep that loses a share of the beams through the gap, from there on, and of all that end behind."""
+def scan_at(pose, lost_in_gap=0.0, lost_behind=0.0, from_x=-1.0, dark=(), rough_m=0.005):
+    """A sweep that loses a share of the beams through the gap, from there on, and of all that end behind.
+
+    Behind, ranges scatter by ``rough_m``; dark things, rows as of walls, lose three quarters of the beams.
+    """
     x, y, heading = pose
     along = np.column_stack([np.cos(BEARINGS + heading), np.sin(BEARINGS + heading)])
-    way = WALLS[:, 2:] - WALLS[:, :2]
-    to = WALLS[:, :2] - (x, y)
+    walls = np.array([*WALLS, *dark])
+    way = walls[:, 2:] - walls[:, :2]
+    to = walls[:, :2] - (x, y)
     across = along[:, :1] * way[:, 1] - along[:, 1:] * way[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         far = (to[:, 0] * way[:, 1] - to[:, 1] * way[:, 0]) / across
@@ -38,7 +43,10 @@ def scan_at(pose, lost_in_gap=0.0, lost_behind=0.0, from_x=-1.0):
         in_gap &= x + (1.0 - y) / along[:, 1] * along[:, 0] > from_x
     lost = in_gap & (random.random(ranges.size) < lost_in_gap)
     lost |= (y + ranges * along[:, 1] > 1.2) & (random.random(ranges.size) < lost_behind)
-    noisy = ranges + 0.005 * random.standard_normal(ranges.size)
+    noisy = ranges + np.where(y + ranges * along[:, 1] > 1.2, rough_m, 0.005) * random.standard_normal(
+        ranges.size
+    )
+    lost |= (far.argmin(axis=1) >= len(WALLS)) & (random.random(ranges.size) < 0.75)
     scan = np.where(lost, np.inf, noisy).astype(np.float32)
     return LaserScan(x + 10.0 * y, scan, -math.pi, float(BEARINGS[1] - BEARINGS[0]), 12.0)
 
@@ -65,6 +73,11 @@ def test_a_gap_that_loses_beams_all_along_is_closed(share):
     assert (with_glass(grid, scans, WAY, Config()).states()[cells] == OCCUPIED).all()
 
 
+def test_glass_is_found_where_no_straight_wall_is_seen_behind_it():
+    assert mapped(lost_in_gap=0.4, rough_m=0.1)[2]
+    assert mapped(rough_m=0.1)[2] == []
+
+
 def test_a_doorway_stays_open():
     grid, scans, gaps = mapped()
     assert gaps == []
@@ -79,6 +92,10 @@ def test_what_is_dark_behind_a_doorway_is_no_glass():
     # It loses as many beams that do not come through the door.
     behind = np.array([[x, 2.0, 0.3] for x in np.arange(3.4, 2.0, -0.1)])
     assert mapped(np.concatenate([WAY, behind]), lost_behind=0.5)[2] == []
+
+
+def test_one_dark_thing_that_is_seen_through_a_doorway_alone_is_no_glass():
+    assert mapped(dark=DARK)[2] == []
 
 
 def test_what_is_lost_in_a_part_of_it_is_no_glass():
