@@ -46,6 +46,26 @@ class WallFit:
         """(2,) by which offset and slope move the line at a place along it."""
         return np.array([1.0, along_m - self.middle_m])
 
+    def places(self, *points_m: FloatArray) -> list[float]:
+        """Where along it (2,) points lie."""
+        return along(self.face, np.array(points_m)).tolist()
+
+    def seen_m(self, begin_m: float, end_m: float, cell_m: float) -> FloatArray:
+        """(n, 2) stretches from its begin on which points lie, no farther apart than four cells."""
+        length_m = abs(end_m - begin_m)
+        at = np.sort((self.along_m - begin_m) * np.sign(end_m - begin_m))
+        at = at[(at > 0.0) & (at < length_m)]
+        if not len(at):
+            return np.zeros((0, 2))
+        breaks = np.flatnonzero(np.diff(at) > 4 * cell_m)
+        seen = np.column_stack([at[np.append(0, breaks + 1)], at[np.append(breaks, len(at) - 1)]])
+        seen = seen[seen[:, 1] - seen[:, 0] > cell_m]
+        # A corner hides what is nearest to it.
+        if len(seen):
+            seen[0, 0] = 0.0 if seen[0, 0] < 4 * cell_m else seen[0, 0]
+            seen[-1, 1] = length_m if seen[-1, 1] > length_m - 4 * cell_m else seen[-1, 1]
+        return seen
+
     def line(self) -> Face:
         """The face moved and turned onto it."""
         x, y = self.face.normal
