@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 
+from fusion.estimation import FEWEST, TINY
 from slam.config import Config
 from slam.errors import ScanweaveError
 from slam.graph.joint_covariance import joint_covariance
@@ -71,14 +72,27 @@ def floor_plan(contents: MapContents, config: Config) -> FloorPlan:
 
 
 def _covariance(fits: Sequence[WallFit], contents: MapContents, config: Config) -> FloatArray:
-    """(2 m, 2 m) of offset and slope of all walls: by the poses together, and by the points of each."""
+    """(2 m, 2 m) of offset and slope of all walls: by the poses together, and by the points of each.
+
+    The graph tells how errors of poses hang together; how large they are the walls tell themselves.
+    """
     if not fits:
         return np.zeros((0, 0))
     edges = [factor.edge for factor in contents.factors]
     told = told_edges(contents.node_poses, edges, [factor.kept for factor in contents.factors], config)
     poses = [pose for pose in contents.node_poses if isinstance(pose, gtsam.Pose2)]
-    by_poses = joint_covariance(poses, told, np.concatenate([fit.jacobian for fit in fits]))
+    drifts = np.array([fit.drift.jacobian for fit in fits])
+    whole = joint_covariance(poses, told, np.concatenate([*(fit.jacobian for fit in fits), drifts]))
+    count = 2 * len(fits)
+    by_poses = whole[:count, :count] * unit_variance(fits, np.diag(whole)[count:])
     return by_poses + np.diag(np.concatenate([fit.noise for fit in fits]))
+
+
+def unit_variance(fits: Sequence[WallFit], variances: FloatArray) -> float:
+    """How far earlier and later scans of walls differ, squared, in variances; 1 where too few walls tell."""
+    told = variances > TINY
+    values = np.array([fit.drift.value for fit in fits])[told]
+    return float(np.mean(values**2 / variances[told])) if len(values) >= FEWEST else 1.0
 
 
 def _room(

@@ -9,7 +9,7 @@ import pytest
 from slam.mapping.room_outline import Face, Outline
 from slam.mapping.rooms import RoomMap
 from slam.mapping.sure_walls import sides_of, sure_walls
-from slam.mapping.wall_fits import WallFit
+from slam.mapping.wall_fits import Contrast, WallFit
 from slam.mapping.wall_segments import Segment
 
 CELL_M = 0.05
@@ -18,8 +18,12 @@ SOUTH, EAST, NORTH, WEST = range(4)
 
 def room(x0: float, y0: float, x1: float, y1: float, turn: float = 0.0) -> Outline:
     """A rectangle; its south side may be turned."""
-    corners = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
-    corners[1, 1] += turn * (x1 - x0)
+    return outlined([(x0, y0), (x1, y0 + turn * (x1 - x0)), (x1, y1), (x0, y1)])
+
+
+def outlined(points: list[tuple[float, float]]) -> Outline:
+    """A polygon, all of whose sides were seen."""
+    corners = np.array(points)
     ways = np.roll(corners, -1, axis=0) - corners
     normals = np.column_stack([-ways[:, 1], ways[:, 0]]) / np.hypot(*ways.T)[:, None]
     faces = [Face(corner, normal, True, 1.0) for corner, normal in zip(corners, normals, strict=True)]
@@ -33,7 +37,8 @@ def fits(outline: Outline, *seen: tuple[float, float]) -> list[WallFit | None]:
         low, high = outline.ends(edge)
         stretches = [(low + a, low + b) for a, b in seen] if edge == SOUTH else [(low, high)]
         at = np.concatenate([np.arange(a + 0.01, b, 0.02) for a, b in stretches])
-        found.append(WallFit(face, 0.5 * (low + high), 0.0, 0.0, np.zeros((2, 0)), np.zeros(2), at))
+        still = Contrast(0.0, np.zeros(0))
+        found.append(WallFit(face, 0.5 * (low + high), 0.0, 0.0, np.zeros((2, 0)), np.zeros(2), at, still))
     return found
 
 
@@ -41,10 +46,10 @@ def south(
     *seen: tuple[float, float],
     others: tuple[Outline, ...] = (),
     pieces: tuple[Segment, ...] = (),
-    turn: float = 0.0,
+    own: Outline | None = None,
 ) -> bool:
-    """Whether the south side of a room of 4 x 3 m is a wall."""
-    outlines = {1: room(0.0, 0.0, 4.0, 3.0, turn), **dict(enumerate(others, start=2))}
+    """Whether the south side of a room, of 4 x 3 m if it is not said, is a wall."""
+    outlines = {1: own or room(0.0, 0.0, 4.0, 3.0), **dict(enumerate(others, start=2))}
     lines = [fits(outlines[1], *seen), *(fits(one, (0.0, 9.0)) for one in others)]
     labels = np.zeros((400, 400), np.int32)
     corner = gtsam.Pose2(-10.0, -10.0, 0.0)
@@ -85,5 +90,8 @@ def test_a_piece_of_another_room_does_not() -> None:
     assert south((0.0, 4.0), others=(room(0.0, -1.4, 4.0, -0.12),), pieces=(piece,))
 
 
-def test_a_front_that_stands_askew_is_none() -> None:
-    assert not south((0.0, 4.0), turn=0.05)
+def test_what_stands_askew_or_juts_into_the_room_is_none() -> None:
+    assert not south((0.0, 4.0), own=room(0.0, 0.0, 4.0, 3.0, turn=0.05))
+    corners = [(0.0, 0.0), (2.0, 0.0), (2.0, -1.0), (4.0, -1.0), (4.0, 3.0), (0.0, 3.0)]
+    assert not south((0.0, 2.0), own=outlined(corners))
+    assert south((0.0, 4.0), own=outlined([(0.0, 0.0), (4.0, 0.0), *corners[4:]]))
