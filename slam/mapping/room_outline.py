@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from fusion.estimation import FEWEST, TINY
+from fusion.estimation import FEWEST
 from slam.mapping.rooms import LARGEST_FURNITURE_M2, RoomMap
-from slam.mapping.wall_gaps import THICKEST_WALL_M, WIDEST_DOOR_M
+from slam.mapping.wall_gaps import WIDEST_DOOR_M
 from slam.mapping.wall_segments import SAME_DIRECTION_RAD, Segment, WallPoints, wall_segments
 from slam.measurements import BoolArray, FloatArray
 
@@ -247,35 +247,6 @@ def _boxed(middles_m: FloatArray, axes: FloatArray) -> Outline:
     if area_m2(corners) < 0.0:
         faces = faces[::-1]
     return Outline(corners_of(faces), tuple(faces))
-
-
-def confirmed(outlines: Sequence[Outline], number: int) -> list[bool]:
-    """Of each edge of a room, whether no other room says that its wall stands farther out, behind furniture.
-
-    Another room lies behind, farther away than a wall is thick; or the wall of a neighbour goes on in line
-    farther out; or it juts into the room, as furniture does. What has a room right behind it is a wall.
-    """
-    depth, normals = math.sqrt(LARGEST_FURNITURE_M2), [face.normal for face in outlines[number].faces]
-    juts = [float(np.linalg.det([normals[k - 1], normal])) < 0.0 for k, normal in enumerate(normals)]
-    sure = []
-    for edge, face in enumerate(outlines[number].faces):
-        begin, end = outlines[number].edge(edge)
-        along = (end - begin) / max(float(np.hypot(*(end - begin))), TINY)
-        backed, far = False, juts[edge] or juts[(edge + 1) % len(juts)]
-        for other in (outline for index, outline in enumerate(outlines) if index != number):
-            for place, behind in enumerate(other.faces):
-                ends = np.array(other.edge(place))
-                reach = np.sort((ends - begin) @ along)
-                away = -float(((ends - begin) @ face.normal).mean())
-                over = min(reach[1], (end - begin) @ along) - max(reach[0], 0.0)
-                alike = float(behind.normal @ face.normal)
-                if alike < -np.cos(SAME_DIRECTION_RAD) and over > THICKEST_WALL_M:
-                    backed |= -THICKEST_WALL_M < away < THICKEST_WALL_M
-                    far |= THICKEST_WALL_M < away < depth
-                elif alike > np.cos(SAME_DIRECTION_RAD) and over > -THICKEST_WALL_M:
-                    far |= 0.5 * THICKEST_WALL_M < away < depth and behind.seen
-        sure.append(backed or not far)
-    return sure
 
 
 def _runs(nearest: NDArray[np.int64], shortest: int) -> list[int]:

@@ -8,10 +8,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation import FEWEST, ROUNDS, gate, median_to_sigma
+from fusion.estimation import FEWEST, ROUNDS, TINY, gate, median_to_sigma
 from slam.mapping.room_outline import Face
 from slam.mapping.wall_segments import SAME_DIRECTION_RAD, WallPoints
 from slam.measurements import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Contrast:
+    """A number that would be zero without errors.
+
+    Attributes
+    ----------
+    value
+        What it is.
+    jacobian
+        (3 n,) of it by GTSAM's tangents of the n poses.
+    """
+
+    value: float
+    jacobian: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +48,8 @@ class WallFit:
         (2,) variances of both by what the poses do not tell: the points of different scans scatter by it.
     along_m
         (k,) where its points lie.
+    drift
+        Half of how far the later scans saw it before where the earlier ones did.
     """
 
     face: Face
@@ -41,10 +59,31 @@ class WallFit:
     jacobian: FloatArray
     noise: FloatArray
     along_m: FloatArray
+    drift: Contrast
 
     def reach(self, along_m: float) -> FloatArray:
         """(2,) by which offset and slope move the line at a place along it."""
         return np.array([1.0, along_m - self.middle_m])
+
+    def places(self, *points_m: FloatArray) -> list[float]:
+        """Where along it (2,) points lie."""
+        return along(self.face, np.array(points_m)).tolist()
+
+    def seen_m(self, begin_m: float, end_m: float, cell_m: float) -> FloatArray:
+        """(n, 2) stretches from its begin on which points lie, no farther apart than four cells."""
+        length_m = abs(end_m - begin_m)
+        at = np.sort((self.along_m - begin_m) * np.sign(end_m - begin_m))
+        at = at[(at > 0.0) & (at < length_m)]
+        if not len(at):
+            return np.zeros((0, 2))
+        breaks = np.flatnonzero(np.diff(at) > 4 * cell_m)
+        seen = np.column_stack([at[np.append(0, breaks + 1)], at[np.append(breaks, len(at) - 1)]])
+        seen = seen[seen[:, 1] - seen[:, 0] > cell_m]
+        # A corner hides what is nearest to it.
+        if len(seen):
+            seen[0, 0] = 0.0 if seen[0, 0] < 4 * cell_m else seen[0, 0]
+            seen[-1, 1] = length_m if seen[-1, 1] > length_m - 4 * cell_m else seen[-1, 1]
+        return seen
 
     def line(self) -> Face:
         """The face moved and turned onto it."""
@@ -96,10 +135,17 @@ def fit_wall(
             break
     at, off, left, owners = at[keep], off[keep], left[keep], owners[keep]
     middle = float(at.mean())
-    gain = np.linalg.pinv(np.column_stack([np.ones(len(at)), at - middle]))
+    design = np.column_stack([np.ones(len(at)), at - middle])
+    gain = np.linalg.pinv(design)
     offset, slope = gain @ off
-    jacobian = _by_poses(gain, points.points_map[on][keep], owners, face.normal, poses)
-    return WallFit(face, middle, float(offset), float(slope), jacobian, _noise(gain, left, owners), at)
+    by = points.points_map[on][keep], owners, face.normal, poses
+    jacobian = _by_poses(gain, *by)
+    # What offset and slope cannot explain of the earlier half of the scans against the later.
+    halves = np.where(owners > np.median(owners), 1.0, -1.0)
+    halves -= design @ (gain @ halves)
+    halves /= max(halves @ halves, TINY)
+    drift = Contrast(float(halves @ off), _by_poses(halves[None], *by)[0])
+    return WallFit(face, middle, float(offset), float(slope), jacobian, _noise(gain, left, owners), at, drift)
 
 
 def _mode(at: FloatArray, off: FloatArray, cell_m: float) -> BoolArray:
@@ -132,7 +178,7 @@ def _by_poses(
     forward = cos * normal[0] + sin * normal[1]
     leftward = cos * normal[1] - sin * normal[0]
     turn = (points_map[:, 0] - x) * normal[1] - (points_map[:, 1] - y) * normal[0]
-    jacobian = np.zeros((2, 3 * len(poses)))
+    jacobian = np.zeros((len(gain), 3 * len(poses)))
     for row, weights in enumerate(gain):
         for place, moved in enumerate((forward, leftward, turn)):
             jacobian[row, place::3] = np.bincount(owners, weights * moved, minlength=len(poses))

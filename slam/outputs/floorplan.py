@@ -7,15 +7,17 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 
+from fusion.estimation import FEWEST, TINY
 from slam.config import Config
 from slam.errors import ScanweaveError
 from slam.graph.joint_covariance import joint_covariance
 from slam.graph.pose_covariances import told_edges
 from slam.mapping.doors import find_doors
 from slam.mapping.floor_plan import FloorPlan, Length, Room, Wall
-from slam.mapping.room_outline import Outline, area_m2, confirmed, corners_of, room_outline, seen_from
+from slam.mapping.room_outline import Outline, area_m2, corners_of, room_outline, seen_from
 from slam.mapping.rooms import segment_rooms
-from slam.mapping.wall_fits import WallFit, along, fit_wall, straightened
+from slam.mapping.sure_walls import sides_of, sure_walls
+from slam.mapping.wall_fits import WallFit, fit_wall, straightened
 from slam.mapping.wall_segments import wall_points, wall_segments
 from slam.measurements import FloatArray
 from slam.storage.map_contents import MapContents
@@ -38,18 +40,17 @@ def floor_plan(contents: MapContents, config: Config) -> FloorPlan:
     )
     cell_m = grid.resolution_m
     way = contents.trajectory.positions_m[:, :2]
-    rooms = segment_rooms(grid, wall_segments(points, cell_m, 3 * cell_m), way)
+    segments = wall_segments(points, cell_m, 3 * cell_m)
+    rooms = segment_rooms(grid, segments, way)
     entered, owners = set(rooms.at(way).tolist()), seen_from(rooms, points)
-    outlines: list[Outline] = []
+    outlines: dict[int, Outline] = {}
     fits: list[list[WallFit | None]] = []
-    numbers: dict[int, int] = {}
     for label in range(1, int(rooms.labels.max(initial=0)) + 1):
         own = points.chosen((owners == label).any(axis=0))
         outline = room_outline(rooms, label, own)
         # What nobody was in, and has no walls, lies behind a window.
         if outline is not None and (label in entered or any(face.seen for face in outline.faces)):
-            numbers[label] = len(numbers) + 1
-            outlines.append(outline)
+            outlines[label] = outline
             ends = [outline.ends(edge) for edge in range(len(outline.faces))]
             fits.append(
                 [
@@ -57,29 +58,41 @@ def floor_plan(contents: MapContents, config: Config) -> FloorPlan:
                     for face, end in zip(outline.faces, ends, strict=True)
                 ]
             )
-    fits = [
-        [fit if sure else None for fit, sure in zip(ones, confirmed(outlines, number), strict=True)]
-        for number, ones in enumerate(fits)
-    ]
+    sure = iter(sure_walls(sides_of(outlines, fits), segments, rooms))
+    fits = [[fit if next(sure) else None for fit in ones] for ones in fits]
     covariance = _covariance([fit for ones in fits for fit in ones if fit], contents, config)
-    found, first = [], 0
-    for label, outline, ones in zip(numbers, outlines, fits, strict=True):
+    found: list[Room] = []
+    first = 0
+    for (label, outline), ones in zip(outlines.items(), fits, strict=True):
         last = first + 2 * sum(fit is not None for fit in ones)
         own_covariance = covariance[first:last, first:last]
-        found.append(_room(numbers[label], outline, ones, own_covariance, label in entered, cell_m))
+        found.append(_room(len(found) + 1, outline, ones, own_covariance, label in entered, cell_m))
         first = last
     return FloorPlan(found, find_doors(found, grid, points, way))
 
 
 def _covariance(fits: Sequence[WallFit], contents: MapContents, config: Config) -> FloatArray:
-    """(2 m, 2 m) of offset and slope of all walls: by the poses together, and by the points of each."""
+    """(2 m, 2 m) of offset and slope of all walls: by the poses together, and by the points of each.
+
+    The graph tells how errors of poses hang together; how large they are the walls tell themselves.
+    """
     if not fits:
         return np.zeros((0, 0))
     edges = [factor.edge for factor in contents.factors]
     told = told_edges(contents.node_poses, edges, [factor.kept for factor in contents.factors], config)
     poses = [pose for pose in contents.node_poses if isinstance(pose, gtsam.Pose2)]
-    by_poses = joint_covariance(poses, told, np.concatenate([fit.jacobian for fit in fits]))
+    drifts = np.array([fit.drift.jacobian for fit in fits])
+    whole = joint_covariance(poses, told, np.concatenate([*(fit.jacobian for fit in fits), drifts]))
+    count = 2 * len(fits)
+    by_poses = whole[:count, :count] * unit_variance(fits, np.diag(whole)[count:])
     return by_poses + np.diag(np.concatenate([fit.noise for fit in fits]))
+
+
+def unit_variance(fits: Sequence[WallFit], variances: FloatArray) -> float:
+    """How far earlier and later scans of walls differ, squared, in variances; 1 where too few walls tell."""
+    told = variances > TINY
+    values = np.array([fit.drift.value for fit in fits])[told]
+    return float(np.mean(values**2 / variances[told])) if len(values) >= FEWEST else 1.0
 
 
 def _room(
@@ -108,32 +121,16 @@ def _room(
         if fit is None:
             walls.append(Wall(begin, end, None, np.zeros((0, 2))))
             continue
-        places = along(fit.face, np.array([begin, end]))
-        reach = fit.reach(float(places.mean()))
+        first, last = fit.places(begin, end)
+        reach = fit.reach(0.5 * (first + last))
         own = slice(at[edge], at[edge] + 2)
         area[own] = -float(np.hypot(*(end - begin))) * reach
         sigma = float(np.sqrt(reach @ covariance[own, own] @ reach))
-        low = abs(fit.along_m - places[0])
-        walls.append(Wall(begin, end, sigma, _stretches(low, float(np.hypot(*(end - begin))), cell_m)))
+        walls.append(Wall(begin, end, sigma, fit.seen_m(first, last, cell_m)))
     whole = all(fit is not None for fit in new)
     area_sigma = float(np.sqrt(area @ covariance @ area)) if whole else None
     lengths = _lengths(shape, new, at, covariance)
     return Room(number, walls, area_m2(corners), area_sigma, lengths, entered)
-
-
-def _stretches(along_m: FloatArray, length_m: float, cell_m: float) -> FloatArray:
-    """(n, 2) stretches of a wall on which points lie, no farther apart than four cells."""
-    at = np.sort(along_m[(along_m > 0.0) & (along_m < length_m)])
-    if not len(at):
-        return np.zeros((0, 2))
-    breaks = np.flatnonzero(np.diff(at) > 4 * cell_m)
-    stretches = np.column_stack([at[np.append(0, breaks + 1)], at[np.append(breaks, len(at) - 1)]])
-    stretches = stretches[stretches[:, 1] - stretches[:, 0] > cell_m]
-    # A corner hides what is nearest to it.
-    if len(stretches):
-        stretches[0, 0] = 0.0 if stretches[0, 0] < 4 * cell_m else stretches[0, 0]
-        stretches[-1, 1] = length_m if stretches[-1, 1] > length_m - 4 * cell_m else stretches[-1, 1]
-    return stretches
 
 
 def _lengths(
@@ -187,7 +184,7 @@ def _between(
             line.point_m
             + (place - line.point_m @ across) / _along(line.normal, across) * _tangent(line.normal)
         )
-        weights[at[edge] : at[edge] + 2] = -fit.reach(float(along(fit.face, ends[-1][None])[0]))
+        weights[at[edge] : at[edge] + 2] = -fit.reach(*fit.places(ends[-1]))
     length = float((ends[1] - ends[0]) @ normal)
     sigma = float(np.sqrt(weights @ covariance @ weights))
     return Length(ends[0], ends[1], length, sigma) if length > 0.0 else None
