@@ -58,11 +58,11 @@ _INF = float("inf")
 RULES: dict[str, tuple[str | tuple[str, Any], ...]] = {
     "none": (),
     "wheels' jumps are refused": (("slam.odometry.wheel_tracker.WheelTracker.plausible", lambda *_: True),),
-    "predictors learn their scale": ((f"{_TRACKER}._Predictor.judge", lambda *_: None),),
+    "predictors learn their scale": (("slam.odometry.predictor.Predictor.judge", lambda *_: None),),
     "exact wheels speak up": ((f"{_TRACKER}._LEAST_SHARE", 1.0),),
     "exact wheels swing in turns": ("wheels.swing_m_per_rad=0.0",),
     "only sure matches judge": ((f"{_TRACKER}._JUDGE_INLIER_SHARE", 0.0),),
-    "one surprise is bounded": ((f"{_TRACKER}._GREATEST_SURPRISE", _INF),),
+    "one surprise is bounded": (("slam.odometry.predictor._GREATEST_SURPRISE", _INF),),
     "other guesses and search": ("match.confident_inlier_share=0.01",),
     "least inlier share": ("match.least_inlier_share=0.01",),
     "predictions contest a match": ((f"{_TRACKER}.MotionTracker._rivals", lambda *_: []),),

@@ -42,6 +42,9 @@ def simulate(
     tags: Annotated[
         int, typer.Option(min=0, help="so many AprilTags hang on the walls; tags.yaml tells where")
     ] = 0,
+    imu: Annotated[
+        bool, typer.Option("--imu", help="the robot carries an IMU of 200 Hz; a street's car always does")
+    ] = False,
     office: Annotated[bool, typer.Option("--office", help="an office instead of a home")] = False,
     campus: Annotated[
         bool, typer.Option("--campus", help="two kilometres of corridors, a SICK lidar, bad wheels; no --rig")
@@ -70,13 +73,15 @@ def simulate(
     ] = None,
 ) -> None:
     """Drive a simulated robot through a home, a campus or a town and record its sensors with the truth."""
+    from dataclasses import replace
+
     from slam.errors import ConfigError
     from slam.simulation.campus import record_campus
     from slam.simulation.campus_wheels import CAMPUS_FAULTS
     from slam.simulation.drive_faults import FAULT_PRESETS
     from slam.simulation.home import generate_home
     from slam.simulation.record import FORMATS
-    from slam.simulation.rigs import RIGS
+    from slam.simulation.rigs import RIGS, ROBOT_IMU
     from slam.simulation.street import STREET_FAULTS, STREET_RIGS, record_street
 
     if (tunnel or undistorted) and not street:
@@ -107,10 +112,10 @@ def simulate(
         return
     if rig not in RIGS:
         raise ConfigError(f"no rig '{rig}'; there are {', '.join(sorted(RIGS))}")
-    if campus and (office or formats or moved or tags or rig != _RIG):
+    if campus and (office or formats or moved or tags or imu or rig != _RIG):
         raise ConfigError(
-            "--campus has its own robot and format, and no furniture; leave out --rig, --office, --format, "
-            "--moved and --tags"
+            "--campus has its own robot and format, and no furniture; leave out --rig, --imu, --office, "
+            "--format, --moved and --tags"
         )
     presets = CAMPUS_FAULTS if campus else FAULT_PRESETS
     if faults not in presets:
@@ -131,7 +136,7 @@ def simulate(
     summary = simulate_into(
         out,
         building,
-        RIGS[rig],
+        replace(RIGS[rig], imu=ROBOT_IMU if imu else None),
         seed,
         FAULT_PRESETS[faults],
         duration,

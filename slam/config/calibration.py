@@ -117,6 +117,9 @@ class ImuCorrection(SensorCorrection):
     """An inertial measurement unit."""
 
     T_base_imu: Mounting | None = Field(default=None, description="where it sits")
+    gyro_scale: float = Field(
+        default=1.0, description="of the turn rates: -1 for a wrong sign, 0.0174533 where they are in degrees"
+    )
 
 
 class GnssCorrection(SensorCorrection):

@@ -71,10 +71,12 @@ class ImuCorrector:
     def __init__(self, correction: ImuCorrection) -> None:
         told = correction.T_base_imu
         self._mounting = None if told is None else mounted(told)
+        self._scale = correction.gyro_scale
 
     def __call__(self, reading: ImuReading) -> ImuReading:
         """A reading."""
-        return reading if self._mounting is None else replace(reading, T_base_imu=self._mounting)
+        mounting = reading.T_base_imu if self._mounting is None else self._mounting
+        return replace(reading, gyro_rad_s=self._scale * reading.gyro_rad_s, T_base_imu=mounting)
 
 
 class GnssCorrector:

@@ -75,7 +75,7 @@ class SensorChoice:
     wheels
         Name of the odometry that is used, the first that appears; empty where there is none.
     imu
-        Name of the IMU that helps a 3D lidar: the first that appears, of those whose mounting is told if
+        Name of the IMU that helps a lidar: the first that appears, of those whose mounting is told if
         any; empty where there is none.
     gnss
         Name of the satellite receiver that lays the map on the earth, the first that appears; empty where
@@ -150,8 +150,8 @@ class SensorChoice:
         """Of an IMU."""
         if not self.config.imu:
             return "sensors.imu=false leaves it out"
-        if not self.cloud:
-            return NO_HELP_TO_CAMERAS if self.spatial else "only a 3D lidar is helped by it so far"
+        if self.spatial and not self.cloud:
+            return NO_HELP_TO_CAMERAS
         if sensor != self.imu:
             return f"one IMU is used, {self.imu}; --topics takes another" if self.imu else _LATE
         return ""

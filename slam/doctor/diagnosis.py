@@ -12,6 +12,7 @@ import numpy as np
 from fusion.estimation import FEWEST
 from slam.config import Config
 from slam.datasets.recording import fewer_frames
+from slam.doctor.camera_samples import SensorStep
 from slam.doctor.finding import Finding
 from slam.doctor.imu import imu_findings
 from slam.doctor.in_space import Base, camera_findings, cloud_findings, findings_against, seen_by
@@ -20,6 +21,7 @@ from slam.doctor.own_body import blocked_beams, blocked_finding, without
 from slam.doctor.pair import Pair
 from slam.doctor.paired_motions import BaseTrack, mended_rows
 from slam.doctor.samples import Samples, WheelSamples
+from slam.doctor.scan_motion import Steps, track_stretches
 from slam.doctor.stretches import Stretches
 from slam.doctor.wheels_and_lidar import compare
 from slam.measurements import LaserScan, Measurement
@@ -83,6 +85,7 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
     with fewer_frames(log, lambda _, stamps_s: Stretches().choose(stamps_s)):
         samples = Samples.of(log)
     findings, unknown = _repeated_scans(samples), list[str]()
+    vouching = list[SensorStep]()
     wheels = max(samples.wheels.items(), key=lambda item: item[1].count, default=None)
     for name, lidar in samples.lidars.items():
         if not lidar.stretches:
@@ -92,10 +95,16 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
         if blocked is not None and (finding := blocked_finding(name, blocked)):
             findings.append(finding)
             stretches = [[without(scan, blocked) for scan in scans] for scans in stretches]
-        if wheels is None:
+        if wheels is None and not samples.imus:
             continue
         stretches, scale = _within_reach(stretches, config)
-        found, left_open = compare(Pair(wheels[0], name, wheels[1].rows(), stretches, scale), config)
+        tracked = track_stretches(stretches, config)
+        if not vouching:
+            vouching = Steps.of(tracked, config).in_space()
+        if wheels is None:
+            continue
+        pair = Pair(wheels[0], name, wheels[1].rows(), stretches, scale)
+        found, left_open = compare(pair, tracked, config)
         if not (found or left_open):
             with fewer_frames(log, None):
                 lost = lost_sign(log, wheels[0], name, wheels[1].rows(), config)
@@ -104,6 +113,10 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
         unknown += left_open
     vouched = any(lidar.stretches for lidar in samples.lidars.values()) and not unknown
     findings += _in_space(samples, wheels, findings, vouched=vouched)
+    if vouching:
+        findings += [
+            one for name, imu in samples.imus.items() for one in imu_findings(name, imu, vouching, None)
+        ]
     lenses = [one.sensor for one in findings if one.kind == "lens"]
     found_apart = registrations(lenses) if registrations else registrations_in(log, lenses, config)
     apart = [name for name, one in found_apart.items() if one.accepted]
@@ -125,7 +138,7 @@ def _in_space(
     found = [one for name, camera in samples.cameras.items() for one in camera_findings(name, camera)]
     doubtful = frozenset(one.sensor for one in found if one.kind == "lens")
     found += [one for name, clouds in samples.clouds.items() for one in cloud_findings(name, clouds)]
-    for clouds in list(samples.clouds.values())[:1]:
+    for clouds in list(samples.clouds.values())[: 0 if samples.lidars else 1]:
         steps = [step for stretch in clouds.steps for step in stretch]
         for name, imu in samples.imus.items():
             found += imu_findings(name, imu, steps, clouds.T_base_lidar)

@@ -1,27 +1,27 @@
-"""What an IMU says of itself, and how it sits and ticks beside a 3D lidar that turns with it."""
+"""What an IMU says of itself, and how it sits and ticks beside a lidar that turns with it."""
 
 from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
 
-from fusion.estimation import FEWEST, half_interval, median_to_sigma
+from fusion.estimation import FEWEST, SETTLED, gate, half_interval, median_to_sigma
 from fusion.time_alignment import GAP_S, STEP_S
 from slam.doctor.camera_samples import SensorStep
 from slam.doctor.finding import Finding, Remedy
+from slam.doctor.pair import IN_ORDER, interval
+from slam.doctor.relation import fit_linear
 from slam.measurements import GRAVITY_M_S2, FloatArray, ImuReading
 
 # By so much may a clock and a mounting be off without harm: at a turn of 1 rad/s a hundredth of a radian.
 _CLOCK_S, _ANGLE_RAD = 0.005, math.radians(2.0)
 # Turns about a second axis have this share of those about the first at least, or the mounting stays open.
 _SECOND_AXIS = 0.05
-# The mean force of any sensor on Earth is gravity; more than this off, a scale or an axis is wrong.
-_GRAVITY_SHARE = 0.05
 
 
 @dataclass(slots=True)
@@ -73,13 +73,18 @@ class TurnFit:
 
 
 def imu_findings(
-    name: str, samples: ImuSamples, steps: Sequence[SensorStep], T_base_lidar: gtsam.Pose3
+    name: str, samples: ImuSamples, steps: Sequence[SensorStep], T_base_lidar: gtsam.Pose3 | None
 ) -> list[Finding]:
-    """What is wrong with an IMU, by itself and beside the lidar whose motions are given."""
+    """What is wrong with an IMU, by itself and beside the lidar whose motions are given.
+
+    Beside a 2D lidar, whose ``T_base_lidar`` is None, its mounting does not matter.
+    """
     rows = samples.rows()
     if len(rows) < FEWEST:
         return []
     found = [*_saturated(name, rows), *_weight(name, rows)]
+    if T_base_lidar is None:
+        return [*found, *_in_the_plane(name, rows, steps)]
     fit = turn_fit(rows, steps)
     return found if fit is None else [*found, *_clock(name, fit), *_sits(name, samples, fit, T_base_lidar)]
 
@@ -92,21 +97,10 @@ def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
     rows
         As `ImuSamples.rows`.
     """
-    spans = np.array([[step.begun_s, step.ended_s] for step in steps]).reshape(-1, 2)
-    within = (spans[:, 0] - GAP_S > rows[0, 0]) & (spans[:, 1] + GAP_S < rows[-1, 0])
-    if within.sum() < FEWEST:
+    turns = _turns(rows, steps)
+    if turns is None:
         return None
-    seen = np.array([gtsam.Rot3.Logmap(step.motion.rotation()) for step in steps])[within]
-    spans = spans[within]
-    turned = np.zeros((len(rows), 3))
-    turned[1:] = np.cumsum(0.5 * (rows[1:, 1:4] + rows[:-1, 1:4]) * np.diff(rows[:, 0])[:, None], axis=0)
-
-    def told(ahead_s: float) -> FloatArray:
-        begun, ended = (
-            np.column_stack([np.interp(spans[:, n] + ahead_s, rows[:, 0], axis) for axis in turned.T])
-            for n in (0, 1)
-        )
-        return np.asarray(ended - begun)
+    seen, told = turns
 
     def error(ahead_s: float) -> float:
         return float(np.median(np.sum(_apart(seen, told(ahead_s))[0] ** 2, axis=1)))
@@ -136,6 +130,32 @@ def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
     return TurnFit(best_s, ahead_sigma_s, rotation, axis_rad, sigma)
 
 
+def _turns(
+    rows: FloatArray, steps: Sequence[SensorStep]
+) -> tuple[FloatArray, Callable[[float], FloatArray]] | None:
+    """Turns (K, 3) of the lidar, and what the IMU tells of them by how far its clock is ahead.
+
+    None where there are too few.
+    """
+    spans = np.array([[step.begun_s, step.ended_s] for step in steps]).reshape(-1, 2)
+    within = (spans[:, 0] - GAP_S > rows[0, 0]) & (spans[:, 1] + GAP_S < rows[-1, 0])
+    if within.sum() < FEWEST:
+        return None
+    seen = np.array([gtsam.Rot3.Logmap(step.motion.rotation()) for step in steps])[within]
+    spans = spans[within]
+    turned = np.zeros((len(rows), 3))
+    turned[1:] = np.cumsum(0.5 * (rows[1:, 1:4] + rows[:-1, 1:4]) * np.diff(rows[:, 0])[:, None], axis=0)
+
+    def told(ahead_s: float) -> FloatArray:
+        begun, ended = (
+            np.column_stack([np.interp(spans[:, n] + ahead_s, rows[:, 0], axis) for axis in turned.T])
+            for n in (0, 1)
+        )
+        return np.asarray(ended - begun)
+
+    return seen, told
+
+
 def _apart(seen: FloatArray, told: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """What turns (N, 3) differ by, the rotation (3, 3) that fits best (Kabsch 1976), and their spread.
 
@@ -148,6 +168,55 @@ def _apart(seen: FloatArray, told: FloatArray) -> tuple[FloatArray, FloatArray, 
     return first - second @ rotation.T, rotation, second.T @ second
 
 
+def _in_the_plane(name: str, rows: FloatArray, steps: Sequence[SensorStep]) -> list[Finding]:
+    """What is wrong with a gyroscope on a robot that turns about the vertical only."""
+    turns = _turns(rows, steps)
+    if turns is None or float(np.std(turns[0][:, 2])) < IN_ORDER:
+        return []
+    turned, own = turns[0][:, 2] - turns[0][:, 2].mean(), turns[1](0.0)
+    ratio = float(np.linalg.norm(own.std(axis=0))) / float(np.std(turned))
+    # No clock, sign or axis changes how much it turns in all.
+    unit = math.radians(1.0) if abs(math.log(max(ratio, SETTLED) * math.radians(1.0))) < 0.5 else 1.0
+    rows = np.column_stack([rows[:, 0], unit * rows[:, 1:4], rows[:, 4:]])
+    fit, turns = turn_fit(rows, steps), _turns(rows, steps)
+    assert turns is not None
+    about = np.zeros(len(turned)) if fit is None else turns[1](fit.ahead_s) @ fit.R_lidar_imu[2]
+    about -= about.mean()
+    slope = fit_linear(about[:, None], turned, np.arange(float(len(turned))), SETTLED)
+    remedy: Remedy = {"imus": {name: {"use": False}}}
+    unexplained = 0.0 if slope is None else np.abs(turned - slope.values[0] * about).sum()
+    if fit is None or slope is None or 2.0 * unexplained > np.abs(turned).sum():
+        text = "its turns are not those of the lidar, whatever its unit, sign, axis and clock"
+        return [Finding(name, "no agreement", text, "it misleads", (remedy,), sure=True)]
+    up = np.median(rows[:, 4:7], axis=0)
+    facing = float(fit.R_lidar_imu[2] @ up) / max(float(np.linalg.norm(up)), SETTLED)
+    found = _clock(name, fit)
+    if abs(facing) < 0.5:
+        text = "it turns about another axis than the one that its accelerometer says is vertical"
+        return [*found, Finding(name, "axes", text, "it misleads", (remedy,), sure=True)]
+    scale, sigma = float(slope.values[0]), math.sqrt(float(slope.covariance[0, 0]))
+    off = abs(math.log(scale)) > IN_ORDER + math.sqrt(gate()) * sigma / scale
+    what = ["in degrees"] if unit != 1.0 else []
+    what += ["of the wrong sign"] if facing < 0.0 else []
+    what += [f"{1.0 / scale:.2f} times too large"] if off else []
+    if not what:
+        return found
+    factor = math.copysign(unit, facing) * (scale if off else 1.0)
+    return [
+        *found,
+        Finding(
+            name,
+            "turn rates",
+            f"its turn rates are {' and '.join(what)}",
+            "the robot is taken to turn otherwise than it does",
+            ({"imus": {name: {"gyro_scale": float(f"{factor:.6g}")}}},),
+            sure=True,
+            value=factor,
+            interval=interval(factor, sigma * unit),
+        ),
+    ]
+
+
 def _clock(name: str, fit: TurnFit) -> list[Finding]:
     """Stamps that are ahead of the lidar's or behind."""
     half_s = half_interval(fit.ahead_sigma_s)
@@ -157,7 +226,7 @@ def _clock(name: str, fit: TurnFit) -> list[Finding]:
         Finding(
             name,
             "clock",
-            f"its stamps are {1e3 * fit.ahead_s:+.1f} +- {1e3 * half_s:.1f} ms ahead of the 3D lidar's",
+            f"its stamps are {1e3 * fit.ahead_s:+.1f} +- {1e3 * half_s:.1f} ms ahead of the lidar's",
             "turns are straightened by what was before or after",
             ({"imus": {name: {"clock_offset_s": round(fit.ahead_s, 4)}}},),
             sure=True,
@@ -213,7 +282,7 @@ def _saturated(name: str, rows: FloatArray) -> list[Finding]:
 def _weight(name: str, rows: FloatArray) -> list[Finding]:
     """A mean force that is not gravity."""
     force = float(np.median(np.linalg.norm(rows[:, 4:7], axis=1)))
-    if abs(force / GRAVITY_M_S2 - 1.0) <= _GRAVITY_SHARE:
+    if abs(force / GRAVITY_M_S2 - 1.0) <= IN_ORDER:
         return []
     text = f"the median of its forces is {force:.2f} m/s^2, gravity is {GRAVITY_M_S2:.2f}"
     return [Finding(name, "gravity", text, "an axis or a scale of its accelerometer is wrong", value=force)]

@@ -9,11 +9,12 @@ import gtsam
 import numpy as np
 
 from slam.config import Config
+from slam.doctor.camera_samples import SensorStep
 from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.match_covariance import weak_direction
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import points_by
-from slam.measurements import FloatArray, LaserScan
+from slam.measurements import FloatArray, LaserScan, pose2_from_row
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +60,13 @@ class Steps:
 
     def __len__(self) -> int:
         return len(self.stretch)
+
+    def in_space(self) -> list[SensorStep]:
+        """As steps of a sensor that might move otherwise."""
+        return [
+            SensorStep(begun_s, ended_s, gtsam.Pose3(pose2_from_row(motion)))
+            for (begun_s, ended_s), motion in zip(self.spans_s.tolist(), self.motions, strict=True)
+        ]
 
 
 def _moved_on(step: FloatArray, config: Config) -> bool:

@@ -12,7 +12,7 @@ from slam.config import Config
 from slam.doctor.finding import Finding
 from slam.doctor.pair import IN_ORDER, Pair, interval
 from slam.doctor.relation import Linear, Relation
-from slam.doctor.scan_motion import Steps, track_stretches
+from slam.doctor.scan_motion import ScanMotion, Steps
 from slam.doctor.time_and_view import angle_scale, clock_finding
 from slam.doctor.wheel_steps import Reading, WheelSteps
 from slam.matching.planar import wrap
@@ -25,9 +25,8 @@ _FLIPPED_QUARTERS = ("x -y", "y x", "-x y", "-y -x")
 _GARBLED = "each step of the wheels points elsewhere, so they are of no help"
 
 
-def compare(pair: Pair, config: Config) -> tuple[list[Finding], list[str]]:
+def compare(pair: Pair, tracked: list[ScanMotion], config: Config) -> tuple[list[Finding], list[str]]:
     """What wheels and a lidar say of each other that cannot be, and what they leave open."""
-    tracked = track_stretches(pair.stretches, config)
     steps = Steps.of(tracked, config)
     if len(steps) < FEWEST:
         return [], [f"{pair.lidar}: scans alone tell too little of its motion (corridors, or it stands)"]

@@ -30,6 +30,10 @@ class EdgeKind(StrEnum):
     SURVEY = "survey"
 
 
+# Not one of them has seen where a robot went.
+GUESSES = (EdgeKind.WHEEL, EdgeKind.ASSUMED, EdgeKind.IMU)
+
+
 @dataclass(frozen=True, slots=True)
 class Edge:
     """A measured relative pose between two nodes.

@@ -16,7 +16,7 @@ import numpy as np
 
 from fusion.estimation import FEWEST, median_to_sigma
 from slam.config.stages import GraphConfig
-from slam.graph.edge import Edge, EdgeKind
+from slam.graph.edge import GUESSES, Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph, graph_of, row_of, unmeasured
 from slam.graph.relative_uncertainty import composed, inverse, moved
 from slam.matching.motion import Motion
@@ -90,7 +90,7 @@ class FaultySteps:
             if edge.target != edge.source + 1:
                 continue
             information = np.linalg.inv(edge.covariance) if edge.trusted else np.zeros((3, 3))
-            if edge.kind not in (EdgeKind.WHEEL, EdgeKind.ASSUMED):
+            if edge.kind not in GUESSES:
                 # What is disputed is no less open than that.
                 most = limit if edge.trusted else limit + edge.covariance
                 information, guessed[edge.source] = information + np.linalg.inv(most), False

@@ -19,7 +19,7 @@ from fusion.estimation import gate
 from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
 from slam.graph.claim_trial import ClaimTrial
 from slam.graph.consistent_sets import ClaimSets, Known, claimed
-from slam.graph.edge import Edge, EdgeKind
+from slam.graph.edge import GUESSES, Edge
 from slam.graph.faulty_steps import FaultySteps
 from slam.graph.keyframe_graph import graph_of
 from slam.graph.loop_closure import LoopCandidate, LoopCloser, position_sigmas
@@ -85,8 +85,7 @@ class PlaceSearch:
         if self._stretches is None or self._sets is None:
             self._stretches = Stretches(self._submaps, self._config, self._match)
             # Claims on both sides of a step that may be grossly wrong say nothing of each other.
-            guesses = EdgeKind.WHEEL, EdgeKind.ASSUMED
-            measured = {edge.source for edge in held if edge.kind not in guesses}
+            measured = {edge.source for edge in held if edge.kind not in GUESSES}
             sure = (edge for edge in held if edge.trusted or edge.source in measured)
             chain = graph_of(len(poses), (edge for edge in sure if edge.loop is None))
             keys = range(len(poses))

@@ -30,10 +30,11 @@ from slam.matching.local_map import OrientedPoints
 from slam.matching.motion import Motion
 from slam.matching.planar import between
 from slam.matching.scan_points import ScanPoints, points_by
-from slam.measurements import BoolArray, LaserScan, Pose, WheelOdometry, pose2_from_row
+from slam.measurements import BoolArray, ImuReading, LaserScan, Pose, WheelOdometry, pose2_from_row
 from slam.odometry import STANDARD, Odometries
 from slam.odometry.cached_odometry import CachedOdometry
 from slam.odometry.clock_learner import Turns
+from slam.odometry.gyro_yaw import YawGyro
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
 from slam.odometry.wheel_tracker import WheelTracker
 from slam.trajectory.readings import Readings
@@ -68,7 +69,8 @@ class PlanarRobot:
         self._config, self._registrations = config, registrations
         self._wheels = WheelTracker(config.wheels) if config.sensors.wheels else None
         odometry = CachedOdometry(odometries.lidar(config), checkpoint)
-        self._tracker = MotionTracker(odometry, self._wheels, config.prediction, config.match)
+        self._gyro = YawGyro() if config.sensors.imu else None
+        self._tracker = MotionTracker(odometry, self._wheels, config.prediction, config.match, self._gyro)
         turns = Turns() if self._wheels is None else self._wheels.turns
         self.tags = TagFinder(config.sensors.tags, registrations)
         self._cameras = RobotCameras(
@@ -97,6 +99,8 @@ class PlanarRobot:
             return self._add_frame(measurement)
         if isinstance(measurement, WheelOdometry):
             self._add_wheels(measurement)
+        elif isinstance(measurement, ImuReading) and self._gyro is not None:
+            self._gyro.add(measurement)
         return None
 
     def origin(self) -> Pose:
@@ -176,6 +180,12 @@ class PlanarRobot:
                 "The wheels report no motion where the robot has moved; they were left out"
             )
             result.unused[self._wheels_name] = "they report no motion where the robot has moved"
+        if self._gyro is not None:
+            result.notes += self._gyro.notes()
+            if self._gyro.unfit:
+                why = "its turns are not those of the lidar: a wrong axis, sign, unit or clock"
+                result.unused[self._gyro.sensor] = why
+                result.warnings.append(f"{self._gyro.sensor} is not used: {why}")
         if self._fusion is not None:
             scans, result.fused = self._fusion.repair(scans)
             result.notes += [] if result.fused is None else [result.fused.note]
@@ -230,6 +240,8 @@ class PlanarRobot:
             self._cameras.note_scan_turn(stamp_s, tracked.pose[2])
             if self._wheels is not None:
                 self._wheels.learn_clock(self._cameras.scan_turns)
+            if self._gyro is not None:
+                self._gyro.learn_clock(self._cameras.scan_turns)
         self._camera_poses = camera_poses
         self._newest = _Moment(stamp_s, scan, points, tracked, camera_poses)
         self.readings.add_scan(

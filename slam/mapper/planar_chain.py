@@ -9,6 +9,7 @@ from itertools import combinations, groupby
 
 import numpy as np
 
+from fusion.estimation import FEWEST
 from slam.config import Config
 from slam.config.stages import GraphConfig
 from slam.graph.edge import Edge, EdgeKind
@@ -139,6 +140,12 @@ class PlanarChain:
             match_open=tracked.open,
         )
         edges += self._long_wheels(key, stamp_s, tracked)
+        if (turn := self._tracker.gyro_turn(last, tracked.gyro, chained=True)) is not None:
+            # Of where it went it tells nothing.
+            told = unmeasured(self._config.graph, FEWEST, planar=True)
+            told[2, 2] = turn[1]
+            motion = Motion(np.array([step[0], step[1], turn[0]]), told)
+            edges.append(_edge(key - 1, key, motion, EdgeKind.IMU, trusted=True))
         if bridge is not None:
             # It may have been made to the guessed keyframes: loops may overrule it.
             edges.append(_edge(self._matched[0], key, bridge, EdgeKind.LIDAR, trusted=False))

@@ -10,7 +10,7 @@ import numpy as np
 
 from fusion.estimation import gate
 from fusion.kernel import kernel
-from slam.matching.planar import between
+from slam.matching.planar import between, compose, wrap
 from slam.measurements import FloatArray
 
 # The one gate wherever motions are compared: two that are true agree with this probability (chi-square, three
@@ -49,6 +49,12 @@ class Motion:
         """Determinant of the covariance: how uncertain it is in all."""
         (xx, xy, xt), (_, yy, yt), (_, _, tt) = self.covariance.tolist()
         return float(xx * (yy * tt - yt * yt) - xy * (xy * tt - yt * xt) + xt * (xy * yt - yy * xt))
+
+    def looking(self, yaw_rad: float, variance: float) -> Motion:
+        """The same, once a heading has been measured too: one step of a Kalman filter."""
+        gain = self.covariance[:, 2] / (self.covariance[2, 2] + variance)
+        pose = compose(self.pose, gain * wrap(yaw_rad - self.pose[2]))
+        return Motion(pose, self.covariance - np.outer(gain, self.covariance[2]))
 
     def widened(self, covariance: FloatArray) -> Motion:
         """The same, uncertain by another covariance (3, 3) on top."""

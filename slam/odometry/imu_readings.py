@@ -17,7 +17,7 @@ _KEPT_S = 30.0
 # No gyroscope and no accelerometer is taken to be better than a tenth of a phone's (Woodman 2007).
 _GYRO_DENSITY, _FORCE_DENSITY = 2e-5, 1e-3
 # Biases wander: by Forster 2017, Sec. VIII, ten times a tactical unit's.
-_GYRO_WALK, FORCE_WALK = 1e-4, 1e-3
+GYRO_WALK, FORCE_WALK = 1e-4, 1e-3
 
 
 class ImuReadings:
@@ -27,6 +27,7 @@ class ImuReadings:
         self._rows: deque[tuple[float, FloatArray]] = deque()
         self._steps_s: deque[float] = deque(maxlen=FEWEST * FEWEST)
         self.T_base_imu = gtsam.Pose3()
+        self._gyro_density: float | None = None
 
     def add(self, reading: ImuReading) -> None:
         """Take the next reading; one that is not later than the one before is left out."""
@@ -46,6 +47,13 @@ class ImuReadings:
         """Stamp of the newest reading."""
         return self._rows[-1][0] if self._rows else -np.inf
 
+    @property
+    def gyro_density(self) -> float:
+        """Noise of turn rates for the square root of a hertz, by the first readings that tell it."""
+        if self._gyro_density is None and len(self._steps_s) == self._steps_s.maxlen:
+            self._gyro_density = self._densities()[0]
+        return self._gyro_density or _GYRO_DENSITY
+
     def covers(self, begin_s: float, end_s: float) -> bool:
         """Whether there are readings all the way; beyond the newest by a few steps counts."""
         if len(self._rows) < 2:
@@ -60,6 +68,15 @@ class ImuReadings:
         """(6,) mean turn rate and force, IMU frame."""
         return np.asarray(self._between(begin_s, end_s)[1].mean(axis=0))
 
+    def turned(self, begin_s: float, end_s: float) -> FloatArray:
+        """(3,) turn rates integrated from one stamp to another, IMU frame."""
+        stamps_s, told = self._with_ends(begin_s, end_s)
+        return np.asarray(np.diff(stamps_s) @ (0.5 * (told[1:, :3] + told[:-1, :3])))
+
+    def rate(self, stamp_s: float) -> FloatArray:
+        """(3,) turn rate at a stamp, IMU frame."""
+        return np.asarray(self._with_ends(stamp_s, stamp_s)[1][0, :3])
+
     def parameters(self) -> gtsam.PreintegrationCombinedParams:
         """Of GTSAM's preintegration, the noise by what neighbouring readings show."""
         parameters = gtsam.PreintegrationCombinedParams.MakeSharedU(GRAVITY_M_S2)
@@ -67,7 +84,7 @@ class ImuReadings:
         parameters.setGyroscopeCovariance(gyro**2 * np.eye(3))
         parameters.setAccelerometerCovariance(force**2 * np.eye(3))
         parameters.setIntegrationCovariance(1e-8 * np.eye(3))
-        parameters.setBiasOmegaCovariance(_GYRO_WALK**2 * np.eye(3))
+        parameters.setBiasOmegaCovariance(GYRO_WALK**2 * np.eye(3))
         parameters.setBiasAccCovariance(FORCE_WALK**2 * np.eye(3))
         return parameters
 

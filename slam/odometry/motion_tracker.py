@@ -25,13 +25,13 @@ from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, row_from_pose2
 from slam.odometry.constant_velocity import repeated
+from slam.odometry.gyro_yaw import GyroMoment, YawGyro
 from slam.odometry.lidar_odometry import LidarOdometry
+from slam.odometry.predictor import Predictor
 from slam.odometry.wheel_tracker import SHORTEST_STEP_S, WheelMoment, WheelTracker, thrown_aside
 
-# One wild step says no more about a predictor than this many times its variance.
-_GREATEST_SURPRISE = 10.0
-# What scan and camera differ by though both are right: x, y, yaw.
-_CAMERA_FLOOR = np.diag([0.01, 0.01, 0.008]) ** 2
+# What a scan and another sensor differ by though both are right: x, y, yaw.
+_SENSOR_FLOOR = np.diag([0.01, 0.01, 0.008]) ** 2
 # An object of a scan is one witness: however many beams it catches, it says no more than this (nats). Where
 # it fits while the map knows nothing of the other pose's ground, it may do so by chance: rooms are alike.
 _MOST_AN_OBJECT = np.array([[5.0], [1.0]])
@@ -59,12 +59,15 @@ class TrackedScan:
     dispute
         (3, 3) covariance on top of the match's where wheels contradicted it and neither is likelier by far;
         zero otherwise.
+    gyro
+        How far the gyroscope had turned; None without one.
     """
 
     pose: FloatArray
     motion: MotionEstimate | None
     wheels: WheelMoment | None
     dispute: FloatArray
+    gyro: GyroMoment | None = None
 
     @property
     def open(self) -> bool:
@@ -82,49 +85,6 @@ class TrackedScan:
         return not self.dispute.any() and (self.motion is not None or not self.pose.any())
 
 
-class _Predictor:
-    """How far a kind of prediction can be trusted, learned from the matches.
-
-    Parameters
-    ----------
-    memory_scans
-        Scans over which it is judged.
-    least_share
-        Share of the claimed variance of the path that it may be taken to have; 1 to believe no less than all.
-    """
-
-    def __init__(self, memory_scans: float, least_share: float = 1.0) -> None:
-        self._rate = 1.0 / memory_scans
-        self._least_share = least_share
-        self._share = 1.0
-        self.doubt = 1.0
-        self.guesses: list[Motion] = []
-
-    def predict(self, pose: FloatArray, covariance: FloatArray) -> None:
-        """Expect a pose (3,) with a covariance (3, 3) as claimed, rescaled by what was learned so far."""
-        self.guesses.append(self.rescaled(pose, covariance))
-
-    def rescaled(self, pose: FloatArray, covariance: FloatArray) -> Motion:
-        """A pose (3,) with a covariance (3, 3) as claimed, rescaled by what was learned so far."""
-        way, turn = self.doubt * self._share, self.doubt
-        both = math.sqrt(way * turn)
-        return Motion(pose, covariance * np.array([[way, way, both], [way, way, both], [both, both, turn]]))
-
-    def judge(self, pose: FloatArray) -> None:
-        """Learn from where the scan was taken: the mean of the first guess's normalised squared error."""
-        if not self.guesses:
-            return
-        guess = self.guesses[0]
-        squares = self.doubt * guess.squared_mahalanobis(pose) / 3.0
-        average = self.doubt + self._rate * (min(squares, _GREATEST_SURPRISE * self.doubt) - self.doubt)
-        self.doubt = max(1.0, average)
-        x, y, _ = between(guess.pose, pose).tolist()
-        (xx, xy, _), (_, yy, _), _ = guess.covariance.tolist()
-        squares = self._share * (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy) / 2.0
-        average = self._share + self._rate * (min(squares, _GREATEST_SURPRISE * self._share) - self._share)
-        self._share = min(max(self._least_share, average), 1.0)
-
-
 class MotionTracker:
     """Predicts each scan's pose, matches it, and keeps the velocity."""
 
@@ -134,14 +94,15 @@ class MotionTracker:
         wheels: WheelTracker | None,
         config: PredictionConfig,
         match: MatchConfig,
+        gyro: YawGyro | None = None,
     ) -> None:
         self._odometry = odometry
-        self._wheels = wheels
+        self._wheels, self._gyro = wheels, gyro
         self._config = config
         self._noise = match
-        self._by_wheels = _Predictor(config.memory_scans, _LEAST_SHARE)
-        self._by_velocity = _Predictor(config.memory_scans)
-        self._by_camera = _Predictor(config.memory_scans)
+        self._by_wheels = Predictor(config.memory_scans, _LEAST_SHARE)
+        self._by_velocity = Predictor(config.memory_scans)
+        self._by_camera = Predictor(config.memory_scans)
         self._recent: deque[tuple[float, TrackedScan]] = deque()
         self._by_window: list[Motion] = []
         self._last: TrackedScan | None = None
@@ -170,6 +131,12 @@ class MotionTracker:
         motion = self._by_wheels.rescaled(step, claimed).widened(self._wheels.on_top(step, begun, ended))
         return motion.widened(thrown_aside(motion))
 
+    def gyro_turn(
+        self, begun: TrackedScan, gyro: GyroMoment | None, *, chained: bool = False
+    ) -> tuple[float, float] | None:
+        """Turn by the gyroscope since a scan and its variance, see `YawGyro.turn`."""
+        return None if self._gyro is None else self._gyro.turn(begun.gyro, gyro, chained=chained)
+
     def track(self, points: ScanPoints | None, stamp_s: float, cameras: Sequence[Motion] = ()) -> TrackedScan:
         """Pose of the next scan; the first one is the origin of the odometry frame.
 
@@ -181,17 +148,18 @@ class MotionTracker:
             Motion since the last scan as each camera measured it.
         """
         wheels = self._wheels.moment(stamp_s, in_order=points is not None) if self._wheels else None
+        gyro = self._gyro.moment(stamp_s) if self._gyro else None
         if self._last is None:
-            tracked = TrackedScan(np.zeros(3), None, wheels, np.zeros((3, 3)))
+            tracked = TrackedScan(np.zeros(3), None, wheels, np.zeros((3, 3)), gyro)
         else:
             step_s = stamp_s - self._stamp_s
-            guesses = self._predict(self._last, wheels, cameras, step_s)
-            self._by_window = self._predict_by_window(stamp_s, wheels)
+            guesses = self._predict(self._last, wheels, cameras, step_s, gyro)
+            self._by_window = self._predict_by_window(stamp_s, wheels, gyro)
             motion, dispute = None, np.zeros((3, 3))
             if points is not None:
-                motion, dispute = self._match(points, guesses, step_s)
+                motion, dispute = self._match(points, guesses, step_s, gyro)
             pose = guesses[0].pose if motion is None else self._fused(motion)
-            tracked = TrackedScan(pose, motion, wheels, dispute)
+            tracked = TrackedScan(pose, motion, wheels, dispute, gyro)
             # What went wrong along a corridor is made up for at once where it ends: no robot moved so.
             if not (self._last.open and tracked.determined):
                 self._learn_velocity(between(self._last.pose, pose), step_s, told=pose is not self._blind)
@@ -205,7 +173,12 @@ class MotionTracker:
         self._odometry.add_keyframe(points, tracked.pose)
 
     def _predict(
-        self, last: TrackedScan, wheels: WheelMoment | None, cameras: Sequence[Motion], step_s: float
+        self,
+        last: TrackedScan,
+        wheels: WheelMoment | None,
+        cameras: Sequence[Motion],
+        step_s: float,
+        gyro: GyroMoment | None,
     ) -> list[Motion]:
         """By cameras, by wheels, if a robot can move so, and by constant velocity: the most certain first.
 
@@ -216,7 +189,7 @@ class MotionTracker:
         for predictor in predictors:
             predictor.guesses = []
         for camera in sorted(cameras, key=lambda camera: float(np.trace(camera.covariance))):
-            covariance = camera.covariance + _CAMERA_FLOOR + last.dispute
+            covariance = camera.covariance + _SENSOR_FLOOR + last.dispute
             self._by_camera.predict(compose(last.pose, camera.pose), covariance)
         moved = self.wheel_motion(last.wheels, wheels, step_s, last.dispute)
         if moved is not None:
@@ -231,8 +204,18 @@ class MotionTracker:
         if alone and step_s > GAP_S:
             # By then it may as well stand.
             self._by_velocity.predict(last.pose, on.covariance + last.dispute)
+        for predictor in predictors:
+            predictor.guesses = [self._turned(guess, last, gyro) for guess in predictor.guesses]
         guesses = [guess for predictor in predictors for guess in predictor.guesses]
         return sorted(guesses, key=Motion.volume)
+
+    def _turned(self, guess: Motion, begun: TrackedScan, gyro: GyroMoment | None) -> Motion:
+        """A pose as the turn by the gyroscope since a scan makes it likelier; as it was without one."""
+        turn = self.gyro_turn(begun, gyro)
+        if turn is None:
+            return guess
+        looking = guess.looking(begun.pose[2] + turn[0], turn[1] + float(begun.dispute[2, 2]))
+        return looking.widened(np.diag([0.0, 0.0, _SENSOR_FLOOR[2, 2]]))
 
     def _learn_velocity(self, step: FloatArray, step_s: float, *, told: bool) -> None:
         """Take a step (3,): one that repeats the velocity teaches none, nor the next, that mends it."""
@@ -242,7 +225,9 @@ class MotionTracker:
         if self._blind_s >= GAP_S:
             self._velocity_step = np.zeros(3)
 
-    def _predict_by_window(self, stamp_s: float, wheels: WheelMoment | None) -> list[Motion]:
+    def _predict_by_window(
+        self, stamp_s: float, wheels: WheelMoment | None, gyro: GyroMoment | None
+    ) -> list[Motion]:
         """Where the wheels say that the robot went since a while ago; nothing where they do not tell."""
         while self._recent and stamp_s - self._recent[0][0] > _WINDOW_S:
             self._recent.popleft()
@@ -253,10 +238,10 @@ class MotionTracker:
         # Wheels that report no motion at all stand still or are dead.
         if moved is None or not moved.pose.any():
             return []
-        return [Motion(compose(begun.pose, moved.pose), moved.covariance)]
+        return [self._turned(Motion(compose(begun.pose, moved.pose), moved.covariance), begun, gyro)]
 
     def _match(
-        self, points: ScanPoints, guesses: list[Motion], step_s: float
+        self, points: ScanPoints, guesses: list[Motion], step_s: float, gyro: GyroMoment | None
     ) -> tuple[MotionEstimate | None, FloatArray]:
         """Match, settle a contradiction, judge the predictors: what was measured, and the dispute."""
         motion = self._odometry.match(points, guesses)
@@ -275,7 +260,7 @@ class MotionTracker:
             self._recent.clear()  # the wheels have slipped: their path until now tells nothing
             rivals, motion = [], self._led_by_others(points, motion, guesses)
         if not rivals:
-            self._judge(motion)
+            self._judge(motion, gyro)
             return motion, np.zeros((3, 3))
         decided = log_odds > self._config.disputed_within
         by_camera = any(prediction is camera for camera in self._by_camera.guesses)
@@ -383,13 +368,16 @@ class MotionTracker:
         gain = matched.covariance @ np.linalg.inv(matched.covariance + camera.covariance)
         return compose(matched.pose, gain @ between(matched.pose, camera.pose))
 
-    def _judge(self, motion: MotionEstimate) -> None:
+    def _judge(self, motion: MotionEstimate, gyro: GyroMoment | None) -> None:
         """Let a match that is certain score the predictors, unless they began where a direction was open."""
         last = self._last
-        certain = motion.inlier_share >= _JUDGE_INLIER_SHARE and not motion.degenerate
-        if last is None or last.open or not certain:
+        if motion.inlier_share < _JUDGE_INLIER_SHARE or motion.degenerate:
             return
         pose = row_from_pose2(motion.T_reference_base)
+        if self._gyro is not None:
+            self._gyro.learn(gyro, float(pose[2]), float(motion.covariance[2, 2]))
+        if last is None or last.open:
+            return
         for predictor in (self._by_camera, self._by_wheels, self._by_velocity):
             predictor.judge(pose)
         if self._wheels is not None and not self._wheels.moved:

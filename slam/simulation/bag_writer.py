@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
 BAG_FILES = ("log.mcap", "metadata.yaml")
-ODOM_FRAME, BASE_FRAME, LASER_FRAME, LASER_3D_FRAME = "odom", "base_link", "laser", "laser_3d"
+ODOM_FRAME, BASE_FRAME, IMU_FRAME = "odom", "base_link", "imu"
+LASER_FRAME, LASER_3D_FRAME = "laser", "laser_3d"
 
 
 def camera_frame(camera: str) -> str:
@@ -36,10 +37,10 @@ def camera_topic(camera: str) -> str:
 class BagWriter:
     """A rosbag2; use it as a context manager.
 
-    Topics: ``/scan``, ``/points`` (3D lidar), ``/odom``, ``/tf`` (odom to base_link), ``/tf_static`` and for
-    each camera ``color/image_raw``, ``color/camera_info``, ``depth/image_raw``, ``depth/camera_info``. A
-    message's header bears the sensor's stamp, the bag's own time is the true time: when it would have
-    arrived. The truth (map to odom) is not in the bag.
+    Topics: ``/scan``, ``/points`` (3D lidar), ``/imu``, ``/odom``, ``/tf`` (odom to base_link),
+    ``/tf_static`` and for each camera ``color/image_raw``, ``color/camera_info``, ``depth/image_raw``,
+    ``depth/camera_info``. A message's header bears the sensor's stamp, the bag's own time is the true time:
+    when it would have arrived. The truth (map to odom) is not in the bag.
 
     Parameters
     ----------
@@ -58,6 +59,8 @@ class BagWriter:
             self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         self._connections: dict[str, Connection] = {}
         self._first_stamp_s = first_stamp_s
+        self._felt = iter(()) if drive.imu is None else drive.imu.messages(first_stamp_s, IMU_FRAME)
+        self._next = next(self._felt, None)
 
     def __enter__(self) -> Self:
         self._writer.open()
@@ -79,7 +82,10 @@ class BagWriter:
         self._writer.__exit__(kind, error, trace)
 
     def write(self, event: DriveEvent) -> None:
-        """Write a reading; the truth is left out."""
+        """Write a reading, before it what the IMU has told by then; the truth is left out."""
+        while self._next is not None and self._next[0] <= event.true_stamp_s:
+            self._send("/imu", *self._next)
+            self._next = next(self._felt, None)
         if isinstance(event, ScanEvent):
             self._scan(event)
         elif isinstance(event, CloudEvent):
@@ -98,6 +104,8 @@ class BagWriter:
             topics["/scan"] = ros.LASER_SCAN
         if self._drive.rig.lidar_3d is not None:
             topics["/points"] = messages.POINT_CLOUD
+        if self._drive.imu is not None:
+            topics["/imu"] = ros.IMU
         for camera in self._drive.rig.cameras:
             for kind in ("color", "depth"):
                 topics[f"{camera_topic(camera.name)}/{kind}/image_raw"] = ros.IMAGE
@@ -153,4 +161,6 @@ def mounts(drive: Drive) -> dict[str, gtsam.Pose3]:
         found[LASER_FRAME] = drive.rig.lidar.T_base_laser
     if drive.rig.lidar_3d is not None:
         found[LASER_3D_FRAME] = drive.rig.lidar_3d.T_base_laser
+    if drive.rig.imu is not None:
+        found[IMU_FRAME] = drive.rig.imu.T_body_imu
     return found

@@ -19,6 +19,7 @@ from slam.measurements import FloatArray, LaserScan, RgbdFrame, WheelOdometry, p
 from slam.simulation.drive_faults import LIDAR, LIDAR_3D, DriveFaults
 from slam.simulation.events import CloudEvent, DriveEvent, ImageEvent, OdometryEvent, ScanEvent, TruthEvent
 from slam.simulation.home_model import Home
+from slam.simulation.imu import ImuRecord, record_imu
 from slam.simulation.person import Walk, plan_walk
 from slam.simulation.rigs import MountedCamera, MountedLidar, Rig
 from slam.simulation.scene import Scene
@@ -56,6 +57,8 @@ class Drive:
         What the wheels say.
     walk
         The person, if there is one.
+    imu
+        What the IMU says, if there is one.
     """
 
     home: Home
@@ -67,6 +70,7 @@ class Drive:
     odometry_s: FloatArray
     wheels: WheelReadings
     walk: Walk | None
+    imu: ImuRecord | None = None
 
     def base_at(self, time_s: float) -> gtsam.Pose2:
         """``T_map_base``, seconds since the beginning."""
@@ -219,6 +223,9 @@ def prepare_drive(
         odometry_s=odometry_s,
         wheels=wheel_readings(faults.wheels, tour.poses_at(odometry_s), generator(seed, "wheels")),
         walk=plan_walk(home, tour, seed + 1) if faults.person else None,
+        imu=None
+        if rig.imu is None
+        else record_imu(rig.imu, tour.smooth_poses, faults.imu, tour.duration_s, FIRST_STAMP_S, seed),
     )
 
 

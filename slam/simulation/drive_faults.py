@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from slam.errors import ConfigError
+from slam.simulation.imu import ImuFaults
 from slam.simulation.wheel_odometry import WheelModel
 
 # The names of a rig's lidars among its sensors; cameras have their own.
@@ -35,6 +36,8 @@ class DriveFaults:
         When it dies and when it comes back, as shares of the drive; None: never.
     wheels
         The encoders and their slip.
+    imu
+        What the IMU is off by.
     """
 
     lidar_clock_offset_s: float = 0.0
@@ -49,6 +52,7 @@ class DriveFaults:
     dies_at_share: float = 0.5
     returns_at_share: float | None = None
     wheels: WheelModel = field(default_factory=WheelModel)
+    imu: ImuFaults = field(default_factory=ImuFaults)
 
     def __post_init__(self) -> None:
         """Refuse values that no drive can have."""
@@ -83,6 +87,7 @@ FAULT_PRESETS: dict[str, DriveFaults] = {
         stamp_jitter_s=0.001,
         dropped_frame_share=0.01,
         person=True,
+        imu=ImuFaults(0.002, 0.07, 0.002, 0.005),
     ),
     "harsh": DriveFaults(
         lidar_clock_offset_s=-0.02,
@@ -97,5 +102,6 @@ FAULT_PRESETS: dict[str, DriveFaults] = {
         dies_at_share=0.5,
         returns_at_share=0.65,
         wheels=WheelModel(scale_sigma=0.015, slips_per_s=0.1, slip_share=0.5),
+        imu=ImuFaults(0.017, 0.2, 0.02, 0.02),
     ),
 }

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -12,6 +13,7 @@ import yaml
 from scipy import spatial
 
 from slam.measurements import GRAVITY_M_S2, FloatArray
+from slam.simulation import ros_messages as ros
 from slam.simulation.sensor_clock import generator, schedule
 from slam.storage.files import write_lines
 
@@ -71,11 +73,14 @@ class ImuFaults:
         Length of the biases when it is switched on; their direction is drawn.
     clock_offset_s
         By how much its clock is ahead.
+    gyro_excess
+        Share by which its turn rates are too large.
     """
 
     gyro_bias_rad_s: float = 0.0
     force_bias_m_s2: float = 0.0
     clock_offset_s: float = 0.0
+    gyro_excess: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +101,18 @@ class ImuRecord:
     stamps_s: FloatArray
     gyro_rad_s: FloatArray
     specific_force_m_s2: FloatArray
+
+    def messages(self, first_stamp_s: float, frame: str) -> Iterator[tuple[float, Any]]:
+        """When each reading arrives in a bag, seconds, and its message."""
+        rows = zip(
+            self.true_s.tolist(),
+            self.stamps_s.tolist(),
+            self.gyro_rad_s,
+            self.specific_force_m_s2,
+            strict=True,
+        )
+        for true_s, stamp_s, gyro, force in rows:
+            yield first_stamp_s + true_s, ros.imu(stamp_s, gyro, force, frame)
 
 
 def record_imu(
@@ -126,6 +143,7 @@ def record_imu(
         "imu", model.rate_hz, duration_s, first_stamp_s, seed, clock_offset_s=faults.clock_offset_s
     )
     gyro, force = _felt(poses_at, imu.T_body_imu, times.true_s, 0.5 * period_s)
+    gyro *= 1.0 + faults.gyro_excess
     for told, density, walk, bias, most in (
         (gyro, model.gyro_density, model.gyro_walk, faults.gyro_bias_rad_s, model.most_gyro_rad_s),
         (force, model.force_density, model.force_walk, faults.force_bias_m_s2, model.most_force_m_s2),

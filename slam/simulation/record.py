@@ -20,6 +20,7 @@ from slam.simulation.drive import FIRST_STAMP_S, Drive, prepare_drive
 from slam.simulation.drive_faults import DriveFaults
 from slam.simulation.events import CloudEvent, DriveEvent, ImageEvent, OdometryEvent, ScanEvent
 from slam.simulation.home_model import Home
+from slam.simulation.imu import write_euroc
 from slam.simulation.ordered_pool import OrderedPool
 from slam.simulation.rigs import Rig
 from slam.simulation.truth_writer import TruthWriter
@@ -86,8 +87,8 @@ def record_drive(
     out_dir
         Made at the very end, whole; must not exist yet, or be empty. With ``folder`` it holds ``scans.log``
         (CARMEN) and the images as in the TUM benchmark (in ``rgbd_<name>/`` each when there are several
-        cameras) and ``points/`` of a 3D lidar; with ``mcap`` it is a rosbag2 (``log.mcap``,
-        ``metadata.yaml``). Always ``groundtruth.txt`` and ``truth/``.
+        cameras), ``points/`` of a 3D lidar and ``imu0/`` of an IMU (EuRoC); with ``mcap`` it is a rosbag2
+        (``log.mcap``, ``metadata.yaml``). Always ``groundtruth.txt`` and ``truth/``.
     faults, duration_s
         As for `slam.simulation.drive.prepare_drive`.
     progress
@@ -110,6 +111,10 @@ def record_drive(
     with appearing_whole(Path(out_dir)) as folder:
         drive = prepare_drive(home, rig, seed, faults, duration_s)
         counts: Counter[str] = Counter(odometry=0, **dict.fromkeys(drive.schedules, 0))
+        if drive.imu is not None and rig.imu is not None:
+            counts["imu"] = len(drive.imu.true_s)
+            if "folder" in formats:
+                write_euroc(folder / "imu0", drive.imu, rig.imu.T_body_imu)
         with ExitStack() as stack:
             sinks = _open_sinks(stack, folder, drive, formats, compress_bag)
             for event in drive.events():

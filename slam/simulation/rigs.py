@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
+from slam.simulation.imu import ADIS_16448, MountedImu
 from slam.simulation.sensor_models import (
     HOKUYO_URG_04LX,
     KINECT_V1,
@@ -62,6 +63,7 @@ class Rig:
     robot_radius_m: float
     robot_height_m: float
     lidar_3d: MountedRingLidar | None = None
+    imu: MountedImu | None = None
 
 
 def camera_pose(
@@ -89,6 +91,12 @@ def camera_pose(
 def laser_pose(x_m: float, y_m: float, z_m: float) -> gtsam.Pose3:
     """``T_base_laser`` of a level lidar that looks forward."""
     return gtsam.Pose3(gtsam.Rot3(), np.array([x_m, y_m, z_m]))
+
+
+# What `simulate --imu` adds: behind the centre and beside it, looking left, not quite level.
+ROBOT_IMU = MountedImu(
+    ADIS_16448, gtsam.Pose3(gtsam.Rot3.Ypr(0.5 * math.pi, 0.05, -0.03), np.array([-0.06, 0.04, 0.12]))
+)
 
 
 def _li2020() -> Rig:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray, GnssFix
 from slam.simulation import ros_messages as ros
-from slam.simulation.bag_writer import BAG_FILES, BASE_FRAME, LASER_3D_FRAME
+from slam.simulation.bag_writer import BAG_FILES, BASE_FRAME, IMU_FRAME, LASER_3D_FRAME
 from slam.simulation.drive import FIRST_STAMP_S
 from slam.simulation.gnss import GnssFaults, record_gnss
 from slam.simulation.imu import (
@@ -64,7 +64,7 @@ _T_CAMERA_LIDAR = gtsam.Pose3(
 )
 _DURATION_S = 34.0
 _TRUTH_HZ = 100.0
-_BAG, _IMU_FRAME, _ANTENNA_FRAME, _FIX = "log", "imu", "antenna", "/gnss/fix"
+_BAG, _ANTENNA_FRAME, _FIX = "log", "antenna", "/gnss/fix"
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +244,9 @@ class _StreetBag:
         from rosbags.rosbag2 import StoragePlugin, Writer
 
         self._writer = Writer(folder, version=messages.BAG_VERSION, storage_plugin=StoragePlugin.MCAP)
-        self._rig, self._imu, self._felt = rig, imu, 0
+        self._rig = rig
+        self._felt = iter(()) if imu is None else imu.messages(FIRST_STAMP_S, IMU_FRAME)
+        self._next = next(self._felt, None)
         self._fixes = fixes[::-1]
         self._connections = dict[str, "Connection"]()
 
@@ -254,7 +256,7 @@ class _StreetBag:
         frames = {LASER_3D_FRAME: gtsam.Pose3()}
         topics = {"/tf_static": messages.TRANSFORMS, "/points": messages.POINT_CLOUD}
         if self._rig.imu is not None:
-            frames[_IMU_FRAME], topics["/imu"] = self._rig.imu.T_body_imu, ros.IMU
+            frames[IMU_FRAME], topics["/imu"] = self._rig.imu.T_body_imu, ros.IMU
         if self._rig.antenna_m is not None and self._fixes:
             frames[_ANTENNA_FRAME] = gtsam.Pose3(gtsam.Rot3(), np.array(self._rig.antenna_m))
             topics[_FIX] = ros.NAVSAT
@@ -289,14 +291,9 @@ class _StreetBag:
         while self._fixes and self._fixes[-1].stamp_s - FIRST_STAMP_S < until_s:
             fix = self._fixes.pop()
             self._send(_FIX, fix.stamp_s, ros.navsat(fix, _ANTENNA_FRAME))
-        if self._imu is None:
-            return
-        last = int(np.searchsorted(self._imu.true_s, until_s))
-        for n in range(self._felt, last):
-            gyro, force = self._imu.gyro_rad_s[n], self._imu.specific_force_m_s2[n]
-            message = ros.imu(float(self._imu.stamps_s[n]), gyro, force, _IMU_FRAME)
-            self._send("/imu", FIRST_STAMP_S + float(self._imu.true_s[n]), message)
-        self._felt = last
+        while self._next is not None and self._next[0] < FIRST_STAMP_S + until_s:
+            self._send("/imu", *self._next)
+            self._next = next(self._felt, None)
 
     def _send(self, topic: str, at_s: float, message: object) -> None:
         """Write one message."""

@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
+from scipy import interpolate, sparse, spatial
 
 from slam.errors import ConfigError
 from slam.measurements import BoolArray, FloatArray
@@ -73,6 +73,17 @@ class Tour:
     def poses_at(self, times_s: FloatArray) -> FloatArray:
         """`pose_at` for many times, (N, 3)."""
         return np.array([self.pose_at(float(time_s)) for time_s in times_s]).reshape(-1, 3)
+
+    def smooth_poses(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Rotations (N, 3, 3) and positions (N, 3), on the floor, of the drive made twice differentiable.
+
+        What accelerates in steps would be felt as blows: a cubic goes through the poses instead.
+        """
+        stamps_s = STEP_S * np.arange(len(self.poses_xyt))
+        x, y, yaw = interpolate.CubicSpline(stamps_s, self.poses_xyt)(times_s).T
+        level = np.zeros_like(x)
+        turns = spatial.transform.Rotation.from_rotvec(np.column_stack([level, level, yaw]))
+        return turns.as_matrix(), np.column_stack([x, y, level])
 
 
 def plan_tour(

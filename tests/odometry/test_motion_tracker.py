@@ -16,7 +16,8 @@ from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, WheelOdometry, row_from_pose2
-from slam.odometry.motion_tracker import MotionTracker, TrackedScan, _Predictor
+from slam.odometry.motion_tracker import MotionTracker, TrackedScan
+from slam.odometry.predictor import Predictor
 from slam.odometry.surfel_odometry import SurfelOdometry
 from slam.odometry.wheel_tracker import WheelTracker
 
@@ -376,7 +377,7 @@ def test_a_guess_that_the_match_has_refuted_leads_along_no_corridor() -> None:
 @pytest.mark.parametrize("off_sigmas", [10.0, 1000.0])
 def test_one_wild_step_does_not_ruin_a_predictor(off_sigmas: float) -> None:
     """Its variance grows as if the step had been ten times what it claims, however wild it was."""
-    predictor = _Predictor(30.0)
+    predictor = Predictor(30.0)
     predictor.predict(np.zeros(3), np.eye(3) * 0.01**2)
     predictor.judge(np.array([0.01 * off_sigmas, 0.0, 0.0]))
     assert predictor.doubt == pytest.approx(1.0 + (10.0 - 1.0) / 30.0)

@@ -1,0 +1,167 @@
+"""A gyroscope beside a 2D lidar: by how much a robot on a floor turned, by its rates about the vertical.
+
+Of a turn it says ``w - b t - s w``: w is its rates integrated over the time t, b its bias, and s the share by
+which its turns are too large. Both are learned by a Kalman filter from what matched scans say of the same
+turns. The accelerometer tells the vertical, so the mounting need not be known.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fusion.estimation import FEWEST, gate, half_interval
+from fusion.time_alignment import GAP_S
+from slam.matching.planar import wrap
+from slam.measurements import FloatArray, ImuReading
+from slam.odometry.clock_learner import ClockLearner, Turns
+from slam.odometry.imu_readings import GYRO_WALK, ImuReadings
+
+# Sigmas before anything is learned: bias in rad/s, share (cheap ones, by their data sheets).
+_UNKNOWN = np.diag([0.1, 0.03])
+
+
+@dataclass(frozen=True, slots=True)
+class GyroMoment:
+    """How far a gyroscope has turned by a stamp.
+
+    Attributes
+    ----------
+    stamp_s
+        By its own clock.
+    turned_rad
+        Its rates about the vertical, integrated.
+    rate_rad_s
+        The rate then.
+    piece
+        Between moments of one number there are readings all the way.
+    """
+
+    stamp_s: float
+    turned_rad: float
+    rate_rad_s: float
+    piece: int
+
+
+class YawGyro:
+    """The readings of one IMU about the vertical, and how far they are to be believed."""
+
+    def __init__(self) -> None:
+        self.sensor = ""
+        self._readings = ImuReadings()
+        self._clocks = ClockLearner()
+        self._ahead_s = 0.0
+        self._force = np.zeros(3)
+        self._newest: GyroMoment | None = None
+        # Where what is being compared with the lidar began, its heading and the variance of that.
+        self._begun: tuple[GyroMoment, float, float] | None = None
+        self._known, self._spread = np.zeros(2), _UNKNOWN**2
+        self._compared_s, self._doubt = 0.0, 1.0
+
+    def add(self, reading: ImuReading) -> None:
+        """Take the next reading."""
+        begun_s, self.sensor = self._readings.newest_s, reading.sensor
+        self._readings.add(reading)
+        self._force += reading.specific_force_m_s2
+        if math.isfinite(begun_s):
+            turn_rad = (reading.stamp_s - begun_s) * float(reading.gyro_rad_s @ self._up())
+            self._clocks.turns.add_turn(begun_s, reading.stamp_s, turn_rad)
+
+    @property
+    def unfit(self) -> bool:
+        """Whether it turns as matches do not, again and again: a wrong sign, axis or unit."""
+        return self._doubt > gate()
+
+    def moment(self, stamp_s: float) -> GyroMoment | None:
+        """How far it has turned by a stamp of the lidar's clock; None before any reading."""
+        if math.isinf(self._readings.newest_s):
+            return None
+        before, at_s, up = self._newest, stamp_s + self._ahead_s, self._up()
+        piece, turned_rad = 0, 0.0
+        if before is not None:
+            piece, turned_rad = before.piece, before.turned_rad
+            if before.stamp_s <= at_s and self._readings.covers(before.stamp_s, at_s):
+                turned_rad += float(self._readings.turned(before.stamp_s, at_s) @ up)
+            else:
+                piece += 1
+        rate_rad_s = float(self._readings.rate(at_s) @ up)
+        self._newest = GyroMoment(at_s, turned_rad, rate_rad_s, piece)
+        return self._newest
+
+    def turn(
+        self, begun: GyroMoment | None, ended: GyroMoment | None, *, chained: bool = False
+    ) -> tuple[float, float] | None:
+        """Turn between two moments and its variance; None where readings are missing, or it is unfit.
+
+        Parameters
+        ----------
+        chained
+            Whether it is one of many, end to end, that are taken to err each by itself: their bias is the
+            same for as long as it takes to wander off by what it is uncertain of.
+        """
+        if begun is None or ended is None or begun.piece != ended.piece or self.unfit:
+            return None
+        told = _told(begun, ended)
+        variance = self._noise(begun, ended) + float(told @ self._spread @ told)
+        if chained:
+            shared_s = min(self._spread[0, 0] / GYRO_WALK**2, self._compared_s)
+            variance += float(self._spread[0, 0] * told[0]) * max(shared_s - told[0], 0.0)
+        return float(told[1] - self._known @ told), self._doubt * variance
+
+    def learn(self, moment: GyroMoment | None, heading_rad: float, variance: float) -> None:
+        """Compare with where a matched scan says that the robot looks, once in a while."""
+        begun, self._begun = self._begun, None if moment is None else (moment, heading_rad, variance)
+        if begun is None or moment is None or begun[0].piece != moment.piece:
+            return
+        told = _told(begun[0], moment)
+        if told[0] < FEWEST * GAP_S:
+            self._begun = begun
+            return
+        self._compared_s += float(told[0])
+        self._spread = self._spread + np.diag([GYRO_WALK**2 * told[0], 0.0])
+        off = wrap(float(told[1] - self._known @ told) - (heading_rad - begun[1]))
+        expected = float(told @ self._spread @ told) + self._noise(begun[0], moment) + begun[2] + variance
+        squares = off**2 / expected
+        # A match may be wrong: what is off by more than chance counts less. Again and again it is no match.
+        self._doubt = max(1.0, 0.5 * (self._doubt + min(squares, self._doubt * gate())))
+        gain = self._spread @ told / (expected * max(1.0, squares / gate()))
+        self._known = self._known + gain * off
+        self._spread = self._spread - np.outer(gain, told @ self._spread)
+
+    def learn_clock(self, lidar: Turns, *, final: bool = False) -> None:
+        """Estimate the clock anew where that is due."""
+        self._clocks.learn(lidar, final=final)
+        if self._clocks.clock.significant_s != self._ahead_s:
+            self._ahead_s, self._newest = self._clocks.clock.significant_s, None
+
+    def notes(self) -> list[str]:
+        """What a person should know of it."""
+        if not self._compared_s:
+            return []
+        bias, share = zip(self._known.tolist(), np.sqrt(np.diag(self._spread)).tolist(), strict=True)
+        wanders = math.degrees(half_interval(bias[1]))
+        known = (
+            f"{self.sensor}: its gyroscope is {math.degrees(bias[0]):+.3f} +- {wanders:.3f} degrees/s off, "
+            f"its turns {share[0]:+.1%} +- {half_interval(share[1]):.1%} too large (95 %)"
+        )
+        clock = self._clocks.clock
+        return [known, *([clock.note(self.sensor, "lidar")] if clock.known else [])]
+
+    def _up(self) -> FloatArray:
+        """(3,) away from the ground, IMU frame: the mean force, and by the mounting where it feels none."""
+        up = self._force
+        if not up.any():
+            up = np.asarray(self._readings.T_base_imu.rotation().unrotate(np.array([0.0, 0.0, 1.0])))
+        return np.asarray(up / np.linalg.norm(up))
+
+    def _noise(self, begun: GyroMoment, ended: GyroMoment) -> float:
+        """Variance of a turn by the noise of the rates, and by the clock where the rate changes."""
+        passed_s, faster = ended.stamp_s - begun.stamp_s, ended.rate_rad_s - begun.rate_rad_s
+        return self._readings.gyro_density**2 * passed_s + (self._clocks.clock.sigma_s * faster) ** 2
+
+
+def _told(begun: GyroMoment, ended: GyroMoment) -> FloatArray:
+    """(2,) time and turn between two moments."""
+    return np.array([ended.stamp_s - begun.stamp_s, ended.turned_rad - begun.turned_rad])

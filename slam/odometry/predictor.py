@@ -1,0 +1,57 @@
+"""How far a kind of prediction can be trusted, learned from the matches."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from slam.matching.motion import Motion
+from slam.matching.planar import between
+from slam.measurements import FloatArray
+
+# One wild step says no more about a predictor than this many times its variance.
+_GREATEST_SURPRISE = 10.0
+
+
+class Predictor:
+    """How far a kind of prediction can be trusted, learned from the matches.
+
+    Parameters
+    ----------
+    memory_scans
+        Scans over which it is judged.
+    least_share
+        Share of the claimed variance of the path that it may be taken to have; 1 to believe no less than all.
+    """
+
+    def __init__(self, memory_scans: float, least_share: float = 1.0) -> None:
+        self._rate = 1.0 / memory_scans
+        self._least_share = least_share
+        self._share = 1.0
+        self.doubt = 1.0
+        self.guesses: list[Motion] = []
+
+    def predict(self, pose: FloatArray, covariance: FloatArray) -> None:
+        """Expect a pose (3,) with a covariance (3, 3) as claimed, rescaled by what was learned so far."""
+        self.guesses.append(self.rescaled(pose, covariance))
+
+    def rescaled(self, pose: FloatArray, covariance: FloatArray) -> Motion:
+        """A pose (3,) with a covariance (3, 3) as claimed, rescaled by what was learned so far."""
+        way, turn = self.doubt * self._share, self.doubt
+        both = math.sqrt(way * turn)
+        return Motion(pose, covariance * np.array([[way, way, both], [way, way, both], [both, both, turn]]))
+
+    def judge(self, pose: FloatArray) -> None:
+        """Learn from where the scan was taken: the mean of the first guess's normalised squared error."""
+        if not self.guesses:
+            return
+        guess = self.guesses[0]
+        squares = self.doubt * guess.squared_mahalanobis(pose) / 3.0
+        average = self.doubt + self._rate * (min(squares, _GREATEST_SURPRISE * self.doubt) - self.doubt)
+        self.doubt = max(1.0, average)
+        x, y, _ = between(guess.pose, pose).tolist()
+        (xx, xy, _), (_, yy, _), _ = guess.covariance.tolist()
+        squares = self._share * (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy) / 2.0
+        average = self._share + self._rate * (min(squares, _GREATEST_SURPRISE * self._share) - self._share)
+        self._share = min(max(self._least_share, average), 1.0)
