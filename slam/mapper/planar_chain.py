@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations, groupby
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -96,16 +96,18 @@ class PlanarChain:
             ends = [edge.source, edge.target]
             if edge.kind is EdgeKind.WHEEL and moved[ends].any():
                 told, meant = (between(*wheels[ends]) for wheels in (before, after))
-                step = compose(row_from_pose2(edge.T_source_target), between(told, meant))
-                graph.graph.edges[n] = replace(edge, T_source_target=pose2_from_row(step))
+                row = compose(row_from_pose2(edge.T_source_target), between(told, meant))
+                graph.graph.edges[n] = replace(edge, T_source_target=pose2_from_row(row))
         reported = [n for n, edge in enumerate(graph.graph.edges) if edge.kind is EdgeKind.RGBD]
-        of_key = groupby(zip(self._camera_edges, reported, strict=True), key=lambda edge: edge[0][0])
-        for key, edges in of_key:
-            ended = [self._cameras.camera_poses(one_s) for one_s in stamps_s[key - 1 : key + 1].tolist()]
-            steps = self._camera_steps(self._cameras.steps(*ended))
-            for (_, name), number in edges:
-                if name in steps:
-                    graph.graph.edges[number] = _camera_edge(key - 1, key, steps[name])
+        numbers = dict(zip(self._camera_edges, reported, strict=True))
+        poses = [self._cameras.camera_poses(stamp_s) for stamp_s in stamps_s.tolist()]
+        for key, ended in enumerate(pairwise(poses), 1):
+            for name, step in self._camera_steps(self._cameras.steps(*ended)).items():
+                edge = _camera_edge(key - 1, key, step)
+                if (key, name) in numbers:
+                    graph.graph.edges[numbers[key, name]] = edge
+                else:  # it began after the lidar, or was not known when the keyframe was made
+                    graph.add_edge(edge)
         for source, target, motion in self._cameras.learned_steps():
             graph.add_edge(_camera_edge(source, target, Motion(motion.motion, motion.covariance)))
 

@@ -70,20 +70,22 @@ class CameraTrack:
         return None if twist is None else (self._stamps[-2], self._stamps[-1], twist)
 
     def at(self, stamp_s: float, clock_sigma_s: float) -> CameraPose | None:
-        """The camera at a stamp between its frames or shortly after the newest; None where that is not known.
+        """The camera at a stamp between its frames or shortly outside them; None where that is not known.
 
         Parameters
         ----------
         clock_sigma_s
             Standard deviation of the stamp against the camera's own.
         """
-        after = bisect_right(self._stamps, stamp_s)
-        if after == 0:
+        if not self._stamps:
             return None
+        after = max(bisect_right(self._stamps, stamp_s), 1)
         before = after - 1
         elapsed_s = stamp_s - self._stamps[before]
         if after < len(self._stamps) and elapsed_s > 0.0:
             return self._between(before, elapsed_s, clock_sigma_s)
+        if elapsed_s <= -_LONGEST_GAP_S:
+            return None
         if after == len(self._stamps) and (self._lost or elapsed_s >= _LONGEST_GAP_S):
             return None
         twist = self._twist(before - 1)
@@ -91,7 +93,7 @@ class CameraTrack:
             twist = self._twist(before)
         pose = self._pose(before)
         if twist is None:
-            sigmas = np.full(6, _UNKNOWN_SPEED * elapsed_s)
+            sigmas = np.full(6, _UNKNOWN_SPEED * abs(elapsed_s))
         else:
             pose = pose.compose(gtsam.Pose3.Expmap(twist * elapsed_s))
             sigmas = np.abs(twist) * np.hypot(_EXTRAPOLATION_SHARE * elapsed_s, clock_sigma_s)

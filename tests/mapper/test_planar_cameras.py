@@ -30,6 +30,7 @@ from slam.measurements import (
     RgbdFrame,
     WheelOdometry,
     pose2_from_row,
+    row_from_pose2,
 )
 from slam.outputs.exports import Exports
 from slam.outputs.finished_map import load_map
@@ -144,6 +145,23 @@ def test_the_camera_alone_on_wheels(drive: list[tuple[int, Measurement]]) -> Non
     assert worst(result) < 0.06
     assert EdgeKind.LIDAR not in kinds(result)
     assert result.map.trajectory.positions_m[:, 2].max() == 0.0
+
+
+def test_a_camera_that_begins_after_the_lidar_tells_its_first_step(
+    drive: list[tuple[int, Measurement]],
+) -> None:
+    """Its first frame comes 90 ms after the scan that begins the map: it is carried back."""
+    result = run(drive, lambda n, one: None if n == 0 and isinstance(one, RgbdFrame) else one)
+    (step,) = (
+        factor.edge
+        for factor in result.map.factors
+        if factor.edge.kind is EdgeKind.RGBD and factor.edge.source == 0
+    )
+    at = round((result.map.stamps_s[1] - 100.0) / 0.1)
+    off = between(between(truth()[0], truth()[at]), row_from_pose2(step.T_source_target))
+    sigmas = np.sqrt(step.covariance.diagonal())
+    assert (np.abs(off) < [0.01, 0.01, 0.01]).all() and (np.abs(off) < 3.0 * sigmas).all()
+    assert sigmas.max() < 0.03
 
 
 def test_a_vehicle_may_be_taken_for_a_camera(drive: list[tuple[int, Measurement]]) -> None:
