@@ -113,8 +113,7 @@ class PlanarRobot:
         assert moment is not None
         points = moment.points
         self._seen = OrientedPoints.none() if points is None else OrientedPoints.from_scan(points)
-        blind = not len(self._seen)
-        step, edges = self._chain.add(key, moment.stamp_s, moment.tracked, moment.camera_poses, blind=blind)
+        step, edges = self._chain.add(key, moment.stamp_s, moment.tracked, moment.camera_poses)
         self._travelled_m += float(np.hypot(step[0], step[1]))
         return pose2_from_row(step), edges
 

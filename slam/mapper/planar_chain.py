@@ -21,10 +21,8 @@ from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
 from slam.odometry.motion_tracker import MotionTracker, TrackedScan
 from slam.odometry.wheel_tracker import WheelTracker
 
-# A keyframe that matched nothing was guessed to this share of a step that nothing measured. A match is made
-# to those before it while no more guessed ones than this have joined the local map.
+# A keyframe that matched nothing was guessed to this share of a step that nothing measured.
 _GUESS_SHARE = 0.1
-_MOST_GUESSED = 5
 
 
 class PlanarChain:
@@ -37,7 +35,6 @@ class PlanarChain:
         self._last: TrackedScan | None = None
         self._matched: tuple[int, TrackedScan | None] = (0, None)
         self._stretch: tuple[int, TrackedScan | None] = (0, None)
-        self._guessed = 0
         self._guess_steps: list[Motion] = []
         self._camera_poses: CameraPoses = {}
         self._stamps_s: list[float] = []
@@ -50,7 +47,7 @@ class PlanarChain:
         return self._last
 
     def add(
-        self, key: int, stamp_s: float, tracked: TrackedScan, camera_poses: CameraPoses, *, blind: bool
+        self, key: int, stamp_s: float, tracked: TrackedScan, camera_poses: CameraPoses
     ) -> tuple[FloatArray, list[Edge]]:
         """Take the next keyframe.
 
@@ -58,8 +55,6 @@ class PlanarChain:
         ----------
         camera_poses
             Where every camera was.
-        blind
-            Whether it has no point of a lidar.
 
         Returns
         -------
@@ -73,9 +68,8 @@ class PlanarChain:
         self._stamps_s.append(stamp_s)
         self._camera_poses, self._last = camera_poses, tracked
         if tracked.motion is not None or key == 0:
-            self._matched, self._guessed = (key, tracked), 0
+            self._matched = key, tracked
         else:
-            self._guessed += not blind
             self._guess_steps = cameras
         return step, edges
 
@@ -162,16 +156,16 @@ class PlanarChain:
 
         The guess was by the wheels, or by cameras that contradict each other. The match was made to keyframes
         of before, and to the last one only as well as that was guessed. Where the wheels are far from that,
-        or scans of guessed keyframes are most of the local map, it was rather made to those. Where cameras
-        hold the chain no more is needed.
+        or the robot has gone on beyond what was seen before, it was rather made to those that were guessed.
+        Where cameras hold the chain no more is needed.
         """
         key, matched = self._matched
         assert matched is not None
         guess = unmeasured(self._config.graph, _GUESS_SHARE, planar=True)
         uncertain = Motion(match.pose, match.covariance + guess)
-        if self._guess_steps or self._guessed > _MOST_GUESSED:
-            return uncertain, None
         bridge = Motion(between(matched.pose, compose(last.pose, match.pose)), match.covariance)
+        if self._guess_steps or math.hypot(bridge.pose[0], bridge.pose[1]) > self._config.loops.reach_m:
+            return uncertain, None
         wheels = self._tracker.wheel_motion(matched.wheels, tracked.wheels, stamp_s - self._stamps_s[key])
         if wheels is not None:
             squares = bridge.widened(wheels.covariance).squared_mahalanobis(wheels.pose)

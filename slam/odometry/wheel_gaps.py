@@ -58,11 +58,13 @@ class WheelGaps:
             return self._pose
         if step_s > 0.0:
             self.period_s += (min(step_s, GAP_S) - self.period_s) / (FEWEST if self.period_s else 1.0)
-        still = possible and bool(np.abs(step).max() < SETTLED)
+        guess, stands = self.guess_at(stamp_s), bool(np.abs(step[:2]).max() < SETTLED)
+        # Whoever cannot have stopped has not turned on the spot either: then the heading has jumped.
+        still = possible and stands and (bool(guess.any()) or bool(abs(step[2]) < SETTLED))
         if not possible:
             step = self._twist * max(step_s, 0.0)
         elif still:
-            step = self.guess_at(stamp_s)
+            step = guess
             self.guessed_m += math.hypot(step[0], step[1])
         self._pose = compose(self._pose, step)
         if not still or step.any():

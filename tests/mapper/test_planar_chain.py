@@ -7,13 +7,19 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 import pytest
+from scripted_tracker import Run, motion_at
 
+from slam.config import Config
 from slam.config.stages import GraphConfig
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
-from slam.mapper.planar_chain import edges_of
+from slam.mapper.planar_chain import PlanarChain, edges_of
+from slam.mapper.robot_cameras import RobotCameras
+from slam.mapper.tags import TagFinder
 from slam.matching.motion import Motion
 from slam.measurements import FloatArray, pose2_from_row
+from slam.odometry.clock_learner import Turns
+from slam.odometry.motion_tracker import TrackedScan
 
 CONFIG = GraphConfig()
 CONFIDENT = np.eye(3) * 0.01**2
@@ -36,6 +42,22 @@ def add(
     """The next keyframe."""
     edges = edges_of(len(graph), step, match, wheels, cameras, CONFIG, match_doubtful=doubtful)
     graph.add_keyframe(pose2_from_row(step), edges)
+
+
+@pytest.mark.parametrize(("guessed_m", "bridged"), [(1.0, True), (8.0, False)])
+def test_a_guess_is_bridged_only_from_where_the_same_is_seen(guessed_m: float, bridged: bool) -> None:
+    """Farther on, the scan was matched to the one that was guessed, and knows no more than the guess."""
+    tracker, config = Run(wheels=False).tracker, Config()
+    cameras = RobotCameras(config, {}, tags=TagFinder(None, {}), wheel_turns=Turns())
+    chain, edges = PlanarChain(config, tracker, None, cameras), list[Edge]()
+    for key, at_m in enumerate((0.0, guessed_m, guessed_m + 0.3)):
+        pose = np.array([at_m, 0.0, 0.0])
+        seen = TrackedScan(pose, None if key == 1 else motion_at(pose), None, np.zeros((3, 3)))
+        edges += chain.add(key, 10.0 * key, seen, {})[1]
+    assert [(edge.source, edge.kind) for edge in edges if edge.target == 2] == [
+        (1, EdgeKind.LIDAR),
+        *[(0, EdgeKind.LIDAR)] * bridged,
+    ]
 
 
 class TestCamerasOnTheFloor:

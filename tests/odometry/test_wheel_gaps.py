@@ -48,14 +48,20 @@ def test_a_way_that_was_not_counted_is_a_guess(counted_m: float, guessed_m: floa
     assert on_top[0, 0] == pytest.approx(guessed_m**2)
 
 
-def test_readings_that_only_repeat_the_last_one_count_nothing() -> None:
-    """Scan lines carry the last reading: the robot goes on, though some come at once and all are the same."""
+@pytest.mark.parametrize("jump_rad", [0.0, 1.0])
+def test_readings_that_only_repeat_the_last_one_count_nothing(jump_rad: float) -> None:
+    """Scan lines carry the last reading: the robot goes on, though some come at once and all are the same.
+
+    Meanwhile the heading may jump.
+    """
     tracker = WheelTracker(WheelConfig())
     stamp_s, x_m = driven(tracker)
-    for later_s in (0.05, 0.7, 1.4, 2.0):
-        pose = tracker.add(reading(stamp_s + later_s, x_m))
+    tracker.add(reading(stamp_s + 0.05, x_m))
+    for later_s in (0.7, 1.4, 2.0):
+        pose = tracker.add(reading(stamp_s + later_s, x_m, jump_rad))
     np.testing.assert_allclose(pose, [x_m + 2.0 * SPEED_M_S, 0.0, 0.0], atol=1e-9)
-    pose = tracker.add(reading(stamp_s + 2.0 + PERIOD_S, x_m + PERIOD_S * SPEED_M_S))
+    onward = gtsam.Pose2(x_m, 0.0, jump_rad) * gtsam.Pose2(PERIOD_S * SPEED_M_S, 0.0, 0.0)
+    pose = tracker.add(WheelOdometry(stamp_s + 2.0 + PERIOD_S, onward))
     np.testing.assert_allclose(pose[0], x_m + (2.0 + PERIOD_S) * SPEED_M_S, atol=1e-9)
     assert tracker._gaps.guessed_m == pytest.approx(2.0 * SPEED_M_S)
 
