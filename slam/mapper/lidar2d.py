@@ -67,9 +67,9 @@ class PlanarRobot:
         self.readings = Readings()
         checkpoint, registrations = checkpoint or Checkpoint(), registrations or {}
         self._config, self._registrations = config, registrations
-        self._wheels = WheelTracker(config.wheels) if config.sensors.wheels else None
-        odometry = CachedOdometry(odometries.lidar(config), checkpoint)
         self._gyro = YawGyro() if config.sensors.imu else None
+        self._wheels = WheelTracker(config.wheels, self._gyro) if config.sensors.wheels else None
+        odometry = CachedOdometry(odometries.lidar(config), checkpoint)
         self._tracker = MotionTracker(odometry, self._wheels, config.prediction, config.match, self._gyro)
         turns = Turns() if self._wheels is None else self._wheels.turns
         self.tags = TagFinder(config.sensors.tags, registrations)

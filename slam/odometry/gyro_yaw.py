@@ -8,7 +8,8 @@ turns. The accelerometer tells the vertical, so the mounting need not be known.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -54,20 +55,29 @@ class YawGyro:
         self._clocks = ClockLearner()
         self._ahead_s = 0.0
         self._force = np.zeros(3)
-        self._newest: GyroMoment | None = None
+        # Of the last while, the newest last.
+        self._recent: deque[GyroMoment] = deque()
         # Where what is being compared with the lidar began, its heading and the variance of that.
         self._begun: tuple[GyroMoment, float, float] | None = None
         self._known, self._spread = np.zeros(2), _UNKNOWN**2
         self._compared_s, self._doubt = 0.0, 1.0
 
     def add(self, reading: ImuReading) -> None:
-        """Take the next reading."""
-        begun_s, self.sensor = self._readings.newest_s, reading.sensor
+        """Take the next reading; one that is not later than the one before is left out."""
+        begun, self.sensor = self._recent[-1] if self._recent else None, reading.sensor
+        if begun is not None and reading.stamp_s <= begun.stamp_s:
+            return
         self._readings.add(reading)
         self._force += reading.specific_force_m_s2
-        if math.isfinite(begun_s):
-            turn_rad = (reading.stamp_s - begun_s) * float(reading.gyro_rad_s @ self._up())
-            self._clocks.turns.add_turn(begun_s, reading.stamp_s, turn_rad)
+        rate_rad_s, turned_rad, piece = float(reading.gyro_rad_s @ self._up()), 0.0, 0
+        if begun is not None:
+            passed_s = reading.stamp_s - begun.stamp_s
+            turn_rad = 0.5 * passed_s * (rate_rad_s + begun.rate_rad_s)
+            self._clocks.turns.add_turn(begun.stamp_s, reading.stamp_s, turn_rad)
+            turned_rad, piece = begun.turned_rad + turn_rad, begun.piece + self._readings.is_gap(passed_s)
+        self._recent.append(GyroMoment(reading.stamp_s, turned_rad, rate_rad_s, piece))
+        while reading.stamp_s - self._recent[0].stamp_s > 2.0 * GAP_S:
+            self._recent.popleft()
 
     @property
     def unfit(self) -> bool:
@@ -75,20 +85,13 @@ class YawGyro:
         return self._doubt > gate()
 
     def moment(self, stamp_s: float) -> GyroMoment | None:
-        """How far it has turned by a stamp of the lidar's clock; None before any reading."""
-        if math.isinf(self._readings.newest_s):
+        """How far it has turned by a stamp of the lidar's clock; None where it does not tell."""
+        at_s = stamp_s + self._ahead_s
+        before = next((one for one in reversed(self._recent) if one.stamp_s <= at_s), None)
+        if before is None or self._readings.is_gap(at_s - before.stamp_s):
             return None
-        before, at_s, up = self._newest, stamp_s + self._ahead_s, self._up()
-        piece, turned_rad = 0, 0.0
-        if before is not None:
-            piece, turned_rad = before.piece, before.turned_rad
-            if before.stamp_s <= at_s and self._readings.covers(before.stamp_s, at_s):
-                turned_rad += float(self._readings.turned(before.stamp_s, at_s) @ up)
-            else:
-                piece += 1
-        rate_rad_s = float(self._readings.rate(at_s) @ up)
-        self._newest = GyroMoment(at_s, turned_rad, rate_rad_s, piece)
-        return self._newest
+        turned_rad = before.turned_rad + (at_s - before.stamp_s) * before.rate_rad_s
+        return replace(before, stamp_s=at_s, turned_rad=turned_rad)
 
     def turn(
         self, begun: GyroMoment | None, ended: GyroMoment | None, *, chained: bool = False
@@ -134,7 +137,9 @@ class YawGyro:
         """Estimate the clock anew where that is due."""
         self._clocks.learn(lidar, final=final)
         if self._clocks.clock.significant_s != self._ahead_s:
-            self._ahead_s, self._newest = self._clocks.clock.significant_s, None
+            self._ahead_s = self._clocks.clock.significant_s
+            # What was asked for by another clock is not compared with what comes.
+            self._recent = deque(replace(one, piece=one.piece + 1) for one in self._recent)
 
     def notes(self) -> list[str]:
         """What a person should know of it."""

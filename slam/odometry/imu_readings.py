@@ -28,6 +28,8 @@ class ImuReadings:
         self._steps_s: deque[float] = deque(maxlen=FEWEST * FEWEST)
         self.T_base_imu = gtsam.Pose3()
         self._gyro_density: float | None = None
+        # Time between two readings as a rule, and after how many more it is looked at again.
+        self._usual_s, self._left = 0.0, 0
 
     def add(self, reading: ImuReading) -> None:
         """Take the next reading; one that is not later than the one before is left out."""
@@ -36,6 +38,10 @@ class ImuReadings:
             if step_s <= 0.0:
                 return
             self._steps_s.append(step_s)
+            # Hundreds come a second: not each is worth a median.
+            self._left -= 1
+            if self._left <= 0:
+                self._usual_s, self._left = median(self._steps_s), min(len(self._steps_s), FEWEST)
         self.T_base_imu = reading.T_base_imu or gtsam.Pose3()
         told = np.concatenate([reading.gyro_rad_s, reading.specific_force_m_s2])
         self._rows.append((reading.stamp_s, told))
@@ -58,24 +64,18 @@ class ImuReadings:
         """Whether there are readings all the way; beyond the newest by a few steps counts."""
         if len(self._rows) < 2:
             return False
-        longest_s = _GAP * median(self._steps_s)
-        if self._rows[0][0] > begin_s + longest_s or self.newest_s < end_s - longest_s:
+        if self.is_gap(self._rows[0][0] - begin_s) or self.is_gap(end_s - self.newest_s):
             return False
         stamps_s = self._between(begin_s, end_s)[0]
-        return bool(np.diff([begin_s, *stamps_s, end_s]).max() <= longest_s)
+        return not self.is_gap(float(np.diff([begin_s, *stamps_s, end_s]).max()))
+
+    def is_gap(self, step_s: float) -> bool:
+        """Whether from one reading to the next it does not take so long as a rule."""
+        return bool(self._steps_s) and step_s > _GAP * self._usual_s
 
     def mean(self, begin_s: float, end_s: float) -> FloatArray:
         """(6,) mean turn rate and force, IMU frame."""
         return np.asarray(self._between(begin_s, end_s)[1].mean(axis=0))
-
-    def turned(self, begin_s: float, end_s: float) -> FloatArray:
-        """(3,) turn rates integrated from one stamp to another, IMU frame."""
-        stamps_s, told = self._with_ends(begin_s, end_s)
-        return np.asarray(np.diff(stamps_s) @ (0.5 * (told[1:, :3] + told[:-1, :3])))
-
-    def rate(self, stamp_s: float) -> FloatArray:
-        """(3,) turn rate at a stamp, IMU frame."""
-        return np.asarray(self._with_ends(stamp_s, stamp_s)[1][0, :3])
 
     def parameters(self) -> gtsam.PreintegrationCombinedParams:
         """Of GTSAM's preintegration, the noise by what neighbouring readings show."""
@@ -143,13 +143,13 @@ class ImuReadings:
     @property
     def _around_s(self) -> float:
         """A span that holds the readings next to a stamp."""
-        return _GAP * median(self._steps_s) if self._steps_s else 0.0
+        return _GAP * self._usual_s
 
     def _densities(self) -> tuple[float, float]:
         """Noise of turn rates and forces, for the square root of a hertz."""
         told = np.array([row[1] for row in self._rows])
         # Second differences leave out what a motion adds; of white noise their variance is six times its own.
         apart = np.abs(np.diff(told, n=2, axis=0))
-        root_s = float(np.sqrt(median(self._steps_s) / 6.0))
+        root_s = float(np.sqrt(self._usual_s / 6.0))
         noise = median_to_sigma() * np.median(apart, axis=0) * root_s
         return max(noise[:3].max(), _GYRO_DENSITY), max(noise[3:].max(), _FORCE_DENSITY)

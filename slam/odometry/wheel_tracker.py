@@ -14,6 +14,7 @@ from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, WheelOdometry
 from slam.odometry.clock_learner import ClockLearner, SensorClock, Turns
+from slam.odometry.gyro_yaw import GyroMoment, YawGyro
 from slam.odometry.wheel_gaps import WheelGaps
 
 # Readings whose stamps coincide or run backward took a time that nobody knows.
@@ -42,8 +43,8 @@ class WheelMoment:
 class WheelTracker:
     """The newest odometry readings, asked for the pose at a scan's stamp; and the wheels' clock."""
 
-    def __init__(self, config: WheelConfig) -> None:
-        self._config = config
+    def __init__(self, config: WheelConfig, gyro: YawGyro | None = None) -> None:
+        self._config, self._gyro = config, gyro
         self._gaps = WheelGaps()
         # Sums over steps; what they begin with holds the scale at one until some metres are known.
         self._told_m2 = self._true_m2 = 1.0
@@ -57,6 +58,8 @@ class WheelTracker:
         self._asked_s = math.nan
         self._ahead_s = 0.0
         self._T_odom_read = np.zeros(3)
+        # The newest pose by the wheels alone, and how far the gyroscope had turned then.
+        self._alone: tuple[FloatArray, GyroMoment | None] | None = None
 
     @property
     def turns(self) -> Turns:
@@ -85,10 +88,14 @@ class WheelTracker:
             self._T_odom_read = compose(compose(before, between(after, np.zeros(3))), self._T_odom_read)
 
     def add(self, reading: WheelOdometry) -> FloatArray:
-        """Take the next reading in log order: its pose (3,) without jumps that no robot can make."""
+        """Take the next reading in log order: its pose (3,) without jumps that no robot can make.
+
+        Its turns are joined with those of a gyroscope, each by its covariance.
+        """
         step, step_s = self._gaps.step(reading)
-        pose = self._gaps.add(reading, possible=self.plausible(step, step_s))
-        self.turns.add(reading.stamp_s, pose[2])
+        alone = self._gaps.add(reading, possible=self.plausible(step, step_s))
+        self.turns.add(reading.stamp_s, alone[2])
+        pose = self._joined(alone, reading.stamp_s)
         if self._recent and (pose != self._recent[0][1]).any():
             self.moved, self.dead = True, False
         self._rising = not self._recent or reading.stamp_s > self._recent[0][0]
@@ -98,6 +105,18 @@ class WheelTracker:
         while len(self._recent) > 2 and reading.stamp_s - self._recent[-1][0] > 2.0 * GAP_S:
             self._recent.pop()
         return pose
+
+    def _joined(self, alone: FloatArray, stamp_s: float) -> FloatArray:
+        """The pose (3,) that follows the newest one; where no wheel has moved the robot stands."""
+        gyro = None if self._gyro is None else self._gyro.moment(stamp_s - self._ahead_s)
+        begun, self._alone = self._alone, (alone, gyro)
+        if begun is None or not self._recent or self._gyro is None:
+            return alone
+        step = between(begun[0], alone)
+        turn = self._gyro.turn(begun[1], gyro) if step.any() else None
+        if turn is not None:
+            step = Motion(step, self.covariance(step)).looking(*turn).pose
+        return compose(self._recent[0][1], step)
 
     def moment(self, stamp_s: float, *, in_order: bool = True) -> WheelMoment | None:
         """Where the robot was at a stamp, see `pose_at`; None before any reading."""
