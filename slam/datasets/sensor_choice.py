@@ -20,8 +20,6 @@ from slam.measurements import (
     WheelOdometry,
 )
 
-NO_HELP_TO_CAMERAS = "cameras are not helped by an IMU yet"
-
 _LOOK_S = 3.0
 _LOOK_COUNT = 1000
 _LATE = f"it begins later than the first {_LOOK_S:g} s of the log, which decide what leads"
@@ -75,7 +73,7 @@ class SensorChoice:
     wheels
         Name of the odometry that is used, the first that appears; empty where there is none.
     imu
-        Name of the IMU that helps a lidar: the first that appears, of those whose mounting is told if
+        Name of the IMU that helps: the first that appears, of those whose mounting is told if
         any; empty where there is none.
     gnss
         Name of the satellite receiver that lays the map on the earth, the first that appears; empty where
@@ -150,8 +148,6 @@ class SensorChoice:
         """Of an IMU."""
         if not self.config.imu:
             return "sensors.imu=false leaves it out"
-        if self.spatial and not self.cloud:
-            return NO_HELP_TO_CAMERAS
         if sensor != self.imu:
             return f"one IMU is used, {self.imu}; --topics takes another" if self.imu else _LATE
         return ""

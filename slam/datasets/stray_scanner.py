@@ -23,7 +23,6 @@ from slam.datasets.numbered_frames import numbered_camera, numbered_files
 from slam.datasets.phone_poses import COMPARED, LENS_MOVES, T_ARKIT_OPTICAL
 from slam.datasets.pose_files import rows_of, trajectory_of
 from slam.datasets.recording import Contents
-from slam.datasets.sensor_choice import NO_HELP_TO_CAMERAS
 from slam.datasets.stamped_files import BAD_POSE, StampedFile, stamp_of
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
@@ -71,7 +70,7 @@ def _load(path: Path, account: Account) -> Contents:
     """A folder of one scan; depth that ARKit has no trust in is left out."""
     account.report.note(COMPARED, 1)
     if (path / _IMU).is_file():
-        account.report.ignore(_IMU, NO_HELP_TO_CAMERAS)
+        account.report.ignore(_IMU, "nothing tells how it sits beside the camera")
     rows = _rows(path / _POSES, account)
     depths = numbered_files(path / "depth", r"(\d{1,9})\.(?:png|npy)")
     listed = {number: file for number, file in depths.items() if number in rows}

@@ -200,10 +200,7 @@ class CloudLidar:
         result.warnings += [*self._doubts(), *self._cameras.warnings()]
         result.notes += self._cameras.notes()
         if self._imu is not None:
-            told = self._imu.told()
-            result.notes += told.notes
-            result.warnings += told.warnings
-            result.unused |= told.unused
+            result.add_told(self._imu.told())
         result.unused |= self._cameras.unused()
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:

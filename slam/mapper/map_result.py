@@ -20,6 +20,7 @@ from slam.mapping.layer_builder import LayerBuilder
 from slam.mapping.layered_map import DEPTH, OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import RgbdFrame
+from slam.odometry.imu_tracker import Told
 from slam.storage.map_contents import MapContents
 from slam.storage.map_frames import MapFrames
 
@@ -68,6 +69,12 @@ class MapResult:
         self.cameras = cameras
         learned = {name: record.learned for name, record in cameras.items()}
         self.map = replace(self.map, cameras=learned, frames=frames if len(frames) else None)
+
+    def add_told(self, told: Told) -> None:
+        """Take what an IMU has to say."""
+        self.notes += told.notes
+        self.warnings += told.warnings
+        self.unused |= told.unused
 
     def draw(self, config: Config) -> None:
         """Draw the grids, see `drawn`; what cannot be drawn is a warning."""

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import gtsam
+import numpy as np
 
+from fusion.estimation import gate
 from slam.config import Config
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
@@ -19,8 +22,11 @@ from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.protocol import Tracked
 from slam.mapper.scan_record import CameraRecord
 from slam.mapper.tags import TagFinder
-from slam.measurements import BoolArray, Pose, spatial
+from slam.matching.upright import Gravity
+from slam.measurements import BoolArray, ImuReading, Pose, spatial
 from slam.odometry import STANDARD, Odometries
+from slam.odometry.imu_gravity import apart_in_time
+from slam.odometry.imu_tracker import ImuTracker, alike
 from slam.odometry.rgbd_tracker import RgbdTracker, TrackedFrame
 from slam.trajectory.readings import Readings
 from slam.vision.camera_frame import T_BODY_CAMERA
@@ -35,6 +41,7 @@ class FreeCamera:
 
     The nodes are camera poses. The map frame is that of the first base pose; without a known mounting the
     base is the camera itself, and the map frame its body: x along the first view, z up in the first image.
+    An IMU beside it puts the map upright.
     """
 
     def __init__(
@@ -51,13 +58,19 @@ class FreeCamera:
         self._store = KeyframeStore(config.rgbd, config.match.local_map_keyframes, checkpoint.spool())
         self._closer = VisualLoopCloser(config, FrameMatcher(config), self._store, checkpoint)
         self._last: gtsam.Pose3 | None = None
+        # ``T_odom_camera`` as seen, as it is taken to be, and whether the IMU told it since the keyframe.
+        self._seen, self._placed, self._bridged = gtsam.Pose3(), gtsam.Pose3(), False
         self._newest: tuple[PreparedFrame, TrackedFrame] | None = None
         self._T_base_camera: gtsam.Pose3 | None = None
         self._T_camera_base = gtsam.Pose3()
         self._camera: str | None = None
+        self._imu = ImuTracker() if config.sensors.imu else None
+        self._down: dict[int, Gravity] = {}
 
     def observe(self, measurement: Any) -> Tracked | None:
         """Take the next measurement; where the camera is then, if it tells that."""
+        if isinstance(measurement, ImuReading):
+            self._feel(measurement)
         if not isinstance(measurement, PreparedFrame):
             return None
         frame = measurement.frame
@@ -69,7 +82,8 @@ class FreeCamera:
             return None
         tracked = self._tracker.track(measurement)
         self._newest = measurement, tracked
-        self.readings.add_scan(measurement.stamp_s, tracked.pose.compose(self._T_camera_base))
+        self._place(measurement.stamp_s, tracked)
+        self.readings.add_scan(measurement.stamp_s, self._placed.compose(self._T_camera_base))
         motion = None if tracked.match is None else tracked.match.motion
         return Tracked(measurement.stamp_s, motion, tracked.new_keyframe, tracked.match)
 
@@ -81,8 +95,10 @@ class FreeCamera:
         """Motion from the last keyframe to the newest frame, and its edge."""
         assert self._newest is not None
         tracked = self._newest[1]
-        step = gtsam.Pose3() if self._last is None else self._last.between(tracked.pose)
-        self._last = tracked.pose
+        step = gtsam.Pose3() if self._last is None else self._last.between(self._placed)
+        self._last, bridged, self._bridged = self._placed, self._bridged, False
+        if bridged and self._imu is not None and (spread := self._imu.spread()) is not None:
+            return step, [Edge(key - 1, key, step, spread, EdgeKind.IMU, trusted=True)]
         if tracked.match is None or key == 0:
             return step, []
         covariance = tracked.match.motion.covariance
@@ -92,6 +108,8 @@ class FreeCamera:
         """Remember a keyframe, and try the places that it may have come back to."""
         assert self._newest is not None
         frame, tracked = self._newest
+        if self._imu is not None and (gravity := self._imu.gravity()) is not None:
+            self._down[key] = gravity
         self._tracker.add_keyframe(frame, tracked)
         self._closer.add_keyframe(frame, adrift=tracked.restarted)
         self.tags.look(frame.frame, self._T_camera_base.inverse())
@@ -102,7 +120,9 @@ class FreeCamera:
         """Whatever a camera sees is a map."""
 
     def settle(self, graph: KeyframeGraph) -> None:
-        """Every step was settled when it was made."""
+        """Put the map upright, where gravity is known; every step was settled when it was made."""
+        if self._down and self._imu is not None and not self._imu.unfit:
+            graph.graph.level(apart_in_time(self._down))
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
         """All places were tried while mapping."""
@@ -118,6 +138,35 @@ class FreeCamera:
         learned = LearnedCamera(self._registrations.get(self._camera), self._T_base_camera)
         result.add_cameras({self._camera: CameraRecord(result.scans, learned=learned)}, self._store.images)
         result.notes += registration_notes(self._registrations)
+        if self._imu is not None:
+            result.add_told(self._imu.told())
+
+    def _place(self, stamp_s: float, tracked: TrackedFrame) -> None:
+        """Where the camera is: as it was seen, unless it turned otherwise than the IMU says."""
+        motion = None if tracked.match is None else tracked.match.motion
+        before, step = self._placed, self._seen.between(tracked.pose)
+        self._seen, self._placed = tracked.pose, before.compose(step)
+        if self._imu is None:
+            return
+        covariance = None if motion is None or tracked.restarted else motion.covariance
+        told, spread = self._imu.predicted(stamp_s), self._imu.spread()
+        if told is not None and spread is not None:
+            off = gtsam.Rot3.Logmap(told.rotation().between(self._placed.rotation()))
+            chance = spread[:3, :3] + (0.0 if covariance is None else covariance[:3, :3])
+            sound = covariance is not None and off @ np.linalg.solve(chance, off) <= gate(3)
+            # A match may be grossly wrong and know it.
+            if not (sound and alike(step, before.between(told))):
+                self._placed, covariance, self._bridged = told, None, True
+        self._imu.took(stamp_s, self._placed, covariance)
+
+    def _feel(self, reading: ImuReading) -> None:
+        """Take a reading of an IMU whose place is known, as one that sits on the camera."""
+        if self._imu is None or self._camera is None:
+            return
+        if reading.T_base_imu is None:
+            self._imu.unfit = "nothing tells how it sits beside the camera"
+        mounting = reading.T_base_imu or gtsam.Pose3()
+        self._imu.add(replace(reading, T_base_imu=self._T_camera_base.compose(mounting)))
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:
         """None: a camera alone is its own base."""

@@ -195,7 +195,7 @@ class ImuTracker:
             return
         whole = self._integrated(state, stamp_s)
         if covariance is not None:
-            self._judge(state.pose.between(pose).rotation(), whole, state)
+            self._judge(state.pose.between(pose), whole, state)
         try:
             smoother.advance(stamp_s, whole, pose if covariance is not None else None, covariance, step)
         except RuntimeError:  # indeterminate: the lidar contradicts it beyond all bounds
@@ -234,7 +234,7 @@ class ImuTracker:
             return Told(unused={self._sensor: self.unfit})
         state, gravity = self.state, self.gravity()
         if state is None or gravity is None:
-            why = "velocity and gravity were not found; it needs a second of clouds that match"
+            why = "velocity and gravity were not found; it needs a second of matches"
             return Told(unused={self._sensor: why})
         gyro, force = np.abs(state.bias.gyroscope()).max(), np.abs(state.bias.accelerometer()).max()
         notes = [
@@ -242,7 +242,7 @@ class ImuTracker:
             f"{math.degrees(gyro):.2f} degrees/s and {force:.3f} m/s^2"
         ]
         if self.bridged_s:
-            notes.append(f"{self._sensor}: {self.bridged_s:.1f} s without a usable cloud were bridged")
+            notes.append(f"{self._sensor}: {self.bridged_s:.1f} s without a match were bridged")
         return Told(notes)
 
     def _begin(self, stamp_s: float, pose: gtsam.Pose3, covariance: FloatArray | None) -> None:
@@ -284,15 +284,12 @@ class ImuTracker:
         )
 
     def _judge(
-        self, seen: gtsam.Rot3, whole: gtsam.PreintegratedCombinedMeasurements, state: ImuState
+        self, seen: gtsam.Pose3, whole: gtsam.PreintegratedCombinedMeasurements, state: ImuState
     ) -> None:
         """Whether the lidar and the gyroscope tell the same turns; where mostly not, the IMU is left out."""
-        told = state.pose.rotation().between(state.carried(whole)[0].rotation())
-        turn_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(seen)))
-        apart_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(told.between(seen))))
-        self._agree.append(apart_rad <= _APART_RAD + _APART_SHARE * turn_rad)
+        self._agree.append(alike(seen, state.pose.between(state.carried(whole)[0])))
         if len(self._agree) == 2 * FEWEST and sum(self._agree) < FEWEST:
-            self.unfit = "its turns are not those of the lidar: a wrong mounting, clock or unit"
+            self.unfit = "its turns are not those that were seen: a wrong mounting, clock or unit"
 
     def _lose(self) -> None:
         """What was known is of no use after a gap in the readings."""
@@ -310,6 +307,13 @@ class ImuTracker:
             whole = self._readings.integrated(state.stamp_s, stamp_s, self._parameters, state.bias)
             self._whole = state, stamp_s, whole
         return self._whole[2]
+
+
+def alike(seen: gtsam.Pose3, told: gtsam.Pose3) -> bool:
+    """Whether two motions turn the same way, as far as a match may err."""
+    turn_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(seen.rotation())))
+    apart_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(told.rotation().between(seen.rotation()))))
+    return apart_rad <= _APART_RAD + _APART_SHARE * turn_rad
 
 
 @kernel

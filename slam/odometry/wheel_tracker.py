@@ -114,6 +114,8 @@ class WheelTracker:
             return alone
         step = between(begun[0], alone)
         turn = self._gyro.turn(begun[1], gyro) if step.any() else None
+        if turn is None and self._recent[0][1] is begun[0]:
+            return alone  # to the bit: nothing was ever joined
         if turn is not None:
             step = Motion(step, self.covariance(step)).looking(*turn).pose
         return compose(self._recent[0][1], step)
