@@ -64,8 +64,9 @@ def count_looks(which, half_m, pixel_rad, number, newest, pixels_row, pixels_col
     for n in range(which.shape[0]):
         k = which[n]
         row = pixels_row[n]
+        col = pixels_col[n]
         away_m = aways_m[n]
-        if newest[k] == number or abs(picture[row, pixels_col[n]] - away_m) <= half_m:
+        if newest[k] == number or abs(picture[row, col] - away_m) <= half_m:
             counts[k, 0] += 1
             counts[k, 1] += counts[k, 2]
             counts[k, 2] = 0
@@ -73,6 +74,8 @@ def count_looks(which, half_m, pixel_rad, number, newest, pixels_row, pixels_col
         if away_m <= half_m:
             continue
         behind_m = away_m * (1.0 + pixel_rad) + half_m
+        if picture[row, col] <= behind_m:  # most are hidden, and their own pixel tells
+            continue
         span = math.ceil(half_m / (away_m * pixel_rad))
         wide = min(math.ceil(span / max(math.sin(row * pixel_rad), pixel_rad)), cols // 2)
         # Between rings far apart nobody knows what the beams beside would have met.
@@ -80,15 +83,22 @@ def count_looks(which, half_m, pixel_rad, number, newest, pixels_row, pixels_col
         behind = True
         above = below = False
         for level in range(max(row - beside, 0), min(row + beside + 1, rows)):
-            for side in range(pixels_col[n] - wide, pixels_col[n] + wide + 1):
-                range_m = picture[level, side % cols]
+            near = abs(level - row) <= span
+            side = col - wide if col >= wide else col - wide + cols
+            for _ in range(2 * wide + 1):
+                range_m = picture[level, side]
+                side += 1
+                if side == cols:
+                    side = ZERO
                 if math.isinf(range_m):
                     continue
-                if range_m <= behind_m and abs(level - row) <= span:
+                if near and range_m <= behind_m:
                     behind = False
                     break
                 above = above or level < row
                 below = below or level > row
+                if not near:  # one beam tells that it was looked there
+                    break
             if not behind:
                 break
         if behind and above and below:
