@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from fusion.estimation import FEWEST
+from slam.mapping.polygons import inside
 from slam.mapping.rooms import LARGEST_FURNITURE_M2, RoomMap
 from slam.mapping.wall_gaps import WIDEST_DOOR_M
 from slam.mapping.wall_segments import SAME_DIRECTION_RAD, Segment, WallPoints, wall_segments
@@ -95,8 +96,13 @@ def seen_from(rooms: RoomMap, points: WallPoints) -> NDArray[np.int32]:
     return np.array([rooms.at(points.points_map + far * cell * points.normals_map) for far in (2, 3)])
 
 
-def room_outline(rooms: RoomMap, label: int, points: WallPoints) -> Outline | None:
-    """The outline of a room by the points that were seen from inside it; None where they make none."""
+def room_outline(
+    rooms: RoomMap, label: int, points: WallPoints, others: Sequence[Outline] = ()
+) -> Outline | None:
+    """The outline of a room by the points that were seen from inside it; None where they make none.
+
+    It stays out of others.
+    """
     cell = rooms.resolution_m
     of_room = rooms.labels == label
     rows, cols = np.nonzero(of_room)
@@ -113,6 +119,10 @@ def room_outline(rooms: RoomMap, label: int, points: WallPoints) -> Outline | No
     labels = rooms.at(everywhere).reshape(grid_rows.shape)
     before = np.array([face.off(everywhere) > 0.0 for face in faces]).reshape(len(faces), *labels.shape)
     mask = _inside(labels, label, before, cell)
+    for other in others:
+        mask &= ~inside(everywhere, other.corners_m).reshape(labels.shape)
+        faces += [Face(face.point_m, -face.normal, False, 0.0) for face in other.faces]
+    mask = _largest(mask, labels == label)
     if not mask.any():
         return None
     middles_m = everywhere.reshape(*labels.shape, 2)
@@ -187,21 +197,26 @@ def _inside(labels: NDArray[np.int32], label: int, before: BoolArray, cell_m: fl
     owner = owner.reshape(labels.shape)
     sizes = np.bincount(owner.ravel())
     free = np.bincount(owner.ravel(), (labels == label).ravel())
-    inside = (3 * free > sizes)[owner]
-    hull = np.ones_like(inside)
+    within = (3 * free > sizes)[owner]
+    hull = np.ones_like(within)
     for side in before:
-        if np.count_nonzero(inside & ~side) < FEWEST:
+        if np.count_nonzero(within & ~side) < FEWEST:
             hull &= side
-    inside &= hull
-    pockets, count = ndimage.label(hull & ~inside)
+    within &= hull
+    pockets, count = ndimage.label(hull & ~within)
     for pocket in range(1, count + 1):
         where = pockets == pocket
         size = np.count_nonzero(where)
         others = np.count_nonzero(where & (labels > 0) & (labels != label))
         if size * cell_m**2 <= LARGEST_FURNITURE_M2 and 10 * others < size:
-            inside |= where
-    parts, _ = ndimage.label(inside)
-    most = np.bincount(parts[labels == label], minlength=parts.max() + 1)
+            within |= where
+    return np.asarray(within)
+
+
+def _largest(mask: BoolArray, free: BoolArray) -> BoolArray:
+    """(rows, cols) the part that has most of what is free, without holes."""
+    parts, _ = ndimage.label(mask)
+    most = np.bincount(parts[free], minlength=parts.max() + 1)
     most[0] = 0
     return np.asarray(ndimage.binary_fill_holes((parts == np.argmax(most)) & bool(most.any())))
 

@@ -14,7 +14,8 @@ from slam.graph.joint_covariance import joint_covariance
 from slam.graph.pose_covariances import told_edges
 from slam.mapping.doors import find_doors
 from slam.mapping.floor_plan import FloorPlan, Length, Room, Wall
-from slam.mapping.room_outline import Outline, area_m2, corners_of, room_outline, seen_from
+from slam.mapping.room_outline import Outline, area_m2, corners_of, seen_from
+from slam.mapping.room_outlines import room_outlines
 from slam.mapping.rooms import segment_rooms
 from slam.mapping.sure_walls import sides_of, sure_walls
 from slam.mapping.wall_fits import WallFit, fit_wall, straightened
@@ -41,23 +42,17 @@ def floor_plan(contents: MapContents, config: Config) -> FloorPlan:
     cell_m = grid.resolution_m
     way = contents.trajectory.positions_m[:, :2]
     segments = wall_segments(points, cell_m, 3 * cell_m)
-    rooms = segment_rooms(grid, segments, way)
+    rooms, outlines = room_outlines(segment_rooms(grid, segments, way), grid, points, way)
     entered, owners = set(rooms.at(way).tolist()), seen_from(rooms, points)
-    outlines: dict[int, Outline] = {}
     fits: list[list[WallFit | None]] = []
-    for label in range(1, int(rooms.labels.max(initial=0)) + 1):
+    for label, outline in outlines.items():
         own = points.chosen((owners == label).any(axis=0))
-        outline = room_outline(rooms, label, own)
-        # What nobody was in, and has no walls, lies behind a window.
-        if outline is not None and (label in entered or any(face.seen for face in outline.faces)):
-            outlines[label] = outline
-            ends = [outline.ends(edge) for edge in range(len(outline.faces))]
-            fits.append(
-                [
-                    fit_wall(face, end, own, poses, cell_m) if face.seen else None
-                    for face, end in zip(outline.faces, ends, strict=True)
-                ]
-            )
+        fits.append(
+            [
+                fit_wall(face, outline.ends(edge), own, poses, cell_m) if face.seen else None
+                for edge, face in enumerate(outline.faces)
+            ]
+        )
     sure = iter(sure_walls(sides_of(outlines, fits), segments, rooms))
     fits = [[fit if next(sure) else None for fit in ones] for ones in fits]
     covariance = _covariance([fit for ones in fits for fit in ones if fit], contents, config)

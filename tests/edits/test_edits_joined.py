@@ -1,4 +1,4 @@
-"""Edits when a session joins the map: they stay, and can still be undone."""
+"""Edits when a session joins the map, or a run goes on: they stay, and can still be undone."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from edit_maps import box, occupied
+from edit_maps import box, content, occupied
 
 import slam
-from slam.outputs.finished_map import Map
+from slam.app.progress import Progress
+from slam.outputs.finished_map import Map, load_map
 from slam.simulation.synthetic_log import write_synthetic_log
 
 
@@ -59,3 +60,38 @@ def test_what_later_sessions_see_stays_unless_it_is_said(house: Map, logs: tuple
     edited = house.edited({"erase": [{"polygon": polygon.tolist()}]})
     joined = slam.join(edited, logs[1], out=edited.path.parent / "joined").map
     assert occupied(joined, polygon) > 0
+
+
+def test_edits_stay_when_the_map_is_resumed(logs: tuple[Path, Path], tmp_path: Path) -> None:
+    """A finished map that is gone on with by its log is as it was, edits and all."""
+    out = tmp_path / "map"
+    house = slam.map_log(logs[0], out=out)
+    polygon = box(house)
+    edited = house.edited({"erase": [{"polygon": polygon.tolist()}]}, out=out)
+    before = content(edited)
+    again = slam.map_log(logs[0], out=out, resume=True)
+    assert content(again) == before and again.edits == edited.edits
+    assert occupied(again, polygon) == 0 < occupied(again.undone(out=tmp_path / "undone"), polygon)
+
+
+def test_edits_stay_when_an_interrupted_session_goes_on(
+    house: Map, logs: tuple[Path, Path], tmp_path: Path
+) -> None:
+    """As if it had not been interrupted, to the byte; the map is as it was until then."""
+    polygon = box(house)
+    edits = {"erase": [{"polygon": polygon.tolist(), "later": True}], "turn": {"degrees": 90.0}}
+    known = house.edited(edits, out=tmp_path / "known")
+    whole = slam.join(known, logs[1], out=tmp_path / "whole").map
+
+    def interrupt(progress: Progress) -> None:
+        if progress.stage == "mapping" and progress.readings > 40:
+            raise KeyboardInterrupt
+
+    before = content(known)
+    with pytest.raises(KeyboardInterrupt):
+        slam.join(known, logs[1], on_progress=interrupt)
+    assert content(known) == before
+    joined = slam.join(load_map(known.path), logs[1], resume=True).map
+    assert joined.edits == known.edits
+    assert content(joined) == content(whole)
+    assert occupied(joined, polygon @ np.array([[0.0, 1.0], [-1.0, 0.0]])) == 0
