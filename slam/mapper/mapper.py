@@ -24,7 +24,7 @@ from slam.mapper.scan_record import ScanRecorder
 from slam.mapper.tags import PlaceAnchors
 from slam.measurements import FloatArray, GnssFix
 from slam.storage.map_contents import MapContents, SavedFactor
-from slam.trajectory.carried import carried_covariances
+from slam.trajectory.carried import carried_covariances, late_covariances
 
 
 class Mapper:
@@ -133,7 +133,10 @@ class Mapper:
         told = pose_covariances(graph.poses(), bases, edges, outcome.kept, self._config)
         if self._places is not None:
             self._places.check(graph, way(), outcome, self._config)
-        covariances = carried_covariances(trajectory, front_end.readings.keyframe_readings(), *told)
+        at = front_end.readings.keyframe_readings()
+        covariances = carried_covariances(trajectory, at, *told)
+        if sigma_s := front_end.readings.clock_sigma_s:
+            covariances += late_covariances(trajectory, int(at[0]), sigma_s)
         clock.append(time.perf_counter())
         factors = zip(edges, outcome.kept.tolist(), strict=True)
         result = MapResult(

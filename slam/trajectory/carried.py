@@ -6,6 +6,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from fusion.time_alignment import GAP_S
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray
 from slam.trajectory.poses import Poses
@@ -57,6 +58,34 @@ def carried_covariances(
     return np.where(
         share < 0.0, start - share * onward, np.where(share > 1.0, stop + (share - 1.0) * onward, inside)
     )
+
+
+def late_covariances(trajectory: Trajectory, held: int, sigma_s: float) -> FloatArray:
+    """What a shared error of all stamps does to the poses of a robot on a floor, one of which is held.
+
+    Parameters
+    ----------
+    trajectory
+        N poses in the map.
+    held
+        Number of the pose on which the others are laid: where it moves, they are all off.
+    sigma_s
+        Standard deviation of the error.
+
+    Returns
+    -------
+    (N, 3, 3) of x, y, yaw, along the axes of the map.
+    """
+    stamps_s, order = np.unique(trajectory.stamps_s, return_index=True)
+    rows = trajectory[order].to_planar()
+    rows[:, 2] = np.unwrap(rows[:, 2])
+    ends = [trajectory.stamps_s + share * GAP_S for share in (-0.5, 0.5)]
+    before, after = (np.column_stack([np.interp(end, stamps_s, row) for row in rows.T]) for end in ends)
+    speeds = (after - before) / GAP_S
+    x, y, _ = _from(trajectory, np.full(len(trajectory), held)).T
+    along_x, along_y, turn = speeds[held]
+    off = speeds - np.column_stack([along_x - turn * y, along_y + turn * x, np.full_like(x, turn)])
+    return sigma_s**2 * off[:, :, None] * off[:, None, :]
 
 
 def _left_over(steps: FloatArray, ends: FloatArray) -> FloatArray:

@@ -5,7 +5,8 @@ import pytest
 
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray
-from slam.trajectory.carried import carried_covariances
+from slam.trajectory.carried import carried_covariances, late_covariances
+from slam.trajectory.poses import Poses
 
 ENDS = np.array([np.diag([1e-4, 2e-4, 1e-6]), np.diag([3e-4, 5e-4, 9e-6])])
 STEP = np.array([np.diag([2e-4, 3e-4, 8e-6])])
@@ -84,3 +85,27 @@ def test_a_roll_lifts_what_lies_beside() -> None:
     roll[0, 0, 0] = 1e-4
     found = carried_covariances(aside, np.array([0]), roll, np.zeros((0, 6, 6)))[1]
     assert found[2, 2] == pytest.approx(4e-4) and found[2, 3] == pytest.approx(2e-4)
+
+
+def test_stamps_that_are_off_together_move_all_that_does_not_move_as_what_is_held() -> None:
+    """A way that turns now fast now slowly, told 5 ms late: what it is off, laid on the pose that is held."""
+    stamps_s = np.arange(0.0, 8.0, 0.02)
+
+    def way(late_s: float) -> Poses:
+        time_s = stamps_s - late_s
+        return Poses.planar(np.column_stack([0.5 * time_s, np.sin(time_s), 0.3 * np.sin(0.7 * time_s)]))
+
+    held, sigma_s = 100, 0.005
+    true, late = way(0.0), way(sigma_s)
+    laid = true[[held]].compose(late[[held]].between(late))
+    off = np.column_stack(
+        [
+            (laid.positions_m - true.positions_m)[:, :2],
+            (laid.rotations * true.rotations.inv()).as_rotvec()[:, 2],
+        ]
+    )
+    found = late_covariances(true.trajectory(stamps_s), held, sigma_s)
+    inner = slice(20, -20)
+    np.testing.assert_allclose(found[inner], (off[:, :, None] * off[:, None, :])[inner], atol=1e-6)
+    assert found[held] == pytest.approx(np.zeros((3, 3)), abs=1e-12)
+    assert np.sqrt(found[inner, 1, 1].max()) > 0.003
