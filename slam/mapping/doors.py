@@ -33,17 +33,17 @@ def find_doors(
         for other in rooms[index + 1 :]:
             for one in room.walls:
                 for wall in other.walls:
-                    line = in_common((one.begin_m, one.end_m), (wall.begin_m, wall.end_m))
+                    line = _between((one.begin_m, one.end_m), (wall.begin_m, wall.end_m))
                     if line is None:
                         continue
-                    for begin, end in open_stretches(*line, free, grid):
+                    for begin, end in _open(*line, free, grid):
                         driven = crossed(begin, end, way_map)
                         if driven or not _met(begin, end, points):
                             found.append(Door(begin, end, (room.number, other.number), driven))
     return found
 
 
-def in_common(
+def _between(
     one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """Begin and end of what two walls have in common, halfway between, and from there to the first."""
@@ -71,7 +71,7 @@ def in_common(
     return begin, end, 0.5 * abs(float(behind.mean())) * normal
 
 
-def open_stretches(
+def _open(
     begin_m: FloatArray, end_m: FloatArray, half_m: FloatArray, free: BoolArray, grid: OccupancyGrid
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Stretches of a line through which one can see, from a cell before it to a cell behind."""

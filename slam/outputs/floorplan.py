@@ -42,7 +42,8 @@ def floor_plan(contents: MapContents, config: Config) -> FloorPlan:
     cell_m = grid.resolution_m
     way = contents.trajectory.positions_m[:, :2]
     segments = wall_segments(points, cell_m, 3 * cell_m)
-    rooms, outlines = room_outlines(segment_rooms(grid, segments, way), grid, points, way)
+    rooms = segment_rooms(grid, segments, way)
+    outlines = room_outlines(rooms, points, way)
     entered, owners = set(rooms.at(way).tolist()), seen_from(rooms, points)
     fits: list[list[WallFit | None]] = []
     for label, outline in outlines.items():
