@@ -155,9 +155,8 @@ class PlanarChain:
         """A match where the last keyframe matched nothing: from there, and from the last that matched.
 
         The guess was by the wheels, or by cameras that contradict each other. The match was made to keyframes
-        of before, and to the last one only as well as that was guessed. Where the wheels are far from that,
-        or the robot has gone on beyond what was seen before, it was rather made to those that were guessed.
-        Where cameras hold the chain no more is needed.
+        of before, and to the last one only as well as that was guessed; where the wheels are far from that,
+        or it is out of sight of them, rather to guessed ones. Where cameras hold the chain that is enough.
         """
         key, matched = self._matched
         assert matched is not None
