@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 
-from fusion.estimation import FEWEST, TINY
+from fusion.estimation import TINY
 from slam.config import Config
 from slam.errors import ScanweaveError
 from slam.graph.joint_covariance import joint_covariance
@@ -85,10 +85,10 @@ def _covariance(fits: Sequence[WallFit], contents: MapContents, config: Config) 
 
 
 def unit_variance(fits: Sequence[WallFit], variances: FloatArray) -> float:
-    """How far earlier and later scans of walls differ, squared, in variances; 1 where too few walls tell."""
+    """How far earlier and later scans of walls differ, squared, in variances; the claim is one wall."""
     told = variances > TINY
     values = np.array([fit.drift.value for fit in fits])[told]
-    return float(np.mean(values**2 / variances[told])) if len(values) >= FEWEST else 1.0
+    return float(1.0 + np.sum(values**2 / variances[told])) / (1 + len(values))
 
 
 def _room(

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fusion.estimation import FEWEST
 from slam.mapping.room_outline import Face
 from slam.mapping.wall_fits import Contrast, WallFit, fit_wall
 from slam.mapping.wall_segments import WallPoints
@@ -67,6 +66,7 @@ def test_the_walls_tell_how_large_errors_of_poses_are() -> None:
         for value in 0.3 * np.sqrt(variances) * rng.normal(size=400)
     ]
     assert unit_variance(fits, variances) == pytest.approx(0.09, rel=0.2)
-    # Too few walls, or none that was seen twice, tell nothing.
-    assert unit_variance(fits[: FEWEST - 1], variances[: FEWEST - 1]) == 1.0
+    # A wall says as much as the claim, and one that was not seen twice nothing.
+    one = unit_variance(fits[:1], variances[:1])
+    assert one == pytest.approx(0.5 + 0.5 * fits[0].drift.value ** 2 / variances[0])
     assert unit_variance(fits, np.zeros(400)) == 1.0
