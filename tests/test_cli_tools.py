@@ -150,7 +150,7 @@ def test_simulate_then_map_recovers_the_drive(scanweave: Scanweave, tmp_path: Pa
         (("--format", "avi"), "formats are avi"),
         (("--faults", "x"), "no fault preset 'x'"),
         (("--campus", "--faults", "harsh"), "no fault preset 'harsh'; there are none, usual"),
-        (("--campus", "--office"), "leave out --rig, --office"),
+        (("--campus", "--office"), "leave out --rig, --imu, --office"),
         (("--street", "--rig", "xu2024x"), "there are car64, car16"),
         (("--tunnel",), "add it"),
     ],

@@ -229,7 +229,7 @@ def test_a_camera_is_known_at_its_frame_and_shortly_after() -> None:
     assert camera.at(0.0) is None
     camera.add(0.0)
     camera.add(0.1, STEP)
-    assert camera.at(-0.05) is None
+    assert camera.at(-0.36) is None
     assert camera.at(0.36) is None
     now, later = camera.at(0.1), camera.at(0.15)
     assert now is not None
