@@ -369,19 +369,23 @@ class MotionTracker:
         return compose(matched.pose, gain @ between(matched.pose, camera.pose))
 
     def _judge(self, motion: MotionEstimate, gyro: GyroMoment | None) -> None:
-        """Let a match that is certain score the predictors, unless they began where a direction was open."""
+        """Let a match that is certain score the predictors."""
         last = self._last
         if motion.inlier_share < _JUDGE_INLIER_SHARE or motion.degenerate:
             return
         pose = row_from_pose2(motion.T_reference_base)
         if self._gyro is not None:
             self._gyro.learn(gyro, float(pose[2]), float(motion.covariance[2, 2]))
-        if last is None or last.open:
+        if last is None:
             return
+        # What went wrong along a direction that the last scan left open is made up for now.
+        slack = last.motion.covariance if last.motion is not None and last.open else np.zeros((3, 3))
         for predictor in (self._by_camera, self._by_wheels, self._by_velocity):
-            predictor.judge(pose)
-        if self._wheels is not None and not self._wheels.moved:
+            predictor.judge(pose, slack)
+        if self._wheels is None or last.open:
+            return
+        if not self._wheels.moved:
             self._wheels.dead |= math.hypot(pose[0], pose[1]) > self._noise.search_half_width_m
-        if self._wheels is not None and self._by_wheels.guesses and last.determined:
+        if self._by_wheels.guesses and last.determined:
             guess = self._by_wheels.guesses[0].pose
             self._wheels.learn_scale(between(last.pose, guess), between(last.pose, pose))

@@ -344,7 +344,9 @@ def test_the_end_of_a_corridor_makes_up_for_what_went_wrong_along_it() -> None:
         run.scan()
     doubt = run.wheel_doubt()
     along = np.array([0.4, 0.0, 0.0])
-    run.odometry.answer = lambda guesses: motion_at(compose(run.true_pose, along), degenerate=True)
+    ahead = motion_at(compose(run.true_pose, compose(STEP, along)), degenerate=True)
+    ahead = replace(ahead, covariance=ahead.covariance + np.diag([900.0, 0.0, 0.0]))
+    run.odometry.answer = lambda guesses: ahead
     run.scan(wheel_step=compose(STEP, along))
     run.see_the_truth()
     run.scan()
@@ -379,5 +381,5 @@ def test_one_wild_step_does_not_ruin_a_predictor(off_sigmas: float) -> None:
     """Its variance grows as if the step had been ten times what it claims, however wild it was."""
     predictor = Predictor(30.0)
     predictor.predict(np.zeros(3), np.eye(3) * 0.01**2)
-    predictor.judge(np.array([0.01 * off_sigmas, 0.0, 0.0]))
+    predictor.judge(np.array([0.01 * off_sigmas, 0.0, 0.0]), np.zeros((3, 3)))
     assert predictor.doubt == pytest.approx(1.0 + (10.0 - 1.0) / 30.0)
